@@ -1,0 +1,149 @@
+"""Frozen values shared by all packages.
+
+Units are in the names. Positions are local east-north-up metres about the autopilot's EKF origin;
+`bearing_enu_rad` is counter-clockwise from east; time is float seconds on the companion's
+monotonic axis. What was not measured is `None`, never NaN.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+Point = tuple[float, float]
+"""East and north, metres."""
+
+PositionEnu = tuple[float, float, float]
+"""East, north and up, metres."""
+
+
+@dataclass(frozen=True, slots=True)
+class RangingMeasurement:
+    """One answer of an emitter: slant range, bearing, or both."""
+
+    emitter_id: int
+    measured_at_s: float
+    """When the radio measured, on the companion's clock."""
+    range_m: float | None = None
+    range_sigma_m: float | None = None
+    """Standard deviation that the radio reports; None lets the configuration decide."""
+    bearing_enu_rad: float | None = None
+    """Direction to the emitter, counter-clockwise from east; None if given in the body frame."""
+    bearing_body_rad: float | None = None
+    """Direction to the emitter, clockwise from the vehicle's nose; needs the yaw to be used."""
+    bearing_sigma_rad: float | None = None
+    elevation_rad: float | None = None
+    """Positive above the horizon of the sensor."""
+    elevation_sigma_rad: float | None = None
+    quality: float | None = None
+    """0 (worst) to 1 (best)."""
+    line_of_sight: bool | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleState:
+    """Where the vehicle is and how it moves."""
+
+    time_s: float
+    position_enu_m: PositionEnu
+    velocity_enu_mps: PositionEnu
+
+
+class EstimateState(Enum):
+    """How much of the target's position is known."""
+
+    SEARCHING = "searching"
+    """Too little to name a place."""
+    AMBIGUOUS = "ambiguous"
+    """Two or more places explain the measurements about equally well (mirror image)."""
+    LOCALISED = "localised"
+    """One place, with R95 under the configured radius."""
+    DIVERGED = "diverged"
+    """The filter contradicts its own measurements or lost its covariance."""
+
+
+@dataclass(frozen=True, slots=True)
+class TargetEstimate:
+    """Where the target is believed to be, and how wrong that may be."""
+
+    time_s: float
+    state: EstimateState
+    position_enu_m: Point
+    covariance_m2: tuple[tuple[float, float], tuple[float, float]]
+    r95_m: float
+    """Radius about `position_enu_m` that holds the target with 95 % probability, all hypotheses."""
+    range_offset_m: float
+    bearing_offset_rad: float
+    measurements: int
+    """Measurements accepted so far."""
+    alternative_enu_m: Point | None = None
+    """Second hypothesis while the state is ambiguous."""
+
+
+class WaypointReason(Enum):
+    """Why the planner chose a waypoint."""
+
+    APPROACH = "approach"
+    """Fly at the estimate, on the way to its far side."""
+    CROSSING = "crossing"
+    """Fly over the estimate to its far side for bilateral information."""
+    HOLD = "hold"
+    """Stay: nothing is known, or it is close enough."""
+
+
+@dataclass(frozen=True, slots=True)
+class Waypoint:
+    """Where the planner wants to go, before any limit."""
+
+    position_enu_m: Point
+    reason: WaypointReason
+    detail: str = ""
+    """One phrase for the operator, for example the overshoot."""
+
+
+@dataclass(frozen=True, slots=True)
+class PositionSetpoint:
+    """What is commanded now, after limits."""
+
+    position_enu_m: PositionEnu
+    yaw_ned_rad: float | None = None
+    """Heading to keep, clockwise from north; None leaves it to the autopilot."""
+
+
+class Autopilot(Enum):
+    """The kind of autopilot, told from HEARTBEAT.autopilot."""
+
+    PX4 = "PX4"
+    ARDUPILOT = "ArduPilot"
+    OTHER = "unknown autopilot"
+
+
+class FlightMode(Enum):
+    """Flight modes by what they do, whatever the autopilot calls them."""
+
+    OFFBOARD = "offboard"
+    """Obeys external setpoints: PX4 OFFBOARD, ArduPilot GUIDED."""
+    HOLD = "hold"
+    """Stays in place by itself: PX4 AUTO.LOITER, ArduPilot BRAKE."""
+    TAKEOFF = "takeoff"
+    LAND = "land"
+    RETURN = "return"
+    MISSION = "mission"
+    READY = "ready"
+    POSITION = "position"
+    """Flown by the sticks with position hold: PX4 POSCTL, ArduPilot LOITER."""
+    ALTITUDE = "altitude"
+    STABILIZED = "stabilized"
+    ACRO = "acro"
+    MANUAL = "manual"
+    UNKNOWN = "unknown"
+
+
+class LandedState(Enum):
+    """EXTENDED_SYS_STATE.landed_state."""
+
+    UNKNOWN = 0
+    ON_GROUND = 1
+    IN_AIR = 2
+    TAKEOFF = 3
+    LANDING = 4

@@ -1,0 +1,23 @@
+"""The errors of the project, by whose mistake they are."""
+
+from __future__ import annotations
+
+
+class CompanionError(Exception):
+    """Base of every error that the project raises on purpose."""
+
+
+class ConfigError(CompanionError):
+    """A configuration, scenario or data file is wrong; the message names the file and the place."""
+
+
+class LinkError(CompanionError):
+    """A link cannot be opened (port taken, no such device); the message says which and why."""
+
+
+class LocalProtocolError(CompanionError):
+    """Our own caller broke the protocol, for example by sending a setpoint with a NaN."""
+
+
+class RemoteProtocolError(CompanionError):
+    """A peer broke the protocol; it is counted inside `companion.mav` and never leaves it."""

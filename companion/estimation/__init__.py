@@ -1,0 +1,1 @@
+"""Filters, losses and the estimate's honesty."""

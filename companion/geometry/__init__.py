@@ -1,0 +1,1 @@
+"""Frames, plane vectors and polygons; pure functions."""

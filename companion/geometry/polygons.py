@@ -1,0 +1,90 @@
+"""Simple polygons in the horizontal plane: inside, distance and the way back in.
+
+Standard library only, because the guard stands on it. Points are (east, north) in metres; a
+polygon is a sequence of at least three corners, not closed, in either direction, convex or not.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+Point = tuple[float, float]
+Polygon = Sequence[Point]
+
+
+def edges(polygon: Polygon) -> Iterator[tuple[Point, Point]]:
+    """Every edge as (start, end), the closing one included."""
+    for index, start in enumerate(polygon):
+        yield start, polygon[(index + 1) % len(polygon)]
+
+
+def contains(polygon: Polygon, point: Point) -> bool:
+    """Whether `point` is inside, by the crossing number; the border itself may be either."""
+    east, north = point
+    inside = False
+    for (e0, n0), (e1, n1) in edges(polygon):
+        if (n0 > north) != (n1 > north) and east < (e1 - e0) * (north - n0) / (n1 - n0) + e0:
+            inside = not inside
+    return inside
+
+
+def nearest_on_segment(start: Point, end: Point, point: Point) -> Point:
+    """The point of the segment that is nearest to `point`."""
+    de, dn = end[0] - start[0], end[1] - start[1]
+    length2 = de * de + dn * dn
+    if length2 == 0.0:
+        return start
+    t = ((point[0] - start[0]) * de + (point[1] - start[1]) * dn) / length2
+    t = min(1.0, max(0.0, t))
+    return (start[0] + t * de, start[1] + t * dn)
+
+
+def distance_to_border_m(polygon: Polygon, point: Point) -> float:
+    """Distance to the nearest edge, metres, whether inside or outside."""
+    return min(math.dist(point, nearest_on_segment(a, b, point)) for a, b in edges(polygon))
+
+
+def depth_m(polygon: Polygon, point: Point) -> float:
+    """Distance to the border, positive inside and negative outside."""
+    distance = distance_to_border_m(polygon, point)
+    return distance if contains(polygon, point) else -distance
+
+
+def segments_cross(a0: Point, a1: Point, b0: Point, b1: Point) -> bool:
+    """Whether two segments share a point in the inside of both (touching ends do not count)."""
+
+    def side(p: Point, q: Point, r: Point) -> float:
+        return (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0])
+
+    return side(a0, a1, b0) * side(a0, a1, b1) < 0.0 and side(b0, b1, a0) * side(b0, b1, a1) < 0.0
+
+
+def is_simple(polygon: Polygon) -> bool:
+    """Whether no two edges cross each other."""
+    sides = list(edges(polygon))
+    return not any(
+        segments_cross(*sides[i], *sides[j])
+        for i in range(len(sides))
+        for j in range(i + 1, len(sides))
+    )
+
+
+def area_m2(polygon: Polygon) -> float:
+    """Enclosed area, square metres, never negative (shoelace formula)."""
+    twice = sum(a[0] * b[1] - b[0] * a[1] for a, b in edges(polygon))
+    return abs(twice) / 2.0
+
+
+def deepest_point(polygon: Polygon, cells: int = 24) -> Point:
+    """A point about as far inside as the polygon allows, found on a grid of its bounding box."""
+    easts, norths = [p[0] for p in polygon], [p[1] for p in polygon]
+    candidates = (
+        (
+            min(easts) + (max(easts) - min(easts)) * (i + 0.5) / cells,
+            min(norths) + (max(norths) - min(norths)) * (j + 0.5) / cells,
+        )
+        for i in range(cells)
+        for j in range(cells)
+    )
+    return max(candidates, key=lambda point: depth_m(polygon, point))

@@ -1,0 +1,1 @@
+"""The only way to the wire for a setpoint: fence and envelope."""

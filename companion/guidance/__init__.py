@@ -1,0 +1,1 @@
+"""The sans-IO guidance session: events in, commands out."""

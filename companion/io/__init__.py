@@ -1,0 +1,1 @@
+"""Shells: sockets, serial ports, clocks and files."""

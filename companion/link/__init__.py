@@ -1,0 +1,1 @@
+"""Between messages and events: the companion as a MAVLink endpoint."""

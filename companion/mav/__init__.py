@@ -1,0 +1,1 @@
+"""The wire: dialect, frames, codec and conversions; no sockets."""

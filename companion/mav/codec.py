@@ -1,0 +1,88 @@
+"""Bytes to messages and back: one codec per link.
+
+pymavlink's generated class packs and decodes payloads; framing, the CRC check and the sequence
+number are ours (`pack` does not advance it, and pymavlink's own parser loses the good frame
+behind a truncated one). Nothing that a peer sends raises out of here.
+"""
+
+from __future__ import annotations
+
+from companion.errors import LocalProtocolError, RemoteProtocolError
+from companion.mav.dialect import Message, mavlink
+from companion.mav.framing import FrameCounters, FrameSplitter
+
+CRC_EXTRA_BY_ID = {
+    number: message_class.crc_extra for number, message_class in mavlink.mavlink_map.items()
+}
+
+
+class MavCodec:
+    """Encodes with one identity and decodes what arrives on one link.
+
+    Args:
+        system_id: Our system id, 1 to 255.
+        component_id: Our component id, 1 to 255.
+    """
+
+    def __init__(self, system_id: int, component_id: int) -> None:
+        self._mav = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
+        self._splitter = FrameSplitter(CRC_EXTRA_BY_ID)
+        self.undecodable = 0
+        """Frames with a good CRC whose payload pymavlink refused."""
+
+    @property
+    def counters(self) -> FrameCounters:
+        """What arrived so far."""
+        return self._splitter.counters
+
+    @property
+    def system_id(self) -> int:
+        """The system id that our frames carry."""
+        return int(self._mav.srcSystem)
+
+    @system_id.setter
+    def system_id(self, value: int) -> None:
+        self._mav.srcSystem = value
+
+    @property
+    def component_id(self) -> int:
+        """The component id that our frames carry."""
+        return int(self._mav.srcComponent)
+
+    def encode(self, message: Message, component_id: int | None = None) -> bytes:
+        """The MAVLink 2 frame of `message`, with the link's next sequence number.
+
+        Args:
+            message: What to send.
+            component_id: Sends as another component of ours over the same link.
+
+        Raises:
+            LocalProtocolError: A field does not fit its type on the wire.
+        """
+        own_component = self._mav.srcComponent
+        if component_id is not None:
+            self._mav.srcComponent = component_id
+        try:
+            frame = message.pack(self._mav)
+        except Exception as error:  # struct.error, TypeError, OverflowError: always our mistake
+            raise LocalProtocolError(f"{message.get_type()} cannot be packed: {error}") from error
+        finally:
+            self._mav.srcComponent = own_component
+        self._mav.seq = (self._mav.seq + 1) % 256
+        return frame
+
+    def decode(self, data: bytes, *, is_datagram: bool = True) -> list[Message]:
+        """The messages completed by `data`; bad bytes are counted, never raised."""
+        messages = []
+        for frame in self._splitter.split(data, is_datagram=is_datagram):
+            try:
+                messages.append(self._decode_frame(frame))
+            except RemoteProtocolError:
+                self.undecodable += 1
+        return messages
+
+    def _decode_frame(self, frame: bytes) -> Message:
+        try:
+            return self._mav.decode(bytearray(frame))
+        except Exception as error:  # MAVError, UnicodeDecodeError: whatever a payload provokes
+            raise RemoteProtocolError(str(error)) from error

@@ -1,0 +1,50 @@
+"""The sans-IO interface between a MAVLink participant and the shell that owns its sockets.
+
+A shell stamps the time once per wake-up and passes it in; an endpoint never asks for it. The
+companion and the simulator are both endpoints, so one shell drives either, and a test joins them
+in memory without any.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+Address = tuple[str, int]
+"""Host and port of a UDP peer."""
+
+
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """Bytes to or from a link."""
+
+    link: int
+    """Index of the link, in the order the shell was given them."""
+    data: bytes
+    peer: Address | None = None
+    """Who sent it; on the way out, None means whomever the link talks to by default."""
+    is_datagram: bool = True
+    """False on serial and TCP links, where a chunk may hold any part of a frame."""
+
+
+class Endpoint(Protocol):
+    """One MAVLink participant, without sockets or clocks."""
+
+    def receive(self, chunk: Chunk, now_s: float) -> None:
+        """Take in what arrived on a link."""
+
+    def handle_timer(self, now_s: float) -> None:
+        """Do what is due; called at `next_timer_s` or later."""
+
+    def next_timer_s(self) -> float:
+        """When `handle_timer` wants to be called next."""
+
+    def take_output(self) -> list[Chunk]:
+        """What is to be sent, in order; taken once."""
+
+    def request_stop(self, now_s: float) -> None:
+        """Begin an orderly end (SIGTERM, SIGINT)."""
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether the shell may close the links."""

@@ -1,0 +1,125 @@
+"""Bytes to MAVLink frames: length, magic and CRC, before any message class sees them.
+
+Theory of operation. A link delivers chunks of bytes: whole frames and junk in a datagram, any
+cut of them in a stream. A candidate starts at a magic byte (0xFD for MAVLink 2, 0xFE for 1). It is
+a frame only if its CRC-16/MCRF4XX over everything between the magic and the CRC, plus the message's
+CRC_EXTRA, agrees; otherwise exactly one byte is given up and the search goes on, so a lying
+length byte never swallows the good frame behind it. A MAVLink 2 frame with an unknown
+incompatibility flag is dropped whole, as the protocol asks, once its CRC has proved it a frame.
+
+The end of a datagram ends every candidate in it; a stream keeps at most one unfinished frame
+(280 bytes), so no sequence of bytes makes the buffer grow.
+
+Source: MAVLink developer guide, "Packet Serialization".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from pymavlink.generator.mavcrc import x25crc
+
+MAGIC_V1, MAGIC_V2 = 0xFE, 0xFD
+HEADER_LENGTH = {MAGIC_V1: 6, MAGIC_V2: 10}
+CRC_LENGTH = 2
+SIGNATURE_LENGTH = 13
+INCOMPAT_SIGNED = 0x01
+
+
+@dataclass(slots=True)
+class FrameCounters:
+    """What the splitter has seen since it was made."""
+
+    good: int = 0
+    bad_crc: int = 0
+    """Candidates of a known message whose CRC was wrong, junk that looks like one included."""
+    unknown: int = 0
+    """Candidates with a message id that the dialect does not have."""
+    incompatible: int = 0
+    """Frames with an incompatibility flag that we do not understand."""
+    junk_bytes: int = 0
+
+
+class FrameSplitter:
+    """Cuts a byte stream or datagrams into CRC-checked frames.
+
+    Args:
+        crc_extra_by_id: CRC_EXTRA of every known message id.
+    """
+
+    def __init__(self, crc_extra_by_id: Mapping[int, int]) -> None:
+        self.counters = FrameCounters()
+        self._crc_extra_by_id = crc_extra_by_id
+        self._pending = b""
+
+    def split(self, data: bytes, *, is_datagram: bool) -> list[bytes]:
+        """The frames completed by `data`.
+
+        Args:
+            data: The bytes that arrived.
+            is_datagram: Whether `data` is complete in itself; an unfinished frame at its end
+                is then junk instead of a beginning.
+        """
+        buffer = self._pending + data
+        frames: list[bytes] = []
+        start = 0
+        while start < len(buffer):
+            if buffer[start] not in HEADER_LENGTH:
+                start += 1
+                self.counters.junk_bytes += 1
+                continue
+            length = self._frame_length(buffer, start)
+            if length is None or start + length > len(buffer):
+                if not is_datagram:
+                    break
+                start += 1
+                self.counters.junk_bytes += 1
+                continue
+            frame = buffer[start : start + length]
+            if self._is_valid(frame):
+                start += length
+                if self._is_compatible(frame):
+                    frames.append(frame)
+            else:
+                start += 1
+                self.counters.junk_bytes += 1
+        self._pending = b"" if is_datagram else buffer[start:]
+        self.counters.good += len(frames)
+        return frames
+
+    @staticmethod
+    def _frame_length(buffer: bytes, start: int) -> int | None:
+        magic = buffer[start]
+        header = HEADER_LENGTH[magic]
+        if start + header > len(buffer):
+            return None
+        length = header + buffer[start + 1] + CRC_LENGTH
+        if magic == MAGIC_V2 and buffer[start + 2] & INCOMPAT_SIGNED:
+            length += SIGNATURE_LENGTH
+        return length
+
+    def _is_valid(self, frame: bytes) -> bool:
+        crc_extra = self._crc_extra_by_id.get(message_id(frame))
+        if crc_extra is None:
+            self.counters.unknown += 1
+            return False
+        end = HEADER_LENGTH[frame[0]] + frame[1]
+        crc = x25crc(frame[1:end] + bytes((crc_extra,))).crc  # type: ignore[no-untyped-call]
+        if crc == int.from_bytes(frame[end : end + CRC_LENGTH], "little"):
+            return True
+        self.counters.bad_crc += 1
+        return False
+
+    def _is_compatible(self, frame: bytes) -> bool:
+        if frame[0] == MAGIC_V2 and frame[2] & ~INCOMPAT_SIGNED:
+            self.counters.incompatible += 1
+            return False
+        return True
+
+
+def message_id(frame: bytes) -> int:
+    """The message id in a frame's header."""
+    if frame[0] == MAGIC_V1:
+        return frame[5]
+    return int.from_bytes(frame[7:10], "little")

@@ -1,0 +1,1 @@
+"""What the filter believes about motion and measurements."""

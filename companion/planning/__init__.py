@@ -1,0 +1,1 @@
+"""Planners: from an estimate to the next waypoint."""

@@ -1,0 +1,1 @@
+"""The simulated autopilot: modes, setpoints, streams and the MAVLink endpoint."""

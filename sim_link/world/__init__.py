@@ -1,0 +1,1 @@
+"""The simulated truth: vehicle, emitter and radio channel."""
