@@ -38,6 +38,8 @@ class RangingMeasurement:
     quality: float | None = None
     """0 (worst) to 1 (best)."""
     line_of_sight: bool | None = None
+    stamp_us: int | None = None
+    """The sender's own stamp, by which a duplicate is known."""
 
 
 @dataclass(frozen=True, slots=True)

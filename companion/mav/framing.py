@@ -105,8 +105,7 @@ class FrameSplitter:
             self.counters.unknown += 1
             return False
         end = HEADER_LENGTH[frame[0]] + frame[1]
-        crc = x25crc(frame[1:end] + bytes((crc_extra,))).crc  # type: ignore[no-untyped-call]
-        if crc == int.from_bytes(frame[end : end + CRC_LENGTH], "little"):
+        if frame_crc(frame, crc_extra) == int.from_bytes(frame[end : end + CRC_LENGTH], "little"):
             return True
         self.counters.bad_crc += 1
         return False
@@ -123,3 +122,31 @@ def message_id(frame: bytes) -> int:
     if frame[0] == MAGIC_V1:
         return frame[5]
     return int.from_bytes(frame[7:10], "little")
+
+
+def frame_crc(frame: bytes, crc_extra: int) -> int:
+    """The CRC that a frame must carry, from its header and payload.
+
+    Args:
+        frame: At least header and payload.
+        crc_extra: CRC_EXTRA of its message.
+    """
+    end = HEADER_LENGTH[frame[0]] + frame[1]
+    return int(x25crc(frame[1:end] + bytes((crc_extra,))).crc)  # type: ignore[no-untyped-call]
+
+
+def without_signature(frame: bytes, crc_extra: int | None) -> bytes:
+    """The same frame unsigned, for logs: a signature must not be stored (developer guide).
+
+    Args:
+        frame: One whole frame, signed or not.
+        crc_extra: CRC_EXTRA of its message; None keeps the frame's length and flag, which the
+            CRC covers, and blanks the signature.
+    """
+    if frame[0] != MAGIC_V2 or not frame[2] & INCOMPAT_SIGNED:
+        return frame
+    end = HEADER_LENGTH[MAGIC_V2] + frame[1]
+    if crc_extra is None:
+        return frame[: end + CRC_LENGTH] + bytes(SIGNATURE_LENGTH)
+    unsigned = frame[:2] + bytes((frame[2] & ~INCOMPAT_SIGNED,)) + frame[3:end]
+    return unsigned + frame_crc(unsigned, crc_extra).to_bytes(CRC_LENGTH, "little")

@@ -96,6 +96,7 @@ def _from_radio_ranging(
     return RangingMeasurement(
         emitter_id=message.emitter_id,
         measured_at_s=measured_at_s,
+        stamp_us=message.time_usec,
         range_m=_or_none(message.range),
         range_sigma_m=_or_none(message.range_std),
         bearing_enu_rad=None if is_body else _enu_or_none(message.bearing),
@@ -116,6 +117,7 @@ def _from_landing_target(
     return RangingMeasurement(
         emitter_id=message.target_num,
         measured_at_s=measured_at_s,
+        stamp_us=message.time_usec,
         range_m=None if range_m == 0.0 else range_m,
         bearing_body_rad=_or_none(message.angle_x),
     )
@@ -132,6 +134,7 @@ def _from_ranging_beacon(
     return RangingMeasurement(
         emitter_id=message.beacon_id,
         measured_at_s=measured_at_s,
+        stamp_us=message.time_usec,
         range_m=None if message.range == UINT32_MAX else message.range / 1000.0,
         range_sigma_m=None if unknown_sigma else message.range_accuracy / 1000.0,
     )

@@ -15,6 +15,9 @@ REBOOT_BACKWARD_S = 1.0
 WRAP_S = 2**32 / 1000.0
 """`time_boot_ms` starts again at zero after 49.7 days; that is not a reboot."""
 
+MAX_WRAP_GAP_S = 60.0
+"""Silence, or lateness, over which a wrap is still recognised."""
+
 DRIFT_ALLOWANCE = 200e-6
 """How fast the minimum may rise, seconds per second: twice a poor crystal's drift."""
 
@@ -40,17 +43,13 @@ class Timebase:
 
     def read(self, remote_s: float, now_s: float) -> StampReading:
         """Local time of a remote stamp that arrived at `now_s`, both in seconds."""
-        remote_s += self._wraps * WRAP_S
+        remote_s = self._unwrapped(remote_s)
         rebooted = False
         if self._offset_s is not None and remote_s < self._newest_remote_s - REBOOT_BACKWARD_S:
-            if self._newest_remote_s - remote_s > WRAP_S - 60.0:
-                self._wraps += 1
-                remote_s += WRAP_S
-            else:
-                rebooted = True
-                remote_s -= self._wraps * WRAP_S
-                self._wraps = 0
-                self._offset_s = None
+            rebooted = True
+            remote_s -= self._wraps * WRAP_S
+            self._wraps = 0
+            self._offset_s = None
         difference_s = now_s - remote_s
         if self._offset_s is None:
             self._offset_s = difference_s
@@ -61,3 +60,20 @@ class Timebase:
             self._newest_remote_s = max(self._newest_remote_s, remote_s)
         self._updated_s = now_s
         return StampReading(min(now_s, remote_s + self._offset_s), rebooted)
+
+    def _unwrapped(self, remote_s: float) -> float:
+        """The stamp without the wraps of its counter; one from before the last wrap may be late.
+
+        Only a step back by almost exactly one wrap is one: a sender that falls from Unix time to
+        its time since boot goes back much further, and has restarted.
+        """
+        remote_s += self._wraps * WRAP_S
+        if self._offset_s is None:
+            return remote_s
+        behind_s = self._newest_remote_s - remote_s
+        if WRAP_S - MAX_WRAP_GAP_S < behind_s <= WRAP_S + REBOOT_BACKWARD_S:
+            self._wraps += 1
+            return remote_s + WRAP_S
+        if self._wraps and -WRAP_S <= behind_s < -WRAP_S + MAX_WRAP_GAP_S:
+            return remote_s - WRAP_S
+        return remote_s

@@ -1,0 +1,100 @@
+"""Whole files and flight directories."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from datetime import UTC, datetime
+from enum import Enum
+from pathlib import Path
+
+from companion.errors import CompanionError
+
+
+def plain(value: object) -> object:
+    """`value` in JSON's own types: NaN and infinity become None, enums their value.
+
+    Dataclasses become objects and arrays lists. Whatever JSON has no type for becomes its text,
+    so that a log entry never fails.
+    """
+    if isinstance(value, Enum):
+        return plain(value.value)
+    if value is None or isinstance(value, bool | str | int):
+        return value
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [plain(item) for item in value]
+    if is_dataclass(value) and not isinstance(value, type):
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+    if hasattr(value, "tolist"):  # numpy's scalars and arrays, without importing numpy
+        return plain(value.tolist())
+    return str(value)
+
+
+def write_json_atomic(path: Path, value: object) -> None:
+    """Replace a JSON file as a whole: a reader, or a power cut, sees the old one or the new one.
+
+    Args:
+        path: The file; its directory exists.
+        value: Anything; see `plain`.
+
+    Raises:
+        CompanionError: It cannot be written; an old file is still there then.
+    """
+    text = json.dumps(plain(value), allow_nan=False, indent=2) + "\n"
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with temporary.open("w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+        _sync_directory(path.parent)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise CompanionError(
+            f"{path}: cannot be written ({error.strerror}); check the disk and its permissions"
+        ) from error
+
+
+def new_flight_directory(root: Path, unix_s: float) -> Path:
+    """A new directory under `root`, named by the time, for example `2026-11-21T02-50-00Z`.
+
+    Args:
+        root: Where flights are kept; made if it does not exist.
+        unix_s: Seconds since 1970, UTC. A second flight in the same second gets `-2`.
+
+    Raises:
+        CompanionError: It cannot be made.
+    """
+    name = datetime.fromtimestamp(unix_s, UTC).strftime("%Y-%m-%dT%H-%M-%SZ")
+    suffix = 1
+    while True:
+        directory = root / (name if suffix == 1 else f"{name}-{suffix}")
+        try:
+            directory.mkdir(parents=True)
+        except FileExistsError as error:
+            if not directory.is_dir():
+                raise CompanionError(f"{root}: not a directory; choose another place") from error
+            suffix += 1
+        except OSError as error:
+            raise CompanionError(
+                f"{directory}: cannot be made ({error.strerror}); choose another place"
+            ) from error
+        else:
+            return directory
+
+
+def _sync_directory(directory: Path) -> None:
+    """Make a rename last through a power cut."""
+    descriptor = os.open(directory, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,207 @@
+"""The one loop that drives any endpoint: links, one timer, signals.
+
+Theory of operation. The loop wakes when a link has data or the endpoint's timer is due. A wake-up
+stamps the time once, hands over what arrived (64 reads of one link at most), fires the timer if it
+is due, sends what the endpoint has to say and tells `on_wakeup`. The timer is looked at on every
+wake-up, so a flood of datagrams cannot keep it waiting, and it fires once however late it is: what
+to skip is for the endpoint to decide.
+
+A stop (SIGINT, SIGTERM, SIGHUP or `request_stop`) asks the endpoint for an orderly end and gives
+it two wall seconds; a second signal ends at once. An exception out of the endpoint is a bug of
+ours: it ends the loop, closes the links and is raised to the caller, because a companion that is
+silent is safe (the autopilot's own failsafe takes over) and one in an unknown state is not.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+
+from companion.io.clock import Clock
+from companion.io.links import Link, LinkSpec, make_link
+from companion.mav.endpoint import Chunk, Endpoint
+
+STOP_DEADLINE_S = 2.0
+"""Wall seconds from the first stop request to the end, whatever the endpoint says."""
+
+MIN_TIMER_S = 0.001
+"""An endpoint whose next time is always past must not take the whole processor."""
+
+MAX_TIMER_S = 3600.0
+"""The loop refuses timers of many days; waking up once an hour costs nothing."""
+
+OnWakeup = Callable[[float], None]
+
+
+class Shell:
+    """Runs one endpoint on its links.
+
+    Args:
+        endpoint: What to run.
+        links: Its links; their places are the `link` numbers in the chunks.
+        clock: Where the time comes from.
+        on_wakeup: Called at the end of every wake-up with its time, seconds of `clock`.
+    """
+
+    def __init__(
+        self,
+        endpoint: Endpoint,
+        links: Sequence[LinkSpec],
+        clock: Clock,
+        on_wakeup: OnWakeup | None = None,
+    ) -> None:
+        self._endpoint = endpoint
+        self._clock = clock
+        self._on_wakeup = on_wakeup
+        self.links: list[Link] = [
+            make_link(spec, index, self._receive) for index, spec in enumerate(links)
+        ]
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._end: asyncio.Event | None = None
+        self._timer: asyncio.TimerHandle | None = None
+        self._deadline: asyncio.TimerHandle | None = None
+        self._stop_wanted = threading.Event()
+        self._is_stopping = False
+        self._failure: BaseException | None = None
+
+    async def run(self) -> None:
+        """Open the links and drive the endpoint until it is finished or told to stop.
+
+        Raises:
+            LinkError: A link cannot be opened; those opened before it are closed again.
+            Exception: Whatever the endpoint or `on_wakeup` raised.
+        """
+        self._loop, self._end = asyncio.get_running_loop(), asyncio.Event()
+        try:
+            for link in self.links:
+                await link.open()
+            with self._signals(self._loop):
+                if self._stop_wanted.is_set():
+                    self._begin_stop()
+                self._wake([])
+                await self._end.wait()
+        finally:
+            self._close()
+        if self._failure is not None:
+            raise self._failure
+
+    def request_stop(self) -> None:
+        """Begin an orderly end; from any thread, before or during `run`, any number of times."""
+        self._stop_wanted.set()
+        loop = self._loop
+        if loop is not None:
+            with suppress(RuntimeError):  # the loop ended meanwhile: stopped anyway
+                loop.call_soon_threadsafe(self._begin_stop)
+
+    def _receive(self, chunks: list[Chunk]) -> None:
+        self._wake(chunks)
+
+    def _timer_fired(self) -> None:
+        self._timer = None
+        self._wake([])
+
+    def _wake(self, chunks: list[Chunk], *, begins_stop: bool = False) -> None:
+        if self._end is None or self._end.is_set():
+            return
+        now_s = self._clock.now_s()
+        try:
+            if begins_stop:
+                self._endpoint.request_stop(now_s)
+            for chunk in chunks:
+                self._endpoint.receive(chunk, now_s)
+            if self._endpoint.next_timer_s() <= now_s:
+                self._endpoint.handle_timer(now_s)
+            for chunk in self._endpoint.take_output():
+                self.links[chunk.link].send(chunk)
+            if self._on_wakeup is not None:
+                self._on_wakeup(now_s)
+            if self._endpoint.is_finished:
+                self._end.set()
+            else:
+                self._arm_timer()
+        except Exception as error:
+            self._failure = error
+            self._end.set()
+
+    def _arm_timer(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        next_s = self._endpoint.next_timer_s()
+        if self._loop is None or math.isinf(next_s):
+            return
+        delay_s = min(max(MIN_TIMER_S, self._clock.delay_s(next_s)), MAX_TIMER_S)
+        self._timer = self._loop.call_later(delay_s, self._timer_fired)
+
+    def _begin_stop(self) -> None:
+        if self._is_stopping or self._loop is None or self._end is None:
+            return
+        self._is_stopping = True
+        self._deadline = self._loop.call_later(STOP_DEADLINE_S, self._end.set)
+        self._wake([], begins_stop=True)
+
+    def _signalled(self) -> None:
+        if self._is_stopping and self._end is not None:
+            self._end.set()
+        self._begin_stop()
+
+    @contextmanager
+    def _signals(self, loop: asyncio.AbstractEventLoop) -> Iterator[None]:
+        """Our handlers for the time of the run; only the main thread may have any."""
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
+        before = {
+            number: signal.getsignal(number)
+            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+        }
+        if before[signal.SIGHUP] is signal.SIG_IGN:  # nohup: meant to outlive its terminal
+            del before[signal.SIGHUP]
+        for number in before:
+            loop.add_signal_handler(number, self._signalled)
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                loop.remove_signal_handler(number)
+                signal.signal(number, handler)
+
+    def _close(self) -> None:
+        for handle in (self._timer, self._deadline):
+            if handle is not None:
+                handle.cancel()
+        for link in self.links:
+            link.close()
+        self._loop = None
+
+
+async def serve(
+    endpoint: Endpoint,
+    links: Sequence[LinkSpec],
+    clock: Clock,
+    on_wakeup: OnWakeup | None = None,
+) -> None:
+    """Run an endpoint on its links until it is finished; see `Shell`.
+
+    Raises:
+        LinkError: A link cannot be opened.
+    """
+    await Shell(endpoint, links, clock, on_wakeup).run()
+
+
+def run_endpoint(
+    endpoint: Endpoint,
+    links: Sequence[LinkSpec],
+    clock: Clock,
+    on_wakeup: OnWakeup | None = None,
+) -> None:
+    """Run an endpoint on its links and block until it is finished; see `Shell`.
+
+    Raises:
+        LinkError: A link cannot be opened.
+    """
+    asyncio.run(serve(endpoint, links, clock, on_wakeup))

@@ -1,0 +1,218 @@
+"""UDP links over plain non-blocking sockets.
+
+asyncio's datagram transport queues without bound when the system refuses and reads one datagram
+per loop; here a refusal is counted at once and a wake-up reads a bounded batch. Sockets are bound
+without SO_REUSEADDR and SO_REUSEPORT: with them a second listener on a port starts without an
+error and one of the two silently gets nothing.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import ipaddress
+import socket
+import threading
+from collections.abc import Sequence
+from contextlib import suppress
+
+from companion.errors import LinkError
+from companion.io.link_base import MAX_READS, Link, Received, bind_problem
+from companion.mav.endpoint import Address, Chunk
+
+MAX_DATAGRAM = 65_535
+MAX_PEERS = 16
+"""Senders that a fan-out link remembers; telemetry must not grow with every stranger."""
+
+
+class UdpLink(Link):
+    """A bound socket that answers the peers its chunks name."""
+
+    def __init__(self, host: str, port: int, index: int, received: Received) -> None:
+        super().__init__(f"udp {host}:{port}", index, received)
+        self._host, self._port = host, port
+        self._socket: socket.socket | None = None
+
+    @property
+    def local_address(self) -> Address:
+        """Host and port that the open socket has; `("", 0)` while closed."""
+        if self._socket is None:
+            return ("", 0)
+        host, port = self._socket.getsockname()[:2]
+        return (str(host), int(port))
+
+    async def open(self) -> None:
+        """Bind.
+
+        Raises:
+            LinkError: The port is taken or the host is not ours.
+        """
+        address = await resolve(self.name, self._host, self._port)
+        opened = _new_socket()
+        try:
+            opened.bind(address)
+        except OSError as error:
+            opened.close()
+            raise LinkError(bind_problem("udp", self._host, self._port, error)) from error
+        self._start(opened)
+
+    def _start(self, opened: socket.socket) -> None:
+        self._socket = opened
+        asyncio.get_running_loop().add_reader(opened, self._read)
+
+    def _read(self) -> None:
+        chunks: list[Chunk] = []
+        for _ in range(MAX_READS):
+            if self._socket is None:
+                break
+            try:
+                data, peer = self._socket.recvfrom(MAX_DATAGRAM)
+            except (BlockingIOError, InterruptedError):
+                break
+            except OSError:  # ECONNREFUSED: an earlier datagram found nobody there
+                self.counters.receive_errors += 1
+                continue
+            chunks.append(Chunk(self.index, data, (str(peer[0]), int(peer[1]))))
+            self._heard((str(peer[0]), int(peer[1])))
+        self.counters.received += len(chunks)
+        if chunks:
+            self._received(chunks)
+
+    def _heard(self, peer: Address) -> None:
+        """Take note of a sender."""
+
+    def send(self, chunk: Chunk) -> None:
+        """Send to the chunk's peer; a chunk without one is dropped and counted."""
+        if chunk.peer is None:
+            self.counters.dropped += 1
+            return
+        self._send_to(chunk.data, chunk.peer)
+
+    def _send_to(self, data: bytes, peer: Address | None) -> None:
+        if self._socket is None:
+            self.counters.dropped += 1
+            return
+        try:
+            if peer is None:
+                self._socket.send(data)
+            else:
+                self._socket.sendto(data, peer)
+        except OSError:
+            self.counters.send_errors += 1
+        else:
+            self.counters.sent += 1
+
+    def close(self) -> None:
+        """Close the socket."""
+        if self._socket is None:
+            return
+        asyncio.get_running_loop().remove_reader(self._socket)
+        self._socket.close()
+        self._socket = None
+
+
+class UdpFanOutLink(UdpLink):
+    """A bound socket that sends chunks without a peer to fixed remotes and to everyone heard.
+
+    Of the senders heard, the most recent 16 are kept.
+    """
+
+    def __init__(
+        self, host: str, port: int, remotes: Sequence[Address], index: int, received: Received
+    ) -> None:
+        super().__init__(host, port, index, received)
+        self._given_remotes = tuple(remotes)
+        self._remotes: tuple[Address, ...] = ()
+        self._peers: dict[Address, None] = {}
+
+    async def open(self) -> None:
+        """Bind, and look up the remotes.
+
+        Raises:
+            LinkError: The port is taken or a host is unknown.
+        """
+        self._remotes = tuple([await resolve(self.name, *remote) for remote in self._given_remotes])
+        await super().open()
+
+    def _heard(self, peer: Address) -> None:
+        if peer in self._remotes:
+            return
+        self._peers.pop(peer, None)
+        self._peers[peer] = None
+        if len(self._peers) > MAX_PEERS:
+            del self._peers[next(iter(self._peers))]
+
+    def send(self, chunk: Chunk) -> None:
+        """Send to the chunk's peer, or to all remotes and senders if it names none."""
+        if chunk.peer is not None:
+            self._send_to(chunk.data, chunk.peer)
+            return
+        for peer in (*self._remotes, *self._peers):
+            self._send_to(chunk.data, peer)
+
+
+class UdpConnectLink(UdpLink):
+    """A connected socket on a free port that sends first; the system drops what others send."""
+
+    def __init__(self, host: str, port: int, index: int, received: Received) -> None:
+        super().__init__(host, port, index, received)
+        self.name = f"udpout {host}:{port}"
+
+    async def open(self) -> None:
+        """Fix the remote.
+
+        Raises:
+            LinkError: The host is unknown or unreachable by any interface.
+        """
+        address = await resolve(self.name, self._host, self._port)
+        opened = _new_socket()
+        try:
+            opened.connect(address)
+        except OSError as error:
+            opened.close()
+            raise LinkError(f"{self.name}: no way there ({error.strerror}); check host") from error
+        self._start(opened)
+
+    def send(self, chunk: Chunk) -> None:
+        """Send to the remote, whatever peer the chunk names: there is only one."""
+        self._send_to(chunk.data, None)
+
+
+def _new_socket() -> socket.socket:
+    new = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    new.setblocking(False)
+    return new
+
+
+async def resolve(name: str, host: str, port: int) -> Address:
+    """The IPv4 address of a host.
+
+    Names are looked up in a daemon thread and not in the loop's executor: the loop waits for its
+    executor when it ends, and a slow name server must not hold up an exit.
+
+    Raises:
+        LinkError: It is unknown; the message begins with `name`.
+    """
+    try:
+        return (str(ipaddress.IPv4Address(host)), port)
+    except ValueError:
+        pass
+    loop = asyncio.get_running_loop()
+    answer: asyncio.Future[str | None] = loop.create_future()
+
+    def settle(address: str | None) -> None:
+        if not answer.done():
+            answer.set_result(address)
+
+    def look_up() -> None:
+        try:
+            address = socket.gethostbyname(host)
+        except (OSError, UnicodeError):
+            address = None
+        with suppress(RuntimeError):  # the loop ended meanwhile
+            loop.call_soon_threadsafe(settle, address)
+
+    threading.Thread(target=look_up, name="resolve", daemon=True).start()
+    found = await answer
+    if found is None:
+        raise LinkError(f"{name}: the host `{host}` is unknown; check its spelling")
+    return (found, port)

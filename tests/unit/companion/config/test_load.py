@@ -1,0 +1,156 @@
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import pytest
+
+from companion.config.load import load_yaml, parse_yaml
+from companion.errors import ConfigError
+from companion.params import Params, Positive
+
+
+class FilterParams(Params, frozen=True):
+    range_sigma_m: Positive = 3.0
+    window: Annotated[int, msgspec.Meta(ge=1)] = 10
+    low_m: float = 1.0
+    high_m: float = 2.0
+
+    def __post_init__(self) -> None:
+        if self.low_m >= self.high_m:
+            raise ValueError("low_m must be below\nhigh_m")
+
+
+class Settings(Params, frozen=True):
+    filter: FilterParams = FilterParams()
+    fence_m: tuple[tuple[float, float], ...] = ()
+    zones: tuple[FilterParams, ...] = ()
+    name: str = "flight"
+
+
+class Named(Params, frozen=True):
+    name: str
+
+
+def test_values_are_read_and_the_rest_keeps_its_default() -> None:
+    settings = parse_yaml("filter: {range_sigma_m: 5}\nfence_m: [[0, 1.5]]", Settings, "a.yaml")
+    assert settings.filter == FilterParams(range_sigma_m=5.0)
+    assert settings.fence_m == ((0.0, 1.5),)
+    assert settings.name == "flight"
+
+
+@pytest.mark.parametrize("text", ["", "\n", "# only a comment\n", "---\n", "{}", "null"])
+def test_an_empty_document_is_all_defaults(text: str) -> None:
+    assert parse_yaml(text, Settings, "a.yaml") == Settings()
+
+
+@pytest.mark.parametrize("text", ["1e-3", "1E-3", "1.0e-3", "0.001", "+1e-3"])
+def test_a_power_of_ten_is_a_number_with_or_without_a_point(text: str) -> None:
+    assert (
+        parse_yaml(f"filter: {{range_sigma_m: {text}}}", Settings, "a").filter.range_sigma_m == 1e-3
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "where", "what"),
+    [
+        ("filter: {range_sigma_m: 0}", "$.filter.range_sigma_m", "> 0.0"),
+        ("filter: {range_sigma_m: yes}", "$.filter.range_sigma_m", "got `bool`"),
+        ("filter: {range_sigma_m: '3'}", "$.filter.range_sigma_m", "got `str`"),
+        ("filter: {window: 2.5}", "$.filter.window", "int"),
+        ("filter: {sigma: 1}", "$.filter.sigma", "unknown key"),
+        ("colour: red", "$.colour", "unknown key"),
+        ("fence_m: [[1, a]]", "$.fence_m[0][1]", "got `str`"),
+        ("fence_m: [[1, .nan]]", "$.fence_m[0][1]", "finite"),
+        ("filter: {range_sigma_m: .inf}", "$.filter.range_sigma_m", "finite"),
+        ("filter: {range_sigma_m: -.inf}", "$.filter.range_sigma_m", "finite"),
+        ("filter: {range_sigma_m: 1e999}", "$.filter.range_sigma_m", "finite"),
+        ("filter: {low_m: 3}", "$.filter", "low_m must be below high_m"),
+        ("zones: [{}, {low_m: 3}]", "$.zones[1]", "low_m must be below high_m"),
+        ("[1, 2]", "$", "got a list"),
+        ("just words", "$", "got text"),
+        ("3", "$", "got `3`"),
+        ("1: 2", "$", "Expected `str`"),
+    ],
+)
+def test_a_wrong_value_is_named_by_file_and_path_in_one_line(
+    text: str, where: str, what: str
+) -> None:
+    with pytest.raises(ConfigError) as caught:
+        parse_yaml(text, Settings, "site.yaml")
+    message = str(caught.value)
+    assert message.startswith("site.yaml: ")
+    assert f" {where}" in message
+    assert what in message
+    assert "\n" not in message
+
+
+def test_a_missing_required_key_is_named() -> None:
+    with pytest.raises(ConfigError, match=r"a\.yaml: \$\.name: required key is missing"):
+        parse_yaml("", Named, "a.yaml")
+
+
+def test_a_key_given_twice_is_refused_with_its_line() -> None:
+    with pytest.raises(ConfigError, match=r"line 3, column 1: the key `name` is given twice"):
+        parse_yaml("name: a\nfilter: {}\nname: b\n", Settings, "a.yaml")
+
+
+def test_an_alias_may_be_used_more_than_once() -> None:
+    settings = parse_yaml("zones: [&a {window: 2}, *a]", Settings, "a.yaml")
+    assert settings.zones == (FilterParams(window=2), FilterParams(window=2))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "filter: [1, 2",
+        "filter:\n\t- 1",
+        "a: b: c",
+        "name: 'open",
+        "name: *nowhere",
+        "--- 1\n--- 2",
+        "name: !!python/object:os.system x",
+        "{[1]: 2}",
+        "name: \x00",
+        "name: 2026-13-45",
+        "name: " + "[" * 5000,
+        "filter: &f {zones: *f}",
+        "filter: {window: 1" + "0" * 5000 + "}",
+        "filter: {range_sigma_m: 1" + "0" * 400 + "}",
+        "fence_m: &f [*f]",
+    ],
+)
+def test_broken_yaml_is_a_config_error_in_one_line(text: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        parse_yaml(text, Settings, "a.yaml")
+    assert str(caught.value).startswith("a.yaml:")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_syntax_error_tells_line_and_column() -> None:
+    with pytest.raises(ConfigError, match=r"^a\.yaml: line 2, column \d+: "):
+        parse_yaml("name: a\nfilter: }", Settings, "a.yaml")
+
+
+def test_a_file_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "site.yaml"
+    path.write_text("\ufeffname: Größe\n", encoding="utf-8")
+    assert load_yaml(path, Settings).name == "Größe"
+
+
+def test_a_missing_file_says_so(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"nowhere\.yaml: no such file"):
+        load_yaml(tmp_path / "nowhere.yaml", Settings)
+
+
+def test_a_directory_cannot_be_read(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="cannot be read"):
+        load_yaml(tmp_path, Settings)
+
+
+def test_a_file_that_is_not_utf8_says_so(tmp_path: Path) -> None:
+    path = tmp_path / "latin.yaml"
+    path.write_bytes("name: Größe".encode("latin-1"))
+    with pytest.raises(ConfigError, match="not UTF-8"):
+        load_yaml(path, Settings)

@@ -1,0 +1,139 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from companion.geometry.polygons import (
+    Point,
+    area_m2,
+    contains,
+    deepest_point,
+    depth_m,
+    distance_to_border_m,
+    edges,
+    is_simple,
+    nearest_on_segment,
+    segments_cross,
+)
+
+SQUARE = [(0.0, 0.0), (10.0, 0.0), (10.0, 10.0), (0.0, 10.0)]
+HOOK = [(0.0, 0.0), (30.0, 0.0), (30.0, 30.0), (20.0, 30.0), (20.0, 10.0), (0.0, 10.0)]
+BOW_TIE = [(0.0, 0.0), (10.0, 10.0), (10.0, 0.0), (0.0, 10.0)]
+
+_coordinates = st.floats(-1000.0, 1000.0)
+_points = st.tuples(_coordinates, _coordinates)
+
+
+@st.composite
+def star_shaped(draw: st.DrawFn) -> list[Point]:
+    """A simple polygon about a centre that sees every corner, convex or not."""
+    centre = draw(_points)
+    count = draw(st.integers(3, 12))
+    radii = draw(st.lists(st.floats(1.0, 500.0), min_size=count, max_size=count))
+    first = draw(st.floats(0.0, 2.0 * math.pi))
+    corners = [
+        (
+            centre[0] + radius * math.cos(first + 2.0 * math.pi * i / count),
+            centre[1] + radius * math.sin(first + 2.0 * math.pi * i / count),
+        )
+        for i, radius in enumerate(radii)
+    ]
+    return corners if draw(st.booleans()) else corners[::-1]
+
+
+@pytest.mark.parametrize(
+    ("polygon", "point", "inside"),
+    [
+        (SQUARE, (5.0, 5.0), True),
+        (SQUARE, (-1.0, 5.0), False),
+        (SQUARE, (5.0, 11.0), False),
+        (SQUARE, (11.0, 10.0), False),
+        (HOOK, (25.0, 25.0), True),
+        (HOOK, (10.0, 20.0), False),
+        (HOOK, (10.0, 5.0), True),
+        (HOOK[::-1], (25.0, 25.0), True),
+        (HOOK[::-1], (10.0, 20.0), False),
+    ],
+)
+def test_inside_and_outside(polygon: list[Point], point: Point, inside: bool) -> None:
+    assert contains(polygon, point) is inside
+
+
+@pytest.mark.parametrize(
+    ("polygon", "point", "depth"),
+    [(SQUARE, (5.0, 4.0), 4.0), (SQUARE, (-3.0, -4.0), -5.0), (HOOK, (10.0, 20.0), -10.0)],
+)
+def test_depth_is_positive_inside_and_negative_outside(
+    polygon: list[Point], point: Point, depth: float
+) -> None:
+    assert depth_m(polygon, point) == pytest.approx(depth)
+
+
+def test_edges_close_the_polygon() -> None:
+    assert list(edges(SQUARE))[-1] == (SQUARE[3], SQUARE[0])
+
+
+def test_areas() -> None:
+    assert area_m2(SQUARE) == pytest.approx(100.0)
+    assert area_m2(HOOK) == pytest.approx(500.0)
+    assert area_m2(HOOK[::-1]) == pytest.approx(500.0)
+
+
+def test_an_edge_without_length_is_its_point() -> None:
+    assert nearest_on_segment((1.0, 2.0), (1.0, 2.0), (9.0, 9.0)) == (1.0, 2.0)
+
+
+def test_segments_that_cross_and_that_do_not() -> None:
+    assert segments_cross((0, 0), (10, 10), (0, 10), (10, 0))
+    assert not segments_cross((0, 0), (10, 10), (11, 0), (20, 0))
+    assert not segments_cross((0, 0), (10, 0), (10, 0), (20, 5))
+    assert not segments_cross((0, 0), (10, 0), (0, 1), (10, 1))
+
+
+def test_simple_and_self_crossing_polygons() -> None:
+    assert is_simple(SQUARE)
+    assert is_simple(HOOK)
+    assert not is_simple(BOW_TIE)
+
+
+@given(star_shaped(), _points)
+def test_the_start_corner_and_the_direction_do_not_matter(
+    polygon: list[Point], point: Point
+) -> None:
+    assume(distance_to_border_m(polygon, point) > 1e-6)
+    inside = contains(polygon, point)
+    assert contains(polygon[::-1], point) is inside
+    assert contains(polygon[1:] + polygon[:1], point) is inside
+
+
+@given(star_shaped(), _points, _points)
+def test_depth_changes_no_faster_than_one_moves(
+    polygon: list[Point], first: Point, second: Point
+) -> None:
+    change = abs(depth_m(polygon, first) - depth_m(polygon, second))
+    assert change <= math.dist(first, second) + 1e-6
+
+
+@given(star_shaped())
+def test_star_shaped_polygons_are_simple_and_have_an_inside(polygon: list[Point]) -> None:
+    assert is_simple(polygon)
+    assert area_m2(polygon) > 0.0
+
+
+@pytest.mark.parametrize("polygon", [SQUARE, HOOK, HOOK[::-1]])
+def test_the_deepest_point_is_well_inside(polygon: list[Point]) -> None:
+    assert depth_m(polygon, deepest_point(polygon)) > 4.0
+
+
+@given(_points, _points, _points)
+def test_the_nearest_point_of_a_segment_is_nearer_than_its_ends(
+    start: Point, end: Point, point: Point
+) -> None:
+    nearest = nearest_on_segment(start, end, point)
+    distance = math.dist(nearest, point)
+    assert distance <= min(math.dist(start, point), math.dist(end, point)) + 1e-6
+    along = math.dist(start, nearest) + math.dist(nearest, end)
+    assert along == pytest.approx(math.dist(start, end), abs=1e-6)

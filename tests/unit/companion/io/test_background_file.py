@@ -1,0 +1,99 @@
+from __future__ import annotations
+
+import logging
+import os
+import threading
+from pathlib import Path
+
+import pytest
+
+from companion.errors import CompanionError
+from companion.io import background_file
+from companion.io.background_file import BackgroundFile
+
+
+def test_records_arrive_in_order(tmp_path: Path) -> None:
+    file = BackgroundFile(tmp_path / "log")
+    for number in range(2000):
+        file.append(f"{number}\n".encode())
+    file.close()
+    assert (tmp_path / "log").read_text().split() == [str(n) for n in range(2000)]
+    assert file.dropped == 0
+
+
+def test_an_existing_file_is_continued(tmp_path: Path) -> None:
+    for text in (b"a", b"b"):
+        file = BackgroundFile(tmp_path / "log")
+        file.append(text)
+        file.close()
+    assert (tmp_path / "log").read_bytes() == b"ab"
+
+
+def test_a_full_disk_is_counted_and_told_once(caplog: pytest.LogCaptureFixture) -> None:
+    file = BackgroundFile(Path("/dev/full"))
+    with caplog.at_level(logging.WARNING, "companion.io"):
+        for _ in range(50):
+            file.append(b"record")
+        file.close()
+    assert file.dropped == 50
+    assert len(caplog.records) == 1
+
+
+def test_a_disk_that_fills_up_keeps_whole_records_and_recovers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    room = [10]
+
+    def write(fd: int, data: bytes) -> int:
+        if room[0] == 0:
+            raise OSError(28, "No space left on device")
+        taken = data[: room[0]]
+        room[0] -= len(taken)
+        return real_write(fd, taken)
+
+    real_write = os.write
+    monkeypatch.setattr(os, "write", write)
+    file = BackgroundFile(tmp_path / "log")
+    for record in (b"aaaa", b"bbbb", b"cccc"):
+        file.append(record)
+    file.close()
+    written = (tmp_path / "log").read_bytes()
+    assert len(written) % 4 == 0
+    assert file.dropped == 3 - len(written) // 4
+    assert file.dropped > 0
+
+
+def test_a_hanging_disk_never_holds_up_the_caller(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    released = threading.Event()
+    real_write = os.write
+
+    def hang(fd: int, data: bytes) -> int:
+        released.wait(10.0)
+        return real_write(fd, data)
+
+    monkeypatch.setattr(os, "write", hang)
+    monkeypatch.setattr(background_file, "MAX_QUEUED", 5)
+    monkeypatch.setattr(background_file, "CLOSE_TIMEOUT_S", 0.05)
+    file = BackgroundFile(tmp_path / "log")
+    for _ in range(1000):
+        file.append(b"x")
+    assert file.dropped >= 1000 - 5 - background_file.MAX_BATCH
+    file.close()
+    released.set()
+    file._thread.join(0.0)
+
+
+def test_a_record_after_the_end_is_counted(tmp_path: Path) -> None:
+    file = BackgroundFile(tmp_path / "log")
+    file.close()
+    file.close()
+    file.append(b"late")
+    assert file.dropped == 1
+
+
+def test_a_log_without_a_directory_is_refused_in_one_line(tmp_path: Path) -> None:
+    with pytest.raises(CompanionError, match="cannot be opened") as caught:
+        BackgroundFile(tmp_path / "nowhere" / "log")
+    assert "\n" not in str(caught.value)

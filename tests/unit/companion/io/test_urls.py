@@ -1,0 +1,92 @@
+from __future__ import annotations
+
+import pytest
+
+from companion.errors import ConfigError
+from companion.io.links import (
+    LinkSpec,
+    SerialPort,
+    TcpClient,
+    TcpServer,
+    UdpBind,
+    UdpConnect,
+    link_from_url,
+)
+from companion.io.urls import DEFAULT_BAUD, parse_link_url
+
+
+@pytest.mark.parametrize(
+    ("text", "link"),
+    [
+        ("udp:127.0.0.1:14550", UdpBind("127.0.0.1", 14550)),
+        ("udpin:127.0.0.1:14550", UdpBind("127.0.0.1", 14550)),
+        ("udp://127.0.0.1:14550", UdpBind("127.0.0.1", 14550)),
+        ("udpin://127.0.0.1:14550", UdpBind("127.0.0.1", 14550)),
+        ("UDP:localhost:1", UdpBind("localhost", 1)),
+        (" udp:127.0.0.1:14550\n", UdpBind("127.0.0.1", 14550)),
+        ("udp::14550", UdpBind("0.0.0.0", 14550)),
+        ("udpin://:14550", UdpBind("0.0.0.0", 14550)),
+        ("udpout:10.0.0.2:65535", UdpConnect("10.0.0.2", 65535)),
+        ("udpout://10.0.0.2:14580", UdpConnect("10.0.0.2", 14580)),
+        ("tcp:localhost:5760", TcpClient("localhost", 5760)),
+        ("tcpout://localhost:5760", TcpClient("localhost", 5760)),
+        ("tcpin::5760", TcpServer("0.0.0.0", 5760)),
+        ("serial:/dev/ttyACM0:57600", SerialPort("/dev/ttyACM0", 57600)),
+        ("serial:///dev/ttyACM0:57600", SerialPort("/dev/ttyACM0", 57600)),
+        ("serial:/dev/ttyACM0", SerialPort("/dev/ttyACM0", DEFAULT_BAUD)),
+        ("/dev/ttyTHS1", SerialPort("/dev/ttyTHS1", 921_600)),
+        ("/dev/ttyTHS1:115200", SerialPort("/dev/ttyTHS1", 115_200)),
+        (
+            "/dev/serial/by-path/pci-0:14.0-usb-0:3:1.0",
+            SerialPort("/dev/serial/by-path/pci-0:14.0-usb-0:3:1.0", DEFAULT_BAUD),
+        ),
+    ],
+)
+def test_every_spelling_means_one_link(text: str, link: LinkSpec) -> None:
+    url = parse_link_url(text)
+    assert link_from_url(url) == link
+    assert parse_link_url(str(url)) == url
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "14550",
+        "udp",
+        "udp:",
+        "udp:127.0.0.1",
+        "udp:127.0.0.1:",
+        "udp:127.0.0.1:0",
+        "udp:127.0.0.1:65536",
+        "udp:127.0.0.1:-1",
+        "udp:127.0.0.1:14550x",
+        "udp:127.0.0.1:\uff11\uff14",
+        "udp:127.0.0.1:" + "9" * 5000,
+        "udp:[::1]:14550",
+        "udp:::1:14550",
+        "udp:a b:14550",
+        "udp:user@host:14550",
+        "udpout::14550",
+        "tcp::5760",
+        "http://example:80",
+        "serial:ttyACM0",
+        "serial:",
+        "/dev/ttyACM0:fast",
+        "/dev/ttyACM0:0",
+        "COM3",
+    ],
+)
+def test_a_wrong_address_is_refused_in_one_line_with_a_right_one(text: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        parse_link_url(text)
+    message = str(caught.value)
+    assert f"`{text}`" in message
+    assert "\n" not in message
+    example = message.rsplit("for example ", 1)[1]
+    parse_link_url(example)
+
+
+def test_ipv6_is_named_as_the_reason() -> None:
+    with pytest.raises(ConfigError, match="IPv6 is not supported"):
+        parse_link_url("udp:[::1]:14550")

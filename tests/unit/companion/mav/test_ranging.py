@@ -1,0 +1,179 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from companion.domain import RangingMeasurement
+from companion.geometry.frames import wrap_pi
+from companion.mav.codec import MavCodec
+from companion.mav.dialect import MAVLink_radio_ranging_message, Message, mavlink
+from companion.mav.ranging import (
+    RANGING_MESSAGES,
+    UINT32_MAX,
+    message_from_ranging,
+    ranging_from_message,
+)
+
+
+def over_the_wire(message: Message) -> Message:
+    (received,) = MavCodec(9, 9).decode(MavCodec(1, 191).encode(message))
+    return received
+
+
+def _maybe(strategy: st.SearchStrategy[float]) -> st.SearchStrategy[float | None]:
+    return st.one_of(st.none(), strategy)
+
+
+_metres = st.floats(0.0, 5000.0, width=32)
+_sigmas = st.floats(0.0009765625, 100.0, width=32)
+_angles = st.floats(-3.140625, 3.140625, width=32)
+
+
+@st.composite
+def measurements(draw: st.DrawFn) -> RangingMeasurement:
+    is_body = draw(st.booleans())
+    bearing = draw(_maybe(_angles))
+    return RangingMeasurement(
+        emitter_id=draw(st.integers(0, 65535)),
+        measured_at_s=draw(st.floats(0.0, 1e6)),
+        range_m=draw(_maybe(_metres)),
+        range_sigma_m=draw(_maybe(_sigmas)),
+        bearing_enu_rad=None if is_body else bearing,
+        bearing_body_rad=bearing if is_body else None,
+        bearing_sigma_rad=draw(_maybe(_sigmas)),
+        elevation_rad=draw(_maybe(_angles)),
+        elevation_sigma_rad=draw(_maybe(_sigmas)),
+        quality=draw(_maybe(st.integers(0, 100).map(lambda percent: percent / 100.0))),
+        line_of_sight=draw(st.sampled_from([None, True, False])),
+        stamp_us=draw(st.integers(0, 2**64 - 1)),
+    )
+
+
+@given(measurements())
+def test_a_measurement_survives_the_wire(sent: RangingMeasurement) -> None:
+    assert sent.stamp_us is not None
+    message = over_the_wire(message_from_ranging(sent, sent.stamp_us))
+    received = ranging_from_message(message, sent.measured_at_s)
+    assert received is not None
+    for name in RangingMeasurement.__slots__:
+        before, after = getattr(sent, name), getattr(received, name)
+        if name == "bearing_enu_rad" and before is not None:
+            assert abs(wrap_pi(after - before)) < 1e-6
+        else:
+            assert after == before, name
+
+
+def test_a_bearing_is_clockwise_from_north_on_the_wire() -> None:
+    east = RangingMeasurement(emitter_id=1, measured_at_s=0.0, bearing_enu_rad=0.0)
+    assert message_from_ranging(east, 0).to_dict()["bearing"] == pytest.approx(math.pi / 2)
+
+
+def test_what_was_not_measured_is_nan_on_the_wire() -> None:
+    fields = message_from_ranging(RangingMeasurement(emitter_id=1, measured_at_s=0.0), 0).to_dict()
+    assert all(math.isnan(float(fields[name])) for name in ("range", "bearing", "elevation_std"))
+    assert fields["quality"] == 255
+    assert fields["flags"] == 0
+
+
+def radio_ranging(**changes: float) -> Message:
+    values: dict[str, float] = {
+        "time_usec": 1,
+        "range": 80.0,
+        "range_std": 3.0,
+        "bearing": 0.0,
+        "bearing_std": 0.1,
+        "elevation": 0.0,
+        "elevation_std": 0.1,
+        "emitter_id": 7,
+        "quality": 100,
+        "flags": 0,
+    }
+    return over_the_wire(MAVLink_radio_ranging_message(**(values | changes)))  # type: ignore[arg-type]
+
+
+def test_a_bearing_in_degrees_is_shown_as_sent() -> None:
+    measurement = ranging_from_message(radio_ranging(bearing=270.0), 0.0)
+    assert measurement is not None
+    assert measurement.bearing_enu_rad == 270.0
+
+
+def test_an_infinite_bearing_reaches_whoever_judges_it() -> None:
+    measurement = ranging_from_message(radio_ranging(bearing=math.inf), 0.0)
+    assert measurement is not None
+    assert measurement.bearing_enu_rad == math.inf
+
+
+def test_flag_bits_that_mean_nothing_are_ignored() -> None:
+    measurement = ranging_from_message(radio_ranging(flags=0xF8 | 2), 0.0)
+    assert measurement is not None
+    assert measurement.line_of_sight is True
+    assert measurement.bearing_body_rad is None
+
+
+def landing_target(kind: int, distance: float, angle_x: float = 0.25) -> Message:
+    return over_the_wire(
+        mavlink.MAVLink_landing_target_message(
+            1, 9, 12, angle_x, 0.0, distance, 0.0, 0.0, type=kind
+        )
+    )
+
+
+def test_a_radio_beacon_landing_target_is_a_range_and_a_bearing_from_the_nose() -> None:
+    message = landing_target(mavlink.LANDING_TARGET_TYPE_RADIO_BEACON, 80.5)
+    assert ranging_from_message(message, 3.0) == RangingMeasurement(
+        emitter_id=9, measured_at_s=3.0, range_m=80.5, bearing_body_rad=0.25, stamp_us=1
+    )
+
+
+def test_a_landing_target_at_no_distance_has_no_range() -> None:
+    message = landing_target(mavlink.LANDING_TARGET_TYPE_RADIO_BEACON, 0.0)
+    measurement = ranging_from_message(message, 3.0)
+    assert measurement is not None
+    assert measurement.range_m is None
+
+
+@pytest.mark.parametrize("kind", [0, 2, 3])
+def test_a_landing_target_of_another_kind_is_no_ranging(kind: int) -> None:
+    assert ranging_from_message(landing_target(kind, 80.0), 0.0) is None
+
+
+def ranging_beacon(range_mm: int, accuracy_mm: int) -> Message:
+    fields = dict.fromkeys(mavlink.MAVLink_ranging_beacon_message.fieldnames, 0)
+    fields |= {"beacon_id": 4, "range": range_mm, "range_accuracy": accuracy_mm}
+    return over_the_wire(mavlink.MAVLink_ranging_beacon_message(**fields))
+
+
+def test_a_ranging_beacon_is_in_millimetres() -> None:
+    assert ranging_from_message(ranging_beacon(80_500, 3_000), 3.0) == RangingMeasurement(
+        emitter_id=4, measured_at_s=3.0, range_m=80.5, range_sigma_m=3.0, stamp_us=0
+    )
+
+
+@pytest.mark.parametrize("accuracy_mm", [0, UINT32_MAX])
+def test_a_ranging_beacon_of_unknown_accuracy_has_no_sigma(accuracy_mm: int) -> None:
+    measurement = ranging_from_message(ranging_beacon(80_500, accuracy_mm), 0.0)
+    assert measurement is not None
+    assert measurement.range_sigma_m is None
+
+
+def test_a_ranging_beacon_of_unknown_range_has_none() -> None:
+    measurement = ranging_from_message(ranging_beacon(UINT32_MAX, 10), 0.0)
+    assert measurement is not None
+    assert measurement.range_m is None
+
+
+def test_other_messages_are_no_ranging() -> None:
+    assert ranging_from_message(mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 4, 3), 0.0) is None
+
+
+def test_the_names_of_ranging_messages_are_those_that_are_read() -> None:
+    messages = (
+        radio_ranging(),
+        landing_target(mavlink.LANDING_TARGET_TYPE_RADIO_BEACON, 1.0),
+        ranging_beacon(1, 1),
+    )
+    assert tuple(message.get_type() for message in messages) == RANGING_MESSAGES
+    assert all(ranging_from_message(message, 0.0) is not None for message in messages)
