@@ -1,0 +1,37 @@
+# Everything here works on a machine with Python 3.11 or newer, pip and make; `make help` lists it.
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test check clean venv-demo venv-dev
+
+BIN := .venv/bin
+DEMO_ARGS ?= --speed 4
+PYTEST_ARGS ?=
+ifdef PYTHON
+export PYTHON
+endif
+
+help:
+	@echo "make demo    fly the simulated search and watch it (DEMO_ARGS='$(DEMO_ARGS)')"
+	@echo "make test    run all tests"
+	@echo "make check   format, lint, types and import rules"
+	@echo "make clean   remove .venv and every cache"
+	@echo "Each makes .venv by itself when needed; PYTHON=... chooses the interpreter."
+
+demo: venv-demo
+	@$(BIN)/companion demo $(DEMO_ARGS)
+
+test: venv-dev
+	$(BIN)/python -m pytest -n auto $(PYTEST_ARGS)
+
+check: venv-dev
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy --strict
+	$(BIN)/lint-imports
+
+venv-demo venv-dev: venv-%:
+	@tools/make_venv.sh $*
+
+clean:
+	rm -rf .venv build dist .coverage .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
