@@ -1,0 +1,162 @@
+"""How wrong the estimate may be: R95, and the inflation that keeps it honest.
+
+Theory of operation. A robust filter adds w / R of information per measurement, as if its noise
+were the thermal one wherever the weight is 1. Under NLOS that is too much: the residuals of an
+M-estimator with influence psi carry only
+
+    E[psi']^2 / E[psi^2] / R        (Huber's sandwich)
+
+and consecutive residuals of a recorded walk repeat each other, which divides by
+(1 + rho) / (1 - rho) for a lag-1 correlation rho of psi. The ratio of the two is the variance
+inflation c = E[w] E[psi^2] / E[psi']^2 (1 + rho) / (1 - rho), measured on the innovations of the
+run itself and applied to R in gain and covariance alike. With well-specified white noise c = 1.
+
+The radius R95 about the estimate holds 95 % of the probability of all hypotheses.
+
+Source: P. J. Huber, Robust Statistics (1981), chapter 6, for the sandwich.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from companion.estimation.losses import asymmetric_huber_influence
+from companion.geometry.arrays import Matrix, Vector
+
+R95_OF_EQUAL_AXES = 2.447746830680816
+"""sqrt of the chi-square 0.95 quantile with 2 degrees of freedom."""
+
+FORGETTING = 1.0 - 1.0 / 300.0
+"""Memory of the noise monitor, in measurements."""
+
+PRIOR_COUNT = 30.0
+"""How many measurements the monitor's prior is worth."""
+
+MAX_INFLATION = 400.0
+MAX_CORRELATION = 0.98
+
+MIN_AXIS_RATIO = 4e-3
+"""Ellipses thinner than this (in variance) are taken as this thin; R95 differs by under 0.1 %."""
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseMonitor:
+    """Running moments of one modality's whitened innovations, with forgetting."""
+
+    count: float
+    weight_sum: float
+    influence_sum: float
+    influence2_sum: float
+    slope_sum: float
+    """Count of measurements on the quadratic part (psi' = 1)."""
+    lag_sum: float
+    """Sum of products of consecutive influences."""
+    previous: float | None = None
+
+    @classmethod
+    def prior(cls, inflation: float) -> NoiseMonitor:
+        """A monitor that believes in `inflation` until the data say otherwise."""
+        return cls(PRIOR_COUNT, PRIOR_COUNT, 0.0, PRIOR_COUNT * inflation, PRIOR_COUNT, 0.0)
+
+    def after(self, u: float, k_long: float, k_short: float) -> NoiseMonitor:
+        """The moments after one more whitened innovation `u`."""
+        influence = float(asymmetric_huber_influence(u, k_long, k_short))
+        previous = influence if self.previous is None else self.previous
+        return NoiseMonitor(
+            count=FORGETTING * self.count + 1.0,
+            weight_sum=FORGETTING * self.weight_sum + (influence / u if u != 0.0 else 1.0),
+            influence_sum=FORGETTING * self.influence_sum + influence,
+            influence2_sum=FORGETTING * self.influence2_sum + influence * influence,
+            slope_sum=FORGETTING * self.slope_sum + (1.0 if influence == u else 0.0),
+            lag_sum=FORGETTING * self.lag_sum + influence * previous,
+            previous=influence,
+        )
+
+    @property
+    def mean_influence(self) -> float:
+        """Mean of psi; near zero while the estimate agrees with its measurements."""
+        return self.influence_sum / self.count
+
+    @property
+    def bilateral_share(self) -> float:
+        """Share of measurements on the quadratic part: those that add curvature."""
+        return self.slope_sum / self.count
+
+    @property
+    def correlation(self) -> float:
+        """Lag-1 correlation of psi, 0 where it cannot be told from white noise."""
+        variance = self.influence2_sum / self.count - self.mean_influence**2
+        if variance <= 0.0:
+            return 0.0
+        rho = (self.lag_sum / self.count - self.mean_influence**2) / variance
+        return min(rho, MAX_CORRELATION) if rho > 2.0 / math.sqrt(self.count) else 0.0
+
+    @property
+    def inflation(self) -> float:
+        """The variance inflation c >= 1."""
+        slope = max(self.slope_sum / self.count, 0.05)
+        sandwich = self.weight_sum * self.influence2_sum / (self.count * slope) ** 2
+        rho = self.correlation
+        return min(max(1.0, sandwich) * (1.0 + rho) / (1.0 - rho), MAX_INFLATION)
+
+    def reset_correlation(self) -> NoiseMonitor:
+        """The same moments with the chain of consecutive innovations broken."""
+        return replace(self, previous=None)
+
+
+def r95_of_covariance_m(covariance_m2: Matrix) -> float:
+    """Radius of the circle about the mean that holds 95 % of a 2-D Gaussian, metres.
+
+    Args:
+        covariance_m2: (2, 2).
+
+    The probability outside radius R is the mean over directions of exp(-R^2 q / 2) / (q sqrt(det))
+    with q the inverse variance in that direction; solved for R by bisection.
+    """
+    low, high = (float(v) for v in np.linalg.eigvalsh(covariance_m2))
+    if high <= 0.0:
+        return 0.0
+    ratio = max(low / high, MIN_AXIS_RATIO)
+    phi = (np.arange(64) + 0.5) * (math.pi / 128.0)
+    q = np.cos(phi) ** 2 + np.sin(phi) ** 2 / ratio
+    share = 1.0 / (q * math.sqrt(ratio))
+    share /= share.sum()
+    inside, outside = 1.9, 2.5
+    for _ in range(40):
+        radius = 0.5 * (inside + outside)
+        if float(np.sum(share * np.exp(-0.5 * radius * radius * q))) > 0.05:
+            inside = radius
+        else:
+            outside = radius
+    return outside * math.sqrt(high)
+
+
+def r95_of_mixture_m(
+    centre_m: Vector, components: Sequence[tuple[float, Vector, Matrix]], rings: int = 24
+) -> float:
+    """Radius about `centre_m` that holds 95 % of a mixture of 2-D Gaussians, metres.
+
+    Args:
+        centre_m: (2,).
+        components: (probability, mean (2,), covariance (2, 2)), probabilities summing to 1.
+        rings: Resolution; each component is `2 * rings**2` points of equal probability.
+    """
+    quantiles = (np.arange(rings) + 0.5) / rings
+    radii = np.sqrt(-2.0 * np.log1p(-quantiles))
+    angles = (np.arange(2 * rings) + 0.5) * (math.pi / rings)
+    unit = np.stack([np.cos(angles), np.sin(angles)])
+    normal = (radii[:, None, None] * unit[None]).transpose(1, 0, 2).reshape(2, -1)
+    distances, weights = [], []
+    for probability, mean, covariance in components:
+        values, vectors = np.linalg.eigh(covariance)
+        points = mean[:, None] + vectors @ (np.sqrt(np.maximum(values, 0.0))[:, None] * normal)
+        distances.append(np.hypot(*(points - centre_m[:, None])))
+        weights.append(np.full(normal.shape[1], probability / normal.shape[1]))
+    distance, weight = np.concatenate(distances), np.concatenate(weights)
+    order = np.argsort(distance)
+    reached = np.searchsorted(np.cumsum(weight[order]), 0.95)
+    return float(distance[order][min(int(reached), distance.size - 1)])

@@ -1,0 +1,197 @@
+"""First hypotheses, and what becomes of them.
+
+One range alone puts the target on a ring, one bearing alone on a ray. Both are covered by a small
+bank of Gaussians, each run by the same filter and weighted by its (tempered) likelihood. A
+walk along a line leaves two of them, mirror images of each other: then the state is ambiguous, and
+both are kept. A range with a bearing needs only one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.domain import PositionEnu, RangingMeasurement
+from companion.estimation.base import FilterParams, FilterState
+from companion.geometry.arrays import Matrix, Vector
+from companion.params import Params, Positive
+
+RING_SIZE = 24
+RAY_SIZE = 8
+RAY_GROWTH = 1.8
+"""Each hypothesis along a bearing is this much farther out than the one before it."""
+
+PRUNE_LOG_RATIO = math.log(1e-7)
+"""A hypothesis this much less probable than the best one is dropped."""
+
+MERGE_DISTANCE2 = 4.0
+"""Two hypotheses nearer than this (Mahalanobis, squared) are one."""
+
+
+class HypothesisParams(Params, frozen=True):
+    """How the first hypotheses are laid out."""
+
+    nearest_m: Positive = 3.0
+    """Smallest distance that a bearing alone is taken to mean."""
+
+
+@dataclass(frozen=True, slots=True)
+class Hypothesis:
+    """One place where the target may be, with its log-probability up to a constant."""
+
+    log_weight: float
+    state: FilterState
+
+
+def first_hypotheses(
+    measurement: RangingMeasurement,
+    sensor_enu_m: PositionEnu,
+    filter_params: FilterParams,
+    params: HypothesisParams,
+) -> tuple[Hypothesis, ...]:
+    """Where the target may be after its first measurement.
+
+    Args:
+        measurement: With range, bearing in ENU, or both.
+        sensor_enu_m: Where the antenna was.
+        filter_params: Priors of position and offsets.
+        params: The layout.
+    """
+    if measurement.range_m is not None and measurement.bearing_enu_rad is not None:
+        return _fix(measurement, sensor_enu_m, filter_params)
+    if measurement.range_m is not None:
+        return _ring(measurement.range_m, measurement, sensor_enu_m, filter_params)
+    return _ray(measurement, sensor_enu_m, filter_params, params)
+
+
+def _ground_range_m(range_m: float, sensor_enu_m: PositionEnu, target_height_m: float) -> float:
+    rise_m = sensor_enu_m[2] - target_height_m
+    return math.sqrt(max(range_m**2 - rise_m**2, 1.0))
+
+
+def _state(
+    measurement: RangingMeasurement,
+    east_north_m: tuple[float, float],
+    position_covariance: Matrix,
+    params: FilterParams,
+) -> FilterState:
+    P = np.diag(
+        [
+            0.0,
+            0.0,
+            params.range_offset_sigma_m**2,
+            math.radians(params.bearing_offset_sigma_deg) ** 2,
+        ]
+    )
+    P[:2, :2] = position_covariance
+    offset_m = 0.0
+    if params.range_offset_min_m is not None:
+        offset_m = max(offset_m, params.range_offset_min_m)
+    if params.range_offset_max_m is not None:
+        offset_m = min(offset_m, params.range_offset_max_m)
+    mean = np.array([*east_north_m, offset_m, 0.0])
+    return FilterState.of(measurement.measured_at_s, mean, P)
+
+
+def _polar_covariance(direction_rad: float, radial_sigma_m: float, across_sigma_m: float) -> Matrix:
+    c, s = math.cos(direction_rad), math.sin(direction_rad)
+    axes = np.array([[c, -s], [s, c]])
+    rotated: Matrix = axes @ np.diag([radial_sigma_m**2, across_sigma_m**2]) @ axes.T
+    return rotated
+
+
+def _fix(
+    measurement: RangingMeasurement, sensor_enu_m: PositionEnu, params: FilterParams
+) -> tuple[Hypothesis, ...]:
+    assert measurement.range_m is not None
+    assert measurement.bearing_enu_rad is not None
+    ground_m = _ground_range_m(measurement.range_m, sensor_enu_m, params.target_height_m)
+    place = _away(sensor_enu_m, measurement.bearing_enu_rad, ground_m)
+    covariance = np.eye(2) * params.position_sigma_m**2
+    return (Hypothesis(0.0, _state(measurement, place, covariance, params)),)
+
+
+def _ring(
+    range_m: float,
+    measurement: RangingMeasurement,
+    sensor_enu_m: PositionEnu,
+    params: FilterParams,
+) -> tuple[Hypothesis, ...]:
+    ground_m = _ground_range_m(range_m, sensor_enu_m, params.target_height_m)
+    radial_m = math.hypot(params.range_offset_sigma_m, params.range_sigma_m, 0.25 * ground_m)
+    across_m = math.pi * ground_m / RING_SIZE
+    hypotheses = []
+    for index in range(RING_SIZE):
+        direction_rad = 2.0 * math.pi * index / RING_SIZE
+        place = _away(sensor_enu_m, direction_rad, ground_m)
+        covariance = _polar_covariance(direction_rad, radial_m, across_m)
+        hypotheses.append(Hypothesis(0.0, _state(measurement, place, covariance, params)))
+    return tuple(hypotheses)
+
+
+def _ray(
+    measurement: RangingMeasurement,
+    sensor_enu_m: PositionEnu,
+    filter_params: FilterParams,
+    params: HypothesisParams,
+) -> tuple[Hypothesis, ...]:
+    assert measurement.bearing_enu_rad is not None
+    hypotheses = []
+    for index in range(RAY_SIZE):
+        ground_m = params.nearest_m * RAY_GROWTH**index
+        across_m = ground_m * math.radians(
+            math.hypot(filter_params.bearing_offset_sigma_deg, 2 * filter_params.bearing_sigma_deg)
+        )
+        place = _away(sensor_enu_m, measurement.bearing_enu_rad, ground_m)
+        covariance = _polar_covariance(measurement.bearing_enu_rad, 0.35 * ground_m, across_m)
+        hypotheses.append(Hypothesis(0.0, _state(measurement, place, covariance, filter_params)))
+    return tuple(hypotheses)
+
+
+def _away(
+    sensor_enu_m: PositionEnu, direction_rad: float, distance_m: float
+) -> tuple[float, float]:
+    return (
+        sensor_enu_m[0] + distance_m * math.cos(direction_rad),
+        sensor_enu_m[1] + distance_m * math.sin(direction_rad),
+    )
+
+
+def probabilities(hypotheses: Iterable[Hypothesis]) -> Vector:
+    """Their probabilities, summing to 1, in order."""
+    logs = np.array([h.log_weight for h in hypotheses])
+    weights: Vector = np.exp(logs - logs.max())
+    normalised: Vector = weights / weights.sum()
+    return normalised
+
+
+def consolidated(hypotheses: Iterable[Hypothesis]) -> tuple[Hypothesis, ...]:
+    """The hypotheses worth keeping, best first: improbable ones dropped, close ones made one.
+
+    Of two that are close the better one stays and takes over the other's weight.
+    """
+    ordered = sorted(hypotheses, key=lambda h: -h.log_weight)
+    best = ordered[0].log_weight
+    kept: list[Hypothesis] = []
+    for candidate in ordered:
+        log_weight = candidate.log_weight - best
+        if log_weight < PRUNE_LOG_RATIO:
+            break
+        for index, other in enumerate(kept):
+            if _distance2(candidate.state, other.state) < MERGE_DISTANCE2:
+                merged = float(np.logaddexp(other.log_weight, log_weight))
+                kept[index] = Hypothesis(merged, other.state)
+                break
+        else:
+            kept.append(Hypothesis(log_weight, candidate.state))
+    return tuple(sorted(kept, key=lambda h: -h.log_weight))
+
+
+def _distance2(a: FilterState, b: FilterState) -> float:
+    """Squared Mahalanobis distance of two positions under the smaller of the covariances' sum."""
+    difference = a.mean[:2] - b.mean[:2]
+    spread = a.covariance[:2, :2] + b.covariance[:2, :2]
+    return float(difference @ np.linalg.solve(spread, difference))

@@ -1,0 +1,66 @@
+"""Which measurements never reach a filter, and why."""
+
+from __future__ import annotations
+
+import math
+from enum import Enum
+
+from companion.domain import RangingMeasurement
+from companion.params import Params, Positive
+
+
+class Refusal(Enum):
+    """Why a measurement was refused; the filter is untouched by it."""
+
+    OTHER_EMITTER = "other emitter"
+    NOTHING_MEASURED = "nothing measured"
+    NOT_FINITE = "not finite"
+    RANGE_NOT_POSITIVE = "range not positive"
+    RANGE_ABSURD = "range absurd"
+    BEARING_ABSURD = "bearing absurd"
+    SIGMA_NOT_POSITIVE = "sigma not positive"
+    FROM_THE_FUTURE = "from the future"
+    STALE = "stale"
+    DUPLICATE = "duplicate"
+    NO_POSITION = "own position unknown at its time"
+    NO_YAW = "own yaw unknown at its time"
+
+
+class AcceptanceParams(Params, frozen=True):
+    """What counts as a plausible and timely measurement."""
+
+    max_range_m: Positive = 2000.0
+    """A longer range is a fault of the radio or its unit."""
+    max_age_s: Positive = 1.0
+    """An older measurement is refused; a younger one is fused at its own time."""
+
+
+FUTURE_TOLERANCE_S = 0.1
+MAX_BEARING_SIGMA_RAD = math.pi
+
+
+def refusal_of(
+    measurement: RangingMeasurement, now_s: float, params: AcceptanceParams
+) -> Refusal | None:
+    """Why the measurement cannot be used, judged by itself, or None if it can."""
+    m = measurement
+    values = (m.range_m, m.bearing_enu_rad, m.bearing_body_rad)
+    if all(value is None for value in values):
+        return Refusal.NOTHING_MEASURED
+    sigmas = (m.range_sigma_m, m.bearing_sigma_rad)
+    if any(v is not None and not math.isfinite(v) for v in (*values, *sigmas, m.measured_at_s)):
+        return Refusal.NOT_FINITE
+    if m.range_m is not None and m.range_m <= 0.0:
+        return Refusal.RANGE_NOT_POSITIVE
+    if m.range_m is not None and m.range_m > params.max_range_m:
+        return Refusal.RANGE_ABSURD
+    bearings = (m.bearing_enu_rad, m.bearing_body_rad)
+    if any(b is not None and abs(b) > 2.0 * math.pi for b in bearings):
+        return Refusal.BEARING_ABSURD
+    if any(sigma is not None and sigma <= 0.0 for sigma in sigmas):
+        return Refusal.SIGMA_NOT_POSITIVE
+    if m.measured_at_s > now_s + FUTURE_TOLERANCE_S:
+        return Refusal.FROM_THE_FUTURE
+    if now_s - m.measured_at_s > params.max_age_s:
+        return Refusal.STALE
+    return None
