@@ -1,0 +1,124 @@
+"""The companion's configuration: the packages' own parameters, composed.
+
+Defaults live in the records; a file only says what differs. `load_config` also checks what no
+single record can see.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+
+from companion.config.load import load_yaml
+from companion.errors import ConfigError
+from companion.estimation.tracker import TrackerParams
+from companion.guard.fence import Fence
+from companion.guard.gate import GuardLimits
+from companion.guidance.session import SessionParams
+from companion.link.endpoint import VehicleParams
+from companion.params import NonNegative, Params, Positive
+from companion.planning.latched_crossing import LatchedCrossingParams
+from companion.planning.reactive_crossing import ReactiveCrossingParams
+
+DEFAULT_FENCE = ((-150.0, -150.0), (150.0, -150.0), (150.0, 150.0), (-150.0, 150.0))
+
+
+class LimitsConfig(Params, frozen=True):
+    """What no setpoint may exceed; metres in the autopilot's local frame, east and north."""
+
+    fence_enu_m: tuple[tuple[float, float], ...] = DEFAULT_FENCE
+    """Corners of the fence polygon, about the autopilot's local origin."""
+    fence_margin_m: NonNegative = 3.0
+    """Distance that setpoints keep from the fence on its inside."""
+    altitude_min_m: Positive = 5.0
+    """Above home."""
+    altitude_max_m: Positive = 60.0
+    """Above home."""
+    speed_mps: Positive = 5.0
+    climb_mps: Positive = 2.0
+    step_m: Positive = 8.0
+    """How far a setpoint may be ahead of the vehicle."""
+
+    def __post_init__(self) -> None:
+        """Refuse limits that contradict each other."""
+        self.guard_limits()
+
+    def guard_limits(self) -> GuardLimits:
+        """The same limits as the guard takes them.
+
+        Raises:
+            ValueError: They contradict each other.
+        """
+        return GuardLimits(
+            fence=Fence(self.fence_enu_m, self.fence_margin_m),
+            altitude_min_m=self.altitude_min_m,
+            altitude_max_m=self.altitude_max_m,
+            speed_mps=self.speed_mps,
+            climb_mps=self.climb_mps,
+            step_m=self.step_m,
+        )
+
+
+class PlannerConfig(Params, frozen=True):
+    """Which planner flies, and the parameters of each."""
+
+    kind: Literal["latched_crossing", "reactive_crossing"] = "latched_crossing"
+    latched_crossing: LatchedCrossingParams = LatchedCrossingParams()
+    reactive_crossing: ReactiveCrossingParams = ReactiveCrossingParams()
+
+
+class LogConfig(Params, frozen=True):
+    """What is kept of a flight."""
+
+    directory: str = "flights"
+    """Each flight makes its own folder in here."""
+
+
+class CompanionConfig(Params, frozen=True):
+    """Everything the companion can be told by a file."""
+
+    mission: SessionParams = SessionParams()
+    emitter_id: Annotated[int, msgspec.Meta(ge=0, le=65535)] | None = None
+    """The emitter to look for; null: the first one heard."""
+    estimation: TrackerParams = TrackerParams()
+    planner: PlannerConfig = PlannerConfig()
+    limits: LimitsConfig = LimitsConfig()
+    vehicle: VehicleParams = VehicleParams()
+    log: LogConfig = LogConfig()
+
+
+def load_config(path: Path | None) -> CompanionConfig:
+    """The configuration in a file, or the defaults without one.
+
+    Raises:
+        ConfigError: The file is wrong; one line names it, the place and the problem.
+    """
+    if path is None:
+        return CompanionConfig()
+    config = load_yaml(path, CompanionConfig)
+    problem = inconsistency(config)
+    if problem is not None:
+        raise ConfigError(f"{path}: {problem}")
+    return config
+
+
+def inconsistency(config: CompanionConfig) -> str | None:
+    """What contradicts what between sections, with its YAML path, or None."""
+    limits, mission = config.limits, config.mission
+    if not limits.altitude_min_m <= mission.altitude_m <= limits.altitude_max_m:
+        band = f"{limits.altitude_min_m:g} to {limits.altitude_max_m:g} m"
+        return f"$.mission.altitude_m: {mission.altitude_m:g} m is outside $.limits ({band})"
+    own_r95_m = 2.45 * config.estimation.filter.own_position_sigma_m
+    if mission.stop_radius_m <= own_r95_m:
+        return (
+            f"$.mission.stop_radius_m: {mission.stop_radius_m:g} m can never be reached with "
+            f"$.estimation.filter.own_position_sigma_m (R95 is at least {own_r95_m:.2f} m)"
+        )
+    if mission.stop_radius_m > config.estimation.localised_r95_m:
+        return (
+            f"$.mission.stop_radius_m: {mission.stop_radius_m:g} m must not exceed "
+            f"$.estimation.localised_r95_m ({config.estimation.localised_r95_m:g} m)"
+        )
+    return None

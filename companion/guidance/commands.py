@@ -1,0 +1,83 @@
+"""What the session wants done; the link turns these values into messages."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+
+from companion.domain import FlightMode, PositionSetpoint, TargetEstimate
+
+
+class Severity(Enum):
+    """MAV_SEVERITY of a text."""
+
+    ERROR = 3
+    WARNING = 4
+    NOTICE = 5
+    INFO = 6
+
+
+@dataclass(frozen=True, slots=True)
+class SendHeartbeat:
+    """Our own HEARTBEAT; it comes from the control tick, so it stops when the tick stops."""
+
+    is_in_control: bool
+
+
+@dataclass(frozen=True, slots=True)
+class SendSetpoint:
+    """A guarded setpoint."""
+
+    setpoint: PositionSetpoint
+
+
+@dataclass(frozen=True, slots=True)
+class SetMode:
+    """Ask the autopilot for a mode."""
+
+    mode: FlightMode
+    is_armed: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Arm:
+    """Ask the autopilot to arm."""
+
+
+@dataclass(frozen=True, slots=True)
+class TakeOff:
+    """Ask the autopilot to take off."""
+
+    altitude_m: float
+    """Above home."""
+    home_up_m: float
+    """Height of home in the local frame."""
+
+
+@dataclass(frozen=True, slots=True)
+class Announce:
+    """A text for the operator: log and STATUSTEXT."""
+
+    severity: Severity
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class ReportResult:
+    """The target is localised."""
+
+    estimate: TargetEstimate
+    latitude_deg: float | None
+    longitude_deg: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """A line for the event log."""
+
+    kind: str
+    fields: Mapping[str, object]
+
+
+Command = SendHeartbeat | SendSetpoint | SetMode | Arm | TakeOff | Announce | ReportResult | Record

@@ -1,0 +1,150 @@
+"""What the session is told; every input, time included, is one of these values."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from companion.domain import (
+    Autopilot,
+    FlightMode,
+    LandedState,
+    PositionEnu,
+    RangingMeasurement,
+    VehicleState,
+)
+from companion.geometry.frames import LocalOrigin
+
+
+@dataclass(frozen=True, slots=True)
+class HeartbeatReceived:
+    """The bound autopilot's HEARTBEAT."""
+
+    time_s: float
+    autopilot: Autopilot
+    mode: FlightMode
+    is_armed: bool
+    is_ready: bool
+    """It says that it can be armed, or is."""
+    is_failsafe: bool
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleMoved:
+    """A new own position; `state.time_s` is the time of its measurement."""
+
+    time_s: float
+    state: VehicleState
+
+
+@dataclass(frozen=True, slots=True)
+class YawMeasured:
+    """A new own heading, clockwise from north."""
+
+    time_s: float
+    measured_at_s: float
+    yaw_ned_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class OriginSet:
+    """Where the local frame has its zero."""
+
+    time_s: float
+    origin: LocalOrigin
+
+
+@dataclass(frozen=True, slots=True)
+class HomeSet:
+    """Launch-and-return point in the local frame."""
+
+    time_s: float
+    position_enu_m: PositionEnu
+
+
+@dataclass(frozen=True, slots=True)
+class LandedStateChanged:
+    """Whether the vehicle is on the ground."""
+
+    time_s: float
+    landed: LandedState
+
+
+@dataclass(frozen=True, slots=True)
+class RangingReceived:
+    """A measurement of the radio; its bearing may still be in the body frame."""
+
+    time_s: float
+    measurement: RangingMeasurement
+
+
+class Outcome(Enum):
+    """How a request to the autopilot ended."""
+
+    ACCEPTED = "accepted"
+    REJECTED = "rejected"
+    NO_ANSWER = "no answer"
+
+
+class RequestKind(Enum):
+    """What the autopilot was asked for."""
+
+    ARM = "arm"
+    TAKE_OFF = "take off"
+    SET_MODE = "set mode"
+
+
+@dataclass(frozen=True, slots=True)
+class RequestAnswered:
+    """The autopilot answered a request, or did not within the retries."""
+
+    time_s: float
+    kind: RequestKind
+    outcome: Outcome
+    detail: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class AutopilotRestarted:
+    """The autopilot's clock went back."""
+
+    time_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class ControlGranted:
+    """The operator gives control back after a yield (MAV_CMD_NAV_GUIDED_ENABLE to us)."""
+
+    time_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class TimerFired:
+    """The control tick, 20 times a second."""
+
+    time_s: float
+    heard_s: float | None
+    """When the last valid frame of the autopilot arrived."""
+
+
+@dataclass(frozen=True, slots=True)
+class StopRequested:
+    """The process is asked to end."""
+
+    time_s: float
+
+
+Event = (
+    HeartbeatReceived
+    | VehicleMoved
+    | YawMeasured
+    | OriginSet
+    | HomeSet
+    | LandedStateChanged
+    | RangingReceived
+    | RequestAnswered
+    | AutopilotRestarted
+    | ControlGranted
+    | TimerFired
+    | StopRequested
+)

@@ -1,0 +1,172 @@
+"""The automatic launch: arm, take off, ask for offboard. For simulation, and tried only once.
+
+PX4: arm in hold, NAV_TAKEOFF, climb, more than a second of setpoints, then OFFBOARD (PX4 user
+guide, offboard mode). ArduPilot: GUIDED first, arm, NAV_TAKEOFF; position targets take over after
+the climb.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from companion.domain import Autopilot, FlightMode
+from companion.guidance.commands import Arm, Command, SetMode, TakeOff
+from companion.guidance.events import (
+    HeartbeatReceived,
+    Outcome,
+    RequestAnswered,
+    RequestKind,
+)
+
+READY_TIMEOUT_S = 120.0
+"""PX4 needs 34 to 38 s after boot until it can be armed; a cold GPS needs longer."""
+CLIMB_TIMEOUT_S = 90.0
+ARM_RETRY_S = 2.0
+PRESTREAM_S = 1.2
+"""PX4 wants setpoints for more than a second before it enters offboard."""
+MODE_TIMEOUT_S = 5.0
+CLIMBED_SHARE = 0.9
+
+
+class Stage(Enum):
+    """Where the launch stands."""
+
+    READY = "waiting until the autopilot can be armed"
+    MODE = "asking for the mode to launch in"
+    ARM = "arming"
+    TAKE_OFF = "taking off"
+    CLIMB = "climbing"
+    PRESTREAM = "streaming setpoints before offboard"
+    OFFBOARD = "asking for offboard"
+
+
+@dataclass(frozen=True, slots=True)
+class LaunchView:
+    """What the launch may know at a tick."""
+
+    now_s: float
+    heartbeat: HeartbeatReceived
+    height_m: float
+    """Above home."""
+    home_up_m: float
+
+
+class Launch:
+    """One attempt to get into the air and into offboard.
+
+    Args:
+        altitude_m: Height above home to take off to.
+        started_s: When it begins.
+    """
+
+    def __init__(self, altitude_m: float, started_s: float) -> None:
+        self.altitude_m = altitude_m
+        self.stage = Stage.READY
+        self.failure: str | None = None
+        self._since_s = started_s
+        self._retry_s = started_s
+        self._is_asked = False
+
+    @property
+    def is_at_offboard(self) -> bool:
+        """Whether offboard is what is being waited for."""
+        return self.stage in (Stage.PRESTREAM, Stage.OFFBOARD)
+
+    @property
+    def has_asked(self) -> bool:
+        """Whether anything was asked of the autopilot yet."""
+        return self.stage is not Stage.READY
+
+    @property
+    def wants_stream(self) -> bool:
+        """Whether "stay here" setpoints are due."""
+        return self.stage in (Stage.PRESTREAM, Stage.OFFBOARD)
+
+    def tick(self, view: LaunchView) -> list[Command]:
+        """What to ask for now."""
+        match self.stage:
+            case Stage.READY:
+                return self._when_ready(view)
+            case Stage.MODE | Stage.ARM | Stage.TAKE_OFF:
+                return self._ask(view)
+            case Stage.CLIMB:
+                self._when_climbed(view)
+            case Stage.PRESTREAM:
+                if view.now_s - self._since_s >= PRESTREAM_S:
+                    self._enter(Stage.OFFBOARD, view.now_s)
+            case Stage.OFFBOARD:
+                return self._ask(view)
+        return []
+
+    def answered(self, event: RequestAnswered) -> None:
+        """Take in the autopilot's answer to the latest request."""
+        expected = {
+            Stage.MODE: RequestKind.SET_MODE,
+            Stage.ARM: RequestKind.ARM,
+            Stage.TAKE_OFF: RequestKind.TAKE_OFF,
+            Stage.OFFBOARD: RequestKind.SET_MODE,
+        }.get(self.stage)
+        if event.kind is not expected:
+            return
+        if event.outcome is Outcome.ACCEPTED:
+            following = {
+                Stage.MODE: Stage.ARM,
+                Stage.ARM: Stage.TAKE_OFF,
+                Stage.TAKE_OFF: Stage.CLIMB,
+            }.get(self.stage)
+            if following is not None:
+                self._enter(following, event.time_s)
+        elif self.stage is Stage.ARM and event.time_s - self._since_s < READY_TIMEOUT_S:
+            self._is_asked = False
+            self._retry_s = event.time_s + ARM_RETRY_S
+        else:
+            self.failure = f"{self.stage.value}: {event.outcome.value} {event.detail}".strip()
+
+    def _enter(self, stage: Stage, now_s: float) -> None:
+        self.stage = stage
+        self._since_s = now_s
+        self._retry_s = now_s
+        self._is_asked = False
+
+    def _when_ready(self, view: LaunchView) -> list[Command]:
+        heartbeat = view.heartbeat
+        if heartbeat.is_armed and view.height_m >= CLIMBED_SHARE * self.altitude_m:
+            self._enter(Stage.PRESTREAM, view.now_s)
+        elif heartbeat.is_ready:
+            self._enter(Stage.MODE if self._launch_mode(heartbeat) else Stage.ARM, view.now_s)
+        elif view.now_s - self._since_s > READY_TIMEOUT_S:
+            self.failure = "the autopilot does not become ready to arm"
+        return []
+
+    @staticmethod
+    def _launch_mode(heartbeat: HeartbeatReceived) -> FlightMode | None:
+        """The mode to arm in, or None if the present one will do."""
+        if heartbeat.autopilot is Autopilot.ARDUPILOT:
+            return None if heartbeat.mode is FlightMode.OFFBOARD else FlightMode.OFFBOARD
+        usable = (FlightMode.HOLD, FlightMode.TAKEOFF)
+        return None if heartbeat.mode in usable else FlightMode.HOLD
+
+    def _ask(self, view: LaunchView) -> list[Command]:
+        if self._is_asked:
+            if self.stage is Stage.OFFBOARD and view.now_s - self._since_s > MODE_TIMEOUT_S:
+                self.failure = "offboard was accepted but never entered"
+            return []
+        if view.now_s < self._retry_s:
+            return []
+        self._is_asked = True
+        match self.stage:
+            case Stage.MODE:
+                mode = self._launch_mode(view.heartbeat) or view.heartbeat.mode
+                return [SetMode(mode, view.heartbeat.is_armed)]
+            case Stage.ARM:
+                return [Arm()]
+            case Stage.TAKE_OFF:
+                return [TakeOff(self.altitude_m, view.home_up_m)]
+        return [SetMode(FlightMode.OFFBOARD, view.heartbeat.is_armed)]
+
+    def _when_climbed(self, view: LaunchView) -> None:
+        if view.height_m >= CLIMBED_SHARE * self.altitude_m:
+            self._enter(Stage.PRESTREAM, view.now_s)
+        elif view.now_s - self._since_s > CLIMB_TIMEOUT_S:
+            self.failure = "the vehicle did not climb to its altitude"

@@ -1,0 +1,66 @@
+"""From a ranging measurement to the tracker, with the vehicle's own place at its time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from companion.domain import RangingMeasurement
+from companion.estimation.refusal import Refusal
+from companion.estimation.tracker import FusionReport, TargetTracker
+from companion.geometry.frames import bearing_enu_from_ned
+from companion.guidance.track import VehicleTrack
+
+MAX_WAITING = 64
+"""Measurements that may wait for an own position at their time; the oldest gives way."""
+
+
+class RangingListener:
+    """Feeds the tracker.
+
+    A measurement that is newer than the newest own position waits until a position on its other
+    side arrives, so that its place is interpolated; one that waits in vain is refused.
+
+    Args:
+        tracker: The estimate of the target.
+        track: The vehicle's own motion.
+        patience_s: How long a measurement may wait.
+    """
+
+    def __init__(
+        self, tracker: TargetTracker, track: VehicleTrack, patience_s: float = 0.25
+    ) -> None:
+        self._tracker = tracker
+        self._track = track
+        self._patience_s = patience_s
+        self._waiting: list[RangingMeasurement] = []
+
+    def receive(self, measurement: RangingMeasurement) -> list[FusionReport]:
+        """Take in a measurement; it is fused at the next `fuse_due`."""
+        self._waiting.append(measurement)
+        if len(self._waiting) > MAX_WAITING:
+            self._waiting.pop(0)
+            return [self._tracker.refuse(Refusal.STALE)]
+        return []
+
+    def fuse_due(self, now_s: float) -> list[FusionReport]:
+        """Fuse every measurement whose place is known, or will not become known any more."""
+        latest = self._track.latest
+        reports, waiting = [], []
+        for measurement in self._waiting:
+            is_covered = latest is not None and measurement.measured_at_s <= latest.time_s
+            if is_covered or now_s - measurement.measured_at_s > self._patience_s:
+                reports.append(self._fuse(measurement, now_s))
+            else:
+                waiting.append(measurement)
+        self._waiting = waiting
+        return reports
+
+    def _fuse(self, measurement: RangingMeasurement, now_s: float) -> FusionReport:
+        sensor_enu_m = self._track.position_at(measurement.measured_at_s)
+        body_rad = measurement.bearing_body_rad
+        if body_rad is not None and measurement.bearing_enu_rad is None:
+            yaw_ned_rad = self._track.yaw_at(measurement.measured_at_s)
+            if yaw_ned_rad is not None:
+                bearing_enu_rad = bearing_enu_from_ned(yaw_ned_rad + body_rad)
+                measurement = replace(measurement, bearing_enu_rad=bearing_enu_rad)
+        return self._tracker.fuse(measurement, sensor_enu_m, now_s)

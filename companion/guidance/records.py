@@ -1,0 +1,36 @@
+"""What the event log says of an estimate and of a waypoint."""
+
+from __future__ import annotations
+
+from companion.domain import TargetEstimate, Waypoint
+from companion.estimation.tracker import FusionReport
+from companion.guidance.commands import Record
+
+
+def estimate_record(report: FusionReport, estimate: TargetEstimate) -> Record:
+    """The estimate after a measurement, with the innovations that led to it."""
+    fields: dict[str, object] = {
+        "state": estimate.state.value,
+        "position_enu_m": estimate.position_enu_m,
+        "r95_m": estimate.r95_m,
+        "range_offset_m": estimate.range_offset_m,
+        "bearing_offset_rad": estimate.bearing_offset_rad,
+    }
+    update = report.update
+    if update is not None:
+        fields["nis"] = update.nis
+        for name, row in (("range", update.range), ("bearing", update.bearing)):
+            if row is not None:
+                fields[f"{name}_innovation"] = row.innovation
+                fields[f"{name}_weight"] = row.weight
+    return Record("estimate", fields)
+
+
+def waypoint_record(waypoint: Waypoint) -> Record:
+    """A waypoint and why it was chosen."""
+    fields = {
+        "position_enu_m": waypoint.position_enu_m,
+        "reason": waypoint.reason.value,
+        "detail": waypoint.detail,
+    }
+    return Record("waypoint", fields)

@@ -1,0 +1,423 @@
+"""The guidance session: events in, commands out, no clock and no socket.
+
+It joins what the other modules know: the listener feeds the tracker, the steering turns the
+estimate into guarded setpoints, and the transition table of `states` says whether any may be sent.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal
+
+import msgspec
+
+from companion.domain import EstimateState, FlightMode, PositionSetpoint, TargetEstimate
+from companion.estimation.tracker import FusionReport, TargetTracker
+from companion.guard.gate import Guard
+from companion.guidance.authority import Authority
+from companion.guidance.commands import (
+    Announce,
+    Command,
+    Record,
+    ReportResult,
+    SendHeartbeat,
+    SendSetpoint,
+    SetMode,
+    Severity,
+)
+from companion.guidance.events import (
+    AutopilotRestarted,
+    ControlGranted,
+    Event,
+    HeartbeatReceived,
+    Outcome,
+    RangingReceived,
+    RequestAnswered,
+    RequestKind,
+    StopRequested,
+    TimerFired,
+    VehicleMoved,
+)
+from companion.guidance.launch import Launch, LaunchView
+from companion.guidance.listener import RangingListener
+from companion.guidance.records import estimate_record, waypoint_record
+from companion.guidance.states import IN_CONTROL, STREAMING, Phase, Trigger
+from companion.guidance.status import GuidanceStatus
+from companion.guidance.steering import Steering
+from companion.guidance.stop_rule import StopRule
+from companion.guidance.vehicle import VehicleView
+from companion.params import Params, Positive
+from companion.planning.base import Planner
+
+TICK_S = 0.05
+"""Setpoints at 20 Hz: PX4 wants more than 2 Hz, and at 20 Hz a lossy link still delivers enough."""
+HEARTBEAT_PERIOD_S = 1.0
+SILENT_AFTER_S = 10.0
+"""A link lost for this long: stop sending and let the autopilot's own failsafe act."""
+FOLLOW_UP_S = 5.0
+"""How long the autopilot may take to enter the mode that follows the report."""
+HAND_BACK_S = 1.5
+"""How long the autopilot may take to confirm its hold mode when we are asked to stop."""
+
+
+class SessionParams(Params, frozen=True):
+    """How the mission is flown."""
+
+    engage: Literal["operator", "auto"] = "operator"
+    """`operator`: the mode switch gives control; `auto`: arm, take off, ask once (simulation)."""
+    altitude_m: Positive = 20.0
+    """Search altitude above home."""
+    stop_radius_m: Positive = 1.0
+    """The target is reported once R95 stays under this ..."""
+    stop_confirm_s: Positive = 10.0
+    """... for this long."""
+    on_localised: Literal["hold", "return", "land"] = "hold"
+    """Mode the autopilot is asked for after the report."""
+    ranging_timeout_s: Annotated[float, msgspec.Meta(ge=0.5)] = 5.0
+    """Without a usable measurement for this long: hold."""
+
+
+FOLLOW_UP_MODE = {
+    "hold": FlightMode.HOLD,
+    "return": FlightMode.RETURN,
+    "land": FlightMode.LAND,
+}
+
+
+class GuidanceSession:
+    """Guides one vehicle to one emitter.
+
+    Args:
+        params: How the mission is flown.
+        tracker: The estimate of the target.
+        planner: Where to fly, given the estimate.
+        guard: What may be sent.
+    """
+
+    def __init__(
+        self, params: SessionParams, tracker: TargetTracker, planner: Planner[Any], guard: Guard
+    ) -> None:
+        self.params = params
+        self.tracker = tracker
+        self.vehicle = VehicleView()
+        self.steering = Steering(planner, guard, params.altitude_m)
+        self.authority = Authority()
+        self.estimate: TargetEstimate | None = None
+        self.result: ReportResult | None = None
+        self._listener = RangingListener(tracker, self.vehicle.track)
+        self._launch: Launch | None = None
+        self._has_launched = False
+        self._stop_rule = StopRule(params.stop_radius_m, params.stop_confirm_s)
+        self._hold_reason = ""
+        self._tick_s: float | None = None
+        self._next_heartbeat_s = -math.inf
+        self._commands: list[Command] = []
+
+    def handle(self, event: Event) -> list[Command]:
+        """What is to be done about an event."""
+        self.vehicle.handle(event)
+        match event:
+            case HeartbeatReceived():
+                self._on_heartbeat(event)
+            case RangingReceived():
+                self._fused(self._listener.receive(event.measurement), event.time_s)
+                self._fused(self._listener.fuse_due(event.time_s), event.time_s)
+            case VehicleMoved():
+                self._fused(self._listener.fuse_due(event.time_s), event.time_s)
+            case RequestAnswered():
+                self._on_answer(event)
+            case ControlGranted():
+                self._enter(Trigger.GRANTED, event.time_s)
+            case AutopilotRestarted():
+                self._on_restart(event.time_s)
+            case StopRequested():
+                self._on_stop(event.time_s)
+            case TimerFired():
+                self._on_tick(event.time_s)
+        commands, self._commands = self._commands, []
+        return commands
+
+    @property
+    def phase(self) -> Phase:
+        """Where the session stands."""
+        return self.authority.phase
+
+    @property
+    def is_stopped(self) -> bool:
+        """Whether the process may end."""
+        return self.phase is Phase.STOPPED
+
+    def status(self, now_s: float) -> GuidanceStatus:
+        """A snapshot for views and logs."""
+        vehicle = self.vehicle
+        return GuidanceStatus(
+            time_s=now_s,
+            phase=self.phase,
+            detail=self._detail(),
+            mode=vehicle.mode,
+            is_armed=vehicle.is_armed,
+            is_link_lost=vehicle.is_link_lost(now_s),
+            vehicle_enu_m=vehicle.position_enu_m,
+            height_m=vehicle.height_m,
+            distance_m=vehicle.distance_m,
+            estimate=self.estimate,
+            waypoint=self.steering.waypoint,
+            setpoint_enu_m=self.steering.setpoint_enu_m,
+            guard=tuple(reason.value for reason in self.steering.reasons),
+            nlos_share=self.tracker.nlos_share,
+            inflation=self.tracker.inflation,
+            accepted=self.tracker.accepted,
+            refused={reason.value: n for reason, n in self.tracker.refusals.items()},
+        )
+
+    def _detail(self) -> str:
+        if self.phase is Phase.HOLDING:
+            return self._hold_reason
+        if self.phase is Phase.LAUNCHING and self._launch is not None:
+            return self._launch.stage.value
+        if self.phase is Phase.ENGAGED and self.steering.waypoint is not None:
+            waypoint = self.steering.waypoint
+            return f"{waypoint.reason.value}: {waypoint.detail}"
+        return ""
+
+    # Phases
+
+    def _enter(self, trigger: Trigger, now_s: float) -> bool:
+        """Apply a trigger; whether the phase changed."""
+        left = self.authority.enter(trigger, now_s)
+        if left is None:
+            return False
+        self._record("phase", old=left.value, new=self.phase.value, trigger=trigger.value)
+        if not (left in IN_CONTROL and self.phase in STREAMING):
+            self.steering.forget_setpoint()
+        return True
+
+    def _announce(self, severity: Severity, text: str) -> None:
+        self._commands.append(Announce(severity, text))
+
+    def _record(self, kind: str, **fields: object) -> None:
+        self._commands.append(Record(kind, fields))
+
+    def _on_heartbeat(self, event: HeartbeatReceived) -> None:
+        now_s = event.time_s
+        self.authority.observe(event)
+        if not event.is_armed:
+            self._on_disarmed(event)
+        elif event.mode is FlightMode.OFFBOARD:
+            self._on_offboard(now_s)
+        elif self.phase is Phase.LAUNCHING:
+            self._check_launch_mode(event)
+        elif self._enter(Trigger.MODE_LOST, now_s):
+            text = f"control lost: autopilot went to {event.mode.value}; silent until given back"
+            self._announce(Severity.WARNING, text)
+
+    def _on_disarmed(self, event: HeartbeatReceived) -> None:
+        if self._enter(Trigger.DISARMED, event.time_s):
+            self.authority.disarmed_in(event.mode)
+            self._announce(Severity.NOTICE, "disarmed: the flight is over")
+
+    def _on_offboard(self, now_s: float) -> None:
+        if not self.authority.may_take(now_s):
+            return
+        if self.phase is Phase.LAUNCHING and not self._is_launch_at_offboard():
+            return
+        if self._enter(Trigger.MODE_GIVEN, now_s):
+            self._launch = None
+            self._hold_reason = "checking its inputs"
+            self._announce(Severity.NOTICE, "in control: autopilot is in offboard mode")
+
+    def _is_launch_at_offboard(self) -> bool:
+        return self._launch is not None and self._launch.is_at_offboard
+
+    def _check_launch_mode(self, event: HeartbeatReceived) -> None:
+        """Someone who takes the vehicle during the automatic launch keeps it."""
+        expected = (FlightMode.HOLD, FlightMode.TAKEOFF, FlightMode.READY)
+        if self._launch is None or not self._launch.has_asked:
+            return
+        if event.is_failsafe or event.mode not in expected:
+            self._enter(Trigger.MODE_LOST, event.time_s)
+            self._announce(Severity.WARNING, f"launch ended: mode is {event.mode.value}")
+
+    def _on_answer(self, event: RequestAnswered) -> None:
+        self._record("answer", request=event.kind.value, outcome=event.outcome.value)
+        if self.phase is Phase.LAUNCHING and self._launch is not None:
+            self._launch.answered(event)
+        elif self.phase is Phase.HANDING_BACK and event.kind is RequestKind.SET_MODE:
+            self._enter(Trigger.HANDED_BACK, event.time_s)
+        elif self.phase is Phase.FINISHED and event.outcome is not Outcome.ACCEPTED:
+            self._announce(Severity.ERROR, f"{event.kind.value}: {event.outcome.value}")
+
+    def _on_restart(self, now_s: float) -> None:
+        self.vehicle.forget()
+        self.tracker.restart()
+        self.steering.forget_plan()
+        self.estimate = None
+        self.authority.restarted()
+        self._enter(Trigger.RESTARTED, now_s)
+        self._announce(Severity.WARNING, "autopilot restarted: holding until the operator engages")
+
+    def _on_stop(self, now_s: float) -> None:
+        was_in_control = self.phase in IN_CONTROL or (
+            self.phase is Phase.LAUNCHING and self.vehicle.is_armed
+        )
+        if self._enter(Trigger.STOP, now_s) and self.phase is Phase.HANDING_BACK:
+            if was_in_control:
+                self._announce(Severity.NOTICE, "stopping: asking the autopilot to hold")
+                self._commands.append(SetMode(FlightMode.HOLD, self.vehicle.is_armed))
+            else:
+                self._enter(Trigger.HANDED_BACK, now_s)
+
+    # Measurements
+
+    def _fused(self, reports: list[FusionReport], now_s: float) -> None:
+        for report in reports:
+            if report.refusal is not None:
+                self._record("refused", reason=report.refusal.value)
+                continue
+            if report.restarted:
+                text = "the filter contradicted its measurements and was started anew"
+                self._announce(Severity.WARNING, text)
+                self.steering.forget_plan()
+            self._replan(report, now_s)
+
+    def _replan(self, report: FusionReport, now_s: float) -> None:
+        estimate = self.tracker.estimate(now_s)
+        if estimate is None:
+            return
+        if self.estimate is None or estimate.state is not self.estimate.state:
+            self._announce(Severity.INFO, f"{estimate.state.value}: R95 {estimate.r95_m:.1f} m")
+        self.estimate = estimate
+        self._commands.append(estimate_record(report, estimate))
+        if self.phase is Phase.ENGAGED:
+            self._plan_now()
+
+    def _plan_now(self) -> None:
+        position = self.vehicle.position_enu_m
+        if self.estimate is None or position is None:
+            return
+        previous = self.steering.waypoint
+        waypoint = self.steering.plan(self.estimate, position)
+        if previous is None or previous.detail != waypoint.detail:
+            self._commands.append(waypoint_record(waypoint))
+
+    # The control tick
+
+    def _on_tick(self, now_s: float) -> None:
+        dt_s = TICK_S if self._tick_s is None else now_s - self._tick_s
+        self._tick_s = now_s
+        self._fused(self._listener.fuse_due(now_s), now_s)
+        self._advance_phase(now_s)
+        if now_s >= self._next_heartbeat_s:
+            self._next_heartbeat_s = now_s + HEARTBEAT_PERIOD_S
+            self._commands.append(SendHeartbeat(self.phase in IN_CONTROL))
+        setpoint = self._setpoint(now_s, dt_s)
+        if setpoint is not None:
+            self._commands.append(SendSetpoint(setpoint))
+
+    def _advance_phase(self, now_s: float) -> None:
+        match self.phase:
+            case Phase.WAITING:
+                if self.vehicle.is_usable(now_s) and self.authority.may_begin:
+                    self._enter(Trigger.READY, now_s)
+                    self._announce(Severity.INFO, self._standby_text())
+            case Phase.STANDBY if self.params.engage == "auto" and not self._has_launched:
+                self._has_launched = True
+                self._launch = Launch(self.params.altitude_m, now_s)
+                self._enter(Trigger.LAUNCH, now_s)
+            case Phase.LAUNCHING:
+                self._advance_launch(now_s)
+            case Phase.ENGAGED | Phase.HOLDING:
+                self._check_inputs(now_s)
+                self._check_localised(now_s)
+            case Phase.HANDING_BACK if now_s - self.authority.since_s > HAND_BACK_S:
+                self._enter(Trigger.HANDED_BACK, now_s)
+
+    def _standby_text(self) -> str:
+        if self.params.engage == "auto":
+            return "ready: launching by itself"
+        return "ready: switch to offboard mode to give control"
+
+    def _advance_launch(self, now_s: float) -> None:
+        launch, heartbeat = self._launch, self.vehicle.heartbeat
+        height_m, home = self.vehicle.height_m, self.vehicle.home_enu_m
+        if launch is None or heartbeat is None or height_m is None or home is None:
+            return
+        self._commands += launch.tick(LaunchView(now_s, heartbeat, height_m, home[2]))
+        if launch.failure is not None:
+            self._announce(Severity.ERROR, f"launch gave up: {launch.failure}")
+            self._enter(Trigger.LAUNCH_FAILED, now_s)
+
+    def _missing_input(self, now_s: float) -> str | None:
+        """What the plan stands on and is not there, or None."""
+        if self.vehicle.is_link_lost(now_s):
+            return "autopilot link lost"
+        if not self.vehicle.is_position_fresh(now_s):
+            return "own position is stale"
+        heard_s = self.tracker.last_accepted_s
+        if heard_s is None or self.estimate is None:
+            return "waiting for ranging"
+        if now_s - heard_s > self.params.ranging_timeout_s:
+            return f"no ranging for {self.params.ranging_timeout_s:g} s"
+        if self.estimate.state is EstimateState.DIVERGED:
+            return "the filter is recovering from a contradiction"
+        return None
+
+    def _check_inputs(self, now_s: float) -> None:
+        missing = self._missing_input(now_s)
+        if missing is None:
+            if self._enter(Trigger.INPUT_BACK, now_s):
+                self._announce(Severity.INFO, "flying the plan")
+                self._plan_now()
+            return
+        if self._enter(Trigger.INPUT_LOST, now_s) or missing != self._hold_reason:
+            self._hold_reason = missing
+            self._announce(Severity.WARNING, f"hold: {missing}")
+
+    def _check_localised(self, now_s: float) -> None:
+        flown = self.estimate if self.phase is Phase.ENGAGED else None
+        if self._stop_rule.is_met(flown, now_s) and flown is not None:
+            self._report(flown, now_s)
+
+    def _report(self, estimate: TargetEstimate, now_s: float) -> None:
+        latitude_deg = longitude_deg = None
+        text = f"LOCALISED R95 {estimate.r95_m:.1f} m"
+        if self.vehicle.origin is not None:
+            height_m = self.tracker.params.filter.target_height_m
+            latitude_deg, longitude_deg, _ = self.vehicle.origin.geodetic_from_enu(
+                (*estimate.position_enu_m, height_m)
+            )
+            text = f"LOCALISED {latitude_deg:.7f} {longitude_deg:.7f} R95 {estimate.r95_m:.1f} m"
+        self.result = ReportResult(estimate, latitude_deg, longitude_deg)
+        self._commands.append(self.result)
+        self._announce(Severity.NOTICE, text)
+        self._enter(Trigger.LOCALISED, now_s)
+        mode = FOLLOW_UP_MODE[self.params.on_localised]
+        self._commands.append(SetMode(mode, self.vehicle.is_armed))
+
+    def _setpoint(self, now_s: float, dt_s: float) -> PositionSetpoint | None:
+        """The setpoint of this tick, or None where silence is due."""
+        position, home = self.vehicle.position_enu_m, self.vehicle.home_enu_m
+        if position is None or home is None or self._is_silent(now_s):
+            return None
+        match self.phase:
+            case Phase.STANDBY | Phase.LAUNCHING:
+                return self.steering.stay_with(position, home[2])
+            case Phase.ENGAGED:
+                return self.steering.follow(position, home[2], dt_s)
+            case Phase.HOLDING | Phase.FINISHED | Phase.HANDING_BACK:
+                return self.steering.stay(position, home[2], dt_s)
+        return None
+
+    def _is_silent(self, now_s: float) -> bool:
+        vehicle = self.vehicle
+        if self.phase not in STREAMING:
+            return True
+        if vehicle.heard_s is None or now_s - vehicle.heard_s > SILENT_AFTER_S:
+            return True
+        if self.phase is Phase.FINISHED:
+            return not vehicle.is_ours or now_s - self.authority.since_s > FOLLOW_UP_S
+        if self.phase is Phase.STANDBY:
+            return not (vehicle.wants_prestream and vehicle.is_position_fresh(now_s))
+        if self.phase is Phase.LAUNCHING:
+            return self._launch is None or not self._launch.wants_stream
+        return False

@@ -1,0 +1,135 @@
+"""What the session knows about its vehicle."""
+
+from __future__ import annotations
+
+import math
+
+from companion.domain import Autopilot, FlightMode, LandedState, Point, PositionEnu
+from companion.geometry.frames import LocalOrigin
+from companion.guidance.events import (
+    Event,
+    HeartbeatReceived,
+    HomeSet,
+    LandedStateChanged,
+    OriginSet,
+    TimerFired,
+    VehicleMoved,
+    YawMeasured,
+)
+from companion.guidance.track import VehicleTrack, is_finite
+
+STALE_STATE_S = 0.5
+"""An own position older than this is not flown on."""
+LINK_LOST_S = 1.0
+"""Without any valid frame of the autopilot for this long the link counts as lost."""
+COUNTED_STEP_M = 0.05
+"""Shorter moves are noise, not distance flown."""
+
+
+class VehicleView:
+    """Mode, position, origin, home and health of the vehicle, as last heard."""
+
+    def __init__(self) -> None:
+        self.track = VehicleTrack()
+        self.heartbeat: HeartbeatReceived | None = None
+        self.origin: LocalOrigin | None = None
+        self.home_enu_m: PositionEnu | None = None
+        self.landed = LandedState.UNKNOWN
+        self.heard_s: float | None = None
+        self.distance_m = 0.0
+        """Flown so far, along the ground, while armed."""
+        self._counted_at: Point | None = None
+
+    def handle(self, event: Event) -> None:
+        """Take in an event about the vehicle; others change nothing."""
+        match event:
+            case HeartbeatReceived():
+                self.heartbeat = event
+            case VehicleMoved():
+                self._move(event)
+            case YawMeasured() if math.isfinite(event.yaw_ned_rad):
+                self.track.add_yaw(event.measured_at_s, event.yaw_ned_rad)
+            case OriginSet():
+                self.origin = event.origin
+            case HomeSet() if all(math.isfinite(v) for v in event.position_enu_m):
+                self.home_enu_m = event.position_enu_m
+            case LandedStateChanged():
+                self.landed = event.landed
+            case TimerFired():
+                self.heard_s = event.heard_s
+
+    def forget(self) -> None:
+        """Drop what a restart of the autopilot makes worthless."""
+        self.track.clear()
+        self.heartbeat = None
+        self.origin = None
+        self.home_enu_m = None
+        self.landed = LandedState.UNKNOWN
+        self._counted_at = None
+
+    @property
+    def position_enu_m(self) -> PositionEnu | None:
+        """The newest position."""
+        latest = self.track.latest
+        return None if latest is None else latest.position_enu_m
+
+    @property
+    def mode(self) -> FlightMode:
+        """The mode last shown."""
+        return FlightMode.UNKNOWN if self.heartbeat is None else self.heartbeat.mode
+
+    @property
+    def is_armed(self) -> bool:
+        """Whether it was armed when last heard."""
+        return self.heartbeat is not None and self.heartbeat.is_armed
+
+    @property
+    def is_ours(self) -> bool:
+        """Whether it obeys setpoints: armed and in offboard."""
+        return self.is_armed and self.mode is FlightMode.OFFBOARD
+
+    @property
+    def wants_prestream(self) -> bool:
+        """Whether setpoints must flow before offboard can be entered.
+
+        PX4 refuses the mode without them. ArduPilot needs none, and a stream that still runs
+        would act at once when GUIDED returns.
+        """
+        return self.heartbeat is not None and self.heartbeat.autopilot is not Autopilot.ARDUPILOT
+
+    @property
+    def height_m(self) -> float | None:
+        """Height above home."""
+        position, home = self.position_enu_m, self.home_enu_m
+        return None if position is None or home is None else position[2] - home[2]
+
+    def is_position_fresh(self, now_s: float) -> bool:
+        """Whether the newest position is young enough to fly on."""
+        latest = self.track.latest
+        return latest is not None and now_s - latest.time_s <= STALE_STATE_S
+
+    def is_link_lost(self, now_s: float) -> bool:
+        """Whether nothing valid came from the autopilot for a while."""
+        return self.heard_s is None or now_s - self.heard_s > LINK_LOST_S
+
+    def is_usable(self, now_s: float) -> bool:
+        """Whether it can be guided at all: heard, positioned, with a home."""
+        return (
+            self.heartbeat is not None
+            and self.home_enu_m is not None
+            and self.is_position_fresh(now_s)
+            and not self.is_link_lost(now_s)
+        )
+
+    def _move(self, event: VehicleMoved) -> None:
+        if not is_finite(event.state):
+            return
+        self.track.add(event.state)
+        place = event.state.position_enu_m[:2]
+        if self._counted_at is None or not self.is_armed:
+            self._counted_at = place
+            return
+        step_m = math.dist(place, self._counted_at)
+        if step_m >= COUNTED_STEP_M:
+            self.distance_m += step_m
+            self._counted_at = place

@@ -1,0 +1,68 @@
+"""Which autopilot we talk to, and at which address."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from companion.domain import Autopilot
+from companion.mav.dialect import Message, mavlink
+from companion.mav.endpoint import Address
+from companion.mav.modes import autopilot_of
+
+PEER_SILENCE_S = 3.0
+"""The autopilot must be silent this long before the same ids are believed from a new address."""
+
+
+@dataclass(slots=True)
+class AutopilotBinding:
+    """The first autopilot heard, for good: other systems, stations and payloads are not it.
+
+    Other stations' heartbeats are forwarded by autopilots, so system, component and the
+    `autopilot` field decide, and the address once it is known.
+    """
+
+    wanted_system_id: int | None = None
+    system_id: int | None = None
+    component_id: int = 0
+    autopilot: Autopilot = Autopilot.OTHER
+    peer: Address | None = None
+    heard_s: float | None = None
+    strangers: int = 0
+    """Frames that carried the autopilot's ids from another address."""
+
+    @property
+    def is_bound(self) -> bool:
+        """Whether an autopilot was heard."""
+        return self.system_id is not None
+
+    def admits(self, message: Message, peer: Address | None, now_s: float) -> bool:
+        """Whether a message comes from the bound autopilot; binds to the first one."""
+        if isinstance(message, mavlink.MAVLink_heartbeat_message):
+            self._maybe_bind(message, peer)
+        if not self._is_its_id(message):
+            return False
+        if peer != self.peer:
+            if self.heard_s is not None and now_s - self.heard_s < PEER_SILENCE_S:
+                self.strangers += 1
+                return False
+            self.peer = peer
+        self.heard_s = now_s
+        return True
+
+    def _is_its_id(self, message: Message) -> bool:
+        ids = (message.get_srcSystem(), message.get_srcComponent())
+        return self.is_bound and ids == (self.system_id, self.component_id)
+
+    def _maybe_bind(
+        self, heartbeat: mavlink.MAVLink_heartbeat_message, peer: Address | None
+    ) -> None:
+        autopilot = autopilot_of(heartbeat)
+        system_id = heartbeat.get_srcSystem()
+        if self.is_bound or autopilot is None or system_id == 0:
+            return
+        if self.wanted_system_id not in (None, system_id):
+            return
+        self.system_id = system_id
+        self.component_id = heartbeat.get_srcComponent()
+        self.autopilot = autopilot
+        self.peer = peer

@@ -1,0 +1,154 @@
+"""Messages to events: NED to ENU, stamps to local time, sentinels to None."""
+
+from __future__ import annotations
+
+import math
+
+from companion.domain import LandedState, VehicleState
+from companion.geometry.frames import LocalOrigin, enu_from_ned
+from companion.guidance.events import (
+    AutopilotRestarted,
+    Event,
+    HeartbeatReceived,
+    HomeSet,
+    LandedStateChanged,
+    OriginSet,
+    RangingReceived,
+    VehicleMoved,
+    YawMeasured,
+)
+from companion.mav.dialect import MAVLink_radio_ranging_message, Message, mavlink
+from companion.mav.modes import autopilot_of, mode_of
+from companion.mav.ranging import ranging_from_message
+from companion.mav.timebase import StampReading, Timebase
+
+PREARM_BIT = mavlink.MAV_SYS_STATUS_PREARM_CHECK
+FAILSAFE_STATES = (mavlink.MAV_STATE_CRITICAL, mavlink.MAV_STATE_EMERGENCY)
+MAX_SENDERS = 16
+"""Clocks of ranging senders that are kept."""
+
+
+class VehicleInbound:
+    """Events from the bound autopilot's messages."""
+
+    def __init__(self) -> None:
+        self._clock = Timebase()
+        self._origin: LocalOrigin | None = None
+        self._home: mavlink.MAVLink_home_position_message | None = None
+        self._is_prearm_good = True
+
+    def events(self, message: Message, now_s: float) -> list[Event]:
+        """What a message of the autopilot says."""
+        match message:
+            case mavlink.MAVLink_heartbeat_message():
+                return self._heartbeat(message, now_s)
+            case mavlink.MAVLink_local_position_ned_message():
+                reading = self._read(message.time_boot_ms, now_s)
+                state = VehicleState(
+                    reading.time_s,
+                    enu_from_ned((message.x, message.y, message.z)),
+                    enu_from_ned((message.vx, message.vy, message.vz)),
+                )
+                return self._with_restart(reading, VehicleMoved(now_s, state))
+            case mavlink.MAVLink_attitude_message():
+                reading = self._read(message.time_boot_ms, now_s)
+                yaw = YawMeasured(now_s, reading.time_s, message.yaw)
+                return self._with_restart(reading, yaw)
+            case mavlink.MAVLink_extended_sys_state_message():
+                return [LandedStateChanged(now_s, _landed_state(message.landed_state))]
+            case mavlink.MAVLink_sys_status_message():
+                present = message.onboard_control_sensors_present & PREARM_BIT
+                health = message.onboard_control_sensors_health & PREARM_BIT
+                self._is_prearm_good = not present or bool(health)
+            case mavlink.MAVLink_gps_global_origin_message():
+                return self._origin_set(message, now_s)
+            case mavlink.MAVLink_home_position_message():
+                self._home = message
+                return self._home_set(now_s)
+        return []
+
+    def _read(self, stamp_ms: int, now_s: float) -> StampReading:
+        return self._clock.read(stamp_ms / 1000.0, now_s)
+
+    def _with_restart(self, reading: StampReading, event: Event) -> list[Event]:
+        if not reading.is_reboot:
+            return [event]
+        self._origin = None
+        self._home = None
+        self._is_prearm_good = True
+        return [AutopilotRestarted(event.time_s), event]
+
+    def _heartbeat(self, message: mavlink.MAVLink_heartbeat_message, now_s: float) -> list[Event]:
+        autopilot = autopilot_of(message)
+        if autopilot is None:
+            return []
+        status = message.system_status
+        is_armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+        is_up = status >= mavlink.MAV_STATE_STANDBY
+        event = HeartbeatReceived(
+            time_s=now_s,
+            autopilot=autopilot,
+            mode=mode_of(message, autopilot),
+            is_armed=is_armed,
+            is_ready=is_armed or (is_up and self._is_prearm_good),
+            is_failsafe=status in FAILSAFE_STATES,
+        )
+        return [event]
+
+    def _origin_set(
+        self, message: mavlink.MAVLink_gps_global_origin_message, now_s: float
+    ) -> list[Event]:
+        if message.latitude == 0 and message.longitude == 0:
+            return []
+        self._origin = LocalOrigin(
+            message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1000.0
+        )
+        return [OriginSet(now_s, self._origin), *self._home_set(now_s)]
+
+    def _home_set(self, now_s: float) -> list[Event]:
+        """Home in the local frame; by latitude and longitude where the origin is known.
+
+        The message's own x, y, z are only trusted until then: not every autopilot fills them.
+        """
+        home = self._home
+        if home is None:
+            return []
+        if self._origin is None:
+            local = enu_from_ned((home.x, home.y, home.z))
+            return [HomeSet(now_s, local)] if all(map(math.isfinite, local)) else []
+        local = self._origin.enu_from_geodetic(
+            home.latitude / 1e7, home.longitude / 1e7, home.altitude / 1000.0
+        )
+        return [HomeSet(now_s, local)]
+
+
+class RangingInbound:
+    """Ranging events from any sender, each on its own clock."""
+
+    def __init__(self) -> None:
+        self._clocks: dict[tuple[int, int, int], Timebase] = {}
+
+    def events(self, message: Message, link: int, now_s: float) -> list[Event]:
+        """The measurement in a message, if it is a ranging message."""
+        if not isinstance(
+            message,
+            MAVLink_radio_ranging_message
+            | mavlink.MAVLink_landing_target_message
+            | mavlink.MAVLink_ranging_beacon_message,
+        ):
+            return []
+        key = (link, message.get_srcSystem(), message.get_srcComponent())
+        if key not in self._clocks:
+            if len(self._clocks) >= MAX_SENDERS:
+                self._clocks.pop(next(iter(self._clocks)))
+            self._clocks[key] = Timebase()
+        reading = self._clocks[key].read(message.time_usec / 1e6, now_s)
+        measurement = ranging_from_message(message, reading.time_s)
+        return [] if measurement is None else [RangingReceived(now_s, measurement)]
+
+
+def _landed_state(value: int) -> LandedState:
+    try:
+        return LandedState(value)
+    except ValueError:
+        return LandedState.UNKNOWN

@@ -1,0 +1,100 @@
+"""Asking the autopilot for every stream we need, and again when one stops.
+
+ArduPilot sends nothing but heartbeats unasked, and PX4's rates differ by link, so the companion
+asks for all of it. Source: MAVLink common, MAV_CMD_SET_MESSAGE_INTERVAL and REQUEST_MESSAGE.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from companion.mav.dialect import Message, mavlink
+
+STREAM_INTERVAL_S: dict[int, float] = {
+    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 0.05,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE: 0.1,
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 0.5,
+    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 0.5,
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
+    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 1.0,
+    mavlink.MAVLINK_MSG_ID_HOME_POSITION: 2.0,
+    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 2.0,
+    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: 0.2,
+}
+ONE_SHOT = (mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, mavlink.MAVLINK_MSG_ID_HOME_POSITION)
+"""Asked for by REQUEST_MESSAGE until they arrive: what is only sent when it changes."""
+
+OPTIONAL = frozenset({mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED})
+"""Only sent in some modes: asked for once, never missed."""
+
+FIRST_RETRY_S = 1.0
+LAST_RETRY_S = 16.0
+MISSED_PERIODS = 3.0
+
+
+@dataclass(slots=True)
+class _Want:
+    message_id: int
+    interval_s: float | None
+    """None: one message, not a stream."""
+    retry_s: float = FIRST_RETRY_S
+    asked_s: float | None = None
+    heard_s: float | None = None
+
+    def is_due(self, now_s: float) -> bool:
+        if self.asked_s is None:
+            return True
+        if now_s - self.asked_s < self.retry_s:
+            return False
+        if self.interval_s is None:
+            return self.heard_s is None
+        if self.message_id in OPTIONAL:
+            return False
+        patience_s = max(MISSED_PERIODS * self.interval_s, FIRST_RETRY_S)
+        return self.heard_s is None or now_s - self.heard_s > patience_s
+
+
+@dataclass(slots=True)
+class StreamRequester:
+    """Keeps the streams flowing; at most one request per tick, with back-off per stream."""
+
+    _wants: list[_Want] = field(
+        default_factory=lambda: (
+            [_Want(number, interval_s) for number, interval_s in STREAM_INTERVAL_S.items()]
+            + [_Want(number, None) for number in ONE_SHOT]
+        )
+    )
+
+    def heard(self, message: Message, now_s: float) -> None:
+        """Note that a message arrived."""
+        number = message.get_msgId()
+        for want in self._wants:
+            if want.message_id == number:
+                want.heard_s = now_s
+                want.retry_s = FIRST_RETRY_S
+
+    def restart(self) -> None:
+        """Ask for everything again, because the autopilot forgot."""
+        for want in self._wants:
+            want.asked_s = want.heard_s = None
+            want.retry_s = FIRST_RETRY_S
+
+    def due(self, now_s: float, system_id: int, component_id: int) -> Message | None:
+        """The next request to send, if any."""
+        for want in self._wants:
+            if want.is_due(now_s):
+                if want.asked_s is not None:
+                    want.retry_s = min(2.0 * want.retry_s, LAST_RETRY_S)
+                want.asked_s = now_s
+                return _request(want, system_id, component_id)
+        return None
+
+
+def _request(want: _Want, system_id: int, component_id: int) -> Message:
+    if want.interval_s is None:
+        command, p2 = mavlink.MAV_CMD_REQUEST_MESSAGE, 0.0
+    else:
+        command, p2 = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 1e6 * want.interval_s
+    return mavlink.MAVLink_command_long_message(
+        system_id, component_id, command, 0, float(want.message_id), p2, 0.0, 0.0, 0.0, 0.0, 0.0
+    )

@@ -1,0 +1,89 @@
+"""The composition root: configuration to filter, planner, guard, session, endpoint and shell."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from companion.config.schema import CompanionConfig, PlannerConfig
+from companion.estimation.tracker import TargetTracker
+from companion.guard.gate import Guard
+from companion.guidance.session import GuidanceSession
+from companion.io.clock import Clock
+from companion.io.files import new_flight_directory
+from companion.io.journal import FlightJournal
+from companion.io.links import LinkSpec
+from companion.io.shell import run_endpoint
+from companion.link.endpoint import CompanionEndpoint, Journal
+from companion.planning.base import Planner
+from companion.planning.latched_crossing import LatchedCrossing
+from companion.planning.reactive_crossing import ReactiveCrossing
+
+log = logging.getLogger("companion.run")
+
+
+def build_planner(config: PlannerConfig) -> Planner[Any]:
+    """The planner that the configuration names."""
+    if config.kind == "reactive_crossing":
+        return ReactiveCrossing(config.reactive_crossing)
+    return LatchedCrossing(config.latched_crossing)
+
+
+def build_session(config: CompanionConfig) -> GuidanceSession:
+    """The guidance of one flight."""
+    return GuidanceSession(
+        config.mission,
+        TargetTracker(config.estimation, config.emitter_id),
+        build_planner(config.planner),
+        Guard(config.limits.guard_limits()),
+    )
+
+
+def build_endpoint(
+    config: CompanionConfig, journal: Journal, ranging_links: int = 0
+) -> CompanionEndpoint:
+    """The companion as a MAVLink participant.
+
+    Args:
+        config: The configuration.
+        journal: Where it reports.
+        ranging_links: Links beside the vehicle's that carry only ranging.
+    """
+    session = build_session(config)
+    return CompanionEndpoint(session, config.vehicle, journal, 1 + ranging_links)
+
+
+def open_journal(config: CompanionConfig) -> FlightJournal:
+    """The black box of a new flight.
+
+    Raises:
+        CompanionError: The flight directory cannot be made.
+    """
+    started_unix_s = time.time()
+    directory = new_flight_directory(Path(config.log.directory), started_unix_s)
+    return FlightJournal(directory, started_unix_s)
+
+
+def fly(config: CompanionConfig, links: Sequence[LinkSpec], clock: Clock) -> CompanionEndpoint:
+    """Fly until asked to stop; the endpoint as it was at the end.
+
+    Args:
+        config: The configuration.
+        links: The vehicle's link, then those that carry only ranging.
+        clock: Where the time comes from.
+
+    Raises:
+        LinkError: A link cannot be opened; nothing was sent.
+        CompanionError: The flight directory cannot be made.
+    """
+    journal = open_journal(config)
+    endpoint = build_endpoint(config, journal, len(links) - 1)
+    log.info("flight log: %s", journal.directory)
+    try:
+        run_endpoint(endpoint, links, clock)
+    finally:
+        journal.close()
+    return endpoint
