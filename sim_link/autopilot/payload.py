@@ -1,0 +1,75 @@
+"""The radio payload: a component of its own that measures the emitter and sends what it heard."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from companion.mav.dialect import Message, mavlink
+from companion.mav.ranging import message_from_ranging
+from sim_link.autopilot.scenario import PayloadParams
+from sim_link.autopilot.streams import DUE_TOLERANCE_S
+from sim_link.autopilot.telemetry import MAVLINK_VERSION
+from sim_link.world.point_mass import PointMass
+from sim_link.world.radio_channel import ChannelParams, RadioChannel
+from sim_link.world.target import Emitter
+
+COMPONENT_ID = mavlink.MAV_COMP_ID_PERIPHERAL
+HEARTBEAT_PERIOD_S = 1.0
+
+
+class RadioPayload:
+    """Measures at a fixed rate while the vehicle is high and near enough.
+
+    Args:
+        params: Rate and reach.
+        channel: The true channel.
+        emitter: Whom to hear.
+        rng: The payload's own generator.
+    """
+
+    def __init__(
+        self,
+        params: PayloadParams,
+        channel: ChannelParams,
+        emitter: Emitter,
+        rng: np.random.Generator,
+    ) -> None:
+        self._params = params
+        self._channel = RadioChannel(channel, rng)
+        self._emitter = emitter
+        self._period_s = 1.0 / params.rate_hz
+        self._measurement_due_s = 0.0
+        self._heartbeat_due_s = 0.0
+
+    def messages(self, body: PointMass, now_s: float) -> list[Message]:
+        """What to send at `now_s` seconds since boot, from the vehicle's true position."""
+        messages: list[Message] = []
+        if now_s + DUE_TOLERANCE_S >= self._heartbeat_due_s:
+            self._heartbeat_due_s = max(self._heartbeat_due_s, now_s - HEARTBEAT_PERIOD_S)
+            self._heartbeat_due_s += HEARTBEAT_PERIOD_S
+            messages.append(_heartbeat())
+        if now_s + DUE_TOLERANCE_S >= self._measurement_due_s:
+            self._measurement_due_s = max(self._measurement_due_s, now_s - self._period_s)
+            self._measurement_due_s += self._period_s
+            if self._hears(body):
+                position = body.position_enu_m
+                measurement = self._channel.measure(self._emitter, position, now_s)
+                messages.append(message_from_ranging(measurement, round(1e6 * now_s)))
+        return messages
+
+    def _hears(self, body: PointMass) -> bool:
+        return (
+            body.height_m >= self._params.min_altitude_m
+            and self._emitter.slant_range_m(body.position_enu_m) <= self._params.max_range_m
+        )
+
+
+def _heartbeat() -> Message:
+    return mavlink.MAVLink_heartbeat_message(
+        mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
+        mavlink.MAV_AUTOPILOT_INVALID,
+        0,
+        0,
+        mavlink.MAV_STATE_ACTIVE,
+        MAVLINK_VERSION,
+    )

@@ -1,0 +1,81 @@
+"""The scenario: everything that one simulated flight is made of.
+
+The defaults are the canonical scenario. `sim_link.config` reads it from YAML.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import msgspec
+
+from companion.params import NonNegative, Params, Positive
+from sim_link.world.point_mass import VehicleParams, WindParams
+from sim_link.world.radio_channel import ChannelParams
+from sim_link.world.target import Coordinate, EmitterParams
+
+Latitude = Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)]
+Longitude = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
+SystemId = Annotated[int, msgspec.Meta(ge=1, le=255)]
+PayloadRate = Annotated[float, msgspec.Meta(gt=0.0, le=50.0)]
+SeaLevelAltitude = Annotated[float, msgspec.Meta(ge=-500.0, le=9000.0)]
+FlightAltitude = Annotated[float, msgspec.Meta(gt=0.0, le=1000.0)]
+LossAction = Literal["hold", "position", "return", "land"]
+
+
+class OriginParams(Params, frozen=True):
+    """The zero of the local frame: the autopilot's EKF origin, at the area's corner."""
+
+    latitude_deg: Latitude = 47.397742
+    longitude_deg: Longitude = 8.545594
+    altitude_m: SeaLevelAltitude = 488.0
+    """Above mean sea level; the ground is flat at this altitude."""
+
+
+class AutopilotParams(Params, frozen=True):
+    """How the simulated PX4 is configured."""
+
+    ready_after_s: NonNegative = 2.0
+    """Seconds after boot until it can be armed."""
+    offboard_loss_timeout_s: Positive = 1.0
+    """Age of the last valid setpoint that ends OFFBOARD (PX4 COM_OF_LOSS_T)."""
+    offboard_loss_action: LossAction = "hold"
+    """What happens then (PX4 COM_OBL_RC_ACT)."""
+    takeoff_altitude_m: FlightAltitude = 2.5
+    """Above home, when the takeoff command names none (PX4 MIS_TAKEOFF_ALT)."""
+    return_altitude_m: FlightAltitude = 30.0
+    """Above home, for RETURN (PX4 RTL_RETURN_ALT)."""
+    disarm_after_landing_s: NonNegative = 2.0
+    """PX4 COM_DISARM_LAND."""
+
+
+class PayloadParams(Params, frozen=True):
+    """The radio payload that measures the emitter."""
+
+    rate_hz: PayloadRate = 10.0
+    max_range_m: Positive = 500.0
+    """True distance beyond which it hears nothing."""
+    min_altitude_m: NonNegative = 3.0
+    """Height above ground below which it hears nothing."""
+
+
+class Scenario(Params, frozen=True):
+    """One flight: place, vehicle, emitter, channel and limits."""
+
+    name: str = "canonical"
+    system_id: SystemId = 1
+    time_limit_s: Positive = 240.0
+    """For whoever judges the flight; the simulator itself flies on."""
+    origin: OriginParams = OriginParams()
+    area_m: tuple[Positive, Positive] = (100.0, 100.0)
+    """East and north extent of the search area from the origin; information only."""
+    start_enu_m: tuple[Coordinate, Coordinate] = (10.0, 10.0)
+    """Where the vehicle stands at the start: its home."""
+    emitter: EmitterParams = EmitterParams()
+    channel: ChannelParams = ChannelParams()
+    payload: PayloadParams = PayloadParams()
+    autopilot: AutopilotParams = AutopilotParams()
+    vehicle: VehicleParams = VehicleParams()
+    wind: WindParams = WindParams()
+    position_noise_m: NonNegative = 0.0
+    """Standard deviation per axis of the position that the autopilot reports."""

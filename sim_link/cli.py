@@ -1,0 +1,191 @@
+"""The `sim-link` command: arguments, lines for people and exit codes."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NoReturn
+
+from companion import __version__
+from companion.errors import CompanionError, ConfigError
+from companion.io.clock import Clock
+from companion.io.files import write_json_atomic
+from companion.io.links import UdpFanOut
+from companion.io.shell import run_endpoint
+from companion.io.urls import parse_link_url
+from companion.mav.endpoint import Address
+from sim_link.autopilot.endpoint import SimEndpoint
+from sim_link.config import Scenario, load_scenario
+from sim_link.report import end_report, start_report
+
+DEFAULT_LISTEN = "127.0.0.1:14580"
+DEFAULT_SEND_TO = ("127.0.0.1:14550", "127.0.0.1:14540")
+EXIT_BAD_INPUT = 2
+MAX_SPEED = 1000.0
+
+DESCRIPTION = """\
+Fly a simulated PX4 multicopter with a radio payload that measures a hidden emitter.
+
+It speaks MAVLink 2 over UDP, sends unasked to every --send-to address, and answers whoever
+sends to --listen. It runs until it is stopped (Ctrl-C, SIGTERM)."""
+EPILOG = """\
+example:
+  sim-link --seed 7 --report truth.json
+  flies the canonical scenario for a companion or ground station on UDP 14550 and a MAVSDK
+  program on UDP 14540, and writes where the emitter really is to truth.json."""
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        raise ConfigError(f"{message} (sim-link --help shows how)")
+
+
+class _Voice:
+    """Lines on standard output, until nobody reads them any more."""
+
+    def __init__(self) -> None:
+        self._is_heard = True
+
+    def say(self, line: str) -> None:
+        if not self._is_heard:
+            return
+        try:
+            print(line, flush=True)
+        except BrokenPipeError:
+            self._is_heard = False
+            sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115  stays open
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the simulator until it is stopped.
+
+    Args:
+        argv: Arguments without the program's name; None takes the process's.
+
+    Returns:
+        0 after a stop, 2 for bad input or a port that is taken.
+    """
+    try:
+        return _run(_arguments(argv))
+    except CompanionError as error:
+        print(f"sim-link: {error}", file=sys.stderr)
+        return EXIT_BAD_INPUT
+
+
+def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
+    parser = _Parser(
+        prog="sim-link",
+        description=DESCRIPTION,
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "--scenario",
+        metavar="FILE",
+        type=Path,
+        help="scenario YAML, for example configs/scenarios/canonical.yaml "
+        "(default: the canonical scenario, built in)",
+    )
+    parser.add_argument(
+        "--seed", metavar="N", type=int, default=0, help="seed of all randomness (default 0)"
+    )
+    parser.add_argument(
+        "--speed",
+        metavar="X",
+        type=float,
+        default=1.0,
+        help="simulated seconds per real second (default 1)",
+    )
+    parser.add_argument(
+        "--send-to",
+        metavar="HOST:PORT",
+        action="append",
+        help="send unasked to this UDP address; repeatable "
+        f"(default {' and '.join(DEFAULT_SEND_TO)})",
+    )
+    parser.add_argument(
+        "--listen",
+        metavar="HOST:PORT",
+        default=DEFAULT_LISTEN,
+        help=f"bind this UDP address (default {DEFAULT_LISTEN})",
+    )
+    parser.add_argument(
+        "--report",
+        metavar="FILE",
+        type=Path,
+        help="write the truth as JSON at the start, and the flight with it at the end",
+    )
+    parser.add_argument("--quiet", action="store_true", help="do not print mode changes")
+    parser.add_argument("--version", action="version", version=f"sim-link {__version__}")
+    return parser.parse_args(argv)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    seed, speed = _seed(arguments.seed), _speed(arguments.speed)
+    scenario = load_scenario(arguments.scenario) if arguments.scenario else Scenario()
+    listen = _address("--listen", arguments.listen)
+    send_to = [_address("--send-to", text) for text in arguments.send_to or DEFAULT_SEND_TO]
+    endpoint = SimEndpoint(scenario, seed)
+    voice = _Voice()
+    report: Path | None = arguments.report
+    if report is not None:
+        if not report.name:
+            raise ConfigError(f"--report {report}: give the name of a file")
+        write_json_atomic(report, start_report(endpoint, seed, speed))
+
+    def on_wakeup(now_s: float) -> None:  # noqa: ARG001  the events carry their own time
+        for occurrence in endpoint.take_occurrences():
+            if not arguments.quiet:
+                voice.say(f"{occurrence.time_s:8.2f} s  {occurrence.text}")
+
+    voice.say(_start_line(scenario, seed, speed, listen, send_to))
+    try:
+        run_endpoint(endpoint, [UdpFanOut(*listen, tuple(send_to))], Clock(speed), on_wakeup)
+    finally:
+        if report is not None:
+            write_json_atomic(report, end_report(endpoint, seed, speed))
+    voice.say(_summary(endpoint))
+    return 0
+
+
+def _seed(seed: int) -> int:
+    if seed < 0:
+        raise ConfigError(f"--seed {seed}: give a number that is not negative")
+    return seed
+
+
+def _speed(speed: float) -> float:
+    if not 0.0 < speed <= MAX_SPEED:
+        raise ConfigError(f"--speed {speed:g}: give 0 to {MAX_SPEED:g}, 1 for real time")
+    return speed
+
+
+def _address(option: str, text: str) -> Address:
+    try:
+        url = parse_link_url(f"udpout:{text}")
+    except ConfigError:
+        problem = f"{option} {text}: give HOST:PORT, for example 127.0.0.1:14550"
+        raise ConfigError(problem) from None
+    return (url.host, url.port)
+
+
+def _start_line(
+    scenario: Scenario, seed: int, speed: float, listen: Address, send_to: Sequence[Address]
+) -> str:
+    targets = ", ".join(f"{host}:{port}" for host, port in send_to)
+    return (
+        f"sim-link: scenario {scenario.name}, seed {seed}, speed {speed:g}x; "
+        f"sending to {targets}; listening on {listen[0]}:{listen[1]}"
+    )
+
+
+def _summary(endpoint: SimEndpoint) -> str:
+    vehicle = endpoint.vehicle
+    return (
+        f"sim-link: stopped after {vehicle.time_s:.1f} s; flew {vehicle.flight_time_s:.1f} s "
+        f"and {vehicle.distance_m:.0f} m; {vehicle.offboard.received} setpoints received, "
+        f"{vehicle.offboard.refused} refused"
+    )

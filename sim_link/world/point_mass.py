@@ -1,0 +1,191 @@
+"""A point-mass multicopter: velocity commands in, position out.
+
+Theory of operation. The velocity follows its command as a first-order lag, its change limited to
+the acceleration that the tilt allows; the command itself is limited to the vehicle's speed, climb
+and descent. A constant wind shows as the share of itself that a velocity controller lets through.
+The ground is flat: below it is nothing, and on it a vehicle stays where it is until it climbs.
+
+Positions are local east-north-up metres; yaw is clockwise from north.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+import msgspec
+
+from companion.domain import PositionEnu
+from companion.geometry.frames import wrap_pi
+from companion.params import Params, Positive
+
+GRAVITY_MPS2 = 9.80665
+GROUND_CONTACT_M = 1e-3
+BRAKING_SHARE = 0.6
+"""Share of the acceleration limit that an approach plans to brake with; the rest is reserve."""
+
+
+Speed = Annotated[float, msgspec.Meta(gt=0.0, le=100.0)]
+WindSpeed = Annotated[float, msgspec.Meta(ge=-50.0, le=50.0)]
+Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
+
+
+class VehicleParams(Params, frozen=True):
+    """Limits and response of the multicopter."""
+
+    max_speed_mps: Speed = 10.0
+    """Horizontal."""
+    max_climb_mps: Speed = 3.0
+    max_descent_mps: Speed = 1.5
+    landing_speed_mps: Speed = 0.7
+    """Descent near the ground (PX4 MPC_LAND_SPEED)."""
+    max_acceleration_mps2: Positive = 4.0
+    velocity_time_constant_s: Positive = 0.3
+    position_gain_per_s: Positive = 0.95
+    """Commanded speed per metre of position error (PX4 MPC_XY_P)."""
+    max_yaw_rate_radps: Positive = 0.8
+
+
+class WindParams(Params, frozen=True):
+    """A constant wind, by where it blows to."""
+
+    east_mps: WindSpeed = 0.0
+    north_mps: WindSpeed = 0.0
+    let_through: Share = 0.1
+    """Share of the wind that the velocity controller fails to cancel."""
+
+
+class PointMass:
+    """The vehicle's true motion.
+
+    Args:
+        params: Limits and response.
+        wind: The wind, felt in the air only.
+        position_enu_m: Where it stands at the start.
+        ground_up_m: Height of the flat ground.
+    """
+
+    def __init__(
+        self,
+        params: VehicleParams,
+        wind: WindParams,
+        position_enu_m: PositionEnu,
+        ground_up_m: float = 0.0,
+    ) -> None:
+        self._params = params
+        self._drift = (wind.let_through * wind.east_mps, wind.let_through * wind.north_mps, 0.0)
+        self.ground_up_m = ground_up_m
+        self.position_enu_m: PositionEnu = position_enu_m
+        self.velocity_enu_mps: PositionEnu = (0.0, 0.0, 0.0)
+        self.acceleration_enu_mps2: PositionEnu = (0.0, 0.0, 0.0)
+        self.yaw_ned_rad = 0.0
+
+    @property
+    def drift_mps(self) -> float:
+        """Horizontal speed that the wind adds to every command."""
+        return math.hypot(*self._drift)
+
+    @property
+    def height_m(self) -> float:
+        """Height above the ground."""
+        return self.position_enu_m[2] - self.ground_up_m
+
+    @property
+    def is_on_ground(self) -> bool:
+        """Whether it touches the ground."""
+        return self.height_m <= GROUND_CONTACT_M
+
+    def step(
+        self, command_enu_mps: PositionEnu | None, yaw_ned_rad: float | None, dt_s: float
+    ) -> None:
+        """Move for `dt_s` seconds.
+
+        Args:
+            command_enu_mps: The wanted velocity; None stops the motors.
+            yaw_ned_rad: The wanted heading; None keeps the present one.
+            dt_s: Length of the step.
+        """
+        if self.is_on_ground and (command_enu_mps is None or command_enu_mps[2] <= 0.0):
+            self._rest()
+            return
+        if yaw_ned_rad is not None:
+            limit = self._params.max_yaw_rate_radps * dt_s
+            turn = wrap_pi(yaw_ned_rad - self.yaw_ned_rad)
+            self.yaw_ned_rad = wrap_pi(self.yaw_ned_rad + min(limit, max(-limit, turn)))
+        change = self._velocity_change(command_enu_mps, dt_s)
+        self._integrate(change, dt_s)
+
+    def _velocity_change(self, command_enu_mps: PositionEnu | None, dt_s: float) -> PositionEnu:
+        if command_enu_mps is None:
+            return (0.0, 0.0, -GRAVITY_MPS2 * dt_s)
+        target = limited_velocity(command_enu_mps, self._params)
+        response = 1.0 - math.exp(-dt_s / self._params.velocity_time_constant_s)
+        ve, vn, vu = self.velocity_enu_mps
+        de = (target[0] + self._drift[0] - ve) * response
+        dn = (target[1] + self._drift[1] - vn) * response
+        du = (target[2] - vu) * response
+        size = math.sqrt(de * de + dn * dn + du * du)
+        limit = self._params.max_acceleration_mps2 * dt_s
+        scale = 1.0 if size <= limit else limit / size
+        return (de * scale, dn * scale, du * scale)
+
+    def _integrate(self, change: PositionEnu, dt_s: float) -> None:
+        (e, n, u), (ve, vn, vu) = self.position_enu_m, self.velocity_enu_mps
+        half = 0.5 * dt_s
+        e += (2.0 * ve + change[0]) * half
+        n += (2.0 * vn + change[1]) * half
+        u += (2.0 * vu + change[2]) * half
+        ve, vn, vu = ve + change[0], vn + change[1], vu + change[2]
+        if u <= self.ground_up_m:
+            u, ve, vn, vu = self.ground_up_m, 0.0, 0.0, 0.0
+        self.position_enu_m = (e, n, u)
+        self.velocity_enu_mps = (ve, vn, vu)
+        self.acceleration_enu_mps2 = (change[0] / dt_s, change[1] / dt_s, change[2] / dt_s)
+
+    def _rest(self) -> None:
+        e, n, _ = self.position_enu_m
+        self.position_enu_m = (e, n, self.ground_up_m)
+        self.velocity_enu_mps = (0.0, 0.0, 0.0)
+        self.acceleration_enu_mps2 = (0.0, 0.0, 0.0)
+
+
+def limited_velocity(velocity_enu_mps: PositionEnu, params: VehicleParams) -> PositionEnu:
+    """The velocity within the vehicle's limits, its horizontal direction kept."""
+    ve, vn, vu = velocity_enu_mps
+    speed = math.hypot(ve, vn)
+    scale = 1.0 if speed <= params.max_speed_mps else params.max_speed_mps / speed
+    vu = min(params.max_climb_mps, max(-params.max_descent_mps, vu))
+    return (ve * scale, vn * scale, vu)
+
+
+def approach_speed_mps(distance_m: float, params: VehicleParams) -> float:
+    """How fast to close a distance: proportional when near, what can still be braked when far."""
+    gain = params.position_gain_per_s
+    braking = BRAKING_SHARE * params.max_acceleration_mps2
+    knee_m = braking / gain**2
+    if distance_m <= knee_m:
+        return gain * distance_m
+    return math.sqrt(2.0 * braking * (distance_m - 0.5 * knee_m))
+
+
+def approach_velocity(
+    position_enu_m: PositionEnu, goal_enu_m: PositionEnu, params: VehicleParams
+) -> PositionEnu:
+    """The velocity command that flies to a goal and stops there, within the limits."""
+    e, n, u = (goal - own for goal, own in zip(goal_enu_m, position_enu_m, strict=True))
+    distance = math.hypot(e, n)
+    scale = 0.0
+    if distance > 0.0:
+        scale = min(params.max_speed_mps, approach_speed_mps(distance, params)) / distance
+    climb = math.copysign(approach_speed_mps(abs(u), params), u)
+    return limited_velocity((e * scale, n * scale, climb), params)
+
+
+def stopping_point(
+    position_enu_m: PositionEnu, velocity_enu_mps: PositionEnu, params: VehicleParams
+) -> PositionEnu:
+    """Where a vehicle that brakes now comes to rest, about."""
+    speed = math.sqrt(sum(v * v for v in velocity_enu_mps))
+    time_s = params.velocity_time_constant_s + 0.5 * speed / params.max_acceleration_mps2
+    e, n, u = (p + v * time_s for p, v in zip(position_enu_m, velocity_enu_mps, strict=True))
+    return (e, n, u)

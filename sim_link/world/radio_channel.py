@@ -1,0 +1,114 @@
+"""The true radio channel: what a range or bearing suffers between emitter and vehicle.
+
+Paper, eq. (1): y = h(x; s) + delta + b + eps. One draw decides for a whole measurement whether the
+path is obstructed (NLOS). An obstructed path is longer, never shorter (range bias >= 0,
+exponential) and bent to either side (bearing bias, normal); thermal noise comes on top of both,
+and the offsets delta are constant.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+import msgspec
+import numpy as np
+
+from companion.domain import PositionEnu, RangingMeasurement
+from companion.geometry.frames import wrap_pi
+from companion.params import NonNegative, Params
+from sim_link.world.target import Emitter
+
+Probability = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
+
+MIN_RANGE_M = 0.01
+"""Measured ranges stay positive, as the paper has it."""
+
+
+class ChannelParams(Params, frozen=True):
+    """Offsets, obstruction and noise of the radio. Paper: "Simulation Setup"."""
+
+    range_offset_m: float = 1.5
+    bearing_offset_deg: float = -3.0
+    """Counter-clockwise positive, as the paper's angles are."""
+    p_nlos: Probability = 0.9
+    range_bias_mean_m: NonNegative = 8.0
+    bearing_bias_sigma_deg: NonNegative = 5.0
+    range_sigma_m: NonNegative = 1.5
+    bearing_sigma_deg: NonNegative = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelDraw:
+    """What chance adds to one measurement."""
+
+    is_nlos: bool
+    range_bias_m: float
+    bearing_bias_rad: float
+    range_noise_m: float
+    bearing_noise_rad: float
+
+
+class RadioChannel:
+    """Measures an emitter through the true channel.
+
+    Args:
+        params: Offsets, obstruction and noise.
+        rng: The channel's own generator.
+    """
+
+    def __init__(self, params: ChannelParams, rng: np.random.Generator) -> None:
+        self._params = params
+        self._rng = rng
+        self._range_offset_m = params.range_offset_m
+        self._bearing_offset_rad = math.radians(params.bearing_offset_deg)
+        self._bearing_bias_sigma_rad = math.radians(params.bearing_bias_sigma_deg)
+        self.bearing_sigma_rad = math.radians(params.bearing_sigma_deg)
+        self.range_sigma_m = params.range_sigma_m
+
+    def draw(self) -> ChannelDraw:
+        """The next random part; always consumes the same amount of randomness."""
+        uniform = float(self._rng.random())
+        exponential = float(self._rng.standard_exponential())
+        bend, range_noise, bearing_noise = self._rng.standard_normal(3).tolist()
+        is_nlos = uniform < self._params.p_nlos
+        return ChannelDraw(
+            is_nlos=is_nlos,
+            range_bias_m=self._params.range_bias_mean_m * exponential if is_nlos else 0.0,
+            bearing_bias_rad=self._bearing_bias_sigma_rad * bend if is_nlos else 0.0,
+            range_noise_m=self.range_sigma_m * range_noise,
+            bearing_noise_rad=self.bearing_sigma_rad * bearing_noise,
+        )
+
+    def measure(
+        self, emitter: Emitter, sensor_enu_m: PositionEnu, time_s: float
+    ) -> RangingMeasurement:
+        """One measurement of `emitter`; it does not tell whether the path was obstructed.
+
+        Args:
+            emitter: Whom to measure.
+            sensor_enu_m: True position of the sensor.
+            time_s: When, on the vehicle's clock.
+        """
+        draw = self.draw()
+        range_m = (
+            emitter.slant_range_m(sensor_enu_m)
+            + self._range_offset_m
+            + draw.range_bias_m
+            + draw.range_noise_m
+        )
+        bearing_rad = (
+            emitter.bearing_enu_rad(sensor_enu_m)
+            + self._bearing_offset_rad
+            + draw.bearing_bias_rad
+            + draw.bearing_noise_rad
+        )
+        return RangingMeasurement(
+            emitter_id=emitter.emitter_id,
+            measured_at_s=time_s,
+            range_m=max(MIN_RANGE_M, range_m),
+            range_sigma_m=self.range_sigma_m,
+            bearing_enu_rad=wrap_pi(bearing_rad),
+            bearing_sigma_rad=self.bearing_sigma_rad,
+        )

@@ -1,0 +1,277 @@
+"""Setpoints of the simulated PX4: validation, proof of life, loss and return."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from companion.domain import FlightMode
+from companion.geometry.frames import LocalOrigin
+from companion.mav import type_mask
+from companion.mav.dialect import Message, mavlink
+from sim_link.autopilot.scenario import AutopilotParams, LossAction, Scenario
+from tests.protocol.sim_helpers import (
+    ACCEPTED,
+    DENIED,
+    NAN,
+    TEMPORARILY_REJECTED,
+    GroundStation,
+    local_setpoint,
+)
+
+CRITICAL, ACTIVE = mavlink.MAV_STATE_CRITICAL, mavlink.MAV_STATE_ACTIVE
+ORIGIN = LocalOrigin(47.397742, 8.545594, 488.0)
+VELOCITY_ONLY = 0x0DC7
+
+
+def global_setpoint(
+    enu_m: tuple[float, float, float],
+    frame: int = mavlink.MAV_FRAME_GLOBAL_INT,
+    altitude_m: float | None = None,
+) -> Message:
+    lat, lon, alt = ORIGIN.geodetic_from_enu(enu_m)
+    return mavlink.MAVLink_set_position_target_global_int_message(
+        0,
+        1,
+        1,
+        frame,
+        type_mask.POSITION_ONLY,
+        round(lat * 1e7),
+        round(lon * 1e7),
+        alt if altitude_m is None else altitude_m,
+        *[0.0] * 8,
+    )
+
+
+@pytest.fixture
+def station() -> GroundStation:
+    station = GroundStation()
+    station.fly_offboard()
+    return station
+
+
+def test_flies_to_a_local_position_without_much_overshoot(station: GroundStation) -> None:
+    station.inbox.clear()
+    station.stream = lambda: local_setpoint(40.0, 70.0, -20.0)
+    station.run(30.0)
+    assert station.place == pytest.approx((40.0, 70.0, -20.0), abs=0.1)
+    easts = [m.y for m in station.all(mavlink.MAVLink_local_position_ned_message)]
+    assert max(easts) < 71.5
+
+
+def test_yaw_follows_when_it_is_not_masked(station: GroundStation) -> None:
+    station.stream = lambda: local_setpoint(yaw=-1.5, mask=type_mask.POSITION_AND_YAW)
+    station.run(5.0)
+    assert station.last(mavlink.MAVLink_attitude_message).yaw == pytest.approx(-1.5, abs=0.01)
+    station.stream = local_setpoint
+    station.run(2.0)
+    assert station.last(mavlink.MAVLink_attitude_message).yaw == pytest.approx(-1.5, abs=0.01)
+
+
+def test_turns_clockwise_at_a_yaw_rate(station: GroundStation) -> None:
+    station.stream = lambda: local_setpoint(yaw_rate=0.2, mask=0x05F8)
+    station.run(5.0)
+    assert station.last(mavlink.MAVLink_attitude_message).yaw == pytest.approx(1.0, abs=0.05)
+
+
+def test_flies_a_velocity_in_north_east_down(station: GroundStation) -> None:
+    station.stream = lambda: local_setpoint(
+        NAN, NAN, NAN, vx=2.0, vy=-1.0, vz=-0.5, mask=VELOCITY_ONLY
+    )
+    station.run(5.0)
+    report = station.last(mavlink.MAVLink_local_position_ned_message)
+    assert (report.vx, report.vy, report.vz) == pytest.approx((2.0, -1.0, -0.5), abs=0.01)
+
+
+@pytest.mark.parametrize(
+    "setpoint",
+    [
+        global_setpoint((30.0, 20.0, 12.0)),
+        global_setpoint((30.0, 20.0, 12.0), mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT, 12.0),
+    ],
+    ids=["above sea level", "above home"],
+)
+def test_flies_to_a_global_position(station: GroundStation, setpoint: Message) -> None:
+    station.stream = lambda: setpoint
+    station.run(20.0)
+    assert station.place == pytest.approx((20.0, 30.0, -12.0), abs=0.1)
+
+
+def test_shows_the_target_it_flies_to_in_offboard_only(station: GroundStation) -> None:
+    target = station.last(mavlink.MAVLink_position_target_local_ned_message)
+    assert (target.x, target.y, target.z) == (10.0, 10.0, -10.0)
+    assert target.type_mask == type_mask.POSITION_ONLY
+    assert station.set_mode(FlightMode.HOLD) == ACCEPTED
+    number = float(mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED)
+    assert station.command(mavlink.MAV_CMD_REQUEST_MESSAGE, number) == DENIED
+    station.run(0.2)
+    station.inbox.clear()
+    station.run(1.0)
+    assert not station.all(mavlink.MAVLink_position_target_local_ned_message)
+
+
+def test_losing_the_stream_is_a_failsafe_one_second_after_the_last_setpoint(
+    station: GroundStation,
+) -> None:
+    station.run(0.1)
+    station.send(local_setpoint())
+    station.stream = None
+    lost_s = station.run_until(lambda: station.mode is not FlightMode.OFFBOARD, 3.0)
+    assert 1.0 <= lost_s <= 1.06
+    assert station.mode is FlightMode.HOLD
+    assert station.status == CRITICAL
+
+
+@pytest.mark.parametrize(
+    ("action", "mode"),
+    [
+        ("hold", FlightMode.HOLD),
+        ("position", FlightMode.POSITION),
+        ("return", FlightMode.RETURN),
+        ("land", FlightMode.LAND),
+    ],
+)
+def test_comes_back_to_offboard_by_itself_from_every_reaction(
+    action: LossAction, mode: FlightMode
+) -> None:
+    station = GroundStation(Scenario(autopilot=AutopilotParams(offboard_loss_action=action)))
+    station.fly_offboard()
+    station.stream = None
+    station.run(2.0)
+    assert (station.mode, station.status) == (mode, CRITICAL)
+    station.stream = local_setpoint
+    station.run(0.2)
+    assert (station.mode, station.status) == (FlightMode.OFFBOARD, ACTIVE)
+
+
+def test_does_not_come_back_if_the_operator_chose_another_mode(station: GroundStation) -> None:
+    station.stream = None
+    station.run(2.0)
+    assert station.set_mode(FlightMode.OFFBOARD) == TEMPORARILY_REJECTED
+    assert station.set_mode(FlightMode.LAND) == ACCEPTED
+    assert station.status == ACTIVE
+    station.stream = local_setpoint
+    station.run(1.0)
+    assert station.mode is FlightMode.LAND
+
+
+def test_choosing_the_mode_of_the_failsafe_itself_ends_it_too(station: GroundStation) -> None:
+    station.stream = None
+    station.run(2.0)
+    assert station.set_mode(FlightMode.HOLD) == ACCEPTED
+    assert station.status == ACTIVE
+    station.stream = local_setpoint
+    station.run(1.0)
+    assert station.mode is FlightMode.HOLD
+
+
+def test_a_failsafe_landing_ends_the_wish_for_offboard() -> None:
+    station = GroundStation(Scenario(autopilot=AutopilotParams(offboard_loss_action="land")))
+    station.fly_offboard()
+    station.stream = None
+    station.run_until(lambda: not station.is_armed, 40.0)
+    station.stream = local_setpoint
+    station.run(1.0)
+    assert station.mode is FlightMode.HOLD
+    assert station.status == mavlink.MAV_STATE_STANDBY
+
+
+def test_without_sticks_position_mode_sinks() -> None:
+    station = GroundStation(Scenario(autopilot=AutopilotParams(offboard_loss_action="position")))
+    station.fly_offboard()
+    station.stream = None
+    station.run(2.0)
+    down = station.place[2]
+    station.run(3.0)
+    assert 0.6 <= (station.place[2] - down) / 3.0 <= 0.9
+
+
+@pytest.mark.parametrize(
+    ("gap_s", "holds"), [(0.3, True), (0.6, True), (0.9, True), (1.1, False), (1.5, False)]
+)
+def test_gaps_in_the_stream(station: GroundStation, gap_s: float, holds: bool) -> None:
+    station.stream = None
+    station.send(local_setpoint())
+    station.inbox.clear()
+    station.run(gap_s)
+    assert (station.mode is FlightMode.OFFBOARD) == holds
+    station.send(local_setpoint())
+    station.run(0.02)
+    assert station.mode is FlightMode.OFFBOARD
+
+
+INVALID = {
+    "x is NaN": local_setpoint(x=NAN),
+    "z is infinite": local_setpoint(z=-math.inf),
+    "yaw is NaN": local_setpoint(yaw=NAN, mask=type_mask.POSITION_AND_YAW),
+    "velocity is NaN": local_setpoint(vx=NAN, mask=VELOCITY_ONLY),
+    "all masked": local_setpoint(mask=0xFDFF),
+    "everything masked": local_setpoint(mask=0xFFFF),
+    "acceleration only": local_setpoint(mask=0x0C3F),
+    "force bit": local_setpoint(mask=type_mask.POSITION_ONLY | type_mask.FORCE_SET),
+    "global frame": local_setpoint(frame=mavlink.MAV_FRAME_GLOBAL),
+    "body frame": local_setpoint(frame=mavlink.MAV_FRAME_BODY_NED),
+    "offset frame": local_setpoint(frame=mavlink.MAV_FRAME_LOCAL_OFFSET_NED),
+    "other system": local_setpoint(system=2),
+    "other component": local_setpoint(component=191),
+    "altitude is NaN": global_setpoint((30.0, 20.0, 12.0), altitude_m=NAN),
+    "terrain frame": global_setpoint((30.0, 20.0, 12.0), mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT),
+    "not an INT frame": global_setpoint((30.0, 20.0, 12.0), mavlink.MAV_FRAME_GLOBAL),
+    "no latitude": mavlink.MAVLink_set_position_target_global_int_message(
+        0, 1, 1, 5, type_mask.POSITION_ONLY, 2**31 - 1, 0, 500.0, *[0.0] * 8
+    ),
+}
+
+
+@pytest.mark.parametrize("name", INVALID)
+def test_an_invalid_setpoint_is_no_proof_of_life_and_moves_nothing(
+    station: GroundStation, name: str
+) -> None:
+    before = station.place
+    station.stream = lambda: INVALID[name]
+    station.run(2.0)
+    assert station.mode is FlightMode.HOLD
+    assert station.status == CRITICAL
+    assert station.place == pytest.approx(before, abs=0.3)
+
+
+@pytest.mark.parametrize("mask", [type_mask.POSITION_ONLY | 4, type_mask.POSITION_ONLY | 1])
+def test_a_setpoint_without_all_axes_keeps_offboard_and_stays_in_place(
+    station: GroundStation, mask: int
+) -> None:
+    before = station.place
+    station.stream = lambda: local_setpoint(90.0, 90.0, -50.0, mask=mask)
+    station.run(5.0)
+    assert station.mode is FlightMode.OFFBOARD
+    assert station.place == pytest.approx(before, abs=0.3)
+
+
+def test_a_broadcast_setpoint_is_obeyed(station: GroundStation) -> None:
+    station.stream = lambda: local_setpoint(20.0, system=0, component=0)
+    station.run(10.0)
+    assert station.place[0] == pytest.approx(20.0, abs=0.1)
+
+
+def test_setpoints_outside_offboard_move_nothing() -> None:
+    station = GroundStation()
+    station.take_off()
+    before = station.place
+    station.stream = lambda: local_setpoint(90.0, 90.0, -50.0)
+    station.run(5.0)
+    assert station.place == pytest.approx(before, abs=0.1)
+
+
+def test_a_setpoint_under_the_ground_neither_lands_nor_disarms(station: GroundStation) -> None:
+    station.stream = lambda: local_setpoint(z=20.0)
+    station.run(30.0)
+    assert station.place[2] == 0.0
+    assert station.is_armed
+    assert station.mode is FlightMode.OFFBOARD
+
+
+def test_nothing_protects_the_vehicle_from_a_setpoint_far_away(station: GroundStation) -> None:
+    station.stream = lambda: local_setpoint(x=1e9)
+    station.run(5.0)
+    report = station.last(mavlink.MAVLink_local_position_ned_message)
+    assert report.vx == pytest.approx(10.0, abs=0.1)

@@ -1,0 +1,73 @@
+"""The command line: bad input, without opening a port that could be in use."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from sim_link.cli import main
+
+
+@pytest.fixture
+def taken_port() -> Iterator[int]:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", 0))
+        yield int(other.getsockname()[1])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (["--speed", "0"], "--speed"),
+        (["--speed", "-1"], "--speed"),
+        (["--speed", "nan"], "--speed"),
+        (["--speed", "inf"], "--speed"),
+        (["--speed", "fast"], "--speed"),
+        (["--seed", "-1"], "--seed"),
+        (["--seed", "1.5"], "--seed"),
+        (["--listen", "14580"], "--listen"),
+        (["--listen", "127.0.0.1:99999"], "--listen"),
+        (["--send-to", "nowhere"], "--send-to"),
+        (["--scenario", "no/such/file.yaml"], "no/such/file.yaml"),
+        (["--report", "no/such/folder/report.json"], "no/such/folder"),
+        (["--report", ""], "--report"),
+        (["--nonsense"], "--nonsense"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(
+    capsys: pytest.CaptureFixture[str], arguments: list[str], word: str
+) -> None:
+    assert main(arguments) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.count("\n") == 1
+    assert word in captured.err
+
+
+def test_a_bad_scenario_names_its_key(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "bad.yaml"
+    path.write_text("channel:\n  p_nlos: often\n", encoding="utf-8")
+    assert main(["--scenario", str(path)]) == 2
+    error = capsys.readouterr().err
+    assert "$.channel.p_nlos" in error
+    assert error.count("\n") == 1
+
+
+def test_a_taken_port_is_said_in_one_line(
+    taken_port: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["--listen", f"127.0.0.1:{taken_port}"]) == 2
+    error = capsys.readouterr().err
+    assert str(taken_port) in error
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize(("option", "word"), [("--help", "example:"), ("--version", "0.")])
+def test_help_and_version(option: str, word: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main([option])
+    assert caught.value.code == 0
+    assert word in capsys.readouterr().out

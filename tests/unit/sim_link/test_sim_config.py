@@ -1,0 +1,63 @@
+"""Scenario files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from companion.errors import ConfigError
+from sim_link.config import Scenario, load_scenario
+
+CANONICAL = Path(__file__).parents[3] / "configs" / "scenarios" / "canonical.yaml"
+
+
+def test_the_canonical_file_spells_out_the_defaults() -> None:
+    assert load_scenario(CANONICAL) == Scenario()
+
+
+def test_the_canonical_file_names_every_key() -> None:
+    text = CANONICAL.read_text(encoding="utf-8")
+    for record in (Scenario(), *(getattr(Scenario(), name) for name in Scenario.__struct_fields__)):
+        for name in getattr(type(record), "__struct_fields__", ()):
+            assert f"{name}:" in text
+
+
+def test_keys_left_out_keep_their_canonical_value(tmp_path: Path) -> None:
+    path = tmp_path / "windy.yaml"
+    path.write_text("name: windy\nwind:\n  east_mps: 5\n", encoding="utf-8")
+    scenario = load_scenario(path)
+    assert (scenario.name, scenario.wind.east_mps) == ("windy", 5.0)
+    assert scenario.channel == Scenario().channel
+
+
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        ("channel:\n  p_nlos: 1.5\n", "$.channel.p_nlos"),
+        ("channel:\n  p_nloss: 0.5\n", "$.channel.p_nloss"),
+        ("channel:\n  range_sigma_m: -1\n", "$.channel.range_sigma_m"),
+        ("autopilot:\n  offboard_loss_action: crash\n", "$.autopilot.offboard_loss_action"),
+        ("system_id: 0\n", "$.system_id"),
+        ("system_id: 256\n", "$.system_id"),
+        ("start_enu_m: [1.0]\n", "$.start_enu_m"),
+        ("start_enu_m: [1e9, 0]\n", "$.start_enu_m"),
+        ("wind:\n  north_mps: .nan\n", "$.wind.north_mps"),
+        ("vehicle:\n  max_speed_mps: 0\n", "$.vehicle.max_speed_mps"),
+        ("vehicle:\n  max_speed_mps: fast\n", "$.vehicle.max_speed_mps"),
+        ("origin:\n  latitude_deg: 95\n", "$.origin.latitude_deg"),
+        ("emitter: 5\n", "$.emitter"),
+        ("- 1\n", "$"),
+    ],
+)
+def test_errors_name_the_file_and_the_key_in_one_line(
+    tmp_path: Path, text: str, place: str
+) -> None:
+    path = tmp_path / "bad.yaml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigError) as caught:
+        load_scenario(path)
+    message = str(caught.value)
+    assert str(path) in message
+    assert place in message
+    assert "\n" not in message
