@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import time
 from collections.abc import Sequence
@@ -9,14 +10,16 @@ from pathlib import Path
 from typing import Any
 
 from companion.config.schema import CompanionConfig, PlannerConfig
+from companion.errors import LinkError
 from companion.estimation.tracker import TargetTracker
 from companion.guard.gate import Guard
 from companion.guidance.session import GuidanceSession
+from companion.guidance.states import Phase
 from companion.io.clock import Clock
 from companion.io.files import new_flight_directory
 from companion.io.journal import FlightJournal
 from companion.io.links import LinkSpec
-from companion.io.shell import run_endpoint
+from companion.io.shell import Shell
 from companion.link.endpoint import CompanionEndpoint, Journal
 from companion.planning.base import Planner
 from companion.planning.latched_crossing import LatchedCrossing
@@ -67,13 +70,22 @@ def open_journal(config: CompanionConfig) -> FlightJournal:
     return FlightJournal(directory, started_unix_s)
 
 
-def fly(config: CompanionConfig, links: Sequence[LinkSpec], clock: Clock) -> CompanionEndpoint:
+def is_handed_over(endpoint: CompanionEndpoint) -> bool:
+    """Whether the target is reported and the vehicle no longer obeys us."""
+    session = endpoint.session
+    return session.phase is Phase.FINISHED and not session.vehicle.is_ours
+
+
+def fly(
+    config: CompanionConfig, links: Sequence[LinkSpec], clock: Clock, *, once: bool = False
+) -> CompanionEndpoint:
     """Fly until asked to stop; the endpoint as it was at the end.
 
     Args:
         config: The configuration.
         links: The vehicle's link, then those that carry only ranging.
         clock: Where the time comes from.
+        once: End by itself once the target is reported and the vehicle handed over.
 
     Raises:
         LinkError: A link cannot be opened; nothing was sent.
@@ -82,8 +94,17 @@ def fly(config: CompanionConfig, links: Sequence[LinkSpec], clock: Clock) -> Com
     journal = open_journal(config)
     endpoint = build_endpoint(config, journal, len(links) - 1)
     log.info("flight log: %s", journal.directory)
+    shell = Shell(endpoint, links, clock, lambda _: stop_if_done())
+
+    def stop_if_done() -> None:
+        if once and is_handed_over(endpoint):
+            shell.request_stop()
+
     try:
-        run_endpoint(endpoint, links, clock)
+        asyncio.run(shell.run())
+    except LinkError:
+        journal.discard()
+        raise
     finally:
         journal.close()
     return endpoint

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import asyncio
 import os
 import sys
+import threading
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
@@ -14,7 +16,7 @@ from companion.errors import CompanionError, ConfigError
 from companion.io.clock import Clock
 from companion.io.files import write_json_atomic
 from companion.io.links import UdpFanOut
-from companion.io.shell import run_endpoint
+from companion.io.shell import Shell
 from companion.io.urls import parse_link_url
 from companion.mav.endpoint import Address
 from sim_link.autopilot.endpoint import SimEndpoint
@@ -118,6 +120,11 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         type=Path,
         help="write the truth as JSON at the start, and the flight with it at the end",
     )
+    parser.add_argument(
+        "--stop-on-eof",
+        action="store_true",
+        help="stop when standard input ends: a parent that dies leaves no simulator behind",
+    )
     parser.add_argument("--quiet", action="store_true", help="do not print mode changes")
     parser.add_argument("--version", action="version", version=f"sim-link {__version__}")
     return parser.parse_args(argv)
@@ -143,12 +150,21 @@ def _run(arguments: argparse.Namespace) -> int:
 
     voice.say(_start_line(scenario, seed, speed, listen, send_to))
     try:
-        run_endpoint(endpoint, [UdpFanOut(*listen, tuple(send_to))], Clock(speed), on_wakeup)
+        shell = Shell(endpoint, [UdpFanOut(*listen, tuple(send_to))], Clock(speed), on_wakeup)
+        if arguments.stop_on_eof:
+            threading.Thread(target=_stop_at_eof, args=(shell,), daemon=True).start()
+        asyncio.run(shell.run())
     finally:
         if report is not None:
             write_json_atomic(report, end_report(endpoint, seed, speed))
     voice.say(_summary(endpoint))
     return 0
+
+
+def _stop_at_eof(shell: Shell) -> None:
+    while os.read(sys.stdin.fileno(), 4096):
+        pass
+    shell.request_stop()
 
 
 def _seed(seed: int) -> int:

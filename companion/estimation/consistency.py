@@ -39,6 +39,9 @@ PRIOR_COUNT = 30.0
 MAX_INFLATION = 400.0
 MAX_CORRELATION = 0.98
 
+GOLDEN_ANGLE_RAD = math.pi * (3.0 - math.sqrt(5.0))
+"""Turn between neighbours on a spiral that covers a disc evenly."""
+
 MIN_AXIS_RATIO = 4e-3
 """Ellipses thinner than this (in variance) are taken as this thin; R95 differs by under 0.1 %."""
 
@@ -54,7 +57,7 @@ class NoiseMonitor:
     slope_sum: float
     """Count of measurements on the quadratic part (psi' = 1)."""
     lag_sum: float
-    """Sum of products of consecutive influences."""
+    """Sum of products of consecutive influences; the first of a chain has none before it."""
     previous: float | None = None
 
     @classmethod
@@ -65,7 +68,7 @@ class NoiseMonitor:
     def after(self, u: float, k_long: float, k_short: float) -> NoiseMonitor:
         """The moments after one more whitened innovation `u`."""
         influence = float(asymmetric_huber_influence(u, k_long, k_short))
-        previous = influence if self.previous is None else self.previous
+        previous = 0.0 if self.previous is None else self.previous
         return NoiseMonitor(
             count=FORGETTING * self.count + 1.0,
             weight_sum=FORGETTING * self.weight_sum + (influence / u if u != 0.0 else 1.0),
@@ -143,13 +146,12 @@ def r95_of_mixture_m(
     Args:
         centre_m: (2,).
         components: (probability, mean (2,), covariance (2, 2)), probabilities summing to 1.
-        rings: Resolution; each component is `2 * rings**2` points of equal probability.
+        rings: Resolution; each component is `2 * rings**2` points of equal probability, laid out
+            along a spiral so that no two share a radius.
     """
-    quantiles = (np.arange(rings) + 0.5) / rings
-    radii = np.sqrt(-2.0 * np.log1p(-quantiles))
-    angles = (np.arange(2 * rings) + 0.5) * (math.pi / rings)
-    unit = np.stack([np.cos(angles), np.sin(angles)])
-    normal = (radii[:, None, None] * unit[None]).transpose(1, 0, 2).reshape(2, -1)
+    order = np.arange(2 * rings**2)
+    radii = np.sqrt(-2.0 * np.log1p(-(order + 0.5) / order.size))
+    normal = radii * np.stack([np.cos(GOLDEN_ANGLE_RAD * order), np.sin(GOLDEN_ANGLE_RAD * order)])
     distances, weights = [], []
     for probability, mean, covariance in components:
         values, vectors = np.linalg.eigh(covariance)
@@ -157,6 +159,6 @@ def r95_of_mixture_m(
         distances.append(np.hypot(*(points - centre_m[:, None])))
         weights.append(np.full(normal.shape[1], probability / normal.shape[1]))
     distance, weight = np.concatenate(distances), np.concatenate(weights)
-    order = np.argsort(distance)
-    reached = np.searchsorted(np.cumsum(weight[order]), 0.95)
-    return float(distance[order][min(int(reached), distance.size - 1)])
+    nearest_first = np.argsort(distance)
+    reached = np.searchsorted(np.cumsum(weight[nearest_first]), 0.95)
+    return float(distance[nearest_first][min(int(reached), distance.size - 1)])

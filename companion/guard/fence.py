@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import combinations
 
 from companion.geometry.polygons import (
     Point,
@@ -16,13 +18,17 @@ from companion.geometry.polygons import (
     nearest_on_segment,
 )
 
+ROUNDING_M = 1e-6
+"""How much farther in than the margin a point is put, so that rounding cannot undo it."""
+
 
 @dataclass(frozen=True, slots=True)
 class Fence:
     """A simple polygon in local east and north with a margin inside its border.
 
     Raises:
-        ValueError: Fewer than 3 corners, crossing edges, no area, or nothing left by the margin.
+        ValueError: Fewer than 3 corners, crossing edges, no area, a negative margin, or nothing
+            left by it.
     """
 
     polygon_enu_m: tuple[Point, ...]
@@ -38,6 +44,8 @@ class Fence:
             raise ValueError("two edges of the fence cross each other")
         if area_m2(self.polygon_enu_m) < 1.0:
             raise ValueError("the fence encloses no area")
+        if not self.margin_m >= 0.0:
+            raise ValueError("the margin of a fence must not be negative")
         if depth_m(self.polygon_enu_m, deepest_point(self.polygon_enu_m)) <= self.margin_m:
             raise ValueError(f"the margin of {self.margin_m:g} m leaves nothing of the fence")
 
@@ -53,7 +61,7 @@ class Fence:
         """The farthest allowed point on the straight way from `start` to `goal`.
 
         From a start that is not allowed itself (blown outside, or started there) the result is
-        an allowed point behind the nearest border instead: only ever inwards.
+        the nearest allowed point instead: only ever inwards.
         """
         if not self.allows(start):
             return self.nearest_allowed(start)
@@ -74,23 +82,28 @@ class Fence:
         return _between(start, goal, inside)
 
     def nearest_allowed(self, point: Point) -> Point:
-        """`point` if it is allowed, otherwise the first allowed one from the border inwards."""
+        """`point` if it is allowed, otherwise the nearest allowed one."""
         if self.allows(point):
             return point
-        border = min(
-            (nearest_on_segment(a, b, point) for a, b in edges(self.polygon_enu_m)),
-            key=lambda candidate: math.dist(candidate, point),
-        )
-        towards = deepest_point(self.polygon_enu_m)
-        inwards = point if contains(self.polygon_enu_m, point) else border
-        low, high = 0.0, 1.0
-        for _ in range(40):
-            middle = 0.5 * (low + high)
-            if self.allows(_between(inwards, towards, middle)):
-                high = middle
-            else:
-                low = middle
-        return _between(inwards, towards, high)
+        candidates = sorted(self._brink(point), key=lambda candidate: math.dist(candidate, point))
+        nearest = next((candidate for candidate in candidates if self.allows(candidate)), None)
+        return deepest_point(self.polygon_enu_m) if nearest is None else nearest
+
+    def _brink(self, point: Point) -> Iterator[Point]:
+        """Where the allowed area may be nearest to `point`.
+
+        That is on an edge moved inwards by the margin, where two of those meet, or on the circle
+        about a corner that the inside goes around.
+        """
+        sides = [(a, b) for a, b in edges(self.polygon_enu_m) if a != b]
+        turn = sum(a[0] * b[1] - b[0] * a[1] for a, b in sides)
+        inset_m = math.copysign(self.margin_m + ROUNDING_M, turn)
+        moved = [_moved_left(a, b, inset_m) for a, b in sides]
+        yield from (nearest_on_segment(a, b, point) for a, b in moved)
+        yield from (m for pair in combinations(moved, 2) if (m := _meeting(*pair)) is not None)
+        for corner, _ in sides:
+            if (distance := math.dist(corner, point)) > 0.0:
+                yield _between(corner, point, abs(inset_m) / distance)
 
     def _share_of_way(self, start: Point, goal: Point) -> float:
         """Step of the search: no narrower notch than a quarter of the margin is jumped over."""
@@ -100,3 +113,20 @@ class Fence:
 
 def _between(a: Point, b: Point, share: float) -> Point:
     return (a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]))
+
+
+def _moved_left(start: Point, end: Point, by_m: float) -> tuple[Point, Point]:
+    """A segment moved sideways, to the left of its direction."""
+    share = by_m / math.dist(start, end)
+    east, north = share * (start[1] - end[1]), share * (end[0] - start[0])
+    return (start[0] + east, start[1] + north), (end[0] + east, end[1] + north)
+
+
+def _meeting(first: tuple[Point, Point], second: tuple[Point, Point]) -> Point | None:
+    """Where the straight lines through two segments meet, or None if they are parallel."""
+    (a, b), (c, d) = first, second
+    cross = (b[0] - a[0]) * (d[1] - c[1]) - (b[1] - a[1]) * (d[0] - c[0])
+    if cross == 0.0:
+        return None
+    along = (c[0] - a[0]) * (d[1] - c[1]) - (c[1] - a[1]) * (d[0] - c[0])
+    return _between(a, b, along / cross)

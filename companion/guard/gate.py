@@ -24,7 +24,7 @@ MAX_TICK_S = 0.2
 class GuardReason(Enum):
     """Why a setpoint is not where the planner wanted it."""
 
-    NOT_FINITE = "goal is not a finite number"
+    NOT_FINITE = "goal, vehicle, home or time is not a finite number"
     FENCE = "goal is outside the fence"
     OUTSIDE = "vehicle is outside the fence"
     ALTITUDE = "goal is outside the altitude band"
@@ -100,7 +100,7 @@ class Guard:
             dt_s: Time since the setpoint before.
         """
         reasons: list[GuardReason] = []
-        if not all(math.isfinite(v) for v in goal_enu_m):
+        if not all(map(math.isfinite, (*goal_enu_m, *vehicle_enu_m, home_up_m, dt_s))):
             return Guarded(previous_enu_m, (GuardReason.NOT_FINITE,))
         dt_s = min(max(dt_s, 0.0), MAX_TICK_S)
         goal_up = self._in_band(goal_enu_m[2], home_up_m, reasons)

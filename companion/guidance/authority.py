@@ -17,19 +17,23 @@ class Authority:
         self.phase = Phase.WAITING
         self.since_s = 0.0
         """When the phase began."""
+        self.has_let_go = False
+        """Since the report the vehicle was seen out of offboard: it is not ours any more."""
         self._must_leave_offboard = False
         self._has_heartbeat = False
 
     def enter(self, trigger: Trigger, now_s: float) -> Phase | None:
         """Apply a trigger; the phase that was left, or None if nothing changed."""
+        if trigger is Trigger.GRANTED:
+            self._must_leave_offboard = False
         left = self.phase
         phase = next_phase(left, trigger)
         if phase is left:
             return None
         self.phase = phase
         self.since_s = now_s
-        if trigger is Trigger.GRANTED:
-            self._must_leave_offboard = False
+        if phase is Phase.FINISHED:
+            self.has_let_go = False
         return left
 
     def observe(self, heartbeat: HeartbeatReceived) -> None:
@@ -40,6 +44,8 @@ class Authority:
         (PX4 re-enters offboard by itself when setpoints return).
         """
         is_offboard = heartbeat.mode is FlightMode.OFFBOARD
+        if self.phase is Phase.FINISHED and not (heartbeat.is_armed and is_offboard):
+            self.has_let_go = True
         if not self._has_heartbeat:
             self._has_heartbeat = True
             self._must_leave_offboard = heartbeat.is_armed and (

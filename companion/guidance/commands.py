@@ -56,6 +56,11 @@ class TakeOff:
 
 
 @dataclass(frozen=True, slots=True)
+class WithdrawRequest:
+    """Forget what was asked and not answered yet: it must not be sent again."""
+
+
+@dataclass(frozen=True, slots=True)
 class Announce:
     """A text for the operator: log and STATUSTEXT."""
 
@@ -80,4 +85,14 @@ class Record:
     fields: Mapping[str, object]
 
 
-Command = SendHeartbeat | SendSetpoint | SetMode | Arm | TakeOff | Announce | ReportResult | Record
+Command = (
+    SendHeartbeat
+    | SendSetpoint
+    | SetMode
+    | Arm
+    | TakeOff
+    | WithdrawRequest
+    | Announce
+    | ReportResult
+    | Record
+)

@@ -50,6 +50,8 @@ class LaunchView:
     height_m: float
     """Above home."""
     home_up_m: float
+    has_origin: bool = True
+    """Whether altitudes can be told above sea level, as PX4 wants the takeoff's."""
 
 
 class Launch:
@@ -67,6 +69,9 @@ class Launch:
         self._since_s = started_s
         self._retry_s = started_s
         self._is_asked = False
+        self._modes: frozenset[FlightMode] = frozenset()
+        """Modes that the launch itself leads through."""
+        self._was_armed = False
 
     @property
     def is_at_offboard(self) -> bool:
@@ -77,6 +82,25 @@ class Launch:
     def has_asked(self) -> bool:
         """Whether anything was asked of the autopilot yet."""
         return self.stage is not Stage.READY
+
+    @property
+    def may_be_flying(self) -> bool:
+        """Whether the vehicle may be armed by now, shown or not."""
+        return self.stage in (Stage.TAKE_OFF, Stage.CLIMB, Stage.PRESTREAM, Stage.OFFBOARD)
+
+    def observe(self, heartbeat: HeartbeatReceived) -> str | None:
+        """Why a heartbeat ends the launch, or None: someone else took the vehicle."""
+        if not self.has_asked:
+            return None
+        if not heartbeat.is_armed:
+            return "disarmed" if self._was_armed else None
+        self._was_armed = True
+        if heartbeat.is_failsafe:
+            return "failsafe"
+        is_expected = heartbeat.mode in self._modes or (
+            self.is_at_offboard and heartbeat.mode is FlightMode.OFFBOARD
+        )
+        return None if is_expected else f"mode is {heartbeat.mode.value}"
 
     @property
     def wants_stream(self) -> bool:
@@ -131,9 +155,16 @@ class Launch:
 
     def _when_ready(self, view: LaunchView) -> list[Command]:
         heartbeat = view.heartbeat
+        if heartbeat.autopilot is Autopilot.OTHER:
+            self.failure = "only PX4 and ArduPilot can be launched"
+        elif heartbeat.is_armed and heartbeat.mode not in _launch_modes(heartbeat.autopilot):
+            self.failure = f"the vehicle is being flown already, in {heartbeat.mode.value}"
+        if self.failure is not None:
+            return []
+        self._modes = _modes_on_the_way(heartbeat)
         if heartbeat.is_armed and view.height_m >= CLIMBED_SHARE * self.altitude_m:
             self._enter(Stage.PRESTREAM, view.now_s)
-        elif heartbeat.is_ready:
+        elif heartbeat.is_ready and view.has_origin:
             self._enter(Stage.MODE if self._launch_mode(heartbeat) else Stage.ARM, view.now_s)
         elif view.now_s - self._since_s > READY_TIMEOUT_S:
             self.failure = "the autopilot does not become ready to arm"
@@ -154,11 +185,15 @@ class Launch:
             return []
         if view.now_s < self._retry_s:
             return []
+        if self.stage is Stage.MODE:
+            mode = self._launch_mode(view.heartbeat)
+            if mode is None:
+                self._enter(Stage.ARM, view.now_s)
+            else:
+                self._is_asked = True
+                return [SetMode(mode, view.heartbeat.is_armed)]
         self._is_asked = True
         match self.stage:
-            case Stage.MODE:
-                mode = self._launch_mode(view.heartbeat) or view.heartbeat.mode
-                return [SetMode(mode, view.heartbeat.is_armed)]
             case Stage.ARM:
                 return [Arm()]
             case Stage.TAKE_OFF:
@@ -170,3 +205,22 @@ class Launch:
             self._enter(Stage.PRESTREAM, view.now_s)
         elif view.now_s - self._since_s > CLIMB_TIMEOUT_S:
             self.failure = "the vehicle did not climb to its altitude"
+
+
+def _launch_modes(autopilot: Autopilot) -> frozenset[FlightMode]:
+    """Modes in which an armed vehicle is nobody's and may be launched or taken over."""
+    if autopilot is Autopilot.ARDUPILOT:
+        return frozenset({FlightMode.OFFBOARD, FlightMode.HOLD})
+    return frozenset({FlightMode.HOLD, FlightMode.TAKEOFF, FlightMode.READY})
+
+
+def _modes_on_the_way(heartbeat: HeartbeatReceived) -> frozenset[FlightMode]:
+    """Modes that an armed vehicle shows if nobody interferes.
+
+    ArduPilot is launched in GUIDED from the start, so its hold mode is somebody's choice, unless
+    the vehicle was found in it.
+    """
+    if heartbeat.autopilot is not Autopilot.ARDUPILOT:
+        return _launch_modes(heartbeat.autopilot)
+    found = {heartbeat.mode} if heartbeat.is_armed else set()
+    return frozenset({FlightMode.OFFBOARD} | found)

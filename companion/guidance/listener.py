@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 from companion.domain import RangingMeasurement
@@ -18,7 +19,8 @@ class RangingListener:
     """Feeds the tracker.
 
     A measurement that is newer than the newest own position waits until a position on its other
-    side arrives, so that its place is interpolated; one that waits in vain is refused.
+    side arrives, so that its place is interpolated; one that waits in vain is refused, and so is
+    one from a time that will not come.
 
     Args:
         tracker: The estimate of the target.
@@ -48,10 +50,11 @@ class RangingListener:
         reports, waiting = [], []
         for measurement in self._waiting:
             is_covered = latest is not None and measurement.measured_at_s <= latest.time_s
-            if is_covered or now_s - measurement.measured_at_s > self._patience_s:
-                reports.append(self._fuse(measurement, now_s))
-            else:
+            is_recent = abs(now_s - measurement.measured_at_s) <= self._patience_s
+            if is_recent and not is_covered:
                 waiting.append(measurement)
+            else:
+                reports.append(self._fuse(measurement, now_s))
         self._waiting = waiting
         return reports
 
@@ -60,7 +63,8 @@ class RangingListener:
         body_rad = measurement.bearing_body_rad
         if body_rad is not None and measurement.bearing_enu_rad is None:
             yaw_ned_rad = self._track.yaw_at(measurement.measured_at_s)
-            if yaw_ned_rad is not None:
+            # The wire may carry infinities; the tracker refuses those as they are.
+            if yaw_ned_rad is not None and math.isfinite(body_rad):
                 bearing_enu_rad = bearing_enu_from_ned(yaw_ned_rad + body_rad)
                 measurement = replace(measurement, bearing_enu_rad=bearing_enu_rad)
         return self._tracker.fuse(measurement, sensor_enu_m, now_s)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from companion.domain import TargetEstimate, Waypoint
 from companion.estimation.tracker import FusionReport
-from companion.guidance.commands import Record
+from companion.geometry.frames import LocalOrigin
+from companion.guidance.commands import Record, ReportResult
 
 
 def estimate_record(report: FusionReport, estimate: TargetEstimate) -> Record:
@@ -34,3 +35,22 @@ def waypoint_record(waypoint: Waypoint) -> Record:
         "detail": waypoint.detail,
     }
     return Record("waypoint", fields)
+
+
+def result_of(
+    estimate: TargetEstimate, origin: LocalOrigin | None, target_height_m: float
+) -> tuple[ReportResult, str]:
+    """The result of the flight, and the operator's text about it.
+
+    Args:
+        estimate: Where the target is.
+        origin: Zero of the local frame; without it there are no degrees to tell.
+        target_height_m: Of the target in the local frame.
+    """
+    r95 = f"R95 {estimate.r95_m:.1f} m"
+    if origin is None:
+        return ReportResult(estimate, None, None), f"LOCALISED {r95}"
+    place = (*estimate.position_enu_m, target_height_m)
+    latitude_deg, longitude_deg, _ = origin.geodetic_from_enu(place)
+    text = f"LOCALISED {latitude_deg:.7f} {longitude_deg:.7f} {r95}"
+    return ReportResult(estimate, latitude_deg, longitude_deg), text

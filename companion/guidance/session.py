@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from companion.domain import EstimateState, FlightMode, PositionSetpoint, TargetEstimate
+from companion.domain import FlightMode, PositionSetpoint, TargetEstimate
 from companion.estimation.tracker import FusionReport, TargetTracker
 from companion.guard.gate import Guard
 from companion.guidance.authority import Authority
@@ -24,12 +24,15 @@ from companion.guidance.commands import (
     SendSetpoint,
     SetMode,
     Severity,
+    WithdrawRequest,
 )
+from companion.guidance.conditions import is_silence_due, missing_input
 from companion.guidance.events import (
     AutopilotRestarted,
     ControlGranted,
     Event,
     HeartbeatReceived,
+    OriginSet,
     Outcome,
     RangingReceived,
     RequestAnswered,
@@ -40,24 +43,20 @@ from companion.guidance.events import (
 )
 from companion.guidance.launch import Launch, LaunchView
 from companion.guidance.listener import RangingListener
-from companion.guidance.records import estimate_record, waypoint_record
-from companion.guidance.states import IN_CONTROL, STREAMING, Phase, Trigger
+from companion.guidance.records import estimate_record, result_of, waypoint_record
+from companion.guidance.states import IN_CONTROL, OUT_OF_CONTROL, STREAMING, Phase, Trigger
 from companion.guidance.status import GuidanceStatus
 from companion.guidance.steering import Steering
 from companion.guidance.stop_rule import StopRule
-from companion.guidance.vehicle import VehicleView
+from companion.guidance.vehicle import ORIGIN_STEP_M, VehicleView
 from companion.params import Params, Positive
 from companion.planning.base import Planner
 
 TICK_S = 0.05
 """Setpoints at 20 Hz: PX4 wants more than 2 Hz, and at 20 Hz a lossy link still delivers enough."""
 HEARTBEAT_PERIOD_S = 1.0
-SILENT_AFTER_S = 10.0
-"""A link lost for this long: stop sending and let the autopilot's own failsafe act."""
-FOLLOW_UP_S = 5.0
-"""How long the autopilot may take to enter the mode that follows the report."""
-HAND_BACK_S = 1.5
-"""How long the autopilot may take to confirm its hold mode when we are asked to stop."""
+HAND_BACK_S = 1.4
+"""How long the autopilot may take to confirm its hold mode: we end within 1.5 s of the request."""
 
 
 class SessionParams(Params, frozen=True):
@@ -115,6 +114,8 @@ class GuidanceSession:
 
     def handle(self, event: Event) -> list[Command]:
         """What is to be done about an event."""
+        if isinstance(event, OriginSet):
+            self._check_frame(event)
         self.vehicle.handle(event)
         match event:
             case HeartbeatReceived():
@@ -188,6 +189,8 @@ class GuidanceSession:
         if left is None:
             return False
         self._record("phase", old=left.value, new=self.phase.value, trigger=trigger.value)
+        if self.phase in OUT_OF_CONTROL:
+            self._commands.append(WithdrawRequest())
         if not (left in IN_CONTROL and self.phase in STREAMING):
             self.steering.forget_setpoint()
         return True
@@ -198,15 +201,27 @@ class GuidanceSession:
     def _record(self, kind: str, **fields: object) -> None:
         self._commands.append(Record(kind, fields))
 
+    def _ask_mode(self, mode: FlightMode) -> None:
+        self._commands.append(SetMode(mode, self.vehicle.is_armed))
+
     def _on_heartbeat(self, event: HeartbeatReceived) -> None:
         now_s = event.time_s
+        had_let_go = self.authority.has_let_go
         self.authority.observe(event)
+        if self.authority.has_let_go and not had_let_go:
+            self._commands.append(WithdrawRequest())
+        is_launching = self.phase is Phase.LAUNCHING and self._launch is not None
+        objection = self._launch.observe(event) if is_launching and self._launch else None
         if not event.is_armed:
-            self._on_disarmed(event)
+            if not is_launching or objection:
+                self._on_disarmed(event)
+        elif objection is not None:
+            self._enter(Trigger.MODE_LOST, now_s)
+            self._announce(Severity.WARNING, f"launch ended: {objection}")
         elif event.mode is FlightMode.OFFBOARD:
             self._on_offboard(now_s)
-        elif self.phase is Phase.LAUNCHING:
-            self._check_launch_mode(event)
+        elif is_launching:
+            return
         elif self._enter(Trigger.MODE_LOST, now_s):
             text = f"control lost: autopilot went to {event.mode.value}; silent until given back"
             self._announce(Severity.WARNING, text)
@@ -223,49 +238,67 @@ class GuidanceSession:
             return
         if self._enter(Trigger.MODE_GIVEN, now_s):
             self._launch = None
+            self._has_launched = True
             self._hold_reason = "checking its inputs"
             self._announce(Severity.NOTICE, "in control: autopilot is in offboard mode")
 
     def _is_launch_at_offboard(self) -> bool:
         return self._launch is not None and self._launch.is_at_offboard
 
-    def _check_launch_mode(self, event: HeartbeatReceived) -> None:
-        """Someone who takes the vehicle during the automatic launch keeps it."""
-        expected = (FlightMode.HOLD, FlightMode.TAKEOFF, FlightMode.READY)
-        if self._launch is None or not self._launch.has_asked:
-            return
-        if event.is_failsafe or event.mode not in expected:
-            self._enter(Trigger.MODE_LOST, event.time_s)
-            self._announce(Severity.WARNING, f"launch ended: mode is {event.mode.value}")
-
     def _on_answer(self, event: RequestAnswered) -> None:
         self._record("answer", request=event.kind.value, outcome=event.outcome.value)
         if self.phase is Phase.LAUNCHING and self._launch is not None:
             self._launch.answered(event)
         elif self.phase is Phase.HANDING_BACK and event.kind is RequestKind.SET_MODE:
+            if event.outcome is not Outcome.ACCEPTED:
+                self._announce(Severity.ERROR, f"hand-back: {event.outcome.value}")
             self._enter(Trigger.HANDED_BACK, event.time_s)
         elif self.phase is Phase.FINISHED and event.outcome is not Outcome.ACCEPTED:
             self._announce(Severity.ERROR, f"{event.kind.value}: {event.outcome.value}")
 
-    def _on_restart(self, now_s: float) -> None:
-        self.vehicle.forget()
+    def _check_frame(self, event: OriginSet) -> None:
+        """An origin that moved has moved every local position: start anew in the new frame."""
+        step_m = self.vehicle.origin_step_m(event.origin)
+        if step_m <= ORIGIN_STEP_M:
+            return
+        self.vehicle.forget_frame()
+        self._forget_target()
+        self.steering.forget_setpoint()
+        self._hold_reason = "the local frame moved"
+        self._enter(Trigger.INPUT_LOST, event.time_s)
+        text = f"local origin moved by {step_m:.0f} m: estimate forgotten, waiting for ranging"
+        self._announce(Severity.WARNING, text)
+
+    def _forget_target(self) -> None:
         self.tracker.restart()
         self.steering.forget_plan()
         self.estimate = None
+
+    def _on_restart(self, now_s: float) -> None:
+        self.vehicle.forget()
+        self._forget_target()
         self.authority.restarted()
         self._enter(Trigger.RESTARTED, now_s)
         self._announce(Severity.WARNING, "autopilot restarted: holding until the operator engages")
 
     def _on_stop(self, now_s: float) -> None:
-        was_in_control = self.phase in IN_CONTROL or (
-            self.phase is Phase.LAUNCHING and self.vehicle.is_armed
-        )
+        mode = self._mode_to_hand_back_in()
         if self._enter(Trigger.STOP, now_s) and self.phase is Phase.HANDING_BACK:
-            if was_in_control:
-                self._announce(Severity.NOTICE, "stopping: asking the autopilot to hold")
-                self._commands.append(SetMode(FlightMode.HOLD, self.vehicle.is_armed))
+            if mode is not None:
+                self._announce(Severity.NOTICE, f"stopping: asking the autopilot to {mode.value}")
+                self._ask_mode(mode)
             else:
                 self._enter(Trigger.HANDED_BACK, now_s)
+
+    def _mode_to_hand_back_in(self) -> FlightMode | None:
+        """What to ask the autopilot for before the end, or None if it is not in our hands."""
+        if self.phase is Phase.FINISHED:
+            is_ours = self.vehicle.is_ours and not self.authority.has_let_go
+            return FOLLOW_UP_MODE[self.params.on_localised] if is_ours else None
+        if self.phase is Phase.LAUNCHING:
+            may_fly = self._launch is not None and self._launch.may_be_flying
+            return FlightMode.HOLD if may_fly or self.vehicle.is_armed else None
+        return FlightMode.HOLD if self.phase in IN_CONTROL else None
 
     # Measurements
 
@@ -328,9 +361,10 @@ class GuidanceSession:
                 self._advance_launch(now_s)
             case Phase.ENGAGED | Phase.HOLDING:
                 self._check_inputs(now_s)
-                self._check_localised(now_s)
             case Phase.HANDING_BACK if now_s - self.authority.since_s > HAND_BACK_S:
+                self._announce(Severity.ERROR, "hand-back: not confirmed in time")
                 self._enter(Trigger.HANDED_BACK, now_s)
+        self._check_localised(now_s)
 
     def _standby_text(self) -> str:
         if self.params.engage == "auto":
@@ -342,28 +376,23 @@ class GuidanceSession:
         height_m, home = self.vehicle.height_m, self.vehicle.home_enu_m
         if launch is None or heartbeat is None or height_m is None or home is None:
             return
-        self._commands += launch.tick(LaunchView(now_s, heartbeat, height_m, home[2]))
+        if not self.vehicle.is_usable(now_s):
+            return
+        has_origin = self.vehicle.origin is not None
+        view = LaunchView(now_s, heartbeat, height_m, home[2], has_origin)
+        self._commands += launch.tick(view)
         if launch.failure is not None:
             self._announce(Severity.ERROR, f"launch gave up: {launch.failure}")
             self._enter(Trigger.LAUNCH_FAILED, now_s)
 
-    def _missing_input(self, now_s: float) -> str | None:
-        """What the plan stands on and is not there, or None."""
-        if self.vehicle.is_link_lost(now_s):
-            return "autopilot link lost"
-        if not self.vehicle.is_position_fresh(now_s):
-            return "own position is stale"
-        heard_s = self.tracker.last_accepted_s
-        if heard_s is None or self.estimate is None:
-            return "waiting for ranging"
-        if now_s - heard_s > self.params.ranging_timeout_s:
-            return f"no ranging for {self.params.ranging_timeout_s:g} s"
-        if self.estimate.state is EstimateState.DIVERGED:
-            return "the filter is recovering from a contradiction"
-        return None
-
     def _check_inputs(self, now_s: float) -> None:
-        missing = self._missing_input(now_s)
+        missing = missing_input(
+            self.vehicle,
+            self.estimate,
+            self.tracker.last_accepted_s,
+            self.params.ranging_timeout_s,
+            now_s,
+        )
         if missing is None:
             if self._enter(Trigger.INPUT_BACK, now_s):
                 self._announce(Severity.INFO, "flying the plan")
@@ -379,25 +408,19 @@ class GuidanceSession:
             self._report(flown, now_s)
 
     def _report(self, estimate: TargetEstimate, now_s: float) -> None:
-        latitude_deg = longitude_deg = None
-        text = f"LOCALISED R95 {estimate.r95_m:.1f} m"
-        if self.vehicle.origin is not None:
-            height_m = self.tracker.params.filter.target_height_m
-            latitude_deg, longitude_deg, _ = self.vehicle.origin.geodetic_from_enu(
-                (*estimate.position_enu_m, height_m)
-            )
-            text = f"LOCALISED {latitude_deg:.7f} {longitude_deg:.7f} R95 {estimate.r95_m:.1f} m"
-        self.result = ReportResult(estimate, latitude_deg, longitude_deg)
+        height_m = self.tracker.params.filter.target_height_m
+        self.result, text = result_of(estimate, self.vehicle.origin, height_m)
         self._commands.append(self.result)
         self._announce(Severity.NOTICE, text)
         self._enter(Trigger.LOCALISED, now_s)
-        mode = FOLLOW_UP_MODE[self.params.on_localised]
-        self._commands.append(SetMode(mode, self.vehicle.is_armed))
+        self._ask_mode(FOLLOW_UP_MODE[self.params.on_localised])
 
     def _setpoint(self, now_s: float, dt_s: float) -> PositionSetpoint | None:
         """The setpoint of this tick, or None where silence is due."""
         position, home = self.vehicle.position_enu_m, self.vehicle.home_enu_m
-        if position is None or home is None or self._is_silent(now_s):
+        if position is None or home is None:
+            return None
+        if is_silence_due(self.authority, self.vehicle, self._launch, now_s):
             return None
         match self.phase:
             case Phase.STANDBY | Phase.LAUNCHING:
@@ -407,17 +430,3 @@ class GuidanceSession:
             case Phase.HOLDING | Phase.FINISHED | Phase.HANDING_BACK:
                 return self.steering.stay(position, home[2], dt_s)
         return None
-
-    def _is_silent(self, now_s: float) -> bool:
-        vehicle = self.vehicle
-        if self.phase not in STREAMING:
-            return True
-        if vehicle.heard_s is None or now_s - vehicle.heard_s > SILENT_AFTER_S:
-            return True
-        if self.phase is Phase.FINISHED:
-            return not vehicle.is_ours or now_s - self.authority.since_s > FOLLOW_UP_S
-        if self.phase is Phase.STANDBY:
-            return not (vehicle.wants_prestream and vehicle.is_position_fresh(now_s))
-        if self.phase is Phase.LAUNCHING:
-            return self._launch is None or not self._launch.wants_stream
-        return False

@@ -11,15 +11,17 @@ operator gave it that mode; everything else is either getting there or staying o
     HOLDING    offboard and armed, but something the plan stands on is missing (ranging, own
                position, a filter that makes sense): streams "stay here".
     FINISHED   the target was reported; the autopilot was asked for the mode that follows, and
-               gets "stay here" until it has entered it.
+               gets "stay here" until it has left offboard, never again after that.
     YIELDED    the mode left offboard for whatever reason: silence, latched. Only the operator
                ends it, by giving offboard again (on the ground, or with another source of
                setpoints), by an explicit grant, or by disarming (the next flight is a new one).
-    HANDING_BACK  asked to stop while in control: asks for the autopilot's own hold mode.
+    HANDING_BACK  asked to stop while in control: asks for the autopilot's own hold mode and
+               gives it "stay here" until it confirms.
     STOPPED    the process may end.
 
-Two rules stand above the table: a lost mode is never asked for again, and a setpoint leaves only
-in STREAMING phases, from the control tick.
+Three rules stand above the table: a lost mode is never asked for again; what was asked and not
+answered is withdrawn when control ends; and a setpoint leaves only in STREAMING phases, from the
+control tick.
 """
 
 from __future__ import annotations
@@ -70,6 +72,9 @@ STREAMING = IN_CONTROL | {
 }
 """Phases in which setpoints may be sent at all."""
 
+OUT_OF_CONTROL = frozenset({Phase.WAITING, Phase.YIELDED, Phase.STOPPED})
+"""Phases in which nothing may be asked of the autopilot, nor asked again."""
+
 TRANSITIONS: dict[tuple[Phase, Trigger], Phase] = {
     (Phase.WAITING, Trigger.READY): Phase.STANDBY,
     (Phase.STANDBY, Trigger.LAUNCH): Phase.LAUNCHING,
@@ -88,12 +93,13 @@ TRANSITIONS: dict[tuple[Phase, Trigger], Phase] = {
     (Phase.ENGAGED, Trigger.STOP): Phase.HANDING_BACK,
     (Phase.HOLDING, Trigger.STOP): Phase.HANDING_BACK,
     (Phase.LAUNCHING, Trigger.STOP): Phase.HANDING_BACK,
+    (Phase.FINISHED, Trigger.STOP): Phase.HANDING_BACK,
     (Phase.HANDING_BACK, Trigger.HANDED_BACK): Phase.STOPPED,
     (Phase.HANDING_BACK, Trigger.MODE_LOST): Phase.STOPPED,
+    (Phase.HANDING_BACK, Trigger.DISARMED): Phase.STOPPED,
 }
 TRANSITIONS |= {
-    (phase, Trigger.STOP): Phase.STOPPED
-    for phase in (Phase.WAITING, Phase.STANDBY, Phase.FINISHED, Phase.YIELDED)
+    (phase, Trigger.STOP): Phase.STOPPED for phase in (Phase.WAITING, Phase.STANDBY, Phase.YIELDED)
 }
 TRANSITIONS |= {
     (phase, Trigger.RESTARTED): Phase.WAITING
@@ -102,7 +108,7 @@ TRANSITIONS |= {
 }
 TRANSITIONS |= {
     (phase, Trigger.DISARMED): Phase.WAITING
-    for phase in (Phase.ENGAGED, Phase.HOLDING, Phase.YIELDED, Phase.FINISHED)
+    for phase in (Phase.LAUNCHING, Phase.ENGAGED, Phase.HOLDING, Phase.YIELDED, Phase.FINISHED)
 }
 
 

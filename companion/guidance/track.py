@@ -15,6 +15,11 @@ HISTORY_S = 3.0
 MAX_EXTRAPOLATION_S = 0.3
 """A state older than this says nothing about the present."""
 
+MAX_COORDINATE_M = 1e5
+"""Farther from the origin a flat local frame means nothing."""
+
+MAX_SPEED_MPS = 300.0
+
 MAX_GAP_S = 1.0
 """Two states farther apart than this are not interpolated between."""
 
@@ -102,6 +107,9 @@ def _blended(before: VehicleState, after: VehicleState, share: float) -> Positio
     )
 
 
-def is_finite(state: VehicleState) -> bool:
-    """Whether every component of a state is a number."""
-    return all(math.isfinite(v) for v in (*state.position_enu_m, *state.velocity_enu_mps))
+def is_plausible(state: VehicleState) -> bool:
+    """Whether every component of a state is a number that a flat local frame can mean."""
+    place_m, speed_mps = state.position_enu_m, state.velocity_enu_mps
+    return all(abs(v) <= MAX_COORDINATE_M for v in place_m) and all(
+        abs(v) <= MAX_SPEED_MPS for v in speed_mps
+    )

@@ -16,7 +16,7 @@ from companion.guidance.events import (
     VehicleMoved,
     YawMeasured,
 )
-from companion.guidance.track import VehicleTrack, is_finite
+from companion.guidance.track import VehicleTrack, is_plausible
 
 STALE_STATE_S = 0.5
 """An own position older than this is not flown on."""
@@ -24,6 +24,10 @@ LINK_LOST_S = 1.0
 """Without any valid frame of the autopilot for this long the link counts as lost."""
 COUNTED_STEP_M = 0.05
 """Shorter moves are noise, not distance flown."""
+MODE_UNKNOWN_AFTER_S = 10.0
+"""Without a HEARTBEAT for this long anyone may fly: stop sending, let its own failsafe act."""
+ORIGIN_STEP_M = 1.0
+"""An origin that moves farther than this has taken the local frame with it."""
 
 
 class VehicleView:
@@ -60,12 +64,23 @@ class VehicleView:
 
     def forget(self) -> None:
         """Drop what a restart of the autopilot makes worthless."""
-        self.track.clear()
+        self.forget_frame()
         self.heartbeat = None
         self.origin = None
-        self.home_enu_m = None
         self.landed = LandedState.UNKNOWN
+
+    def forget_frame(self) -> None:
+        """Drop every local position, because the frame moved."""
+        self.track.clear()
+        self.home_enu_m = None
         self._counted_at = None
+
+    def origin_step_m(self, origin: LocalOrigin) -> float:
+        """How far an origin is from the one known so far; 0 if none is."""
+        if self.origin is None:
+            return 0.0
+        place = (origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
+        return math.hypot(*self.origin.enu_from_geodetic(*place))
 
     @property
     def position_enu_m(self) -> PositionEnu | None:
@@ -112,17 +127,21 @@ class VehicleView:
         """Whether nothing valid came from the autopilot for a while."""
         return self.heard_s is None or now_s - self.heard_s > LINK_LOST_S
 
+    def is_mode_known(self, now_s: float) -> bool:
+        """Whether the mode last shown still says who flies."""
+        return self.heartbeat is not None and now_s - self.heartbeat.time_s <= MODE_UNKNOWN_AFTER_S
+
     def is_usable(self, now_s: float) -> bool:
         """Whether it can be guided at all: heard, positioned, with a home."""
         return (
-            self.heartbeat is not None
+            self.is_mode_known(now_s)
             and self.home_enu_m is not None
             and self.is_position_fresh(now_s)
             and not self.is_link_lost(now_s)
         )
 
     def _move(self, event: VehicleMoved) -> None:
-        if not is_finite(event.state):
+        if not is_plausible(event.state):
             return
         self.track.add(event.state)
         place = event.state.position_enu_m[:2]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import shutil
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -74,6 +75,11 @@ class FlightJournal:
             write_json_atomic(self.directory / "result.json", value)
         except CompanionError as error:
             log.error("%7.1f s  %s", now_s, error)
+
+    def discard(self) -> None:
+        """Close and remove the directory, because the flight never began."""
+        self.close()
+        shutil.rmtree(self.directory, ignore_errors=True)
 
     def close(self) -> None:
         """Write what is queued and close."""

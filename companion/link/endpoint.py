@@ -25,6 +25,7 @@ from companion.guidance.commands import (
     SetMode,
     Severity,
     TakeOff,
+    WithdrawRequest,
 )
 from companion.guidance.events import (
     AutopilotRestarted,
@@ -121,7 +122,9 @@ class CompanionEndpoint:
 
     def handle_timer(self, now_s: float) -> None:
         """The control tick; a late one is not made up for."""
-        self._next_timer_s = max(self._next_timer_s, now_s - TICK_S) + TICK_S
+        self._next_timer_s += TICK_S
+        if self._next_timer_s <= now_s:
+            self._next_timer_s = now_s + TICK_S
         answer = self._requests.due(now_s)
         if isinstance(answer, RequestAnswered):
             self._handle(answer, now_s)
@@ -249,6 +252,8 @@ class CompanionEndpoint:
                 )
             case TakeOff():
                 self._ask_take_off(command)
+            case WithdrawRequest():
+                self._requests.cancel()
             case Announce():
                 self._announce(command, now_s)
             case ReportResult():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+from dataclasses import replace
 
 from companion.domain import LandedState, VehicleState
 from companion.geometry.frames import LocalOrigin, enu_from_ned
@@ -23,7 +23,14 @@ from companion.mav.ranging import ranging_from_message
 from companion.mav.timebase import StampReading, Timebase
 
 PREARM_BIT = mavlink.MAV_SYS_STATUS_PREARM_CHECK
-FAILSAFE_STATES = (mavlink.MAV_STATE_CRITICAL, mavlink.MAV_STATE_EMERGENCY)
+FAILSAFE_STATES = (
+    mavlink.MAV_STATE_CRITICAL,
+    mavlink.MAV_STATE_EMERGENCY,
+    mavlink.MAV_STATE_FLIGHT_TERMINATION,
+)
+UP_STATES = (mavlink.MAV_STATE_STANDBY, mavlink.MAV_STATE_ACTIVE)
+MAX_HOME_DISTANCE_M = 1e5
+"""A home farther from the origin than this is a fault, in whatever field."""
 MAX_SENDERS = 16
 """Clocks of ranging senders that are kept."""
 
@@ -84,7 +91,7 @@ class VehicleInbound:
             return []
         status = message.system_status
         is_armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
-        is_up = status >= mavlink.MAV_STATE_STANDBY
+        is_up = status in UP_STATES
         event = HeartbeatReceived(
             time_s=now_s,
             autopilot=autopilot,
@@ -98,7 +105,7 @@ class VehicleInbound:
     def _origin_set(
         self, message: mavlink.MAVLink_gps_global_origin_message, now_s: float
     ) -> list[Event]:
-        if message.latitude == 0 and message.longitude == 0:
+        if not _is_on_earth(message.latitude, message.longitude):
             return []
         self._origin = LocalOrigin(
             message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1000.0
@@ -115,11 +122,14 @@ class VehicleInbound:
             return []
         if self._origin is None:
             local = enu_from_ned((home.x, home.y, home.z))
-            return [HomeSet(now_s, local)] if all(map(math.isfinite, local)) else []
-        local = self._origin.enu_from_geodetic(
-            home.latitude / 1e7, home.longitude / 1e7, home.altitude / 1000.0
-        )
-        return [HomeSet(now_s, local)]
+        elif _is_on_earth(home.latitude, home.longitude):
+            local = self._origin.enu_from_geodetic(
+                home.latitude / 1e7, home.longitude / 1e7, home.altitude / 1000.0
+            )
+        else:
+            return []
+        is_near = all(abs(v) <= MAX_HOME_DISTANCE_M for v in local)
+        return [HomeSet(now_s, local)] if is_near else []
 
 
 class RangingInbound:
@@ -142,9 +152,20 @@ class RangingInbound:
             if len(self._clocks) >= MAX_SENDERS:
                 self._clocks.pop(next(iter(self._clocks)))
             self._clocks[key] = Timebase()
-        reading = self._clocks[key].read(message.time_usec / 1e6, now_s)
-        measurement = ranging_from_message(message, reading.time_s)
+        if message.time_usec == 0:  # a sender without a clock: nothing to date or compare by
+            measurement = ranging_from_message(message, now_s)
+            if measurement is not None:
+                measurement = replace(measurement, stamp_us=None)
+        else:
+            reading = self._clocks[key].read(message.time_usec / 1e6, now_s)
+            measurement = ranging_from_message(message, reading.time_s)
         return [] if measurement is None else [RangingReceived(now_s, measurement)]
+
+
+def _is_on_earth(latitude_e7: int, longitude_e7: int) -> bool:
+    """Whether a place in 1e-7 degrees is one; 0/0 and INT32_MAX mean that nobody knows."""
+    is_set = latitude_e7 != 0 or longitude_e7 != 0
+    return is_set and abs(latitude_e7) <= 900_000_000 and abs(longitude_e7) <= 1_800_000_000
 
 
 def _landed_state(value: int) -> LandedState:

@@ -18,6 +18,7 @@ from companion.mav.modes import set_mode_params
 TEXT_LENGTH = 50
 """Bytes of one STATUSTEXT."""
 MAX_CHUNKS = 4
+"""A longer text is cut."""
 UINT32 = 0xFFFFFFFF
 
 
@@ -151,14 +152,34 @@ def status_text(severity: int, text: str, text_id: int) -> list[Message]:
         text: What to say; longer than four chunks it is cut.
         text_id: Non-zero number that joins the chunks of one text.
     """
-    data = text.encode("utf-8")
-    chunks = [data[i : i + TEXT_LENGTH] for i in range(0, len(data), TEXT_LENGTH)] or [b""]
+    chunks = _chunks(text)
     if len(chunks) == 1:
         return [mavlink.MAVLink_statustext_message(severity, chunks[0], 0, 0)]
     return [
         mavlink.MAVLink_statustext_message(severity, chunk, text_id, number)
-        for number, chunk in enumerate(chunks[:MAX_CHUNKS])
+        for number, chunk in enumerate(chunks)
     ]
+
+
+def _chunks(text: str) -> list[bytes]:
+    """UTF-8 in pieces of a STATUSTEXT each, no character cut in two.
+
+    Source: MAVLink common, STATUSTEXT: a text of several chunks ends with the first NUL.
+    """
+    chunks = [b""]
+    for character in text.encode("utf-8", errors="replace").decode("utf-8"):
+        data = character.encode("utf-8")
+        if len(chunks[-1]) + len(data) > TEXT_LENGTH:
+            if len(chunks) == MAX_CHUNKS:
+                break
+            chunks.append(b"")
+        chunks[-1] += data
+    if len(chunks) > 1 and len(chunks[-1]) == TEXT_LENGTH:
+        if len(chunks) == MAX_CHUNKS:
+            chunks[-1] = chunks[-1].decode("utf-8")[:-1].encode("utf-8")
+        else:
+            chunks.append(b"")
+    return chunks
 
 
 def _command(

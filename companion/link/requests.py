@@ -61,8 +61,8 @@ class RequestClient:
     ) -> RequestAnswered | None:
         """What an ACK of the autopilot means for the request in flight."""
         pending = self._pending
-        if pending is None or ack.command != pending.command:
-            return None
+        if pending is None or pending.sends == 0 or ack.command != pending.command:
+            return None  # not asked yet: the answer belongs to a request that was replaced
         if ack.result == mavlink.MAV_RESULT_IN_PROGRESS:
             pending.sends = SENDS
             pending.next_s = now_s + IN_PROGRESS_S

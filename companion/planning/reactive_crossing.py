@@ -45,7 +45,8 @@ class ReactiveCrossing:
         """One step of the printed algorithm."""
         vehicle, estimate = request.vehicle_enu_m, request.estimate.position_enu_m
         if math.dist(vehicle, estimate) < self.params.stop_distance_m:
-            return Plan(Waypoint(vehicle, WaypointReason.HOLD, "close to the estimate"), memory)
+            here = kept_inside(vehicle, vehicle, request.fence_enu_m, request.fence_margin_m)
+            return Plan(Waypoint(here, WaypointReason.HOLD, "close to the estimate"), memory)
         d = unit(vehicle, estimate)
         length = self.params.crossing_distance_m
         crossing = (estimate[0] + length * d[0], estimate[1] + length * d[1])

@@ -1,0 +1,204 @@
+"""The `companion` command: arguments, lines for people and exit codes."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NoReturn
+
+from companion import __version__
+from companion.config.schema import load_config
+from companion.errors import CompanionError, ConfigError
+from companion.io.clock import Clock
+from companion.io.files import write_json_atomic
+from companion.io.links import link_from_url
+from companion.io.urls import parse_link_url
+from companion.replay import replay_walk, table
+from companion.run import fly
+
+EXIT_FAILED = 1
+EXIT_BAD_INPUT = 2
+MAX_SPEED = 1000.0
+
+DESCRIPTION = """\
+Find a radio emitter with a UAV: estimate it from ranging messages, fly crossings over the
+estimate, and report where it is and how wrong that may be.
+
+The vehicle is commanded only in offboard mode (PX4 OFFBOARD, ArduPilot GUIDED), which the
+operator gives by the mode switch and takes back at any time. To give it back in flight after the
+companion fell silent, send it MAV_CMD_NAV_GUIDED_ENABLE (92) with parameter 1 = 1 and switch."""
+
+EPILOG = """\
+links:
+  udp:HOST:PORT, udpin:HOST:PORT   the companion binds HOST:PORT and answers the autopilot
+  udpout:HOST:PORT                 the companion sends first, the other side binds
+  tcp:HOST:PORT, tcpin:HOST:PORT   connect to, or listen at, HOST:PORT
+  serial:/dev/ttyAMA0:921600       a serial port and its speed
+  Each may be spelt with :// as well, and udp:// is udpin:// .
+
+examples:
+  companion --connect udp:127.0.0.1:14550
+  companion --connect serial:/dev/ttyAMA0:921600 --ranging udp:127.0.0.1:14600 \\
+            --config configs/companion/default.yaml
+  companion demo --speed 4
+  companion replay walk.csv --config configs/companion/wifi_rtt.yaml --json walk.json"""
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        raise ConfigError(f"{message} (companion --help shows how)")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command.
+
+    Args:
+        argv: Arguments without the program's name; None takes the process's.
+
+    Returns:
+        0 for success, 1 for a failed run, 2 for bad input or a link that cannot be opened.
+    """
+    try:
+        arguments = _parser().parse_args(argv)
+        _set_up_logging(quiet=arguments.quiet)
+        match arguments.command:
+            case "demo":
+                return _demo(arguments)
+            case "replay":
+                return _replay(arguments)
+        return _fly(arguments)
+    except CompanionError as error:
+        print(f"companion: {error}", file=sys.stderr)
+        return EXIT_BAD_INPUT
+    except KeyboardInterrupt:
+        print("companion: interrupted", file=sys.stderr)
+        return EXIT_FAILED
+    except BrokenPipeError:
+        sys.stderr.close()
+        return EXIT_FAILED
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog="companion",
+        description=DESCRIPTION,
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"companion {__version__}")
+    parser.add_argument("--connect", metavar="URL", help="link to the autopilot")
+    parser.add_argument(
+        "--ranging",
+        metavar="URL",
+        action="append",
+        default=[],
+        help="link that carries only ranging messages; repeatable",
+    )
+    parser.add_argument("--config", metavar="FILE", type=Path, help="configuration YAML")
+    parser.add_argument(
+        "--speed",
+        metavar="X",
+        type=_speed,
+        default=1.0,
+        help="seconds of a simulator per real second (default 1)",
+    )
+    parser.add_argument("--once", action="store_true", help="end after the target is reported")
+    parser.add_argument("--quiet", action="store_true", help="only warnings and errors")
+    commands = parser.add_subparsers(dest="command", metavar="{demo,replay}")
+    _add_demo(commands)
+    _add_replay(commands)
+    return parser
+
+
+def _add_demo(commands: argparse._SubParsersAction[_Parser]) -> None:
+    demo = commands.add_parser(
+        "demo",
+        help="fly the canonical search on the simulator and watch it",
+        description="Start sim-link, fly the canonical search over UDP, and show how well it went.",
+    )
+    demo.add_argument("--seed", metavar="N", type=int, default=1, help="of the simulator")
+    demo.add_argument("--speed", metavar="X", type=_speed, default=1.0, help="times real time")
+    demo.add_argument("--scenario", metavar="FILE", type=Path, help="scenario for sim-link")
+    demo.add_argument("--config", metavar="FILE", type=Path, help="companion configuration")
+    demo.add_argument("--json", metavar="FILE", type=Path, help="write the result as JSON")
+    demo.add_argument(
+        "--plot", metavar="FILE", type=Path, default=Path("track.png"), help="where to draw"
+    )
+    demo.add_argument("--no-plot", action="store_true", help="do not draw the track")
+
+
+def _add_replay(commands: argparse._SubParsersAction[_Parser]) -> None:
+    replay = commands.add_parser(
+        "replay",
+        help="run the estimator over a recorded ranging walk",
+        description="Run the flying estimator over a recorded ranging walk, a filter per target.",
+    )
+    replay.add_argument("file", metavar="FILE.csv", type=Path)
+    replay.add_argument("--config", metavar="FILE", type=Path, help="companion configuration")
+    replay.add_argument("--json", metavar="FILE", type=Path, help="write the results as JSON")
+
+
+def _speed(text: str) -> float:
+    try:
+        speed = float(text)
+    except ValueError:
+        speed = 0.0
+    if not 0.0 < speed <= MAX_SPEED:
+        raise argparse.ArgumentTypeError(f"`{text}` is not between 0 and {MAX_SPEED:g}")
+    return speed
+
+
+def _set_up_logging(*, quiet: bool) -> None:
+    """Our own loggers only: libraries keep their remarks to themselves."""
+    logger = logging.getLogger("companion")
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(logging.Formatter("%(message)s"))
+    logger.handlers = [handler]
+    logger.setLevel(logging.WARNING if quiet else logging.INFO)
+    logger.propagate = False
+
+
+def _fly(arguments: argparse.Namespace) -> int:
+    if arguments.connect is None:
+        raise ConfigError("say where the autopilot is: --connect udp:127.0.0.1:14550, or try demo")
+    config = load_config(arguments.config)
+    urls = [parse_link_url(text) for text in (arguments.connect, *arguments.ranging)]
+    links = [link_from_url(url) for url in urls]
+    endpoint = fly(config, links, Clock(arguments.speed), once=arguments.once)
+    if arguments.once and endpoint.session.result is None:
+        return EXIT_FAILED
+    return 0
+
+
+def _replay(arguments: argparse.Namespace) -> int:
+    config = load_config(arguments.config)
+
+    def progress(rows: int) -> None:
+        if sys.stderr.isatty():
+            print(f"\r{rows} rows", end="", file=sys.stderr, flush=True)
+
+    results = replay_walk(arguments.file, config.estimation, progress)
+    if sys.stderr.isatty():
+        print("\r", end="", file=sys.stderr)
+    print(table(results))
+    if arguments.json is not None:
+        value = {"file": arguments.file.name, "targets": [r.as_json() for r in results]}
+        write_json_atomic(arguments.json, value)
+    return 0
+
+
+def _demo(arguments: argparse.Namespace) -> int:
+    from companion.demo.runner import DemoOptions, run_demo
+
+    options = DemoOptions(
+        seed=arguments.seed,
+        speed=arguments.speed,
+        scenario=arguments.scenario,
+        config=arguments.config,
+        json=arguments.json,
+        plot=None if arguments.no_plot else arguments.plot,
+    )
+    return 0 if run_demo(options) else EXIT_FAILED

@@ -1,0 +1,1 @@
+"""The demonstration: the canonical search on the simulator, watched live."""

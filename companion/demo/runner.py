@@ -1,0 +1,314 @@
+"""Runs the demonstration and says how well it went."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from companion.config.schema import CompanionConfig, load_config
+from companion.demo.recording import RecordingJournal
+from companion.demo.simulator import HOST, SimulatorProcess, free_udp_port
+from companion.domain import TargetEstimate
+from companion.errors import CompanionError
+from companion.guidance.states import Phase
+from companion.io.clock import Clock
+from companion.io.files import new_flight_directory, write_json_atomic
+from companion.io.links import UdpBind
+from companion.io.shell import Shell
+from companion.link.endpoint import CompanionEndpoint
+from companion.run import build_endpoint, is_handed_over
+
+REFRESH_S = 0.15
+"""Wall seconds between two pictures of the live view."""
+PLAIN_REFRESH_S = 15.0
+"""Seconds of the flight between two lines where there is no terminal."""
+FENCE_AROUND_AREA_M = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class DemoOptions:
+    """What the command line asked for."""
+
+    seed: int
+    speed: float
+    scenario: Path | None
+    config: Path | None
+    json: Path | None
+    plot: Path | None
+
+
+@dataclass(frozen=True, slots=True)
+class DemoResult:
+    """How the flight ended."""
+
+    is_localised: bool
+    estimate: TargetEstimate | None
+    ended: str
+    time_s: float
+    """Of the companion, at the report or at the end."""
+    wall_s: float
+    """Real time that the flight took."""
+
+
+def run_demo(options: DemoOptions) -> bool:
+    """Fly it, print how it went, write what was asked for; whether the target was found.
+
+    Raises:
+        CompanionError: Bad input, or the simulator does not start.
+    """
+    config = load_config(options.config)
+    show = _view()
+    started_unix_s = time.time()
+    directory = new_flight_directory(Path(config.log.directory), started_unix_s)
+    port = free_udp_port()
+    with tempfile.TemporaryDirectory() as temporary:
+        report = Path(temporary) / "sim-link.json"
+        simulator = SimulatorProcess(report, options.seed, options.speed, options.scenario, port)
+        with simulator:
+            truth = simulator.started_report()
+            config = _demo_config(config, truth)
+            journal = RecordingJournal(directory, started_unix_s)
+            try:
+                result = _fly(config, options, journal, simulator, port, truth, show)
+            finally:
+                journal.close()
+            simulator.stop()
+            _conclude(options, config, journal, result, simulator.report())
+    return result.is_localised
+
+
+def _demo_config(config: CompanionConfig, truth: dict[str, Any]) -> CompanionConfig:
+    """The configuration, engaging by itself, inside a fence around the scenario's area."""
+    mission = msgspec.structs.replace(config.mission, engage="auto")
+    east, north = (float(size) for size in truth["area_m"])
+    low, margin = -FENCE_AROUND_AREA_M, FENCE_AROUND_AREA_M
+    fence = (
+        (low, low),
+        (east + margin, low),
+        (east + margin, north + margin),
+        (low, north + margin),
+    )
+    limits = msgspec.structs.replace(config.limits, fence_enu_m=fence)
+    return msgspec.structs.replace(config, mission=mission, limits=limits)
+
+
+class _LiveView:
+    """The one-screen view of `companion.demo.view`, redrawn in place."""
+
+    def __init__(self) -> None:
+        from rich.console import Console
+        from rich.live import Live
+
+        self._live = Live(console=Console(), auto_refresh=False)
+        self._next_wall_s = 0.0
+
+    def __enter__(self) -> _LiveView:
+        self._live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._live.stop()
+
+    def __call__(
+        self, endpoint: CompanionEndpoint, journal: RecordingJournal, now_s: float
+    ) -> None:
+        from companion.demo.view import screen
+
+        wall_s = time.monotonic()
+        if wall_s < self._next_wall_s and not endpoint.is_finished:
+            return
+        self._next_wall_s = wall_s + REFRESH_S
+        self._live.update(
+            screen(
+                endpoint.session.status(now_s),
+                journal.texts,
+                endpoint.setpoint_rate_hz(now_s),
+                endpoint.bad_frames,
+                endpoint.session.params.stop_radius_m,
+            ),
+            refresh=True,
+        )
+
+
+class _PlainView:
+    """A line now and then, where the output is no terminal or rich is not installed."""
+
+    def __init__(self) -> None:
+        self._next_s = 0.0
+
+    def __enter__(self) -> _PlainView:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        return None
+
+    def __call__(self, endpoint: CompanionEndpoint, _: RecordingJournal, now_s: float) -> None:
+        if now_s < self._next_s:
+            return
+        self._next_s = now_s + PLAIN_REFRESH_S
+        status = endpoint.session.status(now_s)
+        line = f"{now_s:7.1f} s  {status.phase.value}, flown {status.distance_m:.0f} m"
+        if status.estimate is not None:
+            line += f", {status.estimate.state.value} R95 {status.estimate.r95_m:.1f} m"
+        _say(line)
+
+
+def _view() -> _LiveView | _PlainView:
+    if sys.stdout.isatty():
+        try:
+            return _LiveView()
+        except ImportError:
+            _say("for the live view: pip install 'companion-guidance[demo]'")
+    return _PlainView()
+
+
+def _fly(
+    config: CompanionConfig,
+    options: DemoOptions,
+    journal: RecordingJournal,
+    simulator: SimulatorProcess,
+    port: int,
+    truth: dict[str, Any],
+    view: _LiveView | _PlainView,
+) -> DemoResult:
+    endpoint = build_endpoint(config, journal)
+    journal.is_quiet = isinstance(view, _LiveView)
+    limit_s = float(truth["time_limit_s"])
+    ended: list[tuple[str, float]] = []
+
+    def on_wakeup(now_s: float) -> None:
+        view(endpoint, journal, now_s)
+        reason = _end_reason(endpoint, simulator, now_s, limit_s)
+        if reason is not None and not ended:
+            ended.append((reason, now_s))
+            shell.request_stop()
+
+    shell = Shell(endpoint, [UdpBind(HOST, port)], Clock(options.speed), on_wakeup)
+    started = time.monotonic()
+    with view:
+        asyncio.run(shell.run())
+    result = endpoint.session.result
+    reason, now_s = ended[0] if ended else ("interrupted", 0.0)
+    return DemoResult(
+        is_localised=result is not None,
+        estimate=endpoint.session.estimate if result is None else result.estimate,
+        ended=reason,
+        time_s=now_s if result is None else result.estimate.time_s,
+        wall_s=time.monotonic() - started,
+    )
+
+
+def _end_reason(
+    endpoint: CompanionEndpoint, simulator: SimulatorProcess, now_s: float, limit_s: float
+) -> str | None:
+    if is_handed_over(endpoint):
+        return "localised"
+    if endpoint.session.phase is Phase.YIELDED:
+        return "the autopilot left offboard mode"
+    if now_s > limit_s:
+        return f"time limit of {limit_s:g} s"
+    if not simulator.is_alive:
+        return "the simulator ended"
+    return None
+
+
+def _conclude(
+    options: DemoOptions,
+    config: CompanionConfig,
+    journal: RecordingJournal,
+    result: DemoResult,
+    report: dict[str, Any],
+) -> None:
+    truth = (float(report["emitter"]["enu_m"][0]), float(report["emitter"]["enu_m"][1]))
+    estimate = result.estimate
+    error_m = None if estimate is None else math.dist(estimate.position_enu_m, truth)
+    _say(_summary(result, error_m, report))
+    _say(f"flight log: {journal.directory}")
+    if options.json is not None:
+        write_json_atomic(options.json, _as_json(options, result, error_m, report))
+        _say(f"result: {options.json}")
+    if options.plot is not None and estimate is not None:
+        _draw(options.plot, options, config, journal, estimate, truth, report)
+
+
+def _summary(result: DemoResult, error_m: float | None, report: dict[str, Any]) -> str:
+    if result.estimate is None or error_m is None:
+        return f"NOT LOCALISED ({result.ended}): no measurement was used"
+    head = "LOCALISED" if result.is_localised else f"NOT LOCALISED ({result.ended})"
+    east, north = result.estimate.position_enu_m
+    return (
+        f"{head}: east {east:.2f} m, north {north:.2f} m, R95 {result.estimate.r95_m:.2f} m, "
+        f"error against the truth {error_m:.2f} m\n"
+        f"after {result.time_s:.1f} s and {report['distance_m']:.0f} m of flight, "
+        f"{result.wall_s:.1f} s of real time"
+    )
+
+
+def _as_json(
+    options: DemoOptions, result: DemoResult, error_m: float | None, report: dict[str, Any]
+) -> dict[str, object]:
+    estimate = result.estimate
+    return {
+        "seed": options.seed,
+        "speed": options.speed,
+        "scenario": report["scenario"],
+        "state": "searching" if estimate is None else estimate.state.value,
+        "localised": result.is_localised,
+        "ended": result.ended,
+        "final_error_m": error_m,
+        "r95_m": None if estimate is None else estimate.r95_m,
+        "east_m": None if estimate is None else estimate.position_enu_m[0],
+        "north_m": None if estimate is None else estimate.position_enu_m[1],
+        "range_offset_m": None if estimate is None else estimate.range_offset_m,
+        "bearing_offset_rad": None if estimate is None else estimate.bearing_offset_rad,
+        "time_s": result.time_s,
+        "distance_m": report["distance_m"],
+        "wall_s": result.wall_s,
+        "setpoints": report["setpoints_received"],
+    }
+
+
+def _draw(
+    path: Path,
+    options: DemoOptions,
+    config: CompanionConfig,
+    journal: RecordingJournal,
+    estimate: TargetEstimate,
+    truth: tuple[float, float],
+    report: dict[str, Any],
+) -> None:
+    try:
+        from companion.demo.plot import Flight, draw
+    except ImportError:
+        _say("no picture: pip install 'companion-guidance[demo]' brings matplotlib")
+        return
+    flight = Flight(
+        track_enu_m=[(point[1], point[2]) for point in report["track"]],
+        estimates_enu_m=[(e, n) for _, e, n, _ in journal.estimates],
+        r95=[(t, r95_m) for t, _, _, r95_m in journal.estimates],
+        errors=[(t, math.dist((e, n), truth)) for t, e, n, _ in journal.estimates],
+        crossings_enu_m=[(e, n) for _, e, n in journal.crossings],
+        fence_enu_m=config.limits.fence_enu_m,
+        truth_enu_m=truth,
+        final=estimate,
+        title=f"{report['scenario']}, seed {options.seed}: "
+        f"error {math.dist(estimate.position_enu_m, truth):.2f} m",
+    )
+    try:
+        draw(path, flight)
+    except OSError as error:
+        raise CompanionError(f"{path}: cannot be written: {error.strerror}") from error
+    _say(f"picture: {path}")
+
+
+def _say(line: str) -> None:
+    sys.stdout.write(f"{line}\n")
+    sys.stdout.flush()

@@ -1,0 +1,59 @@
+"""What the session's control tick depends on: is a plan possible, and is silence due."""
+
+from __future__ import annotations
+
+from companion.domain import EstimateState, TargetEstimate
+from companion.guidance.authority import Authority
+from companion.guidance.launch import Launch
+from companion.guidance.states import STREAMING, Phase
+from companion.guidance.vehicle import VehicleView
+
+FOLLOW_UP_S = 5.0
+"""How long the autopilot may take to enter the mode that follows the report."""
+
+
+def missing_input(
+    vehicle: VehicleView,
+    estimate: TargetEstimate | None,
+    ranging_heard_s: float | None,
+    ranging_timeout_s: float,
+    now_s: float,
+) -> str | None:
+    """What the plan stands on and is not there, or None.
+
+    Args:
+        vehicle: As last heard.
+        estimate: Of the target.
+        ranging_heard_s: When the last usable measurement came.
+        ranging_timeout_s: How old it may be.
+        now_s: The present.
+    """
+    if vehicle.is_link_lost(now_s):
+        return "autopilot link lost"
+    if not vehicle.is_mode_known(now_s):
+        return "autopilot's mode is unknown"
+    if not vehicle.is_position_fresh(now_s):
+        return "own position is stale"
+    if ranging_heard_s is None or estimate is None:
+        return "waiting for ranging"
+    if now_s - ranging_heard_s > ranging_timeout_s:
+        return f"no ranging for {ranging_timeout_s:g} s"
+    if estimate.state is EstimateState.DIVERGED:
+        return "the filter is recovering from a contradiction"
+    return None
+
+
+def is_silence_due(
+    authority: Authority, vehicle: VehicleView, launch: Launch | None, now_s: float
+) -> bool:
+    """Whether no setpoint may leave at this tick."""
+    phase = authority.phase
+    if phase not in STREAMING or not vehicle.is_mode_known(now_s):
+        return True
+    if phase is Phase.FINISHED:
+        return authority.has_let_go or now_s - authority.since_s > FOLLOW_UP_S
+    if phase is Phase.STANDBY:
+        return not (vehicle.wants_prestream and vehicle.is_position_fresh(now_s))
+    if phase is Phase.LAUNCHING:
+        return launch is None or not launch.wants_stream
+    return False

@@ -1,0 +1,223 @@
+"""The installed commands over UDP, with real processes: few and short."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from companion.mav.codec import MavCodec
+from companion.mav.dialect import mavlink
+
+BIN = Path(sys.executable).parent
+SPEED = "8"
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+class Commands:
+    """Starts the installed commands in a folder of their own and ends them all."""
+
+    def __init__(self, directory: Path) -> None:
+        self.directory = directory
+        self.running: list[subprocess.Popen[str]] = []
+
+    def start(self, name: str, *arguments: str) -> subprocess.Popen[str]:
+        process = subprocess.Popen(
+            [BIN / name, *arguments],
+            cwd=self.directory,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        self.running.append(process)
+        return process
+
+    def simulator(self, port: int, **options: str) -> subprocess.Popen[str]:
+        return self.start(
+            "sim-link",
+            *("--seed", "3", "--speed", SPEED, "--send-to", f"127.0.0.1:{port}"),
+            *("--listen", options.get("listen", f"127.0.0.1:{free_port()}")),
+            *("--report", str(self.directory / "truth.json")),
+        )
+
+    def companion(self, port: int, *arguments: str) -> subprocess.Popen[str]:
+        (self.directory / "auto.yaml").write_text("mission: {engage: auto}\n")
+        url = f"udp:127.0.0.1:{port}"
+        return self.start(
+            "companion", "--connect", url, "--config", "auto.yaml", "--speed", SPEED, *arguments
+        )
+
+
+@pytest.fixture
+def commands(tmp_path: Path) -> Iterator[Commands]:
+    started = Commands(tmp_path)
+    yield started
+    for process in started.running:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+def wait_for_text(process: subprocess.Popen[str], text: str, timeout_s: float = 30.0) -> None:
+    """Read a process's standard error until a line holds `text`."""
+    assert process.stderr is not None
+    deadline = time.monotonic() + timeout_s
+    for line in process.stderr:
+        if text in line:
+            return
+        assert time.monotonic() < deadline, f"{text!r} did not come in time"
+    pytest.fail(f"the process ended without {text!r}")
+
+
+def test_companion_finds_the_emitter_and_both_end_cleanly(commands: Commands) -> None:
+    port = free_port()
+    simulator = commands.simulator(port)
+    companion = commands.companion(port, "--once")
+    _, companion_errors = companion.communicate(timeout=60)
+    assert companion.returncode == 0, companion_errors
+    simulator.send_signal(signal.SIGTERM)
+    simulator.communicate(timeout=10)
+    assert simulator.returncode == 0
+
+    (result_file,) = commands.directory.glob("flights/*/result.json")
+    result = json.loads(result_file.read_text())
+    truth = json.loads((commands.directory / "truth.json").read_text())
+    east, north = truth["emitter"]["enu_m"][:2]
+    error_m = ((result["east_m"] - east) ** 2 + (result["north_m"] - north) ** 2) ** 0.5
+    assert error_m <= 1.0
+    assert result["latitude_deg"] == pytest.approx(truth["emitter"]["latitude_deg"], abs=2e-5)
+    assert result["longitude_deg"] == pytest.approx(truth["emitter"]["longitude_deg"], abs=2e-5)
+    assert result["r95_m"] <= 1.0
+    assert [change["mode"] for change in truth["mode_changes"]][-1] == "hold"
+
+
+def test_termination_in_flight_hands_the_vehicle_back(commands: Commands) -> None:
+    port = free_port()
+    commands.simulator(port)
+    companion = commands.companion(port)
+    wait_for_text(companion, "flying the plan")
+    began = time.monotonic()
+    companion.send_signal(signal.SIGTERM)
+    companion.communicate(timeout=5)
+    assert time.monotonic() - began < 2.0
+    assert companion.returncode == 0
+    time.sleep(0.3)
+    commands.running[0].send_signal(signal.SIGTERM)
+    commands.running[0].communicate(timeout=10)
+    truth = json.loads((commands.directory / "truth.json").read_text())
+    assert truth["mode_changes"][-1]["mode"] == "hold"
+
+
+def test_taken_port_is_one_clear_line_and_leaves_nothing_behind(commands: Commands) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        port = taken.getsockname()[1]
+        _, errors = commands.start("companion", "--connect", f"udp:127.0.0.1:{port}").communicate()
+    assert commands.running[0].returncode == 2
+    assert len(errors.strip().splitlines()[-1:]) == 1
+    assert f"{port} is taken" in errors
+    assert "Traceback" not in errors
+    assert not list(commands.directory.glob("flights/*"))
+
+
+def test_companion_survives_garbage_and_understands_the_next_heartbeat(commands: Commands) -> None:
+    port = free_port()
+    companion = commands.start("companion", "--connect", f"udp:127.0.0.1:{port}")
+    wait_for_text(companion, "flight log")
+    time.sleep(0.3)
+    autopilot = MavCodec(1, 1)
+    heartbeat = mavlink.MAVLink_heartbeat_message(2, 12, 81, 0x00030000, 3, 3)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        sender.settimeout(5.0)
+        for seed in range(10_000):
+            good = autopilot.encode(heartbeat)
+            noise = bytes((seed * 7 + i * i * 31 + seed // 13) % 256 for i in range(seed % 60))
+            sender.sendto(noise if seed % 2 else good[: seed % len(good)], ("127.0.0.1", port))
+        for _ in range(20):
+            sender.sendto(autopilot.encode(heartbeat), ("127.0.0.1", port))
+            time.sleep(0.02)
+        answers = MavCodec(255, 190).decode(sender.recv(2048))
+    assert answers[0].get_srcComponent() == 191
+    assert companion.poll() is None
+    companion.send_signal(signal.SIGINT)
+    _, errors = companion.communicate(timeout=5)
+    assert companion.returncode == 0
+    assert "Traceback" not in errors
+
+
+def test_demo_writes_its_result_and_picture(commands: Commands) -> None:
+    demo = commands.start("companion", "demo", "--speed", SPEED, "--seed", "2", "--json", "d.json")
+    output, errors = demo.communicate(timeout=90)
+    assert demo.returncode == 0, errors
+    assert "LOCALISED" in output
+    value = json.loads((commands.directory / "d.json").read_text())
+    assert value["seed"] == 2
+    assert value["state"] == "localised"
+    assert value["final_error_m"] <= 1.0
+    assert value["time_s"] > 0.0
+    assert value["distance_m"] > 50.0
+    assert (commands.directory / "track.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_demo_that_runs_out_of_time_says_so(commands: Commands) -> None:
+    (commands.directory / "short.yaml").write_text("time_limit_s: 20.0\n")
+    demo = commands.start(
+        "companion", "demo", "--speed", SPEED, "--scenario", "short.yaml", "--no-plot"
+    )
+    output, _ = demo.communicate(timeout=60)
+    assert demo.returncode == 1
+    assert "NOT LOCALISED (time limit of 20 s)" in output
+
+
+@pytest.mark.parametrize("delay_s", [0.05, 0.6, 1.5, 3.0])
+def test_interrupted_demo_leaves_no_process(commands: Commands, delay_s: float) -> None:
+    demo = commands.start("companion", "demo", "--speed", "4", "--no-plot")
+    time.sleep(delay_s)
+    children = child_processes(demo.pid)
+    demo.send_signal(signal.SIGINT)
+    _, errors = demo.communicate(timeout=10)
+    assert demo.returncode != 0
+    assert delay_s < 1.0 or "Traceback" not in errors
+    assert not [pid for pid in children if is_alive(pid)]
+
+
+def test_killed_demo_takes_its_simulator_with_it(commands: Commands) -> None:
+    demo = commands.start("companion", "demo", "--speed", "4", "--no-plot")
+    wait_for_text(demo, "ready")
+    children = child_processes(demo.pid)
+    assert children
+    demo.kill()
+    demo.communicate()
+    deadline = time.monotonic() + 5.0
+    while any(is_alive(pid) for pid in children) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not [pid for pid in children if is_alive(pid)]
+
+
+def child_processes(pid: int) -> list[int]:
+    try:
+        text = Path(f"/proc/{pid}/task/{pid}/children").read_text()
+    except FileNotFoundError:
+        return []
+    return [int(word) for word in text.split()]
+
+
+def is_alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+        return Path(f"/proc/{pid}/stat").read_text().split(") ")[-1][0] != "Z"
+    except (ProcessLookupError, FileNotFoundError):
+        return False
