@@ -114,6 +114,8 @@ def replay_walk(
 
 def _result(target_id: str, target: _Replayed) -> TargetResult:
     tracker = target.tracker
+    if tracker.params.window.enabled:
+        tracker.polish()
     return TargetResult(
         target_id=target_id,
         rows=target.rows,

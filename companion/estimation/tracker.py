@@ -36,7 +36,14 @@ from companion.estimation.hypotheses import (
     probabilities,
 )
 from companion.estimation.losses import asymmetric_huber_loss
+from companion.estimation.polish import polished
 from companion.estimation.refusal import AcceptanceParams, Refusal, refusal_of
+from companion.estimation.window_map import (
+    MIN_MEASUREMENTS,
+    MeasurementWindow,
+    WindowMap,
+    WindowParams,
+)
 from companion.params import Params, Positive
 
 DUPLICATE_MEMORY = 256
@@ -44,6 +51,11 @@ AMBIGUOUS_PROBABILITY = 0.05
 """A second hypothesis with at least this probability makes the estimate ambiguous."""
 MAX_AMBIGUOUS = 3
 """More distinct places than this is searching, not ambiguous."""
+MAX_POLISHED = 4
+"""Hypotheses that start a solution of the window each time."""
+UNSETTLED_STARTS, SETTLED_STARTS = 4, 1
+"""Fresh starts per solution, before and after there is one hypothesis and much evidence."""
+SETTLED_COUNT = 300
 CONTRADICTION_COUNT = 40
 """How many measurements in a row must contradict the estimate before it is given up."""
 CONTRADICTION_U = 3.0
@@ -56,6 +68,7 @@ class TrackerParams(Params, frozen=True):
     filter: FilterParams = FilterParams()
     acceptance: AcceptanceParams = AcceptanceParams()
     hypotheses: HypothesisParams = HypothesisParams()
+    window: WindowParams = WindowParams()
     localised_r95_m: Positive = 2.0
     """The state is `localised` while R95 is at most this."""
     initial_inflation: Positive = 4.0
@@ -91,6 +104,9 @@ class TargetTracker:
         self.restarts = 0
         self.last_accepted_s: float | None = None
         self._filter = AsymmetricHuberEkf(params.filter)
+        self._window = MeasurementWindow(params.window.size)
+        self._window_map = WindowMap(params.filter)
+        self._turn = 0
         self._stamps: deque[int] = deque(maxlen=DUPLICATE_MEMORY)
         self._hypotheses: tuple[Hypothesis, ...] = ()
         self._noise = self._fresh_noise()
@@ -117,10 +133,21 @@ class TargetTracker:
             self._stamps.append(measurement.stamp_us)
         self.accepted += 1
         self.last_accepted_s = now_s
+        self._window.add(
+            sensor_enu_m,
+            measurement.range_m,
+            measurement.bearing_enu_rad,
+            self._filter.range_sigma_m(measurement),
+            self._filter.bearing_sigma_rad(measurement),
+        )
         if not self._hypotheses:
             self._start(measurement, sensor_enu_m)
             return FusionReport(None)
-        return self._update(measurement, sensor_enu_m)
+        report = self._update(measurement, sensor_enu_m)
+        if self.params.window.enabled and self.accepted % self.params.window.every == 0:
+            is_settled = len(self._hypotheses) == 1 and self.accepted > SETTLED_COUNT
+            self.polish(SETTLED_STARTS if is_settled else UNSETTLED_STARTS)
+        return report
 
     def refuse(self, reason: Refusal) -> FusionReport:
         """Count a measurement that the caller could not even offer."""
@@ -134,6 +161,7 @@ class TargetTracker:
         self._contradictions = 0
         self.last_accepted_s = None
         self._stamps.clear()
+        self._window.clear()
 
     def estimate(self, now_s: float) -> TargetEstimate | None:
         """Where the target is believed to be, or None before the first measurement."""
@@ -225,6 +253,30 @@ class TargetTracker:
             return self._restart(measurement, sensor_enu_m)
         return FusionReport(None, best)
 
+    def polish(self, fresh_starts: int | None = None) -> None:
+        """Check the hypotheses against the window, and let its optima correct them.
+
+        Args:
+            fresh_starts: How many starts besides the hypotheses; None: all directions, for use
+                after the last measurement of a recording.
+        """
+        if len(self._window) < MIN_MEASUREMENTS or not self._hypotheses:
+            return
+        rows, directions = self._window.rows, self.params.window.starts
+        starts = [h.state.mean for h in self._hypotheses[:MAX_POLISHED]]
+        for _ in range(directions if fresh_starts is None else fresh_starts):
+            direction_rad = 2.0 * math.pi * self._turn / directions
+            spread = self._turn // directions + self._turn
+            starts.append(self._window_map.start_around(rows, direction_rad, spread))
+            self._turn += 1
+        optima = self._window_map.optima(rows, starts)
+        is_white = all(monitor.correlation == 0.0 for monitor in self._noise)
+        has_seen_more = not self._window.is_complete
+        time_s = self._hypotheses[0].state.time_s
+        self._hypotheses = polished(
+            self._hypotheses, optima, time_s, keep_confirmed=is_white and has_seen_more
+        )
+
     def _log_likelihood(self, report: UpdateReport, inflation: tuple[float, float]) -> float:
         """Robust log-likelihood of both innovations, tempered by the inflation."""
         p = self.params.filter
@@ -257,7 +309,9 @@ class TargetTracker:
         sign = 0.0
         if report.bearing is not None and report.bearing.prior_share < 1.0:
             u = report.bearing.whitened_innovation / math.sqrt(self.inflation[1])
-            sign = math.copysign(1.0, u) if abs(u) > CONTRADICTION_U else 0.0
+            is_behind = abs(report.bearing.innovation) > 0.5 * math.pi  # to neither side
+            side = 3.0 if is_behind else math.copysign(1.0, u)
+            sign = side if abs(u) > CONTRADICTION_U else 0.0
         if sign == 0.0 and report.range is not None and report.range.prior_share < 1.0:
             u = report.range.whitened_innovation / math.sqrt(self.inflation[0])
             sign = -2.0 if u < -CONTRADICTION_U else 0.0

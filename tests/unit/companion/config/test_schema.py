@@ -1,0 +1,91 @@
+"""The companion's configuration: presets, defaults and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from companion.config.load import load_yaml, parse_yaml
+from companion.config.schema import CompanionConfig, inconsistency, load_config
+from companion.errors import ConfigError
+from companion.run import build_session
+
+ROOT = Path(__file__).parents[4]
+PRESETS = sorted((ROOT / "configs/companion").glob("*.yaml"))
+
+
+def test_default_preset_spells_out_the_defaults() -> None:
+    assert load_yaml(ROOT / "configs/companion/default.yaml", CompanionConfig) == CompanionConfig()
+    assert load_config(None) == CompanionConfig()
+
+
+def test_default_preset_names_every_key() -> None:
+    text = (ROOT / "configs/companion/default.yaml").read_text()
+    for record in _records(CompanionConfig()):
+        for name in record.__struct_fields__:
+            assert f"{name}:" in text, f"{type(record).__name__}.{name} is not in default.yaml"
+
+
+def _records(record: object) -> list:  # type: ignore[type-arg]
+    fields = getattr(record, "__struct_fields__", ())
+    nested = [_records(getattr(record, name)) for name in fields]
+    return ([record] if fields else []) + [r for group in nested for r in group]
+
+
+@pytest.mark.parametrize("preset", PRESETS, ids=lambda path: path.stem)
+def test_every_preset_is_valid_and_flies(preset: Path) -> None:
+    build_session(load_config(preset))
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("mission: {altitud_m: 20}", r"\$\.mission.*altitud_m"),
+        ("frobnicate: 1", "frobnicate"),
+        ("mission: {altitude_m: high}", r"\$\.mission\.altitude_m"),
+        ("mission: {altitude_m: -3}", r"\$\.mission\.altitude_m"),
+        ("mission: {engage: always}", r"\$\.mission\.engage"),
+        ("limits: {speed_mps: 0}", r"\$\.limits\.speed_mps"),
+        ("limits: {speed_mps: .nan}", r"\$\.limits\.speed_mps"),
+        ("limits: {altitude_min_m: 50, altitude_max_m: 10}", r"\$\.limits"),
+        ("limits: {fence_enu_m: [[0, 0], [1, 1]]}", r"\$\.limits"),
+        ("limits: {fence_enu_m: [[0, 0], [50, 50], [50, 0], [0, 50]]}", r"\$\.limits.*cross"),
+        ("limits: {fence_enu_m: [[0, 0], [4, 0], [4, 4], [0, 4]]}", r"\$\.limits.*margin"),
+        ("estimation: {filter: {range_sigma_m: 0}}", r"\$\.estimation\.filter\.range_sigma_m"),
+        (
+            "estimation: {filter: {range_offset_min_m: 2, range_offset_max_m: 1}}",
+            r"\$\.estimation\.filter",
+        ),
+        (
+            "planner: {latched_crossing: {overshoot_min_m: 9, overshoot_max_m: 3}}",
+            r"\$\.planner\.latched_crossing",
+        ),
+        ("planner: {kind: magic}", r"\$\.planner\.kind"),
+        ("emitter_id: 70000", r"\$\.emitter_id"),
+        ("vehicle: {system_id: 0}", r"\$\.vehicle\.system_id"),
+        ("[1, 2]", "expected"),
+    ],
+)
+def test_wrong_value_is_named_by_its_path(text: str, problem: str) -> None:
+    with pytest.raises(ConfigError, match=problem) as refused:
+        parse_yaml(text, CompanionConfig, "site.yaml")
+    assert str(refused.value).startswith("site.yaml")
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "path"),
+    [
+        ("mission: {altitude_m: 100}", "$.mission.altitude_m"),
+        ("mission: {stop_radius_m: 0.1}", "$.mission.stop_radius_m"),
+        ("mission: {stop_radius_m: 9}", "$.mission.stop_radius_m"),
+    ],
+)
+def test_contradiction_between_sections_is_named(text: str, path: str, tmp_path: Path) -> None:
+    file = tmp_path / "site.yaml"
+    file.write_text(text)
+    with pytest.raises(ConfigError) as refused:
+        load_config(file)
+    assert path in str(refused.value)
+    assert inconsistency(CompanionConfig()) is None

@@ -1,0 +1,156 @@
+"""`companion replay`: recorded walks through the flying estimator."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from companion.cli import main
+from companion.config.schema import load_config
+from companion.errors import ConfigError
+from companion.estimation.tracker import TrackerParams
+from companion.estimation.window_map import WindowParams
+from companion.replay import TargetResult, read_walk, replay_walk
+
+ROOT = Path(__file__).parents[3]
+MALL = ROOT / "tests/data/rtt_mall_w9_p1.csv"
+WIFI = ROOT / "configs/companion/wifi_rtt.yaml"
+
+
+def errors_m(results: list[TargetResult]) -> list[float]:
+    return [result.error_m for result in results if result.error_m is not None]
+
+
+def test_recorded_wifi_walk_is_localised_within_its_claimed_radius() -> None:
+    results = replay_walk(MALL, load_config(WIFI).estimation)
+    assert [r.target_id for r in results] == ["AP1", "AP2", "AP5", "AP6", "AP7", "AP8"]
+    assert sum(r.rows for r in results) == 7872
+    assert float(np.median(errors_m(results))) <= 1.0
+    covered = [
+        r.error_m is not None and r.estimate is not None and r.error_m <= r.estimate.r95_m
+        for r in results
+    ]
+    assert sum(covered) >= 5
+
+
+def test_window_is_what_makes_the_recorded_walk_right() -> None:
+    params = load_config(WIFI).estimation
+    without = TrackerParams(filter=params.filter, window=WindowParams(enabled=False))
+    with_window = float(np.median(errors_m(replay_walk(MALL, params))))
+    assert with_window < 0.7 * float(np.median(errors_m(replay_walk(MALL, without))))
+
+
+def write_walk(path: Path, rows: list[dict[str, object]]) -> Path:
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, fieldnames=list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    return path
+
+
+def circle(count: int = 120) -> list[dict[str, object]]:
+    rows: list[dict[str, object]] = []
+    for index in range(count):
+        phi = 2.0 * math.pi * index / count
+        east, north = 10.0 * math.cos(phi), 10.0 * math.sin(phi)
+        rows.append(
+            {
+                "t_s": 0.5 * index,
+                "agent_x_m": east,
+                "agent_y_m": north,
+                "target_id": "tag",
+                "range_m": math.dist((east, north), (4.0, 3.0)) + 0.5,
+                "bearing_rad": math.atan2(3.0 - north, 4.0 - east),
+            }
+        )
+    return rows
+
+
+def test_truth_columns_are_optional(tmp_path: Path) -> None:
+    (result,) = replay_walk(write_walk(tmp_path / "walk.csv", circle()), TrackerParams())
+    assert result.error_m is None
+    assert result.estimate is not None
+    assert result.estimate.position_enu_m == pytest.approx((4.0, 3.0), abs=0.2)
+
+
+def test_bearings_alone_and_ranges_alone_are_legal(tmp_path: Path) -> None:
+    for column in ("range_m", "bearing_rad"):
+        rows = [{k: v for k, v in row.items() if k != column} for row in circle()]
+        (result,) = replay_walk(write_walk(tmp_path / f"{column}.csv", rows), TrackerParams())
+        assert result.estimate is not None
+        assert result.estimate.position_enu_m == pytest.approx((4.0, 3.0), abs=1.0)
+
+
+def test_absurd_cells_are_refused_and_counted(tmp_path: Path) -> None:
+    rows = circle()
+    for index, value in ((5, "nan"), (6, -3.0), (7, 1e9), (8, "inf")):
+        rows[index] |= {"range_m": value, "bearing_rad": ""}
+    rows[9] |= {"range_m": "", "bearing_rad": ""}
+    (result,) = replay_walk(write_walk(tmp_path / "walk.csv", rows), TrackerParams())
+    assert result.rows == 120
+    assert result.accepted == 115
+    assert dict(result.refused) == {
+        "not finite": 2,
+        "range not positive": 1,
+        "range absurd": 1,
+        "nothing measured": 1,
+    }
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("", "line 1: missing column t_s"),
+        ("t_s,agent_x_m,agent_y_m,target_id\n", "line 1: needs a column range_m or bearing_rad"),
+        ("t_s,agent_x_m,agent_y_m,target_id,range_m\n0,1,x,A,3\n", "line 2: agent_y_m is not"),
+        ("t_s,agent_x_m,agent_y_m,target_id,range_m\n0,1,2,,3\n", "line 2: target_id is empty"),
+        ("t_s,agent_x_m,agent_y_m,target_id,range_m\n0,1,2,A,3\nnan,1,2,A,3\n", "line 3: t_s must"),
+        ("t_s,agent_x_m,agent_y_m,target_id,range_m\n0,1\n", "line 2: target_id is empty"),
+    ],
+)
+def test_broken_file_names_the_line(tmp_path: Path, text: str, problem: str) -> None:
+    path = tmp_path / "walk.csv"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=problem):
+        list(read_walk(path))
+
+
+def test_command_prints_a_table_and_writes_json(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    walk = write_walk(tmp_path / "walk.csv", circle())
+    assert main(["replay", str(walk), "--json", str(tmp_path / "out.json")]) == 0
+    assert "tag" in capsys.readouterr().out
+    (target,) = json.loads((tmp_path / "out.json").read_text())["targets"]
+    assert target["target_id"] == "tag"
+    assert target["n"] == 120
+    assert target["state"] == "localised"
+    assert target["east_m"] == pytest.approx(4.0, abs=0.2)
+    assert target["r95_m"] > 0.0
+    assert target["error_m"] is None
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["replay", "no-such-file.csv"],
+        ["replay", str(ROOT)],
+        ["replay", str(MALL), "--config", "no-such-file.yaml"],
+        ["replay"],
+        [],
+        ["--connect", "udp:127.0.0.1"],
+        ["--connect", "udp:127.0.0.1:14550", "--speed", "nan"],
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(
+    arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith("companion: ")
