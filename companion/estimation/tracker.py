@@ -36,11 +36,11 @@ from companion.estimation.hypotheses import (
     probabilities,
 )
 from companion.estimation.losses import asymmetric_huber_loss
+from companion.estimation.measurement_window import MeasurementWindow
 from companion.estimation.polish import polished
 from companion.estimation.refusal import AcceptanceParams, Refusal, refusal_of
 from companion.estimation.window_map import (
     MIN_MEASUREMENTS,
-    MeasurementWindow,
     WindowMap,
     WindowParams,
 )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import bisect
-import math
 from collections import deque
 
 from companion.domain import PositionEnu, VehicleState

@@ -10,13 +10,12 @@ import pytest
 from companion.domain import EstimateState, RangingMeasurement
 from companion.estimation.base import FilterParams, FilterState
 from companion.estimation.hypotheses import Hypothesis
+from companion.estimation.measurement_window import MeasurementWindow, thinned
 from companion.estimation.polish import polished, weighted
 from companion.estimation.tracker import TargetTracker, TrackerParams
 from companion.estimation.window_map import (
-    MeasurementWindow,
     Optimum,
     WindowMap,
-    thinned,
 )
 
 TARGET = (40.0, 25.0)

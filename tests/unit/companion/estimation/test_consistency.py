@@ -1,0 +1,132 @@
+"""The noise monitor: what it takes for white noise, and what it makes of everything else."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+
+from companion.estimation.consistency import (
+    FORGETTING,
+    MAX_CORRELATION,
+    MAX_INFLATION,
+    PRIOR_COUNT,
+    NoiseMonitor,
+)
+
+K = 1.5
+
+
+def _monitor(
+    innovations: Iterable[float], k_short: float = K, prior_inflation: float = 1.0
+) -> NoiseMonitor:
+    monitor = NoiseMonitor.prior(prior_inflation)
+    for u in innovations:
+        monitor = monitor.after(float(u), K, k_short)
+    return monitor
+
+
+def _repeating(rng: np.random.Generator, rho: float, count: int) -> list[float]:
+    """Gaussian noise of unit variance whose neighbours are correlated by `rho`."""
+    values = [float(rng.normal())]
+    for fresh in rng.normal(size=count - 1):
+        values.append(rho * values[-1] + math.sqrt(1.0 - rho * rho) * float(fresh))
+    return values
+
+
+@pytest.mark.parametrize("inflation", [1.0, 4.0, 10.0])
+def test_before_any_data_the_prior_is_believed(inflation: float) -> None:
+    assert NoiseMonitor.prior(inflation).inflation == pytest.approx(inflation)
+
+
+@pytest.mark.parametrize("k_short", [K, math.inf])
+def test_well_specified_white_noise_needs_no_inflation(k_short: float) -> None:
+    found = [
+        _monitor(np.random.default_rng(seed).normal(size=1500), k_short).inflation
+        for seed in range(40)
+    ]
+    assert min(found) >= 1.0
+    assert float(np.median(found)) < 1.05
+    assert max(found) < 1.5  # two standard errors of the correlation are taken for one now and then
+
+
+def test_a_cautious_prior_is_forgotten() -> None:
+    noise = np.random.default_rng(1).normal(size=2000)
+    assert _monitor(noise[:20], prior_inflation=4.0).inflation > 2.0
+    assert _monitor(noise, prior_inflation=4.0).inflation == pytest.approx(1.0, abs=0.05)
+
+
+def test_it_is_the_sandwich_of_contaminated_noise() -> None:
+    """The same moments computed at once, with the weights of forgetting and of the prior."""
+    rng = np.random.default_rng(4)
+    u = np.where(rng.random(900) < 0.7, rng.exponential(5.0, 900), 0.0) + rng.normal(size=900)
+    psi = np.minimum(u, K)
+    age = FORGETTING ** np.arange(900)[::-1]
+    prior = PRIOR_COUNT * FORGETTING**900
+    count = age.sum() + prior
+    mean_weight = ((age * psi / u).sum() + prior) / count
+    mean_psi2 = ((age * psi**2).sum() + prior) / count
+    mean_slope = ((age * (u <= K)).sum() + prior) / count
+    mean_psi = (age * psi).sum() / count
+    lag = (age[1:] * psi[1:] * psi[:-1]).sum() / count
+    rho = (lag - mean_psi**2) / (mean_psi2 - mean_psi**2)
+    rho = rho if rho > 2.0 / math.sqrt(count) else 0.0
+    sandwich = mean_weight * mean_psi2 / mean_slope**2
+    assert sandwich > 1.5
+    monitor = _monitor(u, math.inf)
+    assert monitor.inflation == pytest.approx(sandwich * (1.0 + rho) / (1.0 - rho), rel=1e-9)
+    assert monitor.mean_influence == pytest.approx(mean_psi, rel=1e-9)
+    assert monitor.bilateral_share == pytest.approx(mean_slope, rel=1e-9)
+
+
+def test_noise_that_is_larger_than_believed_is_noticed() -> None:
+    """Quadratic loss: the sandwich is the variance itself."""
+    monitor = NoiseMonitor.prior(1.0)
+    for u in 2.0 * np.random.default_rng(8).normal(size=3000):
+        monitor = monitor.after(float(u), math.inf, math.inf)
+    assert monitor.inflation == pytest.approx(4.0, rel=0.25)
+
+
+def test_inflation_rises_with_the_correlation_of_neighbours() -> None:
+    found = []
+    for rho in (0.0, 0.5, 0.8, 0.95):
+        monitors = [
+            _monitor(_repeating(np.random.default_rng(seed), rho, 1500)) for seed in range(10)
+        ]
+        found.append(float(np.median([m.inflation for m in monitors])))
+    assert found == sorted(found)
+    assert found[1] > 2.0
+    assert found[3] > 10.0
+
+
+def test_neighbours_of_opposite_sign_do_not_shrink_it() -> None:
+    assert _monitor([1.0, -1.0] * 500).correlation == 0.0
+    assert _monitor([1.0, -1.0] * 500).inflation >= 1.0
+
+
+def test_a_broken_chain_has_no_neighbours() -> None:
+    """Each innovation follows a gap: nothing says that they repeat each other."""
+    monitor = NoiseMonitor.prior(1.0)
+    for u in np.random.default_rng(3).normal(size=1000):
+        monitor = monitor.after(float(u), K, K).reset_correlation()
+    assert monitor.correlation == 0.0
+    assert monitor.inflation < 1.1
+
+
+def test_it_never_runs_away() -> None:
+    stuck = _monitor([50.0] * 2000, math.inf)
+    assert stuck.inflation <= MAX_INFLATION
+    drifting = _monitor([math.copysign(1.4, math.sin(i / 200.0)) for i in range(3000)])
+    assert 0.9 < drifting.correlation <= MAX_CORRELATION
+
+
+def test_silence_is_not_divided_by() -> None:
+    monitor = _monitor([0.0] * 20_000)
+    assert monitor.correlation == 0.0
+    assert monitor.inflation == 1.0
+
+
+def test_without_variance_there_is_no_correlation() -> None:
+    assert NoiseMonitor(10.0, 10.0, 10.0, 10.0, 10.0, 10.0).correlation == 0.0

@@ -1,0 +1,154 @@
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from companion.domain import PositionEnu, RangingMeasurement
+from companion.estimation.refusal import FUTURE_TOLERANCE_S, Refusal
+from companion.estimation.tracker import TargetTracker, TrackerParams
+
+PLACE: PositionEnu = (10.0, 5.0, 20.0)
+NOW_S = 100.0
+GOOD = RangingMeasurement(
+    emitter_id=7,
+    measured_at_s=NOW_S,
+    range_m=50.0,
+    range_sigma_m=1.0,
+    bearing_enu_rad=0.4,
+    bearing_sigma_rad=0.03,
+    stamp_us=1_000,
+)
+
+
+def _tracker() -> TargetTracker:
+    """A tracker in flight, with emitter 7 and stamps up to 999 behind it."""
+    tracker = TargetTracker(TrackerParams())
+    for step in range(5):
+        seen = replace(GOOD, measured_at_s=NOW_S - 1.0 + 0.1 * step, stamp_us=995 + step)
+        tracker.fuse(seen, (10.0 * step, 0.0, 20.0), NOW_S - 0.5)
+    return tracker
+
+
+def _snapshot(tracker: TargetTracker) -> list[object]:
+    """All that a measurement could have changed, bit by bit."""
+    return [
+        *[
+            (h.log_weight, h.state.time_s, h.state.mean.tobytes(), h.state.covariance.tobytes())
+            for h in tracker.hypotheses
+        ],
+        tracker.estimate(NOW_S),
+        tracker.inflation,
+        tracker.nlos_share,
+        tracker.accepted,
+        tracker.restarts,
+        tracker.last_accepted_s,
+        tracker.emitter_id,
+    ]
+
+
+REFUSED = {
+    "other emitter": (replace(GOOD, emitter_id=8), Refusal.OTHER_EMITTER),
+    "nothing": (replace(GOOD, range_m=None, bearing_enu_rad=None), Refusal.NOTHING_MEASURED),
+    "range NaN": (replace(GOOD, range_m=math.nan), Refusal.NOT_FINITE),
+    "range inf": (replace(GOOD, range_m=math.inf), Refusal.NOT_FINITE),
+    "range -inf": (replace(GOOD, range_m=-math.inf), Refusal.NOT_FINITE),
+    "bearing NaN": (replace(GOOD, bearing_enu_rad=math.nan), Refusal.NOT_FINITE),
+    "bearing inf": (replace(GOOD, bearing_enu_rad=math.inf), Refusal.NOT_FINITE),
+    "body bearing NaN": (replace(GOOD, bearing_body_rad=math.nan), Refusal.NOT_FINITE),
+    "sigma NaN": (replace(GOOD, range_sigma_m=math.nan), Refusal.NOT_FINITE),
+    "bearing sigma inf": (replace(GOOD, bearing_sigma_rad=math.inf), Refusal.NOT_FINITE),
+    "time NaN": (replace(GOOD, measured_at_s=math.nan), Refusal.NOT_FINITE),
+    "range negative": (replace(GOOD, range_m=-1.0), Refusal.RANGE_NOT_POSITIVE),
+    "range zero": (replace(GOOD, range_m=0.0), Refusal.RANGE_NOT_POSITIVE),
+    "range absurd": (replace(GOOD, range_m=2000.1), Refusal.RANGE_ABSURD),
+    "bearing in degrees": (replace(GOOD, bearing_enu_rad=90.0), Refusal.BEARING_ABSURD),
+    "body bearing in degrees": (replace(GOOD, bearing_body_rad=-7.0), Refusal.BEARING_ABSURD),
+    "sigma zero": (replace(GOOD, range_sigma_m=0.0), Refusal.SIGMA_NOT_POSITIVE),
+    "bearing sigma negative": (replace(GOOD, bearing_sigma_rad=-0.1), Refusal.SIGMA_NOT_POSITIVE),
+    "future": (
+        replace(GOOD, measured_at_s=NOW_S + FUTURE_TOLERANCE_S + 0.01),
+        Refusal.FROM_THE_FUTURE,
+    ),
+    "stale": (replace(GOOD, measured_at_s=NOW_S - 1.01), Refusal.STALE),
+    "duplicate": (replace(GOOD, stamp_us=997), Refusal.DUPLICATE),
+    "no yaw": (
+        replace(GOOD, range_m=None, bearing_enu_rad=None, bearing_body_rad=0.1),
+        Refusal.NO_YAW,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_is_refused_is_counted_and_changes_nothing(name: str) -> None:
+    measurement, reason = REFUSED[name]
+    tracker = _tracker()
+    before = _snapshot(tracker)
+    report = tracker.fuse(measurement, PLACE, NOW_S)
+    assert report.refusal is reason
+    assert report.update is None
+    assert not report.restarted
+    assert tracker.refusals == {reason: 1}
+    assert _snapshot(tracker) == before
+
+
+@pytest.mark.parametrize("place", [None, (math.nan, 0.0, 0.0), (0.0, 0.0, math.inf)])
+def test_without_an_own_position_it_is_refused(place: PositionEnu | None) -> None:
+    tracker = _tracker()
+    before = _snapshot(tracker)
+    assert tracker.fuse(GOOD, place, NOW_S).refusal is Refusal.NO_POSITION
+    assert tracker.refusals == {Refusal.NO_POSITION: 1}
+    assert _snapshot(tracker) == before
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_was_refused_leaves_no_trace_in_what_follows(name: str) -> None:
+    disturbed, calm = _tracker(), _tracker()
+    for step in range(5):
+        seen = replace(GOOD, measured_at_s=NOW_S + 0.05 * step, stamp_us=2_000 + step)
+        disturbed.fuse(REFUSED[name][0], PLACE, NOW_S)
+        disturbed.fuse(seen, PLACE, NOW_S + 0.2)
+        calm.fuse(seen, PLACE, NOW_S + 0.2)
+    assert _snapshot(disturbed) == _snapshot(calm)
+
+
+def test_every_reason_is_covered_here() -> None:
+    covered = {reason for _, reason in REFUSED.values()} | {Refusal.NO_POSITION}
+    assert covered == set(Refusal)
+
+
+@pytest.mark.parametrize(
+    "edge",
+    [
+        GOOD,
+        replace(GOOD, range_m=1e-6),
+        replace(GOOD, range_m=2000.0),
+        replace(GOOD, range_m=None),
+        replace(GOOD, bearing_enu_rad=None),
+        replace(GOOD, bearing_enu_rad=-2.0 * math.pi),
+        replace(GOOD, measured_at_s=NOW_S - 1.0),
+        replace(GOOD, measured_at_s=NOW_S + 0.5 * FUTURE_TOLERANCE_S),
+        replace(GOOD, stamp_us=None),
+    ],
+)
+def test_what_is_just_plausible_is_accepted(edge: RangingMeasurement) -> None:
+    tracker = _tracker()
+    assert tracker.fuse(edge, PLACE, NOW_S).refusal is None
+    assert tracker.accepted == 6
+
+
+def test_without_stamps_nothing_is_a_duplicate() -> None:
+    tracker = _tracker()
+    unstamped = replace(GOOD, stamp_us=None)
+    assert tracker.fuse(unstamped, PLACE, NOW_S).refusal is None
+    assert tracker.fuse(unstamped, PLACE, NOW_S).refusal is None
+
+
+def test_a_refused_measurement_does_not_choose_the_emitter() -> None:
+    tracker = TargetTracker(TrackerParams())
+    tracker.fuse(replace(GOOD, emitter_id=3, range_m=math.nan), PLACE, NOW_S)
+    tracker.fuse(replace(GOOD, emitter_id=4), None, NOW_S)
+    assert tracker.emitter_id is None
+    tracker.fuse(GOOD, PLACE, NOW_S)
+    assert tracker.emitter_id == 7

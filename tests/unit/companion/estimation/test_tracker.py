@@ -1,0 +1,293 @@
+"""The tracker: first hypotheses, ambiguity, divergence, and an R95 that keeps its word."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from functools import cache
+
+import numpy as np
+import pytest
+
+from companion.domain import EstimateState, Point, PositionEnu, RangingMeasurement, TargetEstimate
+from companion.estimation.base import FilterParams
+from companion.estimation.tracker import CONTRADICTION_COUNT, TargetTracker, TrackerParams
+from companion.planning.base import PlanRequest
+from companion.planning.latched_crossing import Latch, LatchedCrossing, LatchedCrossingParams
+
+HEIGHT_M = 20.0
+
+
+def _seen(
+    time_s: float, range_m: float | None = None, bearing_rad: float | None = None
+) -> RangingMeasurement:
+    bearing = None if bearing_rad is None else math.remainder(bearing_rad, 2.0 * math.pi)
+    return RangingMeasurement(
+        emitter_id=1, measured_at_s=time_s, range_m=range_m, bearing_enu_rad=bearing
+    )
+
+
+def _range_m(place: PositionEnu, target: Point) -> float:
+    return math.dist(place, (*target, 0.0))
+
+
+def _bearing_rad(place: PositionEnu, target: Point) -> float:
+    return math.atan2(target[1] - place[1], target[0] - place[0])
+
+
+def _line(start: Point, end: Point, steps: int) -> list[PositionEnu]:
+    return [
+        (float(e), float(n), HEIGHT_M)
+        for e, n in zip(
+            np.linspace(start[0], end[0], steps), np.linspace(start[1], end[1], steps), strict=True
+        )
+    ]
+
+
+def _corner() -> list[PositionEnu]:
+    """A walk with a turn: 60 m east, then 60 m north."""
+    return _line((0.0, 0.0), (60.0, 0.0), 60) + _line((60.0, 1.0), (60.0, 60.0), 60)
+
+
+def _estimate(tracker: TargetTracker) -> TargetEstimate:
+    estimate = tracker.estimate(0.0)
+    assert estimate is not None
+    return estimate
+
+
+def _walked(
+    places: Iterable[PositionEnu], target: Point, has_range: bool, has_bearing: bool
+) -> TargetTracker:
+    """Noiseless measurements of an emitter without offsets along a walk."""
+    tracker = TargetTracker(TrackerParams())
+    for step, place in enumerate(places):
+        seen = _seen(
+            float(step),
+            _range_m(place, target) if has_range else None,
+            _bearing_rad(place, target) if has_bearing else None,
+        )
+        assert tracker.fuse(seen, place, float(step)).refusal is None
+    return tracker
+
+
+def test_before_the_first_measurement_there_is_no_estimate() -> None:
+    tracker = TargetTracker(TrackerParams())
+    assert tracker.estimate(0.0) is None
+    assert len(tracker.hypotheses) == 0
+
+
+def test_the_first_range_and_bearing_are_inverted() -> None:
+    tracker = _walked([(10.0, 5.0, HEIGHT_M)], (40.0, 45.0), True, True)
+    estimate = _estimate(tracker)
+    assert estimate.position_enu_m == pytest.approx((40.0, 45.0))
+    assert estimate.state is EstimateState.SEARCHING
+    own2 = FilterParams().own_position_sigma_m ** 2
+    assert estimate.covariance_m2[0][0] == pytest.approx(30.0**2 + own2)
+
+
+def test_a_single_range_is_a_ring() -> None:
+    tracker = _walked([(0.0, 0.0, HEIGHT_M)], (40.0, 0.0), True, False)
+    places = np.array([h.state.mean[:2] for h in tracker.hypotheses])
+    np.testing.assert_allclose(np.hypot(*places.T), 40.0)
+    assert _estimate(tracker).state is EstimateState.SEARCHING
+
+
+def test_a_single_bearing_is_a_ray() -> None:
+    tracker = _walked([(0.0, 0.0, HEIGHT_M)], (30.0, 30.0), False, True)
+    places = np.array([h.state.mean[:2] for h in tracker.hypotheses])
+    np.testing.assert_allclose(places[:, 0], places[:, 1])
+    assert np.hypot(*places.T).min() < 10.0
+    assert np.hypot(*places.T).max() > 100.0
+
+
+@pytest.mark.parametrize(
+    ("target", "has_range", "has_bearing"),
+    [
+        (target, *has)
+        for target in [(30.0, 40.0), (90.0, -30.0), (20.0, 15.0), (-20.0, 35.0)]
+        for has in [(True, False), (False, True), (True, True)]
+    ],
+)
+def test_a_noiseless_walk_with_a_turn_finds_the_target(
+    target: Point, has_range: bool, has_bearing: bool
+) -> None:
+    estimate = _estimate(_walked(_corner(), target, has_range, has_bearing))
+    assert math.dist(estimate.position_enu_m, target) <= 3.2
+    assert math.dist(estimate.position_enu_m, target) <= estimate.r95_m
+    assert estimate.state in (EstimateState.LOCALISED, EstimateState.SEARCHING)
+
+
+@pytest.mark.parametrize("target", [(30.0, 25.0), (45.0, -40.0)])
+def test_a_straight_walk_with_ranges_only_leaves_a_mirror_image(target: Point) -> None:
+    tracker = _walked(_line((0.0, 0.0), (80.0, 0.0), 80), target, True, False)
+    estimate = _estimate(tracker)
+    assert estimate.state is EstimateState.AMBIGUOUS
+    assert estimate.alternative_enu_m is not None
+    found = sorted([estimate.position_enu_m, estimate.alternative_enu_m], key=lambda p: p[1])
+    mirrored = sorted([target, (target[0], -target[1])], key=lambda p: p[1])
+    for place, expected in zip(found, mirrored, strict=True):
+        assert math.dist(place, expected) < 6.0
+    assert math.dist(estimate.position_enu_m, target) <= estimate.r95_m
+
+
+def test_a_turn_ends_the_ambiguity() -> None:
+    target = (30.0, 25.0)
+    there, aside = _line((0.0, 0.0), (80.0, 0.0), 80), _line((80.0, 1.0), (80.0, 60.0), 60)
+    estimate = _estimate(_walked(there + aside, target, True, False))
+    assert estimate.state is not EstimateState.AMBIGUOUS
+    assert estimate.alternative_enu_m is None
+    assert math.dist(estimate.position_enu_m, target) <= estimate.r95_m
+
+
+def _circling(tracker: TargetTracker, target: Point, steps: range, turned_rad: float = 0.0) -> int:
+    """Noisy measurements on a circle about the target; returns how often the tracker restarted."""
+    rng = np.random.default_rng(steps.start + 17)
+    restarts = 0
+    for step in steps:
+        angle = 0.25 * step
+        place = (target[0] + 25.0 * math.cos(angle), target[1] + 25.0 * math.sin(angle), HEIGHT_M)
+        seen = _seen(
+            float(step),
+            _range_m(place, target) + float(rng.normal(0.0, 1.5)),
+            _bearing_rad(place, target) + turned_rad + float(rng.normal(0.0, 0.03)),
+        )
+        restarts += tracker.fuse(seen, place, float(step)).restarted
+    return restarts
+
+
+@pytest.mark.parametrize("turned_rad", [math.pi, 2.5, -2.0])
+def test_an_estimate_that_contradicts_its_measurements_starts_anew(turned_rad: float) -> None:
+    """Bearings right behind scatter about the cut, to one side and the other."""
+    tracker = TargetTracker(TrackerParams())
+    assert _circling(tracker, (0.0, 0.0), range(120)) == 0
+    assert _estimate(tracker).state is EstimateState.LOCALISED
+    almost = range(120, 120 + CONTRADICTION_COUNT - 1)
+    assert _circling(tracker, (0.0, 0.0), almost, turned_rad) == 0
+    last = range(almost.stop, almost.stop + 1)
+    assert _circling(tracker, (0.0, 0.0), last, turned_rad) == 1
+    assert tracker.restarts == 1
+    assert _estimate(tracker).state is EstimateState.DIVERGED
+
+
+def test_a_few_contradictions_are_forgiven() -> None:
+    tracker = TargetTracker(TrackerParams())
+    _circling(tracker, (0.0, 0.0), range(120))
+    for start in range(120, 420, 30):
+        assert _circling(tracker, (0.0, 0.0), range(start, start + 20), math.pi) == 0
+        assert _circling(tracker, (0.0, 0.0), range(start + 20, start + 30)) == 0
+
+
+def test_well_specified_noise_never_restarts_it() -> None:
+    tracker = TargetTracker(TrackerParams())
+    assert _circling(tracker, (10.0, -5.0), range(600)) == 0
+
+
+def test_a_lost_covariance_restarts_it_and_says_so() -> None:
+    """A radio that claims an impossible precision takes the rounding out of the covariance."""
+    params = TrackerParams(filter=FilterParams(own_position_sigma_m=0.0, near_target_terms=False))
+    tracker = TargetTracker(params)
+    place = (0.0, 0.0, HEIGHT_M)
+    restarted = False
+    for step in range(20):
+        seen = RangingMeasurement(
+            emitter_id=1,
+            measured_at_s=float(step),
+            range_m=50.0,
+            range_sigma_m=1e-30,
+            bearing_enu_rad=0.3,
+            bearing_sigma_rad=1e-30,
+        )
+        report = tracker.fuse(seen, place, float(step))
+        restarted = restarted or report.restarted
+        if report.restarted:
+            assert report.update is None
+            break
+    assert restarted
+    assert tracker.restarts == 1
+    estimate = _estimate(tracker)
+    assert estimate.state is EstimateState.DIVERGED
+    assert all(math.isfinite(v) for row in estimate.covariance_m2 for v in row)
+    for step in range(20, 20 + CONTRADICTION_COUNT):
+        assert _estimate(tracker).state is EstimateState.DIVERGED
+        tracker.fuse(_seen(float(step), 50.0, 0.3), (float(step), 0.0, HEIGHT_M), float(step))
+    assert _estimate(tracker).state is not EstimateState.DIVERGED
+
+
+def test_a_moved_frame_forgets_the_place_but_not_the_emitter() -> None:
+    tracker = _walked(_corner(), (30.0, 40.0), True, True)
+    tracker.restart()
+    assert tracker.estimate(0.0) is None
+    assert tracker.emitter_id == 1
+    assert tracker.last_accepted_s is None
+    tracker.fuse(_seen(500.0, 60.0, 0.0), (0.0, 0.0, 0.0), 500.0)
+    assert _estimate(tracker).position_enu_m == pytest.approx((60.0, 0.0))
+
+
+def test_without_adaptation_the_inflation_is_one() -> None:
+    tracker = TargetTracker(TrackerParams(adapt_inflation=False))
+    _circling(tracker, (0.0, 0.0), range(50))
+    assert tracker.inflation == (1.0, 1.0)
+
+
+def test_reflections_are_counted() -> None:
+    tracker = TargetTracker(TrackerParams())
+    _circling(tracker, (0.0, 0.0), range(200))
+    assert tracker.nlos_share < 0.2
+    for step in range(200, 500):
+        angle = 0.25 * step
+        place = (25.0 * math.cos(angle), 25.0 * math.sin(angle), HEIGHT_M)
+        seen = _seen(float(step), _range_m(place, (0.0, 0.0)) + 8.0, _bearing_rad(place, (0, 0)))
+        tracker.fuse(seen, place, float(step))
+    assert tracker.nlos_share > 0.3
+
+
+CHECKED_STEPS = (20, 30, 40)
+RUNS = 200
+STEP_M = 5.0
+
+
+def _coverage_of_run(seed: int, p_nlos: float) -> list[bool]:
+    """One search from 30 to 60 m away; whether R95 holds the truth at each checked step."""
+    rng = np.random.default_rng(seed)
+    tracker, planner = TargetTracker(TrackerParams(), 1), LatchedCrossing(LatchedCrossingParams())
+    params = tracker.params.filter
+    offset_m = rng.normal(0.0, params.range_offset_sigma_m)
+    offset_rad = rng.normal(0.0, math.radians(params.bearing_offset_sigma_deg))
+    bearing_sigma_rad = math.radians(params.bearing_sigma_deg)
+    start_rad, start_m = rng.uniform(-math.pi, math.pi), rng.uniform(30.0, 60.0)
+    place: PositionEnu = (start_m * math.cos(start_rad), start_m * math.sin(start_rad), HEIGHT_M)
+    memory: Latch | None = None
+    covered = []
+    for step in range(1, max(CHECKED_STEPS) + 1):
+        is_nlos = rng.random() < p_nlos
+        range_m = _range_m(place, (0.0, 0.0)) + offset_m + rng.normal(0.0, params.range_sigma_m)
+        bearing_rad = _bearing_rad(place, (0.0, 0.0)) + offset_rad
+        bearing_rad += rng.normal(0.0, bearing_sigma_rad)
+        if is_nlos:
+            range_m += rng.exponential(8.0)
+            bearing_rad += rng.normal(0.0, math.radians(5.0))
+        tracker.fuse(_seen(float(step), max(range_m, 0.1), bearing_rad), place, float(step))
+        estimate = _estimate(tracker)
+        if step in CHECKED_STEPS:
+            covered.append(math.hypot(*estimate.position_enu_m) <= estimate.r95_m)
+        plan = planner.plan(PlanRequest(place[:2], estimate), memory)
+        memory = plan.memory
+        aim = plan.waypoint.position_enu_m
+        share = min(1.0, STEP_M / math.dist(place[:2], aim))
+        east, north = (place[i] + share * (aim[i] - place[i]) for i in range(2))
+        place = (east, north, HEIGHT_M)
+    return covered
+
+
+@cache
+def _coverage(p_nlos: float) -> dict[int, float]:
+    """Share of the runs, by step, whose R95 circle holds the truth."""
+    runs = np.array([_coverage_of_run(seed, p_nlos) for seed in range(RUNS)])
+    shares = runs.mean(axis=0)
+    return {step: float(share) for step, share in zip(CHECKED_STEPS, shares, strict=True)}
+
+
+@pytest.mark.parametrize("step", CHECKED_STEPS)
+@pytest.mark.parametrize("p_nlos", [0.0, 0.9])
+def test_r95_holds_the_truth_as_often_as_it_says(p_nlos: float, step: int) -> None:
+    assert _coverage(p_nlos)[step] >= 0.93

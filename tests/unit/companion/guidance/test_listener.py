@@ -1,0 +1,191 @@
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from companion.domain import PositionEnu, RangingMeasurement, VehicleState
+from companion.estimation.refusal import Refusal
+from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.guidance.listener import MAX_WAITING, RangingListener
+from companion.guidance.track import VehicleTrack
+
+AT_10_S = RangingMeasurement(emitter_id=7, measured_at_s=10.0, range_m=50.0)
+
+
+class Flight:
+    """A vehicle flying east at 5 m/s, with a listener; 10 s is at the origin."""
+
+    def __init__(self) -> None:
+        self.track = VehicleTrack()
+        self.tracker = TargetTracker(TrackerParams())
+        self.listener = RangingListener(self.tracker, self.track)
+
+    def moved(self, *times_s: float) -> None:
+        for time_s in times_s:
+            position: PositionEnu = (5.0 * (time_s - 10.0), 0.0, 20.0)
+            self.track.add(VehicleState(time_s, position, (5.0, 0.0, 0.0)))
+
+    @property
+    def refusals(self) -> dict[Refusal, int]:
+        return dict(self.tracker.refusals)
+
+    def first_fix(self) -> tuple[float, float]:
+        east, north = self.tracker.hypotheses[0].state.mean[:2]
+        return float(east), float(north)
+
+
+@pytest.fixture
+def flight() -> Flight:
+    return Flight()
+
+
+def test_a_measurement_with_positions_on_both_sides_is_fused_at_once(flight: Flight) -> None:
+    flight.moved(9.9, 10.1)
+    assert flight.listener.receive(AT_10_S) == []
+    (report,) = flight.listener.fuse_due(10.1)
+    assert report.refusal is None
+    assert flight.tracker.accepted == 1
+    assert flight.listener.fuse_due(10.2) == []
+
+
+def test_a_newer_one_waits_for_the_position_on_its_other_side(flight: Flight) -> None:
+    flight.moved(9.9)
+    bearing = replace(AT_10_S, bearing_enu_rad=0.0, range_m=math.hypot(50.0, 20.0))
+    flight.listener.receive(bearing)
+    assert flight.listener.fuse_due(10.02) == []
+    flight.track.add(VehicleState(10.1, (3.0, 0.0, 20.0), (5.0, 0.0, 0.0)))
+    assert [r.refusal for r in flight.listener.fuse_due(10.1)] == [None]
+    # Half way between -0.5 m and 3 m, not where the velocity alone would have led.
+    assert flight.first_fix() == pytest.approx((51.25, 0.0))
+
+
+def test_one_that_waited_long_enough_is_fused_where_the_velocity_leads(flight: Flight) -> None:
+    flight.moved(9.8)
+    flight.listener.receive(replace(AT_10_S, bearing_enu_rad=0.0, range_m=math.hypot(50.0, 20.0)))
+    assert flight.listener.fuse_due(10.25) == []
+    assert [r.refusal for r in flight.listener.fuse_due(10.26)] == [None]
+    assert flight.first_fix() == pytest.approx((50.0, 0.0))
+
+
+@pytest.mark.parametrize("known_s", [(), (9.6,), (10.2,)])
+def test_one_that_waited_in_vain_is_refused(flight: Flight, known_s: tuple[float, ...]) -> None:
+    flight.moved(*known_s)
+    flight.listener.receive(AT_10_S)
+    assert [r.refusal for r in flight.listener.fuse_due(10.3)] == [Refusal.NO_POSITION]
+    assert flight.refusals == {Refusal.NO_POSITION: 1}
+    assert flight.listener.fuse_due(10.4) == []
+
+
+@pytest.mark.parametrize(
+    ("measured_at_s", "refusal"),
+    [
+        (1e9, Refusal.FROM_THE_FUTURE),
+        (10.3, Refusal.FROM_THE_FUTURE),
+        (-1e9, Refusal.STALE),
+        (math.nan, Refusal.NOT_FINITE),
+        (math.inf, Refusal.NOT_FINITE),
+    ],
+)
+def test_one_from_a_time_that_will_not_come_does_not_wait(
+    flight: Flight, measured_at_s: float, refusal: Refusal
+) -> None:
+    flight.moved(9.9, 10.0)
+    flight.listener.receive(replace(AT_10_S, measured_at_s=measured_at_s))
+    assert [r.refusal for r in flight.listener.fuse_due(10.0)] == [refusal]
+
+
+def test_order_of_arrival_is_kept_and_the_waiting_ones_stay(flight: Flight) -> None:
+    flight.moved(9.8, 10.0)
+    for time_s in (10.1, 9.9, 10.15, 9.95):
+        flight.listener.receive(replace(AT_10_S, measured_at_s=time_s, stamp_us=int(time_s * 1e6)))
+    assert len(flight.listener.fuse_due(10.15)) == 2
+    flight.moved(10.2)
+    assert len(flight.listener.fuse_due(10.2)) == 2
+    assert flight.tracker.accepted == 4
+    assert flight.refusals == {}
+
+
+def test_the_oldest_gives_way_when_too_many_wait(flight: Flight) -> None:
+    for step in range(MAX_WAITING):
+        assert flight.listener.receive(replace(AT_10_S, measured_at_s=10.0 + step * 1e-3)) == []
+    (report,) = flight.listener.receive(replace(AT_10_S, measured_at_s=10.1))
+    assert report.refusal is Refusal.STALE
+    flight.moved(10.0, 10.2)
+    assert len(flight.listener.fuse_due(10.2)) == MAX_WAITING
+    assert flight.tracker.accepted == MAX_WAITING
+
+
+@pytest.mark.parametrize(
+    ("yaw_deg", "body_deg", "east_m", "north_m"),
+    [
+        (0.0, 0.0, 0.0, 50.0),
+        (90.0, 0.0, 50.0, 0.0),
+        (90.0, 90.0, 0.0, -50.0),
+        (0.0, -90.0, -50.0, 0.0),
+        (170.0, 100.0, -50.0, 0.0),  # 270 degrees: over the cut
+        (-170.0, -100.0, 50.0, 0.0),
+        (179.0, 181.0, 0.0, 50.0),
+    ],
+)
+def test_a_body_bearing_is_turned_by_the_yaw(
+    flight: Flight, yaw_deg: float, body_deg: float, east_m: float, north_m: float
+) -> None:
+    flight.moved(9.9, 10.1)
+    flight.track.add_yaw(9.9, math.radians(yaw_deg))
+    flight.track.add_yaw(10.1, math.radians(yaw_deg))
+    body = replace(AT_10_S, range_m=math.hypot(50.0, 20.0), bearing_body_rad=math.radians(body_deg))
+    flight.listener.receive(body)
+    assert [r.refusal for r in flight.listener.fuse_due(10.1)] == [None]
+    assert flight.first_fix() == pytest.approx((east_m, north_m), abs=1e-9)
+
+
+def test_the_yaw_is_that_of_the_measurements_time(flight: Flight) -> None:
+    """While turning over south, from 170 to -170 degrees, the nose points south at half time."""
+    flight.moved(9.9, 10.1)
+    flight.track.add_yaw(9.9, math.radians(170.0))
+    flight.track.add_yaw(10.1, math.radians(-170.0))
+    flight.listener.receive(replace(AT_10_S, range_m=math.hypot(50.0, 20.0), bearing_body_rad=0.0))
+    flight.listener.fuse_due(10.1)
+    assert flight.first_fix() == pytest.approx((0.0, -50.0), abs=1e-9)
+
+
+def test_a_body_bearing_alone_needs_the_yaw(flight: Flight) -> None:
+    flight.moved(9.9, 10.1)
+    flight.listener.receive(replace(AT_10_S, range_m=None, bearing_body_rad=0.3))
+    assert [r.refusal for r in flight.listener.fuse_due(10.1)] == [Refusal.NO_YAW]
+
+
+def test_without_the_yaw_the_range_still_counts(flight: Flight) -> None:
+    flight.moved(9.9, 10.1)
+    flight.listener.receive(replace(AT_10_S, bearing_body_rad=0.3))
+    assert [r.refusal for r in flight.listener.fuse_due(10.1)] == [None]
+    assert len(flight.tracker.hypotheses) > 1  # a ring, not a fix
+
+
+def test_a_bearing_in_the_local_frame_needs_no_yaw(flight: Flight) -> None:
+    flight.moved(9.9, 10.1)
+    flight.track.add_yaw(10.0, 2.0)
+    both = replace(
+        AT_10_S, range_m=math.hypot(50.0, 20.0), bearing_enu_rad=0.0, bearing_body_rad=1.0
+    )
+    flight.listener.receive(both)
+    flight.listener.fuse_due(10.1)
+    assert flight.first_fix() == pytest.approx((50.0, 0.0), abs=1e-9)
+
+
+@pytest.mark.parametrize("body_rad", [math.inf, -math.inf, math.nan])
+def test_a_body_bearing_that_is_no_number_is_refused(flight: Flight, body_rad: float) -> None:
+    """The wire may carry infinities."""
+    flight.moved(9.9, 10.1)
+    flight.track.add_yaw(10.0, 0.0)
+    flight.listener.receive(replace(AT_10_S, bearing_body_rad=body_rad))
+    assert [r.refusal for r in flight.listener.fuse_due(10.1)] == [Refusal.NOT_FINITE]
+
+
+def test_a_body_bearing_in_degrees_is_refused(flight: Flight) -> None:
+    flight.moved(9.9, 10.1)
+    flight.track.add_yaw(10.0, 0.0)
+    flight.listener.receive(replace(AT_10_S, bearing_body_rad=90.0))
+    assert [r.refusal for r in flight.listener.fuse_due(10.1)] == [Refusal.BEARING_ABSURD]

@@ -1,0 +1,189 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from companion.domain import EstimateState, Point, TargetEstimate, WaypointReason
+from companion.planning.base import Plan, PlanRequest
+from companion.planning.latched_crossing import (
+    GOLDEN_ANGLE_RAD,
+    Latch,
+    LatchedCrossing,
+    LatchedCrossingParams,
+)
+
+PLANNER = LatchedCrossing(LatchedCrossingParams())
+SQUARE = ((-50.0, -50.0), (50.0, -50.0), (50.0, 50.0), (-50.0, 50.0))
+
+
+def _target(
+    position_enu_m: Point = (0.0, 0.0),
+    covariance_m2: tuple[tuple[float, float], tuple[float, float]] = ((4.0, 0.0), (0.0, 4.0)),
+) -> TargetEstimate:
+    return TargetEstimate(
+        0.0, EstimateState.SEARCHING, position_enu_m, covariance_m2, 5.0, 0.0, 0.0, 1
+    )
+
+
+def _plan(
+    vehicle: Point,
+    memory: Latch | None = None,
+    target: TargetEstimate | None = None,
+    fence: tuple[Point, ...] | None = None,
+) -> Plan[Latch | None]:
+    return PLANNER.plan(PlanRequest(vehicle, target or _target(), fence, 3.0), memory)
+
+
+def _latch(plan: Plan[Latch | None]) -> Latch:
+    assert plan.memory is not None
+    return plan.memory
+
+
+def _direction_rad(latch: Latch) -> float:
+    return math.atan2(latch.direction[1], latch.direction[0])
+
+
+def test_the_first_crossing_is_on_the_far_side() -> None:
+    plan = _plan((-30.0, 0.0))
+    assert plan.waypoint.position_enu_m == pytest.approx((6.0, 0.0))
+    assert plan.waypoint.reason is WaypointReason.APPROACH
+    assert plan.waypoint.detail == "crossing 1, 6.0 m beyond the estimate"
+
+
+@pytest.mark.parametrize(
+    ("covariance_m2", "overshoot_m"),
+    [
+        (((4.0, 0.0), (0.0, 1.0)), 6.0),
+        (((1.0, 0.0), (0.0, 4.0)), 6.0),
+        (((2.5, 1.5), (1.5, 2.5)), 6.0),  # the worst direction, 4 m^2, lies on the diagonal
+        (((0.01, 0.0), (0.0, 0.01)), 2.0),
+        (((0.0, 0.0), (0.0, 0.0)), 2.0),
+        (((900.0, 0.0), (0.0, 1.0)), 20.0),
+    ],
+)
+def test_the_overshoot_follows_the_worst_direction_within_limits(
+    covariance_m2: tuple[tuple[float, float], tuple[float, float]], overshoot_m: float
+) -> None:
+    plan = _plan((-30.0, 0.0), target=_target(covariance_m2=covariance_m2))
+    assert plan.waypoint.position_enu_m == pytest.approx((overshoot_m, 0.0))
+
+
+def test_it_stays_latched_until_the_point_is_reached() -> None:
+    latch = _latch(_plan((-30.0, 0.0)))
+    for east in (-20.0, -3.0, 0.0, 3.0, 4.4):
+        shrunk = _target((0.5, 0.5), ((0.1, 0.0), (0.0, 0.1)))
+        plan = _plan((east, 0.0), latch, shrunk)
+        assert plan.memory is latch
+        assert plan.waypoint.position_enu_m == latch.point_enu_m
+    reached = _latch(_plan((4.6, 0.0), latch))
+    assert reached.crossings == 1
+    assert _direction_rad(reached) == pytest.approx(GOLDEN_ANGLE_RAD)
+
+
+@pytest.mark.parametrize(
+    ("moved_m", "sigma_m", "aims_anew"),
+    [(2.9, 0.1, False), (3.1, 0.1, True), (8.9, 6.0, False), (9.1, 6.0, True)],
+)
+def test_it_aims_anew_when_the_estimate_leaves_the_latch(
+    moved_m: float, sigma_m: float, aims_anew: bool
+) -> None:
+    covariance_m2 = ((sigma_m**2, 0.0), (0.0, sigma_m**2))
+    latch = _latch(_plan((-60.0, 0.0), target=_target(covariance_m2=covariance_m2)))
+    moved = _target((0.0, moved_m), covariance_m2)
+    plan = _plan((-50.0, 0.0), latch, moved)
+    assert (plan.memory is not latch) is aims_anew
+    if aims_anew:
+        assert _latch(plan).direction == latch.direction
+        assert _latch(plan).crossings == 0
+        assert plan.waypoint.position_enu_m == pytest.approx((latch.overshoot_m, moved_m))
+
+
+def test_approach_becomes_crossing_near_the_estimate_and_stays_so_beyond() -> None:
+    latch = _latch(_plan((-30.0, 0.0)))
+    reasons = [_plan((east, 0.0), latch).waypoint.reason for east in (-20.0, -5.0, 1.0, 4.0)]
+    assert reasons == [WaypointReason.APPROACH] + 3 * [WaypointReason.CROSSING]
+
+
+def test_the_golden_angle_covers_all_directions_evenly() -> None:
+    """No gap between the directions of n crossings is wider than the golden angle promises."""
+    directions, memory, vehicle = [], None, (-30.0, 0.0)
+    for _ in range(55):
+        latch = _latch(_plan(vehicle, memory))
+        directions.append(_direction_rad(latch) % (2.0 * math.pi))
+        memory, vehicle = latch, latch.point_enu_m
+    for count in (8, 21, 55):
+        turned = sorted(directions[:count])
+        gaps = [
+            b - a for a, b in zip(turned, [*turned[1:], turned[0] + 2.0 * math.pi], strict=True)
+        ]
+        assert max(gaps) < 2.0 * (2.0 * math.pi / count)
+
+
+@given(st.floats(-math.pi, math.pi), st.floats(25.0, 200.0))
+def test_flown_in_steps_it_really_crosses_to_the_far_side(
+    from_rad: float, distance_m: float
+) -> None:
+    vehicle = (distance_m * math.cos(from_rad), distance_m * math.sin(from_rad))
+    outward = (math.cos(from_rad), math.sin(from_rad))
+    memory: Latch | None = None
+    farthest_m = math.inf
+    for _ in range(400):
+        plan = _plan(vehicle, memory)
+        memory = _latch(plan)
+        if memory.crossings:
+            break
+        aim = plan.waypoint.position_enu_m
+        share = min(1.0, 1.0 / math.dist(vehicle, aim))
+        vehicle = (
+            vehicle[0] + share * (aim[0] - vehicle[0]),
+            vehicle[1] + share * (aim[1] - vehicle[1]),
+        )
+        farthest_m = min(farthest_m, vehicle[0] * outward[0] + vehicle[1] * outward[1])
+    assert memory is not None
+    assert memory.crossings == 1
+    assert farthest_m <= -(6.0 - PLANNER.params.arrival_radius_m)
+
+
+def test_a_direction_that_the_fence_cuts_short_is_turned_on() -> None:
+    """The target sits at the east fence: the far side is outside, another direction is not."""
+    plan = _plan((0.0, 0.0), target=_target((46.0, 0.0)), fence=SQUARE)
+    latch = _latch(plan)
+    assert latch.direction != pytest.approx((1.0, 0.0))
+    assert math.dist(plan.waypoint.position_enu_m, (46.0, 0.0)) >= 0.9 * latch.overshoot_m
+
+
+def test_where_the_fence_cuts_everything_the_longest_crossing_is_taken() -> None:
+    corridor = ((-50.0, -4.0), (50.0, -4.0), (50.0, 4.0), (-50.0, 4.0))
+    wide = _target((45.0, 0.0), ((100.0, 0.0), (0.0, 100.0)))
+    plan = _plan((0.0, 0.0), target=wide, fence=corridor)
+    east, north = plan.waypoint.position_enu_m
+    assert abs(north) <= 1.0 + 1e-9
+    # The fifth direction tried runs nearly along the corridor; east itself leaves only 2 m.
+    along_m = 1.0 / abs(math.sin(4.0 * GOLDEN_ANGLE_RAD))
+    assert math.dist((45.0, 0.0), (east, north)) == pytest.approx(along_m)
+
+
+def test_a_crossing_that_is_reached_at_once_is_not_flown_forever() -> None:
+    """A target outside the fence, with the vehicle already at the nearest allowed point."""
+    outside = _target((80.0, 0.0))
+    vehicle, memory, points = (47.0, 0.0), None, set()
+    for _ in range(12):
+        plan = _plan(vehicle, memory, outside, SQUARE)
+        memory = _latch(plan)
+        points.add(plan.waypoint.position_enu_m)
+        vehicle = plan.waypoint.position_enu_m
+    assert len(points) > 3
+    assert memory is not None
+    assert memory.crossings > 3
+
+
+def test_it_remembers_nothing_at_first() -> None:
+    assert PLANNER.initial_memory() is None
+
+
+def test_an_empty_band_of_overshoots_is_refused() -> None:
+    with pytest.raises(ValueError, match="overshoot_min_m"):
+        LatchedCrossingParams(overshoot_min_m=5.0, overshoot_max_m=4.0)
