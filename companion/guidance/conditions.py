@@ -1,11 +1,11 @@
-"""What the session's control tick depends on: is a plan possible, and is silence due."""
+"""What the session decides by: is a plan possible, is silence due, and how to hand back."""
 
 from __future__ import annotations
 
-from companion.domain import EstimateState, TargetEstimate
+from companion.domain import EstimateState, FlightMode, TargetEstimate
 from companion.guidance.authority import Authority
 from companion.guidance.launch import Launch
-from companion.guidance.states import STREAMING, Phase
+from companion.guidance.states import IN_CONTROL, STREAMING, Phase
 from companion.guidance.vehicle import VehicleView
 
 FOLLOW_UP_S = 5.0
@@ -57,3 +57,16 @@ def is_silence_due(
     if phase is Phase.LAUNCHING:
         return launch is None or not launch.wants_stream
     return False
+
+
+def hand_back_mode(
+    authority: Authority, vehicle: VehicleView, launch: Launch | None, follow_up: FlightMode
+) -> FlightMode | None:
+    """What to ask the autopilot for before the end, or None if it is not in our hands."""
+    match authority.phase:
+        case Phase.FINISHED:
+            return follow_up if vehicle.is_ours and not authority.has_let_go else None
+        case Phase.LAUNCHING:
+            may_fly = vehicle.is_armed or (launch is not None and launch.may_be_flying)
+            return FlightMode.HOLD if may_fly else None
+    return FlightMode.HOLD if authority.phase in IN_CONTROL else None

@@ -7,9 +7,7 @@ estimate into guarded setpoints, and the transition table of `states` says wheth
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Literal
-
-import msgspec
+from typing import Any
 
 from companion.domain import FlightMode, PositionSetpoint, TargetEstimate
 from companion.estimation.tracker import FusionReport, TargetTracker
@@ -26,7 +24,7 @@ from companion.guidance.commands import (
     Severity,
     WithdrawRequest,
 )
-from companion.guidance.conditions import is_silence_due, missing_input
+from companion.guidance.conditions import hand_back_mode, is_silence_due, missing_input
 from companion.guidance.events import (
     AutopilotRestarted,
     ControlGranted,
@@ -43,13 +41,14 @@ from companion.guidance.events import (
 )
 from companion.guidance.launch import Launch, LaunchView
 from companion.guidance.listener import RangingListener
+from companion.guidance.params import FOLLOW_UP_MODE
+from companion.guidance.params import SessionParams as SessionParams
 from companion.guidance.records import estimate_record, result_of, waypoint_record
 from companion.guidance.states import IN_CONTROL, OUT_OF_CONTROL, STREAMING, Phase, Trigger
 from companion.guidance.status import GuidanceStatus
 from companion.guidance.steering import Steering
 from companion.guidance.stop_rule import StopRule
 from companion.guidance.vehicle import ORIGIN_STEP_M, VehicleView
-from companion.params import Params, Positive
 from companion.planning.base import Planner
 
 TICK_S = 0.05
@@ -57,30 +56,6 @@ TICK_S = 0.05
 HEARTBEAT_PERIOD_S = 1.0
 HAND_BACK_S = 1.4
 """How long the autopilot may take to confirm its hold mode: we end within 1.5 s of the request."""
-
-
-class SessionParams(Params, frozen=True):
-    """How the mission is flown."""
-
-    engage: Literal["operator", "auto"] = "operator"
-    """`operator`: the mode switch gives control; `auto`: arm, take off, ask once (simulation)."""
-    altitude_m: Positive = 20.0
-    """Search altitude above home."""
-    stop_radius_m: Positive = 1.0
-    """The target is reported once R95 stays under this ..."""
-    stop_confirm_s: Positive = 10.0
-    """... for this long."""
-    on_localised: Literal["hold", "return", "land"] = "hold"
-    """Mode the autopilot is asked for after the report."""
-    ranging_timeout_s: Annotated[float, msgspec.Meta(ge=0.5)] = 5.0
-    """Without a usable measurement for this long: hold."""
-
-
-FOLLOW_UP_MODE = {
-    "hold": FlightMode.HOLD,
-    "return": FlightMode.RETURN,
-    "land": FlightMode.LAND,
-}
 
 
 class GuidanceSession:
@@ -172,6 +147,8 @@ class GuidanceSession:
         )
 
     def _detail(self) -> str:
+        if self.phase is Phase.WAITING and not self.authority.may_begin:
+            return "found in offboard or in a failsafe: change its mode, or grant control"
         if self.phase is Phase.HOLDING:
             return self._hold_reason
         if self.phase is Phase.LAUNCHING and self._launch is not None:
@@ -210,19 +187,17 @@ class GuidanceSession:
         self.authority.observe(event)
         if self.authority.has_let_go and not had_let_go:
             self._commands.append(WithdrawRequest())
-        is_launching = self.phase is Phase.LAUNCHING and self._launch is not None
-        objection = self._launch.observe(event) if is_launching and self._launch else None
+        launch = self._launch if self.phase is Phase.LAUNCHING else None
+        objection = None if launch is None else launch.observe(event)
         if not event.is_armed:
-            if not is_launching or objection:
+            if launch is None or objection is not None:
                 self._on_disarmed(event)
         elif objection is not None:
             self._enter(Trigger.MODE_LOST, now_s)
             self._announce(Severity.WARNING, f"launch ended: {objection}")
         elif event.mode is FlightMode.OFFBOARD:
             self._on_offboard(now_s)
-        elif is_launching:
-            return
-        elif self._enter(Trigger.MODE_LOST, now_s):
+        elif launch is None and self._enter(Trigger.MODE_LOST, now_s):
             text = f"control lost: autopilot went to {event.mode.value}; silent until given back"
             self._announce(Severity.WARNING, text)
 
@@ -282,23 +257,14 @@ class GuidanceSession:
         self._announce(Severity.WARNING, "autopilot restarted: holding until the operator engages")
 
     def _on_stop(self, now_s: float) -> None:
-        mode = self._mode_to_hand_back_in()
+        follow_up = FOLLOW_UP_MODE[self.params.on_localised]
+        mode = hand_back_mode(self.authority, self.vehicle, self._launch, follow_up)
         if self._enter(Trigger.STOP, now_s) and self.phase is Phase.HANDING_BACK:
             if mode is not None:
                 self._announce(Severity.NOTICE, f"stopping: asking the autopilot to {mode.value}")
                 self._ask_mode(mode)
             else:
                 self._enter(Trigger.HANDED_BACK, now_s)
-
-    def _mode_to_hand_back_in(self) -> FlightMode | None:
-        """What to ask the autopilot for before the end, or None if it is not in our hands."""
-        if self.phase is Phase.FINISHED:
-            is_ours = self.vehicle.is_ours and not self.authority.has_let_go
-            return FOLLOW_UP_MODE[self.params.on_localised] if is_ours else None
-        if self.phase is Phase.LAUNCHING:
-            may_fly = self._launch is not None and self._launch.may_be_flying
-            return FlightMode.HOLD if may_fly or self.vehicle.is_armed else None
-        return FlightMode.HOLD if self.phase in IN_CONTROL else None
 
     # Measurements
 
@@ -367,7 +333,7 @@ class GuidanceSession:
         self._check_localised(now_s)
 
     def _standby_text(self) -> str:
-        if self.params.engage == "auto":
+        if self.params.engage == "auto" and not self._has_launched:
             return "ready: launching by itself"
         return "ready: switch to offboard mode to give control"
 

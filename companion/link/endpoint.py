@@ -51,6 +51,7 @@ VEHICLE_LINK = 0
 COMPONENT_ID = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
 """191: what ground stations expect an onboard computer to be."""
 RATE_WINDOW_S = 2.0
+AddressedCommand = mavlink.MAVLink_command_long_message | mavlink.MAVLink_command_int_message
 
 
 class VehicleParams(Params, frozen=True):
@@ -181,7 +182,7 @@ class CompanionEndpoint:
             for event in self._vehicle.events(message, now_s):
                 self._handle(event, now_s)
             self._receive_protocol(message, now_s)
-        if isinstance(message, mavlink.MAVLink_command_long_message):
+        if isinstance(message, AddressedCommand):
             self._receive_command(message, chunk, now_s)
 
     def _on_bound(self, now_s: float) -> None:
@@ -212,9 +213,7 @@ class CompanionEndpoint:
         own = self._codecs[VEHICLE_LINK]
         return target_system in (0, own.system_id) and target_component in (0, COMPONENT_ID)
 
-    def _receive_command(
-        self, message: mavlink.MAVLink_command_long_message, chunk: Chunk, now_s: float
-    ) -> None:
+    def _receive_command(self, message: AddressedCommand, chunk: Chunk, now_s: float) -> None:
         """A command to this very component: only the operator's grant is known."""
         own = (self._codecs[VEHICLE_LINK].system_id, COMPONENT_ID)
         if (message.target_system, message.target_component) != own:

@@ -17,10 +17,11 @@ from companion.guidance.events import (
     VehicleMoved,
     YawMeasured,
 )
+from companion.link.clocks import SenderClock
 from companion.mav.dialect import MAVLink_radio_ranging_message, Message, mavlink
 from companion.mav.modes import autopilot_of, mode_of
 from companion.mav.ranging import ranging_from_message
-from companion.mav.timebase import StampReading, Timebase
+from companion.mav.timebase import StampReading
 
 PREARM_BIT = mavlink.MAV_SYS_STATUS_PREARM_CHECK
 FAILSAFE_STATES = (
@@ -39,7 +40,7 @@ class VehicleInbound:
     """Events from the bound autopilot's messages."""
 
     def __init__(self) -> None:
-        self._clock = Timebase()
+        self._clock = SenderClock()
         self._origin: LocalOrigin | None = None
         self._home: mavlink.MAVLink_home_position_message | None = None
         self._is_prearm_good = True
@@ -136,7 +137,7 @@ class RangingInbound:
     """Ranging events from any sender, each on its own clock."""
 
     def __init__(self) -> None:
-        self._clocks: dict[tuple[int, int, int], Timebase] = {}
+        self._clocks: dict[tuple[int, int, int], SenderClock] = {}
 
     def events(self, message: Message, link: int, now_s: float) -> list[Event]:
         """The measurement in a message, if it is a ranging message."""
@@ -151,7 +152,7 @@ class RangingInbound:
         if key not in self._clocks:
             if len(self._clocks) >= MAX_SENDERS:
                 self._clocks.pop(next(iter(self._clocks)))
-            self._clocks[key] = Timebase()
+            self._clocks[key] = SenderClock()
         if message.time_usec == 0:  # a sender without a clock: nothing to date or compare by
             measurement = ranging_from_message(message, now_s)
             if measurement is not None:

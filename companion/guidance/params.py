@@ -1,0 +1,35 @@
+"""How the mission is flown."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import msgspec
+
+from companion.domain import FlightMode
+from companion.params import Params, Positive
+
+
+class SessionParams(Params, frozen=True):
+    """How the mission is flown."""
+
+    engage: Literal["operator", "auto"] = "operator"
+    """`operator`: the mode switch gives control; `auto`: arm, take off, ask once (simulation)."""
+    altitude_m: Positive = 20.0
+    """Search altitude above home."""
+    stop_radius_m: Positive = 1.0
+    """The target is reported once R95 stays under this ..."""
+    stop_confirm_s: Positive = 10.0
+    """... for this long."""
+    on_localised: Literal["hold", "return", "land"] = "hold"
+    """Mode the autopilot is asked for after the report."""
+    ranging_timeout_s: Annotated[float, msgspec.Meta(ge=0.5)] = 5.0
+    """Without a usable measurement for this long: hold."""
+
+
+FOLLOW_UP_MODE = {
+    "hold": FlightMode.HOLD,
+    "return": FlightMode.RETURN,
+    "land": FlightMode.LAND,
+}
+"""`SessionParams.on_localised` as a mode."""

@@ -1,0 +1,161 @@
+"""Cut, lossy and late links, a reboot, silence of the radio: both endpoints, bytes between them."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import pytest
+
+from companion.config.schema import CompanionConfig, LimitsConfig, PlannerConfig
+from companion.domain import FlightMode
+from companion.geometry.frames import LocalOrigin
+from companion.guidance.session import SessionParams
+from companion.guidance.states import Phase
+from companion.mav.dialect import mavlink
+from sim_link.autopilot.scenario import Scenario
+from sim_link.world.target import EmitterParams
+from tests.loop.loop_helpers import AUTO, LinkFaults, Loop, outside
+
+SET_MODE = mavlink.MAV_CMD_DO_SET_MODE
+REQUEST_MESSAGE = mavlink.MAV_CMD_REQUEST_MESSAGE
+PlannerKind = Literal["latched_crossing", "reactive_crossing"]
+ARM = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
+
+
+def engaged(faults: LinkFaults | None = None, config: CompanionConfig = AUTO) -> Loop:
+    loop = Loop(config, faults=faults or LinkFaults())
+    loop.run_until(lambda: loop.phase is Phase.ENGAGED, 60.0)
+    loop.run(2.0)
+    return loop
+
+
+@pytest.mark.parametrize(
+    "faults",
+    [
+        LinkFaults(loss=0.3),
+        LinkFaults(delay_s=0.1),
+        LinkFaults(loss=0.1, delay_s=0.02, jitter_s=0.2),
+    ],
+    ids=["30 % lost", "100 ms late", "reordered"],
+)
+def test_a_bad_link_still_localises(faults: LinkFaults) -> None:
+    loop = Loop(faults=faults)
+    loop.run_until(lambda: bool(loop.notes.results), 120.0)
+    assert loop.error_m <= 1.5
+    assert not loop.said("control lost")
+    loop.run_until(lambda: loop.mode is FlightMode.HOLD, 5.0)
+
+
+def test_a_short_cut_is_survived() -> None:
+    loop = engaged()
+    loop.is_link_up = False
+    loop.run(3.0)
+    assert loop.phase is Phase.HOLDING
+    assert loop.mode is FlightMode.HOLD  # the autopilot's own failsafe
+    loop.is_link_up = True
+    loop.run_until(lambda: bool(loop.notes.results), 60.0)
+    assert loop.error_m <= 1.5
+    assert [command for _, command in loop.commands].count(SET_MODE) == 1
+
+
+def test_a_long_cut_leaves_the_vehicle_to_its_failsafe() -> None:
+    loop = engaged()
+    loop.is_link_up = False
+    cut_s = loop.now_s
+    loop.run(30.0)
+    sent = loop.setpoints_since(cut_s)
+    assert max(s.time_s for s in sent) == pytest.approx(cut_s + 10.0, abs=1.1)
+    loop.is_link_up = True
+    back_s = loop.now_s
+    loop.run(10.0)
+    assert loop.setpoints_since(back_s) == []
+    assert loop.mode is FlightMode.HOLD
+    assert loop.phase is Phase.YIELDED
+
+
+def test_control_can_be_given_back_after_a_long_cut() -> None:
+    loop = engaged()
+    loop.is_link_up = False
+    loop.run(30.0)
+    loop.is_link_up = True
+    loop.run(3.0)
+    loop.grant()
+    loop.run_until(lambda: bool(loop.notes.results), 60.0)
+    assert loop.error_m <= 1.5
+
+
+def test_without_ranging_it_holds_and_goes_on_when_the_radio_is_back() -> None:
+    loop = engaged()
+    loop.is_ranging_up = False
+    assert loop.run_until(lambda: loop.phase is Phase.HOLDING, 6.0) <= 5.1
+    loop.run(2.0)
+    held = loop.setpoints_since(loop.now_s - 1.0)
+    assert len({s.position_enu_m for s in held}) == 1
+    assert len(held) == 20
+    loop.is_ranging_up = True
+    assert loop.run_until(lambda: loop.phase is Phase.ENGAGED, 2.0) <= 0.3
+    loop.run_until(lambda: bool(loop.notes.results), 60.0)
+    assert loop.error_m <= 1.5
+
+
+def test_a_reboot_in_flight_ends_control_and_nothing_is_launched_again() -> None:
+    loop = engaged()
+    loop.reboot()
+    rebooted_s, asked = loop.now_s, len(loop.commands)
+    loop.run(30.0)
+    assert loop.said("autopilot restarted")
+    assert loop.phase is Phase.STANDBY
+    assert not loop.sim.vehicle.modes.is_armed
+    later = [command for _, command in loop.commands[asked:]]
+    assert SET_MODE not in later
+    assert ARM not in later
+    assert loop.companion.session.estimate is None
+    assert loop.companion.session.vehicle.origin == loop.sim.vehicle.origin
+    near = loop.setpoints_since(rebooted_s + 1.0)
+    assert all(s.position_enu_m[:2] == pytest.approx((10.0, 10.0), abs=0.01) for s in near)
+    loop.take_off()
+    loop.choose(FlightMode.OFFBOARD)
+    loop.run_until(lambda: bool(loop.notes.results), 60.0)
+    assert loop.error_m <= 1.5
+
+
+def test_an_origin_that_moves_in_flight_is_held_on_and_flown_anew() -> None:
+    loop = engaged()
+    loop.run(4.0)
+    vehicle = loop.sim.vehicle
+    north_of_old = vehicle.origin.geodetic_from_enu((0.0, 12.0, 0.0))
+    vehicle.origin = LocalOrigin(*north_of_old)
+    loop.is_ranging_up = False
+    loop.command(REQUEST_MESSAGE, float(mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN))
+    loop.run(2.0)
+    assert loop.said("local origin moved by 12 m")
+    assert loop.phase is Phase.HOLDING
+    assert loop.companion.session.estimate is None
+    held = loop.setpoints_since(loop.now_s - 1.0)
+    assert len(held) == 20
+    assert len({s.position_enu_m for s in held}) == 1
+    loop.is_ranging_up = True
+    assert loop.run_until(lambda: loop.phase is Phase.ENGAGED, 2.0) <= 0.3
+
+
+@pytest.mark.parametrize("kind", ["latched_crossing", "reactive_crossing"])
+def test_a_target_by_the_fence_never_draws_the_vehicle_over_it(kind: PlannerKind) -> None:
+    limits = LimitsConfig(
+        fence_enu_m=((-5.0, -5.0), (60.0, -5.0), (60.0, 60.0), (-5.0, 60.0)), fence_margin_m=3.0
+    )
+    config = CompanionConfig(
+        mission=SessionParams(engage="auto"), limits=limits, planner=PlannerConfig(kind=kind)
+    )
+    loop = Loop(config, Scenario(emitter=EmitterParams(position_enu_m=(58.0, 50.0))))
+    loop.run(120.0)
+    assert max(max(s.position_enu_m[:2]) for s in loop.setpoints) <= 57.0 + 1e-4
+    assert outside(loop.true_positions, 60.0) == []
+    assert max(p[0] for p in loop.true_positions) > 50.0
+
+
+def test_setpoints_keep_the_altitude_band_and_the_speed_limit() -> None:
+    loop = engaged()
+    loop.run(40.0)
+    ups = [s.position_enu_m[2] for s in loop.setpoints]
+    assert min(ups) >= 5.0 - 1e-4
+    assert max(ups) <= 60.0 + 1e-4

@@ -1,0 +1,111 @@
+"""Other ranging messages on a link of their own, other planners, setpoints and clocks."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from companion.config.schema import CompanionConfig, PlannerConfig
+from companion.domain import FlightMode, RangingMeasurement
+from companion.geometry.frames import bearing_ned_from_enu, wrap_pi
+from companion.guidance.session import SessionParams
+from companion.link.endpoint import VehicleParams
+from companion.mav.codec import MavCodec
+from companion.mav.dialect import Message, mavlink
+from companion.mav.ranging import message_from_ranging
+from sim_link.autopilot.endpoint import SimEndpoint
+from tests.loop.loop_helpers import AUTO, Loop
+
+EMITTER = (50.0, 50.0, 0.0)
+UNIX_S = 1.795e9
+HEARD_FROM_M = 3.0
+
+
+class Radio:
+    """A radio that hears the emitter at (50, 50) with a little noise, in one of three messages.
+
+    Args:
+        form: The message it speaks.
+        clock_s: What its clock shows at the start of the flight.
+    """
+
+    def __init__(self, form: str, clock_s: float = 0.0) -> None:
+        self._form = form
+        self._clock_s = clock_s
+        self._codec = MavCodec(1, mavlink.MAV_COMP_ID_PERIPHERAL)
+        self._rng = np.random.default_rng(5)
+
+    def __call__(self, sim: SimEndpoint, now_s: float) -> bytes | None:
+        body = sim.vehicle.body
+        if body.height_m < HEARD_FROM_M:
+            return None
+        noise_m, noise_rad = self._rng.standard_normal(2).tolist()
+        east, north, _ = body.position_enu_m
+        range_m = math.dist(body.position_enu_m, EMITTER) + 0.5 * noise_m
+        bearing_enu_rad = math.atan2(EMITTER[1] - north, EMITTER[0] - east) + 0.03 * noise_rad
+        stamp_us = round(1e6 * (self._clock_s + now_s)) if self._clock_s >= 0.0 else 0
+        return self._codec.encode(
+            self._message(stamp_us, range_m, bearing_enu_rad, body.yaw_ned_rad)
+        )
+
+    def _message(self, stamp_us: int, range_m: float, bearing: float, yaw: float) -> Message:
+        if self._form == "LANDING_TARGET":
+            from_nose_rad = wrap_pi(bearing_ned_from_enu(bearing) - yaw)
+            return mavlink.MAVLink_landing_target_message(
+                stamp_us,
+                3,
+                mavlink.MAV_FRAME_BODY_FRD,
+                from_nose_rad,
+                0.0,
+                range_m,
+                0.0,
+                0.0,
+                type=mavlink.LANDING_TARGET_TYPE_RADIO_BEACON,
+            )
+        if self._form == "RANGING_BEACON":
+            fields = dict.fromkeys(mavlink.MAVLink_ranging_beacon_message.fieldnames, 0)
+            fields |= {"time_usec": stamp_us, "beacon_id": 3, "range": round(1e3 * range_m)}
+            return mavlink.MAVLink_ranging_beacon_message(**fields)
+        measurement = RangingMeasurement(
+            emitter_id=3, measured_at_s=0.0, range_m=range_m, bearing_enu_rad=bearing
+        )
+        return message_from_ranging(measurement, stamp_us)
+
+
+@pytest.mark.parametrize("form", ["RADIO_RANGING", "LANDING_TARGET", "RANGING_BEACON"])
+def test_any_ranging_message_on_a_second_link_finds_the_emitter(form: str) -> None:
+    loop = Loop(payload_source=Radio(form))
+    loop.run_until(lambda: bool(loop.notes.results), 150.0)
+    assert loop.error_m <= 1.5
+
+
+@pytest.mark.parametrize("clock_s", [UNIX_S, -1.0], ids=["unix time", "no clock"])
+def test_a_radio_may_keep_its_own_time(clock_s: float) -> None:
+    loop = Loop(payload_source=Radio("RADIO_RANGING", clock_s))
+    loop.run_until(lambda: bool(loop.notes.results), 150.0)
+    assert loop.error_m <= 1.5
+    assert loop.companion.session.status(loop.now_s).refused == {}
+
+
+def test_the_printed_planner_finds_the_emitter_too() -> None:
+    config = CompanionConfig(
+        mission=SessionParams(engage="auto"), planner=PlannerConfig(kind="reactive_crossing")
+    )
+    loop = Loop(config)
+    loop.run_until(lambda: bool(loop.notes.results), 180.0)
+    assert loop.error_m <= 1.5
+
+
+def test_global_setpoints_fly_the_same_search() -> None:
+    config = CompanionConfig(
+        mission=SessionParams(engage="auto"), vehicle=VehicleParams(setpoint="global_int")
+    )
+    loop, local = Loop(config), Loop(AUTO)
+    for flight in (loop, local):
+        flight.run_until(lambda flight=flight: bool(flight.notes.results), 120.0)  # type: ignore[misc]
+    assert loop.error_m <= 1.5
+    assert loop.now_s == pytest.approx(local.now_s, abs=5.0)
+    loop.run(1.0)
+    assert loop.mode is FlightMode.HOLD

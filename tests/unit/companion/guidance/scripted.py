@@ -1,0 +1,211 @@
+"""A scripted vehicle: feeds the session its events tick by tick and keeps what it answers."""
+
+from __future__ import annotations
+
+import math
+import random
+from typing import TypeVar
+
+from companion.config.schema import CompanionConfig, LimitsConfig
+from companion.domain import (
+    Autopilot,
+    FlightMode,
+    PositionEnu,
+    RangingMeasurement,
+    VehicleState,
+)
+from companion.geometry.frames import LocalOrigin
+from companion.guidance.commands import (
+    Announce,
+    Command,
+    ReportResult,
+    SendSetpoint,
+    SetMode,
+    WithdrawRequest,
+)
+from companion.guidance.events import (
+    Event,
+    HeartbeatReceived,
+    HomeSet,
+    OriginSet,
+    Outcome,
+    RangingReceived,
+    RequestAnswered,
+    RequestKind,
+    TimerFired,
+    VehicleMoved,
+)
+from companion.guidance.session import TICK_S, SessionParams
+from companion.guidance.states import Phase
+from companion.run import build_session
+
+C = TypeVar("C", bound=Command)
+ORIGIN = LocalOrigin(47.4, 8.5, 488.0)
+TARGET = (40.0, 30.0, 0.0)
+
+
+class ScriptedFlight:
+    """A vehicle at (0, 0, 20) that shows what the test sets.
+
+    Args:
+        params: How the mission is flown.
+        autopilot: Whose heartbeat it sends.
+        limits: What no setpoint may exceed.
+    """
+
+    def __init__(
+        self,
+        params: SessionParams | None = None,
+        autopilot: Autopilot = Autopilot.PX4,
+        limits: LimitsConfig | None = None,
+    ) -> None:
+        config = CompanionConfig(mission=params or SessionParams(), limits=limits or LimitsConfig())
+        self.session = build_session(config)
+        self.now_s = 0.0
+        self.autopilot = autopilot
+        self.mode = FlightMode.HOLD
+        self.is_armed = False
+        self.is_ready = True
+        self.is_failsafe = False
+        self.place: PositionEnu = (0.0, 0.0, 20.0)
+        self.follows = False
+        """Whether the vehicle is where the last setpoint was."""
+        self.has_link = True
+        self.has_position = True
+        self.has_ranging = True
+        self._rng = random.Random(1)
+        self.log: list[tuple[float, Command]] = []
+        self.r95_history: list[tuple[float, float]] = []
+        self._heard_s: float | None = None
+        self._ticks = 0
+
+    def give(self, event: Event) -> list[Command]:
+        commands = self.session.handle(event)
+        self.log += [(self.now_s, command) for command in commands]
+        return commands
+
+    def heartbeat(self) -> list[Command]:
+        self._heard_s = self.now_s
+        return self.give(
+            HeartbeatReceived(
+                self.now_s,
+                self.autopilot,
+                self.mode,
+                self.is_armed,
+                self.is_ready,
+                self.is_failsafe,
+            )
+        )
+
+    def show(self, mode: FlightMode, *, is_armed: bool = True, is_failsafe: bool = False) -> None:
+        """Switch the mode and say so."""
+        self.mode, self.is_armed, self.is_failsafe = mode, is_armed, is_failsafe
+        self.heartbeat()
+
+    def answer(self, kind: RequestKind, outcome: Outcome = Outcome.ACCEPTED) -> None:
+        self.give(RequestAnswered(self.now_s, kind, outcome))
+
+    def locate(self, origin: LocalOrigin = ORIGIN) -> None:
+        """Tell origin and home."""
+        self.give(OriginSet(self.now_s, origin))
+        self.give(HomeSet(self.now_s, (0.0, 0.0, 0.0)))
+
+    def fly(self, duration_s: float) -> None:
+        """Let time pass, 20 ticks a second; heartbeats once a second."""
+        for _ in range(round(duration_s / TICK_S)):
+            self._ticks += 1
+            self.now_s = round(self._ticks * TICK_S, 6)
+            if self.has_link:
+                self._hear()
+            if self.has_ranging and self._ticks % 2 == 0:
+                self.measure()
+            self.give(TimerFired(self.now_s, self._heard_s))
+            if self.session.estimate is not None:
+                self.r95_history.append((self.now_s, self.session.estimate.r95_m))
+
+    def measure(self) -> None:
+        """One range and bearing of the target, with a metre and two degrees of noise."""
+        range_m = math.dist(self.place, TARGET) + self._rng.gauss(0.0, 1.0)
+        bearing_rad = math.atan2(TARGET[1] - self.place[1], TARGET[0] - self.place[0])
+        bearing_rad += self._rng.gauss(0.0, 0.035)
+        measurement = RangingMeasurement(
+            emitter_id=1, measured_at_s=self.now_s, range_m=range_m, bearing_enu_rad=bearing_rad
+        )
+        self.give(RangingReceived(self.now_s, measurement))
+
+    def _hear(self) -> None:
+        self._heard_s = self.now_s
+        if self._ticks % 20 == 0:
+            self.heartbeat()
+        if self.follows and self.setpoints:
+            self.place = self.setpoints[-1]
+        if self.has_position:
+            state = VehicleState(self.now_s, self.place, (0.0, 0.0, 0.0))
+            self.give(VehicleMoved(self.now_s, state))
+
+    # What it answered
+
+    def sent(self, kind: type[C], since_s: float = -math.inf) -> list[C]:
+        return [c for at_s, c in self.log if at_s > since_s and isinstance(c, kind)]
+
+    @property
+    def setpoints(self) -> list[PositionEnu]:
+        return [c.setpoint.position_enu_m for c in self.sent(SendSetpoint)]
+
+    @property
+    def phase(self) -> Phase:
+        return self.session.phase
+
+    def is_in(self, *phases: Phase) -> bool:
+        """Whether the session is in one of some phases."""
+        return self.phase in phases
+
+    @property
+    def texts(self) -> list[str]:
+        return [c.text for c in self.sent(Announce)]
+
+    def asked_modes(self, since_s: float = -math.inf) -> list[FlightMode]:
+        return [c.mode for c in self.sent(SetMode, since_s)]
+
+    @property
+    def results(self) -> list[ReportResult]:
+        return self.sent(ReportResult)
+
+    @property
+    def has_withdrawn(self) -> bool:
+        return bool(self.sent(WithdrawRequest))
+
+    # Ways to a situation
+
+    def ready(self) -> ScriptedFlight:
+        """In the air in hold, with everything known."""
+        self.is_armed = True
+        self.heartbeat()
+        self.locate()
+        self.fly(1.0)
+        return self
+
+    def engaged(self) -> ScriptedFlight:
+        """Given offboard by the operator, and flying the plan."""
+        self.ready()
+        self.show(FlightMode.OFFBOARD)
+        self.fly(1.0)
+        assert self.phase is Phase.ENGAGED, self.texts
+        return self
+
+    def engaged_automatically(self) -> ScriptedFlight:
+        """Launched by the session itself: PX4, already in the air in hold."""
+        self.ready()
+        self.fly(2.0)
+        assert FlightMode.OFFBOARD in self.asked_modes()
+        self.answer(RequestKind.SET_MODE)
+        self.show(FlightMode.OFFBOARD)
+        self.fly(1.0)
+        assert self.phase is Phase.ENGAGED, self.texts
+        return self
+
+    def fly_until_reported(self) -> None:
+        """Fly the plan until the target is reported."""
+        while not self.results:
+            assert self.now_s < 300.0, self.texts
+            self.fly(TICK_S)

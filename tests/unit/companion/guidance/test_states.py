@@ -1,0 +1,72 @@
+from __future__ import annotations
+
+import pytest
+
+from companion.guidance.states import (
+    IN_CONTROL,
+    OUT_OF_CONTROL,
+    STREAMING,
+    TRANSITIONS,
+    Phase,
+    Trigger,
+    next_phase,
+)
+
+TABLE = """
+            READY   LAUNCH    LAUNCH_FAILED MODE_GIVEN MODE_LOST GRANTED DISARMED INPUT_LOST INPUT_BACK LOCALISED RESTARTED STOP         HANDED_BACK
+WAITING     STANDBY .         .             .          .         .       .        .          .          .         .         STOPPED      .
+STANDBY     .       LAUNCHING .             HOLDING    .         .       .        .          .          .         WAITING   STOPPED      .
+LAUNCHING   .       .         YIELDED       HOLDING    YIELDED   .       WAITING  .          .          .         WAITING   HANDING_BACK .
+ENGAGED     .       .         .             .          YIELDED   .       WAITING  HOLDING    .          FINISHED  WAITING   HANDING_BACK .
+HOLDING     .       .         .             .          YIELDED   .       WAITING  .          ENGAGED    .         WAITING   HANDING_BACK .
+FINISHED    .       .         .             .          .         STANDBY WAITING  .          .          .         WAITING   HANDING_BACK .
+YIELDED     .       .         .             HOLDING    .         STANDBY WAITING  .          .          .         WAITING   STOPPED      .
+HANDING_BACK .      .         .             .          STOPPED   .       STOPPED  .          .          .         .         .            STOPPED
+STOPPED     .       .         .             .          .         .       .        .          .          .         .         .            .
+"""  # noqa: E501  one row per phase is the point
+_HEAD, *_ROWS = [line.split() for line in TABLE.strip().splitlines()]
+EXPECTED = {
+    (Phase[row[0]], Trigger[name]): Phase[row[0]] if cell == "." else Phase[cell]
+    for row in _ROWS
+    for name, cell in zip(_HEAD, row[1:], strict=True)
+}
+
+
+def test_the_table_of_this_test_is_complete() -> None:
+    assert set(EXPECTED) == {(phase, trigger) for phase in Phase for trigger in Trigger}
+
+
+@pytest.mark.parametrize("phase", Phase)
+@pytest.mark.parametrize("trigger", Trigger)
+def test_every_trigger_in_every_phase(phase: Phase, trigger: Trigger) -> None:
+    assert next_phase(phase, trigger) is EXPECTED[phase, trigger]
+
+
+def test_every_phase_can_be_reached() -> None:
+    reached, frontier = {Phase.WAITING}, [Phase.WAITING]
+    while frontier:
+        here = frontier.pop()
+        for (phase, _), following in TRANSITIONS.items():
+            if phase is here and following not in reached:
+                reached.add(following)
+                frontier.append(following)
+    assert reached == set(Phase)
+
+
+def test_nothing_leaves_stopped() -> None:
+    assert all(next_phase(Phase.STOPPED, trigger) is Phase.STOPPED for trigger in Trigger)
+
+
+def test_control_is_only_entered_by_the_mode_being_given() -> None:
+    entries = {
+        trigger
+        for (phase, trigger), following in TRANSITIONS.items()
+        if following in IN_CONTROL and phase not in IN_CONTROL
+    }
+    assert entries == {Trigger.MODE_GIVEN}
+
+
+def test_where_setpoints_may_flow() -> None:
+    assert frozenset({Phase.ENGAGED, Phase.HOLDING}) == IN_CONTROL
+    assert set(Phase) - STREAMING == OUT_OF_CONTROL
+    assert frozenset({Phase.WAITING, Phase.YIELDED, Phase.STOPPED}) == OUT_OF_CONTROL

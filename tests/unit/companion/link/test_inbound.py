@@ -1,0 +1,230 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from companion.domain import FlightMode, LandedState
+from companion.guidance.events import (
+    AutopilotRestarted,
+    Event,
+    HeartbeatReceived,
+    HomeSet,
+    LandedStateChanged,
+    OriginSet,
+    RangingReceived,
+    VehicleMoved,
+    YawMeasured,
+)
+from companion.link.inbound import RangingInbound, VehicleInbound
+from companion.mav.dialect import MAVLink_radio_ranging_message, Message, mavlink
+from tests.unit.companion.link.wire import (
+    ARDUPILOT,
+    E7,
+    NOBODY,
+    OFFBOARD,
+    heartbeat,
+    home_position,
+    local_position,
+    origin,
+)
+
+NAN = math.nan
+INT32_MAX = 2**31 - 1
+
+
+def only(events: list[Event]) -> Event:
+    (event,) = events
+    return event
+
+
+def test_north_east_down_becomes_east_north_up() -> None:
+    event = only(VehicleInbound().events(local_position(0, 1, 2, -3, 4, 5, -6), 10.0))
+    assert isinstance(event, VehicleMoved)
+    assert event.state.position_enu_m == (2.0, 1.0, 3.0)
+    assert event.state.velocity_enu_mps == (5.0, 4.0, 6.0)
+    assert event.state.time_s == 10.0
+
+
+def test_a_late_position_is_dated_back() -> None:
+    inbound = VehicleInbound()
+    inbound.events(local_position(1000), 10.0)
+    event = only(inbound.events(local_position(1100), 10.5))
+    assert isinstance(event, VehicleMoved)
+    assert event.state.time_s == pytest.approx(10.1, abs=1e-3)
+
+
+def test_yaw_keeps_its_sense() -> None:
+    message = mavlink.MAVLink_attitude_message(0, 0.1, 0.2, 1.5, 0, 0, 0)
+    event = only(VehicleInbound().events(message, 1.0))
+    assert event == YawMeasured(1.0, 1.0, 1.5)
+
+
+@pytest.mark.parametrize(("status", "is_ready", "is_failsafe"), [
+    (0, False, False), (3, True, False), (4, True, False), (5, False, True), (6, False, True),
+    (7, False, False), (8, False, True),
+])  # fmt: skip
+def test_the_state_of_the_autopilot(status: int, is_ready: bool, is_failsafe: bool) -> None:
+    event = only(VehicleInbound().events(heartbeat(status=status), 1.0))
+    assert isinstance(event, HeartbeatReceived)
+    assert (event.is_ready, event.is_failsafe) == (is_ready, is_failsafe)
+
+
+def test_modes_of_both_autopilots() -> None:
+    px4 = only(VehicleInbound().events(heartbeat(custom_mode=OFFBOARD, is_armed=True), 1.0))
+    ardupilot = only(VehicleInbound().events(heartbeat(ARDUPILOT, 4), 1.0))
+    assert isinstance(px4, HeartbeatReceived)
+    assert isinstance(ardupilot, HeartbeatReceived)
+    assert px4.mode is ardupilot.mode is FlightMode.OFFBOARD
+    assert px4.is_armed
+    assert not ardupilot.is_armed
+    assert VehicleInbound().events(heartbeat(NOBODY), 1.0) == []
+
+
+def test_a_failed_prearm_check_is_not_ready() -> None:
+    inbound = VehicleInbound()
+    bit = mavlink.MAV_SYS_STATUS_PREARM_CHECK
+    for health, is_ready in ((0, False), (bit, True)):
+        inbound.events(mavlink.MAVLink_sys_status_message(bit, bit, health, *[0] * 10), 1.0)
+        event = only(inbound.events(heartbeat(), 1.0))
+        assert isinstance(event, HeartbeatReceived)
+        assert event.is_ready == is_ready
+
+
+def test_home_is_placed_by_the_origin_whichever_comes_first() -> None:
+    home = home_position(47 * E7 + 900, 8 * E7, 490_000, NAN, NAN, NAN)
+    first, second = VehicleInbound(), VehicleInbound()
+    events = first.events(origin(), 1.0) + first.events(home, 1.0)
+    assert second.events(home, 1.0) == []
+    events_other = second.events(origin(), 1.0)
+    for event in (events[-1], events_other[-1]):
+        assert isinstance(event, HomeSet)
+        assert event.position_enu_m == pytest.approx((0.0, 10.0, 2.0), abs=0.02)
+
+
+def test_without_an_origin_home_is_where_the_message_says() -> None:
+    event = only(VehicleInbound().events(home_position(0, 0, 0, 3.0, 4.0, -1.0), 1.0))
+    assert event == HomeSet(1.0, (4.0, 3.0, 1.0))
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        origin(0, 0),
+        origin(INT32_MAX, 0),
+        origin(47 * E7, INT32_MAX),
+        home_position(0, 0, 0, NAN, 0.0, 0.0),
+        home_position(0, 0, 0, 0.0, 1e30, 0.0),
+        home_position(0, 0, 0, 0.0, 0.0, math.inf),
+    ],
+)
+def test_places_that_are_none_are_ignored(message: Message) -> None:
+    assert VehicleInbound().events(message, 1.0) == []
+
+
+@pytest.mark.parametrize(
+    "home", [home_position(0, 0), home_position(INT32_MAX), home_position(49 * E7)]
+)
+def test_a_home_that_cannot_be_is_ignored(home: Message) -> None:
+    inbound = VehicleInbound()
+    inbound.events(origin(), 1.0)
+    assert inbound.events(home, 1.0) == []
+
+
+def test_the_origin_in_degrees_and_metres() -> None:
+    event = VehicleInbound().events(origin(473977420, 85455940, 488123), 1.0)[0]
+    assert isinstance(event, OriginSet)
+    place = event.origin
+    assert (place.latitude_deg, place.longitude_deg) == pytest.approx((47.397742, 8.545594))
+    assert place.altitude_m == 488.123
+
+
+def test_unknown_landed_states_are_unknown() -> None:
+    inbound = VehicleInbound()
+    for value, landed in ((1, LandedState.ON_GROUND), (77, LandedState.UNKNOWN)):
+        message = mavlink.MAVLink_extended_sys_state_message(0, value)
+        assert inbound.events(message, 1.0) == [LandedStateChanged(1.0, landed)]
+
+
+def test_a_clock_that_goes_back_is_a_restart_and_forgets_the_frame() -> None:
+    inbound = VehicleInbound()
+    inbound.events(origin(), 1.0)
+    inbound.events(local_position(60_000), 60.0)
+    restarted, moved = inbound.events(local_position(500), 61.0)
+    assert restarted == AutopilotRestarted(61.0)
+    assert isinstance(moved, VehicleMoved)
+    assert moved.state.time_s == 61.0
+    assert inbound.events(home_position(0, 0, 0, 3.0, 4.0, -1.0), 61.0) == [
+        HomeSet(61.0, (4.0, 3.0, 1.0))
+    ]
+
+
+def test_a_restart_that_nobody_heard_is_known_by_stamps_that_stay_late() -> None:
+    inbound = VehicleInbound()
+    inbound.events(local_position(10_000), 10.0)
+    events: list[Event] = []
+    for tick in range(30):
+        events += inbound.events(local_position(20_000 + 50 * tick), 40.0 + 0.05 * tick)
+    restarts_s = [e.time_s for e in events if isinstance(e, AutopilotRestarted)]
+    assert restarts_s == pytest.approx([41.0], abs=0.06)
+    last = events[-1]
+    assert isinstance(last, VehicleMoved)
+    assert last.state.time_s == pytest.approx(41.45, abs=0.01)
+
+
+def test_a_burst_of_old_frames_is_no_restart() -> None:
+    inbound = VehicleInbound()
+    inbound.events(local_position(10_000), 10.0)
+    events: list[Event] = []
+    for tick in range(200):
+        events += inbound.events(local_position(10_050 + 50 * tick), 20.0 + 0.001 * tick)
+    assert not any(isinstance(e, AutopilotRestarted) for e in events)
+
+
+# Ranging
+
+
+def ranging(time_usec: int, **changes: float) -> Message:
+    values: dict[str, float] = {
+        "range": 80.0, "range_std": 1.0, "bearing": 0.5, "bearing_std": 0.1, "elevation": NAN,
+        "elevation_std": NAN, "emitter_id": 7, "quality": 255, "flags": 0,
+    }  # fmt: skip
+    message = MAVLink_radio_ranging_message(time_usec, **(values | changes))  # type: ignore[arg-type]
+    message._header = mavlink.MAVLink_header(message.id, srcSystem=1, srcComponent=158)
+    return message
+
+
+def test_a_body_frame_bearing_stays_one_until_the_yaw_is_known() -> None:
+    event = only(RangingInbound().events(ranging(1_000_000, flags=1), 1, 5.0))
+    assert isinstance(event, RangingReceived)
+    assert event.measurement.bearing_enu_rad is None
+    assert event.measurement.bearing_body_rad == 0.5
+    assert event.measurement.measured_at_s == 5.0
+
+
+def test_every_sender_has_its_own_clock() -> None:
+    inbound = RangingInbound()
+    for link, stamp_us in ((0, 2_000_000), (1, 1_795_000_000_000_000)):
+        inbound.events(ranging(stamp_us), link, 5.0)
+        event = only(inbound.events(ranging(stamp_us + 100_000), link, 5.3))
+        assert isinstance(event, RangingReceived)
+        assert event.measurement.measured_at_s == pytest.approx(5.1, abs=1e-3)
+
+
+def test_a_sender_without_a_clock_is_dated_by_arrival_and_never_a_duplicate() -> None:
+    inbound = RangingInbound()
+    for now_s in (5.0, 9.0):
+        event = only(inbound.events(ranging(0), 0, now_s))
+        assert isinstance(event, RangingReceived)
+        assert event.measurement.measured_at_s == now_s
+        assert event.measurement.stamp_us is None
+
+
+def test_a_radio_that_restarted_in_silence_is_heard_again() -> None:
+    inbound = RangingInbound()
+    inbound.events(ranging(14_000_000), 0, 14.0)
+    for tick in range(20):
+        now_s = 50.0 + 0.1 * tick
+        event = only(inbound.events(ranging(20_000_000 + 100_000 * tick), 0, now_s))
+    assert isinstance(event, RangingReceived)
+    assert event.measurement.measured_at_s == pytest.approx(now_s, abs=1e-3)

@@ -1,0 +1,165 @@
+from __future__ import annotations
+
+import pytest
+
+from companion.guidance.events import Outcome, RequestAnswered, RequestKind
+from companion.link.outbound import arm
+from companion.link.requests import CommandMessage, RequestClient
+from companion.link.streams import ONE_SHOT, OPTIONAL, STREAM_INTERVAL_S, StreamRequester
+from companion.mav.dialect import Message, mavlink
+
+ARM = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
+ACCEPTED, DENIED, IN_PROGRESS = 0, 2, 5
+POSITION = mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED
+POSITION_MESSAGE = mavlink.MAVLink_local_position_ned_message(0, 0, 0, 0, 0, 0, 0)
+TICK_S = 0.05
+
+
+def ack(command: int = ARM, result: int = ACCEPTED) -> mavlink.MAVLink_command_ack_message:
+    return mavlink.MAVLink_command_ack_message(command, result, 0, 0, 1, 191)
+
+
+def asked() -> RequestClient:
+    client = RequestClient()
+    client.submit(RequestKind.ARM, lambda n: arm(1, 1, n))
+    return client
+
+
+def confirmation_of(due: Message | RequestAnswered | None) -> int:
+    assert isinstance(due, CommandMessage)
+    return int(due.confirmation)
+
+
+def test_a_request_is_sent_four_times_half_a_second_apart_and_then_given_up() -> None:
+    client = asked()
+    sends: list[tuple[float, int]] = []
+    for tick in range(100):
+        now_s = 5.0 + tick * TICK_S
+        due = client.due(now_s)
+        if isinstance(due, RequestAnswered):
+            assert due.outcome is Outcome.NO_ANSWER
+            assert now_s == pytest.approx(7.0)
+            break
+        if due is not None:
+            sends.append((round(now_s, 2), confirmation_of(due)))
+    assert sends == [(5.0, 0), (5.5, 1), (6.0, 2), (6.5, 3)]
+    assert client.due(100.0) is None
+
+
+@pytest.mark.parametrize(
+    ("result", "outcome", "detail"),
+    [
+        (0, Outcome.ACCEPTED, ""),
+        (1, Outcome.REJECTED, "temporarily rejected"),
+        (2, Outcome.REJECTED, "denied"),
+        (99, Outcome.REJECTED, "result 99"),
+    ],
+)
+def test_an_ack_ends_the_request(result: int, outcome: Outcome, detail: str) -> None:
+    client = asked()
+    client.due(0.0)
+    answer = client.answered(ack(result=result), 0.1)
+    assert answer == RequestAnswered(0.1, RequestKind.ARM, outcome, detail)
+    assert client.due(10.0) is None
+
+
+def test_in_progress_means_wait_and_not_resend() -> None:
+    client = asked()
+    client.due(0.0)
+    assert client.answered(ack(result=IN_PROGRESS), 0.1) is None
+    assert client.due(3.0) is None
+    assert client.answered(ack(result=IN_PROGRESS), 3.0) is None
+    assert client.due(5.9) is None
+    late = client.due(6.0)
+    assert isinstance(late, RequestAnswered)
+    assert late.outcome is Outcome.NO_ANSWER
+
+
+def test_an_answer_to_another_command_is_not_ours() -> None:
+    client = asked()
+    client.due(0.0)
+    assert client.answered(ack(mavlink.MAV_CMD_DO_SET_MODE), 0.1) is None
+    assert confirmation_of(client.due(0.5)) == 1
+
+
+def test_an_answer_before_the_question_belongs_to_an_older_one() -> None:
+    client = asked()
+    assert client.answered(ack(), 0.0) is None
+    assert confirmation_of(client.due(0.0)) == 0
+
+
+def test_a_new_wish_replaces_the_old_and_a_withdrawn_one_is_gone() -> None:
+    client = asked()
+    client.due(0.0)
+    client.submit(RequestKind.ARM, lambda n: arm(1, 1, n))
+    assert confirmation_of(client.due(0.1)) == 0
+    client.cancel()
+    assert client.due(5.0) is None
+
+
+# Streams
+
+
+class Asking:
+    """A requester on its ticks, and what it asked for when."""
+
+    def __init__(self) -> None:
+        self.requester = StreamRequester()
+        self.now_s = 0.0
+        self.asked: list[tuple[float, int, int]] = []
+
+    def wait(self, duration_s: float) -> None:
+        for _ in range(round(duration_s / TICK_S)):
+            self.now_s += TICK_S
+            due = self.requester.due(self.now_s, 1, 1)
+            if due is not None:
+                assert isinstance(due, CommandMessage)
+                self.asked.append((self.now_s, due.command, int(due.param1)))
+
+    def times(self, number: int) -> list[float]:
+        return [at for at, command, n in self.asked if n == number and command == 511]
+
+
+def test_every_stream_is_asked_for_one_a_tick() -> None:
+    asking = Asking()
+    asking.wait(0.6)
+    assert {n for _, command, n in asking.asked if command == 511} == set(STREAM_INTERVAL_S)
+    assert {n for _, command, n in asking.asked if command == 512} == set(ONE_SHOT)
+    assert len({at for at, _, _ in asking.asked}) == len(asking.asked)
+
+
+def test_an_interval_is_asked_for_in_microseconds() -> None:
+    requester = StreamRequester()
+    first = requester.due(0.0, 3, 1)
+    assert isinstance(first, CommandMessage)
+    assert (first.target_system, first.param1, first.param2) == (3, POSITION, 50_000.0)
+
+
+def test_an_unheard_stream_is_asked_for_again_and_again_ever_more_slowly() -> None:
+    asking = Asking()
+    asking.wait(120.0)
+    gaps = [b - a for a, b in zip(asking.times(POSITION), asking.times(POSITION)[1:], strict=False)]
+    assert gaps[:5] == pytest.approx([1.0, 2.0, 4.0, 8.0, 16.0], abs=0.6)
+    assert max(gaps) <= 16.6
+    assert [len(asking.times(n)) for n in OPTIONAL] == [1]
+
+
+def test_a_stream_that_flows_is_left_alone_and_one_that_stops_is_asked_for() -> None:
+    asking = Asking()
+    asking.wait(0.5)
+    for _ in range(40):
+        asking.requester.heard(POSITION_MESSAGE, asking.now_s)
+        asking.wait(0.5)
+    assert len(asking.times(POSITION)) == 1
+    asking.wait(1.5)
+    assert len(asking.times(POSITION)) == 2
+
+
+def test_after_a_restart_everything_is_asked_for_again() -> None:
+    asking = Asking()
+    asking.wait(0.6)
+    asking.requester.heard(POSITION_MESSAGE, asking.now_s)
+    asking.asked.clear()
+    asking.requester.restart()
+    asking.wait(0.6)
+    assert len(asking.asked) == len(STREAM_INTERVAL_S) + len(ONE_SHOT)
