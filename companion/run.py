@@ -27,6 +27,9 @@ from companion.planning.reactive_crossing import ReactiveCrossing
 
 log = logging.getLogger("companion.run")
 
+SILENCE_HINT_S = 10.0
+"""After this long without an autopilot the operator is told where we listen."""
+
 
 def build_planner(config: PlannerConfig) -> Planner[Any]:
     """The planner that the configuration names."""
@@ -93,13 +96,17 @@ def fly(
     """
     journal = open_journal(config)
     endpoint = build_endpoint(config, journal, len(links) - 1)
-    log.info("flight log: %s", journal.directory)
-    shell = Shell(endpoint, links, clock, lambda _: stop_if_done())
+    silence = _SilenceHint(endpoint, clock)
 
-    def stop_if_done() -> None:
+    def on_wakeup(_: float) -> None:
+        silence.check()
         if once and is_handed_over(endpoint):
             shell.request_stop()
 
+    shell = Shell(endpoint, links, clock, on_wakeup)
+    silence.link_name = shell.links[0].name
+    log.info("flight log: %s", journal.directory)
+    log.info("waiting for an autopilot on %s", silence.link_name)
     try:
         asyncio.run(shell.run())
     except LinkError:
@@ -108,3 +115,24 @@ def fly(
     finally:
         journal.close()
     return endpoint
+
+
+class _SilenceHint:
+    """Says once that nothing was heard, for whoever connected to the wrong place."""
+
+    def __init__(self, endpoint: CompanionEndpoint, clock: Clock) -> None:
+        self.link_name = ""
+        self._endpoint = endpoint
+        self._clock = clock
+        self._is_said = False
+
+    def check(self) -> None:
+        """Warn if it is time and no autopilot was heard yet."""
+        if self._is_said or self._clock.now_s() < SILENCE_HINT_S:
+            return
+        self._is_said = True
+        if not self._endpoint.binding.is_bound:
+            log.warning(
+                "no autopilot heard on %s yet: does it send there, and is the port the right one?",
+                self.link_name,
+            )

@@ -207,7 +207,7 @@ class GuidanceSession:
             self._announce(Severity.NOTICE, "disarmed: the flight is over")
 
     def _on_offboard(self, now_s: float) -> None:
-        if not self.authority.may_take(now_s):
+        if not (self.authority.may_take(now_s) and self.vehicle.obeys_setpoints):
             return
         if self.phase is Phase.LAUNCHING and not self._is_launch_at_offboard():
             return

@@ -104,6 +104,16 @@ class VehicleView:
         return self.is_armed and self.mode is FlightMode.OFFBOARD
 
     @property
+    def obeys_setpoints(self) -> bool:
+        """Whether setpoints would be flown once the mode is offboard.
+
+        ArduPilot ignores them on the ground, and one during its take-off would end the climb.
+        """
+        if self.heartbeat is None or self.heartbeat.autopilot is not Autopilot.ARDUPILOT:
+            return True
+        return self.landed is LandedState.IN_AIR
+
+    @property
     def wants_prestream(self) -> bool:
         """Whether setpoints must flow before offboard can be entered.
 

@@ -194,6 +194,8 @@ class CompanionEndpoint:
             {"autopilot": binding.autopilot.value, "system_id": binding.system_id},
             now_s,
         )
+        text = f"autopilot heard: {binding.autopilot.value}, system {binding.system_id}"
+        self._journal.text(Severity.INFO, text, now_s)
         if binding.autopilot is Autopilot.OTHER:
             text = "unknown autopilot: only PX4 and ArduPilot modes are understood"
             self._journal.text(Severity.WARNING, text, now_s)

@@ -182,7 +182,7 @@ def test_demo_that_runs_out_of_time_says_so(commands: Commands) -> None:
     assert "NOT LOCALISED (time limit of 20 s)" in output
 
 
-@pytest.mark.parametrize("delay_s", [0.05, 0.6, 1.5, 3.0])
+@pytest.mark.parametrize("delay_s", [0.5, 0.9, 1.5, 3.0])
 def test_interrupted_demo_leaves_no_process(commands: Commands, delay_s: float) -> None:
     demo = commands.start("companion", "demo", "--speed", "4", "--no-plot")
     time.sleep(delay_s)
@@ -190,7 +190,7 @@ def test_interrupted_demo_leaves_no_process(commands: Commands, delay_s: float) 
     demo.send_signal(signal.SIGINT)
     _, errors = demo.communicate(timeout=10)
     assert demo.returncode != 0
-    assert delay_s < 1.0 or "Traceback" not in errors
+    assert "Traceback" not in errors
     assert not [pid for pid in children if is_alive(pid)]
 
 

@@ -10,6 +10,7 @@ from companion.config.schema import CompanionConfig, LimitsConfig
 from companion.domain import (
     Autopilot,
     FlightMode,
+    LandedState,
     PositionEnu,
     RangingMeasurement,
     VehicleState,
@@ -27,6 +28,7 @@ from companion.guidance.events import (
     Event,
     HeartbeatReceived,
     HomeSet,
+    LandedStateChanged,
     OriginSet,
     Outcome,
     RangingReceived,
@@ -104,6 +106,10 @@ class ScriptedFlight:
 
     def answer(self, kind: RequestKind, outcome: Outcome = Outcome.ACCEPTED) -> None:
         self.give(RequestAnswered(self.now_s, kind, outcome))
+
+    def report_landed(self, landed: LandedState) -> None:
+        """Say whether the vehicle is on the ground."""
+        self.give(LandedStateChanged(self.now_s, landed))
 
     def locate(self, origin: LocalOrigin = ORIGIN) -> None:
         """Tell origin and home."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from companion.domain import Autopilot, FlightMode
+from companion.domain import Autopilot, FlightMode, LandedState
 from companion.guidance.commands import Arm, Command, SendSetpoint, SetMode, TakeOff
 from companion.guidance.events import (
     HeartbeatReceived,
@@ -250,6 +250,7 @@ def test_the_session_launches_ardupilot_and_engages_after_the_climb() -> None:
     flight = launching(Autopilot.ARDUPILOT)
     assert flight.setpoints == []
     flight.place = (0.0, 0.0, 20.0)
+    flight.report_landed(LandedState.IN_AIR)
     flight.fly(1.2)
     assert flight.is_in(Phase.HOLDING, Phase.ENGAGED)
 

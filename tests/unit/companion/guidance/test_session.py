@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from companion.config.schema import LimitsConfig
-from companion.domain import Autopilot, EstimateState, FlightMode
+from companion.domain import Autopilot, EstimateState, FlightMode, LandedState
 from companion.geometry.frames import LocalOrigin
 from companion.guidance.commands import Arm, SendHeartbeat, SendSetpoint, SetMode, TakeOff
 from companion.guidance.events import (
@@ -65,6 +65,20 @@ def test_in_standby_ardupilot_gets_silence() -> None:
     flight.fly(3.0)
     assert flight.is_in(Phase.STANDBY)
     assert silent_since(flight, -1.0)
+
+
+def test_ardupilot_in_guided_is_not_taken_before_its_takeoff_is_over() -> None:
+    """A position target during the climb would end it (ArduCopter 4.5, observed)."""
+    flight = ScriptedFlight(autopilot=Autopilot.ARDUPILOT).ready()
+    for landed in (LandedState.ON_GROUND, LandedState.TAKEOFF):
+        flight.report_landed(landed)
+        flight.show(FlightMode.OFFBOARD)
+        flight.fly(2.0)
+        assert flight.is_in(Phase.STANDBY)
+        assert silent_since(flight, -1.0)
+    flight.report_landed(LandedState.IN_AIR)
+    flight.fly(1.1)
+    assert flight.is_in(Phase.HOLDING, Phase.ENGAGED)
 
 
 def test_a_heartbeat_leaves_once_a_second_from_the_tick_and_stops_with_it() -> None:
