@@ -139,6 +139,7 @@ class TargetTracker:
             measurement.bearing_enu_rad,
             self._filter.range_sigma_m(measurement),
             self._filter.bearing_sigma_rad(measurement),
+            _place(self._hypotheses[0]) if self._hypotheses else sensor_enu_m[:2],
         )
         if not self._hypotheses:
             self._start(measurement, sensor_enu_m)

@@ -2,7 +2,7 @@
 
 A recursive filter linearises every measurement once, where it stood at the time; started from a
 ring of hypotheses it may settle next to the optimum and be sure of it. The window keeps up to N
-measurements that are spread over the places measured from, and solves
+measurements that are spread over different views of the target, and solves
 
     min over x, offsets of  sum rho(u_i) + range_offset^2 / 2 s_r^2 + bearing_offset^2 / 2 s_b^2
 
@@ -114,7 +114,7 @@ class WindowMap:
         """The distinct minima reached from `starts`, best first.
 
         Args:
-            rows: (n, 7), see `MeasurementWindow`.
+            rows: (n, 8), see `MeasurementWindow`.
             starts: States (4,) to start from.
         """
         found: list[tuple[float, Vector]] = []
@@ -153,7 +153,7 @@ class WindowMap:
         """A fresh start: off the middle of the path, as far as the ranges say.
 
         Args:
-            rows: (n, 7).
+            rows: (n, 8).
             direction_rad: Where to, counter-clockwise from east.
             spread: Which distance to take where there are no ranges to tell.
         """

@@ -1,11 +1,12 @@
 """Latched crossing: fly over the estimate to a point on its far side, and only then turn.
 
 Theory of operation. Bilateral information needs views from both sides of the target, so the far
-point must really be flown to: it is *latched* until it is reached, or until the estimate has moved
-by more than the latch can mean. Its distance beyond the estimate (the overshoot) follows the
-uncertainty, clip(3 sqrt(lambda_max(P)), 2 m, 20 m): wide while little is known, tight at the end,
-where a short base line makes bearings strong. Each new crossing turns by the golden angle, so that
-any number of crossings covers all directions evenly, without planning and at O(1) cost.
+point must really be flown to: it is *latched* until it is reached, until the estimate lies behind
+by as much as is still needed, or until the estimate has moved by more than the latch can mean. Its
+distance beyond the estimate (the overshoot) follows the uncertainty,
+clip(3 sqrt(lambda_max(P)), 2 m, 20 m): wide while little is known, tight at the end, where a short
+base line makes bearings strong. Each new crossing turns by the golden angle, so that any number of
+crossings covers all directions evenly, without planning and at O(1) cost.
 
 Paper: section V-A and Appendix C, with the crossing distance made real (Algorithm 1 as printed
 does not depend on it).
@@ -73,7 +74,7 @@ class LatchedCrossing:
         vehicle, estimate = request.vehicle_enu_m, request.estimate.position_enu_m
         if memory is None:
             return self._latched(request, unit(vehicle, estimate), 0)
-        if math.dist(vehicle, memory.point_enu_m) <= self.params.arrival_radius_m:
+        if self._is_flown(request, memory):
             return self._latched(request, _turned(memory.direction), memory.crossings + 1)
         moved_m = math.dist(estimate, memory.estimate_enu_m)
         if moved_m > max(self.params.reaim_distance_m, 0.5 * memory.overshoot_m):
@@ -111,6 +112,20 @@ class LatchedCrossing:
         if math.dist(request.vehicle_enu_m, best.point_enu_m) <= self.params.arrival_radius_m:
             best = replace(best, direction=_turned(best.direction))
         return Plan(self._waypoint(request, best), best)
+
+    def _is_flown(self, request: PlanRequest, latch: Latch) -> bool:
+        """Whether the point is reached, or the estimate is left behind by its present overshoot.
+
+        The latch was chosen when less was known; once a shorter overshoot will do, the rest of a
+        long one would only cost time.
+        """
+        vehicle, estimate = request.vehicle_enu_m, request.estimate.position_enu_m
+        if math.dist(vehicle, latch.point_enu_m) <= self.params.arrival_radius_m:
+            return True
+        beyond_m = (vehicle[0] - estimate[0]) * latch.direction[0] + (
+            vehicle[1] - estimate[1]
+        ) * latch.direction[1]
+        return beyond_m >= self._overshoot_m(request.estimate)
 
     def _overshoot_m(self, estimate: TargetEstimate) -> float:
         (a, b), (_, c) = estimate.covariance_m2

@@ -10,7 +10,7 @@ import pytest
 from companion.domain import EstimateState, RangingMeasurement
 from companion.estimation.base import FilterParams, FilterState
 from companion.estimation.hypotheses import Hypothesis
-from companion.estimation.measurement_window import MeasurementWindow, thinned
+from companion.estimation.measurement_window import SEQUENCE, MeasurementWindow, thinned
 from companion.estimation.polish import polished, weighted
 from companion.estimation.tracker import TargetTracker, TrackerParams
 from companion.estimation.window_map import (
@@ -147,18 +147,25 @@ def test_measurements_from_one_place_name_no_place() -> None:
     assert solver.optima(rows, [np.array([40.0, 25.0, 0.0, 0.0])]) == []
 
 
-def test_window_is_bounded_and_keeps_what_is_rare() -> None:
+def test_window_is_bounded_and_keeps_the_rare_views() -> None:
     window = MeasurementWindow(64)
     for index in range(40):
-        window.add((float(index), 0.0, 10.0), 50.0, None, 1.0, 0.1)
+        phi = 2.0 * math.pi * index / 40
+        place = (5.0 * math.cos(phi), 5.0 * math.sin(phi), 10.0)
+        window.add(place, 50.0, None, 1.0, 0.1, (0.0, 0.0))
     assert window.is_complete
-    for _ in range(5000):
-        window.add((40.0, 0.0, 10.0), 50.0, None, 1.0, 0.1)
+    for index in range(5000):
+        window.add((5.0, 0.1, 10.0), 50.0 + index, None, 1.0, 0.1, (0.0, 0.0))
     assert len(window) <= 64
     assert not window.is_complete
-    easts = window.rows[:, 0]
-    assert np.all(np.diff(easts) >= 0.0)
-    assert len(np.unique(np.floor(easts / 4.0))) >= 10
+    rows = window.rows
+    sectors = np.unique(np.floor(np.arctan2(rows[:, 1], rows[:, 0]) / (math.pi / 8.0)))
+    assert len(sectors) >= 15
+    hovering = rows[rows[:, 3] > 50.0, 3] - 50.0
+    assert np.all(np.diff(hovering) > 0.0)
+    old = hovering[hovering < 4900.0]
+    assert len(old) >= 5
+    assert np.diff(old).max() < 4.0 * np.diff(old).min()
     window.clear()
     assert len(window) == 0
     assert window.is_complete
@@ -167,8 +174,9 @@ def test_window_is_bounded_and_keeps_what_is_rare() -> None:
 @pytest.mark.parametrize("target", [1, 10, 24, 31])
 def test_thinning_never_keeps_more_than_asked(target: int) -> None:
     rng = np.random.default_rng(7)
-    rows = rng.uniform(0.0, 100.0, (32, 7))
-    assert len(thinned(rows, target)) <= target
+    rows = rng.uniform(0.0, 100.0, (32, 8))
+    rows[:, SEQUENCE] = np.arange(32)
+    assert len(thinned(rows, target, (50.0, 50.0))) <= target
 
 
 def optimum(east_m: float, cost: float, sigma_m: float = 0.5, inflation: float = 1.0) -> Optimum:

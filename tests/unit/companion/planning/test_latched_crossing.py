@@ -74,13 +74,23 @@ def test_the_overshoot_follows_the_worst_direction_within_limits(
 def test_it_stays_latched_until_the_point_is_reached() -> None:
     latch = _latch(_plan((-30.0, 0.0)))
     for east in (-20.0, -3.0, 0.0, 3.0, 4.4):
-        shrunk = _target((0.5, 0.5), ((0.1, 0.0), (0.0, 0.1)))
-        plan = _plan((east, 0.0), latch, shrunk)
+        plan = _plan((east, 0.0), latch, _target((0.5, 0.5)))
         assert plan.memory is latch
         assert plan.waypoint.position_enu_m == latch.point_enu_m
     reached = _latch(_plan((4.6, 0.0), latch))
     assert reached.crossings == 1
     assert _direction_rad(reached) == pytest.approx(GOLDEN_ANGLE_RAD)
+
+
+def test_a_shorter_overshoot_ends_a_crossing_that_was_latched_with_a_longer_one() -> None:
+    latch = _latch(_plan((-30.0, 0.0)))
+    shrunk = _target(covariance_m2=((0.1, 0.0), (0.0, 0.1)))
+    assert _plan((-3.0, 0.0), latch, shrunk).memory is latch
+    assert _plan((1.9, 0.0), latch, shrunk).memory is latch
+    turned = _latch(_plan((2.1, 0.0), latch, shrunk))
+    assert turned.crossings == 1
+    assert turned.overshoot_m == 2.0
+    assert _direction_rad(turned) == pytest.approx(GOLDEN_ANGLE_RAD)
 
 
 @pytest.mark.parametrize(
