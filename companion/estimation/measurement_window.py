@@ -43,6 +43,11 @@ class MeasurementWindow:
         return self._rows[: self._count]
 
     @property
+    def has_bearings(self) -> bool:
+        """Whether any measurement held is a bearing."""
+        return not bool(np.isnan(self.rows[:, 4]).all())
+
+    @property
     def is_complete(self) -> bool:
         """Whether no measurement was left out yet."""
         return self._is_complete

@@ -203,6 +203,12 @@ class TargetTracker:
             return (1.0, 1.0)
         return (self._noise[0].inflation, self._noise[1].inflation)
 
+    def baseline_m(self, sensor_up_m: float) -> float:
+        """How far to the side of the target a view from this height must be to say much."""
+        if self._window.has_bearings:
+            return 0.0
+        return abs(sensor_up_m - self.params.filter.target_height_m)
+
     @property
     def nlos_share(self) -> float:
         """Share of recent ranges on the linear branch of the loss: taken for reflections."""

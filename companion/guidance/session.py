@@ -295,7 +295,8 @@ class GuidanceSession:
         if self.estimate is None or position is None:
             return
         previous = self.steering.waypoint
-        waypoint = self.steering.plan(self.estimate, position)
+        baseline_m = self.tracker.baseline_m(position[2])
+        waypoint = self.steering.plan(self.estimate, position, baseline_m)
         if previous is None or previous.detail != waypoint.detail:
             self._commands.append(waypoint_record(waypoint))
 

@@ -39,12 +39,21 @@ class Steering:
         self.waypoint = None
         self._memory = self._planner.initial_memory()
 
-    def plan(self, estimate: TargetEstimate, vehicle_enu_m: PositionEnu) -> Waypoint:
-        """Ask the planner for the waypoint that follows from an estimate."""
+    def plan(
+        self, estimate: TargetEstimate, vehicle_enu_m: PositionEnu, baseline_m: float
+    ) -> Waypoint:
+        """Ask the planner for the waypoint that follows from an estimate.
+
+        Args:
+            estimate: Where the target is believed to be.
+            vehicle_enu_m: Where the vehicle is.
+            baseline_m: See `PlanRequest`.
+        """
         fence = self._guard.limits.fence
         request = PlanRequest(
             vehicle_enu_m=vehicle_enu_m[:2],
             estimate=estimate,
+            baseline_m=baseline_m,
             fence_enu_m=None if fence is None else fence.polygon_enu_m,
             fence_margin_m=0.0 if fence is None else fence.margin_m,
         )

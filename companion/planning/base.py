@@ -20,6 +20,11 @@ class PlanRequest:
     fence_enu_m: Polygon | None = None
     """Waypoints stay inside this polygon, by `fence_margin_m`."""
     fence_margin_m: float = 0.0
+    baseline_m: float = 0.0
+    """How far to the side of the target a view must be to say much; 0 where bearings are measured.
+
+    Straight above it a slant range hardly depends on where the target is.
+    """
 
 
 @dataclass(frozen=True, slots=True)

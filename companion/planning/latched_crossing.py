@@ -5,7 +5,8 @@ point must really be flown to: it is *latched* until it is reached, until the es
 by as much as is still needed, or until the estimate has moved by more than the latch can mean. Its
 distance beyond the estimate (the overshoot) follows the uncertainty,
 clip(3 sqrt(lambda_max(P)), 2 m, 20 m): wide while little is known, tight at the end, where a short
-base line makes bearings strong. Each new crossing turns by the golden angle, so that any number of
+base line makes bearings strong. Without bearings it is not shorter than the base line that ranges
+need. Each new crossing turns by the golden angle, so that any number of
 crossings covers all directions evenly, without planning and at O(1) cost.
 
 Paper: section V-A and Appendix C, with the crossing distance made real (Algorithm 1 as printed
@@ -17,7 +18,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from companion.domain import Point, TargetEstimate, Waypoint, WaypointReason
+from companion.domain import Point, Waypoint, WaypointReason
 from companion.params import Params, Positive
 from companion.planning.base import Plan, PlanRequest
 from companion.planning.keepin import kept_inside, unit
@@ -54,6 +55,8 @@ class Latch:
     """The estimate when the crossing was chosen."""
     direction: Point
     """Unit vector from the estimate to the crossing point."""
+    start_enu_m: Point
+    """Where the vehicle was when the crossing was chosen."""
     overshoot_m: float
     crossings: int
     """Crossings flown to their end so far."""
@@ -85,7 +88,7 @@ class LatchedCrossing:
         self, request: PlanRequest, direction: Point, crossings: int
     ) -> Plan[Latch | None]:
         """Choose a crossing; directions that the fence cuts short are turned on first."""
-        overshoot_m = self._overshoot_m(request.estimate)
+        overshoot_m = self._overshoot_m(request)
         anchor = kept_inside(
             request.estimate.position_enu_m,
             request.vehicle_enu_m,
@@ -103,7 +106,9 @@ class LatchedCrossing:
             length_m = math.dist(anchor, point)
             if length_m > best_length_m:
                 estimate = request.estimate.position_enu_m
-                best = Latch(point, estimate, direction, overshoot_m, crossings)
+                best = Latch(
+                    point, estimate, direction, request.vehicle_enu_m, overshoot_m, crossings
+                )
                 best_length_m = length_m
             if length_m >= 0.9 * overshoot_m:
                 break
@@ -122,27 +127,30 @@ class LatchedCrossing:
         vehicle, estimate = request.vehicle_enu_m, request.estimate.position_enu_m
         if math.dist(vehicle, latch.point_enu_m) <= self.params.arrival_radius_m:
             return True
-        beyond_m = (vehicle[0] - estimate[0]) * latch.direction[0] + (
-            vehicle[1] - estimate[1]
-        ) * latch.direction[1]
-        return beyond_m >= self._overshoot_m(request.estimate)
+        overshoot_m = self._overshoot_m(request)
+        started_m = _along(latch.direction, estimate, latch.start_enu_m)
+        return started_m < overshoot_m <= _along(latch.direction, estimate, vehicle)
 
-    def _overshoot_m(self, estimate: TargetEstimate) -> float:
-        (a, b), (_, c) = estimate.covariance_m2
+    def _overshoot_m(self, request: PlanRequest) -> float:
+        (a, b), (_, c) = request.estimate.covariance_m2
         largest = 0.5 * (a + c) + math.hypot(0.5 * (a - c), b)
         p = self.params
         wanted = p.overshoot_sigmas * math.sqrt(max(largest, 0.0))
-        return min(max(wanted, p.overshoot_min_m), p.overshoot_max_m)
+        least = max(p.overshoot_min_m, min(request.baseline_m, p.overshoot_max_m))
+        return min(max(wanted, least), p.overshoot_max_m)
 
     def _waypoint(self, request: PlanRequest, latch: Latch) -> Waypoint:
         vehicle, estimate = request.vehicle_enu_m, latch.estimate_enu_m
-        ahead = (estimate[0] - vehicle[0]) * (latch.point_enu_m[0] - vehicle[0]) + (
-            estimate[1] - vehicle[1]
-        ) * (latch.point_enu_m[1] - vehicle[1])
-        is_approach = ahead > 0.0 and math.dist(vehicle, estimate) > latch.overshoot_m
+        is_ahead = _along(unit(vehicle, latch.point_enu_m), vehicle, estimate) > 0.0
+        is_approach = is_ahead and math.dist(vehicle, estimate) > latch.overshoot_m
         reason = WaypointReason.APPROACH if is_approach else WaypointReason.CROSSING
         detail = f"crossing {latch.crossings + 1}, {latch.overshoot_m:.1f} m beyond the estimate"
         return Waypoint(latch.point_enu_m, reason, detail)
+
+
+def _along(direction: Point, start: Point, end: Point) -> float:
+    """How far `end` is from `start` in a direction (a unit vector)."""
+    return (end[0] - start[0]) * direction[0] + (end[1] - start[1]) * direction[1]
 
 
 def _turned(direction: Point) -> Point:

@@ -291,3 +291,10 @@ def _coverage(p_nlos: float) -> dict[int, float]:
 @pytest.mark.parametrize("p_nlos", [0.0, 0.9])
 def test_r95_holds_the_truth_as_often_as_it_says(p_nlos: float, step: int) -> None:
     assert _coverage(p_nlos)[step] >= 0.93
+
+
+def test_ranges_alone_need_a_base_line_as_long_as_the_height() -> None:
+    ranges = _walked(_corner()[:30], (30.0, 40.0), True, False)
+    assert ranges.baseline_m(25.0) == 25.0
+    both = _walked(_corner()[:30], (30.0, 40.0), True, True)
+    assert both.baseline_m(25.0) == 0.0

@@ -71,6 +71,15 @@ def test_the_overshoot_follows_the_worst_direction_within_limits(
     assert plan.waypoint.position_enu_m == pytest.approx((overshoot_m, 0.0))
 
 
+@pytest.mark.parametrize(("baseline_m", "overshoot_m"), [(0.0, 2.0), (12.0, 12.0), (60.0, 20.0)])
+def test_without_bearings_the_overshoot_is_at_least_the_base_line_that_ranges_need(
+    baseline_m: float, overshoot_m: float
+) -> None:
+    sure = _target(covariance_m2=((0.01, 0.0), (0.0, 0.01)))
+    plan = PLANNER.plan(PlanRequest((-30.0, 0.0), sure, baseline_m=baseline_m), None)
+    assert plan.waypoint.position_enu_m == pytest.approx((overshoot_m, 0.0))
+
+
 def test_it_stays_latched_until_the_point_is_reached() -> None:
     latch = _latch(_plan((-30.0, 0.0)))
     for east in (-20.0, -3.0, 0.0, 3.0, 4.4):
