@@ -13,7 +13,7 @@ from companion import __version__
 from companion.config.schema import load_config
 from companion.errors import CompanionError, ConfigError
 from companion.io.clock import Clock
-from companion.io.files import write_json_atomic
+from companion.io.files import check_writable, write_json_atomic
 from companion.io.links import link_from_url
 from companion.io.urls import parse_link_url
 from companion.replay import replay_walk, table
@@ -21,7 +21,8 @@ from companion.run import fly
 
 EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
-MAX_SPEED = 1000.0
+MAX_SPEED = 50.0
+"""Beyond this a second of the autopilot's patience is less than a hiccup of the computer."""
 
 DESCRIPTION = """\
 Find a radio emitter with a UAV: estimate it from ranging messages, fly crossings over the
@@ -64,6 +65,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         arguments = _parser().parse_args(argv)
         _set_up_logging(quiet=arguments.quiet)
+        _check_place_of_options(arguments)
         match arguments.command:
             case "demo":
                 return _demo(arguments)
@@ -97,12 +99,14 @@ def _parser() -> argparse.ArgumentParser:
         default=[],
         help="link that carries only ranging messages; repeatable",
     )
-    parser.add_argument("--config", metavar="FILE", type=Path, help="configuration YAML")
+    parser.add_argument(
+        "--config", dest="fly_config", metavar="FILE", type=Path, help="configuration YAML"
+    )
     parser.add_argument(
         "--speed",
+        dest="fly_speed",
         metavar="X",
         type=_speed,
-        default=1.0,
         help="seconds of a simulator per real second (default 1)",
     )
     parser.add_argument("--once", action="store_true", help="end after the target is reported")
@@ -119,7 +123,7 @@ def _add_demo(commands: argparse._SubParsersAction[_Parser]) -> None:
         help="fly the canonical search on the simulator and watch it",
         description="Start sim-link, fly the canonical search over UDP, and show how well it went.",
     )
-    demo.add_argument("--seed", metavar="N", type=int, default=1, help="of the simulator")
+    demo.add_argument("--seed", metavar="N", type=_seed, default=1, help="of the simulator")
     demo.add_argument("--speed", metavar="X", type=_speed, default=1.0, help="times real time")
     demo.add_argument("--scenario", metavar="FILE", type=Path, help="scenario for sim-link")
     demo.add_argument("--config", metavar="FILE", type=Path, help="companion configuration")
@@ -147,8 +151,29 @@ def _speed(text: str) -> float:
     except ValueError:
         speed = 0.0
     if not 0.0 < speed <= MAX_SPEED:
-        raise argparse.ArgumentTypeError(f"`{text}` is not between 0 and {MAX_SPEED:g}")
+        raise argparse.ArgumentTypeError(f"`{text}` is not above 0 and at most {MAX_SPEED:g}")
     return speed
+
+
+def _seed(text: str) -> int:
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"`{text}` is not a whole number from 0 up")
+    return int(text)
+
+
+def _check_place_of_options(arguments: argparse.Namespace) -> None:
+    """Refuse options of flying in front of a subcommand, which would not see them."""
+    if arguments.command is None:
+        return
+    given = [
+        f"--{name}"
+        for name in ("connect", "ranging", "once")
+        if getattr(arguments, name) not in (None, [], False)
+    ]
+    given += [f"--{n}" for n in ("config", "speed") if getattr(arguments, f"fly_{n}") is not None]
+    if given:
+        word = arguments.command
+        raise ConfigError(f"{given[0]} in front of `{word}` has no effect; put options after it")
 
 
 def _set_up_logging(*, quiet: bool) -> None:
@@ -164,17 +189,24 @@ def _set_up_logging(*, quiet: bool) -> None:
 def _fly(arguments: argparse.Namespace) -> int:
     if arguments.connect is None:
         raise ConfigError("say where the autopilot is: --connect udp:127.0.0.1:14550, or try demo")
-    config = load_config(arguments.config)
+    config = load_config(arguments.fly_config)
     urls = [parse_link_url(text) for text in (arguments.connect, *arguments.ranging)]
+    for index, url in enumerate(urls):
+        if url in urls[:index]:
+            text = (arguments.connect, *arguments.ranging)[index]
+            raise ConfigError(f"--ranging {text}: this link is given twice; one of them is enough")
     links = [link_from_url(url) for url in urls]
-    endpoint = fly(config, links, Clock(arguments.speed), once=arguments.once)
+    endpoint = fly(config, links, Clock(arguments.fly_speed or 1.0), once=arguments.once)
     if arguments.once and endpoint.session.result is None:
+        print("companion: ended before the target was localised", file=sys.stderr)
         return EXIT_FAILED
     return 0
 
 
 def _replay(arguments: argparse.Namespace) -> int:
     config = load_config(arguments.config)
+    if arguments.json is not None:
+        check_writable(arguments.json)
 
     def progress(rows: int) -> None:
         if sys.stderr.isatty():

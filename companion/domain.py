@@ -39,7 +39,7 @@ class RangingMeasurement:
     """0 (worst) to 1 (best)."""
     line_of_sight: bool | None = None
     stamp_us: int | None = None
-    """The sender's own stamp, by which a duplicate is known."""
+    """The sender's own stamp; with equal values it tells a duplicate."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -109,6 +109,8 @@ def replay_walk(
         target.tracker.fuse(row.measurement, row.agent_enu_m, target.last_s)
         if progress is not None and number % PROGRESS_ROWS == 0:
             progress(number)
+    if not targets:
+        raise ConfigError(f"{path}: has no rows below its header")
     return [_result(target_id, target) for target_id, target in targets.items()]
 
 

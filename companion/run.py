@@ -45,6 +45,7 @@ def build_session(config: CompanionConfig) -> GuidanceSession:
         TargetTracker(config.estimation, config.emitter_id),
         build_planner(config.planner),
         Guard(config.limits.guard_limits()),
+        needs_origin=config.vehicle.setpoint == "global_int",
     )
 
 
@@ -96,17 +97,15 @@ def fly(
     """
     journal = open_journal(config)
     endpoint = build_endpoint(config, journal, len(links) - 1)
-    silence = _SilenceHint(endpoint, clock)
+    hints = _Hints(endpoint, clock, journal.directory)
 
     def on_wakeup(_: float) -> None:
-        silence.check()
+        hints.check()
         if once and is_handed_over(endpoint):
             shell.request_stop()
 
     shell = Shell(endpoint, links, clock, on_wakeup)
-    silence.link_name = shell.links[0].name
-    log.info("flight log: %s", journal.directory)
-    log.info("waiting for an autopilot on %s", silence.link_name)
+    hints.link_name = shell.links[0].name
     try:
         asyncio.run(shell.run())
     except LinkError:
@@ -117,20 +116,26 @@ def fly(
     return endpoint
 
 
-class _SilenceHint:
-    """Says once that nothing was heard, for whoever connected to the wrong place."""
+class _Hints:
+    """What whoever started us wants to read: where we wait, and that nothing was heard there."""
 
-    def __init__(self, endpoint: CompanionEndpoint, clock: Clock) -> None:
+    def __init__(self, endpoint: CompanionEndpoint, clock: Clock, directory: Path) -> None:
         self.link_name = ""
         self._endpoint = endpoint
         self._clock = clock
-        self._is_said = False
+        self._directory = directory
+        self._has_begun = False
+        self._has_warned = False
 
     def check(self) -> None:
-        """Warn if it is time and no autopilot was heard yet."""
-        if self._is_said or self._clock.now_s() < SILENCE_HINT_S:
+        """Say what is due now; the first time is when the links are open."""
+        if not self._has_begun:
+            self._has_begun = True
+            log.info("flight log: %s", self._directory)
+            log.info("waiting for an autopilot on %s", self.link_name)
+        if self._has_warned or self._clock.now_s() < SILENCE_HINT_S:
             return
-        self._is_said = True
+        self._has_warned = True
         if not self._endpoint.binding.is_bound:
             log.warning(
                 "no autopilot heard on %s yet: does it send there, and is the port the right one?",

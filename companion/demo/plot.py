@@ -44,7 +44,7 @@ def draw(path: Path, flight: Flight) -> None:
     axes = figure.subplot_mosaic([["whole", "near"], ["whole", "error"]], width_ratios=(1.15, 1))
     _draw_map(axes["whole"], flight)
     axes["whole"].set_title("Flight")
-    axes["whole"].legend(loc="upper left", fontsize=8)
+    axes["whole"].legend(loc="lower right", fontsize=8)
     _draw_map(axes["near"], flight)
     _zoom(axes["near"], flight)
     _draw_error(axes["error"], flight)
@@ -91,7 +91,7 @@ def _draw_map(axes: Axes, flight: Flight) -> None:
 
 
 def _zoom(axes: Axes, flight: Flight) -> None:
-    half_m = max(3.0 * flight.final.r95_m, 6.0)
+    half_m = max(4.0 * flight.final.r95_m, 3.5)
     east, north = flight.truth_enu_m
     axes.set_xlim(east - 1.6 * half_m, east + 1.6 * half_m)
     axes.set_ylim(north - half_m, north + half_m)

@@ -9,7 +9,7 @@ from pathlib import Path
 from companion.guidance.commands import Severity
 from companion.io.journal import FlightJournal
 
-SHOWN_TEXTS = 6
+SHOWN_TEXTS = 5
 
 
 class RecordingJournal(FlightJournal):

@@ -17,10 +17,10 @@ from companion.config.schema import CompanionConfig, load_config
 from companion.demo.recording import RecordingJournal
 from companion.demo.simulator import HOST, SimulatorProcess, free_udp_port
 from companion.domain import TargetEstimate
-from companion.errors import CompanionError
+from companion.errors import CompanionError, ConfigError
 from companion.guidance.states import Phase
 from companion.io.clock import Clock
-from companion.io.files import new_flight_directory, write_json_atomic
+from companion.io.files import check_writable, new_flight_directory, write_json_atomic
 from companion.io.links import UdpBind
 from companion.io.shell import Shell
 from companion.link.endpoint import CompanionEndpoint
@@ -31,6 +31,10 @@ REFRESH_S = 0.15
 PLAIN_REFRESH_S = 15.0
 """Seconds of the flight between two lines where there is no terminal."""
 FENCE_AROUND_AREA_M = 10.0
+PICTURE_SUFFIXES = (".png", ".svg", ".pdf")
+SILENCE_LIMIT_S = 10.0
+"""Real seconds after which a simulator that is not heard is given up."""
+HIGH_SPEED = 8.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +69,7 @@ def run_demo(options: DemoOptions) -> bool:
         CompanionError: Bad input, or the simulator does not start.
     """
     config = load_config(options.config)
+    _check_outputs(options)
     show = _view()
     started_unix_s = time.time()
     directory = new_flight_directory(Path(config.log.directory), started_unix_s)
@@ -83,6 +88,16 @@ def run_demo(options: DemoOptions) -> bool:
             simulator.stop()
             _conclude(options, config, journal, result, simulator.report())
     return result.is_localised
+
+
+def _check_outputs(options: DemoOptions) -> None:
+    """Refuse before the flight what could not be written after it."""
+    for path in (options.json, options.plot):
+        if path is not None:
+            check_writable(path)
+    if options.plot is not None and options.plot.suffix.lower() not in PICTURE_SUFFIXES:
+        known = ", ".join(PICTURE_SUFFIXES)
+        raise ConfigError(f"--plot {options.plot}: the name must end in {known}")
 
 
 def _demo_config(config: CompanionConfig, truth: dict[str, Any]) -> CompanionConfig:
@@ -183,10 +198,14 @@ def _fly(
     journal.is_quiet = isinstance(view, _LiveView)
     limit_s = float(truth["time_limit_s"])
     ended: list[tuple[str, float]] = []
+    latest = [0.0]
 
     def on_wakeup(now_s: float) -> None:
         view(endpoint, journal, now_s)
+        latest[0] = now_s
         reason = _end_reason(endpoint, simulator, now_s, limit_s)
+        if endpoint.binding.heard_s is None and time.monotonic() - started > SILENCE_LIMIT_S:
+            reason = "nothing heard from the simulator; is the loopback interface up?"
         if reason is not None and not ended:
             ended.append((reason, now_s))
             shell.request_stop()
@@ -196,7 +215,9 @@ def _fly(
     with view:
         asyncio.run(shell.run())
     result = endpoint.session.result
-    reason, now_s = ended[0] if ended else ("interrupted", 0.0)
+    reason, now_s = ended[0] if ended else ("interrupted", latest[0])
+    if endpoint.session.phase is Phase.YIELDED and options.speed > HIGH_SPEED:
+        reason += f"; at --speed {options.speed:g} a busy computer is too late for it"
     return DemoResult(
         is_localised=result is not None,
         estimate=endpoint.session.estimate if result is None else result.estimate,

@@ -12,7 +12,7 @@ from rich.text import Text
 
 from companion.domain import EstimateState
 from companion.guidance.commands import Severity
-from companion.guidance.states import Phase
+from companion.guidance.states import IN_CONTROL, Phase
 from companion.guidance.status import GuidanceStatus
 
 PHASE_STYLE = {
@@ -62,6 +62,7 @@ def _rows(
     armed = "armed" if status.is_armed else "disarmed"
     height = "-" if status.height_m is None else f"{status.height_m:.1f} m"
     refused = sum(status.refused.values())
+    guard = "; ".join(status.guard) if status.phase in IN_CONTROL else ""
     return [
         ("phase", phase),
         ("vehicle", Text(f"{status.mode.value}, {armed}, height {height}")),
@@ -71,7 +72,7 @@ def _rows(
         ("reflected", Text(f"{100 * status.nlos_share:.0f} % of the ranges on the NLOS branch")),
         ("ranging", Text(f"{status.accepted} used, {refused} refused")),
         ("link", link),
-        ("guard", Text("; ".join(status.guard) or "-")),
+        ("guard", Text(guard or "-")),
     ]
 
 

@@ -24,7 +24,7 @@ import numpy as np
 
 from companion.domain import PositionEnu, RangingMeasurement
 from companion.estimation.base import FilterParams, FilterState, ModalityReport, UpdateReport
-from companion.estimation.losses import asymmetric_huber_weight
+from companion.estimation.losses import asymmetric_huber_weight, threshold
 from companion.geometry.arrays import Matrix, Vector, frozen
 from companion.geometry.frames import wrap_pi
 from companion.kernel import kernel
@@ -71,10 +71,6 @@ def bound_component(mean: Vector, P: Matrix, index: int, value: float) -> Vector
     return shifted
 
 
-def _threshold(k: float | None) -> float:
-    return math.inf if k is None else k
-
-
 class AsymmetricHuberEkf:
     """The filter of the paper over [east, north, range offset, bearing offset].
 
@@ -84,8 +80,8 @@ class AsymmetricHuberEkf:
 
     def __init__(self, params: FilterParams) -> None:
         self.params = params
-        self._k_range = (_threshold(params.range_k_long), _threshold(params.range_k_short))
-        self._k_bearing = (_threshold(params.bearing_k), _threshold(params.bearing_k))
+        self._k_range = (threshold(params.range_k_long), threshold(params.range_k_short))
+        self._k_bearing = (threshold(params.bearing_k), threshold(params.bearing_k))
 
     def predict(self, state: FilterState, time_s: float) -> FilterState:
         """The state at `time_s`; the covariance grows by the random walk, if any."""

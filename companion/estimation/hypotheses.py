@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -44,6 +44,8 @@ class Hypothesis:
 
     log_weight: float
     state: FilterState
+    window_covariance: Matrix | None = None
+    """(4, 4) of the window's optimum that confirmed it last."""
 
 
 def first_hypotheses(
@@ -183,10 +185,10 @@ def consolidated(hypotheses: Iterable[Hypothesis]) -> tuple[Hypothesis, ...]:
         for index, other in enumerate(kept):
             if _distance2(candidate.state, other.state) < MERGE_DISTANCE2:
                 merged = float(np.logaddexp(other.log_weight, log_weight))
-                kept[index] = Hypothesis(merged, other.state)
+                kept[index] = replace(other, log_weight=merged)
                 break
         else:
-            kept.append(Hypothesis(log_weight, candidate.state))
+            kept.append(replace(candidate, log_weight=log_weight))
     return tuple(sorted(kept, key=lambda h: -h.log_weight))
 
 

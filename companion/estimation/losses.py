@@ -25,6 +25,8 @@ Paper: eqs. (6), (7), (8) and (10), Propositions A.1 to A.4.
 
 from __future__ import annotations
 
+import math
+
 from companion.kernel import kernel
 
 
@@ -52,6 +54,11 @@ def asymmetric_huber_weight(u: float, k_long: float, k_short: float) -> float:
     if u < -k_short:
         return -k_short / u
     return 1.0
+
+
+def threshold(k: float | None) -> float:
+    """A configured threshold as a number: none at all is infinity."""
+    return math.inf if k is None else k
 
 
 def threshold_k_from_lambda(rate_per_m: float, sigma_m: float) -> float:

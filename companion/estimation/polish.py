@@ -20,14 +20,14 @@ IMPROBABLE_LOG_RATIO = math.log(1e-4)
 def weighted(optima: list[Optimum]) -> list[tuple[float, Optimum]]:
     """Log-weights of the optima, best first, without the improbable ones.
 
-    The cost decides, divided by the inflation: correlated residuals say less about which optimum
-    is right, too. The volume of an optimum does not count, or the vaguest would win.
+    The cost decides, divided by the inflation at the best one: correlated residuals say less about
+    which optimum is right, too. A rival's own inflation does not count, because a wrong place makes
+    its residuals systematic; nor does its volume, or the vaguest would win.
     """
     if not optima:
         return []
-    inflation = max(optimum.inflation for optimum in optima)
-    least = min(optimum.cost for optimum in optima)
-    logs = [((least - optimum.cost) / inflation, optimum) for optimum in optima]
+    best = min(optima, key=lambda optimum: optimum.cost)
+    logs = [((best.cost - optimum.cost) / best.inflation, optimum) for optimum in optima]
     return [(log, o) for log, o in logs if log > IMPROBABLE_LOG_RATIO]
 
 
@@ -59,7 +59,7 @@ def polished(
         state = _confirmed(hypotheses, optimum) if keep_confirmed else None
         if state is None:
             state = FilterState.of(time_s, optimum.mean, optimum.covariance)
-        kept.append(Hypothesis(log_weight, state))
+        kept.append(Hypothesis(log_weight, state, optimum.covariance))
     return tuple(kept)
 
 

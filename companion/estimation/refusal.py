@@ -36,7 +36,6 @@ class AcceptanceParams(Params, frozen=True):
 
 
 FUTURE_TOLERANCE_S = 0.1
-MAX_BEARING_SIGMA_RAD = math.pi
 
 
 def refusal_of(

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -35,7 +35,7 @@ from companion.estimation.hypotheses import (
     first_hypotheses,
     probabilities,
 )
-from companion.estimation.losses import asymmetric_huber_loss
+from companion.estimation.losses import asymmetric_huber_loss, threshold
 from companion.estimation.measurement_window import MeasurementWindow
 from companion.estimation.polish import polished
 from companion.estimation.refusal import AcceptanceParams, Refusal, refusal_of
@@ -107,7 +107,7 @@ class TargetTracker:
         self._window = MeasurementWindow(params.window.size)
         self._window_map = WindowMap(params.filter)
         self._turn = 0
-        self._stamps: deque[int] = deque(maxlen=DUPLICATE_MEMORY)
+        self._recent: deque[Hashable] = deque(maxlen=DUPLICATE_MEMORY)
         self._hypotheses: tuple[Hypothesis, ...] = ()
         self._noise = self._fresh_noise()
         self._contradictions = 0
@@ -130,7 +130,7 @@ class TargetTracker:
         if self.emitter_id is None:
             self.emitter_id = measurement.emitter_id
         if measurement.stamp_us is not None:
-            self._stamps.append(measurement.stamp_us)
+            self._recent.append(_identity(measurement))
         self.accepted += 1
         self.last_accepted_s = now_s
         self._window.add(
@@ -161,7 +161,7 @@ class TargetTracker:
         self._noise = self._fresh_noise()
         self._contradictions = 0
         self.last_accepted_s = None
-        self._stamps.clear()
+        self._recent.clear()
         self._window.clear()
 
     def estimate(self, now_s: float) -> TargetEstimate | None:
@@ -222,7 +222,7 @@ class TargetTracker:
         refusal = refusal_of(measurement, now_s, self.params.acceptance)
         if refusal is not None:
             return refusal
-        if measurement.stamp_us is not None and measurement.stamp_us in self._stamps:
+        if measurement.stamp_us is not None and _identity(measurement) in self._recent:
             return Refusal.DUPLICATE
         if sensor_enu_m is None or not all(math.isfinite(v) for v in sensor_enu_m):
             return Refusal.NO_POSITION
@@ -250,7 +250,7 @@ class TargetTracker:
                 continue
             best = best or report
             log_weight = hypothesis.log_weight + self._log_likelihood(report, inflation)
-            updated.append(Hypothesis(log_weight, report.state))
+            updated.append(replace(hypothesis, log_weight=log_weight, state=report.state))
         if best is None:
             return self._restart(measurement, sensor_enu_m)
         self._hypotheses = consolidated(updated) if len(updated) > 1 else tuple(updated)
@@ -297,7 +297,7 @@ class TargetTracker:
                 continue
             spread2 = row.noise_sigma**2 * (1.0 + row.prior_share)
             u = row.innovation / math.sqrt(spread2)
-            loss = asymmetric_huber_loss(u, _threshold(k_long), _threshold(k_short))
+            loss = asymmetric_huber_loss(u, threshold(k_long), threshold(k_short))
             total -= (loss + 0.5 * math.log(spread2)) / c
         return total
 
@@ -335,9 +335,17 @@ class TargetTracker:
         return FusionReport(None, None, restarted=True)
 
     def _position_covariance(self, hypothesis: Hypothesis) -> np.ndarray:
-        """The filter's covariance plus the own position's, which all measurements share."""
+        """The filter's covariance, or the window's if that is larger, plus the own position's.
+
+        All measurements share the error of the own position. The filter's covariance is the smaller
+        one where a track that sees the target from one side only repeats itself.
+        """
+        covariance = hypothesis.state.covariance[:2, :2]
+        window = hypothesis.window_covariance
+        if window is not None and np.trace(window[:2, :2]) > np.trace(covariance):
+            covariance = window[:2, :2]
         own = self.params.filter.own_position_sigma_m
-        return hypothesis.state.covariance[:2, :2] + own * own * np.eye(2)
+        return covariance + own * own * np.eye(2)
 
     def _r95_m(self, weights: np.ndarray) -> float:
         if len(self._hypotheses) == 1:
@@ -359,8 +367,14 @@ class TargetTracker:
         return EstimateState.SEARCHING
 
 
-def _threshold(k: float | None) -> float:
-    return math.inf if k is None else k
+def _identity(measurement: RangingMeasurement) -> Hashable:
+    """What two copies of one measurement share: the stamp alone is shared by range and bearing.
+
+    Not the bearing that was turned from the body frame, because a copy may see a later yaw.
+    """
+    m = measurement
+    bearing_rad = m.bearing_enu_rad if m.bearing_body_rad is None else m.bearing_body_rad
+    return (m.stamp_us, m.range_m, bearing_rad)
 
 
 def _place(hypothesis: Hypothesis) -> tuple[float, float]:
@@ -377,4 +391,4 @@ def _observed(
         return monitor
     if report.prior_share > 1.0:
         return monitor.reset_correlation()
-    return monitor.after(report.whitened_innovation, _threshold(k_long), _threshold(k_short))
+    return monitor.after(report.whitened_innovation, threshold(k_long), threshold(k_short))

@@ -30,6 +30,7 @@ import msgspec
 import numpy as np
 
 from companion.estimation.base import FilterParams
+from companion.estimation.losses import threshold
 from companion.geometry.arrays import Matrix, Vector
 from companion.params import Params
 
@@ -97,9 +98,9 @@ class WindowMap:
 
     def __init__(self, filter_params: FilterParams) -> None:
         self._p = filter_params
-        k_long, k_short = _threshold(filter_params.range_k_long), filter_params.range_k_short
-        self._range_band = (-_threshold(k_short), k_long)
-        k_bearing = _threshold(filter_params.bearing_k)
+        k_long, k_short = threshold(filter_params.range_k_long), filter_params.range_k_short
+        self._range_band = (-threshold(k_short), k_long)
+        k_bearing = threshold(filter_params.bearing_k)
         self._bearing_band = (-k_bearing, k_bearing)
         self._prior_information = np.array(
             [
@@ -279,10 +280,6 @@ class WindowMap:
             return None
         inflation = max(1.0, float(np.trace(B @ A_inverse)) / len(mean))
         return Optimum(mean, cost, covariance, inflation)
-
-
-def _threshold(k: float | None) -> float:
-    return math.inf if k is None else k
 
 
 def _loss_sum(u: Vector, low: float, high: float) -> float:

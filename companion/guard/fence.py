@@ -10,7 +10,6 @@ from itertools import combinations
 from companion.geometry.polygons import (
     Point,
     area_m2,
-    contains,
     deepest_point,
     depth_m,
     edges,
@@ -52,10 +51,6 @@ class Fence:
     def allows(self, point: Point) -> bool:
         """Whether a point is inside by at least the margin."""
         return depth_m(self.polygon_enu_m, point) >= self.margin_m
-
-    def is_inside(self, point: Point) -> bool:
-        """Whether a point is inside the polygon itself."""
-        return contains(self.polygon_enu_m, point)
 
     def limited(self, start: Point, goal: Point) -> Point:
         """The farthest allowed point on the straight way from `start` to `goal`.

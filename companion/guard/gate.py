@@ -3,8 +3,9 @@
 Theory of operation. The autopilot takes a setpoint as it is (PX4 accepted x = 1e9 and flew), and
 an ArduPilot position target never times out. So the setpoint is a carrot: it starts where the
 vehicle is and moves towards the goal no faster than the speed limit, waits when the vehicle falls
-behind by more than the step limit, and never leaves the fence or the altitude band. Each one is
-therefore safe to be the last one that is ever sent.
+behind by more than the step limit, starts anew at the vehicle when that is far off (its position
+jumped, or wind took it), and never leaves the fence or the altitude band. Each one is therefore
+safe to be the last one that is ever sent.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ from companion.guard.fence import Fence
 
 Position = tuple[float, float, float]
 
+JUMP_STEPS = 2.0
+"""A vehicle farther from its setpoint than this many steps did not lag: its position jumped."""
 MAX_TICK_S = 0.2
 """A tick that comes late moves the setpoint no farther than one of this length."""
 
@@ -29,6 +32,7 @@ class GuardReason(Enum):
     OUTSIDE = "vehicle is outside the fence"
     ALTITUDE = "goal is outside the altitude band"
     LAGGING = "vehicle lags behind its setpoint"
+    JUMPED = "vehicle is far from its setpoint: staying where it is"
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +110,11 @@ class Guard:
         goal_up = self._in_band(goal_enu_m[2], home_up_m, reasons)
         climb = self.limits.climb_mps * dt_s
         up = previous_enu_m[2] + min(max(goal_up - previous_enu_m[2], -climb), climb)
-        place = self._advanced(goal_enu_m, previous_enu_m, vehicle_enu_m, dt_s, reasons)
+        if math.dist(previous_enu_m[:2], vehicle_enu_m[:2]) > JUMP_STEPS * self.limits.step_m:
+            reasons.append(GuardReason.JUMPED)
+            place = self.here(vehicle_enu_m, home_up_m).position_enu_m[:2]
+        else:
+            place = self._advanced(goal_enu_m, previous_enu_m, vehicle_enu_m, dt_s, reasons)
         return Guarded((*place, up), tuple(reasons))
 
     def _in_band(self, up_m: float, home_up_m: float, reasons: list[GuardReason]) -> float:

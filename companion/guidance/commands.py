@@ -22,8 +22,6 @@ class Severity(Enum):
 class SendHeartbeat:
     """Our own HEARTBEAT; it comes from the control tick, so it stops when the tick stops."""
 
-    is_in_control: bool
-
 
 @dataclass(frozen=True, slots=True)
 class SendSetpoint:

@@ -11,7 +11,7 @@ from typing import Any
 
 from companion.domain import FlightMode, PositionSetpoint, TargetEstimate
 from companion.estimation.tracker import FusionReport, TargetTracker
-from companion.guard.gate import Guard
+from companion.guard.gate import Guard, GuardReason
 from companion.guidance.authority import Authority
 from companion.guidance.commands import (
     Announce,
@@ -49,6 +49,7 @@ from companion.guidance.status import GuidanceStatus
 from companion.guidance.steering import Steering
 from companion.guidance.stop_rule import StopRule
 from companion.guidance.vehicle import ORIGIN_STEP_M, VehicleView
+from companion.guidance.waiting import WaitingReason
 from companion.planning.base import Planner
 
 TICK_S = 0.05
@@ -66,14 +67,21 @@ class GuidanceSession:
         tracker: The estimate of the target.
         planner: Where to fly, given the estimate.
         guard: What may be sent.
+        needs_origin: Whether setpoints are global, so that nothing flies without an origin.
     """
 
     def __init__(
-        self, params: SessionParams, tracker: TargetTracker, planner: Planner[Any], guard: Guard
+        self,
+        params: SessionParams,
+        tracker: TargetTracker,
+        planner: Planner[Any],
+        guard: Guard,
+        *,
+        needs_origin: bool = False,
     ) -> None:
         self.params = params
         self.tracker = tracker
-        self.vehicle = VehicleView()
+        self.vehicle = VehicleView(needs_origin=needs_origin)
         self.steering = Steering(planner, guard, params.altitude_m)
         self.authority = Authority()
         self.estimate: TargetEstimate | None = None
@@ -83,6 +91,7 @@ class GuidanceSession:
         self._has_launched = False
         self._stop_rule = StopRule(params.stop_radius_m, params.stop_confirm_s)
         self._hold_reason = ""
+        self._waiting = WaitingReason(self.vehicle, self.authority)
         self._tick_s: float | None = None
         self._next_heartbeat_s = -math.inf
         self._commands: list[Command] = []
@@ -95,6 +104,8 @@ class GuidanceSession:
         match event:
             case HeartbeatReceived():
                 self._on_heartbeat(event)
+            case RangingReceived() if self.phase is Phase.FINISHED:
+                pass  # parked on the estimate there is nothing to learn, only to unlearn
             case RangingReceived():
                 self._fused(self._listener.receive(event.measurement), event.time_s)
                 self._fused(self._listener.fuse_due(event.time_s), event.time_s)
@@ -103,7 +114,8 @@ class GuidanceSession:
             case RequestAnswered():
                 self._on_answer(event)
             case ControlGranted():
-                self._enter(Trigger.GRANTED, event.time_s)
+                if self._enter(Trigger.GRANTED, event.time_s):
+                    self._announce(Severity.NOTICE, "granted again: switch to offboard mode")
             case AutopilotRestarted():
                 self._on_restart(event.time_s)
             case StopRequested():
@@ -309,14 +321,19 @@ class GuidanceSession:
         self._advance_phase(now_s)
         if now_s >= self._next_heartbeat_s:
             self._next_heartbeat_s = now_s + HEARTBEAT_PERIOD_S
-            self._commands.append(SendHeartbeat(self.phase in IN_CONTROL))
+            self._commands.append(SendHeartbeat())
         setpoint = self._setpoint(now_s, dt_s)
+        if setpoint is not None and GuardReason.JUMPED in self.steering.reasons:
+            self._announce(Severity.WARNING, "own position jumped: going on from where it says")
         if setpoint is not None:
             self._commands.append(SendSetpoint(setpoint))
 
     def _advance_phase(self, now_s: float) -> None:
         match self.phase:
             case Phase.WAITING:
+                reason = self._waiting.news(now_s)
+                if reason is not None:
+                    self._announce(Severity.WARNING, reason)
                 if self.vehicle.is_usable(now_s) and self.authority.may_begin:
                     self._enter(Trigger.READY, now_s)
                     self._announce(Severity.INFO, self._standby_text())

@@ -58,7 +58,7 @@ class Trigger(Enum):
     LOCALISED = "the target is reported"
     RESTARTED = "the autopilot restarted"
     STOP = "asked to stop"
-    HANDED_BACK = "the autopilot holds by itself, or does not answer"
+    HANDED_BACK = "the hand-back is over"
 
 
 IN_CONTROL = frozenset({Phase.ENGAGED, Phase.HOLDING})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from companion.domain import Autopilot, FlightMode, LandedState, Point, PositionEnu
+from companion.domain import Autopilot, FlightMode, LandedState, PositionEnu
 from companion.geometry.frames import LocalOrigin
 from companion.guidance.events import (
     Event,
@@ -33,7 +33,7 @@ ORIGIN_STEP_M = 1.0
 class VehicleView:
     """Mode, position, origin, home and health of the vehicle, as last heard."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, needs_origin: bool = False) -> None:
         self.track = VehicleTrack()
         self.heartbeat: HeartbeatReceived | None = None
         self.origin: LocalOrigin | None = None
@@ -41,8 +41,9 @@ class VehicleView:
         self.landed = LandedState.UNKNOWN
         self.heard_s: float | None = None
         self.distance_m = 0.0
-        """Flown so far, along the ground, while armed."""
-        self._counted_at: Point | None = None
+        """Flown so far while armed, climbs included."""
+        self._counted_at: PositionEnu | None = None
+        self._needs_origin = needs_origin
 
     def handle(self, event: Event) -> None:
         """Take in an event about the vehicle; others change nothing."""
@@ -146,15 +147,26 @@ class VehicleView:
         return (
             self.is_mode_known(now_s)
             and self.home_enu_m is not None
+            and (self.origin is not None or not self._needs_origin)
             and self.is_position_fresh(now_s)
             and not self.is_link_lost(now_s)
         )
+
+    def missing(self, now_s: float) -> list[str]:
+        """What is not there yet, in words, of what guiding it takes."""
+        parts = {
+            "the autopilot": self.heartbeat is not None and not self.is_link_lost(now_s),
+            "a local position": self.is_position_fresh(now_s),
+            "a home position": self.home_enu_m is not None,
+            "the origin": self.origin is not None or not self._needs_origin,
+        }
+        return [name for name, is_there in parts.items() if not is_there]
 
     def _move(self, event: VehicleMoved) -> None:
         if not is_plausible(event.state):
             return
         self.track.add(event.state)
-        place = event.state.position_enu_m[:2]
+        place = event.state.position_enu_m
         if self._counted_at is None or not self.is_armed:
             self._counted_at = place
             return

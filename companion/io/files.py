@@ -63,6 +63,20 @@ def write_json_atomic(path: Path, value: object) -> None:
         ) from error
 
 
+def check_writable(path: Path) -> None:
+    """Make sure, before long work, that a file can be written at its end.
+
+    Raises:
+        CompanionError: Its folder is missing or closed to us, or it is a folder itself.
+    """
+    if path.is_dir() or not path.name:
+        raise CompanionError(f"{path}: is a folder; give the name of a file")
+    if not path.parent.is_dir():
+        raise CompanionError(f"{path}: there is no folder {path.parent}")
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise CompanionError(f"{path}: cannot be written; check its permissions")
+
+
 def new_flight_directory(root: Path, unix_s: float) -> Path:
     """A new directory under `root`, named by the time, for example `2026-11-21T02-50-00Z`.
 

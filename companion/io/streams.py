@@ -4,17 +4,20 @@ Theory of operation. `ByteStream` owns a non-blocking descriptor: it reads a bou
 wake-up, writes at once what the system takes, keeps at most 64 kB for later and refuses whole
 chunks beyond that, so that a slow line costs telemetry and not memory. The links above it only
 know how to obtain a descriptor. `ReopeningLink` does so again and again with a growing pause; a
-loss is logged once, and so is a first connection that fails.
+loss is logged once, and so is a first connection that fails. A serial port must be there at the
+start, because a wrong name would otherwise never be noticed.
 """
 
 from __future__ import annotations
 
 import asyncio
+import errno
 import os
 import socket
 import termios
 from abc import abstractmethod
 from collections.abc import Callable
+from pathlib import Path
 
 import serial
 
@@ -234,6 +237,27 @@ class SerialLink(ReopeningLink):
     def __init__(self, device: str, baud: int, index: int, received: Received) -> None:
         super().__init__(f"serial {device}", index, received)
         self._device, self._baud = device, baud
+
+    async def open(self) -> None:
+        """Open the port; a loss later is mended, a port that is not there at the start is not.
+
+        Raises:
+            LinkError: There is no such device, it is no serial port, or it is not ours to open.
+        """
+        try:
+            self._connected(*await self._connect())
+        except (OSError, ValueError, termios.error) as error:
+            raise LinkError(f"{self.name}: {self._problem(error)}") from error
+
+    def _problem(self, error: Exception) -> str:
+        path = Path(self._device)
+        if not path.exists():
+            return "no such device; is it plugged in, and the name right?"
+        if not path.is_char_device() or os.strerror(errno.ENOTTY) in str(error):
+            return "is not a serial port"
+        if not os.access(path, os.R_OK | os.W_OK):
+            return "not allowed; join the group that owns it (dialout, for example)"
+        return f"cannot be opened ({error})"
 
     async def _connect(self) -> tuple[serial.Serial, int]:
         port = serial.Serial(self._device, self._baud, timeout=0, write_timeout=0, exclusive=True)

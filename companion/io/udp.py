@@ -147,7 +147,8 @@ class UdpFanOutLink(UdpLink):
             self._send_to(chunk.data, chunk.peer)
             return
         for peer in (*self._remotes, *self._peers):
-            self._send_to(chunk.data, peer)
+            if peer != chunk.except_peer:
+                self._send_to(chunk.data, peer)
 
 
 class UdpConnectLink(UdpLink):

@@ -22,6 +22,11 @@ class SenderClock:
         self._timebase = Timebase()
         self._late_since_s: float | None = None
 
+    @property
+    def offset_s(self) -> float | None:
+        """Local minus remote time, with the shortest delay seen in it; None before any stamp."""
+        return self._timebase.offset_s
+
     def read(self, remote_s: float, now_s: float) -> StampReading:
         """Local time of a remote stamp that arrived at `now_s`, both in seconds."""
         reading = self._timebase.read(remote_s, now_s)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Annotated, Literal, Protocol
 
 import msgspec
@@ -51,6 +52,8 @@ VEHICLE_LINK = 0
 COMPONENT_ID = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
 """191: what ground stations expect an onboard computer to be."""
 RATE_WINDOW_S = 2.0
+RECORD_PERIOD_S = 10.0
+"""How often the health of the links goes to the event log."""
 AddressedCommand = mavlink.MAVLink_command_long_message | mavlink.MAVLink_command_int_message
 
 
@@ -103,6 +106,7 @@ class CompanionEndpoint:
         self._streams = StreamRequester()
         self._requests = RequestClient()
         self._next_timer_s = -math.inf
+        self._next_record_s = -math.inf
         self._text_id = 0
         self._setpoint_times_s: list[float] = []
         self._output: list[Chunk] = []
@@ -118,7 +122,10 @@ class CompanionEndpoint:
             self._journal.frame(bytes(message.get_msgbuf()), now_s)
             if chunk.link == VEHICLE_LINK:
                 self._receive_vehicle(message, chunk, now_s)
-            for event in self._ranging.events(message, chunk.link, now_s):
+                if message.get_srcSystem() != self.binding.system_id:
+                    continue  # what another vehicle's radio measures is not from our place
+            vehicle_offset_s = self._vehicle.clock_offset_s
+            for event in self._ranging.events(message, chunk.link, now_s, vehicle_offset_s):
                 self._handle(event, now_s)
 
     def handle_timer(self, now_s: float) -> None:
@@ -136,6 +143,9 @@ class CompanionEndpoint:
             if request is not None:
                 self._send(request, now_s)
         self._handle(TimerFired(now_s, self.binding.heard_s), now_s)
+        if now_s >= self._next_record_s:
+            self._next_record_s = now_s + RECORD_PERIOD_S
+            self._journal.record("link", self._link_record(now_s), now_s)
 
     def next_timer_s(self) -> float:
         """When the next control tick is due."""
@@ -166,6 +176,20 @@ class CompanionEndpoint:
         """Setpoints sent per second over the last two seconds."""
         recent = [t for t in self._setpoint_times_s if t > now_s - RATE_WINDOW_S]
         return len(recent) / RATE_WINDOW_S
+
+    def _link_record(self, now_s: float) -> dict[str, object]:
+        """Counters of all links, and what became of the measurements."""
+        tracker = self.session.tracker
+        return {
+            "links": [asdict(codec.counters) for codec in self._codecs],
+            "undecodable": sum(codec.undecodable for codec in self._codecs),
+            "strangers": self.binding.strangers,
+            "setpoints": self.setpoints_sent,
+            "setpoint_rate_hz": self.setpoint_rate_hz(now_s),
+            "accepted": tracker.accepted,
+            "refused": {reason.value: count for reason, count in tracker.refusals.items()},
+            "restarts": tracker.restarts,
+        }
 
     # Inbound
 

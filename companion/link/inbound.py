@@ -32,6 +32,9 @@ FAILSAFE_STATES = (
 UP_STATES = (mavlink.MAV_STATE_STANDBY, mavlink.MAV_STATE_ACTIVE)
 MAX_HOME_DISTANCE_M = 1e5
 """A home farther from the origin than this is a fault, in whatever field."""
+CLOCK_TOLERANCE_S = 0.03
+MAX_LINK_DELAY_S = 0.5
+"""A sender whose clock seems later than the autopilot's by up to this has a slow link."""
 MAX_SENDERS = 16
 """Clocks of ranging senders that are kept."""
 
@@ -44,6 +47,11 @@ class VehicleInbound:
         self._origin: LocalOrigin | None = None
         self._home: mavlink.MAVLink_home_position_message | None = None
         self._is_prearm_good = True
+
+    @property
+    def clock_offset_s(self) -> float | None:
+        """Local time minus the autopilot's, seconds; None before its first stamp."""
+        return self._clock.offset_s
 
     def events(self, message: Message, now_s: float) -> list[Event]:
         """What a message of the autopilot says."""
@@ -134,13 +142,27 @@ class VehicleInbound:
 
 
 class RangingInbound:
-    """Ranging events from any sender, each on its own clock."""
+    """Ranging events from any sender, each on its own clock, or on the autopilot's if it shares it.
+
+    By its definition a stamp counts from the vehicle's boot or from 1970. One that agrees with the
+    autopilot's clock is read on that: then a link's constant delay, which no sender's own stamps
+    can show, does not move the vehicle's place at the time of the measurement.
+    """
 
     def __init__(self) -> None:
         self._clocks: dict[tuple[int, int, int], SenderClock] = {}
 
-    def events(self, message: Message, link: int, now_s: float) -> list[Event]:
-        """The measurement in a message, if it is a ranging message."""
+    def events(
+        self, message: Message, link: int, now_s: float, vehicle_offset_s: float | None = None
+    ) -> list[Event]:
+        """The measurement in a message, if it is a ranging message.
+
+        Args:
+            message: Any message.
+            link: Where it came from.
+            now_s: When it came.
+            vehicle_offset_s: Local time minus the autopilot's, if that is known.
+        """
         if not isinstance(
             message,
             MAVLink_radio_ranging_message
@@ -158,9 +180,19 @@ class RangingInbound:
             if measurement is not None:
                 measurement = replace(measurement, stamp_us=None)
         else:
-            reading = self._clocks[key].read(message.time_usec / 1e6, now_s)
-            measurement = ranging_from_message(message, reading.time_s)
+            clock, stamp_s = self._clocks[key], message.time_usec / 1e6
+            measured_at_s = clock.read(stamp_s, now_s).time_s
+            if vehicle_offset_s is not None and _is_shared(clock.offset_s, vehicle_offset_s):
+                measured_at_s = min(now_s, stamp_s + vehicle_offset_s)
+            measurement = ranging_from_message(message, measured_at_s)
         return [] if measurement is None else [RangingReceived(now_s, measurement)]
+
+
+def _is_shared(own_offset_s: float | None, vehicle_offset_s: float) -> bool:
+    """Whether two clocks are the same one, as far as the delays of their links allow."""
+    if own_offset_s is None:
+        return False
+    return -CLOCK_TOLERANCE_S <= own_offset_s - vehicle_offset_s <= MAX_LINK_DELAY_S
 
 
 def _is_on_earth(latitude_e7: int, longitude_e7: int) -> bool:

@@ -19,13 +19,11 @@ STREAM_INTERVAL_S: dict[int, float] = {
     mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 1.0,
     mavlink.MAVLINK_MSG_ID_HOME_POSITION: 2.0,
     mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 2.0,
-    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: 0.2,
 }
+"""What is flown on; GLOBAL_POSITION_INT, GPS_RAW_INT and BATTERY_STATUS are for the flight log,
+because ground stations replay a track only from those."""
 ONE_SHOT = (mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, mavlink.MAVLINK_MSG_ID_HOME_POSITION)
 """Asked for by REQUEST_MESSAGE until they arrive: what is only sent when it changes."""
-
-OPTIONAL = frozenset({mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED})
-"""Only sent in some modes: asked for once, never missed."""
 
 FIRST_RETRY_S = 1.0
 LAST_RETRY_S = 16.0
@@ -48,8 +46,6 @@ class _Want:
             return False
         if self.interval_s is None:
             return self.heard_s is None
-        if self.message_id in OPTIONAL:
-            return False
         patience_s = max(MISSED_PERIODS * self.interval_s, FIRST_RETRY_S)
         return self.heard_s is None or now_s - self.heard_s > patience_s
 

@@ -23,6 +23,8 @@ class Chunk:
     data: bytes
     peer: Address | None = None
     """Who sent it; on the way out, None means whomever the link talks to by default."""
+    except_peer: Address | None = None
+    """On the way out, without a peer: everyone but this one, where a frame is forwarded."""
     is_datagram: bool = True
     """False on serial and TCP links, where a chunk may hold any part of a frame."""
 

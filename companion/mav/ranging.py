@@ -17,7 +17,6 @@ from companion.mav.radio_ranging import RangingFlag
 
 UINT8_MAX = 0xFF
 UINT32_MAX = 0xFFFFFFFF
-RANGING_MESSAGES = ("RADIO_RANGING", "LANDING_TARGET", "RANGING_BEACON")
 
 
 def _or_none(value: float) -> float | None:

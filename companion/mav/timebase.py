@@ -41,6 +41,11 @@ class Timebase:
         self._updated_s = 0.0
         self._wraps = 0
 
+    @property
+    def offset_s(self) -> float | None:
+        """Local minus remote time, with the shortest delay seen in it; None before any stamp."""
+        return self._offset_s
+
     def read(self, remote_s: float, now_s: float) -> StampReading:
         """Local time of a remote stamp that arrived at `now_s`, both in seconds."""
         remote_s = self._unwrapped(remote_s)

@@ -18,8 +18,8 @@ import numpy as np
 from companion.geometry.arrays import Vector
 from companion.kernel import kernel
 
-EAST, NORTH, RANGE_OFFSET, BEARING_OFFSET = 0, 1, 2, 3
-STATE_SIZE = 4
+RANGE_OFFSET, BEARING_OFFSET = 2, 3
+"""Places of the offsets in the state, after east and north."""
 
 MIN_RANGE_M = 1e-3
 """Closer than this the direction to the target has no meaning."""

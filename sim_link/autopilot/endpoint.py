@@ -5,6 +5,9 @@ message is built at a step, so a run depends on its scenario, seed and inputs on
 comes more than half a second late (a suspended process) skips the steps it missed: no burst of
 stale telemetry, and the vehicle has not moved meanwhile.
 
+What others on the link send to each other is forwarded (`router`), so that a ground station hears
+the companion and reaches it.
+
 Vehicle and payload are two components with a sequence number each, as if each had its own radio.
 """
 
@@ -26,6 +29,7 @@ from sim_link.autopilot.commands import (
     command_from_set_mode,
 )
 from sim_link.autopilot.recorder import FlightRecorder
+from sim_link.autopilot.router import Router
 from sim_link.autopilot.scenario import Scenario
 from sim_link.autopilot.setpoints import setpoint_from_global, setpoint_from_local
 from sim_link.autopilot.streams import StreamTable
@@ -58,6 +62,7 @@ class SimEndpoint:
         self._output: list[Chunk] = []
         self._codec = MavCodec(scenario.system_id, AUTOPILOT_COMPONENT_ID)
         self._payload_codec = MavCodec(scenario.system_id, payload.COMPONENT_ID)
+        self._router = Router(scenario.system_id, (AUTOPILOT_COMPONENT_ID, payload.COMPONENT_ID))
         self.vehicle = SimVehicle(scenario, np.random.default_rng(noise_seed))
         self.recorder = FlightRecorder()
         self._telemetry = Telemetry(self.vehicle)
@@ -74,6 +79,7 @@ class SimEndpoint:
         """Take in bytes; whatever is no MAVLink, or not for us, is ignored."""
         boot_s = now_s - self._started_s
         for message in self._codec.decode(chunk.data, is_datagram=chunk.is_datagram):
+            self._output += self._router.forward(message, chunk.peer, LINK)
             self._dispatch(message, boot_s)
 
     def handle_timer(self, now_s: float) -> None:

@@ -465,8 +465,10 @@ def test_a_serial_line_is_read_through_garbage_and_reopened(
                 with suppress(BlockingIOError):  # the echoes, lest the line fill up
                     os.read(master, 65536)
 
+    first = plug_in()
+
     async def scene(shell: Shell) -> None:
-        master = plug_in()
+        master = first
         await until(lambda: bool(getattr(shell.links[0], "is_connected", False)))
         await put(master, b"".join(garbage(rng) for _ in range(10_000)))
         await put(master, heartbeat(4242) * 30)
@@ -480,6 +482,19 @@ def test_a_serial_line_is_read_through_garbage_and_reopened(
         os.close(master)
 
     drive(endpoint, [SerialPort(str(device))], scene)
+
+
+@pytest.mark.parametrize(
+    ("device", "problem"),
+    [
+        ("/dev/ttyNoSuchPort", "no such device"),
+        ("/dev/null", "is not a serial port"),
+        (__file__, "is not a serial port"),
+    ],
+)
+def test_a_serial_port_that_is_none_is_refused_at_the_start(device: str, problem: str) -> None:
+    with pytest.raises(LinkError, match=f"{device}: {problem}"):
+        run_endpoint(EchoEndpoint(), [SerialPort(device)], Clock())
 
 
 # The end

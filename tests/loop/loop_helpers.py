@@ -173,6 +173,8 @@ class Loop:
 
     def _collect(self) -> None:
         for chunk in self.sim.take_output():
+            if chunk.except_peer == COMPANION_PEER or chunk.peer not in (None, COMPANION_PEER):
+                continue  # forwarded to someone else
             self.vehicle_bytes += chunk.data
             is_payload = chunk.data[COMPONENT_BYTE] == payload.COMPONENT_ID
             if is_payload and (self.payload_source is not None or not self.is_ranging_up):

@@ -176,5 +176,7 @@ class GroundStation:
 
     def _collect(self) -> None:
         for chunk in self.sim.take_output():
+            if chunk.except_peer is not None:
+                continue  # a forwarded frame of our own
             for message in self.receiver.decode(chunk.data):
                 self.inbox.append((self.now_s, message))

@@ -211,6 +211,12 @@ def test_inflation_keeps_a_rival_alive_that_white_noise_would_rule_out() -> None
     assert len(weighted(rivals(10.0))) == 2
 
 
+def test_a_wrong_place_does_not_excuse_itself_by_its_own_systematic_residuals() -> None:
+    place = optimum(0.0, 1880.0, inflation=4.0)
+    far = optimum(80.0, 2160.0, sigma_m=28.0, inflation=45.0)
+    assert [o for _, o in weighted([far, place])] == [place]
+
+
 def test_no_optimum_leaves_the_hypotheses_as_they_are() -> None:
     hypotheses = (hypothesis(1.0), hypothesis(30.0))
     assert polished(hypotheses, [], 4.0, keep_confirmed=True) is hypotheses

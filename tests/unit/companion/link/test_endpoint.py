@@ -106,7 +106,8 @@ def test_a_grant_is_accepted_and_told_to_its_sender() -> None:
     wire = Wire().ready(OFFBOARD)
     wire.say(heartbeat(is_armed=True, status=4))
     assert wire.endpoint.session.phase is Phase.YIELDED
-    (ack,) = wire.say(command(GRANT, 1.0), sender=MavCodec(255, 190))
+    said, ack = wire.say(command(GRANT, 1.0), sender=MavCodec(255, 190))
+    assert isinstance(said, mavlink.MAVLink_statustext_message)
     assert isinstance(ack, Ack)
     assert (ack.command, ack.result) == (GRANT, 0)
     assert (ack.target_system, ack.target_component) == (255, 190)

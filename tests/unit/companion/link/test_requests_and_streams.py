@@ -5,7 +5,7 @@ import pytest
 from companion.guidance.events import Outcome, RequestAnswered, RequestKind
 from companion.link.outbound import arm
 from companion.link.requests import CommandMessage, RequestClient
-from companion.link.streams import ONE_SHOT, OPTIONAL, STREAM_INTERVAL_S, StreamRequester
+from companion.link.streams import ONE_SHOT, STREAM_INTERVAL_S, StreamRequester
 from companion.mav.dialect import Message, mavlink
 
 ARM = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
@@ -141,7 +141,6 @@ def test_an_unheard_stream_is_asked_for_again_and_again_ever_more_slowly() -> No
     gaps = [b - a for a, b in zip(asking.times(POSITION), asking.times(POSITION)[1:], strict=False)]
     assert gaps[:5] == pytest.approx([1.0, 2.0, 4.0, 8.0, 16.0], abs=0.6)
     assert max(gaps) <= 16.6
-    assert [len(asking.times(n)) for n in OPTIONAL] == [1]
 
 
 def test_a_stream_that_flows_is_left_alone_and_one_that_stops_is_asked_for() -> None:
