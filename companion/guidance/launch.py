@@ -23,6 +23,8 @@ READY_TIMEOUT_S = 120.0
 """PX4 needs 34 to 38 s after boot until it can be armed; a cold GPS needs longer."""
 CLIMB_TIMEOUT_S = 90.0
 ARM_RETRY_S = 2.0
+UNANSWERED_LIMIT = 3
+"""Times a request without any answer is made again; commands are idempotent."""
 PRESTREAM_S = 1.2
 """PX4 wants setpoints for more than a second before it enters offboard."""
 MODE_TIMEOUT_S = 5.0
@@ -69,6 +71,7 @@ class Launch:
         self._since_s = started_s
         self._retry_s = started_s
         self._is_asked = False
+        self._unanswered = 0
         self._modes: frozenset[FlightMode] = frozenset()
         """Modes that the launch itself leads through."""
         self._was_armed = False
@@ -141,14 +144,22 @@ class Launch:
             }.get(self.stage)
             if following is not None:
                 self._enter(following, event.time_s)
-        elif self.stage is Stage.ARM and event.time_s - self._since_s < READY_TIMEOUT_S:
+        elif self._may_ask_again(event):
             self._is_asked = False
             self._retry_s = event.time_s + ARM_RETRY_S
         else:
             self.failure = f"{self.stage.value}: {event.outcome.value} {event.detail}".strip()
 
+    def _may_ask_again(self, event: RequestAnswered) -> bool:
+        """Not ready yet is no reason to give up, and neither is a link that lost an answer."""
+        if self.stage is Stage.ARM:
+            return event.time_s - self._since_s < READY_TIMEOUT_S
+        self._unanswered += 1
+        return event.outcome is Outcome.NO_ANSWER and self._unanswered <= UNANSWERED_LIMIT
+
     def _enter(self, stage: Stage, now_s: float) -> None:
         self.stage = stage
+        self._unanswered = 0
         self._since_s = now_s
         self._retry_s = now_s
         self._is_asked = False

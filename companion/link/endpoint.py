@@ -41,6 +41,7 @@ from companion.guidance.session import TICK_S, GuidanceSession
 from companion.link import outbound
 from companion.link.binding import AutopilotBinding
 from companion.link.inbound import RangingInbound, VehicleInbound
+from companion.link.px4_check import Px4FailsafeCheck
 from companion.link.requests import RequestClient
 from companion.link.streams import StreamRequester
 from companion.mav.codec import MavCodec
@@ -104,6 +105,7 @@ class CompanionEndpoint:
         self._vehicle = VehicleInbound()
         self._ranging = RangingInbound()
         self._streams = StreamRequester()
+        self._px4_check = Px4FailsafeCheck()
         self._requests = RequestClient()
         self._next_timer_s = -math.inf
         self._next_record_s = -math.inf
@@ -140,6 +142,9 @@ class CompanionEndpoint:
             self._send(answer, now_s)
         if self.binding.is_bound:
             request = self._streams.due(now_s, *self._target_ids())
+            request = request or self._px4_check.due(
+                now_s, self.binding.autopilot, *self._target_ids()
+            )
             if request is not None:
                 self._send(request, now_s)
         self._handle(TimerFired(now_s, self.binding.heard_s), now_s)
@@ -203,6 +208,9 @@ class CompanionEndpoint:
             self._on_bound(now_s)
         if is_autopilot:
             self._streams.heard(message, now_s)
+            warning = self._px4_check.heard(message)
+            if warning is not None:
+                self._announce(Announce(Severity.WARNING, warning), now_s)
             for event in self._vehicle.events(message, now_s):
                 self._handle(event, now_s)
             self._receive_protocol(message, now_s)

@@ -152,3 +152,12 @@ def test_a_refused_measurement_does_not_choose_the_emitter() -> None:
     assert tracker.emitter_id is None
     tracker.fuse(GOOD, PLACE, NOW_S)
     assert tracker.emitter_id == 7
+
+
+def test_range_and_bearing_of_one_moment_are_no_duplicates_of_each_other() -> None:
+    tracker = _tracker()
+    both = replace(GOOD, bearing_enu_rad=0.5, stamp_us=77)
+    assert tracker.fuse(replace(both, bearing_enu_rad=None), PLACE, NOW_S).refusal is None
+    assert tracker.fuse(replace(both, range_m=None), PLACE, NOW_S).refusal is None
+    again = tracker.fuse(replace(both, range_m=None, measured_at_s=NOW_S - 0.01), PLACE, NOW_S)
+    assert again.refusal is Refusal.DUPLICATE

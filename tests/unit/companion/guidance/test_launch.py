@@ -158,6 +158,18 @@ def test_any_other_refusal_ends_the_launch(stage: Stage, kind: RequestKind) -> N
     assert attempt.launch.failure == f"{stage.value}: rejected why"
 
 
+def test_a_request_that_nobody_answers_is_made_again_three_times() -> None:
+    attempt = Attempt().to_stage(Stage.TAKE_OFF)
+    asked = 0
+    while attempt.launch.failure is None:
+        assert attempt.now_s < 60.0
+        if attempt.wait():
+            asked += 1
+            attempt.answer(RequestKind.TAKE_OFF, Outcome.NO_ANSWER)
+    assert asked == 4
+    assert attempt.launch.failure == "taking off: no answer why"
+
+
 def test_an_answer_to_something_else_changes_nothing() -> None:
     attempt = Attempt().to_stage(Stage.ARM)
     attempt.answer(RequestKind.SET_MODE)

@@ -510,3 +510,37 @@ def test_a_vehicle_outside_is_only_called_inside(place: tuple[float, float, floa
     for east, north, up in flight.setpoints:
         assert max(abs(east), abs(north)) <= 147.0 + 1e-6
         assert 5.0 <= up <= 60.0
+
+
+def test_parked_on_the_reported_target_it_learns_nothing_more() -> None:
+    flight = ScriptedFlight(SessionParams(stop_confirm_s=1.0)).engaged()
+    flight.follows = True
+    flight.fly(60.0)
+    assert flight.is_in(Phase.FINISHED)
+    before, accepted = flight.session.estimate, flight.session.tracker.accepted
+    flight.fly(20.0)
+    assert flight.session.estimate is before
+    assert flight.session.tracker.accepted == accepted
+
+
+def test_a_vehicle_that_is_left_alone_is_told_so_once() -> None:
+    flight = ScriptedFlight()
+    flight.mode, flight.is_armed = FlightMode.OFFBOARD, True
+    flight.heartbeat()
+    flight.locate()
+    flight.fly(30.0)
+    assert flight.is_in(Phase.WAITING)
+    assert [text for text in flight.texts if text.startswith("left alone")] == [
+        "left alone: in offboard, not given; switch to another mode"
+    ]
+
+
+def test_what_is_missing_is_named_after_a_while() -> None:
+    flight = ScriptedFlight()
+    flight.heartbeat()
+    flight.fly(9.0)
+    assert not any("waiting for" in text for text in flight.texts)
+    flight.fly(3.0)
+    assert [text for text in flight.texts if "waiting for" in text] == [
+        "still waiting for a home position"
+    ]

@@ -316,3 +316,38 @@ def test_after_hostile_fields_the_next_good_message_counts() -> None:
     wire.now_s += 0.5
     wire.say(local_position(500, 3.0, 4.0, -5.0, 0.0, 0.0, 0.0))
     assert wire.endpoint.session.vehicle.position_enu_m == (4.0, 3.0, 5.0)
+
+
+def test_another_vehicles_radio_on_the_shared_port_is_not_listened_to() -> None:
+    wire = Wire().ready()
+    wire.say(ranging(stamp_us=1_000_000), sender=MavCodec(2, 158))
+    wire.say(ranging(stamp_us=1_100_000), sender=MavCodec(1, 158))
+    wire.wait(1.0)
+    tracker = wire.endpoint.session.tracker
+    assert tracker.accepted + sum(tracker.refusals.values()) == 1
+
+
+def test_before_an_autopilot_is_bound_no_ranging_counts() -> None:
+    wire = Wire()
+    wire.say(ranging(), sender=MavCodec(1, 158))
+    assert wire.endpoint.session.tracker.accepted == 0
+
+
+def test_the_health_of_the_links_goes_to_the_log() -> None:
+    wire = Wire().ready()
+    wire.wait(25.0)
+    records = [fields for kind, fields in wire.journal.records if kind == "link"]
+    assert len(records) >= 3
+    assert {"links", "strangers", "accepted", "refused", "restarts"} <= set(records[-1])
+
+
+def test_global_setpoints_wait_for_the_origin_and_say_so() -> None:
+    config = CompanionConfig(vehicle=VehicleParams(setpoint="global_int"))
+    wire = Wire(config)
+    for _ in range(15):
+        wire.say(heartbeat())
+        wire.say(home_position())
+        wire.say(local_position(round(1000.0 * wire.now_s) + 1))
+        wire.wait(1.0)
+    assert wire.endpoint.session.phase is Phase.WAITING
+    assert any("the origin" in text for text in wire.journal.texts)

@@ -228,3 +228,22 @@ def test_a_radio_that_restarted_in_silence_is_heard_again() -> None:
         event = only(inbound.events(ranging(20_000_000 + 100_000 * tick), 0, now_s))
     assert isinstance(event, RangingReceived)
     assert event.measurement.measured_at_s == pytest.approx(now_s, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("clock_lag_s", "measured_at_s"),
+    [
+        (0.3, 9.7),  # a link that takes 0.3 s, on the autopilot's clock: read on that
+        (0.0, 10.0),
+        (-5.0, 10.0),  # a clock of its own: the shortest delay is all that is known
+        (700.0, 10.0),
+    ],
+)
+def test_a_stamp_that_agrees_with_the_autopilots_clock_is_read_on_it(
+    clock_lag_s: float, measured_at_s: float
+) -> None:
+    vehicle_offset_s = -100.0  # the autopilot booted 100 s before us
+    stamp_us = round(1e6 * (10.0 - vehicle_offset_s - clock_lag_s))
+    event = only(RangingInbound().events(ranging(stamp_us), 1, 10.0, vehicle_offset_s))
+    assert isinstance(event, RangingReceived)
+    assert event.measurement.measured_at_s == pytest.approx(measured_at_s, abs=1e-6)
