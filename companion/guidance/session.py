@@ -45,7 +45,7 @@ from companion.guidance.params import FOLLOW_UP_MODE
 from companion.guidance.params import SessionParams as SessionParams
 from companion.guidance.records import estimate_record, result_of, waypoint_record
 from companion.guidance.states import IN_CONTROL, OUT_OF_CONTROL, STREAMING, Phase, Trigger
-from companion.guidance.status import GuidanceStatus
+from companion.guidance.status import GuidanceStatus, snapshot
 from companion.guidance.steering import Steering
 from companion.guidance.stop_rule import StopRule
 from companion.guidance.vehicle import ORIGIN_STEP_M, VehicleView
@@ -91,6 +91,7 @@ class GuidanceSession:
         self._has_launched = False
         self._stop_rule = StopRule(params.stop_radius_m, params.stop_confirm_s)
         self._hold_reason = ""
+        self._is_beyond_fence = False
         self._waiting = WaitingReason(self.vehicle, self.authority)
         self._tick_s: float | None = None
         self._next_heartbeat_s = -math.inf
@@ -137,38 +138,16 @@ class GuidanceSession:
 
     def status(self, now_s: float) -> GuidanceStatus:
         """A snapshot for views and logs."""
-        vehicle = self.vehicle
-        return GuidanceStatus(
-            time_s=now_s,
-            phase=self.phase,
-            detail=self._detail(),
-            mode=vehicle.mode,
-            is_armed=vehicle.is_armed,
-            is_link_lost=vehicle.is_link_lost(now_s),
-            vehicle_enu_m=vehicle.position_enu_m,
-            height_m=vehicle.height_m,
-            distance_m=vehicle.distance_m,
-            estimate=self.estimate,
-            waypoint=self.steering.waypoint,
-            setpoint_enu_m=self.steering.setpoint_enu_m,
-            guard=tuple(reason.value for reason in self.steering.reasons),
-            nlos_share=self.tracker.nlos_share,
-            inflation=self.tracker.inflation,
-            accepted=self.tracker.accepted,
-            refused={reason.value: n for reason, n in self.tracker.refusals.items()},
+        return snapshot(
+            now_s,
+            self.authority,
+            self._hold_reason,
+            self._launch,
+            self.vehicle,
+            self.steering,
+            self.tracker,
+            self.estimate,
         )
-
-    def _detail(self) -> str:
-        if self.phase is Phase.WAITING and not self.authority.may_begin:
-            return "found in offboard or in a failsafe: change its mode, or grant control"
-        if self.phase is Phase.HOLDING:
-            return self._hold_reason
-        if self.phase is Phase.LAUNCHING and self._launch is not None:
-            return self._launch.stage.value
-        if self.phase is Phase.ENGAGED and self.steering.waypoint is not None:
-            waypoint = self.steering.waypoint
-            return f"{waypoint.reason.value}: {waypoint.detail}"
-        return ""
 
     # Phases
 
@@ -221,16 +200,14 @@ class GuidanceSession:
     def _on_offboard(self, now_s: float) -> None:
         if not (self.authority.may_take(now_s) and self.vehicle.obeys_setpoints):
             return
-        if self.phase is Phase.LAUNCHING and not self._is_launch_at_offboard():
+        is_climbing = self._launch is not None and not self._launch.is_at_offboard
+        if self.phase is Phase.LAUNCHING and is_climbing:
             return
         if self._enter(Trigger.MODE_GIVEN, now_s):
             self._launch = None
             self._has_launched = True
             self._hold_reason = "checking its inputs"
             self._announce(Severity.NOTICE, "in control: autopilot is in offboard mode")
-
-    def _is_launch_at_offboard(self) -> bool:
-        return self._launch is not None and self._launch.is_at_offboard
 
     def _on_answer(self, event: RequestAnswered) -> None:
         self._record("answer", request=event.kind.value, outcome=event.outcome.value)
@@ -311,6 +288,11 @@ class GuidanceSession:
         waypoint = self.steering.plan(self.estimate, position, baseline_m)
         if previous is None or previous.detail != waypoint.detail:
             self._commands.append(waypoint_record(waypoint))
+        is_beyond = self.steering.is_beyond_fence(self.estimate)
+        if is_beyond and not self._is_beyond_fence:
+            text = "the estimate is outside the fence: it can only be looked at from inside"
+            self._announce(Severity.WARNING, text)
+        self._is_beyond_fence = is_beyond
 
     # The control tick
 

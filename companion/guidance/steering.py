@@ -61,6 +61,11 @@ class Steering:
         self.waypoint, self._memory = plan.waypoint, plan.memory
         return plan.waypoint
 
+    def is_beyond_fence(self, estimate: TargetEstimate) -> bool:
+        """Whether the target seems to lie where the vehicle may not go."""
+        fence = self._guard.limits.fence
+        return fence is not None and not fence.allows(estimate.position_enu_m)
+
     def stay_with(self, vehicle_enu_m: PositionEnu, home_up_m: float) -> PositionSetpoint:
         """Hold at the vehicle's present place, following it while someone else flies it."""
         return self._sent(self._guard.here(vehicle_enu_m, home_up_m))

@@ -544,3 +544,11 @@ def test_what_is_missing_is_named_after_a_while() -> None:
     assert [text for text in flight.texts if "waiting for" in text] == [
         "still waiting for a home position"
     ]
+
+
+def test_a_target_beyond_the_fence_is_announced_once() -> None:
+    limits = LimitsConfig(fence_enu_m=((-20.0, -20.0), (20.0, -20.0), (20.0, 20.0), (-20.0, 20.0)))
+    flight = ScriptedFlight(limits=limits).engaged()
+    flight.follows = True
+    flight.fly(20.0)
+    assert len([text for text in flight.texts if "outside the fence" in text]) == 1
