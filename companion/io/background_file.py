@@ -131,3 +131,26 @@ class BackgroundFile:
                 logger.warning("%s: cannot be written (%s), records are lost", self.path, error)
             return False
         return True
+
+
+class BackgroundLog:
+    """What the flight's logs share: a file that never makes the caller wait.
+
+    Args:
+        path: The file; its directory exists. An existing one is continued.
+
+    Raises:
+        CompanionError: The file cannot be opened.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._file = BackgroundFile(path)
+
+    @property
+    def dropped(self) -> int:
+        """Entries lost to a slow or full disk."""
+        return self._file.dropped
+
+    def close(self) -> None:
+        """Write what is queued, for one second at most, and close."""
+        self._file.close()

@@ -82,6 +82,11 @@ class FlightJournal:
         shutil.rmtree(self.directory, ignore_errors=True)
 
     def close(self) -> None:
-        """Write what is queued and close."""
+        """Write what is queued and close; what a slow or full disk cost is said."""
         self._tlog.close()
         self._events.close()
+        dropped = self._tlog.dropped + self._events.dropped
+        if dropped:
+            log.warning(
+                "%s: %d log entries were lost to a slow or full disk", self.directory, dropped
+            )
