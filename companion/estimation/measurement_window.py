@@ -52,6 +52,11 @@ class MeasurementWindow:
         """Whether no measurement was left out yet."""
         return self._is_complete
 
+    @property
+    def kept_share(self) -> float:
+        """Share of all measurements since the start that are still held."""
+        return self._count / self._sequence if self._sequence else 1.0
+
     def clear(self) -> None:
         """Forget everything."""
         self._count = 0

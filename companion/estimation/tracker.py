@@ -338,12 +338,16 @@ class TargetTracker:
         """The filter's covariance, or the window's if that is larger, plus the own position's.
 
         All measurements share the error of the own position. The filter's covariance is the smaller
-        one where a track that sees the target from one side only repeats itself.
+        one where a track that sees the target from one side only repeats itself. What the window
+        left out counts as if it were as good as what it kept, unless residuals are correlated.
         """
         covariance = hypothesis.state.covariance[:2, :2]
-        window = hypothesis.window_covariance
-        if window is not None and np.trace(window[:2, :2]) > np.trace(covariance):
-            covariance = window[:2, :2]
+        if hypothesis.window_covariance is not None:
+            is_white = all(monitor.correlation == 0.0 for monitor in self._noise)
+            share = self._window.kept_share if is_white else 1.0
+            window = share * hypothesis.window_covariance[:2, :2]
+            if np.trace(window) > np.trace(covariance):
+                covariance = window
         own = self.params.filter.own_position_sigma_m
         return covariance + own * own * np.eye(2)
 

@@ -166,8 +166,10 @@ def test_window_is_bounded_and_keeps_the_rare_views() -> None:
     old = hovering[hovering < 4900.0]
     assert len(old) >= 5
     assert np.diff(old).max() < 4.0 * np.diff(old).min()
+    assert window.kept_share == pytest.approx(len(window) / 5040)
     window.clear()
     assert len(window) == 0
+    assert window.kept_share == 1.0
     assert window.is_complete
 
 
