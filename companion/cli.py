@@ -49,7 +49,10 @@ examples:
 
 
 class _Parser(argparse.ArgumentParser):
+    """Raises what argparse would print, so that every complaint is one line."""
+
     def error(self, message: str) -> NoReturn:
+        """Refuse the arguments."""
         raise ConfigError(f"{message} (companion --help shows how)")
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import time
 from collections.abc import Sequence
@@ -107,7 +106,7 @@ def fly(
     shell = Shell(endpoint, links, clock, on_wakeup)
     hints.link_name = shell.links[0].name
     try:
-        asyncio.run(shell.run())
+        shell.run_blocking()
     except LinkError:
         journal.discard()
         raise

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import asyncio
 import os
 import sys
 import threading
@@ -41,7 +40,10 @@ example:
 
 
 class _Parser(argparse.ArgumentParser):
+    """Raises what argparse would print, so that every complaint is one line."""
+
     def error(self, message: str) -> NoReturn:
+        """Refuse the arguments."""
         raise ConfigError(f"{message} (sim-link --help shows how)")
 
 
@@ -153,7 +155,7 @@ def _run(arguments: argparse.Namespace) -> int:
         shell = Shell(endpoint, [UdpFanOut(*listen, tuple(send_to))], Clock(speed), on_wakeup)
         if arguments.stop_on_eof:
             threading.Thread(target=_stop_at_eof, args=(shell,), daemon=True).start()
-        asyncio.run(shell.run())
+        shell.run_blocking()
     finally:
         if report is not None:
             write_json_atomic(report, end_report(endpoint, seed, speed))

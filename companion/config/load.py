@@ -31,6 +31,11 @@ class _Loader(yaml.SafeLoader):
     def construct_mapping(
         self, node: yaml.MappingNode, deep: bool = False
     ) -> dict[Hashable, object]:
+        """The mapping of a node, as the safe loader makes it.
+
+        Raises:
+            ConstructorError: A key is given twice.
+        """
         seen: set[tuple[str, str]] = set()
         for key, _ in node.value:
             if not isinstance(key, yaml.ScalarNode):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import math
 import sys
 import tempfile
@@ -213,7 +212,7 @@ def _fly(
     shell = Shell(endpoint, [UdpBind(HOST, port)], Clock(options.speed), on_wakeup)
     started = time.monotonic()
     with view:
-        asyncio.run(shell.run())
+        shell.run_blocking()
     result = endpoint.session.result
     reason, now_s = ended[0] if ended else ("interrupted", latest[0])
     if endpoint.session.phase is Phase.YIELDED and options.speed > HIGH_SPEED:

@@ -89,6 +89,10 @@ class Shell:
         if self._failure is not None:
             raise self._failure
 
+    def run_blocking(self) -> None:
+        """`run`, for a caller without an event loop; raises what `run` raises."""
+        asyncio.run(self.run())
+
     def request_stop(self) -> None:
         """Begin an orderly end; from any thread, before or during `run`, any number of times."""
         self._stop_wanted.set()
@@ -177,31 +181,3 @@ class Shell:
         for link in self.links:
             link.close()
         self._loop = None
-
-
-async def serve(
-    endpoint: Endpoint,
-    links: Sequence[LinkSpec],
-    clock: Clock,
-    on_wakeup: OnWakeup | None = None,
-) -> None:
-    """Run an endpoint on its links until it is finished; see `Shell`.
-
-    Raises:
-        LinkError: A link cannot be opened.
-    """
-    await Shell(endpoint, links, clock, on_wakeup).run()
-
-
-def run_endpoint(
-    endpoint: Endpoint,
-    links: Sequence[LinkSpec],
-    clock: Clock,
-    on_wakeup: OnWakeup | None = None,
-) -> None:
-    """Run an endpoint on its links and block until it is finished; see `Shell`.
-
-    Raises:
-        LinkError: A link cannot be opened.
-    """
-    asyncio.run(serve(endpoint, links, clock, on_wakeup))

@@ -40,6 +40,7 @@ class _Want:
     heard_s: float | None = None
 
     def is_due(self, now_s: float) -> bool:
+        """Whether to ask: never asked, not heard since, or it stopped."""
         if self.asked_s is None:
             return True
         if now_s - self.asked_s < self.retry_s:

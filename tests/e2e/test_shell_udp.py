@@ -28,7 +28,7 @@ from companion.io.links import (
     UdpConnect,
     UdpFanOut,
 )
-from companion.io.shell import Shell, run_endpoint
+from companion.io.shell import Shell
 from companion.io.streams import TcpServerLink
 from companion.io.udp import UdpLink
 from companion.mav.codec import MavCodec
@@ -186,7 +186,7 @@ def test_a_taken_port_is_a_link_error_that_says_what_to_do() -> None:
         other.bind(("127.0.0.1", 0))
         port = other.getsockname()[1]
         with pytest.raises(LinkError) as caught:
-            run_endpoint(EchoEndpoint(), [UdpBind("127.0.0.1", port)], Clock())
+            Shell(EchoEndpoint(), [UdpBind("127.0.0.1", port)], Clock()).run_blocking()
     assert str(caught.value) == (
         f"udp 127.0.0.1:{port} is taken by another program; close it or choose another port"
     )
@@ -204,14 +204,14 @@ def test_the_links_opened_before_a_failing_one_are_closed() -> None:
             TcpServer("127.0.0.1", taken.getsockname()[1]),
         ]
         with pytest.raises(LinkError, match="taken"):
-            run_endpoint(EchoEndpoint(), links, Clock())
+            Shell(EchoEndpoint(), links, Clock()).run_blocking()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as again:
         again.bind(("127.0.0.1", first))
 
 
 def test_an_address_that_is_not_ours_is_named() -> None:
     with pytest.raises(LinkError, match="no interface"):
-        run_endpoint(EchoEndpoint(), [UdpBind("192.0.2.1", 14550)], Clock())
+        Shell(EchoEndpoint(), [UdpBind("192.0.2.1", 14550)], Clock()).run_blocking()
 
 
 def test_a_host_may_be_a_name(peer: socket.socket) -> None:
@@ -224,7 +224,7 @@ def test_a_host_may_be_a_name(peer: socket.socket) -> None:
 
 def test_an_unknown_host_is_named() -> None:
     with pytest.raises(LinkError, match=r"the host `nobody\.invalid` is unknown"):
-        run_endpoint(EchoEndpoint(), [UdpConnect("nobody.invalid", 14550)], Clock())
+        Shell(EchoEndpoint(), [UdpConnect("nobody.invalid", 14550)], Clock()).run_blocking()
 
 
 def test_a_fan_out_reaches_remotes_and_the_last_sixteen_senders() -> None:
@@ -494,7 +494,7 @@ def test_a_serial_line_is_read_through_garbage_and_reopened(
 )
 def test_a_serial_port_that_is_none_is_refused_at_the_start(device: str, problem: str) -> None:
     with pytest.raises(LinkError, match=f"{device}: {problem}"):
-        run_endpoint(EchoEndpoint(), [SerialPort(device)], Clock())
+        Shell(EchoEndpoint(), [SerialPort(device)], Clock()).run_blocking()
 
 
 # The end
@@ -508,7 +508,7 @@ def test_a_finished_endpoint_ends_the_run() -> None:
         wakeups.append(now_s)
         endpoint.is_finished = len(wakeups) == 5
 
-    run_endpoint(endpoint, [], Clock(speed=10.0), on_wakeup)
+    Shell(endpoint, [], Clock(speed=10.0), on_wakeup).run_blocking()
     assert wakeups == sorted(wakeups)
     assert len(endpoint.ticks_s) == 5
     assert endpoint.stops_s == []
@@ -526,7 +526,7 @@ def test_a_signal_asks_the_endpoint_to_stop(number: signal.Signals) -> None:
             os.kill(os.getpid(), number)
 
     try:
-        run_endpoint(endpoint, [], Clock(), on_wakeup)
+        Shell(endpoint, [], Clock(), on_wakeup).run_blocking()
         assert signal.getsignal(number) is own_handler
     finally:
         signal.signal(number, before)
@@ -541,7 +541,7 @@ def test_a_second_signal_ends_at_once() -> None:
             os.kill(os.getpid(), signal.SIGTERM)
 
     started_s = time.monotonic()
-    run_endpoint(endpoint, [], Clock(), on_wakeup)
+    Shell(endpoint, [], Clock(), on_wakeup).run_blocking()
     assert time.monotonic() - started_s < 1.5
     assert len(endpoint.stops_s) == 1
 
@@ -577,7 +577,7 @@ def test_a_bug_in_the_endpoint_ends_the_run_with_its_exception() -> None:
             raise ZeroDivisionError(f"at {now_s >= 0}")
 
     with pytest.raises(ZeroDivisionError):
-        run_endpoint(Broken(), [UdpBind("127.0.0.1", 0)], Clock())
+        Shell(Broken(), [UdpBind("127.0.0.1", 0)], Clock()).run_blocking()
 
 
 def test_an_endpoint_that_is_always_late_does_not_take_the_processor() -> None:
@@ -590,5 +590,5 @@ def test_an_endpoint_that_is_always_late_does_not_take_the_processor() -> None:
     def on_wakeup(now_s: float) -> None:
         endpoint.is_finished = now_s > 0.2
 
-    run_endpoint(endpoint, [], Clock(), on_wakeup)
+    Shell(endpoint, [], Clock(), on_wakeup).run_blocking()
     assert len(endpoint.ticks_s) <= 250
