@@ -80,6 +80,12 @@ class TargetEstimate:
     """Measurements accepted so far."""
     alternative_enu_m: Point | None = None
     """Second hypothesis while the state is ambiguous."""
+    height_m: float = 0.0
+    """Height of the target above the local origin, known or estimated."""
+    height_sigma_m: float | None = None
+    """Standard deviation of the height where it is estimated."""
+    range_scale: float = 0.0
+    """Scale error of the ranges where it is estimated."""
 
 
 class WaypointReason(Enum):
@@ -89,8 +95,14 @@ class WaypointReason(Enum):
     """Fly at the estimate, on the way to its far side."""
     CROSSING = "crossing"
     """Fly over the estimate to its far side for bilateral information."""
+    INFORMATION = "information"
+    """Fly where one more measurement is expected to tell most."""
+    SEARCH = "search"
+    """Fly a search pattern: there is no contact yet, or no more."""
+    DETOUR = "detour"
+    """Fly to a corner of the way around a keep-out or along the fence, or out of a keep-out."""
     HOLD = "hold"
-    """Stay: nothing is known, or it is close enough."""
+    """Stay: nothing is known, it is close enough, or there is no way."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +113,8 @@ class Waypoint:
     reason: WaypointReason
     detail: str = ""
     """One phrase for the operator, for example the overshoot."""
+    altitude_offset_m: float = 0.0
+    """Above the search altitude; below it if negative."""
 
 
 @dataclass(frozen=True, slots=True)

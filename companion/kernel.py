@@ -3,19 +3,65 @@
 The inner arithmetic of the filters is written once, over floats and small float64 arrays. With
 the `fast` extra it is compiled by `numba.njit(cache=True)`; on a vehicle without numba the very
 same functions run as they are.
+
+Compiled kernels are kept in the user's cache, in a folder named after the state of the sources:
+numba notices when a kernel's own file has changed, but not when a kernel that it calls has.
 """
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
+import importlib
+import os
+import shutil
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
-try:
-    import numba
-except ImportError:
-    numba = None
+numba: Any = None  # typed by nobody to the same effect in every version
+with contextlib.suppress(ImportError):
+    numba = importlib.import_module("numba")
 
 F = TypeVar("F", bound=Callable[..., Any])
+
+PACKAGES = ("companion", "sim_link")
+"""Those that define kernels."""
+KEPT_S = 30.0 * 86400.0
+"""How long compiled kernels that nothing uses any more are kept."""
+
+
+def _sources_digest() -> str:
+    """A short name for the sources as they are now, by size and time of change."""
+    digest = hashlib.sha256()
+    root = Path(__file__).resolve().parent.parent
+    for package in PACKAGES:
+        for path in sorted((root / package).rglob("*.py")):
+            status = path.stat()
+            digest.update(f"{path} {status.st_size} {status.st_mtime_ns}\n".encode())
+    return digest.hexdigest()[:16]
+
+
+def _keep_compiled_apart() -> None:
+    """Point numba's cache at a folder for these sources, and drop those long unused."""
+    if os.environ.get("NUMBA_CACHE_DIR"):
+        return
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "companion-guidance"
+    current = cache / f"kernels-{_sources_digest()}"
+    numba.config.CACHE_DIR = str(current)
+    try:
+        current.mkdir(parents=True, exist_ok=True)
+        os.utime(current)
+        newest = current.stat().st_mtime
+        for other in cache.glob("kernels-*"):
+            if newest - other.stat().st_mtime > KEPT_S:
+                shutil.rmtree(other, ignore_errors=True)
+    except OSError:
+        numba.config.CACHE_DIR = ""
+
+
+if numba is not None:
+    _keep_compiled_apart()
 
 
 def kernel(function: F) -> F:

@@ -1,9 +1,9 @@
 """`companion replay`: the flying estimator, fed from a recorded ranging walk.
 
 A CSV file has a row per answer of an emitter, with the columns `t_s`, `agent_x_m`, `agent_y_m`,
-`target_id`, and `range_m`, `bearing_rad` or both (an empty cell means "not measured"). x is east, y
-is north, and a bearing is counter-clockwise from east. `agent_z_m` is optional; so are
-`target_x_m` and `target_y_m`, which are only used to say how wrong the estimate is.
+`target_id`, and at least one of `range_m`, `bearing_rad` and `elevation_rad` (an empty cell means
+"not measured"). x is east, y is north, a bearing is counter-clockwise from east. `agent_z_m` is
+optional; so are `target_x_m` and `target_y_m`, which only serve to say how wrong the estimate is.
 """
 
 from __future__ import annotations
@@ -16,10 +16,11 @@ from pathlib import Path
 
 from companion.domain import PositionEnu, RangingMeasurement, TargetEstimate
 from companion.errors import ConfigError
+from companion.estimation.observability import Observability
 from companion.estimation.tracker import TargetTracker, TrackerParams
 
 REQUIRED = ("t_s", "agent_x_m", "agent_y_m", "target_id")
-MEASURED = ("range_m", "bearing_rad")
+MEASURED = ("range_m", "bearing_rad", "elevation_rad")
 PROGRESS_ROWS = 2000
 
 Progress = Callable[[int], None]
@@ -53,6 +54,8 @@ class TargetResult:
     refused: Mapping[str, int] = field(default_factory=dict)
     estimate: TargetEstimate | None = None
     truth_enu_m: tuple[float, float] | None = None
+    observability: Observability | None = None
+    """What the track let the measurements tell."""
 
     @property
     def state(self) -> str:
@@ -68,7 +71,7 @@ class TargetResult:
 
     def as_json(self) -> dict[str, object]:
         """Plain values for `--json`."""
-        estimate = self.estimate
+        estimate, seen = self.estimate, self.observability
         return {
             "target_id": self.target_id,
             "n": self.rows,
@@ -80,6 +83,12 @@ class TargetResult:
             "r95_m": None if estimate is None else estimate.r95_m,
             "alternative_enu_m": None if estimate is None else estimate.alternative_enu_m,
             "range_offset_m": None if estimate is None else estimate.range_offset_m,
+            "range_scale": None if estimate is None else estimate.range_scale,
+            "height_m": None if estimate is None else estimate.height_m,
+            "height_sigma_m": None if estimate is None else estimate.height_sigma_m,
+            "bilateral_share": None if seen is None else seen.bilateral_share,
+            "ercm_min_eigenvalue": None if seen is None else seen.min_eigenvalue,
+            "is_collinear": None if seen is None else seen.is_collinear,
             "error_m": self.error_m,
         }
 
@@ -117,7 +126,7 @@ def replay_walk(
 def _result(target_id: str, target: _Replayed) -> TargetResult:
     tracker = target.tracker
     if tracker.params.window.enabled:
-        tracker.polish()
+        tracker.polish_thoroughly()
     return TargetResult(
         target_id=target_id,
         rows=target.rows,
@@ -125,6 +134,7 @@ def _result(target_id: str, target: _Replayed) -> TargetResult:
         refused={reason.value: count for reason, count in tracker.refusals.items()},
         estimate=tracker.estimate(target.last_s),
         truth_enu_m=target.truth_enu_m,
+        observability=tracker.observability,
     )
 
 
@@ -172,6 +182,7 @@ def _walk_row(row: Mapping[str, str | None], place: str, numbers: dict[str, int]
             measured_at_s=t_s,
             range_m=_number(row, "range_m", place),
             bearing_enu_rad=_number(row, "bearing_rad", place),
+            elevation_rad=_number(row, "elevation_rad", place),
         ),
         agent_enu_m=(east, north, _number(row, "agent_z_m", place) or 0.0),
         truth_enu_m=truth,
@@ -213,6 +224,9 @@ def table(results: list[TargetResult]) -> str:
         lines.append(
             f"{result.target_id:<12} {result.rows:>6} {refused:>7}  {result.state:<10} {numbers}"
         )
+        if estimate is not None and estimate.alternative_enu_m is not None:
+            east, north = estimate.alternative_enu_m
+            lines.append(f"{'':<27}  {'or':<10} {east:9.2f} {north:9.2f}")
     errors = sorted(result.error_m for result in results if result.error_m is not None)
     if errors:
         middle = 0.5 * (errors[(len(errors) - 1) // 2] + errors[len(errors) // 2])

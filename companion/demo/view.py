@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from companion.domain import EstimateState
+from companion.estimation.innovation_noise import TrackerHealth
 from companion.guidance.commands import Severity
 from companion.guidance.states import IN_CONTROL, Phase
 from companion.guidance.status import GuidanceStatus
@@ -69,11 +70,18 @@ def _rows(
         ("flown", Text(f"{status.distance_m:.0f} m")),
         ("distance", Text(_distance(status))),
         *_estimate_rows(status, stop_radius_m),
-        ("reflected", Text(f"{100 * status.nlos_share:.0f} % of the ranges on the NLOS branch")),
+        ("reflected", Text(_reflected(status.health))),
         ("ranging", Text(f"{status.accepted} used, {refused} refused")),
         ("link", link),
         ("guard", Text(guard or "-")),
     ]
+
+
+def _reflected(health: TrackerHealth) -> str:
+    text = f"{100 * health.nlos_share:.0f} % of the ranges on the NLOS branch"
+    if health.observability is None:
+        return text
+    return f"{text}; {100 * health.observability.bilateral_share:.0f} % of all are bilateral"
 
 
 def _distance(status: GuidanceStatus) -> str:

@@ -33,8 +33,12 @@ R95_OF_EQUAL_AXES = 2.447746830680816
 FORGETTING = 1.0 - 1.0 / 300.0
 """Memory of the noise monitor, in measurements."""
 
-PRIOR_COUNT = 30.0
+PRIOR_COUNT = 8.0
 """How many measurements the monitor's prior is worth."""
+MIN_PAIRS = 12.0
+"""Fewer pairs of neighbours than this tell nothing of correlation."""
+SIGNIFICANT_SIGMAS = 1.64
+"""A correlation counts from this many standard errors: white noise reaches it once in twenty."""
 
 MAX_INFLATION = 400.0
 MAX_CORRELATION = 0.98
@@ -50,61 +54,72 @@ MIN_AXIS_RATIO = 4e-3
 class NoiseMonitor:
     """Running moments of one modality's whitened innovations, with forgetting."""
 
-    count: float
-    weight_sum: float
-    influence_sum: float
-    influence2_sum: float
-    slope_sum: float
+    initial_inflation: float
+    """What is believed until the data say otherwise."""
+    count: float = 0.0
+    weight_sum: float = 0.0
+    influence_sum: float = 0.0
+    influence2_sum: float = 0.0
+    slope_sum: float = 0.0
     """Count of measurements on the quadratic part (psi' = 1)."""
-    lag_sum: float
+    pair_count: float = 0.0
+    lag_sum: float = 0.0
     """Sum of products of consecutive influences; the first of a chain has none before it."""
     previous: float | None = None
-
-    @classmethod
-    def prior(cls, inflation: float) -> NoiseMonitor:
-        """A monitor that believes in `inflation` until the data say otherwise."""
-        return cls(PRIOR_COUNT, PRIOR_COUNT, 0.0, PRIOR_COUNT * inflation, PRIOR_COUNT, 0.0)
 
     def after(self, u: float, k_long: float, k_short: float) -> NoiseMonitor:
         """The moments after one more whitened innovation `u`."""
         influence = float(asymmetric_huber_influence(u, k_long, k_short))
-        previous = 0.0 if self.previous is None else self.previous
+        has_pair = self.previous is not None
         return NoiseMonitor(
+            initial_inflation=self.initial_inflation,
             count=FORGETTING * self.count + 1.0,
             weight_sum=FORGETTING * self.weight_sum + (influence / u if u != 0.0 else 1.0),
             influence_sum=FORGETTING * self.influence_sum + influence,
             influence2_sum=FORGETTING * self.influence2_sum + influence * influence,
             slope_sum=FORGETTING * self.slope_sum + (1.0 if influence == u else 0.0),
-            lag_sum=FORGETTING * self.lag_sum + influence * previous,
+            pair_count=FORGETTING * self.pair_count + has_pair,
+            lag_sum=FORGETTING * self.lag_sum + influence * (self.previous or 0.0),
             previous=influence,
         )
 
     @property
     def mean_influence(self) -> float:
         """Mean of psi; near zero while the estimate agrees with its measurements."""
-        return self.influence_sum / self.count
+        return self.influence_sum / max(self.count, 1.0)
 
     @property
     def bilateral_share(self) -> float:
         """Share of measurements on the quadratic part: those that add curvature."""
-        return self.slope_sum / self.count
+        return self.slope_sum / self.count if self.count else 1.0
 
     @property
     def correlation(self) -> float:
         """Lag-1 correlation of psi, 0 where it cannot be told from white noise."""
+        if self.pair_count < MIN_PAIRS:
+            return 0.0
         variance = self.influence2_sum / self.count - self.mean_influence**2
         if variance <= 0.0:
             return 0.0
-        rho = (self.lag_sum / self.count - self.mean_influence**2) / variance
-        return min(rho, MAX_CORRELATION) if rho > 2.0 / math.sqrt(self.count) else 0.0
+        rho = (self.lag_sum / self.pair_count - self.mean_influence**2) / variance
+        significant = SIGNIFICANT_SIGMAS / math.sqrt(self.pair_count)
+        return min(rho, MAX_CORRELATION) if rho > significant else 0.0
 
     @property
     def inflation(self) -> float:
         """The variance inflation c >= 1."""
-        slope = max(self.slope_sum / self.count, 0.05)
-        sandwich = self.weight_sum * self.influence2_sum / (self.count * slope) ** 2
+        count = self.count + PRIOR_COUNT
+        weight = (self.weight_sum + PRIOR_COUNT) / count
+        influence2 = (self.influence2_sum + PRIOR_COUNT * self.initial_inflation) / count
+        slope = max((self.slope_sum + PRIOR_COUNT) / count, 0.05)
+        sandwich = weight * influence2 / slope**2
+        return min(max(1.0, sandwich) * self.repetition, MAX_INFLATION)
+
+    @property
+    def repetition(self) -> float:
+        """The factor (1 + rho) / (1 - rho) for innovations that repeat each other."""
         rho = self.correlation
-        return min(max(1.0, sandwich) * (1.0 + rho) / (1.0 - rho), MAX_INFLATION)
+        return (1.0 + rho) / (1.0 - rho)
 
     def reset_correlation(self) -> NoiseMonitor:
         """The same moments with the chain of consecutive innovations broken."""

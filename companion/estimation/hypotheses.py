@@ -14,8 +14,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from companion.domain import PositionEnu, RangingMeasurement
-from companion.estimation.base import FilterParams, FilterState
+from companion.domain import Point, PositionEnu, RangingMeasurement
+from companion.estimation.base import FilterState
+from companion.estimation.filter_params import FilterParams
 from companion.geometry.arrays import Matrix, Vector
 from companion.params import Params, Positive
 
@@ -44,8 +45,13 @@ class Hypothesis:
 
     log_weight: float
     state: FilterState
-    window_covariance: Matrix | None = None
-    """(4, 4) of the window's optimum that confirmed it last."""
+    least_covariance_m2: Matrix | None = None
+    """(2, 2) that the position's is not believed to be below, from the window; None: no limit."""
+
+    @property
+    def place_enu_m(self) -> Point:
+        """East and north."""
+        return (float(self.state.mean[0]), float(self.state.mean[1]))
 
 
 def first_hypotheses(
@@ -80,21 +86,10 @@ def _state(
     position_covariance: Matrix,
     params: FilterParams,
 ) -> FilterState:
-    P = np.diag(
-        [
-            0.0,
-            0.0,
-            params.range_offset_sigma_m**2,
-            math.radians(params.bearing_offset_sigma_deg) ** 2,
-        ]
-    )
+    mean, sigmas = params.prior
+    mean[:2] = east_north_m
+    P = np.diag(sigmas**2)
     P[:2, :2] = position_covariance
-    offset_m = 0.0
-    if params.range_offset_min_m is not None:
-        offset_m = max(offset_m, params.range_offset_min_m)
-    if params.range_offset_max_m is not None:
-        offset_m = min(offset_m, params.range_offset_max_m)
-    mean = np.array([*east_north_m, offset_m, 0.0])
     return FilterState.of(measurement.measured_at_s, mean, P)
 
 

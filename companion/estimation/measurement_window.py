@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.domain import Point, PositionEnu
+from companion.estimation.map_kernels import COLUMNS, SEQUENCE, SIGMAS, VALUES
 from companion.geometry.arrays import Matrix, Vector
+from companion.models.ranging_model import BEARING, RANGE
 
-SEQUENCE = 7
-"""Column of the sequence number."""
 SECTORS = 16
 """Directions that the target is seen from, for thinning."""
 NEAREST_RING_M = 1.0
@@ -23,15 +23,13 @@ KEPT_SHARE = 0.95
 class MeasurementWindow:
     """Up to `size` measurements, spread over the views of the target that they are.
 
-    Rows are [east, north, up, range, bearing, range sigma, bearing sigma, sequence number]; what
-    was not measured is NaN here, because the rows are one array.
+    Rows are laid out as in `map_kernels`.
     """
 
     def __init__(self, size: int) -> None:
-        self._rows = np.full((size, SEQUENCE + 1), np.nan)
+        self._rows = np.full((size, COLUMNS), np.nan)
         self._count = 0
         self._sequence = 0
-        self._is_complete = True
 
     def __len__(self) -> int:
         """Measurements held."""
@@ -39,73 +37,57 @@ class MeasurementWindow:
 
     @property
     def rows(self) -> Matrix:
-        """The measurements, (n, 8), oldest first."""
+        """The measurements, (n, 10), oldest first."""
         return self._rows[: self._count]
 
     @property
     def has_bearings(self) -> bool:
         """Whether any measurement held is a bearing."""
-        return not bool(np.isnan(self.rows[:, 4]).all())
-
-    @property
-    def is_complete(self) -> bool:
-        """Whether no measurement was left out yet."""
-        return self._is_complete
-
-    @property
-    def kept_share(self) -> float:
-        """Share of all measurements since the start that are still held."""
-        return self._count / self._sequence if self._sequence else 1.0
+        return not bool(np.isnan(self.rows[:, VALUES + BEARING]).all())
 
     def clear(self) -> None:
         """Forget everything."""
         self._count = 0
         self._sequence = 0
-        self._is_complete = True
+
+    def believe(self, range_sigma_m: float, bearing_sigma_rad: float) -> None:
+        """Take all ranges and bearings held to have this thermal noise."""
+        self.rows[:, SIGMAS + RANGE] = range_sigma_m
+        self.rows[:, SIGMAS + BEARING] = bearing_sigma_rad
 
     def add(
-        self,
-        sensor_enu_m: PositionEnu,
-        range_m: float | None,
-        bearing_enu_rad: float | None,
-        range_sigma_m: float,
-        bearing_sigma_rad: float,
-        target_enu_m: Point,
-    ) -> None:
+        self, sensor_enu_m: PositionEnu, z: Vector, sigma: Vector, target_enu_m: Point
+    ) -> Matrix:
         """Take in a measurement; a full window is thinned first.
 
         Args:
             sensor_enu_m: Where it was taken.
-            range_m: None if not measured.
-            bearing_enu_rad: None if not measured.
-            range_sigma_m: Thermal noise.
-            bearing_sigma_rad: Thermal noise.
+            z: (3,) range, bearing, elevation; NaN where not measured.
+            sigma: (3,) thermal noise.
             target_enu_m: Where the target is believed to be, which decides what is alike.
+
+        Returns:
+            The measurements that had to go, (m, 10), mostly none.
         """
+        dropped = self._rows[:0]
         if self._count == len(self._rows):
-            kept = thinned(self._rows, int(KEPT_SHARE * len(self._rows)), target_enu_m)
-            self._count = len(kept)
-            self._rows[: self._count] = kept
-            self._is_complete = False
-        self._rows[self._count] = (
-            *sensor_enu_m,
-            math.nan if range_m is None else range_m,
-            math.nan if bearing_enu_rad is None else bearing_enu_rad,
-            range_sigma_m,
-            bearing_sigma_rad,
-            self._sequence,
-        )
+            is_kept = kept_by_thinning(self._rows, int(KEPT_SHARE * len(self._rows)), target_enu_m)
+            dropped = self._rows[~is_kept]
+            self._count = int(is_kept.sum())
+            self._rows[: self._count] = self._rows[is_kept]
+        self._rows[self._count] = (*sensor_enu_m, *z, *sigma, self._sequence)
         self._count += 1
         self._sequence += 1
+        return dropped
 
 
-def thinned(rows: Matrix, target: int, centre: Point) -> Matrix:
-    """At most `target` of the rows, in order, taken away where views are most alike.
+def kept_by_thinning(rows: Matrix, target: int, centre: Point) -> NDArray[np.bool_]:
+    """Which of the rows stay, (n,): at most `target`, taken away where views are most alike.
 
     Alike are views of the centre from the same sector and about the same distance.
 
     Args:
-        rows: (n, 8), see `MeasurementWindow`.
+        rows: (n, 10), see `map_kernels`.
         target: How many to keep.
         centre: What is looked at.
     """
@@ -122,9 +104,9 @@ def thinned(rows: Matrix, target: int, centre: Point) -> Matrix:
         keep[members[_evenly_in_time(rows[members, SEQUENCE], cap)]] = True
     kept = np.flatnonzero(keep)
     if len(kept) > target:  # more views than may be kept: every one loses alike
-        kept = kept[np.linspace(0, len(kept) - 1, target).astype(int)]
-    remaining: Matrix = rows[kept]
-    return remaining
+        keep[:] = False
+        keep[kept[np.linspace(0, len(kept) - 1, target).astype(int)]] = True
+    return keep
 
 
 def _evenly_in_time(sequence: Vector, count: int) -> NDArray[np.intp]:

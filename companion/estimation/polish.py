@@ -1,73 +1,203 @@
-"""What a solved window means for the hypotheses: confirmed, moved, added or dropped."""
+"""Checks and corrects the hypotheses by solving the window now and then.
+
+Every optimum replaces the hypotheses near it, because it holds all that they have seen, and is not
+linearised where they stood at the time. What no longer fits into the window is held as a Gaussian
+prior; where window and prior contradict each other, the prior was expanded about a wrong place,
+and is forgotten.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from companion.estimation.base import FilterState
+from companion.domain import Point, PositionEnu
+from companion.estimation.base import FilterState, Inflation
+from companion.estimation.filter_params import FilterParams
 from companion.estimation.hypotheses import Hypothesis
-from companion.estimation.window_map import Optimum
+from companion.estimation.measurement_window import MeasurementWindow
+from companion.estimation.observability import Observability, mirrored, observability_of
+from companion.estimation.older_evidence import OlderEvidence
+from companion.estimation.rivals import weighted
+from companion.estimation.window_map import (
+    MAX_POSITION_SIGMA_M,
+    MIN_MEASUREMENTS,
+    Optimum,
+    WindowMap,
+    WindowParams,
+)
+from companion.geometry.arrays import Vector
 
-CONFIRMED_DISTANCE2 = 9.0
-"""A hypothesis within this (Mahalanobis, squared) of an optimum is confirmed by it."""
-
-IMPROBABLE_LOG_RATIO = math.log(1e-4)
-"""An optimum this much less probable than the best one is dropped."""
-
-
-def weighted(optima: list[Optimum]) -> list[tuple[float, Optimum]]:
-    """Log-weights of the optima, best first, without the improbable ones.
-
-    The cost decides, divided by the inflation at the best one: correlated residuals say less about
-    which optimum is right, too. A rival's own inflation does not count, because a wrong place makes
-    its residuals systematic; nor does its volume, or the vaguest would win.
-    """
-    if not optima:
-        return []
-    best = min(optima, key=lambda optimum: optimum.cost)
-    logs = [((best.cost - optimum.cost) / best.inflation, optimum) for optimum in optima]
-    return [(log, o) for log, o in logs if log > IMPROBABLE_LOG_RATIO]
+MAX_POLISHED = 4
+"""Hypotheses that start a solution of the window each time."""
+UNSETTLED_STARTS, SETTLED_STARTS = 4, 1
+"""Fresh starts per solution, before and after there is one hypothesis and much evidence."""
+SETTLED_COUNT = 300
+EARLY_SHARE = 0.1
+"""Early on the window is solved whenever it has grown by this share."""
+VAGUE_COVARIANCE_M2 = MAX_POSITION_SIGMA_M**2 * np.eye(2)
+"""What is believed of a hypothesis while the window finds no place at all."""
+CONTRADICTED_DISTANCE2 = 16.0
+"""Mahalanobis, squared, between solutions with and without the older evidence: it was wrong."""
 
 
-def polished(
-    hypotheses: tuple[Hypothesis, ...],
-    optima: list[Optimum],
-    time_s: float,
-    *,
-    keep_confirmed: bool,
-) -> tuple[Hypothesis, ...]:
-    """The hypotheses after the window was solved.
-
-    A hypothesis that an optimum confirms may stay, if it has seen more than the window.
-    Otherwise the optima replace the hypotheses.
+class Polisher:
+    """The window of one target, and when and how it is solved.
 
     Args:
-        hypotheses: The filter's, best first.
-        optima: The window's.
-        time_s: The time of the states that replace.
-        keep_confirmed: Whether confirmed hypotheses stay; not while the window holds every
-            measurement, nor where residuals are correlated, because then the recursive
-            covariance is the worse one.
+        filter_params: Noise, thresholds, priors and bounds, as the filter has them.
+        params: Size and rhythm of the window.
     """
-    candidates = weighted(optima)
-    if not candidates:
-        return hypotheses
-    kept: list[Hypothesis] = []
-    for log_weight, optimum in candidates:
-        state = _confirmed(hypotheses, optimum) if keep_confirmed else None
-        if state is None:
-            state = FilterState.of(time_s, optimum.mean, optimum.covariance)
-        kept.append(Hypothesis(log_weight, state, optimum.covariance))
-    return tuple(kept)
+
+    def __init__(self, filter_params: FilterParams, params: WindowParams) -> None:
+        self._filter_params = filter_params
+        self._params = params
+        self._window = MeasurementWindow(params.size)
+        self._map = WindowMap(filter_params)
+        self._older = OlderEvidence.none(self._map.size)
+        self._turn = 0
+        self._due_at = MIN_MEASUREMENTS
+        self._fresh_at = MIN_MEASUREMENTS
+        self.noise: Inflation | None = None
+        """How much worse than thermal the best optimum found each modality; None: not solved."""
+
+    def clear(self) -> None:
+        """Forget everything measured."""
+        self._window.clear()
+        self.noise = None
+        self._older = OlderEvidence.none(self._map.size)
+        self._due_at = MIN_MEASUREMENTS
+
+    def distrust(self) -> None:
+        """Forget what was expanded about an estimate that has been given up."""
+        self._older = OlderEvidence.none(self._map.size)
+
+    def retune(self, filter_params: FilterParams) -> None:
+        """Believe in other noise and thresholds, for what was measured already, too."""
+        self._filter_params = filter_params
+        self._map = WindowMap(filter_params)
+        self._window.believe(
+            filter_params.range_sigma_m, math.radians(filter_params.bearing_sigma_deg)
+        )
+
+    @property
+    def has_bearings(self) -> bool:
+        """Whether any measurement held is a bearing."""
+        return self._window.has_bearings
+
+    def add(
+        self,
+        sensor_enu_m: PositionEnu,
+        z: Vector,
+        sigma: Vector,
+        hypotheses: Sequence[Hypothesis],
+        *,
+        is_white: bool,
+    ) -> None:
+        """Take in a measurement; what must leave the window becomes older evidence.
+
+        While there are several hypotheses there is no place to expand it about, and where residuals
+        repeat each other its neighbours have said the same: then it is let go.
+        """
+        place: Point = hypotheses[0].place_enu_m if hypotheses else sensor_enu_m[:2]
+        dropped = self._window.add(sensor_enu_m, z, sigma, place)
+        if len(dropped) and len(hypotheses) == 1 and is_white:
+            self._older = self._older.joined(
+                dropped,
+                hypotheses[0].state.mean,
+                self._filter_params.thresholds,
+                self._filter_params.model,
+            )
+
+    def is_due(self, accepted: int) -> bool:
+        """Whether the window should be solved after this many measurements."""
+        if not self._params.enabled or accepted < self._due_at:
+            return False
+        grown = max(1, int(EARLY_SHARE * accepted))
+        self._due_at = accepted + min(self._params.every, grown)
+        return True
+
+    def polished(
+        self,
+        hypotheses: tuple[Hypothesis, ...],
+        accepted: int,
+        *,
+        is_white: bool,
+        fresh_starts: int | None,
+    ) -> tuple[Hypothesis, ...]:
+        """The hypotheses after the window was solved.
+
+        Args:
+            hypotheses: The filter's, best first.
+            accepted: Measurements so far.
+            is_white: Whether innovations know nothing of each other.
+            fresh_starts: How many starts besides the hypotheses; None: as many as the evidence
+                calls for.
+        """
+        if len(self._window) < MIN_MEASUREMENTS or not hypotheses:
+            return hypotheses
+        if fresh_starts is None:
+            fresh_starts = self._fresh_starts(len(hypotheses), accepted)
+        rows, starts = self._window.rows, self._starts(hypotheses, fresh_starts)
+        optima = self._map.optima(rows, starts, self._older, is_white=is_white)
+        if optima and not self._older.is_empty and self._is_contradicted(optima[0]):
+            self._older = OlderEvidence.none(self._map.size)
+            starts.append(optima[0].mean)
+            optima = self._map.optima(rows, starts, is_white=is_white)
+        if not optima:
+            return tuple(replace(h, least_covariance_m2=VAGUE_COVARIANCE_M2) for h in hypotheses)
+        self.noise = optima[0].noise
+        return tuple(
+            _replacing(optimum, log_weight, hypotheses[0].state.time_s, is_white)
+            for log_weight, optimum in weighted(optima)
+        )
+
+    def observability(self, mean: Vector) -> Observability | None:
+        """What the window can tell about a target at `mean`; None before the first measurement."""
+        if not len(self._window):
+            return None
+        rows = self._window.rows
+        return observability_of(rows, self._map.scores(rows, mean))
+
+    def _fresh_starts(self, hypotheses: int, accepted: int) -> int:
+        """How many fresh starts are due; early solutions in between have none."""
+        if accepted < self._fresh_at:
+            return 0
+        self._fresh_at = accepted + self._params.every
+        is_settled = hypotheses == 1 and accepted > SETTLED_COUNT
+        return SETTLED_STARTS if is_settled else UNSETTLED_STARTS
+
+    def _starts(self, hypotheses: Sequence[Hypothesis], fresh: int) -> list[Vector]:
+        """The hypotheses, the best one's mirror image, and places around the path."""
+        rows, directions = self._window.rows, self._params.starts
+        starts = [h.state.mean for h in hypotheses[:MAX_POLISHED]]
+        if fresh:
+            starts.append(mirrored(starts[0], rows[:, :2]))
+        for _ in range(fresh):
+            direction_rad = 2.0 * math.pi * self._turn / directions
+            spread = self._turn // directions + self._turn
+            starts.append(self._map.start_around(rows, direction_rad, spread))
+            self._turn += 1
+        return starts
+
+    def _is_contradicted(self, best: Optimum) -> bool:
+        """Whether the window alone leads elsewhere than with the older evidence."""
+        alone = self._map.optima(self._window.rows, [best.mean])
+        if not alone:
+            return False
+        difference = alone[0].mean[:2] - best.mean[:2]
+        spread = alone[0].covariance[:2, :2]
+        return float(difference @ np.linalg.solve(spread, difference)) > CONTRADICTED_DISTANCE2
 
 
-def _confirmed(hypotheses: tuple[Hypothesis, ...], optimum: Optimum) -> FilterState | None:
-    """The state of the hypothesis that an optimum confirms, or None."""
-    for hypothesis in hypotheses:
-        difference = hypothesis.state.mean[:2] - optimum.mean[:2]
-        spread = hypothesis.state.covariance[:2, :2]
-        if float(difference @ np.linalg.solve(spread, difference)) < CONFIRMED_DISTANCE2:
-            return hypothesis.state
-    return None
+def _replacing(optimum: Optimum, log_weight: float, time_s: float, is_white: bool) -> Hypothesis:
+    """The hypothesis that an optimum becomes.
+
+    Where residuals repeat each other, the filter only repeats itself until the next solution.
+    """
+    state = FilterState.of(time_s, optimum.mean, optimum.covariance)
+    least = None if is_white else np.array(optimum.covariance[:2, :2])
+    return Hypothesis(log_weight, state, least)

@@ -18,6 +18,7 @@ class Refusal(Enum):
     RANGE_NOT_POSITIVE = "range not positive"
     RANGE_ABSURD = "range absurd"
     BEARING_ABSURD = "bearing absurd"
+    ELEVATION_ABSURD = "elevation absurd"
     SIGMA_NOT_POSITIVE = "sigma not positive"
     FROM_THE_FUTURE = "from the future"
     STALE = "stale"
@@ -36,6 +37,8 @@ class AcceptanceParams(Params, frozen=True):
 
 
 FUTURE_TOLERANCE_S = 0.1
+MAX_ELEVATION_RAD = 0.5 * math.pi + 1e-6
+"""A right angle, which in the wire's 32 bits is a little more than one."""
 
 
 def refusal_of(
@@ -46,8 +49,9 @@ def refusal_of(
     values = (m.range_m, m.bearing_enu_rad, m.bearing_body_rad)
     if all(value is None for value in values):
         return Refusal.NOTHING_MEASURED
-    sigmas = (m.range_sigma_m, m.bearing_sigma_rad)
-    if any(v is not None and not math.isfinite(v) for v in (*values, *sigmas, m.measured_at_s)):
+    sigmas = (m.range_sigma_m, m.bearing_sigma_rad, m.elevation_sigma_rad)
+    numbers = (*values, m.elevation_rad, *sigmas, m.measured_at_s)
+    if any(number is not None and not math.isfinite(number) for number in numbers):
         return Refusal.NOT_FINITE
     if m.range_m is not None and m.range_m <= 0.0:
         return Refusal.RANGE_NOT_POSITIVE
@@ -56,6 +60,8 @@ def refusal_of(
     bearings = (m.bearing_enu_rad, m.bearing_body_rad)
     if any(b is not None and abs(b) > 2.0 * math.pi for b in bearings):
         return Refusal.BEARING_ABSURD
+    if m.elevation_rad is not None and abs(m.elevation_rad) > MAX_ELEVATION_RAD:
+        return Refusal.ELEVATION_ABSURD
     if any(sigma is not None and sigma <= 0.0 for sigma in sigmas):
         return Refusal.SIGMA_NOT_POSITIVE
     if m.measured_at_s > now_s + FUTURE_TOLERANCE_S:

@@ -13,58 +13,37 @@ from collections import Counter, deque
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
-from companion.domain import (
-    EstimateState,
-    PositionEnu,
-    RangingMeasurement,
-    TargetEstimate,
-)
-from companion.estimation.asymmetric_huber_ekf import AsymmetricHuberEkf
-from companion.estimation.base import FilterParams, ModalityReport, UpdateReport
-from companion.estimation.consistency import (
-    NoiseMonitor,
-    r95_of_covariance_m,
-    r95_of_mixture_m,
-)
+from companion.domain import PositionEnu, RangingMeasurement, TargetEstimate
+from companion.estimation.adaptation import AdaptationParams
+from companion.estimation.base import NO_INFLATION, Inflation, UpdateReport
+from companion.estimation.contradiction import CONTRADICTION_COUNT, Contradiction
+from companion.estimation.filter_params import FilterParams
+from companion.estimation.filters import FilterKind, filter_of
 from companion.estimation.hypotheses import (
     Hypothesis,
     HypothesisParams,
     consolidated,
     first_hypotheses,
-    probabilities,
 )
-from companion.estimation.losses import asymmetric_huber_loss, threshold
-from companion.estimation.measurement_window import MeasurementWindow
-from companion.estimation.polish import polished
+from companion.estimation.innovation_noise import InnovationNoise, TrackerHealth
+from companion.estimation.losses import asymmetric_huber_loss
+from companion.estimation.noise_learner import NoiseLearner
+from companion.estimation.observability import Observability
+from companion.estimation.polish import Polisher
 from companion.estimation.refusal import AcceptanceParams, Refusal, refusal_of
-from companion.estimation.window_map import (
-    MIN_MEASUREMENTS,
-    WindowMap,
-    WindowParams,
-)
+from companion.estimation.verdict import estimate_of
+from companion.estimation.window_map import WindowParams
+from companion.models.ranging_model import target_height_m
 from companion.params import Params, Positive
 
 DUPLICATE_MEMORY = 256
-AMBIGUOUS_PROBABILITY = 0.05
-"""A second hypothesis with at least this probability makes the estimate ambiguous."""
-MAX_AMBIGUOUS = 3
-"""More distinct places than this is searching, not ambiguous."""
-MAX_POLISHED = 4
-"""Hypotheses that start a solution of the window each time."""
-UNSETTLED_STARTS, SETTLED_STARTS = 4, 1
-"""Fresh starts per solution, before and after there is one hypothesis and much evidence."""
-SETTLED_COUNT = 300
-CONTRADICTION_COUNT = 40
-"""How many measurements in a row must contradict the estimate before it is given up."""
-CONTRADICTION_U = 3.0
-"""Whitened innovation that contradicts: a bearing off to the same side, a range too short."""
 
 
 class TrackerParams(Params, frozen=True):
     """Everything about the estimate of one target."""
 
+    kind: FilterKind = "asymmetric_huber"
+    """The recursive filter; the others are baselines."""
     filter: FilterParams = FilterParams()
     acceptance: AcceptanceParams = AcceptanceParams()
     hypotheses: HypothesisParams = HypothesisParams()
@@ -73,6 +52,8 @@ class TrackerParams(Params, frozen=True):
     """The state is `localised` while R95 is at most this."""
     initial_inflation: Positive = 4.0
     """Variance inflation taken for granted until the run has shown its own."""
+    adaptation: AdaptationParams | None = None
+    """Whether and how noise and thresholds are learnt on the run; null: they stay as configured."""
     adapt_inflation: bool = True
     """Whether the inflation is measured; false keeps it at 1, as the paper's filter has it."""
 
@@ -103,15 +84,14 @@ class TargetTracker:
         self.accepted = 0
         self.restarts = 0
         self.last_accepted_s: float | None = None
-        self._filter = AsymmetricHuberEkf(params.filter)
-        self._window = MeasurementWindow(params.window.size)
-        self._window_map = WindowMap(params.filter)
-        self._turn = 0
+        self._filter = filter_of(params.kind, params.filter)
+        self._thresholds = self._filter.params.thresholds
+        self._polisher = Polisher(self._filter.params, params.window)
         self._recent: deque[Hashable] = deque(maxlen=DUPLICATE_MEMORY)
         self._hypotheses: tuple[Hypothesis, ...] = ()
         self._noise = self._fresh_noise()
-        self._contradictions = 0
-        self._contradiction_sign = 0.0
+        self._learner = self._fresh_learner()
+        self._contradiction = Contradiction()
         self._diverged_until = 0
 
     def fuse(
@@ -129,25 +109,19 @@ class TargetTracker:
             return self.refuse(refusal or Refusal.NO_POSITION)
         if self.emitter_id is None:
             self.emitter_id = measurement.emitter_id
-        if measurement.stamp_us is not None:
-            self._recent.append(_identity(measurement))
+        self._recent.append(_identity(measurement))
         self.accepted += 1
         self.last_accepted_s = now_s
-        self._window.add(
-            sensor_enu_m,
-            measurement.range_m,
-            measurement.bearing_enu_rad,
-            self._filter.range_sigma_m(measurement),
-            self._filter.bearing_sigma_rad(measurement),
-            _place(self._hypotheses[0]) if self._hypotheses else sensor_enu_m[:2],
-        )
+        z, sigma = self._filter.params.seen(measurement)
+        self._polisher.add(sensor_enu_m, z, sigma, self._hypotheses, is_white=self.is_white)
         if not self._hypotheses:
             self._start(measurement, sensor_enu_m)
             return FusionReport(None)
         report = self._update(measurement, sensor_enu_m)
-        if self.params.window.enabled and self.accepted % self.params.window.every == 0:
-            is_settled = len(self._hypotheses) == 1 and self.accepted > SETTLED_COUNT
-            self.polish(SETTLED_STARTS if is_settled else UNSETTLED_STARTS)
+        if report.update is not None:
+            self._learn(report.update)
+        if self._polisher.is_due(self.accepted):
+            self.polish()
         return report
 
     def refuse(self, reason: Refusal) -> FusionReport:
@@ -159,36 +133,22 @@ class TargetTracker:
         """Forget the target but not the emitter, because the frame may have moved."""
         self._hypotheses = ()
         self._noise = self._fresh_noise()
-        self._contradictions = 0
+        self._contradiction = Contradiction()
         self.last_accepted_s = None
         self._recent.clear()
-        self._window.clear()
+        self._polisher.clear()
 
     def estimate(self, now_s: float) -> TargetEstimate | None:
         """Where the target is believed to be, or None before the first measurement."""
         if not self._hypotheses:
             return None
-        weights = probabilities(self._hypotheses)
-        best = self._hypotheses[0].state
-        r95_m = self._r95_m(weights)
-        state = self._state_of(weights, r95_m)
-        alternative = None
-        if state is EstimateState.AMBIGUOUS:
-            alternative = _place(self._hypotheses[1])
-        covariance = self._position_covariance(self._hypotheses[0])
-        return TargetEstimate(
-            time_s=now_s,
-            state=state,
-            position_enu_m=_place(self._hypotheses[0]),
-            covariance_m2=(
-                (float(covariance[0, 0]), float(covariance[0, 1])),
-                (float(covariance[1, 0]), float(covariance[1, 1])),
-            ),
-            r95_m=r95_m,
-            range_offset_m=float(best.mean[2]),
-            bearing_offset_rad=float(best.mean[3]),
-            measurements=self.accepted,
-            alternative_enu_m=alternative,
+        return estimate_of(
+            self._hypotheses,
+            self._filter.params.model,
+            self.params.localised_r95_m,
+            self.accepted,
+            now_s,
+            is_diverged=self.accepted < self._diverged_until,
         )
 
     @property
@@ -197,22 +157,46 @@ class TargetTracker:
         return self._hypotheses
 
     @property
-    def inflation(self) -> tuple[float, float]:
-        """Variance inflation of range and bearing now in force."""
+    def inflation(self) -> Inflation:
+        """Variance inflation of range, bearing and elevation now in force."""
         if not self.params.adapt_inflation:
-            return (1.0, 1.0)
-        return (self._noise[0].inflation, self._noise[1].inflation)
+            return NO_INFLATION
+        return self._noise.inflation(self._polisher.noise)
+
+    @property
+    def noise_believed(self) -> FilterParams:
+        """Noise, thresholds, priors and bounds now in force, learnt ones included."""
+        return self._filter.params
+
+    @property
+    def is_white(self) -> bool:
+        """Whether innovations know nothing of each other, as far as can be told."""
+        return self._noise.is_white
+
+    @property
+    def observability(self) -> Observability | None:
+        """Curvature and bilateral information about the best hypothesis."""
+        if not self._hypotheses:
+            return None
+        return self._polisher.observability(self._hypotheses[0].state.mean)
 
     def baseline_m(self, sensor_up_m: float) -> float:
         """How far to the side of the target a view from this height must be to say much."""
-        if self._window.has_bearings:
+        if self._polisher.has_bearings or not self._hypotheses:
             return 0.0
-        return abs(sensor_up_m - self.params.filter.target_height_m)
+        return abs(
+            sensor_up_m - target_height_m(self._hypotheses[0].state.mean, self._filter.params.model)
+        )
+
+    @property
+    def health(self) -> TrackerHealth:
+        """How far the estimate can be trusted, as live values."""
+        return self._noise.health(self.inflation, self.observability)
 
     @property
     def nlos_share(self) -> float:
         """Share of recent ranges on the linear branch of the loss: taken for reflections."""
-        return 1.0 - self._noise[0].bilateral_share
+        return self._noise.nlos_share
 
     def _refusal_of(
         self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu | None, now_s: float
@@ -222,7 +206,7 @@ class TargetTracker:
         refusal = refusal_of(measurement, now_s, self.params.acceptance)
         if refusal is not None:
             return refusal
-        if measurement.stamp_us is not None and _identity(measurement) in self._recent:
+        if _identity(measurement) in self._recent:
             return Refusal.DUPLICATE
         if sensor_enu_m is None or not all(math.isfinite(v) for v in sensor_enu_m):
             return Refusal.NO_POSITION
@@ -230,9 +214,26 @@ class TargetTracker:
             return Refusal.NO_YAW
         return None
 
-    def _fresh_noise(self) -> tuple[NoiseMonitor, NoiseMonitor]:
-        prior = NoiseMonitor.prior(self.params.initial_inflation)
-        return (prior, prior)
+    def _fresh_noise(self) -> InnovationNoise:
+        return InnovationNoise.starting(self.params.initial_inflation)
+
+    def _fresh_learner(self) -> NoiseLearner | None:
+        adaptation = self.params.adaptation
+        if adaptation is None:
+            return None
+        return NoiseLearner.starting(self.params.filter, adaptation)
+
+    def _learn(self, report: UpdateReport) -> None:
+        """Learn the noise, and tune the filter to it now and then."""
+        if self._learner is None:
+            return
+        learner = self._learner.after(report)
+        if learner.is_due and learner.count > self._learner.count:
+            tuned = learner.tuned(self.params.filter)
+            self._filter = filter_of(self.params.kind, tuned)
+            self._thresholds = self._filter.params.thresholds
+            self._polisher.retune(self._filter.params)
+        self._learner = learner
 
     def _start(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> None:
         self._hypotheses = first_hypotheses(
@@ -254,9 +255,9 @@ class TargetTracker:
         if best is None:
             return self._restart(measurement, sensor_enu_m)
         self._hypotheses = consolidated(updated) if len(updated) > 1 else tuple(updated)
-        self._observe_noise(best)
-        self._count_contradictions(best)
-        if self._contradictions >= CONTRADICTION_COUNT:
+        self._noise = self._noise.after(best, self._thresholds)
+        self._contradiction = self._contradiction.after(best, self.inflation)
+        if self._contradiction.is_conclusive:
             return self._restart(measurement, sensor_enu_m)
         return FusionReport(None, best)
 
@@ -264,111 +265,39 @@ class TargetTracker:
         """Check the hypotheses against the window, and let its optima correct them.
 
         Args:
-            fresh_starts: How many starts besides the hypotheses; None: all directions, for use
-                after the last measurement of a recording.
+            fresh_starts: How many starts besides the hypotheses; None: as many as the evidence
+                calls for.
         """
-        if len(self._window) < MIN_MEASUREMENTS or not self._hypotheses:
-            return
-        rows, directions = self._window.rows, self.params.window.starts
-        starts = [h.state.mean for h in self._hypotheses[:MAX_POLISHED]]
-        for _ in range(directions if fresh_starts is None else fresh_starts):
-            direction_rad = 2.0 * math.pi * self._turn / directions
-            spread = self._turn // directions + self._turn
-            starts.append(self._window_map.start_around(rows, direction_rad, spread))
-            self._turn += 1
-        optima = self._window_map.optima(rows, starts)
-        is_white = all(monitor.correlation == 0.0 for monitor in self._noise)
-        has_seen_more = not self._window.is_complete
-        time_s = self._hypotheses[0].state.time_s
-        self._hypotheses = polished(
-            self._hypotheses, optima, time_s, keep_confirmed=is_white and has_seen_more
+        self._hypotheses = self._polisher.polished(
+            self._hypotheses, self.accepted, is_white=self.is_white, fresh_starts=fresh_starts
         )
 
-    def _log_likelihood(self, report: UpdateReport, inflation: tuple[float, float]) -> float:
-        """Robust log-likelihood of both innovations, tempered by the inflation."""
-        p = self.params.filter
+    def polish_thoroughly(self) -> None:
+        """The same from every direction, for use after the last measurement of a recording."""
+        self.polish(self.params.window.starts)
+
+    def _log_likelihood(self, report: UpdateReport, inflation: Inflation) -> float:
+        """Robust log-likelihood of all innovations, tempered by the inflation."""
         total = 0.0
-        rows = (
-            (report.range, p.range_k_long, p.range_k_short, inflation[0]),
-            (report.bearing, p.bearing_k, p.bearing_k, inflation[1]),
-        )
-        for row, k_long, k_short, c in rows:
+        for row, (k_long, k_short), c in zip(
+            report.modalities, self._thresholds, inflation, strict=True
+        ):
             if row is None:
                 continue
             spread2 = row.noise_sigma**2 * (1.0 + row.prior_share)
             u = row.innovation / math.sqrt(spread2)
-            loss = asymmetric_huber_loss(u, threshold(k_long), threshold(k_short))
+            loss = asymmetric_huber_loss(u, k_long, k_short)
             total -= (loss + 0.5 * math.log(spread2)) / c
         return total
-
-    def _observe_noise(self, report: UpdateReport) -> None:
-        """Learn from innovations that are noise, not the state's own uncertainty."""
-        p = self.params.filter
-        range_noise = _observed(self._noise[0], report.range, p.range_k_long, p.range_k_short)
-        bearing_noise = _observed(self._noise[1], report.bearing, p.bearing_k, p.bearing_k)
-        self._noise = (range_noise, bearing_noise)
-
-    def _count_contradictions(self, report: UpdateReport) -> None:
-        """Count measurements in a row that a confident estimate cannot explain.
-
-        Ranges that are too long say nothing: that is what reflections do.
-        """
-        sign = 0.0
-        if report.bearing is not None and report.bearing.prior_share < 1.0:
-            u = report.bearing.whitened_innovation / math.sqrt(self.inflation[1])
-            is_behind = abs(report.bearing.innovation) > 0.5 * math.pi  # to neither side
-            side = 3.0 if is_behind else math.copysign(1.0, u)
-            sign = side if abs(u) > CONTRADICTION_U else 0.0
-        if sign == 0.0 and report.range is not None and report.range.prior_share < 1.0:
-            u = report.range.whitened_innovation / math.sqrt(self.inflation[0])
-            sign = -2.0 if u < -CONTRADICTION_U else 0.0
-        is_same = sign != 0.0 and sign == self._contradiction_sign
-        self._contradictions = self._contradictions + 1 if is_same else int(sign != 0.0)
-        self._contradiction_sign = sign
 
     def _restart(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> FusionReport:
         self.restarts += 1
         self._diverged_until = self.accepted + CONTRADICTION_COUNT
-        self._contradictions = 0
+        self._contradiction = Contradiction()
         self._noise = self._fresh_noise()
+        self._polisher.distrust()
         self._start(measurement, sensor_enu_m)
         return FusionReport(None, None, restarted=True)
-
-    def _position_covariance(self, hypothesis: Hypothesis) -> np.ndarray:
-        """The filter's covariance, or the window's if that is larger, plus the own position's.
-
-        All measurements share the error of the own position. The filter's covariance is the smaller
-        one where a track that sees the target from one side only repeats itself. What the window
-        left out counts as if it were as good as what it kept, unless residuals are correlated.
-        """
-        covariance = hypothesis.state.covariance[:2, :2]
-        if hypothesis.window_covariance is not None:
-            is_white = all(monitor.correlation == 0.0 for monitor in self._noise)
-            share = self._window.kept_share if is_white else 1.0
-            window = share * hypothesis.window_covariance[:2, :2]
-            if np.trace(window) > np.trace(covariance):
-                covariance = window
-        own = self.params.filter.own_position_sigma_m
-        return covariance + own * own * np.eye(2)
-
-    def _r95_m(self, weights: np.ndarray) -> float:
-        if len(self._hypotheses) == 1:
-            return r95_of_covariance_m(self._position_covariance(self._hypotheses[0]))
-        components = [
-            (float(weight), h.state.mean[:2], self._position_covariance(h))
-            for weight, h in zip(weights, self._hypotheses, strict=True)
-        ]
-        return r95_of_mixture_m(self._hypotheses[0].state.mean[:2], components)
-
-    def _state_of(self, weights: np.ndarray, r95_m: float) -> EstimateState:
-        if self.accepted < self._diverged_until:
-            return EstimateState.DIVERGED
-        likely = int(np.sum(weights >= AMBIGUOUS_PROBABILITY))
-        if 1 < likely <= MAX_AMBIGUOUS:
-            return EstimateState.AMBIGUOUS
-        if likely == 1 and r95_m <= self.params.localised_r95_m:
-            return EstimateState.LOCALISED
-        return EstimateState.SEARCHING
 
 
 def _identity(measurement: RangingMeasurement) -> Hashable:
@@ -378,21 +307,5 @@ def _identity(measurement: RangingMeasurement) -> Hashable:
     """
     m = measurement
     bearing_rad = m.bearing_enu_rad if m.bearing_body_rad is None else m.bearing_body_rad
-    return (m.stamp_us, m.range_m, bearing_rad)
-
-
-def _place(hypothesis: Hypothesis) -> tuple[float, float]:
-    return (float(hypothesis.state.mean[0]), float(hypothesis.state.mean[1]))
-
-
-def _observed(
-    monitor: NoiseMonitor,
-    report: ModalityReport | None,
-    k_long: float | None,
-    k_short: float | None,
-) -> NoiseMonitor:
-    if report is None:
-        return monitor
-    if report.prior_share > 1.0:
-        return monitor.reset_correlation()
-    return monitor.after(report.whitened_innovation, threshold(k_long), threshold(k_short))
+    stamp = m.measured_at_s if m.stamp_us is None else m.stamp_us
+    return (stamp, m.range_m, bearing_rad, m.elevation_rad)

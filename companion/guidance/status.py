@@ -6,8 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from companion.domain import FlightMode, PositionEnu, TargetEstimate, Waypoint
+from companion.estimation.innovation_noise import TrackerHealth
 from companion.estimation.tracker import TargetTracker
 from companion.guidance.authority import Authority
+from companion.guidance.flight_plan import FlightPlan
 from companion.guidance.launch import Launch
 from companion.guidance.states import Phase
 from companion.guidance.steering import Steering
@@ -33,8 +35,8 @@ class GuidanceStatus:
     setpoint_enu_m: PositionEnu | None
     guard: tuple[str, ...]
     """Why the setpoint is not where the planner wanted it."""
-    nlos_share: float
-    inflation: tuple[float, float]
+    health: TrackerHealth
+    """How far the estimate can be trusted."""
     accepted: int
     refused: Mapping[str, int]
 
@@ -45,6 +47,7 @@ def snapshot(
     hold_reason: str,
     launch: Launch | None,
     vehicle: VehicleView,
+    flight_plan: FlightPlan,
     steering: Steering,
     tracker: TargetTracker,
     estimate: TargetEstimate | None,
@@ -53,7 +56,7 @@ def snapshot(
     return GuidanceStatus(
         time_s=now_s,
         phase=authority.phase,
-        detail=_detail(authority, hold_reason, launch, steering.waypoint),
+        detail=_detail(authority, hold_reason, launch, flight_plan.waypoint),
         mode=vehicle.mode,
         is_armed=vehicle.is_armed,
         is_link_lost=vehicle.is_link_lost(now_s),
@@ -61,11 +64,10 @@ def snapshot(
         height_m=vehicle.height_m,
         distance_m=vehicle.distance_m,
         estimate=estimate,
-        waypoint=steering.waypoint,
+        waypoint=flight_plan.waypoint,
         setpoint_enu_m=steering.setpoint_enu_m,
         guard=tuple(reason.value for reason in steering.reasons),
-        nlos_share=tracker.nlos_share,
-        inflation=tracker.inflation,
+        health=tracker.health,
         accepted=tracker.accepted,
         refused={reason.value: count for reason, count in tracker.refusals.items()},
     )

@@ -151,6 +151,7 @@ class CompanionEndpoint:
         if now_s >= self._next_record_s:
             self._next_record_s = now_s + RECORD_PERIOD_S
             self._journal.record("link", self._link_record(now_s), now_s)
+            self._journal.record("health", asdict(self.session.tracker.health), now_s)
 
     def next_timer_s(self) -> float:
         """When the next control tick is due."""

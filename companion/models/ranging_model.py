@@ -1,115 +1,160 @@
-"""What the filter believes about a measurement: range and bearing of a target at a known height.
+"""What a filter believes about a measurement: slant range, bearing and elevation of one target.
 
-The state is [east, north, range offset, bearing offset]; the measurement is
+The state is [east, north, range offset, bearing offset], followed by a range scale and by the
+target's height where these are not known:
 
-    range    = |target - sensor| + range offset      (slant, the height difference is known)
-    bearing  = atan2(north difference, east difference) + bearing offset
+    range       (1 + scale) |target - sensor| + range offset        slant
+    bearing     atan2(north difference, east difference) + bearing offset
+    elevation   atan2(height difference, ground range)
+
+A measurement is three numbers in that order, NaN where nothing was measured: inside the kernels
+they are one array. With a known height and no elevation the arithmetic is that of the plane.
 
 Paper: eq. (1) with h of the range lifted to the flown altitude, because a radio measures slant
-range (the paper works in the plane of flight).
+range (the paper works in the plane of flight). Deviations: scale, height and elevation.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from companion.geometry.arrays import Vector
+from companion.geometry.arrays import Matrix, Vector
 from companion.kernel import kernel
 
-RANGE_OFFSET, BEARING_OFFSET = 2, 3
-"""Places of the offsets in the state, after east and north."""
+EAST, NORTH, RANGE_OFFSET, BEARING_OFFSET = 0, 1, 2, 3
+"""Places in the state that always exist."""
+
+RANGE, BEARING, ELEVATION = 0, 1, 2
+"""Rows of a measurement."""
+MODALITIES = 3
+
+ABSENT = -1
+"""Index of a component that is not part of the state."""
 
 MIN_RANGE_M = 1e-3
 """Closer than this the direction to the target has no meaning."""
 
 
-@kernel
-def predicted_range(mean: Vector, sensor_enu_m: Vector, target_height_m: float) -> float:
-    """Slant range plus offset, metres. Args: mean (4,); sensor_enu_m (3,)."""
-    de, dn = mean[0] - sensor_enu_m[0], mean[1] - sensor_enu_m[1]
-    du = target_height_m - sensor_enu_m[2]
-    return math.sqrt(de * de + dn * dn + du * du) + float(mean[2])
+class RangingModel(NamedTuple):
+    """The constants of the model, as the kernels take them."""
+
+    height_m: float
+    """Height of the target above the local origin, where it is not in the state."""
+    height_index: int
+    """Place of the height in the state, or `ABSENT`."""
+    scale_index: int
+    """Place of the range scale in the state, or `ABSENT`."""
+    own_sigma_m: float
+    """How well the vehicle knows its own place, per axis."""
+    near_target_terms: bool
+    """Whether variances contain the second-order terms."""
 
 
 @kernel
-def range_jacobian(mean: Vector, sensor_enu_m: Vector, target_height_m: float) -> Vector:
-    """Partials of the range by the state, (4,); zero position part at zero range."""
-    row = np.zeros(4)
-    de, dn = mean[0] - sensor_enu_m[0], mean[1] - sensor_enu_m[1]
-    du = target_height_m - sensor_enu_m[2]
+def target_height_m(mean: Vector, model: RangingModel) -> float:
+    """Height of the target above the local origin, estimated or known."""
+    if model.height_index >= 0:
+        return float(mean[model.height_index])
+    return model.height_m
+
+
+@kernel
+def range_factor(mean: Vector, model: RangingModel) -> float:
+    """What the true distance is multiplied by."""
+    if model.scale_index >= 0:
+        return 1.0 + float(mean[model.scale_index])
+    return 1.0
+
+
+@kernel
+def predicted(mean: Vector, sensor_enu_m: Vector, model: RangingModel) -> Vector:
+    """Range, bearing and elevation expected, (3,); metres and radians, not wrapped.
+
+    Args:
+        mean: (n,) state.
+        sensor_enu_m: (3,).
+        model: The constants.
+    """
+    de = float(mean[0]) - float(sensor_enu_m[0])
+    dn = float(mean[1]) - float(sensor_enu_m[1])
+    du = target_height_m(mean, model) - float(sensor_enu_m[2])
+    ground = math.sqrt(de * de + dn * dn)
     slant = math.sqrt(de * de + dn * dn + du * du)
-    if slant > 1e-3:
-        row[0] = de / slant
-        row[1] = dn / slant
-    row[2] = 1.0
-    return row
+    z = np.empty(3)
+    z[0] = range_factor(mean, model) * slant + mean[2]
+    z[1] = math.atan2(dn, de) + mean[3]
+    z[2] = math.atan2(du, ground)
+    return z
 
 
 @kernel
-def predicted_bearing(mean: Vector, sensor_enu_m: Vector) -> float:
-    """Bearing plus offset, radians counter-clockwise from east, not wrapped."""
-    return math.atan2(mean[1] - sensor_enu_m[1], mean[0] - sensor_enu_m[0]) + float(mean[3])
+def jacobian(mean: Vector, sensor_enu_m: Vector, model: RangingModel) -> Matrix:
+    """Partials of range, bearing and elevation by the state, (3, n).
 
-
-@kernel
-def bearing_jacobian(mean: Vector, sensor_enu_m: Vector) -> Vector:
-    """Partials of the bearing by the state, (4,); zero position part right overhead."""
-    row = np.zeros(4)
-    de, dn = mean[0] - sensor_enu_m[0], mean[1] - sensor_enu_m[1]
+    The position part is zero where a direction has no meaning: at the target and above it.
+    """
+    de = float(mean[0]) - float(sensor_enu_m[0])
+    dn = float(mean[1]) - float(sensor_enu_m[1])
+    du = target_height_m(mean, model) - float(sensor_enu_m[2])
     ground2 = de * de + dn * dn
-    if ground2 > 1e-6:
-        row[0] = -dn / ground2
-        row[1] = de / ground2
-    row[3] = 1.0
-    return row
+    slant2 = ground2 + du * du
+    H = np.zeros((3, mean.size))
+    H[0, 2] = 1.0
+    H[1, 3] = 1.0
+    if model.scale_index >= 0:
+        H[0, model.scale_index] = math.sqrt(slant2)
+    if slant2 > MIN_RANGE_M * MIN_RANGE_M:
+        by_slant = range_factor(mean, model) / math.sqrt(slant2)
+        H[0, 0] = de * by_slant
+        H[0, 1] = dn * by_slant
+        if model.height_index >= 0:
+            H[0, model.height_index] = du * by_slant
+            H[2, model.height_index] = math.sqrt(ground2) / slant2
+    if ground2 > MIN_RANGE_M * MIN_RANGE_M:
+        H[1, 0] = -dn / ground2
+        H[1, 1] = de / ground2
+        down = -du / (slant2 * math.sqrt(ground2))
+        H[2, 0] = de * down
+        H[2, 1] = dn * down
+    return H
 
 
 @kernel
-def range_variance(
-    P: Vector,
-    mean: Vector,
-    sensor_enu_m: Vector,
-    target_height_m: float,
-    sigma_m: float,
-    own_sigma_m: float,
-    second_order: bool,
-) -> float:
-    """Variance of a range about the model, m^2: radio noise, own position, curvature.
+def variances(
+    P: Matrix, mean: Vector, sensor_enu_m: Vector, sigma: Vector, model: RangingModel
+) -> Vector:
+    """Variances of range, bearing and elevation about the model, (3,), m^2 and rad^2.
 
-    The curvature term (tr P / 2r)^2 is the spread of the range's second-order part; without it an
-    EKF believes a linearisation that is meaningless near the target and diverges.
+    Radio noise, the vehicle's own position (for angles by the angle it spans from the target), and
+    the spread of the model's second-order part: (tr P / 2r)^2 for the range, (tr P / r^2)^2 with r
+    along the ground for the bearing. Without these an EKF believes a linearisation that is
+    meaningless near the target, and diverges. The elevation's cone above the target is as sharp.
+
+    Args:
+        P: (n, n) covariance of the state.
+        mean: (n,) state.
+        sensor_enu_m: (3,).
+        sigma: (3,) noise of the radio.
+        model: The constants.
     """
-    variance = sigma_m * sigma_m + own_sigma_m * own_sigma_m
-    if second_order:
-        de, dn = mean[0] - sensor_enu_m[0], mean[1] - sensor_enu_m[1]
-        du = target_height_m - sensor_enu_m[2]
-        slant2 = max(de * de + dn * dn + du * du, 1e-6)
+    de = float(mean[0]) - float(sensor_enu_m[0])
+    dn = float(mean[1]) - float(sensor_enu_m[1])
+    du = target_height_m(mean, model) - float(sensor_enu_m[2])
+    ground2 = max(de * de + dn * dn, MIN_RANGE_M * MIN_RANGE_M)
+    slant2 = max(de * de + dn * dn + du * du, MIN_RANGE_M * MIN_RANGE_M)
+    own2 = model.own_sigma_m * model.own_sigma_m
+    R = sigma * sigma
+    R[0] += own2
+    R[1] += own2 / ground2
+    R[2] += own2 / slant2
+    if model.near_target_terms:
         trace = float(P[0, 0] + P[1, 1])
-        variance += trace * trace / (4.0 * slant2)
-    return variance
-
-
-@kernel
-def bearing_variance(
-    P: Vector,
-    mean: Vector,
-    sensor_enu_m: Vector,
-    sigma_rad: float,
-    own_sigma_m: float,
-    second_order: bool,
-) -> float:
-    """Variance of a bearing about the model, rad^2: radio noise, own position, curvature.
-
-    The own position counts by the angle it spans from the target; the curvature term is
-    (tr P / r^2)^2 with r along the ground.
-    """
-    de, dn = mean[0] - sensor_enu_m[0], mean[1] - sensor_enu_m[1]
-    ground2 = max(float(de * de + dn * dn), 1e-6)
-    variance = sigma_rad * sigma_rad + own_sigma_m * own_sigma_m / ground2
-    if second_order:
-        trace = float(P[0, 0] + P[1, 1])
-        spread_rad = trace / ground2
-        variance += spread_rad * spread_rad
-    return variance
+        R[1] += (trace / ground2) ** 2
+        if model.height_index >= 0:
+            trace += float(P[model.height_index, model.height_index])
+        R[0] += trace * trace / (4.0 * slant2)
+        R[2] += (trace / slant2 * (1.0 + 0.5 * abs(du) / math.sqrt(ground2))) ** 2
+    return R

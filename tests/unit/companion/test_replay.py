@@ -30,7 +30,8 @@ def test_recorded_wifi_walk_is_localised_within_its_claimed_radius() -> None:
     results = replay_walk(MALL, load_config(WIFI).estimation)
     assert [r.target_id for r in results] == ["AP1", "AP2", "AP5", "AP6", "AP7", "AP8"]
     assert sum(r.rows for r in results) == 7872
-    assert float(np.median(errors_m(results))) <= 1.0
+    assert float(np.median(errors_m(results))) <= 0.8
+    assert max(errors_m(results)) <= 2.1
     covered = [
         r.error_m is not None and r.estimate is not None and r.error_m <= r.estimate.r95_m
         for r in results

@@ -12,7 +12,9 @@ from companion.estimation.consistency import (
     FORGETTING,
     MAX_CORRELATION,
     MAX_INFLATION,
+    MIN_PAIRS,
     PRIOR_COUNT,
+    SIGNIFICANT_SIGMAS,
     NoiseMonitor,
 )
 
@@ -22,7 +24,7 @@ K = 1.5
 def _monitor(
     innovations: Iterable[float], k_short: float = K, prior_inflation: float = 1.0
 ) -> NoiseMonitor:
-    monitor = NoiseMonitor.prior(prior_inflation)
+    monitor = NoiseMonitor(prior_inflation)
     for u in innovations:
         monitor = monitor.after(float(u), K, k_short)
     return monitor
@@ -38,7 +40,7 @@ def _repeating(rng: np.random.Generator, rho: float, count: int) -> list[float]:
 
 @pytest.mark.parametrize("inflation", [1.0, 4.0, 10.0])
 def test_before_any_data_the_prior_is_believed(inflation: float) -> None:
-    assert NoiseMonitor.prior(inflation).inflation == pytest.approx(inflation)
+    assert NoiseMonitor(inflation).inflation == pytest.approx(inflation)
 
 
 @pytest.mark.parametrize("k_short", [K, math.inf])
@@ -49,13 +51,14 @@ def test_well_specified_white_noise_needs_no_inflation(k_short: float) -> None:
     ]
     assert min(found) >= 1.0
     assert float(np.median(found)) < 1.05
-    assert max(found) < 1.5  # two standard errors of the correlation are taken for one now and then
+    assert max(found) < 1.5  # chance is taken for a correlation once in twenty
 
 
 def test_a_cautious_prior_is_forgotten() -> None:
     noise = np.random.default_rng(1).normal(size=2000)
-    assert _monitor(noise[:20], prior_inflation=4.0).inflation > 2.0
-    assert _monitor(noise, prior_inflation=4.0).inflation == pytest.approx(1.0, abs=0.05)
+    assert _monitor(noise[:4], prior_inflation=4.0).inflation > 2.0
+    assert _monitor(noise[:20], prior_inflation=4.0).inflation > 1.3
+    assert _monitor(noise, prior_inflation=4.0).inflation == pytest.approx(1.0, abs=0.1)
 
 
 def test_it_is_the_sandwich_of_contaminated_noise() -> None:
@@ -64,26 +67,48 @@ def test_it_is_the_sandwich_of_contaminated_noise() -> None:
     u = np.where(rng.random(900) < 0.7, rng.exponential(5.0, 900), 0.0) + rng.normal(size=900)
     psi = np.minimum(u, K)
     age = FORGETTING ** np.arange(900)[::-1]
-    prior = PRIOR_COUNT * FORGETTING**900
-    count = age.sum() + prior
-    mean_weight = ((age * psi / u).sum() + prior) / count
-    mean_psi2 = ((age * psi**2).sum() + prior) / count
-    mean_slope = ((age * (u <= K)).sum() + prior) / count
-    mean_psi = (age * psi).sum() / count
-    lag = (age[1:] * psi[1:] * psi[:-1]).sum() / count
-    rho = (lag - mean_psi**2) / (mean_psi2 - mean_psi**2)
-    rho = rho if rho > 2.0 / math.sqrt(count) else 0.0
+    count = age.sum()
+    believed = count + PRIOR_COUNT
+    mean_weight = ((age * psi / u).sum() + PRIOR_COUNT) / believed
+    mean_psi2 = ((age * psi**2).sum() + PRIOR_COUNT * 3.0) / believed
+    mean_slope = ((age * (u <= K)).sum() + PRIOR_COUNT) / believed
     sandwich = mean_weight * mean_psi2 / mean_slope**2
     assert sandwich > 1.5
-    monitor = _monitor(u, math.inf)
-    assert monitor.inflation == pytest.approx(sandwich * (1.0 + rho) / (1.0 - rho), rel=1e-9)
-    assert monitor.mean_influence == pytest.approx(mean_psi, rel=1e-9)
-    assert monitor.bilateral_share == pytest.approx(mean_slope, rel=1e-9)
+    monitor = _monitor(u, math.inf, prior_inflation=3.0)
+    assert monitor.inflation == pytest.approx(sandwich * monitor.repetition, rel=1e-9)
+    assert monitor.mean_influence == pytest.approx((age * psi).sum() / count, rel=1e-9)
+    assert monitor.bilateral_share == pytest.approx((age * (u <= K)).sum() / count, rel=1e-9)
+
+
+def test_repetition_is_that_of_the_lag_one_correlation() -> None:
+    psi = np.clip(_repeating(np.random.default_rng(4), 0.5, 900), -K, K)
+    age = FORGETTING ** np.arange(900)[::-1]
+    mean_psi = (age * psi).sum() / age.sum()
+    variance = (age * psi**2).sum() / age.sum() - mean_psi**2
+    lag = (age[1:] * psi[1:] * psi[:-1]).sum() / age[1:].sum()
+    rho = (lag - mean_psi**2) / variance
+    assert rho > SIGNIFICANT_SIGMAS / math.sqrt(age[1:].sum())
+    monitor = _monitor(psi)
+    assert monitor.correlation == pytest.approx(rho, rel=1e-9)
+    assert monitor.repetition == pytest.approx((1.0 + rho) / (1.0 - rho), rel=1e-9)
+
+
+@pytest.mark.parametrize("count", [2, 5, int(MIN_PAIRS)])
+def test_few_neighbours_tell_nothing_of_correlation(count: int) -> None:
+    assert _monitor([1.0, -1.0] * 3 + [1.4] * count).repetition == 1.0
+
+
+def test_a_long_gap_between_pairs_is_no_correlation_lost() -> None:
+    """Chains of two: every pair counts, and nothing across the gaps."""
+    monitor = NoiseMonitor(1.0)
+    for u in np.random.default_rng(3).normal(size=400):
+        monitor = monitor.after(float(u), K, K).after(float(u), K, K).reset_correlation()
+    assert monitor.correlation > 0.9
 
 
 def test_noise_that_is_larger_than_believed_is_noticed() -> None:
     """Quadratic loss: the sandwich is the variance itself."""
-    monitor = NoiseMonitor.prior(1.0)
+    monitor = NoiseMonitor(1.0)
     for u in 2.0 * np.random.default_rng(8).normal(size=3000):
         monitor = monitor.after(float(u), math.inf, math.inf)
     assert monitor.inflation == pytest.approx(4.0, rel=0.25)
@@ -108,7 +133,7 @@ def test_neighbours_of_opposite_sign_do_not_shrink_it() -> None:
 
 def test_a_broken_chain_has_no_neighbours() -> None:
     """Each innovation follows a gap: nothing says that they repeat each other."""
-    monitor = NoiseMonitor.prior(1.0)
+    monitor = NoiseMonitor(1.0)
     for u in np.random.default_rng(3).normal(size=1000):
         monitor = monitor.after(float(u), K, K).reset_correlation()
     assert monitor.correlation == 0.0
@@ -129,4 +154,4 @@ def test_silence_is_not_divided_by() -> None:
 
 
 def test_without_variance_there_is_no_correlation() -> None:
-    assert NoiseMonitor(10.0, 10.0, 10.0, 10.0, 10.0, 10.0).correlation == 0.0
+    assert _monitor([1.0] * 50).correlation == 0.0

@@ -1,8 +1,11 @@
+"""Which measurements are refused, and that they leave no trace."""
+
 from __future__ import annotations
 
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from companion.domain import PositionEnu, RangingMeasurement
@@ -21,10 +24,13 @@ GOOD = RangingMeasurement(
     stamp_us=1_000,
 )
 
+UNSTAMPED = replace(GOOD, measured_at_s=NOW_S - 0.8, stamp_us=None)
+
 
 def _tracker() -> TargetTracker:
-    """A tracker in flight, with emitter 7 and stamps up to 999 behind it."""
+    """A tracker in flight, with emitter 7, stamps up to 999 and one without behind it."""
     tracker = TargetTracker(TrackerParams())
+    tracker.fuse(UNSTAMPED, (-10.0, 0.0, 20.0), NOW_S - 0.5)
     for step in range(5):
         seen = replace(GOOD, measured_at_s=NOW_S - 1.0 + 0.1 * step, stamp_us=995 + step)
         tracker.fuse(seen, (10.0 * step, 0.0, 20.0), NOW_S - 0.5)
@@ -65,7 +71,17 @@ REFUSED = {
     "range absurd": (replace(GOOD, range_m=2000.1), Refusal.RANGE_ABSURD),
     "bearing in degrees": (replace(GOOD, bearing_enu_rad=90.0), Refusal.BEARING_ABSURD),
     "body bearing in degrees": (replace(GOOD, bearing_body_rad=-7.0), Refusal.BEARING_ABSURD),
+    "elevation NaN": (replace(GOOD, elevation_rad=math.nan), Refusal.NOT_FINITE),
+    "elevation inf": (replace(GOOD, elevation_rad=math.inf), Refusal.NOT_FINITE),
+    "elevation sigma NaN": (replace(GOOD, elevation_sigma_rad=math.nan), Refusal.NOT_FINITE),
+    "elevation in degrees": (replace(GOOD, elevation_rad=45.0), Refusal.ELEVATION_ABSURD),
+    "elevation past the zenith": (replace(GOOD, elevation_rad=1.6), Refusal.ELEVATION_ABSURD),
+    "elevation alone": (
+        replace(GOOD, range_m=None, bearing_enu_rad=None, elevation_rad=0.3),
+        Refusal.NOTHING_MEASURED,
+    ),
     "sigma zero": (replace(GOOD, range_sigma_m=0.0), Refusal.SIGMA_NOT_POSITIVE),
+    "elevation sigma zero": (replace(GOOD, elevation_sigma_rad=0.0), Refusal.SIGMA_NOT_POSITIVE),
     "bearing sigma negative": (replace(GOOD, bearing_sigma_rad=-0.1), Refusal.SIGMA_NOT_POSITIVE),
     "future": (
         replace(GOOD, measured_at_s=NOW_S + FUTURE_TOLERANCE_S + 0.01),
@@ -73,6 +89,11 @@ REFUSED = {
     ),
     "stale": (replace(GOOD, measured_at_s=NOW_S - 1.01), Refusal.STALE),
     "duplicate": (replace(GOOD, stamp_us=997), Refusal.DUPLICATE),
+    "duplicate without a stamp": (UNSTAMPED, Refusal.DUPLICATE),
+    "no yaw for the bearing of an elevation": (
+        replace(GOOD, range_m=None, bearing_enu_rad=None, bearing_body_rad=0.1, elevation_rad=-0.3),
+        Refusal.NO_YAW,
+    ),
     "no yaw": (
         replace(GOOD, range_m=None, bearing_enu_rad=None, bearing_body_rad=0.1),
         Refusal.NO_YAW,
@@ -130,19 +151,32 @@ def test_every_reason_is_covered_here() -> None:
         replace(GOOD, measured_at_s=NOW_S - 1.0),
         replace(GOOD, measured_at_s=NOW_S + 0.5 * FUTURE_TOLERANCE_S),
         replace(GOOD, stamp_us=None),
+        replace(GOOD, elevation_rad=float(np.float32(0.5 * math.pi))),
+        replace(GOOD, elevation_rad=float(np.float32(-0.5 * math.pi))),
+        replace(GOOD, range_sigma_m=1e-300, bearing_sigma_rad=1e300),
     ],
 )
 def test_what_is_just_plausible_is_accepted(edge: RangingMeasurement) -> None:
     tracker = _tracker()
     assert tracker.fuse(edge, PLACE, NOW_S).refusal is None
-    assert tracker.accepted == 6
+    assert tracker.accepted == 7
 
 
-def test_without_stamps_nothing_is_a_duplicate() -> None:
+def test_without_stamps_the_time_of_measurement_tells_a_duplicate() -> None:
     tracker = _tracker()
     unstamped = replace(GOOD, stamp_us=None)
+    later = replace(unstamped, measured_at_s=NOW_S + 0.01)
     assert tracker.fuse(unstamped, PLACE, NOW_S).refusal is None
-    assert tracker.fuse(unstamped, PLACE, NOW_S).refusal is None
+    assert tracker.fuse(unstamped, PLACE, NOW_S).refusal is Refusal.DUPLICATE
+    assert tracker.fuse(later, PLACE, NOW_S).refusal is None
+    assert tracker.fuse(unstamped, PLACE, NOW_S).refusal is Refusal.DUPLICATE
+
+
+def test_an_elevation_whose_bearing_lacks_a_yaw_starts_nothing() -> None:
+    tracker = TargetTracker(TrackerParams())
+    seen = RangingMeasurement(1, NOW_S, bearing_body_rad=0.1, elevation_rad=-0.3)
+    assert tracker.fuse(seen, PLACE, NOW_S).refusal is Refusal.NO_YAW
+    assert tracker.estimate(NOW_S) is None
 
 
 def test_a_refused_measurement_does_not_choose_the_emitter() -> None:

@@ -1,4 +1,4 @@
-"""The bounded-window MAP and what it does to the hypotheses."""
+"""The bounded-window MAP: its optima, their covariances, and where they come from."""
 
 from __future__ import annotations
 
@@ -7,102 +7,101 @@ import math
 import numpy as np
 import pytest
 
-from companion.domain import EstimateState, RangingMeasurement
-from companion.estimation.base import FilterParams, FilterState
-from companion.estimation.hypotheses import Hypothesis
-from companion.estimation.measurement_window import SEQUENCE, MeasurementWindow, thinned
-from companion.estimation.polish import polished, weighted
-from companion.estimation.tracker import TargetTracker, TrackerParams
-from companion.estimation.window_map import (
-    Optimum,
-    WindowMap,
+from companion.estimation.filter_params import FilterParams
+from companion.estimation.map_kernels import map_cost, row_sigmas
+from companion.estimation.observability import mirrored
+from companion.estimation.older_evidence import OlderEvidence
+from companion.estimation.rivals import weighted
+from companion.estimation.window_map import MAX_POSITION_SIGMA_M, SAME_PLACE_M, WindowMap
+from companion.geometry.arrays import Matrix, Vector
+from tests.unit.companion.estimation.walks import (
+    OFFSET_M,
+    START,
+    TARGET,
+    TURN_RAD,
+    params,
+    reflected,
+    repeating,
+    walk,
 )
 
-TARGET = (40.0, 25.0)
-OFFSET_M = 2.0
-TURN_RAD = -0.05
 
-
-def walk(
-    rng: np.random.Generator,
-    count: int = 200,
-    *,
-    ranges: bool = True,
-    bearings: bool = True,
-    straight: bool = False,
-    noise: float = 1.0,
-) -> np.ndarray:
-    """Rows of a walk at 10 m height, with well-specified noise times `noise`."""
-    s = np.linspace(0.0, 1.0, count)
-    east = 60.0 * s
-    north = np.zeros(count) if straight else 30.0 * np.sin(2.0 * math.pi * s)
-    away = np.array(TARGET)[:, None] - np.stack([east, north])
-    slant = np.sqrt((away**2).sum(axis=0) + 100.0)
-    z = slant + OFFSET_M + noise * rng.normal(0.0, 0.5, count)
-    b = np.arctan2(away[1], away[0]) + TURN_RAD + noise * rng.normal(0.0, 0.03, count)
-    nan = np.full(count, np.nan)
-    return np.stack(
-        [
-            east,
-            north,
-            np.full(count, 10.0),
-            z if ranges else nan,
-            b if bearings else nan,
-            np.full(count, 0.5),
-            np.full(count, 0.03),
-        ],
-        axis=1,
-    )
-
-
-def params(**changes: float | None) -> FilterParams:
-    return FilterParams(own_position_sigma_m=0.0, **changes)  # type: ignore[arg-type]
+def _solved(p: FilterParams, rows: Matrix, start: Vector = START) -> Vector:
+    solution = WindowMap(p).solve(rows, start)
+    assert solution is not None
+    return solution[0]
 
 
 @pytest.mark.parametrize(("ranges", "bearings"), [(True, True), (True, False), (False, True)])
 def test_noiseless_walk_is_solved_exactly(ranges: bool, bearings: bool) -> None:
     rows = walk(np.random.default_rng(1), ranges=ranges, bearings=bearings, noise=0.0)
     weak_priors = params(range_offset_sigma_m=1e4, bearing_offset_sigma_deg=1e4)
-    solution = WindowMap(weak_priors).solve(rows, np.array([20.0, 10.0, 0.0, 0.0]))
-    assert solution is not None
-    assert solution[0][:2] == pytest.approx(TARGET, abs=1e-3)
+    mean = _solved(weak_priors, rows, np.array([20.0, 10.0, 0.0, 0.0]))
+    assert mean[:2] == pytest.approx(TARGET, abs=1e-3)
     if ranges:
-        assert solution[0][2] == pytest.approx(OFFSET_M, abs=1e-3)
+        assert mean[2] == pytest.approx(OFFSET_M, abs=1e-3)
     if bearings:
-        assert solution[0][3] == pytest.approx(TURN_RAD, abs=1e-4)
+        assert mean[3] == pytest.approx(TURN_RAD, abs=1e-4)
 
 
 def test_solution_is_a_minimum_of_the_objective() -> None:
-    rng = np.random.default_rng(2)
-    solver, rows = WindowMap(params()), walk(rng)
+    """The paper's: robust losses, Gaussian priors of the offsets, none of the position."""
+    rng, p = np.random.default_rng(2), params()
+    rows = walk(rng)
     rows[::3, 3] += rng.exponential(8.0, len(rows[::3]))
-    mean, cost = solver.solve(rows, np.array([30.0, 10.0, 0.0, 0.0])) or (np.zeros(4), math.inf)
-    sigmas = solver._sigmas(rows, mean)
-    assert cost == pytest.approx(solver._cost(rows, mean, sigmas))
+    solution = WindowMap(p).solve(rows, np.array([30.0, 10.0, 0.0, 0.0]))
+    assert solution is not None
+    mean, cost = solution
+    priors = np.diag([0.0, 0.0, 1.0 / 5.0**2, 1.0 / math.radians(5.0) ** 2])
+
+    def objective(x: Vector) -> float:
+        sigmas = row_sigmas(rows, x, p.model)
+        return float(map_cost(rows, x, sigmas, p.thresholds, priors, np.zeros(4), p.model))
+
+    assert cost == pytest.approx(objective(mean))
     for direction in np.concatenate([np.eye(4), -np.eye(4)]):
-        assert solver._cost(rows, mean + 0.01 * direction, sigmas) > cost
+        assert objective(mean + 0.01 * direction) > cost
 
 
 def test_one_sided_loss_beats_the_quadratic_one_under_reflections() -> None:
     errors: dict[str, list[float]] = {"one-sided": [], "quadratic": []}
     for seed in range(20):
         rng = np.random.default_rng(seed)
-        rows = walk(rng, bearings=False)
-        reflected = rng.random(len(rows)) < 0.5
-        rows[reflected, 3] += rng.exponential(8.0, int(reflected.sum()))
+        rows = reflected(rng, walk(rng, bearings=False), 0.5)
         for name, k in (("one-sided", 1.0), ("quadratic", None)):
-            solution = WindowMap(params(range_k_long=k)).solve(rows, np.array([35, 20, 0, 0.0]))
-            assert solution is not None
-            errors[name].append(math.dist(solution[0][:2], TARGET))
+            mean = _solved(params(range_k_long=k), rows)
+            errors[name].append(math.dist(mean[:2], TARGET))
     assert np.mean(errors["one-sided"]) < 0.5 * np.mean(errors["quadratic"])
 
 
 def test_offset_stays_inside_its_bounds() -> None:
     rows = walk(np.random.default_rng(3))
-    bounded = WindowMap(params(range_offset_min_m=0.0, range_offset_max_m=1.0))
-    solution = bounded.solve(rows, np.array([30.0, 10.0, 5.0, 0.0]))
-    assert solution is not None
-    assert solution[0][2] == 1.0
+    bounded = params(range_offset_min_m=0.0, range_offset_max_m=1.0)
+    assert _solved(bounded, rows, np.array([30.0, 10.0, 5.0, 0.0]))[2] == 1.0
+
+
+def test_where_the_offset_is_at_its_bound_the_place_is_still_the_best_there_is() -> None:
+    """The place for an offset that is one metre, found with that offset known."""
+    rows = walk(np.random.default_rng(3))
+    bounded = params(range_offset_min_m=0.0, range_offset_max_m=1.0)
+    shorter = np.array(rows)
+    shorter[:, 3] -= 1.0
+    known = _solved(params(range_offset_sigma_m=1e-9), shorter)
+    np.testing.assert_allclose(_solved(bounded, rows)[:2], known[:2], rtol=0.0, atol=1e-2)
+
+
+def test_height_and_scale_are_found_with_the_place() -> None:
+    rng = np.random.default_rng(9)
+    rows = walk(rng, elevations=True, height_m=4.0, scale=0.06)
+    p = params(range_scale_sigma=0.05, target_height_sigma_m=5.0)
+    (best,) = WindowMap(p).optima(rows, [np.append(START, [0.0, 0.0])])
+    sigmas = np.sqrt(np.diag(best.covariance))
+    expected = np.array([*TARGET, OFFSET_M, TURN_RAD, 0.06, 4.0])
+    assert (np.abs(best.mean - expected) < 3.0 * sigmas + 1e-3).all()
+    assert sigmas[5] < 1.5
+
+
+# -- Several optima ------------------------------------------------------------------------------
 
 
 def test_straight_walk_with_ranges_only_has_two_mirror_optima() -> None:
@@ -116,12 +115,55 @@ def test_straight_walk_with_ranges_only_has_two_mirror_optima() -> None:
     assert optima[0].cost == pytest.approx(optima[1].cost, abs=1e-3)
 
 
+def test_the_mirrored_optimum_is_a_start_that_finds_the_other_one() -> None:
+    rows = walk(np.random.default_rng(4), bearings=False, straight=True)
+    solver = WindowMap(params())
+    (one,) = solver.optima(rows, [START])
+    (both) = solver.optima(rows, [one.mean, mirrored(one.mean, rows[:, :2])])
+    assert len(both) == 2
+    np.testing.assert_allclose(both[1].mean[:2], both[0].mean[:2] * [1.0, -1.0], atol=0.05)
+
+
+def test_the_same_optimum_is_told_once_and_the_best_one_first() -> None:
+    rows = walk(np.random.default_rng(5), bearings=False)
+    solver = WindowMap(params())
+    starts = [solver.start_around(rows, 2.0 * math.pi * i / 12, i) for i in range(12)]
+    optima = solver.optima(rows, [*starts, *starts])
+    costs = [optimum.cost for optimum in optima]
+    assert costs == sorted(costs)
+    places = [optimum.mean[:2] for optimum in optima]
+    for index, place in enumerate(places):
+        assert all(math.dist(place, other) > SAME_PLACE_M for other in places[:index])
+    assert places[0] == pytest.approx(TARGET, abs=2.0)
+
+
+def test_fresh_starts_are_as_far_as_the_ranges_say() -> None:
+    rows = walk(np.random.default_rng(5), bearings=False, noise=0.0)
+    solver, centre = WindowMap(params()), rows[:, :2].mean(axis=0)
+    expected_m = math.sqrt(float(np.median(rows[:, 3])) ** 2 - 10.0**2)
+    for direction_rad in (0.0, 1.0, -2.0):
+        start = solver.start_around(rows, direction_rad, 0)
+        away = start[:2] - centre
+        assert math.hypot(*away) == pytest.approx(expected_m)
+        assert math.atan2(away[1], away[0]) == pytest.approx(direction_rad)
+
+
+def test_without_ranges_fresh_starts_take_turns_near_and_far() -> None:
+    rows = walk(np.random.default_rng(5), ranges=False)
+    solver, centre = WindowMap(params()), rows[:, :2].mean(axis=0)
+    distances = [math.dist(solver.start_around(rows, 0.3, i)[:2], centre) for i in range(4)]
+    assert distances == pytest.approx([4.0, 12.0, 36.0, 4.0])
+
+
+# -- Covariances ---------------------------------------------------------------------------------
+
+
 def test_covariance_covers_well_specified_noise() -> None:
     inside = 0
+    solver = WindowMap(params(range_k_long=None, bearing_k=None))
     for seed in range(200):
-        rng = np.random.default_rng(1000 + seed)
-        solver, rows = WindowMap(params(range_k_long=None, bearing_k=None)), walk(rng)
-        (optimum,) = solver.optima(rows, [np.array([35.0, 20.0, 0.0, 0.0])])
+        rows = walk(np.random.default_rng(1000 + seed))
+        (optimum,) = solver.optima(rows, [START])
         error = optimum.mean[:2] - np.array(TARGET)
         nees = float(error @ np.linalg.solve(optimum.covariance[:2, :2], error))
         inside += nees < 5.991
@@ -131,12 +173,54 @@ def test_covariance_covers_well_specified_noise() -> None:
 def test_covariance_grows_when_neighbouring_residuals_repeat() -> None:
     rng = np.random.default_rng(5)
     solver = WindowMap(params())
-    white, repeated = walk(rng, noise=0.0), walk(rng, noise=0.0)
-    white[:, 3] += rng.normal(0.0, 0.5, 200)
+    white, repeated = walk(rng), walk(rng, noise=0.0)
     repeated[:, 3] += np.repeat(rng.normal(0.0, 0.5, 10), 20)
-    start = np.array([35.0, 20.0, 0.0, 0.0])
-    (a,), (b,) = solver.optima(white, [start]), solver.optima(repeated, [start])
+    repeated[:, 4] = white[:, 4]
+    (a,), (b,) = solver.optima(white, [START]), solver.optima(repeated, [START])
     assert np.trace(b.covariance[:2, :2]) > 3.0 * np.trace(a.covariance[:2, :2])
+    assert b.inflation > 2.0 * a.inflation
+
+
+def test_noise_is_told_apart_from_its_repetition() -> None:
+    """One measurement of a slow noise is as good as another; only its neighbours are not."""
+    solver = WindowMap(params(range_k_long=None, bearing_k=None))
+    rows = walk(np.random.default_rng(5), noise=0.0)
+    slow, loud = np.array(rows), np.array(rows)
+    slow[:, 3] += 0.5 * repeating(np.random.default_rng(6), 0.9, 200)[:, 0]
+    loud[:, 3] += 1.5 * np.random.default_rng(6).normal(size=200)
+    (a,), (b,) = solver.optima(slow, [START]), solver.optima(loud, [START])
+    assert a.noise[0] < 2.0
+    assert b.noise[0] == pytest.approx(9.0, rel=0.3)
+    assert a.noise[1] == b.noise[1] == 1.0  # noiseless bearings promise no better than thermal
+
+
+def test_reflections_count_less_than_thermal_noise_would() -> None:
+    rng = np.random.default_rng(7)
+    solver, rows = WindowMap(params(range_k_long=1.0)), walk(rng)
+    (clear,) = solver.optima(rows, [START])
+    (blocked,) = solver.optima(reflected(rng, rows, 0.8), [START])
+    assert blocked.noise[0] > 1.5 * clear.noise[0]
+    assert np.trace(blocked.covariance[:2, :2]) > np.trace(clear.covariance[:2, :2])
+
+
+def test_known_white_noise_leaves_it_surer() -> None:
+    rows = walk(np.random.default_rng(5))
+    solver = WindowMap(params())
+    (white,), (unknown,) = (solver.optima(rows, [START], is_white=w) for w in (True, False))
+    assert white.mean.tobytes() == unknown.mean.tobytes()
+    assert np.trace(white.covariance[:2, :2]) <= np.trace(unknown.covariance[:2, :2])
+
+
+def test_influences_are_those_of_the_measurements() -> None:
+    rows = reflected(np.random.default_rng(8), walk(np.random.default_rng(8)), 0.5)
+    (best,) = WindowMap(params()).optima(rows, [START])
+    assert best.psi.shape == (3, 200)
+    assert best.psi[0].max() == 1.5
+    assert best.psi[1].min() >= -1.5
+    assert not best.psi[2].any()
+
+
+# -- Where there is nothing to find --------------------------------------------------------------
 
 
 def test_measurements_from_one_place_name_no_place() -> None:
@@ -147,106 +231,26 @@ def test_measurements_from_one_place_name_no_place() -> None:
     assert solver.optima(rows, [np.array([40.0, 25.0, 0.0, 0.0])]) == []
 
 
-def test_window_is_bounded_and_keeps_the_rare_views() -> None:
-    window = MeasurementWindow(64)
-    for index in range(40):
-        phi = 2.0 * math.pi * index / 40
-        place = (5.0 * math.cos(phi), 5.0 * math.sin(phi), 10.0)
-        window.add(place, 50.0, None, 1.0, 0.1, (0.0, 0.0))
-    assert window.is_complete
-    for index in range(5000):
-        window.add((5.0, 0.1, 10.0), 50.0 + index, None, 1.0, 0.1, (0.0, 0.0))
-    assert len(window) <= 64
-    assert not window.is_complete
-    rows = window.rows
-    sectors = np.unique(np.floor(np.arctan2(rows[:, 1], rows[:, 0]) / (math.pi / 8.0)))
-    assert len(sectors) >= 15
-    hovering = rows[rows[:, 3] > 50.0, 3] - 50.0
-    assert np.all(np.diff(hovering) > 0.0)
-    old = hovering[hovering < 4900.0]
-    assert len(old) >= 5
-    assert np.diff(old).max() < 4.0 * np.diff(old).min()
-    assert window.kept_share == pytest.approx(len(window) / 5040)
-    window.clear()
-    assert len(window) == 0
-    assert window.kept_share == 1.0
-    assert window.is_complete
+def test_an_optimum_that_is_too_vague_is_none() -> None:
+    rows = walk(np.random.default_rng(6), bearings=False)
+    rows[:, :2] = [[0.1, 0.0]] * 100 + [[-0.1, 0.0]] * 100
+    rows[:, 3] = 47.0 + 1e-4 * np.random.default_rng(6).normal(size=200)
+    for optimum in WindowMap(params()).optima(rows, [START]):
+        assert math.sqrt(np.trace(optimum.covariance[:2, :2])) <= MAX_POSITION_SIGMA_M
 
 
-@pytest.mark.parametrize("target", [1, 10, 24, 31])
-def test_thinning_never_keeps_more_than_asked(target: int) -> None:
-    rng = np.random.default_rng(7)
-    rows = rng.uniform(0.0, 100.0, (32, 8))
-    rows[:, SEQUENCE] = np.arange(32)
-    assert len(thinned(rows, target, (50.0, 50.0))) <= target
+def test_from_nowhere_and_with_nothing_it_leads_nowhere() -> None:
+    rows = walk(np.random.default_rng(6))
+    assert WindowMap(params()).optima(rows, [np.full(4, np.nan)]) == []
+    rows[:, 3:6] = np.nan
+    assert WindowMap(params()).optima(rows, [START]) == []
 
 
-def optimum(east_m: float, cost: float, sigma_m: float = 0.5, inflation: float = 1.0) -> Optimum:
-    covariance = np.diag([sigma_m**2, sigma_m**2, 1.0, 0.01])
-    return Optimum(np.array([east_m, 0.0, 1.0, 0.0]), cost, covariance, inflation)
-
-
-def hypothesis(east_m: float, sigma_m: float = 0.5) -> Hypothesis:
-    covariance = np.diag([sigma_m**2, sigma_m**2, 1.0, 0.01])
-    return Hypothesis(0.0, FilterState.of(3.0, np.array([east_m, 0.0, 1.0, 0.0]), covariance))
-
-
-def test_confirmed_hypothesis_stays_if_it_may() -> None:
-    own = hypothesis(10.0)
-    (kept,) = polished((own,), [optimum(10.2, 5.0)], 4.0, keep_confirmed=True)
-    assert kept.state is own.state
-    (moved,) = polished((own,), [optimum(10.2, 5.0)], 4.0, keep_confirmed=False)
-    assert moved.state.mean[0] == 10.2
-    assert moved.state.time_s == 4.0
-
-
-def test_contradicted_hypothesis_is_replaced_by_the_optimum() -> None:
-    (moved,) = polished((hypothesis(30.0),), [optimum(10.0, 5.0)], 4.0, keep_confirmed=True)
-    assert moved.state.mean[0] == 10.0
-
-
-def test_inflation_keeps_a_rival_alive_that_white_noise_would_rule_out() -> None:
-    def rivals(inflation: float) -> list[Optimum]:
-        return [optimum(0.0, 100.0, inflation=inflation), optimum(9.0, 120.0, inflation=inflation)]
-
-    assert len(weighted(rivals(1.0))) == 1
-    assert len(weighted(rivals(10.0))) == 2
-
-
-def test_a_wrong_place_does_not_excuse_itself_by_its_own_systematic_residuals() -> None:
-    place = optimum(0.0, 1880.0, inflation=4.0)
-    far = optimum(80.0, 2160.0, sigma_m=28.0, inflation=45.0)
-    assert [o for _, o in weighted([far, place])] == [place]
-
-
-def test_no_optimum_leaves_the_hypotheses_as_they_are() -> None:
-    hypotheses = (hypothesis(1.0), hypothesis(30.0))
-    assert polished(hypotheses, [], 4.0, keep_confirmed=True) is hypotheses
-
-
-def fused(params: TrackerParams, rows: np.ndarray) -> TargetTracker:
-    tracker = TargetTracker(params)
-    for index, row in enumerate(rows):
-        measurement = RangingMeasurement(
-            1,
-            0.1 * index,
-            range_m=None if math.isnan(row[3]) else float(row[3]),
-            range_sigma_m=float(row[5]),
-            bearing_enu_rad=None if math.isnan(row[4]) else float(row[4]),
-            bearing_sigma_rad=float(row[6]),
-        )
-        tracker.fuse(measurement, (float(row[0]), float(row[1]), float(row[2])), 0.1 * index)
-    return tracker
-
-
-def test_mirror_image_is_kept_as_the_alternative() -> None:
-    rows = walk(np.random.default_rng(8), bearings=False, straight=True)
-    tracker = fused(TrackerParams(), rows)
-    tracker.polish()
-    estimate = tracker.estimate(20.0)
-    assert estimate is not None
-    assert estimate.state is EstimateState.AMBIGUOUS
-    assert estimate.alternative_enu_m is not None
-    norths = sorted([estimate.position_enu_m[1], estimate.alternative_enu_m[1]])
-    assert norths == pytest.approx([-25.0, 25.0], abs=1.0)
-    assert estimate.r95_m > 40.0
+def test_older_evidence_joins_the_prior() -> None:
+    rows = walk(np.random.default_rng(6), 60)
+    solver, elsewhere = WindowMap(params()), np.array([41.0, 25.0, OFFSET_M, TURN_RAD])
+    L = np.diag([1e6, 1e6, 1e6, 1e9])
+    older = OlderEvidence(L, L @ elsewhere, L)
+    (pulled,) = solver.optima(rows, [START], older)
+    np.testing.assert_allclose(pulled.mean, elsewhere, atol=1e-2)
+    assert solver.size == 4

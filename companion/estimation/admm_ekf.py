@@ -1,0 +1,183 @@
+"""ADMM-EKF: the non-negative bias handled by splitting instead of by a closed form.
+
+One measurement asks for the minimum over the change d of the state of
+
+    1/2 d^T P^-1 d + sum_m rho_m(v_m)      subject to   v_m = (y_m - H_m d) / sqrt(R_m)
+
+where rho is the paper's loss (its inner minimum over b >= 0 is the soft threshold). The state and
+the whitened residuals v are split by the constraint; with a scaled dual w and a penalty kappa,
+the alternating direction method of multipliers repeats
+
+    d <- argmin 1/2 d^T P^-1 d + kappa/2 |y~ - H~ d - v + w|^2      a Kalman update, R / kappa
+    v <- argmin rho(v) + kappa/2 |y~ - H~ d - v + w|^2              the proximal map of rho
+    w <- w + y~ - H~ d - v
+
+(~ is whitened). The covariance is that of the weights psi(v) / v at the end, in Joseph form.
+With few iterations the answer depends on the penalty: that is what the closed form does without.
+
+Source: S. Boyd et al., Distributed Optimization and Statistical Learning via ADMM (2011), ch. 3
+and 6, for the method. Paper: the baseline "ADMM-EKF"; it does not print its splitting.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+import msgspec
+import numpy as np
+
+from companion.estimation.base import FilterState
+from companion.estimation.filter_params import FilterParams
+from companion.estimation.joseph import is_positive_definite, joseph_row
+from companion.estimation.losses import asymmetric_huber_weight
+from companion.estimation.recursive_filter import KernelResult, RecursiveFilter
+from companion.estimation.robust_update import innovations, lateness_variance, settled
+from companion.geometry.arrays import Matrix, Vector
+from companion.kernel import kernel
+from companion.models.ranging_model import RangingModel, jacobian, variances
+from companion.params import Params, Positive
+
+
+class AdmmParams(Params, frozen=True):
+    """How long the splitting is iterated."""
+
+    iterations: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 10
+    penalty: Positive = 1.0
+    """kappa, in units of the whitened residual's own curvature."""
+
+
+@kernel
+def proximal_residual(a: float, k_long: float, k_short: float, penalty: float) -> float:
+    """The minimising v of rho(v) + penalty/2 (a - v)^2, with the asymmetric Huber loss rho."""
+    v = a * penalty / (1.0 + penalty)
+    if v > k_long:
+        return a - k_long / penalty
+    if v < -k_short:
+        return a + k_short / penalty
+    return v
+
+
+@kernel
+def split(
+    P: Matrix,
+    H: Matrix,
+    y: Vector,
+    thresholds: Matrix,
+    inflation: Vector,
+    iterations: int,
+    penalty: float,
+) -> tuple[Vector, Vector]:
+    """The change of the state (n,) and the split residuals v (3,) after some iterations.
+
+    Args:
+        P: (n, n).
+        H: (3, n), whitened; zero rows where nothing was measured.
+        y: (3,), whitened; zero where nothing was measured.
+        thresholds: (3, 2).
+        inflation: (3,) factors on the variances: the loss counts that much less.
+        iterations: How often.
+        penalty: kappa.
+    """
+    PHt = np.dot(P, H.T.copy())
+    spread = np.dot(H, PHt)
+    S = spread + np.diag(inflation / penalty)
+    gain = np.linalg.solve(S, PHt.T.copy()).T.copy()
+    v = np.zeros(3)
+    dual = np.zeros(3)
+    d = np.zeros(P.shape[0])
+    for _ in range(iterations):
+        d = np.dot(gain, y - v + dual)
+        gap = y - np.dot(H, d) + dual
+        for row in range(3):
+            v[row] = proximal_residual(gap[row], thresholds[row, 0], thresholds[row, 1], penalty)
+        dual = gap - v
+    return d, v
+
+
+@kernel
+def admm_update(
+    mean: Vector,
+    P: Matrix,
+    sensor_enu_m: Vector,
+    z: Vector,
+    sigma: Vector,
+    late_m2: float,
+    inflation: Vector,
+    thresholds: Matrix,
+    bounds: Matrix,
+    model: RangingModel,
+    iterations: int,
+    penalty: float,
+) -> tuple[Vector, Matrix, Matrix, bool]:
+    """One measurement by splitting; arguments and results as in `robust_update`."""
+    H = jacobian(mean, sensor_enu_m, model)
+    y = innovations(z, mean, sensor_enu_m, model)
+    R = variances(P, mean, sensor_enu_m, sigma, model)
+    whitened_H = np.zeros((3, mean.size))
+    whitened_y = np.zeros(3)
+    report = np.full((3, 7), np.nan)
+    for row in range(3):
+        if not math.isnan(y[row]):
+            R[row] += lateness_variance(H[row], late_m2, model)
+            whitened_H[row] = H[row] / math.sqrt(R[row])
+            whitened_y[row] = y[row] / math.sqrt(R[row])
+    d, v = split(P, whitened_H, whitened_y, thresholds, inflation, iterations, penalty)
+    new_P = P
+    explained = np.zeros(mean.size)
+    for row in range(3):
+        if math.isnan(y[row]):
+            continue
+        weight = asymmetric_huber_weight(float(v[row]), thresholds[row, 0], thresholds[row, 1])
+        effective = inflation[row] * R[row] / weight
+        remaining = y[row] - np.dot(H[row], explained)
+        K, new_P, S = joseph_row(new_P, H[row], effective)
+        explained = explained + K * remaining
+        report[row, 0] = y[row]
+        report[row, 1] = S
+        report[row, 2] = math.sqrt(R[row])
+        report[row, 3] = whitened_y[row]
+        report[row, 4] = weight
+        report[row, 5] = (S - effective) / R[row]
+        report[row, 6] = remaining * remaining / S
+    new_mean = settled(mean + d, new_P, bounds)
+    if is_positive_definite(new_mean, new_P):
+        return new_mean, new_P, report, True
+    return mean, P, report, False
+
+
+class AdmmEkf(RecursiveFilter):
+    """The iterative baseline.
+
+    Args:
+        params: Noise, thresholds, priors and bounds, as for the AsymmetricHuberEKF.
+        admm: Iterations and penalty.
+    """
+
+    def __init__(self, params: FilterParams, admm: AdmmParams | None = None) -> None:
+        super().__init__(params)
+        self.admm = admm or AdmmParams()
+
+    def _updated(
+        self,
+        state: FilterState,
+        sensor: Vector,
+        z: Vector,
+        sigma: Vector,
+        late_m2: float,
+        inflation: Vector,
+    ) -> KernelResult:
+        return admm_update(
+            state.mean,
+            state.covariance,
+            sensor,
+            z,
+            sigma,
+            late_m2,
+            inflation,
+            self._thresholds,
+            self._bounds,
+            self._model,
+            self.admm.iterations,
+            self.admm.penalty,
+        )

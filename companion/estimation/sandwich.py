@@ -1,0 +1,199 @@
+"""How wrong an M-estimate is: Huber's sandwich, white or with correlated residuals.
+
+Theory of operation. With partials H and influences psi (all whitened), A = sum psi' H H^T and
+B = the variance of sum psi H, the estimate's covariance is A^-1 B A^-1. The slope psi' and the
+second moment psi^2 are pooled per modality, because 2 numbers are learnt faster than a matrix.
+
+A measurement that dominates the estimate is not outvoted by others: its error enters as it is,
+not clipped. With its leverage h, the share of the curvature along its own direction, the second
+moment that counts is (1 - h) E[psi^2] + h slope^2 E[u^2].
+
+Where residuals repeat each other, as recorded ranges do, B counts that in two ways: by the factor
+(1 + rho) / (1 - rho) of a first-order process, and as the long-run variance (Bartlett weights),
+whose small-sample bias is made up for by the fixed-bandwidth critical value.
+
+Source: P. J. Huber, Robust Statistics (1981), chapter 6; N. M. Kiefer and T. J. Vogelsang,
+Econometric Theory 21 (2005), for the critical value.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.geometry.arrays import Matrix, Vector
+
+BANDWIDTH = 0.2
+"""Lags that count as correlated, as a share of the window."""
+CRITICAL_RATIO = (1.96 + 2.9694 * BANDWIDTH + 0.416 * BANDWIDTH**2 - 0.5324 * BANDWIDTH**3) / 1.96
+MIN_SLOPE = 0.05
+"""Least share of measurements on the quadratic part that curvature is believed to have."""
+PRIOR_COUNT = 4.0
+"""How many measurements the thermal noise is worth when its second moment is pooled."""
+MAX_RESIDUAL = 10.0
+"""Residuals count no larger than this where they are not clipped by the loss."""
+MAX_CORRELATION = 0.98
+SIGNIFICANT_SIGMAS = 1.64
+"""A correlation counts from this many standard errors: white residuals reach it once in twenty."""
+MIN_CORRELATED = 12
+"""Fewer residuals than this tell nothing of correlation."""
+DEFINITE_SHARE = 1e-3
+"""Share of the thermal covariance added, so that a covariance is positive definite."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scores:
+    """The linearised problem at an estimate, modality by modality."""
+
+    u: Matrix
+    """(3, n) whitened residuals."""
+    psi: Matrix
+    """(3, n) their influences."""
+    H: Matrix
+    """(3 n, k) whitened partials, zero rows where nothing was measured."""
+    is_measured: Matrix
+    """(3, n) booleans."""
+
+    def part(self, modality: int) -> Matrix:
+        """(n, k) partials of one modality."""
+        n = self.u.shape[1]
+        rows: Matrix = self.H[modality * n : (modality + 1) * n]
+        return rows
+
+    def slope(self, modality: int) -> float:
+        """Share of the modality's measurements on the quadratic part."""
+        seen = self.is_measured[modality]
+        share = float(np.mean((self.u == self.psi)[modality][seen])) if seen.any() else 1.0
+        return max(share, MIN_SLOPE)
+
+    def moment(self, modality: int, parameters: int) -> float:
+        """Pooled second moment of the influence, not below thermal noise by more than chance.
+
+        Residuals much smaller than thermal noise promise nothing.
+        """
+        n = int(self.is_measured[modality].sum())
+        total = float(np.sum(self.psi[modality] ** 2))
+        pooled = (
+            (total + PRIOR_COUNT) / (n + PRIOR_COUNT) * (n + 1.0) / max(n + 1.0 - parameters, 1)
+        )
+        return max(pooled, 1.0 - 2.0 * math.sqrt(2.0 / (n + PRIOR_COUNT)))
+
+    def quantile_ratio(self, modality: int) -> float:
+        """How much wider than normal the 95 % interval is, because slope and moment are estimates.
+
+        Student's t with the degrees of freedom that match the variance of the estimated ratio
+        moment / slope^2 (Satterthwaite), over the normal quantile (Cornish-Fisher).
+        """
+        n = int(self.is_measured[modality].sum())
+        slope = self.slope(modality)
+        variance = (1.0 + 4.0 * (1.0 - slope) / slope) / (n + PRIOR_COUNT)
+        dof = max(2.0 / variance, 2.0)
+        z2 = 1.96**2
+        return 1.0 + (z2 + 1.0) / (4.0 * dof) + (5.0 * z2**2 + 16.0 * z2 + 3.0) / (96.0 * dof**2)
+
+    def finite_sample_ratio(self, modality: int, parameters: float) -> float:
+        """Huber's K: a fit of so many parameters makes residuals look more quadratic than they are.
+
+        K = 1 + p / n Var[psi'] / E[psi']^2, eq. (6.5) of chapter 7 in Huber (1981), with p the
+        parameters that this modality determines.
+        """
+        n = max(int(self.is_measured[modality].sum()), 1)
+        slope = self.slope(modality)
+        return 1.0 + parameters / n * (1.0 - slope) / slope
+
+    def inflation(self, modality: int, parameters: int) -> float:
+        """How much less a measurement says than thermal noise would, at its mean weight."""
+        seen = self.is_measured[modality]
+        u, psi = self.u[modality][seen], self.psi[modality][seen]
+        weights = np.where(u == psi, 1.0, psi / np.where(u == psi, 1.0, u))
+        mean_weight = (float(weights.sum()) + PRIOR_COUNT) / (len(u) + PRIOR_COUNT)
+        moment = self.moment(modality, parameters) * self.quantile_ratio(modality) ** 2
+        return mean_weight * moment / self.slope(modality) ** 2
+
+    def unclipped_moment(self, modality: int) -> float:
+        """Pooled second moment of the residuals themselves."""
+        n = int(self.is_measured[modality].sum())
+        u = np.clip(self.u[modality], -MAX_RESIDUAL, MAX_RESIDUAL)
+        return (float(np.sum(u**2)) + PRIOR_COUNT) / (n + PRIOR_COUNT)
+
+    def correlation(self, modality: int) -> float:
+        """Lag-1 correlation of the influences in time order, 0 where it may be chance."""
+        psi = self.psi[modality][self.is_measured[modality]]
+        if len(psi) < MIN_CORRELATED:
+            return 0.0
+        psi = psi - psi.mean()
+        variance = float(np.mean(psi**2))
+        if variance <= 0.0:
+            return 0.0
+        rho = float(np.mean(psi[1:] * psi[:-1])) / variance
+        if rho <= SIGNIFICANT_SIGMAS / math.sqrt(len(psi)):
+            return 0.0
+        fitted = self.H.shape[1] / len(psi)  # the fit took that much of it away
+        return float(min(rho + fitted * (1.0 + rho), MAX_CORRELATION))
+
+    @property
+    def repetition(self) -> Vector:
+        """(1 + rho) / (1 - rho) of each modality, (3,): what a first-order process repeats."""
+        rho = np.array([self.correlation(modality) for modality in range(3)])
+        return np.asarray((1.0 + rho) / (1.0 - rho))
+
+
+def curvature(scores: Scores) -> Matrix:
+    """A = sum psi' H H^T with pooled slopes, (k, k)."""
+    parts = [(scores.slope(m), scores.part(m)) for m in range(3)]
+    A: Matrix = sum(slope * (H.T @ H) for slope, H in parts)  # type: ignore[assignment]
+    return A
+
+
+def pooled_variability(scores: Scores, A_inverse: Matrix, repetition: Vector) -> Matrix:
+    """B with pooled second moments, (k, k).
+
+    Args:
+        scores: The linearised problem.
+        A_inverse: (k, k).
+        repetition: (3,) what each modality's residuals count more for repeating each other;
+            ones: they know nothing of each other.
+    """
+    k = scores.H.shape[1]
+    B = np.zeros((k, k))
+    for m in range(3):
+        H = scores.part(m)
+        slope, moment = scores.slope(m), scores.moment(m, k)
+        leverage = np.minimum(slope * np.sum((H @ A_inverse) * H, axis=1), 1.0)
+        unclipped = max(slope**2 * scores.unclipped_moment(m), moment)
+        spread = scores.quantile_ratio(m) * scores.finite_sample_ratio(m, float(leverage.sum()))
+        H = math.sqrt(repetition[m]) * spread * H
+        B += H.T @ ((moment + leverage * (unclipped - moment))[:, None] * H)
+    return B
+
+
+def correlated_variability(scores: Scores) -> Matrix:
+    """B as the long-run variance of the scores in time order, (k, k), critical value included."""
+    steps = sum(scores.part(m) * scores.psi[m][:, None] for m in range(3))
+    return CRITICAL_RATIO**2 * long_run_variance(np.asarray(steps))
+
+
+def covariance_of(A: Matrix, B: Matrix) -> Matrix:
+    """A^-1 B A^-1, symmetric positive definite.
+
+    Raises:
+        numpy.linalg.LinAlgError: The measurements name no place.
+    """
+    A_inverse = np.linalg.inv(A)
+    covariance = A_inverse @ (B + DEFINITE_SHARE * A) @ A_inverse
+    covariance = 0.5 * (covariance + covariance.T)
+    np.linalg.cholesky(covariance)
+    return np.asarray(covariance, dtype=np.float64)
+
+
+def long_run_variance(scores: Vector) -> Matrix:
+    """Sum of the scores' autocovariances with Bartlett weights, (k, k), positive semi-definite."""
+    n = len(scores)
+    bandwidth = max(1, int(BANDWIDTH * n))
+    total: Matrix = scores.T @ scores
+    for lag in range(1, bandwidth + 1):
+        product = scores[lag:].T @ scores[:-lag]
+        total = total + (1.0 - lag / (bandwidth + 1.0)) * (product + product.T)
+    return total

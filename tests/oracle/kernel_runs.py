@@ -1,0 +1,171 @@
+"""Every kernel on seeded inputs, its results saved: run plain and compiled by its test."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from companion.estimation.admm_ekf import admm_update
+from companion.estimation.filter_params import FilterParams
+from companion.estimation.joseph import is_positive_definite, joseph_row, within_bounds
+from companion.estimation.losses import (
+    asymmetric_huber_influence,
+    asymmetric_huber_loss,
+    asymmetric_huber_weight,
+)
+from companion.estimation.map_kernels import (
+    clipped,
+    map_cost,
+    map_minimum,
+    map_step,
+    normal_equations,
+    row_partials,
+    row_residuals,
+    row_sigmas,
+)
+from companion.estimation.robust_update import innovations, robust_update, settled, wrapped
+from companion.geometry.arrays import Matrix, Vector
+from companion.models.ranging_model import jacobian, predicted, variances
+
+LAYOUTS = {
+    "plane": FilterParams(range_offset_min_m=0.0, range_offset_max_m=3.0),
+    "space": FilterParams(
+        range_k_short=3.0,
+        bearing_offset_max_deg=3.0,
+        range_scale_sigma=0.05,
+        range_scale_max=0.04,
+        target_height_sigma_m=4.0,
+    ),
+    "as printed": FilterParams(near_target_terms=False, own_position_sigma_m=0.0),
+}
+SEEDS = 8
+IS_COMPILED = "is compiled"
+"""Name of the result that tells how the kernels were run."""
+
+Results = Iterator[tuple[str, object]]
+
+
+def losses() -> Results:
+    """The loss family at and beside its knots."""
+    for k_long, k_short in ((1.5, math.inf), (1.5, 1.5), (math.inf, math.inf), (1.0, 3.0)):
+        u = [-50.0, -3.0, -1.5, -1e-9, 0.0, 0.3, 1.5, 1.5000001, 200.0]
+        for function in (
+            asymmetric_huber_loss,
+            asymmetric_huber_influence,
+            asymmetric_huber_weight,
+        ):
+            name = getattr(function, "__name__", "")
+            yield f"{name} {k_long} {k_short}", [function(v, k_long, k_short) for v in u]
+
+
+def updates(name: str, params: FilterParams) -> Results:
+    """One measurement of everything: its parts, and the two whole updates."""
+    model, bounds, thresholds = params.model, params.bounds, params.thresholds
+    for seed in range(SEEDS):
+        rng = np.random.default_rng([1, seed])
+        mean, P, sensor, z, sigma = drawn_update(params, rng)
+        inflation = np.array([1.0, 4.0, 2.0])
+        yield f"{name} {seed} predicted", predicted(mean, sensor, model)
+        H = jacobian(mean, sensor, model)
+        yield f"{name} {seed} jacobian", H
+        yield f"{name} {seed} variances", variances(P, mean, sensor, sigma, model)
+        yield f"{name} {seed} innovations", innovations(z, mean, sensor, model)
+        K, updated, S = joseph_row(P, H[0].copy(), 2.5)
+        yield f"{name} {seed} joseph gain", K
+        yield f"{name} {seed} joseph covariance", updated
+        yield f"{name} {seed} joseph S", S
+        far = mean + 10.0 * np.sqrt(np.diag(P))
+        yield f"{name} {seed} within bounds", within_bounds(far, P, bounds[0], bounds[1])
+        yield f"{name} {seed} settled", settled(far, P, bounds)
+        definite = (is_positive_definite(mean, P), is_positive_definite(mean, -P))
+        yield f"{name} {seed} positive definite", definite
+        common = (mean, P, sensor, z, sigma, 0.3, inflation, thresholds, bounds, model)
+        for part, value in zip(PARTS, robust_update(*common), strict=True):
+            yield f"{name} {seed} robust update, {part}", value
+        for part, value in zip(PARTS, admm_update(*common, 10, 1.0), strict=True):
+            yield f"{name} {seed} splitting, {part}", value
+
+
+PARTS = ("mean", "covariance", "report", "is sane")
+
+
+def drawn_update(
+    params: FilterParams, rng: np.random.Generator
+) -> tuple[Vector, Matrix, Vector, Vector, Vector]:
+    """A correlated state, a sensor, and a measurement with some of its rows missing."""
+    mean, sigmas = params.prior
+    mean[:2] = rng.uniform(-40.0, 40.0, 2)
+    root = np.eye(mean.size) + 0.4 * rng.normal(size=(mean.size, mean.size))
+    P = root @ root.T * np.outer(sigmas, sigmas)
+    P = 0.5 * (P + P.T)
+    sensor = np.array([*rng.uniform(-60.0, 60.0, 2), 20.0])
+    z = predicted(mean, sensor, params.model) + rng.normal(size=3) * [9.0, 0.4, 0.3]
+    z[rng.random(3) < 0.2] = np.nan
+    return mean, P, sensor, z, np.array([1.5, 0.03, 0.09])
+
+
+def windows(name: str, params: FilterParams) -> Results:
+    """The MAP problem of a walk: its parts, one step, and the whole solution."""
+    model, bounds, thresholds = params.model, params.bounds, params.thresholds
+    for seed in range(SEEDS // 2):
+        rows, truth = drawn_rows(params, np.random.default_rng([2, seed]))
+        start = np.array(truth)
+        start[:2] += 8.0, -5.0
+        information = np.diag(1.0 / params.prior[1] ** 2)
+        pull = 0.1 * np.diag(information)
+        sigmas = row_sigmas(rows, start, model)
+        u = row_residuals(rows, start, sigmas, model)
+        yield f"{name} {seed} sigmas", sigmas
+        yield f"{name} {seed} residuals", u
+        yield f"{name} {seed} influences", clipped(u, thresholds)
+        yield f"{name} {seed} partials", row_partials(rows, start, sigmas, model)
+        prior = (information, pull, model)
+        yield f"{name} {seed} cost", map_cost(rows, start, sigmas, thresholds, *prior)
+        A, descent = normal_equations(rows, start, sigmas, thresholds, *prior)
+        yield f"{name} {seed} normal matrix", A
+        yield f"{name} {seed} descent", descent
+        moved, damping = map_step(rows, start, 1e-3, thresholds, bounds, *prior)
+        yield f"{name} {seed} step", moved
+        yield f"{name} {seed} damping", damping
+        mean, cost = map_minimum(rows, start, thresholds, bounds, *prior)
+        yield f"{name} {seed} minimum", mean
+        yield f"{name} {seed} least cost", cost
+
+
+def drawn_rows(params: FilterParams, rng: np.random.Generator) -> tuple[Matrix, Vector]:
+    """A walk about a target, with reflections and gaps."""
+    truth = np.array(params.prior[0])
+    truth[:2] = 40.0, 25.0
+    rows = np.full((60, 10), np.nan)
+    for index in range(60):
+        angle = 0.1 * index
+        sensor = np.array([60.0 * math.cos(angle), 45.0 * math.sin(angle), 20.0])
+        z = predicted(truth, sensor, params.model) + rng.normal(size=3) * [1.5, 0.03, 0.09]
+        z[0] += rng.exponential(8.0) if rng.random() < 0.4 else 0.0
+        z[rng.random(3) < 0.2] = np.nan
+        rows[index] = [*sensor, *z, 1.5, 0.03, 0.09, index]
+    return rows, truth
+
+
+def results() -> Results:
+    """Everything, by name."""
+    yield IS_COMPILED, hasattr(joseph_row, "py_func")
+    yield "wrapped", [wrapped(angle) for angle in (-7.0, -math.pi, 0.0, 3.0, math.pi, 12.5)]
+    yield from losses()
+    for name, params in LAYOUTS.items():
+        yield from updates(name, params)
+        yield from windows(name, params)
+
+
+def save(path: Path) -> None:
+    """All results into one npz file."""
+    arrays = {name: np.asarray(value, dtype=np.float64) for name, value in results()}
+    np.savez(path, **arrays)  # type: ignore[arg-type]
+
+
+if __name__ == "__main__":
+    save(Path(sys.argv[1]))

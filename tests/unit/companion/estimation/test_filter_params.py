@@ -1,0 +1,144 @@
+"""What a filter believes, and the form in which its kernels take it."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+
+from companion.domain import RangingMeasurement
+from companion.estimation.filter_params import MAX_SIGMA, MIN_SIGMA, FilterParams
+from companion.models.ranging_model import ABSENT
+
+EVERYTHING = RangingMeasurement(
+    emitter_id=1,
+    measured_at_s=0.0,
+    range_m=50.0,
+    range_sigma_m=0.7,
+    bearing_enu_rad=0.4,
+    bearing_sigma_rad=0.02,
+    elevation_rad=-0.3,
+    elevation_sigma_rad=0.05,
+)
+
+
+@pytest.mark.parametrize(
+    ("scale_sigma", "height_sigma_m", "size", "scale_index", "height_index"),
+    [
+        (0.0, 0.0, 4, ABSENT, ABSENT),
+        (0.05, 0.0, 5, 4, ABSENT),
+        (0.0, 3.0, 5, ABSENT, 4),
+        (0.05, 3.0, 6, 4, 5),
+    ],
+)
+def test_the_state_has_a_place_for_all_that_is_not_known(
+    scale_sigma: float, height_sigma_m: float, size: int, scale_index: int, height_index: int
+) -> None:
+    params = FilterParams(
+        range_scale_sigma=scale_sigma, target_height_sigma_m=height_sigma_m, target_height_m=7.0
+    )
+    mean, sigmas = params.prior
+    assert mean.shape == sigmas.shape == (size,)
+    assert params.bounds.shape == (2, size)
+    assert (params.model.scale_index, params.model.height_index) == (scale_index, height_index)
+    assert sigmas[:4].tolist() == [30.0, 30.0, 5.0, math.radians(5.0)]
+    assert mean[:4].tolist() == [0.0, 0.0, 0.0, 0.0]
+    if scale_sigma:
+        assert (mean[scale_index], sigmas[scale_index]) == (0.0, scale_sigma)
+    if height_sigma_m:
+        assert (mean[height_index], sigmas[height_index]) == (7.0, height_sigma_m)
+    assert params.model.height_m == 7.0
+
+
+def test_without_bounds_there_are_none() -> None:
+    for params in (FilterParams(), FilterParams(target_height_sigma_m=1.0)):
+        assert np.isneginf(params.bounds[0]).all()
+        assert np.isposinf(params.bounds[1]).all()
+
+
+def test_every_bound_has_its_place() -> None:
+    params = FilterParams(
+        range_offset_min_m=-1.0,
+        range_offset_max_m=3.0,
+        bearing_offset_max_deg=10.0,
+        range_scale_sigma=0.05,
+        range_scale_max=0.2,
+        target_height_sigma_m=1.0,
+    )
+    ten_deg = math.radians(10.0)
+    assert params.bounds[0].tolist() == [-math.inf, -math.inf, -1.0, -ten_deg, -0.2, -math.inf]
+    assert params.bounds[1].tolist() == [math.inf, math.inf, 3.0, ten_deg, 0.2, math.inf]
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "offset_m"),
+    [(None, None, 0.0), (0.0, 3.0, 0.0), (1.0, None, 1.0), (None, -2.0, -2.0), (-1.0, 1.0, 0.0)],
+)
+def test_the_first_offset_is_the_likeliest_one_within_bounds(
+    low: float | None, high: float | None, offset_m: float
+) -> None:
+    params = FilterParams(range_offset_min_m=low, range_offset_max_m=high)
+    assert params.prior[0][2] == offset_m
+
+
+@pytest.mark.parametrize(("low", "high"), [(3.0, 3.0), (4.0, 3.0)])
+def test_bounds_that_leave_nothing_are_refused(low: float, high: float) -> None:
+    with pytest.raises(ValueError, match="range_offset_min_m"):
+        FilterParams(range_offset_min_m=low, range_offset_max_m=high)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"range_sigma_m": 0.0},
+        {"range_k_long": 0.0},
+        {"range_scale_max": 1.0},
+        {"bearing_offset_max_deg": 181.0},
+        {"target_height_sigma_m": -1.0},
+        {"range_offset_min_m": 2.0, "range_offset_max_m": 1.0},
+        {"no_such_key": 1.0},
+    ],
+)
+def test_what_makes_no_sense_is_refused_where_it_is_read(wrong: dict[str, float]) -> None:
+    with pytest.raises(msgspec.ValidationError):
+        msgspec.convert(wrong, FilterParams)
+
+
+def test_no_threshold_is_an_infinite_one() -> None:
+    assert FilterParams().thresholds.tolist() == [[1.5, math.inf], [1.5, 1.5], [1.5, 1.5]]
+    plain = FilterParams(range_k_long=None, bearing_k=None)
+    assert np.isinf(plain.thresholds).all()
+    assert FilterParams(range_k_short=3.0).thresholds[0].tolist() == [1.5, 3.0]
+
+
+def test_a_measurement_is_values_and_standard_deviations() -> None:
+    z, sigma = FilterParams().seen(EVERYTHING)
+    assert z.tolist() == [50.0, 0.4, -0.3]
+    assert sigma.tolist() == [0.7, 0.02, 0.05]
+
+
+def test_what_is_not_reported_or_not_trusted_is_as_configured() -> None:
+    own = [1.5, math.radians(2.0), math.radians(5.0)]
+    deaf = FilterParams(use_reported_sigma=False)
+    assert deaf.seen(EVERYTHING)[1].tolist() == own
+    silent = RangingMeasurement(emitter_id=1, measured_at_s=0.0, range_m=50.0)
+    z, sigma = FilterParams().seen(silent)
+    assert sigma.tolist() == own
+    assert z[0] == 50.0
+    assert np.isnan(z[1:]).all()
+
+
+def test_an_elevation_may_be_left_out() -> None:
+    z, _ = FilterParams(use_elevation=False).seen(EVERYTHING)
+    assert np.isnan(z[2])
+    assert z[:2].tolist() == [50.0, 0.4]
+
+
+@pytest.mark.parametrize(("told", "taken"), [(1e-300, MIN_SIGMA), (1e300, MAX_SIGMA), (3.0, 3.0)])
+def test_a_reported_sigma_keeps_a_square(told: float, taken: float) -> None:
+    seen = RangingMeasurement(emitter_id=1, measured_at_s=0.0, range_m=50.0, range_sigma_m=told)
+    sigma = float(FilterParams().seen(seen)[1][0])
+    assert sigma == taken
+    assert 0.0 < sigma * sigma < math.inf

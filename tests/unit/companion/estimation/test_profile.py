@@ -1,0 +1,94 @@
+"""Uncertainty beyond the linearised one: where the cost is flatter than its curvature."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from companion.estimation.map_kernels import map_cost, map_minimum, normal_equations
+from companion.estimation.profile import MIN_RISE_SHARE, STRETCHES, Cost, stretched
+from companion.geometry.arrays import Vector
+from tests.unit.companion.estimation.walks import params
+
+A = np.diag([1.0 / 9.0, 1.0, 4.0, 100.0])
+COVARIANCE = np.asarray(np.linalg.inv(A))
+MEAN = np.array([40.0, 25.0, 1.0, 0.0])
+
+
+def _quadratic(share: float = 1.0) -> Cost:
+    """A cost whose rise is a share of what the curvature promises."""
+
+    def cost(x: Vector) -> float:
+        return 7.0 + share * 0.5 * float((x - MEAN) @ A @ (x - MEAN))
+
+    return cost
+
+
+def _plain(x: Vector) -> float:
+    """A cost that does not rise at all."""
+    return 7.0 + 0.0 * float(x[0])
+
+
+@pytest.mark.parametrize("share", [1.0, 3.0, 1.01 * MIN_RISE_SHARE])
+def test_where_the_cost_keeps_its_promise_nothing_changes(share: float) -> None:
+    assert stretched(COVARIANCE, A, MEAN, _quadratic(share)) is COVARIANCE
+
+
+@pytest.mark.parametrize("share", [0.4, 0.1, 0.05])
+def test_where_it_is_flatter_the_longest_axis_is_longer(share: float) -> None:
+    wider = stretched(COVARIANCE, A, MEAN, _quadratic(share))
+    ratio = float(np.sqrt(wider[0, 0] / COVARIANCE[0, 0]))
+    needed = float(np.sqrt(MIN_RISE_SHARE / share))
+    assert needed * (1.0 - 1e-9) <= ratio <= 1.5 * needed
+    others = wider - COVARIANCE
+    others[0, 0] = 0.0
+    assert np.abs(others).max() < 1e-12
+
+
+def test_one_flat_side_is_enough() -> None:
+    def cost(x: Vector) -> float:
+        return _quadratic(1.0 if x[0] < MEAN[0] else 0.1)(x)
+
+    assert stretched(COVARIANCE, A, MEAN, cost)[0, 0] > COVARIANCE[0, 0]
+
+
+def test_a_plain_without_end_is_stretched_as_far_as_it_goes() -> None:
+    wider = stretched(COVARIANCE, A, MEAN, _plain)
+    assert np.sqrt(wider[0, 0] / COVARIANCE[0, 0]) == pytest.approx(STRETCHES[-1])
+
+
+def test_correlated_components_follow() -> None:
+    P = np.array(COVARIANCE)
+    P[0, 2] = P[2, 0] = 1.2
+    wider = stretched(P, np.asarray(np.linalg.inv(P)), MEAN, _plain)
+    assert wider[0, 2] / wider[0, 0] == pytest.approx(P[0, 2] / P[0, 0])
+    assert np.linalg.eigvalsh(wider)[0] > 0.0
+    assert np.array_equal(wider, wider.T)
+
+
+def test_without_uncertainty_there_is_nothing_to_stretch() -> None:
+    nothing = np.zeros((4, 4))
+    assert stretched(nothing, A, MEAN, _plain) is nothing
+
+
+def test_bearings_from_far_away_do_not_end_where_the_curvature_says() -> None:
+    """Beyond the target lines of sight are nearly parallel: it may be farther, hardly nearer."""
+    rng, p = np.random.default_rng(1), params(bearing_k=None)
+    rows = np.full((60, 10), np.nan)
+    rows[:, 0], rows[:, 1], rows[:, 2] = np.linspace(0.0, 6.0, 60), 0.0, 0.0
+    rows[:, 4] = np.arctan2(80.0, 3.0 - rows[:, 0]) + 0.05 * rng.normal(size=60)
+    rows[:, 6:9], rows[:, 9] = (1.0, 0.05, 0.1), np.arange(60)
+    sigmas = rows[:, 6:9].T.copy()
+    known = np.diag([0.0, 0.0, 1e6, 1e8])
+    prior = (known, np.zeros(4), p.model)
+    mean, _ = map_minimum(rows, np.array([3.0, 60.0, 0.0, 0.0]), p.thresholds, p.bounds, *prior)
+    curvature, _ = normal_equations(rows, mean, sigmas, p.thresholds, *prior)
+    covariance = np.asarray(np.linalg.inv(curvature))
+    wider = stretched(
+        covariance,
+        curvature,
+        mean,
+        lambda x: float(map_cost(rows, x, sigmas, p.thresholds, *prior)),
+    )
+    assert wider[1, 1] > 1.3**2 * covariance[1, 1]
+    assert wider[0, 0] < 1.3**2 * covariance[0, 0]

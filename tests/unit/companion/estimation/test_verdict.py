@@ -1,0 +1,114 @@
+"""From hypotheses to what is told: place, R95, state."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from companion.domain import EstimateState, TargetEstimate
+from companion.estimation.base import FilterState
+from companion.estimation.consistency import R95_OF_EQUAL_AXES
+from companion.estimation.filter_params import FilterParams
+from companion.estimation.hypotheses import Hypothesis
+from companion.estimation.verdict import (
+    AMBIGUOUS_PROBABILITY,
+    MAX_AMBIGUOUS,
+    estimate_of,
+    position_covariance_m2,
+)
+
+PLANE = FilterParams(own_position_sigma_m=0.3, target_height_m=2.0)
+
+
+def _hypothesis(
+    east_m: float = 0.0,
+    probability: float = 1.0,
+    sigma_m: float = 0.4,
+    least_m: float | None = None,
+    params: FilterParams = PLANE,
+) -> Hypothesis:
+    mean, sigmas = params.prior
+    mean[:4] = east_m, 10.0, 1.5, -0.02
+    sigmas[:2] = sigma_m
+    least = None if least_m is None else least_m**2 * np.eye(2)
+    state = FilterState.of(0.0, mean, np.diag(sigmas**2))
+    return Hypothesis(math.log(probability), state, least)
+
+
+def _told(
+    *hypotheses: Hypothesis, params: FilterParams = PLANE, is_diverged: bool = False
+) -> TargetEstimate:
+    return estimate_of(hypotheses, params.model, 2.0, 77, 5.0, is_diverged=is_diverged)
+
+
+def test_one_place_is_told_with_the_vehicles_own_error() -> None:
+    told = _told(_hypothesis())
+    assert told.position_enu_m == (0.0, 10.0)
+    np.testing.assert_allclose(told.covariance_m2, 0.25 * np.eye(2))
+    assert told.r95_m == pytest.approx(0.5 * R95_OF_EQUAL_AXES)
+    assert told.state is EstimateState.LOCALISED
+    assert (told.range_offset_m, told.bearing_offset_rad) == (1.5, -0.02)
+    assert (told.time_s, told.measurements) == (5.0, 77)
+    assert told.alternative_enu_m is None
+
+
+def test_a_vague_place_is_still_being_searched() -> None:
+    told = _told(_hypothesis(sigma_m=1.5))
+    assert told.r95_m > 2.0
+    assert told.state is EstimateState.SEARCHING
+
+
+def test_a_filter_that_was_started_anew_is_diverged_whatever_it_says() -> None:
+    assert _told(_hypothesis(), is_diverged=True).state is EstimateState.DIVERGED
+    two = (_hypothesis(0.0, 0.5), _hypothesis(50.0, 0.5))
+    told = _told(*two, is_diverged=True)
+    assert told.state is EstimateState.DIVERGED
+    assert told.alternative_enu_m is None
+
+
+def test_two_likely_places_are_ambiguous_and_both_are_told() -> None:
+    told = _told(_hypothesis(0.0, 0.6), _hypothesis(50.0, 0.4))
+    assert told.state is EstimateState.AMBIGUOUS
+    assert told.position_enu_m == (0.0, 10.0)
+    assert told.alternative_enu_m == (50.0, 10.0)
+    assert 49.0 < told.r95_m < 52.0
+
+
+@pytest.mark.parametrize(
+    ("probability", "state"),
+    [
+        (0.9 * AMBIGUOUS_PROBABILITY, EstimateState.LOCALISED),
+        (1.1 * AMBIGUOUS_PROBABILITY, EstimateState.AMBIGUOUS),
+    ],
+)
+def test_an_unlikely_one_does_not_count(probability: float, state: EstimateState) -> None:
+    told = _told(_hypothesis(0.0, 1.0 - probability), _hypothesis(50.0, probability))
+    assert told.state is state
+
+
+def test_many_places_are_no_place() -> None:
+    ring = [_hypothesis(50.0 * i, 1.0) for i in range(MAX_AMBIGUOUS + 1)]
+    assert _told(*ring).state is EstimateState.SEARCHING
+    assert _told(*ring[:-1]).state is EstimateState.AMBIGUOUS
+
+
+def test_certainty_is_not_below_what_the_window_found() -> None:
+    assert np.diag(position_covariance_m2(_hypothesis(least_m=0.9), 0.3)) == pytest.approx(0.9)
+    assert np.diag(position_covariance_m2(_hypothesis(least_m=0.1), 0.3)) == pytest.approx(0.25)
+    assert _told(_hypothesis(least_m=0.9)).r95_m == pytest.approx(
+        math.hypot(0.9, 0.3) * R95_OF_EQUAL_AXES
+    )
+    assert _told(_hypothesis(least_m=5.0)).state is EstimateState.SEARCHING
+
+
+def test_height_and_scale_are_told_as_known_or_as_estimated() -> None:
+    known = _told(_hypothesis())
+    assert (known.height_m, known.height_sigma_m, known.range_scale) == (2.0, None, 0.0)
+    params = FilterParams(target_height_m=2.0, target_height_sigma_m=1.25, range_scale_sigma=0.05)
+    mean, sigmas = params.prior
+    mean[4:] = 0.03, 6.0
+    state = FilterState.of(0.0, mean, np.diag(sigmas**2))
+    told = _told(Hypothesis(0.0, state), params=params)
+    assert (told.height_m, told.height_sigma_m, told.range_scale) == (6.0, 1.25, 0.03)
