@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from companion.config.schema import CompanionConfig, PlannerConfig
+from companion.config.schema import CompanionConfig, CrossingKind, PatternKind, PlannerConfig
 from companion.errors import LinkError
 from companion.estimation.tracker import TargetTracker
 from companion.guard.gate import Guard
@@ -21,8 +22,12 @@ from companion.io.links import LinkSpec
 from companion.io.shell import Shell
 from companion.link.endpoint import CompanionEndpoint, Journal
 from companion.planning.base import Planner
+from companion.planning.fim import FimPlanner
 from companion.planning.latched_crossing import LatchedCrossing
+from companion.planning.patterns import ExpandingSquare, Lawnmower, SectorSearch
 from companion.planning.reactive_crossing import ReactiveCrossing
+from companion.planning.search import Pattern, SearchPlanner
+from companion.planning.search_then_cross import SearchThenCross
 
 log = logging.getLogger("companion.run")
 
@@ -30,11 +35,37 @@ SILENCE_HINT_S = 10.0
 """After this long without an autopilot the operator is told where we listen."""
 
 
-def build_planner(config: PlannerConfig) -> Planner[Any]:
+def build_planner(config: CompanionConfig) -> Planner[Any]:
     """The planner that the configuration names."""
-    if config.kind == "reactive_crossing":
-        return ReactiveCrossing(config.reactive_crossing)
-    return LatchedCrossing(config.latched_crossing)
+    planner = config.planner
+    if planner.search is None:
+        return _build_one(planner.kind, config)
+    search = SearchPlanner(_build_pattern(planner.search, planner))
+    return SearchThenCross(search, _build_one(planner.kind, config), planner.lost_after_s)
+
+
+def _build_one(kind: CrossingKind | PatternKind, config: CompanionConfig) -> Planner[Any]:
+    planner, noise = config.planner, config.estimation.filter
+    match kind:
+        case "latched_crossing":
+            return LatchedCrossing(planner.latched_crossing)
+        case "reactive_crossing":
+            return ReactiveCrossing(planner.reactive_crossing)
+        case "fim":
+            bearing_sigma_rad = math.radians(noise.bearing_sigma_deg)
+            return FimPlanner(planner.fim, noise.range_sigma_m, bearing_sigma_rad)
+        case _:
+            return SearchPlanner(_build_pattern(kind, planner))
+
+
+def _build_pattern(kind: PatternKind, config: PlannerConfig) -> Pattern:
+    match kind:
+        case "lawnmower":
+            return Lawnmower(config.lawnmower)
+        case "expanding_square":
+            return ExpandingSquare(config.expanding_square)
+        case "sector":
+            return SectorSearch(config.sector)
 
 
 def build_session(config: CompanionConfig) -> GuidanceSession:
@@ -42,7 +73,7 @@ def build_session(config: CompanionConfig) -> GuidanceSession:
     return GuidanceSession(
         config.mission,
         TargetTracker(config.estimation, config.emitter_id),
-        build_planner(config.planner),
+        build_planner(config),
         Guard(config.limits.guard_limits()),
         needs_origin=config.vehicle.setpoint == "global_int",
     )

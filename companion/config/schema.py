@@ -7,7 +7,7 @@ single record can see.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 import msgspec
 
@@ -19,7 +19,15 @@ from companion.guard.gate import GuardLimits
 from companion.guidance.session import SessionParams
 from companion.link.endpoint import VehicleParams
 from companion.params import NonNegative, Params, Positive
+from companion.planning.base import PlanRequest
+from companion.planning.fim import FimParams
 from companion.planning.latched_crossing import LatchedCrossingParams
+from companion.planning.patterns import (
+    ExpandingSquareParams,
+    Lawnmower,
+    LawnmowerParams,
+    SectorParams,
+)
 from companion.planning.reactive_crossing import ReactiveCrossingParams
 
 DEFAULT_FENCE = ((-150.0, -150.0), (150.0, -150.0), (150.0, 150.0), (-150.0, 150.0))
@@ -31,7 +39,9 @@ class LimitsConfig(Params, frozen=True):
     fence_enu_m: tuple[tuple[float, float], ...] = DEFAULT_FENCE
     """Corners of the fence polygon, about the autopilot's local origin."""
     fence_margin_m: NonNegative = 3.0
-    """Distance that setpoints keep from the fence on its inside."""
+    """Distance that setpoints keep from the fence and from keep-outs, on the allowed side."""
+    keep_out_enu_m: tuple[tuple[tuple[float, float], ...], ...] = ()
+    """Polygons that no setpoint enters, each by its corners."""
     altitude_min_m: Positive = 5.0
     """Above home."""
     altitude_max_m: Positive = 60.0
@@ -52,7 +62,7 @@ class LimitsConfig(Params, frozen=True):
             ValueError: They contradict each other.
         """
         return GuardLimits(
-            fence=Fence(self.fence_enu_m, self.fence_margin_m),
+            fence=Fence(self.fence_enu_m, self.fence_margin_m, self.keep_out_enu_m),
             altitude_min_m=self.altitude_min_m,
             altitude_max_m=self.altitude_max_m,
             speed_mps=self.speed_mps,
@@ -61,12 +71,30 @@ class LimitsConfig(Params, frozen=True):
         )
 
 
+PatternKind = Literal["lawnmower", "expanding_square", "sector"]
+CrossingKind = Literal["latched_crossing", "reactive_crossing", "fim"]
+
+
 class PlannerConfig(Params, frozen=True):
     """Which planner flies, and the parameters of each."""
 
-    kind: Literal["latched_crossing", "reactive_crossing"] = "latched_crossing"
+    kind: CrossingKind | PatternKind = "latched_crossing"
+    """A pattern here is flown whatever is heard; see `search` for one that ends with contact."""
+    search: PatternKind | None = None
+    """What is flown while there is no contact; null: hold."""
+    lost_after_s: Positive = 20.0
+    """Without a usable measurement for this long, the search goes on."""
     latched_crossing: LatchedCrossingParams = LatchedCrossingParams()
     reactive_crossing: ReactiveCrossingParams = ReactiveCrossingParams()
+    fim: FimParams = FimParams()
+    lawnmower: LawnmowerParams = LawnmowerParams()
+    expanding_square: ExpandingSquareParams = ExpandingSquareParams()
+    sector: SectorParams = SectorParams()
+
+    def __post_init__(self) -> None:
+        """Refuse a search before a search."""
+        if self.search is not None and self.kind in get_args(PatternKind):
+            raise ValueError(f"search must be null where kind is {self.kind}: it searches itself")
 
 
 class LogConfig(Params, frozen=True):
@@ -110,6 +138,15 @@ def inconsistency(config: CompanionConfig) -> str | None:
     if not limits.altitude_min_m <= mission.altitude_m <= limits.altitude_max_m:
         band = f"{limits.altitude_min_m:g} to {limits.altitude_max_m:g} m"
         return f"$.mission.altitude_m: {mission.altitude_m:g} m is outside $.limits ({band})"
+    swing_m = config.planner.latched_crossing.altitude_swing_m
+    low_m, high_m = mission.altitude_m - swing_m, mission.altitude_m + swing_m
+    if not limits.altitude_min_m <= low_m <= high_m <= limits.altitude_max_m:
+        return (
+            f"$.planner.latched_crossing.altitude_swing_m: {low_m:g} to {high_m:g} m is not "
+            "within $.limits"
+        )
+    if not _has_lanes(config):
+        return "$.planner.lawnmower.area_enu_m: nothing of it is left by $.limits"
     own_r95_m = 2.45 * config.estimation.filter.own_position_sigma_m
     if mission.stop_radius_m <= own_r95_m:
         return (
@@ -122,3 +159,18 @@ def inconsistency(config: CompanionConfig) -> str | None:
             f"$.estimation.localised_r95_m ({config.estimation.localised_r95_m:g} m)"
         )
     return None
+
+
+def _has_lanes(config: CompanionConfig) -> bool:
+    """Whether a lawnmower that may fly has anything to fly."""
+    planner, limits = config.planner, config.limits
+    if "lawnmower" not in (planner.kind, planner.search):
+        return True
+    request = PlanRequest(
+        limits.fence_enu_m[0],
+        None,
+        limits.fence_enu_m,
+        limits.fence_margin_m,
+        keep_out_enu_m=limits.keep_out_enu_m,
+    )
+    return bool(Lawnmower(planner.lawnmower).track(request, limits.fence_enu_m[0], 0))

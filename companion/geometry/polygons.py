@@ -70,10 +70,14 @@ def is_simple(polygon: Polygon) -> bool:
     )
 
 
+def signed_area_m2(polygon: Polygon) -> float:
+    """Enclosed area, square metres, positive if counter-clockwise (shoelace formula)."""
+    return sum(a[0] * b[1] - b[0] * a[1] for a, b in edges(polygon)) / 2.0
+
+
 def area_m2(polygon: Polygon) -> float:
-    """Enclosed area, square metres, never negative (shoelace formula)."""
-    twice = sum(a[0] * b[1] - b[0] * a[1] for a, b in edges(polygon))
-    return abs(twice) / 2.0
+    """Enclosed area, square metres, never negative."""
+    return abs(signed_area_m2(polygon))
 
 
 def deepest_point(polygon: Polygon, cells: int = 24) -> Point:

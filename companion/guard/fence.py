@@ -3,66 +3,63 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
-from itertools import combinations
+from dataclasses import dataclass, field
 
-from companion.geometry.polygons import (
-    Point,
-    area_m2,
-    deepest_point,
-    depth_m,
-    edges,
-    is_simple,
-    nearest_on_segment,
-)
+from companion.geometry.obstacles import FreeSpace, between
+from companion.geometry.polygons import Point, area_m2, deepest_point, depth_m, is_simple
 
-ROUNDING_M = 1e-6
-"""How much farther in than the margin a point is put, so that rounding cannot undo it."""
+Corners = tuple[Point, ...]
+
+LEAST_FENCE_M2 = 1.0
+LEAST_KEEP_OUT_M2 = 1e-3
+"""A mast is a keep-out too."""
 
 
 @dataclass(frozen=True, slots=True)
 class Fence:
-    """A simple polygon in local east and north with a margin inside its border.
+    """A simple polygon in local east and north, keep-outs in it, and a margin to their borders.
 
     Raises:
         ValueError: Fewer than 3 corners, crossing edges, no area, a negative margin, or nothing
             left by it.
     """
 
-    polygon_enu_m: tuple[Point, ...]
+    polygon_enu_m: Corners
     margin_m: float
+    keep_out_enu_m: tuple[Corners, ...] = ()
+    space: FreeSpace = field(init=False, repr=False, compare=False)
+    """What is left by the fence, the keep-outs and the margin."""
 
     def __post_init__(self) -> None:
-        """Refuse a polygon that encloses nothing usable."""
-        if len(self.polygon_enu_m) < 3:
-            raise ValueError("a fence needs at least 3 corners")
-        if not all(math.isfinite(v) for corner in self.polygon_enu_m for v in corner):
-            raise ValueError("a fence corner is not a finite number")
-        if not is_simple(self.polygon_enu_m):
-            raise ValueError("two edges of the fence cross each other")
-        if area_m2(self.polygon_enu_m) < 1.0:
-            raise ValueError("the fence encloses no area")
+        """Refuse polygons that enclose nothing, and a fence that leaves nothing usable."""
+        _check_polygon("fence", self.polygon_enu_m, LEAST_FENCE_M2)
+        for polygon in self.keep_out_enu_m:
+            _check_polygon("keep-out", polygon, LEAST_KEEP_OUT_M2)
         if not self.margin_m >= 0.0:
             raise ValueError("the margin of a fence must not be negative")
-        if depth_m(self.polygon_enu_m, deepest_point(self.polygon_enu_m)) <= self.margin_m:
+        middle = deepest_point(self.polygon_enu_m)
+        if depth_m(self.polygon_enu_m, middle) <= self.margin_m:
             raise ValueError(f"the margin of {self.margin_m:g} m leaves nothing of the fence")
+        space = FreeSpace(self.polygon_enu_m, self.keep_out_enu_m, self.margin_m)
+        object.__setattr__(self, "space", space)
+        if space.nearest_allowed(middle) is None:
+            raise ValueError("the keep-outs leave nothing of the fence")
 
     def allows(self, point: Point) -> bool:
-        """Whether a point is inside by at least the margin."""
-        return depth_m(self.polygon_enu_m, point) >= self.margin_m
+        """Whether a point is inside, and outside every keep-out, by at least the margin."""
+        return self.space.allows(point)
 
     def limited(self, start: Point, goal: Point) -> Point:
         """The farthest allowed point on the straight way from `start` to `goal`.
 
         From a start that is not allowed itself (blown outside, or started there) the result is
-        the nearest allowed point instead: only ever inwards.
+        the nearest allowed point instead: only ever the shortest way back.
         """
         if not self.allows(start):
             return self.nearest_allowed(start)
         inside, step = 0.0, self._share_of_way(start, goal)
         share = step
-        while share < 1.0 and self.allows(_between(start, goal, share)):
+        while share < 1.0 and self.allows(between(start, goal, share)):
             inside = share
             share = min(1.0, share + step)
         if share >= 1.0 and self.allows(goal):
@@ -70,35 +67,19 @@ class Fence:
         outside = share
         for _ in range(40):
             middle = 0.5 * (inside + outside)
-            if self.allows(_between(start, goal, middle)):
+            if self.allows(between(start, goal, middle)):
                 inside = middle
             else:
                 outside = middle
-        return _between(start, goal, inside)
+        return between(start, goal, inside)
 
     def nearest_allowed(self, point: Point) -> Point:
         """`point` if it is allowed, otherwise the nearest allowed one."""
-        if self.allows(point):
-            return point
-        candidates = sorted(self._brink(point), key=lambda candidate: math.dist(candidate, point))
-        nearest = next((candidate for candidate in candidates if self.allows(candidate)), None)
-        return deepest_point(self.polygon_enu_m) if nearest is None else nearest
-
-    def _brink(self, point: Point) -> Iterator[Point]:
-        """Where the allowed area may be nearest to `point`.
-
-        That is on an edge moved inwards by the margin, where two of those meet, or on the circle
-        about a corner that the inside goes around.
-        """
-        sides = [(a, b) for a, b in edges(self.polygon_enu_m) if a != b]
-        turn = sum(a[0] * b[1] - b[0] * a[1] for a, b in sides)
-        inset_m = math.copysign(self.margin_m + ROUNDING_M, turn)
-        moved = [_moved_left(a, b, inset_m) for a, b in sides]
-        yield from (nearest_on_segment(a, b, point) for a, b in moved)
-        yield from (m for pair in combinations(moved, 2) if (m := _meeting(*pair)) is not None)
-        for corner, _ in sides:
-            if (distance := math.dist(corner, point)) > 0.0:
-                yield _between(corner, point, abs(inset_m) / distance)
+        nearest = self.space.nearest_allowed(point)
+        if nearest is None:  # a place so absurd that distances to it mean nothing
+            nearest = self.space.nearest_allowed(deepest_point(self.polygon_enu_m))
+        assert nearest is not None  # checked when the fence was made
+        return nearest
 
     def _share_of_way(self, start: Point, goal: Point) -> float:
         """Step of the search: no narrower notch than a quarter of the margin is jumped over."""
@@ -106,22 +87,17 @@ class Fence:
         return 1.0 if length == 0.0 else min(1.0, max(0.25 * self.margin_m, 0.05) / length)
 
 
-def _between(a: Point, b: Point, share: float) -> Point:
-    return (a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]))
+def _check_polygon(name: str, polygon: Corners, least_m2: float) -> None:
+    """Refuse a polygon that encloses nothing.
 
-
-def _moved_left(start: Point, end: Point, by_m: float) -> tuple[Point, Point]:
-    """A segment moved sideways, to the left of its direction."""
-    share = by_m / math.dist(start, end)
-    east, north = share * (start[1] - end[1]), share * (end[0] - start[0])
-    return (start[0] + east, start[1] + north), (end[0] + east, end[1] + north)
-
-
-def _meeting(first: tuple[Point, Point], second: tuple[Point, Point]) -> Point | None:
-    """Where the straight lines through two segments meet, or None if they are parallel."""
-    (a, b), (c, d) = first, second
-    cross = (b[0] - a[0]) * (d[1] - c[1]) - (b[1] - a[1]) * (d[0] - c[0])
-    if cross == 0.0:
-        return None
-    along = (c[0] - a[0]) * (d[1] - c[1]) - (c[1] - a[1]) * (d[0] - c[0])
-    return _between(a, b, along / cross)
+    Raises:
+        ValueError: It does not enclose at least this area; the text calls it `name`.
+    """
+    if len(polygon) < 3:
+        raise ValueError(f"a {name} needs at least 3 corners")
+    if not all(math.isfinite(v) for corner in polygon for v in corner):
+        raise ValueError(f"a {name} corner is not a finite number")
+    if not is_simple(polygon):
+        raise ValueError(f"two edges of the {name} cross each other")
+    if area_m2(polygon) < least_m2:
+        raise ValueError(f"the {name} encloses no area")

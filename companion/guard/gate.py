@@ -4,8 +4,8 @@ Theory of operation. The autopilot takes a setpoint as it is (PX4 accepted x = 1
 an ArduPilot position target never times out. So the setpoint is a carrot: it starts where the
 vehicle is and moves towards the goal no faster than the speed limit, waits when the vehicle falls
 behind by more than the step limit, starts anew at the vehicle when that is far off (its position
-jumped, or wind took it), and never leaves the fence or the altitude band. Each one is therefore
-safe to be the last one that is ever sent.
+jumped, or wind took it), and never leaves the fence or the altitude band, nor enters a keep-out.
+Each one is therefore safe to be the last one that is ever sent.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ class GuardReason(Enum):
     """Why a setpoint is not where the planner wanted it."""
 
     NOT_FINITE = "goal, vehicle, home or time is not a finite number"
-    FENCE = "goal is outside the fence"
-    OUTSIDE = "vehicle is outside the fence"
+    FENCE = "goal is outside the fence or in a keep-out"
+    OUTSIDE = "vehicle is outside the fence or in a keep-out"
     ALTITUDE = "goal is outside the altitude band"
     LAGGING = "vehicle lags behind its setpoint"
     JUMPED = "vehicle is far from its setpoint: staying where it is"

@@ -12,11 +12,33 @@ FOLLOW_UP_S = 5.0
 """How long the autopilot may take to enter the mode that follows the report."""
 
 
+def is_search_due(
+    estimate: TargetEstimate | None,
+    ranging_heard_s: float | None,
+    search_after_s: float | None,
+    now_s: float,
+) -> bool:
+    """Whether the planner searches now, and needs neither contact nor an estimate.
+
+    Args:
+        estimate: Of the target.
+        ranging_heard_s: When the last usable measurement came.
+        search_after_s: See `Planner`.
+        now_s: The present.
+    """
+    if search_after_s is None:
+        return False
+    if estimate is None or ranging_heard_s is None or search_after_s == 0.0:
+        return True
+    return now_s - ranging_heard_s > search_after_s
+
+
 def missing_input(
     vehicle: VehicleView,
     estimate: TargetEstimate | None,
     ranging_heard_s: float | None,
     ranging_timeout_s: float,
+    search_after_s: float | None,
     now_s: float,
 ) -> str | None:
     """What the plan stands on and is not there, or None.
@@ -26,6 +48,7 @@ def missing_input(
         estimate: Of the target.
         ranging_heard_s: When the last usable measurement came.
         ranging_timeout_s: How old it may be.
+        search_after_s: See `Planner`.
         now_s: The present.
     """
     if vehicle.is_link_lost(now_s):
@@ -34,6 +57,8 @@ def missing_input(
         return "autopilot's mode is unknown"
     if not vehicle.is_position_fresh(now_s):
         return "own position is stale"
+    if is_search_due(estimate, ranging_heard_s, search_after_s, now_s):
+        return None
     if ranging_heard_s is None or estimate is None:
         return "waiting for ranging"
     if now_s - ranging_heard_s > ranging_timeout_s:

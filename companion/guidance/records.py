@@ -31,6 +31,7 @@ def waypoint_record(waypoint: Waypoint) -> Record:
     """A waypoint and why it was chosen."""
     fields = {
         "position_enu_m": waypoint.position_enu_m,
+        "altitude_offset_m": waypoint.altitude_offset_m,
         "reason": waypoint.reason.value,
         "detail": waypoint.detail,
     }

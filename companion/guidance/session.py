@@ -1,7 +1,8 @@
 """The guidance session: events in, commands out, no clock and no socket.
 
-It joins what the other modules know: the listener feeds the tracker, the steering turns the
-estimate into guarded setpoints, and the transition table of `states` says whether any may be sent.
+It joins what the other modules know: the listener feeds the tracker, the flight plan turns the
+estimate into waypoints and the steering these into guarded setpoints, and the transition table of
+`states` says whether any may be sent.
 """
 
 from __future__ import annotations
@@ -39,11 +40,12 @@ from companion.guidance.events import (
     TimerFired,
     VehicleMoved,
 )
+from companion.guidance.flight_plan import FlightPlan
 from companion.guidance.launch import Launch, LaunchView
 from companion.guidance.listener import RangingListener
 from companion.guidance.params import FOLLOW_UP_MODE
 from companion.guidance.params import SessionParams as SessionParams
-from companion.guidance.records import estimate_record, result_of, waypoint_record
+from companion.guidance.records import estimate_record, result_of
 from companion.guidance.states import IN_CONTROL, OUT_OF_CONTROL, STREAMING, Phase, Trigger
 from companion.guidance.status import GuidanceStatus, snapshot
 from companion.guidance.steering import Steering
@@ -82,7 +84,8 @@ class GuidanceSession:
         self.params = params
         self.tracker = tracker
         self.vehicle = VehicleView(needs_origin=needs_origin)
-        self.steering = Steering(planner, guard, params.altitude_m)
+        self.flight_plan = FlightPlan(planner, guard.limits.fence, tracker, params.altitude_m)
+        self.steering = Steering(guard, params.altitude_m)
         self.authority = Authority()
         self.estimate: TargetEstimate | None = None
         self.result: ReportResult | None = None
@@ -91,7 +94,6 @@ class GuidanceSession:
         self._has_launched = False
         self._stop_rule = StopRule(params.stop_radius_m, params.stop_confirm_s)
         self._hold_reason = ""
-        self._is_beyond_fence = False
         self._waiting = WaitingReason(self.vehicle, self.authority)
         self._tick_s: float | None = None
         self._next_heartbeat_s = -math.inf
@@ -144,6 +146,7 @@ class GuidanceSession:
             self._hold_reason,
             self._launch,
             self.vehicle,
+            self.flight_plan,
             self.steering,
             self.tracker,
             self.estimate,
@@ -235,7 +238,7 @@ class GuidanceSession:
 
     def _forget_target(self) -> None:
         self.tracker.restart()
-        self.steering.forget_plan()
+        self.flight_plan.forget()
         self.estimate = None
 
     def _on_restart(self, now_s: float) -> None:
@@ -265,7 +268,7 @@ class GuidanceSession:
             if report.restarted:
                 text = "the filter contradicted its measurements and was started anew"
                 self._announce(Severity.WARNING, text)
-                self.steering.forget_plan()
+                self.flight_plan.forget()
             self._replan(report, now_s)
 
     def _replan(self, report: FusionReport, now_s: float) -> None:
@@ -277,22 +280,11 @@ class GuidanceSession:
         self.estimate = estimate
         self._commands.append(estimate_record(report, estimate))
         if self.phase is Phase.ENGAGED:
-            self._plan_now()
+            self._plan_now(now_s)
 
-    def _plan_now(self) -> None:
-        position = self.vehicle.position_enu_m
-        if self.estimate is None or position is None:
-            return
-        previous = self.steering.waypoint
-        baseline_m = self.tracker.baseline_m(position[2])
-        waypoint = self.steering.plan(self.estimate, position, baseline_m)
-        if previous is None or previous.detail != waypoint.detail:
-            self._commands.append(waypoint_record(waypoint))
-        is_beyond = self.steering.is_beyond_fence(self.estimate)
-        if is_beyond and not self._is_beyond_fence:
-            text = "the estimate is outside the fence: it can only be looked at from inside"
-            self._announce(Severity.WARNING, text)
-        self._is_beyond_fence = is_beyond
+    def _plan_now(self, now_s: float) -> None:
+        setpoint = self.steering.setpoint_enu_m
+        self._commands += self.flight_plan.renew(now_s, self.vehicle, setpoint, self.estimate)
 
     # The control tick
 
@@ -301,6 +293,8 @@ class GuidanceSession:
         self._tick_s = now_s
         self._fused(self._listener.fuse_due(now_s), now_s)
         self._advance_phase(now_s)
+        if self.phase is Phase.ENGAGED and self.flight_plan.is_due(now_s):
+            self._plan_now(now_s)
         if now_s >= self._next_heartbeat_s:
             self._next_heartbeat_s = now_s + HEARTBEAT_PERIOD_S
             self._commands.append(SendHeartbeat())
@@ -357,19 +351,22 @@ class GuidanceSession:
             self.estimate,
             self.tracker.last_accepted_s,
             self.params.ranging_timeout_s,
+            self.flight_plan.search_after_s,
             now_s,
         )
         if missing is None:
             if self._enter(Trigger.INPUT_BACK, now_s):
                 self._announce(Severity.INFO, "flying the plan")
-                self._plan_now()
+                self._plan_now(now_s)
             return
         if self._enter(Trigger.INPUT_LOST, now_s) or missing != self._hold_reason:
             self._hold_reason = missing
             self._announce(Severity.WARNING, f"hold: {missing}")
 
     def _check_localised(self, now_s: float) -> None:
-        flown = self.estimate if self.phase is Phase.ENGAGED else None
+        heard_s, patience_s = self.tracker.last_accepted_s, self.params.ranging_timeout_s
+        is_fresh = heard_s is not None and now_s - heard_s <= patience_s
+        flown = self.estimate if self.phase is Phase.ENGAGED and is_fresh else None
         if self._stop_rule.is_met(flown, now_s) and flown is not None:
             self._report(flown, now_s)
 
@@ -392,7 +389,7 @@ class GuidanceSession:
             case Phase.STANDBY | Phase.LAUNCHING:
                 return self.steering.stay_with(position, home[2])
             case Phase.ENGAGED:
-                return self.steering.follow(position, home[2], dt_s)
+                return self.steering.follow(self.flight_plan.waypoint, position, home[2], dt_s)
             case Phase.HOLDING | Phase.FINISHED | Phase.HANDING_BACK:
                 return self.steering.stay(position, home[2], dt_s)
         return None

@@ -9,23 +9,65 @@ base line makes bearings strong. Without bearings it is not shorter than the bas
 need. Each new crossing turns by the golden angle, so that any number of
 crossings covers all directions evenly, without planning and at O(1) cost.
 
+In three dimensions what is crossed is the vertical plane through vehicle and estimate (the plane of
+agent, estimate and gravity): the golden angle leads from one side of it to the other and so changes
+the azimuth of the view. Its elevation, seen at the same distances from one height, repeats itself;
+with an altitude swing the crossings are flown above and below the search altitude by turns, so that
+views differ within the plane as well. A crossing then ends at its height, which takes longer than
+its few metres along the ground: level is the default.
+
 Paper: section V-A and Appendix C, with the crossing distance made real (Algorithm 1 as printed
-does not depend on it).
+does not depend on it); section "Limitations and Scope" for the separation plane in 3-D.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-from companion.domain import Point, Waypoint, WaypointReason
-from companion.params import Params, Positive
+import numpy as np
+
+from companion.domain import Point, TargetEstimate, Waypoint, WaypointReason
+from companion.geometry.arrays import Vector
+from companion.params import NonNegative, Params, Positive
 from companion.planning.base import Plan, PlanRequest
-from companion.planning.keepin import kept_inside, unit
+from companion.planning.directions import direction, turned
+from companion.planning.latch import (
+    CROSSINGS,
+    DIRECTION_EAST,
+    ESTIMATE_EAST,
+    GOLDEN_ANGLE_RAD,
+    IS_SET,
+    KEPT,
+    LATCH_SIZE,
+    OVERSHOOT,
+    POINT_EAST,
+    START_EAST,
+    LatchRule,
+    altitude_offset_m,
+    latch_verdict,
+    new_latch,
+    next_direction,
+    overshoot_m,
+)
+from companion.planning.routing import (
+    cut_by_fence,
+    held,
+    is_reachable,
+    kept_inside,
+    pushed_beyond,
+    routed,
+    way_finder,
+)
 
-GOLDEN_ANGLE_RAD = math.pi * (3.0 - math.sqrt(5.0))
-FENCE_TRIES = 5
+DIRECTIONS_TRIED = 5
 """Directions tried before a crossing cut short by the fence is accepted."""
+HEIGHT_SHARE = 0.5
+"""A crossing is at its height within this share of the swing."""
+PUSHED_M = 0.01
+"""Farther beyond the estimate than its overshoot by this, a crossing point was pushed there."""
+LONG_ENOUGH_SHARE = 0.9
+"""A crossing with this much of its overshoot is not cut short."""
 
 
 class LatchedCrossingParams(Params, frozen=True):
@@ -39,11 +81,23 @@ class LatchedCrossingParams(Params, frozen=True):
     """The crossing point counts as reached within this distance."""
     reaim_distance_m: Positive = 3.0
     """A move of the estimate by more than this, or half the overshoot, aims anew."""
+    altitude_swing_m: NonNegative = 0.0
+    """Crossings are flown this much above and below the search altitude by turns; 0: level."""
 
     def __post_init__(self) -> None:
         """Refuse an empty band for the overshoot."""
         if self.overshoot_min_m > self.overshoot_max_m:
             raise ValueError("overshoot_min_m must not exceed overshoot_max_m")
+
+    def rule(self) -> LatchRule:
+        """The same parameters as the kernels take them."""
+        return LatchRule(
+            self.overshoot_sigmas,
+            self.overshoot_min_m,
+            self.overshoot_max_m,
+            self.arrival_radius_m,
+            self.reaim_distance_m,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,12 +115,48 @@ class Latch:
     crossings: int
     """Crossings flown to their end so far."""
 
+    @classmethod
+    def of(cls, array: Vector) -> Latch:
+        """The latch in a kernel's array."""
+        v = array.tolist()
+        return cls(
+            point_enu_m=(v[POINT_EAST], v[POINT_EAST + 1]),
+            estimate_enu_m=(v[ESTIMATE_EAST], v[ESTIMATE_EAST + 1]),
+            direction=(v[DIRECTION_EAST], v[DIRECTION_EAST + 1]),
+            start_enu_m=(v[START_EAST], v[START_EAST + 1]),
+            overshoot_m=v[OVERSHOOT],
+            crossings=int(v[CROSSINGS]),
+        )
+
+    @property
+    def pushed_m(self) -> float:
+        """How far beyond the estimate the point is if a keep-out pushed it there, otherwise 0."""
+        (point_east, point_north), (east, north) = self.point_enu_m, self.estimate_enu_m
+        beyond_m = (point_east - east) * self.direction[0]
+        beyond_m += (point_north - north) * self.direction[1]
+        return beyond_m if beyond_m > self.overshoot_m + PUSHED_M else 0.0
+
+    def array(self) -> Vector:
+        """The same latch as the kernels take it."""
+        array = np.zeros(LATCH_SIZE)
+        array[POINT_EAST : POINT_EAST + 2] = self.point_enu_m
+        array[ESTIMATE_EAST : ESTIMATE_EAST + 2] = self.estimate_enu_m
+        array[DIRECTION_EAST : DIRECTION_EAST + 2] = self.direction
+        array[START_EAST : START_EAST + 2] = self.start_enu_m
+        array[OVERSHOOT] = self.overshoot_m
+        array[CROSSINGS] = self.crossings
+        array[IS_SET] = 1.0
+        return array
+
 
 class LatchedCrossing:
     """The default planner."""
 
+    search_after_s: float | None = None
+
     def __init__(self, params: LatchedCrossingParams) -> None:
         self.params = params
+        self._rule = params.rule()
 
     def initial_memory(self) -> Latch | None:
         """No crossing chosen yet."""
@@ -74,85 +164,72 @@ class LatchedCrossing:
 
     def plan(self, request: PlanRequest, memory: Latch | None) -> Plan[Latch | None]:
         """The crossing in flight, or the next one."""
-        vehicle, estimate = request.vehicle_enu_m, request.estimate.position_enu_m
-        if memory is None:
-            return self._latched(request, unit(vehicle, estimate), 0)
-        if self._is_flown(request, memory):
-            return self._latched(request, _turned(memory.direction), memory.crossings + 1)
-        moved_m = math.dist(estimate, memory.estimate_enu_m)
-        if moved_m > max(self.params.reaim_distance_m, 0.5 * memory.overshoot_m):
-            return self._latched(request, memory.direction, memory.crossings)
-        return Plan(self._waypoint(request, memory), memory)
+        if request.estimate is None:
+            return Plan(held(request, "no estimate yet"), None)
+        vehicle, target = request.vehicle_enu_m, request.estimate.position_enu_m
+        over_m = self._overshoot_m(request, request.estimate)
+        array = np.zeros(LATCH_SIZE) if memory is None else memory.array()
+        behind_m = over_m if memory is None else max(over_m, memory.pushed_m)
+        is_at_height = self._is_at_height(request, memory)
+        verdict = latch_verdict(array, *vehicle, *target, behind_m, is_at_height, self._rule)
+        if memory is not None and verdict == KEPT:
+            return Plan(self._waypoint(request, memory), memory)
+        heading = next_direction(array, verdict, *vehicle, *target)
+        chosen = self._best_point(request, target, heading, over_m)
+        if chosen is None:
+            return Plan(held(request, "no way to any side of the estimate"), memory)
+        fresh = new_latch(array, verdict, *chosen, *vehicle, *target, over_m, self._rule)
+        latch = Latch.of(fresh)
+        return Plan(self._waypoint(request, latch), latch)
 
-    def _latched(
-        self, request: PlanRequest, direction: Point, crossings: int
-    ) -> Plan[Latch | None]:
-        """Choose a crossing; directions that the fence cuts short are turned on first."""
-        overshoot_m = self._overshoot_m(request)
-        anchor = kept_inside(
-            request.estimate.position_enu_m,
-            request.vehicle_enu_m,
-            request.fence_enu_m,
-            request.fence_margin_m,
-        )
-        best: Latch | None = None
-        best_length_m = -1.0
-        for _ in range(FENCE_TRIES):
-            far = (
-                anchor[0] + overshoot_m * direction[0],
-                anchor[1] + overshoot_m * direction[1],
-            )
-            point = kept_inside(far, anchor, request.fence_enu_m, request.fence_margin_m)
-            length_m = math.dist(anchor, point)
-            if length_m > best_length_m:
-                estimate = request.estimate.position_enu_m
-                best = Latch(
-                    point, estimate, direction, request.vehicle_enu_m, overshoot_m, crossings
-                )
-                best_length_m = length_m
-            if length_m >= 0.9 * overshoot_m:
-                break
-            direction = _turned(direction)
-        assert best is not None
-        if math.dist(request.vehicle_enu_m, best.point_enu_m) <= self.params.arrival_radius_m:
-            best = replace(best, direction=_turned(best.direction))
-        return Plan(self._waypoint(request, best), best)
-
-    def _is_flown(self, request: PlanRequest, latch: Latch) -> bool:
-        """Whether the point is reached, or the estimate is left behind by its present overshoot.
-
-        The latch was chosen when less was known; once a shorter overshoot will do, the rest of a
-        long one would only cost time.
-        """
-        vehicle, estimate = request.vehicle_enu_m, request.estimate.position_enu_m
-        if math.dist(vehicle, latch.point_enu_m) <= self.params.arrival_radius_m:
+    def _is_at_height(self, request: PlanRequest, memory: Latch | None) -> bool:
+        """Whether a crossing may end: a point in space is reached in height as well."""
+        swing_m, offset_m = self.params.altitude_swing_m, request.altitude_offset_m
+        if swing_m == 0.0 or offset_m is None or memory is None:
             return True
-        overshoot_m = self._overshoot_m(request)
-        started_m = _along(latch.direction, estimate, latch.start_enu_m)
-        return started_m < overshoot_m <= _along(latch.direction, estimate, vehicle)
+        wanted_m = altitude_offset_m(float(memory.crossings), swing_m)
+        return abs(offset_m - wanted_m) <= HEIGHT_SHARE * swing_m
 
-    def _overshoot_m(self, request: PlanRequest) -> float:
-        (a, b), (_, c) = request.estimate.covariance_m2
-        largest = 0.5 * (a + c) + math.hypot(0.5 * (a - c), b)
-        p = self.params
-        wanted = p.overshoot_sigmas * math.sqrt(max(largest, 0.0))
-        least = max(p.overshoot_min_m, min(request.baseline_m, p.overshoot_max_m))
-        return min(max(wanted, least), p.overshoot_max_m)
+    def _overshoot_m(self, request: PlanRequest, estimate: TargetEstimate) -> float:
+        (a, b), (_, c) = estimate.covariance_m2
+        return overshoot_m(a, b, c, request.baseline_m, self._rule)
+
+    def _best_point(
+        self, request: PlanRequest, target: Point, heading: Point, over_m: float
+    ) -> tuple[Point, Point] | None:
+        """The crossing point and its direction; None if no direction can be flown.
+
+        Directions that the fence cuts short, or that end where there is no way to, are turned on.
+        A point in a keep-out, perhaps the one about the target, is pushed beyond it: nearest to it
+        may be the near side, and the views would all be from there.
+        """
+        if way_finder(request) is None:
+            return _far_point(target, heading, over_m), heading
+        anchor = cut_by_fence(target, request.vehicle_enu_m, request)
+        best: tuple[Point, Point] | None = None
+        best_length_m = -1.0
+        for _ in range(DIRECTIONS_TRIED):
+            far = cut_by_fence(_far_point(anchor, heading, over_m), anchor, request)
+            point = kept_inside(pushed_beyond(far, heading, request), anchor, request)
+            length_m = math.dist(anchor, point)
+            if length_m > best_length_m and is_reachable(point, request):
+                best, best_length_m = (point, heading), length_m
+                if length_m >= LONG_ENOUGH_SHARE * over_m:
+                    break
+            heading = turned(*heading, GOLDEN_ANGLE_RAD)
+        return best
 
     def _waypoint(self, request: PlanRequest, latch: Latch) -> Waypoint:
         vehicle, estimate = request.vehicle_enu_m, latch.estimate_enu_m
-        is_ahead = _along(unit(vehicle, latch.point_enu_m), vehicle, estimate) > 0.0
+        ahead = direction(*vehicle, *latch.point_enu_m)
+        to_estimate = (estimate[0] - vehicle[0], estimate[1] - vehicle[1])
+        is_ahead = to_estimate[0] * ahead[0] + to_estimate[1] * ahead[1] > 0.0
         is_approach = is_ahead and math.dist(vehicle, estimate) > latch.overshoot_m
         reason = WaypointReason.APPROACH if is_approach else WaypointReason.CROSSING
         detail = f"crossing {latch.crossings + 1}, {latch.overshoot_m:.1f} m beyond the estimate"
-        return Waypoint(latch.point_enu_m, reason, detail)
+        offset_m = altitude_offset_m(float(latch.crossings), self.params.altitude_swing_m)
+        return routed(request, Waypoint(latch.point_enu_m, reason, detail, offset_m))
 
 
-def _along(direction: Point, start: Point, end: Point) -> float:
-    """How far `end` is from `start` in a direction (a unit vector)."""
-    return (end[0] - start[0]) * direction[0] + (end[1] - start[1]) * direction[1]
-
-
-def _turned(direction: Point) -> Point:
-    c, s = math.cos(GOLDEN_ANGLE_RAD), math.sin(GOLDEN_ANGLE_RAD)
-    return (c * direction[0] - s * direction[1], s * direction[0] + c * direction[1])
+def _far_point(anchor: Point, heading: Point, over_m: float) -> Point:
+    return (anchor[0] + over_m * heading[0], anchor[1] + over_m * heading[1])

@@ -10,7 +10,7 @@ distance has no effect, each step simply flies at the estimate, and crossing onl
 overshooting by less than one step. `latched_crossing` keeps the promise; this one is kept for
 comparison.
 
-Paper: Algorithm 1. Deviation: the next point is kept inside the fence.
+Paper: Algorithm 1. Deviation: the next point and the leg to it are kept in free space.
 """
 
 from __future__ import annotations
@@ -18,9 +18,11 @@ from __future__ import annotations
 import math
 
 from companion.domain import Waypoint, WaypointReason
+from companion.kernel import kernel
 from companion.params import NonNegative, Params, Positive
 from companion.planning.base import Plan, PlanRequest
-from companion.planning.keepin import kept_inside, unit
+from companion.planning.directions import direction
+from companion.planning.routing import held, kept_inside, routed
 
 
 class ReactiveCrossingParams(Params, frozen=True):
@@ -32,8 +34,33 @@ class ReactiveCrossingParams(Params, frozen=True):
     """eps_stop; above zero the vehicle parks on its estimate and stops learning."""
 
 
+@kernel
+def reactive_step(
+    east_m: float,
+    north_m: float,
+    target_east_m: float,
+    target_north_m: float,
+    step_m: float,
+    crossing_distance_m: float,
+    stop_distance_m: float,
+) -> tuple[float, float]:
+    """The next place of a vehicle; its own where it is closer than the stop distance.
+
+    Paper: Algorithm 1.
+    """
+    if math.hypot(target_east_m - east_m, target_north_m - north_m) < stop_distance_m:
+        return east_m, north_m
+    d_east, d_north = direction(east_m, north_m, target_east_m, target_north_m)
+    crossing_east_m = target_east_m + crossing_distance_m * d_east
+    crossing_north_m = target_north_m + crossing_distance_m * d_north
+    v_east, v_north = direction(east_m, north_m, crossing_east_m, crossing_north_m)
+    return east_m + step_m * v_east, north_m + step_m * v_north
+
+
 class ReactiveCrossing:
     """Algorithm 1 of the paper; it needs no memory."""
+
+    search_after_s: float | None = None
 
     def __init__(self, params: ReactiveCrossingParams) -> None:
         self.params = params
@@ -43,15 +70,15 @@ class ReactiveCrossing:
 
     def plan(self, request: PlanRequest, memory: None) -> Plan[None]:
         """One step of the printed algorithm."""
-        vehicle, estimate = request.vehicle_enu_m, request.estimate.position_enu_m
-        if math.dist(vehicle, estimate) < self.params.stop_distance_m:
-            here = kept_inside(vehicle, vehicle, request.fence_enu_m, request.fence_margin_m)
-            return Plan(Waypoint(here, WaypointReason.HOLD, "close to the estimate"), memory)
-        d = unit(vehicle, estimate)
-        length = self.params.crossing_distance_m
-        crossing = (estimate[0] + length * d[0], estimate[1] + length * d[1])
-        v = unit(vehicle, crossing)
-        step = self.params.step_m
-        target = (vehicle[0] + step * v[0], vehicle[1] + step * v[1])
-        target = kept_inside(target, vehicle, request.fence_enu_m, request.fence_margin_m)
-        return Plan(Waypoint(target, WaypointReason.CROSSING, "one step, as printed"), memory)
+        if request.estimate is None:
+            return Plan(held(request, "no estimate yet"), memory)
+        p, vehicle = self.params, request.vehicle_enu_m
+        estimate = request.estimate.position_enu_m
+        target = reactive_step(
+            *vehicle, *estimate, p.step_m, p.crossing_distance_m, p.stop_distance_m
+        )
+        if target == vehicle:
+            return Plan(held(request, "close to the estimate"), memory)
+        target = kept_inside(target, vehicle, request)
+        waypoint = Waypoint(target, WaypointReason.CROSSING, "one step, as printed")
+        return Plan(routed(request, waypoint), memory)

@@ -2,27 +2,70 @@
 
 from __future__ import annotations
 
+import copy
 import math
+from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.domain import EstimateState, Point, TargetEstimate, WaypointReason
+from companion.domain import EstimateState, Point, TargetEstimate, Waypoint, WaypointReason
+from companion.geometry.arrays import frozen
+from companion.geometry.obstacles import FreeSpace, between
 from companion.geometry.polygons import deepest_point, depth_m
 from companion.planning.base import Planner, PlanRequest
+from companion.planning.fim import FimParams, FimPlanner
 from companion.planning.latched_crossing import LatchedCrossing, LatchedCrossingParams
+from companion.planning.patterns import (
+    ExpandingSquare,
+    ExpandingSquareParams,
+    Lawnmower,
+    LawnmowerParams,
+    SectorParams,
+    SectorSearch,
+)
 from companion.planning.reactive_crossing import ReactiveCrossing, ReactiveCrossingParams
+from companion.planning.routing import NO_ROOM, START_TOLERANCE_M
+from companion.planning.search import SearchPlanner
+from companion.planning.search_then_cross import SearchThenCross
 
-PLANNERS: dict[str, Planner[Any]] = {
+HOOK = ((-40.0, -40.0), (40.0, -40.0), (40.0, 0.0), (0.0, 0.0), (0.0, 40.0), (-40.0, 40.0))
+
+CROSSING: dict[str, Planner[Any]] = {
     "reactive": ReactiveCrossing(ReactiveCrossingParams()),
     "reactive, parking": ReactiveCrossing(ReactiveCrossingParams(stop_distance_m=500.0)),
     "latched": LatchedCrossing(LatchedCrossingParams()),
     "latched, tight": LatchedCrossing(
         LatchedCrossingParams(overshoot_max_m=2.0, arrival_radius_m=0.1)
     ),
+    "latched, swinging": LatchedCrossing(LatchedCrossingParams(altitude_swing_m=5.0)),
+    "fim": FimPlanner(FimParams()),
+    "fim, printed": FimPlanner(FimParams(near_target_terms=False), 0.5, 0.01),
 }
+SEARCHING: dict[str, Planner[Any]] = {
+    "lawnmower": SearchPlanner(Lawnmower(LawnmowerParams())),
+    "lawnmower, hook": SearchPlanner(
+        Lawnmower(
+            LawnmowerParams(area_enu_m=HOOK, lane_heading_deg=30.0, start_corner="north_east")
+        )
+    ),
+    "expanding square": SearchPlanner(ExpandingSquare(ExpandingSquareParams(spacing_m=15.0))),
+    "sector": SearchPlanner(SectorSearch(SectorParams(datum_enu_m=(10.0, -20.0)))),
+}
+BOTH: dict[str, Planner[Any]] = {
+    "lawnmower, then latched": SearchThenCross(
+        SearchPlanner(Lawnmower(LawnmowerParams())), LatchedCrossing(LatchedCrossingParams()), 5.0
+    ),
+    "square, then reactive": SearchThenCross(
+        SearchPlanner(ExpandingSquare(ExpandingSquareParams())),
+        ReactiveCrossing(ReactiveCrossingParams()),
+        5.0,
+    ),
+}
+PLANNERS = CROSSING | SEARCHING | BOTH
 
 ROUNDING_M = 1e-9
 
@@ -34,13 +77,21 @@ def planner(request: pytest.FixtureRequest) -> Planner[Any]:
     return PLANNERS[request.param]
 
 
+@pytest.fixture(params=CROSSING)
+def crossing(request: pytest.FixtureRequest) -> Planner[Any]:
+    return CROSSING[request.param]
+
+
 def an_estimate(
-    position_enu_m: Point, sigma_m: float = 3.0, correlation: float = 0.0
+    position_enu_m: Point,
+    sigma_m: float = 3.0,
+    correlation: float = 0.0,
+    state: EstimateState = EstimateState.SEARCHING,
 ) -> TargetEstimate:
     variance, covariance = sigma_m**2, correlation * sigma_m**2
     return TargetEstimate(
         time_s=0.0,
-        state=EstimateState.SEARCHING,
+        state=state,
         position_enu_m=position_enu_m,
         covariance_m2=((variance, covariance), (covariance, variance)),
         r95_m=2.45 * sigma_m,
@@ -50,14 +101,20 @@ def an_estimate(
     )
 
 
-estimates = st.builds(an_estimate, places, st.floats(0.0, 100.0), st.floats(-0.99, 0.99))
+estimates = st.builds(
+    an_estimate,
+    places,
+    st.floats(0.0, 100.0),
+    st.floats(-0.99, 0.99),
+    st.sampled_from(EstimateState),
+)
 
 
 @st.composite
-def fences(draw: st.DrawFn) -> tuple[tuple[Point, ...], float]:
-    """A star-shaped polygon, convex or not, and a margin that leaves something of it."""
+def stars(draw: st.DrawFn, least_m: float, most_m: float) -> tuple[Point, ...]:
+    """A star-shaped polygon, convex or not, in either direction."""
     centre = draw(st.tuples(st.floats(-100.0, 100.0), st.floats(-100.0, 100.0)))
-    radii = draw(st.lists(st.floats(20.0, 200.0), min_size=3, max_size=9))
+    radii = draw(st.lists(st.floats(least_m, most_m), min_size=3, max_size=8))
     first = draw(st.floats(0.0, 2.0 * math.pi))
     polygon = tuple(
         (
@@ -66,65 +123,184 @@ def fences(draw: st.DrawFn) -> tuple[tuple[Point, ...], float]:
         )
         for i, radius in enumerate(radii)
     )
-    depth = depth_m(polygon, deepest_point(polygon))
-    return polygon, draw(st.floats(0.0, 0.95)) * depth
+    return polygon if draw(st.booleans()) else polygon[::-1]
 
 
-@settings(max_examples=60, deadline=None)
-@given(fence=fences(), flown=st.lists(st.tuples(places, estimates), min_size=1, max_size=8))
-def test_every_waypoint_is_inside_the_fence_by_the_margin(
-    fence: tuple[tuple[Point, ...], float], flown: list[tuple[Point, TargetEstimate]]
+@dataclass(frozen=True)
+class Ground:
+    """What limits a flight."""
+
+    fence: tuple[Point, ...]
+    margin_m: float
+    keep_out: tuple[tuple[Point, ...], ...]
+
+    @property
+    def space(self) -> FreeSpace:
+        return FreeSpace(self.fence, self.keep_out, self.margin_m - ROUNDING_M)
+
+    def request(
+        self, vehicle: Point, estimate: TargetEstimate | None, time_s: float = 0.0
+    ) -> PlanRequest:
+        return PlanRequest(
+            vehicle,
+            estimate,
+            self.fence,
+            self.margin_m,
+            keep_out_enu_m=self.keep_out,
+            time_s=time_s,
+            contact_s=None if estimate is None else 0.0,
+        )
+
+
+@st.composite
+def grounds(draw: st.DrawFn) -> Ground:
+    """A fence with a margin that leaves something of it, and up to three keep-outs."""
+    fence = draw(stars(20.0, 200.0))
+    margin_m = draw(st.floats(0.0, 0.95)) * depth_m(fence, deepest_point(fence))
+    return Ground(fence, margin_m, tuple(draw(st.lists(stars(3.0, 40.0), max_size=3))))
+
+
+flights = st.lists(
+    st.tuples(places, st.none() | estimates, st.floats(0.0, 20.0)), min_size=1, max_size=6
+)
+
+
+@settings(max_examples=50, deadline=None)
+@given(ground=grounds(), flown=flights)
+def test_every_waypoint_and_every_leg_keeps_the_margin(
+    ground: Ground, flown: list[tuple[Point, TargetEstimate | None, float]]
 ) -> None:
-    polygon, margin_m = fence
+    space = ground.space
+    has_room = space.nearest_allowed(deepest_point(ground.fence)) is not None
     for planner in PLANNERS.values():
         memory = planner.initial_memory()
-        for vehicle, estimate in flown:
-            plan = planner.plan(PlanRequest(vehicle, estimate, polygon, margin_m), memory)
-            memory = plan.memory
-            depth = depth_m(polygon, plan.waypoint.position_enu_m)
-            assert depth >= margin_m - ROUNDING_M
-            assert plan.waypoint.detail
+        for vehicle, estimate, time_s in flown:
+            plan = planner.plan(ground.request(vehicle, estimate, time_s), memory)
+            memory, waypoint = plan.memory, plan.waypoint
+            assert waypoint.detail
+            if waypoint.detail == NO_ROOM:
+                assert not has_room
+                continue
+            assert space.allows(waypoint.position_enu_m)
+            _check_leg(space, vehicle, waypoint)
 
 
-@settings(max_examples=60, deadline=None)
-@given(flown=st.lists(st.tuples(places, estimates), min_size=2, max_size=8))
+def _check_leg(space: FreeSpace, begin: Point, waypoint: Waypoint) -> None:
+    """From free space the leg never leaves it; from elsewhere it is the shortest way back."""
+    end = waypoint.position_enu_m
+    if not space.allows(begin):
+        nearest = space.nearest_allowed(begin)
+        assert nearest is not None
+        if math.dist(begin, nearest) > 2.0 * START_TOLERANCE_M:
+            assert math.dist(begin, end) == pytest.approx(math.dist(begin, nearest), abs=1e-5)
+        return
+    for step in range(51):
+        assert space.allows(between(begin, end, step / 50.0))
+
+
+@settings(max_examples=40, deadline=None)
+@given(ground=grounds(), flown=flights)
 def test_the_same_memory_and_request_give_the_same_plan(
-    flown: list[tuple[Point, TargetEstimate]],
+    ground: Ground, flown: list[tuple[Point, TargetEstimate | None, float]]
 ) -> None:
     for planner in PLANNERS.values():
         memory = planner.initial_memory()
         seen = []
-        for vehicle, estimate in flown:
-            request = PlanRequest(vehicle, estimate)
+        for vehicle, estimate, time_s in flown:
+            request = ground.request(vehicle, estimate, time_s)
+            kept = copy.deepcopy(memory)
             plan = planner.plan(request, memory)
+            assert memory == kept
             seen.append((request, memory, plan))
             memory = plan.memory
         for request, before, plan in reversed(seen):  # later calls left no trace
             assert planner.plan(request, before) == plan
 
 
-def test_flying_only_its_waypoints_stays_inside(planner: Planner[Any]) -> None:
-    polygon = ((-60.0, -60.0), (60.0, -60.0), (60.0, 60.0), (-60.0, 60.0))
+def test_flying_only_its_waypoints_stays_in_free_space(planner: Planner[Any]) -> None:
+    square = ((-60.0, -60.0), (60.0, -60.0), (60.0, 60.0), (-60.0, 60.0))
+    house = ((-10.0, 10.0), (20.0, 10.0), (20.0, 25.0), (-10.0, 25.0))
+    ground = Ground(square, 5.0, (house,))
     vehicle, memory = (-50.0, 0.0), planner.initial_memory()
     for step in range(200):
         estimate = an_estimate((70.0 * math.cos(step), 50.0), sigma_m=20.0)
-        plan = planner.plan(PlanRequest(vehicle, estimate, polygon, 5.0), memory)
+        plan = planner.plan(ground.request(vehicle, estimate, float(step % 20)), memory)
+        _check_leg(ground.space, vehicle, plan.waypoint)
         memory, vehicle = plan.memory, plan.waypoint.position_enu_m
-        assert depth_m(polygon, vehicle) >= 5.0 - ROUNDING_M
 
 
-def test_without_a_fence_nothing_is_cut_short(planner: Planner[Any]) -> None:
-    plan = planner.plan(
-        PlanRequest((0.0, 0.0), an_estimate((1000.0, 0.0))), planner.initial_memory()
-    )
-    assert plan.waypoint.position_enu_m[0] > 0.0
-    assert plan.waypoint.position_enu_m[1] == pytest.approx(0.0)
+def test_around_a_house_it_gets_to_the_far_side(crossing: Planner[Any]) -> None:
+    """The target is behind a wall-like keep-out; every crossing planner comes to it or parks."""
+    wall = ((0.0, -30.0), (4.0, -30.0), (4.0, 30.0), (0.0, 30.0))
+    vehicle, memory, nearest_m = (-25.0, 0.0), crossing.initial_memory(), math.inf
+    reasons = set()
+    for _ in range(60):
+        request = PlanRequest(
+            vehicle, an_estimate((25.0, 0.0)), fence_margin_m=2.0, keep_out_enu_m=(wall,)
+        )
+        plan = crossing.plan(request, memory)
+        memory, vehicle = plan.memory, plan.waypoint.position_enu_m
+        reasons.add(plan.waypoint.reason)
+        nearest_m = min(nearest_m, math.dist(vehicle, (25.0, 0.0)))
+    if WaypointReason.APPROACH in reasons:
+        assert WaypointReason.DETOUR in reasons
+        assert nearest_m <= 10.0
 
 
-def test_on_top_of_the_estimate_there_is_still_a_waypoint(planner: Planner[Any]) -> None:
-    plan = planner.plan(PlanRequest((7.0, 7.0), an_estimate((7.0, 7.0))), planner.initial_memory())
-    assert all(math.isfinite(v) for v in plan.waypoint.position_enu_m)
-    assert isinstance(plan.waypoint.reason, WaypointReason)
+def test_without_a_fence_nothing_is_cut_short(crossing: Planner[Any]) -> None:
+    request = PlanRequest((0.0, 0.0), an_estimate((1000.0, 0.0)))
+    plan = crossing.plan(request, crossing.initial_memory())
+    assert plan.waypoint.position_enu_m[0] > 0.0 or plan.waypoint.reason is WaypointReason.HOLD
+    if not isinstance(crossing, FimPlanner):
+        assert plan.waypoint.position_enu_m[0] > 0.0
+        assert plan.waypoint.position_enu_m[1] == pytest.approx(0.0)
+
+
+def test_without_an_estimate_crossing_holds_and_searching_searches(planner: Planner[Any]) -> None:
+    square = ((-100.0, -100.0), (100.0, -100.0), (100.0, 100.0), (-100.0, 100.0))
+    request = PlanRequest((7.0, 8.0), None, square, 3.0)
+    waypoint = planner.plan(request, planner.initial_memory()).waypoint
+    if planner.search_after_s is None:
+        assert waypoint == Waypoint((7.0, 8.0), WaypointReason.HOLD, "no estimate yet")
+    else:
+        assert waypoint.reason is WaypointReason.SEARCH
+
+
+HOSTILE = {
+    "on the estimate": an_estimate((7.0, 7.0)),
+    "nothing unsure": an_estimate((20.0, -3.0), sigma_m=0.0),
+    "all unsure": an_estimate((20.0, -3.0), sigma_m=1e6, correlation=0.999),
+    "wider than the universe": an_estimate((20.0, -3.0), sigma_m=1e30),
+    "far away": an_estimate((1e7, -1e7)),
+    "on the far side of the earth": an_estimate((-2e12, 1e9), sigma_m=1e9),
+    "inside the house": an_estimate((32.0, 32.0)),
+    "recovering": an_estimate((20.0, -3.0), state=EstimateState.DIVERGED),
+}
+
+
+@pytest.mark.parametrize("estimate", HOSTILE.values(), ids=HOSTILE)
+@pytest.mark.parametrize("has_fence", [True, False])
+def test_whatever_it_is_told_the_waypoint_is_a_place(
+    planner: Planner[Any], estimate: TargetEstimate, has_fence: bool
+) -> None:
+    square = ((-60.0, -60.0), (60.0, -60.0), (60.0, 60.0), (-60.0, 60.0))
+    house = ((25.0, 25.0), (40.0, 25.0), (40.0, 40.0), (25.0, 40.0))
+    ground = Ground(square, 3.0, (house,))
+    vehicle, memory = (7.0, 7.0), planner.initial_memory()
+    joint = frozen(np.diag([1e12, 0.0, 0.0, 0.0]))
+    for _ in range(5):
+        request = replace(
+            ground.request(vehicle, estimate) if has_fence else PlanRequest(vehicle, estimate),
+            joint_covariance=joint if estimate is HOSTILE["all unsure"] else None,
+        )
+        plan = planner.plan(request, memory)
+        memory, waypoint = plan.memory, plan.waypoint
+        assert all(math.isfinite(v) for v in waypoint.position_enu_m)
+        assert math.isfinite(waypoint.altitude_offset_m)
+        assert isinstance(waypoint.reason, WaypointReason)
+        if has_fence:
+            assert ground.space.allows(waypoint.position_enu_m)
+            vehicle = waypoint.position_enu_m
 
 
 def test_a_fence_without_room_sends_to_its_deepest_point(planner: Planner[Any]) -> None:
@@ -133,3 +309,33 @@ def test_a_fence_without_room_sends_to_its_deepest_point(planner: Planner[Any]) 
         PlanRequest((50.0, 0.0), an_estimate((90.0, 0.0)), polygon, 20.0), planner.initial_memory()
     )
     assert plan.waypoint.position_enu_m == deepest_point(polygon)
+    assert plan.waypoint.reason is WaypointReason.HOLD
+
+
+def test_a_vehicle_in_a_keep_out_takes_the_shortest_way_out(planner: Planner[Any]) -> None:
+    house = ((-20.0, -10.0), (20.0, -10.0), (20.0, 10.0), (-20.0, 10.0))
+    square = ((-90.0, -90.0), (90.0, -90.0), (90.0, 90.0), (-90.0, 90.0))
+    request = Ground(square, 2.0, (house,)).request((3.0, 8.0), an_estimate((60.0, -60.0)))
+    waypoint = planner.plan(request, planner.initial_memory()).waypoint
+    assert waypoint.position_enu_m == pytest.approx((3.0, 12.0), abs=1e-5)
+
+
+def test_behind_walls_on_all_sides_it_stays_and_says_why(planner: Planner[Any]) -> None:
+    """A horseshoe closed by a second keep-out: the target is inside, the vehicle is not."""
+    walls = (
+        ((-20.0, -20.0), (20.0, -20.0), (20.0, -16.0), (-20.0, -16.0)),
+        ((-20.0, 16.0), (20.0, 16.0), (20.0, 20.0), (-20.0, 20.0)),
+        ((-20.0, -17.0), (-16.0, -17.0), (-16.0, 17.0), (-20.0, 17.0)),
+        ((16.0, -17.0), (20.0, -17.0), (20.0, 17.0), (16.0, 17.0)),
+    )
+    tight = ((-21.0, -21.0), (50.0, -21.0), (50.0, 21.0), (-21.0, 21.0))
+    request = PlanRequest(
+        (0.0, 0.0), an_estimate((40.0, 0.0), sigma_m=0.1), tight, 0.5, keep_out_enu_m=walls
+    )
+    plan = planner.plan(request, planner.initial_memory())
+    place, memory = plan.waypoint.position_enu_m, plan.memory
+    for _ in range(20):
+        assert max(map(abs, place)) <= 15.5
+        plan = planner.plan(replace(request, vehicle_enu_m=place), memory)
+        place, memory = plan.waypoint.position_enu_m, plan.memory
+        assert plan.waypoint.detail

@@ -9,7 +9,12 @@ import pytest
 from companion.config.load import load_yaml, parse_yaml
 from companion.config.schema import CompanionConfig, inconsistency, load_config
 from companion.errors import ConfigError
-from companion.run import build_session
+from companion.planning.fim import FimPlanner
+from companion.planning.latched_crossing import LatchedCrossing
+from companion.planning.reactive_crossing import ReactiveCrossing
+from companion.planning.search import SearchPlanner
+from companion.planning.search_then_cross import SearchThenCross
+from companion.run import build_planner, build_session
 
 ROOT = Path(__file__).parents[4]
 PRESETS = sorted((ROOT / "configs/companion").glob("*.yaml"))
@@ -31,6 +36,25 @@ def _records(record: object) -> list:  # type: ignore[type-arg]
     fields = getattr(record, "__struct_fields__", ())
     nested = [_records(getattr(record, name)) for name in fields]
     return ([record] if fields else []) + [r for group in nested for r in group]
+
+
+KINDS = (
+    ("latched_crossing", None, LatchedCrossing),
+    ("reactive_crossing", None, ReactiveCrossing),
+    ("fim", None, FimPlanner),
+    ("lawnmower", None, SearchPlanner),
+    ("expanding_square", None, SearchPlanner),
+    ("sector", None, SearchPlanner),
+    ("latched_crossing", "lawnmower", SearchThenCross),
+    ("fim", "expanding_square", SearchThenCross),
+    ("reactive_crossing", "sector", SearchThenCross),
+)
+
+
+@pytest.mark.parametrize(("kind", "search", "built"), KINDS)
+def test_every_planner_can_be_chosen(kind: str, search: str | None, built: type) -> None:
+    text = f"planner: {{kind: {kind}, search: {search or 'null'}}}"
+    assert isinstance(build_planner(parse_yaml(text, CompanionConfig, "site.yaml")), built)
 
 
 @pytest.mark.parametrize("preset", PRESETS, ids=lambda path: path.stem)
@@ -62,6 +86,23 @@ def test_every_preset_is_valid_and_flies(preset: Path) -> None:
             r"\$\.planner\.latched_crossing",
         ),
         ("planner: {kind: magic}", r"\$\.planner\.kind"),
+        ("planner: {search: latched_crossing}", r"\$\.planner\.search"),
+        ("planner: {kind: sector, search: lawnmower}", r"\$\.planner.*search must be null"),
+        ("planner: {lost_after_s: 0}", r"\$\.planner\.lost_after_s"),
+        ("planner: {lawnmower: {spacing_m: 0.1}}", r"\$\.planner\.lawnmower\.spacing_m"),
+        ("planner: {lawnmower: {area_enu_m: [[0, 0]]}}", r"\$\.planner\.lawnmower.*3 corners"),
+        ("planner: {lawnmower: {start_corner: up}}", r"\$\.planner\.lawnmower\.start_corner"),
+        ("planner: {sector: {heading_deg: 400}}", r"\$\.planner\.sector\.heading_deg"),
+        ("planner: {expanding_square: {radius_m: 5}}", r"\$\.planner\.expanding_square.*radius"),
+        ("limits: {keep_out_enu_m: [[[0, 0], [9, 9]]]}", r"\$\.limits.*keep-out needs"),
+        (
+            "limits: {keep_out_enu_m: [[[0, 0], [9, 9], [9, 0], [0, 9]]]}",
+            r"\$\.limits.*keep-out cross",
+        ),
+        (
+            "limits: {keep_out_enu_m: [[[-200, -200], [200, -200], [200, 200], [-200, 200]]]}",
+            r"\$\.limits.*leave nothing",
+        ),
         ("emitter_id: 70000", r"\$\.emitter_id"),
         ("vehicle: {system_id: 0}", r"\$\.vehicle\.system_id"),
         ("[1, 2]", "expected"),
@@ -80,6 +121,14 @@ def test_wrong_value_is_named_by_its_path(text: str, problem: str) -> None:
         ("mission: {altitude_m: 100}", "$.mission.altitude_m"),
         ("mission: {stop_radius_m: 0.1}", "$.mission.stop_radius_m"),
         ("mission: {stop_radius_m: 9}", "$.mission.stop_radius_m"),
+        (
+            "planner: {latched_crossing: {altitude_swing_m: 16}}",
+            "$.planner.latched_crossing.altitude_swing_m",
+        ),
+        (
+            "planner: {search: lawnmower, lawnmower: {area_enu_m: [[200, 0], [300, 0], [300, 9]]}}",
+            "$.planner.lawnmower.area_enu_m",
+        ),
     ],
 )
 def test_contradiction_between_sections_is_named(text: str, path: str, tmp_path: Path) -> None:

@@ -154,10 +154,60 @@ def test_a_start_that_is_not_allowed_goes_inwards_whatever_the_goal() -> None:
 
 @pytest.mark.parametrize("place", [(1e308, -1e308), (math.inf, 0.0), (math.nan, math.nan)])
 def test_an_absurd_place_still_has_a_way_back(place: Point) -> None:
-    fence = Fence(HORSESHOE, 3.0)
-    assert fence.allows(fence.nearest_allowed(place))
+    for fence in (Fence(HORSESHOE, 3.0), Fence(SQUARE, 3.0)):
+        assert fence.allows(fence.nearest_allowed(place))
 
 
 def test_repeated_corners_are_harmless() -> None:
     fence = Fence((SQUARE[0], *SQUARE), 3.0)
     assert fence.nearest_allowed((-5.0, 20.0)) == pytest.approx((3.0, 20.0), abs=1e-5)
+
+
+HOUSE = ((10.0, 10.0), (20.0, 10.0), (20.0, 20.0), (10.0, 20.0))
+
+
+@pytest.mark.parametrize(
+    ("keep_out", "problem"),
+    [
+        (HOUSE[:2], "keep-out needs at least 3 corners"),
+        ((*HOUSE[:3], (math.nan, 0.0)), "keep-out corner is not a finite number"),
+        ((HOUSE[0], HOUSE[2], HOUSE[1], HOUSE[3]), "edges of the keep-out cross"),
+        (((0.0, 0.0), (9.0, 0.0), (4.0, 0.0)), "keep-out encloses no area"),
+        (((-9.0, -9.0), (60.0, -9.0), (60.0, 60.0), (-9.0, 60.0)), "keep-outs leave nothing"),
+    ],
+)
+def test_a_keep_out_that_is_none_or_leaves_nothing_is_refused(
+    keep_out: tuple[Point, ...], problem: str
+) -> None:
+    with pytest.raises(ValueError, match=problem):
+        Fence(SQUARE, 3.0, (keep_out,))
+
+
+def test_a_mast_may_be_a_keep_out() -> None:
+    mast = ((10.0, 10.0), (10.1, 10.0), (10.1, 10.1), (10.0, 10.1))
+    assert not Fence(SQUARE, 3.0, (mast,)).allows((12.0, 10.0))
+
+
+def test_setpoints_keep_the_margin_to_keep_outs() -> None:
+    fence = Fence(SQUARE, 3.0, (HOUSE,))
+    assert fence.allows((15.0, 7.0))
+    assert not fence.allows((15.0, 7.1))
+    assert fence.limited((5.0, 15.0), (35.0, 15.0)) == pytest.approx((7.0, 15.0))
+    assert fence.limited((15.0, 12.0), (15.0, 35.0)) == pytest.approx((15.0, 7.0), abs=1e-5)
+    assert fence.nearest_allowed((19.0, 15.0)) == pytest.approx((23.0, 15.0), abs=1e-5)
+
+
+@settings(max_examples=60, deadline=None)
+@given(fences(), places, st.floats(3.0, 30.0), places, places)
+def test_no_step_ends_in_a_keep_out(
+    fence: Fence, centre: Point, radius_m: float, start: Point, goal: Point
+) -> None:
+    keep_out = tuple(
+        (centre[0] + radius_m * math.cos(k), centre[1] + radius_m * math.sin(k)) for k in range(6)
+    )
+    try:
+        with_house = Fence(fence.polygon_enu_m, fence.margin_m, (keep_out,))
+    except ValueError:
+        return  # it leaves nothing
+    assert with_house.allows(with_house.limited(start, goal))
+    assert with_house.allows(with_house.limited(with_house.nearest_allowed(start), goal))

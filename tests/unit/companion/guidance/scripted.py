@@ -6,7 +6,7 @@ import math
 import random
 from typing import TypeVar
 
-from companion.config.schema import CompanionConfig, LimitsConfig
+from companion.config.schema import CompanionConfig, LimitsConfig, PlannerConfig
 from companion.domain import (
     Autopilot,
     FlightMode,
@@ -53,6 +53,7 @@ class ScriptedFlight:
         params: How the mission is flown.
         autopilot: Whose heartbeat it sends.
         limits: What no setpoint may exceed.
+        planner: Which planner flies.
     """
 
     def __init__(
@@ -60,8 +61,13 @@ class ScriptedFlight:
         params: SessionParams | None = None,
         autopilot: Autopilot = Autopilot.PX4,
         limits: LimitsConfig | None = None,
+        planner: PlannerConfig | None = None,
     ) -> None:
-        config = CompanionConfig(mission=params or SessionParams(), limits=limits or LimitsConfig())
+        config = CompanionConfig(
+            mission=params or SessionParams(),
+            limits=limits or LimitsConfig(),
+            planner=planner or PlannerConfig(),
+        )
         self.session = build_session(config)
         self.now_s = 0.0
         self.autopilot = autopilot

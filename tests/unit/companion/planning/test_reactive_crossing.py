@@ -3,7 +3,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from companion.domain import EstimateState, Point, TargetEstimate, WaypointReason
@@ -25,6 +25,7 @@ def _next(params: ReactiveCrossingParams, vehicle: Point, target: Point) -> Poin
     return ReactiveCrossing(params).plan(request, None).waypoint.position_enu_m
 
 
+@settings(deadline=None)
 @given(places, places, st.floats(0.1, 500.0), st.floats(0.1, 500.0))
 def test_the_crossing_distance_as_printed_has_no_effect(
     vehicle: Point, target: Point, one_m: float, other_m: float
@@ -35,6 +36,7 @@ def test_the_crossing_distance_as_printed_has_no_effect(
     assert one == pytest.approx(other, abs=1e-7)
 
 
+@settings(deadline=None)
 @given(places, places, st.floats(0.1, 50.0))
 def test_each_step_flies_at_the_estimate_by_the_step_length(
     vehicle: Point, target: Point, step_m: float
@@ -70,3 +72,9 @@ def test_parking_outside_the_fence_is_parking_inside() -> None:
 
 def test_it_remembers_nothing() -> None:
     assert ReactiveCrossing(ReactiveCrossingParams()).initial_memory() is None  # type: ignore[func-returns-value]
+
+
+def test_without_an_estimate_it_holds() -> None:
+    plan = ReactiveCrossing(ReactiveCrossingParams()).plan(PlanRequest((3.0, 4.0)), None)
+    assert plan.waypoint.position_enu_m == (3.0, 4.0)
+    assert plan.waypoint.reason is WaypointReason.HOLD

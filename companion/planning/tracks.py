@@ -1,0 +1,216 @@
+"""The tracks of search patterns: legs to fly in their order, cut to what may be flown.
+
+The patterns are those of the IAMSAR manual for one search unit:
+
+    parallel track     lanes one spacing apart, the first half a spacing inside the area's border
+    expanding square   from the datum, legs d, d, 2d, 2d, 3d, 3d, ... turning right by 90 degrees
+    sector             from the datum, three triangles of equal legs turning right by 120 degrees,
+                       through the datum between them
+
+An area need not be convex: it is flown cell by cell, a cell being lanes that neighbour each other
+one to one. Headings are clockwise from north, as search teams give them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from companion.domain import Point
+from companion.geometry.obstacles import FreeSpace
+from companion.geometry.polygons import Polygon, edges
+
+LEAST_LEG_M = 0.5
+"""What is left of a leg and is shorter than this is not worth flying to."""
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """One straight piece of a track."""
+
+    start_enu_m: Point
+    end_enu_m: Point
+
+    @property
+    def length_m(self) -> float:
+        """From start to end."""
+        return math.dist(self.start_enu_m, self.end_enu_m)
+
+    def reversed(self) -> Leg:
+        """The same leg, flown the other way."""
+        return Leg(self.end_enu_m, self.start_enu_m)
+
+
+Track = tuple[Leg, ...]
+_Cell = list[Leg]
+"""Neighbouring lanes, all in the same direction."""
+
+
+def clipped(legs: Sequence[Leg], spaces: Sequence[FreeSpace]) -> Track:
+    """What is free of the legs in every one of some spaces."""
+    for space in spaces:
+        pieces = (space.pieces(leg.start_enu_m, leg.end_enu_m) for leg in legs)
+        legs = [Leg(*piece) for found in pieces for piece in found]
+    return tuple(leg for leg in legs if leg.length_m >= LEAST_LEG_M)
+
+
+def heading_of_fewest_lanes_rad(area_enu_m: Polygon) -> float:
+    """The heading of the edge along which the area needs the fewest lanes; the longer side."""
+    headings = [math.atan2(b[0] - a[0], b[1] - a[1]) for a, b in edges(area_enu_m) if a != b]
+    return min(headings, key=lambda heading_rad: round(_width_m(area_enu_m, heading_rad), 6))
+
+
+def parallel_track(
+    area_enu_m: Polygon,
+    inset_m: float,
+    spacing_m: float,
+    heading_rad: float,
+    spaces: Sequence[FreeSpace],
+    entry_enu_m: Point,
+) -> Track:
+    """Lanes over an area.
+
+    Args:
+        area_enu_m: A simple polygon, convex or not.
+        inset_m: What its border has already lost to a margin.
+        spacing_m: Lanes are no farther apart than this.
+        heading_rad: Of the lanes, clockwise from north.
+        spaces: Where the lanes may be.
+        entry_enu_m: The track begins at the end of a lane that is nearest to this.
+    """
+    along = _unit(heading_rad)
+    aside = (-along[1], along[0])
+    across = [_dot(aside, corner) for corner in area_enu_m]
+    reach = [_dot(along, corner) for corner in area_enu_m]
+    low_m, width_m = min(across) + inset_m, max(across) - min(across) - 2.0 * inset_m
+    if width_m <= 0.0:
+        return ()
+    count = math.ceil(width_m / spacing_m - 1e-9)
+    rows: list[Track] = []
+    for index in range(count):
+        offset_m = low_m + (index + 0.5) * width_m / count
+        ends = (_placed(along, aside, along_m, offset_m) for along_m in (min(reach), max(reach)))
+        rows.append(clipped([Leg(*ends)], spaces))
+    return _joined(_cells(rows, along), entry_enu_m)
+
+
+def expanding_square(
+    datum_enu_m: Point,
+    spacing_m: float,
+    radius_m: float,
+    heading_rad: float,
+    spaces: Sequence[FreeSpace],
+) -> Track:
+    """A square spiral.
+
+    Args:
+        datum_enu_m: Where it begins.
+        spacing_m: Between neighbouring legs, and the length of the first.
+        radius_m: Half the width of the square that it closes in the end, rounded down to spacings.
+        heading_rad: Of the first leg, clockwise from north.
+        spaces: Where the legs may be.
+    """
+    legs, place = [], datum_enu_m
+    rings = math.floor(radius_m / spacing_m + 1e-9)
+    for index in range(4 * rings + 1):
+        is_last = index == 4 * rings  # it closes the square instead of beginning the next ring
+        length_m = spacing_m * (2 * rings if is_last else index // 2 + 1)
+        end = _moved(place, heading_rad + 0.5 * math.pi * index, length_m)
+        legs.append(Leg(place, end))
+        place = end
+    return clipped(legs, spaces)
+
+
+def sector_search(
+    datum_enu_m: Point, radius_m: float, heading_rad: float, spaces: Sequence[FreeSpace]
+) -> Track:
+    """Three triangles about the datum, nine legs of the same length.
+
+    Args:
+        datum_enu_m: Centre of the circle that is searched.
+        radius_m: Of the circle.
+        heading_rad: Of the first leg, clockwise from north.
+        spaces: Where the legs may be.
+    """
+    legs, place, course_rad = [], datum_enu_m, heading_rad
+    for _ in range(3):
+        for turn in range(3):
+            end = datum_enu_m if turn == 2 else _moved(place, course_rad, radius_m)
+            legs.append(Leg(place, end))
+            place = end
+            if turn < 2:  # at the datum it flies straight on
+                course_rad += math.radians(120.0)
+    return clipped(legs, spaces)
+
+
+def _width_m(area_enu_m: Polygon, heading_rad: float) -> float:
+    """Extent of an area to the side of a heading."""
+    east, north = _unit(heading_rad)
+    across = [_dot((-north, east), corner) for corner in area_enu_m]
+    return max(across) - min(across)
+
+
+def _cells(rows: Sequence[Track], along: Point) -> list[_Cell]:
+    """Join the lanes of neighbouring rows that see each other one to one."""
+    cells: list[_Cell] = []
+    open_cells: list[_Cell] = []
+    for row in rows:
+        beside = [[cell for cell in open_cells if _overlap(cell[-1], leg, along)] for leg in row]
+        following: list[_Cell] = []
+        for leg, found in zip(row, beside, strict=True):
+            is_alone = len(found) == 1 and sum(found[0] in other for other in beside) == 1
+            cell = found[0] if is_alone else []
+            if not is_alone:
+                cells.append(cell)
+            cell.append(leg)
+            following.append(cell)
+        open_cells = following
+    return cells
+
+
+def _overlap(one: Leg, other: Leg, along: Point) -> bool:
+    return _dot(along, one.start_enu_m) < _dot(along, other.end_enu_m) and _dot(
+        along, other.start_enu_m
+    ) < _dot(along, one.end_enu_m)
+
+
+def _joined(cells: Sequence[_Cell], entry_enu_m: Point) -> Track:
+    """The cells one after the other, each time the one whose entrance is nearest."""
+    remaining, track, place = list(cells), list[Leg](), entry_enu_m
+    while remaining:
+        entrances = [(i, e) for i, cell in enumerate(remaining) for e in _entrances(cell)]
+        index, entrance = min(
+            entrances, key=lambda found: round(math.dist(found[1][0].start_enu_m, place), 6)
+        )
+        track += entrance
+        place = track[-1].end_enu_m
+        del remaining[index]
+    return tuple(track)
+
+
+def _entrances(cell: _Cell) -> Iterator[_Cell]:
+    """A cell, flown to and fro, from each of its four corners."""
+    for lanes in (cell, cell[::-1]):
+        for first in (0, 1):
+            yield [leg.reversed() if (i + first) % 2 else leg for i, leg in enumerate(lanes)]
+
+
+def _unit(heading_rad: float) -> Point:
+    return (math.sin(heading_rad), math.cos(heading_rad))
+
+
+def _moved(place: Point, heading_rad: float, by_m: float) -> Point:
+    east, north = _unit(heading_rad)
+    return (place[0] + by_m * east, place[1] + by_m * north)
+
+
+def _placed(along: Point, aside: Point, along_m: float, aside_m: float) -> Point:
+    return (
+        along_m * along[0] + aside_m * aside[0],
+        along_m * along[1] + aside_m * aside[1],
+    )
+
+
+def _dot(a: Point, b: Point) -> float:
+    return a[0] * b[0] + a[1] * b[1]

@@ -1,0 +1,178 @@
+"""E-optimality against generic linear algebra, and what it makes the vehicle do."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from companion.domain import EstimateState, Point, TargetEstimate, WaypointReason
+from companion.geometry.arrays import Matrix, frozen
+from companion.planning import fim
+from companion.planning.base import PlanRequest
+from companion.planning.fim import (
+    HEADINGS,
+    NO_BEARINGS_RAD2,
+    STAY,
+    FimParams,
+    FimPlanner,
+    best_candidate,
+    candidate_ring_m,
+    worst_variance_m2,
+)
+
+RANGE_M2, BEARING_RAD2 = 1.5**2, math.radians(2.0) ** 2
+PRIOR = np.diag([900.0, 900.0, 25.0, math.radians(5.0) ** 2])
+ALL = np.ones(HEADINGS, dtype=np.bool_)
+
+
+def _target(place: Point, covariance: Matrix = PRIOR) -> TargetEstimate:
+    (a, b), (c, d) = covariance[:2, :2].tolist()
+    return TargetEstimate(0.0, EstimateState.SEARCHING, place, ((a, b), (c, d)), 5.0, 0.0, 0.0, 1)
+
+
+def _marginal_information(
+    P: Matrix, du_m: float, de_m: float, dn_m: float, bearing: bool, near: bool
+) -> Matrix:
+    """Prior plus expected information, offsets eliminated by a Schur complement."""
+    ground2, slant = de_m**2 + dn_m**2, math.sqrt(de_m**2 + dn_m**2 + du_m**2)
+    trace = P[0, 0] + P[1, 1] if near else 0.0
+    J = np.linalg.inv(P)
+    h = np.array([de_m / slant, dn_m / slant, 1.0, 0.0])
+    J = J + np.outer(h, h) / (RANGE_M2 + (trace / (2.0 * slant)) ** 2)
+    if bearing:
+        h = np.array([-dn_m / ground2, de_m / ground2, 0.0, 1.0])
+        J = J + np.outer(h, h) / (BEARING_RAD2 + (trace / ground2) ** 2)
+    return np.asarray(J[:2, :2] - J[:2, 2:] @ np.linalg.solve(J[2:, 2:], J[2:, :2]))
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.integers(0, 10**6),
+    st.floats(-60.0, 60.0),
+    st.floats(0.5, 60.0),
+    st.floats(-30.0, 30.0),
+    st.booleans(),
+    st.booleans(),
+)
+def test_it_is_the_smallest_eigenvalue_of_the_marginal_information(
+    seed: int, de_m: float, dn_m: float, du_m: float, bearing: bool, near: bool
+) -> None:
+    root = np.random.default_rng(seed).standard_normal((4, 4)) * np.array(
+        [[9.0], [9.0], [2.0], [0.1]]
+    )
+    P = root @ root.T + np.diag([1.0, 1.0, 0.1, 1e-4])
+    information = _marginal_information(P, du_m, de_m, dn_m, bearing, near)
+    least = float(np.linalg.eigvalsh(information)[0])
+    variance = BEARING_RAD2 if bearing else NO_BEARINGS_RAD2
+    worst = worst_variance_m2(P, de_m, dn_m, du_m, RANGE_M2, variance, near)
+    assert 1.0 / worst == pytest.approx(least, rel=1e-6)
+
+
+def test_the_best_candidate_is_the_best_of_all() -> None:
+    ring = candidate_ring_m(5.0)
+    rng = np.random.default_rng(4)
+    for _ in range(50):
+        de_m, dn_m = rng.uniform(-40.0, 40.0, 2).tolist()
+        values = [
+            worst_variance_m2(PRIOR, de_m - e, dn_m - n, -20.0, RANGE_M2, BEARING_RAD2, True)
+            for e, n in [*ring.tolist(), (0.0, 0.0)]
+        ]
+        best = best_candidate(PRIOR, de_m, dn_m, -20.0, ring, ALL, RANGE_M2, BEARING_RAD2, True)
+        assert values[best] == min(values)
+
+
+def test_a_candidate_that_may_not_be_flown_to_is_not_chosen() -> None:
+    ring = candidate_ring_m(5.0)
+    args = (PRIOR, 30.0, 0.0, 0.0, ring)
+    first = best_candidate(*args, ALL, RANGE_M2, BEARING_RAD2, True)
+    without = ALL.copy()
+    without[first] = False
+    second = best_candidate(*args, without, RANGE_M2, BEARING_RAD2, True)
+    assert second not in (first, STAY)
+    none = np.zeros(HEADINGS, dtype=np.bool_)
+    assert best_candidate(*args, none, RANGE_M2, BEARING_RAD2, True) == STAY
+
+
+def test_known_offsets_and_a_sure_target_leave_nothing_to_choose() -> None:
+    zero = np.zeros((4, 4))
+    ring = candidate_ring_m(5.0)
+    assert best_candidate(zero, 3.0, 4.0, 0.0, ring, ALL, RANGE_M2, BEARING_RAD2, True) == STAY
+
+
+def test_the_ring_has_sixteen_headings_of_the_step_length() -> None:
+    ring = candidate_ring_m(7.0)
+    assert ring.shape == (HEADINGS, 2)
+    assert np.linalg.norm(ring, axis=1) == pytest.approx(7.0)
+    assert ring[4] == pytest.approx((0.0, 7.0))
+
+
+def test_printed_it_flies_at_the_target_whose_bearing_it_believes_in() -> None:
+    planner = FimPlanner(FimParams(near_target_terms=False))
+    plan = planner.plan(PlanRequest((0.0, 0.0), _target((0.0, 40.0))), None)
+    assert plan.waypoint.position_enu_m == pytest.approx((0.0, 5.0))
+    assert plan.waypoint.reason is WaypointReason.INFORMATION
+    assert plan.waypoint.detail == "heading 000 is expected to tell most"
+
+
+def test_the_joint_covariance_decides_where_there_is_one() -> None:
+    """Known to the north, unknown to the east: only a view along the east tells more."""
+    known_north = frozen(np.diag([100.0, 0.01, 1e-6, 1e-6]))
+    planner = FimPlanner(FimParams(), 1.5, 0.5)
+    request = PlanRequest((0.0, 0.0), _target((0.0, 30.0)), joint_covariance=known_north)
+    east, _ = planner.plan(request, None).waypoint.position_enu_m
+    assert abs(east) > 4.0
+
+
+def test_without_bearings_only_ranges_count() -> None:
+    """From straight above, a range says nothing; a step aside is a beginning."""
+    planner = FimPlanner(FimParams(near_target_terms=False))
+    above = _target((0.0, 0.0), np.diag([900.0, 400.0]))
+    request = PlanRequest((0.0, 0.0), above, baseline_m=20.0, height_m=20.0)
+    east, north = planner.plan(request, None).waypoint.position_enu_m
+    assert abs(east) == pytest.approx(5.0)
+    assert north == pytest.approx(0.0)
+
+
+def test_with_ranges_alone_and_no_worst_direction_it_stalls() -> None:
+    """One range tells one direction; the other one's variance stays, wherever it is taken."""
+    planner = FimPlanner(FimParams(near_target_terms=False))
+    request = PlanRequest((0.0, 0.0), _target((30.0, 0.0)), baseline_m=20.0, height_m=20.0)
+    assert planner.plan(request, None).waypoint.reason is WaypointReason.HOLD
+
+
+def test_where_staying_is_best_it_says_so() -> None:
+    sure = _target((30.0, 0.0), np.zeros((4, 4)))
+    waypoint = FimPlanner(FimParams()).plan(PlanRequest((0.0, 0.0), sure), None).waypoint
+    assert waypoint.position_enu_m == (0.0, 0.0)
+    assert waypoint.reason is WaypointReason.HOLD
+    assert waypoint.detail == "staying is expected to tell most"
+
+
+def test_candidates_behind_a_wall_are_left_out() -> None:
+    wall = ((2.0, -50.0), (3.0, -50.0), (3.0, 50.0), (2.0, 50.0))
+    planner = FimPlanner(FimParams(near_target_terms=False))
+    request = PlanRequest((0.0, 0.0), _target((40.0, 0.0)), keep_out_enu_m=(wall,))
+    east, _ = planner.plan(request, None).waypoint.position_enu_m
+    assert east < 2.0
+
+
+def test_it_remembers_nothing_and_holds_without_an_estimate() -> None:
+    planner = FimPlanner(FimParams())
+    assert planner.initial_memory() is None  # type: ignore[func-returns-value]
+    assert planner.plan(PlanRequest((1.0, 2.0)), None).waypoint.reason is WaypointReason.HOLD
+
+
+@pytest.mark.skipif(not hasattr(best_candidate, "py_func"), reason="numba is not installed")
+def test_compiled_and_plain_agree() -> None:
+    plain = fim.best_candidate.py_func  # type: ignore[attr-defined]
+    ring, rng = candidate_ring_m(5.0), np.random.default_rng(2)
+    for index in range(100):
+        root = rng.standard_normal((4, 4))
+        where = rng.uniform(-50.0, 50.0, 3).tolist()
+        bearing = NO_BEARINGS_RAD2 if index % 3 == 0 else BEARING_RAD2
+        args = (root @ root.T, *where, ring, ALL, RANGE_M2, bearing, index % 2 == 0)
+        assert best_candidate(*args) == plain(*args)

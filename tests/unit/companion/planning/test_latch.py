@@ -1,0 +1,104 @@
+"""The kernels of latched crossing against the class, which chooses by them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from companion.domain import EstimateState, Point, TargetEstimate
+from companion.planning import latch as kernels
+from companion.planning.base import PlanRequest
+from companion.planning.directions import direction, turned
+from companion.planning.latch import LATCH_SIZE, altitude_offset_m, latched_step, overshoot_m
+from companion.planning.latched_crossing import Latch, LatchedCrossing, LatchedCrossingParams
+
+PARAMS = LatchedCrossingParams()
+PLANNER = LatchedCrossing(PARAMS)
+WIDE = ((-1e4, -1e4), (1e4, -1e4), (1e4, 1e4), (-1e4, 1e4))
+
+places = st.tuples(st.floats(-200.0, 200.0), st.floats(-200.0, 200.0))
+
+
+def _estimate(place: Point, variance_m2: float) -> TargetEstimate:
+    covariance = ((variance_m2, 0.3 * variance_m2), (0.3 * variance_m2, 0.5 * variance_m2))
+    return TargetEstimate(0.0, EstimateState.SEARCHING, place, covariance, 5.0, 0.0, 0.0, 1)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    places,
+    st.lists(
+        st.tuples(st.floats(-5.0, 5.0), st.floats(-5.0, 5.0), st.floats(0.0, 100.0)),
+        min_size=1,
+        max_size=30,
+    ),
+    st.booleans(),
+)
+def test_stepped_by_the_kernel_it_flies_as_the_class_does(
+    start: Point, drift: list[tuple[float, float, float]], has_fence: bool
+) -> None:
+    rule, array, memory = PARAMS.rule(), np.zeros(LATCH_SIZE), PLANNER.initial_memory()
+    vehicle, target = start, (0.0, 0.0)
+    for east, north, variance_m2 in drift:
+        target = (target[0] + east, target[1] + north)
+        estimate = _estimate(target, variance_m2)
+        request = PlanRequest(vehicle, estimate, WIDE if has_fence else None)
+        plan = PLANNER.plan(request, memory)
+        memory = plan.memory
+        over_m = overshoot_m(variance_m2, 0.3 * variance_m2, 0.5 * variance_m2, 0.0, rule)
+        array = latched_step(array, *vehicle, *target, over_m, True, rule)
+        assert memory == Latch.of(array)
+        assert plan.waypoint.position_enu_m == (array[0], array[1])
+        to_go = math.dist(vehicle, (array[0], array[1]))
+        share = min(1.0, 5.0 / to_go) if to_go else 1.0
+        vehicle = (
+            float(vehicle[0] + share * (array[0] - vehicle[0])),
+            float(vehicle[1] + share * (array[1] - vehicle[1])),
+        )
+
+
+def test_a_kept_latch_is_the_same_array() -> None:
+    rule = PARAMS.rule()
+    first = latched_step(np.zeros(LATCH_SIZE), -30.0, 0.0, 0.0, 0.0, 6.0, True, rule)
+    assert latched_step(first, -25.0, 0.0, 0.0, 0.0, 6.0, True, rule) is first
+
+
+def test_a_latch_becomes_an_array_and_back() -> None:
+    latch = Latch((1.0, 2.0), (3.0, 4.0), (0.6, 0.8), (5.0, 6.0), 7.0, 8)
+    assert Latch.of(latch.array()) == latch
+
+
+@settings(deadline=None)
+@given(st.floats(0.0, 400.0), st.floats(0.0, 400.0), st.floats(-1.0, 1.0))
+def test_the_overshoot_is_that_of_the_largest_eigenvalue(a: float, c: float, rho: float) -> None:
+    b = rho * math.sqrt(a * c)
+    largest = float(np.linalg.eigvalsh(np.array([[a, b], [b, c]]))[-1])
+    expected = min(max(3.0 * math.sqrt(max(largest, 0.0)), 2.0), 20.0)
+    assert overshoot_m(a, b, c, 0.0, PARAMS.rule()) == pytest.approx(expected, rel=1e-6, abs=1e-6)
+
+
+def test_crossings_alternate_in_height() -> None:
+    assert [altitude_offset_m(float(k), 4.0) for k in range(4)] == [4.0, -4.0, 4.0, -4.0]
+    assert math.copysign(1.0, altitude_offset_m(1.0, 0.0)) == 1.0
+
+
+def test_directions() -> None:
+    assert direction(1.0, 1.0, 4.0, 5.0) == pytest.approx((0.6, 0.8))
+    assert direction(1.0, 1.0, 1.0, 1.0) == (1.0, 0.0)
+    assert turned(1.0, 0.0, 0.5 * math.pi) == pytest.approx((0.0, 1.0))
+
+
+@pytest.mark.skipif(not hasattr(latched_step, "py_func"), reason="numba is not installed")
+def test_compiled_and_plain_agree() -> None:
+    plain = kernels.latched_step.py_func  # type: ignore[attr-defined]
+    rule, rng = PARAMS.rule(), np.random.default_rng(2)
+    one = other = np.zeros(LATCH_SIZE)
+    for _ in range(200):
+        e, n, target_e, target_n, over_m = rng.uniform(-20.0, 20.0, 5).tolist()
+        one = latched_step(one, e, n, target_e, target_n, over_m, True, rule)
+        other = plain(other, e, n, target_e, target_n, over_m, True, rule)
+        assert one == pytest.approx(other, abs=1e-12)
