@@ -1,0 +1,151 @@
+"""filterpy's extended Kalman filter behind the companion's protocol: the standard baseline.
+
+Prediction and update are filterpy's own (Joseph form, all rows at once). The measurement model and
+its variances are the companion's, per call, so that the two filters believe the same; what filterpy
+has no word for, bounds and a bearing offset within half a turn, is applied to its result.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from filterpy.kalman import ExtendedKalmanFilter
+
+from companion.domain import PositionEnu, RangingMeasurement
+from companion.estimation.base import (
+    NO_INFLATION,
+    FilterState,
+    Inflation,
+    ModalityReport,
+    UpdateReport,
+)
+from companion.estimation.filter_params import FilterParams
+from companion.estimation.joseph import is_positive_definite
+from companion.estimation.robust_update import lateness_variance, settled, wrapped
+from companion.geometry.arrays import Vector
+from companion.models.ranging_model import (
+    BEARING,
+    EAST,
+    MODALITIES,
+    NORTH,
+    jacobian,
+    predicted,
+    variances,
+)
+
+Rows = list[int]
+"""Which modalities were measured, in their order."""
+
+
+class FilterpyEkf:
+    """The EKF of a library; thresholds in the params do not count.
+
+    Args:
+        params: Noise, priors and bounds.
+    """
+
+    def __init__(self, params: FilterParams) -> None:
+        self.params = params
+        self._model = params.model
+        self._bounds = params.bounds
+
+    def predict(self, state: FilterState, time_s: float) -> FilterState:
+        """The state at `time_s`; the covariance grows by the random walk, if any."""
+        ekf = self._filter(state, MODALITIES)
+        q2_m2 = self.params.process_noise_m_per_sqrt_s**2 * max(time_s - state.time_s, 0.0)
+        ekf.Q = np.zeros_like(ekf.P)
+        for index in (EAST, NORTH, self._model.height_index):
+            if index >= 0:
+                ekf.Q[index, index] = q2_m2
+        ekf.predict()
+        return FilterState.of(max(time_s, state.time_s), ekf.x, ekf.P)
+
+    def update(
+        self,
+        state: FilterState,
+        measurement: RangingMeasurement,
+        sensor_enu_m: PositionEnu,
+        inflation: Inflation = NO_INFLATION,
+    ) -> UpdateReport:
+        """The state after a measurement; see `TargetFilter.update`."""
+        sensor = np.array(sensor_enu_m)
+        z, sigma = self.params.seen(measurement)
+        rows = np.flatnonzero(~np.isnan(z)).tolist()
+        late_s = max(state.time_s - measurement.measured_at_s, 0.0)
+        noise = self._variances(state, sensor, sigma, late_s)
+        effective = noise * np.array(inflation)
+        ekf = self._filter(state, len(rows))
+        if rows:
+            ekf.update(
+                z[rows],
+                HJacobian=lambda x: jacobian(x, sensor, self._model)[rows],
+                Hx=lambda x: predicted(x, sensor, self._model)[rows],
+                R=np.diag(effective[rows]),
+                residual=_residual_of(rows),
+            )
+        covariance = 0.5 * (ekf.P + ekf.P.T)
+        mean = settled(ekf.x, covariance, self._bounds)
+        is_sane = bool(is_positive_definite(mean, covariance))
+        after = FilterState.of(state.time_s, mean, covariance) if is_sane else state
+        ranged, borne, elevated = _reports(ekf, rows, noise, effective)
+        nis = float(ekf.y @ ekf.SI @ ekf.y) if rows else 0.0
+        return UpdateReport(after, ranged, borne, elevated, nis, is_sane)
+
+    def _filter(self, state: FilterState, rows: int) -> Any:
+        """The library's filter at a state, for so many rows."""
+        size = len(state.mean)
+        ekf = ExtendedKalmanFilter(dim_x=size, dim_z=max(rows, 1))
+        ekf.x, ekf.P = np.array(state.mean), np.array(state.covariance)
+        ekf.F = np.eye(size)
+        return ekf
+
+    def _variances(
+        self, state: FilterState, sensor: Vector, sigma: Vector, late_s: float
+    ) -> Vector:
+        """Of all three rows, (3,), as the companion's filters have them without inflation."""
+        noise: Vector = variances(state.covariance, state.mean, sensor, sigma, self._model)
+        late_m2 = self.params.process_noise_m_per_sqrt_s**2 * late_s
+        for row, partials in enumerate(jacobian(state.mean, sensor, self._model)):
+            noise[row] += lateness_variance(partials, late_m2, self._model)
+        return noise
+
+
+def _residual_of(rows: Rows) -> Callable[[Vector, Vector], Vector]:
+    """Measured minus predicted, the bearing's wrapped."""
+
+    def residual(z: Vector, expected: Vector) -> Vector:
+        y = z - expected
+        if BEARING in rows:
+            index = rows.index(BEARING)
+            y[index] = wrapped(float(y[index]))
+        return y
+
+    return residual
+
+
+def _reports(ekf: Any, rows: Rows, noise: Vector, effective: Vector) -> list[ModalityReport | None]:
+    """What each modality did, beside what those before it explained.
+
+    Args:
+        ekf: After the update.
+        rows: What was measured.
+        noise: (3,) variances.
+        effective: (3,) the same with the inflation.
+    """
+    reports: list[ModalityReport | None] = [None] * MODALITIES
+    conditional = np.diag(np.linalg.cholesky(ekf.S)) ** 2 if rows else np.zeros(0)
+    for index, row in enumerate(rows):
+        variance, noise_sigma = float(conditional[index]), math.sqrt(noise[row])
+        innovation = float(ekf.y[index])
+        reports[row] = ModalityReport(
+            innovation=innovation,
+            innovation_variance=variance,
+            noise_sigma=noise_sigma,
+            whitened_innovation=innovation / noise_sigma,
+            weight=1.0,
+            prior_share=float((variance - effective[row]) / noise[row]),
+        )
+    return reports

@@ -1,0 +1,113 @@
+"""The channel's randomness drawn ahead, so that every system of a run suffers the same.
+
+A run has three streams of its own, for the truth (offsets, first estimate), the channel and the
+planner. What the channel draws does not depend on the case: with the same seed, a run with more
+NLOS or less noise has the same obstructed paths and a few more, the same bends and the same noise
+on another scale. The numbers are those of `sim_link.world.radio_channel` for the same stream.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from companion.estimation.robust_update import wrapped
+from companion.geometry.arrays import Matrix, Vector
+from companion.kernel import kernel
+from sim_link.evaluation.case import Case
+from sim_link.world.radio_channel import MIN_RANGE_M
+
+OBSTRUCTED, EXCESS, BEND, RANGE_NOISE, BEARING_NOISE = range(5)
+"""Columns of what is drawn: a uniform, a standard exponential, three standard normals."""
+COLUMNS = 5
+
+TRUTH, CHANNEL, PLANNER = range(3)
+"""Streams of a run."""
+
+RunSeed = int | np.random.SeedSequence
+"""What all randomness of one run follows from."""
+
+
+class Truth(NamedTuple):
+    """What is true in one run, as the kernels take it."""
+
+    east_m: float
+    """Of the target."""
+    north_m: float
+    range_offset_m: float
+    bearing_offset_rad: float
+    p_nlos: float
+    mean_bias_m: float
+    bend_sigma_rad: float
+    range_sigma_m: float
+    bearing_sigma_rad: float
+
+
+def run_seeds(seed: int, runs: int, first: int = 0) -> list[np.random.SeedSequence]:
+    """The seeds of runs `first` to `first + runs` of a study; each its own whatever else is run."""
+    return [np.random.SeedSequence(seed, spawn_key=(run,)) for run in range(first, first + runs)]
+
+
+def stream(seed: RunSeed, which: int) -> np.random.Generator:
+    """One of the streams of a run, from its beginning."""
+    root = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
+    key = (*root.spawn_key, which)
+    return np.random.default_rng(np.random.SeedSequence(root.entropy, spawn_key=key))
+
+
+@kernel
+def drawn(rng: np.random.Generator, steps: int) -> Matrix:
+    """What the channel draws, (steps, 5)."""
+    draws = np.empty((steps, COLUMNS))
+    for index in range(steps):
+        draws[index, OBSTRUCTED] = rng.random()
+        draws[index, EXCESS] = rng.standard_exponential()
+        draws[index, BEND] = rng.standard_normal()
+        draws[index, RANGE_NOISE] = rng.standard_normal()
+        draws[index, BEARING_NOISE] = rng.standard_normal()
+    return draws
+
+
+@kernel
+def measured(draw: Vector, east_m: float, north_m: float, truth: Truth) -> tuple[float, float]:
+    """Range and bearing through the true channel, metres and radians in [-pi, pi).
+
+    Args:
+        draw: (5,).
+        east_m: Of the sensor.
+        north_m: Of the sensor.
+        truth: The constants.
+
+    Paper: eq. (1).
+    """
+    de, dn = truth.east_m - east_m, truth.north_m - north_m
+    range_m = math.hypot(de, dn) + truth.range_offset_m
+    bearing_rad = math.atan2(dn, de) + truth.bearing_offset_rad
+    if draw[OBSTRUCTED] < truth.p_nlos:
+        range_m += truth.mean_bias_m * draw[EXCESS]
+        bearing_rad += truth.bend_sigma_rad * draw[BEND]
+    range_m += truth.range_sigma_m * draw[RANGE_NOISE]
+    bearing_rad += truth.bearing_sigma_rad * draw[BEARING_NOISE]
+    return max(MIN_RANGE_M, range_m), wrapped(bearing_rad)
+
+
+def truth_of(case: Case, rng: np.random.Generator) -> Truth:
+    """What is true in a run; draws two numbers whether the case needs them or not."""
+    channel, belief = case.channel, case.belief
+    range_offset_m, bearing_offset_deg = channel.range_offset_m, channel.bearing_offset_deg
+    draws = rng.standard_normal(2)
+    if case.offsets == "prior":
+        range_offset_m = belief.range_offset_sigma_m * float(draws[0])
+        bearing_offset_deg = belief.bearing_offset_sigma_deg * float(draws[1])
+    return Truth(
+        *case.target_enu_m,
+        range_offset_m,
+        math.radians(bearing_offset_deg),
+        channel.p_nlos,
+        channel.range_bias_mean_m,
+        math.radians(channel.bearing_bias_sigma_deg),
+        channel.range_sigma_m,
+        math.radians(channel.bearing_sigma_deg),
+    )

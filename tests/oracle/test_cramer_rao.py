@@ -1,0 +1,176 @@
+"""Fisher information of the true channel against formulas, sampling and finite differences."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+from scipy.stats import exponnorm, norm
+
+from companion.geometry.arrays import Matrix, Vector
+from sim_link.evaluation.case import Case
+from sim_link.evaluation.cramer_rao import (
+    ChannelInformation,
+    channel_information,
+    modified_normal,
+    position_bound_m2,
+    rmse_bound_m,
+    track_information,
+)
+from sim_link.evaluation.noise import CHANNEL, TRUTH, drawn, measured, stream, truth_of
+from sim_link.evaluation.systems import track_of
+from sim_link.world.radio_channel import ChannelParams
+
+PAPER = ChannelParams()
+TARGET = np.array([50.0, 50.0])
+
+
+def _channel(**fields: float) -> ChannelParams:
+    return msgspec.structs.replace(PAPER, **fields)
+
+
+def test_without_nlos_it_is_the_gaussian_formula() -> None:
+    information = channel_information(_channel(p_nlos=0.0))
+    assert information.range_per_m2 == pytest.approx(1.0 / 1.5**2, rel=1e-12)
+    assert information.bearing_per_rad2 == pytest.approx(1.0 / math.radians(2.0) ** 2, rel=1e-12)
+
+
+def test_with_nlos_alone_bearings_are_gaussian_and_ranges_exponentially_modified() -> None:
+    information = channel_information(_channel(p_nlos=1.0))
+    spread = math.hypot(math.radians(2.0), math.radians(5.0))
+    assert information.bearing_per_rad2 == pytest.approx(1.0 / spread**2, rel=1e-12)
+    x, step = np.linspace(-15.0, 400.0, 400_001, retstep=True)
+    density = exponnorm.pdf(x, 8.0 / 1.5, scale=1.5)
+    slope = np.gradient(density, step)
+    by_hand = np.sum(np.where(density > 1e-12, slope**2 / np.maximum(density, 1e-12), 0.0)) * step
+    assert information.range_per_m2 == pytest.approx(by_hand, rel=1e-4)
+
+
+@pytest.mark.parametrize("range_sigma_m", [0.5, 1.5, 2.5])
+@pytest.mark.parametrize("mean_bias_m", [0.1, 2.0, 15.0])
+def test_the_quadrature_has_converged(range_sigma_m: float, mean_bias_m: float) -> None:
+    channel = _channel(range_sigma_m=range_sigma_m, range_bias_mean_m=mean_bias_m)
+    usual, fine = channel_information(channel), channel_information(channel, 30)
+    assert usual.range_per_m2 == pytest.approx(fine.range_per_m2, rel=1e-9)
+    assert usual.bearing_per_rad2 == pytest.approx(fine.bearing_per_rad2, rel=1e-9)
+
+
+@pytest.mark.parametrize("mean_bias_m", [0.0, 1e-4, 0.01, 8.0, 30.0])
+def test_the_density_is_scipys_and_its_slope_the_finite_difference(mean_bias_m: float) -> None:
+    x = np.linspace(-5.0, 40.0, 301)
+    density, slope = modified_normal(x, 1.5, mean_bias_m)
+    if mean_bias_m >= 0.01:
+        expected = exponnorm.pdf(x, mean_bias_m / 1.5, scale=1.5)
+        np.testing.assert_allclose(density, expected, rtol=1e-7, atol=1e-300)
+    else:
+        np.testing.assert_allclose(density, norm.pdf(x, scale=1.5), rtol=1e-2, atol=1e-12)
+    h = 1e-5
+    ahead, behind = (modified_normal(x + sign * h, 1.5, mean_bias_m)[0] for sign in (1.0, -1.0))
+    np.testing.assert_allclose(slope, (ahead - behind) / (2.0 * h), rtol=1e-4, atol=1e-8)
+
+
+def _log_density(a: Vector, b: Vector, p: float) -> Vector:
+    """Of the errors of the paper's channel, written down a second time."""
+    thermal, bent = math.radians(2.0), math.hypot(math.radians(2.0), math.radians(5.0))
+    clear = norm.pdf(a, scale=1.5) * norm.pdf(b, scale=thermal)
+    blocked = exponnorm.pdf(a, 8.0 / 1.5, scale=1.5) * norm.pdf(b, scale=bent)
+    return np.asarray(np.log((1.0 - p) * clear + p * blocked))
+
+
+def _errors(p: float, count: int) -> Matrix:
+    """Errors of range and bearing as the simulated channel makes them, (count, 2)."""
+    channel = _channel(p_nlos=p, range_offset_m=0.0, bearing_offset_deg=0.0)
+    truth = truth_of(Case(channel=channel), stream(1, TRUTH))
+    draws = drawn(stream(1, CHANNEL), count)
+    seen = np.array([measured(draw, -950.0, 50.0, truth) for draw in draws])
+    return seen - [1000.0, 0.0]
+
+
+@pytest.mark.parametrize("p", [0.3, 0.9])
+def test_it_is_the_mean_square_of_the_score_over_what_the_channel_does(p: float) -> None:
+    a, b = _errors(p, 30_000).T
+    h_a, h_b = 1e-4, 1e-6
+    by_a = (_log_density(a + h_a, b, p) - _log_density(a - h_a, b, p)) / (2.0 * h_a)
+    by_b = (_log_density(a, b + h_b, p) - _log_density(a, b - h_b, p)) / (2.0 * h_b)
+    information = channel_information(_channel(p_nlos=p))
+    assert np.mean(by_a**2) == pytest.approx(information.range_per_m2, rel=0.03)
+    assert np.mean(by_b**2) == pytest.approx(information.bearing_per_rad2, rel=0.03)
+    scale = math.sqrt(information.range_per_m2 * information.bearing_per_rad2)
+    assert np.mean(by_a * by_b) == pytest.approx(0.0, abs=0.03 * scale)
+
+
+def test_range_and_bearing_together_tell_more_than_each_alone_but_less_than_the_path() -> None:
+    p = 0.5
+    clear, blocked, mixed = (channel_information(_channel(p_nlos=q)) for q in (0.0, 1.0, p))
+    told = (1.0 - p) * clear.range_per_m2 + p * blocked.range_per_m2
+    x, step = np.linspace(-15.0, 400.0, 200_001, retstep=True)
+    alone = 0.5 * norm.pdf(x, scale=1.5) + 0.5 * exponnorm.pdf(x, 8.0 / 1.5, scale=1.5)
+    slope = np.gradient(alone, step)
+    marginal = np.sum(np.where(alone > 1e-12, slope**2 / np.maximum(alone, 1e-12), 0.0)) * step
+    assert marginal < mixed.range_per_m2 < told
+
+
+@pytest.mark.parametrize("field", ["range_sigma_m", "bearing_sigma_deg"])
+def test_a_channel_without_noise_has_no_bound(field: str) -> None:
+    with pytest.raises(ValueError, match="noise"):
+        channel_information(_channel(**{field: 0.0}))
+
+
+def test_the_information_of_a_track_is_that_of_finite_differences() -> None:
+    information = ChannelInformation(range_per_m2=0.3, bearing_per_rad2=200.0)
+    track = np.array([[10.0, 10.0], [80.0, 30.0], [40.0, 90.0]])
+
+    def expected(x: Vector) -> Vector:
+        de, dn = x[0] - track[:, 0], x[1] - track[:, 1]
+        return np.concatenate([np.hypot(de, dn) + x[2], np.arctan2(dn, de) + x[3]])
+
+    x, h = np.array([50.0, 50.0, 1.5, 0.1]), 1e-6
+    slopes = [(expected(x + h * axis) - expected(x - h * axis)) / (2.0 * h) for axis in np.eye(4)]
+    H = np.stack(slopes, axis=1)
+    weights = np.diag([0.3] * 3 + [200.0] * 3)
+    total = track_information(track, TARGET, information)[-1]
+    np.testing.assert_allclose(total, H.T @ weights @ H, rtol=1e-6, atol=1e-9)
+
+
+def test_at_the_target_a_direction_says_nothing() -> None:
+    total = track_information(TARGET[None, :], TARGET, ChannelInformation(1.0, 1.0))[0]
+    np.testing.assert_array_equal(total, np.diag([0.0, 0.0, 1.0, 1.0]))
+
+
+def test_the_bound_is_the_trace_of_the_inverses_position_block() -> None:
+    track = track_of(Case())
+    total = track_information(track, TARGET, channel_information(PAPER))
+    bound = position_bound_m2(total)
+    for step in (20, 100, 499):
+        expected = np.trace(np.linalg.inv(total[step])[:2, :2])
+        assert bound[step] == pytest.approx(expected, rel=1e-6)
+    assert np.isinf(bound[0])
+    assert (np.diff(bound[20:]) <= 0.0).all()
+
+
+def test_priors_of_the_offsets_help() -> None:
+    total = track_information(track_of(Case()), TARGET, channel_information(PAPER))
+    unknown = position_bound_m2(total)
+    drawn_anew = position_bound_m2(total, np.array([5.0, math.radians(5.0)]))
+    known = position_bound_m2(total, np.array([1e-6, 1e-8]))
+    assert (known[5:] < drawn_anew[5:]).all()
+    assert (drawn_anew[5:] < unknown[5:]).all()
+
+
+def test_known_offsets_leave_the_gaussian_triangle() -> None:
+    """Two views at right angles: each coordinate is known by one range and one bearing."""
+    channel = _channel(p_nlos=0.0)
+    track = np.array([[0.0, 50.0], [50.0, 0.0]])
+    information = track_information(track, TARGET, channel_information(channel))
+    bound = position_bound_m2(information, np.array([1e-9, 1e-12]))[-1]
+    per_axis = 1.0 / 1.5**2 + 1.0 / (50.0 * math.radians(2.0)) ** 2
+    assert bound == pytest.approx(2.0 / per_axis, rel=1e-6)
+
+
+def test_the_rmse_bound_is_over_runs() -> None:
+    tracks = [track_of(Case()), track_of(Case(start_enu_m=(60.0, 20.0)))]
+    both = rmse_bound_m(tracks, TARGET, PAPER)
+    one, other = (rmse_bound_m([track], TARGET, PAPER) for track in tracks)
+    np.testing.assert_allclose(both[30:], np.sqrt(0.5 * (one**2 + other**2))[30:])

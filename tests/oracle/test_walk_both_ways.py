@@ -1,0 +1,42 @@
+"""The studies' loop compiled against the same loop in plain Python, in another process."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from companion.geometry.arrays import Matrix
+from sim_link.evaluation.case import Case
+from sim_link.evaluation.noise import run_seeds
+from sim_link.evaluation.systems import system_named
+from sim_link.evaluation.trial import run_block
+
+SYSTEMS = ("ekf/passive", "asymmetric_huber/latched", "admm/fim", "huber/reactive")
+
+
+def records() -> Matrix:
+    """Two short runs of every kind of filter and planner."""
+    case = Case(steps=60)
+    trials = [run_block(case, system_named(name), run_seeds(4, 2)) for name in SYSTEMS]
+    return np.array([[trial.record for trial in pair] for pair in trials])
+
+
+@pytest.mark.skipif(importlib.util.find_spec("numba") is None, reason="numba is not installed")
+def test_compiled_and_plain_walks_agree(tmp_path: Path) -> None:
+    path = tmp_path / "plain.npy"
+    subprocess.run(
+        [sys.executable, __file__, str(path)],
+        env={**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.getcwd()},
+        check=True,
+    )
+    np.testing.assert_allclose(records(), np.load(path), rtol=1e-9, atol=1e-9)
+
+
+if __name__ == "__main__":
+    np.save(sys.argv[1], records())

@@ -1,0 +1,53 @@
+from __future__ import annotations
+
+import numpy as np
+
+from sim_link.evaluation.campaign import Block, Campaign, Tally, in_processes, tallies_of, tally_of
+from sim_link.evaluation.case import Case
+from sim_link.evaluation.metrics import rmse_m
+from sim_link.evaluation.noise import run_seeds
+from sim_link.evaluation.systems import System
+from sim_link.evaluation.trial import run_block
+
+SHORT = Case(steps=15)
+CAMPAIGN = Campaign(SHORT, System("asymmetric_huber", "latched"), seed=2, runs=60)
+
+
+def _silent(done: int, total: int) -> None:
+    assert 0 < done <= total
+
+
+def test_blocks_are_the_runs_in_order() -> None:
+    assert [(block.first, block.runs) for block in CAMPAIGN.blocks()] == [
+        (0, 25),
+        (25, 25),
+        (50, 10),
+    ]
+
+
+def test_a_tally_says_what_its_trials_say() -> None:
+    tally = tally_of(Block(CAMPAIGN, 4, 6))
+    trials = run_block(SHORT, CAMPAIGN.system, run_seeds(2, 6, first=4))
+    errors = np.array([trial.errors_m for trial in trials])
+    np.testing.assert_allclose(tally.rmse_m, rmse_m(errors))
+    np.testing.assert_allclose(tally.final_errors_m, errors[:, -1])
+    np.testing.assert_allclose(tally.mean_nees, np.mean([t.nees for t in trials], axis=0))
+    assert tally.coverage[-1] == np.mean([t.errors_m[-1] <= t.r95_m[-1] for t in trials])
+    assert tally.range_offset_m[0] == 0.0
+    assert (tally.rmse_bound_m[3:] > 0.0).all()
+    assert tally.rmse_bound_m[0] > 10.0 * tally.rmse_bound_m[-1]
+
+
+def test_processes_change_nothing() -> None:
+    other = Campaign(SHORT, System("ekf", "passive"), seed=2, runs=30)
+    alone = tallies_of([CAMPAIGN, other], 1, _silent)
+    shared = tallies_of([CAMPAIGN, other], 2, _silent)
+    assert [tally.runs for tally in alone] == [60, 30]
+    for one, two in zip(alone, shared, strict=True):
+        for name in Tally.__slots__:
+            assert np.array_equal(getattr(one, name), getattr(two, name)), name
+
+
+def test_a_single_item_needs_no_process() -> None:
+    unpicklable = lambda number: number + 1  # noqa: E731
+    assert list(in_processes(unpicklable, [1], jobs=4)) == [(0, 2)]

@@ -1,0 +1,82 @@
+from __future__ import annotations
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+
+from companion.geometry.frames import wrap_pi
+from sim_link.evaluation.case import Case, canonical_case
+from sim_link.evaluation.noise import (
+    CHANNEL,
+    PLANNER,
+    TRUTH,
+    drawn,
+    measured,
+    run_seeds,
+    stream,
+    truth_of,
+)
+from sim_link.world.radio_channel import MIN_RANGE_M, ChannelParams, RadioChannel
+from sim_link.world.target import Emitter, EmitterParams
+
+
+def test_the_numbers_are_those_of_the_simulated_radio() -> None:
+    params, seed = ChannelParams(), run_seeds(5, 1)[0]
+    radio = RadioChannel(params, stream(seed, CHANNEL))
+    emitter = Emitter(EmitterParams())
+    truth = truth_of(Case(channel=params), stream(seed, TRUTH))
+    for step, draw in enumerate(drawn(stream(seed, CHANNEL), 60)):
+        place = (10.0 + step, 80.0 - 1.5 * step, 0.0)
+        seen = radio.measure(emitter, place, 0.0)
+        range_m, bearing_rad = measured(draw, place[0], place[1], truth)
+        assert seen.range_m == pytest.approx(range_m, rel=1e-12)
+        assert seen.bearing_enu_rad == pytest.approx(wrap_pi(bearing_rad), rel=1e-9, abs=1e-12)
+
+
+def test_a_measured_range_stays_positive() -> None:
+    truth = truth_of(Case(channel=ChannelParams(range_offset_m=-5.0)), np.random.default_rng(0))
+    draw = np.array([1.0, 0.0, 0.0, 0.0, 0.0])
+    assert measured(draw, truth.east_m, truth.north_m, truth)[0] == MIN_RANGE_M
+
+
+def test_paths_obstructed_at_little_nlos_are_obstructed_at_much() -> None:
+    draws = drawn(stream(1, CHANNEL), 400)
+    lengths = []
+    for p_nlos in (0.0, 0.3, 0.9):
+        truth = truth_of(canonical_case(p_nlos=p_nlos), stream(1, TRUTH))
+        lengths.append(np.array([measured(draw, 0.0, 0.0, truth)[0] for draw in draws]))
+    assert (lengths[0] <= lengths[1]).all()
+    assert (lengths[1] <= lengths[2]).all()
+    assert np.mean(lengths[2] > lengths[0]) == pytest.approx(0.9, abs=0.05)
+
+
+def test_streams_and_runs_are_independent_and_repeatable() -> None:
+    first, second = run_seeds(7, 2)
+    firsts = {stream(seed, which).random() for seed in (first, second) for which in range(3)}
+    assert len(firsts) == 6
+    assert stream(first, PLANNER).random() == stream(first, PLANNER).random()
+
+
+def test_a_run_keeps_its_seed_whatever_runs_before_it() -> None:
+    assert run_seeds(7, 5)[3].spawn_key == run_seeds(7, 1, first=3)[0].spawn_key
+    assert stream(run_seeds(7, 5)[3], TRUTH).random() == (
+        stream(run_seeds(7, 1, first=3)[0], TRUTH).random()
+    )
+
+
+def test_a_plain_number_is_a_seed() -> None:
+    assert stream(3, TRUTH).random() == stream(np.random.SeedSequence(3), TRUTH).random()
+
+
+def test_offsets_are_the_channels_or_drawn_from_the_priors() -> None:
+    case = Case()
+    truth = truth_of(case, stream(1, TRUTH))
+    assert truth.range_offset_m == 1.5
+    assert truth.bearing_offset_rad == pytest.approx(math.radians(-3.0))
+    drawn_case = msgspec.structs.replace(case, offsets="prior")
+    truths = [truth_of(drawn_case, stream(seed, TRUTH)) for seed in run_seeds(1, 400)]
+    assert np.std([t.range_offset_m for t in truths]) == pytest.approx(5.0, rel=0.1)
+    spread_deg = np.degrees(np.std([t.bearing_offset_rad for t in truths]))
+    assert spread_deg == pytest.approx(5.0, rel=0.1)
