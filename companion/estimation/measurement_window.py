@@ -50,6 +50,12 @@ class MeasurementWindow:
         self._count = 0
         self._sequence = 0
 
+    def keep_last(self, count: int) -> None:
+        """Forget all but the newest measurements."""
+        kept = self.rows[max(self._count - count, 0) :].copy()
+        self._count = len(kept)
+        self._rows[: self._count] = kept
+
     def believe(self, range_sigma_m: float, bearing_sigma_rad: float) -> None:
         """Take all ranges and bearings held to have this thermal noise."""
         self.rows[:, SIGMAS + RANGE] = range_sigma_m

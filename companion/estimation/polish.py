@@ -71,9 +71,11 @@ class Polisher:
         self._older = OlderEvidence.none(self._map.size)
         self._due_at = MIN_MEASUREMENTS
 
-    def distrust(self) -> None:
-        """Forget what was expanded about an estimate that has been given up."""
+    def distrust(self, recent: int) -> None:
+        """Forget what led to an estimate that has been given up: all but the newest `recent`."""
         self._older = OlderEvidence.none(self._map.size)
+        self._window.keep_last(recent)
+        self.noise = None
 
     def retune(self, filter_params: FilterParams) -> None:
         """Believe in other noise and thresholds, for what was measured already, too."""

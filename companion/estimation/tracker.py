@@ -295,7 +295,7 @@ class TargetTracker:
         self._diverged_until = self.accepted + CONTRADICTION_COUNT
         self._contradiction = Contradiction()
         self._noise = self._fresh_noise()
-        self._polisher.distrust()
+        self._polisher.distrust(CONTRADICTION_COUNT)
         self._start(measurement, sensor_enu_m)
         return FusionReport(None, None, restarted=True)
 

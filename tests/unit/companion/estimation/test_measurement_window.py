@@ -150,3 +150,17 @@ def test_all_views_lose_alike_where_there_are_more_than_may_be_kept() -> None:
     kept = np.flatnonzero(kept_by_thinning(rows, 8, ORIGIN))
     assert len(kept) == 8
     assert np.diff(kept).max() <= 2 * np.diff(kept).min()
+
+
+@pytest.mark.parametrize(
+    ("count", "kept"), [(5, [15.0, 16.0, 17.0, 18.0, 19.0]), (0, []), (99, None)]
+)
+def test_only_the_newest_are_kept_if_the_others_misled(
+    count: int, kept: list[float] | None
+) -> None:
+    window = MeasurementWindow(64)
+    _around(window, 20)
+    window.keep_last(count)
+    assert window.rows[:, SEQUENCE].tolist() == (list(range(20)) if kept is None else kept)
+    _add(window, (1.0, 2.0, 3.0), 4.0)
+    assert window.rows[-1, SEQUENCE] == 20.0

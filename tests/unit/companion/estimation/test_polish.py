@@ -231,7 +231,7 @@ def test_what_was_expanded_about_a_wrong_place_is_forgotten() -> None:
     rows = walk(np.random.default_rng(6), 400)
     wrong = (_hypothesis(70.0, 60.0),)
     misled, distrusted = (_fed(rows, wrong, size=128) for _ in range(2))
-    distrusted.distrust()
+    distrusted.distrust(recent=128)
     (best,) = _polished(misled, wrong)
     (alone,) = _polished(distrusted, wrong)
     assert best.place_enu_m == pytest.approx(TARGET, abs=1.0)

@@ -496,9 +496,10 @@ def _far_away(tracker: TargetTracker, places: Iterable[PositionEnu], emitter: Po
     return restarts
 
 
-def test_an_emitter_that_was_carried_away_is_found_where_it_is_now() -> None:
-    """By the filter alone: the window still remembers where it was."""
-    tracker = TargetTracker(TrackerParams(window=WindowParams(enabled=False)))
+@pytest.mark.parametrize("has_window", [True, False])
+def test_an_emitter_that_was_carried_away_is_found_where_it_is_now(has_window: bool) -> None:
+    """The window forgets what it saw before the contradictions began."""
+    tracker = TargetTracker(TrackerParams(window=WindowParams(enabled=has_window)))
     _circling(tracker, (0.0, 0.0), range(300))
     assert math.dist(_estimate(tracker).position_enu_m, (0.0, 0.0)) < 1.0
     emitter = (120.0, 140.0)
