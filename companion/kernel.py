@@ -63,6 +63,9 @@ def _keep_compiled_apart() -> None:
 if numba is not None:
     _keep_compiled_apart()
 
+IS_COMPILED: bool = numba is not None and not numba.config.DISABLE_JIT
+"""Whether kernels are compiled; then the first call of each takes up to seconds."""
+
 
 def kernel(function: F) -> F:
     """Compile `function` if numba is there; `function.py_func` is the plain one only then."""

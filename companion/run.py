@@ -20,6 +20,7 @@ from companion.io.files import new_flight_directory
 from companion.io.journal import FlightJournal
 from companion.io.links import LinkSpec
 from companion.io.shell import Shell
+from companion.kernel import IS_COMPILED
 from companion.link.endpoint import CompanionEndpoint, Journal
 from companion.planning.base import Planner
 from companion.planning.fim import FimPlanner
@@ -28,6 +29,7 @@ from companion.planning.patterns import ExpandingSquare, Lawnmower, SectorSearch
 from companion.planning.reactive_crossing import ReactiveCrossing
 from companion.planning.search import Pattern, SearchPlanner
 from companion.planning.search_then_cross import SearchThenCross
+from companion.warm_up import warm_up
 
 log = logging.getLogger("companion.run")
 
@@ -104,6 +106,13 @@ def open_journal(config: CompanionConfig) -> FlightJournal:
     return FlightJournal(directory, started_unix_s)
 
 
+def prepare(config: CompanionConfig) -> None:
+    """Compile what a flight needs, before its clock starts; nothing to do without numba."""
+    if IS_COMPILED:
+        log.info("compiling kernels: half a minute the first time")
+    warm_up(config.estimation, build_planner(config))
+
+
 def is_handed_over(endpoint: CompanionEndpoint) -> bool:
     """Whether the target is reported and the vehicle no longer obeys us."""
     session = endpoint.session
@@ -125,6 +134,7 @@ def fly(
         LinkError: A link cannot be opened; nothing was sent.
         CompanionError: The flight directory cannot be made.
     """
+    prepare(config)
     journal = open_journal(config)
     endpoint = build_endpoint(config, journal, len(links) - 1)
     hints = _Hints(endpoint, clock, journal.directory)

@@ -34,6 +34,8 @@ def start_report(endpoint: SimEndpoint, seed: int, speed: float) -> dict[str, ob
             "bearing_deg": scenario.channel.bearing_offset_deg,
         },
         "channel": msgspec.to_builtins(scenario.channel),
+        "obstacles": msgspec.to_builtins(scenario.obstacles),
+        "shadow": msgspec.to_builtins(scenario.shadow),
     }
 
 

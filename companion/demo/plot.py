@@ -16,8 +16,25 @@ from matplotlib.axes import Axes
 
 from companion.domain import TargetEstimate
 from companion.estimation.consistency import R95_OF_EQUAL_AXES
+from companion.geometry.polygons import deepest_point
 
 VEHICLE, ESTIMATE, TRUTH, CROSSING = "#1f4e79", "#d1495b", "#2a9d3f", "#edae49"
+OBSTACLE = "0.8"
+
+
+@dataclass(frozen=True, slots=True)
+class Obstacle:
+    """Something solid on the ground."""
+
+    name: str
+    corners_enu_m: Sequence[tuple[float, float]]
+    height_m: float | None
+    """None: higher than anything flies."""
+
+    @property
+    def label(self) -> str:
+        """What is written on it."""
+        return self.name if self.height_m is None else f"{self.name}, {self.height_m:g} m"
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +50,7 @@ class Flight:
     """(time_s, error_m) against the truth."""
     crossings_enu_m: Sequence[tuple[float, float]]
     fence_enu_m: Sequence[tuple[float, float]]
+    obstacles: Sequence[Obstacle]
     truth_enu_m: tuple[float, float]
     final: TargetEstimate
     title: str
@@ -57,6 +75,8 @@ def _draw_map(axes: Axes, flight: Flight) -> None:
     fence = np.array([*flight.fence_enu_m, flight.fence_enu_m[0]])
     track = np.array(flight.track_enu_m)
     estimates = np.array(flight.estimates_enu_m)
+    for obstacle in flight.obstacles:
+        _draw_obstacle(axes, obstacle)
     axes.plot(fence[:, 0], fence[:, 1], color="0.6", linestyle="--", linewidth=1, label="fence")
     axes.plot(track[:, 0], track[:, 1], color=VEHICLE, linewidth=1.6, label="vehicle (true)")
     axes.plot(track[0, 0], track[0, 1], "o", color=VEHICLE, markersize=6, label="start")
@@ -88,6 +108,13 @@ def _draw_map(axes: Axes, flight: Flight) -> None:
     axes.set_xlabel("east, m")
     axes.set_ylabel("north, m")
     axes.grid(alpha=0.25)
+
+
+def _draw_obstacle(axes: Axes, obstacle: Obstacle) -> None:
+    corners = np.array(obstacle.corners_enu_m)
+    axes.fill(corners[:, 0], corners[:, 1], facecolor=OBSTACLE, edgecolor="0.5", zorder=0.5)
+    middle = deepest_point(obstacle.corners_enu_m)
+    axes.annotate(obstacle.label, middle, ha="center", va="center", fontsize=7, clip_on=True)
 
 
 def _zoom(axes: Axes, flight: Flight) -> None:

@@ -22,14 +22,17 @@ from companion.io.clock import Clock
 from companion.io.files import check_writable, new_flight_directory, write_json_atomic
 from companion.io.links import UdpBind
 from companion.io.shell import Shell
+from companion.kernel import IS_COMPILED
 from companion.link.endpoint import CompanionEndpoint
-from companion.run import build_endpoint, is_handed_over
+from companion.run import build_endpoint, is_handed_over, prepare
 
 REFRESH_S = 0.15
 """Wall seconds between two pictures of the live view."""
 PLAIN_REFRESH_S = 15.0
 """Seconds of the flight between two lines where there is no terminal."""
 FENCE_AROUND_AREA_M = 10.0
+OBSTACLE_CLEARANCE_M = 5.0
+"""Obstacles that end less than this below the search altitude are flown around."""
 PICTURE_SUFFIXES = (".png", ".svg", ".pdf")
 SILENCE_LIMIT_S = 10.0
 """Real seconds after which a simulator that is not heard is given up."""
@@ -69,6 +72,9 @@ def run_demo(options: DemoOptions) -> bool:
     """
     config = load_config(options.config)
     _check_outputs(options)
+    if IS_COMPILED:
+        _say("compiling kernels: half a minute the first time, then a second")
+    prepare(config)
     show = _view()
     started_unix_s = time.time()
     directory = new_flight_directory(Path(config.log.directory), started_unix_s)
@@ -100,7 +106,13 @@ def _check_outputs(options: DemoOptions) -> None:
 
 
 def _demo_config(config: CompanionConfig, truth: dict[str, Any]) -> CompanionConfig:
-    """The configuration, engaging by itself, inside a fence around the scenario's area."""
+    """The configuration, engaging by itself, fenced in around the scenario's area.
+
+    It keeps out of the obstacles that reach its altitude, as an operator would tell it to.
+
+    Raises:
+        ConfigError: The fence and the obstacles leave nothing to fly in.
+    """
     mission = msgspec.structs.replace(config.mission, engage="auto")
     east, north = (float(size) for size in truth["area_m"])
     low, margin = -FENCE_AROUND_AREA_M, FENCE_AROUND_AREA_M
@@ -110,7 +122,20 @@ def _demo_config(config: CompanionConfig, truth: dict[str, Any]) -> CompanionCon
         (east + margin, north + margin),
         (low, north + margin),
     )
-    limits = msgspec.structs.replace(config.limits, fence_enu_m=fence)
+    keep_out = tuple(
+        tuple((float(east), float(north)) for east, north in obstacle["corners_enu_m"])
+        for obstacle in truth["obstacles"]
+        if obstacle["height_m"] is None
+        or obstacle["height_m"] > config.mission.altitude_m - OBSTACLE_CLEARANCE_M
+    )
+    try:
+        limits = msgspec.structs.replace(
+            config.limits,
+            fence_enu_m=fence,
+            keep_out_enu_m=(*config.limits.keep_out_enu_m, *keep_out),
+        )
+    except ValueError as error:
+        raise ConfigError(f"scenario {truth['scenario']}: {error}") from error
     return msgspec.structs.replace(config, mission=mission, limits=limits)
 
 
@@ -306,7 +331,7 @@ def _draw(
     report: dict[str, Any],
 ) -> None:
     try:
-        from companion.demo.plot import Flight, draw
+        from companion.demo.plot import Flight, Obstacle, draw
     except ImportError:
         _say("no picture: pip install 'companion-guidance[demo]' brings matplotlib")
         return
@@ -317,6 +342,10 @@ def _draw(
         errors=[(t, math.dist((e, n), truth)) for t, e, n, _ in journal.estimates],
         crossings_enu_m=[(e, n) for _, e, n in journal.crossings],
         fence_enu_m=config.limits.fence_enu_m,
+        obstacles=[
+            Obstacle(obstacle["name"], obstacle["corners_enu_m"], obstacle["height_m"])
+            for obstacle in report["obstacles"]
+        ],
         truth_enu_m=truth,
         final=estimate,
         title=f"{report['scenario']}, seed {options.seed}: "

@@ -13,7 +13,8 @@ from typing import Any
 
 from companion.errors import CompanionError
 
-START_TIMEOUT_S = 15.0
+START_TIMEOUT_S = 60.0
+"""Compiling takes its time where the kernels of obstacles are not compiled yet."""
 STOP_TIMEOUT_S = 3.0
 HOST = "127.0.0.1"
 

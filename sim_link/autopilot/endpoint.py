@@ -73,6 +73,7 @@ class SimEndpoint:
             scenario.channel,
             Emitter(scenario.emitter),
             np.random.default_rng(payload_seed),
+            scenario.environment,
         )
 
     def receive(self, chunk: Chunk, now_s: float) -> None:

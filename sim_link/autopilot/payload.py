@@ -9,6 +9,7 @@ from companion.mav.ranging import message_from_ranging
 from sim_link.autopilot.scenario import PayloadParams
 from sim_link.autopilot.streams import DUE_TOLERANCE_S
 from sim_link.autopilot.telemetry import MAVLINK_VERSION
+from sim_link.world.environment import Environment
 from sim_link.world.point_mass import PointMass
 from sim_link.world.radio_channel import ChannelParams, RadioChannel
 from sim_link.world.target import Emitter
@@ -25,6 +26,7 @@ class RadioPayload:
         channel: The true channel.
         emitter: Whom to hear.
         rng: The payload's own generator.
+        environment: The obstacles between the two; None: there are none.
     """
 
     def __init__(
@@ -33,9 +35,11 @@ class RadioPayload:
         channel: ChannelParams,
         emitter: Emitter,
         rng: np.random.Generator,
+        environment: Environment | None = None,
     ) -> None:
         self._params = params
-        self._channel = RadioChannel(channel, rng)
+        self._channel = RadioChannel(channel, rng, environment)
+        self._channel.prepare(emitter)
         self._emitter = emitter
         self._period_s = 1.0 / params.rate_hz
         self._measurement_due_s = 0.0

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from companion.params import NonNegative, Params, Positive
+from sim_link.world.environment import Environment, ObstacleParams, ShadowParams
 from sim_link.world.point_mass import VehicleParams, WindParams
 from sim_link.world.radio_channel import ChannelParams
 from sim_link.world.target import Coordinate, EmitterParams
@@ -60,7 +61,7 @@ class PayloadParams(Params, frozen=True):
 
 
 class Scenario(Params, frozen=True):
-    """One flight: place, vehicle, emitter, channel and limits."""
+    """One flight: place, vehicle, emitter, channel, obstacles and limits."""
 
     name: str = "canonical"
     system_id: SystemId = 1
@@ -73,9 +74,18 @@ class Scenario(Params, frozen=True):
     """Where the vehicle stands at the start: its home."""
     emitter: EmitterParams = EmitterParams()
     channel: ChannelParams = ChannelParams()
+    obstacles: tuple[ObstacleParams, ...] = ()
+    """What blocks the line of sight; the vehicle does not collide with it."""
+    shadow: ShadowParams = ShadowParams()
+    """What a path suffers that an obstacle blocks."""
     payload: PayloadParams = PayloadParams()
     autopilot: AutopilotParams = AutopilotParams()
     vehicle: VehicleParams = VehicleParams()
     wind: WindParams = WindParams()
     position_noise_m: NonNegative = 0.0
     """Standard deviation per axis of the position that the autopilot reports."""
+
+    @property
+    def environment(self) -> Environment | None:
+        """The obstacles as the channel takes them; None: there are none."""
+        return Environment(self.obstacles, self.shadow) if self.obstacles else None

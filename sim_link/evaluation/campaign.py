@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing import get_context
@@ -177,7 +178,9 @@ def in_processes(
         yield from ((position, work(item)) for position, item in enumerate(items))
         return
     os.environ.update({name: os.environ.get(name, "1") for name in BLAS_THREADS})
-    with get_context("spawn").Pool(min(jobs, len(items)), _leave_signals) as pool:
+    with _deaf_to_interrupts():
+        pool = get_context("spawn").Pool(min(jobs, len(items)))
+    with pool:
         yield from pool.imap_unordered(partial(_numbered, work), enumerate(items))
 
 
@@ -185,6 +188,11 @@ def _numbered(work: Callable[[Item], Result], item: tuple[int, Item]) -> tuple[i
     return item[0], work(item[1])
 
 
-def _leave_signals() -> None:
-    """A Ctrl-C is for the process that listens."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+@contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """Processes started meanwhile leave a Ctrl-C to this one, even while they load."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -3,7 +3,8 @@
 Paper, eq. (1): y = h(x; s) + delta + b + eps. One draw decides for a whole measurement whether the
 path is obstructed (NLOS). An obstructed path is longer, never shorter (range bias >= 0,
 exponential) and bent to either side (bearing bias, normal); thermal noise comes on top of both,
-and the offsets delta are constant.
+and the offsets delta are constant. In the shadow of an obstacle every path is obstructed, see
+`environment`.
 """
 
 from __future__ import annotations
@@ -18,6 +19,15 @@ import numpy as np
 from companion.domain import PositionEnu, RangingMeasurement
 from companion.geometry.frames import wrap_pi
 from companion.params import NonNegative, Params
+from sim_link.world.environment import (
+    NO_MEMORY,
+    Environment,
+    OpenPath,
+    ShadowMemory,
+    obstruction,
+    open_obstruction,
+)
+from sim_link.world.sight import Surroundings
 from sim_link.world.target import Emitter
 
 Probability = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
@@ -33,6 +43,7 @@ class ChannelParams(Params, frozen=True):
     bearing_offset_deg: float = -3.0
     """Counter-clockwise positive, as the paper's angles are."""
     p_nlos: Probability = 0.9
+    """In the open: outside of every obstacle's shadow."""
     range_bias_mean_m: NonNegative = 8.0
     bearing_bias_sigma_deg: NonNegative = 5.0
     range_sigma_m: NonNegative = 1.5
@@ -41,10 +52,10 @@ class ChannelParams(Params, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class ChannelDraw:
-    """What chance adds to one measurement."""
+    """What chance and obstacles add to one measurement."""
 
-    is_nlos: bool
     range_bias_m: float
+    """Of an obstructed path; never negative."""
     bearing_bias_rad: float
     range_noise_m: float
     bearing_noise_rad: float
@@ -56,27 +67,48 @@ class RadioChannel:
     Args:
         params: Offsets, obstruction and noise.
         rng: The channel's own generator.
+        environment: The obstacles; None: there are none.
     """
 
-    def __init__(self, params: ChannelParams, rng: np.random.Generator) -> None:
-        self._params = params
+    def __init__(
+        self,
+        params: ChannelParams,
+        rng: np.random.Generator,
+        environment: Environment | None = None,
+    ) -> None:
         self._rng = rng
+        self._environment = environment
+        self._surroundings: dict[PositionEnu, Surroundings] = {}
+        self._memories: dict[PositionEnu, ShadowMemory] = {}
         self._range_offset_m = params.range_offset_m
         self._bearing_offset_rad = math.radians(params.bearing_offset_deg)
-        self._bearing_bias_sigma_rad = math.radians(params.bearing_bias_sigma_deg)
+        self._open_path = OpenPath(
+            params.p_nlos, params.range_bias_mean_m, math.radians(params.bearing_bias_sigma_deg)
+        )
         self.bearing_sigma_rad = math.radians(params.bearing_sigma_deg)
         self.range_sigma_m = params.range_sigma_m
 
-    def draw(self) -> ChannelDraw:
-        """The next random part; always consumes the same amount of randomness."""
+    def prepare(self, emitter: Emitter) -> None:
+        """Find the ways to `emitter`, and compile what is compiled, before time counts."""
+        self._obstruction((0.5, 1.0, 0.0), emitter, emitter.position_enu_m)
+
+    def draw(self, emitter: Emitter, sensor_enu_m: PositionEnu) -> ChannelDraw:
+        """The next random part; always consumes the same amount of randomness.
+
+        Args:
+            emitter: Whom to measure.
+            sensor_enu_m: True position of the sensor.
+        """
         uniform = float(self._rng.random())
         exponential = float(self._rng.standard_exponential())
         bend, range_noise, bearing_noise = self._rng.standard_normal(3).tolist()
-        is_nlos = uniform < self._params.p_nlos
+        range_bias_m, bearing_bias_rad, memory = self._obstruction(
+            (uniform, exponential, bend), emitter, sensor_enu_m
+        )
+        self._memories[emitter.position_enu_m] = memory
         return ChannelDraw(
-            is_nlos=is_nlos,
-            range_bias_m=self._params.range_bias_mean_m * exponential if is_nlos else 0.0,
-            bearing_bias_rad=self._bearing_bias_sigma_rad * bend if is_nlos else 0.0,
+            range_bias_m=float(range_bias_m),
+            bearing_bias_rad=float(bearing_bias_rad),
             range_noise_m=self.range_sigma_m * range_noise,
             bearing_noise_rad=self.bearing_sigma_rad * bearing_noise,
         )
@@ -91,7 +123,7 @@ class RadioChannel:
             sensor_enu_m: True position of the sensor.
             time_s: When, on the vehicle's clock.
         """
-        draw = self.draw()
+        draw = self.draw(emitter, sensor_enu_m)
         range_m = (
             emitter.slant_range_m(sensor_enu_m)
             + self._range_offset_m
@@ -112,3 +144,16 @@ class RadioChannel:
             bearing_enu_rad=wrap_pi(bearing_rad),
             bearing_sigma_rad=self.bearing_sigma_rad,
         )
+
+    def _obstruction(
+        self, drawn: tuple[float, float, float], emitter: Emitter, sensor_enu_m: PositionEnu
+    ) -> tuple[float, float, ShadowMemory]:
+        """Range excess, bearing bias, and what to remember of the shadow."""
+        place = emitter.position_enu_m
+        memory = self._memories.get(place, NO_MEMORY)
+        if self._environment is None:
+            return *open_obstruction(*drawn, self._open_path), memory
+        if place not in self._surroundings:
+            self._surroundings[place] = self._environment.around(place)
+        shadow, surroundings = self._environment.shadow, self._surroundings[place]
+        return obstruction(*drawn, *sensor_enu_m, self._open_path, shadow, surroundings, memory)

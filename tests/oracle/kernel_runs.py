@@ -30,6 +30,16 @@ from companion.estimation.map_kernels import (
 from companion.estimation.robust_update import innovations, robust_update, settled, wrapped
 from companion.geometry.arrays import Matrix, Vector
 from companion.models.ranging_model import jacobian, predicted, variances
+from sim_link.world.environment import (
+    NO_MEMORY,
+    Environment,
+    ObstacleParams,
+    OpenPath,
+    ShadowParams,
+    obstruction,
+    shadow_of,
+)
+from sim_link.world.sight import detour, is_blocked, ways_to
 
 LAYOUTS = {
     "plane": FilterParams(range_offset_min_m=0.0, range_offset_max_m=3.0),
@@ -151,11 +161,36 @@ def drawn_rows(params: FilterParams, rng: np.random.Generator) -> tuple[Matrix, 
     return rows, truth
 
 
+def obstructions() -> Results:
+    """The true channel about two obstacles, one of them low, along a walk around them."""
+    block = ((30.0, 30.0), (45.0, 30.0), (45.0, 60.0), (30.0, 60.0))
+    hall = ((60.0, 55.0), (90.0, 55.0), (90.0, 90.0), (75.0, 90.0), (75.0, 70.0), (60.0, 70.0))
+    obstacles = [
+        ObstacleParams(corners_enu_m=block),
+        ObstacleParams(corners_enu_m=hall, height_m=8.0),
+    ]
+    surroundings = Environment(obstacles).around((50.0, 50.0, 0.0))
+    edges, corners = surroundings.edges, surroundings.corners[:, :2].copy()
+    yield "ways", ways_to(50.0, 50.0, corners, edges, surroundings.lets_out)
+    rng, memory, shadow = np.random.default_rng(3), NO_MEMORY, shadow_of(ShadowParams())
+    for step in range(120):
+        angle = 0.11 * step
+        e, n, up = 55.0 + 45.0 * math.cos(angle), 55.0 + 40.0 * math.sin(2.3 * angle), 0.2 * step
+        drawn = (rng.random(), rng.standard_exponential(), rng.standard_normal())
+        open_path = OpenPath(0.5, 8.0, 0.1)
+        *added, memory = obstruction(*drawn, e, n, up, open_path, shadow, surroundings, memory)
+        yield f"obstruction {step}", added
+        yield f"shadow memory {step}", memory
+        yield f"detour {step}", detour(e, n, up, surroundings)
+        yield f"is blocked {step}", is_blocked(50.0, 50.0, e, n, edges)
+
+
 def results() -> Results:
     """Everything, by name."""
     yield IS_COMPILED, hasattr(joseph_row, "py_func")
     yield "wrapped", [wrapped(angle) for angle in (-7.0, -math.pi, 0.0, 3.0, math.pi, 12.5)]
     yield from losses()
+    yield from obstructions()
     for name, params in LAYOUTS.items():
         yield from updates(name, params)
         yield from windows(name, params)

@@ -8,8 +8,12 @@ import pytest
 
 from companion.errors import ConfigError
 from sim_link.config import Scenario, load_scenario
+from sim_link.world.environment import ShadowParams
+from sim_link.world.sight import is_blocked_in_space
 
-CANONICAL = Path(__file__).parents[3] / "configs" / "scenarios" / "canonical.yaml"
+SCENARIOS = Path(__file__).parents[3] / "configs" / "scenarios"
+CANONICAL = SCENARIOS / "canonical.yaml"
+GOOD = "obstacles:\n  - corners_enu_m: [[0, 0], [9, 0], [9, 9]]\n"
 
 
 def test_the_canonical_file_spells_out_the_defaults() -> None:
@@ -31,6 +35,24 @@ def test_keys_left_out_keep_their_canonical_value(tmp_path: Path) -> None:
     assert scenario.channel == Scenario().channel
 
 
+@pytest.mark.parametrize("path", sorted(SCENARIOS.glob("*.yaml")), ids=lambda path: path.name)
+def test_every_scenario_is_read(path: Path) -> None:
+    assert load_scenario(path).name
+
+
+def test_the_obstacle_scenario_hides_the_emitter_from_the_start() -> None:
+    scenario = load_scenario(SCENARIOS / "obstacle.yaml")
+    assert [obstacle.name for obstacle in scenario.obstacles] == ["block", "hall"]
+    assert scenario.shadow == ShadowParams()
+    assert scenario.environment is not None
+    start, target = (*scenario.start_enu_m, 20.0), (*scenario.emitter.position_enu_m, 0.0)
+    assert is_blocked_in_space(*target, *start, scenario.environment.edges)
+
+
+def test_without_obstacles_there_is_no_environment() -> None:
+    assert Scenario().environment is None
+
+
 @pytest.mark.parametrize(
     ("text", "place"),
     [
@@ -47,6 +69,17 @@ def test_keys_left_out_keep_their_canonical_value(tmp_path: Path) -> None:
         ("vehicle:\n  max_speed_mps: fast\n", "$.vehicle.max_speed_mps"),
         ("origin:\n  latitude_deg: 95\n", "$.origin.latitude_deg"),
         ("emitter: 5\n", "$.emitter"),
+        ("obstacles: block\n", "$.obstacles"),
+        (GOOD + "  - name: b\n", "$.obstacles[1].corners_enu_m"),
+        (GOOD + "  - corners_enu_m: [[0, 0], [9, 0]]\n", "$.obstacles[1].corners_enu_m"),
+        (GOOD + "  - corners_enu_m: [[0, 0], [9, 0], [9]]\n", "$.obstacles[1].corners_enu_m[2]"),
+        (GOOD + "  - corners_enu_m: [[0, 0], [9, 9], [9, 0], [0, 9]]\n", "$.obstacles[1]"),
+        (GOOD + "  - corners_enu_m: [[0, 0], [9, 9], [4, 4]]\n", "$.obstacles[1]"),
+        (GOOD + "  - corners_enu_m: [[0, 0], [9, .inf], [4, 4]]\n", "$.obstacles[1]"),
+        (GOOD + "    height_m: 0\n", "$.obstacles[0].height_m"),
+        (GOOD + "    hight_m: 9\n", "$.obstacles[0].hight_m"),
+        ("shadow:\n  detour_share: 1.5\n", "$.shadow.detour_share"),
+        ("shadow:\n  correlation_m: -1\n", "$.shadow.correlation_m"),
         ("- 1\n", "$"),
     ],
 )

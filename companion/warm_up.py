@@ -1,0 +1,61 @@
+"""Compiles the kernels before a flight, because it must not happen during one.
+
+Where numba is installed, the first call of a kernel compiles it: half a minute in all the first
+time, and a second from the cache. In flight that would starve the control tick, and the autopilot
+would leave offboard mode.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from companion.domain import RangingMeasurement
+from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.kernel import IS_COMPILED
+from companion.planning.base import Planner, PlanRequest
+
+TARGET_M = (12.0, 9.0)
+RADIUS_M = 20.0
+HEIGHT_M = 15.0
+
+
+def warm_up(params: TrackerParams, planner: Planner[Any]) -> None:
+    """Fly in circles about an invented emitter until every kernel has been called.
+
+    Args:
+        params: Of the flight: what it measures and how much it keeps decides which kernels run.
+        planner: Of the flight; it keeps no memory of its own.
+    """
+    if not IS_COMPILED:
+        return
+    rng = np.random.default_rng(0)
+    memory = planner.initial_memory()
+    for has_range, has_bearing in ((True, True), (True, False), (False, True)):
+        tracker = TargetTracker(params)
+        for step in range(params.window.size + 60):
+            time_s, angle = 0.1 * step, 0.1 * step
+            place = (RADIUS_M * math.cos(angle), RADIUS_M * math.sin(angle), HEIGHT_M)
+            tracker.fuse(_seen(place, time_s, rng, has_range, has_bearing), place, time_s)
+        request = PlanRequest((RADIUS_M, 0.0), tracker.estimate(60.0), time_s=60.0, contact_s=60.0)
+        memory = planner.plan(request, memory).memory
+
+
+def _seen(
+    place: tuple[float, float, float],
+    time_s: float,
+    rng: np.random.Generator,
+    has_range: bool,
+    has_bearing: bool,
+) -> RangingMeasurement:
+    east, north = TARGET_M[0] - place[0], TARGET_M[1] - place[1]
+    range_m = math.hypot(east, north, place[2]) + float(rng.normal())
+    bearing_rad = math.remainder(math.atan2(north, east) + 0.03 * float(rng.normal()), math.tau)
+    return RangingMeasurement(
+        emitter_id=1,
+        measured_at_s=time_s,
+        range_m=range_m if has_range else None,
+        bearing_enu_rad=bearing_rad if has_bearing else None,
+    )

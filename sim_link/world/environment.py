@@ -1,0 +1,272 @@
+"""Obstacles, and what a radio path suffers in the open and in their shadow.
+
+Theory of operation. In the open one draw decides for a whole measurement whether the path is
+obstructed, as the paper has it: then the range has an exponential excess and the bearing a normal
+bend. In the shadow of an obstacle every path is obstructed, and both have two parts:
+
+    excess = detour_share * (shortest detour - straight path) + extra,  extra exponential
+    bend   = pull_share * (direction of the detour - direction of the emitter) + bias,  bias normal
+
+The first part follows from the place alone (`sight`). The second is correlated over the way that
+the sensor moves from one shadowed measurement to the next: correlation exp(-distance / L)
+(M. Gudmundson, "Correlation model for shadow fading in mobile radio systems", Electronics Letters
+27, 1991), a first-order Gauss-Markov process. An exponential variable is half the squared length of
+a pair of standard normals, and the uniform and the exponential number of a draw are such a pair in
+polar coordinates (G. E. P. Box, M. E. Muller, 1958). So the pair is the process, with twice the
+correlation length, because squaring halves it; nothing more is drawn, and with L = 0 the extra is
+the drawn exponential itself.
+
+Obstacles stand in the way of the radio only: who flies must know of them by other means.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Annotated, NamedTuple
+
+import msgspec
+import numpy as np
+
+from companion.domain import PositionEnu
+from companion.geometry.polygons import area_m2, is_simple
+from companion.kernel import kernel
+from companion.params import NonNegative, Params, Positive
+from sim_link.world import sight
+from sim_link.world.sight import Surroundings, detour, is_blocked_in_space
+from sim_link.world.target import Coordinate
+
+LEAST_OBSTACLE_M2 = 1e-3
+"""A mast is an obstacle too."""
+
+Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
+Corners = Annotated[tuple[tuple[Coordinate, Coordinate], ...], msgspec.Meta(min_length=3)]
+
+
+class ObstacleParams(Params, frozen=True):
+    """Something solid on the ground: an upright prism."""
+
+    corners_enu_m: Corners
+    """A simple polygon, in either direction; not closed."""
+    name: str = "obstacle"
+    height_m: Positive | None = None
+    """A path that passes above this is free; None: higher than anything flies."""
+
+    def __post_init__(self) -> None:
+        """Refuse a polygon that encloses nothing or crosses itself."""
+        if len(self.corners_enu_m) < 3:
+            raise ValueError(f"`{self.name}` needs at least 3 corners")
+        if not all(math.isfinite(value) for corner in self.corners_enu_m for value in corner):
+            raise ValueError(f"a corner of `{self.name}` is not a finite number")
+        if not is_simple(self.corners_enu_m):
+            raise ValueError(f"two edges of `{self.name}` cross each other")
+        if area_m2(self.corners_enu_m) < LEAST_OBSTACLE_M2:
+            raise ValueError(f"`{self.name}` encloses no area")
+
+
+class ShadowParams(Params, frozen=True):
+    """What a path suffers that an obstacle blocks."""
+
+    detour_share: Share = 1.0
+    """Share of the shortest detour's excess that the range shows; 0: none of it."""
+    pull_share: Share = 1.0
+    """Share of the turn towards the detour's first corner that the bearing shows."""
+    extra_bias_mean_m: NonNegative = 5.0
+    """On top of the detour, exponential."""
+    bearing_bias_sigma_deg: NonNegative = 5.0
+    """On top of the pull, normal."""
+    correlation_m: NonNegative = 10.0
+    """Distance over which the two on top forget themselves to 1/e; 0: every draw is new."""
+
+
+STUDY_SHADOW = ShadowParams(
+    detour_share=0.0,
+    pull_share=0.0,
+    extra_bias_mean_m=15.0,
+    bearing_bias_sigma_deg=10.0,
+    correlation_m=0.0,
+)
+"""The structured obstacle of the studies: blocked or not is all that matters, draws are new."""
+
+
+class OpenPath(NamedTuple):
+    """What a path in the open suffers, as the kernels take it."""
+
+    p_nlos: float
+    bias_mean_m: float
+    bend_sigma_rad: float
+
+
+class Shadow(NamedTuple):
+    """What a blocked path suffers, as the kernels take it."""
+
+    detour_share: float
+    pull_share: float
+    extra_mean_m: float
+    bend_sigma_rad: float
+    correlation_m: float
+
+
+class ShadowMemory(NamedTuple):
+    """The correlated part of the last shadowed measurement, in standard units, and its place."""
+
+    first: float
+    """Of the pair whose half squared length is the extra."""
+    second: float
+    bend: float
+    east_m: float
+    north_m: float
+    up_m: float
+
+
+NO_MEMORY = ShadowMemory(0.0, 0.0, 0.0, math.nan, math.nan, math.nan)
+"""Before the first shadowed measurement."""
+
+
+@kernel
+def open_obstruction(
+    uniform: float, exponential: float, normal: float, open_path: OpenPath
+) -> tuple[float, float]:
+    """Range excess, metres, and bearing bias, radians, outside of all shadows.
+
+    Args:
+        uniform: In [0, 1).
+        exponential: Of mean 1.
+        normal: Standard.
+        open_path: What a path suffers there.
+
+    Paper: b of eq. (1).
+    """
+    if uniform < open_path.p_nlos:
+        return open_path.bias_mean_m * exponential, open_path.bend_sigma_rad * normal
+    return 0.0, 0.0
+
+
+@kernel
+def remembered(
+    uniform: float,
+    exponential: float,
+    normal: float,
+    e: float,
+    n: float,
+    up: float,
+    correlation_m: float,
+    memory: ShadowMemory,
+) -> ShadowMemory:
+    """The correlated part at the place of the next shadowed measurement.
+
+    Args:
+        uniform: In [0, 1).
+        exponential: Of mean 1.
+        normal: Standard.
+        e: Of the sensor.
+        n: Of the sensor.
+        up: Of the sensor.
+        correlation_m: Of both extra and bend; 0: none.
+        memory: Of the measurement before.
+    """
+    kept = 0.0
+    if correlation_m > 0.0 and not math.isnan(memory.east_m):
+        moved_m = math.hypot(math.hypot(e - memory.east_m, n - memory.north_m), up - memory.up_m)
+        kept = math.exp(-moved_m / correlation_m)
+    length = math.sqrt(2.0 * exponential * (1.0 - kept))
+    angle = 2.0 * math.pi * uniform
+    return ShadowMemory(
+        math.sqrt(kept) * memory.first + length * math.cos(angle),
+        math.sqrt(kept) * memory.second + length * math.sin(angle),
+        kept * memory.bend + math.sqrt(1.0 - kept * kept) * normal,
+        e,
+        n,
+        up,
+    )
+
+
+@kernel
+def obstruction(
+    uniform: float,
+    exponential: float,
+    normal: float,
+    e: float,
+    n: float,
+    up: float,
+    open_path: OpenPath,
+    shadow: Shadow,
+    surroundings: Surroundings,
+    memory: ShadowMemory,
+) -> tuple[float, float, ShadowMemory]:
+    """What stands in the way adds to one measurement.
+
+    Args:
+        uniform: Drawn, in [0, 1).
+        exponential: Drawn, of mean 1.
+        normal: Drawn, standard.
+        e: Of the sensor.
+        n: Of the sensor.
+        up: Of the sensor; 0 in the plane.
+        open_path: What a path suffers outside of all shadows.
+        shadow: What it suffers inside.
+        surroundings: The emitter and the obstacles.
+        memory: Of the measurement before; `NO_MEMORY` at first.
+
+    Returns:
+        Range excess, metres, never negative; bearing bias, radians; what to remember.
+
+    Paper: b of eq. (1).
+    """
+    if not is_blocked_in_space(
+        surroundings.east_m,
+        surroundings.north_m,
+        surroundings.up_m,
+        e,
+        n,
+        up,
+        surroundings.edges,
+    ):
+        excess_m, bend_rad = open_obstruction(uniform, exponential, normal, open_path)
+        return excess_m, bend_rad, memory
+    memory = remembered(uniform, exponential, normal, e, n, up, shadow.correlation_m, memory)
+    pair = 0.5 * (memory.first * memory.first + memory.second * memory.second)
+    excess_m = shadow.extra_mean_m * pair
+    bend_rad = shadow.bend_sigma_rad * memory.bend
+    if shadow.detour_share > 0.0 or shadow.pull_share > 0.0:
+        detour_m, pull_rad = detour(e, n, up, surroundings)
+        excess_m += shadow.detour_share * detour_m
+        bend_rad += shadow.pull_share * pull_rad
+    return excess_m, bend_rad, memory
+
+
+def shadow_of(params: ShadowParams) -> Shadow:
+    """The parameters as the kernels take them."""
+    return Shadow(
+        params.detour_share,
+        params.pull_share,
+        params.extra_bias_mean_m,
+        math.radians(params.bearing_bias_sigma_deg),
+        params.correlation_m,
+    )
+
+
+class Environment:
+    """The obstacles of a scene.
+
+    Args:
+        obstacles: They may touch and overlap.
+        shadow: What a path suffers that they block.
+    """
+
+    def __init__(
+        self, obstacles: Sequence[ObstacleParams] = (), shadow: ShadowParams | None = None
+    ) -> None:
+        self.shadow = shadow_of(shadow or ShadowParams())
+        rows: list[tuple[float, ...]] = []
+        corners: list[tuple[float, float]] = []
+        for owner, obstacle in enumerate(obstacles):
+            top_m = math.inf if obstacle.height_m is None else obstacle.height_m
+            rows += sight.walls(obstacle.corners_enu_m, top_m, owner)
+            corners += sight.turning_corners(obstacle.corners_enu_m)
+        self.edges = np.array(rows, dtype=np.float64).reshape(-1, sight.COLUMNS)
+        self._corners = np.array(corners, dtype=np.float64).reshape(-1, 2)
+
+    def around(self, emitter_enu_m: PositionEnu) -> Surroundings:
+        """An emitter in it; finds the ways from all corners to it, so keep what it returns."""
+        return sight.surroundings_of(emitter_enu_m, self.edges, self._corners)

@@ -1,0 +1,67 @@
+"""Behind a block: ranges that show the way around it, bearings pulled to its edges."""
+
+from __future__ import annotations
+
+import multiprocessing
+import statistics
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+from companion.geometry.polygons import depth_m
+from companion.guidance.states import Phase
+from sim_link.config import load_scenario
+from sim_link.world.sight import is_blocked_in_space
+from tests.loop.loop_helpers import AUTO, Loop
+
+SCENARIO = Path(__file__).parents[2] / "configs" / "scenarios" / "obstacle.yaml"
+SEEDS = range(4)
+FLIGHT_S = 120.0
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    seed: int
+    phase: Phase
+    results: int
+    error_m: float
+    r95_m: float
+    hidden_share: float
+    """Of the places that it flew through."""
+    depth_m: float
+    """How far into the block it flew; negative: it did not."""
+
+
+def fly(seed: int) -> Flight:
+    scenario = load_scenario(SCENARIO)
+    block = scenario.obstacles[0].corners_enu_m
+    limits = msgspec.structs.replace(AUTO.limits, keep_out_enu_m=(block,))
+    loop = Loop(config=msgspec.structs.replace(AUTO, limits=limits), scenario=scenario, seed=seed)
+    loop.run(FLIGHT_S)
+    assert scenario.environment is not None
+    edges, target = scenario.environment.edges, (*scenario.emitter.position_enu_m, 0.0)
+    flown = [place for place in loop.true_positions if place[2] > 3.0][::25]
+    return Flight(
+        seed,
+        loop.phase,
+        len(loop.notes.results),
+        loop.error_m,
+        max((result.estimate.r95_m for _, result in loop.notes.results), default=0.0),
+        statistics.mean(is_blocked_in_space(*target, *place, edges) for place in flown),
+        max(depth_m(block, place[:2]) for place in loop.true_positions),
+    )
+
+
+def test_the_emitter_behind_the_block_is_found() -> None:
+    workers = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(2, mp_context=workers) as pool:
+        flights = list(pool.map(fly, SEEDS))
+    assert [f.seed for f in flights if f.results != 1] == []
+    assert {f.phase for f in flights} == {Phase.FINISHED}
+    assert statistics.median(f.error_m for f in flights) <= 0.3
+    assert max(f.error_m for f in flights) <= 1.0
+    assert [f.seed for f in flights if f.error_m > f.r95_m] == []
+    assert min(f.hidden_share for f in flights) > 0.05  # it was not for nothing
+    assert max(f.depth_m for f in flights) < 0.0

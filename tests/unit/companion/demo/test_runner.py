@@ -1,0 +1,44 @@
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import pytest
+
+from companion.config.schema import CompanionConfig
+from companion.demo.runner import _demo_config
+from companion.errors import ConfigError
+
+BLOCK = [[30.0, 30.0], [45.0, 30.0], [45.0, 60.0], [30.0, 60.0]]
+EVERYWHERE = [[-500.0, -500.0], [500.0, -500.0], [500.0, 500.0], [-500.0, 500.0]]
+
+
+def truth(corners: list[list[float]], height_m: float | None) -> dict[str, Any]:
+    obstacle = {"name": "block", "corners_enu_m": corners, "height_m": height_m}
+    return {"scenario": "test", "area_m": [100.0, 80.0], "obstacles": [obstacle]}
+
+
+def test_it_engages_by_itself_inside_a_fence_around_the_area() -> None:
+    config = _demo_config(CompanionConfig(), truth(BLOCK, 5.0))
+    assert config.mission.engage == "auto"
+    assert config.limits.fence_enu_m[0] == (-10.0, -10.0)
+    assert config.limits.fence_enu_m[2] == (110.0, 90.0)
+
+
+@pytest.mark.parametrize(("height_m", "kept_out"), [(5.0, 0), (16.0, 1), (30.0, 1), (None, 1)])
+def test_it_keeps_out_of_what_reaches_its_altitude(height_m: float | None, kept_out: int) -> None:
+    config = _demo_config(CompanionConfig(), truth(BLOCK, height_m))
+    assert len(config.limits.keep_out_enu_m) == kept_out
+
+
+def test_the_keep_outs_of_the_configuration_stay() -> None:
+    config = CompanionConfig()
+    mast = ((70.0, 70.0), (71.0, 70.0), (70.0, 71.0))
+    limits = msgspec.structs.replace(config.limits, keep_out_enu_m=(mast,))
+    config = _demo_config(msgspec.structs.replace(config, limits=limits), truth(BLOCK, None))
+    assert config.limits.keep_out_enu_m == (mast, tuple((e, n) for e, n in BLOCK))
+
+
+def test_a_scenario_without_room_to_fly_is_refused() -> None:
+    with pytest.raises(ConfigError, match="scenario test"):
+        _demo_config(CompanionConfig(), truth(EVERYWHERE, None))

@@ -1,0 +1,58 @@
+"""Compiling before the flight: every kernel is called, whatever will be measured."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+import pytest
+
+from companion import warm_up as module
+from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.estimation.window_map import WindowParams
+from companion.planning.base import Plan, PlanRequest
+from companion.planning.latched_crossing import LatchedCrossing, LatchedCrossingParams
+from companion.warm_up import warm_up
+
+SMALL = TrackerParams(window=WindowParams(size=64))
+
+
+class Counting(LatchedCrossing):
+    """The planner of the flight, counting what it is asked."""
+
+    def __init__(self) -> None:
+        super().__init__(LatchedCrossingParams())
+        self.requests: list[PlanRequest] = []
+
+    def plan(self, request: PlanRequest, memory: Any) -> Plan[Any]:
+        self.requests.append(request)
+        return super().plan(request, memory)
+
+
+def test_plain_kernels_need_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "IS_COMPILED", False)
+    planner = Counting()
+    warm_up(SMALL, planner)
+    assert planner.requests == []
+
+
+def test_ranges_and_bearings_alone_and_together_fill_the_window_and_are_planned_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(module, "IS_COMPILED", True)
+    kinds: Counter[tuple[bool, bool]] = Counter()
+    fuse = TargetTracker.fuse
+
+    def counted(self: TargetTracker, measurement: Any, *place_and_time: Any) -> Any:
+        kinds[measurement.range_m is not None, measurement.bearing_enu_rad is not None] += 1
+        report = fuse(self, measurement, *place_and_time)
+        assert report.refusal is None
+        return report
+
+    monkeypatch.setattr(TargetTracker, "fuse", counted)
+    planner = Counting()
+    warm_up(SMALL, planner)
+    assert set(kinds) == {(True, True), (True, False), (False, True)}
+    assert min(kinds.values()) > SMALL.window.size
+    assert len(planner.requests) == 3
+    assert all(request.estimate is not None for request in planner.requests)
