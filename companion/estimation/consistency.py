@@ -37,8 +37,8 @@ PRIOR_COUNT = 8.0
 """How many measurements the monitor's prior is worth."""
 MIN_PAIRS = 12.0
 """Fewer pairs of neighbours than this tell nothing of correlation."""
-SIGNIFICANT_SIGMAS = 1.64
-"""A correlation counts from this many standard errors: white noise reaches it once in twenty."""
+SIGNIFICANT_SIGMAS = 2.0
+"""A correlation counts from this many standard errors: white noise reaches it once in 44."""
 
 MAX_INFLATION = 400.0
 MAX_CORRELATION = 0.98

@@ -35,8 +35,8 @@ PRIOR_COUNT = 4.0
 MAX_RESIDUAL = 10.0
 """Residuals count no larger than this where they are not clipped by the loss."""
 MAX_CORRELATION = 0.98
-SIGNIFICANT_SIGMAS = 1.64
-"""A correlation counts from this many standard errors: white residuals reach it once in twenty."""
+SIGNIFICANT_SIGMAS = 2.0
+"""A correlation counts from this many standard errors: white residuals reach it once in 44."""
 MIN_CORRELATED = 12
 """Fewer residuals than this tell nothing of correlation."""
 DEFINITE_SHARE = 1e-3

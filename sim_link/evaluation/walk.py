@@ -117,6 +117,32 @@ def updated(
 
 
 @kernel
+def informed_place(
+    east_m: float,
+    north_m: float,
+    mean: Vector,
+    covariance: Matrix,
+    belief: Belief,
+    steering: Steering,
+) -> tuple[float, float]:
+    """Where the FIM planner flies next: the end of the best candidate, or nowhere."""
+    index = best_candidate(
+        covariance,
+        mean[0] - east_m,
+        mean[1] - north_m,
+        0.0,
+        steering.ring_m,
+        steering.may_fly,
+        belief.sigma[0] * belief.sigma[0],
+        belief.sigma[1] * belief.sigma[1],
+        True,
+    )
+    if index == STAY:
+        return east_m, north_m
+    return east_m + steering.ring_m[index, 0], north_m + steering.ring_m[index, 1]
+
+
+@kernel
 def next_place(
     east_m: float,
     north_m: float,
@@ -145,20 +171,7 @@ def next_place(
         latch = latched_step(latch, east_m, north_m, mean[0], mean[1], over_m, True, steering.latch)
         east_m, north_m = stepped(east_m, north_m, latch[0], latch[1], steering.step_m)
         return east_m, north_m, latch
-    index = best_candidate(
-        covariance,
-        mean[0] - east_m,
-        mean[1] - north_m,
-        0.0,
-        steering.ring_m,
-        steering.may_fly,
-        belief.sigma[0] * belief.sigma[0],
-        belief.sigma[1] * belief.sigma[1],
-        True,
-    )
-    if index != STAY:
-        east_m += steering.ring_m[index, 0]
-        north_m += steering.ring_m[index, 1]
+    east_m, north_m = informed_place(east_m, north_m, mean, covariance, belief, steering)
     return east_m, north_m, latch
 
 
