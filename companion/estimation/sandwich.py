@@ -55,6 +55,8 @@ class Scores:
     """(3 n, k) whitened partials, zero rows where nothing was measured."""
     is_measured: Matrix
     """(3, n) booleans."""
+    thermal: tuple[float, ...] = (1.0, 1.0, 1.0)
+    """Second moment of each modality's influence under thermal noise alone."""
 
     def part(self, modality: int) -> Matrix:
         """(n, k) partials of one modality."""
@@ -74,11 +76,15 @@ class Scores:
         Residuals much smaller than thermal noise promise nothing.
         """
         n = int(self.is_measured[modality].sum())
+        thermal = self.thermal[modality]
         total = float(np.sum(self.psi[modality] ** 2))
         pooled = (
-            (total + PRIOR_COUNT) / (n + PRIOR_COUNT) * (n + 1.0) / max(n + 1.0 - parameters, 1)
+            (total + PRIOR_COUNT * thermal)
+            / (n + PRIOR_COUNT)
+            * (n + 1.0)
+            / max(n + 1.0 - parameters, 1)
         )
-        return max(pooled, 1.0 - 2.0 * math.sqrt(2.0 / (n + PRIOR_COUNT)))
+        return max(pooled, thermal * (1.0 - 2.0 * math.sqrt(2.0 / (n + PRIOR_COUNT))))
 
     def quantile_ratio(self, modality: int) -> float:
         """How much wider than normal the 95 % interval is, because slope and moment are estimates.
@@ -138,6 +144,18 @@ class Scores:
         """(1 + rho) / (1 - rho) of each modality, (3,): what a first-order process repeats."""
         rho = np.array([self.correlation(modality) for modality in range(3)])
         return np.asarray((1.0 + rho) / (1.0 - rho))
+
+
+def thermal_moment(k_long: float, k_short: float) -> float:
+    """E[psi^2] of a standard normal residual, clipped at the two thresholds."""
+    return sum(
+        0.5
+        if math.isinf(k)
+        else 0.5 * math.erf(k / math.sqrt(2.0))
+        - k * math.exp(-0.5 * k * k) / math.sqrt(2.0 * math.pi)
+        + 0.5 * k * k * math.erfc(k / math.sqrt(2.0))
+        for k in (k_long, k_short)
+    )
 
 
 def curvature(scores: Scores) -> Matrix:

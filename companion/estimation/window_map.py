@@ -45,6 +45,7 @@ from companion.estimation.sandwich import (
     covariance_of,
     curvature,
     pooled_variability,
+    thermal_moment,
 )
 from companion.geometry.arrays import Matrix, Vector
 from companion.models.ranging_model import BEARING_OFFSET, MODALITIES, RANGE, RANGE_OFFSET
@@ -99,6 +100,7 @@ class WindowMap:
         self._model = filter_params.model
         self._thresholds = filter_params.thresholds
         self._bounds = filter_params.bounds
+        self._thermal = tuple(thermal_moment(*pair) for pair in self._thresholds.tolist())
         mean, sigmas = filter_params.prior
         weights = 1.0 / sigmas**2
         weights[:RANGE_OFFSET] = 0.0  # the position's prior is flat (paper, section IV-A)
@@ -169,7 +171,7 @@ class WindowMap:
             u = row_residuals(rows, mean, sigmas, self._model)
             H = row_partials(rows, mean, sigmas, self._model)
             is_measured = ~np.isnan(rows[:, VALUES : VALUES + 3].T)
-        return Scores(u, clipped(u, self._thresholds), H, is_measured)
+        return Scores(u, clipped(u, self._thresholds), H, is_measured, self._thermal)
 
     def start_around(self, rows: Matrix, direction_rad: float, spread: int) -> Vector:
         """A fresh start: off the middle of the path, as far as the ranges say.

@@ -19,6 +19,7 @@ from companion.estimation.sandwich import (
     curvature,
     long_run_variance,
     pooled_variability,
+    thermal_moment,
 )
 from companion.estimation.window_map import WindowMap
 from companion.geometry.arrays import Matrix, Vector
@@ -231,3 +232,13 @@ def test_without_correlation_it_would_be_far_too_sure() -> None:
         error = mean[0][:2] - TARGET
         covered += float(error @ np.linalg.solve(P[:2, :2], error)) < CHI2_95
     assert covered < 60
+
+
+@pytest.mark.parametrize("thresholds", [(1.5, math.inf), (1.5, 1.5), (1.0, 3.0), (math.inf,) * 2])
+def test_thermal_noise_has_the_second_moment_of_a_clipped_normal(
+    thresholds: tuple[float, float],
+) -> None:
+    u = np.random.default_rng(3).normal(size=400_000)
+    k_long, k_short = thresholds
+    expected = float(np.mean(np.clip(u, -k_short, k_long) ** 2))
+    assert thermal_moment(k_long, k_short) == pytest.approx(expected, rel=0.01)
