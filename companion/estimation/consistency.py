@@ -48,6 +48,14 @@ GOLDEN_ANGLE_RAD = math.pi * (3.0 - math.sqrt(5.0))
 
 MIN_AXIS_RATIO = 4e-3
 """Ellipses thinner than this (in variance) are taken as this thin; R95 differs by under 0.1 %."""
+LOG_OUTSIDE = math.log(0.05)
+R95_START = 0.5 * 1.9**2
+"""R^2 / 2 that the search for R95 begins from, less than that of the narrowest ellipse."""
+R95_TOLERANCE = 1e-12
+R95_MAX_STEPS = 20
+
+_PHI_RAD = (np.arange(64) + 0.5) * (math.pi / 128.0)
+_COS2, _SIN2 = np.cos(_PHI_RAD) ** 2, np.sin(_PHI_RAD) ** 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,24 +141,25 @@ def r95_of_covariance_m(covariance_m2: Matrix) -> float:
         covariance_m2: (2, 2).
 
     The probability outside radius R is the mean over directions of exp(-R^2 q / 2) / (q sqrt(det))
-    with q the inverse variance in that direction; solved for R by bisection.
+    with q the inverse variance in that direction. Its logarithm is convex in R^2 / 2, so Newton's
+    method from below climbs to the root without a step too far.
     """
     low, high = (float(v) for v in np.linalg.eigvalsh(covariance_m2))
     if high <= 0.0:
         return 0.0
     ratio = max(low / high, MIN_AXIS_RATIO)
-    phi = (np.arange(64) + 0.5) * (math.pi / 128.0)
-    q = np.cos(phi) ** 2 + np.sin(phi) ** 2 / ratio
-    share = 1.0 / (q * math.sqrt(ratio))
+    q = _COS2 + _SIN2 / ratio
+    share = 1.0 / q
     share /= share.sum()
-    inside, outside = 1.9, 2.5
-    for _ in range(40):
-        radius = 0.5 * (inside + outside)
-        if float(np.sum(share * np.exp(-0.5 * radius * radius * q))) > 0.05:
-            inside = radius
-        else:
-            outside = radius
-    return outside * math.sqrt(high)
+    half_square = R95_START
+    for _ in range(R95_MAX_STEPS):
+        outside = share * np.exp(-half_square * q)
+        total = float(outside.sum())
+        step = (math.log(total) - LOG_OUTSIDE) * total / float(outside @ q)
+        half_square += step
+        if step < R95_TOLERANCE:
+            break
+    return math.sqrt(2.0 * half_square * high)
 
 
 def r95_of_mixture_m(

@@ -46,6 +46,12 @@ def row_sigmas(rows: Matrix, mean: Vector, model: RangingModel) -> Matrix:
 
 
 @kernel
+def has_elevation(rows: Matrix) -> bool:
+    """Whether any row has one: most radios measure none, and then nothing is spent on it."""
+    return bool(np.isfinite(rows[:, 5]).any())
+
+
+@kernel
 def row_residuals(rows: Matrix, mean: Vector, sigmas: Matrix, model: RangingModel) -> Matrix:
     """Whitened residuals of every measurement, (3, n), zero where nothing was measured."""
     de, dn = mean[0] - rows[:, 0], mean[1] - rows[:, 1]
@@ -55,7 +61,10 @@ def row_residuals(rows: Matrix, mean: Vector, sigmas: Matrix, model: RangingMode
     u[0] = rows[:, 3] - range_factor(mean, model) * np.sqrt(ground2 + du * du) - mean[2]
     turn = rows[:, 4] - np.arctan2(dn, de) - mean[3]
     u[1] = turn - 2.0 * math.pi * np.floor(turn / (2.0 * math.pi) + 0.5)
-    u[2] = rows[:, 5] - np.arctan2(du, np.sqrt(ground2))
+    if has_elevation(rows):
+        u[2] = rows[:, 5] - np.arctan2(du, np.sqrt(ground2))
+    else:
+        u[2] = 0.0
     u = u / sigmas
     return np.where(np.isnan(u), 0.0, u)
 
@@ -78,15 +87,20 @@ def row_partials(rows: Matrix, mean: Vector, sigmas: Matrix, model: RangingModel
     by_bearing[:, 0] = -dn / ground2
     by_bearing[:, 1] = de / ground2
     by_bearing[:, 3] = 1.0
-    down = -du / (slant * slant * ground)
-    by_elevation[:, 0] = de * down
-    by_elevation[:, 1] = dn * down
     if model.scale_index >= 0:
         by_range[:, model.scale_index] = slant
     if model.height_index >= 0:
         by_range[:, model.height_index] = factor * du / slant
         by_elevation[:, model.height_index] = ground / (slant * slant)
-    for modality in range(3):
+    modalities = 2
+    if has_elevation(rows):
+        modalities = 3
+        down = -du / (slant * slant * ground)
+        by_elevation[:, 0] = de * down
+        by_elevation[:, 1] = dn * down
+    else:
+        by_elevation[:] = 0.0
+    for modality in range(modalities):
         part = H[modality * n : (modality + 1) * n]
         share = np.where(np.isnan(rows[:, 3 + modality]), 0.0, 1.0 / sigmas[modality])
         part *= share.reshape(-1, 1)
@@ -129,15 +143,17 @@ def normal_equations(
     information: Matrix,
     pull: Vector,
     model: RangingModel,
-) -> tuple[Matrix, Vector]:
-    """The re-weighted Gauss-Newton system at `mean`: matrix (k, k) and descent (k,)."""
+) -> tuple[Matrix, Vector, float]:
+    """The re-weighted Gauss-Newton system at `mean`: matrix (k, k), descent (k,), and the cost."""
     u = row_residuals(rows, mean, sigmas, model)
     psi = clipped(u, thresholds)
     H = row_partials(rows, mean, sigmas, model)
     is_quadratic = u == psi
     weight = np.where(is_quadratic, 1.0, psi / np.where(is_quadratic, 1.0, u))
     A = np.dot(H.T, weight.reshape(-1, 1) * H) + information
-    return A, np.dot(H.T, psi.reshape(-1)) - np.dot(information, mean) + pull
+    known = np.dot(information, mean)
+    cost = np.sum(psi * (u - 0.5 * psi)) + 0.5 * np.dot(mean, known) - np.dot(pull, mean)
+    return A, np.dot(H.T, psi.reshape(-1)) - known + pull, float(cost)
 
 
 @kernel
@@ -173,8 +189,7 @@ def map_step(
     Where no step lowers it, the mean comes back as it was.
     """
     sigmas = row_sigmas(rows, mean, model)
-    cost = map_cost(rows, mean, sigmas, thresholds, information, pull, model)
-    A, descent = normal_equations(rows, mean, sigmas, thresholds, information, pull, model)
+    A, descent, cost = normal_equations(rows, mean, sigmas, thresholds, information, pull, model)
     hold_at_bounds(A, descent, mean, bounds)
     scale = np.diag(np.diag(A) + 1e-9)
     while damping < DAMPING_MAX:

@@ -1,6 +1,6 @@
 """E-optimality: fly where one more measurement is expected to leave the least worst-case error.
 
-Candidates are the ends of steps in `HEADINGS` directions about the vehicle, and staying. With the
+Candidates are the ends of steps in even directions about the vehicle, and staying. With the
 joint information J = P^-1 before and the expected measurement's H^T R^-1 H, the criterion is the
 smallest eigenvalue of the *marginal* information about the position, the offsets being nuisance:
 
@@ -20,7 +20,9 @@ perfect. Off, the criterion is the linearised one.
 from __future__ import annotations
 
 import math
+from typing import Annotated
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,8 +35,9 @@ from companion.planning.base import Plan, PlanRequest
 from companion.planning.routing import held, routed, way_finder
 
 HEADINGS = 16
-STAY = HEADINGS
-"""Index of the candidate that stays, after those that move."""
+"""Directions of the candidates, where nothing else is said."""
+STAY = -1
+"""Index of the candidate that stays."""
 MIN_DISTANCE_M = 1e-3
 """Closer than this the direction to the target has no meaning."""
 NO_BEARINGS_RAD2 = math.inf
@@ -45,6 +48,8 @@ class FimParams(Params, frozen=True):
 
     step_m: Positive = 5.0
     """How far from the vehicle the candidates are."""
+    headings: Annotated[int, msgspec.Meta(ge=3, le=360)] = HEADINGS
+    """In how many directions they are."""
     range_offset_sigma_m: Positive = 5.0
     """Prior of the range offset where the filter tells no joint covariance."""
     bearing_offset_sigma_deg: Positive = 5.0
@@ -123,8 +128,8 @@ def best_candidate(
         de_m: From the vehicle to the estimate, east.
         dn_m: The same, north.
         du_m: The same, up.
-        ring_m: (HEADINGS, 2) steps of the candidates.
-        may_fly: (HEADINGS,) whether a candidate may be flown to.
+        ring_m: (k, 2) steps of the candidates.
+        may_fly: (k,) whether a candidate may be flown to.
         range_variance_m2: See `worst_variance_m2`.
         bearing_variance_rad2: See there.
         near_target_terms: See there.
@@ -133,7 +138,7 @@ def best_candidate(
     least = worst_variance_m2(
         P, de_m, dn_m, du_m, range_variance_m2, bearing_variance_rad2, near_target_terms
     )
-    for index in range(HEADINGS):
+    for index in range(ring_m.shape[0]):
         if may_fly[index]:
             variance = worst_variance_m2(
                 P,
@@ -149,9 +154,9 @@ def best_candidate(
     return best
 
 
-def candidate_ring_m(step_m: float) -> Matrix:
-    """Steps of the candidates, (HEADINGS, 2) east and north, counter-clockwise from east."""
-    bearings_rad = 2.0 * np.pi * np.arange(HEADINGS) / HEADINGS
+def candidate_ring_m(step_m: float, headings: int = HEADINGS) -> Matrix:
+    """Steps of the candidates, (headings, 2) east and north, counter-clockwise from east."""
+    bearings_rad = 2.0 * np.pi * np.arange(headings) / headings
     return frozen(step_m * np.column_stack([np.cos(bearings_rad), np.sin(bearings_rad)]))
 
 
@@ -173,7 +178,7 @@ class FimPlanner:
         bearing_sigma_rad: float = math.radians(2.0),
     ) -> None:
         self.params = params
-        self._ring_m = candidate_ring_m(params.step_m)
+        self._ring_m = candidate_ring_m(params.step_m, params.headings)
         self._range_variance_m2 = range_sigma_m**2
         self._bearing_variance_rad2 = bearing_sigma_rad**2
         self._offset_variances = (
@@ -202,7 +207,9 @@ class FimPlanner:
         )
         if index == STAY:
             return Plan(held(request, "staying is expected to tell most"), memory)
-        heading_deg = math.degrees(bearing_ned_from_enu(2.0 * math.pi * index / HEADINGS)) % 360.0
+        turn_rad = 2.0 * math.pi * index / self.params.headings
+        heading_deg = math.degrees(bearing_ned_from_enu(turn_rad))
+        heading_deg %= 360.0
         detail = f"heading {heading_deg:03.0f} is expected to tell most"
         waypoint = Waypoint(self._candidate(vehicle, index), WaypointReason.INFORMATION, detail)
         return Plan(routed(request, waypoint), memory)
@@ -220,10 +227,10 @@ class FimPlanner:
         """Which candidates have a clear leg."""
         finder, vehicle = way_finder(request), request.vehicle_enu_m
         if finder is None:
-            return np.ones(HEADINGS, dtype=np.bool_)
+            return np.ones(self.params.headings, dtype=np.bool_)
         clear = [
             finder.space.is_clear(vehicle, self._candidate(vehicle, index))
-            for index in range(HEADINGS)
+            for index in range(self.params.headings)
         ]
         return np.array(clear, dtype=np.bool_)
 

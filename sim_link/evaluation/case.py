@@ -10,6 +10,7 @@ the paper leaves something open:
     first estimate           the first range and bearing, inverted; offsets zero;
                              P0 = diag(30 m, 30 m, 5 m, 5 deg)^2; or a uniform draw over the area
     thresholds               k_rtt = k_aoa = 1.5
+    FIM candidates           16 headings at the step length, and staying
     lawnmower                5 m lanes over the whole area, the first at y = 2.5 m
     eps_stop                 0
     plane                    sensor and target at one height, the sensor's place known exactly
@@ -24,11 +25,14 @@ import msgspec
 from companion.domain import Point
 from companion.estimation.filter_params import FilterParams
 from companion.params import NonNegative, Params, Positive
+from companion.planning.fim import HEADINGS
 from companion.planning.latched_crossing import LatchedCrossingParams
+from sim_link.world.environment import STUDY_SHADOW, ObstacleParams, ShadowParams
 from sim_link.world.radio_channel import ChannelParams
 
 FirstEstimate = Literal["measured", "uniform"]
 Offsets = Literal["fixed", "prior"]
+NlosDraws = Literal["joint", "separate"]
 
 PAPER_BELIEF = FilterParams(own_position_sigma_m=0.0)
 """What every filter believes in the canonical scenario."""
@@ -42,7 +46,13 @@ class Case(Params, frozen=True):
     start_enu_m: Point = (10.0, 10.0)
     target_enu_m: Point = (50.0, 50.0)
     channel: ChannelParams = ChannelParams()
-    """The truth."""
+    """The truth, outside of shadows."""
+    nlos_draws: NlosDraws = "joint"
+    """Whether one draw decides that both range and bearing are obstructed, or one each."""
+    obstacles: tuple[ObstacleParams, ...] = ()
+    """What blocks the radio, not the flight."""
+    shadow: ShadowParams = STUDY_SHADOW
+    """The truth behind them."""
     belief: FilterParams = PAPER_BELIEF
     """What the filter takes for the truth."""
     steps: Annotated[int, msgspec.Meta(ge=1)] = 500
@@ -54,11 +64,14 @@ class Case(Params, frozen=True):
     offsets: Offsets = "fixed"
     """Those of the channel, or a draw from the filter's priors for each run."""
     lane_spacing_m: Positive = 5.0
+    first_lane_north_m: NonNegative | None = None
+    """None: half a spacing inside the area."""
     crossing_distance_m: Positive = 20.0
     """Of reactive crossing. Paper: l."""
     stop_distance_m: NonNegative = 0.0
     """Of reactive crossing. Paper: eps_stop."""
     latched: LatchedCrossingParams = LatchedCrossingParams()
+    fim_headings: Annotated[int, msgspec.Meta(ge=3, le=360)] = HEADINGS
 
     def __post_init__(self) -> None:
         """Refuse what the compiled walk does not do."""
@@ -66,6 +79,8 @@ class Case(Params, frozen=True):
             raise ValueError("belief.process_noise_m_per_sqrt_s must be 0: the target lies still")
         if self.belief.target_height_m != 0.0 or self.belief.target_height_sigma_m > 0.0:
             raise ValueError("belief.target_height_m must be 0 and known: studies are plane")
+        if self.obstacles and self.nlos_draws == "separate":
+            raise ValueError("nlos_draws must be joint among obstacles: a shadow takes the path")
 
 
 def canonical_case(

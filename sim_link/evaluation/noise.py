@@ -17,13 +17,22 @@ from companion.estimation.robust_update import wrapped
 from companion.geometry.arrays import Matrix, Vector
 from companion.kernel import kernel
 from sim_link.evaluation.case import Case
+from sim_link.world.environment import (
+    Environment,
+    OpenPath,
+    Shadow,
+    ShadowMemory,
+    obstruction,
+)
 from sim_link.world.radio_channel import MIN_RANGE_M
+from sim_link.world.sight import Surroundings
 
-OBSTRUCTED, EXCESS, BEND, RANGE_NOISE, BEARING_NOISE = range(5)
-"""Columns of what is drawn: a uniform, a standard exponential, three standard normals."""
-COLUMNS = 5
+OBSTRUCTED, EXCESS, BEND, RANGE_NOISE, BEARING_NOISE, BENT = range(6)
+"""Columns of what is drawn: a uniform, a standard exponential, three standard normals, and the
+uniform that decides about the bearing, which is the first one again unless the case parts them."""
+COLUMNS = 6
 
-TRUTH, CHANNEL, PLANNER = range(3)
+TRUTH, CHANNEL, PLANNER, BEARING_CHANNEL = range(4)
 """Streams of a run."""
 
 RunSeed = int | np.random.SeedSequence
@@ -45,6 +54,13 @@ class Truth(NamedTuple):
     bearing_sigma_rad: float
 
 
+class Scene(NamedTuple):
+    """What stands between sensor and target, as the kernels take it."""
+
+    surroundings: Surroundings
+    shadow: Shadow
+
+
 def run_seeds(seed: int, runs: int, first: int = 0) -> list[np.random.SeedSequence]:
     """The seeds of runs `first` to `first + runs` of a study; each its own whatever else is run."""
     return [np.random.SeedSequence(seed, spawn_key=(run,)) for run in range(first, first + runs)]
@@ -59,7 +75,7 @@ def stream(seed: RunSeed, which: int) -> np.random.Generator:
 
 @kernel
 def drawn(rng: np.random.Generator, steps: int) -> Matrix:
-    """What the channel draws, (steps, 5)."""
+    """What the channel draws, (steps, 6)."""
     draws = np.empty((steps, COLUMNS))
     for index in range(steps):
         draws[index, OBSTRUCTED] = rng.random()
@@ -67,6 +83,15 @@ def drawn(rng: np.random.Generator, steps: int) -> Matrix:
         draws[index, BEND] = rng.standard_normal()
         draws[index, RANGE_NOISE] = rng.standard_normal()
         draws[index, BEARING_NOISE] = rng.standard_normal()
+        draws[index, BENT] = draws[index, OBSTRUCTED]
+    return draws
+
+
+def channel_draws(case: Case, seed: RunSeed) -> Matrix:
+    """What the channel of a run draws, (steps, 6)."""
+    draws = drawn(stream(seed, CHANNEL), case.steps)
+    if case.nlos_draws == "separate":
+        draws[:, BENT] = stream(seed, BEARING_CHANNEL).random(case.steps)
     return draws
 
 
@@ -75,22 +100,68 @@ def measured(draw: Vector, east_m: float, north_m: float, truth: Truth) -> tuple
     """Range and bearing through the true channel, metres and radians in [-pi, pi).
 
     Args:
-        draw: (5,).
+        draw: (6,).
         east_m: Of the sensor.
         north_m: Of the sensor.
         truth: The constants.
 
     Paper: eq. (1).
     """
+    excess_m = truth.mean_bias_m * draw[EXCESS] if draw[OBSTRUCTED] < truth.p_nlos else 0.0
+    bend_rad = truth.bend_sigma_rad * draw[BEND] if draw[BENT] < truth.p_nlos else 0.0
+    return received(draw, east_m, north_m, truth, excess_m, bend_rad)
+
+
+@kernel
+def measured_in(
+    draw: Vector, east_m: float, north_m: float, truth: Truth, scene: Scene, memory: ShadowMemory
+) -> tuple[float, float, ShadowMemory]:
+    """The same among obstacles, and what the next shadowed measurement must remember.
+
+    Args:
+        draw: (6,).
+        east_m: Of the sensor.
+        north_m: Of the sensor.
+        truth: The constants.
+        scene: The obstacles, and what a path suffers that they block.
+        memory: Of the measurement before; `NO_MEMORY` at first.
+    """
+    if scene.surroundings.edges.shape[0] == 0:
+        range_m, bearing_rad = measured(draw, east_m, north_m, truth)
+        return range_m, bearing_rad, memory
+    excess_m, bend_rad, memory = obstruction(
+        draw[OBSTRUCTED],
+        draw[EXCESS],
+        draw[BEND],
+        east_m,
+        north_m,
+        0.0,
+        OpenPath(truth.p_nlos, truth.mean_bias_m, truth.bend_sigma_rad),
+        scene.shadow,
+        scene.surroundings,
+        memory,
+    )
+    range_m, bearing_rad = received(draw, east_m, north_m, truth, excess_m, bend_rad)
+    return range_m, bearing_rad, memory
+
+
+@kernel
+def received(
+    draw: Vector, east_m: float, north_m: float, truth: Truth, excess_m: float, bend_rad: float
+) -> tuple[float, float]:
+    """Range and bearing with their offsets, what stands in the way, and thermal noise."""
     de, dn = truth.east_m - east_m, truth.north_m - north_m
     range_m = math.hypot(de, dn) + truth.range_offset_m
     bearing_rad = math.atan2(dn, de) + truth.bearing_offset_rad
-    if draw[OBSTRUCTED] < truth.p_nlos:
-        range_m += truth.mean_bias_m * draw[EXCESS]
-        bearing_rad += truth.bend_sigma_rad * draw[BEND]
-    range_m += truth.range_sigma_m * draw[RANGE_NOISE]
-    bearing_rad += truth.bearing_sigma_rad * draw[BEARING_NOISE]
+    range_m += excess_m + truth.range_sigma_m * draw[RANGE_NOISE]
+    bearing_rad += bend_rad + truth.bearing_sigma_rad * draw[BEARING_NOISE]
     return max(MIN_RANGE_M, range_m), wrapped(bearing_rad)
+
+
+def scene_of(case: Case) -> Scene:
+    """The obstacles of a case about its target."""
+    environment = Environment(case.obstacles, case.shadow)
+    return Scene(environment.around((*case.target_enu_m, 0.0)), environment.shadow)
 
 
 def truth_of(case: Case, rng: np.random.Generator) -> Truth:

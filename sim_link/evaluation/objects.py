@@ -24,9 +24,10 @@ from companion.estimation.tracker import TargetTracker
 from companion.geometry.arrays import Matrix, Vector
 from companion.planning.base import Planner, PlanRequest
 from sim_link.evaluation.metrics import r95_m
-from sim_link.evaluation.noise import Truth, measured
+from sim_link.evaluation.noise import Scene, Truth, measured_in
 from sim_link.evaluation.tracks import stepped
 from sim_link.evaluation.walk import COLUMNS
+from sim_link.world.environment import NO_MEMORY
 
 STEP_S = 1.0
 """Between two measurements; the target lies still, so that only their order counts."""
@@ -175,25 +176,31 @@ class PlannerPilot:
 
 
 def flown(
-    draws: Matrix, start_enu_m: Point, truth: Truth, estimator: Estimator, pilot: Pilot
+    draws: Matrix,
+    start_enu_m: Point,
+    truth: Truth,
+    scene: Scene,
+    estimator: Estimator,
+    pilot: Pilot,
 ) -> tuple[Matrix, Vector]:
     """The record of a run, (steps, 9) as `walk` has it, and its R95, (steps,), metres.
 
     Args:
-        draws: (steps, 5) of the channel.
+        draws: (steps, 6) of the channel.
         start_enu_m: Place of the first measurement.
         truth: What is true.
+        scene: What stands in the way.
         estimator: A fresh one.
         pilot: A fresh one.
     """
     steps = len(draws)
     record, radii = np.empty((steps, COLUMNS)), np.empty(steps)
-    place = start_enu_m
+    place, memory = start_enu_m, NO_MEMORY
     for step in range(steps):
         if step:
             place = pilot.next_place(step, place, estimator)
         now_s = STEP_S * step
-        range_m, bearing_rad = measured(draws[step], *place, truth)
+        range_m, bearing_rad, memory = measured_in(draws[step], *place, truth, scene, memory)
         estimator.fuse(
             RangingMeasurement(EMITTER_ID, now_s, range_m=range_m, bearing_enu_rad=bearing_rad),
             (*place, 0.0),

@@ -19,7 +19,7 @@ from companion.estimation.tracker import TargetTracker, TrackerParams
 from companion.geometry.arrays import Matrix, Vector
 from companion.models.ranging_model import MODALITIES
 from companion.planning.base import Planner
-from companion.planning.fim import HEADINGS, FimParams, FimPlanner, candidate_ring_m
+from companion.planning.fim import FimParams, FimPlanner, candidate_ring_m
 from companion.planning.latched_crossing import LatchedCrossing
 from companion.planning.reactive_crossing import ReactiveCrossing, ReactiveCrossingParams
 from sim_link.evaluation.case import Case
@@ -32,10 +32,19 @@ from sim_link.evaluation.objects import (
     TrackerEstimator,
 )
 from sim_link.evaluation.tracks import lawnmower_track
-from sim_link.evaluation.walk import FIM, FIXED, LATCHED, REACTIVE, Belief, Steering
+from sim_link.evaluation.walk import (
+    FIM,
+    FIXED,
+    LATCHED,
+    PRINTED_FIM,
+    REACTIVE,
+    Belief,
+    Steering,
+)
+from sim_link.evaluation.window import Window, window_of
 
-FilterName = Literal["ekf", "filterpy", "huber", "admm", "asymmetric_huber", "map"]
-PlannerName = Literal["passive", "reactive", "latched", "fim"]
+FilterName = Literal["ekf", "filterpy", "huber", "admm", "asymmetric_huber", "map", "tracker"]
+PlannerName = Literal["passive", "reactive", "latched", "fim", "fim_printed"]
 
 FILTER_LABELS: dict[FilterName, str] = {
     "ekf": "EKF",
@@ -44,18 +53,21 @@ FILTER_LABELS: dict[FilterName, str] = {
     "admm": "ADMM",
     "asymmetric_huber": "Proposed",
     "map": "MAP",
+    "tracker": "Companion",
 }
 PLANNER_LABELS: dict[PlannerName, str] = {
     "passive": "Passive",
     "reactive": "Reactive",
     "latched": "Latched",
     "fim": "FIM",
+    "fim_printed": "FIM as printed",
 }
 PLANNERS: dict[PlannerName, int] = {
     "passive": FIXED,
     "reactive": REACTIVE,
     "latched": LATCHED,
     "fim": FIM,
+    "fim_printed": PRINTED_FIM,
 }
 """As the compiled walk numbers them."""
 
@@ -75,7 +87,7 @@ class System:
     @property
     def is_compiled(self) -> bool:
         """Whether its run is one compiled loop."""
-        return self.filter in KINDS
+        return self.filter == "map" or self.filter in KINDS
 
 
 def system_named(name: str) -> System:
@@ -95,7 +107,12 @@ def system_named(name: str) -> System:
 def track_of(case: Case) -> Matrix:
     """The lawnmower's places, (steps, 2); the first one is where every system starts."""
     return lawnmower_track(
-        case.area_m, case.start_enu_m, case.lane_spacing_m, case.step_m, case.steps
+        case.area_m,
+        case.start_enu_m,
+        case.lane_spacing_m,
+        case.step_m,
+        case.steps,
+        case.first_lane_north_m,
     )
 
 
@@ -121,6 +138,19 @@ def belief_of(case: Case, system: System) -> Belief:
     )
 
 
+def window_of_system(case: Case, system: System) -> Window:
+    """The objective that corrects the system's filter, as the compiled walk takes it."""
+    belief = belief_of(case, system)
+    return window_of(
+        belief.prior_mean,
+        belief.prior_sigmas,
+        belief.thresholds,
+        belief.bounds,
+        belief.model,
+        is_solved=system.filter == "map",
+    )
+
+
 def steering_of(case: Case, system: System) -> Steering:
     """The system's planner, as the compiled walk takes it."""
     return Steering(
@@ -129,19 +159,19 @@ def steering_of(case: Case, system: System) -> Steering:
         case.crossing_distance_m,
         case.stop_distance_m,
         case.latched.rule(),
-        np.array(candidate_ring_m(case.step_m)),
-        np.ones(HEADINGS, dtype=np.bool_),
+        np.array(candidate_ring_m(case.step_m, case.fim_headings)),
+        np.ones(case.fim_headings, dtype=np.bool_),
     )
 
 
 def recursive_filter_of(case: Case, system: System) -> RecursiveFilter:
-    """The companion's filter of that name.
+    """The companion's filter of that name; that of the window is the one-sided filter.
 
     Raises:
         ValueError: It is none of them.
     """
     for kind in KINDS:
-        if kind == system.filter:
+        if kind == ("asymmetric_huber" if system.filter == "map" else system.filter):
             return filter_of(kind, case.belief)
     raise ValueError(f"{system.filter} is no recursive filter of the companion")
 
@@ -153,8 +183,13 @@ def estimator_of(case: Case, system: System, start_enu_m: Vector) -> Estimator:
         case: With what is believed.
         system: Whose filter.
         start_enu_m: (2,) place of the first estimate; NaN: from the first measurement.
+
+    Raises:
+        ValueError: The system's filter has no class of its own: `map`, which is `tracker` there.
     """
     if system.filter == "map":
+        raise ValueError("the window alone is no class: fly the tracker, which has one")
+    if system.filter == "tracker":
         return TrackerEstimator(TargetTracker(TrackerParams(filter=case.belief)))
     target_filter: TargetFilter
     if system.filter == "filterpy":
@@ -169,7 +204,11 @@ def estimator_of(case: Case, system: System, start_enu_m: Vector) -> Estimator:
 
 
 def pilot_of(case: Case, system: System) -> Pilot:
-    """A fresh pilot with the system's planner."""
+    """A fresh pilot with the system's planner.
+
+    Raises:
+        ValueError: The planner has no class: `fim_printed`, which only the studies fly.
+    """
     p = case.belief
     planners: dict[PlannerName, Planner[Any]] = {
         "reactive": ReactiveCrossing(
@@ -181,9 +220,13 @@ def pilot_of(case: Case, system: System) -> Pilot:
         ),
         "latched": LatchedCrossing(case.latched),
         "fim": FimPlanner(
-            FimParams(step_m=case.step_m), p.range_sigma_m, math.radians(p.bearing_sigma_deg)
+            FimParams(step_m=case.step_m, headings=case.fim_headings),
+            p.range_sigma_m,
+            math.radians(p.bearing_sigma_deg),
         ),
     }
     if system.planner == "passive":
         return FixedPilot(track_of(case))
+    if system.planner not in planners:
+        raise ValueError(f"{system.planner} is no planner that flies")
     return PlannerPilot(planners[system.planner], case.step_m)

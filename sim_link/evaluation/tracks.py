@@ -11,6 +11,9 @@ from companion.domain import Point
 from companion.geometry.arrays import Matrix
 from companion.kernel import kernel
 
+LANE_SLACK = 1e-9
+"""Share of a spacing by which the last lane may lie outside through rounding."""
+
 
 @kernel
 def stepped(
@@ -25,19 +28,34 @@ def stepped(
     return east_m + share * de, north_m + share * dn
 
 
-def lane_corners(area_m: tuple[float, float], spacing_m: float) -> list[Point]:
-    """Corners of east-west lanes over an area from the origin, the first half a spacing inside."""
+def lane_corners(
+    area_m: tuple[float, float], spacing_m: float, first_north_m: float | None = None
+) -> list[Point]:
+    """Corners of east-west lanes over an area from the origin.
+
+    Args:
+        area_m: Width and depth of the area.
+        spacing_m: Of the lanes.
+        first_north_m: Of the first lane; None: half a spacing inside.
+    """
     width_m, depth_m = area_m
+    if first_north_m is None:
+        first_north_m = 0.5 * spacing_m
     corners: list[Point] = []
-    for lane in range(max(1, round(depth_m / spacing_m))):
-        north_m = spacing_m * (lane + 0.5)
+    for lane in range(max(1, math.floor((depth_m - first_north_m) / spacing_m + LANE_SLACK) + 1)):
+        north_m = first_north_m + spacing_m * lane
         ends = [(0.0, north_m), (width_m, north_m)]
         corners += ends if lane % 2 == 0 else ends[::-1]
     return corners
 
 
 def lawnmower_track(
-    area_m: tuple[float, float], start_enu_m: Point, spacing_m: float, step_m: float, steps: int
+    area_m: tuple[float, float],
+    start_enu_m: Point,
+    spacing_m: float,
+    step_m: float,
+    steps: int,
+    first_north_m: float | None = None,
 ) -> Matrix:
     """Places on the lanes at even steps along them, (steps, 2).
 
@@ -50,8 +68,9 @@ def lawnmower_track(
         spacing_m: Of the lanes.
         step_m: Along the track.
         steps: How many places.
+        first_north_m: Of the first lane; None: half a spacing inside.
     """
-    sweep = lane_corners(area_m, spacing_m)
+    sweep = lane_corners(area_m, spacing_m, first_north_m)
     corners = [start_enu_m, *sweep]
     length_m = step_m * (steps - 1)
     turns = 0

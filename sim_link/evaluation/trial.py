@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,16 @@ import numpy as np
 from companion.geometry.arrays import Matrix, Vector
 from sim_link.evaluation.case import Case
 from sim_link.evaluation.metrics import nees, r95_m
-from sim_link.evaluation.noise import CHANNEL, TRUTH, RunSeed, Truth, drawn, stream, truth_of
+from sim_link.evaluation.noise import (
+    PLANNER,
+    TRUTH,
+    RunSeed,
+    Truth,
+    channel_draws,
+    scene_of,
+    stream,
+    truth_of,
+)
 from sim_link.evaluation.objects import flown
 from sim_link.evaluation.systems import (
     System,
@@ -20,6 +29,7 @@ from sim_link.evaluation.systems import (
     pilot_of,
     steering_of,
     track_of,
+    window_of_system,
 )
 from sim_link.evaluation.walk import (
     BEARING_OFFSET,
@@ -90,6 +100,10 @@ class TrialResult:
         return np.asarray(self.estimates_enu_m - target)
 
 
+Flight = Callable[[Matrix, Vector, Truth, Vector], TrialResult]
+"""A run from what channel and planner draw, what is true and the place of the first estimate."""
+
+
 def run_trial(case: Case, system: System, seed: RunSeed) -> TrialResult:
     """One run; the same truth and the same draws for every system of the same seed."""
     return next(iter(_trials(case, system, [seed])))
@@ -101,17 +115,36 @@ def run_block(case: Case, system: System, seeds: Iterable[RunSeed]) -> list[Tria
 
 
 def _trials(case: Case, system: System, seeds: Iterable[RunSeed]) -> Iterable[TrialResult]:
-    track = track_of(case)
+    flies = _compiled_flight(case, system) if system.is_compiled else _object_flight(case, system)
     for seed in seeds:
         truth_rng = stream(seed, TRUTH)
         truth = truth_of(case, truth_rng)
         start = start_of(case, truth_rng)
-        draws = drawn(stream(seed, CHANNEL), case.steps)
-        if system.is_compiled:
-            belief, steering = belief_of(case, system), steering_of(case, system)
-            yield TrialResult(truth, walked(draws, track, start, truth, belief, steering))
-        else:
-            yield flown_trial(case, system, draws, truth, start)
+        picks = stream(seed, PLANNER).random(case.steps)
+        yield flies(channel_draws(case, seed), picks, truth, start)
+
+
+def _compiled_flight(case: Case, system: System) -> Flight:
+    """Flies runs in one compiled loop each; what is the same for all is made here, once."""
+    track, scene = track_of(case), scene_of(case)
+    belief, steering = belief_of(case, system), steering_of(case, system)
+    window = window_of_system(case, system)
+
+    def fly(draws: Matrix, picks: Vector, truth: Truth, start_enu_m: Vector) -> TrialResult:
+        record = walked(draws, picks, track, start_enu_m, truth, scene, belief, window, steering)
+        return TrialResult(truth, record)
+
+    return fly
+
+
+def _object_flight(case: Case, system: System) -> Flight:
+    """Flies runs over estimator and planner objects."""
+
+    def fly(draws: Matrix, picks: Vector, truth: Truth, start_enu_m: Vector) -> TrialResult:
+        del picks
+        return flown_trial(case, system, draws, truth, start_enu_m)
+
+    return fly
 
 
 def flown_trial(
@@ -122,12 +155,12 @@ def flown_trial(
     Args:
         case: The cell.
         system: What flies.
-        draws: (steps, 5) of the channel.
+        draws: (steps, 6) of the channel.
         truth: What is true.
         start_enu_m: (2,) place of the first estimate; NaN: from the first measurement.
     """
     estimator, pilot = estimator_of(case, system, start_enu_m), pilot_of(case, system)
-    record, radii = flown(draws, case.start_enu_m, truth, estimator, pilot)
+    record, radii = flown(draws, case.start_enu_m, truth, scene_of(case), estimator, pilot)
     return TrialResult(truth, record, radii)
 
 

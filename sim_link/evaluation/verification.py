@@ -47,8 +47,8 @@ RANGE_SIGMAS_M = (0.5, 1.5, 2.5)
 HONESTY_CASES: tuple[tuple[float, Offsets], ...] = ((0.0, "fixed"), (0.0, "prior"), (0.9, "fixed"))
 """Share of NLOS, and whose offsets."""
 HONESTY_SYSTEMS: tuple[tuple[FilterName, PlannerName], ...] = (
-    ("map", "passive"),
-    ("map", "latched"),
+    ("tracker", "passive"),
+    ("tracker", "latched"),
     ("asymmetric_huber", "passive"),
     ("asymmetric_huber", "latched"),
 )
@@ -106,7 +106,14 @@ def verified(
 
 def lawnmower_plan(runs: int, seed: int) -> Plan:
     """Every filter on fixed lanes."""
-    filters: tuple[FilterName, ...] = ("asymmetric_huber", "huber", "admm", "ekf", "map")
+    filters: tuple[FilterName, ...] = (
+        "asymmetric_huber",
+        "huber",
+        "admm",
+        "ekf",
+        "map",
+        "tracker",
+    )
     campaigns = [Campaign(Case(), System(name, "passive"), seed, runs) for name in filters]
 
     def figures(tallies: Sequence[Tally]) -> list[Figure]:
@@ -157,7 +164,7 @@ def bound_plan(runs: int, seed: int) -> Plan:
     """The tracker beside the Cramer-Rao bound, in the three noise regimes of the paper."""
     planners: tuple[PlannerName, ...] = ("fim", "latched")
     campaigns = [
-        Campaign(canonical_case(range_sigma_m=sigma_m), System("map", planner), seed, runs)
+        Campaign(canonical_case(range_sigma_m=sigma_m), System("tracker", planner), seed, runs)
         for sigma_m in RANGE_SIGMAS_M
         for planner in planners
     ]
@@ -210,7 +217,7 @@ def honesty_figures(campaign: Campaign, tally: Tally) -> list[Figure]:
     """NEES where the noise is as believed, and coverage; only the tracker must be honest."""
     case, label = campaign.case, campaign.system.label
     is_believed = case.channel.p_nlos == 0.0
-    must = campaign.system.filter == "map"
+    must = campaign.system.filter == "tracker"
     offsets = "" if case.offsets == "fixed" else ", offsets drawn"
     name = f"{label}, {'LOS' if is_believed else 'NLOS'}{offsets}"
     inside, (low, high) = tally.coverage[SETTLED_STEP:], COVERAGE_BAND

@@ -20,10 +20,20 @@ from companion.models.ranging_model import RangingModel
 from companion.planning.fim import STAY, best_candidate
 from companion.planning.latch import LATCH_SIZE, LatchRule, latched_step, overshoot_m
 from companion.planning.reactive_crossing import reactive_step
-from sim_link.evaluation.noise import Truth, measured
+from sim_link.evaluation.noise import Scene, Truth, measured_in
+from sim_link.evaluation.printed_fim import printed_candidate, printed_criteria
 from sim_link.evaluation.tracks import stepped
+from sim_link.evaluation.window import (
+    FIRST_COUNT,
+    Window,
+    empty_rows,
+    next_solution,
+    remember,
+    solved,
+)
+from sim_link.world.environment import NO_MEMORY
 
-FIXED, REACTIVE, LATCHED, FIM = range(4)
+FIXED, REACTIVE, LATCHED, FIM, PRINTED_FIM = range(5)
 """Planners: a given track, or one of those that follow the estimate."""
 
 VEHICLE_EAST, VEHICLE_NORTH, EAST, NORTH, RANGE_OFFSET, BEARING_OFFSET = range(6)
@@ -63,9 +73,9 @@ class Steering(NamedTuple):
     stop_distance_m: float
     latch: LatchRule
     ring_m: Matrix
-    """(HEADINGS, 2) candidates of FIM."""
+    """(k, 2) candidates of FIM."""
     may_fly: NDArray[np.bool_]
-    """(HEADINGS,)"""
+    """(k,)"""
 
 
 @kernel
@@ -143,16 +153,32 @@ def informed_place(
 
 
 @kernel
+def printed_place(
+    sensor_enu_m: Vector, mean: Vector, pick: float, belief: Belief, steering: Steering
+) -> tuple[float, float]:
+    """Where the FIM planner as printed flies next: the end of a best candidate, or nowhere."""
+    east_m, north_m = sensor_enu_m[0], sensor_enu_m[1]
+    criteria = printed_criteria(
+        mean[0] - east_m, mean[1] - north_m, steering.ring_m, belief.sigma[0], belief.sigma[1]
+    )
+    index = printed_candidate(criteria, pick)
+    if index == STAY:
+        return east_m, north_m
+    return east_m + steering.ring_m[index, 0], north_m + steering.ring_m[index, 1]
+
+
+@kernel
 def next_place(
-    east_m: float,
-    north_m: float,
+    sensor_enu_m: Vector,
     mean: Vector,
     covariance: Matrix,
+    pick: float,
     latch: Vector,
     belief: Belief,
     steering: Steering,
 ) -> tuple[float, float, Vector]:
     """Where a planner that follows the estimate flies next, and its latch."""
+    east_m, north_m = sensor_enu_m[0], sensor_enu_m[1]
     if steering.planner == REACTIVE:
         east_m, north_m = reactive_step(
             east_m,
@@ -171,28 +197,47 @@ def next_place(
         latch = latched_step(latch, east_m, north_m, mean[0], mean[1], over_m, True, steering.latch)
         east_m, north_m = stepped(east_m, north_m, latch[0], latch[1], steering.step_m)
         return east_m, north_m, latch
-    east_m, north_m = informed_place(east_m, north_m, mean, covariance, belief, steering)
+    if steering.planner == PRINTED_FIM:
+        east_m, north_m = printed_place(sensor_enu_m, mean, pick, belief, steering)
+    else:
+        east_m, north_m = informed_place(east_m, north_m, mean, covariance, belief, steering)
     return east_m, north_m, latch
+
+
+@kernel
+def write_down(row: Vector, sensor_enu_m: Vector, mean: Vector, covariance: Matrix) -> None:
+    """Fill one row of a record, in place."""
+    row[VEHICLE_EAST : VEHICLE_NORTH + 1] = sensor_enu_m[:2]
+    row[EAST : BEARING_OFFSET + 1] = mean[:4]
+    row[VARIANCE_EAST] = covariance[0, 0]
+    row[COVARIANCE] = covariance[0, 1]
+    row[VARIANCE_NORTH] = covariance[1, 1]
 
 
 @kernel
 def walked(
     draws: Matrix,
+    picks: Vector,
     track: Matrix,
     start: Vector,
     truth: Truth,
+    scene: Scene,
     belief: Belief,
+    window: Window,
     steering: Steering,
 ) -> Matrix:
     """The record of a run, (steps, 9).
 
     Args:
-        draws: (steps, 5) of the channel.
+        draws: (steps, 6) of the channel.
+        picks: (steps,) uniform draws of the planner, for one that must choose among equals.
         track: (steps, 2) the places to measure from; of planners that follow the estimate only
             the first counts.
         start: (2,) place of the first estimate; NaN: from the first measurement.
         truth: What is true.
+        scene: What stands in the way.
         belief: What the filter believes.
+        window: The objective over the run that corrects the filter, or not.
         steering: Where it flies.
     """
     steps = draws.shape[0]
@@ -202,25 +247,26 @@ def walked(
     latch = np.zeros(LATCH_SIZE)
     east_m, north_m = float(track[0, 0]), float(track[0, 1])
     z, sensor = np.full(3, np.nan), np.zeros(3)
+    memory = NO_MEMORY
+    rows = empty_rows(steps)
+    due, turn = FIRST_COUNT, 0
     for step in range(steps):
         if steering.planner == FIXED:
             east_m, north_m = float(track[step, 0]), float(track[step, 1])
-        z[0], z[1] = measured(draws[step], east_m, north_m, truth)
+        sensor[0], sensor[1] = east_m, north_m
+        z[0], z[1], memory = measured_in(draws[step], east_m, north_m, truth, scene, memory)
         if math.isnan(mean[0]):
             mean, covariance = first_fix(east_m, north_m, z[0], z[1], belief)
         else:
-            sensor[0], sensor[1] = east_m, north_m
             mean, covariance = updated(mean, covariance, sensor, z, belief)
-        row = record[step]
-        row[VEHICLE_EAST], row[VEHICLE_NORTH] = east_m, north_m
-        row[EAST : BEARING_OFFSET + 1] = mean[:4]
-        row[VARIANCE_EAST], row[COVARIANCE], row[VARIANCE_NORTH] = (
-            covariance[0, 0],
-            covariance[0, 1],
-            covariance[1, 1],
-        )
+        remember(rows, step, sensor, z, belief.sigma)
+        if window.is_solved and step + 1 >= due:
+            turn += 1
+            mean, covariance = solved(rows[: step + 1], mean, turn, window)
+            due = next_solution(step + 1)
+        write_down(record[step], sensor, mean, covariance)
         if steering.planner != FIXED:
             east_m, north_m, latch = next_place(
-                east_m, north_m, mean, covariance, latch, belief, steering
+                sensor, mean, covariance, picks[step], latch, belief, steering
             )
     return record

@@ -135,7 +135,7 @@ def windows(name: str, params: FilterParams) -> Results:
         yield f"{name} {seed} partials", row_partials(rows, start, sigmas, model)
         prior = (information, pull, model)
         yield f"{name} {seed} cost", map_cost(rows, start, sigmas, thresholds, *prior)
-        A, descent = normal_equations(rows, start, sigmas, thresholds, *prior)
+        A, descent, _ = normal_equations(rows, start, sigmas, thresholds, *prior)
         yield f"{name} {seed} normal matrix", A
         yield f"{name} {seed} descent", descent
         moved, damping = map_step(rows, start, 1e-3, thresholds, bounds, *prior)

@@ -16,14 +16,25 @@ from sim_link.evaluation.case import Case
 from sim_link.evaluation.noise import run_seeds
 from sim_link.evaluation.systems import system_named
 from sim_link.evaluation.trial import run_block
+from sim_link.world.environment import ObstacleParams
 
-SYSTEMS = ("ekf/passive", "asymmetric_huber/latched", "admm/fim", "huber/reactive")
+SYSTEMS = (
+    "ekf/passive",
+    "asymmetric_huber/latched",
+    "admm/fim",
+    "huber/reactive",
+    "map/latched",
+    "huber/fim_printed",
+)
+BLOCK = ObstacleParams(corners_enu_m=((30.0, 30.0), (45.0, 30.0), (45.0, 60.0), (30.0, 60.0)))
 
 
 def records() -> Matrix:
     """Two short runs of every kind of filter and planner."""
-    case = Case(steps=60)
-    trials = [run_block(case, system_named(name), run_seeds(4, 2)) for name in SYSTEMS]
+    cases = (Case(steps=60), Case(steps=60, obstacles=(BLOCK,)))
+    trials = [
+        run_block(case, system_named(name), run_seeds(4, 2)) for name in SYSTEMS for case in cases
+    ]
     return np.array([[trial.record for trial in pair] for pair in trials])
 
 

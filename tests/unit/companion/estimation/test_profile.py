@@ -82,7 +82,7 @@ def test_bearings_from_far_away_do_not_end_where_the_curvature_says() -> None:
     known = np.diag([0.0, 0.0, 1e6, 1e8])
     prior = (known, np.zeros(4), p.model)
     mean, _ = map_minimum(rows, np.array([3.0, 60.0, 0.0, 0.0]), p.thresholds, p.bounds, *prior)
-    curvature, _ = normal_equations(rows, mean, sigmas, p.thresholds, *prior)
+    curvature, _, _ = normal_equations(rows, mean, sigmas, p.thresholds, *prior)
     covariance = np.asarray(np.linalg.inv(curvature))
     wider = stretched(
         covariance,

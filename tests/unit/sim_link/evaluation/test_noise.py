@@ -9,15 +9,21 @@ import pytest
 from companion.geometry.frames import wrap_pi
 from sim_link.evaluation.case import Case, canonical_case
 from sim_link.evaluation.noise import (
+    BENT,
     CHANNEL,
+    OBSTRUCTED,
     PLANNER,
     TRUTH,
+    channel_draws,
     drawn,
     measured,
+    measured_in,
     run_seeds,
+    scene_of,
     stream,
     truth_of,
 )
+from sim_link.world.environment import NO_MEMORY, ObstacleParams
 from sim_link.world.radio_channel import MIN_RANGE_M, ChannelParams, RadioChannel
 from sim_link.world.target import Emitter, EmitterParams
 
@@ -37,7 +43,7 @@ def test_the_numbers_are_those_of_the_simulated_radio() -> None:
 
 def test_a_measured_range_stays_positive() -> None:
     truth = truth_of(Case(channel=ChannelParams(range_offset_m=-5.0)), np.random.default_rng(0))
-    draw = np.array([1.0, 0.0, 0.0, 0.0, 0.0])
+    draw = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 1.0])
     assert measured(draw, truth.east_m, truth.north_m, truth)[0] == MIN_RANGE_M
 
 
@@ -80,3 +86,46 @@ def test_offsets_are_the_channels_or_drawn_from_the_priors() -> None:
     assert np.std([t.range_offset_m for t in truths]) == pytest.approx(5.0, rel=0.1)
     spread_deg = np.degrees(np.std([t.bearing_offset_rad for t in truths]))
     assert spread_deg == pytest.approx(5.0, rel=0.1)
+
+
+def test_one_draw_decides_for_range_and_bearing_unless_the_case_parts_them() -> None:
+    joint = channel_draws(Case(), 4)
+    separate = channel_draws(Case(nlos_draws="separate"), 4)
+    assert np.array_equal(joint[:, BENT], joint[:, OBSTRUCTED])
+    assert np.array_equal(separate[:, :BENT], joint[:, :BENT])
+    assert abs(np.corrcoef(separate[:, BENT], separate[:, OBSTRUCTED])[0, 1]) < 0.2
+    truth = truth_of(canonical_case(p_nlos=0.5), stream(4, TRUTH))
+    clear = truth._replace(p_nlos=0.0)
+    is_long, is_bent = (
+        np.array(
+            [measured(d, 0.0, 0.0, truth)[i] != measured(d, 0.0, 0.0, clear)[i] for d in draws]
+        )
+        for draws, i in ((separate, 0), (separate, 1))
+    )
+    assert np.mean(is_long & ~is_bent) == pytest.approx(0.25, abs=0.06)
+
+
+def test_behind_an_obstacle_every_path_is_obstructed() -> None:
+    block = ObstacleParams(corners_enu_m=((30.0, 30.0), (45.0, 30.0), (45.0, 60.0), (30.0, 60.0)))
+    case = msgspec.structs.replace(canonical_case(p_nlos=0.0), obstacles=(block,))
+    truth, scene = truth_of(case, stream(2, TRUTH)), scene_of(case)
+    draws = channel_draws(case, 2)
+    shaded = [measured_in(d, 10.0, 40.0, truth, scene, NO_MEMORY)[0] for d in draws]
+    lit = [measured_in(d, 50.0, 10.0, truth, scene, NO_MEMORY)[0] for d in draws]
+    assert lit == [measured(d, 50.0, 10.0, truth)[0] for d in draws]
+    extra_m = np.array(shaded) - np.array([measured(d, 10.0, 40.0, truth)[0] for d in draws])
+    assert extra_m.min() > 0.0
+    assert extra_m.mean() == pytest.approx(15.0, rel=0.15)
+
+
+def test_without_obstacles_nothing_is_remembered() -> None:
+    truth, draw = truth_of(Case(), stream(2, TRUTH)), channel_draws(Case(), 2)[0]
+    *seen, memory = measured_in(draw, 1.0, 2.0, truth, scene_of(Case()), NO_MEMORY)
+    assert tuple(seen) == measured(draw, 1.0, 2.0, truth)
+    assert memory is NO_MEMORY
+
+
+def test_obstacles_take_the_whole_path() -> None:
+    block = ObstacleParams(corners_enu_m=((30.0, 30.0), (45.0, 30.0), (45.0, 60.0)))
+    with pytest.raises(ValueError, match="joint"):
+        Case(obstacles=(block,), nlos_draws="separate")

@@ -6,7 +6,13 @@ import pytest
 
 from companion.errors import ConfigError
 from sim_link.evaluation.case import Case, canonical_case
-from sim_link.evaluation.systems import System, belief_of, recursive_filter_of, system_named
+from sim_link.evaluation.systems import (
+    System,
+    belief_of,
+    recursive_filter_of,
+    system_named,
+    window_of_system,
+)
 
 
 @pytest.mark.parametrize(
@@ -16,6 +22,8 @@ from sim_link.evaluation.systems import System, belief_of, recursive_filter_of, 
         ("admm/passive", "ADMM (Passive)"),
         ("huber/fim", "Huber (FIM)"),
         ("map/latched", "MAP (Latched)"),
+        ("tracker/latched", "Companion (Latched)"),
+        ("huber/fim_printed", "Huber (FIM as printed)"),
         ("filterpy/passive", "EKF (filterpy) (Passive)"),
     ],
 )
@@ -29,10 +37,16 @@ def test_an_unknown_system_is_refused(name: str) -> None:
         system_named(name)
 
 
-def test_only_the_companions_filters_are_compiled() -> None:
+def test_kernels_fly_the_companions_filters_and_the_window() -> None:
     assert system_named("ekf/fim").is_compiled
+    assert system_named("map/fim").is_compiled
     assert not system_named("filterpy/fim").is_compiled
-    assert not system_named("map/fim").is_compiled
+    assert not system_named("tracker/fim").is_compiled
+
+
+def test_only_the_window_is_solved() -> None:
+    assert window_of_system(Case(), system_named("map/fim")).is_solved
+    assert not window_of_system(Case(), system_named("asymmetric_huber/fim")).is_solved
 
 
 def test_filters_differ_by_their_thresholds() -> None:
@@ -59,5 +73,5 @@ def test_only_the_splitting_iterates() -> None:
 
 
 def test_the_tracker_is_no_recursive_filter() -> None:
-    with pytest.raises(ValueError, match="map"):
-        recursive_filter_of(Case(), System("map", "fim"))
+    with pytest.raises(ValueError, match="tracker"):
+        recursive_filter_of(Case(), System("tracker", "fim"))

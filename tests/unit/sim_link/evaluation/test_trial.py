@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import math
-from typing import get_args
+from typing import Any, get_args
 
 import msgspec
 import numpy as np
@@ -9,12 +9,14 @@ import pytest
 
 from companion.estimation.filters import KINDS
 from sim_link.evaluation.case import Case, FirstEstimate
-from sim_link.evaluation.noise import CHANNEL, TRUTH, drawn, run_seeds, stream, truth_of
+from sim_link.evaluation.noise import TRUTH, channel_draws, run_seeds, stream, truth_of
 from sim_link.evaluation.systems import PlannerName, System, system_named
 from sim_link.evaluation.trial import TrialResult, flown_trial, run_block, run_trial, start_of
+from sim_link.world.environment import ObstacleParams, ShadowParams
 
 SHORT = Case(steps=40)
 SEED = run_seeds(3, 1)[0]
+BLOCK = ObstacleParams(corners_enu_m=((30.0, 30.0), (45.0, 30.0), (45.0, 60.0), (30.0, 60.0)))
 
 
 def _flown(case: Case, system: System) -> TrialResult:
@@ -22,16 +24,42 @@ def _flown(case: Case, system: System) -> TrialResult:
     rng = stream(SEED, TRUTH)
     truth = truth_of(case, rng)
     start = start_of(case, rng)
-    return flown_trial(case, system, drawn(stream(SEED, CHANNEL), case.steps), truth, start)
+    return flown_trial(case, system, channel_draws(case, SEED), truth, start)
 
 
-@pytest.mark.parametrize("planner", get_args(PlannerName))
+FLYING = [planner for planner in get_args(PlannerName) if planner != "fim_printed"]
+"""Planners that are classes, too."""
+
+
+@pytest.mark.parametrize("planner", FLYING)
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_compiled_walk_is_the_classes_walk(kind: str, planner: str) -> None:
     system = system_named(f"{kind}/{planner}")
     ours, theirs = run_trial(SHORT, system, SEED), _flown(SHORT, system)
     np.testing.assert_allclose(ours.record, theirs.record, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(ours.r95_m, theirs.r95_m, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        {"obstacles": (BLOCK,)},
+        {"obstacles": (BLOCK,), "shadow": ShadowParams()},
+        {"nlos_draws": "separate"},
+    ],
+)
+def test_obstacles_and_separate_draws_are_the_same_both_ways(scene: dict[str, Any]) -> None:
+    case = msgspec.structs.replace(SHORT, **scene)
+    system = system_named("asymmetric_huber/latched")
+    ours = run_trial(case, system, SEED).record
+    np.testing.assert_allclose(ours, _flown(case, system).record, rtol=1e-9, atol=1e-9)
+    assert not np.array_equal(ours, run_trial(SHORT, system, SEED).record)
+
+
+def test_what_has_no_class_is_not_flown_by_classes() -> None:
+    for name in ("map/latched", "asymmetric_huber/fim_printed"):
+        with pytest.raises(ValueError, match=r"class|flies"):
+            _flown(SHORT, system_named(name))
 
 
 @pytest.mark.parametrize("first", get_args(FirstEstimate))
@@ -73,7 +101,7 @@ def test_a_trial_is_a_function_of_its_seed() -> None:
 
 
 def test_the_tracker_states_its_own_radius() -> None:
-    trial = run_trial(msgspec.structs.replace(SHORT, steps=80), System("map", "latched"), SEED)
+    trial = run_trial(msgspec.structs.replace(SHORT, steps=80), System("tracker", "latched"), SEED)
     assert trial.stated_r95_m is not None
     assert trial.errors_m[-1] < 1.0
     assert np.isfinite(trial.nees).all()

@@ -55,7 +55,7 @@ def test_the_lawnmower_asks_for_rmse_rank_and_offset() -> None:
 
 
 def test_the_bound_is_that_of_the_own_tracks() -> None:
-    campaign = Campaign(canonical_case(), System("map", "fim"), 1, 200)
+    campaign = Campaign(canonical_case(), System("tracker", "fim"), 1, 200)
     assert bound_figure(campaign, _tally(0.25, 0.2)).is_met
     assert not bound_figure(campaign, _tally(0.27, 0.2)).is_met
 
@@ -76,14 +76,14 @@ def test_the_bound_is_asked_for_in_every_regime() -> None:
 def test_in_known_noise_too_careful_is_wrong_as_well(
     nees: float, coverage: float, verdicts: list[bool]
 ) -> None:
-    campaign = Campaign(honesty_case(0.0, "fixed"), System("map", "passive"), 1, 200)
+    campaign = Campaign(honesty_case(0.0, "fixed"), System("tracker", "passive"), 1, 200)
     figures = honesty_figures(campaign, _tally(nees=nees, coverage=coverage))
     assert [figure.is_met for figure in figures] == verdicts
 
 
 @pytest.mark.parametrize(("coverage", "is_met"), [(0.99, True), (0.92, False)])
 def test_under_nlos_too_careful_is_allowed(coverage: float, is_met: bool) -> None:
-    campaign = Campaign(honesty_case(0.9, "fixed"), System("map", "passive"), 1, 200)
+    campaign = Campaign(honesty_case(0.9, "fixed"), System("tracker", "passive"), 1, 200)
     (figure,) = honesty_figures(campaign, _tally(coverage=coverage))
     assert figure.is_met is is_met
 
