@@ -83,15 +83,18 @@ def split(
     spread = np.dot(H, PHt)
     S = spread + np.diag(inflation / penalty)
     gain = np.linalg.solve(S, PHt.T.copy()).T.copy()
-    v = np.zeros(3)
-    dual = np.zeros(3)
-    d = np.zeros(P.shape[0])
+    explained = np.dot(H, gain)  # what a step of the state explains of the residuals
+    v, dual, asked = np.zeros(3), np.zeros(3), np.zeros(3)
     for _ in range(iterations):
-        d = np.dot(gain, y - v + dual)
-        gap = y - np.dot(H, d) + dual
         for row in range(3):
-            v[row] = proximal_residual(gap[row], thresholds[row, 0], thresholds[row, 1], penalty)
-        dual = gap - v
+            asked[row] = y[row] - v[row] + dual[row]
+        for row in range(3):
+            gap = y[row] + dual[row]
+            for column in range(3):
+                gap -= explained[row, column] * asked[column]
+            v[row] = proximal_residual(gap, thresholds[row, 0], thresholds[row, 1], penalty)
+            dual[row] = gap - v[row]
+    d = np.dot(gain, asked)
     return d, v
 
 

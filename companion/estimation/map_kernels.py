@@ -109,9 +109,9 @@ def row_partials(rows: Matrix, mean: Vector, sigmas: Matrix, model: RangingModel
 
 @kernel
 def clipped(u: Matrix, thresholds: Matrix) -> Matrix:
-    """Influence of every whitened residual, (3, n): the residual between its thresholds."""
+    """Influence of every whitened residual, as many rows: the residual between its thresholds."""
     psi = np.empty(u.shape)
-    for modality in range(3):
+    for modality in range(u.shape[0]):
         high, low = thresholds[modality, 0], -thresholds[modality, 1]
         psi[modality] = np.minimum(np.maximum(u[modality], low), high)
     return psi
@@ -145,9 +145,10 @@ def normal_equations(
     model: RangingModel,
 ) -> tuple[Matrix, Vector, float]:
     """The re-weighted Gauss-Newton system at `mean`: matrix (k, k), descent (k,), and the cost."""
-    u = row_residuals(rows, mean, sigmas, model)
+    measured = 3 if has_elevation(rows) else 2
+    u = row_residuals(rows, mean, sigmas, model)[:measured]
     psi = clipped(u, thresholds)
-    H = row_partials(rows, mean, sigmas, model)
+    H = row_partials(rows, mean, sigmas, model)[: measured * rows.shape[0]]
     is_quadratic = u == psi
     weight = np.where(is_quadratic, 1.0, psi / np.where(is_quadratic, 1.0, u))
     A = np.dot(H.T, weight.reshape(-1, 1) * H) + information

@@ -25,7 +25,6 @@ Source: S. M. Kay, Fundamentals of Statistical Signal Processing: Estimation The
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -33,6 +32,7 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from companion.geometry.arrays import Matrix, Vector
+from companion.kernel import kernel
 from sim_link.world.radio_channel import ChannelParams
 
 TAIL_SIGMAS = 9.0
@@ -55,19 +55,24 @@ class ChannelInformation:
     bearing_per_rad2: float
 
 
-def channel_information(channel: ChannelParams, points_per_sigma: int = 12) -> ChannelInformation:
+def channel_information(
+    channel: ChannelParams, points_per_sigma: int = 12, *, is_joint: bool = True
+) -> ChannelInformation:
     """The information J of a channel, by quadrature over both errors.
 
     Args:
         channel: The truth.
         points_per_sigma: Nodes of the trapezoidal rule per thermal standard deviation.
+        is_joint: Whether one draw decides for range and bearing; otherwise each has its own, the
+            errors are independent, and neither tells whether the other is long or bent.
 
     Raises:
         ValueError: A channel without thermal noise: information without limit.
     """
     if channel.range_sigma_m <= 0.0 or channel.bearing_sigma_deg <= 0.0:
         raise ValueError("a channel without thermal noise has no bound")
-    return _information(
+    information = _information if is_joint else _separate_information
+    return information(
         channel.range_sigma_m,
         math.radians(channel.bearing_sigma_deg),
         channel.p_nlos,
@@ -104,6 +109,29 @@ def _information(
     return ChannelInformation(by_range, by_bearing)
 
 
+@lru_cache(maxsize=64)
+def _separate_information(
+    range_sigma: float, bearing_sigma: float, p: float, mean_bias: float, bend: float, fineness: int
+) -> ChannelInformation:
+    """Each of the two mixtures by itself."""
+    wide = math.hypot(bearing_sigma, bend)
+    da, db = range_sigma / fineness, bearing_sigma / fineness
+    farthest = TAIL_SIGMAS * range_sigma + TAIL_MEANS * mean_bias
+    a = np.arange(-TAIL_SIGMAS * range_sigma, farthest + da, da)
+    b = np.arange(-TAIL_SIGMAS * wide, TAIL_SIGMAS * wide + db, db)
+    clear_and_blocked = (
+        (normal(a, range_sigma), modified_normal(a, range_sigma, mean_bias), da),
+        (normal(b, bearing_sigma), normal(b, wide), db),
+    )
+    found = []
+    for (clear, clear_slope), (blocked, blocked_slope), width in clear_and_blocked:
+        density = (1.0 - p) * clear + p * blocked
+        slope = (1.0 - p) * clear_slope + p * blocked_slope
+        inverse = np.divide(1.0, density, out=np.zeros_like(density), where=density > 1e-290)
+        found.append(width * float(np.sum(slope * slope * inverse)))
+    return ChannelInformation(*found)
+
+
 def normal(x: Vector, sigma: float) -> tuple[Vector, Vector]:
     """Density of a centred normal and its derivative."""
     density = np.exp(-0.5 * (x / sigma) ** 2) / (sigma * math.sqrt(2.0 * math.pi))
@@ -125,69 +153,55 @@ def modified_normal(x: Vector, sigma: float, mean: float) -> tuple[Vector, Vecto
     return density, (normal(x, sigma)[0] - density) / mean
 
 
-def track_information(
-    track_enu_m: Matrix, target_enu_m: Vector, information: ChannelInformation
-) -> Matrix:
-    """Information after every place of a track, (steps, 4, 4), summed up.
-
-    Args:
-        track_enu_m: (steps, 2).
-        target_enu_m: (2,).
-        information: Of one measurement.
-    """
-    de, dn = (target_enu_m - track_enu_m).T
-    distance = np.hypot(de, dn)
-    inverse = np.divide(1.0, distance, out=np.zeros_like(distance), where=distance > MIN_DISTANCE_M)
-    ue, un, zero, one = de * inverse, dn * inverse, np.zeros_like(de), np.ones_like(de)
-    by_range = np.column_stack([ue, un, one, zero])
-    by_bearing = np.column_stack([-un * inverse, ue * inverse, zero, one])
-    steps = information.range_per_m2 * by_range[:, :, None] * by_range[:, None, :]
-    steps += information.bearing_per_rad2 * by_bearing[:, :, None] * by_bearing[:, None, :]
-    return np.asarray(np.cumsum(steps, axis=0))
-
-
-def position_bound_m2(information: Matrix, offset_sigmas: Vector | None = None) -> Vector:
-    """Least trace of the position's covariance, (...,), infinite where it cannot be known.
-
-    Args:
-        information: (..., 4, 4).
-        offset_sigmas: (2,) priors of the offsets where they are drawn anew for each run, metres
-            and radians; None: they are unknown constants.
-    """
-    prior = np.zeros((4, 4))
-    if offset_sigmas is not None:
-        prior[[2, 3], [2, 3]] = 1.0 / np.asarray(offset_sigmas) ** 2
-    total = information + prior
-    offsets = total[..., 2:, 2:]
-    cross = total[..., :2, 2:]
-    is_known = np.linalg.det(offsets) > 0.0
-    offsets = np.where(is_known[..., None, None], offsets, np.eye(2))
-    marginal = total[..., :2, :2] - cross @ np.linalg.solve(offsets, np.swapaxes(cross, -1, -2))
-    trace = marginal[..., 0, 0] + marginal[..., 1, 1]
-    det = marginal[..., 0, 0] * marginal[..., 1, 1] - marginal[..., 0, 1] * marginal[..., 1, 0]
-    least = LEAST_SHARE * (total[..., 0, 0] + total[..., 1, 1])
-    is_known &= (trace > least) & (det > least * trace)
-    bound: Vector = np.divide(trace, det, out=np.full(trace.shape, np.inf), where=is_known)
-    return bound
-
-
-def rmse_bound_m(
-    tracks_enu_m: Iterable[Matrix],
+@kernel
+def position_bounds_m2(
+    track_enu_m: Matrix,
     target_enu_m: Vector,
-    channel: ChannelParams,
-    offset_sigmas: Vector | None = None,
+    range_per_m2: Vector,
+    bearing_per_rad2: Vector,
+    prior: Vector,
 ) -> Vector:
-    """The bound on the RMSE over runs after every step, (steps,), metres.
+    """Least trace of the position's covariance after every place of a track, (steps,), m^2.
+
+    Infinite where it cannot be known. The information is summed up entry by entry: position,
+    position with each offset, offset; the offsets do not mix, so that the position's marginal
+    information is found without a matrix inverse.
 
     Args:
-        tracks_enu_m: (steps, 2) of each run.
+        track_enu_m: (steps, 2) where measurements are made.
         target_enu_m: (2,).
-        channel: The truth.
-        offset_sigmas: See `position_bound_m2`.
+        range_per_m2: (steps,) information of each range.
+        bearing_per_rad2: (steps,) of each bearing.
+        prior: (2,) information about the offsets before the first, 1/m^2 and 1/rad^2; zeros where
+            they are unknown constants.
     """
-    information = channel_information(channel)
-    bounds = [
-        position_bound_m2(track_information(track, target_enu_m, information), offset_sigmas)
-        for track in tracks_enu_m
-    ]
-    return np.asarray(np.sqrt(np.mean(bounds, axis=0)))
+    steps = track_enu_m.shape[0]
+    bounds = np.full(steps, np.inf)
+    ee = en = nn = er = nr = eb = nb = 0.0
+    rr, bb = prior[0], prior[1]
+    for step in range(steps):
+        by_range, by_bearing = range_per_m2[step], bearing_per_rad2[step]
+        de, dn = target_enu_m[0] - track_enu_m[step, 0], target_enu_m[1] - track_enu_m[step, 1]
+        distance = math.hypot(de, dn)
+        inverse = 1.0 / distance if distance > MIN_DISTANCE_M else 0.0
+        ue, un = de * inverse, dn * inverse
+        ve, vn = -un * inverse, ue * inverse
+        ee += by_range * ue * ue + by_bearing * ve * ve
+        en += by_range * ue * un + by_bearing * ve * vn
+        nn += by_range * un * un + by_bearing * vn * vn
+        er += by_range * ue
+        nr += by_range * un
+        eb += by_bearing * ve
+        nb += by_bearing * vn
+        rr += by_range
+        bb += by_bearing
+        if rr <= 0.0 or bb <= 0.0:
+            continue
+        me = ee - er * er / rr - eb * eb / bb
+        mn = nn - nr * nr / rr - nb * nb / bb
+        cross = en - er * nr / rr - eb * nb / bb
+        trace, det = me + mn, me * mn - cross * cross
+        least = LEAST_SHARE * (ee + nn)
+        if trace > least and det > least * trace:
+            bounds[step] = trace / det
+    return bounds

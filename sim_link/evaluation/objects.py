@@ -126,8 +126,17 @@ class TrackerEstimator:
 class Pilot(Protocol):
     """Says where the next measurement is made."""
 
-    def next_place(self, step: int, place_enu_m: Point, estimator: Estimator) -> Point:
-        """The place of step `step`, from the one before."""
+    def next_place(
+        self, step: int, place_enu_m: Point, estimate: TargetEstimate | None, joint: Matrix
+    ) -> Point:
+        """The place of step `step`, from the one before.
+
+        Args:
+            step: Number of the next measurement.
+            place_enu_m: Of the last one.
+            estimate: After the last one.
+            joint: (4, 4) covariance of position and offsets.
+        """
 
 
 class FixedPilot:
@@ -140,9 +149,11 @@ class FixedPilot:
     def __init__(self, track_enu_m: Matrix) -> None:
         self._track = track_enu_m
 
-    def next_place(self, step: int, place_enu_m: Point, estimator: Estimator) -> Point:
+    def next_place(
+        self, step: int, place_enu_m: Point, estimate: TargetEstimate | None, joint: Matrix
+    ) -> Point:
         """The next place of the track."""
-        del place_enu_m, estimator
+        del place_enu_m, estimate, joint
         return (float(self._track[step, 0]), float(self._track[step, 1]))
 
 
@@ -159,15 +170,16 @@ class PlannerPilot:
         self._step_m = step_m
         self._memory = planner.initial_memory()
 
-    def next_place(self, step: int, place_enu_m: Point, estimator: Estimator) -> Point:
+    def next_place(
+        self, step: int, place_enu_m: Point, estimate: TargetEstimate | None, joint: Matrix
+    ) -> Point:
         """One step towards the waypoint, or the waypoint where that is nearer."""
-        now_s = STEP_S * step
         plan = self._planner.plan(
             PlanRequest(
                 vehicle_enu_m=place_enu_m,
-                estimate=estimator.estimate(now_s),
-                time_s=now_s,
-                joint_covariance=estimator.joint_covariance(),
+                estimate=estimate,
+                time_s=STEP_S * step,
+                joint_covariance=joint,
             ),
             self._memory,
         )
@@ -196,9 +208,10 @@ def flown(
     steps = len(draws)
     record, radii = np.empty((steps, COLUMNS)), np.empty(steps)
     place, memory = start_enu_m, NO_MEMORY
+    estimate: TargetEstimate | None = None
     for step in range(steps):
         if step:
-            place = pilot.next_place(step, place, estimator)
+            place = pilot.next_place(step, place, estimate, estimator.joint_covariance())
         now_s = STEP_S * step
         range_m, bearing_rad, memory = measured_in(draws[step], *place, truth, scene, memory)
         estimator.fuse(

@@ -15,9 +15,7 @@ from sim_link.evaluation.cramer_rao import (
     ChannelInformation,
     channel_information,
     modified_normal,
-    position_bound_m2,
-    rmse_bound_m,
-    track_information,
+    position_bounds_m2,
 )
 from sim_link.evaluation.noise import CHANNEL, TRUTH, drawn, measured, stream, truth_of
 from sim_link.evaluation.systems import track_of
@@ -118,43 +116,56 @@ def test_a_channel_without_noise_has_no_bound(field: str) -> None:
         channel_information(_channel(**{field: 0.0}))
 
 
-def test_the_information_of_a_track_is_that_of_finite_differences() -> None:
-    information = ChannelInformation(range_per_m2=0.3, bearing_per_rad2=200.0)
-    track = np.array([[10.0, 10.0], [80.0, 30.0], [40.0, 90.0]])
+def _bounds(
+    track: Matrix, information: ChannelInformation, offset_sigmas: Vector | None = None
+) -> Vector:
+    prior = np.zeros(2) if offset_sigmas is None else 1.0 / offset_sigmas**2
+    by_range = np.full(len(track), information.range_per_m2)
+    by_bearing = np.full(len(track), information.bearing_per_rad2)
+    return position_bounds_m2(track, TARGET, by_range, by_bearing, prior)
+
+
+def _information(track: Matrix, range_per_m2: float, bearing_per_rad2: float) -> Matrix:
+    """Of a whole track about position and offsets, (4, 4), by finite differences."""
 
     def expected(x: Vector) -> Vector:
         de, dn = x[0] - track[:, 0], x[1] - track[:, 1]
-        return np.concatenate([np.hypot(de, dn) + x[2], np.arctan2(dn, de) + x[3]])
+        return np.concatenate([np.hypot(de, dn) + x[2], np.unwrap(np.arctan2(dn, de)) + x[3]])
 
-    x, h = np.array([50.0, 50.0, 1.5, 0.1]), 1e-6
+    x, h = np.array([*TARGET, 1.5, 0.1]), 1e-5
     slopes = [(expected(x + h * axis) - expected(x - h * axis)) / (2.0 * h) for axis in np.eye(4)]
     H = np.stack(slopes, axis=1)
-    weights = np.diag([0.3] * 3 + [200.0] * 3)
-    total = track_information(track, TARGET, information)[-1]
-    np.testing.assert_allclose(total, H.T @ weights @ H, rtol=1e-6, atol=1e-9)
-
-
-def test_at_the_target_a_direction_says_nothing() -> None:
-    total = track_information(TARGET[None, :], TARGET, ChannelInformation(1.0, 1.0))[0]
-    np.testing.assert_array_equal(total, np.diag([0.0, 0.0, 1.0, 1.0]))
+    weights = np.repeat([range_per_m2, bearing_per_rad2], len(track))
+    return np.asarray(H.T @ (weights[:, None] * H))
 
 
 def test_the_bound_is_the_trace_of_the_inverses_position_block() -> None:
     track = track_of(Case())
-    total = track_information(track, TARGET, channel_information(PAPER))
-    bound = position_bound_m2(total)
+    information = channel_information(PAPER)
+    bound = _bounds(track, information)
     for step in (20, 100, 499):
-        expected = np.trace(np.linalg.inv(total[step])[:2, :2])
-        assert bound[step] == pytest.approx(expected, rel=1e-6)
+        total = _information(
+            track[: step + 1], information.range_per_m2, information.bearing_per_rad2
+        )
+        assert bound[step] == pytest.approx(np.trace(np.linalg.inv(total)[:2, :2]), rel=1e-4)
     assert np.isinf(bound[0])
     assert (np.diff(bound[20:]) <= 0.0).all()
 
 
+def test_at_the_target_only_the_offsets_are_seen() -> None:
+    information = channel_information(PAPER)
+    seen = (information.range_per_m2, information.bearing_per_rad2)
+    before = track_of(Case())[:60]
+    total = _information(before, *seen) + np.diag([0.0, 0.0, *seen])
+    bound = _bounds(np.vstack([before, TARGET]), information)
+    assert bound[-1] == pytest.approx(np.trace(np.linalg.inv(total)[:2, :2]), rel=1e-4)
+
+
 def test_priors_of_the_offsets_help() -> None:
-    total = track_information(track_of(Case()), TARGET, channel_information(PAPER))
-    unknown = position_bound_m2(total)
-    drawn_anew = position_bound_m2(total, np.array([5.0, math.radians(5.0)]))
-    known = position_bound_m2(total, np.array([1e-6, 1e-8]))
+    track, information = track_of(Case()), channel_information(PAPER)
+    unknown = _bounds(track, information)
+    drawn_anew = _bounds(track, information, np.array([5.0, math.radians(5.0)]))
+    known = _bounds(track, information, np.array([1e-6, 1e-8]))
     assert (known[5:] < drawn_anew[5:]).all()
     assert (drawn_anew[5:] < unknown[5:]).all()
 
@@ -163,14 +174,32 @@ def test_known_offsets_leave_the_gaussian_triangle() -> None:
     """Two views at right angles: each coordinate is known by one range and one bearing."""
     channel = _channel(p_nlos=0.0)
     track = np.array([[0.0, 50.0], [50.0, 0.0]])
-    information = track_information(track, TARGET, channel_information(channel))
-    bound = position_bound_m2(information, np.array([1e-9, 1e-12]))[-1]
+    bound = _bounds(track, channel_information(channel), np.array([1e-9, 1e-12]))[-1]
     per_axis = 1.0 / 1.5**2 + 1.0 / (50.0 * math.radians(2.0)) ** 2
     assert bound == pytest.approx(2.0 / per_axis, rel=1e-6)
 
 
-def test_the_rmse_bound_is_over_runs() -> None:
-    tracks = [track_of(Case()), track_of(Case(start_enu_m=(60.0, 20.0)))]
-    both = rmse_bound_m(tracks, TARGET, PAPER)
-    one, other = (rmse_bound_m([track], TARGET, PAPER) for track in tracks)
-    np.testing.assert_allclose(both[30:], np.sqrt(0.5 * (one**2 + other**2))[30:])
+@pytest.mark.parametrize("p_nlos", [0.3, 0.9])
+def test_draws_of_their_own_tell_less_than_a_shared_one(p_nlos: float) -> None:
+    channel = _channel(p_nlos=p_nlos)
+    joint = channel_information(channel)
+    separate = channel_information(channel, is_joint=False)
+    assert separate.range_per_m2 < joint.range_per_m2
+    assert separate.bearing_per_rad2 < joint.bearing_per_rad2
+    rng, h = np.random.default_rng(8), 1e-4
+    is_long = rng.random(200_000) < p_nlos
+    errors_m = 1.5 * rng.standard_normal(200_000) + is_long * rng.exponential(8.0, 200_000)
+
+    def log_density(a: Vector) -> Vector:
+        long = exponnorm.pdf(a, 8.0 / 1.5, scale=1.5)
+        return np.asarray(np.log((1.0 - p_nlos) * norm.pdf(a, scale=1.5) + p_nlos * long))
+
+    score = (log_density(errors_m + h) - log_density(errors_m - h)) / (2.0 * h)
+    assert np.mean(score**2) == pytest.approx(separate.range_per_m2, rel=0.02)
+
+
+def test_without_nlos_it_does_not_matter_who_draws() -> None:
+    channel = _channel(p_nlos=0.0)
+    joint, separate = (channel_information(channel, is_joint=flag) for flag in (True, False))
+    assert separate.range_per_m2 == pytest.approx(joint.range_per_m2, rel=1e-9)
+    assert separate.bearing_per_rad2 == pytest.approx(joint.bearing_per_rad2, rel=1e-9)
