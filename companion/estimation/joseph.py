@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from companion.geometry.arrays import Matrix, Vector
-from companion.kernel import kernel
+from companion.kernel import IS_COMPILED, kernel
 
 DEFINITE_MARGIN = 1e-14
 """Share of the variances without which a covariance must still have a Cholesky factor.
@@ -17,7 +17,6 @@ Numerical Algorithms, theorem 10.7), so that two computers never differ about wh
 """
 
 
-@kernel
 def joseph_row(P: Matrix, H: Vector, R: float) -> tuple[Vector, Matrix, float]:
     """Gain, covariance and innovation variance of one measurement row, in Joseph form.
 
@@ -40,6 +39,37 @@ def joseph_row(P: Matrix, H: Vector, R: float) -> tuple[Vector, Matrix, float]:
     left = P - K.reshape(-1, 1) * PH
     updated = left + (R * K - np.dot(left, H)).reshape(-1, 1) * K
     return K, 0.5 * (updated + updated.T), S
+
+
+@kernel
+def joseph_row_by_entries(P: Matrix, H: Vector, R: float) -> tuple[Vector, Matrix, float]:
+    """The same entry by entry: faster than arrays for a compiler, slower for an interpreter."""
+    n = H.size
+    PH, K, rest = np.empty(n), np.empty(n), np.empty(n)
+    left, updated = np.empty((n, n)), np.empty((n, n))
+    S = R
+    for i in range(n):
+        total = 0.0
+        for j in range(n):
+            total += P[i, j] * H[j]
+        PH[i] = total
+        S += H[i] * total
+    for i in range(n):
+        K[i] = PH[i] / S
+        total = 0.0
+        for j in range(n):
+            left[i, j] = P[i, j] - K[i] * PH[j]
+            total += left[i, j] * H[j]
+        rest[i] = R * K[i] - total
+    for i in range(n):
+        for j in range(i + 1):
+            entry = left[i, j] + rest[i] * K[j] + left[j, i] + rest[j] * K[i]
+            updated[i, j] = updated[j, i] = 0.5 * entry
+    return K, updated, S
+
+
+if IS_COMPILED:
+    joseph_row = joseph_row_by_entries
 
 
 @kernel
@@ -71,7 +101,6 @@ def within_bounds(mean: Vector, P: Matrix, lower: Vector, upper: Vector) -> Vect
     return bounded
 
 
-@kernel
 def is_positive_definite(mean: Vector, P: Matrix) -> bool:
     """Whether mean and covariance are finite, and the covariance positive definite for certain."""
     if not math.isfinite(float(mean.sum() + P.sum())):
@@ -81,6 +110,32 @@ def is_positive_definite(mean: Vector, P: Matrix) -> bool:
         certain[index, index] *= 1.0 - DEFINITE_MARGIN
     try:
         np.linalg.cholesky(certain)
-    except Exception:  # LinAlgError, by a name that the compiler knows
+    except np.linalg.LinAlgError:
         return False
     return True
+
+
+@kernel
+def is_positive_definite_by_entries(mean: Vector, P: Matrix) -> bool:
+    """The same entry by entry, see `joseph_row_by_entries`."""
+    if not math.isfinite(mean.sum() + P.sum()):
+        return False
+    n = mean.size
+    factor = np.empty((n, n))
+    for i in range(n):
+        for j in range(i + 1):
+            left = P[i, j]
+            for k in range(j):
+                left -= factor[i, k] * factor[j, k]
+            if i == j:
+                left -= DEFINITE_MARGIN * P[i, i]
+                if not left > 0.0:
+                    return False
+                factor[i, i] = math.sqrt(left)
+            else:
+                factor[i, j] = left / factor[j, j]
+    return True
+
+
+if IS_COMPILED:
+    is_positive_definite = is_positive_definite_by_entries
