@@ -13,15 +13,22 @@ from pathlib import Path
 from companion.errors import CompanionError
 from companion.io.files import check_writable, write_json_atomic
 from sim_link.evaluation.bench import ROUNDS, FilterBench, Ratio, bench_filters
+from sim_link.evaluation.planner_bench import ROUNDS as PLANNER_ROUNDS
+from sim_link.evaluation.planner_bench import PlannerBench, StepCost, bench_planners
 
 
 def main() -> int:
     arguments = parsed()
+    bench: FilterBench | PlannerBench
     try:
         if arguments.json is not None:
             check_writable(arguments.json)
-        bench = bench_filters(arguments.rounds)
-        print(table(bench))
+        if arguments.command == "filters":
+            bench = bench_filters(arguments.rounds)
+            print(filter_table(bench))
+        else:
+            bench = bench_planners(arguments.rounds)
+            print(planner_table(bench))
         if arguments.json is not None:
             write_json_atomic(arguments.json, bench)
     except CompanionError as error:
@@ -36,9 +43,14 @@ def main() -> int:
 def parsed() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
-    filters = commands.add_parser("filters", help="filter updates and the window MAP")
-    filters.add_argument("--json", type=Path, metavar="FILE", help="write the figures there, too")
-    filters.add_argument("--rounds", type=positive, default=ROUNDS, help="medians over so many")
+    subjects = {
+        "filters": ("filter updates and the window MAP", ROUNDS),
+        "planners": ("steps of a filter with a planner, and decisions alone", PLANNER_ROUNDS),
+    }
+    for name, (text, rounds) in subjects.items():
+        command = commands.add_parser(name, help=text)
+        command.add_argument("--json", type=Path, metavar="FILE", help="write the figures there")
+        command.add_argument("--rounds", type=positive, default=rounds, help="medians over so many")
     return parser.parse_args()
 
 
@@ -49,10 +61,9 @@ def positive(text: str) -> int:
     return value
 
 
-def table(bench: FilterBench) -> str:
-    numba = "no numba: plain Python only" if bench.numba is None else f"numba {bench.numba}"
+def filter_table(bench: FilterBench) -> str:
     lines = [
-        f"Python {bench.python}, numpy {bench.numpy}, {numba}",
+        versions(bench),
         f"medians over {bench.rounds} rounds of {bench.updates} updates, microseconds",
         "",
         f"{'':28s}{'compiled':>10s}{'plain':>10s}",
@@ -70,6 +81,42 @@ def line(ratio: Ratio) -> str:
         f"{ratio.name}: {ratio.cost_us:.2f} us, {ratio.ratio:.3f} x {ratio.reference} "
         f"({ratio.reference_us:.2f} us); limit {ratio.limit:g} x: {verdict}"
     )
+
+
+def planner_table(bench: PlannerBench) -> str:
+    ratio = bench.fim_over_reactive
+    return "\n".join(
+        [
+            versions(bench),
+            f"medians over {bench.rounds} rounds of {bench.steps} steps, milliseconds",
+            "",
+            f"{'':28s}{'step':>10s}{'decision':>10s}{'filterpy':>10s}{'ratio':>8s}{'paper':>8s}",
+            *(cost_line(cost) for cost in bench.costs),
+            "",
+            *(limit_line(cost) for cost in bench.costs if cost.limit_ms is not None),
+            f"FIM over reactive: {ratio.steps:.2f} by step, {ratio.decisions:.2f} by decision; "
+            f"paper: {ratio.paper:g}",
+        ]
+    )
+
+
+def cost_line(cost: StepCost) -> str:
+    decision = "-" if cost.decision_ms is None else f"{cost.decision_ms:.5f}"
+    paper = "-" if cost.paper_ms is None else f"{cost.paper_ms:.3f}"
+    return (
+        f"{cost.system:28s}{cost.step_ms:10.5f}{decision:>10s}{cost.filterpy_update_ms:10.5f}"
+        f"{cost.ratio:8.3f}{paper:>8s}"
+    )
+
+
+def limit_line(cost: StepCost) -> str:
+    verdict = "met" if cost.is_met else "NOT MET"
+    return f"{cost.system} step: {cost.step_ms:.5f} ms; limit {cost.limit_ms:g} ms: {verdict}"
+
+
+def versions(bench: FilterBench | PlannerBench) -> str:
+    numba = "no numba: plain Python only" if bench.numba is None else f"numba {bench.numba}"
+    return f"Python {bench.python}, numpy {bench.numpy}, {numba}"
 
 
 if __name__ == "__main__":

@@ -56,7 +56,9 @@ class Problem:
 
     def system(self, mean: Vector) -> tuple[Matrix, Vector]:
         prior = (self.information, self.pull, self.model)
-        A, descent, _ = normal_equations(self.rows, mean, self.sigmas(mean), self.thresholds, *prior)
+        A, descent, _ = normal_equations(
+            self.rows, mean, self.sigmas(mean), self.thresholds, *prior
+        )
         return A, descent
 
     def step(self, mean: Vector, damping: float) -> tuple[Vector, float]:

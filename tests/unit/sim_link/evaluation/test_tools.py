@@ -19,6 +19,7 @@ def _run(tool: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     ("tool", "arguments"),
     [
         ("bench.py", ["filters"]),
+        ("bench.py", ["planners"]),
         ("verify_estimation.py", []),
     ],
 )
@@ -36,6 +37,7 @@ def test_a_file_that_cannot_be_written_is_one_line(
     ("tool", "arguments"),
     [
         ("bench.py", ["filters", "--rounds", "0"]),
+        ("bench.py", ["planners", "--rounds", "0"]),
         ("bench.py", ["filter"]),
         ("bench.py", []),
         ("verify_estimation.py", ["--runs", "0"]),
@@ -55,3 +57,14 @@ def test_figures_are_printed_and_written(tmp_path: Path) -> None:
     assert done.returncode == 0
     assert "filterpy update" in done.stdout
     assert json.loads(path.read_text())["ratios"]
+
+
+def test_costs_of_planners_are_printed_and_written(tmp_path: Path) -> None:
+    path = tmp_path / "costs.json"
+    done = _run("bench.py", "planners", "--rounds", "1", "--json", str(path))
+    assert done.returncode == 0
+    assert "Proposed (Latched)" in done.stdout
+    assert "FIM over reactive" in done.stdout
+    figures = json.loads(path.read_text())
+    assert figures["costs"]
+    assert figures["fim_over_reactive"]["paper"] == 23.0
