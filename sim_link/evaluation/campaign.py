@@ -6,35 +6,22 @@ figures of a campaign are the same bytes whatever the number of processes.
 
 from __future__ import annotations
 
-import os
-import signal
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import partial
-from multiprocessing import get_context
-from typing import TypeVar
+from functools import reduce
 
 import numpy as np
 
 from companion.geometry.arrays import Vector
+from sim_link.evaluation.backends import LocalBackend
+from sim_link.evaluation.bounds import bounds_m2
 from sim_link.evaluation.case import Case
-from sim_link.evaluation.cramer_rao import (
-    channel_information,
-    position_bound_m2,
-    track_information,
-)
 from sim_link.evaluation.noise import run_seeds
 from sim_link.evaluation.systems import System
-from sim_link.evaluation.trial import TrialResult, run_block
+from sim_link.evaluation.trial import run_block
 
-BLOCK = 25
-"""Runs that are done in one go."""
-BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-"""Matrices of four by four gain nothing from threads."""
-
-Item = TypeVar("Item")
-Result = TypeVar("Result")
+BLOCK = 50
+"""Runs that are done in one go; another number rounds sums differently."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +101,35 @@ class Tally:
             np.concatenate([self.final_errors_m, later.final_errors_m]),
         )
 
+    def packed(self) -> bytes:
+        """All of it in bytes, as `unpacked` reads them."""
+        parts = [getattr(self, name) for name in Tally.__slots__[1:]]
+        head = [float(self.runs), float(self.squared_m2.size)]
+        return np.concatenate([head, *parts]).astype("<f8").tobytes()
+
+
+def unpacked(packed: bytes) -> Tally:
+    """The tally in bytes of `Tally.packed`."""
+    numbers = np.frombuffer(packed, dtype="<f8").astype(np.float64)
+    runs, steps = int(numbers[0]), int(numbers[1])
+    sums, final_errors_m = numbers[2 : 2 + 6 * steps], numbers[2 + 6 * steps :]
+    squared_m2, bound_m2, nees, inside, range_offset_m, bearing_offset_rad = np.split(sums, 6)
+    return Tally(
+        runs,
+        squared_m2,
+        bound_m2,
+        nees,
+        inside,
+        range_offset_m,
+        bearing_offset_rad,
+        final_errors_m,
+    )
+
+
+def joined_in_order(tallies: Iterable[Tally]) -> Tally:
+    """All runs of tallies whose blocks follow each other."""
+    return reduce(Tally.joined, tallies)
+
 
 def tally_of(block: Block) -> Tally:
     """Do the runs of a block."""
@@ -134,17 +150,6 @@ def tally_of(block: Block) -> Tally:
     )
 
 
-def bounds_m2(case: Case, trials: Sequence[TrialResult]) -> list[Vector]:
-    """The Cramer-Rao bound on the squared error after every step of every run, (steps,) each."""
-    information = channel_information(case.channel)
-    priors = case.belief.prior[1][2:4] if case.offsets == "prior" else None
-    target = np.array(case.target_enu_m)
-    return [
-        position_bound_m2(track_information(trial.track_enu_m, target, information), priors)
-        for trial in trials
-    ]
-
-
 def tallies_of(
     campaigns: Sequence[Campaign], jobs: int, on_block: Callable[[int, int], None]
 ) -> list[Tally]:
@@ -157,42 +162,10 @@ def tallies_of(
     """
     blocks = [(index, block) for index, c in enumerate(campaigns) for block in c.blocks()]
     done: dict[int, Tally] = {}
-    for position, tally in in_processes(tally_of, [block for _, block in blocks], jobs):
+    for position, tally in LocalBackend(jobs).results(tally_of, [block for _, block in blocks]):
         done[position] = tally
         on_block(len(done), len(blocks))
-    joined: dict[int, Tally] = {}
-    for position, (index, _) in enumerate(blocks):
-        tally = done[position]
-        joined[index] = joined[index].joined(tally) if index in joined else tally
-    return [joined[index] for index in range(len(campaigns))]
-
-
-def in_processes(
-    work: Callable[[Item], Result], items: Sequence[Item], jobs: int
-) -> Iterator[tuple[int, Result]]:
-    """The results with the positions of their items, as they come.
-
-    Whoever stops listening, by an exception or a Ctrl-C, ends the processes, too.
-    """
-    if jobs == 1 or len(items) < 2:
-        yield from ((position, work(item)) for position, item in enumerate(items))
-        return
-    os.environ.update({name: os.environ.get(name, "1") for name in BLAS_THREADS})
-    with _deaf_to_interrupts():
-        pool = get_context("spawn").Pool(min(jobs, len(items)))
-    with pool:
-        yield from pool.imap_unordered(partial(_numbered, work), enumerate(items))
-
-
-def _numbered(work: Callable[[Item], Result], item: tuple[int, Item]) -> tuple[int, Result]:
-    return item[0], work(item[1])
-
-
-@contextmanager
-def _deaf_to_interrupts() -> Iterator[None]:
-    """Processes started meanwhile leave a Ctrl-C to this one, even while they load."""
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
+    return [
+        joined_in_order(done[p] for p, (owner, _) in enumerate(blocks) if owner == index)
+        for index in range(len(campaigns))
+    ]

@@ -41,7 +41,7 @@ from sim_link.evaluation.walk import (
     Belief,
     Steering,
 )
-from sim_link.evaluation.window import Window, window_of
+from sim_link.evaluation.window import Window, prior_of
 
 FilterName = Literal["ekf", "filterpy", "huber", "admm", "asymmetric_huber", "map", "tracker"]
 PlannerName = Literal["passive", "reactive", "latched", "fim", "fim_printed"]
@@ -141,13 +141,16 @@ def belief_of(case: Case, system: System) -> Belief:
 def window_of_system(case: Case, system: System) -> Window:
     """The objective that corrects the system's filter, as the compiled walk takes it."""
     belief = belief_of(case, system)
-    return window_of(
-        belief.prior_mean,
-        belief.prior_sigmas,
-        belief.thresholds,
-        belief.bounds,
-        belief.model,
+    information, pull = prior_of(belief.prior_mean, belief.prior_sigmas)
+    return Window(
         is_solved=system.filter == "map",
+        sigma=belief.sigma,
+        own_sigma_m=belief.model.own_sigma_m,
+        thresholds=belief.thresholds,
+        bounds=belief.bounds,
+        information=information,
+        pull=pull,
+        prior_mean=belief.prior_mean,
     )
 
 

@@ -23,14 +23,7 @@ from companion.planning.reactive_crossing import reactive_step
 from sim_link.evaluation.noise import Scene, Truth, measured_in
 from sim_link.evaluation.printed_fim import printed_candidate, printed_criteria
 from sim_link.evaluation.tracks import stepped
-from sim_link.evaluation.window import (
-    FIRST_COUNT,
-    Window,
-    empty_rows,
-    next_solution,
-    remember,
-    solved,
-)
+from sim_link.evaluation.window import FIRST_COUNT, Window, next_solution, solved
 from sim_link.world.environment import NO_MEMORY
 
 FIXED, REACTIVE, LATCHED, FIM, PRINTED_FIM = range(5)
@@ -248,7 +241,7 @@ def walked(
     east_m, north_m = float(track[0, 0]), float(track[0, 1])
     z, sensor = np.full(3, np.nan), np.zeros(3)
     memory = NO_MEMORY
-    rows = empty_rows(steps)
+    rows = np.empty((steps, 4))
     due, turn = FIRST_COUNT, 0
     for step in range(steps):
         if steering.planner == FIXED:
@@ -259,7 +252,7 @@ def walked(
             mean, covariance = first_fix(east_m, north_m, z[0], z[1], belief)
         else:
             mean, covariance = updated(mean, covariance, sensor, z, belief)
-        remember(rows, step, sensor, z, belief.sigma)
+        rows[step, :2], rows[step, 2:] = sensor[:2], z[:2]
         if window.is_solved and step + 1 >= due:
             turn += 1
             mean, covariance = solved(rows[: step + 1], mean, turn, window)

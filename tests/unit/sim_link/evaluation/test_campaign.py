@@ -2,7 +2,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from sim_link.evaluation.campaign import Block, Campaign, Tally, in_processes, tallies_of, tally_of
+from sim_link.evaluation.campaign import (
+    Block,
+    Campaign,
+    Tally,
+    joined_in_order,
+    tallies_of,
+    tally_of,
+    unpacked,
+)
 from sim_link.evaluation.case import Case
 from sim_link.evaluation.metrics import rmse_m
 from sim_link.evaluation.noise import run_seeds
@@ -19,8 +27,7 @@ def _silent(done: int, total: int) -> None:
 
 def test_blocks_are_the_runs_in_order() -> None:
     assert [(block.first, block.runs) for block in CAMPAIGN.blocks()] == [
-        (0, 25),
-        (25, 25),
+        (0, 50),
         (50, 10),
     ]
 
@@ -48,6 +55,10 @@ def test_processes_change_nothing() -> None:
             assert np.array_equal(getattr(one, name), getattr(two, name)), name
 
 
-def test_a_single_item_needs_no_process() -> None:
-    unpicklable = lambda number: number + 1  # noqa: E731
-    assert list(in_processes(unpicklable, [1], jobs=4)) == [(0, 2)]
+def test_a_tally_comes_back_from_its_bytes() -> None:
+    parts = [tally_of(block) for block in CAMPAIGN.blocks()]
+    whole = joined_in_order(parts)
+    again = joined_in_order(unpacked(part.packed()) for part in parts)
+    assert (whole.runs, again.runs) == (60, 60)
+    for name in Tally.__slots__[1:]:
+        np.testing.assert_array_equal(getattr(again, name), getattr(whole, name))

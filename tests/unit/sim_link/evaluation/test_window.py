@@ -2,10 +2,15 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import numpy as np
 import pytest
 
+from companion.estimation.filter_params import FilterParams
+from companion.estimation.map_kernels import COLUMNS as ROW_COLUMNS
+from companion.estimation.map_kernels import normal_equations, row_sigmas
 from companion.estimation.window_map import WindowMap
+from companion.geometry.arrays import Matrix
 from sim_link.evaluation.case import PAPER_BELIEF, Case
 from sim_link.evaluation.noise import run_seeds
 from sim_link.evaluation.systems import System, window_of_system
@@ -13,28 +18,59 @@ from sim_link.evaluation.trial import run_block, run_trial
 from sim_link.evaluation.window import (
     EARLY_COUNT,
     FIRST_COUNT,
-    empty_rows,
+    cost_of,
+    damped_step,
     fresh_start,
+    minimum,
     next_solution,
-    remember,
     solved,
+    system_at,
 )
 
 TARGET_ENU_M = np.array([50.0, 50.0])
+BELIEFS = {
+    "the paper's": PAPER_BELIEF,
+    "own place unsure, short ranges robust, offset bounded": msgspec.structs.replace(
+        PAPER_BELIEF, own_position_sigma_m=0.4, range_k_short=3.0, range_offset_max_m=0.5
+    ),
+}
 WINDOW = window_of_system(Case(), System("map", "latched"))
-SIGMA = np.array([1.5, math.radians(2.0), math.nan])
 
 
-def _circle(count: int, excess_m: float = 0.0) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+def _circle(count: int, excess_m: float = 0.0) -> Matrix:
     """Views from all around, exact but for every third range."""
-    rows = empty_rows(count)
-    for step in range(count):
-        turn = 2.0 * math.pi * step / count
-        place = np.array([50.0 + 20.0 * math.cos(turn), 50.0 + 20.0 * math.sin(turn), 0.0])
-        de, dn = TARGET_ENU_M - place[:2]
-        range_m = math.hypot(de, dn) + (excess_m if step % 3 == 0 else 0.0)
-        remember(rows, step, place, np.array([range_m, math.atan2(dn, de), math.nan]), SIGMA)
-    return rows
+    turn = 2.0 * math.pi * np.arange(count) / count
+    place = 50.0 + 20.0 * np.column_stack([np.cos(turn), np.sin(turn)])
+    de, dn = (TARGET_ENU_M - place).T
+    ranges_m = np.hypot(de, dn) + excess_m * (np.arange(count) % 3 == 0)
+    return np.column_stack([place, ranges_m, np.arctan2(dn, de)])
+
+
+def _companions_rows(rows: Matrix, belief: FilterParams) -> Matrix:
+    """The same history as the companion's window holds it."""
+    theirs = np.full((len(rows), ROW_COLUMNS), np.nan)
+    theirs[:, :2], theirs[:, 2], theirs[:, 3:5] = rows[:, :2], 0.0, rows[:, 2:]
+    theirs[:, 6:8] = belief.range_sigma_m, math.radians(belief.bearing_sigma_deg)
+    return theirs
+
+
+@pytest.mark.parametrize("name", BELIEFS)
+def test_cost_and_system_are_those_of_the_companions_window(name: str) -> None:
+    belief = BELIEFS[name]
+    window = window_of_system(Case(belief=belief), System("map", "latched"))
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        rows = _circle(30)
+        rows[:, 2:] += rng.normal(0.0, [6.0, 0.3], (30, 2))
+        mean = np.array([*rng.normal(TARGET_ENU_M, 25.0), *rng.normal(0.0, [2.0, 0.2])])
+        theirs = _companions_rows(rows, belief)
+        args = (belief.thresholds, window.information, window.pull, belief.model)
+        sigmas = row_sigmas(theirs, mean, belief.model)
+        expected, expected_descent, expected_cost = normal_equations(theirs, mean, sigmas, *args)
+        curvature, descent = system_at(rows, mean, window)
+        np.testing.assert_allclose(curvature, expected, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(descent, expected_descent, rtol=1e-9, atol=1e-9)
+        assert cost_of(rows, mean, window) == pytest.approx(expected_cost, rel=1e-9)
 
 
 def test_it_finds_the_target_from_a_start_that_is_carried_away() -> None:
@@ -44,13 +80,26 @@ def test_it_finds_the_target_from_a_start_that_is_carried_away() -> None:
     assert np.linalg.eigvalsh(covariance).min() > 0.0
 
 
-def test_its_minimum_is_that_of_the_companions_window() -> None:
+@pytest.mark.parametrize("name", BELIEFS)
+def test_its_minimum_is_that_of_the_companions_window(name: str) -> None:
+    belief = BELIEFS[name]
+    window = window_of_system(Case(belief=belief), System("map", "latched"))
     rows = _circle(60, excess_m=9.0)
     start = np.array([55.0, 41.0, 0.0, 0.0])
-    mean, _ = solved(rows, start, 1, WINDOW)
-    theirs = WindowMap(PAPER_BELIEF).solve(rows, start)
+    mean, _ = minimum(rows, start, window)
+    theirs = WindowMap(belief).solve(_companions_rows(rows, belief), start)
     assert theirs is not None
     assert mean == pytest.approx(theirs[0], abs=1e-3)
+
+
+def test_a_damped_step_solves_the_damped_system() -> None:
+    rng = np.random.default_rng(5)
+    for damping in (0.0, 1e-3, 10.0):
+        half = rng.normal(size=(4, 4))
+        curvature, descent = half @ half.T + 0.1 * np.eye(4), rng.normal(size=4)
+        damped = curvature + damping * np.diag(np.diag(curvature))
+        step = damped_step(curvature, descent, damping)
+        np.testing.assert_allclose(step, np.linalg.solve(damped, descent), rtol=1e-6)
 
 
 def test_a_fresh_start_lies_as_far_as_the_ranges_say() -> None:

@@ -1,0 +1,202 @@
+"""The study tool as people run it: the same bytes however it was carried out, or one clear line."""
+
+from __future__ import annotations
+
+import json
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+TOOL = ROOT / "tools" / "run_study.py"
+STUDY = """
+table: small
+title: Small
+runs: 100
+metrics: [final_rmse_m, steps_to_2.5m, worst_final_m, rmse_ratio]
+systems: [ekf/reactive, asymmetric_huber/reactive, asymmetric_huber/latched]
+sweeps:
+  - parameter: p_nlos
+    case: {steps: 20}
+    varies: [channel.p_nlos]
+    values: [0.1, 0.9]
+    paper: {Proposed (Reactive): {final_rmse_m: [0.119, 0.501]}}
+"""
+BLOCKS = 2 * (3 * 2 + 1)
+"""Two cases with three systems of two blocks, and a check of the EKF."""
+HALF_WAY = 5
+LIMIT_S = 120.0
+
+Process = subprocess.Popen[str]
+
+
+def _command(study: Path | str, out: Path, *arguments: str) -> list[str]:
+    return [sys.executable, str(TOOL), str(study), "--out", str(out), *arguments]
+
+
+def _run(study: Path | str, out: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    command = _command(study, out, *arguments)
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=LIMIT_S)
+
+
+@contextmanager
+def _started(command: list[str]) -> Iterator[Process]:
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT
+    )
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+def _until(is_so: Callable[[], bool], process: Process) -> None:
+    give_up_s = time.monotonic() + LIMIT_S
+    while not is_so():
+        assert time.monotonic() < give_up_s, "it takes too long"
+        assert process.poll() is None, "it ended too early"
+        time.sleep(0.02)
+
+
+def _kept(out: Path) -> int:
+    """Blocks that a run has kept so far."""
+    if not (out / "blocks.sqlite3").exists():
+        return 0
+    connection = sqlite3.connect(out / "blocks.sqlite3", timeout=LIMIT_S)
+    try:
+        return int(connection.execute("SELECT count(*) FROM blocks").fetchone()[0])
+    except sqlite3.OperationalError:  # the table is not there yet
+        return 0
+    finally:
+        connection.close()
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("study") / "small.yaml"
+    path.write_text(STUDY)
+    return path
+
+
+@pytest.fixture(scope="module")
+def expected(study: Path, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """The results of a run in one process."""
+    out = tmp_path_factory.mktemp("alone") / "deep" / "out"
+    done = _run(study, out, "--jobs", "1")
+    assert done.returncode == 0, done.stderr
+    assert _kept(out) == BLOCKS
+    assert {"results.csv", "costs.csv", "checks.json", "report.html"} <= {
+        path.name for path in out.iterdir()
+    }
+    check = json.loads((out / "checks.json").read_text())["ekf_is_filterpys"]
+    assert check["is_met"] is True
+    return (out / "results.csv").read_bytes()
+
+
+def test_rows_are_ours_beside_the_papers(expected: bytes) -> None:
+    lines = expected.decode().splitlines()
+    assert lines[0] == "table,parameter,value,system,metric,paper,ours,ours_ci95,bound"
+    (row,) = [line for line in lines if "0.9,Proposed (Reactive),final_rmse_m" in line]
+    cells = row.split(",")
+    low, high = map(float, cells[7].split(".."))
+    assert cells[5] == "0.501"
+    assert low < float(cells[6]) < high
+    assert 0.0 < float(cells[8]) < high
+
+
+def test_processes_make_the_same_bytes(study: Path, expected: bytes, tmp_path: Path) -> None:
+    done = _run(study, tmp_path, "--jobs", "2")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "results.csv").read_bytes() == expected
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
+def test_a_stopped_run_goes_on(
+    how: signal.Signals, study: Path, expected: bytes, tmp_path: Path
+) -> None:
+    with _started(_command(study, tmp_path, "--jobs", "2")) as process:
+        _until(lambda: _kept(tmp_path) >= HALF_WAY, process)
+        process.send_signal(how)
+        _, errors = process.communicate(timeout=LIMIT_S)
+    if how != signal.SIGKILL:
+        assert process.returncode == 1
+        assert errors.splitlines()[-1:] == [
+            "run_study: stopped; what is done is kept, run the same command again to go on"
+        ]
+        assert "Traceback" not in errors
+    kept = _kept(tmp_path)
+    assert HALF_WAY <= kept < BLOCKS
+    assert not (tmp_path / "results.csv").exists()
+    done = _run(study, tmp_path, "--jobs", "2")
+    assert done.returncode == 0, done.stderr
+    assert f"{BLOCKS} blocks of runs, {kept} of them done before" in done.stderr
+    assert (tmp_path / "results.csv").read_bytes() == expected
+
+
+def test_a_cluster_makes_the_same_bytes_though_a_worker_is_killed(
+    study: Path, expected: bytes, tmp_path: Path
+) -> None:
+    out, place = tmp_path / "out", tmp_path / "scheduler.json"
+    dask = [sys.executable, "-m", "dask"]
+    where = ["--scheduler-file", str(place)]
+    serve = [*dask, "scheduler", *where, "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
+    work = [*dask, "worker", *where, "--nthreads", "1", "--no-nanny", "--no-dashboard"]
+    with _started(serve) as scheduler:
+        _until(place.exists, scheduler)
+        address = json.loads(place.read_text())["address"].removeprefix("tcp://")
+        command = _command(study, out, "--backend", f"dask://{address}")
+        with _started(work) as one, _started(work) as other, _started(command) as process:
+            _until(lambda: _kept(out) >= HALF_WAY, process)
+            one.kill()
+            assert _kept(out) < BLOCKS
+            _, errors = process.communicate(timeout=LIMIT_S)
+            assert process.returncode == 0, errors
+            assert (one.wait(), other.poll()) == (-signal.SIGKILL, None)
+    assert (out / "results.csv").read_bytes() == expected
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "arguments", "what"),
+    [
+        ("ekf/reactive", "ekf/reactiv", [], "'reactiv' is none of passive, reactive"),
+        ("varies:", "varries:", [], "$.sweeps[0].varries: unknown key; did you mean `varies`?"),
+        ("p_nlos]", "p_los]", [], "did you mean `p_nlos`?"),
+        ("runs: 100", "runs: 0", [], "$.runs: Expected `int` >= 1"),
+        ("", "", ["--backend", "dask://127.0.0.1:9"], "no dask scheduler answers there"),
+    ],
+)
+def test_bad_input_is_one_line_and_leaves_nothing(
+    old: str, new: str, arguments: list[str], what: str, tmp_path: Path
+) -> None:
+    path, out = tmp_path / "study.yaml", tmp_path / "out"
+    path.write_text(STUDY.replace(old, new, 1))
+    done = _run(path, out, *arguments)
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("run_study: ")
+    assert what in line
+    assert not out.exists()
+
+
+def test_zero_runs_are_refused(study: Path, tmp_path: Path) -> None:
+    done = _run(study, tmp_path / "out", "--runs", "0")
+    assert done.returncode == 2
+    assert "--runs: must be at least 1" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_place_that_cannot_be_written_is_refused(study: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    done = _run(study, tmp_path / "file" / "out")
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert "choose a folder" in line

@@ -1,0 +1,128 @@
+"""Runs a study and writes its tables, figures and report; killed or stopped, it can go on.
+
+Exit code 1: stopped, a backend gave out, or a built-in check failed. 2: bad input.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+from pathlib import Path
+
+from companion.errors import CompanionError, ConfigError
+from companion.io.files import write_json_atomic
+from sim_link.evaluation.backends import connected
+from sim_link.evaluation.costs import costs_of
+from sim_link.evaluation.progress import shown
+from sim_link.evaluation.reporting.report import write_report
+from sim_link.evaluation.rows import rows_of
+from sim_link.evaluation.store import FILE_NAME, Store, opened
+from sim_link.evaluation.study_files import (
+    check_folder,
+    csv_text,
+    make_folder,
+    studies_of,
+    write_text_atomic,
+)
+from sim_link.evaluation.study_run import (
+    PlannedStudy,
+    Work,
+    carried_out,
+    checks_of,
+    planned,
+    prepared,
+    results_of,
+    work_of,
+)
+
+STUDIES = Path(__file__).resolve().parent.parent / "configs" / "studies"
+
+
+def main() -> int:
+    arguments = parsed()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        out: Path = arguments.out or Path("studies") / Path(arguments.study).stem
+        studies = planned(studies_of(arguments.study, STUDIES), arguments.runs)
+        check_folder(out)
+        return run(studies, arguments, out)
+    except ConfigError as error:
+        print(f"run_study: {error}", file=sys.stderr)
+        return 2
+    except CompanionError as error:
+        print(f"run_study: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print(
+            "run_study: stopped; what is done is kept, run the same command again to go on",
+            file=sys.stderr,
+        )
+        return 1
+
+
+def parsed() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("study", metavar="STUDY", help="a name in configs/studies, or a YAML file")
+    parser.add_argument("--runs", type=positive, help="of every cell, instead of the study's")
+    parser.add_argument("--seed", type=non_negative, default=1)
+    parser.add_argument("--jobs", type=positive, default=os.cpu_count() or 1, help="processes")
+    parser.add_argument("--backend", default="local", help="local, or dask://HOST:PORT")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="default: studies/STUDY")
+    return parser.parse_args()
+
+
+def positive(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError("must be at least 1")
+    return value
+
+
+def non_negative(text: str) -> int:
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError("must not be negative")
+    return value
+
+
+def run(studies: list[PlannedStudy], arguments: argparse.Namespace, out: Path) -> int:
+    """Everything after the arguments: nothing is made before the backend is there."""
+    work = work_of(studies, arguments.seed)
+    with connected(arguments.backend, arguments.jobs) as backend:
+        make_folder(out)
+        with opened(out / FILE_NAME) as store:
+            kept = store.found(work.tasks)
+            say(f"{len(work.tasks)} blocks of runs, {len(kept)} of them done before")
+            left = work.without(kept)
+            if left.tasks:
+                say("getting the compiled kernels ready")
+                prepared(left, backend)
+                with shown(left.cost, sys.stderr) as on_done:
+                    carried_out(left, backend, store, on_done)
+            return written(studies, work, store, arguments.seed, out)
+
+
+def written(studies: list[PlannedStudy], work: Work, store: Store, seed: int, out: Path) -> int:
+    """Tables, checks and the report of finished work."""
+    results = results_of(studies, seed, store)
+    rows = [row for result in results for row in rows_of(result)]
+    costs, checks = costs_of(results), checks_of(work, store)
+    write_text_atomic(out / "results.csv", csv_text(rows))
+    write_text_atomic(out / "costs.csv", csv_text(costs))
+    write_json_atomic(out / "checks.json", checks)
+    write_report(out, results, rows, costs, checks)
+    say(f"{out}: results.csv, costs.csv, checks.json, report.html")
+    failed = [name for name, check in checks.items() if not check["is_met"]]
+    for name in failed:
+        print(f"run_study: the check {name} failed, see {out / 'checks.json'}", file=sys.stderr)
+    return 1 if failed else 0
+
+
+def say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
