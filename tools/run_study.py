@@ -10,6 +10,7 @@ import os
 import signal
 import sys
 from pathlib import Path
+from typing import NoReturn
 
 from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_json_atomic
@@ -62,8 +63,16 @@ def main() -> int:
         return 1
 
 
+class OneLineParser(argparse.ArgumentParser):
+    """Complains in one line, as everything here does."""
+
+    def error(self, message: str) -> NoReturn:
+        """Refuse the arguments."""
+        self.exit(2, f"run_study: {message} (--help shows how)\n")
+
+
 def parsed() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = OneLineParser(description=__doc__)
     parser.add_argument("study", metavar="STUDY", help="a name in configs/studies, or a YAML file")
     parser.add_argument("--runs", type=positive, help="of every cell, instead of the study's")
     parser.add_argument("--seed", type=non_negative, default=1)
