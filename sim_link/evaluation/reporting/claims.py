@@ -32,6 +32,8 @@ MAX_BOUND_RATIO = 1.3
 COVERAGE_BAND = (0.93, 0.97)
 SETTLED_STEP = 20
 """Honesty counts after this step."""
+FAR_M = 100.0
+"""Beyond the area a bound is only large."""
 INFORMED = (PLANNER_LABELS["latched"], PLANNER_LABELS["fim"])
 """Planners whose tracks leave no doubt about the place: there the bound can be reached."""
 MAX_COST_MS = {"Proposed (Reactive)": 0.003, "Proposed (FIM)": 0.015}
@@ -162,7 +164,7 @@ def _settling(findings: Findings) -> Claim | None:
         "5 / 20 / 24",
         "<= " + " / ".join(str(limit) for limit in limits),
         " / ".join("never" if s is None else str(s) for s in steps)
-        + f"; the bound after {PAPER_STEPS} steps at {cells[0].value} m is {bound_m:.1f} m",
+        + f"; the bound after {PAPER_STEPS} steps at {cells[0].value} m is {_told_m(bound_m)}",
         all(s is not None and s <= limit for s, limit in zip(steps, limits, strict=True)),
     )
 
@@ -372,6 +374,11 @@ def _cost_ratio(measured: Mapping[str, float]) -> str:
         return ""
     reactive, fim = measured.values()
     return f", a ratio of {fim / reactive:.1f} (paper: {PAPER_COST_RATIO})"
+
+
+def _told_m(bound_m: float) -> str:
+    """A bound, as far as it means anything: offsets unknown, a straight track says very little."""
+    return f"{bound_m:.1f} m" if bound_m < FAR_M else f"over {FAR_M:g} m"
 
 
 def _list(values: Sequence[float], form: str = ".3f") -> str:
