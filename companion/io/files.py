@@ -47,7 +47,19 @@ def write_json_atomic(path: Path, value: object) -> None:
     Raises:
         CompanionError: It cannot be written; an old file is still there then.
     """
-    text = json.dumps(plain(value), allow_nan=False, indent=2) + "\n"
+    write_text_atomic(path, json.dumps(plain(value), allow_nan=False, indent=2) + "\n")
+
+
+def write_text_atomic(path: Path, text: str) -> None:
+    """Replace a text file as a whole: a reader, or a power cut, sees the old one or the new one.
+
+    Args:
+        path: The file; its directory exists.
+        text: All of its content.
+
+    Raises:
+        CompanionError: It cannot be written; an old file is still there then.
+    """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         with temporary.open("w", encoding="utf-8") as file:
