@@ -7,9 +7,6 @@ from dataclasses import dataclass
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address
 
-NAME_LENGTH = 16
-"""Characters of a parameter's name; a NUL follows only if it is shorter."""
-
 
 @dataclass(frozen=True, slots=True)
 class Channel:
