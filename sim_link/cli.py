@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
+import msgspec
+
 from companion import __version__
 from companion.errors import CompanionError, ConfigError
 from companion.io.clock import Clock
@@ -28,7 +30,7 @@ EXIT_BAD_INPUT = 2
 MAX_SPEED = 1000.0
 
 DESCRIPTION = """\
-Fly a simulated PX4 multicopter with a radio payload that measures a hidden emitter.
+Fly a simulated PX4 or ArduPilot multicopter with a radio payload that measures a hidden emitter.
 
 It speaks MAVLink 2 over UDP, sends unasked to every --send-to address, and answers whoever
 sends to --listen. It runs until it is stopped (Ctrl-C, SIGTERM)."""
@@ -94,6 +96,11 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         "(default: the canonical scenario, built in)",
     )
     parser.add_argument(
+        "--autopilot",
+        choices=("px4", "ardupilot"),
+        help="which autopilot to be (default: the scenario's, px4)",
+    )
+    parser.add_argument(
         "--seed", metavar="N", type=int, default=0, help="seed of all randomness (default 0)"
     )
     parser.add_argument(
@@ -134,7 +141,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
 
 def _run(arguments: argparse.Namespace) -> int:
     seed, speed = _seed(arguments.seed), _speed(arguments.speed)
-    scenario = load_scenario(arguments.scenario) if arguments.scenario else Scenario()
+    scenario = _scenario(arguments)
     listen = _address("--listen", arguments.listen)
     send_to = [_address("--send-to", text) for text in arguments.send_to or DEFAULT_SEND_TO]
     endpoint = SimEndpoint(scenario, seed)
@@ -161,6 +168,15 @@ def _run(arguments: argparse.Namespace) -> int:
             write_json_atomic(report, end_report(endpoint, seed, speed))
     voice.say(_summary(endpoint))
     return 0
+
+
+def _scenario(arguments: argparse.Namespace) -> Scenario:
+    """The scenario of the command line, which has the last word."""
+    scenario = load_scenario(arguments.scenario) if arguments.scenario else Scenario()
+    if arguments.autopilot is not None:
+        autopilot = msgspec.structs.replace(scenario.autopilot, flavour=arguments.autopilot)
+        scenario = msgspec.structs.replace(scenario, autopilot=autopilot)
+    return scenario
 
 
 def _stop_at_eof(shell: Shell) -> None:
@@ -195,7 +211,8 @@ def _start_line(
 ) -> str:
     targets = ", ".join(f"{host}:{port}" for host, port in send_to)
     return (
-        f"sim-link: scenario {scenario.name}, seed {seed}, speed {speed:g}x; "
+        f"sim-link: {scenario.autopilot.flavour}, scenario {scenario.name}, seed {seed}, "
+        f"speed {speed:g}x; "
         f"sending to {targets}; listening on {listen[0]}:{listen[1]}"
     )
 

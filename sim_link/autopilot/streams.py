@@ -6,37 +6,28 @@ do. HEARTBEAT cannot be changed. Source: MAVLink common, MAV_CMD_SET_MESSAGE_INT
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from companion.mav.dialect import mavlink
-from sim_link.autopilot.vehicle import STEP_S
+from sim_link.autopilot.flavours.px4.rates import DEFAULT_RATE_HZ
+from sim_link.autopilot.pilot import STEP_S
 
 HEARTBEAT = mavlink.MAVLINK_MSG_ID_HEARTBEAT
-DEFAULT_RATE_HZ: dict[int, float] = {
-    HEARTBEAT: 1.0,
-    mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
-    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
-    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 2.0,
-    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 30.0,
-    mavlink.MAVLINK_MSG_ID_ATTITUDE: 20.0,
-    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 10.0,
-    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: 10.0,
-    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 5.0,
-    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 0.5,
-    mavlink.MAVLINK_MSG_ID_HOME_POSITION: 0.5,
-    mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: 0.0,
-    mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: 0.0,
-}
-"""0: only on request."""
-
 DUE_TOLERANCE_S = 1e-6
 EARLIEST_CATCH_UP_S = STEP_S
 
 
 class StreamTable:
-    """When each message is due next."""
+    """When each message is due next on one link.
 
-    def __init__(self) -> None:
+    Args:
+        rates_hz: What is sent unasked, by message id; 0: only on request.
+    """
+
+    def __init__(self, rates_hz: Mapping[int, float] = DEFAULT_RATE_HZ) -> None:
+        self._rates_hz = rates_hz
         self._interval_s = {
-            number: 1.0 / rate_hz if rate_hz else 0.0 for number, rate_hz in DEFAULT_RATE_HZ.items()
+            number: 1.0 / rate_hz if rate_hz else 0.0 for number, rate_hz in rates_hz.items()
         }
         self._due_s = dict.fromkeys(self._interval_s, 0.0)
 
@@ -74,7 +65,7 @@ class StreamTable:
         if interval_us == -1.0:
             self._interval_s[number] = 0.0
         elif interval_us == 0.0:
-            rate_hz = DEFAULT_RATE_HZ[number]
+            rate_hz = self._rates_hz[number]
             self._interval_s[number] = 1.0 / rate_hz if rate_hz else 0.0
         else:
             self._interval_s[number] = max(STEP_S, interval_us / 1e6)
