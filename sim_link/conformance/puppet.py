@@ -44,24 +44,30 @@ def accept(command: CommandMessage) -> int | None:
     return int(mavlink.MAV_RESULT_ACCEPTED)
 
 
+def stay_silent(command: CommandMessage) -> int | None:
+    """Answer nothing."""
+    del command
+    return None
+
+
 class CompanionProbe(Station):
     """Plays the vehicle that a companion serves.
 
     Args:
         link: A connection to the companion.
         flavour: Which autopilot it shows.
-        system_id: Its system id.
+        policy: How it answers commands.
     """
 
     def __init__(
-        self, link: ProbeLink, flavour: Flavour = Flavour.PX4, system_id: int = VEHICLE[0]
+        self, link: ProbeLink, flavour: Flavour = Flavour.PX4, policy: Policy = accept
     ) -> None:
-        super().__init__(link, system_id, VEHICLE[1], None)
+        super().__init__(link, VEHICLE[0], VEHICLE[1], None)
         self.flavour = flavour
         self.mode = "hold"
         self.is_armed = True
         self.is_failsafe = False
-        self.policy: Policy = accept
+        self.policy = policy
         self.started_s = self.now_s - 100.0
         self.down_m = HOVER_DOWN_M
         self.on_message = self._answer

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 
 from companion.mav.dialect import mavlink
-from sim_link.conformance.puppet import CommandMessage, CompanionProbe, Policy
+from sim_link.conformance.puppet import CommandMessage, CompanionProbe, Policy, accept, stay_silent
 from sim_link.conformance.rules import NotApplicable, Role, RuleBook, require
 from sim_link.conformance.station import brief
 
@@ -20,6 +20,7 @@ ASKS_FOR_STREAMS = (
 )
 ACCEPTED, TEMPORARILY_REJECTED, UNSUPPORTED = 0, 1, 3
 MAX_RATE_HZ = 25.0
+MAX_REPEATS = 10
 
 
 @book.rule(SERVICE)
@@ -66,7 +67,7 @@ def commands_name_the_vehicle(probe: CompanionProbe) -> None:
 @book.rule(SERVICE)
 def requests_are_paced(probe: CompanionProbe) -> None:
     """It does not flood the autopilot with commands, answered or not."""
-    probe.policy = lambda command: None  # noqa: ARG005  nothing is answered
+    probe.policy = stay_silent
     mark = probe.mark
     probe.run(5.0)
     rate_hz = len(probe.commands(mark)) / 5.0
@@ -76,10 +77,8 @@ def requests_are_paced(probe: CompanionProbe) -> None:
 @book.rule(f"{SERVICE} (retries)")
 def unanswered_command_is_repeated_a_few_times(probe: CompanionProbe) -> None:
     """A command without an answer is repeated with a rising confirmation, and given up."""
-    probe.policy = lambda command: None  # noqa: ARG005  nothing is answered
-    mark = probe.mark
-    probe.is_armed = False
-    probe.down_m = 0.0
+    mark = 0 if probe.policy is stay_silent else probe.mark
+    probe.policy = stay_silent
     probe.run(20.0)
     sent = Counter(
         (c.command, c.confirmation)
@@ -87,13 +86,13 @@ def unanswered_command_is_repeated_a_few_times(probe: CompanionProbe) -> None:
         if isinstance(c, mavlink.MAVLink_command_long_message) and c.command not in ASKS_FOR_STREAMS
     )
     if not sent:
-        raise NotApplicable("it commands nothing but streams while it is not engaged")
-    for (number, confirmation), _ in sent.items():
-        require(
-            confirmation == 0 or sent[(number, confirmation - 1)] > 0,
-            f"command {number}: confirmation {confirmation} before {confirmation - 1}",
-        )
-        require(confirmation < 10, f"command {number} repeated {confirmation} times")
+        raise NotApplicable("it commands nothing but streams meanwhile")
+    for number, confirmation in sent:
+        is_first = confirmation == 0
+        require(is_first or (number, confirmation - 1) in sent, f"{number}: jumps a confirmation")
+        require(confirmation < MAX_REPEATS, f"{number}: repeated {confirmation} times")
+    for number in {number for number, _ in sent}:
+        require((number, 1) in sent, f"command {number} is not repeated")
 
 
 @book.rule(SERVICE)
@@ -103,7 +102,7 @@ def acknowledgement_of_another_system_is_ignored(probe: CompanionProbe) -> None:
     mark = probe.mark
     probe.run(4.0)
     asked = [c for _, c in probe.commands(mark) if c.command in ASKS_FOR_STREAMS]
-    probe.policy = lambda command: ACCEPTED  # noqa: ARG005
+    probe.policy = accept
     if not asked:
         raise NotApplicable("nothing was asked meanwhile")
     probe.run(2.0)

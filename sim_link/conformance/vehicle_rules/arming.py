@@ -124,7 +124,7 @@ def disarming_in_the_air_is_refused(probe: VehicleProbe) -> None:
     require(not probe.is_armed(), "a forced disarm does nothing")
 
 
-@book.rule(OBSERVED_ARDUPILOT, effect=Effect.FLIES)
+@book.rule(f"PX4 COM_DISARM_PRFLT (10 s); {OBSERVED_ARDUPILOT}", effect=Effect.FLIES)
 def idle_vehicle_disarms(probe: VehicleProbe) -> None:
     """Armed and left on the ground it disarms by itself after about 10 s."""
     probe.arm()

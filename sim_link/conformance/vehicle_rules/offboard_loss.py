@@ -18,7 +18,7 @@ from sim_link.conformance.vehicle_probe import (
 from sim_link.conformance.vehicle_probe import (
     FORCE as FORCE_DISARM,
 )
-from sim_link.conformance.vehicle_rules.offboard import begin, fly, here, invalid_setpoints
+from sim_link.conformance.vehicle_rules.offboard import begin, fly, follow, here, invalid_setpoints
 
 book = RuleBook(Role.VEHICLE, "offboard_loss")
 PX4_PAGE = "PX4 user guide, Offboard Mode"
@@ -81,8 +81,7 @@ def loss_action_is_the_parameter(probe: VehicleProbe) -> None:
         for action, mode in LOSS_MODES.items():
             mark = write(probe, "COM_OBL_RC_ACT", float(action), INT32)
             await_value(probe, mark, "COM_OBL_RC_ACT")
-            fly(probe, setpoint, 3.0)
-            probe.await_mode("offboard")
+            follow(probe, setpoint, 3.0)
             probe.await_mode(mode, 4.0)
     finally:
         write(probe, "COM_OBL_RC_ACT", before.value(probe), INT32)
@@ -140,8 +139,7 @@ def senseless_setpoint_is_no_proof_of_life(probe: VehicleProbe) -> None:
     place = probe.place()
     hold = LocalSetpoint(place)
     for name, build in invalid_setpoints(probe, place).items():
-        fly(probe, hold, 1.5)
-        probe.await_mode("offboard", 3.0)
+        follow(probe, hold, 1.5)
         stop = probe.stream(build)
         probe.run(2.5)
         is_alive = probe.is_in("offboard")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from companion.mav.dialect import Message, mavlink
 from sim_link.conformance.frames import build_raw
+from sim_link.conformance.parameter_client import float_name, read, write
 from sim_link.conformance.rules import Effect, NotApplicable, Role, RuleBook, require
 from sim_link.conformance.station import Station, heartbeat
 from sim_link.conformance.vehicle_probe import VehicleProbe
@@ -220,13 +221,8 @@ def reboot_of_a_system_clears_its_routes(probe: VehicleProbe) -> None:
 def parameter_change_reaches_all_clients(probe: VehicleProbe) -> None:
     """A changed parameter is told to every client."""
     other = companion_of(probe)
-    name = "MIS_TAKEOFF_ALT" if probe.is_px4 else "RTL_ALT"
-    probe.send(mavlink.MAVLink_param_request_read_message(*probe.target, name.encode(), -1))
-    value = probe.expect(mavlink.MAVLink_param_value_message, lambda m: m.param_id == name)
+    name = float_name(probe)
+    present = read(probe, name)
     mark = other.mark
-    probe.send(
-        mavlink.MAVLink_param_set_message(
-            *probe.target, name.encode(), value.param_value, value.param_type
-        )
-    )
+    write(probe, name, present.value(probe), present.kind)
     other.expect(mavlink.MAVLink_param_value_message, lambda m: m.param_id == name, mark=mark)
