@@ -27,7 +27,6 @@ from sim_link.autopilot.recorder import FlightRecorder
 from sim_link.autopilot.router import Router
 from sim_link.autopilot.scenario import Scenario
 from sim_link.autopilot.services import Services
-from sim_link.autopilot.streams import StreamTable
 from sim_link.autopilot.telemetry import Telemetry
 from sim_link.autopilot.vehicle import STEP_S, Occurrence, SimVehicle
 from sim_link.world.target import Emitter
@@ -77,9 +76,7 @@ class SimEndpoint:
         self.vehicle = SimVehicle(scenario, np.random.default_rng(noise_seed))
         self.vehicle.flavour.parameters.load_text(parameters, "stored parameters")
         self._telemetry = Telemetry(self.vehicle)
-        rates_hz = self.vehicle.flavour.default_rates_hz
-        self._streams = [StreamTable(rates_hz) for _ in self._links]
-        self._services = Services(self.vehicle, self._streams)
+        self._services = Services(self.vehicle, len(self._links))
         self._payload = payload.RadioPayload(
             scenario.payload,
             scenario.channel,
@@ -93,7 +90,7 @@ class SimEndpoint:
         codec = self._codecs[chunk.link]
         channel = Channel(chunk.link)
         for message in codec.decode(chunk.data, is_datagram=chunk.is_datagram):
-            if message.get_srcSystem() == 0:
+            if message.get_srcSystem() == 0 or message.get_srcComponent() == 0:
                 continue  # 0 is no source (MAVLink developer guide, "Serialization")
             self._output += self._router.forward(message, chunk.peer, chunk.link)
             self._send_all(self._services.handle(message, channel, now_s - self._started_s))
@@ -137,13 +134,12 @@ class SimEndpoint:
         self.recorder.take(self.vehicle)
         self._send_all(self._services.step(boot_s))
         built: dict[int, Message | None] = {}
-        for link in self._links:
-            for number in self._streams[link].take_due(boot_s):
-                if number not in built:
-                    built[number] = self._telemetry.build(number)
-                message = built[number]
-                if message is not None:
-                    self._send(message, link)
+        for channel, number in self._services.requests.take_due(boot_s):
+            if number not in built:
+                built[number] = self._telemetry.build(number)
+            message = built[number]
+            if message is not None:
+                self._send(message, channel.link)
         for message in self._payload.messages(self.vehicle.body, boot_s):
             for link in self._links:
                 self._output.append(Chunk(link, self._payload_codecs[link].encode(message)))

@@ -8,9 +8,9 @@ import numpy as np
 
 from companion.mav.dialect import Message, mavlink
 from companion.mav.ranging import message_from_ranging
+from sim_link.autopilot.protocols.streams import DUE_TOLERANCE_S
 from sim_link.autopilot.scenario import PayloadParams
 from sim_link.autopilot.status_messages import MAVLINK_VERSION
-from sim_link.autopilot.streams import DUE_TOLERANCE_S
 from sim_link.world.environment import Environment
 from sim_link.world.point_mass import PointMass
 from sim_link.world.radio_channel import ChannelParams, RadioChannel

@@ -7,29 +7,36 @@ physics; this joins them to the vehicle. A message that is addressed elsewhere n
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
-from companion.mav.dialect import Message, mavlink
+from companion.mav.dialect import MAVLink_command_cancel_message, Message, mavlink
+from sim_link.autopilot import calibration
+from sim_link.autopilot.calibration import Calibration
 from sim_link.autopilot.commands import (
     ACCEPTED,
     DENIED,
     TEMPORARILY_REJECTED,
     UNSUPPORTED,
-    Command,
-    command_from_int,
-    command_from_long,
     whole,
 )
-from sim_link.autopilot.protocols import parameters, plan_transfers
 from sim_link.autopilot.protocols.base import Addressing, Channel, Outgoing, Partner, partner_of
 from sim_link.autopilot.protocols.clocks import Clocks
+from sim_link.autopilot.protocols.commands import (
+    UNKNOWN_PROGRESS,
+    Cancel,
+    Command,
+    CommandResult,
+    Commands,
+)
+from sim_link.autopilot.protocols.message_requests import MessageRequests
 from sim_link.autopilot.protocols.mission_progress import MissionAnnouncer, mission_item_reached
+from sim_link.autopilot.protocols.parameters import Parameters
 from sim_link.autopilot.protocols.plan_items import PlanItem, PlanResult, PlanType
 from sim_link.autopilot.protocols.plan_store import CurrentChosen, PlanChanged, PlanStore
 from sim_link.autopilot.protocols.plans import Plans
 from sim_link.autopilot.protocols.statustext import StatusTexts
-from sim_link.autopilot.requests import MessageRequests
 from sim_link.autopilot.setpoints import is_on_earth
 from sim_link.autopilot.status_messages import (
     gps_global_origin,
@@ -38,7 +45,6 @@ from sim_link.autopilot.status_messages import (
     mission_progress,
 )
 from sim_link.autopilot.sticks import Sticks
-from sim_link.autopilot.streams import StreamTable
 from sim_link.autopilot.telemetry import Telemetry
 from sim_link.autopilot.vehicle import SimVehicle
 
@@ -54,27 +60,33 @@ class Services:
 
     Args:
         vehicle: Whom they are for.
-        streams: Of every link, by its index.
+        links: How many links it has.
     """
 
-    def __init__(self, vehicle: SimVehicle, streams: list[StreamTable]) -> None:
+    def __init__(self, vehicle: SimVehicle, links: int) -> None:
         self._vehicle = vehicle
-        self._streams = streams
-        is_ardupilot = vehicle.scenario.autopilot.flavour == "ardupilot"
-        self._is_ardupilot = is_ardupilot
+        rules = self._rules = vehicle.flavour.rules
         self._texts = StatusTexts()
         self.addressing = Addressing(vehicle.system_id)
         self._clocks = Clocks(
-            self.addressing, names_targets=not is_ardupilot, answers_ping=not is_ardupilot
+            self.addressing,
+            names_targets=rules.names_timesync_target,
+            answers_ping=rules.answers_ping,
         )
-        rules = parameters.ARDUPILOT_RULES if is_ardupilot else parameters.PX4_RULES
-        self._parameters = parameters.Parameters(vehicle.flavour.parameters, rules, self._texts)
-        plan_rules = plan_transfers.ARDUPILOT_RULES if is_ardupilot else plan_transfers.PX4_RULES
-        self._store = PlanStore(self._home_item if is_ardupilot else None)
-        self._plans = Plans(
-            self._store, plan_rules, self._texts, self._fly_to if is_ardupilot else None
+        self._parameters = Parameters(vehicle.flavour.parameters, rules.parameters, self._texts)
+        has_home_item = rules.first_mission_item == 1
+        self._store = PlanStore(self._home_item if has_home_item else None)
+        fly_to = self._fly_to if has_home_item else None
+        self._plans = Plans(self._store, rules.plans, self._texts, fly_to)
+        self._commands = Commands(rules.commands)
+        self._calibration = Calibration(self._commands)
+        self._telemetry = Telemetry(vehicle)
+        self.requests = MessageRequests(
+            rules.streams, rules.requests, self._telemetry.build, self._texts
         )
-        self._requests = MessageRequests(Telemetry(vehicle), is_ardupilot=is_ardupilot)
+        """Keeps the streams."""
+        for link in range(links):
+            self.requests.open(Channel(link), 0.0)
         self._announcer = MissionAnnouncer()
         self._announcer.changed(mission_progress(vehicle))
         self._seen = (0, 0, vehicle.flavour.changes)
@@ -84,9 +96,10 @@ class Services:
         self._handlers: dict[type[Message], Handler] = {
             mavlink.MAVLink_set_position_target_local_ned_message: self._take_local,
             mavlink.MAVLink_set_position_target_global_int_message: self._take_global,
-            mavlink.MAVLink_command_long_message: self._take_command_long,
-            mavlink.MAVLink_command_int_message: self._take_command_int,
-            mavlink.MAVLink_set_mode_message: self._take_set_mode,
+            mavlink.MAVLink_command_long_message: self._take_command,
+            mavlink.MAVLink_command_int_message: self._take_command,
+            mavlink.MAVLink_set_mode_message: self._take_command,
+            MAVLink_command_cancel_message: self._take_command,
             mavlink.MAVLink_heartbeat_message: self._take_heartbeat,
             mavlink.MAVLink_timesync_message: self._take_timesync,
             mavlink.MAVLink_ping_message: self._take_ping,
@@ -112,7 +125,8 @@ class Services:
     def step(self, now_s: float) -> list[Outgoing]:
         """What is due by itself at a physics step."""
         outgoing = self._parameters.handle_timer(now_s) + self._plans.handle_timer(now_s)
-        if self._is_ardupilot and now_s >= self._timesync_due_s:
+        outgoing += self._calibration.step(now_s)
+        if self._rules.asks_timesync and now_s >= self._timesync_due_s:
             self._timesync_due_s = now_s + TIMESYNC_PERIOD_S
             outgoing.append(Outgoing(self._clocks.timesync_request(now_s)))
         return outgoing + self.news()
@@ -146,7 +160,7 @@ class Services:
             messages.append(gps_global_origin(vehicle))
         if seen[1] != old[1] and old[1]:
             messages.append(home_position(vehicle))
-        if seen[2] != old[2] and self._is_ardupilot:
+        if seen[2] != old[2] and self._rules.tells_mode_at_once:
             messages.append(heartbeat(vehicle))
         return [message for message in messages if message is not None]
 
@@ -172,35 +186,22 @@ class Services:
 
     # Commands
 
-    def _take_command_long(
-        self, message: mavlink.MAVLink_command_long_message, partner: Partner, now_s: float
-    ) -> list[Outgoing]:
-        return self._obey(command_from_long(message), partner, now_s)
-
-    def _take_command_int(
-        self, message: mavlink.MAVLink_command_int_message, partner: Partner, now_s: float
-    ) -> list[Outgoing]:
-        return self._obey(command_from_int(message), partner, now_s)
-
-    def _take_set_mode(
-        self, message: mavlink.MAVLink_set_mode_message, partner: Partner, now_s: float
-    ) -> list[Outgoing]:
-        return self._obey(self._vehicle.flavour.set_mode_command(message), partner, now_s)
-
-    def _obey(self, command: Command, partner: Partner, now_s: float) -> list[Outgoing]:
-        answer = self._requests.handle(command, self._streams[partner.channel.link], now_s)
-        if answer is None:
-            answer = (self._command(command, now_s), [])
-        result, replies = answer
-        acknowledgement = mavlink.MAVLink_command_ack_message(
-            command.number,
-            result,
-            target_system=partner.system_id,
-            target_component=partner.component_id,
-        )
-        return [Outgoing(reply, partner.channel) for reply in (*replies, acknowledgement)]
+    def _take_command(self, message: Message, partner: Partner, now_s: float) -> list[Outgoing]:
+        command, outgoing = self._commands.receive(message, partner, now_s)
+        match command:
+            case None:
+                return outgoing
+            case Cancel():
+                return outgoing + self._commands.cancelled(command.number, now_s)
+        answer = self.requests.obey(command, now_s)
+        result, replies = (self._command(command, now_s), []) if answer is None else answer
+        progress = 0 if result == CommandResult.IN_PROGRESS else UNKNOWN_PROGRESS
+        acknowledgement = self._commands.answer(command, result, now_s, progress=progress)
+        return [*outgoing, *replies, acknowledgement]
 
     def _command(self, command: Command, now_s: float) -> int:
+        if command.number == calibration.NUMBER:
+            return self._calibration.begin(command, now_s, is_armed=self._vehicle.is_armed)
         if command.number == mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN:
             return self._reboot(command)
         if command.number == mavlink.MAV_CMD_DO_SET_MISSION_CURRENT:
@@ -247,9 +248,9 @@ class Services:
         """A "guided" mission item: ArduPilot flies there in GUIDED."""
         command = Command(
             mavlink.MAV_CMD_DO_REPOSITION,
-            (-1.0, 0.0, 0.0, float("nan"), 0.0, 0.0, item.z),
+            (-1.0, 0.0, 0.0, math.nan, float(item.x), float(item.y), item.z),
+            Partner(Channel(0), 0, 0),
             item.frame,
-            (item.x, item.y),
         )
         result = self._vehicle.flavour.command(command, self._vehicle.time_s)
         return PlanResult.ACCEPTED if result == ACCEPTED else PlanResult.ERROR
@@ -300,7 +301,7 @@ class Services:
         now_s: float,
     ) -> list[Outgoing]:
         raw = (message.chan1_raw, message.chan2_raw, message.chan3_raw, message.chan4_raw)
-        if self._is_ardupilot and any(800 <= value <= 2200 for value in raw):
+        if self._rules.tells_mode_at_once and any(800 <= value <= 2200 for value in raw):
             roll, pitch, throttle, yaw = (
                 max(-1.0, min(1.0, (value - NEUTRAL_US) / RANGE_US))
                 if 800 <= value <= 2200
@@ -327,11 +328,5 @@ class Services:
         partner: Partner,
         now_s: float,
     ) -> list[Outgoing]:
-        self._requests.request_data_stream(
-            message.req_stream_id,
-            message.req_message_rate,
-            message.start_stop == 1,
-            self._streams[partner.channel.link],
-            now_s,
-        )
+        self.requests.obey_data_stream(message, partner, now_s)
         return []

@@ -181,7 +181,7 @@ def mission_progress(vehicle: SimVehicle) -> MissionProgress:
         len(mission.items),
         mission.state,
         is_in_mission_mode=vehicle.flavour.mode is FlightMode.MISSION,
-        has_home=vehicle.flavour.first_mission_item == 1,
+        has_home=vehicle.flavour.rules.first_mission_item == 1,
     )
 
 
@@ -217,6 +217,9 @@ def rc_channels(vehicle: SimVehicle) -> Message | None:
     if sticks is None:
         return None
     deflections = (sticks.right, -sticks.forward, sticks.up, sticks.yaw)
-    channels = [round(NEUTRAL_US + 500 * value) for value in deflections]
-    channels += [NEUTRAL_US] * 4 + [UINT16_MAX] * 10
-    return mavlink.MAVLink_rc_channels_message(boot_ms(vehicle), 8, *channels, rssi=255)
+    roll, pitch, throttle, yaw = (round(NEUTRAL_US + 500 * value) for value in deflections)
+    rest = (NEUTRAL_US,) * 4
+    unused = (UINT16_MAX,) * 10
+    return mavlink.MAVLink_rc_channels_message(
+        boot_ms(vehicle), 8, roll, pitch, throttle, yaw, *rest, *unused, 255
+    )

@@ -53,6 +53,6 @@ class Telemetry:
     def build(self, number: int) -> Message | None:
         """The message with id `number`, or None if it is unknown or has nothing to say now."""
         builder = BUILDERS.get(number)
-        if builder is None or number not in self._vehicle.flavour.default_rates_hz:
+        if builder is None or number not in self._vehicle.flavour.rules.streams.default_rates_hz:
             return None
         return builder(self._vehicle)

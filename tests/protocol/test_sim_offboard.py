@@ -99,8 +99,9 @@ def test_flies_to_a_global_position(station: GroundStation, setpoint: Message) -
 
 
 def test_flies_an_acceleration_as_px4_does(station: GroundStation) -> None:
+    fields = [0.0] * 6 + [0.5] + [0.0] * 4
     station.stream = lambda: mavlink.MAVLink_set_position_target_local_ned_message(
-        0, 1, 1, mavlink.MAV_FRAME_LOCAL_NED, 0x0C3F, *[0.0] * 6, 0.5, *[0.0] * 4
+        0, 1, 1, mavlink.MAV_FRAME_LOCAL_NED, 0x0C3F, *fields
     )
     station.run(4.0)
     report = station.last(mavlink.MAVLink_local_position_ned_message)

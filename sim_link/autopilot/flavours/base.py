@@ -9,17 +9,19 @@ and settle at once, so that an answer and the state agree.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
 from typing import NamedTuple
 
 from companion.domain import FlightMode, LandedState
-from companion.mav.dialect import mavlink
 from sim_link.autopilot.aircraft import Aircraft, Occurrence
-from sim_link.autopilot.commands import Command
 from sim_link.autopilot.mission import Leg, LegKind
 from sim_link.autopilot.pilot import Task
+from sim_link.autopilot.protocols.commands import Command, CommandForms
+from sim_link.autopilot.protocols.message_requests import RequestRules
 from sim_link.autopilot.protocols.mission_progress import MissionState
 from sim_link.autopilot.protocols.parameter_store import ParameterStore
+from sim_link.autopilot.protocols.parameters import ParameterRules
+from sim_link.autopilot.protocols.plan_transfers import PlanRules
+from sim_link.autopilot.protocols.streams import StreamRules
 from sim_link.autopilot.setpoints import GlobalTarget, LocalTarget, Setpoint, SetpointMonitor
 
 
@@ -32,6 +34,24 @@ class Identity(NamedTuple):
     """AUTOPILOT_VERSION.flight_sw_version."""
     capabilities: int
     """MAV_PROTOCOL_CAPABILITY."""
+
+
+class ProtocolRules(NamedTuple):
+    """How an autopilot speaks each of the services."""
+
+    commands: CommandForms
+    requests: RequestRules
+    streams: StreamRules
+    parameters: ParameterRules
+    plans: PlanRules
+    names_timesync_target: bool
+    answers_ping: bool
+    asks_timesync: bool
+    """TIMESYNC requests of its own, every 10 s."""
+    tells_mode_at_once: bool
+    """An extra HEARTBEAT on every change of mode."""
+    first_mission_item: int
+    """1 where item 0 is home."""
 
 
 class Shown(NamedTuple):
@@ -51,10 +71,7 @@ class Flavour(ABC):
     """
 
     identity: Identity
-    default_rates_hz: Mapping[int, float]
-    """Streams that nobody has to ask for, by message id; 0: only on request."""
-    first_mission_item = 0
-    """Index of the first mission item that is flown."""
+    rules: ProtocolRules
 
     def __init__(self, aircraft: Aircraft, parameters: ParameterStore) -> None:
         self.aircraft = aircraft
@@ -109,10 +126,6 @@ class Flavour(ABC):
     @abstractmethod
     def command(self, command: Command, now_s: float) -> int:
         """Obey a command; a MAV_RESULT."""
-
-    @abstractmethod
-    def set_mode_command(self, message: mavlink.MAVLink_set_mode_message) -> Command:
-        """DO_SET_MODE in place of the SET_MODE message."""
 
     @abstractmethod
     def take_local(self, message: LocalTarget, now_s: float) -> None:

@@ -24,7 +24,7 @@ def make_flavour(scenario: Scenario, noise_rng: np.random.Generator) -> Flavour:
         ConfigError: The scenario sets a parameter that does not exist, or to what may not be.
     """
     if scenario.autopilot.flavour == "ardupilot":
-        first = ArduPilotFlavour.first_mission_item
+        first = ArduPilotFlavour.rules.first_mission_item
         return ArduPilotFlavour(
             Aircraft(scenario, noise_rng, first), ardupilot_parameters(scenario)
         )

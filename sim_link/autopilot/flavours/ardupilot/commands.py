@@ -14,17 +14,18 @@ from companion.mav.modes import CUSTOM_MODE_ENABLED
 from sim_link.autopilot.aircraft import AMSL_FRAMES, RELATIVE_FRAMES
 from sim_link.autopilot.commands import (
     ACCEPTED,
-    COMMAND_INT_ONLY,
     DENIED,
     FAILED,
     UNSUPPORTED,
     UNSUPPORTED_MAV_FRAME,
-    Command,
     is_force,
+    is_place,
+    place_e7,
     whole,
 )
 from sim_link.autopilot.flavours.ardupilot import modes
-from sim_link.autopilot.setpoints import Setpoint, is_on_earth
+from sim_link.autopilot.protocols.commands import Command
+from sim_link.autopilot.setpoints import Setpoint
 
 if TYPE_CHECKING:
     from sim_link.autopilot.flavours.ardupilot.flavour import ArduPilotFlavour
@@ -133,11 +134,9 @@ def _take_off(flavour: ArduPilotFlavour, command: Command) -> int:
 
 def _reposition(flavour: ArduPilotFlavour, command: Command, now_s: float) -> int:
     aircraft = flavour.aircraft
-    if command.frame is None:
-        return COMMAND_INT_ONLY
-    place, altitude_m = command.place_e7, command.params[6]
-    is_place = place is not None and place != (0, 0) and is_on_earth(*place)
-    if command.frame not in AMSL_FRAMES + RELATIVE_FRAMES or not is_place or place is None:
+    place, altitude_m = place_e7(command), command.params[6]
+    frame = -1 if command.frame is None else command.frame
+    if frame not in AMSL_FRAMES + RELATIVE_FRAMES or place is None or not is_place(place):
         return DENIED
     if not math.isfinite(altitude_m):
         aircraft.say(ERROR, "Reposition: altitude is not a number")
@@ -149,7 +148,7 @@ def _reposition(flavour: ArduPilotFlavour, command: Command, now_s: float) -> in
         if flavour.choose(modes.GUIDED, now_s) != ACCEPTED:
             return DENIED
         flavour.settle(now_s, "commanded")
-    goal = aircraft.place_from(*place, altitude_m, command.frame)
+    goal = aircraft.place_from(*place, altitude_m, frame)
     if goal is None or flavour.fence_margin_m(goal) < 0.0:
         return FAILED
     yaw = command.params[3]
@@ -163,8 +162,8 @@ def _set_home(flavour: ArduPilotFlavour, command: Command) -> int:
         aircraft.set_home(aircraft.body.position_enu_m, is_given=False)
         return ACCEPTED
     frame = GLOBAL if command.frame is None else command.frame
-    place, altitude_m = command.latitude_longitude_e7, command.params[6]
-    if place is None or not is_on_earth(*place) or not math.isfinite(altitude_m):
+    place, altitude_m = place_e7(command), command.params[6]
+    if place is None or not is_place(place) or not math.isfinite(altitude_m):
         return FAILED
     home = aircraft.place_from(*place, altitude_m, frame)
     if home is None:

@@ -7,18 +7,17 @@ Source: ArduCopter 4.5 as observed in SITL; ArduPilot documentation, "Failsafe F
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 from companion.domain import FlightMode, PositionEnu
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.aircraft import Aircraft
 from sim_link.autopilot.battery import CELLS
-from sim_link.autopilot.commands import ACCEPTED, FAILED, Command
+from sim_link.autopilot.commands import ACCEPTED, FAILED
 from sim_link.autopilot.flavours.ardupilot import commands, fence_rules, modes
 from sim_link.autopilot.flavours.ardupilot.guided import Guided, GuidedState
 from sim_link.autopilot.flavours.ardupilot.modes import ARMED_FLAG, CopterMode
-from sim_link.autopilot.flavours.ardupilot.rates import DEFAULT_RATE_HZ
+from sim_link.autopilot.flavours.ardupilot.protocols import RULES
 from sim_link.autopilot.flavours.ardupilot.setpoints import (
     Target,
     TargetKind,
@@ -28,6 +27,7 @@ from sim_link.autopilot.flavours.ardupilot.setpoints import (
 from sim_link.autopilot.flavours.base import Flavour, Identity, Shown
 from sim_link.autopilot.mission import LegKind
 from sim_link.autopilot.pilot import Task
+from sim_link.autopilot.protocols.commands import Command
 from sim_link.autopilot.protocols.parameter_store import ParameterStore
 from sim_link.autopilot.setpoints import GlobalTarget, LocalTarget, Setpoint
 from sim_link.world.point_mass import stopping_point
@@ -60,8 +60,7 @@ class ArduPilotFlavour(Flavour):
     """
 
     identity = Identity(mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, COPTER_VERSION, CAPABILITIES)
-    default_rates_hz = DEFAULT_RATE_HZ
-    first_mission_item = 1
+    rules = RULES
 
     def __init__(self, aircraft: Aircraft, parameters: ParameterStore) -> None:
         super().__init__(aircraft, parameters)
@@ -133,13 +132,6 @@ class ArduPilotFlavour(Flavour):
         self.settle(now_s, "commanded")
         return result
 
-    def set_mode_command(self, message: mavlink.MAVLink_set_mode_message) -> Command:
-        """DO_SET_MODE in place of the SET_MODE message, which is answered too."""
-        nan = math.nan
-        params = (float(message.base_mode), float(message.custom_mode), nan, nan, nan, nan, nan)
-        sender = (message.get_srcSystem(), message.get_srcComponent())
-        return Command(mavlink.MAV_CMD_DO_SET_MODE, params, sender=sender)
-
     def choose(self, mode: CopterMode, now_s: float) -> int:
         """Change the mode; a MAV_RESULT, and the reason as a text if refused."""
         why = self._mode_refusal(mode, now_s)
@@ -153,10 +145,13 @@ class ArduPilotFlavour(Flavour):
         return ACCEPTED
 
     def _mode_refusal(self, mode: CopterMode, now_s: float) -> str | None:
+        """Disarmed, every mode can be chosen: what it needs is left to the arming checks."""
+        if not self.is_armed:
+            return None
         if mode.needs_position and not self.has_position(now_s):
             return "requires position"
         mission = self.aircraft.mission
-        if mode is modes.AUTO and self.is_armed:
+        if mode is modes.AUTO:
             if not mission.has_items:
                 return "init failed"
             first = mission.items[max(mission.current, 1)].command
@@ -274,10 +269,10 @@ class ArduPilotFlavour(Flavour):
         super().settle(now_s, why)
 
     def _after_flying(self, now_s: float) -> None:
-        if self.guided.state is GuidedState.CLIMBING and self.is_armed:
-            if self.aircraft.pilot.has_taken_off(self.aircraft.body):
-                self.guided.stop()
-                self.settle(now_s)
+        is_climbing = self.guided.state is GuidedState.CLIMBING and self.is_armed
+        if is_climbing and self.aircraft.pilot.has_taken_off(self.aircraft.body):
+            self.guided.stop()
+            self.settle(now_s)
 
     def _watch(self, now_s: float) -> None:
         body = self.aircraft.body

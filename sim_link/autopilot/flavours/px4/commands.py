@@ -18,11 +18,13 @@ from sim_link.autopilot.commands import (
     TEMPORARILY_REJECTED,
     UNSUPPORTED,
     UNSUPPORTED_MAV_FRAME,
-    Command,
     is_force,
+    is_place,
+    place_e7,
     whole,
 )
 from sim_link.autopilot.flavours.px4.modes import MODE_NAMES
+from sim_link.autopilot.protocols.commands import Command
 
 if TYPE_CHECKING:
     from sim_link.autopilot.flavours.px4.flavour import Px4Flavour
@@ -109,15 +111,15 @@ def _default_takeoff_up_m(flavour: Px4Flavour) -> float:
 
 
 def _reposition(flavour: Px4Flavour, command: Command, now_s: float) -> int:
-    """Go to a place and stay there; what is NaN or 0/0 stays as it is."""
+    """Go to a place and stay there; what is left open stays as it is."""
     aircraft, pilot = flavour.aircraft, flavour.aircraft.pilot
     frame = GLOBAL if command.frame is None else command.frame
     altitude_m = command.params[6]
     up_m = aircraft.up_from(altitude_m, frame)
     if up_m is None:
         return UNSUPPORTED_MAV_FRAME
-    place = command.latitude_longitude_e7
-    if place is not None and (abs(place[0]) > 900_000_000 or abs(place[1]) > 1_800_000_000):
+    place = place_e7(command)
+    if place is not None and not is_place(place):
         return DENIED
     if not aircraft.is_armed or aircraft.body.is_on_ground:
         return TEMPORARILY_REJECTED
@@ -184,10 +186,8 @@ def _set_home(flavour: Px4Flavour, command: Command) -> int:
         aircraft.set_home(aircraft.body.position_enu_m, is_given=False)
         return ACCEPTED
     frame = GLOBAL if command.frame is None else command.frame
-    place, altitude_m = command.latitude_longitude_e7, command.params[6]
-    if place is None or not math.isfinite(altitude_m):
-        return DENIED
-    if abs(place[0]) > 900_000_000 or abs(place[1]) > 1_800_000_000:
+    place, altitude_m = place_e7(command), command.params[6]
+    if place is None or not is_place(place) or not math.isfinite(altitude_m):
         return DENIED
     home = aircraft.place_from(*place, altitude_m, frame)
     if home is None:

@@ -12,7 +12,7 @@ from companion.domain import FlightMode, PositionEnu
 from companion.mav.dialect import mavlink
 from companion.mav.modes import CUSTOM_MODE_ENABLED, px4_custom_mode
 from sim_link.autopilot.aircraft import Aircraft
-from sim_link.autopilot.commands import ACCEPTED, Command
+from sim_link.autopilot.commands import ACCEPTED
 from sim_link.autopilot.flavours.base import Flavour, Identity, Shown
 from sim_link.autopilot.flavours.px4 import commands, setpoints
 from sim_link.autopilot.flavours.px4.failsafes import (
@@ -26,9 +26,10 @@ from sim_link.autopilot.flavours.px4.failsafes import (
     Reaction,
 )
 from sim_link.autopilot.flavours.px4.modes import MODE_NAMES, STICK_MODES, ModeLogic, Situation
-from sim_link.autopilot.flavours.px4.rates import DEFAULT_RATE_HZ
+from sim_link.autopilot.flavours.px4.protocols import RULES
 from sim_link.autopilot.mission import LegKind
 from sim_link.autopilot.pilot import Task
+from sim_link.autopilot.protocols.commands import Command
 from sim_link.autopilot.protocols.parameter_store import ParameterStore
 from sim_link.autopilot.setpoints import GlobalTarget, LocalTarget, Setpoint
 
@@ -84,7 +85,7 @@ class Px4Flavour(Flavour):
     """
 
     identity = Identity(mavlink.MAV_AUTOPILOT_PX4, PX4_VERSION, CAPABILITIES)
-    default_rates_hz = DEFAULT_RATE_HZ
+    rules = RULES
 
     def __init__(self, aircraft: Aircraft, parameters: ParameterStore) -> None:
         super().__init__(aircraft, parameters)
@@ -178,14 +179,6 @@ class Px4Flavour(Flavour):
         self.settle(now_s, "commanded")
         return result
 
-    def set_mode_command(self, message: mavlink.MAVLink_set_mode_message) -> Command:
-        """DO_SET_MODE in place of the SET_MODE message, as PX4 answers it."""
-        main, sub = message.custom_mode >> 16 & 0xFF, message.custom_mode >> 24 & 0xFF
-        nan = math.nan
-        params = (float(message.base_mode), float(main), float(sub), nan, nan, nan, nan)
-        sender = (message.get_srcSystem(), message.get_srcComponent())
-        return Command(mavlink.MAV_CMD_DO_SET_MODE, params, sender=sender)
-
     def choose(self, mode: FlightMode | None, now_s: float) -> int:
         """The operator chooses a mode; a MAV_RESULT, and the reason as a text if refused."""
         situation = self.situation(now_s)
@@ -266,7 +259,7 @@ class Px4Flavour(Flavour):
 
     def disarm_delay_s(self) -> float | None:
         """After a landing; OFFBOARD never ends by itself, as on PX4."""
-        if self.mode is FlightMode.OFFBOARD:
+        if self.mode is FlightMode.OFFBOARD and self.aircraft.has_flown:
             return None
         is_landing = self.mode in (FlightMode.LAND, FlightMode.RETURN)
         landed = self.aircraft.has_flown or is_landing

@@ -19,8 +19,7 @@ LOSS_ACTION_NUMBER: dict[LossAction, int] = {
 def px4_parameters(scenario: Scenario) -> ParameterStore:
     """PX4's parameters as a scenario has them.
 
-    Without a scenario's say the battery failsafe returns and lands (COM_LOW_BAT_ACT), and a vehicle
-    that was armed and does not take off stays armed (COM_DISARM_PRFLT).
+    Without a scenario's say the battery failsafe returns and lands (COM_LOW_BAT_ACT).
 
     Raises:
         ConfigError: The scenario names a parameter that does not exist, or a value that may not be.
@@ -28,7 +27,6 @@ def px4_parameters(scenario: Scenario) -> ParameterStore:
     autopilot = scenario.autopilot
     initial: dict[str, float] = {
         "COM_DISARM_LAND": autopilot.disarm_after_landing_s,
-        "COM_DISARM_PRFLT": -1.0,
         "COM_LOW_BAT_ACT": 3,
         "COM_OBL_RC_ACT": LOSS_ACTION_NUMBER[autopilot.offboard_loss_action],
         "COM_OF_LOSS_T": autopilot.offboard_loss_timeout_s,

@@ -1,12 +1,18 @@
-"""PX4's streams: which are sent unasked and how often.
+"""How PX4 1.15 speaks each of MAVLink's services.
 
-Between the rates that PX4 1.15 was seen to use on its onboard and its ground station link, with
-those lowered that only fill the link; a client asks for more with SET_MESSAGE_INTERVAL.
+Streams lie between the rates that PX4 was seen to use on its onboard and its ground station link,
+with those lowered that only fill the link; a client asks for more with SET_MESSAGE_INTERVAL.
 """
 
 from __future__ import annotations
 
 from companion.mav.dialect import mavlink
+from sim_link.autopilot.flavours.base import ProtocolRules
+from sim_link.autopilot.pilot import STEP_S
+from sim_link.autopilot.protocols import parameters, plan_transfers
+from sim_link.autopilot.protocols.commands import CommandForms
+from sim_link.autopilot.protocols.message_requests import PX4_REQUESTS
+from sim_link.autopilot.protocols.streams import StreamRules
 
 DEFAULT_RATE_HZ: dict[int, float] = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0,
@@ -32,3 +38,17 @@ DEFAULT_RATE_HZ: dict[int, float] = {
     mavlink.MAVLINK_MSG_ID_RC_CHANNELS: 0.0,
     mavlink.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT: 0.0,
 }
+"""0: only on request."""
+
+RULES = ProtocolRules(
+    commands=CommandForms(),
+    requests=PX4_REQUESTS,
+    streams=StreamRules(DEFAULT_RATE_HZ, STEP_S),
+    parameters=parameters.PX4_RULES,
+    plans=plan_transfers.PX4_RULES,
+    names_timesync_target=True,
+    answers_ping=True,
+    asks_timesync=False,
+    tells_mode_at_once=False,
+    first_mission_item=0,
+)
