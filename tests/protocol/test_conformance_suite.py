@@ -91,7 +91,7 @@ DEFECTS: dict[str, tuple[str, Flavour, Edit, Edit]] = {
         "heartbeat.tells_type_and_autopilot",
         PX4,
         unchanged,
-        set_byte(HEARTBEAT, 5, 3),
+        set_byte(HEARTBEAT, 5, 4),
     ),
     "wrong base_mode": (
         "heartbeat.custom_mode_flag_is_set",
