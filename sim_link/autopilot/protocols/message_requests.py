@@ -7,6 +7,7 @@ PX4 1.15 and ArduCopter 4.5 as observed.
 from __future__ import annotations
 
 import math
+from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -17,6 +18,8 @@ from sim_link.autopilot.protocols.statustext import StatusTexts
 from sim_link.autopilot.protocols.streams import StreamRules, StreamTable
 
 MAX_MESSAGE_ID = 2**24 - 1
+MAX_CHANNELS = 32
+"""With streams of their own; a stranger with many ports gets none for the oldest of them."""
 MAX_INTERVAL_ID = 0xFFFF
 """MESSAGE_INTERVAL.message_id has 16 bits."""
 PROTOCOL_VERSION = 300
@@ -69,12 +72,15 @@ class MessageRequests:
         self._rules = rules
         self._build = build
         self._texts = texts
-        self._tables: dict[Channel, StreamTable] = {}
+        self._tables: OrderedDict[Channel, StreamTable] = OrderedDict()
 
     def open(self, channel: Channel, now_s: float) -> None:
-        """Begin the default streams of a channel, if it is new."""
+        """Begin the default streams of a channel, if it is new; the oldest of too many end."""
         if channel not in self._tables:
             self._tables[channel] = StreamTable(self._stream_rules, now_s)
+        self._tables.move_to_end(channel)
+        if len(self._tables) > MAX_CHANNELS:
+            self._tables.popitem(last=False)
 
     def forget(self, channel: Channel) -> None:
         """End the streams of a channel that is gone."""

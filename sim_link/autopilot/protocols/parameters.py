@@ -26,6 +26,8 @@ from sim_link.autopilot.protocols.statustext import StatusTexts
 
 NO_INDEX = 0xFFFF
 HASH_CHECK = "_HASH_CHECK"
+MAX_LISTS = 16
+"""At a time; who is not served asks again, as clients do when a list does not come."""
 MAX_BURST = 64
 """Values per call: what a slow caller missed is made up for bit by bit."""
 
@@ -97,7 +99,8 @@ class Parameters:
         """Answer a parameter message that is for us; any other gets no answer."""
         match message:
             case mavlink.MAVLink_param_request_list_message():
-                self._listings[partner.channel] = _Listing(now_s)
+                if partner.channel in self._listings or len(self._listings) < MAX_LISTS:
+                    self._listings[partner.channel] = _Listing(now_s)
                 return []
             case mavlink.MAVLink_param_request_read_message():
                 return self._read(message, partner)

@@ -279,3 +279,11 @@ def test_cancelling_what_is_not_under_way_is_ignored() -> None:
 
 def test_nothing_is_reported_of_what_is_not_under_way() -> None:
     assert Vehicle().commands.report(CALIBRATE, 10, 0.0) == []
+
+
+def test_who_had_it_done_before_is_told_that_another_has_it_under_way() -> None:
+    vehicle = Vehicle()
+    vehicle.tell(long(CALIBRATE, 1.0), partner=COMPANION)
+    vehicle.tell(long(CALIBRATE, 1.0), CommandResult.IN_PROGRESS, STATION)
+    answer = vehicle.tell(long(CALIBRATE, 1.0, confirmation=1), partner=COMPANION)
+    assert results(answer) == [CommandResult.TEMPORARILY_REJECTED]

@@ -5,10 +5,11 @@ import math
 import pytest
 
 from companion.mav.dialect import Message, mavlink
-from sim_link.autopilot.protocols.base import Outgoing, Partner
+from sim_link.autopilot.protocols.base import Channel, Outgoing, Partner
 from sim_link.autopilot.protocols.commands import Command, CommandResult
 from sim_link.autopilot.protocols.message_requests import (
     ARDUPILOT_REQUESTS,
+    MAX_CHANNELS,
     PX4_REQUESTS,
     MessageRequests,
     RequestRules,
@@ -172,3 +173,13 @@ def test_opening_a_channel_again_does_not_reset_it() -> None:
 
 def test_other_commands_are_for_the_vehicle() -> None:
     assert requests().obey(command(400, 1.0), 0.0) is None
+
+
+def test_a_stranger_with_many_ports_gets_a_bounded_number_of_streams() -> None:
+    made = requests()
+    for port in range(1000):
+        made.open(Channel(0, ("127.0.0.1", 20_000 + port)), 0.0)
+        made.open(STATION_CHANNEL, 0.0)
+    served = {channel for channel, _ in made.take_due(0.0)}
+    assert STATION_CHANNEL in served
+    assert len(served) == MAX_CHANNELS

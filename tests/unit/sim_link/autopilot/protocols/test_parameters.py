@@ -9,11 +9,12 @@ import pytest
 
 from companion.mav.dialect import Message, mavlink
 from companion.mav.parameters import ParamType, raw_of
-from sim_link.autopilot.protocols.base import Outgoing
+from sim_link.autopilot.protocols.base import Channel, Outgoing, Partner
 from sim_link.autopilot.protocols.parameter_store import ParameterStore, ParamSpec
 from sim_link.autopilot.protocols.parameters import (
     ARDUPILOT_RULES,
     HASH_CHECK,
+    MAX_LISTS,
     NO_INDEX,
     PX4_RULES,
     TYPE_MISMATCH,
@@ -294,3 +295,14 @@ def test_the_vehicle_changes_what_is_read_only_and_tells_everyone() -> None:
 
 def test_other_messages_get_no_answer() -> None:
     assert ask(px4(), mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)) == []
+
+
+def test_lists_at_a_time_are_bounded_and_a_running_one_may_begin_anew() -> None:
+    parameters = px4()
+    request = received(mavlink.MAVLink_param_request_list_message(1, 1))
+    for port in range(100):
+        partner = Partner(Channel(0, ("127.0.0.1", port)), 255, 190)
+        parameters.handle(request, partner, 0.0)
+    parameters.handle(request, Partner(Channel(0, ("127.0.0.1", 0)), 255, 190), 5.0)
+    assert len({outgoing.to for outgoing in parameters.handle_timer(5.0)}) == MAX_LISTS
+    assert parameters.next_timer_s() == pytest.approx(5.001)

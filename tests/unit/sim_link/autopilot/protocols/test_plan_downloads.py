@@ -278,3 +278,11 @@ def test_strangers_cannot_fill_the_memory() -> None:
     assert results(client.ask_list()) == [PlanResult.DENIED]
     client.plans.forget(STATION_CHANNEL)
     assert results(client.ask_list()) == []
+
+
+def test_each_request_keeps_a_slow_download_going() -> None:
+    client = px4(3)
+    client.ask_list()
+    for seq in range(3):
+        client.wait(4.0)
+        assert of_type(client.ask(seq), Item)[0].seq == seq
