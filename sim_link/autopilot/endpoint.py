@@ -7,7 +7,7 @@ stale telemetry, and the vehicle has not moved meanwhile. On invented time this 
 moves until the caller says what time it is.
 
 Every link has its own streams and sequence numbers. What others send to each other is forwarded
-(`router`), on one link and between links, so that a ground station hears the companion and reaches
+(`routing`), on one link and between links, so that a ground station hears the companion and reaches
 it. Vehicle and payload are two components with a sequence number each, as if each had its own
 radio.
 """
@@ -20,11 +20,11 @@ import numpy as np
 
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
-from companion.mav.endpoint import Chunk
+from companion.mav.endpoint import Address, Chunk
 from sim_link.autopilot import payload
 from sim_link.autopilot.protocols.base import Channel, Outgoing
+from sim_link.autopilot.protocols.routing import Router
 from sim_link.autopilot.recorder import FlightRecorder
-from sim_link.autopilot.router import Router
 from sim_link.autopilot.scenario import Scenario
 from sim_link.autopilot.services import Services
 from sim_link.autopilot.telemetry import Telemetry
@@ -32,6 +32,8 @@ from sim_link.autopilot.vehicle import STEP_S, Occurrence, SimVehicle
 from sim_link.world.target import Emitter
 
 AUTOPILOT_COMPONENT_ID = mavlink.MAV_COMP_ID_AUTOPILOT1
+MAX_READERS = 64
+"""Clients of stream links whose unfinished frames are kept."""
 MAX_CATCH_UP_S = 0.5
 STEP_TOLERANCE = 1e-6
 """Share of a step by which a timer may be early through rounding."""
@@ -59,6 +61,7 @@ class SimEndpoint:
         self._is_finished = False
         self._output: list[Chunk] = []
         self._codecs = [MavCodec(scenario.system_id, AUTOPILOT_COMPONENT_ID) for _ in self._links]
+        self._readers: dict[tuple[int, Address], MavCodec] = {}
         self._payload_codecs = [
             MavCodec(scenario.system_id, payload.COMPONENT_ID) for _ in self._links
         ]
@@ -87,15 +90,30 @@ class SimEndpoint:
 
     def receive(self, chunk: Chunk, now_s: float) -> None:
         """Take in bytes; whatever is no MAVLink, or not for us, is ignored."""
-        codec = self._codecs[chunk.link]
-        channel = Channel(chunk.link)
-        for message in codec.decode(chunk.data, is_datagram=chunk.is_datagram):
-            if message.get_srcSystem() == 0 or message.get_srcComponent() == 0:
-                continue  # 0 is no source (MAVLink developer guide, "Serialization")
-            self._output += self._router.forward(message, chunk.peer, chunk.link)
-            self._send_all(self._services.handle(message, channel, now_s - self._started_s))
-            if self._services.wants_reboot:
-                self._boot(now_s, self.vehicle.flavour.parameters.to_text())
+        reader = self._reader_of(chunk)
+        for frame in reader.split(chunk.data, is_datagram=chunk.is_datagram):
+            self._output += self._router.route(frame, Channel(chunk.link, chunk.peer))
+            message = reader.decode_frame(frame)
+            if message is not None:
+                self._take(message, Channel(chunk.link), now_s)
+
+    def _reader_of(self, chunk: Chunk) -> MavCodec:
+        """Streams that share a link (clients of a TCP port) must not mix their unfinished frames."""
+        if chunk.is_datagram or chunk.peer is None:
+            return self._codecs[chunk.link]
+        key = (chunk.link, chunk.peer)
+        if key not in self._readers:
+            if len(self._readers) >= MAX_READERS:
+                del self._readers[next(iter(self._readers))]
+            self._readers[key] = MavCodec(self._scenario.system_id, AUTOPILOT_COMPONENT_ID)
+        return self._readers[key]
+
+    def _take(self, message: Message, channel: Channel, now_s: float) -> None:
+        if message.get_srcSystem() == 0 or message.get_srcComponent() == 0:
+            return  # 0 is no source (MAVLink developer guide, "Serialization")
+        self._send_all(self._services.handle(message, channel, now_s - self._started_s))
+        if self._services.wants_reboot:
+            self._boot(now_s, self.vehicle.flavour.parameters.to_text())
 
     def handle_timer(self, now_s: float) -> None:
         """Step the physics up to `now_s` and queue the telemetry that is due."""

@@ -224,7 +224,7 @@ class Loop:
         """The operator switches the mode; the autopilot tells it at once."""
         is_armed = self.sim.vehicle.modes.is_armed
         self.command(
-            mavlink.MAV_CMD_DO_SET_MODE, *set_mode_params(mode, Autopilot.PX4, is_armed=is_armed)
+            mavlink.MAV_CMD_DO_SET_MODE, *set_mode_params(mode, self.autopilot, is_armed=is_armed)
         )
         self.command(mavlink.MAV_CMD_REQUEST_MESSAGE, float(mavlink.MAVLINK_MSG_ID_HEARTBEAT))
         self._deliver()
@@ -247,6 +247,12 @@ class Loop:
         self.sim = SimEndpoint(self.scenario, self.seed, started_s=self.now_s)
 
     # What became of it
+
+    @property
+    def autopilot(self) -> Autopilot:
+        """Which one is simulated."""
+        is_px4 = self.scenario.autopilot.flavour == "px4"
+        return Autopilot.PX4 if is_px4 else Autopilot.ARDUPILOT
 
     @property
     def phase(self) -> Phase:
