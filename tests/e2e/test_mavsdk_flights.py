@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import time
 from contextlib import aclosing
 from typing import Any
@@ -31,11 +32,7 @@ RATE_HZ = 10.0
 
 def is_near(state: Any, north_m: float, east_m: float, down_m: float) -> bool:
     place = state.position
-    return (
-        abs(place.north_m - north_m) < 0.6
-        and abs(place.east_m - east_m) < 0.6
-        and abs(place.down_m - down_m) < 0.6
-    )
+    return math.dist((place.north_m, place.east_m, place.down_m), (north_m, east_m, down_m)) < 0.8
 
 
 async def read_and_set_parameters(client: Client) -> None:
