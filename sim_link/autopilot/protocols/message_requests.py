@@ -159,8 +159,8 @@ class MessageRequests:
         table = self._table(command.partner.channel, now_s)
         if table.set_interval_us(number, interval_us, now_s):
             return CommandResult.ACCEPTED, []
-        if table.knows(number) and interval_us < 0.0:
-            return CommandResult.DENIED, []
+        if table.can_change(number):
+            return CommandResult.DENIED, []  # the stream is fine, the interval makes no sense
         return self._rules.no_stream, self._explain(number, command.partner)
 
     def _explain(self, number: int, partner: Partner) -> list[Outgoing]:

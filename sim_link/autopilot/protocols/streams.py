@@ -91,6 +91,10 @@ class StreamTable:
         """Whether the autopilot has such a message."""
         return number in self._rules.default_rates_hz
 
+    def can_change(self, number: int) -> bool:
+        """Whether there is such a message, and its rate is not fixed."""
+        return self.knows(number) and number not in self._rules.fixed
+
     def interval_us(self, number: int) -> int:
         """MESSAGE_INTERVAL.interval_us: -1 if the stream is off, 0 if there is no such message."""
         if not self.knows(number):
@@ -109,7 +113,7 @@ class StreamTable:
         Returns:
             Whether there is such a stream, it may be changed, and the interval makes sense.
         """
-        if not self.knows(number) or number in self._rules.fixed:
+        if not self.can_change(number):
             return False
         if interval_us == DEFAULT:
             self._start(number, self._default_interval_s(number), now_s)

@@ -135,15 +135,16 @@ def test_a_rate_is_changed_on_the_channel_that_asked_and_on_no_other() -> None:
     ("rules", "result", "texts"),
     [(PX4_REQUESTS, CommandResult.FAILED, 0), (ARDUPILOT_REQUESTS, CommandResult.DENIED, 1)],
 )
+@pytest.mark.parametrize("interval_us", [50_000.0, 0.0, -1.0, -2.0])
 @pytest.mark.parametrize("number", [9999, 0])
 def test_a_stream_that_cannot_be_set_is_refused_as_the_autopilot_does(
-    rules: RequestRules, result: int, texts: int, number: int
+    rules: RequestRules, result: int, texts: int, number: int, interval_us: float
 ) -> None:
-    got, outgoing = obey(requests(rules), SET, number, 50_000.0)
+    got, outgoing = obey(requests(rules), SET, number, interval_us)
     assert (got, len(of_type(outgoing, Text))) == (result, texts)
 
 
-@pytest.mark.parametrize("interval_us", [NAN, math.inf, -2.0])
+@pytest.mark.parametrize("interval_us", [NAN, math.inf, -2.0, 3601e6])
 def test_an_interval_that_makes_no_sense_is_denied(interval_us: float) -> None:
     assert obey(requests(), SET, ATTITUDE, interval_us)[0] == CommandResult.DENIED
 
