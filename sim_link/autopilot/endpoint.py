@@ -6,10 +6,10 @@ comes more than half a second late (a suspended process) skips the steps it miss
 stale telemetry, and the vehicle has not moved meanwhile. On invented time this is lockstep: nothing
 moves until the caller says what time it is.
 
-Every link has its own streams and sequence numbers. What others send to each other is forwarded
-(`routing`), on one link and between links, so that a ground station hears the companion and reaches
-it. Vehicle and payload are two components with a sequence number each, as if each had its own
-radio.
+Every link has its own streams and sequence numbers (`protocols.link_layer`). What others send to
+each other is forwarded, on one link and between links, so that a ground station hears the companion
+and reaches it. Vehicle and payload are two components with a sequence number each, as if each had
+its own radio.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ import math
 
 import numpy as np
 
-from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
-from companion.mav.endpoint import Address, Chunk
+from companion.mav.endpoint import Chunk
+from companion.mav.signing import Signing
 from sim_link.autopilot import payload
 from sim_link.autopilot.protocols.base import Channel, Outgoing
-from sim_link.autopilot.protocols.routing import Router
+from sim_link.autopilot.protocols.link_layer import LinkLayer
 from sim_link.autopilot.recorder import FlightRecorder
 from sim_link.autopilot.scenario import Scenario
 from sim_link.autopilot.services import Services
@@ -32,8 +32,6 @@ from sim_link.autopilot.vehicle import STEP_S, Occurrence, SimVehicle
 from sim_link.world.target import Emitter
 
 AUTOPILOT_COMPONENT_ID = mavlink.MAV_COMP_ID_AUTOPILOT1
-MAX_READERS = 64
-"""Clients of stream links whose unfinished frames are kept."""
 MAX_CATCH_UP_S = 0.5
 STEP_TOLERANCE = 1e-6
 """Share of a step by which a timer may be early through rounding."""
@@ -47,39 +45,51 @@ class SimEndpoint:
         seed: Seed of all randomness.
         started_s: The shell's time at boot.
         links: How many links it has.
+        parameters: Stored parameters, lines `NAME VALUE`.
+        parameters_name: What to call them in errors, usually a file.
+        signing: Proves and signs; None: neither, until a client sets a key up.
+        trusted_links: Links that nobody else can hear, where unsigned frames are welcome.
+        started_unix_s: Unix time at boot, for the timestamps of signatures.
 
     Raises:
-        ConfigError: The scenario sets a parameter that does not exist, or to what may not be.
+        ConfigError: The scenario or the stored parameters name a parameter that does not exist, or
+            a value that may not be.
     """
 
     def __init__(
-        self, scenario: Scenario, seed: int, started_s: float = 0.0, links: int = 1
+        self,
+        scenario: Scenario,
+        seed: int,
+        started_s: float = 0.0,
+        links: int = 1,
+        *,
+        parameters: str = "",
+        parameters_name: str = "stored parameters",
+        signing: Signing | None = None,
+        trusted_links: frozenset[int] = frozenset(),
+        started_unix_s: float = 0.0,
     ) -> None:
         self._scenario = scenario
         self._seeds = np.random.SeedSequence(seed)
-        self._links = range(links)
+        self._link_count = links
+        self._unix_minus_local_s = started_unix_s - started_s
         self._is_finished = False
         self._output: list[Chunk] = []
-        self._codecs = [MavCodec(scenario.system_id, AUTOPILOT_COMPONENT_ID) for _ in self._links]
-        self._readers: dict[tuple[int, Address], MavCodec] = {}
-        self._payload_codecs = [
-            MavCodec(scenario.system_id, payload.COMPONENT_ID) for _ in self._links
-        ]
-        own_components = (AUTOPILOT_COMPONENT_ID, payload.COMPONENT_ID)
-        self._router = Router(scenario.system_id, own_components, links)
+        components = (AUTOPILOT_COMPONENT_ID, payload.COMPONENT_ID)
+        self.links = LinkLayer(scenario.system_id, components, links, signing, trusted_links)
         self.recorder = FlightRecorder()
-        self._boot(started_s, "")
+        self._boot(started_s, parameters, parameters_name)
 
-    def _boot(self, started_s: float, parameters: str) -> None:
+    def _boot(self, started_s: float, parameters: str, name: str) -> None:
         """Power on: everything anew but the sequence numbers and the stored parameters."""
         noise_seed, payload_seed = self._seeds.spawn(2)
         scenario = self._scenario
         self._started_s = started_s
         self._next_step = 0
         self.vehicle = SimVehicle(scenario, np.random.default_rng(noise_seed))
-        self.vehicle.flavour.parameters.load_text(parameters, "stored parameters")
+        self.vehicle.flavour.parameters.load_text(parameters, name)
         self._telemetry = Telemetry(self.vehicle)
-        self._services = Services(self.vehicle, len(self._links))
+        self._services = Services(self.vehicle, self._link_count)
         self._payload = payload.RadioPayload(
             scenario.payload,
             scenario.channel,
@@ -90,30 +100,17 @@ class SimEndpoint:
 
     def receive(self, chunk: Chunk, now_s: float) -> None:
         """Take in bytes; whatever is no MAVLink, or not for us, is ignored."""
-        reader = self._reader_of(chunk)
-        for frame in reader.split(chunk.data, is_datagram=chunk.is_datagram):
-            self._output += self._router.route(frame, Channel(chunk.link, chunk.peer))
-            message = reader.decode_frame(frame)
-            if message is not None:
-                self._take(message, Channel(chunk.link), now_s)
-
-    def _reader_of(self, chunk: Chunk) -> MavCodec:
-        """Streams that share a link (clients of a TCP port) must not mix their unfinished frames."""
-        if chunk.is_datagram or chunk.peer is None:
-            return self._codecs[chunk.link]
-        key = (chunk.link, chunk.peer)
-        if key not in self._readers:
-            if len(self._readers) >= MAX_READERS:
-                del self._readers[next(iter(self._readers))]
-            self._readers[key] = MavCodec(self._scenario.system_id, AUTOPILOT_COMPONENT_ID)
-        return self._readers[key]
-
-    def _take(self, message: Message, channel: Channel, now_s: float) -> None:
-        if message.get_srcSystem() == 0 or message.get_srcComponent() == 0:
-            return  # 0 is no source (MAVLink developer guide, "Serialization")
-        self._send_all(self._services.handle(message, channel, now_s - self._started_s))
-        if self._services.wants_reboot:
-            self._boot(now_s, self.vehicle.flavour.parameters.to_text())
+        arrivals, forwarded = self.links.receive(chunk)
+        self._output += forwarded
+        for arrival in arrivals:
+            if arrival.message.get_srcComponent() == 0:
+                continue  # nobody's
+            # Peers that share a link share its streams, so the link is who asks
+            channel = Channel(arrival.channel.link)
+            boot_s = now_s - self._started_s
+            self._send_all(self._services.handle(arrival.message, channel, boot_s))
+            if self._services.wants_reboot:
+                self._boot(now_s, self.parameters_text, "stored parameters")
 
     def handle_timer(self, now_s: float) -> None:
         """Step the physics up to `now_s` and queue the telemetry that is due."""
@@ -121,6 +118,8 @@ class SimEndpoint:
         last = math.floor(steps)
         if last - self._next_step > MAX_CATCH_UP_S / STEP_S:
             self._next_step = last
+        if self.links.signing is not None:
+            self.links.signing.advance(now_s + self._unix_minus_local_s)
         while self._next_step <= last:
             self._step(self._next_step * STEP_S)
             self._next_step += 1
@@ -147,6 +146,11 @@ class SimEndpoint:
         """Whether a stop was requested."""
         return self._is_finished
 
+    @property
+    def parameters_text(self) -> str:
+        """The parameters that differ from their defaults, to be stored."""
+        return self.vehicle.flavour.parameters.to_text()
+
     def _step(self, boot_s: float) -> None:
         self.vehicle.step(boot_s)
         self.recorder.take(self.vehicle)
@@ -157,16 +161,10 @@ class SimEndpoint:
                 built[number] = self._telemetry.build(number)
             message = built[number]
             if message is not None:
-                self._send(message, channel.link)
+                self._output += self.links.send(Outgoing(message, channel))
         for message in self._payload.messages(self.vehicle.body, boot_s):
-            for link in self._links:
-                self._output.append(Chunk(link, self._payload_codecs[link].encode(message)))
+            self._output += self.links.send(Outgoing(message), payload.COMPONENT_ID)
 
     def _send_all(self, outgoing: list[Outgoing]) -> None:
         for item in outgoing:
-            links = self._links if item.to is None else (item.to.link,)
-            for link in links:
-                self._send(item.message, link)
-
-    def _send(self, message: Message, link: int) -> None:
-        self._output.append(Chunk(link, self._codecs[link].encode(message)))
+            self._output += self.links.send(item)
