@@ -7,7 +7,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink import mavutil
 
@@ -86,6 +86,7 @@ def test_a_frame_signed_with_another_key_is_refused() -> None:
     assert receiver().verify(signed(NOW, OTHER_KEY)) is Verdict.BAD_SIGNATURE
 
 
+@settings(deadline=None)
 @given(bit=st.integers(0, 8 * len(signed(NOW)) - 1))
 def test_any_flipped_bit_of_a_signed_frame_is_refused(bit: int) -> None:
     frame = bytearray(signed(NOW))
@@ -101,6 +102,7 @@ def test_our_own_frames_are_what_the_guide_says() -> None:
 # Replay
 
 
+@settings(deadline=None)
 @given(steps=st.lists(st.integers(-50, 50), min_size=1, max_size=40))
 def test_a_stream_is_believed_only_while_its_timestamps_rise(steps: list[int]) -> None:
     signing, timestamp, newest = receiver(), NOW, 0
@@ -181,6 +183,7 @@ def test_pymavlink_still_has_the_fault_that_we_verify_for() -> None:
         mav.decode(bytearray(signed(NOW + 1)))
 
 
+@settings(deadline=None)
 @given(
     frames=st.lists(
         st.tuples(st.integers(0, MAX_TIMESTAMP), st.booleans(), st.integers(0, 3)), max_size=30
@@ -238,6 +241,7 @@ def test_a_trusted_link_takes_unsigned_frames_but_never_badly_signed_ones() -> N
 # Sending
 
 
+@settings(deadline=None)
 @given(clock=st.lists(st.floats(1.7e9, 1.9e9), min_size=1, max_size=20))
 def test_sent_timestamps_rise_strictly_whatever_the_clock_does(clock: list[float]) -> None:
     signing, last = Signing(KEY), -1

@@ -7,7 +7,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.mav.dialect import mavlink
@@ -203,6 +203,7 @@ def test_each_item_starts_the_waiting_anew() -> None:
     assert results(client.item(3)) == [PlanResult.ACCEPTED]
 
 
+@settings(deadline=None)
 @given(order=st.lists(st.integers(0, 5), max_size=60))
 def test_whatever_the_order_only_the_whole_plan_is_ever_stored(order: list[int]) -> None:
     client, plan = px4(), waypoints(5)

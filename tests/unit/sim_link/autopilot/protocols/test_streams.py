@@ -4,7 +4,7 @@ import math
 from itertools import pairwise
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sim_link.autopilot.protocols.streams import HEARTBEAT, StreamRules, StreamTable
@@ -37,6 +37,7 @@ def test_the_rate_over_a_minute_is_the_one_asked(rate_hz: float, step_s: float) 
     assert len(run(table, 60.0, step_s)[POSITION]) == pytest.approx(60.0 * rate_hz, abs=1)
 
 
+@settings(deadline=None)
 @given(rate_hz=st.floats(0.1, 200.0), hours=st.integers(0, 1000))
 def test_no_rounding_adds_up(rate_hz: float, hours: int) -> None:
     table = StreamTable(StreamRules({POSITION: rate_hz}, min_interval_s=0.004), 3600.0 * hours)
