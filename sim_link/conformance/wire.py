@@ -90,6 +90,9 @@ class WireLink:
         for other in self._others:
             other.close()
         self._others.clear()
+        self._loop.run_until_complete(self._close())
+
+    async def _close(self) -> None:
         self._link.close()
 
     async def _wait(self, until_s: float) -> None:
