@@ -14,9 +14,8 @@ from companion.mav.dialect import Message, mavlink
 MAGIC_V1, MAGIC_V2 = 0xFE, 0xFD
 SIGNED = 0x01
 SIGNATURE_LENGTH = 13
-UNIX_OF_SIGNING_EPOCH_S = 1_420_070_400
-"""2015-01-01, from which signing counts units of 10 microseconds."""
 SIGNING_UNITS_PER_S = 100_000
+"""Signing counts units of 10 microseconds since 2015."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from companion.config.schema import CompanionConfig
 from companion.guidance.session import SessionParams
 from companion.mav.endpoint import Endpoint
+from companion.mav.signing import Signing, SigningKey
 from companion.run import build_endpoint
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
@@ -17,6 +18,8 @@ from sim_link.conformance.vehicle_probe import VehicleProbe
 from tests.loop.loop_helpers import Notes
 
 SEED = 1
+KEY = bytes(range(7, 39))
+STARTED_UNIX_S = 1_800_000_000.0
 BY_ID = {rule.rule_id: rule for rule in all_rules()}
 LAUNCHES_BY_ITSELF = CompanionConfig(mission=SessionParams(engage="auto"))
 
@@ -26,9 +29,16 @@ def simulator(flavour: Flavour) -> SimEndpoint:
     return SimEndpoint(Scenario(autopilot=AutopilotParams(flavour=flavour.value)), SEED)
 
 
-def probe_of(endpoint: Endpoint) -> VehicleProbe:
+def signing_simulator(flavour: Flavour) -> SimEndpoint:
+    """A simulated vehicle that was given `KEY`."""
+    scenario = Scenario(autopilot=AutopilotParams(flavour=flavour.value))
+    signing = Signing(SigningKey(KEY))
+    return SimEndpoint(scenario, SEED, signing=signing, started_unix_s=STARTED_UNIX_S)
+
+
+def probe_of(endpoint: Endpoint, signing_key: bytes | None = None) -> VehicleProbe:
     """A ground station that has heard the vehicle."""
-    probe = VehicleProbe(MemoryHub(endpoint).connect())
+    probe = VehicleProbe(MemoryHub(endpoint).connect(), signing_key)
     probe.attach()
     return probe
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -11,7 +10,6 @@ from sim_link.conformance.frames import (
     MAGIC_V2,
     SIGNED,
     SIGNING_UNITS_PER_S,
-    UNIX_OF_SIGNING_EPOCH_S,
     Signature,
     build_frame,
     sign,
@@ -58,8 +56,8 @@ def begin(probe: VehicleProbe) -> Signer:
     key = key_of(probe)
     probe.run(1.5)
     stamps = [s.timestamp for _, s in signed_from_vehicle(probe) if s is not None]
-    clock = round((time.time() - UNIX_OF_SIGNING_EPOCH_S) * SIGNING_UNITS_PER_S)
-    probe.signer = Signer(key, max([clock, *stamps]) + SIGNING_UNITS_PER_S)
+    require(bool(stamps), "it sends nothing signed")
+    probe.signer = Signer(key, max(stamps) + SIGNING_UNITS_PER_S)
     require(probe.is_alive(), "a rightly signed request is not answered")
     return probe.signer
 
