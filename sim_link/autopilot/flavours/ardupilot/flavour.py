@@ -336,13 +336,17 @@ class ArduPilotFlavour(Flavour):
         """Whether a motion leads out: it is stopped FENCE_MARGIN inside."""
         if not self.parameters["FENCE_ENABLE"] or self.guided.is_latched:
             return False
-        body = self.aircraft.body
-        rest = stopping_point(
-            body.position_enu_m, body.velocity_enu_mps, self.aircraft.scenario.vehicle
-        )
-        at_rest_m = self.fence_margin_m(rest)
-        is_outward = at_rest_m < self.fence_margin_m(body.position_enu_m)
-        return is_outward and at_rest_m < self.parameters["FENCE_MARGIN"]
+        body, setpoint = self.aircraft.body, self.guided.setpoint
+        place = body.position_enu_m
+        rest = stopping_point(place, body.velocity_enu_mps, self.aircraft.scenario.vehicle)
+        if self.fence_margin_m(rest) >= self.parameters["FENCE_MARGIN"]:
+            return False
+        east, north = setpoint.velocity_en_mps or (0.0, 0.0)
+        wanted = (east, north, setpoint.climb_mps or 0.0)
+        if setpoint.velocity_en_mps is None:
+            wanted = setpoint.acceleration_enu_mps2 or wanted
+        ahead = (place[0] + wanted[0], place[1] + wanted[1], place[2] + wanted[2])
+        return self.fence_margin_m(ahead) < self.fence_margin_m(place)
 
     # HEARTBEAT
 
