@@ -160,8 +160,10 @@ def test_companion_survives_garbage_and_understands_the_next_heartbeat(commands:
     assert "Traceback" not in errors
 
 
-def test_demo_writes_its_result_and_picture(commands: Commands) -> None:
-    demo = commands.start("companion", "demo", "--speed", SPEED, "--seed", "2", "--json", "d.json")
+@pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
+def test_demo_writes_its_result_and_picture(commands: Commands, autopilot: str) -> None:
+    options = ("--speed", SPEED, "--seed", "2", "--json", "d.json", "--autopilot", autopilot)
+    demo = commands.start("companion", "demo", *options)
     output, errors = demo.communicate(timeout=90)
     assert demo.returncode == 0, errors
     assert "LOCALISED" in output
