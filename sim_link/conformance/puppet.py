@@ -57,12 +57,17 @@ class CompanionProbe(Station):
         link: A connection to the companion.
         flavour: Which autopilot it shows.
         policy: How it answers commands.
+        system_id: Its system.
     """
 
     def __init__(
-        self, link: ProbeLink, flavour: Flavour = Flavour.PX4, policy: Policy = accept
+        self,
+        link: ProbeLink,
+        flavour: Flavour = Flavour.PX4,
+        policy: Policy = accept,
+        system_id: int = VEHICLE[0],
     ) -> None:
-        super().__init__(link, VEHICLE[0], VEHICLE[1], None)
+        super().__init__(link, system_id, VEHICLE[1], None)
         self.flavour = flavour
         self.mode = "hold"
         self.is_armed = True

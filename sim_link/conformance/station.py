@@ -86,8 +86,21 @@ class Station:
         """Told of each message as it arrives."""
         self._sequence = 0
         self._tasks: list[_Task] = []
-        if kind is not None:
-            self.repeat(lambda: heartbeat(kind), HEARTBEAT_PERIOD_S)
+        self._kind = kind
+        self._stop_heartbeat: Callable[[], None] | None = None
+        self.be_heard()
+
+    def be_heard(self) -> None:
+        """Begin to send a heartbeat each second, or go on with it."""
+        kind = self._kind
+        if kind is not None and self._stop_heartbeat is None:
+            self._stop_heartbeat = self.repeat(lambda: heartbeat(kind), HEARTBEAT_PERIOD_S)
+
+    def be_silent(self) -> None:
+        """Send no heartbeat any more."""
+        if self._stop_heartbeat is not None:
+            self._stop_heartbeat()
+            self._stop_heartbeat = None
 
     # Time
 

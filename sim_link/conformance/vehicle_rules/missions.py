@@ -301,3 +301,16 @@ def mission_is_flown_and_reported(probe: VehicleProbe) -> None:
     state = probe.latest(Current)
     require(state.mission_state in (0, 5), f"state {state.mission_state} at the end")
     plans.clear(probe)
+
+
+@book.rule("MAVLink common, MAV_CMD_MISSION_START", effect=Effect.FLIES)
+def mission_start_starts_it(probe: VehicleProbe) -> None:
+    """MISSION_START in the air flies the mission."""
+    prepare(probe, 2)
+    probe.take_off()
+    mark = probe.mark
+    result = probe.command(mavlink.MAV_CMD_MISSION_START, 0.0, 0.0)
+    require(result == ACCEPTED, f"result {result}")
+    probe.await_mode("mission")
+    probe.expect(Reached, within_s=60.0, mark=mark)
+    plans.clear(probe)

@@ -15,6 +15,7 @@ from sim_link.conformance.setpoints import (
     POSITION_VELOCITY,
     POSITION_YAW,
     VELOCITY,
+    VELOCITY_YAW_RATE,
     GlobalSetpoint,
     LocalSetpoint,
     moved_e7,
@@ -127,6 +128,17 @@ def yaw_is_flown(probe: VehicleProbe) -> None:
         shown = probe.request(mavlink.MAVLink_attitude_message).yaw
         off = math.remainder(shown - yaw, math.tau)
         require(abs(off) < 0.15, f"yaw {shown:.2f}, not {yaw:.2f} rad")
+
+
+@book.rule(f"{COMMON} (yaw rate: clockwise)", effect=FLIES)
+def yaw_rate_is_flown(probe: VehicleProbe) -> None:
+    """A velocity with a yaw rate keeps turning the nose."""
+    begin(probe)()
+    before = probe.request(mavlink.MAVLink_attitude_message).yaw
+    turning = LocalSetpoint(yaw_rate_radps=0.3, mask=VELOCITY_YAW_RATE)
+    fly(probe, turning, 4.0)
+    turned = math.remainder(probe.request(mavlink.MAVLink_attitude_message).yaw - before, math.tau)
+    require(0.5 < turned < 1.8, f"turned by {turned:.2f} rad in 4 s at 0.3 rad/s")
 
 
 @book.rule(f"{COMMON} (frame BODY_NED: relative to the nose)", effect=FLIES)

@@ -6,10 +6,11 @@ import itertools
 
 from companion.mav.dialect import mavlink
 from sim_link.conformance import plan_client as plans
-from sim_link.conformance.plan_client import MISSION
+from sim_link.conformance.plan_client import MISSION, PlanItem
 from sim_link.conformance.plan_shapes import places, prepare, square, stored
 from sim_link.conformance.results import (
     PLAN_CANCELLED,
+    PLAN_ERROR,
     PLAN_INVALID_SEQUENCE,
 )
 from sim_link.conformance.rules import (
@@ -20,7 +21,7 @@ from sim_link.conformance.rules import (
     RuleBook,
     require,
 )
-from sim_link.conformance.vehicle_probe import VehicleProbe
+from sim_link.conformance.vehicle_probe import NAN, VehicleProbe
 
 book = RuleBook(Role.VEHICLE, "uploads")
 SERVICE = "MAVLink guide, Mission Protocol"
@@ -146,3 +147,37 @@ def item_without_an_upload_is_an_error(probe: VehicleProbe) -> None:
     probe.send(item.message(probe, 0, MISSION))
     result = plans.await_ack(probe, mark)
     require(result != 0, f"ACK {result}")
+
+
+@book.rule(
+    f"{OBSERVED_PX4}; the guide asks the client for that ACK", effect=CHANGES, flavours=PX4_ONLY
+)
+def unacknowledged_download_keeps_it_busy(probe: VehicleProbe) -> None:
+    """Until a client acknowledges a download, or for 5 s, an upload is answered ERROR."""
+    probe.get_ready()
+    plans.clear(probe)
+    mark = probe.mark
+    probe.send(mavlink.MAVLink_mission_request_list_message(*probe.target, MISSION))
+    probe.expect(plans.Count, mark=mark)
+    mark = plans.send_count(probe, 1, MISSION)
+    result = plans.await_ack(probe, mark)
+    require(result == PLAN_ERROR, f"ACK {result}")
+    probe.run(6.0)
+    plans.require_upload(probe, square(probe, 1))
+
+
+@book.rule(f"{SERVICE}; MAVSDK mission_impl.cpp", effect=CHANGES, flavours=PX4_ONLY)
+def items_that_mavsdk_sends_are_accepted(probe: VehicleProbe) -> None:
+    """Waypoints in frame 6, DO_CHANGE_SPEED in MISSION frame and gimbal items are accepted."""
+    probe.get_ready()
+    place = square(probe, 1)[0]
+    frame = mavlink.MAV_FRAME_MISSION
+    speed = PlanItem(mavlink.MAV_CMD_DO_CHANGE_SPEED, frame, (1.0, 4.0, -1.0, NAN), 0, 0, NAN)
+    gimbal = PlanItem(
+        mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW, frame, (0.0, 0.0, NAN, NAN), 0, 0, 0.0
+    )
+    items = [plans.changed(place, params=(0.0, 1.0, 0.0, NAN), current=1), speed, gimbal]
+    plans.require_upload(probe, items)
+    stored_items = plans.download(probe)
+    require(len(stored_items) == 3, f"{len(stored_items)} items came back")
+    require(stored_items[1].params[1] == 4.0, "the speed changed")
