@@ -167,7 +167,7 @@ class Pilot:
 
     def _fly_leg(self, leg: Leg, body: PointMass) -> PositionEnu:
         if leg.kind is LegKind.LAND:
-            self._hold_enu_m = leg.goal_enu_m
+            self._hold_enu_m = (*leg.goal_enu_m[:2], body.ground_up_m)
             return self._land(body)
         self._hold_enu_m = leg.goal_enu_m
         return self._towards(leg.goal_enu_m, body, leg.speed_mps)

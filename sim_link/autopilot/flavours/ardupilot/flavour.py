@@ -156,7 +156,7 @@ class ArduPilotFlavour(Flavour):
                 return "init failed"
             first = mission.items[max(mission.current, 1)].command
             if self.aircraft.body.is_on_ground and first != mavlink.MAV_CMD_NAV_TAKEOFF:
-                return "Auto: Missing Takeoff Cmd"
+                return "missing takeoff cmd"
         return None
 
     def arm(self, now_s: float, *, is_forced: bool) -> int:

@@ -279,7 +279,7 @@ class Px4Flavour(Flavour):
                 self.modes.finish(FlightMode.TAKEOFF)
                 self.settle(now_s, "takeoff complete")
         elif self.mode is FlightMode.MISSION:
-            if self._is_mission_over:
+            if self._is_mission_over or not self.aircraft.mission.has_items:
                 self.modes.finish(FlightMode.MISSION)
                 self.settle(now_s, "mission complete")
             elif self.leg is not None and self.leg.kind is LegKind.RETURN:

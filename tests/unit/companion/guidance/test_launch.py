@@ -210,7 +210,8 @@ def test_a_vehicle_that_somebody_flies_is_not_launched(
     attempt = Attempt(autopilot, mode)
     attempt.is_armed, attempt.height_m = True, 5.0
     assert attempt.wait(3.0) == []
-    assert attempt.launch.failure == f"the vehicle is being flown already, in {mode_name(mode, autopilot)}"
+    name = mode_name(mode, autopilot)
+    assert attempt.launch.failure == f"the vehicle is being flown already, in {name}"
 
 
 def test_an_unknown_autopilot_is_not_launched() -> None:
