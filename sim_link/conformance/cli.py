@@ -11,6 +11,7 @@ from typing import NoReturn
 from companion import __version__
 from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_json_atomic
+from companion.io.key_file import load_signing_key
 from sim_link.conformance.catalogue import all_rules
 from sim_link.conformance.puppet import CompanionProbe
 from sim_link.conformance.report import line, listing, record, summary
@@ -21,7 +22,6 @@ from sim_link.conformance.wire import WireLink, open_link
 
 EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
-KEY_LENGTH = 32
 
 DESCRIPTION = """\
 Try the rules of MAVLink against an autopilot or a companion.
@@ -91,7 +91,10 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--list", action="store_true", help="print the rules and try none")
     parser.add_argument("--json", metavar="FILE", type=Path, help="write all outcomes there")
     parser.add_argument(
-        "--signing-key", metavar="FILE", type=Path, help="32 bytes: the key that the vehicle has"
+        "--signing-key",
+        metavar="FILE",
+        type=Path,
+        help="the key that the vehicle was given, as for sim-link",
     )
     parser.add_argument(
         "--allow-changes", action="store_true", help="overwrite plans, parameters, home and mode"
@@ -149,12 +152,4 @@ def _allowed(arguments: argparse.Namespace) -> Effect:
 
 
 def _signing_key(path: Path | None) -> bytes | None:
-    if path is None:
-        return None
-    try:
-        key = path.read_bytes()
-    except OSError as error:
-        raise ConfigError(f"--signing-key {path}: {error.strerror or error}") from None
-    if len(key) != KEY_LENGTH:
-        raise ConfigError(f"--signing-key {path}: {len(key)} bytes, a key has {KEY_LENGTH}")
-    return key
+    return None if path is None else load_signing_key(path).secret

@@ -68,7 +68,10 @@ def default_streams_flow(probe: VehicleProbe) -> None:
 
 @book.rule(OBSERVED_ARDUPILOT, flavours=ARDUPILOT_ONLY)
 def nothing_flows_until_asked(probe: VehicleProbe) -> None:
-    """A new client gets HEARTBEAT and TIMESYNC, and nothing else until it asks."""
+    """By default HEARTBEAT and TIMESYNC flow, and nothing else until it is asked for."""
+    probe.run(2.0)
+    for number in {e.message.get_msgId() for e in probe.inbox if e.source == probe.target}:
+        probe.set_interval(number, 0.0)  # what an earlier client asked for goes back to default
     counts = rates_hz(probe)
     extra = set(counts) - UNASKED_ON_ARDUPILOT
     if extra and max(counts[name] for name in extra) > 3:
