@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from companion.domain import PositionEnu
 from sim_link.autopilot.protocols.commands import DEGREE, Command, CommandResult
 
 ACCEPTED = CommandResult.ACCEPTED
@@ -13,6 +14,9 @@ UNSUPPORTED = CommandResult.UNSUPPORTED
 FAILED = CommandResult.FAILED
 UNSUPPORTED_MAV_FRAME = CommandResult.UNSUPPORTED_MAV_FRAME
 
+MAX_ALTITUDE_M = 83_000.0
+"""ArduPilot's limit of a stored altitude, LOCATION_ALT_MAX_M."""
+MAX_DISTANCE_M = 1e5
 FORCE_ARMING = 21196
 """Magic number of MAV_CMD_COMPONENT_ARM_DISARM's second parameter."""
 
@@ -30,6 +34,16 @@ def place_e7(command: Command) -> tuple[int, int] | None:
 def is_place(place: tuple[int, int]) -> bool:
     """Whether latitude and longitude are somewhere; 0/0 means that nobody knows."""
     return place != (0, 0) and abs(place[0]) <= 90 * DEGREE and abs(place[1]) <= 180 * DEGREE
+
+
+def is_altitude(altitude_m: float) -> bool:
+    """Whether an altitude is a number that something may be at."""
+    return abs(altitude_m) <= MAX_ALTITUDE_M
+
+
+def is_near(place_enu_m: PositionEnu) -> bool:
+    """Whether a flat local frame still means anything there."""
+    return all(abs(value) <= MAX_DISTANCE_M for value in place_enu_m)
 
 
 def whole(value: float) -> int | None:

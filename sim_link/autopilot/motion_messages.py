@@ -16,6 +16,8 @@ from sim_link.autopilot.vehicle import SimVehicle
 from sim_link.world.point_mass import GRAVITY_MPS2
 
 INT16_MAX = 0x7FFF
+FARTHEST_M = 1e7
+"""A target beyond this has no latitude."""
 UINT16_MAX = 0xFFFF
 NAN = math.nan
 UNKNOWN_COVARIANCE = [NAN] + [0.0] * 20
@@ -258,7 +260,10 @@ def position_target_global_int(vehicle: SimVehicle) -> Message | None:
     setpoint = vehicle.flavour.target()
     if setpoint is None:
         return None
-    lat, lon, alt = vehicle.estimator.world_origin.geodetic_from_enu(_place(setpoint))
+    place = _place(setpoint)
+    if any(abs(value) > FARTHEST_M for value in place):
+        return None
+    lat, lon, alt = vehicle.estimator.world_origin.geodetic_from_enu(place)
     return mavlink.MAVLink_position_target_global_int_message(
         boot_ms(vehicle),
         mavlink.MAV_FRAME_GLOBAL_INT,

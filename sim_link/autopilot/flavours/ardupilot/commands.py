@@ -18,7 +18,9 @@ from sim_link.autopilot.commands import (
     FAILED,
     UNSUPPORTED,
     UNSUPPORTED_MAV_FRAME,
+    is_altitude,
     is_force,
+    is_near,
     is_place,
     place_e7,
     whole,
@@ -138,7 +140,7 @@ def _reposition(flavour: ArduPilotFlavour, command: Command, now_s: float) -> in
     frame = -1 if command.frame is None else command.frame
     if frame not in AMSL_FRAMES + RELATIVE_FRAMES or place is None or not is_place(place):
         return DENIED
-    if not math.isfinite(altitude_m):
+    if not is_altitude(altitude_m):
         aircraft.say(ERROR, "Reposition: altitude is not a number")
         return DENIED
     is_changing = bool((whole(command.params[1]) or 0) & CHANGE_MODE_FLAG)
@@ -163,11 +165,13 @@ def _set_home(flavour: ArduPilotFlavour, command: Command) -> int:
         return ACCEPTED
     frame = GLOBAL if command.frame is None else command.frame
     place, altitude_m = place_e7(command), command.params[6]
-    if place is None or not is_place(place) or not math.isfinite(altitude_m):
+    if place is None or not is_place(place) or not is_altitude(altitude_m):
         return FAILED
     home = aircraft.place_from(*place, altitude_m, frame)
     if home is None:
         return UNSUPPORTED_MAV_FRAME
+    if not is_near(home):
+        return FAILED
     aircraft.set_home(home, is_given=False)
     return ACCEPTED
 

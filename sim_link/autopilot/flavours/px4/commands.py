@@ -18,7 +18,9 @@ from sim_link.autopilot.commands import (
     TEMPORARILY_REJECTED,
     UNSUPPORTED,
     UNSUPPORTED_MAV_FRAME,
+    is_altitude,
     is_force,
+    is_near,
     is_place,
     place_e7,
     whole,
@@ -129,7 +131,7 @@ def _reposition(flavour: Px4Flavour, command: Command, now_s: float) -> int:
         assert located is not None
         east, north, _ = located
     up_m = own_up if math.isnan(altitude_m) else up_m
-    if not math.isfinite(up_m) or up_m - aircraft.home_enu_m[2] > MAX_HEIGHT_M:
+    if not is_altitude(up_m) or up_m - aircraft.home_enu_m[2] > MAX_HEIGHT_M:
         return DENIED
     if flavour.fence_margin_m((east, north, up_m)) < 0.0:
         aircraft.say(mavlink.MAV_SEVERITY_ERROR, "Reposition is outside geofence")
@@ -187,11 +189,13 @@ def _set_home(flavour: Px4Flavour, command: Command) -> int:
         return ACCEPTED
     frame = GLOBAL if command.frame is None else command.frame
     place, altitude_m = place_e7(command), command.params[6]
-    if place is None or not is_place(place) or not math.isfinite(altitude_m):
+    if place is None or not is_place(place) or not is_altitude(altitude_m):
         return DENIED
     home = aircraft.place_from(*place, altitude_m, frame)
     if home is None:
         return UNSUPPORTED_MAV_FRAME
+    if not is_near(home):
+        return DENIED
     aircraft.set_home(home, is_given=True)
     return ACCEPTED
 
