@@ -204,6 +204,14 @@ class VehicleProbe(Station):
             ACK_S,
         )
 
+    def require_hearing(self) -> None:
+        """After a probe for silence: the vehicle must be silent by choice, not deaf.
+
+        Raises:
+            Violation: It answers nothing.
+        """
+        require(self.is_alive(), "nothing is answered any more")
+
     # State
 
     def heartbeat(self) -> mavlink.MAVLink_heartbeat_message:

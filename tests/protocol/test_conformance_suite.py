@@ -7,9 +7,9 @@ import pytest
 from companion.mav.dialect import mavlink
 from sim_link.conformance.catalogue import all_rules
 from sim_link.conformance.frames import FrameSpec, build_raw
-from sim_link.conformance.rules import Flavour
+from sim_link.conformance.rules import Flavour, Role
 from sim_link.conformance.runner import Verdict
-from tests.protocol.conformance_rigs import BY_ID, simulator, try_on_vehicle
+from tests.protocol.conformance_rigs import BY_ID, cases, simulator, try_on_vehicle
 from tests.protocol.tampered import (
     Edit,
     Tampered,
@@ -200,6 +200,39 @@ def test_tampering_with_nothing_is_no_defect() -> None:
     for rule_id in {entry[0] for entry in DEFECTS.values() if entry[1] is PX4}:
         outcome = try_on_vehicle(BY_ID[rule_id], Tampered(simulator(PX4)))
         assert outcome.verdict is Verdict.PASS, f"{rule_id}: {outcome.detail}"
+
+
+LISTENS_ONLY = {
+    "frames.one_version_per_channel",
+    "frames.trailing_zeros_are_cut",
+    "frames.sequence_counts_every_message",
+    "frames.every_sent_frame_has_a_right_crc",
+    "frames.sends_valid_source_ids",
+    "heartbeat.once_a_second",
+    "heartbeat.comes_from_component_one",
+    "heartbeat.tells_type_and_autopilot",
+    "heartbeat.is_no_ground_station",
+    "heartbeat.custom_mode_flag_is_set",
+    "heartbeat.not_ready_is_uninit",
+    "streams.default_streams_flow",
+    "streams.nothing_flows_until_asked",
+}
+"""Rules about what a vehicle says by itself; a deaf one may keep them."""
+
+
+@pytest.mark.parametrize("flavour", list(Flavour), ids=lambda flavour: flavour.value)
+def test_a_deaf_vehicle_breaks_every_rule_about_what_it_hears(
+    flavour: Flavour, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sim_link.conformance.vehicle_probe.READY_S", 5.0)
+    monkeypatch.setattr("sim_link.conformance.parameter_client.LIST_S", 5.0)
+    kept = {
+        rule.rule_id
+        for rule, bound in cases(Role.VEHICLE)
+        if bound is flavour
+        and try_on_vehicle(rule, Tampered(simulator(flavour), lose)).verdict is Verdict.PASS
+    }
+    assert kept <= LISTENS_ONLY
 
 
 def test_every_rule_says_what_it_asks_and_where_that_is_written() -> None:

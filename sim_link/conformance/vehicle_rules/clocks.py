@@ -56,6 +56,7 @@ def ping_request_is_answered(probe: VehicleProbe) -> None:
     probe.send(mavlink.MAVLink_ping_message(123_456_789, 4_711, 0, 0))
     if not probe.is_px4:
         probe.expect_none(Ping, lambda m: m.seq == 4_711, mark=mark, what="answered")
+        probe.require_hearing()
         return
     answer = probe.expect(Ping, lambda m: m.seq == 4_711, mark=mark)
     require(answer.time_usec == 123_456_789, f"time {answer.time_usec}")
@@ -70,6 +71,7 @@ def ping_response_is_never_answered(probe: VehicleProbe) -> None:
     for target in (probe.target, (77, 1), (0, 1)):
         probe.send(mavlink.MAVLink_ping_message(1, 4_712, *target))
     probe.expect_none(Ping, lambda m: m.seq == 4_712, mark=mark, what="answered")
+    probe.require_hearing()
 
 
 @book.rule("MAVLink guide, Time Synchronization", ardupilot="answers without a target (v1 form)")
@@ -93,6 +95,7 @@ def timesync_response_is_never_answered(probe: VehicleProbe) -> None:
     mark = probe.mark
     probe.send(mavlink.MAVLink_timesync_message(55, 987_654_323))
     probe.expect_none(Timesync, lambda m: m.ts1 == 987_654_323, mark=mark, what="answered")
+    probe.require_hearing()
 
 
 @book.rule("MAVLink guide, Time Synchronization (target fields)", flavours=PX4_ONLY)

@@ -50,7 +50,7 @@ def require_silence(probe: VehicleProbe, spec: FrameSpec, problem: str) -> None:
     message = question(probe)
     if is_answered(probe, build_frame(message, spec), message.ts1, 0.5):
         raise Violation(problem)
-    require(probe.is_alive(), "nothing is answered any more")
+    probe.require_hearing()
 
 
 @book.rule(SERIALIZATION)
@@ -138,6 +138,7 @@ def wrong_crc_extra_is_dropped(probe: VehicleProbe) -> None:
     crc_extra = (type(message).crc_extra + 1) & 0xFF
     frame = build_raw(message.get_msgId(), payload, crc_extra, probe.spec())
     require(not is_answered(probe, frame, message.ts1, 0.5), "taken with a wrong CRC_EXTRA")
+    probe.require_hearing()
 
 
 @book.rule(SERIALIZATION)
@@ -225,7 +226,7 @@ def several_frames_in_one_piece(probe: VehicleProbe) -> None:
 def unknown_message_id_is_ignored(probe: VehicleProbe) -> None:
     """A frame with a message id that nobody knows does no harm."""
     probe.send_raw(build_raw(UNKNOWN_ID, b"\x01\x02\x03\x04", 17, probe.spec()))
-    require(probe.is_alive(), "nothing is answered any more")
+    probe.require_hearing()
 
 
 @book.rule(SERIALIZATION)

@@ -204,6 +204,7 @@ def require_unknown(probe: VehicleProbe, mark: int, what: str) -> None:
     )
     require(not values_since(probe, mark), f"{what}: a value is told")
     require(told or not probe.is_px4, f"{what}: no PARAM_ERROR")
+    read(probe, float_name(probe))
 
 
 STRICTER = "PX4 1.15 is silent; clients wait for PARAM_ERROR"

@@ -37,6 +37,7 @@ def require_ignored(probe: VehicleProbe, system: int, component: int) -> None:
     probe.send(request_version(system, component))
     probe.expect_none(Ack, lambda m: m.command == REQUEST, mark=mark, what="acknowledged")
     probe.expect_none(Version, for_s=0.1, mark=mark, what="obeyed")
+    probe.require_hearing()
 
 
 def require_obeyed(probe: VehicleProbe, system: int, component: int) -> None:
@@ -147,6 +148,7 @@ def addressed_message_reaches_nobody_else(probe: VehicleProbe) -> None:
     mark = third.mark
     probe.send(request_version(probe.target[0], 191))
     third.expect_none(mavlink.MAVLink_command_long_message, mark=mark, what="leaked")
+    probe.require_hearing()
 
 
 @book.rule(ROUTING)
@@ -156,6 +158,7 @@ def message_for_the_vehicle_stays_with_it(probe: VehicleProbe) -> None:
     mark = other.mark
     probe.send(request_version(*probe.target))
     other.expect_none(mavlink.MAVLink_command_long_message, mark=mark, what="forwarded")
+    probe.require_hearing()
 
 
 @book.rule(ROUTING)
@@ -165,6 +168,7 @@ def unknown_target_reaches_nobody(probe: VehicleProbe) -> None:
     mark = other.mark
     probe.send(request_version(stranger(probe), 1))
     other.expect_none(mavlink.MAVLink_command_long_message, mark=mark, what="forwarded")
+    probe.require_hearing()
 
 
 @book.rule(ROUTING)
@@ -176,6 +180,7 @@ def own_message_never_returns(probe: VehicleProbe) -> None:
     probe.run(SETTLE_S)
     back = [data for _, data in probe.datagrams[mark:] if b"no echo please" in data]
     require(not back, "it came back")
+    probe.require_hearing()
 
 
 @book.rule(ROUTING)
@@ -197,6 +202,7 @@ def signing_setup_is_never_forwarded(probe: VehicleProbe) -> None:
     for target in ((probe.target[0], 191), (stranger(probe), 1)):
         probe.send(mavlink.MAVLink_setup_signing_message(*target, list(key), 0))
     require(not any(key in data for data in frames_at(other, mark)), "the key was passed on")
+    probe.require_hearing()
 
 
 @book.rule(ROUTING)

@@ -207,4 +207,4 @@ def radio_status_needs_no_signature(probe: VehicleProbe) -> None:
     probe.signer = None
     probe.send(radio)
     probe.signer = signer
-    require(probe.is_alive(), "nothing is answered any more")
+    probe.require_hearing()
