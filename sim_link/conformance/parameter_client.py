@@ -28,7 +28,6 @@ PX4_NAMES = (
     "SYS_AUTOSTART",
 )
 ARDUPILOT_NAMES = ("RTL_ALT", "FENCE_ENABLE", "FS_GCS_ENABLE", "GUID_TIMEOUT", "SYSID_MYGCS")
-HASH_CHECK = "_HASH_CHECK"
 UNLISTED_INDEX = 65_535
 Value = mavlink.MAVLink_param_value_message
 Error = mavlink.MAVLink_param_error_message

@@ -28,19 +28,10 @@ from sim_link.conformance.vehicle_probe import (
 
 book = RuleBook(Role.VEHICLE, "arming")
 SERVICE = "MAVLink guide, Command Protocol"
-MESSAGES = "MAVLink common, MAV_CMD_REQUEST_MESSAGE"
-INTERVALS = "MAVLink common, MAV_CMD_SET_MESSAGE_INTERVAL"
 MODE = "MAVLink common, MAV_CMD_DO_SET_MODE"
 STRICT = "(stricter than the real one, which accepts it)"
 OBSERVED_PX4 = "PX4 1.15, observed in SITL"
 OBSERVED_ARDUPILOT = "ArduCopter 4.5, observed in SITL"
-UNKNOWN_COMMAND = 31_999
-COMMAND_CANCEL_CRC_EXTRA = 14
-REQUEST = mavlink.MAV_CMD_REQUEST_MESSAGE
-Ack = mavlink.MAVLink_command_ack_message
-Version = mavlink.MAVLink_autopilot_version_message
-VERSION_ID = float(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
-ATTITUDE_ID = float(mavlink.MAVLINK_MSG_ID_ATTITUDE)
 SET_MODE = mavlink.MAV_CMD_DO_SET_MODE
 
 

@@ -30,7 +30,6 @@ from sim_link.conformance.vehicle_probe import (
 
 book = RuleBook(Role.VEHICLE, "flights")
 SERVICE = "MAVLink guide, Command Protocol"
-MODE = "MAVLink common, MAV_CMD_DO_SET_MODE"
 STRICT = "(stricter than the real one, which accepts it)"
 OBSERVED_PX4 = "PX4 1.15, observed in SITL"
 OBSERVED_ARDUPILOT = "ArduCopter 4.5, observed in SITL"
@@ -266,7 +265,7 @@ def home_can_be_set(probe: VehicleProbe) -> None:
     require(abs(moved.longitude - lon) <= 1, f"longitude {moved.longitude}, not {lon}")
 
 
-@book.rule(f"{MODE} {STRICT}", effect=Effect.CHANGES)
+@book.rule(f"MAVLink common, MAV_CMD_DO_SET_HOME {STRICT}", effect=Effect.CHANGES)
 def senseless_home_is_refused(probe: VehicleProbe) -> None:
     """DO_SET_HOME to no latitude is refused and home stays."""
     probe.get_ready()

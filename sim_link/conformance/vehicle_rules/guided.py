@@ -124,8 +124,8 @@ def one_masked_axis_masks_the_group(probe: VehicleProbe) -> None:
 @book.rule(f"{OBSERVED}, coordinate_frame", effect=FLIES, flavours=ARDUPILOT_ONLY)
 def offset_frames_are_relative(probe: VehicleProbe) -> None:
     """LOCAL_OFFSET_NED and BODY_OFFSET_NED positions count from the vehicle."""
+    probe.take_off()
     for frame in (LOCAL_OFFSET, BODY_OFFSET):
-        probe.take_off() if frame == LOCAL_OFFSET else None
         before = probe.place()
         yaw = probe.request(mavlink.MAVLink_attitude_message).yaw if frame == BODY_OFFSET else 0.0
         probe.send(LocalSetpoint((6.0, 0.0, 0.0), frame=frame).message(probe.target))
