@@ -50,7 +50,7 @@ class Fleet:
                         first + chunk.link,
                         chunk.data,
                         chunk.peer,
-                        chunk.except_peer,
+                        chunk.except_peers,
                         chunk.is_datagram,
                     )
                     for chunk in output

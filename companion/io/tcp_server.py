@@ -132,7 +132,7 @@ class TcpFanOutLink(Link):
             self._write(self._clients.get(chunk.peer), chunk.data)
             return
         for peer, client in list(self._clients.items()):
-            if peer != chunk.except_peer:
+            if peer not in chunk.except_peers:
                 self._write(client, chunk.data)
 
     def close(self) -> None:
@@ -182,3 +182,4 @@ class TcpFanOutLink(Link):
         self._clients.pop(peer, None)
         self.counters.send_errors += reason != "closed by the other end"
         logger.info("%s: %s:%d lost (%s)", self.name, *peer, reason)
+        self._received([Chunk(self.index, b"", peer, is_datagram=False)])

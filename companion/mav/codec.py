@@ -60,6 +60,12 @@ class MavCodec:
         """The component id that our frames carry."""
         return int(self._mav.srcComponent)
 
+    def twin(self) -> MavCodec:
+        """A codec of the same identity that goes on from the same sequence number, unsigned."""
+        other = MavCodec(self.system_id, self.component_id)
+        other._mav.seq = self._mav.seq
+        return other
+
     def encode(
         self, message: Message, component_id: int | None = None, *, is_mavlink1: bool = False
     ) -> bytes:

@@ -6,8 +6,9 @@ comes more than half a second late (a suspended process) skips the steps it miss
 stale telemetry, and the vehicle has not moved meanwhile. On invented time this is lockstep: nothing
 moves until the caller says what time it is.
 
-Every link has its own streams and sequence numbers (`protocols.link_layer`). What others send to
-each other is forwarded, on one link and between links, so that a ground station hears the companion
+Every link has its own streams and sequence numbers, and so has every peer of a shared link that
+asks for rates of its own or speaks MAVLink 1 (`protocols.link_layer`): PX4 has one peer per port, so
+no client of it ever gets the rates of another. What others send to each other is forwarded, on one link and between links, so that a ground station hears the companion
 and reaches it. Vehicle and payload are two components with a sequence number each, as if each had
 its own radio.
 """
@@ -20,6 +21,7 @@ import numpy as np
 
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Chunk
+from companion.mav.framing import MAGIC_V1
 from companion.mav.signing import Signing
 from sim_link.autopilot import payload
 from sim_link.autopilot.protocols.base import Channel, Outgoing
@@ -90,6 +92,7 @@ class SimEndpoint:
         self.vehicle.flavour.parameters.load_text(parameters, name)
         self._telemetry = Telemetry(self.vehicle)
         self._services = Services(self.vehicle, self._link_count)
+        self.links.keep_apart(self._services.requests.channels)
         self._payload = payload.RadioPayload(
             scenario.payload,
             scenario.channel,
@@ -100,17 +103,23 @@ class SimEndpoint:
 
     def receive(self, chunk: Chunk, now_s: float) -> None:
         """Take in bytes; whatever is no MAVLink, or not for us, is ignored."""
+        if not chunk.data and not chunk.is_datagram:
+            self._forget(Channel(chunk.link, chunk.peer))
+            return
         arrivals, forwarded = self.links.receive(chunk)
         self._output += forwarded
         for arrival in arrivals:
             if arrival.message.get_srcComponent() == 0:
                 continue  # nobody's
-            # Peers that share a link share its streams, so the link is who asks
-            channel = Channel(arrival.channel.link)
-            boot_s = now_s - self._started_s
-            self._send_all(self._services.handle(arrival.message, channel, boot_s))
+            self._handle(arrival.message, arrival.channel, now_s)
             if self._services.wants_reboot:
                 self._boot(now_s, self.parameters_text, "stored parameters")
+
+    def _forget(self, channel: Channel) -> None:
+        if channel.peer is not None:
+            self.links.forget(channel)
+            self._services.requests.forget(channel)
+            self.links.keep_apart(self._services.requests.channels)
 
     def handle_timer(self, now_s: float) -> None:
         """Step the physics up to `now_s` and queue the telemetry that is due."""
@@ -150,6 +159,17 @@ class SimEndpoint:
     def parameters_text(self) -> str:
         """The parameters that differ from their defaults, to be stored."""
         return self.vehicle.flavour.parameters.to_text()
+
+    def _handle(self, message: Message, channel: Channel, now_s: float) -> None:
+        services, boot_s = self._services, now_s - self._started_s
+        frame = bytes(message.get_msgbuf()[:1])
+        if frame[0] == MAGIC_V1 and services.addressing.is_for_us(message):
+            services.requests.open(channel, boot_s)  # in MAVLink 1, unlike the rest of its link
+            self.links.keep_apart(services.requests.channels)
+            self.links.speaks_as(channel, frame)
+        answers = services.handle(message, channel, boot_s)
+        self.links.keep_apart(services.requests.channels)
+        self._send_all(answers)
 
     def _step(self, boot_s: float) -> None:
         self.vehicle.step(boot_s)

@@ -95,6 +95,6 @@ class MemoryLink:
 
     def is_meant(self, chunk: Chunk) -> bool:
         """Whether a chunk of the endpoint comes here."""
-        if chunk.link != self.link_index or chunk.except_peer == self.address:
+        if chunk.link != self.link_index or self.address in chunk.except_peers:
             return False
         return chunk.peer in (None, self.address)

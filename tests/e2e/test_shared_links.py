@@ -146,7 +146,7 @@ def test_what_names_no_peer_goes_to_every_client_but_the_excepted_one() -> None:
         with ExitStack() as stack:
             clients = [stack.enter_context(await connected(shell)) for _ in range(3)]
             first: Address = clients[0].getsockname()
-            endpoint.say(Chunk(0, b"for the others", None, except_peer=first))
+            endpoint.say(Chunk(0, b"for the others", None, except_peers=frozenset({first})))
             endpoint.say(Chunk(0, b"for all"))
             assert await read(clients[0], 7) == b"for all"
             for client in clients[1:]:

@@ -173,7 +173,7 @@ class Loop:
 
     def _collect(self) -> None:
         for chunk in self.sim.take_output():
-            if chunk.except_peer == COMPANION_PEER or chunk.peer not in (None, COMPANION_PEER):
+            if COMPANION_PEER in chunk.except_peers or chunk.peer not in (None, COMPANION_PEER):
                 continue  # forwarded to someone else
             self.vehicle_bytes += chunk.data
             is_payload = chunk.data[COMPONENT_BYTE] == payload.COMPONENT_ID

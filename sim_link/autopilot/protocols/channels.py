@@ -65,6 +65,16 @@ class WireVersion:
         self._is_settled = is_signed
         self._is_mavlink1 = False
 
+    def split_off(self) -> WireVersion:
+        """The version of a peer that leaves the shared link; what was heard so far was its own."""
+        other = WireVersion()
+        other._is_settled, other._is_mavlink1 = self._is_settled, self._is_mavlink1
+        if self._is_mavlink1:
+            self._is_mavlink1 = False
+        elif not other._is_mavlink1:
+            other._is_settled = False
+        return other
+
     @property
     def is_mavlink1(self) -> bool:
         """Whether frames are to be sent in MAVLink 1."""

@@ -3,19 +3,22 @@
 Theory of operation. What arrives is cut into frames by peer, passed on to others as it is, and only
 then, if it proves itself where there is a key, decoded for the vehicle. What the vehicle says
 leaves each link with the link's own sequence number, in the link's MAVLink version, signed where
-there is a key. A frame to a link goes to everyone on it: a sequence number that somebody did not
-get would look like a loss to them.
+there is a key. Peers that share a link share its frames: a sequence number that somebody did not
+get would look like a loss to them. A peer that is to get other frames than the rest (other
+streams, MAVLink 1) is kept apart: from then on it has sequence numbers of its own, which go on from
+the link's.
 
 Source: MAVLink developer guide, "Routing", "MAVLink Versions", "Message Signing".
 """
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
-from companion.mav.endpoint import Chunk
+from companion.mav.endpoint import Address, Chunk
 from companion.mav.signing import LinkSigning, Signing, SigningSetup, setup_from
 from companion.mav.targets import source_of
 from sim_link.autopilot.protocols.base import Channel, Outgoing
@@ -58,12 +61,15 @@ class LinkLayer:
         self._links = range(links)
         self._trusted = trusted_links
         self._receivers = FrameReceivers()
-        self._versions = [WireVersion() for _ in self._links]
+        self._versions = {Channel(link): WireVersion() for link in self._links}
+        """Of every link, and of every peer that is kept apart."""
         self._codecs = {
-            (link, component): MavCodec(system_id, component)
-            for link in self._links
+            (channel, component): MavCodec(system_id, component)
+            for channel in self._versions
             for component in component_ids
         }
+        self._apart: list[frozenset[Address]] = [frozenset() for _ in self._links]
+        """By link, the peers that are kept apart."""
         self._setup: SigningSetup | None = None
         self._use_key()
 
@@ -81,10 +87,11 @@ class LinkLayer:
             if source_of(frame)[0] == 0:
                 continue  # 0 is no source (MAVLink developer guide, "Packet Serialization")
             forwarded += self.router.route(frame, channel)
-            message = self._codecs[chunk.link, self._component_ids[0]].decode_frame(frame)
+            codec = self._codecs[Channel(chunk.link), self._component_ids[0]]
+            message = codec.decode_frame(frame)
             if message is None:
                 continue
-            self._versions[chunk.link].observe(frame)
+            self.speaks_as(channel, frame)
             if isinstance(message, mavlink.MAVLink_setup_signing_message):
                 self._set_up(message, chunk.link)
             else:
@@ -95,21 +102,49 @@ class LinkLayer:
         """The chunks of a message, for one link or all.
 
         Args:
-            outgoing: What is to be sent where.
+            outgoing: What is to be sent where; to a peer that shares a link means to the link.
             component_id: Whose it is; None for the autopilot's.
         """
-        links = self._links if outgoing.to is None else (outgoing.to.link,)
+        to = self._versions if outgoing.to is None else (self._sent_as(outgoing.to),)
         component = self._component_ids[0] if component_id is None else component_id
         return [
             Chunk(
-                link,
-                self._codecs[link, component].encode(
-                    outgoing.message, is_mavlink1=self._versions[link].is_mavlink1
+                channel.link,
+                self._codecs[channel, component].encode(
+                    outgoing.message, is_mavlink1=self._versions[channel].is_mavlink1
                 ),
+                channel.peer,
+                self._apart[channel.link] if channel.peer is None else frozenset(),
             )
-            for link in links
-            if self._versions[link].can_carry(outgoing.message)
+            for channel in to
+            if self._versions[channel].can_carry(outgoing.message)
         ]
+
+    def keep_apart(self, channels: Collection[Channel]) -> None:
+        """Send to these peers what is theirs alone; those not named share their links again."""
+        wanted = {each for each in channels if each.peer is not None}
+        present = {each for each in self._versions if each.peer is not None}
+        if wanted == present:
+            return
+        for channel in present - wanted:
+            del self._versions[channel]
+            for component in self._component_ids:
+                del self._codecs[channel, component]
+        for channel in channels:
+            if channel in wanted - present:
+                self._versions[channel] = self._versions[Channel(channel.link)].split_off()
+                for component in self._component_ids:
+                    shared = self._codecs[Channel(channel.link), component]
+                    self._codecs[channel, component] = shared.twin()
+        self._apart = [
+            frozenset(each.peer for each in wanted if each.link == link and each.peer is not None)
+            for link in self._links
+        ]
+        self._use_key()
+
+    def speaks_as(self, channel: Channel, frame: bytes) -> None:
+        """Send to a channel in the MAVLink version of a frame that came from it."""
+        self._versions[self._sent_as(channel)].observe(frame)
 
     def take_setup(self) -> SigningSetup | None:
         """What a client set up since the last call, in force already; a shell stores the key."""
@@ -137,12 +172,16 @@ class LinkLayer:
         )
         self._use_key()
 
+    def _sent_as(self, channel: Channel) -> Channel:
+        return channel if channel in self._versions else Channel(channel.link)
+
     def _use_key(self) -> None:
-        for (link, _), codec in self._codecs.items():
+        for (channel, _), codec in self._codecs.items():
             codec.signing = (
                 None
                 if self.signing is None
-                else LinkSigning(self.signing, link % 256, link in self._trusted)
+                else LinkSigning(self.signing, channel.link % 256, channel.link in self._trusted)
             )
         if self.signing is not None:
-            self._versions = [WireVersion(is_signed=True) for _ in self._links]
+            for channel in self._versions:
+                self._versions[channel] = WireVersion(is_signed=True)

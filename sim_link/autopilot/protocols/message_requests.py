@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 from companion.mav.dialect import Message, mavlink
@@ -18,8 +18,8 @@ from sim_link.autopilot.protocols.statustext import StatusTexts
 from sim_link.autopilot.protocols.streams import StreamRules, StreamTable
 
 MAX_MESSAGE_ID = 2**24 - 1
-MAX_CHANNELS = 32
-"""With streams of their own; a stranger with many ports gets none for the oldest of them."""
+MAX_PEERS = 16
+"""Peers with streams of their own; a stranger with many ports gets none for the oldest of them."""
 MAX_INTERVAL_ID = 0xFFFF
 """MESSAGE_INTERVAL.message_id has 16 bits."""
 PROTOCOL_VERSION = 300
@@ -75,12 +75,18 @@ class MessageRequests:
         self._tables: OrderedDict[Channel, StreamTable] = OrderedDict()
 
     def open(self, channel: Channel, now_s: float) -> None:
-        """Begin the default streams of a channel, if it is new; the oldest of too many end."""
+        """Begin the default streams of a channel, if it is new; the oldest of too many peers end."""
         if channel not in self._tables:
             self._tables[channel] = StreamTable(self._stream_rules, now_s)
         self._tables.move_to_end(channel)
-        if len(self._tables) > MAX_CHANNELS:
-            self._tables.popitem(last=False)
+        peers = [each for each in self._tables if each.peer is not None]
+        if len(peers) > MAX_PEERS:
+            del self._tables[peers[0]]
+
+    @property
+    def channels(self) -> Collection[Channel]:
+        """Those that have streams: every link, and every peer that asked for rates of its own."""
+        return self._tables.keys()
 
     def forget(self, channel: Channel) -> None:
         """End the streams of a channel that is gone."""

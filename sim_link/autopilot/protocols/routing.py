@@ -88,7 +88,7 @@ class Router:
         """To the other peers of its own link, and to every other link."""
         chunks = [Chunk(each, frame) for each in self._links if each != channel.link]
         if channel.peer is not None:
-            chunks.insert(0, Chunk(channel.link, frame, None, except_peer=channel.peer))
+            chunks.insert(0, Chunk(channel.link, frame, None, frozenset({channel.peer})))
         return chunks
 
     def _channels_of(self, system_id: int, component_id: int) -> list[Channel]:

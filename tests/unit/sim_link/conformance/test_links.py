@@ -23,7 +23,8 @@ class Clock:
     def receive(self, chunk: Chunk, now_s: float) -> None:
         del now_s
         self._output.append(Chunk(0, b"re:" + chunk.data, chunk.peer))
-        self._output.append(Chunk(0, b"fw:" + chunk.data, None, except_peer=chunk.peer))
+        assert chunk.peer is not None
+        self._output.append(Chunk(0, b"fw:" + chunk.data, None, frozenset({chunk.peer})))
 
     def handle_timer(self, now_s: float) -> None:
         self._output.append(Chunk(0, f"{now_s:g}".encode()))

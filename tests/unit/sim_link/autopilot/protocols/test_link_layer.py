@@ -51,10 +51,10 @@ def test_a_message_arrives_with_its_channel_and_is_passed_on() -> None:
     frame = station().encode(heartbeat())
     (arrival,), forwarded = layer().receive(Chunk(UDP, frame, STATION))
     assert arrival.channel == Channel(UDP, STATION)
-    assert {(chunk.link, chunk.except_peer) for chunk in forwarded} == {
-        (UDP, STATION),
-        (TCP, None),
-        (WIRE, None),
+    assert {(chunk.link, chunk.except_peers) for chunk in forwarded} == {
+        (UDP, frozenset({STATION})),
+        (TCP, frozenset()),
+        (WIRE, frozenset()),
     }
 
 

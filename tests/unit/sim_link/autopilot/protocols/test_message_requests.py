@@ -9,7 +9,7 @@ from sim_link.autopilot.protocols.base import Channel, Outgoing, Partner
 from sim_link.autopilot.protocols.commands import Command, CommandResult
 from sim_link.autopilot.protocols.message_requests import (
     ARDUPILOT_REQUESTS,
-    MAX_CHANNELS,
+    MAX_PEERS,
     PX4_REQUESTS,
     MessageRequests,
     RequestRules,
@@ -183,4 +183,4 @@ def test_a_stranger_with_many_ports_gets_a_bounded_number_of_streams() -> None:
         made.open(STATION_CHANNEL, 0.0)
     served = {channel for channel, _ in made.take_due(0.0)}
     assert STATION_CHANNEL in served
-    assert len(served) == MAX_CHANNELS
+    assert len(served) == MAX_PEERS
