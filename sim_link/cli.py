@@ -28,6 +28,7 @@ DEFAULT_SEND_TO = ("127.0.0.1:14550", "127.0.0.1:14540")
 EXIT_BAD_INPUT = 2
 MAX_SPEED = 1000.0
 MAX_VEHICLES = 250
+MAX_BOOT_S = 3600.0
 
 DESCRIPTION = """\
 Fly a simulated PX4 or ArduPilot multicopter with a radio payload that measures a hidden emitter.
@@ -132,6 +133,13 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         "clients), serial:/dev/...:BAUD or pty:PATH; repeatable",
     )
     parser.add_argument(
+        "--ready-after",
+        metavar="S",
+        type=float,
+        help="seconds after boot until it can be armed (default: the scenario's, 2; the real PX4 "
+        "takes 34, ArduPilot 41)",
+    )
+    parser.add_argument(
         "--vehicles",
         metavar="N",
         type=int,
@@ -147,7 +155,8 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         "--signing-key",
         metavar="FILE",
         type=Path,
-        help="sign, and believe only what is signed with this key",
+        help="sign, and believe only what is signed with this key; SETUP_SIGNING over "
+        "a line (pty:, serial:) replaces it",
     )
     parser.add_argument(
         "--report",
@@ -222,6 +231,11 @@ def _scenario(arguments: argparse.Namespace) -> Scenario:
         scenario = msgspec.structs.replace(scenario, vehicles=arguments.vehicles)
     if arguments.autopilot is not None:
         autopilot = msgspec.structs.replace(scenario.autopilot, flavour=arguments.autopilot)
+        scenario = msgspec.structs.replace(scenario, autopilot=autopilot)
+    if arguments.ready_after is not None:
+        if not 0.0 <= arguments.ready_after <= MAX_BOOT_S:
+            raise ConfigError(f"--ready-after {arguments.ready_after:g}: give 0 to {MAX_BOOT_S:g}")
+        autopilot = msgspec.structs.replace(scenario.autopilot, ready_after_s=arguments.ready_after)
         scenario = msgspec.structs.replace(scenario, autopilot=autopilot)
     return scenario
 

@@ -15,7 +15,7 @@ import msgspec
 
 from companion.errors import ConfigError
 from companion.io.files import check_writable, write_json_atomic, write_text_atomic
-from companion.io.key_file import load_signing_key
+from companion.io.key_file import load_signing_key, store_signing_key
 from companion.io.links import LinkSpec, UdpFanOut, shared_link_from_url
 from companion.io.urls import LinkKind, LinkUrl
 from companion.mav.endpoint import Address
@@ -138,7 +138,7 @@ def stored_parameters(path: Path | None) -> str:
 
 
 class Files:
-    """Reports and parameters, written as they change.
+    """Reports, parameters and the key, written as they change.
 
     Args:
         wishes: Which there are.
@@ -164,7 +164,8 @@ class Files:
                 write_json_atomic(path, report)
 
     def keep(self, now_s: float) -> None:
-        """Store parameters that changed, at most once a second."""
+        """Store a new key at once, and parameters that changed at most once a second."""
+        self._keep_key()
         if self._wishes.parameters is None or now_s < self._next_save_s:
             return
         self._next_save_s = now_s + SAVE_PERIOD_S
@@ -174,6 +175,14 @@ class Files:
             if path is not None and text != self._saved[number]:
                 write_text_atomic(path, text)
                 self._saved[number] = text
+
+    def _keep_key(self) -> None:
+        """A key that a client set up, where there is a file; an end of signing is not kept."""
+        for endpoint in self._endpoints:
+            setup = endpoint.links.take_setup()
+            path = self._wishes.signing_key
+            if setup is not None and setup.key is not None and path is not None:
+                store_signing_key(path, setup.key)
 
     def end(self) -> None:
         """Write the reports of the end, and parameters that changed last."""

@@ -1,9 +1,9 @@
 """The simulator at real time with three clients: rates of the streams, and how fast it reacts.
 
-Starts `sim-link` with a UDP port for two clients and a TCP port for one. Each client asks for rates of its own, and they
-are counted; then the first takes off, sends setpoints and counts the physics steps until each is
-echoed. Prints two tables; exit code 0 when every rate is within 5 % and no setpoint waits longer
-than one step, 1 otherwise.
+Starts `sim-link` with a UDP port for two clients and a TCP port for one. Each client
+asks for rates of its own, and they are counted; then the first takes off, sends setpoints and
+counts the physics steps until each is echoed. Prints two tables; exit code 0 when every rate is
+within 5 % and no setpoint waits longer than one step, 1 otherwise.
 """
 
 from __future__ import annotations

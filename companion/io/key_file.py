@@ -52,6 +52,15 @@ def load_signing_key(path: Path) -> SigningKey:
         raise ConfigError(f"{path}: {error}") from None
 
 
+def store_signing_key(path: Path, key: SigningKey) -> None:
+    """Store a key as a whole, for its owner's eyes only.
+
+    Raises:
+        CompanionError: It cannot be written.
+    """
+    write_text_atomic(path, f"{key.secret.hex()}\n", mode=0o600)
+
+
 def load_timestamp(path: Path) -> int:
     """The signing timestamp that an earlier run stored; 0 if there was none.
 

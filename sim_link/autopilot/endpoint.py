@@ -7,10 +7,10 @@ stale telemetry, and the vehicle has not moved meanwhile. On invented time this 
 moves until the caller says what time it is.
 
 Every link has its own streams and sequence numbers, and so has every peer of a shared link that
-asks for rates of its own or speaks MAVLink 1 (`protocols.link_layer`): PX4 has one peer per port, so
-no client of it ever gets the rates of another. What others send to each other is forwarded, on one link and between links, so that a ground station hears the companion
-and reaches it. Vehicle and payload are two components with a sequence number each, as if each had
-its own radio.
+asks for rates of its own or speaks MAVLink 1 (`protocols.link_layer`): PX4 has one peer per port,
+so no client of it ever gets the rates of another. What others send to each other is forwarded, on
+one link and between links, so that a ground station hears the companion and reaches it. Vehicle
+and payload are two components with a sequence number each, as if each had its own radio.
 """
 
 from __future__ import annotations

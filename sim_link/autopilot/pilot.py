@@ -7,6 +7,7 @@ slowly when nobody holds them: PX4 without a remote control was seen to do the s
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from enum import Enum
 
 from companion.domain import PositionEnu
@@ -48,6 +49,15 @@ class Task(Enum):
     """Without a position to hold."""
 
 
+@dataclass(frozen=True, slots=True)
+class SpeedLimits:
+    """How fast it goes to a place by its parameters, within the vehicle's own limits."""
+
+    horizontal_mps: float = math.inf
+    climb_mps: float = math.inf
+    descent_mps: float = math.inf
+
+
 class Pilot:
     """Flies the tasks.
 
@@ -66,10 +76,14 @@ class Pilot:
         """Height at which TAKE_OFF ends; set with the command."""
         self.final_up_m: float | None = None
         """Height above which RETURN stays instead of landing; None: it lands."""
+        self.return_loiter_s = 0.0
+        """How long RETURN waits over home before it comes down."""
+        self.limits = SpeedLimits()
         self.hold_yaw_ned_rad: float | None = None
         self.hold_speed_mps: float | None = None
         self._hold_enu_m = home_enu_m
         self._cruise_up_m: float | None = None
+        self._loitered_s = 0.0
         self._velocity: PositionEnu = (0.0, 0.0, 0.0)
         self._is_staying = False
         self._leg: Leg | None = None
@@ -80,6 +94,7 @@ class Pilot:
         self._stay(body)
         self._is_staying = False
         self._cruise_up_m = None
+        self._loitered_s = 0.0
         self._velocity = body.velocity_enu_mps
         self.hold_yaw_ned_rad = self.hold_speed_mps = None
         if task is Task.RETURN:
@@ -153,11 +168,11 @@ class Pilot:
         self, goal_enu_m: PositionEnu, body: PointMass, speed_mps: float | None = None
     ) -> PositionEnu:
         east, north, up = approach_velocity(body.position_enu_m, goal_enu_m, self._vehicle)
-        if speed_mps is None:
-            return (east, north, up)
+        limits = self.limits
+        limit_mps = limits.horizontal_mps if speed_mps is None else speed_mps
         speed = math.hypot(east, north)
-        scale = 1.0 if speed <= speed_mps else speed_mps / speed
-        return (east * scale, north * scale, up)
+        scale = 1.0 if speed <= limit_mps else limit_mps / speed
+        return (east * scale, north * scale, max(-limits.descent_mps, min(limits.climb_mps, up)))
 
     def _land(self, body: PointMass) -> PositionEnu:
         east, north, _ = self._towards(self._hold_enu_m, body)
@@ -186,8 +201,10 @@ class Pilot:
             return self._towards((east, north, self._cruise_up_m), body)
         if self._is_over_home(body):
             self._hold_enu_m = self.home_enu_m
-            self._cruise_up_m = None
-            return self._return(body)
+            self._loitered_s += STEP_S
+            if self._loitered_s > self.return_loiter_s:
+                self._cruise_up_m = None
+                return self._return(body)
         return self._towards((*self.home_enu_m[:2], self._cruise_up_m), body)
 
     def _is_over_home(self, body: PointMass) -> bool:

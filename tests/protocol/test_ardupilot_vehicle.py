@@ -179,3 +179,34 @@ def test_a_second_origin_has_no_effect() -> None:
     assert station.command(mavlink.MAV_CMD_REQUEST_MESSAGE, 49.0) == ACCEPTED
     told = station.last(mavlink.MAVLink_gps_global_origin_message)
     assert told.latitude == 473977420
+
+
+@pytest.mark.parametrize("speed_cmps", [200.0, 500.0])
+def test_it_goes_to_a_place_at_the_speed_of_its_parameter(speed_cmps: float) -> None:
+    station = flying({"WPNAV_SPEED": speed_cmps})
+    station.send(local_setpoint(40.0, 10.0, -10.0))
+    speeds = []
+    for _ in range(40):
+        station.run(0.1)
+        report = station.last(mavlink.MAVLink_local_position_ned_message)
+        speeds.append((report.vx**2 + report.vy**2) ** 0.5)
+    assert max(speeds) == pytest.approx(speed_cmps / 100.0, rel=0.05)
+
+
+def test_it_climbs_at_the_speed_of_its_parameter() -> None:
+    station = flying({"WPNAV_SPEED_UP": 100.0})
+    station.send(local_setpoint(10.0, 10.0, -30.0))
+    station.run(5.0)
+    report = station.last(mavlink.MAVLink_local_position_ned_message)
+    assert report.vz == pytest.approx(-1.0, abs=0.05)
+
+
+@pytest.mark.parametrize("loiter_s", [0.0, 5.0])
+def test_return_waits_over_home_before_it_comes_down(loiter_s: float) -> None:
+    station = flying({"RTL_LOIT_TIME": 1000.0 * loiter_s, "RTL_ALT": 1000.0})
+    station.send(local_setpoint(20.0, 10.0, -10.0))
+    station.run(10.0)
+    assert choose(station, RTL) == ACCEPTED
+    station.run_until(lambda: abs(station.place[0] - 10.0) < 0.6, 20.0)
+    waited_s = station.run_until(lambda: station.place[2] > -9.0, 20.0)
+    assert waited_s == pytest.approx(1.2 + loiter_s, abs=0.8)

@@ -75,7 +75,7 @@ class MessageRequests:
         self._tables: OrderedDict[Channel, StreamTable] = OrderedDict()
 
     def open(self, channel: Channel, now_s: float) -> None:
-        """Begin the default streams of a channel, if it is new; the oldest of too many peers end."""
+        """Begin the default streams of a new channel; the oldest of too many peers end."""
         if channel not in self._tables:
             self._tables[channel] = StreamTable(self._stream_rules, now_s)
         self._tables.move_to_end(channel)

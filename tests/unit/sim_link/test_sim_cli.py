@@ -36,6 +36,8 @@ def taken_port() -> Iterator[int]:
         (["--report", ""], "--report"),
         (["--nonsense"], "--nonsense"),
         (["--autopilot", "betaflight"], "--autopilot"),
+        (["--ready-after", "-1"], "--ready-after"),
+        (["--ready-after", "nan"], "--ready-after"),
         (["--vehicles", "0"], "--vehicles"),
         (["--vehicles", "251"], "--vehicles"),
         (["--link", "carrier-pigeon"], "carrier-pigeon"),

@@ -26,7 +26,7 @@ from sim_link.autopilot.flavours.ardupilot.setpoints import (
 )
 from sim_link.autopilot.flavours.base import Flavour, Identity, Shown
 from sim_link.autopilot.mission import LegKind
-from sim_link.autopilot.pilot import Task
+from sim_link.autopilot.pilot import SpeedLimits, Task
 from sim_link.autopilot.protocols.commands import Command
 from sim_link.autopilot.protocols.parameter_store import ParameterStore
 from sim_link.autopilot.setpoints import GlobalTarget, LocalTarget, Setpoint
@@ -266,6 +266,7 @@ class ArduPilotFlavour(Flavour):
             final_m = self.parameters["RTL_ALT_FINAL"] / 100.0
             pilot.return_up_m = home_up_m + self.parameters["RTL_ALT"] / 100.0
             pilot.final_up_m = home_up_m + final_m if final_m > 0.0 else None
+            pilot.return_loiter_s = self.parameters["RTL_LOIT_TIME"] / 1e3
         super().settle(now_s, why)
 
     def _after_flying(self, now_s: float) -> None:
@@ -278,6 +279,7 @@ class ArduPilotFlavour(Flavour):
         body = self.aircraft.body
         timeout_s = self.parameters["GUID_TIMEOUT"]
         self.guided.watch(now_s, timeout_s, is_on_ground=body.is_on_ground)
+        self.aircraft.pilot.limits = self._speed_limits()
         if not self.is_armed:
             return
         if self.guided.state is GuidedState.FOLLOWING and self._runs_into_the_fence():
@@ -290,6 +292,16 @@ class ArduPilotFlavour(Flavour):
         is_blind = not self.aircraft.estimator.is_position_valid
         lands = modes.LAND if self.copter_mode.needs_position else None
         self._failsafe("EKF Failsafe", is_blind, lands, now_s)
+
+    def _speed_limits(self) -> SpeedLimits:
+        """WPNAV_SPEED and its kin, RTL_SPEED on the way home."""
+        value = self.parameters
+        home_cmps = value["RTL_SPEED"] if self.task is Task.RETURN else 0.0
+        return SpeedLimits(
+            (home_cmps or value["WPNAV_SPEED"]) / 100.0,
+            value["WPNAV_SPEED_UP"] / 100.0,
+            value["WPNAV_SPEED_DN"] / 100.0,
+        )
 
     def _watch_links(self, now_s: float) -> None:
         heard_s = self.aircraft.stations_s.get(int(self.parameters["SYSID_MYGCS"]))

@@ -14,7 +14,7 @@ from companion.mav.modes import CUSTOM_MODE_ENABLED, px4_custom_mode
 from sim_link.autopilot.aircraft import Aircraft
 from sim_link.autopilot.commands import ACCEPTED
 from sim_link.autopilot.flavours.base import Flavour, Identity, Shown
-from sim_link.autopilot.flavours.px4 import commands, setpoints
+from sim_link.autopilot.flavours.px4 import commands, parameters, setpoints
 from sim_link.autopilot.flavours.px4.failsafes import (
     FENCE_REACTION,
     LINK_LOSS_REACTION,
@@ -290,6 +290,7 @@ class Px4Flavour(Flavour):
 
     def _watch(self, now_s: float) -> None:
         self._watch_battery()
+        self.aircraft.pilot.limits = parameters.speed_limits(self.parameters)
         if not self.is_armed:
             return
         sticks = self.aircraft.sticks.read(now_s)
@@ -299,8 +300,7 @@ class Px4Flavour(Flavour):
             self.settle(now_s, "sticks moved")
         fresh = [finding for finding in self._findings(now_s) if self._failsafes.watch(finding)]
         for finding in fresh:
-            text = f"Failsafe: {finding.cause.value}"
-            self.aircraft.say(mavlink.MAV_SEVERITY_CRITICAL, text)
+            self.aircraft.say(mavlink.MAV_SEVERITY_CRITICAL, f"Failsafe: {finding.cause.value}")
         self._react(now_s)
 
     def _react(self, now_s: float) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from sim_link.autopilot.pilot import SpeedLimits
 from sim_link.autopilot.protocols.parameter_store import ParameterStore
 from sim_link.autopilot.protocols.px4_parameters import PX4_PARAMETERS
 from sim_link.autopilot.scenario import LossAction, Scenario
@@ -14,6 +15,15 @@ LOSS_ACTION_NUMBER: dict[LossAction, int] = {
     "disarm": 7,
 }
 """COM_OBL_RC_ACT."""
+
+
+def speed_limits(parameters: ParameterStore) -> SpeedLimits:
+    """How fast it goes to a place; the vehicle's own limits are no higher by default."""
+    return SpeedLimits(
+        parameters["MPC_XY_VEL_MAX"],
+        parameters["MPC_Z_VEL_MAX_UP"],
+        parameters["MPC_Z_VEL_MAX_DN"],
+    )
 
 
 def px4_parameters(scenario: Scenario) -> ParameterStore:

@@ -5,7 +5,13 @@ from pathlib import Path
 import pytest
 
 from companion.errors import ConfigError
-from companion.io.key_file import load_signing_key, load_timestamp, store_timestamp
+from companion.io.key_file import (
+    load_signing_key,
+    load_timestamp,
+    store_signing_key,
+    store_timestamp,
+)
+from companion.mav.signing import SigningKey
 
 DIGITS = "0123456789abcdef" * 4
 
@@ -55,3 +61,16 @@ def test_a_broken_timestamp_is_not_taken_for_none(tmp_path: Path, text: str) -> 
     path.write_text(text)
     with pytest.raises(ConfigError, match="no signing timestamp"):
         load_timestamp(path)
+
+
+@pytest.mark.parametrize("is_there_before", [False, True])
+def test_a_stored_key_is_read_again_and_is_its_owners_alone(
+    tmp_path: Path, is_there_before: bool
+) -> None:
+    path = tmp_path / "signing.key"
+    if is_there_before:
+        key_file(tmp_path, DIGITS)
+    store_signing_key(path, SigningKey(bytes(range(32))))
+    assert path.stat().st_mode & 0o777 == 0o600
+    assert load_signing_key(path).secret == bytes(range(32))
+    assert [each.name for each in tmp_path.iterdir()] == ["signing.key"]
