@@ -65,6 +65,51 @@ class Tampered:
         return self._endpoint.is_finished
 
 
+class DeafRecording:
+    """What an endpoint says that never hears anything, recorded as far as somebody listened."""
+
+    def __init__(self, endpoint: Endpoint) -> None:
+        self._endpoint = endpoint
+        self._wakeups: list[tuple[float, list[Chunk]]] = []
+
+    def wakeup(self, number: int) -> tuple[float, list[Chunk]]:
+        """When it was woken for this time, and what it said."""
+        while len(self._wakeups) <= number:
+            now_s = self._endpoint.next_timer_s()
+            self._endpoint.handle_timer(now_s)
+            self._wakeups.append((now_s, self._endpoint.take_output()))
+        return self._wakeups[number]
+
+
+class Deaf:
+    """An endpoint that hears nothing: since nothing can change what it says, a recording of it."""
+
+    is_finished = False
+
+    def __init__(self, recording: DeafRecording) -> None:
+        self._recording = recording
+        self._next = 0
+        self._output: list[Chunk] = []
+
+    def receive(self, chunk: Chunk, now_s: float) -> None:
+        pass
+
+    def handle_timer(self, now_s: float) -> None:
+        while self.next_timer_s() <= now_s:
+            self._output += self._recording.wakeup(self._next)[1]
+            self._next += 1
+
+    def next_timer_s(self) -> float:
+        return self._recording.wakeup(self._next)[0]
+
+    def take_output(self) -> list[Chunk]:
+        output, self._output = self._output, []
+        return output
+
+    def request_stop(self, now_s: float) -> None:
+        pass
+
+
 def id_of(frame: bytes) -> int:
     return int.from_bytes(frame[7:10], "little")
 
