@@ -1,8 +1,9 @@
 """ArduCopter's parameters that clients ask for and the simulator heeds or shows.
 
-Names, types, defaults and ranges: ArduPilot's Copter Parameter List, 4.5. ArduPilot checks no
-ranges; here a value beyond its documented range is refused, because a simulator that flies on
-with a wrapped integer teaches nobody anything.
+Names are those of ArduCopter 4.5; types, defaults and ranges are set after the sense of its Copter
+Parameter List, without a line by line comparison: ask the real one where it matters. ArduPilot
+checks no ranges; here a value out of range is refused, because a simulator that flies on with a
+wrapped integer teaches nobody anything.
 """
 
 from __future__ import annotations

@@ -1,6 +1,8 @@
 """PX4's parameters that clients ask for and the simulator heeds or shows.
 
-Names, types, defaults and ranges: PX4 1.15 Parameter Reference. Only INT32 and REAL32 exist there.
+Names and types are PX4 1.15's, where only INT32 and REAL32 exist; defaults and ranges are set after
+the sense of its Parameter Reference, without a line by line comparison: ask the real one where it
+matters.
 """
 
 from __future__ import annotations
