@@ -76,8 +76,8 @@ def commands(tmp_path: Path) -> Iterator[Commands]:
 @pytest.fixture(scope="module", autouse=True)
 def compiled_kernels() -> None:
     """What compiles once and is kept on disk must not count against the time of a flight."""
-    code = "from companion.config import CompanionConfig as C; from companion.run import prepare"
-    subprocess.run([sys.executable, "-c", f"{code}; prepare(C())"], check=True)
+    code = "from companion.config.schema import CompanionConfig as C; import companion.run as run"
+    subprocess.run([sys.executable, "-c", f"{code}; run.prepare(C())"], check=True)
 
 
 def wait_for_text(process: subprocess.Popen[str], text: str, timeout_s: float = 30.0) -> None:
