@@ -105,7 +105,7 @@ class LinkLayer:
             outgoing: What is to be sent where; to a peer that shares a link means to the link.
             component_id: Whose it is; None for the autopilot's.
         """
-        to = self._versions if outgoing.to is None else (self._sent_as(outgoing.to),)
+        to = self._receivers_of(outgoing)
         component = self._component_ids[0] if component_id is None else component_id
         return [
             Chunk(
@@ -119,6 +119,14 @@ class LinkLayer:
             for channel in to
             if self._versions[channel].can_carry(outgoing.message)
         ]
+
+    def _receivers_of(self, outgoing: Outgoing) -> list[Channel]:
+        """An ACK is heard by all peers of its link: a companion learns of a mode change from it."""
+        if outgoing.to is None:
+            return list(self._versions)
+        if isinstance(outgoing.message, mavlink.MAVLink_command_ack_message):
+            return [each for each in self._versions if each.link == outgoing.to.link]
+        return [self._sent_as(outgoing.to)]
 
     def keep_apart(self, channels: Collection[Channel]) -> None:
         """Send to these peers what is theirs alone; those not named share their links again."""
