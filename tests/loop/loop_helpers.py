@@ -226,7 +226,9 @@ class Loop:
         self.command(
             mavlink.MAV_CMD_DO_SET_MODE, *set_mode_params(mode, self.autopilot, is_armed=is_armed)
         )
-        self.command(mavlink.MAV_CMD_REQUEST_MESSAGE, float(mavlink.MAVLINK_MSG_ID_HEARTBEAT))
+        number, wanted = mavlink.MAV_CMD_REQUEST_MESSAGE, float(mavlink.MAVLINK_MSG_ID_HEARTBEAT)
+        ask = mavlink.MAVLink_command_long_message(1, 1, number, 0, wanted, *[0.0] * 6)
+        self.sim.receive(Chunk(0, self._station.encode(ask), COMPANION_PEER), self.now_s)
         self._deliver()
 
     def grant(self) -> None:
