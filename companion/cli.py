@@ -129,6 +129,11 @@ def _add_demo(commands: argparse._SubParsersAction[_Parser]) -> None:
     demo.add_argument("--seed", metavar="N", type=_seed, default=1, help="of the simulator")
     demo.add_argument("--speed", metavar="X", type=_speed, default=1.0, help="times real time")
     demo.add_argument("--scenario", metavar="FILE", type=Path, help="scenario for sim-link")
+    demo.add_argument(
+        "--autopilot",
+        choices=("px4", "ardupilot"),
+        help="which autopilot to fly (default: the scenario's, px4)",
+    )
     demo.add_argument("--config", metavar="FILE", type=Path, help="companion configuration")
     demo.add_argument("--json", metavar="FILE", type=Path, help="write the result as JSON")
     demo.add_argument(
@@ -232,6 +237,7 @@ def _demo(arguments: argparse.Namespace) -> int:
         seed=arguments.seed,
         speed=arguments.speed,
         scenario=arguments.scenario,
+        autopilot=arguments.autopilot,
         config=arguments.config,
         json=arguments.json,
         plot=None if arguments.no_plot else arguments.plot,

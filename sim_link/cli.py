@@ -10,25 +10,28 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
+import msgspec
+
 from companion import __version__
 from companion.errors import CompanionError, ConfigError
 from companion.io.clock import Clock
-from companion.io.files import write_json_atomic
-from companion.io.links import UdpFanOut
 from companion.io.shell import Shell
 from companion.io.urls import parse_link_url
-from companion.mav.endpoint import Address
+from companion.mav.endpoint import Address, Endpoint
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.config import Scenario, load_scenario
-from sim_link.report import end_report, start_report
+from sim_link.fleet import Fleet
+from sim_link.vehicles import Files, Wishes, link_specs, make_vehicles
 
 DEFAULT_LISTEN = "127.0.0.1:14580"
 DEFAULT_SEND_TO = ("127.0.0.1:14550", "127.0.0.1:14540")
 EXIT_BAD_INPUT = 2
 MAX_SPEED = 1000.0
+MAX_VEHICLES = 250
+MAX_BOOT_S = 3600.0
 
 DESCRIPTION = """\
-Fly a simulated PX4 multicopter with a radio payload that measures a hidden emitter.
+Fly a simulated PX4 or ArduPilot multicopter with a radio payload that measures a hidden emitter.
 
 It speaks MAVLink 2 over UDP, sends unasked to every --send-to address, and answers whoever
 sends to --listen. It runs until it is stopped (Ctrl-C, SIGTERM)."""
@@ -94,6 +97,11 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         "(default: the canonical scenario, built in)",
     )
     parser.add_argument(
+        "--autopilot",
+        choices=("px4", "ardupilot"),
+        help="which autopilot to be (default: the scenario's, px4)",
+    )
+    parser.add_argument(
         "--seed", metavar="N", type=int, default=0, help="seed of all randomness (default 0)"
     )
     parser.add_argument(
@@ -117,6 +125,40 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         help=f"bind this UDP address (default {DEFAULT_LISTEN})",
     )
     parser.add_argument(
+        "--link",
+        metavar="URL",
+        action="append",
+        default=[],
+        help="one more link, with streams of its own: udpin:HOST:PORT, tcpin:HOST:PORT (several "
+        "clients), serial:/dev/...:BAUD or pty:PATH; repeatable",
+    )
+    parser.add_argument(
+        "--ready-after",
+        metavar="S",
+        type=float,
+        help="seconds after boot until it can be armed (default: the scenario's, 2; the real PX4 "
+        "takes 34, ArduPilot 41)",
+    )
+    parser.add_argument(
+        "--vehicles",
+        metavar="N",
+        type=int,
+        help="fly N of them: system ids and ports count up, 14550 is for all (default 1)",
+    )
+    parser.add_argument(
+        "--parameters",
+        metavar="FILE",
+        type=Path,
+        help="load the autopilot's parameters from FILE if it exists, and store them there",
+    )
+    parser.add_argument(
+        "--signing-key",
+        metavar="FILE",
+        type=Path,
+        help="sign, and believe only what is signed with this key; SETUP_SIGNING over "
+        "a line (pty:, serial:) replaces it",
+    )
+    parser.add_argument(
         "--report",
         metavar="FILE",
         type=Path,
@@ -133,34 +175,69 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    seed, speed = _seed(arguments.seed), _speed(arguments.speed)
-    scenario = load_scenario(arguments.scenario) if arguments.scenario else Scenario()
-    listen = _address("--listen", arguments.listen)
-    send_to = [_address("--send-to", text) for text in arguments.send_to or DEFAULT_SEND_TO]
-    endpoint = SimEndpoint(scenario, seed)
-    voice = _Voice()
-    report: Path | None = arguments.report
-    if report is not None:
-        if not report.name:
-            raise ConfigError(f"--report {report}: give the name of a file")
-        write_json_atomic(report, start_report(endpoint, seed, speed))
+    wishes = _wishes(arguments)
+    endpoints = make_vehicles(wishes)
+    specs = [link_specs(wishes, number) for number in range(len(endpoints))]
+    voice, files = _Voice(), Files(wishes, endpoints)
+    files.begin()
 
-    def on_wakeup(now_s: float) -> None:  # noqa: ARG001  the events carry their own time
-        for occurrence in endpoint.take_occurrences():
-            if not arguments.quiet:
-                voice.say(f"{occurrence.time_s:8.2f} s  {occurrence.text}")
+    def on_wakeup(now_s: float) -> None:
+        files.keep(now_s)
+        for endpoint in endpoints:
+            who = f"{endpoint.vehicle.system_id:3d}  " if len(endpoints) > 1 else ""
+            for occurrence in endpoint.take_occurrences():
+                if not arguments.quiet:
+                    voice.say(f"{occurrence.time_s:8.2f} s  {who}{occurrence.text}")
 
-    voice.say(_start_line(scenario, seed, speed, listen, send_to))
+    voice.say(_start_line(wishes))
+    fleet: Endpoint = endpoints[0] if len(endpoints) == 1 else Fleet(endpoints, len(specs[0]))
+    links = [spec for own in specs for spec in own]
     try:
-        shell = Shell(endpoint, [UdpFanOut(*listen, tuple(send_to))], Clock(speed), on_wakeup)
+        shell = Shell(fleet, links, Clock(wishes.speed), on_wakeup)
         if arguments.stop_on_eof:
             threading.Thread(target=_stop_at_eof, args=(shell,), daemon=True).start()
         shell.run_blocking()
     finally:
-        if report is not None:
-            write_json_atomic(report, end_report(endpoint, seed, speed))
-    voice.say(_summary(endpoint))
+        files.end()
+    for endpoint in endpoints:
+        voice.say(_summary(endpoint))
     return 0
+
+
+def _wishes(arguments: argparse.Namespace) -> Wishes:
+    seed, speed = _seed(arguments.seed), _speed(arguments.speed)
+    report: Path | None = arguments.report
+    if report is not None and not report.name:
+        raise ConfigError(f"--report {report}: give the name of a file")
+    return Wishes(
+        scenario=_scenario(arguments),
+        seed=seed,
+        speed=speed,
+        listen=_address("--listen", arguments.listen),
+        send_to=tuple(_address("--send-to", text) for text in arguments.send_to or DEFAULT_SEND_TO),
+        links=tuple(parse_link_url(text) for text in arguments.link),
+        parameters=arguments.parameters,
+        signing_key=arguments.signing_key,
+        report=report,
+    )
+
+
+def _scenario(arguments: argparse.Namespace) -> Scenario:
+    """The scenario of the command line, which has the last word."""
+    scenario = load_scenario(arguments.scenario) if arguments.scenario else Scenario()
+    if arguments.vehicles is not None:
+        if not 1 <= arguments.vehicles <= MAX_VEHICLES:
+            raise ConfigError(f"--vehicles {arguments.vehicles}: give 1 to {MAX_VEHICLES}")
+        scenario = msgspec.structs.replace(scenario, vehicles=arguments.vehicles)
+    if arguments.autopilot is not None:
+        autopilot = msgspec.structs.replace(scenario.autopilot, flavour=arguments.autopilot)
+        scenario = msgspec.structs.replace(scenario, autopilot=autopilot)
+    if arguments.ready_after is not None:
+        if not 0.0 <= arguments.ready_after <= MAX_BOOT_S:
+            raise ConfigError(f"--ready-after {arguments.ready_after:g}: give 0 to {MAX_BOOT_S:g}")
+        autopilot = msgspec.structs.replace(scenario.autopilot, ready_after_s=arguments.ready_after)
+        scenario = msgspec.structs.replace(scenario, autopilot=autopilot)
+    return scenario
 
 
 def _stop_at_eof(shell: Shell) -> None:
@@ -190,13 +267,15 @@ def _address(option: str, text: str) -> Address:
     return (url.host, url.port)
 
 
-def _start_line(
-    scenario: Scenario, seed: int, speed: float, listen: Address, send_to: Sequence[Address]
-) -> str:
-    targets = ", ".join(f"{host}:{port}" for host, port in send_to)
+def _start_line(wishes: Wishes) -> str:
+    scenario, listen = wishes.scenario, wishes.listen
+    targets = ", ".join(f"{host}:{port}" for host, port in wishes.send_to)
+    count = f"{scenario.vehicles} vehicles, " if scenario.vehicles > 1 else ""
+    also = "".join(f", {url}" for url in wishes.links)
     return (
-        f"sim-link: scenario {scenario.name}, seed {seed}, speed {speed:g}x; "
-        f"sending to {targets}; listening on {listen[0]}:{listen[1]}"
+        f"sim-link: {count}{scenario.autopilot.flavour}, scenario {scenario.name}, "
+        f"seed {wishes.seed}, speed {wishes.speed:g}x; "
+        f"sending to {targets}; listening on {listen[0]}:{listen[1]}{also}"
     )
 
 

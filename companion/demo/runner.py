@@ -46,6 +46,8 @@ class DemoOptions:
     seed: int
     speed: float
     scenario: Path | None
+    autopilot: str | None
+    """px4 or ardupilot; None: the scenario's."""
     config: Path | None
     json: Path | None
     plot: Path | None
@@ -81,7 +83,9 @@ def run_demo(options: DemoOptions) -> bool:
     port = free_udp_port()
     with tempfile.TemporaryDirectory() as temporary:
         report = Path(temporary) / "sim-link.json"
-        simulator = SimulatorProcess(report, options.seed, options.speed, options.scenario, port)
+        simulator = SimulatorProcess(
+            report, options.seed, options.speed, options.scenario, port, options.autopilot
+        )
         with simulator:
             truth = simulator.started_report()
             config = _demo_config(config, truth)
@@ -257,7 +261,7 @@ def _end_reason(
     if is_handed_over(endpoint):
         return "localised"
     if endpoint.session.phase is Phase.YIELDED:
-        return "the autopilot left offboard mode"
+        return f"the autopilot left {endpoint.session.vehicle.guided_name}"
     if now_s > limit_s:
         return f"time limit of {limit_s:g} s"
     if not simulator.is_alive:

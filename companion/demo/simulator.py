@@ -39,10 +39,17 @@ class SimulatorProcess:
         speed: Times real time.
         scenario: A scenario file; None: the canonical one.
         companion_port: Where to send to.
+        autopilot: px4 or ardupilot; None: the scenario's.
     """
 
     def __init__(
-        self, report: Path, seed: int, speed: float, scenario: Path | None, companion_port: int
+        self,
+        report: Path,
+        seed: int,
+        speed: float,
+        scenario: Path | None,
+        companion_port: int,
+        autopilot: str | None = None,
     ) -> None:
         self._report = report
         self._command = [
@@ -51,6 +58,7 @@ class SimulatorProcess:
             *("--listen", f"{HOST}:{free_udp_port()}"),
             *("--send-to", f"{HOST}:{companion_port}"),
             *(() if scenario is None else ("--scenario", str(scenario))),
+            *(() if autopilot is None else ("--autopilot", autopilot)),
         ]
         self._process: subprocess.Popen[str] | None = None
 

@@ -18,6 +18,7 @@ from companion.guidance.events import (
     RequestAnswered,
     RequestKind,
 )
+from companion.guidance.mode_names import mode_name
 
 READY_TIMEOUT_S = 120.0
 """PX4 needs 34 to 38 s after boot until it can be armed; a cold GPS needs longer."""
@@ -75,6 +76,7 @@ class Launch:
         self._modes: frozenset[FlightMode] = frozenset()
         """Modes that the launch itself leads through."""
         self._was_armed = False
+        self._needs_prestream = True
 
     @property
     def is_at_offboard(self) -> bool:
@@ -103,12 +105,13 @@ class Launch:
         is_expected = heartbeat.mode in self._modes or (
             self.is_at_offboard and heartbeat.mode is FlightMode.OFFBOARD
         )
-        return None if is_expected else f"mode is {heartbeat.mode.value}"
+        name = mode_name(heartbeat.mode, heartbeat.autopilot)
+        return None if is_expected else f"mode is {name}"
 
     @property
     def wants_stream(self) -> bool:
-        """Whether "stay here" setpoints are due."""
-        return self.stage in (Stage.PRESTREAM, Stage.OFFBOARD)
+        """Whether "stay here" setpoints are due: PX4 wants them before offboard."""
+        return self.stage in (Stage.PRESTREAM, Stage.OFFBOARD) and self._needs_prestream
 
     def tick(self, view: LaunchView) -> list[Command]:
         """What to ask for now."""
@@ -120,7 +123,7 @@ class Launch:
             case Stage.CLIMB:
                 self._when_climbed(view)
             case Stage.PRESTREAM:
-                if view.now_s - self._since_s >= PRESTREAM_S:
+                if not self._needs_prestream or view.now_s - self._since_s >= PRESTREAM_S:
                     self._enter(Stage.OFFBOARD, view.now_s)
             case Stage.OFFBOARD:
                 return self._ask(view)
@@ -169,10 +172,12 @@ class Launch:
         if heartbeat.autopilot is Autopilot.OTHER:
             self.failure = "only PX4 and ArduPilot can be launched"
         elif heartbeat.is_armed and heartbeat.mode not in _launch_modes(heartbeat.autopilot):
-            self.failure = f"the vehicle is being flown already, in {heartbeat.mode.value}"
+            name = mode_name(heartbeat.mode, heartbeat.autopilot)
+            self.failure = f"the vehicle is being flown already, in {name}"
         if self.failure is not None:
             return []
         self._modes = _modes_on_the_way(heartbeat)
+        self._needs_prestream = heartbeat.autopilot is not Autopilot.ARDUPILOT
         if heartbeat.is_armed and view.height_m >= CLIMBED_SHARE * self.altitude_m:
             self._enter(Stage.PRESTREAM, view.now_s)
         elif heartbeat.is_ready and view.has_origin:
@@ -192,7 +197,8 @@ class Launch:
     def _ask(self, view: LaunchView) -> list[Command]:
         if self._is_asked:
             if self.stage is Stage.OFFBOARD and view.now_s - self._since_s > MODE_TIMEOUT_S:
-                self.failure = "offboard was accepted but never entered"
+                name = mode_name(FlightMode.OFFBOARD, view.heartbeat.autopilot)
+                self.failure = f"{name} was accepted but never entered"
             return []
         if view.now_s < self._retry_s:
             return []

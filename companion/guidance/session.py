@@ -118,7 +118,8 @@ class GuidanceSession:
                 self._on_answer(event)
             case ControlGranted():
                 if self._enter(Trigger.GRANTED, event.time_s):
-                    self._announce(Severity.NOTICE, "granted again: switch to offboard mode")
+                    text = f"granted again: switch to {self.vehicle.guided_name}"
+                    self._announce(Severity.NOTICE, text)
             case AutopilotRestarted():
                 self._on_restart(event.time_s)
             case StopRequested():
@@ -192,7 +193,8 @@ class GuidanceSession:
         elif event.mode is FlightMode.OFFBOARD:
             self._on_offboard(now_s)
         elif launch is None and self._enter(Trigger.MODE_LOST, now_s):
-            text = f"control lost: autopilot went to {event.mode.value}; silent until given back"
+            name = self.vehicle.name_of(event.mode)
+            text = f"control lost: autopilot went to {name}; silent until given back"
             self._announce(Severity.WARNING, text)
 
     def _on_disarmed(self, event: HeartbeatReceived) -> None:
@@ -210,7 +212,8 @@ class GuidanceSession:
             self._launch = None
             self._has_launched = True
             self._hold_reason = "checking its inputs"
-            self._announce(Severity.NOTICE, "in control: autopilot is in offboard mode")
+            text = f"in control: autopilot is in {self.vehicle.guided_name}"
+            self._announce(Severity.NOTICE, text)
 
     def _on_answer(self, event: RequestAnswered) -> None:
         self._record("answer", request=event.kind.value, outcome=event.outcome.value)
@@ -253,7 +256,8 @@ class GuidanceSession:
         mode = hand_back_mode(self.authority, self.vehicle, self._launch, follow_up)
         if self._enter(Trigger.STOP, now_s) and self.phase is Phase.HANDING_BACK:
             if mode is not None:
-                self._announce(Severity.NOTICE, f"stopping: asking the autopilot to {mode.value}")
+                name = self.vehicle.name_of(mode)
+                self._announce(Severity.NOTICE, f"stopping: asking the autopilot to {name}")
                 self._ask_mode(mode)
             else:
                 self._enter(Trigger.HANDED_BACK, now_s)
@@ -329,7 +333,7 @@ class GuidanceSession:
     def _standby_text(self) -> str:
         if self.params.engage == "auto" and not self._has_launched:
             return "ready: launching by itself"
-        return "ready: switch to offboard mode to give control"
+        return f"ready: switch to {self.vehicle.guided_name} to give control"
 
     def _advance_launch(self, now_s: float) -> None:
         launch, heartbeat = self._launch, self.vehicle.heartbeat

@@ -56,7 +56,7 @@ def snapshot(
     return GuidanceStatus(
         time_s=now_s,
         phase=authority.phase,
-        detail=_detail(authority, hold_reason, launch, flight_plan.waypoint),
+        detail=_detail(authority, hold_reason, launch, flight_plan.waypoint, vehicle.guided_name),
         mode=vehicle.mode,
         is_armed=vehicle.is_armed,
         is_link_lost=vehicle.is_link_lost(now_s),
@@ -74,12 +74,16 @@ def snapshot(
 
 
 def _detail(
-    authority: Authority, hold_reason: str, launch: Launch | None, waypoint: Waypoint | None
+    authority: Authority,
+    hold_reason: str,
+    launch: Launch | None,
+    waypoint: Waypoint | None,
+    guided_name: str,
 ) -> str:
     """Why it waits or holds, how far the launch is, or what it flies at."""
     phase = authority.phase
     if phase is Phase.WAITING and not authority.may_begin:
-        return "found in offboard or in a failsafe: change its mode, or grant control"
+        return f"found in {guided_name} or in a failsafe: change its mode, or grant control"
     if phase is Phase.HOLDING:
         return hold_reason
     if phase is Phase.LAUNCHING and launch is not None:

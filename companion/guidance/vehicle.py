@@ -16,6 +16,7 @@ from companion.guidance.events import (
     VehicleMoved,
     YawMeasured,
 )
+from companion.guidance.mode_names import mode_name
 from companion.guidance.track import VehicleTrack, is_plausible
 
 STALE_STATE_S = 0.5
@@ -93,6 +94,21 @@ class VehicleView:
     def mode(self) -> FlightMode:
         """The mode last shown."""
         return FlightMode.UNKNOWN if self.heartbeat is None else self.heartbeat.mode
+
+    @property
+    def autopilot(self) -> Autopilot:
+        """Whose HEARTBEAT it sends."""
+        return Autopilot.OTHER if self.heartbeat is None else self.heartbeat.autopilot
+
+    def name_of(self, mode: FlightMode) -> str:
+        """What its operator calls a mode."""
+        return mode_name(mode, self.autopilot)
+
+    @property
+    def guided_name(self) -> str:
+        """What its operator calls the mode that obeys setpoints."""
+        name = self.name_of(FlightMode.OFFBOARD)
+        return name if self.autopilot is Autopilot.ARDUPILOT else f"{name} mode"
 
     @property
     def is_armed(self) -> bool:

@@ -38,7 +38,7 @@ class WaitingReason:
         if not missing:
             if self._authority.may_begin:
                 return None
-            mode = self._vehicle.mode.value
+            mode = self._vehicle.name_of(self._vehicle.mode)
             return f"left alone: in {mode}, not given; switch to another mode"
         if self._vehicle.heartbeat is None:
             return None

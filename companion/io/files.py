@@ -47,10 +47,28 @@ def write_json_atomic(path: Path, value: object) -> None:
     Raises:
         CompanionError: It cannot be written; an old file is still there then.
     """
-    text = json.dumps(plain(value), allow_nan=False, indent=2) + "\n"
+    write_text_atomic(path, json.dumps(plain(value), allow_nan=False, indent=2) + "\n")
+
+
+def write_text_atomic(path: Path, text: str, mode: int = 0o666) -> None:
+    """Replace a text file as a whole: a reader, or a power cut, sees the old one or the new one.
+
+    Args:
+        path: The file; its directory exists.
+        text: All of its content.
+        mode: Who may read and write it, less the umask.
+
+    Raises:
+        CompanionError: It cannot be written; an old file is still there then.
+    """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+
+    def opener(name: str, flags: int) -> int:
+        return os.open(name, flags, mode)
+
     try:
-        with temporary.open("w", encoding="utf-8") as file:
+        temporary.unlink(missing_ok=True)
+        with open(temporary, "w", encoding="utf-8", opener=opener) as file:
             file.write(text)
             file.flush()
             os.fsync(file.fileno())

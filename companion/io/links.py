@@ -6,7 +6,9 @@ from dataclasses import dataclass
 from typing import assert_never
 
 from companion.io.link_base import Link, LinkCounters, Received
-from companion.io.streams import SerialLink, TcpClientLink, TcpServerLink
+from companion.io.pty import PtyLink
+from companion.io.streams import SerialLink, TcpClientLink
+from companion.io.tcp_server import TcpFanOutLink, TcpServerLink
 from companion.io.udp import UdpConnectLink, UdpFanOutLink, UdpLink
 from companion.io.urls import DEFAULT_BAUD, LinkKind, LinkUrl
 from companion.mav.endpoint import Address
@@ -15,14 +17,17 @@ __all__ = [
     "Link",
     "LinkCounters",
     "LinkSpec",
+    "Pty",
     "SerialPort",
     "TcpClient",
+    "TcpFanOut",
     "TcpServer",
     "UdpBind",
     "UdpConnect",
     "UdpFanOut",
     "link_from_url",
     "make_link",
+    "shared_link_from_url",
 ]
 
 
@@ -68,6 +73,21 @@ class TcpServer:
 
 
 @dataclass(frozen=True, slots=True)
+class TcpFanOut:
+    """Listen, and serve several clients; a chunk without a peer goes to all of them."""
+
+    host: str
+    port: int
+
+
+@dataclass(frozen=True, slots=True)
+class Pty:
+    """A pseudo terminal that others open as a serial port under `path`."""
+
+    path: str
+
+
+@dataclass(frozen=True, slots=True)
 class SerialPort:
     """A serial device, opened again after it was unplugged."""
 
@@ -75,7 +95,7 @@ class SerialPort:
     baud: int = DEFAULT_BAUD
 
 
-LinkSpec = UdpBind | UdpFanOut | UdpConnect | TcpClient | TcpServer | SerialPort
+LinkSpec = UdpBind | UdpFanOut | UdpConnect | TcpClient | TcpServer | TcpFanOut | Pty | SerialPort
 
 
 def link_from_url(url: LinkUrl) -> LinkSpec:
@@ -91,6 +111,23 @@ def link_from_url(url: LinkUrl) -> LinkSpec:
             return TcpClient(url.host, url.port)
         case LinkKind.SERIAL:
             return SerialPort(url.device, url.baud)
+        case LinkKind.PTY:
+            return Pty(url.device)
+
+
+def shared_link_from_url(url: LinkUrl, remotes: tuple[Address, ...] = ()) -> LinkSpec:
+    """The link that an address means to a vehicle, which serves everybody who comes.
+
+    Args:
+        url: Where to listen, or a line.
+        remotes: Whom a UDP link sends to unasked.
+    """
+    match url.kind:
+        case LinkKind.UDP_IN:
+            return UdpFanOut(url.host, url.port, remotes)
+        case LinkKind.TCP_IN:
+            return TcpFanOut(url.host, url.port)
+    return link_from_url(url)
 
 
 def make_link(spec: LinkSpec, index: int, received: Received) -> Link:
@@ -112,6 +149,10 @@ def make_link(spec: LinkSpec, index: int, received: Received) -> Link:
             return TcpClientLink(spec.host, spec.port, index, received)
         case TcpServer():
             return TcpServerLink(spec.host, spec.port, index, received)
+        case TcpFanOut():
+            return TcpFanOutLink(spec.host, spec.port, index, received)
+        case Pty():
+            return PtyLink(spec.path, index, received)
         case SerialPort():
             return SerialLink(spec.device, spec.baud, index, received)
     assert_never(spec)

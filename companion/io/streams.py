@@ -1,4 +1,4 @@
-"""TCP and serial links: one bounded byte stream over a file descriptor, reopened when lost.
+"""TCP clients and serial links: one bounded byte stream over a descriptor, reopened when lost.
 
 Theory of operation. `ByteStream` owns a non-blocking descriptor: it reads a bounded batch per
 wake-up, writes at once what the system takes, keeps at most 64 kB for later and refuses whole
@@ -18,13 +18,14 @@ import termios
 from abc import abstractmethod
 from collections.abc import Callable
 from pathlib import Path
+from typing import Protocol
 
 import serial
 
 from companion.errors import LinkError
-from companion.io.link_base import MAX_READS, Link, Received, bind_problem, logger
+from companion.io.link_base import MAX_READS, Link, Received, logger
 from companion.io.udp import resolve
-from companion.mav.endpoint import Address, Chunk
+from companion.mav.endpoint import Chunk
 
 MAX_UNSENT_BYTES = 64 * 1024
 READ_BYTES = 4096
@@ -33,6 +34,13 @@ BACKOFF_MAX_S = 5.0
 CONNECT_TIMEOUT_S = 5.0
 KEEPALIVE_IDLE_S, KEEPALIVE_INTERVAL_S, KEEPALIVE_PROBES = 5, 2, 3
 """A peer that vanished without a word is noticed after about eleven seconds."""
+
+
+class Handle(Protocol):
+    """Whatever owns a descriptor."""
+
+    def close(self) -> None:
+        """Let go of it."""
 
 
 class ByteStream:
@@ -47,7 +55,7 @@ class ByteStream:
 
     def __init__(
         self,
-        handle: socket.socket | serial.Serial,
+        handle: Handle,
         fd: int,
         received: Callable[[list[bytes]], None],
         lost: Callable[[str], None],
@@ -145,7 +153,7 @@ class StreamLink(Link):
             self._stream.close()
             self._stream = None
 
-    def _connected(self, handle: socket.socket | serial.Serial, fd: int) -> None:
+    def _connected(self, handle: Handle, fd: int) -> None:
         logger.info("%s: connected", self.name)
         self._stream = ByteStream(handle, fd, self._take, self._forget)
 
@@ -167,7 +175,7 @@ class ReopeningLink(StreamLink):
         self._task: asyncio.Task[None] | None = None
 
     @abstractmethod
-    async def _connect(self) -> tuple[socket.socket | serial.Serial, int]:
+    async def _connect(self) -> tuple[Handle, int]:
         """A handle and its non-blocking descriptor; raises whatever opening one raises."""
 
     async def open(self) -> None:
@@ -222,7 +230,7 @@ class TcpClientLink(ReopeningLink):
         new = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         try:
             new.setblocking(False)
-            _tune(new)
+            tune(new)
             async with asyncio.timeout(CONNECT_TIMEOUT_S):
                 await asyncio.get_running_loop().sock_connect(new, address)
         except BaseException:
@@ -271,68 +279,7 @@ class SerialLink(ReopeningLink):
         return port, fd
 
 
-class TcpServerLink(StreamLink):
-    """A listening TCP port that serves one client at a time; others are turned away."""
-
-    def __init__(self, host: str, port: int, index: int, received: Received) -> None:
-        super().__init__(f"tcpin {host}:{port}", index, received)
-        self._host, self._port = host, port
-        self._listener: socket.socket | None = None
-
-    @property
-    def local_address(self) -> Address:
-        """Host and port that the open socket has; `("", 0)` while closed."""
-        if self._listener is None:
-            return ("", 0)
-        host, port = self._listener.getsockname()[:2]
-        return (str(host), int(port))
-
-    async def open(self) -> None:
-        """Bind and listen.
-
-        Raises:
-            LinkError: The port is taken or the host is not ours.
-        """
-        address = await resolve(self.name, self._host, self._port)
-        listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-        try:
-            # For TCP this only skips the wait for old connections; a taken port still fails.
-            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            listener.bind(address)
-            listener.listen(4)
-        except OSError as error:
-            listener.close()
-            raise LinkError(bind_problem("tcp", self._host, self._port, error)) from error
-        listener.setblocking(False)
-        self._listener = listener
-        asyncio.get_running_loop().add_reader(listener, self._accept)
-
-    def _accept(self) -> None:
-        if self._listener is None:
-            return
-        try:
-            client, peer = self._listener.accept()
-        except OSError:  # it went away again, or we are out of descriptors
-            self.counters.receive_errors += 1
-            return
-        if self._stream is not None:
-            logger.info("%s: %s turned away, one client at a time", self.name, peer[0])
-            client.close()
-            return
-        client.setblocking(False)
-        _tune(client)
-        self._connected(client, client.fileno())
-
-    def close(self) -> None:
-        """Close the client and the port."""
-        super().close()
-        if self._listener is not None:
-            asyncio.get_running_loop().remove_reader(self._listener)
-            self._listener.close()
-            self._listener = None
-
-
-def _tune(stream: socket.socket) -> None:
+def tune(stream: socket.socket) -> None:
     """Small frames at once, and a silent death noticed."""
     stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     stream.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)

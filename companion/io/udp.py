@@ -147,7 +147,7 @@ class UdpFanOutLink(UdpLink):
             self._send_to(chunk.data, chunk.peer)
             return
         for peer in (*self._remotes, *self._peers):
-            if peer != chunk.except_peer:
+            if peer not in chunk.except_peers:
                 self._send_to(chunk.data, peer)
 
 

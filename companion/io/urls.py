@@ -30,6 +30,8 @@ class LinkKind(Enum):
     TCP_OUT = "tcp"
     """Connect, and again after a loss."""
     SERIAL = "serial"
+    PTY = "pty"
+    """Make a pseudo terminal that others open as a serial port."""
 
 
 _KINDS = {
@@ -40,6 +42,7 @@ _KINDS = {
     "tcpout": LinkKind.TCP_OUT,
     "tcpin": LinkKind.TCP_IN,
     "serial": LinkKind.SERIAL,
+    "pty": LinkKind.PTY,
 }
 _EXAMPLES = {
     LinkKind.UDP_IN: "udp:127.0.0.1:14550",
@@ -47,6 +50,7 @@ _EXAMPLES = {
     LinkKind.TCP_IN: "tcpin:127.0.0.1:5760",
     LinkKind.TCP_OUT: "tcp:127.0.0.1:5760",
     LinkKind.SERIAL: f"serial:/dev/ttyACM0:{DEFAULT_BAUD}",
+    LinkKind.PTY: "pty:/tmp/vehicle",
 }
 _LISTENING = (LinkKind.UDP_IN, LinkKind.TCP_IN)
 
@@ -63,6 +67,8 @@ class LinkUrl:
 
     def __str__(self) -> str:
         """The canonical spelling, which parses to the same address."""
+        if self.kind is LinkKind.PTY:
+            return f"pty:{self.device}"
         if self.kind is LinkKind.SERIAL:
             return f"serial:{self.device}:{self.baud}"
         return f"{self.kind.value}:{self.host}:{self.port}"
@@ -73,7 +79,7 @@ def parse_link_url(text: str) -> LinkUrl:
 
     Args:
         text: `udp:`, `udpin:`, `udpout:`, `tcp:`, `tcpout:` or `tcpin:` with `HOST:PORT`,
-            `serial:DEVICE[:BAUD]` or a bare `/dev/...`; `kind://` is read as `kind:`.
+            `serial:DEVICE[:BAUD]`, `pty:PATH` or a bare `/dev/...`; `kind://` is read as `kind:`.
 
     Raises:
         ConfigError: It is none of these; the message shows a right one.
@@ -92,6 +98,10 @@ def parse_link_url(text: str) -> LinkUrl:
     rest = rest.removeprefix("//")
     if kind is LinkKind.SERIAL:
         return _parse_serial(text, rest)
+    if kind is LinkKind.PTY:
+        if not rest.startswith("/"):
+            raise _wrong(text, kind, "needs the full path of the port to make")
+        return LinkUrl(kind, device=rest)
     return _parse_host_and_port(text, kind, rest)
 
 

@@ -21,10 +21,11 @@ class Chunk:
     link: int
     """Index of the link, in the order the shell was given them."""
     data: bytes
+    """Without any, from one of several clients of a TCP port: that one has gone."""
     peer: Address | None = None
     """Who sent it; on the way out, None means whomever the link talks to by default."""
-    except_peer: Address | None = None
-    """On the way out, without a peer: everyone but this one, where a frame is forwarded."""
+    except_peers: frozenset[Address] = frozenset()
+    """On the way out, without a peer: everyone but these."""
     is_datagram: bool = True
     """False on serial and TCP links, where a chunk may hold any part of a frame."""
 

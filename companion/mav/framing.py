@@ -7,6 +7,10 @@ CRC_EXTRA, agrees; otherwise exactly one byte is given up and the search goes on
 length byte never swallows the good frame behind it. A MAVLink 2 frame with an unknown
 incompatibility flag is dropped whole, as the protocol asks, once its CRC has proved it a frame.
 
+A message that is not in the dialect cannot be proved a frame. For a router, which must pass it on,
+it is taken for one if it ends where the data ends or another frame begins and no good frame lies in
+it; it is kept apart from the proved ones.
+
 The end of a datagram ends every candidate in it; a stream keeps at most one unfinished frame
 (280 bytes), so no sequence of bytes makes the buffer grow.
 
@@ -15,6 +19,7 @@ Source: MAVLink developer guide, "Packet Serialization".
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -46,12 +51,15 @@ class FrameSplitter:
 
     Args:
         crc_extra_by_id: CRC_EXTRA of every known message id.
+        keeps_unknown: Whether what looks like a frame of an unknown message is kept too.
     """
 
-    def __init__(self, crc_extra_by_id: Mapping[int, int]) -> None:
+    def __init__(self, crc_extra_by_id: Mapping[int, int], *, keeps_unknown: bool = False) -> None:
         self.counters = FrameCounters()
         self._crc_extra_by_id = crc_extra_by_id
+        self._keeps_unknown = keeps_unknown
         self._pending = b""
+        self._unknown: list[bytes] = []
 
     def split(self, data: bytes, *, is_datagram: bool) -> list[bytes]:
         """The frames completed by `data`.
@@ -63,6 +71,8 @@ class FrameSplitter:
         """
         buffer = self._pending + data
         frames: list[bytes] = []
+        taken: list[tuple[int, int]] = []
+        guesses: list[tuple[int, int]] = []
         start = 0
         while start < len(buffer):
             if buffer[start] not in HEADER_LENGTH:
@@ -78,15 +88,39 @@ class FrameSplitter:
                 continue
             frame = buffer[start : start + length]
             if self._is_valid(frame):
+                taken.append((start, start + length))
                 start += length
                 if self._is_compatible(frame):
                     frames.append(frame)
             else:
+                if self._keeps_unknown and message_id(frame) not in self._crc_extra_by_id:
+                    guesses.append((start, start + length))
                 start += 1
                 self.counters.junk_bytes += 1
+        self._keep_unknown(buffer, guesses, taken)
         self._pending = b"" if is_datagram else buffer[start:]
         self.counters.good += len(frames)
         return frames
+
+    def take_unknown(self) -> list[bytes]:
+        """What looked like frames of unknown messages since the last call, unproved."""
+        unknown, self._unknown = self._unknown, []
+        return unknown
+
+    def _keep_unknown(
+        self, buffer: bytes, guesses: list[tuple[int, int]], taken: list[tuple[int, int]]
+    ) -> None:
+        free_from = 0
+        good_ends = [end for _, end in taken]
+        for start, end in guesses:
+            ends_well = end == len(buffer) or buffer[end] in HEADER_LENGTH
+            next_good = bisect_right(good_ends, start)
+            is_free = start >= free_from and not (
+                next_good < len(taken) and taken[next_good][0] < end
+            )
+            if ends_well and is_free:
+                self._unknown.append(buffer[start:end])
+                free_from = end
 
     @staticmethod
     def _frame_length(buffer: bytes, start: int) -> int | None:

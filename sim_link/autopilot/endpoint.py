@@ -1,14 +1,16 @@
-"""The simulated vehicle on a MAVLink link: bytes and time in, bytes out.
+"""The simulated vehicle on its MAVLink links: bytes and time in, bytes out.
 
 Theory of operation. Physics advances in steps of 20 ms up to the time of the timer, and every
 message is built at a step, so a run depends on its scenario, seed and inputs only. A timer that
 comes more than half a second late (a suspended process) skips the steps it missed: no burst of
-stale telemetry, and the vehicle has not moved meanwhile.
+stale telemetry, and the vehicle has not moved meanwhile. On invented time this is lockstep: nothing
+moves until the caller says what time it is.
 
-What others on the link send to each other is forwarded (`router`), so that a ground station hears
-the companion and reaches it.
-
-Vehicle and payload are two components with a sequence number each, as if each had its own radio.
+Every link has its own streams and sequence numbers, and so has every peer of a shared link that
+asks for rates of its own or speaks MAVLink 1 (`protocols.link_layer`): PX4 has one peer per port,
+so no client of it ever gets the rates of another. What others send to each other is forwarded, on
+one link and between links, so that a ground station hears the companion and reaches it. Vehicle
+and payload are two components with a sequence number each, as if each had its own radio.
 """
 
 from __future__ import annotations
@@ -17,27 +19,20 @@ import math
 
 import numpy as np
 
-from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Chunk
+from companion.mav.framing import MAGIC_V1
+from companion.mav.signing import Signing
 from sim_link.autopilot import payload
-from sim_link.autopilot.commands import (
-    Command,
-    CommandHandler,
-    command_from_int,
-    command_from_long,
-    command_from_set_mode,
-)
+from sim_link.autopilot.protocols.base import Channel, Outgoing
+from sim_link.autopilot.protocols.link_layer import LinkLayer
 from sim_link.autopilot.recorder import FlightRecorder
-from sim_link.autopilot.router import Router
 from sim_link.autopilot.scenario import Scenario
-from sim_link.autopilot.setpoints import setpoint_from_global, setpoint_from_local
-from sim_link.autopilot.streams import StreamTable
+from sim_link.autopilot.services import Services
 from sim_link.autopilot.telemetry import Telemetry
 from sim_link.autopilot.vehicle import STEP_S, Occurrence, SimVehicle
 from sim_link.world.target import Emitter
 
-LINK = 0
 AUTOPILOT_COMPONENT_ID = mavlink.MAV_COMP_ID_AUTOPILOT1
 MAX_CATCH_UP_S = 0.5
 STEP_TOLERANCE = 1e-6
@@ -45,43 +40,86 @@ STEP_TOLERANCE = 1e-6
 
 
 class SimEndpoint:
-    """A PX4-like vehicle with a radio payload, on link 0.
+    """A PX4-like or ArduPilot-like vehicle with a radio payload.
 
     Args:
         scenario: What is flown where.
         seed: Seed of all randomness.
         started_s: The shell's time at boot.
+        links: How many links it has.
+        parameters: Stored parameters, lines `NAME VALUE`.
+        parameters_name: What to call them in errors, usually a file.
+        signing: Proves and signs; None: neither, until a client sets a key up.
+        trusted_links: Links that nobody else can hear, where unsigned frames are welcome.
+        started_unix_s: Unix time at boot, for the timestamps of signatures.
+
+    Raises:
+        ConfigError: The scenario or the stored parameters name a parameter that does not exist, or
+            a value that may not be.
     """
 
-    def __init__(self, scenario: Scenario, seed: int, started_s: float = 0.0) -> None:
-        noise_seed, payload_seed = np.random.SeedSequence(seed).spawn(2)
+    def __init__(
+        self,
+        scenario: Scenario,
+        seed: int,
+        started_s: float = 0.0,
+        links: int = 1,
+        *,
+        parameters: str = "",
+        parameters_name: str = "stored parameters",
+        signing: Signing | None = None,
+        trusted_links: frozenset[int] = frozenset(),
+        started_unix_s: float = 0.0,
+    ) -> None:
+        self._scenario = scenario
+        self._seeds = np.random.SeedSequence(seed)
+        self._link_count = links
+        self._unix_minus_local_s = started_unix_s - started_s
+        self._is_finished = False
+        self._output: list[Chunk] = []
+        components = (AUTOPILOT_COMPONENT_ID, payload.COMPONENT_ID)
+        self.links = LinkLayer(scenario.system_id, components, links, signing, trusted_links)
+        self.recorder = FlightRecorder()
+        self._boot(started_s, parameters, parameters_name)
+
+    def _boot(self, started_s: float, parameters: str, name: str) -> None:
+        """Power on: everything anew but the sequence numbers and the stored parameters."""
+        noise_seed, payload_seed = self._seeds.spawn(2)
+        scenario = self._scenario
         self._started_s = started_s
         self._next_step = 0
-        self._is_finished = False
-        self._has_told_origin = False
-        self._output: list[Chunk] = []
-        self._codec = MavCodec(scenario.system_id, AUTOPILOT_COMPONENT_ID)
-        self._payload_codec = MavCodec(scenario.system_id, payload.COMPONENT_ID)
-        self._router = Router(scenario.system_id, (AUTOPILOT_COMPONENT_ID, payload.COMPONENT_ID))
         self.vehicle = SimVehicle(scenario, np.random.default_rng(noise_seed))
-        self.recorder = FlightRecorder()
+        self.vehicle.flavour.parameters.load_text(parameters, name)
         self._telemetry = Telemetry(self.vehicle)
-        self._streams = StreamTable()
-        self._commands = CommandHandler(self.vehicle, self._telemetry, self._streams)
+        self._services = Services(self.vehicle, self._link_count)
+        self.links.keep_apart(self._services.requests.channels)
         self._payload = payload.RadioPayload(
             scenario.payload,
             scenario.channel,
-            Emitter(scenario.emitter),
+            [Emitter(params) for params in (scenario.emitter, *scenario.emitters)],
             np.random.default_rng(payload_seed),
             scenario.environment,
         )
 
     def receive(self, chunk: Chunk, now_s: float) -> None:
         """Take in bytes; whatever is no MAVLink, or not for us, is ignored."""
-        boot_s = now_s - self._started_s
-        for message in self._codec.decode(chunk.data, is_datagram=chunk.is_datagram):
-            self._output += self._router.forward(message, chunk.peer, LINK)
-            self._dispatch(message, boot_s)
+        if not chunk.data and not chunk.is_datagram:
+            self._forget(Channel(chunk.link, chunk.peer))
+            return
+        arrivals, forwarded = self.links.receive(chunk)
+        self._output += forwarded
+        for arrival in arrivals:
+            if arrival.message.get_srcComponent() == 0:
+                continue  # nobody's
+            self._handle(arrival.message, arrival.channel, now_s)
+            if self._services.wants_reboot:
+                self._boot(now_s, self.parameters_text, "stored parameters")
+
+    def _forget(self, channel: Channel) -> None:
+        if channel.peer is not None:
+            self.links.forget(channel)
+            self._services.requests.forget(channel)
+            self.links.keep_apart(self._services.requests.channels)
 
     def handle_timer(self, now_s: float) -> None:
         """Step the physics up to `now_s` and queue the telemetry that is due."""
@@ -89,6 +127,8 @@ class SimEndpoint:
         last = math.floor(steps)
         if last - self._next_step > MAX_CATCH_UP_S / STEP_S:
             self._next_step = last
+        if self.links.signing is not None:
+            self.links.signing.advance(now_s + self._unix_minus_local_s)
         while self._next_step <= last:
             self._step(self._next_step * STEP_S)
             self._next_step += 1
@@ -115,73 +155,36 @@ class SimEndpoint:
         """Whether a stop was requested."""
         return self._is_finished
 
+    @property
+    def parameters_text(self) -> str:
+        """The parameters that differ from their defaults, to be stored."""
+        return self.vehicle.flavour.parameters.to_text()
+
+    def _handle(self, message: Message, channel: Channel, now_s: float) -> None:
+        services, boot_s = self._services, now_s - self._started_s
+        frame = bytes(message.get_msgbuf()[:1])
+        if frame[0] == MAGIC_V1 and services.addressing.is_for_us(message):
+            services.requests.open(channel, boot_s)  # in MAVLink 1, unlike the rest of its link
+            self.links.keep_apart(services.requests.channels)
+            self.links.speaks_as(channel, frame)
+        answers = services.handle(message, channel, boot_s)
+        self.links.keep_apart(services.requests.channels)
+        self._send_all(answers)
+
     def _step(self, boot_s: float) -> None:
         self.vehicle.step(boot_s)
         self.recorder.take(self.vehicle)
-        if not self._has_told_origin:
-            self._has_told_origin = True
-            self._send(self._telemetry.gps_global_origin())
-        for number in self._streams.take_due(boot_s):
-            message = self._telemetry.build(number)
+        self._send_all(self._services.step(boot_s))
+        built: dict[int, Message | None] = {}
+        for channel, number in self._services.requests.take_due(boot_s):
+            if number not in built:
+                built[number] = self._telemetry.build(number)
+            message = built[number]
             if message is not None:
-                self._send(message)
+                self._output += self.links.send(Outgoing(message, channel))
         for message in self._payload.messages(self.vehicle.body, boot_s):
-            self._output.append(Chunk(LINK, self._payload_codec.encode(message)))
+            self._output += self.links.send(Outgoing(message), payload.COMPONENT_ID)
 
-    def _send(self, message: Message) -> None:
-        self._output.append(Chunk(LINK, self._codec.encode(message)))
-
-    def _dispatch(self, message: Message, boot_s: float) -> None:
-        match message:
-            case mavlink.MAVLink_set_position_target_local_ned_message():
-                if self._is_for_us(message.target_system, message.target_component):
-                    self.vehicle.offboard.take(setpoint_from_local(message), boot_s)
-            case mavlink.MAVLink_set_position_target_global_int_message():
-                if self._is_for_us(message.target_system, message.target_component):
-                    setpoint = setpoint_from_global(
-                        message, self.vehicle.origin, self.vehicle.home_altitude_m
-                    )
-                    self.vehicle.offboard.take(setpoint, boot_s)
-            case mavlink.MAVLink_command_long_message():
-                if self._is_for_us(message.target_system, message.target_component):
-                    self._obey(command_from_long(message), message, boot_s)
-            case mavlink.MAVLink_command_int_message():
-                if self._is_for_us(message.target_system, message.target_component):
-                    self._obey(command_from_int(message), message, boot_s)
-            case mavlink.MAVLink_set_mode_message():
-                if self._is_for_us(message.target_system, 0):
-                    self._obey(command_from_set_mode(message), message, boot_s)
-            case mavlink.MAVLink_timesync_message():
-                if message.tc1 == 0:
-                    own_ns = max(1, round(1e9 * boot_s))
-                    self._send(mavlink.MAVLink_timesync_message(own_ns, message.ts1))
-            case mavlink.MAVLink_ping_message():
-                if message.target_system == 0 and message.target_component == 0:
-                    self._answer_ping(message)
-
-    def _is_for_us(self, system_id: int, component_id: int) -> bool:
-        """MAVLink developer guide, "Routing": 0 is a broadcast."""
-        return system_id in (0, self._codec.system_id) and component_id in (
-            0,
-            AUTOPILOT_COMPONENT_ID,
-        )
-
-    def _obey(self, command: Command, message: Message, boot_s: float) -> None:
-        result, replies = self._commands.handle(command, boot_s)
-        for reply in replies:
-            self._send(reply)
-        self._send(
-            mavlink.MAVLink_command_ack_message(
-                command.number,
-                result,
-                target_system=message.get_srcSystem(),
-                target_component=message.get_srcComponent(),
-            )
-        )
-
-    def _answer_ping(self, message: mavlink.MAVLink_ping_message) -> None:
-        self._send(
-            mavlink.MAVLink_ping_message(
-                message.time_usec, message.seq, message.get_srcSystem(), message.get_srcComponent()
-            )
-        )
+    def _send_all(self, outgoing: list[Outgoing]) -> None:
+        for item in outgoing:
+            self._output += self.links.send(item)

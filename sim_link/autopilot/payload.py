@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from companion.mav.dialect import Message, mavlink
 from companion.mav.ranging import message_from_ranging
+from sim_link.autopilot.protocols.streams import DUE_TOLERANCE_S
 from sim_link.autopilot.scenario import PayloadParams
-from sim_link.autopilot.streams import DUE_TOLERANCE_S
-from sim_link.autopilot.telemetry import MAVLINK_VERSION
+from sim_link.autopilot.status_messages import MAVLINK_VERSION
 from sim_link.world.environment import Environment
 from sim_link.world.point_mass import PointMass
 from sim_link.world.radio_channel import ChannelParams, RadioChannel
@@ -24,7 +26,7 @@ class RadioPayload:
     Args:
         params: Rate and reach.
         channel: The true channel.
-        emitter: Whom to hear.
+        emitters: Whom to hear.
         rng: The payload's own generator.
         environment: The obstacles between the two; None: there are none.
     """
@@ -33,14 +35,15 @@ class RadioPayload:
         self,
         params: PayloadParams,
         channel: ChannelParams,
-        emitter: Emitter,
+        emitters: Sequence[Emitter],
         rng: np.random.Generator,
         environment: Environment | None = None,
     ) -> None:
         self._params = params
         self._channel = RadioChannel(channel, rng, environment)
-        self._channel.prepare(emitter)
-        self._emitter = emitter
+        for emitter in emitters:
+            self._channel.prepare(emitter)
+        self._emitters = tuple(emitters)
         self._period_s = 1.0 / params.rate_hz
         self._measurement_due_s = 0.0
         self._heartbeat_due_s = 0.0
@@ -55,16 +58,16 @@ class RadioPayload:
         if now_s + DUE_TOLERANCE_S >= self._measurement_due_s:
             self._measurement_due_s = max(self._measurement_due_s, now_s - self._period_s)
             self._measurement_due_s += self._period_s
-            if self._hears(body):
-                position = body.position_enu_m
-                measurement = self._channel.measure(self._emitter, position, now_s)
-                messages.append(message_from_ranging(measurement, round(1e6 * now_s)))
+            for emitter in self._emitters:
+                if self._hears(emitter, body):
+                    measurement = self._channel.measure(emitter, body.position_enu_m, now_s)
+                    messages.append(message_from_ranging(measurement, round(1e6 * now_s)))
         return messages
 
-    def _hears(self, body: PointMass) -> bool:
+    def _hears(self, emitter: Emitter, body: PointMass) -> bool:
         return (
             body.height_m >= self._params.min_altitude_m
-            and self._emitter.slant_range_m(body.position_enu_m) <= self._params.max_range_m
+            and emitter.slant_range_m(body.position_enu_m) <= self._params.max_range_m
         )
 
 

@@ -1,17 +1,20 @@
-"""What each flight mode does: from mode, setpoint and motion to a velocity command.
+"""What each task does: from task, setpoint and motion to a velocity command.
 
-A mode that stays in place stays where a braking vehicle comes to rest. POSITION, and every other
-mode flown by sticks, sinks slowly: nobody holds the sticks, and PX4 without a remote control was
-seen to do the same.
+A task that stays in place stays where a braking vehicle comes to rest. Modes flown by sticks sink
+slowly when nobody holds them: PX4 without a remote control was seen to do the same.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from enum import Enum
 
-from companion.domain import FlightMode, PositionEnu
+from companion.domain import PositionEnu
 from companion.geometry.frames import wrap_pi
-from sim_link.autopilot.setpoints import Setpoint
+from sim_link.autopilot.mission import Leg, LegKind
+from sim_link.autopilot.setpoints import Setpoint, turned
+from sim_link.autopilot.sticks import Sticks
 from sim_link.world.point_mass import (
     PointMass,
     VehicleParams,
@@ -28,74 +31,148 @@ REACHED_M = 0.2
 HOME_REACHED_M = 0.5
 CLIMBED_M = 1.0
 """How far below its cruise height RETURN may start, and dip on, the way home."""
+STEP_S = 0.02
+
+
+class Task(Enum):
+    """What the pilot does, whatever mode it is for."""
+
+    STAY = "stay"
+    """At the hold point, which a command may move."""
+    TAKE_OFF = "take off"
+    LAND = "land"
+    RETURN = "return"
+    FLY_MISSION = "fly mission"
+    FOLLOW = "follow setpoints"
+    OBEY_STICKS = "obey sticks"
+    DESCEND = "descend"
+    """Without a position to hold."""
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedLimits:
+    """How fast it goes to a place by its parameters, within the vehicle's own limits."""
+
+    horizontal_mps: float = math.inf
+    climb_mps: float = math.inf
+    descent_mps: float = math.inf
 
 
 class Pilot:
-    """Flies the modes.
+    """Flies the tasks.
 
     Args:
         vehicle: Limits and response, for braking.
-        home_enu_m: Where RETURN goes.
-        return_altitude_m: Height above home for the way there.
+        home_enu_m: Where RETURN goes at first.
     """
 
-    def __init__(
-        self, vehicle: VehicleParams, home_enu_m: PositionEnu, return_altitude_m: float
-    ) -> None:
+    def __init__(self, vehicle: VehicleParams, home_enu_m: PositionEnu) -> None:
         self._vehicle = vehicle
-        self._home_enu_m = home_enu_m
-        self._return_up_m = home_enu_m[2] + return_altitude_m
+        self.task = Task.STAY
+        self.home_enu_m = home_enu_m
+        self.return_up_m = home_enu_m[2]
+        """Height for the way home."""
+        self.takeoff_up_m = home_enu_m[2]
+        """Height at which TAKE_OFF ends; set with the command."""
+        self.final_up_m: float | None = None
+        """Height above which RETURN stays instead of landing; None: it lands."""
+        self.return_loiter_s = 0.0
+        """How long RETURN waits over home before it comes down."""
+        self.limits = SpeedLimits()
+        self.hold_yaw_ned_rad: float | None = None
+        self.hold_speed_mps: float | None = None
         self._hold_enu_m = home_enu_m
         self._cruise_up_m: float | None = None
+        self._loitered_s = 0.0
+        self._velocity: PositionEnu = (0.0, 0.0, 0.0)
         self._is_staying = False
-        self.takeoff_up_m = home_enu_m[2]
-        """Height at which TAKEOFF ends; set with the command."""
+        self._leg: Leg | None = None
 
-    def enter(self, mode: FlightMode, body: PointMass) -> None:
-        """The flown mode changes to `mode`."""
+    def enter(self, task: Task, body: PointMass) -> None:
+        """A new task begins."""
+        self.task = task
         self._stay(body)
         self._is_staying = False
         self._cruise_up_m = None
-        if mode is FlightMode.RETURN and not body.is_on_ground and not self._is_over_home(body):
-            self._cruise_up_m = max(body.position_enu_m[2], self._return_up_m)
+        self._loitered_s = 0.0
+        self._velocity = body.velocity_enu_mps
+        self.hold_yaw_ned_rad = self.hold_speed_mps = None
+        if task is Task.RETURN:
+            self._begin_return(body)
+
+    def go_to(self, goal_enu_m: PositionEnu, speed_mps: float | None, yaw: float | None) -> None:
+        """Stay at another place from now on; needs the task STAY."""
+        self._hold_enu_m = goal_enu_m
+        self.hold_speed_mps, self.hold_yaw_ned_rad = speed_mps, yaw
+
+    @property
+    def hold_enu_m(self) -> PositionEnu:
+        """Where it stays."""
+        return self._hold_enu_m
 
     def has_taken_off(self, body: PointMass) -> bool:
         """Whether the takeoff height is reached."""
         return body.position_enu_m[2] >= self.takeoff_up_m - REACHED_M
 
-    def command(self, mode: FlightMode, setpoint: Setpoint, body: PointMass) -> PositionEnu:
-        """The velocity that the mode wants now, local east-north-up."""
-        match mode:
-            case FlightMode.OFFBOARD:
+    def command(
+        self, setpoint: Setpoint, leg: Leg | None, sticks: Sticks | None, body: PointMass
+    ) -> PositionEnu:
+        """The velocity that the task wants now, local east-north-up."""
+        self._leg = leg
+        match self.task:
+            case Task.FOLLOW:
                 return self._follow(setpoint, body)
-            case FlightMode.TAKEOFF:
+            case Task.TAKE_OFF:
                 east, north, _ = self._hold_enu_m
                 up_m = max(self.takeoff_up_m, self._hold_enu_m[2])
                 return self._towards((east, north, up_m), body)
-            case FlightMode.LAND:
+            case Task.LAND:
                 return self._land(body)
-            case FlightMode.RETURN:
+            case Task.RETURN:
                 return self._return(body)
-            case FlightMode.HOLD | FlightMode.MISSION:
-                return self._towards(self._hold_enu_m, body)
+            case Task.FLY_MISSION if leg is not None:
+                return self._fly_leg(leg, body)
+            case Task.STAY | Task.FLY_MISSION:
+                return self._towards(self._hold_enu_m, body, self.hold_speed_mps)
+            case Task.OBEY_STICKS if sticks is not None:
+                return self._obey(sticks, body)
         return (0.0, 0.0, -SINK_WITHOUT_STICKS_MPS)
 
     def yaw_ned_rad(
-        self, mode: FlightMode, setpoint: Setpoint, body: PointMass, dt_s: float
+        self, setpoint: Setpoint, sticks: Sticks | None, body: PointMass
     ) -> float | None:
-        """The heading that the mode wants now, clockwise from north; None keeps the present."""
-        if mode is not FlightMode.OFFBOARD:
-            return None
-        if setpoint.yaw_ned_rad is None and setpoint.yaw_rate_ned_radps is not None:
-            return wrap_pi(body.yaw_ned_rad + setpoint.yaw_rate_ned_radps * dt_s)
-        return setpoint.yaw_ned_rad
+        """The heading that the task wants now, clockwise from north; None keeps the present."""
+        match self.task:
+            case Task.FOLLOW:
+                if setpoint.yaw_ned_rad is None and setpoint.yaw_rate_ned_radps is not None:
+                    return wrap_pi(body.yaw_ned_rad + setpoint.yaw_rate_ned_radps * STEP_S)
+                return setpoint.yaw_ned_rad
+            case Task.STAY:
+                return self.hold_yaw_ned_rad
+            case Task.FLY_MISSION if self._leg is not None:
+                return self._leg.yaw_ned_rad
+            case Task.OBEY_STICKS if sticks is not None and sticks.yaw:
+                rate_radps = sticks.yaw * self._vehicle.max_yaw_rate_radps
+                return wrap_pi(body.yaw_ned_rad + rate_radps * STEP_S)
+        return None
+
+    def stay_here(self, body: PointMass) -> None:
+        """Move the hold point to where a braking vehicle comes to rest."""
+        self._stay(body)
 
     def _stay(self, body: PointMass) -> None:
         east, north, up = stopping_point(body.position_enu_m, body.velocity_enu_mps, self._vehicle)
         self._hold_enu_m = (east, north, max(up, body.ground_up_m))
 
-    def _towards(self, goal_enu_m: PositionEnu, body: PointMass) -> PositionEnu:
-        return approach_velocity(body.position_enu_m, goal_enu_m, self._vehicle)
+    def _towards(
+        self, goal_enu_m: PositionEnu, body: PointMass, speed_mps: float | None = None
+    ) -> PositionEnu:
+        east, north, up = approach_velocity(body.position_enu_m, goal_enu_m, self._vehicle)
+        limits = self.limits
+        limit_mps = limits.horizontal_mps if speed_mps is None else speed_mps
+        speed = math.hypot(east, north)
+        scale = 1.0 if speed <= limit_mps else limit_mps / speed
+        return (east * scale, north * scale, max(-limits.descent_mps, min(limits.climb_mps, up)))
 
     def _land(self, body: PointMass) -> PositionEnu:
         east, north, _ = self._towards(self._hold_enu_m, body)
@@ -103,23 +180,55 @@ class Pilot:
             return (east, north, -self._vehicle.max_descent_mps)
         return (east, north, -self._vehicle.landing_speed_mps)
 
+    def _fly_leg(self, leg: Leg, body: PointMass) -> PositionEnu:
+        if leg.kind is LegKind.LAND:
+            self._hold_enu_m = (*leg.goal_enu_m[:2], body.ground_up_m)
+            return self._land(body)
+        self._hold_enu_m = leg.goal_enu_m
+        return self._towards(leg.goal_enu_m, body, leg.speed_mps)
+
+    def _begin_return(self, body: PointMass) -> None:
+        if not body.is_on_ground and not self._is_over_home(body):
+            self._cruise_up_m = max(body.position_enu_m[2], self.return_up_m)
+
     def _return(self, body: PointMass) -> PositionEnu:
         if self._cruise_up_m is None:
+            if self.final_up_m is not None:
+                return self._towards((*self.home_enu_m[:2], self.final_up_m), body)
             return self._land(body)
         if body.position_enu_m[2] < self._cruise_up_m - CLIMBED_M:
             east, north, _ = self._hold_enu_m
             return self._towards((east, north, self._cruise_up_m), body)
         if self._is_over_home(body):
-            self._hold_enu_m = self._home_enu_m
-            self._cruise_up_m = None
-            return self._land(body)
-        return self._towards((*self._home_enu_m[:2], self._cruise_up_m), body)
+            self._hold_enu_m = self.home_enu_m
+            self._loitered_s += STEP_S
+            if self._loitered_s > self.return_loiter_s:
+                self._cruise_up_m = None
+                return self._return(body)
+        return self._towards((*self.home_enu_m[:2], self._cruise_up_m), body)
 
     def _is_over_home(self, body: PointMass) -> bool:
         """Whether the wind lets it come no nearer, or it is there."""
-        distance_m = math.dist(body.position_enu_m[:2], self._home_enu_m[:2])
+        distance_m = math.dist(body.position_enu_m[:2], self.home_enu_m[:2])
         slack_mps = body.drift_mps + self._vehicle.position_gain_per_s * HOME_REACHED_M
         return approach_speed_mps(distance_m, self._vehicle) <= slack_mps
+
+    def _obey(self, sticks: Sticks, body: PointMass) -> PositionEnu:
+        """Velocities by deflection; let go, it stays where it comes to rest."""
+        vehicle = self._vehicle
+        if not sticks.are_moved:
+            if not self._is_staying:
+                self._stay(body)
+                self._is_staying = True
+            return self._towards(self._hold_enu_m, body)
+        self._is_staying = False
+        east, north = turned(
+            sticks.forward * vehicle.max_speed_mps,
+            sticks.right * vehicle.max_speed_mps,
+            body.yaw_ned_rad,
+        )
+        limit_mps = vehicle.max_climb_mps if sticks.up > 0.0 else vehicle.max_descent_mps
+        return (east, north, sticks.up * limit_mps)
 
     def _follow(self, setpoint: Setpoint, body: PointMass) -> PositionEnu:
         gives_nothing = (
@@ -128,6 +237,9 @@ class Pilot:
             and setpoint.up_m is None
             and setpoint.climb_mps is None
         )
+        if gives_nothing and setpoint.acceleration_enu_mps2 is not None:
+            return self._accelerate(setpoint.acceleration_enu_mps2)
+        self._velocity = body.velocity_enu_mps
         if gives_nothing:
             if not self._is_staying:
                 self._stay(body)
@@ -144,3 +256,16 @@ class Pilot:
             to_goal[1] + forward_north,
             to_goal[2] + (setpoint.climb_mps or 0.0),
         )
+
+    def _accelerate(self, acceleration_enu_mps2: PositionEnu) -> PositionEnu:
+        """A velocity that grows by what is asked, up to the vehicle's limits."""
+        self._is_staying = False
+        limits = (self._vehicle.max_speed_mps, self._vehicle.max_speed_mps)
+        ve, vn, vu = (
+            v + a * STEP_S for v, a in zip(self._velocity, acceleration_enu_mps2, strict=True)
+        )
+        ve = min(limits[0], max(-limits[0], ve))
+        vn = min(limits[1], max(-limits[1], vn))
+        vu = min(self._vehicle.max_climb_mps, max(-self._vehicle.max_descent_mps, vu))
+        self._velocity = (ve, vn, vu)
+        return self._velocity

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
+from companion.geometry.polygons import area_m2, is_simple
 from companion.params import NonNegative, Params, Positive
 from sim_link.world.environment import Environment, ObstacleParams, ShadowParams
 from sim_link.world.point_mass import VehicleParams, WindParams
@@ -21,7 +22,10 @@ SystemId = Annotated[int, msgspec.Meta(ge=1, le=255)]
 PayloadRate = Annotated[float, msgspec.Meta(gt=0.0, le=50.0)]
 SeaLevelAltitude = Annotated[float, msgspec.Meta(ge=-500.0, le=9000.0)]
 FlightAltitude = Annotated[float, msgspec.Meta(gt=0.0, le=1000.0)]
-LossAction = Literal["hold", "position", "return", "land"]
+LossAction = Literal["hold", "position", "return", "land", "disarm"]
+FlavourName = Literal["px4", "ardupilot"]
+Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
+VehicleCount = Annotated[int, msgspec.Meta(ge=1, le=250)]
 
 
 class OriginParams(Params, frozen=True):
@@ -34,11 +38,15 @@ class OriginParams(Params, frozen=True):
 
 
 class AutopilotParams(Params, frozen=True):
-    """How the simulated PX4 is configured."""
+    """Which autopilot is simulated and how it is configured.
 
+    What has a parameter of the autopilot's own is that parameter's default; clients may set it.
+    """
+
+    flavour: FlavourName = "px4"
     ready_after_s: NonNegative = 2.0
     """Seconds after boot until it can be armed."""
-    offboard_loss_timeout_s: Positive = 1.0
+    offboard_loss_timeout_s: Annotated[float, msgspec.Meta(gt=0.0, le=60.0)] = 1.0
     """Age of the last valid setpoint that ends OFFBOARD (PX4 COM_OF_LOSS_T)."""
     offboard_loss_action: LossAction = "hold"
     """What happens then (PX4 COM_OBL_RC_ACT)."""
@@ -47,7 +55,67 @@ class AutopilotParams(Params, frozen=True):
     return_altitude_m: FlightAltitude = 30.0
     """Above home, for RETURN (PX4 RTL_RETURN_ALT)."""
     disarm_after_landing_s: NonNegative = 2.0
-    """PX4 COM_DISARM_LAND."""
+    """PX4 COM_DISARM_LAND; ArduPilot disarms a second after LAND and RTL ended."""
+    parameters: dict[str, float] = msgspec.field(default_factory=dict)
+    """Defaults of the autopilot's parameters that differ from its own, by name."""
+
+
+class BatteryParams(Params, frozen=True):
+    """The pack: only flying empties it."""
+
+    endurance_s: Positive = 1200.0
+    """Hovering time from full to empty."""
+    start_share: Share = 1.0
+    """Charge at the start."""
+
+
+class RcParams(Params, frozen=True):
+    """The remote control."""
+
+    is_present: bool = False
+    """Whether a transmitter is switched on; its sticks rest in the middle."""
+    lost_s: tuple[tuple[NonNegative, NonNegative], ...] = ()
+    """Windows, from and to, seconds since boot, in which its signal is lost."""
+
+
+class GpsParams(Params, frozen=True):
+    """What the satellites and the estimator do to the reported position."""
+
+    lost_s: tuple[tuple[NonNegative, NonNegative], ...] = ()
+    """Windows, from and to, seconds since boot, without a fix."""
+    drift_mps: NonNegative = 0.3
+    """How fast the estimate wanders off in such a window."""
+    valid_without_fix_s: NonNegative = 5.0
+    """How long the estimate is used without a fix."""
+
+
+class EkfJumpParams(Params, frozen=True):
+    """A reset of the estimator: from `time_s` on it reports this much more."""
+
+    time_s: NonNegative
+    east_m: Coordinate = 0.0
+    north_m: Coordinate = 0.0
+    up_m: Coordinate = 0.0
+
+
+class FenceParams(Params, frozen=True):
+    """A geofence that is loaded at boot, local metres about the origin; a client may replace it."""
+
+    corners_enu_m: tuple[tuple[Coordinate, Coordinate], ...] = ()
+    """A simple polygon, not closed; empty: no fence."""
+    is_inclusion: bool = True
+    """Whether the vehicle must stay inside; otherwise outside."""
+
+    def __post_init__(self) -> None:
+        """Refuse a polygon that encloses nothing or crosses itself."""
+        if not self.corners_enu_m:
+            return
+        if len(self.corners_enu_m) < 3:
+            raise ValueError("a fence needs at least 3 corners")
+        if not is_simple(self.corners_enu_m):
+            raise ValueError("two edges of the fence cross each other")
+        if area_m2(self.corners_enu_m) < 1.0:
+            raise ValueError("the fence encloses no area")
 
 
 class PayloadParams(Params, frozen=True):
@@ -82,6 +150,16 @@ class Scenario(Params, frozen=True):
     autopilot: AutopilotParams = AutopilotParams()
     vehicle: VehicleParams = VehicleParams()
     wind: WindParams = WindParams()
+    battery: BatteryParams = BatteryParams()
+    rc: RcParams = RcParams()
+    gps: GpsParams = GpsParams()
+    ekf_jumps: tuple[EkfJumpParams, ...] = ()
+    """Resets of the position estimate, each at its time."""
+    fence: FenceParams = FenceParams()
+    emitters: tuple[EmitterParams, ...] = ()
+    """Further emitters beside `emitter`, heard over the same channel."""
+    vehicles: VehicleCount = 1
+    """How many of this vehicle fly in one process."""
     position_noise_m: NonNegative = 0.0
     """Standard deviation per axis of the position that the autopilot reports."""
 

@@ -1,11 +1,6 @@
-"""Offboard setpoints: which are valid, what they ask for, and whether they still arrive.
+"""What a streamed setpoint asks for, and what the two autopilots share in reading one.
 
-A setpoint is refused whole, and is then no proof of life, if a field that it does not mask is NaN
-or infinite, if its frame is not one of ours, if it sets the FORCE bit, or if it leaves neither a
-position nor a velocity. One that gives only some axes is a proof of life that asks to stay in
-place, as PX4 does with it.
-
-Source: MAVLink common, POSITION_TARGET_TYPEMASK and messages 84 and 86; PX4 user guide, offboard.
+Source: MAVLink common, POSITION_TARGET_TYPEMASK and messages 84 and 86.
 """
 
 from __future__ import annotations
@@ -14,16 +9,12 @@ import math
 from dataclasses import dataclass
 
 from companion.domain import Point, PositionEnu
-from companion.geometry.frames import LocalOrigin, enu_from_ned
 from companion.mav import type_mask
 from companion.mav.dialect import mavlink
 
 LocalTarget = mavlink.MAVLink_set_position_target_local_ned_message
 GlobalTarget = mavlink.MAVLink_set_position_target_global_int_message
 
-HORIZONTAL_POSITION_IGNORE = type_mask.X_IGNORE | type_mask.Y_IGNORE
-HORIZONTAL_VELOCITY_IGNORE = type_mask.VX_IGNORE | type_mask.VY_IGNORE
-MOTION_IGNORE = type_mask.POSITION_IGNORE | type_mask.VELOCITY_IGNORE
 MAX_LATITUDE_E7 = 900_000_000
 MAX_LONGITUDE_E7 = 1_800_000_000
 
@@ -33,24 +24,22 @@ class Setpoint:
     """Where to fly and how fast; None where nothing is asked. All of it None: stay in place."""
 
     position_en_m: Point | None = None
+    """In the world's frame."""
     up_m: float | None = None
     velocity_en_mps: Point | None = None
     climb_mps: float | None = None
+    acceleration_enu_mps2: PositionEnu | None = None
     yaw_ned_rad: float | None = None
     yaw_rate_ned_radps: float | None = None
     """Clockwise positive."""
 
 
-class OffboardMonitor:
-    """Keeps the newest valid setpoint and tells whether the stream is alive.
+class SetpointMonitor:
+    """Keeps the newest valid setpoint and when it came."""
 
-    Args:
-        timeout_s: Age of the newest valid setpoint from which the stream counts as lost.
-    """
-
-    def __init__(self, timeout_s: float) -> None:
-        self._timeout_s = timeout_s
-        self._arrived_s: float | None = None
+    def __init__(self) -> None:
+        self.arrived_s: float | None = None
+        """When the newest valid one came; None before any."""
         self.setpoint = Setpoint()
         self.received = 0
         """Setpoint messages addressed to us, the refused ones included."""
@@ -63,56 +52,18 @@ class OffboardMonitor:
             self.refused += 1
             return
         self.setpoint = setpoint
-        self._arrived_s = now_s
+        self.arrived_s = now_s
 
-    def is_alive(self, now_s: float) -> bool:
-        """Whether the newest valid setpoint is young enough."""
-        return self._arrived_s is not None and now_s - self._arrived_s < self._timeout_s
-
-
-def setpoint_from_local(message: LocalTarget) -> Setpoint | None:
-    """The setpoint of SET_POSITION_TARGET_LOCAL_NED, or None if it is refused."""
-    position_ned = (message.x, message.y, message.z)
-    if message.coordinate_frame != mavlink.MAV_FRAME_LOCAL_NED:
-        return None
-    if not _is_valid(message, position_ned):
-        return None
-    return _assemble(message, enu_from_ned(position_ned))
+    def is_alive(self, now_s: float, timeout_s: float) -> bool:
+        """Whether the newest valid setpoint is younger than `timeout_s`."""
+        return self.arrived_s is not None and now_s - self.arrived_s < timeout_s
 
 
-def setpoint_from_global(
-    message: GlobalTarget, origin: LocalOrigin, home_altitude_m: float
-) -> Setpoint | None:
-    """The setpoint of SET_POSITION_TARGET_GLOBAL_INT, or None if it is refused.
-
-    Args:
-        message: Frame 5 has its altitude above sea level, frame 6 above home.
-        origin: Zero of the local frame.
-        home_altitude_m: Home above mean sea level.
-    """
-    match message.coordinate_frame:
-        case mavlink.MAV_FRAME_GLOBAL_INT:
-            altitude_m = message.alt
-        case mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT:
-            altitude_m = message.alt + home_altitude_m
-        case _:
-            return None
-    if not _is_valid(message, (message.lat_int, message.lon_int, altitude_m)):
-        return None
-    if message.type_mask & type_mask.POSITION_IGNORE:
-        return _assemble(message, None)
-    if abs(message.lat_int) > MAX_LATITUDE_E7 or abs(message.lon_int) > MAX_LONGITUDE_E7:
-        return None
-    return _assemble(
-        message,
-        origin.enu_from_geodetic(message.lat_int / 1e7, message.lon_int / 1e7, altitude_m),
-    )
-
-
-def _is_valid(message: LocalTarget | GlobalTarget, position: tuple[float, float, float]) -> bool:
+def has_finite_fields(
+    message: LocalTarget | GlobalTarget, position: tuple[float, float, float]
+) -> bool:
+    """Whether every field that is not masked is a finite number."""
     mask = message.type_mask
-    if mask & type_mask.FORCE_SET or mask & MOTION_IGNORE == MOTION_IGNORE:
-        return False
     fields = (
         (type_mask.X_IGNORE, position[0]),
         (type_mask.Y_IGNORE, position[1]),
@@ -129,22 +80,12 @@ def _is_valid(message: LocalTarget | GlobalTarget, position: tuple[float, float,
     return all(mask & bit or math.isfinite(value) for bit, value in fields)
 
 
-def _assemble(message: LocalTarget | GlobalTarget, enu_m: PositionEnu | None) -> Setpoint:
-    """The setpoint of a valid message; `enu_m` is its position, None if it gives none."""
-    mask = message.type_mask
-    has_en = enu_m is not None and not mask & HORIZONTAL_POSITION_IGNORE
-    has_up = enu_m is not None and not mask & type_mask.Z_IGNORE
-    has_velocity_en = not mask & HORIZONTAL_VELOCITY_IGNORE
-    has_climb = not mask & type_mask.VZ_IGNORE
-    yaw = None if mask & type_mask.YAW_IGNORE else float(message.yaw)
-    yaw_rate = None if mask & type_mask.YAW_RATE_IGNORE else float(message.yaw_rate)
-    if not (has_en or has_velocity_en) or not (has_up or has_climb):
-        return Setpoint(yaw_ned_rad=yaw, yaw_rate_ned_radps=yaw_rate)
-    return Setpoint(
-        position_en_m=enu_m[:2] if enu_m is not None and has_en else None,
-        up_m=enu_m[2] if enu_m is not None and has_up else None,
-        velocity_en_mps=(message.vy, message.vx) if has_velocity_en else None,
-        climb_mps=-message.vz if has_climb else None,
-        yaw_ned_rad=yaw,
-        yaw_rate_ned_radps=yaw_rate,
-    )
+def is_on_earth(latitude_e7: int, longitude_e7: int) -> bool:
+    """Whether latitude and longitude in 1e-7 degrees are a place."""
+    return abs(latitude_e7) <= MAX_LATITUDE_E7 and abs(longitude_e7) <= MAX_LONGITUDE_E7
+
+
+def turned(forward: float, right: float, yaw_ned_rad: float) -> Point:
+    """East and north of a vector that is given forward and right of a heading."""
+    cos_yaw, sin_yaw = math.cos(yaw_ned_rad), math.sin(yaw_ned_rad)
+    return (forward * sin_yaw + right * cos_yaw, forward * cos_yaw - right * sin_yaw)

@@ -1,162 +1,162 @@
-"""The simulated vehicle: motion, pilot, mode rules and setpoints, stepped together.
-
-Time is seconds since boot. Every change of mode, arming and landing becomes an `Occurrence`.
-"""
+"""The simulated vehicle: an aircraft and the autopilot that flies it, without the wire."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
-
 import numpy as np
 
-from companion.domain import FlightMode, LandedState, PositionEnu
+from companion.domain import LandedState, PositionEnu
 from companion.geometry.frames import LocalOrigin
-from sim_link.autopilot.modes import ModeLogic, Situation
-from sim_link.autopilot.pilot import Pilot
+from sim_link.autopilot.aircraft import Aircraft, Occurrence
+from sim_link.autopilot.battery import Battery
+from sim_link.autopilot.estimator import Estimator
+from sim_link.autopilot.flavours.base import Flavour
+from sim_link.autopilot.flavours.registry import make_flavour
+from sim_link.autopilot.pilot import STEP_S, Pilot
 from sim_link.autopilot.scenario import Scenario
-from sim_link.autopilot.setpoints import OffboardMonitor
+from sim_link.autopilot.setpoints import SetpointMonitor
+from sim_link.autopilot.sticks import StickInput
 from sim_link.world.point_mass import PointMass
 
-STEP_S = 0.02
-"""Physics step; also the shortest interval of a stream."""
-
-
-@dataclass(frozen=True, slots=True)
-class Occurrence:
-    """Something that an operator would want to read."""
-
-    time_s: float
-    """Since boot."""
-    mode: FlightMode
-    is_armed: bool
-    text: str
+__all__ = ["STEP_S", "Occurrence", "SimVehicle"]
 
 
 class SimVehicle:
-    """One multicopter with its autopilot, without the wire.
+    """One multicopter with its autopilot.
 
     Args:
         scenario: Place, limits and configuration.
         noise_rng: Generator of the reported position's noise.
+
+    Raises:
+        ConfigError: The scenario sets a parameter that does not exist, or to what may not be.
     """
 
     def __init__(self, scenario: Scenario, noise_rng: np.random.Generator) -> None:
         self.scenario = scenario
-        place = scenario.origin
-        self.origin = LocalOrigin(place.latitude_deg, place.longitude_deg, place.altitude_m)
-        self.home_enu_m: PositionEnu = (*scenario.start_enu_m, 0.0)
-        self.home_altitude_m = place.altitude_m
-        self.body = PointMass(scenario.vehicle, scenario.wind, self.home_enu_m)
-        self.modes = ModeLogic(scenario.autopilot.offboard_loss_action)
-        self.offboard = OffboardMonitor(scenario.autopilot.offboard_loss_timeout_s)
-        self.pilot = Pilot(scenario.vehicle, self.home_enu_m, scenario.autopilot.return_altitude_m)
-        self.time_s = 0.0
-        self.reported_enu_m = self.home_enu_m
-        """The position that telemetry shows: the true one and noise."""
-        self.flight_time_s = 0.0
-        self.distance_m = 0.0
-        self.occurrences: list[Occurrence] = []
-        """Since the list was last emptied by its reader."""
-        self._noise_rng = noise_rng
-        self._seen = (self.modes.mode, self.modes.is_armed)
-        self._has_flown = False
-        self._landed_s: float | None = None
+        self.system_id = scenario.system_id
+        self.flavour: Flavour = make_flavour(scenario, noise_rng)
+        self.aircraft: Aircraft = self.flavour.aircraft
+        self._geodetic_at_s = -1.0
+        self._geodetic = (0.0, 0.0, 0.0)
+        self._home_seen = 0
+        self._home_e7 = (0, 0, 0)
 
-    def situation(self, now_s: float) -> Situation:
-        """What the mode rules need to know."""
-        return Situation(
-            is_booted=now_s >= self.scenario.autopilot.ready_after_s,
-            is_stream_alive=self.offboard.is_alive(now_s),
-            is_on_ground=self.body.is_on_ground,
-        )
+    def step(self, now_s: float) -> None:
+        """Advance by one physics step, which ends at `now_s` seconds since boot."""
+        self.flavour.step(now_s)
+
+    @property
+    def time_s(self) -> float:
+        """Seconds since boot."""
+        return self.aircraft.time_s
+
+    @property
+    def modes(self) -> Flavour:
+        """Mode, arming and failsafe."""
+        return self.flavour
+
+    @property
+    def is_armed(self) -> bool:
+        """Whether the motors may turn."""
+        return self.aircraft.is_armed
+
+    @property
+    def offboard(self) -> SetpointMonitor:
+        """The streamed setpoints."""
+        return self.flavour.setpoints
+
+    @property
+    def occurrences(self) -> list[Occurrence]:
+        """Since the list was last emptied by its reader."""
+        return self.flavour.occurrences
+
+    @property
+    def body(self) -> PointMass:
+        """The true motion."""
+        return self.aircraft.body
+
+    @property
+    def estimator(self) -> Estimator:
+        """What the autopilot believes about its position."""
+        return self.aircraft.estimator
+
+    @property
+    def battery(self) -> Battery:
+        """The pack."""
+        return self.aircraft.battery
+
+    @property
+    def sticks(self) -> StickInput:
+        """Who holds them."""
+        return self.aircraft.sticks
+
+    @property
+    def pilot(self) -> Pilot:
+        """Flies the tasks."""
+        return self.aircraft.pilot
+
+    @property
+    def origin(self) -> LocalOrigin:
+        """The EKF origin: zero of the local frame."""
+        return self.aircraft.estimator.origin
+
+    @property
+    def home_enu_m(self) -> PositionEnu:
+        """Launch-and-return point, in the world's frame."""
+        return self.aircraft.home_enu_m
+
+    @property
+    def home_altitude_m(self) -> float:
+        """Home above mean sea level."""
+        return self.aircraft.home_altitude_m
+
+    @property
+    def has_home(self) -> bool:
+        """Whether origin and home are known yet."""
+        return self.flavour.has_home(self.time_s)
+
+    @property
+    def has_position(self) -> bool:
+        """Whether the position is told."""
+        return self.flavour.has_position(self.time_s)
 
     @property
     def landed_state(self) -> LandedState:
         """EXTENDED_SYS_STATE.landed_state."""
-        if self.body.is_on_ground:
-            return LandedState.ON_GROUND
-        match self.modes.mode:
-            case FlightMode.TAKEOFF:
-                return LandedState.TAKEOFF
-            case FlightMode.LAND:
-                return LandedState.LANDING
-        return LandedState.IN_AIR
+        return self.flavour.landed_state
 
-    def step(self, now_s: float) -> None:
-        """Advance by one physics step, which ends at `now_s` seconds since boot."""
-        self.time_s = now_s
-        self.modes.watch_stream(self.situation(now_s))
-        self.note_changes(now_s)
-        self._move()
-        is_taking_off = self.modes.is_armed and self.modes.mode is FlightMode.TAKEOFF
-        if is_taking_off and self.pilot.has_taken_off(self.body):
-            self.modes.finish_takeoff()
-            self.note_changes(now_s, "takeoff complete")
-        self._watch_landing(now_s)
-        self._report_position()
+    @property
+    def flight_time_s(self) -> float:
+        """In the air so far."""
+        return self.aircraft.flight_time_s
 
-    def note_changes(self, now_s: float, why: str = "") -> None:
-        """Tell the pilot of a changed mode and record what changed; called after every change."""
-        mode, is_armed = self.modes.mode, self.modes.is_armed
-        old_mode, was_armed = self._seen
-        if (mode, is_armed) == self._seen:
-            return
-        self._seen = (mode, is_armed)
-        if is_armed != was_armed:
-            self._has_flown = False
-            self._landed_s = None
-        self.pilot.enter(mode, self.body)
-        texts = []
-        if is_armed != was_armed:
-            texts.append("armed" if is_armed else "disarmed")
-        if mode is not old_mode:
-            if self.modes.is_failsafe:
-                why = "failsafe: no setpoints"
-            reason = f" ({why})" if why else ""
-            texts.append(f"mode {old_mode.value} -> {mode.value}{reason}")
-        self.occurrences.append(Occurrence(now_s, mode, is_armed, ", ".join(texts)))
+    @property
+    def distance_m(self) -> float:
+        """Flown so far."""
+        return self.aircraft.distance_m
 
-    def _move(self) -> None:
-        before = self.body.position_enu_m
-        mode, setpoint = self.modes.mode, self.offboard.setpoint
-        command = yaw = None
-        if self.modes.is_armed:
-            command = self.pilot.command(mode, setpoint, self.body)
-            yaw = self.pilot.yaw_ned_rad(mode, setpoint, self.body, STEP_S)
-        self.body.step(command, yaw, STEP_S)
-        if not self.body.is_on_ground:
-            self.flight_time_s += STEP_S
-        self.distance_m += math.dist(before, self.body.position_enu_m)
+    @property
+    def goal_enu_m(self) -> PositionEnu:
+        """Where it goes."""
+        setpoint = self.flavour.target()
+        if setpoint is not None and setpoint.position_en_m is not None:
+            return (*setpoint.position_en_m, setpoint.up_m or 0.0)
+        return self.pilot.hold_enu_m
 
-    def _watch_landing(self, now_s: float) -> None:
-        """Note touchdowns, and disarm after one; OFFBOARD never ends by itself, as on PX4."""
-        if not self.body.is_on_ground:
-            if not self._has_flown and self.modes.is_armed:
-                self._note(now_s, "in the air")
-            self._has_flown = True
-            self._landed_s = None
-            return
-        if not self.modes.is_armed:
-            return
-        is_landing = self.modes.mode in (FlightMode.LAND, FlightMode.RETURN)
-        if self.modes.mode is FlightMode.OFFBOARD or not (self._has_flown or is_landing):
-            self._landed_s = None
-            return
-        if self._landed_s is None:
-            self._landed_s = now_s
-            self._note(now_s, "on the ground")
-        if now_s - self._landed_s >= self.scenario.autopilot.disarm_after_landing_s:
-            self.modes.disarm(self.situation(now_s), is_forced=False)
-            self.note_changes(now_s, "landed")
+    @property
+    def geodetic(self) -> tuple[float, float, float]:
+        """Reported latitude and longitude in degrees and altitude in metres, once per step."""
+        if self._geodetic_at_s != self.time_s:
+            estimator = self.estimator
+            self._geodetic = estimator.world_origin.geodetic_from_enu(estimator.reported_enu_m)
+            self._geodetic_at_s = self.time_s
+        return self._geodetic
 
-    def _note(self, now_s: float, text: str) -> None:
-        self.occurrences.append(Occurrence(now_s, self.modes.mode, self.modes.is_armed, text))
-
-    def _report_position(self) -> None:
-        sigma_m = self.scenario.position_noise_m
-        east, north, up = self.body.position_enu_m
-        if sigma_m > 0.0:
-            de, dn, du = (sigma_m * self._noise_rng.standard_normal(3)).tolist()
-            east, north, up = east + de, north + dn, up + du
-        self.reported_enu_m = (east, north, up)
+    @property
+    def home_e7(self) -> tuple[int, int, int]:
+        """Home in 1e-7 degrees and millimetres."""
+        if self._home_seen != self.aircraft.home_changes:
+            self._home_seen = self.aircraft.home_changes
+            lat, lon, alt = self.estimator.world_origin.geodetic_from_enu(self.home_enu_m)
+            self._home_e7 = (round(lat * 1e7), round(lon * 1e7), round(alt * 1e3))
+        return self._home_e7

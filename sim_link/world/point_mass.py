@@ -2,7 +2,8 @@
 
 Theory of operation. The velocity follows its command as a first-order lag, its change limited to
 the acceleration that the tilt allows; the command itself is limited to the vehicle's speed, climb
-and descent. A constant wind shows as the share of itself that a velocity controller lets through.
+and descent. The wind shows as the share of itself that a velocity controller lets through; its
+gusts are a first-order Gauss-Markov process per horizontal axis.
 The ground is flat: below it is nothing, and on it a vehicle stays where it is until it climbs.
 
 Positions are local east-north-up metres; yaw is clockwise from north.
@@ -47,10 +48,14 @@ class VehicleParams(Params, frozen=True):
 
 
 class WindParams(Params, frozen=True):
-    """A constant wind, by where it blows to."""
+    """A wind by where it blows to, and its gusts."""
 
     east_mps: WindSpeed = 0.0
     north_mps: WindSpeed = 0.0
+    gust_sigma_mps: Annotated[float, msgspec.Meta(ge=0.0, le=30.0)] = 0.0
+    """Standard deviation per horizontal axis of the gusts on top of it."""
+    gust_time_constant_s: Positive = 2.0
+    """After which a gust has forgotten itself to 1/e."""
     let_through: Share = 0.1
     """Share of the wind that the velocity controller fails to cancel."""
 
@@ -73,7 +78,9 @@ class PointMass:
         ground_up_m: float = 0.0,
     ) -> None:
         self._params = params
+        self._wind = wind
         self._drift = (wind.let_through * wind.east_mps, wind.let_through * wind.north_mps, 0.0)
+        self._gust = (0.0, 0.0)
         self.ground_up_m = ground_up_m
         self.position_enu_m: PositionEnu = position_enu_m
         self.velocity_enu_mps: PositionEnu = (0.0, 0.0, 0.0)
@@ -84,6 +91,26 @@ class PointMass:
     def drift_mps(self) -> float:
         """Horizontal speed that the wind adds to every command."""
         return math.hypot(*self._drift)
+
+    def blow(self, normals: tuple[float, float], dt_s: float) -> None:
+        """Let the gusts change for `dt_s` seconds.
+
+        Args:
+            normals: Two standard normal numbers.
+            dt_s: Length of the step.
+        """
+        wind = self._wind
+        kept = math.exp(-dt_s / wind.gust_time_constant_s)
+        fresh = wind.gust_sigma_mps * math.sqrt(1.0 - kept * kept)
+        east, north = (
+            kept * old + fresh * new for old, new in zip(self._gust, normals, strict=True)
+        )
+        self._gust = (east, north)
+        self._drift = (
+            wind.let_through * (wind.east_mps + east),
+            wind.let_through * (wind.north_mps + north),
+            0.0,
+        )
 
     @property
     def height_m(self) -> float:

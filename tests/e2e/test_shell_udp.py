@@ -29,7 +29,7 @@ from companion.io.links import (
     UdpFanOut,
 )
 from companion.io.shell import Shell
-from companion.io.streams import TcpServerLink
+from companion.io.tcp_server import TcpServerLink
 from companion.io.udp import UdpLink
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink

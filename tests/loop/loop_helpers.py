@@ -173,7 +173,7 @@ class Loop:
 
     def _collect(self) -> None:
         for chunk in self.sim.take_output():
-            if chunk.except_peer == COMPANION_PEER or chunk.peer not in (None, COMPANION_PEER):
+            if COMPANION_PEER in chunk.except_peers or chunk.peer not in (None, COMPANION_PEER):
                 continue  # forwarded to someone else
             self.vehicle_bytes += chunk.data
             is_payload = chunk.data[COMPONENT_BYTE] == payload.COMPONENT_ID
@@ -224,9 +224,11 @@ class Loop:
         """The operator switches the mode; the autopilot tells it at once."""
         is_armed = self.sim.vehicle.modes.is_armed
         self.command(
-            mavlink.MAV_CMD_DO_SET_MODE, *set_mode_params(mode, Autopilot.PX4, is_armed=is_armed)
+            mavlink.MAV_CMD_DO_SET_MODE, *set_mode_params(mode, self.autopilot, is_armed=is_armed)
         )
-        self.command(mavlink.MAV_CMD_REQUEST_MESSAGE, float(mavlink.MAVLINK_MSG_ID_HEARTBEAT))
+        number, wanted = mavlink.MAV_CMD_REQUEST_MESSAGE, float(mavlink.MAVLINK_MSG_ID_HEARTBEAT)
+        ask = mavlink.MAVLink_command_long_message(1, 1, number, 0, wanted, *[0.0] * 6)
+        self.sim.receive(Chunk(0, self._station.encode(ask), COMPANION_PEER), self.now_s)
         self._deliver()
 
     def grant(self) -> None:
@@ -247,6 +249,12 @@ class Loop:
         self.sim = SimEndpoint(self.scenario, self.seed, started_s=self.now_s)
 
     # What became of it
+
+    @property
+    def autopilot(self) -> Autopilot:
+        """Which one is simulated."""
+        is_px4 = self.scenario.autopilot.flavour == "px4"
+        return Autopilot.PX4 if is_px4 else Autopilot.ARDUPILOT
 
     @property
     def phase(self) -> Phase:

@@ -8,7 +8,6 @@ import pytest
 
 from companion.config.schema import CompanionConfig, LimitsConfig, PlannerConfig
 from companion.domain import FlightMode
-from companion.geometry.frames import LocalOrigin
 from companion.guidance.session import SessionParams
 from companion.guidance.states import Phase
 from companion.mav.dialect import mavlink
@@ -123,8 +122,8 @@ def test_an_origin_that_moves_in_flight_is_held_on_and_flown_anew() -> None:
     loop = engaged()
     loop.run(4.0)
     vehicle = loop.sim.vehicle
-    north_of_old = vehicle.origin.geodetic_from_enu((0.0, 12.0, 0.0))
-    vehicle.origin = LocalOrigin(*north_of_old)
+    lat, lon, alt = vehicle.origin.geodetic_from_enu((0.0, 12.0, 0.0))
+    vehicle.aircraft.set_origin(round(lat * 1e7), round(lon * 1e7), round(alt * 1e3))
     loop.is_ranging_up = False
     loop.command(REQUEST_MESSAGE, float(mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN))
     loop.run(2.0)

@@ -17,6 +17,7 @@ from sim_link.autopilot.scenario import Scenario
 
 NAN = math.nan
 STEP_S = 0.02
+OWN_ADDRESS = ("127.0.0.1", 1)
 M = TypeVar("M", bound=Message)
 
 ARM = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
@@ -87,7 +88,7 @@ class GroundStation:
         self.send_bytes(self.sender.encode(message))
 
     def send_bytes(self, data: bytes) -> None:
-        self.sim.receive(Chunk(0, data, ("127.0.0.1", 1)), self.now_s)
+        self.sim.receive(Chunk(0, data, OWN_ADDRESS), self.now_s)
         self._collect()
 
     def command(self, number: int, *params: float, system: int = 1, component: int = 1) -> int:
@@ -176,7 +177,7 @@ class GroundStation:
 
     def _collect(self) -> None:
         for chunk in self.sim.take_output():
-            if chunk.except_peer is not None:
-                continue  # a forwarded frame of our own
+            if OWN_ADDRESS in chunk.except_peers:
+                continue  # a forwarded frame of our own, or what is only for others
             for message in self.receiver.decode(chunk.data):
                 self.inbox.append((self.now_s, message))

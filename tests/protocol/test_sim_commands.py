@@ -57,7 +57,12 @@ def test_default_rates(station: GroundStation) -> None:
             "LOCAL_POSITION_NED": 30.0,
             "GLOBAL_POSITION_INT": 10.0,
             "ATTITUDE": 20.0,
+            "ATTITUDE_QUATERNION": 10.0,
             "GPS_RAW_INT": 5.0,
+            "VFR_HUD": 4.0,
+            "ALTITUDE": 2.0,
+            "ESTIMATOR_STATUS": 1.0,
+            "MISSION_CURRENT": 1.0,
             "BATTERY_STATUS": 0.5,
             "HOME_POSITION": 0.5,
         },
@@ -152,7 +157,7 @@ def test_global_and_local_position_agree(station: GroundStation) -> None:
     assert (north, east, -up) == pytest.approx(station.place, abs=0.03)
 
 
-@pytest.mark.parametrize("number", [mavlink.MAV_CMD_DO_SET_SERVO, 192, 300, 31010, 65535])
+@pytest.mark.parametrize("number", [mavlink.MAV_CMD_DO_SET_SERVO, 193 + 1000, 31010, 65535])
 def test_other_commands_are_unsupported(station: GroundStation, number: int) -> None:
     assert station.command(number) == UNSUPPORTED
     assert station.command_int(number, 6) == UNSUPPORTED

@@ -159,10 +159,14 @@ def test_lands_and_disarms_after_two_seconds_and_can_fly_again(is_command: bool)
     assert station.command(ARM, 1.0) == ACCEPTED
 
 
-def test_an_armed_vehicle_on_the_ground_in_hold_stays_armed(station: GroundStation) -> None:
+def test_a_vehicle_that_is_armed_and_does_not_take_off_disarms_after_ten_seconds(
+    station: GroundStation,
+) -> None:
     assert station.command(ARM, 1.0) == ACCEPTED
-    station.run(20.0)
+    station.run(9.5)
     assert station.is_armed
+    station.run(1.0)
+    assert not station.is_armed
     assert station.place == (10.0, 10.0, 0.0)
 
 

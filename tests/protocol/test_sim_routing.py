@@ -42,7 +42,7 @@ def test_a_broadcast_goes_to_everyone_else_unaltered() -> None:
     shared = Shared()
     text = mavlink.MAVLink_statustext_message(5, b"LOCALISED", 0, 0)
     (chunk,) = shared.tell(COMPANION, text)
-    assert (chunk.peer, chunk.except_peer) == (None, COMPANION)
+    assert (chunk.peer, chunk.except_peers) == (None, frozenset({COMPANION}))
     (heard,) = MavCodec(9, 9).decode(chunk.data)
     assert (heard.get_srcSystem(), heard.get_srcComponent()) == (1, 191)
     assert chunk.data == bytes(text.get_msgbuf())

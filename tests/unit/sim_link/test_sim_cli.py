@@ -35,6 +35,15 @@ def taken_port() -> Iterator[int]:
         (["--report", "no/such/folder/report.json"], "no/such/folder"),
         (["--report", ""], "--report"),
         (["--nonsense"], "--nonsense"),
+        (["--autopilot", "betaflight"], "--autopilot"),
+        (["--ready-after", "-1"], "--ready-after"),
+        (["--ready-after", "nan"], "--ready-after"),
+        (["--vehicles", "0"], "--vehicles"),
+        (["--vehicles", "251"], "--vehicles"),
+        (["--link", "carrier-pigeon"], "carrier-pigeon"),
+        (["--vehicles", "2", "--link", "pty:/tmp/one"], "one vehicle only"),
+        (["--parameters", "no/such/folder/p.parm"], "no/such/folder"),
+        (["--signing-key", "no/such/key"], "no/such/key"),
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_2(
@@ -54,6 +63,45 @@ def test_a_bad_scenario_names_its_key(tmp_path: Path, capsys: pytest.CaptureFixt
     error = capsys.readouterr().err
     assert "$.channel.p_nlos" in error
     assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (b"NO_SUCH_NAME 1\n", "line 1: there is no parameter"),
+        (b"# fine\nCOM_OF_LOSS_T soon\n", "line 2: COM_OF_LOSS_T must be a number"),
+        (b"COM_OF_LOSS_T 1e9\n", "line 1: COM_OF_LOSS_T"),
+        (b"\xff\xfe\x00", "not a text of parameters"),
+    ],
+)
+def test_a_bad_parameter_file_names_the_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: bytes, words: str
+) -> None:
+    path = tmp_path / "p.parm"
+    path.write_bytes(text)
+    assert main(["--parameters", str(path)]) == 2
+    error = capsys.readouterr().err
+    assert str(path) in error
+    assert words in error
+    assert error.count("\n") == 1
+
+
+def test_a_bad_fence_names_its_key(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "bad.yaml"
+    path.write_text("fence: {corners_enu_m: [[0, 0], [9, 9], [9, 0], [0, 9]]}\n", encoding="utf-8")
+    assert main(["--scenario", str(path)]) == 2
+    error = capsys.readouterr().err
+    assert "$.fence: two edges of the fence cross each other" in error
+    assert error.count("\n") == 1
+
+
+def test_a_parameter_that_the_autopilot_lacks_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "bad.yaml"
+    path.write_text("autopilot: {parameters: {RTL_ALT: 2000}}\n", encoding="utf-8")
+    assert main(["--scenario", str(path)]) == 2
+    assert "parameter RTL_ALT: there is no such parameter" in capsys.readouterr().err
 
 
 def test_a_taken_port_is_said_in_one_line(

@@ -14,6 +14,7 @@ from companion.guidance.events import (
     StopRequested,
 )
 from companion.guidance.launch import Launch, LaunchView, Stage
+from companion.guidance.mode_names import mode_name
 from companion.guidance.session import SessionParams
 from companion.guidance.states import Phase
 from tests.unit.companion.guidance.scripted import ScriptedFlight
@@ -209,7 +210,8 @@ def test_a_vehicle_that_somebody_flies_is_not_launched(
     attempt = Attempt(autopilot, mode)
     attempt.is_armed, attempt.height_m = True, 5.0
     assert attempt.wait(3.0) == []
-    assert attempt.launch.failure == f"the vehicle is being flown already, in {mode.value}"
+    name = mode_name(mode, autopilot)
+    assert attempt.launch.failure == f"the vehicle is being flown already, in {name}"
 
 
 def test_an_unknown_autopilot_is_not_launched() -> None:
@@ -283,7 +285,7 @@ def test_a_pilot_who_takes_over_during_the_launch_keeps_the_vehicle(
     flight.fly(30.0)
     assert flight.sent(SendSetpoint, taken_s) == []
     assert len(flight.asked_modes()) == asked
-    assert f"launch ended: mode is {mode.value}" in flight.texts
+    assert f"launch ended: mode is {mode_name(mode, autopilot)}" in flight.texts
 
 
 def test_braking_an_ardupilot_during_its_climb_is_taking_over() -> None:

@@ -5,6 +5,7 @@ import pytest
 from companion.errors import ConfigError
 from companion.io.links import (
     LinkSpec,
+    Pty,
     SerialPort,
     TcpClient,
     TcpServer,
@@ -34,6 +35,8 @@ from companion.io.urls import DEFAULT_BAUD, parse_link_url
         ("serial:/dev/ttyACM0:57600", SerialPort("/dev/ttyACM0", 57600)),
         ("serial:///dev/ttyACM0:57600", SerialPort("/dev/ttyACM0", 57600)),
         ("serial:/dev/ttyACM0", SerialPort("/dev/ttyACM0", DEFAULT_BAUD)),
+        ("pty:/tmp/vehicle", Pty("/tmp/vehicle")),
+        ("pty:///tmp/a:b", Pty("/tmp/a:b")),
         ("/dev/ttyTHS1", SerialPort("/dev/ttyTHS1", 921_600)),
         ("/dev/ttyTHS1:115200", SerialPort("/dev/ttyTHS1", 115_200)),
         (
@@ -52,6 +55,8 @@ def test_every_spelling_means_one_link(text: str, link: LinkSpec) -> None:
     "text",
     [
         "",
+        "pty:",
+        "pty:vehicle",
         "14550",
         "udp",
         "udp:",

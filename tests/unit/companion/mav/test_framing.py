@@ -246,3 +246,58 @@ def test_leaving_a_signature_out_gives_the_unsigned_frame() -> None:
 @pytest.mark.parametrize("frame", GOOD)
 def test_an_unsigned_frame_is_left_alone(frame: bytes) -> None:
     assert without_signature(frame, CRC_EXTRA_BY_ID[message_id(frame)]) == frame
+
+
+# Frames of unknown messages, for a router
+
+
+def unknown(frame: bytes | None = None, number: int = 54321) -> bytes:
+    changed = bytearray(frame or position())
+    changed[7:10] = number.to_bytes(3, "little")
+    return bytes(changed)
+
+
+def keeping() -> FrameSplitter:
+    return FrameSplitter(CRC_EXTRA_BY_ID, keeps_unknown=True)
+
+
+def test_an_unknown_message_is_kept_whole_and_apart() -> None:
+    link = keeping()
+    data = heartbeat() + unknown() + position()
+    assert link.split(data, is_datagram=True) == [heartbeat(), position()]
+    assert link.take_unknown() == [unknown()]
+    assert link.take_unknown() == []
+
+
+def test_unknown_messages_behind_each_other_are_kept_each() -> None:
+    link = keeping()
+    link.split(unknown() + unknown(heartbeat()), is_datagram=True)
+    assert link.take_unknown() == [unknown(), unknown(heartbeat())]
+
+
+def test_a_stream_keeps_them_too() -> None:
+    link = keeping()
+    data = unknown() + heartbeat()
+    for place in range(len(data)):
+        link.split(data[place : place + 1], is_datagram=False)
+    assert link.take_unknown() == [unknown()]
+
+
+def test_what_a_good_frame_lies_in_is_no_unknown_message() -> None:
+    lying = bytes((0xFD, 40, 0, 0, 0, 1, 1, 0x31, 0xD4, 0)) + position()
+    data = lying + bytes(52 - len(lying))
+    link = keeping()
+    assert link.split(data, is_datagram=True) == [position()]
+    assert link.take_unknown() == []
+
+
+def test_what_ends_in_the_middle_of_something_is_no_unknown_message() -> None:
+    link = keeping()
+    link.split(unknown() + b"tail", is_datagram=True)
+    assert link.take_unknown() == []
+
+
+def test_unknown_messages_are_not_kept_unless_wanted() -> None:
+    link = splitter()
+    link.split(unknown(), is_datagram=True)
+    assert link.take_unknown() == []

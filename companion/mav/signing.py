@@ -1,0 +1,254 @@
+"""MAVLink 2 message signing: frames proved or refused before any message class sees them.
+
+Theory of operation. One `Signing` belongs to one system and all its links: it holds the key, the
+timestamp that only rises, and the last timestamp of every stream heard, a stream being system,
+component and link id. A frame is believed only if, in this order, its signature is right, its
+timestamp is newer than its stream's last one, and, for a stream not heard before, at most a
+minute behind ours. Nothing that a frame says is remembered before its signature was found right: a
+forger can then neither lock out the real sender with a timestamp from the future nor fill the
+table of streams. pymavlink stores the stream's timestamp first and looks at the signature after,
+and lets its callback accept badly signed frames; that is why frames are verified here.
+
+An unsigned frame, MAVLink 1 among them, is a downgrade: with a key it is refused unless its
+message is on the short list of those that cannot be signed (RADIO_STATUS, which radios inject) or
+the link is trusted by configuration. A bad signature is refused on every link.
+
+Source: MAVLink developer guide, "Message Signing".
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+
+from companion.errors import ConfigError, LocalProtocolError
+from companion.mav.dialect import Message, mavlink
+from companion.mav.framing import (
+    CRC_LENGTH,
+    HEADER_LENGTH,
+    INCOMPAT_SIGNED,
+    MAGIC_V2,
+    SIGNATURE_LENGTH,
+    frame_crc,
+    message_id,
+)
+
+KEY_LENGTH = 32
+HASH_LENGTH = 6
+TIMESTAMP_LENGTH = 6
+EPOCH_UNIX_S = 1_420_070_400
+"""1 January 2015, the zero of signing timestamps."""
+TICKS_PER_S = 100_000
+MAX_BEHIND = 6_000_000
+"""How far behind ours, in units of 10 us, the first timestamp of a new stream may be."""
+MAX_TIMESTAMP = 2**48 - 1
+MAX_HEARD = MAX_TIMESTAMP - 2**40
+"""127 days before the format ends: a peer's clock may not push ours to where nothing is left."""
+MAX_STREAMS = 4096
+"""Streams are never forgotten, which would let their old frames in again; so they are limited."""
+UNSIGNED_ALLOWED = frozenset({mavlink.MAVLINK_MSG_ID_RADIO_STATUS})
+
+
+class Verdict(Enum):
+    """What is thought of a received frame."""
+
+    SIGNED = "signed"
+    """Proved: the sender has the key and has not said this before."""
+    UNSIGNED_ALLOWED = "unsigned, allowed"
+    UNSIGNED = "unsigned"
+    BAD_SIGNATURE = "bad signature"
+    REPLAYED = "replayed"
+    """Not newer than its stream's last frame."""
+    TOO_OLD = "too old"
+    """The first of its stream, and more than a minute behind."""
+    TIMESTAMP_OVERFLOW = "timestamp too late"
+    """Rightly signed, but beyond what leaves room for our own frames."""
+    TOO_MANY_STREAMS = "too many streams"
+
+    @property
+    def is_accepted(self) -> bool:
+        """Whether the frame may be decoded and acted on."""
+        return self in (Verdict.SIGNED, Verdict.UNSIGNED_ALLOWED)
+
+
+@dataclass(frozen=True, slots=True)
+class SigningKey:
+    """The shared secret; neither its repr nor its str shows it.
+
+    Raises:
+        ConfigError: It has not 32 bytes, or all of them are zero, which means "no key".
+    """
+
+    secret: bytes = field(repr=False)
+
+    def __post_init__(self) -> None:
+        if len(self.secret) != KEY_LENGTH:
+            raise ConfigError(f"a signing key has {KEY_LENGTH} bytes, not {len(self.secret)}")
+        if not any(self.secret):
+            raise ConfigError("a signing key of zeros means no signing; leave it out instead")
+
+    def signature_of(self, signed_part: bytes) -> bytes:
+        """The six bytes that end a frame.
+
+        Args:
+            signed_part: The frame from its magic to its timestamp.
+        """
+        return hashlib.sha256(self.secret + signed_part).digest()[:HASH_LENGTH]
+
+
+def timestamp_at(unix_s: float) -> int:
+    """The signing timestamp of a time, in units of 10 us since 2015; 0 before."""
+    if not math.isfinite(unix_s):
+        return 0
+    return min(max(0, round((unix_s - EPOCH_UNIX_S) * TICKS_PER_S)), MAX_HEARD)
+
+
+class Signing:
+    """Signs and verifies the frames of one system.
+
+    Args:
+        key: The shared secret.
+        stored_timestamp: The newest one that an earlier run stored; 0 if there is none.
+    """
+
+    def __init__(self, key: SigningKey, stored_timestamp: int = 0) -> None:
+        self._key = key
+        self._timestamp = min(max(0, stored_timestamp), MAX_HEARD)
+        self._streams: dict[tuple[int, int, int], int] = {}
+        self.verdicts: dict[Verdict, int] = dict.fromkeys(Verdict, 0)
+        """How many frames got which verdict."""
+
+    @property
+    def timestamp(self) -> int:
+        """The newest timestamp used or believed; to be stored at least once a minute."""
+        return self._timestamp
+
+    def advance(self, unix_s: float) -> None:
+        """Follow the clock; a clock that is behind, or goes back, changes nothing."""
+        self._timestamp = max(self._timestamp, timestamp_at(unix_s))
+
+    def verify(self, frame: bytes, *, is_trusted_link: bool = False) -> Verdict:
+        """Judge one whole frame whose CRC is right.
+
+        Args:
+            frame: As it was on the wire.
+            is_trusted_link: Unsigned frames are welcome, as on a wire inside the vehicle.
+        """
+        verdict = self._judge(frame, is_trusted_link)
+        self.verdicts[verdict] += 1
+        return verdict
+
+    def _judge(self, frame: bytes, is_trusted_link: bool) -> Verdict:
+        if not is_signed(frame):
+            is_allowed = is_trusted_link or message_id(frame) in UNSIGNED_ALLOWED
+            return Verdict.UNSIGNED_ALLOWED if is_allowed else Verdict.UNSIGNED
+        expected = self._key.signature_of(frame[:-HASH_LENGTH])
+        if not hmac.compare_digest(expected, frame[-HASH_LENGTH:]):
+            return Verdict.BAD_SIGNATURE
+        timestamp = int.from_bytes(frame[-HASH_LENGTH - TIMESTAMP_LENGTH : -HASH_LENGTH], "little")
+        stream = (frame[5], frame[6], frame[-SIGNATURE_LENGTH])
+        refusal = self._staleness(stream, timestamp)
+        if refusal is not None:
+            return refusal
+        self._streams[stream] = timestamp
+        self._timestamp = max(self._timestamp, timestamp)
+        return Verdict.SIGNED
+
+    def _staleness(self, stream: tuple[int, int, int], timestamp: int) -> Verdict | None:
+        last = self._streams.get(stream)
+        if last is not None:
+            if timestamp <= last:
+                return Verdict.REPLAYED
+        elif timestamp + MAX_BEHIND < self._timestamp:
+            return Verdict.TOO_OLD
+        elif len(self._streams) >= MAX_STREAMS:
+            return Verdict.TOO_MANY_STREAMS
+        return Verdict.TIMESTAMP_OVERFLOW if timestamp > MAX_HEARD else None
+
+    def sign(self, frame: bytes, link_id: int, crc_extra: int) -> bytes:
+        """The same frame signed, with a timestamp newer than every one before.
+
+        Args:
+            frame: An unsigned MAVLink 2 frame of ours.
+            link_id: Of the link it leaves by, 0 to 255; different links get different ids.
+            crc_extra: CRC_EXTRA of its message.
+
+        Raises:
+            LocalProtocolError: It is MAVLink 1, or signed already.
+        """
+        if frame[0] != MAGIC_V2 or is_signed(frame):
+            raise LocalProtocolError("only an unsigned MAVLink 2 frame can be signed")
+        self._timestamp += 1
+        end = HEADER_LENGTH[MAGIC_V2] + frame[1]
+        head = frame[:2] + bytes((frame[2] | INCOMPAT_SIGNED,)) + frame[3:end]
+        head += frame_crc(head, crc_extra).to_bytes(CRC_LENGTH, "little")
+        head += bytes((link_id,)) + self._timestamp.to_bytes(TIMESTAMP_LENGTH, "little")
+        return head + self._key.signature_of(head)
+
+
+@dataclass(frozen=True, slots=True)
+class LinkSigning:
+    """What one link's codec needs of its system's signing."""
+
+    signing: Signing
+    link_id: int
+    """0 to 255; part of the name of the streams that we send."""
+    is_trusted: bool = False
+    """Unsigned frames are welcome on this link."""
+
+    def accepts(self, frame: bytes) -> bool:
+        """Whether a received frame may be decoded."""
+        return self.signing.verify(frame, is_trusted_link=self.is_trusted).is_accepted
+
+    def sign(self, frame: bytes, crc_extra_by_id: Mapping[int, int]) -> bytes:
+        """The frame as it is to be sent on this link."""
+        return self.signing.sign(frame, self.link_id, crc_extra_by_id[message_id(frame)])
+
+
+@dataclass(frozen=True, slots=True)
+class SigningSetup:
+    """What a SETUP_SIGNING that may be obeyed asks for."""
+
+    key: SigningKey | None
+    """None ends signing."""
+    initial_timestamp: int
+
+
+def setup_from(
+    message: Message, system_id: int, component_id: int, *, is_trusted_link: bool
+) -> SigningSetup | None:
+    """What a SETUP_SIGNING asks of us, or None if it must be ignored.
+
+    A key is taken only over a link that nobody else can hear, and only when it is addressed to
+    this very component: broadcast, it would have been told to everyone. The message is never
+    forwarded and never logged, see `is_secret`.
+
+    Args:
+        message: As decoded, its frame accepted by `Signing.verify` if there is a key already.
+        system_id: Ours.
+        component_id: Ours.
+        is_trusted_link: Whether the link it came by is a wire, or loopback.
+    """
+    if not isinstance(message, mavlink.MAVLink_setup_signing_message) or not is_trusted_link:
+        return None
+    if (message.target_system, message.target_component) != (system_id, component_id):
+        return None
+    secret = bytes(message.secret_key)
+    timestamp = int(message.initial_timestamp)
+    if not any(secret):
+        return SigningSetup(None, 0)
+    return SigningSetup(SigningKey(secret), min(timestamp, MAX_HEARD))
+
+
+def is_signed(frame: bytes) -> bool:
+    """Whether a frame carries a signature, right or wrong."""
+    return frame[0] == MAGIC_V2 and bool(frame[2] & INCOMPAT_SIGNED)
+
+
+def is_secret(frame: bytes) -> bool:
+    """Whether a frame carries a key: never broadcast, forwarded or written to a log."""
+    return message_id(frame) == mavlink.MAVLINK_MSG_ID_SETUP_SIGNING

@@ -1,0 +1,193 @@
+"""The multicopter without its autopilot's rules: body, estimator, battery, sticks, plans, home.
+
+A flavour decides what is flown and who may; it works on this. Positions are in the world's frame,
+local east-north-up about the scenario's origin; time is seconds since boot.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.domain import FlightMode, LandedState, PositionEnu
+from companion.geometry.frames import LocalOrigin
+from companion.mav.dialect import mavlink
+from sim_link.autopilot.battery import Battery
+from sim_link.autopilot.estimator import Estimator
+from sim_link.autopilot.fence import Area, Fence, areas_from_items
+from sim_link.autopilot.mission import MissionRun
+from sim_link.autopilot.pilot import STEP_S, Pilot
+from sim_link.autopilot.protocols.plan_items import PlanItem
+from sim_link.autopilot.scenario import Scenario
+from sim_link.autopilot.sticks import StickInput
+from sim_link.world.point_mass import PointMass
+
+AMSL_FRAMES = (mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT)
+RELATIVE_FRAMES = (
+    mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT,
+    mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
+)
+MAX_TEXTS = 32
+"""Texts that wait to be sent; older ones give way."""
+
+
+@dataclass(frozen=True, slots=True)
+class Occurrence:
+    """Something that an operator would want to read."""
+
+    time_s: float
+    """Since boot."""
+    mode: FlightMode
+    is_armed: bool
+    text: str
+
+
+class Aircraft:
+    """One multicopter.
+
+    Args:
+        scenario: Place, limits and configuration.
+        noise_rng: Generator of the reported position's noise, of drift and gusts.
+        first_mission_item: Index of the first mission item that is flown.
+    """
+
+    def __init__(
+        self, scenario: Scenario, noise_rng: np.random.Generator, first_mission_item: int = 0
+    ) -> None:
+        self.scenario = scenario
+        place = scenario.origin
+        origin = LocalOrigin(place.latitude_deg, place.longitude_deg, place.altitude_m)
+        self.home_enu_m: PositionEnu = (*scenario.start_enu_m, 0.0)
+        """Launch-and-return point."""
+        self.is_home_given = False
+        """Whether a station set it: then arming leaves it alone."""
+        self.home_changes = 1
+        """Counts up whenever home moves."""
+        self.origin_changes = 1
+        self.body = PointMass(scenario.vehicle, scenario.wind, self.home_enu_m)
+        self.estimator = Estimator(
+            origin, scenario.gps, scenario.ekf_jumps, scenario.position_noise_m, noise_rng
+        )
+        self.estimator.step(0.0, self.body.position_enu_m, 0.0)
+        self.battery = Battery(scenario.battery)
+        self.sticks = StickInput(scenario.rc)
+        self.pilot = Pilot(scenario.vehicle, self.home_enu_m)
+        self.mission = MissionRun(self._locate, first_mission_item)
+        self.fence = Fence([_area(scenario)] if scenario.fence.corners_enu_m else [])
+        self.is_armed = False
+        self.landed = LandedState.ON_GROUND
+        self.time_s = 0.0
+        self.flight_time_s = 0.0
+        self.distance_m = 0.0
+        self.has_flown = False
+        """Since it was armed."""
+        self.grounded_s = 0.0
+        """Since when it has been standing."""
+        self.station_heard_s: float | None = None
+        """When a ground station's HEARTBEAT last came."""
+        self.stations_s: dict[int, float] = {}
+        """The same by system id."""
+        self.texts: list[tuple[int, str]] = []
+        """MAV_SEVERITY and text, to be sent as STATUSTEXT."""
+        self._gust_rng = noise_rng if scenario.wind.gust_sigma_mps > 0.0 else None
+
+    # For flavours
+
+    @property
+    def home_altitude_m(self) -> float:
+        """Home above mean sea level, on the flat ground's scale."""
+        return self.estimator.world_origin.altitude_m + self.home_enu_m[2]
+
+    def say(self, severity: int, text: str) -> None:
+        """Tell the operators."""
+        self.texts = [*self.texts[-MAX_TEXTS:], (severity, text)]
+
+    def move(self, command_enu_mps: PositionEnu | None, yaw_ned_rad: float | None) -> None:
+        """Move for a physics step; no command means that the motors stand."""
+        before = self.body.position_enu_m
+        if self._gust_rng is not None:
+            east, north = self._gust_rng.standard_normal(2).tolist()
+            self.body.blow((east, north), STEP_S)
+        self.body.step(command_enu_mps, yaw_ned_rad, STEP_S)
+        is_flying = not self.body.is_on_ground
+        if is_flying:
+            self.flight_time_s += STEP_S
+            self.distance_m += math.dist(before, self.body.position_enu_m)
+        self.battery.step(is_flying, STEP_S)
+        self.estimator.step(self.time_s, self.body.position_enu_m, STEP_S)
+
+    def set_home(self, place_enu_m: PositionEnu, *, is_given: bool) -> None:
+        """Move home; `is_given` where a station says so."""
+        self.home_enu_m = self.pilot.home_enu_m = place_enu_m
+        self.is_home_given = is_given
+        self.home_changes += 1
+
+    def set_home_here(self) -> None:
+        """Home is where it is armed, unless a station set it."""
+        if not self.is_home_given and self.body.position_enu_m != self.home_enu_m:
+            self.set_home(self.body.position_enu_m, is_given=False)
+
+    def set_origin(self, latitude_e7: int, longitude_e7: int, altitude_mm: int) -> None:
+        """Move the zero of the local frame."""
+        origin = LocalOrigin(latitude_e7 / 1e7, longitude_e7 / 1e7, altitude_mm / 1e3)
+        self.estimator.set_origin(origin)
+        self.origin_changes += 1
+
+    def up_from(self, altitude_m: float, frame: int) -> float | None:
+        """Height in the world's frame of an altitude in a MAV_FRAME; None if not one of ours."""
+        if frame in AMSL_FRAMES:
+            return altitude_m - self.estimator.world_origin.altitude_m
+        if frame in RELATIVE_FRAMES:
+            return altitude_m + self.home_enu_m[2]
+        return None
+
+    def place_from(
+        self, latitude_e7: int, longitude_e7: int, altitude_m: float, frame: int
+    ) -> PositionEnu | None:
+        """Where a geodetic place leads; None if its frame is not one of ours."""
+        up_m = self.up_from(altitude_m, frame)
+        if up_m is None:
+            return None
+        east, north, _ = self.estimator.world_from_geodetic(
+            latitude_e7 / 1e7,
+            longitude_e7 / 1e7,
+            self.estimator.world_origin.altitude_m + up_m,
+        )
+        return (east, north, up_m)
+
+    def hear_station(self, system_id: int, now_s: float) -> None:
+        """A ground station's HEARTBEAT came."""
+        self.station_heard_s = now_s
+        self.stations_s[system_id] = now_s
+
+    # Plans
+
+    def load_mission(self, items: Sequence[PlanItem]) -> None:
+        """Take over an uploaded mission."""
+        self.mission.load(items)
+
+    def load_fence(self, items: Sequence[PlanItem]) -> None:
+        """Take over an uploaded fence, which was checked before it was stored."""
+        origin = self.estimator.world_origin
+
+        def enu_from_e7(latitude_e7: int, longitude_e7: int) -> tuple[float, float]:
+            place = origin.enu_from_geodetic(
+                latitude_e7 / 1e7, longitude_e7 / 1e7, origin.altitude_m
+            )
+            return place[:2]
+
+        self.fence = Fence(areas_from_items(items, enu_from_e7))
+
+    def _locate(self, item: PlanItem) -> PositionEnu:
+        frame = item.frame if item.frame in AMSL_FRAMES + RELATIVE_FRAMES else 3
+        place = self.place_from(item.x, item.y, item.z, frame)
+        assert place is not None
+        return place
+
+
+def _area(scenario: Scenario) -> Area:
+    fence = scenario.fence
+    return Area(fence.corners_enu_m, fence.is_inclusion)

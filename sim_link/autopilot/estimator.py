@@ -1,0 +1,142 @@
+"""What the autopilot believes about its position: satellites, estimator, local frame.
+
+Theory of operation. The world's frame is local east-north-up about the scenario's origin. The
+autopilot's local frame has its zero at the EKF origin, which a station may move
+(SET_GPS_GLOBAL_ORIGIN), and its estimate differs from the truth by a bias: jumps that the scenario
+asks for, and what wanders off while there is no fix. White noise is in the reports only. An
+autopilot flies by what it believes, so a target goes into the world's frame through
+`world_from_local` or `world_from_geodetic`, which take the bias off; a place that it merely holds
+stays where it is, because a real estimator tells its controllers of a reset.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from companion.domain import PositionEnu
+from companion.geometry.frames import LocalOrigin
+from sim_link.autopilot.scenario import EkfJumpParams, GpsParams
+
+REACQUIRE_RATE_PER_S = 1.0
+"""How fast the drift of a loss goes once there is a fix again."""
+
+
+def is_within(windows: Sequence[tuple[float, float]], time_s: float) -> bool:
+    """Whether a time lies in one of the windows."""
+    return any(start_s <= time_s < end_s for start_s, end_s in windows)
+
+
+class Estimator:
+    """GPS receiver and EKF of one vehicle.
+
+    Args:
+        origin: Zero of the world's frame, and of the local frame at boot.
+        gps: When there is no fix, and what follows.
+        jumps: Resets of the estimate.
+        noise_m: Standard deviation per axis of the reported position.
+        rng: Generator of noise and drift.
+    """
+
+    def __init__(
+        self,
+        origin: LocalOrigin,
+        gps: GpsParams,
+        jumps: Sequence[EkfJumpParams],
+        noise_m: float,
+        rng: np.random.Generator,
+    ) -> None:
+        self.world_origin = origin
+        self.origin = origin
+        """Of the local frame: GPS_GLOBAL_ORIGIN."""
+        self.reported_enu_m: PositionEnu = (0.0, 0.0, 0.0)
+        """What is reported, in the world's frame."""
+        self.has_fix = True
+        self.is_position_valid = True
+        self._origin_enu_m: PositionEnu = (0.0, 0.0, 0.0)
+        self._gps = gps
+        self._jumps = sorted(jumps, key=lambda jump: jump.time_s)
+        self._noise_m = noise_m
+        self._rng = rng
+        self._jumped: PositionEnu = (0.0, 0.0, 0.0)
+        self._drift: PositionEnu = (0.0, 0.0, 0.0)
+        self._heading_rad = 0.0
+        self._lost_s: float | None = None
+
+    @property
+    def bias_enu_m(self) -> PositionEnu:
+        """Estimate minus truth."""
+        jumped, drift = self._jumped, self._drift
+        return (jumped[0] + drift[0], jumped[1] + drift[1], jumped[2] + drift[2])
+
+    @property
+    def local_enu_m(self) -> PositionEnu:
+        """The reported position about the EKF origin."""
+        (e, n, u), (oe, on, ou) = self.reported_enu_m, self._origin_enu_m
+        return (e - oe, n - on, u - ou)
+
+    def step(self, now_s: float, true_enu_m: PositionEnu, dt_s: float) -> None:
+        """Report a position at `now_s` seconds since boot."""
+        while self._jumps and self._jumps[0].time_s <= now_s:
+            jump = self._jumps.pop(0)
+            e, n, u = self._jumped
+            self._jumped = (e + jump.east_m, n + jump.north_m, u + jump.up_m)
+        if self._gps.lost_s:
+            self._watch_fix(now_s, dt_s)
+        (e, n, u), (be, bn, bu) = true_enu_m, self.bias_enu_m
+        if self._noise_m > 0.0:
+            de, dn, du = (self._noise_m * self._rng.standard_normal(3)).tolist()
+            be, bn, bu = be + de, bn + dn, bu + du
+        self.reported_enu_m = (e + be, n + bn, u + bu)
+
+    def _watch_fix(self, now_s: float, dt_s: float) -> None:
+        self.has_fix = not is_within(self._gps.lost_s, now_s)
+        if self.has_fix:
+            self._lost_s = None
+            self.is_position_valid = True
+            kept = math.exp(-REACQUIRE_RATE_PER_S * dt_s)
+            self._drift = (kept * self._drift[0], kept * self._drift[1], 0.0)
+            return
+        if self._lost_s is None:
+            self._lost_s = now_s
+            self._heading_rad = float(self._rng.uniform(-math.pi, math.pi))
+        self.is_position_valid = now_s - self._lost_s < self._gps.valid_without_fix_s
+        step_m = self._gps.drift_mps * dt_s
+        e, n, _ = self._drift
+        self._drift = (
+            e + step_m * math.cos(self._heading_rad),
+            n + step_m * math.sin(self._heading_rad),
+            0.0,
+        )
+
+    def set_origin(self, origin: LocalOrigin) -> None:
+        """Move the zero of the local frame; the vehicle stays where it is."""
+        self.origin = origin
+        self._origin_enu_m = self.world_origin.enu_from_geodetic(
+            origin.latitude_deg, origin.longitude_deg, origin.altitude_m
+        )
+
+    def local_from_world(self, enu_m: PositionEnu) -> PositionEnu:
+        """About the EKF origin, from the world's frame; the bias is left out."""
+        (e, n, u), (oe, on, ou) = enu_m, self._origin_enu_m
+        return (e - oe, n - on, u - ou)
+
+    def shown_from_world(self, enu_m: PositionEnu) -> PositionEnu:
+        """The local position of a place as the autopilot believes it; undoes `world_from_local`."""
+        (e, n, u), (oe, on, ou), (be, bn, bu) = enu_m, self._origin_enu_m, self.bias_enu_m
+        return (e - oe + be, n - on + bn, u - ou + bu)
+
+    def world_from_local(self, enu_m: PositionEnu) -> PositionEnu:
+        """Where the vehicle truly goes when it is sent to a local position."""
+        (e, n, u), (oe, on, ou), (be, bn, bu) = enu_m, self._origin_enu_m, self.bias_enu_m
+        return (e + oe - be, n + on - bn, u + ou - bu)
+
+    def world_from_geodetic(
+        self, latitude_deg: float, longitude_deg: float, altitude_m: float
+    ) -> PositionEnu:
+        """Where the vehicle truly goes when it is sent to a geodetic position."""
+        place = self.world_origin.enu_from_geodetic(latitude_deg, longitude_deg, altitude_m)
+        (e, n, u), (be, bn, bu) = place, self.bias_enu_m
+        return (e - be, n - bn, u - bu)

@@ -1,0 +1,1 @@
+"""ArduCopter 4.5, as observed in SITL."""

@@ -1,0 +1,197 @@
+"""What ArduCopter does about each command, and what it answers.
+
+Where the real one does harm (a NaN altitude climbs without end, numbers wrap to 8 bits) this
+refuses and says so in a text. Source: MAVLink common, MAV_CMD; ArduCopter 4.5 as observed in SITL.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from companion.mav.dialect import mavlink
+from companion.mav.modes import CUSTOM_MODE_ENABLED
+from sim_link.autopilot.aircraft import AMSL_FRAMES, RELATIVE_FRAMES
+from sim_link.autopilot.commands import (
+    ACCEPTED,
+    DENIED,
+    FAILED,
+    UNSUPPORTED,
+    UNSUPPORTED_MAV_FRAME,
+    is_altitude,
+    is_force,
+    is_near,
+    is_place,
+    place_e7,
+    whole,
+)
+from sim_link.autopilot.flavours.ardupilot import modes
+from sim_link.autopilot.protocols.commands import Command
+from sim_link.autopilot.setpoints import Setpoint
+
+if TYPE_CHECKING:
+    from sim_link.autopilot.flavours.ardupilot.flavour import ArduPilotFlavour
+
+GLOBAL = mavlink.MAV_FRAME_GLOBAL
+TAKEOFF_FRAMES = (mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT,)
+MAX_HEIGHT_M = 1000.0
+CHANGE_MODE_FLAG = 1
+"""MAV_DO_REPOSITION_FLAGS_CHANGE_MODE."""
+ERROR = mavlink.MAV_SEVERITY_ERROR
+
+
+def obey(flavour: ArduPilotFlavour, command: Command, now_s: float) -> int:
+    """Obey a command; a MAV_RESULT."""
+    match command.number:
+        case mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
+            return _arm_disarm(flavour, command, now_s)
+        case mavlink.MAV_CMD_DO_SET_MODE:
+            return _set_mode(flavour, command, now_s)
+        case mavlink.MAV_CMD_NAV_TAKEOFF:
+            return _take_off(flavour, command)
+        case mavlink.MAV_CMD_NAV_LAND:
+            return flavour.choose(modes.LAND, now_s)
+        case mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH:
+            return flavour.choose(modes.RTL, now_s)
+        case mavlink.MAV_CMD_NAV_LOITER_UNLIM:
+            return flavour.choose(modes.LOITER, now_s)
+        case mavlink.MAV_CMD_DO_REPOSITION:
+            return _reposition(flavour, command, now_s)
+        case mavlink.MAV_CMD_MISSION_START:
+            return flavour.choose(modes.AUTO, now_s) if flavour.is_armed else FAILED
+        case mavlink.MAV_CMD_DO_SET_MISSION_CURRENT:
+            index = whole(command.params[0])
+            is_set = index is not None and flavour.aircraft.mission.set_current(index)
+            return ACCEPTED if is_set else FAILED
+        case mavlink.MAV_CMD_DO_SET_HOME:
+            return _set_home(flavour, command)
+    return _obey_more(flavour, command, now_s)
+
+
+def _obey_more(flavour: ArduPilotFlavour, command: Command, now_s: float) -> int:
+    match command.number:
+        case mavlink.MAV_CMD_DO_CHANGE_SPEED:
+            return ACCEPTED if command.params[1] > 0.0 else FAILED
+        case mavlink.MAV_CMD_CONDITION_YAW:
+            return _condition_yaw(flavour, command)
+        case mavlink.MAV_CMD_DO_FENCE_ENABLE:
+            return _enable_fence(flavour, command)
+        case mavlink.MAV_CMD_DO_FLIGHTTERMINATION:
+            if command.params[0] != 1.0:
+                return FAILED
+            flavour.aircraft.say(mavlink.MAV_SEVERITY_EMERGENCY, "Flight termination")
+            return flavour.disarm(is_forced=True)
+        case mavlink.MAV_CMD_RUN_PREARM_CHECKS:
+            if flavour.is_armed:
+                return mavlink.MAV_RESULT_TEMPORARILY_REJECTED
+            flavour.tell_refusal("PreArm", now_s)
+            return ACCEPTED
+    return UNSUPPORTED
+
+
+def _arm_disarm(flavour: ArduPilotFlavour, command: Command, now_s: float) -> int:
+    wanted, is_forced = command.params[0], is_force(command.params[1])
+    if wanted == 1.0:
+        return flavour.arm(now_s, is_forced=bool(is_forced))
+    if wanted == 0.0:
+        return flavour.disarm(is_forced=bool(is_forced))
+    return UNSUPPORTED
+
+
+def _set_mode(flavour: ArduPilotFlavour, command: Command, now_s: float) -> int:
+    base, number = whole(command.params[0]), whole(command.params[1])
+    if base is None or number is None or not base & CUSTOM_MODE_ENABLED:
+        return DENIED
+    mode = modes.MODES.get(number)
+    if mode is not None:
+        return flavour.choose(mode, now_s)
+    name = modes.NOT_FLOWN.get(number)
+    text = f"No such mode {number}" if name is None else f"Mode {name} is not simulated"
+    flavour.aircraft.say(mavlink.MAV_SEVERITY_WARNING, text)
+    return FAILED
+
+
+def _take_off(flavour: ArduPilotFlavour, command: Command) -> int:
+    """Above home; only in GUIDED, armed and on the ground."""
+    if command.frame is not None and command.frame not in TAKEOFF_FRAMES:
+        return UNSUPPORTED_MAV_FRAME
+    height_m = command.params[6]
+    aircraft = flavour.aircraft
+    if not math.isfinite(height_m) or height_m > MAX_HEIGHT_M:
+        aircraft.say(ERROR, "Takeoff: altitude is not a usable number")
+        return FAILED
+    is_ready = (
+        flavour.copter_mode is modes.GUIDED and aircraft.is_armed and aircraft.body.is_on_ground
+    )
+    if not is_ready or height_m <= 0.0:
+        return FAILED
+    up_m = aircraft.home_enu_m[2] + height_m
+    if flavour.fence_margin_m((*aircraft.body.position_enu_m[:2], up_m)) < 0.0:
+        aircraft.say(ERROR, "Takeoff: altitude is outside the fence")
+        return FAILED
+    aircraft.pilot.takeoff_up_m = up_m
+    flavour.guided.take_off()
+    return ACCEPTED
+
+
+def _reposition(flavour: ArduPilotFlavour, command: Command, now_s: float) -> int:
+    aircraft = flavour.aircraft
+    place, altitude_m = place_e7(command), command.params[6]
+    frame = -1 if command.frame is None else command.frame
+    if frame not in AMSL_FRAMES + RELATIVE_FRAMES or place is None or not is_place(place):
+        return DENIED
+    if not is_altitude(altitude_m):
+        aircraft.say(ERROR, "Reposition: altitude is not a number")
+        return DENIED
+    is_changing = bool((whole(command.params[1]) or 0) & CHANGE_MODE_FLAG)
+    if flavour.copter_mode is not modes.GUIDED:
+        if not is_changing:
+            return DENIED
+        if flavour.choose(modes.GUIDED, now_s) != ACCEPTED:
+            return DENIED
+        flavour.settle(now_s, "commanded")
+    goal = aircraft.place_from(*place, altitude_m, frame)
+    if goal is None or flavour.fence_margin_m(goal) < 0.0:
+        return FAILED
+    yaw = command.params[3]
+    flavour.fly_to(Setpoint(goal[:2], goal[2], yaw_ned_rad=yaw if math.isfinite(yaw) else None))
+    return ACCEPTED
+
+
+def _set_home(flavour: ArduPilotFlavour, command: Command) -> int:
+    aircraft = flavour.aircraft
+    if command.params[0] == 1.0:
+        aircraft.set_home(aircraft.body.position_enu_m, is_given=False)
+        return ACCEPTED
+    frame = GLOBAL if command.frame is None else command.frame
+    place, altitude_m = place_e7(command), command.params[6]
+    if place is None or not is_place(place) or not is_altitude(altitude_m):
+        return FAILED
+    home = aircraft.place_from(*place, altitude_m, frame)
+    if home is None:
+        return UNSUPPORTED_MAV_FRAME
+    if not is_near(home):
+        return FAILED
+    aircraft.set_home(home, is_given=False)
+    return ACCEPTED
+
+
+def _condition_yaw(flavour: ArduPilotFlavour, command: Command) -> int:
+    """Turn to a heading, or by an angle, degrees; only in GUIDED and AUTO."""
+    angle_deg, _, direction, is_relative = command.params[:4]
+    if not math.isfinite(angle_deg) or flavour.copter_mode not in (modes.GUIDED, modes.AUTO):
+        return FAILED
+    yaw = math.radians(angle_deg)
+    if is_relative == 1.0:
+        sign = -1.0 if direction == -1.0 else 1.0
+        yaw = flavour.aircraft.body.yaw_ned_rad + sign * yaw
+    flavour.turn_to(yaw)
+    return ACCEPTED
+
+
+def _enable_fence(flavour: ArduPilotFlavour, command: Command) -> int:
+    wanted = whole(command.params[0])
+    if wanted not in (0, 1):
+        return FAILED
+    flavour.parameters.set("FENCE_ENABLE", float(wanted))
+    return ACCEPTED

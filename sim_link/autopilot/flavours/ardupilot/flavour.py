@@ -1,0 +1,373 @@
+"""ArduCopter on one aircraft: modes, arming, GUIDED, failsafes, and what HEARTBEAT shows.
+
+A failsafe of ArduPilot changes the mode like an operator would, and nothing changes it back.
+
+Source: ArduCopter 4.5 as observed in SITL; ArduPilot documentation, "Failsafe Functions".
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from companion.domain import FlightMode, PositionEnu
+from companion.mav.dialect import mavlink
+from sim_link.autopilot.aircraft import Aircraft
+from sim_link.autopilot.battery import CELLS
+from sim_link.autopilot.commands import ACCEPTED, FAILED
+from sim_link.autopilot.flavours.ardupilot import commands, fence_rules, modes
+from sim_link.autopilot.flavours.ardupilot.guided import Guided, GuidedState
+from sim_link.autopilot.flavours.ardupilot.modes import ARMED_FLAG, CopterMode
+from sim_link.autopilot.flavours.ardupilot.protocols import RULES
+from sim_link.autopilot.flavours.ardupilot.setpoints import (
+    Target,
+    TargetKind,
+    target_from_global,
+    target_from_local,
+)
+from sim_link.autopilot.flavours.base import Flavour, Identity, Shown
+from sim_link.autopilot.mission import LegKind
+from sim_link.autopilot.pilot import SpeedLimits, Task
+from sim_link.autopilot.protocols.commands import Command
+from sim_link.autopilot.protocols.parameter_store import ParameterStore
+from sim_link.autopilot.setpoints import GlobalTarget, LocalTarget, Setpoint
+from sim_link.world.point_mass import stopping_point
+
+COPTER_VERSION = 0x0405_07FF
+"""4.5.7, official release: the one whose behaviour is simulated."""
+CAPABILITIES = 0xFBEF | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
+"""4.5 sets neither encoding bit; the guide wants one of them."""
+LANDED_DELAY_S = 1.0
+"""LAND and RTL disarm this long after a touchdown."""
+IDLE_DETECTION_S = 0.5
+"""ArduCopter takes this much longer than DISARM_DELAY."""
+ATTITUDE_SHARE = 0.5
+"""Share of the boot after which modes without a position can be armed."""
+CRITICAL, WARNING = mavlink.MAV_SEVERITY_CRITICAL, mavlink.MAV_SEVERITY_WARNING
+FENCE_MODES = {1: modes.RTL, 2: modes.LAND, 3: modes.RTL, 4: modes.BRAKE, 5: modes.LAND}
+"""FENCE_ACTION; 0: only a text."""
+STATION_MODES = {1: modes.RTL, 3: modes.RTL, 4: modes.LAND, 5: modes.LAND, 7: modes.BRAKE}
+"""FS_GCS_ENABLE."""
+BATTERY_MODES = {1: modes.LAND, 2: modes.RTL, 3: modes.RTL, 4: modes.LAND}
+"""BATT_FS_LOW_ACT and BATT_FS_CRT_ACT."""
+
+
+class ArduPilotFlavour(Flavour):
+    """ArduCopter 4.5.
+
+    Args:
+        aircraft: What it flies.
+        parameters: ArduCopter's.
+    """
+
+    identity = Identity(mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, COPTER_VERSION, CAPABILITIES)
+    rules = RULES
+
+    def __init__(self, aircraft: Aircraft, parameters: ParameterStore) -> None:
+        super().__init__(aircraft, parameters)
+        self.guided = Guided()
+        self.copter_mode: CopterMode = modes.STABILIZE
+        self._failsafes: set[str] = set()
+        self._had_sticks = False
+
+    # State
+
+    @property
+    def mode(self) -> FlightMode:
+        """The mode that is flown."""
+        return self.copter_mode.mode
+
+    @property
+    def is_failsafe(self) -> bool:
+        """Whether something is wrong."""
+        return bool(self._failsafes) and self.is_armed
+
+    @property
+    def reason(self) -> str:
+        """What is wrong."""
+        return ", ".join(sorted(self._failsafes))
+
+    @property
+    def task(self) -> Task:
+        """What the pilot is to do."""
+        mode = self.copter_mode
+        if not self.aircraft.estimator.is_position_valid and mode.task is not Task.OBEY_STICKS:
+            return Task.DESCEND
+        if mode is modes.GUIDED:
+            return self.guided.task
+        if mode is modes.AUTO:
+            is_returning = self.leg is not None and self.leg.kind is LegKind.RETURN
+            return Task.RETURN if is_returning else Task.FLY_MISSION
+        return mode.task
+
+    def has_home(self, now_s: float) -> bool:
+        """Whether origin and home are known: some time before it can be armed in GUIDED."""
+        return now_s >= ATTITUDE_SHARE * self.aircraft.scenario.autopilot.ready_after_s
+
+    def has_position(self, now_s: float) -> bool:
+        """Whether the position is told: not before the estimator has settled."""
+        is_settled = now_s >= self.aircraft.scenario.autopilot.ready_after_s
+        return is_settled and self.aircraft.estimator.is_position_valid
+
+    def arming_refusal(self, now_s: float) -> str | None:
+        """Why it could not be armed in the present mode, or None."""
+        if not self.copter_mode.is_armable:
+            return f"{self.copter_mode.name} mode not armable"
+        if not self.has_home(now_s):
+            return "AHRS: waiting for home"
+        if self.copter_mode.needs_position and not self.has_position(now_s):
+            return "Need Position Estimate"
+        if self.fence_margin_m(self.aircraft.body.position_enu_m) < 0.0:
+            return "vehicle outside fence"
+        return None
+
+    def fence_margin_m(self, place: PositionEnu) -> float:
+        """Distance from a place to the nearest breach of the fence, negative in one."""
+        return fence_rules.margin_m(place, self.aircraft, self.parameters)
+
+    # Commands
+
+    def command(self, command: Command, now_s: float) -> int:
+        """Obey a command; a MAV_RESULT."""
+        result = commands.obey(self, command, now_s)
+        self.settle(now_s, "commanded")
+        return result
+
+    def choose(self, mode: CopterMode, now_s: float) -> int:
+        """Change the mode; a MAV_RESULT, and the reason as a text if refused."""
+        why = self._mode_refusal(mode, now_s)
+        if why is not None:
+            self.aircraft.say(WARNING, f"Mode change to {mode.name} failed: {why}")
+            return FAILED
+        if mode is not self.copter_mode:
+            self.guided.enter()
+            self.copter_mode = mode
+            self.leg = None
+        return ACCEPTED
+
+    def _mode_refusal(self, mode: CopterMode, now_s: float) -> str | None:
+        """Disarmed, every mode can be chosen: what it needs is left to the arming checks."""
+        if not self.is_armed:
+            return None
+        if mode.needs_position and not self.has_position(now_s):
+            return "requires position"
+        mission = self.aircraft.mission
+        if mode is modes.AUTO:
+            if not mission.has_items:
+                return "init failed"
+            first = mission.items[max(mission.current, 1)].command
+            if self.aircraft.body.is_on_ground and first != mavlink.MAV_CMD_NAV_TAKEOFF:
+                return "missing takeoff cmd"
+        return None
+
+    def arm(self, now_s: float, *, is_forced: bool) -> int:
+        """A request to arm; a MAV_RESULT, and the reason as a text if refused."""
+        if self.is_armed:
+            return ACCEPTED
+        is_refused = not self.copter_mode.is_armable or (
+            not is_forced and self.arming_refusal(now_s) is not None
+        )
+        if is_refused:
+            self.tell_refusal("Arm", now_s)
+            return FAILED
+        self.aircraft.is_armed = True
+        self.guided.enter()
+        self.aircraft.say(mavlink.MAV_SEVERITY_INFO, "Arming motors")
+        return ACCEPTED
+
+    def tell_refusal(self, prefix: str, now_s: float) -> None:
+        """Say why it cannot be armed."""
+        why = self.arming_refusal(now_s)
+        if why is not None:
+            self.aircraft.say(CRITICAL, f"{prefix}: {why}")
+
+    def disarm(self, *, is_forced: bool) -> int:
+        """A request to disarm; a MAV_RESULT."""
+        if not self.is_armed:
+            return ACCEPTED
+        if not self.aircraft.body.is_on_ground and not is_forced:
+            return FAILED
+        self.aircraft.is_armed = False
+        self._failsafes.clear()
+        self.guided.enter()
+        self.aircraft.say(mavlink.MAV_SEVERITY_INFO, "Disarming motors")
+        return ACCEPTED
+
+    def set_origin(self, latitude_e7: int, longitude_e7: int, altitude_mm: int) -> bool:  # noqa: ARG002
+        """The EKF has its origin from the satellites: another one has no effect."""
+        return False
+
+    def fly_to(self, setpoint: Setpoint) -> None:
+        """DO_REPOSITION: like a position target."""
+        is_on_ground = self.aircraft.body.is_on_ground
+        target = Target(TargetKind.POSITION, setpoint)
+        self.guided.take(target, self.aircraft.time_s, is_on_ground=is_on_ground)
+
+    def turn_to(self, yaw_ned_rad: float) -> None:
+        """CONDITION_YAW."""
+        self.guided.setpoint = replace(
+            self.guided.setpoint, yaw_ned_rad=yaw_ned_rad, yaw_rate_ned_radps=None
+        )
+        self.aircraft.pilot.hold_yaw_ned_rad = yaw_ned_rad
+
+    # Setpoints
+
+    def take_local(self, message: LocalTarget, now_s: float) -> None:
+        """SET_POSITION_TARGET_LOCAL_NED arrived."""
+        self._take(target_from_local(message, self.aircraft), now_s)
+
+    def take_global(self, message: GlobalTarget, now_s: float) -> None:
+        """SET_POSITION_TARGET_GLOBAL_INT arrived."""
+        self._take(target_from_global(message, self.aircraft), now_s)
+
+    def _take(self, target: Target, now_s: float) -> None:
+        """Obeyed in GUIDED only, and never outside the fence: without a text, as the real one."""
+        is_refused = target.kind is TargetKind.STOP
+        self.setpoints.take(None if is_refused else target.setpoint, now_s)
+        if self.copter_mode is not modes.GUIDED or not self.is_armed:
+            return
+        if target.text:
+            self.aircraft.say(WARNING, target.text)
+        place, up_m = target.setpoint.position_en_m, target.setpoint.up_m
+        if place is not None and up_m is not None and self.fence_margin_m((*place, up_m)) < 0.0:
+            return
+        on_ground = self.aircraft.body.is_on_ground
+        self.guided.take(target, now_s, is_on_ground=on_ground)
+        self.settle(now_s)
+
+    def target(self) -> Setpoint | None:
+        """The setpoint that is flown, in GUIDED only."""
+        return self.guided.setpoint if self.copter_mode is modes.GUIDED else None
+
+    def _flown_setpoint(self, now_s: float) -> Setpoint:  # noqa: ARG002  `_watch` lets it age
+        return self.guided.setpoint
+
+    # What happens by itself
+
+    def disarm_delay_s(self) -> float | None:
+        """A second after LAND and RTL, DISARM_DELAY otherwise; never while it takes off."""
+        if self.task is Task.TAKE_OFF:
+            return None
+        is_landing = self.copter_mode in (modes.LAND, modes.RTL) or self._is_mission_over
+        if is_landing or (self.copter_mode is modes.AUTO and self.task is Task.RETURN):
+            return LANDED_DELAY_S
+        if self.copter_mode is modes.AUTO:
+            return None
+        delay_s = self.parameters["DISARM_DELAY"]
+        return delay_s + IDLE_DETECTION_S if delay_s > 0.0 else None
+
+    def disarm_landed(self, now_s: float) -> None:  # noqa: ARG002  the base gives the time
+        """It has stood long enough."""
+        self.disarm(is_forced=True)
+
+    def settle(self, now_s: float, why: str = "") -> None:
+        """As the base does, with the heights of a return known before it begins."""
+        if self.task is Task.RETURN:
+            pilot, home_up_m = self.aircraft.pilot, self.aircraft.home_enu_m[2]
+            final_m = self.parameters["RTL_ALT_FINAL"] / 100.0
+            pilot.return_up_m = home_up_m + self.parameters["RTL_ALT"] / 100.0
+            pilot.final_up_m = home_up_m + final_m if final_m > 0.0 else None
+            pilot.return_loiter_s = self.parameters["RTL_LOIT_TIME"] / 1e3
+        super().settle(now_s, why)
+
+    def _after_flying(self, now_s: float) -> None:
+        is_climbing = self.guided.state is GuidedState.CLIMBING and self.is_armed
+        if is_climbing and self.aircraft.pilot.has_taken_off(self.aircraft.body):
+            self.guided.stop()
+            self.settle(now_s)
+
+    def _watch(self, now_s: float) -> None:
+        body = self.aircraft.body
+        timeout_s = self.parameters["GUID_TIMEOUT"]
+        self.guided.watch(now_s, timeout_s, is_on_ground=body.is_on_ground)
+        self.aircraft.pilot.limits = self._speed_limits()
+        if not self.is_armed:
+            return
+        if self.guided.state is GuidedState.FOLLOWING and self._runs_into_the_fence():
+            self.guided.stop()
+        self._watch_links(now_s)
+        self._watch_battery(now_s)
+        has_breach = self.fence_margin_m(body.position_enu_m) < 0.0
+        action = int(self.parameters["FENCE_ACTION"])
+        self._failsafe("Fence breached", has_breach, FENCE_MODES.get(action), now_s)
+        is_blind = not self.aircraft.estimator.is_position_valid
+        lands = modes.LAND if self.copter_mode.needs_position else None
+        self._failsafe("EKF Failsafe", is_blind, lands, now_s)
+
+    def _speed_limits(self) -> SpeedLimits:
+        """WPNAV_SPEED and its kin, RTL_SPEED on the way home."""
+        value = self.parameters
+        home_cmps = value["RTL_SPEED"] if self.task is Task.RETURN else 0.0
+        return SpeedLimits(
+            (home_cmps or value["WPNAV_SPEED"]) / 100.0,
+            value["WPNAV_SPEED_UP"] / 100.0,
+            value["WPNAV_SPEED_DN"] / 100.0,
+        )
+
+    def _watch_links(self, now_s: float) -> None:
+        heard_s = self.aircraft.stations_s.get(int(self.parameters["SYSID_MYGCS"]))
+        action = STATION_MODES.get(int(self.parameters["FS_GCS_ENABLE"]))
+        timeout_s = self.parameters["FS_GCS_TIMEOUT"]
+        is_silent = heard_s is not None and now_s - heard_s > timeout_s and action is not None
+        self._failsafe("GCS Failsafe", is_silent, action, now_s)
+        has_sticks = self.aircraft.sticks.read(now_s) is not None
+        self._had_sticks = self._had_sticks or has_sticks
+        action = modes.RTL if self.parameters["FS_THR_ENABLE"] else None
+        is_lost = self._had_sticks and not has_sticks and action is not None
+        self._failsafe("Radio Failsafe", is_lost, action, now_s)
+
+    def _watch_battery(self, now_s: float) -> None:
+        value, battery = self.parameters, self.aircraft.battery
+        volts = CELLS * battery.cell_mv / 1e3
+        left_mah = battery.share * value["BATT_CAPACITY"]
+        for level, name in (("LOW", "low"), ("CRT", "critical")):
+            is_under = volts <= value[f"BATT_{level}_VOLT"] or (
+                0.0 < value[f"BATT_{level}_MAH"] >= left_mah
+            )
+            action = BATTERY_MODES.get(int(value[f"BATT_FS_{level}_ACT"]))
+            self._failsafe(f"Battery 1 is {name}", is_under, action, now_s)
+
+    def _failsafe(
+        self, name: str, is_present: bool, reaction: CopterMode | None, now_s: float
+    ) -> None:
+        """Enter or leave a failsafe; on entering, change the mode once."""
+        if not is_present:
+            if name in self._failsafes:
+                self._failsafes.discard(name)
+                self.aircraft.say(WARNING, f"{name} cleared")
+            return
+        if name in self._failsafes:
+            return
+        self._failsafes.add(name)
+        self.aircraft.say(CRITICAL, name)
+        if reaction is None or self.aircraft.body.is_on_ground:
+            return
+        if self.choose(reaction, now_s) != ACCEPTED:
+            self.choose(modes.LAND, now_s)
+
+    def _runs_into_the_fence(self) -> bool:
+        """Whether a motion leads out: it is stopped FENCE_MARGIN inside."""
+        if not self.parameters["FENCE_ENABLE"] or self.guided.is_latched:
+            return False
+        body, setpoint = self.aircraft.body, self.guided.setpoint
+        place = body.position_enu_m
+        rest = stopping_point(place, body.velocity_enu_mps, self.aircraft.scenario.vehicle)
+        if self.fence_margin_m(rest) >= self.parameters["FENCE_MARGIN"]:
+            return False
+        east, north = setpoint.velocity_en_mps or (0.0, 0.0)
+        wanted = (east, north, setpoint.climb_mps or 0.0)
+        if setpoint.velocity_en_mps is None:
+            wanted = setpoint.acceleration_enu_mps2 or wanted
+        ahead = (place[0] + wanted[0], place[1] + wanted[1], place[2] + wanted[2])
+        return self.fence_margin_m(ahead) < self.fence_margin_m(place)
+
+    # HEARTBEAT
+
+    def shown(self, now_s: float) -> Shown:  # noqa: ARG002  the base gives the time
+        """What HEARTBEAT shows: on the ground STANDBY, also when armed."""
+        base_mode = self.copter_mode.flags | (ARMED_FLAG if self.is_armed else 0)
+        status = mavlink.MAV_STATE_STANDBY
+        if self.is_failsafe:
+            status = mavlink.MAV_STATE_CRITICAL
+        elif self.is_armed and not self.aircraft.body.is_on_ground:
+            status = mavlink.MAV_STATE_ACTIVE
+        return Shown(base_mode, self.copter_mode.number, status)

@@ -1,0 +1,282 @@
+"""What an autopilot decides, and the order in which it does so in every physics step.
+
+Theory of operation. A flavour owns the mode, the arming and the setpoints of one aircraft. Per step
+it watches its time-outs and failsafes, settles what changed (the pilot is told of a new task, an
+occurrence is noted), flies, and looks at the ground. Commands and setpoints arrive between steps
+and settle at once, so that an answer and the state agree.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import NamedTuple
+
+from companion.domain import FlightMode, LandedState
+from sim_link.autopilot.aircraft import Aircraft, Occurrence
+from sim_link.autopilot.mission import Leg, LegKind
+from sim_link.autopilot.pilot import Task
+from sim_link.autopilot.protocols.commands import Command, CommandForms
+from sim_link.autopilot.protocols.message_requests import RequestRules
+from sim_link.autopilot.protocols.mission_progress import MissionState
+from sim_link.autopilot.protocols.parameter_store import ParameterStore
+from sim_link.autopilot.protocols.parameters import ParameterRules
+from sim_link.autopilot.protocols.plan_transfers import PlanRules
+from sim_link.autopilot.protocols.streams import StreamRules
+from sim_link.autopilot.setpoints import GlobalTarget, LocalTarget, Setpoint, SetpointMonitor
+
+
+class Identity(NamedTuple):
+    """What an autopilot says that it is."""
+
+    autopilot: int
+    """MAV_AUTOPILOT."""
+    firmware_version: int
+    """AUTOPILOT_VERSION.flight_sw_version."""
+    capabilities: int
+    """MAV_PROTOCOL_CAPABILITY."""
+
+
+class ProtocolRules(NamedTuple):
+    """How an autopilot speaks each of the services."""
+
+    commands: CommandForms
+    requests: RequestRules
+    streams: StreamRules
+    parameters: ParameterRules
+    plans: PlanRules
+    names_timesync_target: bool
+    answers_ping: bool
+    asks_timesync: bool
+    """TIMESYNC requests of its own, every 10 s."""
+    tells_mode_at_once: bool
+    """An extra HEARTBEAT on every change of mode."""
+    first_mission_item: int
+    """1 where item 0 is home."""
+
+
+class Shown(NamedTuple):
+    """What HEARTBEAT shows."""
+
+    base_mode: int
+    custom_mode: int
+    system_status: int
+
+
+class Flavour(ABC):
+    """One autopilot on one aircraft.
+
+    Args:
+        aircraft: What it flies.
+        parameters: How it is set up.
+    """
+
+    identity: Identity
+    rules: ProtocolRules
+
+    def __init__(self, aircraft: Aircraft, parameters: ParameterStore) -> None:
+        self.aircraft = aircraft
+        self.parameters = parameters
+        self.setpoints = SetpointMonitor()
+        self.occurrences: list[Occurrence] = []
+        """Since the list was last emptied by its reader."""
+        self.leg: Leg | None = None
+        self.changes = 0
+        """Counts up with every change of mode or arming."""
+        self._seen: tuple[FlightMode, bool, Task] | None = None
+        self._landed_s: float | None = None
+
+    # What a flavour decides
+
+    @property
+    @abstractmethod
+    def mode(self) -> FlightMode:
+        """The mode that is flown."""
+
+    @property
+    @abstractmethod
+    def is_failsafe(self) -> bool:
+        """Whether a failsafe chose what is flown."""
+
+    @property
+    @abstractmethod
+    def task(self) -> Task:
+        """What the pilot is to do."""
+
+    @property
+    @abstractmethod
+    def reason(self) -> str:
+        """Why a failsafe acts."""
+
+    @abstractmethod
+    def arming_refusal(self, now_s: float) -> str | None:
+        """Why it could not be armed now, or None."""
+
+    @abstractmethod
+    def has_home(self, now_s: float) -> bool:
+        """Whether origin and home are known."""
+
+    @abstractmethod
+    def has_position(self, now_s: float) -> bool:
+        """Whether the position is told."""
+
+    @abstractmethod
+    def shown(self, now_s: float) -> Shown:
+        """What HEARTBEAT shows."""
+
+    @abstractmethod
+    def command(self, command: Command, now_s: float) -> int:
+        """Obey a command; a MAV_RESULT."""
+
+    @abstractmethod
+    def take_local(self, message: LocalTarget, now_s: float) -> None:
+        """SET_POSITION_TARGET_LOCAL_NED arrived."""
+
+    @abstractmethod
+    def take_global(self, message: GlobalTarget, now_s: float) -> None:
+        """SET_POSITION_TARGET_GLOBAL_INT arrived."""
+
+    @abstractmethod
+    def target(self) -> Setpoint | None:
+        """What POSITION_TARGET_* tells; None outside of its mode."""
+
+    @abstractmethod
+    def set_origin(self, latitude_e7: int, longitude_e7: int, altitude_mm: int) -> bool:
+        """A station sets the EKF origin; whether it moved."""
+
+    @abstractmethod
+    def disarm_delay_s(self) -> float | None:
+        """How long it stands armed on the ground before it disarms itself; None: for ever."""
+
+    @abstractmethod
+    def disarm_landed(self, now_s: float) -> None:
+        """It has stood long enough."""
+
+    @abstractmethod
+    def _watch(self, now_s: float) -> None:
+        """Time-outs and failsafes."""
+
+    @abstractmethod
+    def _after_flying(self, now_s: float) -> None:
+        """What ends by itself: a takeoff, a mission."""
+
+    @abstractmethod
+    def _flown_setpoint(self, now_s: float) -> Setpoint:
+        """The setpoint that FOLLOW flies."""
+
+    # What all have in common
+
+    @property
+    def is_armed(self) -> bool:
+        """Whether the motors may turn."""
+        return self.aircraft.is_armed
+
+    @property
+    def landed_state(self) -> LandedState:
+        """EXTENDED_SYS_STATE.landed_state."""
+        if self.aircraft.body.is_on_ground:
+            return LandedState.ON_GROUND
+        match self.task:
+            case Task.TAKE_OFF:
+                return LandedState.TAKEOFF
+            case Task.LAND:
+                return LandedState.LANDING
+        return LandedState.IN_AIR
+
+    def step(self, now_s: float) -> None:
+        """Advance by one physics step, which ends at `now_s` seconds since boot."""
+        self.aircraft.time_s = now_s
+        self._watch(now_s)
+        self.settle(now_s)
+        self._fly(now_s)
+        self._after_flying(now_s)
+        self.settle(now_s)
+        self._watch_ground(now_s)
+
+    def settle(self, now_s: float, why: str = "") -> None:
+        """Tell the pilot of a changed task and note what changed; called after every change."""
+        seen = (self.mode, self.aircraft.is_armed, self.task)
+        if seen == self._seen:
+            return
+        old, self._seen = self._seen, seen
+        mode, is_armed, task = seen
+        if old is None:
+            self.aircraft.pilot.enter(task, self.aircraft.body)
+            return
+        old_mode, was_armed, old_task = old
+        if is_armed != was_armed:
+            self._armed_changed(is_armed, now_s)
+        if old_task is Task.FLY_MISSION is not task:
+            self._leave_mission()
+        self.aircraft.pilot.enter(task, self.aircraft.body)
+        if task is Task.FLY_MISSION and is_armed:
+            self.aircraft.mission.start()
+        if (mode, is_armed) == (old_mode, was_armed):
+            return
+        self.changes += 1
+        texts = []
+        if is_armed != was_armed:
+            texts.append("armed" if is_armed else "disarmed")
+        if mode is not old_mode:
+            if self.is_failsafe:
+                why = f"failsafe: {self.reason}"
+            reason = f" ({why})" if why else ""
+            texts.append(f"mode {old_mode.value} -> {mode.value}{reason}")
+        self.note(now_s, ", ".join(texts))
+
+    def note(self, now_s: float, text: str) -> None:
+        """Something happened."""
+        self.occurrences.append(Occurrence(now_s, self.mode, self.aircraft.is_armed, text))
+
+    def _armed_changed(self, is_armed: bool, now_s: float) -> None:
+        self.aircraft.has_flown = False
+        self.aircraft.grounded_s = now_s
+        self._landed_s = None
+        if is_armed:
+            self.aircraft.set_home_here()
+
+    def _leave_mission(self) -> None:
+        """A mission that is left goes on where it was; one that is done stays done."""
+        if self.leg is None or self.leg.kind is not LegKind.RETURN:
+            self.aircraft.mission.pause()
+            self.leg = None
+
+    def _fly(self, now_s: float) -> None:
+        aircraft, pilot = self.aircraft, self.aircraft.pilot
+        if not aircraft.is_armed:
+            aircraft.move(None, None)
+            return
+        body = aircraft.body
+        if pilot.task is Task.FLY_MISSION:
+            place, is_on_ground = body.position_enu_m, body.is_on_ground
+            self.leg = aircraft.mission.leg(place, is_on_ground and aircraft.has_flown, now_s)
+        sticks = aircraft.sticks.read(now_s) if pilot.task is Task.OBEY_STICKS else None
+        setpoint = self._flown_setpoint(now_s)
+        aircraft.move(
+            pilot.command(setpoint, self.leg, sticks, body),
+            pilot.yaw_ned_rad(setpoint, sticks, body),
+        )
+
+    @property
+    def _is_mission_over(self) -> bool:
+        return self.aircraft.mission.state is MissionState.COMPLETE
+
+    def _watch_ground(self, now_s: float) -> None:
+        """Note touchdowns, and disarm some time after one."""
+        aircraft = self.aircraft
+        if not aircraft.body.is_on_ground:
+            if not aircraft.has_flown and aircraft.is_armed:
+                self.note(now_s, "in the air")
+            aircraft.has_flown = True
+            self._landed_s = None
+            return
+        delay_s = self.disarm_delay_s() if aircraft.is_armed else None
+        if delay_s is None:
+            self._landed_s = None
+            return
+        if self._landed_s is None:
+            self._landed_s = now_s
+            if aircraft.has_flown:
+                self.note(now_s, "on the ground")
+        if now_s - self._landed_s >= delay_s:
+            self.disarm_landed(now_s)
+            self.settle(now_s, "landed")

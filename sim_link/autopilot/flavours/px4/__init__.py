@@ -1,0 +1,1 @@
+"""PX4 1.15, multicopter, as observed in SITL."""

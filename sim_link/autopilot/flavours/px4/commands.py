@@ -1,0 +1,207 @@
+"""What PX4 does about each command, and what it answers.
+
+Where PX4 accepts nonsense (NaN to arm, main mode 99, wrong frames) this denies it. Source: MAVLink
+common, MAV_CMD; PX4 1.15 as observed in SITL.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from companion.domain import FlightMode
+from companion.mav.dialect import mavlink
+from companion.mav.modes import CUSTOM_MODE_ENABLED, px4_mode
+from sim_link.autopilot.commands import (
+    ACCEPTED,
+    DENIED,
+    TEMPORARILY_REJECTED,
+    UNSUPPORTED,
+    UNSUPPORTED_MAV_FRAME,
+    is_altitude,
+    is_force,
+    is_near,
+    is_place,
+    place_e7,
+    whole,
+)
+from sim_link.autopilot.flavours.px4.modes import MODE_NAMES
+from sim_link.autopilot.protocols.commands import Command
+
+if TYPE_CHECKING:
+    from sim_link.autopilot.flavours.px4.flavour import Px4Flavour
+
+MAX_HEIGHT_M = 1000.0
+CHANGE_MODE_FLAG = 1
+"""MAV_DO_REPOSITION_FLAGS_CHANGE_MODE."""
+GLOBAL = mavlink.MAV_FRAME_GLOBAL
+
+
+def obey(flavour: Px4Flavour, command: Command, now_s: float) -> int:
+    """Obey a command; a MAV_RESULT."""
+    match command.number:
+        case mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
+            return _arm_disarm(flavour, command, now_s)
+        case mavlink.MAV_CMD_DO_SET_MODE:
+            return _set_mode(flavour, command, now_s)
+        case mavlink.MAV_CMD_NAV_TAKEOFF:
+            return _take_off(flavour, command, now_s)
+        case mavlink.MAV_CMD_NAV_LAND:
+            return flavour.choose(FlightMode.LAND, now_s)
+        case mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH:
+            return flavour.choose(FlightMode.RETURN, now_s)
+        case mavlink.MAV_CMD_NAV_LOITER_UNLIM:
+            return flavour.choose(FlightMode.HOLD, now_s)
+        case mavlink.MAV_CMD_DO_REPOSITION:
+            return _reposition(flavour, command, now_s)
+        case mavlink.MAV_CMD_DO_PAUSE_CONTINUE:
+            return _pause_continue(flavour, command, now_s)
+        case mavlink.MAV_CMD_MISSION_START:
+            return _start_mission(flavour, command, now_s)
+        case mavlink.MAV_CMD_DO_SET_MISSION_CURRENT:
+            index = whole(command.params[0])
+            is_set = index is not None and flavour.aircraft.mission.set_current(index)
+            return ACCEPTED if is_set else DENIED
+        case mavlink.MAV_CMD_DO_CHANGE_SPEED:
+            return _change_speed(flavour, command)
+        case mavlink.MAV_CMD_DO_SET_HOME:
+            return _set_home(flavour, command)
+        case mavlink.MAV_CMD_DO_FLIGHTTERMINATION:
+            return _terminate(flavour, command, now_s)
+        case mavlink.MAV_CMD_RUN_PREARM_CHECKS:
+            flavour.tell_refusal(now_s)
+            return ACCEPTED
+    return UNSUPPORTED
+
+
+def _arm_disarm(flavour: Px4Flavour, command: Command, now_s: float) -> int:
+    wanted, is_forced = command.params[0], is_force(command.params[1])
+    if wanted not in (0.0, 1.0) or is_forced is None:
+        return DENIED
+    if wanted == 1.0:
+        return flavour.arm(now_s)
+    return flavour.disarm(now_s, is_forced=is_forced)
+
+
+def _set_mode(flavour: Px4Flavour, command: Command, now_s: float) -> int:
+    base, main = whole(command.params[0]), whole(command.params[1])
+    sub = 0 if math.isnan(command.params[2]) else whole(command.params[2])
+    if base is None or main is None or sub is None or not base & CUSTOM_MODE_ENABLED:
+        return DENIED
+    mode = px4_mode(main, sub)
+    if mode is FlightMode.TAKEOFF:
+        flavour.aircraft.pilot.takeoff_up_m = _default_takeoff_up_m(flavour)
+    return flavour.choose(mode, now_s)
+
+
+def _take_off(flavour: Px4Flavour, command: Command, now_s: float) -> int:
+    altitude_m = command.params[6]
+    home_up_m = flavour.aircraft.home_enu_m[2]
+    up_m = flavour.aircraft.up_from(altitude_m, GLOBAL if command.frame is None else command.frame)
+    if up_m is None:
+        return UNSUPPORTED_MAV_FRAME
+    if math.isnan(altitude_m):
+        up_m = _default_takeoff_up_m(flavour)
+    if not 0.0 < up_m - home_up_m <= MAX_HEIGHT_M:
+        return DENIED
+    flavour.aircraft.pilot.takeoff_up_m = up_m
+    return flavour.choose(FlightMode.TAKEOFF, now_s)
+
+
+def _default_takeoff_up_m(flavour: Px4Flavour) -> float:
+    return flavour.aircraft.home_enu_m[2] + flavour.parameters["MIS_TAKEOFF_ALT"]
+
+
+def _reposition(flavour: Px4Flavour, command: Command, now_s: float) -> int:
+    """Go to a place and stay there; what is left open stays as it is."""
+    aircraft, pilot = flavour.aircraft, flavour.aircraft.pilot
+    frame = GLOBAL if command.frame is None else command.frame
+    altitude_m = command.params[6]
+    up_m = aircraft.up_from(altitude_m, frame)
+    if up_m is None:
+        return UNSUPPORTED_MAV_FRAME
+    place = place_e7(command)
+    if place is not None and not is_place(place):
+        return DENIED
+    if not aircraft.is_armed or aircraft.body.is_on_ground:
+        return TEMPORARILY_REJECTED
+    east, north, own_up = aircraft.body.position_enu_m
+    if place is not None:
+        located = aircraft.place_from(*place, 0.0, GLOBAL)
+        assert located is not None
+        east, north, _ = located
+    up_m = own_up if math.isnan(altitude_m) else up_m
+    if not is_altitude(up_m) or up_m - aircraft.home_enu_m[2] > MAX_HEIGHT_M:
+        return DENIED
+    if flavour.fence_margin_m((east, north, up_m)) < 0.0:
+        aircraft.say(mavlink.MAV_SEVERITY_ERROR, "Reposition is outside geofence")
+        return DENIED
+    is_changing = bool((whole(command.params[1]) or 0) & CHANGE_MODE_FLAG)
+    if flavour.mode is not FlightMode.HOLD and not is_changing:
+        return TEMPORARILY_REJECTED
+    flavour.choose(FlightMode.HOLD, now_s)
+    flavour.settle(now_s, "commanded")
+    speed_mps, yaw = command.params[0], command.params[3]
+    pilot.go_to(
+        (east, north, up_m),
+        speed_mps if speed_mps > 0.0 and math.isfinite(speed_mps) else None,
+        yaw if math.isfinite(yaw) else None,
+    )
+    return ACCEPTED
+
+
+def _pause_continue(flavour: Px4Flavour, command: Command, now_s: float) -> int:
+    if command.params[0] == 0.0:
+        return flavour.choose(FlightMode.HOLD, now_s)
+    if command.params[0] == 1.0:
+        return flavour.choose(FlightMode.MISSION, now_s)
+    return DENIED
+
+
+def _start_mission(flavour: Px4Flavour, command: Command, now_s: float) -> int:
+    mission = flavour.aircraft.mission
+    if not mission.has_items:
+        flavour.refuse(MODE_NAMES[FlightMode.MISSION], "no mission")
+        return TEMPORARILY_REJECTED
+    first = 0 if math.isnan(command.params[0]) else whole(command.params[0])
+    if first is None or not 0 <= first < len(mission.items):
+        return DENIED
+    if first:
+        mission.set_current(first)
+    result = flavour.choose(FlightMode.MISSION, now_s)
+    if result == ACCEPTED and not flavour.aircraft.is_armed:
+        result = flavour.arm_for_mission(now_s)
+    return result
+
+
+def _change_speed(flavour: Px4Flavour, command: Command) -> int:
+    speed_mps = command.params[1]
+    if not (math.isfinite(speed_mps) and (speed_mps > 0.0 or speed_mps in (-1.0, -2.0))):
+        return DENIED
+    flavour.aircraft.pilot.hold_speed_mps = speed_mps if speed_mps > 0.0 else None
+    return ACCEPTED
+
+
+def _set_home(flavour: Px4Flavour, command: Command) -> int:
+    aircraft = flavour.aircraft
+    if command.params[0] == 1.0:
+        aircraft.set_home(aircraft.body.position_enu_m, is_given=False)
+        return ACCEPTED
+    frame = GLOBAL if command.frame is None else command.frame
+    place, altitude_m = place_e7(command), command.params[6]
+    if place is None or not is_place(place) or not is_altitude(altitude_m):
+        return DENIED
+    home = aircraft.place_from(*place, altitude_m, frame)
+    if home is None:
+        return UNSUPPORTED_MAV_FRAME
+    if not is_near(home):
+        return DENIED
+    aircraft.set_home(home, is_given=True)
+    return ACCEPTED
+
+
+def _terminate(flavour: Px4Flavour, command: Command, now_s: float) -> int:
+    if command.params[0] != 1.0:
+        return DENIED
+    flavour.aircraft.say(mavlink.MAV_SEVERITY_CRITICAL, "Flight termination: motors stopped")
+    return flavour.disarm(now_s, is_forced=True)

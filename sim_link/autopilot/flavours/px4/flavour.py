@@ -1,0 +1,399 @@
+"""PX4 on one aircraft: modes, checks, failsafes, setpoints, and what HEARTBEAT shows.
+
+Source: PX4 1.15 as observed in SITL; PX4 user guide, "Safety Configuration" and "Offboard Mode".
+Reasons are told as STATUSTEXT; PX4 sends EVENT (410) instead, which few clients read.
+"""
+
+from __future__ import annotations
+
+import math
+
+from companion.domain import FlightMode, PositionEnu
+from companion.mav.dialect import mavlink
+from companion.mav.modes import CUSTOM_MODE_ENABLED, px4_custom_mode
+from sim_link.autopilot.aircraft import Aircraft
+from sim_link.autopilot.commands import ACCEPTED
+from sim_link.autopilot.flavours.base import Flavour, Identity, Shown
+from sim_link.autopilot.flavours.px4 import commands, parameters, setpoints
+from sim_link.autopilot.flavours.px4.failsafes import (
+    FENCE_REACTION,
+    LINK_LOSS_REACTION,
+    MODE_OF_REACTION,
+    OFFBOARD_LOSS_REACTION,
+    Cause,
+    Failsafes,
+    Finding,
+    Reaction,
+)
+from sim_link.autopilot.flavours.px4.modes import MODE_NAMES, STICK_MODES, ModeLogic, Situation
+from sim_link.autopilot.flavours.px4.protocols import RULES
+from sim_link.autopilot.mission import LegKind
+from sim_link.autopilot.pilot import Task
+from sim_link.autopilot.protocols.commands import Command
+from sim_link.autopilot.protocols.parameter_store import ParameterStore
+from sim_link.autopilot.setpoints import GlobalTarget, LocalTarget, Setpoint
+
+PX4_VERSION = 0x010F_02FF
+"""1.15.2, official release: the one whose behaviour is simulated."""
+CAPABILITIES = (
+    mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_FLOAT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
+    | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
+    | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_GLOBAL_INT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+    | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_FENCE
+    | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_RALLY
+)
+"""GLOBAL_INT is set although PX4 1.15 leaves it out: it obeys that message."""
+AUTO_FLAGS = (
+    mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
+    | mavlink.MAV_MODE_FLAG_GUIDED_ENABLED
+    | mavlink.MAV_MODE_FLAG_AUTO_ENABLED
+)
+STICK_FLAGS = mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
+BASE_MODE_FLAGS: dict[FlightMode, int] = {
+    FlightMode.POSITION: STICK_FLAGS,
+    FlightMode.ALTITUDE: STICK_FLAGS,
+    FlightMode.STABILIZED: STICK_FLAGS,
+    FlightMode.MANUAL: mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED,
+    FlightMode.ACRO: mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED,
+}
+"""What a mode adds to CUSTOM_MODE_ENABLED; modes not listed are automatic (OFFBOARD apart)."""
+TASKS: dict[FlightMode, Task] = {
+    FlightMode.HOLD: Task.STAY,
+    FlightMode.TAKEOFF: Task.TAKE_OFF,
+    FlightMode.LAND: Task.LAND,
+    FlightMode.RETURN: Task.RETURN,
+    FlightMode.MISSION: Task.FLY_MISSION,
+    FlightMode.OFFBOARD: Task.FOLLOW,
+}
+OVERRIDE_AUTO, OVERRIDE_OFFBOARD = 1, 2
+"""Bits of COM_RC_OVERRIDE."""
+EXCEPT_MISSION, EXCEPT_HOLD, EXCEPT_OFFBOARD = 1, 2, 4
+"""Bits of COM_RCL_EXCEPT."""
+
+
+class Px4Flavour(Flavour):
+    """PX4 1.15, multicopter.
+
+    Args:
+        aircraft: What it flies.
+        parameters: PX4's.
+    """
+
+    identity = Identity(mavlink.MAV_AUTOPILOT_PX4, PX4_VERSION, CAPABILITIES)
+    rules = RULES
+
+    def __init__(self, aircraft: Aircraft, parameters: ParameterStore) -> None:
+        super().__init__(aircraft, parameters)
+        self.modes = ModeLogic()
+        self._failsafes = Failsafes()
+        self._had_sticks = False
+        self._warned_percent = 101.0
+
+    # State
+
+    @property
+    def mode(self) -> FlightMode:
+        """The mode that is flown."""
+        return self.modes.mode
+
+    @property
+    def is_failsafe(self) -> bool:
+        """Whether a failsafe chose the mode."""
+        return self.modes.is_failsafe
+
+    @property
+    def reason(self) -> str:
+        """Why a failsafe acts."""
+        worst = self._failsafes.worst
+        return "" if worst is None else worst[0].value
+
+    @property
+    def task(self) -> Task:
+        """What the pilot is to do."""
+        task = TASKS.get(self.mode, Task.OBEY_STICKS)
+        needs_position = self.mode not in STICK_MODES
+        if needs_position and not self.aircraft.estimator.is_position_valid:
+            return Task.DESCEND
+        return task
+
+    def situation(self, now_s: float) -> Situation:
+        """What the mode rules need to know."""
+        return Situation(
+            check_refusal=self._check_refusal(now_s),
+            is_stream_alive=self._is_stream_alive(now_s),
+            is_on_ground=self.aircraft.body.is_on_ground,
+            has_sticks=self.aircraft.sticks.read(now_s) is not None,
+            has_mission=self.aircraft.mission.has_items,
+        )
+
+    def has_home(self, now_s: float) -> bool:  # noqa: ARG002  the base gives the time
+        """Origin and home are known from the start."""
+        return True
+
+    def has_position(self, now_s: float) -> bool:  # noqa: ARG002  the base gives the time
+        """The position is told before it can be armed, too."""
+        return self.aircraft.estimator.is_position_valid
+
+    def arming_refusal(self, now_s: float) -> str | None:
+        """Why it could not be armed now, or None."""
+        return self.modes.arming_refusal(self.situation(now_s))
+
+    def _is_stream_alive(self, now_s: float) -> bool:
+        return self.setpoints.is_alive(now_s, self.parameters["COM_OF_LOSS_T"])
+
+    def _check_refusal(self, now_s: float) -> str | None:
+        """The checks that hold in every mode."""
+        if now_s < self.aircraft.scenario.autopilot.ready_after_s:
+            return "system is booting"
+        if not self.aircraft.estimator.is_position_valid:
+            return "no position estimate"
+        if self.aircraft.battery.share <= self.parameters["BAT_CRIT_THR"]:
+            return "battery too low"
+        has_action = self.parameters["GF_ACTION"] >= 1
+        if has_action and self.fence_margin_m(self.aircraft.body.position_enu_m) < 0.0:
+            return "outside the geofence"
+        return None
+
+    def fence_margin_m(self, place: PositionEnu) -> float:
+        """Distance from a place to the nearest breach of the fence, negative in one."""
+        margin = self.aircraft.fence.margin_m(place)
+        home = self.aircraft.home_enu_m
+        horizontal_m = self.parameters["GF_MAX_HOR_DIST"]
+        vertical_m = self.parameters["GF_MAX_VER_DIST"]
+        if horizontal_m > 0.0:
+            margin = min(margin, horizontal_m - math.dist(place[:2], home[:2]))
+        if vertical_m > 0.0:
+            margin = min(margin, vertical_m - (place[2] - home[2]))
+        return margin
+
+    # Commands
+
+    def command(self, command: Command, now_s: float) -> int:
+        """Obey a command; a MAV_RESULT."""
+        result = commands.obey(self, command, now_s)
+        self.settle(now_s, "commanded")
+        return result
+
+    def choose(self, mode: FlightMode | None, now_s: float) -> int:
+        """The operator chooses a mode; a MAV_RESULT, and the reason as a text if refused."""
+        situation = self.situation(now_s)
+        is_same = mode is self.mode
+        result = self.modes.choose(mode, situation)
+        if result == ACCEPTED:
+            self._failsafes.take_over()
+            if is_same and mode is FlightMode.HOLD:
+                self.aircraft.pilot.enter(self.task, self.aircraft.body)
+        elif mode in MODE_NAMES:
+            why = self.modes.choice_refusal(mode, situation)
+            self.refuse(MODE_NAMES[mode], why or "not now")
+        return result
+
+    def refuse(self, mode_name: str, why: str) -> None:
+        """Say why a mode was not entered."""
+        text = f"Switching to {mode_name} not available: {why}"
+        self.aircraft.say(mavlink.MAV_SEVERITY_CRITICAL, text)
+
+    def arm(self, now_s: float) -> int:
+        """A request to arm; a MAV_RESULT, and the reason as a text if refused."""
+        situation = self.situation(now_s)
+        result = self.modes.arm(situation)
+        if result != ACCEPTED:
+            self.tell_refusal(now_s)
+        self.aircraft.is_armed = self.modes.is_armed
+        return result
+
+    def arm_for_mission(self, now_s: float) -> int:
+        """MISSION_START arms by itself, through Hold."""
+        self.modes.intention = FlightMode.HOLD
+        result = self.arm(now_s)
+        if result == ACCEPTED:
+            self.settle(now_s, "commanded")
+            self.modes.intention = FlightMode.MISSION
+        return result
+
+    def tell_refusal(self, now_s: float) -> None:
+        """Say why it cannot be armed."""
+        why = self.arming_refusal(now_s)
+        if why is not None:
+            self.aircraft.say(mavlink.MAV_SEVERITY_CRITICAL, f"Arming denied: {why}")
+
+    def disarm(self, now_s: float, *, is_forced: bool) -> int:
+        """A request to disarm; a MAV_RESULT."""
+        situation = self.situation(now_s)
+        result = self.modes.disarm(situation, is_forced=is_forced)
+        if result == ACCEPTED:
+            self._failsafes.clear()
+        else:
+            self.aircraft.say(mavlink.MAV_SEVERITY_CRITICAL, "Disarming denied: not landed")
+        self.aircraft.is_armed = self.modes.is_armed
+        return result
+
+    def set_origin(self, latitude_e7: int, longitude_e7: int, altitude_mm: int) -> bool:
+        """A station sets the EKF origin; whether it moved."""
+        self.aircraft.set_origin(latitude_e7, longitude_e7, altitude_mm)
+        return True
+
+    # Setpoints
+
+    def take_local(self, message: LocalTarget, now_s: float) -> None:
+        """SET_POSITION_TARGET_LOCAL_NED arrived."""
+        self.setpoints.take(setpoints.setpoint_from_local(message, self.aircraft), now_s)
+
+    def take_global(self, message: GlobalTarget, now_s: float) -> None:
+        """SET_POSITION_TARGET_GLOBAL_INT arrived."""
+        self.setpoints.take(setpoints.setpoint_from_global(message, self.aircraft), now_s)
+
+    def target(self) -> Setpoint | None:
+        """The setpoint that is flown, in OFFBOARD only."""
+        return self.setpoints.setpoint if self.mode is FlightMode.OFFBOARD else None
+
+    def _flown_setpoint(self, now_s: float) -> Setpoint:  # noqa: ARG002  it does not age
+        return self.setpoints.setpoint
+
+    # What happens by itself
+
+    def disarm_delay_s(self) -> float | None:
+        """After a landing; OFFBOARD never ends by itself, as on PX4."""
+        if self.mode is FlightMode.OFFBOARD and self.aircraft.has_flown:
+            return None
+        is_landing = self.mode in (FlightMode.LAND, FlightMode.RETURN)
+        landed = self.aircraft.has_flown or is_landing
+        delay_s = self.parameters["COM_DISARM_LAND" if landed else "COM_DISARM_PRFLT"]
+        is_enabled = delay_s >= 0.0 if landed else delay_s > 0.0
+        return delay_s if is_enabled else None
+
+    def disarm_landed(self, now_s: float) -> None:
+        """It has stood long enough."""
+        self.disarm(now_s, is_forced=True)
+
+    def _after_flying(self, now_s: float) -> None:
+        if not self.is_armed:
+            return
+        if self.mode is FlightMode.TAKEOFF:
+            if self.aircraft.pilot.has_taken_off(self.aircraft.body):
+                self.modes.finish(FlightMode.TAKEOFF)
+                self.settle(now_s, "takeoff complete")
+        elif self.mode is FlightMode.MISSION:
+            if self._is_mission_over or not self.aircraft.mission.has_items:
+                self.modes.finish(FlightMode.MISSION)
+                self.settle(now_s, "mission complete")
+            elif self.leg is not None and self.leg.kind is LegKind.RETURN:
+                self.aircraft.mission.finish_leg()
+                self.leg = None
+                self.choose(FlightMode.RETURN, now_s)
+                self.settle(now_s, "mission")
+
+    def _watch(self, now_s: float) -> None:
+        self._watch_battery()
+        self.aircraft.pilot.limits = parameters.speed_limits(self.parameters)
+        if not self.is_armed:
+            return
+        sticks = self.aircraft.sticks.read(now_s)
+        self._had_sticks = self._had_sticks or sticks is not None
+        if sticks is not None and sticks.are_moved and self._sticks_override():
+            self.choose(FlightMode.POSITION, now_s)
+            self.settle(now_s, "sticks moved")
+        fresh = [finding for finding in self._findings(now_s) if self._failsafes.watch(finding)]
+        for finding in fresh:
+            self.aircraft.say(mavlink.MAV_SEVERITY_CRITICAL, f"Failsafe: {finding.cause.value}")
+        self._react(now_s)
+
+    def _react(self, now_s: float) -> None:
+        worst = self._failsafes.worst
+        reaction = None if worst is None else worst[1]
+        if reaction is Reaction.DISARM:
+            self.disarm(now_s, is_forced=True)
+            return
+        if reaction is Reaction.RETURN:
+            height_m = self.parameters["RTL_RETURN_ALT"]
+            self.aircraft.pilot.return_up_m = self.aircraft.home_enu_m[2] + height_m
+        self.modes.reaction = None if reaction is None else MODE_OF_REACTION.get(reaction)
+
+    def settle(self, now_s: float, why: str = "") -> None:
+        """As the base does, with the height of a return known before it begins."""
+        if self.mode is FlightMode.RETURN:
+            height_m = self.parameters["RTL_RETURN_ALT"]
+            self.aircraft.pilot.return_up_m = self.aircraft.home_enu_m[2] + height_m
+        super().settle(now_s, why)
+
+    def _sticks_override(self) -> bool:
+        bits = int(self.parameters["COM_RC_OVERRIDE"])
+        if self.modes.intention is FlightMode.OFFBOARD:
+            return bool(bits & OVERRIDE_OFFBOARD)
+        return self.mode not in STICK_MODES and bool(bits & OVERRIDE_AUTO)
+
+    def _findings(self, now_s: float) -> list[Finding]:
+        """What is wrong now, and what PX4's parameters do about it."""
+        value, aircraft = self.parameters, self.aircraft
+        is_offboard = self.modes.intention is FlightMode.OFFBOARD
+        heard_s = aircraft.station_heard_s
+        share = aircraft.battery.share
+        low_action = int(value["COM_LOW_BAT_ACT"])
+        critical = {2: Reaction.LAND, 3: Reaction.RETURN}.get(low_action, Reaction.WARN)
+        emergency = Reaction.WARN if low_action == 0 else Reaction.LAND
+        return [
+            Finding(
+                Cause.NO_SETPOINTS,
+                is_offboard and not self._is_stream_alive(now_s),
+                OFFBOARD_LOSS_REACTION.get(int(value["COM_OBL_RC_ACT"]), Reaction.POSITION),
+            ),
+            Finding(
+                Cause.NO_STICKS,
+                self._had_sticks and self._needs_sticks() and aircraft.sticks.read(now_s) is None,
+                LINK_LOSS_REACTION.get(int(value["NAV_RCL_ACT"])),
+            ),
+            Finding(
+                Cause.NO_STATION,
+                heard_s is not None and now_s - heard_s > value["COM_DL_LOSS_T"],
+                LINK_LOSS_REACTION.get(int(value["NAV_DLL_ACT"])),
+            ),
+            Finding(Cause.NO_POSITION, not aircraft.estimator.is_position_valid, Reaction.LAND),
+            Finding(
+                Cause.FENCE,
+                self.fence_margin_m(aircraft.body.position_enu_m) < 0.0,
+                FENCE_REACTION.get(int(value["GF_ACTION"])),
+            ),
+            Finding(Cause.BATTERY_CRITICAL, share <= value["BAT_CRIT_THR"], critical),
+            Finding(Cause.BATTERY_EMERGENCY, share <= value["BAT_EMERGEN_THR"], emergency),
+        ]
+
+    def _needs_sticks(self) -> bool:
+        bits = int(self.parameters["COM_RCL_EXCEPT"])
+        excepted = {
+            FlightMode.MISSION: EXCEPT_MISSION,
+            FlightMode.HOLD: EXCEPT_HOLD,
+            FlightMode.OFFBOARD: EXCEPT_OFFBOARD,
+        }.get(self.modes.intention, 0)
+        return not bits & excepted
+
+    def _watch_battery(self) -> None:
+        """Warn once per level."""
+        share = self.aircraft.battery.share
+        if share > self.parameters["BAT_LOW_THR"]:
+            self._warned_percent = 101.0
+        elif self._warned_percent > 100.0:
+            self._warned_percent = self.aircraft.battery.percent
+            self.aircraft.say(mavlink.MAV_SEVERITY_WARNING, "Low battery level")
+
+    # HEARTBEAT
+
+    def shown(self, now_s: float) -> Shown:
+        """What HEARTBEAT shows."""
+        base_mode = CUSTOM_MODE_ENABLED
+        if self.mode is FlightMode.OFFBOARD:
+            if self.is_armed or self._is_stream_alive(now_s):
+                base_mode |= mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
+        else:
+            base_mode |= BASE_MODE_FLAGS.get(self.mode, AUTO_FLAGS)
+        if self.is_armed:
+            base_mode |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+            status = mavlink.MAV_STATE_CRITICAL if self.is_failsafe else mavlink.MAV_STATE_ACTIVE
+        else:
+            can_arm = self.arming_refusal(now_s) is None
+            status = mavlink.MAV_STATE_STANDBY if can_arm else mavlink.MAV_STATE_UNINIT
+        return Shown(base_mode, px4_custom_mode(self.mode), status)

@@ -1,0 +1,332 @@
+"""The MAVLink services of one vehicle: from a received message to what is answered.
+
+Theory of operation. Every service is a small state machine of `protocols`, which knows nothing of
+physics; this joins them to the vehicle. A message that is addressed elsewhere never gets here past
+`is_for_us`. Answers name the link they go to; what everyone must hear names none.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from companion.mav.dialect import MAVLink_command_cancel_message, Message, mavlink
+from sim_link.autopilot import calibration
+from sim_link.autopilot.calibration import Calibration
+from sim_link.autopilot.commands import (
+    ACCEPTED,
+    DENIED,
+    TEMPORARILY_REJECTED,
+    UNSUPPORTED,
+    whole,
+)
+from sim_link.autopilot.protocols.base import Addressing, Channel, Outgoing, Partner, partner_of
+from sim_link.autopilot.protocols.clocks import Clocks
+from sim_link.autopilot.protocols.commands import (
+    UNKNOWN_PROGRESS,
+    Cancel,
+    Command,
+    CommandResult,
+    Commands,
+)
+from sim_link.autopilot.protocols.message_requests import MessageRequests
+from sim_link.autopilot.protocols.mission_progress import MissionAnnouncer, mission_item_reached
+from sim_link.autopilot.protocols.parameters import Parameters
+from sim_link.autopilot.protocols.plan_items import PlanItem, PlanResult, PlanType
+from sim_link.autopilot.protocols.plan_store import CurrentChosen, PlanChanged, PlanStore
+from sim_link.autopilot.protocols.plans import Plans
+from sim_link.autopilot.protocols.statustext import StatusTexts
+from sim_link.autopilot.setpoints import is_on_earth
+from sim_link.autopilot.status_messages import (
+    gps_global_origin,
+    heartbeat,
+    home_position,
+    mission_progress,
+)
+from sim_link.autopilot.sticks import Sticks
+from sim_link.autopilot.telemetry import Telemetry
+from sim_link.autopilot.vehicle import SimVehicle
+
+TIMESYNC_PERIOD_S = 10.0
+STICK_RANGE = 1000.0
+"""MANUAL_CONTROL's full deflection."""
+NEUTRAL_US, RANGE_US = 1500.0, 500.0
+Handler = Callable[[Any, Partner, float], list[Outgoing]]
+
+
+class Services:
+    """Answers for one vehicle.
+
+    Args:
+        vehicle: Whom they are for.
+        links: How many links it has.
+    """
+
+    def __init__(self, vehicle: SimVehicle, links: int) -> None:
+        self._vehicle = vehicle
+        rules = self._rules = vehicle.flavour.rules
+        self._texts = StatusTexts()
+        self.addressing = Addressing(vehicle.system_id)
+        self._clocks = Clocks(
+            self.addressing,
+            names_targets=rules.names_timesync_target,
+            answers_ping=rules.answers_ping,
+        )
+        self._parameters = Parameters(vehicle.flavour.parameters, rules.parameters, self._texts)
+        has_home_item = rules.first_mission_item == 1
+        self._store = PlanStore(self._home_item if has_home_item else None)
+        fly_to = self._fly_to if has_home_item else None
+        self._plans = Plans(self._store, rules.plans, self._texts, fly_to)
+        self._commands = Commands(rules.commands)
+        self._calibration = Calibration(self._commands)
+        self._telemetry = Telemetry(vehicle)
+        self.requests = MessageRequests(
+            rules.streams, rules.requests, self._telemetry.build, self._texts
+        )
+        """Keeps the streams."""
+        for link in range(links):
+            self.requests.open(Channel(link), 0.0)
+        self._announcer = MissionAnnouncer()
+        self._announcer.changed(mission_progress(vehicle))
+        self._seen = (0, 0, vehicle.flavour.changes)
+        self._timesync_due_s = TIMESYNC_PERIOD_S
+        self.wants_reboot = False
+        """Whether a client asked for one."""
+        self._handlers: dict[type[Message], Handler] = {
+            mavlink.MAVLink_set_position_target_local_ned_message: self._take_local,
+            mavlink.MAVLink_set_position_target_global_int_message: self._take_global,
+            mavlink.MAVLink_command_long_message: self._take_command,
+            mavlink.MAVLink_command_int_message: self._take_command,
+            mavlink.MAVLink_set_mode_message: self._take_command,
+            MAVLink_command_cancel_message: self._take_command,
+            mavlink.MAVLink_heartbeat_message: self._take_heartbeat,
+            mavlink.MAVLink_timesync_message: self._take_timesync,
+            mavlink.MAVLink_ping_message: self._take_ping,
+            mavlink.MAVLink_manual_control_message: self._take_manual_control,
+            mavlink.MAVLink_rc_channels_override_message: self._take_rc_override,
+            mavlink.MAVLink_set_gps_global_origin_message: self._take_origin,
+            mavlink.MAVLink_request_data_stream_message: self._take_data_stream,
+        }
+
+    def handle(self, message: Message, channel: Channel, now_s: float) -> list[Outgoing]:
+        """Answer a message that arrived at `now_s` seconds since boot."""
+        if not self.addressing.is_for_us(message):
+            return []
+        partner = partner_of(message, channel)
+        handler = self._handlers.get(type(message))
+        if handler is not None:
+            return handler(message, partner, now_s) + self.news()
+        outgoing = self._parameters.handle(message, partner, now_s)
+        outgoing += self._plans.handle(message, partner, now_s)
+        self._take_plan_events()
+        return outgoing + self.news()
+
+    def step(self, now_s: float) -> list[Outgoing]:
+        """What is due by itself at a physics step."""
+        outgoing = self._parameters.handle_timer(now_s) + self._plans.handle_timer(now_s)
+        outgoing += self._calibration.step(now_s)
+        if self._rules.asks_timesync and now_s >= self._timesync_due_s:
+            self._timesync_due_s = now_s + TIMESYNC_PERIOD_S
+            outgoing.append(Outgoing(self._clocks.timesync_request(now_s)))
+        return outgoing + self.news()
+
+    def news(self) -> list[Outgoing]:
+        """Texts, and what is told when it changes."""
+        vehicle, aircraft = self._vehicle, self._vehicle.aircraft
+        messages: list[Message] = []
+        for severity, text in aircraft.texts:
+            messages += self._texts.messages(severity, text)
+        aircraft.texts.clear()
+        changed = self._announcer.changed(mission_progress(vehicle))
+        reached, aircraft.mission.reached = aircraft.mission.reached, []
+        messages += [mission_item_reached(seq) for seq in reached]
+        if changed is not None:
+            messages.append(changed)
+            self._store.advance(aircraft.mission.current)
+        return [Outgoing(message) for message in messages + self._changed_places()]
+
+    def _changed_places(self) -> list[Message]:
+        """Home and origin when they move, and ArduPilot's HEARTBEAT on a change of mode."""
+        vehicle, aircraft = self._vehicle, self._vehicle.aircraft
+        if not vehicle.has_home:
+            return []
+        seen = (aircraft.origin_changes, aircraft.home_changes, vehicle.flavour.changes)
+        if seen == self._seen:
+            return []
+        old, self._seen = self._seen, seen
+        messages: list[Message | None] = []
+        if seen[0] != old[0]:
+            messages.append(gps_global_origin(vehicle))
+        if seen[1] != old[1] and old[1]:
+            messages.append(home_position(vehicle))
+        if seen[2] != old[2] and self._rules.tells_mode_at_once:
+            messages.append(heartbeat(vehicle))
+        return [message for message in messages if message is not None]
+
+    # Setpoints
+
+    def _take_local(
+        self,
+        message: mavlink.MAVLink_set_position_target_local_ned_message,
+        partner: Partner,  # noqa: ARG002  whoever sends one
+        now_s: float,
+    ) -> list[Outgoing]:
+        self._vehicle.flavour.take_local(message, now_s)
+        return []
+
+    def _take_global(
+        self,
+        message: mavlink.MAVLink_set_position_target_global_int_message,
+        partner: Partner,  # noqa: ARG002  whoever sends one
+        now_s: float,
+    ) -> list[Outgoing]:
+        self._vehicle.flavour.take_global(message, now_s)
+        return []
+
+    # Commands
+
+    def _take_command(self, message: Message, partner: Partner, now_s: float) -> list[Outgoing]:
+        command, outgoing = self._commands.receive(message, partner, now_s)
+        match command:
+            case None:
+                return outgoing
+            case Cancel():
+                return outgoing + self._commands.cancelled(command.number, now_s)
+        answer = self.requests.obey(command, now_s)
+        result, replies = (self._command(command, now_s), []) if answer is None else answer
+        progress = 0 if result == CommandResult.IN_PROGRESS else UNKNOWN_PROGRESS
+        acknowledgement = self._commands.answer(command, result, now_s, progress=progress)
+        return [*outgoing, *replies, acknowledgement]
+
+    def _command(self, command: Command, now_s: float) -> int:
+        if command.number == calibration.NUMBER:
+            return self._calibration.begin(command, now_s, is_armed=self._vehicle.is_armed)
+        if command.number == mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN:
+            return self._reboot(command)
+        if command.number == mavlink.MAV_CMD_DO_SET_MISSION_CURRENT:
+            index = whole(command.params[0])
+            if index is None or not self._store.choose(index):
+                return DENIED
+            self._take_plan_events()
+            return ACCEPTED
+        return self._vehicle.flavour.command(command, now_s)
+
+    def _reboot(self, command: Command) -> int:
+        """Refused while armed; only the autopilot itself, and no shutdown."""
+        if self._vehicle.is_armed:
+            return TEMPORARILY_REJECTED
+        if command.params[0] != 1.0:
+            return UNSUPPORTED
+        self.wants_reboot = True
+        return ACCEPTED
+
+    # Plans
+
+    def _take_plan_events(self) -> None:
+        for event in self._store.take_events():
+            match event:
+                case PlanChanged(PlanType.MISSION):
+                    self._vehicle.aircraft.load_mission(self._store.items(PlanType.MISSION))
+                case PlanChanged(PlanType.FENCE):
+                    self._vehicle.aircraft.load_fence(self._store.items(PlanType.FENCE))
+                case CurrentChosen():
+                    self._vehicle.aircraft.mission.set_current(event.seq)
+
+    def _home_item(self) -> PlanItem:
+        lat, lon, alt = self._vehicle.home_e7
+        return PlanItem(
+            mavlink.MAV_CMD_NAV_WAYPOINT,
+            mavlink.MAV_FRAME_GLOBAL,
+            (0.0, 0.0, 0.0, 0.0),
+            lat,
+            lon,
+            alt / 1e3,
+        )
+
+    def _fly_to(self, item: PlanItem) -> PlanResult:
+        """A "guided" mission item: ArduPilot flies there in GUIDED."""
+        command = Command(
+            mavlink.MAV_CMD_DO_REPOSITION,
+            (-1.0, 0.0, 0.0, math.nan, float(item.x), float(item.y), item.z),
+            Partner(Channel(0), 0, 0),
+            item.frame,
+        )
+        result = self._vehicle.flavour.command(command, self._vehicle.time_s)
+        return PlanResult.ACCEPTED if result == ACCEPTED else PlanResult.ERROR
+
+    # The rest
+
+    def _take_heartbeat(
+        self, message: mavlink.MAVLink_heartbeat_message, partner: Partner, now_s: float
+    ) -> list[Outgoing]:
+        if message.type == mavlink.MAV_TYPE_GCS:
+            self._vehicle.aircraft.hear_station(partner.system_id, now_s)
+        return []
+
+    def _take_timesync(
+        self, message: mavlink.MAVLink_timesync_message, partner: Partner, now_s: float
+    ) -> list[Outgoing]:
+        answer = self._clocks.timesync(message, partner, now_s)
+        return [] if answer is None else [Outgoing(answer, partner.channel)]
+
+    def _take_ping(
+        self,
+        message: mavlink.MAVLink_ping_message,
+        partner: Partner,
+        now_s: float,  # noqa: ARG002  a PING carries its own time
+    ) -> list[Outgoing]:
+        answer = self._clocks.ping(message, partner)
+        return [] if answer is None else [Outgoing(answer, partner.channel)]
+
+    def _take_manual_control(
+        self,
+        message: mavlink.MAVLink_manual_control_message,
+        partner: Partner,  # noqa: ARG002  whoever sends one
+        now_s: float,
+    ) -> list[Outgoing]:
+        if message.target == self._vehicle.system_id:
+            forward, right, yaw = (
+                max(-1.0, min(1.0, value / STICK_RANGE))
+                for value in (message.x, message.y, message.r)
+            )
+            up = max(-1.0, min(1.0, 2.0 * message.z / STICK_RANGE - 1.0))
+            self._vehicle.sticks.take_joystick(Sticks(forward, right, up, yaw), now_s)
+        return []
+
+    def _take_rc_override(
+        self,
+        message: mavlink.MAVLink_rc_channels_override_message,
+        partner: Partner,  # noqa: ARG002  whoever sends one
+        now_s: float,
+    ) -> list[Outgoing]:
+        raw = (message.chan1_raw, message.chan2_raw, message.chan3_raw, message.chan4_raw)
+        if self._rules.tells_mode_at_once and any(800 <= value <= 2200 for value in raw):
+            roll, pitch, throttle, yaw = (
+                max(-1.0, min(1.0, (value - NEUTRAL_US) / RANGE_US))
+                if 800 <= value <= 2200
+                else 0.0
+                for value in raw
+            )
+            self._vehicle.sticks.take_joystick(Sticks(-pitch, roll, throttle, yaw), now_s)
+        return []
+
+    def _take_origin(
+        self,
+        message: mavlink.MAVLink_set_gps_global_origin_message,
+        partner: Partner,  # noqa: ARG002  the answer is for everyone
+        now_s: float,  # noqa: ARG002  at once
+    ) -> list[Outgoing]:
+        if not is_on_earth(message.latitude, message.longitude):
+            return []
+        self._vehicle.flavour.set_origin(message.latitude, message.longitude, message.altitude)
+        return []
+
+    def _take_data_stream(
+        self,
+        message: mavlink.MAVLink_request_data_stream_message,
+        partner: Partner,
+        now_s: float,
+    ) -> list[Outgoing]:
+        self.requests.obey_data_stream(message, partner, now_s)
+        return []

@@ -1,0 +1,64 @@
+"""The pilot's sticks: the scenario's transmitter, or a station's joystick over MAVLink."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from sim_link.autopilot.estimator import is_within
+from sim_link.autopilot.scenario import RcParams
+
+JOYSTICK_TIMEOUT_S = 0.5
+"""A joystick that has been silent for this long is gone (PX4 COM_RC_LOSS_T)."""
+MOVED = 0.3
+"""Deflection that means a wish to fly (PX4 COM_RC_STICK_OV, 30 %)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sticks:
+    """Deflections, -1 to 1; all of them 0 when nobody touches them."""
+
+    forward: float = 0.0
+    right: float = 0.0
+    up: float = 0.0
+    yaw: float = 0.0
+    """Clockwise positive."""
+
+    @property
+    def are_moved(self) -> bool:
+        """Whether somebody wants to fly."""
+        return max(abs(self.forward), abs(self.right), abs(self.up), abs(self.yaw)) > MOVED
+
+
+CENTRED = Sticks()
+
+
+class StickInput:
+    """Whoever holds the sticks now.
+
+    Args:
+        params: The transmitter.
+    """
+
+    def __init__(self, params: RcParams) -> None:
+        self._params = params
+        self._joystick: Sticks = CENTRED
+        self._joystick_s: float | None = None
+
+    def take_joystick(self, sticks: Sticks, now_s: float) -> None:
+        """Deflections from MANUAL_CONTROL or RC_CHANNELS_OVERRIDE."""
+        self._joystick = sticks
+        self._joystick_s = now_s
+
+    def is_joystick_alive(self, now_s: float) -> bool:
+        """Whether a station's joystick still reports."""
+        return self._joystick_s is not None and now_s - self._joystick_s < JOYSTICK_TIMEOUT_S
+
+    def has_transmitter(self, now_s: float) -> bool:
+        """Whether the transmitter is heard."""
+        return self._params.is_present and not is_within(self._params.lost_s, now_s)
+
+    def read(self, now_s: float) -> Sticks | None:
+        """The deflections, or None if nobody holds any sticks."""
+        if self.is_joystick_alive(now_s):
+            return self._joystick
+        return CENTRED if self.has_transmitter(now_s) else None

@@ -1,0 +1,1 @@
+"""What a companion must do towards the vehicle that it serves."""

@@ -1,0 +1,1 @@
+"""What a vehicle must do, section by section; a module per MAVLink service."""

@@ -1,0 +1,234 @@
+"""Routing: who is addressed, and what is passed on to whom."""
+
+from __future__ import annotations
+
+from companion.mav.dialect import Message, mavlink
+from sim_link.conformance.frames import build_raw
+from sim_link.conformance.parameter_client import float_name, read, write
+from sim_link.conformance.rules import Effect, NotApplicable, Role, RuleBook, require
+from sim_link.conformance.station import Station, heartbeat
+from sim_link.conformance.vehicle_probe import VehicleProbe
+
+book = RuleBook(Role.VEHICLE, "routing")
+ROUTING = "MAVLink guide, Routing"
+REQUEST = mavlink.MAV_CMD_REQUEST_MESSAGE
+VERSION_ID = float(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
+Ack = mavlink.MAVLink_command_ack_message
+Version = mavlink.MAVLink_autopilot_version_message
+UNKNOWN_ID = 45_998
+SETTLE_S = 0.3
+
+
+def request_version(system: int, component: int) -> Message:
+    """A command that is harmless wherever it is obeyed."""
+    return mavlink.MAVLink_command_long_message(
+        system, component, REQUEST, 0, VERSION_ID, 0, 0, 0, 0, 0, 0
+    )
+
+
+def stranger(probe: VehicleProbe) -> int:
+    """A system id that nobody has."""
+    return 77 if probe.target[0] != 77 else 78
+
+
+def require_ignored(probe: VehicleProbe, system: int, component: int) -> None:
+    """A command to an address must be neither obeyed nor acknowledged."""
+    mark = probe.mark
+    probe.send(request_version(system, component))
+    probe.expect_none(Ack, lambda m: m.command == REQUEST, mark=mark, what="acknowledged")
+    probe.expect_none(Version, for_s=0.1, mark=mark, what="obeyed")
+    probe.require_hearing()
+
+
+def require_obeyed(probe: VehicleProbe, system: int, component: int) -> None:
+    """A command to an address must be obeyed and acknowledged."""
+    mark = probe.mark
+    probe.send(request_version(system, component))
+    probe.expect(Version, mark=mark)
+    probe.expect(Ack, lambda m: m.command == REQUEST and m.result == 0, mark=mark)
+
+
+@book.rule(ROUTING, px4="PX4 1.15 answers FAILED; here it is asked to be silent")
+def command_for_another_system_is_ignored(probe: VehicleProbe) -> None:
+    """A command for another system is neither obeyed nor acknowledged."""
+    require_ignored(probe, stranger(probe), probe.target[1])
+
+
+@book.rule(
+    ROUTING,
+    px4="PX4 1.15 answers FAILED; here it is asked to be silent",
+    ardupilot="ArduCopter 4.5 obeys it; here it is asked to be silent",
+)
+def command_for_another_component_is_ignored(probe: VehicleProbe) -> None:
+    """A command for another component of the same system is neither obeyed nor acknowledged."""
+    require_ignored(probe, probe.target[0], 77)
+
+
+@book.rule(ROUTING)
+def broadcast_is_obeyed(probe: VehicleProbe) -> None:
+    """A command for system 0 and component 0 is obeyed."""
+    require_obeyed(probe, 0, 0)
+
+
+@book.rule(ROUTING)
+def component_zero_is_obeyed(probe: VehicleProbe) -> None:
+    """A command for the right system and component 0 is obeyed."""
+    require_obeyed(probe, probe.target[0], 0)
+
+
+@book.rule(ROUTING, px4="PX4 1.15 answers FAILED to system 0 with its own component")
+def system_zero_is_obeyed(probe: VehicleProbe) -> None:
+    """A command for system 0 and the right component is obeyed."""
+    require_obeyed(probe, 0, probe.target[1])
+
+
+@book.rule("MAVLink guide, Command Protocol")
+def acknowledgement_names_the_asker(probe: VehicleProbe) -> None:
+    """COMMAND_ACK has the sender of the command as its target."""
+    mark = probe.mark
+    probe.send(request_version(*probe.target))
+    ack = probe.expect(Ack, lambda m: m.command == REQUEST, mark=mark)
+    target = (ack.target_system, ack.target_component)
+    require(target == (probe.system_id, probe.component_id), f"target {target}")
+
+
+def frames_at(station: Station, mark: int) -> list[bytes]:
+    """The datagrams that a second station got since `mark`."""
+    station.run(SETTLE_S)
+    return [data for _, data in station.datagrams[mark:]]
+
+
+def companion_of(probe: VehicleProbe) -> Station:
+    """A companion of the same vehicle, on a connection of its own."""
+    return probe.another(probe.target[0], 191, mavlink.MAV_TYPE_ONBOARD_CONTROLLER)
+
+
+@book.rule(ROUTING)
+def broadcast_is_forwarded_unaltered(probe: VehicleProbe) -> None:
+    """A broadcast of one client reaches the others byte for byte."""
+    other = companion_of(probe)
+    mark = len(other.datagrams)
+    text = mavlink.MAVLink_statustext_message(6, b"forward me", 0, 0)
+    probe.send(text)
+    sent = b"forward me"
+    arrived = [data for data in frames_at(other, mark) if sent in data]
+    require(len(arrived) >= 1, "the other client did not get it")
+    require(len(arrived) == 1, f"the other client got it {len(arrived)} times")
+    source = (arrived[0][5], arrived[0][6])
+    require(source == (probe.system_id, probe.component_id), f"it came as from {source}")
+
+
+@book.rule(ROUTING + "; PX4 1.15 and ArduCopter 4.5, observed in SITL")
+def heartbeats_of_others_are_forwarded(probe: VehicleProbe) -> None:
+    """A ground station hears the heartbeat of a companion on another connection."""
+    mark = probe.mark
+    other = companion_of(probe)
+    other.send(heartbeat(mavlink.MAV_TYPE_ONBOARD_CONTROLLER))
+    probe.expect(
+        mavlink.MAVLink_heartbeat_message,
+        lambda m: (m.get_srcSystem(), m.get_srcComponent()) == (probe.target[0], 191),
+        mark=mark,
+    )
+
+
+@book.rule(ROUTING)
+def addressed_message_reaches_its_target(probe: VehicleProbe) -> None:
+    """A command for a companion reaches the connection where it was heard."""
+    other = companion_of(probe)
+    mark = other.mark
+    probe.send(request_version(probe.target[0], 191))
+    other.expect(mavlink.MAVLink_command_long_message, mark=mark)
+
+
+@book.rule(ROUTING)
+def addressed_message_reaches_nobody_else(probe: VehicleProbe) -> None:
+    """A command for one component is not sent to where others were heard."""
+    companion_of(probe)
+    third = probe.another(253, 190)
+    mark = third.mark
+    probe.send(request_version(probe.target[0], 191))
+    third.expect_none(mavlink.MAVLink_command_long_message, mark=mark, what="leaked")
+    probe.require_hearing()
+
+
+@book.rule(ROUTING)
+def message_for_the_vehicle_stays_with_it(probe: VehicleProbe) -> None:
+    """A command for the vehicle is not forwarded to its other clients."""
+    other = companion_of(probe)
+    mark = other.mark
+    probe.send(request_version(*probe.target))
+    other.expect_none(mavlink.MAVLink_command_long_message, mark=mark, what="forwarded")
+    probe.require_hearing()
+
+
+@book.rule(ROUTING)
+def unknown_target_reaches_nobody(probe: VehicleProbe) -> None:
+    """A command for a system that was never heard is not forwarded."""
+    other = companion_of(probe)
+    mark = other.mark
+    probe.send(request_version(stranger(probe), 1))
+    other.expect_none(mavlink.MAVLink_command_long_message, mark=mark, what="forwarded")
+    probe.require_hearing()
+
+
+@book.rule(ROUTING)
+def own_message_never_returns(probe: VehicleProbe) -> None:
+    """What a client sends is not sent back to it."""
+    companion_of(probe)
+    mark = len(probe.datagrams)
+    probe.send(mavlink.MAVLink_statustext_message(6, b"no echo please", 0, 0))
+    probe.run(SETTLE_S)
+    back = [data for _, data in probe.datagrams[mark:] if b"no echo please" in data]
+    require(not back, "it came back")
+    probe.require_hearing()
+
+
+@book.rule(ROUTING)
+def unknown_message_is_forwarded(probe: VehicleProbe) -> None:
+    """A message that the vehicle cannot decode is forwarded all the same."""
+    other = companion_of(probe)
+    mark = len(other.datagrams)
+    frame = build_raw(UNKNOWN_ID, b"\x01\x02\x03\x04\x05", 17, probe.spec())
+    probe.send_raw(frame)
+    require(any(frame in data for data in frames_at(other, mark)), "it was not forwarded")
+
+
+@book.rule(ROUTING + "; MAVLink guide, Message Signing")
+def signing_setup_is_never_forwarded(probe: VehicleProbe) -> None:
+    """SETUP_SIGNING, which holds a key, is never passed on."""
+    other = companion_of(probe)
+    mark = len(other.datagrams)
+    key = bytes(range(1, 33))
+    for target in ((probe.target[0], 191), (stranger(probe), 1)):
+        probe.send(mavlink.MAVLink_setup_signing_message(*target, list(key), 0))
+    require(not any(key in data for data in frames_at(other, mark)), "the key was passed on")
+    probe.require_hearing()
+
+
+@book.rule(ROUTING)
+def reboot_of_a_system_clears_its_routes(probe: VehicleProbe) -> None:
+    """A system whose SYSTEM_TIME goes back has rebooted: what was behind it is forgotten."""
+    other = probe.another(42, 1, mavlink.MAV_TYPE_ONBOARD_CONTROLLER)
+    behind = Station(other.link, 42, 7, None)
+    behind.send(heartbeat(mavlink.MAV_TYPE_CAMERA))
+    mark = behind.mark
+    probe.send(request_version(42, 7))
+    behind.run(SETTLE_S)
+    if not behind.heard(mavlink.MAVLink_command_long_message):
+        raise NotApplicable("commands are not forwarded to components behind a client")
+    other.send(mavlink.MAVLink_system_time_message(0, 500_000))
+    other.send(mavlink.MAVLink_system_time_message(0, 1_000))
+    mark = behind.mark
+    probe.send(request_version(42, 7))
+    behind.expect_none(mavlink.MAVLink_command_long_message, mark=mark, what="still routed")
+
+
+@book.rule(ROUTING, effect=Effect.CHANGES)
+def parameter_change_reaches_all_clients(probe: VehicleProbe) -> None:
+    """A changed parameter is told to every client."""
+    other = companion_of(probe)
+    name = float_name(probe)
+    present = read(probe, name)
+    mark = other.mark
+    write(probe, name, present.value(probe), present.kind)
+    other.expect(mavlink.MAVLink_param_value_message, lambda m: m.param_id == name, mark=mark)

@@ -1,0 +1,271 @@
+"""What telemetry says: sensors, positions, attitude, origin and home, texts."""
+
+from __future__ import annotations
+
+import math
+
+from companion.mav.dialect import Message, mavlink
+from sim_link.conformance.rules import (
+    Effect,
+    NotApplicable,
+    Role,
+    RuleBook,
+    require,
+)
+from sim_link.conformance.station import brief
+from sim_link.conformance.vehicle_probe import PREARM, VehicleProbe
+
+book = RuleBook(Role.VEHICLE, "telemetry")
+COMMON = "MAVLink common"
+INTERVALS = "MAVLink common, MAV_CMD_SET_MESSAGE_INTERVAL"
+OBSERVED_PX4 = "PX4 1.15, observed in SITL"
+OBSERVED_ARDUPILOT = "ArduCopter 4.5, observed in SITL"
+NEEDED_HZ = {
+    "HEARTBEAT": 1.0,
+    "SYS_STATUS": 1.0,
+    "EXTENDED_SYS_STATE": 1.0,
+    "SYSTEM_TIME": 1.0,
+    "ATTITUDE": 10.0,
+    "ATTITUDE_QUATERNION": 5.0,
+    "LOCAL_POSITION_NED": 10.0,
+    "GLOBAL_POSITION_INT": 10.0,
+    "GPS_RAW_INT": 1.0,
+    "VFR_HUD": 1.0,
+    "BATTERY_STATUS": 0.5,
+    "HOME_POSITION": 0.5,
+    "MISSION_CURRENT": 1.0,
+}
+"""What clients stand on, at least this often."""
+UNASKED_ON_ARDUPILOT = {"HEARTBEAT", "TIMESYNC", "STATUSTEXT", "COMMAND_ACK"}
+LISTEN_S = 10.0
+RATE_TOLERANCE = 0.05
+Attitude = mavlink.MAVLink_attitude_message
+Local = mavlink.MAVLink_local_position_ned_message
+Global = mavlink.MAVLink_global_position_int_message
+EXTRA_MESSAGES: tuple[type[Message], ...] = (
+    mavlink.MAVLink_altitude_message,
+    mavlink.MAVLink_odometry_message,
+    mavlink.MAVLink_estimator_status_message,
+)
+
+
+@book.rule(f"{COMMON}, MAV_SYS_STATUS_SENSOR; MAVSDK health")
+def sensor_bits_are_told(probe: VehicleProbe) -> None:
+    """SYS_STATUS shows gyro, accelerometer, magnetometer, barometer, GPS and battery as healthy."""
+    probe.get_ready()
+    status = probe.latest(mavlink.MAVLink_sys_status_message)
+    needed = 1 | 2 | 4 | 8 | 32 | 0x2000000 | PREARM
+    for name in ("present", "health"):
+        bits = getattr(status, f"onboard_control_sensors_{name}")
+        require(bits & needed == needed, f"{name} {bits:#x} lacks {needed & ~bits:#x}")
+
+
+@book.rule(f"{COMMON}, SYS_STATUS, BATTERY_STATUS")
+def battery_makes_sense(probe: VehicleProbe) -> None:
+    """The battery has a voltage of some cells and 0 to 100 % left, or says that it is unknown."""
+    status = probe.request(mavlink.MAVLink_sys_status_message)
+    millivolts, percent = status.voltage_battery, status.battery_remaining
+    require(millivolts == 65_535 or 2_500 < millivolts < 60_000, f"{millivolts} mV")
+    require(-1 <= percent <= 100, f"{percent} %")
+
+
+@book.rule(f"{COMMON}, MAV_LANDED_STATE")
+def landed_state_on_the_ground(probe: VehicleProbe) -> None:
+    """On the ground EXTENDED_SYS_STATE says ON_GROUND."""
+    if probe.is_armed():
+        raise NotApplicable("the vehicle is armed")
+    probe.get_ready()
+    state = probe.request(mavlink.MAVLink_extended_sys_state_message)
+    require(state.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND, brief(state))
+
+
+@book.rule(f"{COMMON}, GLOBAL_POSITION_INT, LOCAL_POSITION_NED, GPS_GLOBAL_ORIGIN")
+def local_and_global_position_agree(probe: VehicleProbe) -> None:
+    """LOCAL_POSITION_NED about GPS_GLOBAL_ORIGIN is GLOBAL_POSITION_INT."""
+    probe.get_ready()
+    origin = probe.origin()
+    probe.watch(Global, 0.1)
+    report = probe.latest(Global)
+    near = probe.expect(Local)
+    north_m = (report.lat - origin.latitude) * 0.0111320
+    east_m = (report.lon - origin.longitude) * 0.0111320
+    east_m *= math.cos(math.radians(report.lat / 1e7))
+    down_m = (origin.altitude - report.alt) / 1e3
+    off_m = math.dist((north_m, east_m, down_m), (near.x, near.y, near.z))
+    require(off_m < 2.0, f"{off_m:.1f} m apart")
+
+
+@book.rule(f"{COMMON}, GLOBAL_POSITION_INT, HOME_POSITION")
+def relative_altitude_is_above_home(probe: VehicleProbe) -> None:
+    """relative_alt is the altitude above home's."""
+    probe.get_ready()
+    home = probe.home()
+    report = probe.request(Global)
+    off_mm = report.relative_alt - (report.alt - home.altitude)
+    require(abs(off_mm) < 1_500, f"off by {off_mm} mm")
+
+
+@book.rule(f"{COMMON}, GLOBAL_POSITION_INT (65535: unknown)")
+def heading_is_in_range(probe: VehicleProbe) -> None:
+    """The field hdg is 0 to 35999 or unknown, and agrees with ATTITUDE.yaw."""
+    probe.get_ready()
+    report = probe.request(Global)
+    attitude = probe.request(Attitude)
+    require(report.hdg <= 35_999 or report.hdg == 65_535, f"hdg {report.hdg}")
+    if report.hdg != 65_535:
+        off = math.remainder(math.radians(report.hdg / 100.0) - attitude.yaw, math.tau)
+        require(abs(off) < 0.1, f"hdg {report.hdg / 100:.1f}, yaw {attitude.yaw:.2f} rad")
+
+
+@book.rule(f"{COMMON}, ATTITUDE, ATTITUDE_QUATERNION")
+def quaternion_and_angles_agree(probe: VehicleProbe) -> None:
+    """ATTITUDE_QUATERNION has length 1 and ATTITUDE's yaw."""
+    probe.get_ready()
+    q = probe.request(mavlink.MAVLink_attitude_quaternion_message)
+    attitude = probe.request(Attitude)
+    length = math.hypot(q.q1, q.q2, q.q3, q.q4)
+    require(abs(length - 1.0) < 0.01, f"length {length:.3f}")
+    yaw = math.atan2(2.0 * (q.q1 * q.q4 + q.q2 * q.q3), 1.0 - 2.0 * (q.q3**2 + q.q4**2))
+    off = math.remainder(yaw - attitude.yaw, math.tau)
+    require(abs(off) < 0.1, f"yaw {yaw:.2f}, not {attitude.yaw:.2f} rad")
+
+
+@book.rule(f"{COMMON} (NaN only where a field says so)")
+def positions_are_finite(probe: VehicleProbe) -> None:
+    """Position, velocity and attitude are finite numbers."""
+    probe.get_ready()
+    for kind in (Local, Attitude, mavlink.MAVLink_vfr_hud_message):
+        message = probe.request(kind)
+        for name in message.get_fieldnames():
+            value = getattr(message, name)
+            require(math.isfinite(value), f"{message.get_type()}.{name} is {value}")
+
+
+@book.rule(f"{COMMON}, LOCAL_POSITION_NED.time_boot_ms")
+def boot_time_goes_with_the_clock(probe: VehicleProbe) -> None:
+    """time_boot_ms rises with time and is one clock for all messages."""
+    probe.get_ready()
+    first = probe.request(Attitude).time_boot_ms
+    started_s = probe.now_s
+    probe.run(3.0)
+    elapsed_ms = probe.request(Attitude).time_boot_ms - first
+    require(abs(elapsed_ms - 1e3 * (probe.now_s - started_s)) < 300, f"{elapsed_ms} ms in 3 s")
+    other = probe.request(Global).time_boot_ms - probe.request(Attitude).time_boot_ms
+    require(abs(other) < 500, f"two clocks, {other} ms apart")
+
+
+@book.rule(f"{COMMON}, SYSTEM_TIME")
+def system_time_tells_the_boot_time(probe: VehicleProbe) -> None:
+    """SYSTEM_TIME.time_boot_ms is the same clock."""
+    time_ms = probe.request(mavlink.MAVLink_system_time_message).time_boot_ms
+    other_ms = probe.request(Attitude).time_boot_ms
+    require(abs(time_ms - other_ms) < 1_200, f"{time_ms} and {other_ms} ms")
+
+
+@book.rule(
+    f"{COMMON}, AUTOPILOT_VERSION, MAV_PROTOCOL_CAPABILITY",
+    ardupilot="ArduCopter 4.5 sets neither encoding bit",
+)
+def capabilities_are_told(probe: VehicleProbe) -> None:
+    """AUTOPILOT_VERSION tells missions, COMMAND_INT, both setpoints, fences and one encoding."""
+    told = probe.request(mavlink.MAVLink_autopilot_version_message).capabilities
+    needed = {"MISSION_INT": 4, "COMMAND_INT": 8, "LOCAL_NED": 128, "GLOBAL_INT": 256}
+    needed |= {"MAVLINK2": 8192, "MISSION_FENCE": 16384}
+    for name, bit in needed.items():
+        require(bool(told & bit), f"{name} is missing in {told:#x}")
+    bytewise, c_cast = bool(told & 16), bool(told & 131_072)
+    if probe.is_px4:
+        require(bytewise and not c_cast, f"PX4 encodes bytewise, told {told:#x}")
+    else:
+        require(not bytewise, f"ArduPilot encodes by C-cast, told {told:#x}")
+
+
+@book.rule(f"{COMMON}, GPS_GLOBAL_ORIGIN, HOME_POSITION")
+def origin_and_home_come_on_request(probe: VehicleProbe) -> None:
+    """GPS_GLOBAL_ORIGIN and HOME_POSITION come when they are asked for."""
+    probe.get_ready()
+    for place in (probe.origin(), probe.home()):
+        on_earth = 0 < abs(place.latitude) <= 900_000_000
+        require(on_earth, brief(place))
+
+
+@book.rule(
+    f"{COMMON}, SET_GPS_GLOBAL_ORIGIN; MAVSDK waits for exactly these numbers",
+    effect=Effect.CHANGES,
+    ardupilot="ArduCopter keeps its first origin",
+)
+def origin_can_be_set(probe: VehicleProbe) -> None:
+    """SET_GPS_GLOBAL_ORIGIN is answered by GPS_GLOBAL_ORIGIN with exactly its numbers."""
+    probe.get_ready()
+    before = probe.origin()
+    wanted = (before.latitude + 17, before.longitude - 13, before.altitude + 11)
+    mark = probe.mark
+    probe.send(mavlink.MAVLink_set_gps_global_origin_message(probe.target[0], *wanted))
+    if not probe.is_px4:
+        probe.run(0.5)
+        after = probe.origin()
+        kept = (before.latitude, before.longitude, before.altitude)
+        require((after.latitude, after.longitude, after.altitude) == kept, "the origin moved")
+        return
+    answer = probe.expect(mavlink.MAVLink_gps_global_origin_message, mark=mark)
+    told = (answer.latitude, answer.longitude, answer.altitude)
+    require(told == wanted, f"{told}, not {wanted}")
+    probe.send(
+        mavlink.MAVLink_set_gps_global_origin_message(
+            probe.target[0], before.latitude, before.longitude, before.altitude
+        )
+    )
+    probe.run(0.2)
+
+
+@book.rule("MAVLink guide, Routing", effect=Effect.CHANGES)
+def origin_for_another_system_is_ignored(probe: VehicleProbe) -> None:
+    """SET_GPS_GLOBAL_ORIGIN for another system changes nothing."""
+    probe.get_ready()
+    before = probe.origin()
+    probe.send(mavlink.MAVLink_set_gps_global_origin_message(77, 100_000_000, 0, 0))
+    probe.run(0.5)
+    require(probe.origin().latitude == before.latitude, "the origin moved")
+
+
+@book.rule(f"{COMMON}, STATUSTEXT (chunks)", effect=Effect.FLIES)
+def texts_are_well_formed(probe: VehicleProbe) -> None:
+    """A text is one message with id 0, or chunks 0, 1, ... of one id that end short."""
+    probe.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, 0.0)
+    probe.set_mode("land")
+    probe.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, 0.0)
+    probe.run(2.0)
+    texts = probe.from_vehicle(mavlink.MAVLink_statustext_message)
+    if not texts:
+        raise NotApplicable("it says nothing")
+    expected: dict[int, int] = {}
+    for text in texts:
+        require(text.severity <= 7, f"severity {text.severity}")
+        if text.id == 0:
+            require(text.chunk_seq == 0, f"chunk {text.chunk_seq} of a single text")
+            continue
+        number = expected.get(text.id, 0)
+        require(text.chunk_seq == number, f"chunk {text.chunk_seq} where {number} was due")
+        expected[text.id] = number + 1
+
+
+@book.rule(f"{COMMON}, EXTENDED_SYS_STATE", effect=Effect.FLIES)
+def landed_state_in_the_air(probe: VehicleProbe) -> None:
+    """In the air EXTENDED_SYS_STATE says IN_AIR."""
+    probe.take_off(5.0)
+    state = probe.request(mavlink.MAVLink_extended_sys_state_message)
+    require(state.landed_state == mavlink.MAV_LANDED_STATE_IN_AIR, brief(state))
+
+
+@book.rule(f"{COMMON}, SYS_STATUS", effect=Effect.FLIES)
+def flying_drains_the_battery(probe: VehicleProbe) -> None:
+    """Flying for a while leaves less in the battery."""
+    before = probe.request(mavlink.MAVLink_battery_status_message)
+    if before.battery_remaining < 0:
+        raise NotApplicable("the battery is unknown")
+    probe.take_off(5.0)
+    probe.run(45.0)
+    after = probe.request(mavlink.MAVLink_battery_status_message)
+    drawn = before.battery_remaining > after.battery_remaining
+    drawn = drawn or after.current_consumed > max(0, before.current_consumed)
+    require(drawn, f"{before.battery_remaining} %, then {after.battery_remaining} %")

@@ -1,0 +1,195 @@
+"""From the command line's wishes to vehicles, links and files.
+
+Vehicle n (from 0) has the system id of the scenario plus n, and so it is with every port but the
+ground station's, which all of them send to, as PX4's simulated vehicles do.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import msgspec
+
+from companion.errors import ConfigError
+from companion.io.files import check_writable, write_json_atomic, write_text_atomic
+from companion.io.key_file import load_signing_key, store_signing_key
+from companion.io.links import LinkSpec, UdpFanOut, shared_link_from_url
+from companion.io.urls import LinkKind, LinkUrl
+from companion.mav.endpoint import Address
+from companion.mav.signing import Signing
+from sim_link.autopilot.endpoint import SimEndpoint
+from sim_link.autopilot.scenario import Scenario
+from sim_link.report import end_report, start_report
+
+STATION_PORT = 14550
+"""UDP port of ground stations, the same for every vehicle."""
+MAX_PORT = 65_535
+MAX_SYSTEM_ID = 255
+SAVE_PERIOD_S = 1.0
+WIRED = (LinkKind.SERIAL, LinkKind.PTY)
+"""Links that nobody else can hear."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wishes:
+    """What the command line asks for."""
+
+    scenario: Scenario
+    seed: int
+    speed: float
+    listen: Address
+    send_to: tuple[Address, ...]
+    links: tuple[LinkUrl, ...] = ()
+    """Beside the UDP link; only for one vehicle if they are lines."""
+    parameters: Path | None = None
+    signing_key: Path | None = None
+    report: Path | None = None
+
+
+def make_vehicles(wishes: Wishes) -> list[SimEndpoint]:
+    """One endpoint per vehicle.
+
+    Raises:
+        ConfigError: A parameter or its file is bad, a key cannot be read, or an id is too high.
+    """
+    scenario = wishes.scenario
+    last = scenario.system_id + scenario.vehicles - 1
+    if last > MAX_SYSTEM_ID:
+        raise ConfigError(f"{scenario.vehicles} vehicles: system ids would go beyond 255")
+    trusted = frozenset(index for index, url in enumerate(wishes.links, 1) if url.kind in WIRED) | (
+        {0} if wishes.listen[0] == "127.0.0.1" and wishes.signing_key is None else set()
+    )
+    endpoints = []
+    for number in range(scenario.vehicles):
+        path = numbered(wishes.parameters, number)
+        own = msgspec.structs.replace(scenario, system_id=scenario.system_id + number)
+        endpoints.append(
+            SimEndpoint(
+                own,
+                wishes.seed + number,
+                links=1 + len(wishes.links),
+                parameters=stored_parameters(path),
+                parameters_name=str(path),
+                signing=_signing(wishes.signing_key),
+                trusted_links=trusted,
+                started_unix_s=time.time(),
+            )
+        )
+    return endpoints
+
+
+def _signing(path: Path | None) -> Signing | None:
+    return None if path is None else Signing(load_signing_key(path))
+
+
+def link_specs(wishes: Wishes, number: int) -> list[LinkSpec]:
+    """The links of vehicle `number`.
+
+    Raises:
+        ConfigError: A port would be too high, or a line is to serve several vehicles.
+    """
+    host, port = wishes.listen
+    remotes = tuple(
+        address if address[1] == STATION_PORT else (address[0], _port(address[1] + number))
+        for address in wishes.send_to
+    )
+    specs: list[LinkSpec] = [UdpFanOut(host, _port(port + number), remotes)]
+    for url in wishes.links:
+        if url.kind in WIRED and wishes.scenario.vehicles > 1:
+            raise ConfigError(f"--link {url}: a line is for one vehicle only")
+        own = url if url.kind in WIRED else replace(url, port=_port(url.port + number))
+        specs.append(shared_link_from_url(own))
+    return specs
+
+
+def _port(port: int) -> int:
+    if port > MAX_PORT:
+        raise ConfigError(f"port {port}: beyond {MAX_PORT}; choose a lower one for the first")
+    return port
+
+
+def numbered(path: Path | None, number: int) -> Path | None:
+    """The file of vehicle `number`: `report.json`, `report-2.json`, ..."""
+    if path is None or number == 0:
+        return path
+    return path.with_name(f"{path.stem}-{number + 1}{path.suffix}")
+
+
+def stored_parameters(path: Path | None) -> str:
+    """The text of a parameter file; empty if there is none yet, or none is wanted.
+
+    Raises:
+        ConfigError: It cannot be read, or not be written later.
+    """
+    if path is None:
+        return ""
+    check_writable(path)
+    try:
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        return ""
+    except UnicodeDecodeError:
+        raise ConfigError(f"{path}: not a text of parameters, `NAME VALUE` in each line") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
+
+
+class Files:
+    """Reports, parameters and the key, written as they change.
+
+    Args:
+        wishes: Which there are.
+        endpoints: Whose they are.
+    """
+
+    def __init__(self, wishes: Wishes, endpoints: Sequence[SimEndpoint]) -> None:
+        self._wishes = wishes
+        self._endpoints = endpoints
+        self._saved = ["" if wishes.parameters is None else e.parameters_text for e in endpoints]
+        self._next_save_s = 0.0
+
+    def begin(self) -> None:
+        """Write the reports of the start.
+
+        Raises:
+            ConfigError: They cannot be written.
+        """
+        for number, endpoint in enumerate(self._endpoints):
+            path = numbered(self._wishes.report, number)
+            if path is not None:
+                report = start_report(endpoint, self._wishes.seed + number, self._wishes.speed)
+                write_json_atomic(path, report)
+
+    def keep(self, now_s: float) -> None:
+        """Store a new key at once, and parameters that changed at most once a second."""
+        self._keep_key()
+        if self._wishes.parameters is None or now_s < self._next_save_s:
+            return
+        self._next_save_s = now_s + SAVE_PERIOD_S
+        for number, endpoint in enumerate(self._endpoints):
+            text = endpoint.parameters_text
+            path = numbered(self._wishes.parameters, number)
+            if path is not None and text != self._saved[number]:
+                write_text_atomic(path, text)
+                self._saved[number] = text
+
+    def _keep_key(self) -> None:
+        """A key that a client set up, where there is a file; an end of signing is not kept."""
+        for endpoint in self._endpoints:
+            setup = endpoint.links.take_setup()
+            path = self._wishes.signing_key
+            if setup is not None and setup.key is not None and path is not None:
+                store_signing_key(path, setup.key)
+
+    def end(self) -> None:
+        """Write the reports of the end, and parameters that changed last."""
+        self._next_save_s = 0.0
+        self.keep(0.0)
+        for number, endpoint in enumerate(self._endpoints):
+            path = numbered(self._wishes.report, number)
+            if path is not None:
+                seed = self._wishes.seed + number
+                write_json_atomic(path, end_report(endpoint, seed, self._wishes.speed))

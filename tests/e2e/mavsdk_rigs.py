@@ -1,0 +1,98 @@
+"""MAVSDK 4, an independent MAVLink stack, connected to a running simulator."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncGenerator, AsyncIterator, Callable
+from contextlib import aclosing, asynccontextmanager
+from typing import Any
+
+from mavsdk.asyncio import ComponentType, Configuration, Mavsdk, System
+from mavsdk.asyncio.plugins.action import ActionAsync
+from mavsdk.asyncio.plugins.offboard import OffboardAsync
+from mavsdk.asyncio.plugins.param import ParamAsync
+from mavsdk.asyncio.plugins.telemetry import LandedState, TelemetryAsync
+
+from tests.e2e.simulator_process import running_simulator
+
+SPEED = 6.0
+PATIENCE_S = 20.0
+
+
+class Client:
+    """One vehicle and the plugins that fly it."""
+
+    def __init__(self, system: System, flavour: str) -> None:
+        self.system = system
+        self.flavour = flavour
+        self.action = ActionAsync(system)
+        self.telemetry = TelemetryAsync(system)
+        self.offboard = OffboardAsync(system)
+        self.param = ParamAsync(system)
+
+    async def ask_for_streams(self) -> None:
+        """What MAVSDK's health and positions stand on: an ArduPilot sends none of it unasked."""
+        await self.telemetry.set_rate_health(2.0)
+        await self.telemetry.set_rate_home(1.0)
+        await self.telemetry.set_rate_position(10.0)
+        await self.telemetry.set_rate_position_velocity_ned(10.0)
+        await self.telemetry.set_rate_landed_state(5.0)
+
+    async def get_ready(self) -> None:
+        """Wait until it can be armed and knows its home."""
+        if self.flavour == "ardupilot":
+            await self.ask_for_streams()
+            # STABILIZE can be armed long before GUIDED has a position
+            await until(self.telemetry.subscribe_position_velocity_ned(), lambda _: True)
+        await until(
+            self.telemetry.subscribe_health(),
+            lambda health: health.is_armable and health.is_home_position_ok,
+        )
+
+    async def take_off(self) -> None:
+        """Arm and climb; wait for the height."""
+        await self.get_ready()
+        await self.action.arm()
+        await until(self.telemetry.subscribe_armed(), bool)
+        await self.action.takeoff()
+        await until(self.telemetry.subscribe_landed_state(), is_in_air)
+
+    async def await_ground(self) -> None:
+        """Wait until it has landed and disarmed."""
+        await until(self.telemetry.subscribe_armed(), lambda is_armed: not is_armed)
+
+
+def is_in_air(state: Any) -> bool:
+    """Whether a landed state is IN_AIR."""
+    return bool(state == LandedState.IN_AIR)
+
+
+async def until(updates: AsyncGenerator[Any, None], condition: Callable[[Any], bool]) -> Any:
+    """The first update that meets a condition."""
+    async with asyncio.timeout(PATIENCE_S), aclosing(updates):
+        async for update in updates:
+            if condition(update):
+                return update
+    raise AssertionError("the updates ended")
+
+
+@asynccontextmanager
+async def connected(port: int, flavour: str) -> AsyncIterator[Client]:
+    """The first autopilot heard on a UDP port."""
+    configuration = Configuration.create_with_component_type(ComponentType.GROUND_STATION)
+    async with Mavsdk(configuration) as mavsdk:
+        await mavsdk.add_any_connection(f"udpin://127.0.0.1:{port}")
+        system = await mavsdk.first_autopilot(timeout_s=10.0)
+        assert system is not None
+        yield Client(system, flavour)
+
+
+def fly(flavour: str, flight: Callable[[Client], Any]) -> None:
+    """Run a flight against a simulator of its own."""
+
+    async def run(port: int) -> None:
+        async with connected(port, flavour) as client:
+            await flight(client)
+
+    with running_simulator(flavour, SPEED) as port:
+        asyncio.run(run(port))

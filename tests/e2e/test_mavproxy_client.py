@@ -1,0 +1,184 @@
+"""MAVProxy, the command-line ground station, headless: it flies the `sim-link` process over UDP."""
+
+from __future__ import annotations
+
+import os
+import queue
+import re
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+
+import pytest
+
+from tests.e2e.simulator_process import running_simulator
+
+SPEED = 8.0
+PATIENCE_S = 15.0
+MODULES = "param,mode,arm,wp,fence,link,cmdlong,misc"
+PLAN = """\
+QGC WPL 110
+0\t1\t0\t16\t0\t0\t0\t0\t47.397832\t8.545727\t488.0\t1
+1\t0\t3\t16\t0\t0\t0\t0\t47.398000\t8.545900\t12.0\t1
+2\t0\t3\t16\t0\t0\t0\t0\t47.398100\t8.546000\t14.0\t1
+"""
+FENCE = """\
+47.397800 8.545700
+47.396800 8.544700
+47.398800 8.544700
+47.398800 8.546700
+47.396800 8.546700
+47.396800 8.544700
+"""
+"""A return point, then a closed square."""
+GROUND_AMSL_M = 488.0
+PX4_LOITER = "long MAV_CMD_DO_SET_MODE 1 4 3 0 0 0 0"
+PX4_LAND = "long MAV_CMD_DO_SET_MODE 1 4 6 0 0 0 0"
+"""MAVProxy's own `mode` command raises with a PX4 (version 1.8.74)."""
+
+
+class MavProxy:
+    """A MAVProxy whose commands are piped in and whose lines are read.
+
+    Args:
+        port: The UDP port that it binds.
+        directory: Its home, and where it runs.
+    """
+
+    def __init__(self, port: int, directory: Path) -> None:
+        script = Path(sys.executable).with_name("mavproxy.py")
+        command = [sys.executable, "-W", "ignore", str(script), f"--master=udpin:127.0.0.1:{port}"]
+        command += ["--no-state", "--mav20", "--streamrate=4", f"--default-modules={MODULES}"]
+        self._lines: queue.Queue[str] = queue.Queue()
+        self._seen: list[str] = []
+        self._process = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            bufsize=1,
+            cwd=directory,
+            env=dict(os.environ, HOME=str(directory), MPLBACKEND="agg"),
+        )
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def __enter__(self) -> MavProxy:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self._process.kill()
+        self._process.wait()
+        self._reader.join()
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.close()
+        self._process.stdout.close()
+
+    def say(self, command: str) -> None:
+        assert self._process.stdin is not None
+        self._process.stdin.write(command + "\n")
+        self._process.stdin.flush()
+
+    def expect(self, pattern: str) -> str:
+        """The next line in which a pattern is found."""
+        until_s = time.monotonic() + PATIENCE_S
+        while (left_s := until_s - time.monotonic()) > 0.0:
+            try:
+                line = self._lines.get(timeout=left_s)
+            except queue.Empty:
+                break
+            self._seen.append(line)
+            if re.search(pattern, line):
+                return line
+        raise AssertionError(f"`{pattern}` never came after {self._seen[-12:]}")
+
+    def ask(self, command: str, pattern: str) -> str:
+        self.say(command)
+        return self.expect(pattern)
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            self._lines.put(line.rstrip())
+
+
+@contextmanager
+def connected(flavour: str, directory: Path) -> Iterator[MavProxy]:
+    """MAVProxy on a running simulator, with all parameters read."""
+    with running_simulator(flavour, SPEED) as port, MavProxy(port, directory) as mavproxy:
+        mavproxy.expect("Detected vehicle 1:1")
+        mavproxy.expect(r"Received \d+ parameters")
+        yield mavproxy
+
+
+def check_link_and_parameters(mavproxy: MavProxy, name: str, value: float) -> None:
+    line = mavproxy.ask("link", r"link 1 OK")
+    assert ", 0.0% loss" in line
+    mavproxy.ask(f"param show {name}", rf"{name} +\d")
+    mavproxy.say(f"param set {name} {value:g}")
+    mavproxy.say(f"param fetch {name}")
+    mavproxy.expect(rf"{name} = ")
+    mavproxy.ask(f"param fetch {name}", rf"{name} = {value:.1f}")
+
+
+def check_mission_and_fence(mavproxy: MavProxy, directory: Path) -> None:
+    """Uploads first: MAVProxy never acknowledges a download, which keeps a PX4 busy for 5 s."""
+    (directory / "plan.txt").write_text(PLAN, encoding="ascii")
+    (directory / "fence.txt").write_text(FENCE, encoding="ascii")
+    mavproxy.ask("wp load plan.txt", "Sent all 3 waypoints")
+    mavproxy.expect("MISSION_ACK: TYPE_MISSION: ACCEPTED")
+    mavproxy.ask("fence load fence.txt", "Sent all 5 fence items")
+    mavproxy.expect("MISSION_ACK: TYPE_FENCE: ACCEPTED")
+    mavproxy.ask("fence list", r"5001 0 47\.3968000\d* 8\.5447000\d* .* p1=4\.0")
+    mavproxy.ask("wp list", r"16 3 47\.3980000\d* 8\.5459000\d* 12\.0")
+    mavproxy.expect(r"16 3 47\.3981000\d* 8\.5460000\d* 14\.0")
+
+
+def check_take_off(mavproxy: MavProxy, altitude_m: float) -> None:
+    mavproxy.ask("arm throttle", "COMPONENT_ARM_DISARM: ACCEPTED")
+    mavproxy.expect("ARMED")
+    mavproxy.ask(f"takeoff {altitude_m:g}", "NAV_TAKEOFF: ACCEPTED")
+    mavproxy.expect(r"height \d+")
+
+
+def test_mavproxy_commands_a_px4(tmp_path: Path) -> None:
+    with connected("px4", tmp_path) as mavproxy:
+        check_link_and_parameters(mavproxy, "MIS_TAKEOFF_ALT", 7.0)
+        check_mission_and_fence(mavproxy, tmp_path)
+        mavproxy.ask(PX4_LOITER, "DO_SET_MODE: ACCEPTED")
+        check_take_off(mavproxy, GROUND_AMSL_M + 20.0)
+        mavproxy.ask(PX4_LAND, "Mode LAND")
+        mavproxy.expect("DISARMED")
+
+
+def test_mavproxy_commands_an_ardupilot(tmp_path: Path) -> None:
+    with connected("ardupilot", tmp_path) as mavproxy:
+        check_link_and_parameters(mavproxy, "RTL_ALT", 2000.0)
+        check_mission_and_fence(mavproxy, tmp_path)
+        mavproxy.ask("mode GUIDED", "Mode GUIDED")
+        check_take_off(mavproxy, 20.0)
+        mavproxy.ask("mode LAND", "Mode LAND")
+        mavproxy.expect("DISARMED")
+
+
+@pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
+def test_mavproxy_is_told_why_arming_is_refused(flavour: str, tmp_path: Path) -> None:
+    with connected(flavour, tmp_path) as mavproxy:
+        mavproxy.ask(PX4_LAND if flavour == "px4" else "mode LAND", "Mode LAND")
+        refused = "TEMPORARILY_REJECTED" if flavour == "px4" else "FAILED"
+        mavproxy.say("arm throttle")
+        said = mavproxy.expect(f"COMPONENT_ARM_DISARM: {refused}|AP: ")
+        if "AP: " not in said:
+            mavproxy.expect("AP: ")

@@ -1,0 +1,127 @@
+"""The companion flies an ArduPilot, GUIDED instead of offboard, over both endpoints' bytes."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from companion.config.schema import CompanionConfig
+from companion.domain import FlightMode
+from companion.guidance.states import Phase
+from companion.mav.dialect import mavlink
+from sim_link.autopilot.scenario import AutopilotParams, Scenario
+from tests.loop.loop_helpers import AUTO, LinkFaults, Loop
+
+COPTER = Scenario(autopilot=AutopilotParams(flavour="ardupilot"))
+OPERATOR = CompanionConfig()
+SET_MODE = mavlink.MAV_CMD_DO_SET_MODE
+ARM = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
+TAKEOFF = mavlink.MAV_CMD_NAV_TAKEOFF
+
+
+def copter(config: CompanionConfig = AUTO, seed: int = 1) -> Loop:
+    return Loop(config, COPTER, seed)
+
+
+def flying(seed: int = 1) -> Loop:
+    """An engaged flight in mid-search."""
+    loop = copter(seed=seed)
+    loop.run_until(lambda: loop.phase is Phase.ENGAGED, 30.0)
+    loop.run(2.0)
+    return loop
+
+
+def climbing(height_m: float = 20.0) -> Loop:
+    """The operator has armed in GUIDED and commanded a take-off."""
+    loop = copter(OPERATOR)
+    loop.run(3.0)
+    loop.choose(FlightMode.OFFBOARD)
+    loop.command(ARM, 1.0)
+    loop.command(TAKEOFF, *[0.0] * 6, height_m)
+    loop.run(2.0)
+    assert loop.sim.vehicle.body.height_m > 1.0
+    return loop
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_takes_off_in_guided_finds_the_emitter_and_brakes(seed: int) -> None:
+    loop = copter(seed=seed)
+    loop.run_until(lambda: bool(loop.notes.results), 90.0)
+    assert loop.error_m <= 1.0
+    loop.run_until(lambda: loop.mode is FlightMode.HOLD, 2.0)
+    assert loop.sim.vehicle.modes.shown(loop.now_s).custom_mode == 17
+    assert [number for _, number in loop.commands if number in (ARM, TAKEOFF)] == [ARM, TAKEOFF]
+
+
+def test_finds_the_emitter_over_a_lossy_slow_link_too() -> None:
+    loop = Loop(scenario=COPTER, faults=LinkFaults(loss=0.1, delay_s=0.05, jitter_s=0.1))
+    loop.run_until(lambda: bool(loop.notes.results), 120.0)
+    assert loop.error_m <= 1.5
+
+
+def test_texts_speak_of_guided_and_never_of_offboard() -> None:
+    loop = copter()
+    loop.run_until(lambda: bool(loop.notes.results), 90.0)
+    assert loop.said("in control: autopilot is in GUIDED")
+    assert not loop.said("offboard")
+
+
+def test_no_setpoint_disturbs_the_take_off() -> None:
+    loop = copter()
+    loop.run_until(lambda: loop.phase is Phase.HOLDING, 30.0)
+    assert loop.setpoints == []
+    assert loop.sim.vehicle.body.height_m >= 0.9 * AUTO.mission.altitude_m
+
+
+def test_an_operators_take_off_is_taken_over_once_it_is_in_the_air() -> None:
+    loop = climbing()
+    assert loop.setpoints == []
+    loop.run_until(lambda: loop.phase is Phase.ENGAGED, 30.0)
+    assert loop.sim.vehicle.body.height_m == pytest.approx(20.0, abs=1.0)
+
+
+@pytest.mark.parametrize("mode", [FlightMode.HOLD, FlightMode.RETURN, FlightMode.LAND])
+@pytest.mark.parametrize("seed", range(5))
+def test_the_stream_ends_with_the_first_foreign_mode(mode: FlightMode, seed: int) -> None:
+    loop = flying(seed)
+    loop.choose(mode)
+    overridden_s = loop.now_s
+    asked = len(loop.commands)
+    loop.run(10.0)
+    assert loop.setpoints_since(overridden_s - 1e-9) == []
+    assert SET_MODE not in [number for _, number in loop.commands[asked:]]
+    assert loop.phase in (Phase.YIELDED, Phase.WAITING)
+
+
+def test_guided_given_again_after_a_while_gives_control_back() -> None:
+    loop = flying()
+    loop.choose(FlightMode.HOLD)
+    loop.run(5.0)
+    rest = loop.sim.vehicle.body.position_enu_m
+    loop.choose(FlightMode.OFFBOARD)
+    assert math.dist(loop.sim.vehicle.body.position_enu_m, rest) < 0.1
+    loop.run_until(lambda: bool(loop.notes.results), 60.0)
+    assert loop.error_m <= 1.5
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_stop_is_commanded_because_no_target_ever_times_out(seed: int) -> None:
+    loop = flying(seed)
+    loop.companion.request_stop(loop.now_s)
+    loop.run_until(lambda: loop.companion.is_finished, 2.0)
+    assert loop.mode is FlightMode.HOLD
+    assert loop.said("asking the autopilot to BRAKE")
+    at_stop = loop.sim.vehicle.body.position_enu_m
+    loop.run(20.0)
+    assert math.dist(loop.sim.vehicle.body.position_enu_m, at_stop) < 10.0
+    assert loop.sim.vehicle.body.velocity_enu_mps == pytest.approx((0.0, 0.0, 0.0), abs=0.05)
+
+
+def test_a_companion_that_dies_leaves_the_vehicle_at_its_last_target() -> None:
+    loop = flying()
+    loop.is_link_up = False
+    target = loop.setpoints[-1].position_enu_m
+    loop.run(30.0)
+    assert loop.mode is FlightMode.OFFBOARD
+    assert math.dist(loop.sim.vehicle.body.position_enu_m, target) < 1.0

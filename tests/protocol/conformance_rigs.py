@@ -1,0 +1,80 @@
+"""The simulator and the companion, each in memory and ready to be probed."""
+
+from __future__ import annotations
+
+from companion.config.schema import CompanionConfig
+from companion.guidance.session import SessionParams
+from companion.mav.endpoint import Endpoint
+from companion.mav.signing import Signing, SigningKey
+from companion.run import build_endpoint
+from sim_link.autopilot.endpoint import SimEndpoint
+from sim_link.autopilot.scenario import AutopilotParams, Scenario
+from sim_link.conformance.catalogue import all_rules
+from sim_link.conformance.memory import MemoryHub
+from sim_link.conformance.puppet import CompanionProbe, stay_silent
+from sim_link.conformance.rules import Flavour, Role, Rule
+from sim_link.conformance.runner import Outcome, try_rule
+from sim_link.conformance.vehicle_probe import VehicleProbe
+from tests.loop.loop_helpers import Notes
+
+SEED = 1
+KEY = bytes(range(7, 39))
+STARTED_UNIX_S = 1_800_000_000.0
+BY_ID = {rule.rule_id: rule for rule in all_rules()}
+LAUNCHES_BY_ITSELF = CompanionConfig(mission=SessionParams(engage="auto"))
+
+
+def simulator(flavour: Flavour) -> SimEndpoint:
+    """A simulated vehicle at its boot."""
+    return SimEndpoint(Scenario(autopilot=AutopilotParams(flavour=flavour.value)), SEED)
+
+
+def signing_simulator(flavour: Flavour) -> SimEndpoint:
+    """A simulated vehicle that was given `KEY`."""
+    scenario = Scenario(autopilot=AutopilotParams(flavour=flavour.value))
+    signing = Signing(SigningKey(KEY))
+    return SimEndpoint(scenario, SEED, signing=signing, started_unix_s=STARTED_UNIX_S)
+
+
+def probe_of(endpoint: Endpoint, signing_key: bytes | None = None) -> VehicleProbe:
+    """A ground station that has heard the vehicle."""
+    probe = VehicleProbe(MemoryHub(endpoint).connect(), signing_key)
+    probe.attach()
+    return probe
+
+
+def companion_probe(flavour: Flavour) -> CompanionProbe:
+    """A vehicle on strings that the companion has heard."""
+    endpoint = build_endpoint(CompanionConfig(), Notes())
+    probe = CompanionProbe(MemoryHub(endpoint).connect(), flavour)
+    probe.attach()
+    return probe
+
+
+def unanswered_companion_probe(flavour: Flavour) -> CompanionProbe:
+    """The same with a companion that launches by itself, and a vehicle that never answers."""
+    endpoint = build_endpoint(LAUNCHES_BY_ITSELF, Notes())
+    probe = CompanionProbe(MemoryHub(endpoint).connect(), flavour, stay_silent)
+    probe.attach()
+    return probe
+
+
+def try_on_vehicle(rule: Rule, endpoint: Endpoint) -> Outcome:
+    """How a rule goes with a vehicle in memory."""
+    return try_rule(rule, probe_of(endpoint))
+
+
+def cases(role: Role) -> list[tuple[Rule, Flavour]]:
+    """Every rule of a role with every flavour that it binds."""
+    return [
+        (rule, flavour)
+        for rule in all_rules()
+        if rule.role is role
+        for flavour in Flavour
+        if flavour in rule.flavours
+    ]
+
+
+def case_id(value: object) -> str:
+    """A rule or a flavour in the name of a test."""
+    return value.rule_id if isinstance(value, Rule) else str(getattr(value, "value", value))

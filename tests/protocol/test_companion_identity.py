@@ -1,0 +1,22 @@
+"""Whose system id a companion takes (MAVLink guide, MAVLink IDs)."""
+
+from __future__ import annotations
+
+import pytest
+
+from companion.config.schema import CompanionConfig
+from companion.run import build_endpoint
+from sim_link.conformance.memory import MemoryHub
+from sim_link.conformance.puppet import CompanionProbe, accept
+from sim_link.conformance.rules import Flavour
+from tests.loop.loop_helpers import Notes
+
+
+@pytest.mark.parametrize("system_id", [1, 7, 254])
+def test_it_takes_the_system_id_of_its_vehicle(system_id: int) -> None:
+    endpoint = build_endpoint(CompanionConfig(), Notes())
+    probe = CompanionProbe(MemoryHub(endpoint).connect(), Flavour.PX4, accept, system_id)
+    probe.attach()
+    assert probe.companion == (system_id, 191)
+    assert all(command.target_system == system_id for _, command in probe.commands())
+    assert probe.commands()

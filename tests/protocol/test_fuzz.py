@@ -1,0 +1,68 @@
+"""Some thousand random frames against the simulator; `tools/fuzz_sim.py` sends a million."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from companion.mav.codec import MavCodec
+from companion.mav.dialect import mavlink
+from companion.mav.endpoint import Chunk
+from sim_link.conformance.fuzz import FrameFuzzer, FuzzCampaign, FuzzFailure, Meant
+from sim_link.conformance.rules import Flavour
+from tests.protocol.conformance_rigs import simulator
+from tests.protocol.tampered import Tampered, set_byte
+
+FRAMES = 8_000
+FLAVOURS = pytest.mark.parametrize("flavour", list(Flavour), ids=lambda flavour: flavour.value)
+
+
+@FLAVOURS
+@pytest.mark.parametrize("seed", [1, 2])
+def test_random_frames_break_nothing_and_those_for_others_change_nothing(
+    flavour: Flavour, seed: int
+) -> None:
+    campaign = FuzzCampaign(lambda: simulator(flavour), np.random.default_rng(seed))
+    campaign.run(FRAMES)
+    assert campaign.answers > FRAMES / 10
+
+
+def test_frames_have_right_checksums_unless_they_are_broken() -> None:
+    fuzzer, codec = FrameFuzzer(np.random.default_rng(1)), MavCodec(1, 1)
+    pieces = [fuzzer.next() for _ in range(2_000)]
+    whole = [piece for piece in pieces if piece.meant is not Meant.NOBODY]
+    for piece in whole:
+        codec.decode(piece.data)
+    assert codec.counters.good == len(whole)
+    assert codec.counters.bad_crc == 0
+    assert {piece.meant for piece in pieces} == set(Meant)
+
+
+def test_a_vehicle_that_obeys_what_is_for_others_is_found() -> None:
+    count = 0
+
+    def make() -> Tampered:
+        nonlocal count
+        count += 1
+        return Tampered(simulator(Flavour.PX4), set_byte(76, 30, 1))
+
+    with pytest.raises(FuzzFailure, match="somebody else"):
+        FuzzCampaign(make, np.random.default_rng(1)).run(FRAMES)
+    assert count == 2
+
+
+def test_a_vehicle_that_raises_is_found() -> None:
+    class Fragile(Tampered):
+        def receive(self, chunk: Chunk, now_s: float) -> None:
+            del now_s
+            if b"\xff" in chunk.data:
+                raise ValueError("too many ones")
+
+    with pytest.raises(FuzzFailure, match="ValueError: too many ones"):
+        FuzzCampaign(lambda: Fragile(simulator(Flavour.PX4)), np.random.default_rng(1)).run(FRAMES)
+
+
+def test_signing_setup_is_left_out() -> None:
+    fuzzer, codec = FrameFuzzer(np.random.default_rng(3)), MavCodec(1, 1)
+    heard = [m for _ in range(3_000) for m in codec.decode(fuzzer.next().data)]
+    assert not [m for m in heard if isinstance(m, mavlink.MAVLink_setup_signing_message)]

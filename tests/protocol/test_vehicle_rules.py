@@ -1,0 +1,26 @@
+"""Every rule that binds a vehicle, tried on the simulator in memory, as PX4 and as ArduPilot."""
+
+from __future__ import annotations
+
+import pytest
+
+from sim_link.conformance.rules import Flavour, Role, Rule
+from sim_link.conformance.runner import Verdict, try_rule
+from tests.protocol.conformance_rigs import (
+    KEY,
+    case_id,
+    cases,
+    probe_of,
+    signing_simulator,
+    simulator,
+    try_on_vehicle,
+)
+
+
+@pytest.mark.parametrize(("rule", "flavour"), cases(Role.VEHICLE), ids=case_id)
+def test_simulator_keeps_the_rule(rule: Rule, flavour: Flavour) -> None:
+    if rule.rule_id.startswith("signing."):
+        outcome = try_rule(rule, probe_of(signing_simulator(flavour), KEY))
+    else:
+        outcome = try_on_vehicle(rule, simulator(flavour))
+    assert outcome.verdict is Verdict.PASS, outcome.detail

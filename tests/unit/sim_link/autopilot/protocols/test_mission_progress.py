@@ -1,0 +1,55 @@
+from __future__ import annotations
+
+import pytest
+
+from companion.mav.codec import MavCodec
+from companion.mav.dialect import mavlink
+from sim_link.autopilot.protocols.mission_progress import (
+    MissionAnnouncer,
+    MissionProgress,
+    MissionState,
+    mission_current,
+    mission_item_reached,
+)
+from tests.unit.sim_link.autopilot.protocols.wire import said
+
+ACTIVE = MissionProgress(2, 5, MissionState.ACTIVE, is_in_mission_mode=True)
+
+
+def current(progress: MissionProgress) -> mavlink.MAVLink_mission_current_message:
+    message = said(mission_current(progress))
+    assert isinstance(message, mavlink.MAVLink_mission_current_message)
+    return message
+
+
+def test_the_item_the_total_and_the_state_are_told() -> None:
+    message = current(ACTIVE)
+    assert (message.seq, message.total, message.mission_state) == (2, 5, 3)
+    assert message.mission_mode == 1
+
+
+@pytest.mark.parametrize(("count", "has_home", "total"), [(5, True, 4), (0, False, 65535)])
+def test_home_does_not_count_and_no_mission_is_65535(
+    count: int, has_home: bool, total: int
+) -> None:
+    progress = MissionProgress(0, count, MissionState.NO_MISSION, False, has_home)
+    assert current(progress).total == total
+
+
+def test_the_opaque_plan_ids_are_zero() -> None:
+    """Extensions that are left out read as zero: the payload ends before them."""
+    assert MavCodec(1, 1).encode(mission_current(ACTIVE))[1] <= 6
+
+
+def test_a_change_is_announced_once() -> None:
+    announcer = MissionAnnouncer()
+    assert announcer.changed(ACTIVE) is not None
+    assert announcer.changed(ACTIVE) is None
+    done = MissionProgress(2, 5, MissionState.COMPLETE, is_in_mission_mode=True)
+    assert announcer.changed(done) is not None
+
+
+def test_a_reached_item_is_told() -> None:
+    message = said(mission_item_reached(3))
+    assert isinstance(message, mavlink.MAVLink_mission_item_reached_message)
+    assert message.seq == 3

@@ -1,0 +1,187 @@
+"""The simulator at real time with three clients: rates of the streams, and how fast it reacts.
+
+Starts `sim-link` with a UDP port for two clients and a TCP port for one. Each client
+asks for rates of its own, and they are counted; then the first takes off, sends setpoints and
+counts the physics steps until each is echoed. Prints two tables; exit code 0 when every rate is
+within 5 % and no setpoint waits longer than one step, 1 otherwise.
+"""
+
+from __future__ import annotations
+
+import argparse
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+
+from companion.mav.dialect import Message, mavlink
+from sim_link.conformance.rules import Flavour, NotApplicable, Violation
+from sim_link.conformance.setpoints import LocalSetpoint
+from sim_link.conformance.station import Station
+from sim_link.conformance.vehicle_probe import VehicleProbe
+from sim_link.conformance.wire import open_link
+
+ASKED_HZ: dict[type[Message], tuple[float, float, float]] = {
+    mavlink.MAVLink_attitude_message: (50.0, 20.0, 10.0),
+    mavlink.MAVLink_local_position_ned_message: (30.0, 50.0, 5.0),
+    mavlink.MAVLink_global_position_int_message: (10.0, 25.0, 50.0),
+    mavlink.MAVLink_attitude_quaternion_message: (25.0, 4.0, 12.5),
+    mavlink.MAVLink_vfr_hud_message: (4.0, 10.0, 20.0),
+    mavlink.MAVLink_gps_raw_int_message: (5.0, 2.0, 10.0),
+    mavlink.MAVLink_sys_status_message: (2.0, 5.0, 4.0),
+    mavlink.MAVLink_extended_sys_state_message: (2.0, 4.0, 5.0),
+    mavlink.MAVLink_heartbeat_message: (1.0, 1.0, 1.0),
+}
+"""What each client asks for; HEARTBEAT is not asked for."""
+TOLERANCE = 0.05
+TICK_MS = 20
+SETPOINTS = 40
+Echo = mavlink.MAVLink_position_target_local_ned_message
+
+
+@dataclass(frozen=True, slots=True)
+class Rate:
+    """One stream at one client."""
+
+    client: int
+    name: str
+    asked_hz: float
+    measured_hz: float
+
+    @property
+    def is_kept(self) -> bool:
+        """Within 5 %."""
+        return abs(self.measured_hz / self.asked_hz - 1.0) <= TOLERANCE
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument(
+        "--autopilot", choices=[flavour.value for flavour in Flavour], default="px4"
+    )
+    parser.add_argument("--seconds", type=float, default=20.0, help="how long to count")
+    arguments = parser.parse_args(argv)
+    with running_simulator(arguments.autopilot) as urls, ExitStack() as stack:
+        links = [stack.enter_context(open_link(url)) for url in urls]
+        try:
+            return measure([VehicleProbe(link) for link in links], arguments.seconds)
+        except (NotApplicable, Violation) as problem:
+            print(f"stream_rates: {problem}", file=sys.stderr)
+            return 1
+
+
+@contextmanager
+def running_simulator(autopilot: str) -> Iterator[list[str]]:
+    """A `sim-link` process at real time; the URLs of its three links."""
+    udp, tcp, nobody = (free_port() for _ in range(3))
+    command = [sys.executable, "-m", "sim_link", "--autopilot", autopilot, "--quiet"]
+    command += ["--listen", f"127.0.0.1:{udp}", "--send-to", f"127.0.0.1:{nobody}"]
+    command += ["--link", f"tcpin:127.0.0.1:{tcp}", "--stop-on-eof"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        try:
+            yield [
+                f"udpout:127.0.0.1:{udp}",
+                f"udpout:127.0.0.1:{udp}",
+                f"tcp:127.0.0.1:{tcp}",
+            ]
+        finally:
+            process.kill()
+
+
+def free_port() -> int:
+    """A UDP port that nobody has."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def measure(clients: Sequence[VehicleProbe], seconds: float) -> int:
+    """Both measurements; the exit code."""
+    for client in clients:
+        client.attach()
+    clients[0].get_ready()
+    rates = measure_rates(clients, seconds)
+    print(f"{'client':>6}  {'stream':<24}{'asked':>8}{'measured':>10}")
+    for rate in rates:
+        mark = "" if rate.is_kept else "  FAILED"
+        print(
+            f"{rate.client:>6}  {rate.name:<24}{rate.asked_hz:>8.1f}{rate.measured_hz:>10.2f}{mark}"
+        )
+    steps = measure_reaction(clients[0])
+    late = sum(1 for step in steps if step > 1)
+    print("\nsteps of 20 ms from a setpoint to its echo")
+    for step in sorted(set(steps)):
+        print(f"{step:>6}  {steps.count(step)} times{'  FAILED' if step > 1 else ''}")
+    return 0 if all(rate.is_kept for rate in rates) and not late else 1
+
+
+def measure_rates(clients: Sequence[VehicleProbe], seconds: float) -> list[Rate]:
+    """Ask for the streams and count them at every client."""
+    for number, client in enumerate(clients):
+        for kind, wanted_hz in ASKED_HZ.items():
+            if kind is not mavlink.MAVLink_heartbeat_message:
+                client.set_interval(int(kind.id), 1.0 / wanted_hz[number])
+    take_turns(clients, 1.0)
+    marks = [client.mark for client in clients]
+    started_s = time.monotonic()
+    take_turns(clients, seconds)
+    elapsed_s = time.monotonic() - started_s
+    return [
+        Rate(
+            number + 1,
+            str(getattr(kind, "msgname", kind.__name__)),
+            wanted_hz[number],
+            len(from_vehicle(client, kind, mark, client.target)) / elapsed_s,
+        )
+        for number, (client, mark) in enumerate(zip(clients, marks, strict=True))
+        for kind, wanted_hz in ASKED_HZ.items()
+    ]
+
+
+def take_turns(clients: Sequence[VehicleProbe], seconds: float) -> None:
+    """Let all clients read for a while."""
+    until_s = time.monotonic() + seconds
+    while time.monotonic() < until_s:
+        for client in clients:
+            client.run(0.002)
+
+
+def from_vehicle(
+    station: Station, kind: type[Message], mark: int, target: tuple[int, int]
+) -> list[Message]:
+    """The vehicle's messages of a kind since a mark."""
+    return [
+        entry.message
+        for entry in station.inbox[mark:]
+        if isinstance(entry.message, kind) and entry.source == target
+    ]
+
+
+def measure_reaction(pilot: VehicleProbe) -> list[int]:
+    """In flight: steps from a setpoint, sent right after a step, to the echo that shows it."""
+    pilot.take_off()
+    north, east, down = pilot.place()
+    target = LocalSetpoint((north, east, down))
+    stop = pilot.enter_offboard(lambda: target.message(pilot.target))
+    pilot.set_interval(int(Echo.id), TICK_MS / 1e3)
+    pilot.run(1.0)
+    stop()
+    steps = []
+    for number in range(SETPOINTS):
+        wanted = north + 1.0 + 0.1 * number
+        pilot.expect(Echo)
+        before = pilot.from_vehicle(Echo)[-1]
+        pilot.send(LocalSetpoint((wanted, east, down)).message(pilot.target))
+        shown = pilot.expect(Echo, lambda m, wanted=wanted: abs(m.x - wanted) < 0.01)  # type: ignore[misc]
+        steps.append(round((shown.time_boot_ms - before.time_boot_ms) / TICK_MS))
+    pilot.come_to_rest()
+    return steps
+
+
+if __name__ == "__main__":
+    sys.exit(main())
