@@ -159,7 +159,7 @@ def test_mavproxy_commands_a_px4(tmp_path: Path) -> None:
         check_mission_and_fence(mavproxy, tmp_path)
         mavproxy.ask(PX4_LOITER, "DO_SET_MODE: ACCEPTED")
         check_take_off(mavproxy, GROUND_AMSL_M + 20.0)
-        mavproxy.ask(PX4_LAND, "Mode LAND")
+        mavproxy.ask(PX4_LAND, "Mode LAND|LAND>")
         mavproxy.expect("DISARMED")
 
 
@@ -169,14 +169,14 @@ def test_mavproxy_commands_an_ardupilot(tmp_path: Path) -> None:
         check_mission_and_fence(mavproxy, tmp_path)
         mavproxy.ask("mode GUIDED", "Mode GUIDED")
         check_take_off(mavproxy, 20.0)
-        mavproxy.ask("mode LAND", "Mode LAND")
+        mavproxy.ask("mode LAND", "Mode LAND|LAND>")
         mavproxy.expect("DISARMED")
 
 
 @pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
 def test_mavproxy_is_told_why_arming_is_refused(flavour: str, tmp_path: Path) -> None:
     with connected(flavour, tmp_path) as mavproxy:
-        mavproxy.ask(PX4_LAND if flavour == "px4" else "mode LAND", "Mode LAND")
+        mavproxy.ask(PX4_LAND if flavour == "px4" else "mode LAND", "Mode LAND|LAND>")
         refused = "TEMPORARILY_REJECTED" if flavour == "px4" else "FAILED"
         mavproxy.say("arm throttle")
         said = mavproxy.expect(f"COMPONENT_ARM_DISARM: {refused}|AP: ")
