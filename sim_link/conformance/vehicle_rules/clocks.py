@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from companion.mav.dialect import Message, mavlink
+from companion.mav.dialect import mavlink
 from sim_link.conformance.rules import (
     BOTH,
     PX4_ONLY,
@@ -14,39 +14,8 @@ from sim_link.conformance.rules import (
 from sim_link.conformance.vehicle_probe import VehicleProbe
 
 book = RuleBook(Role.VEHICLE, "clocks")
-COMMON = "MAVLink common"
-INTERVALS = "MAVLink common, MAV_CMD_SET_MESSAGE_INTERVAL"
-OBSERVED_PX4 = "PX4 1.15, observed in SITL"
-OBSERVED_ARDUPILOT = "ArduCopter 4.5, observed in SITL"
-NEEDED_HZ = {
-    "HEARTBEAT": 1.0,
-    "SYS_STATUS": 1.0,
-    "EXTENDED_SYS_STATE": 1.0,
-    "SYSTEM_TIME": 1.0,
-    "ATTITUDE": 10.0,
-    "ATTITUDE_QUATERNION": 5.0,
-    "LOCAL_POSITION_NED": 10.0,
-    "GLOBAL_POSITION_INT": 10.0,
-    "GPS_RAW_INT": 1.0,
-    "VFR_HUD": 1.0,
-    "BATTERY_STATUS": 0.5,
-    "HOME_POSITION": 0.5,
-    "MISSION_CURRENT": 1.0,
-}
-"""What clients stand on, at least this often."""
-UNASKED_ON_ARDUPILOT = {"HEARTBEAT", "TIMESYNC", "STATUSTEXT", "COMMAND_ACK"}
-LISTEN_S = 10.0
-RATE_TOLERANCE = 0.05
-Attitude = mavlink.MAVLink_attitude_message
-Local = mavlink.MAVLink_local_position_ned_message
-Global = mavlink.MAVLink_global_position_int_message
 Ping = mavlink.MAVLink_ping_message
 Timesync = mavlink.MAVLink_timesync_message
-EXTRA_MESSAGES: tuple[type[Message], ...] = (
-    mavlink.MAVLink_altitude_message,
-    mavlink.MAVLink_odometry_message,
-    mavlink.MAVLink_estimator_status_message,
-)
 
 
 @book.rule("MAVLink guide, Ping Protocol", flavours=BOTH, ardupilot="never answers")
