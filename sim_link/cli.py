@@ -89,6 +89,16 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    _add_scene(parser)
+    _add_links(parser)
+    _add_files(parser)
+    parser.add_argument("--quiet", action="store_true", help="do not print mode changes")
+    parser.add_argument("--version", action="version", version=f"sim-link {__version__}")
+    return parser.parse_args(argv)
+
+
+def _add_scene(parser: argparse.ArgumentParser) -> None:
+    """What is flown, and how fast time passes."""
     parser.add_argument(
         "--scenario",
         metavar="FILE",
@@ -112,6 +122,23 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         help="simulated seconds per real second (default 1)",
     )
     parser.add_argument(
+        "--ready-after",
+        metavar="S",
+        type=float,
+        help="seconds after boot until it can be armed (default: the scenario's, 2; the real PX4 "
+        "takes 34, ArduPilot 41)",
+    )
+    parser.add_argument(
+        "--vehicles",
+        metavar="N",
+        type=int,
+        help="fly N of them: system ids and ports count up, 14550 is for all (default 1)",
+    )
+
+
+def _add_links(parser: argparse.ArgumentParser) -> None:
+    """Who can hear it."""
+    parser.add_argument(
         "--send-to",
         metavar="HOST:PORT",
         action="append",
@@ -132,19 +159,10 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         help="one more link, with streams of its own: udpin:HOST:PORT, tcpin:HOST:PORT (several "
         "clients), serial:/dev/...:BAUD or pty:PATH; repeatable",
     )
-    parser.add_argument(
-        "--ready-after",
-        metavar="S",
-        type=float,
-        help="seconds after boot until it can be armed (default: the scenario's, 2; the real PX4 "
-        "takes 34, ArduPilot 41)",
-    )
-    parser.add_argument(
-        "--vehicles",
-        metavar="N",
-        type=int,
-        help="fly N of them: system ids and ports count up, 14550 is for all (default 1)",
-    )
+
+
+def _add_files(parser: argparse.ArgumentParser) -> None:
+    """What is kept, and when it ends."""
     parser.add_argument(
         "--parameters",
         metavar="FILE",
@@ -169,9 +187,6 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         action="store_true",
         help="stop when standard input ends: a parent that dies leaves no simulator behind",
     )
-    parser.add_argument("--quiet", action="store_true", help="do not print mode changes")
-    parser.add_argument("--version", action="version", version=f"sim-link {__version__}")
-    return parser.parse_args(argv)
 
 
 def _run(arguments: argparse.Namespace) -> int:

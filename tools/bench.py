@@ -12,6 +12,7 @@ from pathlib import Path
 
 from companion.errors import CompanionError
 from companion.io.files import check_writable, write_json_atomic
+from sim_link.evaluation.arguments import OneLineParser, positive
 from sim_link.evaluation.bench import ROUNDS, FilterBench, Ratio, bench_filters
 from sim_link.evaluation.planner_bench import ROUNDS as PLANNER_ROUNDS
 from sim_link.evaluation.planner_bench import PlannerBench, StepCost, bench_planners
@@ -41,7 +42,7 @@ def main() -> int:
 
 
 def parsed() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = OneLineParser(description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     subjects = {
         "filters": ("filter updates and the window MAP", ROUNDS),
@@ -52,13 +53,6 @@ def parsed() -> argparse.Namespace:
         command.add_argument("--json", type=Path, metavar="FILE", help="write the figures there")
         command.add_argument("--rounds", type=positive, default=rounds, help="medians over so many")
     return parser.parse_args()
-
-
-def positive(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError("must be at least 1")
-    return value
 
 
 def filter_table(bench: FilterBench) -> str:

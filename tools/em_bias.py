@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import itertools
 
 import numpy as np
 
 from companion.estimation.adaptation import RangeNoise
 from companion.estimation.printed_adaptation import BiasComparison, compare_mean_bias
+from sim_link.evaluation.arguments import OneLineParser
 
 MEAN_BIASES_M = (2.0, 5.0, 8.0, 15.0)
 SIGMAS_M = (0.5, 1.5, 2.5)
@@ -24,7 +24,7 @@ HEADER = (
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = OneLineParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=10, help="draws per case")
     parser.add_argument("--samples", type=int, default=1000, help="residuals per draw")
     parser.add_argument("--seed", type=int, default=1)

@@ -7,7 +7,6 @@ exit code 0 when nothing was found, 1 when something was, 2 for bad arguments.
 
 from __future__ import annotations
 
-import argparse
 import gc
 import sys
 import time
@@ -20,6 +19,7 @@ from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from sim_link.conformance.fuzz import FuzzCampaign, FuzzFailure
 from sim_link.conformance.rules import Flavour
+from sim_link.evaluation.arguments import OneLineParser
 
 BATCH = 10_000
 WARM_UP_SHARE = 0.2
@@ -29,7 +29,7 @@ PAGE_BYTES = 4096
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser = OneLineParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--frames", type=int, default=1_000_000, help="frames (default 1000000)")
     parser.add_argument("--seed", type=int, default=1, help="seed of the frames (default 1)")
     parser.add_argument(

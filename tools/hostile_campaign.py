@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import sys
 
 from companion.estimation.filters import KINDS
+from sim_link.evaluation.arguments import OneLineParser
 from sim_link.evaluation.hostile import MakeFilter, Outcome, run_campaign
 
 CHUNKS = 20
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = OneLineParser(description=__doc__)
     parser.add_argument("--sequences", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()

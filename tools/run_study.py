@@ -10,10 +10,10 @@ import os
 import signal
 import sys
 from pathlib import Path
-from typing import NoReturn
 
 from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_json_atomic
+from sim_link.evaluation.arguments import OneLineParser, non_negative, positive
 from sim_link.evaluation.backends import connected
 from sim_link.evaluation.costs import costs_of
 from sim_link.evaluation.progress import shown
@@ -63,14 +63,6 @@ def main() -> int:
         return 1
 
 
-class OneLineParser(argparse.ArgumentParser):
-    """Complains in one line, as everything here does."""
-
-    def error(self, message: str) -> NoReturn:
-        """Refuse the arguments."""
-        self.exit(2, f"run_study: {message} (--help shows how)\n")
-
-
 def parsed() -> argparse.Namespace:
     parser = OneLineParser(description=__doc__)
     parser.add_argument("study", metavar="STUDY", help="a name in configs/studies, or a YAML file")
@@ -80,20 +72,6 @@ def parsed() -> argparse.Namespace:
     parser.add_argument("--backend", default="local", help="local, or dask://HOST:PORT")
     parser.add_argument("--out", type=Path, metavar="DIR", help="default: studies/STUDY")
     return parser.parse_args()
-
-
-def positive(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError("must be at least 1")
-    return value
-
-
-def non_negative(text: str) -> int:
-    value = int(text)
-    if value < 0:
-        raise argparse.ArgumentTypeError("must not be negative")
-    return value
 
 
 def run(studies: list[PlannedStudy], arguments: argparse.Namespace, out: Path) -> int:

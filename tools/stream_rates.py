@@ -8,7 +8,6 @@ within 5 % and no setpoint waits longer than one step, 1 otherwise.
 
 from __future__ import annotations
 
-import argparse
 import socket
 import subprocess
 import sys
@@ -23,6 +22,7 @@ from sim_link.conformance.setpoints import LocalSetpoint
 from sim_link.conformance.station import Station
 from sim_link.conformance.vehicle_probe import VehicleProbe
 from sim_link.conformance.wire import open_link
+from sim_link.evaluation.arguments import OneLineParser
 
 ASKED_HZ: dict[type[Message], tuple[float, float, float]] = {
     mavlink.MAVLink_attitude_message: (50.0, 20.0, 10.0),
@@ -58,7 +58,7 @@ class Rate:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser = OneLineParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument(
         "--autopilot", choices=[flavour.value for flavour in Flavour], default="px4"
     )

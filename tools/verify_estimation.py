@@ -12,6 +12,7 @@ from pathlib import Path
 
 from companion.errors import CompanionError
 from companion.io.files import check_writable, write_json_atomic
+from sim_link.evaluation.arguments import OneLineParser, non_negative, positive
 from sim_link.evaluation.verification import PARTS, Figure, verified
 
 
@@ -36,27 +37,13 @@ def main() -> int:
 
 
 def parsed() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = OneLineParser(description=__doc__)
     parser.add_argument("--only", choices=PARTS, action="append", help="may be given twice")
     parser.add_argument("--runs", type=positive, default=200, help="of every system")
     parser.add_argument("--seed", type=non_negative, default=1)
     parser.add_argument("--jobs", type=positive, default=os.cpu_count() or 1, help="processes")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there, too")
     return parser.parse_args()
-
-
-def positive(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError("must be at least 1")
-    return value
-
-
-def non_negative(text: str) -> int:
-    value = int(text)
-    if value < 0:
-        raise argparse.ArgumentTypeError("must not be negative")
-    return value
 
 
 def show_progress(done: int, total: int) -> None:

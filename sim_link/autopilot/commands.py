@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 from companion.domain import PositionEnu
+from companion.mav.dialect import mavlink
 from sim_link.autopilot.protocols.commands import DEGREE, Command, CommandResult
+
+if TYPE_CHECKING:
+    from sim_link.autopilot.aircraft import Aircraft
 
 ACCEPTED = CommandResult.ACCEPTED
 TEMPORARILY_REJECTED = CommandResult.TEMPORARILY_REJECTED
@@ -56,3 +61,30 @@ def is_force(value: float) -> bool | None:
     if math.isnan(value) or value == 0.0:
         return False
     return True if value == FORCE_ARMING else None
+
+
+def set_home(
+    aircraft: Aircraft, command: Command, refused: CommandResult, *, lasts: bool
+) -> CommandResult:
+    """MAV_CMD_DO_SET_HOME: here, or at a place of any frame that the aircraft knows.
+
+    Args:
+        aircraft: Whose home.
+        command: The first parameter is 1 for the present place.
+        refused: What this autopilot answers to a place that is none.
+        lasts: Whether arming leaves a given home where it is.
+    """
+    if command.params[0] == 1.0:
+        aircraft.set_home(aircraft.body.position_enu_m, is_given=False)
+        return ACCEPTED
+    frame = mavlink.MAV_FRAME_GLOBAL if command.frame is None else command.frame
+    place, altitude_m = place_e7(command), command.params[6]
+    if place is None or not is_place(place) or not is_altitude(altitude_m):
+        return refused
+    home = aircraft.place_from(*place, altitude_m, frame)
+    if home is None:
+        return UNSUPPORTED_MAV_FRAME
+    if not is_near(home):
+        return refused
+    aircraft.set_home(home, is_given=lasts)
+    return ACCEPTED

@@ -18,10 +18,11 @@ def open_points(case: Case) -> list[OpenPoint]:
     Args:
         case: The canonical one.
     """
-    channel, belief, shadow = case.channel, case.belief, STUDY_SHADOW
-    width_m, depth_m = case.area_m
-    first_m = case.first_lane_north_m
-    first_m = 0.5 * case.lane_spacing_m if first_m is None else first_m
+    return [*_about_noise_and_filter(case), *_about_flight(case), *_about_tables()]
+
+
+def _about_noise_and_filter(case: Case) -> list[OpenPoint]:
+    channel, belief = case.channel, case.belief
     position_sigma_m, *offset_sigmas = belief.prior[1][[0, 2]].tolist()
     return [
         (
@@ -54,6 +55,14 @@ def open_points(case: Case) -> list[OpenPoint]:
             f"k = {belief.range_k_long:g} for ranges, {belief.bearing_k:g} for bearings",
             "the paper's sweep is centred there",
         ),
+    ]
+
+
+def _about_flight(case: Case) -> list[OpenPoint]:
+    width_m, depth_m = case.area_m
+    first_m = case.first_lane_north_m
+    first_m = 0.5 * case.lane_spacing_m if first_m is None else first_m
+    return [
         (
             "Lawnmower",
             f"{case.lane_spacing_m:g} m lanes over {width_m:g} x {depth_m:g} m, "
@@ -70,6 +79,12 @@ def open_points(case: Case) -> list[OpenPoint]:
             f"{case.stop_distance_m:g} m",
             "stopping near the estimate ends learning",
         ),
+    ]
+
+
+def _about_tables() -> list[OpenPoint]:
+    shadow = STUDY_SHADOW
+    return [
         (
             "Steps to 2.5 m",
             "one more than the last step with an RMSE of at least 2.5 m",

@@ -20,9 +20,9 @@ from sim_link.autopilot.commands import (
     UNSUPPORTED_MAV_FRAME,
     is_altitude,
     is_force,
-    is_near,
     is_place,
     place_e7,
+    set_home,
     whole,
 )
 from sim_link.autopilot.flavours.ardupilot import modes
@@ -64,7 +64,7 @@ def obey(flavour: ArduPilotFlavour, command: Command, now_s: float) -> int:
             is_set = index is not None and flavour.aircraft.mission.set_current(index)
             return ACCEPTED if is_set else FAILED
         case mavlink.MAV_CMD_DO_SET_HOME:
-            return _set_home(flavour, command)
+            return set_home(flavour.aircraft, command, FAILED, lasts=False)
     return _obey_more(flavour, command, now_s)
 
 
@@ -155,24 +155,6 @@ def _reposition(flavour: ArduPilotFlavour, command: Command, now_s: float) -> in
         return FAILED
     yaw = command.params[3]
     flavour.fly_to(Setpoint(goal[:2], goal[2], yaw_ned_rad=yaw if math.isfinite(yaw) else None))
-    return ACCEPTED
-
-
-def _set_home(flavour: ArduPilotFlavour, command: Command) -> int:
-    aircraft = flavour.aircraft
-    if command.params[0] == 1.0:
-        aircraft.set_home(aircraft.body.position_enu_m, is_given=False)
-        return ACCEPTED
-    frame = GLOBAL if command.frame is None else command.frame
-    place, altitude_m = place_e7(command), command.params[6]
-    if place is None or not is_place(place) or not is_altitude(altitude_m):
-        return FAILED
-    home = aircraft.place_from(*place, altitude_m, frame)
-    if home is None:
-        return UNSUPPORTED_MAV_FRAME
-    if not is_near(home):
-        return FAILED
-    aircraft.set_home(home, is_given=False)
     return ACCEPTED
 
 

@@ -20,9 +20,9 @@ from sim_link.autopilot.commands import (
     UNSUPPORTED_MAV_FRAME,
     is_altitude,
     is_force,
-    is_near,
     is_place,
     place_e7,
+    set_home,
     whole,
 )
 from sim_link.autopilot.flavours.px4.modes import MODE_NAMES
@@ -65,7 +65,7 @@ def obey(flavour: Px4Flavour, command: Command, now_s: float) -> int:
         case mavlink.MAV_CMD_DO_CHANGE_SPEED:
             return _change_speed(flavour, command)
         case mavlink.MAV_CMD_DO_SET_HOME:
-            return _set_home(flavour, command)
+            return set_home(flavour.aircraft, command, DENIED, lasts=True)
         case mavlink.MAV_CMD_DO_FLIGHTTERMINATION:
             return _terminate(flavour, command, now_s)
         case mavlink.MAV_CMD_RUN_PREARM_CHECKS:
@@ -179,24 +179,6 @@ def _change_speed(flavour: Px4Flavour, command: Command) -> int:
     if not (math.isfinite(speed_mps) and (speed_mps > 0.0 or speed_mps in (-1.0, -2.0))):
         return DENIED
     flavour.aircraft.pilot.hold_speed_mps = speed_mps if speed_mps > 0.0 else None
-    return ACCEPTED
-
-
-def _set_home(flavour: Px4Flavour, command: Command) -> int:
-    aircraft = flavour.aircraft
-    if command.params[0] == 1.0:
-        aircraft.set_home(aircraft.body.position_enu_m, is_given=False)
-        return ACCEPTED
-    frame = GLOBAL if command.frame is None else command.frame
-    place, altitude_m = place_e7(command), command.params[6]
-    if place is None or not is_place(place) or not is_altitude(altitude_m):
-        return DENIED
-    home = aircraft.place_from(*place, altitude_m, frame)
-    if home is None:
-        return UNSUPPORTED_MAV_FRAME
-    if not is_near(home):
-        return DENIED
-    aircraft.set_home(home, is_given=True)
     return ACCEPTED
 
 
