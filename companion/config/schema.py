@@ -17,7 +17,7 @@ from companion.estimation.tracker import TrackerParams
 from companion.guard.fence import Fence
 from companion.guard.gate import GuardLimits
 from companion.guidance.session import SessionParams
-from companion.link.endpoint import VehicleParams
+from companion.link.params import VehicleParams
 from companion.params import NonNegative, Params, Positive
 from companion.planning.base import PlanRequest
 from companion.planning.fim import FimParams

@@ -11,7 +11,7 @@ from companion.config.schema import CompanionConfig, PlannerConfig
 from companion.domain import FlightMode, RangingMeasurement
 from companion.geometry.frames import bearing_ned_from_enu, wrap_pi
 from companion.guidance.session import SessionParams
-from companion.link.endpoint import VehicleParams
+from companion.link.params import VehicleParams
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.ranging import message_from_ranging

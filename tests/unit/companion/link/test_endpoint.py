@@ -15,7 +15,7 @@ from companion.domain import PositionSetpoint
 from companion.errors import LocalProtocolError
 from companion.guidance.commands import SendSetpoint
 from companion.guidance.states import Phase
-from companion.link.endpoint import VehicleParams
+from companion.link.params import VehicleParams
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message, Message, mavlink
 from tests.unit.companion.link.wire import (
@@ -210,7 +210,7 @@ def test_a_setpoint_that_is_not_finite_is_not_sent() -> None:
     before = len(wire.raw)
     bad = SendSetpoint(PositionSetpoint((NAN, 0.0, 10.0)))
     with pytest.raises(LocalProtocolError):
-        wire.endpoint._execute(bad, wire.now_s)
+        wire.endpoint.executor.execute(bad, wire.now_s)
     wire._collect()
     assert len(wire.raw) == before
 

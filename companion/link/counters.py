@@ -1,0 +1,70 @@
+"""What the links did, for the event log and for views."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict
+
+from companion.guidance.session import GuidanceSession
+from companion.link.binding import AutopilotBinding
+from companion.link.journal import Journal
+from companion.link.outlet import Outlet
+from companion.mav.codec import MavCodec
+
+RECORD_PERIOD_S = 10.0
+"""How often the health of the links goes to the event log."""
+
+
+class LinkCounters:
+    """Gathers the counters that the parts of the link keep.
+
+    Args:
+        session: The guidance, for what became of the measurements.
+        codecs: Of all links.
+        binding: The autopilot.
+        outlet: The way out.
+        journal: Where to report.
+    """
+
+    def __init__(
+        self,
+        session: GuidanceSession,
+        codecs: Sequence[MavCodec],
+        binding: AutopilotBinding,
+        outlet: Outlet,
+        journal: Journal,
+    ) -> None:
+        self._session = session
+        self._codecs = codecs
+        self._binding = binding
+        self._outlet = outlet
+        self._journal = journal
+        self._next_record_s = -math.inf
+
+    @property
+    def bad_frames(self) -> int:
+        """Frames that failed their CRC or could not be decoded, on all links."""
+        return sum(codec.counters.bad_crc + codec.undecodable for codec in self._codecs)
+
+    def report(self, now_s: float) -> None:
+        """Write to the event log what is due."""
+        if now_s < self._next_record_s:
+            return
+        self._next_record_s = now_s + RECORD_PERIOD_S
+        self._journal.record("link", self._link_record(now_s), now_s)
+        self._journal.record("health", asdict(self._session.tracker.health), now_s)
+
+    def _link_record(self, now_s: float) -> dict[str, object]:
+        """Counters of all links, and what became of the measurements."""
+        tracker = self._session.tracker
+        return {
+            "links": [asdict(codec.counters) for codec in self._codecs],
+            "undecodable": sum(codec.undecodable for codec in self._codecs),
+            "strangers": self._binding.strangers,
+            "setpoints": self._outlet.setpoints_sent,
+            "setpoint_rate_hz": self._outlet.setpoint_rate_hz(now_s),
+            "accepted": tracker.accepted,
+            "refused": {reason.value: count for reason, count in tracker.refusals.items()},
+            "restarts": tracker.restarts,
+        }

@@ -1,0 +1,90 @@
+"""What leaves by the vehicle link: encoded, noted down, queued for the shell, counted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from companion.guidance.commands import Announce
+from companion.link import outbound
+from companion.link.binding import AutopilotBinding
+from companion.link.journal import Journal
+from companion.mav.codec import MavCodec
+from companion.mav.dialect import Message, mavlink
+from companion.mav.endpoint import Chunk
+
+VEHICLE_LINK = 0
+COMPONENT_ID = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
+"""191: what ground stations expect an onboard computer to be."""
+RATE_WINDOW_S = 2.0
+
+
+class Outlet:
+    """The one way out of the companion.
+
+    Args:
+        codecs: Of all links; only the vehicle's sends, but all carry its system id.
+        binding: The autopilot that everything goes to.
+        journal: Where to report.
+    """
+
+    def __init__(
+        self, codecs: Sequence[MavCodec], binding: AutopilotBinding, journal: Journal
+    ) -> None:
+        self.setpoints_sent = 0
+        self._codecs = codecs
+        self._codec = codecs[VEHICLE_LINK]
+        self._binding = binding
+        self._journal = journal
+        self._text_id = 0
+        self._setpoint_times_s: list[float] = []
+        self._output: list[Chunk] = []
+
+    @property
+    def own_ids(self) -> tuple[int, int]:
+        """System and component that our frames carry."""
+        return (self._codec.system_id, self._codec.component_id)
+
+    @property
+    def target_ids(self) -> tuple[int, int]:
+        """System and component of the autopilot."""
+        return (self._binding.system_id or 1, self._binding.component_id)
+
+    def adopt(self, system_id: int) -> None:
+        """Take the vehicle's system id."""
+        for codec in self._codecs:
+            codec.system_id = system_id
+
+    def send(self, message: Message, now_s: float) -> None:
+        """Queue a message for the autopilot's address."""
+        data = self._codec.encode(message)
+        self._journal.frame(data, now_s)
+        self._output.append(Chunk(VEHICLE_LINK, data, self._binding.peer))
+
+    def send_setpoint(self, message: Message, now_s: float) -> None:
+        """The same for a setpoint, which is counted."""
+        self.send(message, now_s)
+        self.setpoints_sent += 1
+        self._setpoint_times_s.append(now_s)
+        if self._setpoint_times_s[0] < now_s - 2.0 * RATE_WINDOW_S:
+            self._setpoint_times_s = [
+                t for t in self._setpoint_times_s if t > now_s - RATE_WINDOW_S
+            ]
+
+    def announce(self, text: Announce, now_s: float) -> None:
+        """Tell the operator: to the journal, and as STATUSTEXT if there is an autopilot."""
+        self._journal.text(text.severity, text.text, now_s)
+        if not self._binding.is_bound:
+            return
+        self._text_id = self._text_id % 0xFFFF + 1
+        for message in outbound.status_text(text.severity.value, text.text, self._text_id):
+            self.send(message, now_s)
+
+    def take(self) -> list[Chunk]:
+        """What is to be sent, in order; taken once."""
+        output, self._output = self._output, []
+        return output
+
+    def setpoint_rate_hz(self, now_s: float) -> float:
+        """Setpoints sent per second over the last two seconds."""
+        recent = [t for t in self._setpoint_times_s if t > now_s - RATE_WINDOW_S]
+        return len(recent) / RATE_WINDOW_S
