@@ -15,7 +15,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from companion.domain import TargetEstimate
-from companion.estimation.consistency import R95_OF_EQUAL_AXES
+from companion.geometry.ellipse import ellipse_95
 from companion.geometry.polygons import deepest_point
 
 VEHICLE, ESTIMATE, TRUTH, CROSSING = "#1f4e79", "#d1495b", "#2a9d3f", "#edae49"
@@ -126,12 +126,8 @@ def _zoom(axes: Axes, flight: Flight) -> None:
 
 
 def _ellipse(estimate: TargetEstimate) -> np.ndarray:
-    values, vectors = np.linalg.eigh(np.array(estimate.covariance_m2))
-    phi = np.linspace(0.0, 2.0 * np.pi, 121)
-    circle = np.stack([np.cos(phi), np.sin(phi)])
-    axes = vectors * np.sqrt(np.maximum(values, 0.0)) * R95_OF_EQUAL_AXES
-    shape: np.ndarray = np.array(estimate.position_enu_m)[:, None] + axes @ circle
-    return shape
+    ellipse = ellipse_95(estimate.position_enu_m, estimate.covariance_m2)
+    return np.array(ellipse.corners_enu_m(120)).T
 
 
 def _draw_error(axes: Axes, flight: Flight) -> None:

@@ -1,0 +1,1 @@
+"""What a search team is handed: an emitter's place as GeoJSON, KML, MGRS text and CoT."""
