@@ -13,6 +13,7 @@ from companion import __version__
 from companion.config.schema import load_config
 from companion.errors import CompanionError, ConfigError
 from companion.io.clock import Clock
+from companion.io.console import ConsoleHandler
 from companion.io.files import check_writable, write_json_atomic
 from companion.io.links import link_from_url
 from companion.io.urls import parse_link_url
@@ -66,15 +67,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         0 for success, 1 for a failed run, 2 for bad input or a link that cannot be opened.
     """
     try:
-        arguments = _parser().parse_args(argv)
-        _set_up_logging(quiet=arguments.quiet)
-        _check_place_of_options(arguments)
-        match arguments.command:
-            case "demo":
-                return _demo(arguments)
-            case "replay":
-                return _replay(arguments)
-        return _fly(arguments)
+        try:
+            return _run(argv)
+        finally:  # what was logged comes before what is printed below
+            for handler in logging.getLogger("companion").handlers:
+                handler.close()
     except CompanionError as error:
         print(f"companion: {error}", file=sys.stderr)
         return EXIT_BAD_INPUT
@@ -84,6 +81,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         sys.stderr.close()
         return EXIT_FAILED
+
+
+def _run(argv: Sequence[str] | None) -> int:
+    arguments = _parser().parse_args(argv)
+    _set_up_logging(quiet=arguments.quiet)
+    _check_place_of_options(arguments)
+    match arguments.command:
+        case "demo":
+            return _demo(arguments)
+        case "replay":
+            return _replay(arguments)
+    return _fly(arguments)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -187,7 +196,7 @@ def _check_place_of_options(arguments: argparse.Namespace) -> None:
 def _set_up_logging(*, quiet: bool) -> None:
     """Our own loggers only: libraries keep their remarks to themselves."""
     logger = logging.getLogger("companion")
-    handler = logging.StreamHandler(sys.stderr)
+    handler = ConsoleHandler(sys.stderr)
     handler.setFormatter(logging.Formatter("%(message)s"))
     logger.handlers = [handler]
     logger.setLevel(logging.WARNING if quiet else logging.INFO)

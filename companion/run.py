@@ -16,7 +16,7 @@ from companion.guard.gate import Guard
 from companion.guidance.session import GuidanceSession
 from companion.guidance.states import Phase
 from companion.io.clock import Clock
-from companion.io.files import new_flight_directory
+from companion.io.files import delete_old_flights, new_flight_directory
 from companion.io.journal import FlightJournal
 from companion.io.links import LinkSpec
 from companion.io.shell import Shell
@@ -102,8 +102,13 @@ def open_journal(config: CompanionConfig) -> FlightJournal:
         CompanionError: The flight directory cannot be made.
     """
     started_unix_s = time.time()
-    directory = new_flight_directory(Path(config.log.directory), started_unix_s)
-    return FlightJournal(directory, started_unix_s)
+    root = Path(config.log.directory)
+    directory = new_flight_directory(root, started_unix_s)
+    if config.log.keep_flights is not None:
+        deleted = delete_old_flights(root, config.log.keep_flights)
+        if deleted:
+            log.info("log.keep_flights: deleted %d older flights", len(deleted))
+    return FlightJournal(directory, started_unix_s, config.log.max_bytes)
 
 
 def prepare(config: CompanionConfig) -> None:

@@ -12,6 +12,7 @@ from typing import Annotated, Literal, get_args
 import msgspec
 
 from companion.config.load import load_yaml
+from companion.config.process import LogConfig as LogConfig
 from companion.errors import ConfigError
 from companion.estimation.tracker import TrackerParams
 from companion.guard.fence import Fence
@@ -95,13 +96,6 @@ class PlannerConfig(Params, frozen=True):
         """Refuse a search before a search."""
         if self.search is not None and self.kind in get_args(PatternKind):
             raise ValueError(f"search must be null where kind is {self.kind}: it searches itself")
-
-
-class LogConfig(Params, frozen=True):
-    """What is kept of a flight."""
-
-    directory: str = "flights"
-    """Each flight makes its own folder in here."""
 
 
 class CompanionConfig(Params, frozen=True):

@@ -15,8 +15,10 @@ SHOWN_TEXTS = 5
 class RecordingJournal(FlightJournal):
     """Keeps the estimates, the waypoints and the latest texts in memory as well."""
 
-    def __init__(self, directory: Path, started_unix_s: float) -> None:
-        super().__init__(directory, started_unix_s)
+    def __init__(
+        self, directory: Path, started_unix_s: float, max_bytes: int | None = None
+    ) -> None:
+        super().__init__(directory, started_unix_s, max_bytes)
         self.estimates: list[tuple[float, float, float, float]] = []
         """(time_s, east_m, north_m, r95_m)"""
         self.crossings: list[tuple[float, float, float]] = []

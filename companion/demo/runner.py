@@ -89,7 +89,7 @@ def run_demo(options: DemoOptions) -> bool:
         with simulator:
             truth = simulator.started_report()
             config = _demo_config(config, truth)
-            journal = RecordingJournal(directory, started_unix_s)
+            journal = RecordingJournal(directory, started_unix_s, config.log.max_bytes)
             try:
                 result = _fly(config, options, journal, simulator, port, truth, show)
             finally:

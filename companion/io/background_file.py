@@ -1,9 +1,12 @@
-"""A file that is appended to without ever making the caller wait.
+"""A file that is appended to without ever making the caller wait, and never grows beyond its cap.
 
 Records go through a bounded queue to a daemon thread. A full queue (a stalled disk) and a failed
 write (a full one) cost records, which are counted, and never an exception or a pause of the
 caller. A record is written whole or not at all: after a partial write the file is cut back, so
 that one bad moment does not spoil what is recorded after it.
+
+Of a capped file the newest part is kept: at half the cap it becomes `NAME.old.SUFFIX`, in place of
+the one before, and a new file begins. A reader joins the two in this order.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ import queue
 import threading
 import time
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 from companion.errors import CompanionError
@@ -24,6 +28,23 @@ MAX_QUEUED = 10_000
 MAX_BATCH = 256
 SYNC_PERIOD_S = 1.0
 CLOSE_TIMEOUT_S = 1.0
+_FLAGS = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC
+
+
+@dataclass(frozen=True, slots=True)
+class FileHealth:
+    """How a background file is doing."""
+
+    queued: int
+    """Records that wait for the disk."""
+    dropped: int
+    """Records lost so far, to a full queue or a failed write."""
+    bytes_kept: int
+    """On disk, the older part included."""
+    silent_s: float
+    """How long the disk has not answered; 0 while nothing is being written."""
+    is_alive: bool
+    """Whether there still is somebody to write."""
 
 
 class BackgroundFile:
@@ -31,20 +52,26 @@ class BackgroundFile:
 
     Args:
         path: The file; its directory exists.
+        max_bytes: Cap of the file and its older part together; None: none.
 
     Raises:
         CompanionError: It cannot be opened.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, max_bytes: int | None = None) -> None:
         self.path = path
+        self.older_path = path.with_name(f"{path.stem}.old{path.suffix}")
+        self._part_bytes = None if max_bytes is None else max(1, max_bytes // 2)
         self._queue: queue.Queue[bytes | None] = queue.Queue(MAX_QUEUED)
         self._overflowed = 0
         self._failed = 0
         self._has_warned = False
         self._is_closed = False
+        self._busy_since_s: float | None = None
+        self._older_bytes = 0
         try:
-            self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
+            self._fd = os.open(path, _FLAGS, 0o644)
+            self._bytes = os.fstat(self._fd).st_size
         except OSError as error:
             raise CompanionError(
                 f"{path}: cannot be opened ({error.strerror}); choose another place for the log"
@@ -56,6 +83,18 @@ class BackgroundFile:
     def dropped(self) -> int:
         """Records lost so far, to a full queue or a failed write."""
         return self._overflowed + self._failed
+
+    @property
+    def health(self) -> FileHealth:
+        """How it is doing, without waiting for the writer."""
+        since_s = self._busy_since_s
+        return FileHealth(
+            queued=self._queue.qsize(),
+            dropped=self.dropped,
+            bytes_kept=self._bytes + self._older_bytes,
+            silent_s=0.0 if since_s is None else time.monotonic() - since_s,
+            is_alive=self._thread.is_alive(),
+        )
 
     def append(self, record: bytes) -> None:
         """Queue a record; counted instead if the queue is full or the file closed."""
@@ -69,15 +108,25 @@ class BackgroundFile:
             if self._overflowed == 1:
                 logger.warning("%s: the disk is too slow, records are lost", self.path)
 
-    def close(self) -> None:
-        """Write what is queued, for one second at most, and close; a second call does nothing."""
+    def finish(self) -> None:
+        """Ask the writer to write what is queued and end; does not wait, see `close`."""
         if self._is_closed:
             return
         self._is_closed = True
-        deadline_s = time.monotonic() + CLOSE_TIMEOUT_S
-        with suppress(queue.Full):
-            self._queue.put(None, timeout=CLOSE_TIMEOUT_S)
-        self._thread.join(max(0.0, deadline_s - time.monotonic()))
+        while True:
+            try:
+                self._queue.put_nowait(None)
+            except queue.Full:  # the newest record gives way, or nobody would ever end
+                with suppress(queue.Empty):
+                    self._queue.get_nowait()
+                    self._overflowed += 1
+            else:
+                return
+
+    def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> None:
+        """Write what is queued, for so long at most, and close."""
+        self.finish()
+        self._thread.join(timeout_s)
         if self._thread.is_alive():
             logger.warning("%s: the disk hangs, the end of the log is lost", self.path)
 
@@ -86,11 +135,13 @@ class BackgroundFile:
         is_last = False
         while not is_last:
             batch, is_last = self._next_batch()
+            self._busy_since_s = time.monotonic()
             self._write(batch)
             if is_last or time.monotonic() - synced_s >= SYNC_PERIOD_S:
                 with suppress(OSError):  # pipes and devices cannot be synced
                     os.fsync(self._fd)
                 synced_s = time.monotonic()
+            self._busy_since_s = None
         os.close(self._fd)
 
     def _next_batch(self) -> tuple[list[bytes], bool]:
@@ -109,12 +160,29 @@ class BackgroundFile:
 
     def _write(self, batch: list[bytes]) -> None:
         joined = b"".join(batch)
-        if not joined or self._write_whole(joined):
+        if not joined or (self._has_room(len(joined)) and self._write_whole(joined)):
             return
-        # Something is wrong with the disk: save of the batch what can be saved.
+        # The part is full, or something is wrong with the disk: save what can be saved.
         for record in batch:
-            if not self._write_whole(record):
+            if not self._has_room(len(record)):
+                self._begin_new_part()
+            if not (self._has_room(len(record)) and self._write_whole(record)):
                 self._failed += 1
+
+    def _has_room(self, size: int) -> bool:
+        return self._part_bytes is None or self._bytes + size <= self._part_bytes
+
+    def _begin_new_part(self) -> None:
+        """Put the file aside; where that fails it stays as it is, full."""
+        try:
+            if self.path.exists():  # not after an earlier attempt that came no further
+                self.path.replace(self.older_path)
+            descriptor = os.open(self.path, _FLAGS, 0o644)
+        except OSError as error:
+            self._warn(error)
+            return
+        os.close(self._fd)
+        self._fd, self._older_bytes, self._bytes = descriptor, self._bytes, 0
 
     def _write_whole(self, data: bytes) -> bool:
         """Whether all of `data` was written; the file is as before if not."""
@@ -126,11 +194,15 @@ class BackgroundFile:
             if done:
                 with suppress(OSError):
                     os.ftruncate(self._fd, os.fstat(self._fd).st_size - done)
-            if not self._has_warned:
-                self._has_warned = True
-                logger.warning("%s: cannot be written (%s), records are lost", self.path, error)
+            self._warn(error)
             return False
+        self._bytes += len(data)
         return True
+
+    def _warn(self, error: OSError) -> None:
+        if not self._has_warned:
+            self._has_warned = True
+            logger.warning("%s: cannot be written (%s), records are lost", self.path, error)
 
 
 class BackgroundLog:
@@ -138,19 +210,29 @@ class BackgroundLog:
 
     Args:
         path: The file; its directory exists. An existing one is continued.
+        max_bytes: Cap of the file and its older part together; None: none.
 
     Raises:
         CompanionError: The file cannot be opened.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._file = BackgroundFile(path)
+    def __init__(self, path: Path, max_bytes: int | None = None) -> None:
+        self._file = BackgroundFile(path, max_bytes)
 
     @property
     def dropped(self) -> int:
         """Entries lost to a slow or full disk."""
         return self._file.dropped
 
-    def close(self) -> None:
-        """Write what is queued, for one second at most, and close."""
-        self._file.close()
+    @property
+    def health(self) -> FileHealth:
+        """How it is doing, without waiting for the writer."""
+        return self._file.health
+
+    def finish(self) -> None:
+        """Ask for the end, without waiting for it."""
+        self._file.finish()
+
+    def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> None:
+        """Write what is queued, for so long at most, and close."""
+        self._file.close(timeout_s)

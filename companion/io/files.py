@@ -5,13 +5,18 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
+import shutil
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from datetime import UTC, datetime
 from enum import Enum
 from pathlib import Path
 
 from companion.errors import CompanionError
+
+_FLIGHT_NAME = re.compile(r"(?P<time>\d{4}-\d\d-\d\dT\d\d-\d\d-\d\dZ)(-(?P<number>\d+))?")
 
 
 def plain(value: object) -> object:
@@ -51,11 +56,16 @@ def write_json_atomic(path: Path, value: object) -> None:
 
 
 def write_text_atomic(path: Path, text: str, mode: int = 0o666) -> None:
-    """Replace a text file as a whole: a reader, or a power cut, sees the old one or the new one.
+    """Replace a text file as a whole; see `write_bytes_atomic`."""
+    write_bytes_atomic(path, text.encode(), mode)
+
+
+def write_bytes_atomic(path: Path, content: bytes, mode: int = 0o666) -> None:
+    """Replace a file as a whole: a reader, or a power cut, sees the old one or the new one.
 
     Args:
         path: The file; its directory exists.
-        text: All of its content.
+        content: All of it.
         mode: Who may read and write it, less the umask.
 
     Raises:
@@ -68,14 +78,15 @@ def write_text_atomic(path: Path, text: str, mode: int = 0o666) -> None:
 
     try:
         temporary.unlink(missing_ok=True)
-        with open(temporary, "w", encoding="utf-8", opener=opener) as file:
-            file.write(text)
+        with open(temporary, "wb", opener=opener) as file:
+            file.write(content)
             file.flush()
             os.fsync(file.fileno())
         temporary.replace(path)
         _sync_directory(path.parent)
     except OSError as error:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):  # a disk that went read-only keeps it
+            temporary.unlink(missing_ok=True)
         raise CompanionError(
             f"{path}: cannot be written ({error.strerror}); check the disk and its permissions"
         ) from error
@@ -121,6 +132,26 @@ def new_flight_directory(root: Path, unix_s: float) -> Path:
             ) from error
         else:
             return directory
+
+
+def delete_old_flights(root: Path, keep: int) -> list[Path]:
+    """Delete all but the newest `keep` flight directories, by the time in their names.
+
+    Only what is named as `new_flight_directory` names it is touched; what cannot be deleted stays.
+
+    Returns:
+        What was deleted.
+    """
+    named = [(m, p) for p in root.iterdir() if (m := _FLIGHT_NAME.fullmatch(p.name))]
+    by_age = sorted(named, key=lambda pair: (pair[0]["time"], int(pair[0]["number"] or 1)))
+    deleted = []
+    for _, directory in by_age[: max(0, len(by_age) - keep)]:
+        if directory.is_symlink() or not directory.is_dir():
+            continue
+        shutil.rmtree(directory, ignore_errors=True)
+        if not directory.exists():
+            deleted.append(directory)
+    return deleted
 
 
 def _sync_directory(directory: Path) -> None:

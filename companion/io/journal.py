@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import shutil
+import time
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
-from companion.errors import CompanionError
 from companion.guidance.commands import ReportResult, Severity
+from companion.io.background_file import CLOSE_TIMEOUT_S
+from companion.io.background_replace import BackgroundReplacer
 from companion.io.events import EventLog
-from companion.io.files import write_json_atomic
+from companion.io.files import plain
 from companion.io.tlog import TlogWriter
 
 log = logging.getLogger("companion.flight")
@@ -21,24 +25,48 @@ LEVELS = {
     Severity.NOTICE: logging.INFO,
     Severity.INFO: logging.INFO,
 }
+EVENTS_SHARE = 0.1
+"""Of a flight's cap; frames take the rest."""
+
+
+@dataclass(frozen=True, slots=True)
+class JournalHealth:
+    """How the black box is doing."""
+
+    queued: int
+    """Records that wait for the disk."""
+    dropped: int
+    """Records and files lost so far."""
+    bytes_kept: int
+    """Of the flight, on disk."""
+    silent_s: float
+    """How long the disk has not answered."""
+    is_alive: bool
+    """Whether every writer still runs."""
 
 
 class FlightJournal:
-    """Writes everything the endpoint reports into one flight directory.
+    """Writes everything the endpoint reports into one flight directory, and never waits for it.
 
     Args:
         directory: Exists already.
         started_unix_s: Wall clock at `now_s` = 0; wall time is used for logs and nothing else.
+        max_bytes: What the flight may keep on disk, the newest of it; None: everything.
 
     Raises:
         CompanionError: A file cannot be opened.
     """
 
-    def __init__(self, directory: Path, started_unix_s: float) -> None:
+    def __init__(
+        self, directory: Path, started_unix_s: float, max_bytes: int | None = None
+    ) -> None:
         self.directory = directory
         self._started_unix_s = started_unix_s
-        self._tlog = TlogWriter(directory / "flight.tlog")
-        self._events = EventLog(directory / "events.jsonl")
+        events_bytes = None if max_bytes is None else int(EVENTS_SHARE * max_bytes)
+        tlog_bytes = None if max_bytes is None else max_bytes - (events_bytes or 0)
+        self._tlog = TlogWriter(directory / "flight.tlog", tlog_bytes)
+        self._events = EventLog(directory / "events.jsonl", events_bytes)
+        self._results = BackgroundReplacer("write result.json")
 
     def frame(self, data: bytes, now_s: float) -> None:
         """Keep a raw frame."""
@@ -71,21 +99,34 @@ class FlightJournal:
             "unix_s": self._started_unix_s + now_s,
         }
         self.record("result", value, now_s)
-        try:
-            write_json_atomic(self.directory / "result.json", value)
-        except CompanionError as error:
-            log.error("%7.1f s  %s", now_s, error)
+        text = json.dumps(plain(value), allow_nan=False, indent=2) + "\n"
+        self._results.replace(self.directory / "result.json", text.encode())
+
+    @property
+    def health(self) -> JournalHealth:
+        """How it is doing, without waiting for any writer."""
+        tlog, events = self._tlog.health, self._events.health
+        return JournalHealth(
+            queued=tlog.queued + events.queued,
+            dropped=tlog.dropped + events.dropped + self._results.failed,
+            bytes_kept=tlog.bytes_kept + events.bytes_kept,
+            silent_s=max(tlog.silent_s, events.silent_s, self._results.silent_s),
+            is_alive=tlog.is_alive and events.is_alive and self._results.is_alive,
+        )
 
     def discard(self) -> None:
         """Close and remove the directory, because the flight never began."""
         self.close()
         shutil.rmtree(self.directory, ignore_errors=True)
 
-    def close(self) -> None:
-        """Write what is queued and close; what a slow or full disk cost is said."""
-        self._tlog.close()
-        self._events.close()
-        dropped = self._tlog.dropped + self._events.dropped
+    def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> None:
+        """Write what is queued, for so long at most in all, and close; losses are told."""
+        deadline_s = time.monotonic() + timeout_s
+        self._tlog.finish()
+        self._events.finish()
+        for writer in (self._results, self._tlog, self._events):
+            writer.close(max(0.0, deadline_s - time.monotonic()))
+        dropped = self.health.dropped
         if dropped:
             log.warning(
                 "%s: %d log entries were lost to a slow or full disk", self.directory, dropped

@@ -97,3 +97,96 @@ def test_a_log_without_a_directory_is_refused_in_one_line(tmp_path: Path) -> Non
     with pytest.raises(CompanionError, match="cannot be opened") as caught:
         BackgroundFile(tmp_path / "nowhere" / "log")
     assert "\n" not in str(caught.value)
+
+
+def test_a_capped_file_keeps_the_newest_half_to_whole_of_its_cap(tmp_path: Path) -> None:
+    file = BackgroundFile(tmp_path / "flight.tlog", max_bytes=1000)
+    for number in range(1000):
+        file.append(f"{number:09d}\n".encode())
+    file.close()
+    older, newer = tmp_path / "flight.old.tlog", tmp_path / "flight.tlog"
+    kept = (older.read_text() + newer.read_text()).split()
+    assert kept == [f"{n:09d}" for n in range(1000 - len(kept), 1000)]
+    assert 500 < 10 * len(kept) <= 1000
+    assert file.dropped == 0
+    assert file.health.bytes_kept == 10 * len(kept)
+
+
+def test_an_existing_capped_file_counts_towards_its_cap(tmp_path: Path) -> None:
+    (tmp_path / "log").write_bytes(b"x" * 60)
+    file = BackgroundFile(tmp_path / "log", max_bytes=100)
+    file.append(b"new")
+    file.close()
+    assert (tmp_path / "log").read_bytes() == b"new"
+    assert (tmp_path / "log.old").read_bytes() == b"x" * 60
+
+
+def test_a_record_larger_than_the_cap_is_lost_and_nothing_else(tmp_path: Path) -> None:
+    file = BackgroundFile(tmp_path / "log", max_bytes=20)
+    for record in (b"small", b"x" * 50, b"again"):
+        file.append(record)
+    file.close()
+    assert (tmp_path / "log.old").read_bytes() + (tmp_path / "log").read_bytes() == b"smallagain"
+    assert file.dropped == 1
+
+
+def test_a_part_that_cannot_be_put_aside_stays_within_the_cap(tmp_path: Path) -> None:
+    (tmp_path / "log.old" / "in the way").mkdir(parents=True)
+    file = BackgroundFile(tmp_path / "log", max_bytes=20)
+    for _ in range(10):
+        file.append(b"12345")
+    file.close()
+    assert (tmp_path / "log").read_bytes() == b"12345" * 2
+    assert file.dropped == 8
+
+
+def test_a_writer_that_hangs_is_seen_from_outside(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    released, began = threading.Event(), threading.Event()
+    real_write = os.write
+
+    def hang(fd: int, data: bytes) -> int:
+        began.set()
+        released.wait(10.0)
+        return real_write(fd, data)
+
+    monkeypatch.setattr(os, "write", hang)
+    file = BackgroundFile(tmp_path / "log")
+    assert file.health.silent_s == 0.0
+    file.append(b"x")
+    assert began.wait(10.0)
+    file.append(b"y")
+    health = file.health
+    assert health.silent_s > 0.0
+    assert (health.queued, health.is_alive) == (1, True)
+    released.set()
+    file.close()
+    assert file.health.silent_s == 0.0
+    assert not file.health.is_alive
+
+
+def test_the_end_of_a_full_queue_costs_a_record_and_not_the_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    released, began = threading.Event(), threading.Event()
+    real_write = os.write
+
+    def hang(fd: int, data: bytes) -> int:
+        began.set()
+        released.wait(10.0)
+        return real_write(fd, data)
+
+    monkeypatch.setattr(os, "write", hang)
+    monkeypatch.setattr(background_file, "MAX_QUEUED", 3)
+    file = BackgroundFile(tmp_path / "log")
+    file.append(b"0")
+    assert began.wait(10.0)
+    for record in (b"1", b"2", b"3"):
+        file.append(record)
+    file.finish()
+    released.set()
+    file.close()
+    assert not file.health.is_alive
+    assert (tmp_path / "log").read_bytes() == b"023"
+    assert file.dropped == 1

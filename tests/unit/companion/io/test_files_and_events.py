@@ -12,7 +12,12 @@ import pytest
 from companion.domain import FlightMode
 from companion.errors import CompanionError
 from companion.io.events import EventLog
-from companion.io.files import new_flight_directory, plain, write_json_atomic
+from companion.io.files import (
+    delete_old_flights,
+    new_flight_directory,
+    plain,
+    write_json_atomic,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,3 +96,20 @@ def test_a_root_that_is_a_file_is_refused_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(CompanionError) as caught:
         new_flight_directory(tmp_path / "flights", 0.0)
     assert "\n" not in str(caught.value)
+
+
+def test_only_flights_beyond_the_newest_are_deleted(tmp_path: Path) -> None:
+    names = [
+        "2026-11-21T02-50-00Z",
+        "2026-11-21T02-50-00Z-2",
+        "2026-11-21T02-50-00Z-10",
+        "2026-11-22T00-00-00Z",
+    ]
+    for name in (*names, "notes", "2025-01-01T00-00-00Z.zip"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "flight.tlog").write_text("x")
+    (tmp_path / "2020-01-01T00-00-00Z").write_text("a file")
+    deleted = delete_old_flights(tmp_path, 2)
+    assert sorted(path.name for path in deleted) == names[:2]
+    assert delete_old_flights(tmp_path, 2) == []
+    assert {*names[2:], "notes", "2020-01-01T00-00-00Z"} < set(os.listdir(tmp_path))

@@ -1,0 +1,27 @@
+"""What the process keeps on disk, and how it behaves as one."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import msgspec
+
+from companion.params import Params
+
+AtLeastOne = Annotated[int, msgspec.Meta(ge=1)]
+
+
+class LogConfig(Params, frozen=True):
+    """What is kept of a flight."""
+
+    directory: str = "flights"
+    """Each flight makes its own folder in here."""
+    max_mb: Annotated[float, msgspec.Meta(ge=1.0)] = 1000.0
+    """Cap of one flight's logs; of a longer flight the newest is kept. A tenth is for events."""
+    keep_flights: AtLeastOne | None = None
+    """The folders of older flights than this many are deleted at the start; null: none ever."""
+
+    @property
+    def max_bytes(self) -> int:
+        """The cap of one flight."""
+        return int(1e6 * self.max_mb)

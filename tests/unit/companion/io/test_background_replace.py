@@ -1,0 +1,84 @@
+"""Whole files replaced from a thread: newest wins, nobody waits."""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+from pathlib import Path
+
+import pytest
+
+from companion.errors import CompanionError
+from companion.io import background_replace
+from companion.io.background_replace import BackgroundReplacer
+
+
+def test_a_file_holds_the_newest_content(tmp_path: Path) -> None:
+    replacer = BackgroundReplacer("test")
+    for number in range(100):
+        replacer.replace(tmp_path / "state", str(number).encode())
+    replacer.close()
+    assert (tmp_path / "state").read_bytes() == b"99"
+    assert os.listdir(tmp_path) == ["state"]
+    assert replacer.written + replacer.overtaken == 100
+
+
+def test_a_hanging_disk_holds_up_nobody_and_costs_only_history(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    released, began = threading.Event(), threading.Event()
+    written: list[bytes] = []
+
+    def hang(_path: Path, content: bytes, _mode: int) -> None:
+        began.set()
+        released.wait(10.0)
+        written.append(content)
+
+    monkeypatch.setattr(background_replace, "write_bytes_atomic", hang)
+    replacer = BackgroundReplacer("test")
+    replacer.replace(tmp_path / "state", b"first")
+    assert began.wait(10.0)
+    for number in range(1000):
+        replacer.replace(tmp_path / "state", str(number).encode())
+    assert replacer.silent_s > 0.0
+    replacer.close(timeout_s=0.01)
+    assert replacer.is_alive
+    released.set()
+    replacer.close()
+    assert written == [b"first", b"999"]
+    assert replacer.overtaken == 999
+
+
+def test_a_full_disk_is_counted_told_once_and_tried_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    is_full = [True]
+    done = threading.Event()
+
+    def refuse(_path: Path, content: bytes, _mode: int) -> None:
+        if is_full[0]:
+            is_full[0] = content != b"2"
+            raise CompanionError("state: cannot be written (No space left on device)")
+        done.set()
+
+    monkeypatch.setattr(background_replace, "write_bytes_atomic", refuse)
+    replacer = BackgroundReplacer("test")
+    with caplog.at_level(logging.WARNING, "companion.io"):
+        for content in (b"1", b"2", b"3"):
+            replacer.replace(tmp_path / content.decode(), content)
+        assert done.wait(10.0)
+        replacer.close()
+    assert (replacer.failed, replacer.written) == (2, 1)
+    assert [record.message for record in caplog.records] == [
+        "state: cannot be written (No space left on device)"
+    ]
+
+
+def test_what_comes_after_the_end_is_counted(tmp_path: Path) -> None:
+    replacer = BackgroundReplacer("test")
+    replacer.close()
+    replacer.close()
+    replacer.replace(tmp_path / "state", b"late")
+    assert replacer.failed == 1
+    assert not replacer.is_alive

@@ -1,0 +1,69 @@
+"""Lines for people that never hold up a flight."""
+
+from __future__ import annotations
+
+import io
+import logging
+import os
+import time
+
+import pytest
+
+from companion.io import console
+from companion.io.console import ConsoleHandler
+
+
+def logger_with(handler: logging.Handler) -> logging.Logger:
+    logger = logging.Logger("test")
+    logger.addHandler(handler)
+    return logger
+
+
+def test_lines_arrive_in_order() -> None:
+    stream = io.StringIO()
+    handler = ConsoleHandler(stream)
+    logger = logger_with(handler)
+    for number in range(100):
+        logger.info("line %d", number)
+    handler.close()
+    assert stream.getvalue().splitlines() == [f"line {n}" for n in range(100)]
+
+
+def test_a_pipe_that_nobody_reads_holds_up_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(console, "MAX_QUEUED", 10)
+    monkeypatch.setattr(console, "CLOSE_TIMEOUT_S", 0.05)
+    reader, writer = os.pipe()
+    with os.fdopen(writer, "w") as stream:
+        handler = ConsoleHandler(stream)
+        logger = logger_with(handler)
+        started_s = time.monotonic()
+        for _ in range(200):
+            logger.warning("x" * 1000)
+        handler.close()
+        assert time.monotonic() - started_s < 1.0
+        assert handler.dropped > 0
+        heard = b""
+        while heard.count(b"\n") < 200 - handler.dropped:
+            heard += os.read(reader, 65536)
+    os.close(reader)
+
+
+def test_lost_lines_are_told_with_the_next_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(console, "MAX_QUEUED", 2)
+    stream = io.StringIO()
+    handler = ConsoleHandler(stream)
+    logger = logger_with(handler)
+    handler.dropped = 3
+    logger.info("here again")
+    handler.close()
+    assert stream.getvalue() == "(3 lines were lost here)\nhere again\n"
+
+
+def test_a_reader_that_went_away_is_no_error() -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    with os.fdopen(writer, "w") as stream:
+        handler = ConsoleHandler(stream)
+        logger_with(handler).info("to nobody")
+        handler.close()
+    assert handler.dropped == 0
