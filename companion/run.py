@@ -92,7 +92,7 @@ def build_endpoint(
         ranging_links: Links beside the vehicle's that carry only ranging.
     """
     session = build_session(config)
-    return CompanionEndpoint(session, config.vehicle, journal, 1 + ranging_links)
+    return CompanionEndpoint(session, config.vehicle, journal, 1 + ranging_links, config.link)
 
 
 def open_journal(config: CompanionConfig) -> FlightJournal:

@@ -18,7 +18,7 @@ from companion.estimation.tracker import TrackerParams
 from companion.guard.fence import Fence
 from companion.guard.gate import GuardLimits
 from companion.guidance.session import SessionParams
-from companion.link.params import VehicleParams
+from companion.link.params import LinkParams, VehicleParams
 from companion.params import NonNegative, Params, Positive
 from companion.planning.base import PlanRequest
 from companion.planning.fim import FimParams
@@ -108,6 +108,7 @@ class CompanionConfig(Params, frozen=True):
     planner: PlannerConfig = PlannerConfig()
     limits: LimitsConfig = LimitsConfig()
     vehicle: VehicleParams = VehicleParams()
+    link: LinkParams = LinkParams()
     log: LogConfig = LogConfig()
 
 

@@ -8,6 +8,7 @@ from dataclasses import asdict
 
 from companion.guidance.session import GuidanceSession
 from companion.link.binding import AutopilotBinding
+from companion.link.health import LinkHealth
 from companion.link.journal import Journal
 from companion.link.outlet import Outlet
 from companion.mav.codec import MavCodec
@@ -23,6 +24,7 @@ class LinkCounters:
         session: The guidance, for what became of the measurements.
         codecs: Of all links.
         binding: The autopilot.
+        health: How well it is heard.
         outlet: The way out.
         journal: Where to report.
     """
@@ -32,12 +34,14 @@ class LinkCounters:
         session: GuidanceSession,
         codecs: Sequence[MavCodec],
         binding: AutopilotBinding,
+        health: LinkHealth,
         outlet: Outlet,
         journal: Journal,
     ) -> None:
         self._session = session
         self._codecs = codecs
         self._binding = binding
+        self._health = health
         self._outlet = outlet
         self._journal = journal
         self._next_record_s = -math.inf
@@ -60,6 +64,7 @@ class LinkCounters:
         tracker = self._session.tracker
         return {
             "links": [asdict(codec.counters) for codec in self._codecs],
+            **self._health.record(now_s),
             "undecodable": sum(codec.undecodable for codec in self._codecs),
             "strangers": self._binding.strangers,
             "setpoints": self._outlet.setpoints_sent,

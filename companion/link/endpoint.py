@@ -12,15 +12,16 @@ from __future__ import annotations
 import math
 
 from companion.guidance.events import StopRequested, TimerFired
-from companion.guidance.session import TICK_S, GuidanceSession
+from companion.guidance.session import GuidanceSession
 from companion.link.binding import AutopilotBinding
 from companion.link.counters import LinkCounters
 from companion.link.dialogues import Dialogues
 from companion.link.executor import SessionExecutor
+from companion.link.health import LinkHealth
 from companion.link.inbound import RangingInbound
 from companion.link.journal import Journal
 from companion.link.outlet import COMPONENT_ID, VEHICLE_LINK, Outlet
-from companion.link.params import VehicleParams
+from companion.link.params import LinkParams, VehicleParams
 from companion.link.receiver import VehicleReceiver
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message
@@ -37,10 +38,16 @@ class CompanionEndpoint:
         params: Which autopilot, and how it is commanded.
         journal: Where to report.
         links: Number of links, the vehicle's included.
+        link_params: How the links are used.
     """
 
     def __init__(
-        self, session: GuidanceSession, params: VehicleParams, journal: Journal, links: int = 1
+        self,
+        session: GuidanceSession,
+        params: VehicleParams,
+        journal: Journal,
+        links: int = 1,
+        link_params: LinkParams | None = None,
     ) -> None:
         self.session = session
         self.binding = AutopilotBinding(params.system_id)
@@ -48,14 +55,17 @@ class CompanionEndpoint:
         self._codecs = [MavCodec(params.system_id or 1, COMPONENT_ID) for _ in range(links)]
         self._outlet = Outlet(self._codecs, self.binding, journal)
         self._dialogues = Dialogues(self.binding)
+        self._health = LinkHealth(link_params or LinkParams())
         self.executor = SessionExecutor(
-            session, params, self.binding, self._outlet, self._dialogues, journal
+            session, params, self.binding, self._outlet, self._dialogues, self._health, journal
         )
         self._receiver = VehicleReceiver(
-            self.binding, self.executor, self._dialogues, self._outlet, journal
+            self.binding, self.executor, self._dialogues, self._health, self._outlet, journal
         )
         self._ranging = RangingInbound()
-        self._counters = LinkCounters(session, self._codecs, self.binding, self._outlet, journal)
+        self._counters = LinkCounters(
+            session, self._codecs, self.binding, self._health, self._outlet, journal
+        )
         self._next_timer_s = -math.inf
 
     # The Endpoint protocol
@@ -68,9 +78,11 @@ class CompanionEndpoint:
 
     def handle_timer(self, now_s: float) -> None:
         """The control tick; a late one is not made up for."""
-        self._next_timer_s += TICK_S
+        self._health.tick(now_s)
+        period_s = self._health.pacing.period_s
+        self._next_timer_s += period_s
         if self._next_timer_s <= now_s:
-            self._next_timer_s = now_s + TICK_S
+            self._next_timer_s = now_s + period_s
         self.executor.tick(now_s)
         question = self._dialogues.due(now_s)
         if question is not None:

@@ -20,6 +20,7 @@ from companion.guidance.session import GuidanceSession
 from companion.link import outbound
 from companion.link.binding import AutopilotBinding
 from companion.link.dialogues import Dialogues
+from companion.link.health import LinkHealth
 from companion.link.journal import Journal
 from companion.link.outlet import Outlet
 from companion.link.params import VehicleParams
@@ -36,6 +37,7 @@ class SessionExecutor:
         binding: The autopilot.
         outlet: The way out.
         dialogues: What is asked beside the session's requests; begins anew after a restart.
+        health: Of the line; begins anew, too.
         journal: Where to report.
     """
 
@@ -46,6 +48,7 @@ class SessionExecutor:
         binding: AutopilotBinding,
         outlet: Outlet,
         dialogues: Dialogues,
+        health: LinkHealth,
         journal: Journal,
     ) -> None:
         self._session = session
@@ -53,6 +56,7 @@ class SessionExecutor:
         self._binding = binding
         self._outlet = outlet
         self._dialogues = dialogues
+        self._health = health
         self._journal = journal
         self._requests = RequestClient()
 
@@ -60,6 +64,7 @@ class SessionExecutor:
         """Give an event to the session and execute what follows from it."""
         if isinstance(event, AutopilotRestarted):
             self._dialogues.restart()
+            self._health.restart()
             self._requests.cancel()
         for command in self._session.handle(event):
             self.execute(command, now_s)

@@ -16,3 +16,19 @@ class VehicleParams(Params, frozen=True):
     """The autopilot's system id; null: the first one heard."""
     setpoint: Literal["local_ned", "global_int"] = "local_ned"
     """SET_POSITION_TARGET_LOCAL_NED, or _GLOBAL_INT in frame 5 (AMSL)."""
+
+
+class LinkParams(Params, frozen=True):
+    """How the companion uses its links."""
+
+    rate_hz: Annotated[float, msgspec.Meta(ge=20.0, le=50.0)] = 20.0
+    """Control ticks, and so setpoints, per second."""
+    lossy_rate_hz: Annotated[float, msgspec.Meta(ge=20.0, le=50.0)] = 50.0
+    """The same where frames get lost."""
+    lossy_share: Annotated[float, msgspec.Meta(gt=0.0, lt=1.0)] = 0.2
+    """A line that loses more than this share of the autopilot's frames is lossy."""
+
+    def __post_init__(self) -> None:
+        """Refuse a rate that goes down where it should go up."""
+        if self.lossy_rate_hz < self.rate_hz:
+            raise ValueError("lossy_rate_hz must not be below rate_hz")

@@ -9,6 +9,7 @@ from companion.link import outbound
 from companion.link.binding import AutopilotBinding
 from companion.link.dialogues import Dialogues
 from companion.link.executor import SessionExecutor
+from companion.link.health import LinkHealth
 from companion.link.inbound import VehicleInbound
 from companion.link.journal import Journal
 from companion.link.outlet import Outlet
@@ -25,6 +26,7 @@ class VehicleReceiver:
         binding: Says who the autopilot is.
         executor: Takes the events.
         dialogues: Hear the autopilot, too.
+        health: So does this.
         outlet: The way back.
         journal: Where to report.
     """
@@ -34,12 +36,14 @@ class VehicleReceiver:
         binding: AutopilotBinding,
         executor: SessionExecutor,
         dialogues: Dialogues,
+        health: LinkHealth,
         outlet: Outlet,
         journal: Journal,
     ) -> None:
         self._binding = binding
         self._executor = executor
         self._dialogues = dialogues
+        self._health = health
         self._outlet = outlet
         self._journal = journal
         self._inbound = VehicleInbound()
@@ -56,6 +60,7 @@ class VehicleReceiver:
         if not was_bound and self._binding.is_bound:
             self._on_bound(now_s)
         if is_autopilot:
+            self._health.heard(message, now_s)
             for text in self._dialogues.heard(message, now_s):
                 self._outlet.announce(text, now_s)
             for event in self._inbound.events(message, now_s):

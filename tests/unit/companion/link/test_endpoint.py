@@ -15,7 +15,7 @@ from companion.domain import PositionSetpoint
 from companion.errors import LocalProtocolError
 from companion.guidance.commands import SendSetpoint
 from companion.guidance.states import Phase
-from companion.link.params import VehicleParams
+from companion.link.params import LinkParams, VehicleParams
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message, Message, mavlink
 from tests.unit.companion.link.wire import (
@@ -91,6 +91,36 @@ def test_standby_setpoints_have_the_rate_the_view_shows() -> None:
         wire.say(wire.position())
     assert wire.endpoint.setpoint_rate_hz(wire.now_s) == pytest.approx(20.0, abs=0.5)
     assert wire.endpoint.setpoints_sent == len(wire.of(LocalTarget))
+
+
+def fly_over_a_lossy_line(wire: Wire, loss: float, duration_s: float) -> int:
+    """Positions at 50 Hz, of which a share is lost; how many setpoints were sent."""
+    wire.say(heartbeat(is_armed=True, status=4))
+    before, lost = wire.endpoint.setpoints_sent, 0.0
+    for _ in range(round(duration_s / 0.02)):
+        wire.wait(0.02)
+        lost += loss
+        if lost >= 1.0:
+            lost -= 1.0
+            wire.autopilot.encode(wire.position())
+        else:
+            wire.say(wire.position())
+    return wire.endpoint.setpoints_sent - before
+
+
+def test_setpoints_come_more_often_where_frames_get_lost_and_slow_down_after_calm() -> None:
+    wire = Wire().ready()
+    assert fly_over_a_lossy_line(wire, 0.1, 5.0) == pytest.approx(100, abs=3)
+    fly_over_a_lossy_line(wire, 0.3, 3.0)
+    assert fly_over_a_lossy_line(wire, 0.3, 5.0) == pytest.approx(250, abs=5)
+    fly_over_a_lossy_line(wire, 0.0, 9.0)
+    assert fly_over_a_lossy_line(wire, 0.0, 5.0) == pytest.approx(100, abs=3)
+
+
+def test_the_pace_is_configured() -> None:
+    config = CompanionConfig(link=LinkParams(rate_hz=25.0, lossy_rate_hz=25.0))
+    wire = Wire(config).ready()
+    assert fly_over_a_lossy_line(wire, 0.3, 8.0) == pytest.approx(200, abs=3)
 
 
 def test_its_own_frames_come_back_without_effect() -> None:

@@ -1,0 +1,44 @@
+"""How well the autopilot is heard: order, loss, and the pace that follows from it."""
+
+from __future__ import annotations
+
+from companion.link.pacing import Pacing
+from companion.link.params import LinkParams
+from companion.link.sequence import SequenceMonitor
+from companion.mav.dialect import Message
+
+
+class LinkHealth:
+    """What is known about the line to the bound autopilot.
+
+    Args:
+        params: How the line is used.
+    """
+
+    def __init__(self, params: LinkParams) -> None:
+        self.sequence = SequenceMonitor()
+        self.pacing = Pacing(params)
+
+    def heard(self, message: Message, now_s: float) -> None:
+        """Take in a message of the bound autopilot."""
+        self.sequence.take(message.get_seq(), now_s)
+
+    def tick(self, now_s: float) -> None:
+        """Judge the line once more."""
+        self.pacing.observe(self.sequence.loss(now_s), now_s)
+
+    def restart(self) -> None:
+        """Begin anew, because the autopilot did."""
+        self.sequence.restart()
+
+    def record(self, now_s: float) -> dict[str, object]:
+        """The figures for the event log."""
+        sequence = self.sequence
+        return {
+            "loss": sequence.loss(now_s),
+            "received": sequence.received,
+            "lost": sequence.lost,
+            "late": sequence.late,
+            "duplicates": sequence.duplicates,
+            "tick_s": self.pacing.period_s,
+        }
