@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.domain import FlightMode, LandedState, PositionEnu
-from companion.geometry.frames import LocalOrigin
+from companion.geometry.frames import LocalOrigin, wrap_pi
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.battery import Battery
 from sim_link.autopilot.estimator import Estimator
@@ -52,25 +52,29 @@ class Aircraft:
         scenario: Place, limits and configuration.
         noise_rng: Generator of the reported position's noise, of drift and gusts.
         first_mission_item: Index of the first mission item that is flown.
+        body: What restarts where it is; None: a new one, at the scenario's start.
     """
 
     def __init__(
-        self, scenario: Scenario, noise_rng: np.random.Generator, first_mission_item: int = 0
+        self,
+        scenario: Scenario,
+        noise_rng: np.random.Generator,
+        first_mission_item: int = 0,
+        body: PointMass | None = None,
     ) -> None:
         self.scenario = scenario
         place = scenario.origin
         origin = LocalOrigin(place.latitude_deg, place.longitude_deg, place.altitude_m)
-        self.home_enu_m: PositionEnu = (*scenario.start_enu_m, 0.0)
+        start: PositionEnu = (*scenario.start_enu_m, 0.0)
+        self.body = PointMass(scenario.vehicle, scenario.wind, start) if body is None else body
+        self.home_enu_m: PositionEnu = (*self.body.position_enu_m[:2], 0.0)
         """Launch-and-return point."""
         self.is_home_given = False
         """Whether a station set it: then arming leaves it alone."""
         self.home_changes = 1
         """Counts up whenever home moves."""
         self.origin_changes = 1
-        self.body = PointMass(scenario.vehicle, scenario.wind, self.home_enu_m)
-        self.estimator = Estimator(
-            origin, scenario.gps, scenario.ekf_jumps, scenario.position_noise_m, noise_rng
-        )
+        self.estimator = Estimator(origin, scenario.gps, scenario.position_noise_m, noise_rng)
         self.estimator.step(0.0, self.body.position_enu_m, 0.0)
         self.battery = Battery(scenario.battery)
         self.sticks = StickInput(scenario.rc)
@@ -97,6 +101,11 @@ class Aircraft:
     # For flavours
 
     @property
+    def heading_ned_rad(self) -> float:
+        """Where its nose points as it believes, clockwise from north."""
+        return wrap_pi(self.body.yaw_ned_rad + self.estimator.yaw_bias_rad)
+
+    @property
     def home_altitude_m(self) -> float:
         """Home above mean sea level, on the flat ground's scale."""
         return self.estimator.world_origin.altitude_m + self.home_enu_m[2]
@@ -106,11 +115,18 @@ class Aircraft:
         self.texts = [*self.texts[-MAX_TEXTS:], (severity, text)]
 
     def move(self, command_enu_mps: PositionEnu | None, yaw_ned_rad: float | None) -> None:
-        """Move for a physics step; no command means that the motors stand."""
+        """Move for a physics step; no command means that the motors stand.
+
+        Args:
+            command_enu_mps: The wanted velocity.
+            yaw_ned_rad: The wanted heading, as the estimator counts; None keeps the present one.
+        """
         before = self.body.position_enu_m
         if self._gust_rng is not None:
             east, north = self._gust_rng.standard_normal(2).tolist()
             self.body.blow((east, north), STEP_S)
+        if yaw_ned_rad is not None:
+            yaw_ned_rad -= self.estimator.yaw_bias_rad
         self.body.step(command_enu_mps, yaw_ned_rad, STEP_S)
         is_flying = not self.body.is_on_ground
         if is_flying:
@@ -134,6 +150,11 @@ class Aircraft:
         """Move the zero of the local frame."""
         origin = LocalOrigin(latitude_e7 / 1e7, longitude_e7 / 1e7, altitude_mm / 1e3)
         self.estimator.set_origin(origin)
+        self.origin_changes += 1
+
+    def shift_origin(self, offset_enu_m: PositionEnu) -> None:
+        """Move the zero of the local frame by so much."""
+        self.estimator.shift_origin(offset_enu_m)
         self.origin_changes += 1
 
     def up_from(self, altitude_m: float, frame: int) -> float | None:

@@ -20,6 +20,8 @@ class Battery:
         self._params = params
         self.share = params.start_share
         """Charge that is left, 0 to 1."""
+        self.is_known = True
+        """Whether the reports tell the charge."""
         self.current_ca = IDLE_CURRENT_CA
         """Hundredths of an ampere."""
 
@@ -28,6 +30,12 @@ class Battery:
         self.current_ca = HOVER_CURRENT_CA if is_flying else IDLE_CURRENT_CA
         if is_flying:
             self.share = max(0.0, self.share - dt_s / self._params.endurance_s)
+
+    def set_charge(self, share: float | None) -> None:
+        """Another charge, 0 to 1; None: nobody knows it any more."""
+        self.is_known = share is not None
+        if share is not None:
+            self.share = share
 
     @property
     def percent(self) -> int:

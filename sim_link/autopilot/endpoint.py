@@ -24,13 +24,16 @@ from companion.mav.endpoint import Chunk
 from companion.mav.framing import MAGIC_V1
 from companion.mav.signing import Signing
 from sim_link.autopilot import payload
+from sim_link.autopilot.incidents import Incident, Reboot
 from sim_link.autopilot.protocols.base import Channel, Outgoing
 from sim_link.autopilot.protocols.link_layer import LinkLayer
 from sim_link.autopilot.recorder import FlightRecorder
 from sim_link.autopilot.scenario import Scenario
+from sim_link.autopilot.script import Script, apply
 from sim_link.autopilot.services import Services
 from sim_link.autopilot.telemetry import Telemetry
 from sim_link.autopilot.vehicle import STEP_S, Occurrence, SimVehicle
+from sim_link.world.point_mass import PointMass
 from sim_link.world.target import Emitter
 
 AUTOPILOT_COMPONENT_ID = mavlink.MAV_COMP_ID_AUTOPILOT1
@@ -80,15 +83,19 @@ class SimEndpoint:
         components = (AUTOPILOT_COMPONENT_ID, payload.COMPONENT_ID)
         self.links = LinkLayer(scenario.system_id, components, links, signing, trusted_links)
         self.recorder = FlightRecorder()
+        self._began_s = started_s
+        self._script = Script(scenario.incidents)
         self._boot(started_s, parameters, parameters_name)
 
-    def _boot(self, started_s: float, parameters: str, name: str) -> None:
-        """Power on: everything anew but the sequence numbers and the stored parameters."""
+    def _boot(
+        self, started_s: float, parameters: str, name: str, body: PointMass | None = None
+    ) -> None:
+        """Power on: all anew but place, wind, sequence numbers and the stored parameters."""
         noise_seed, payload_seed = self._seeds.spawn(2)
         scenario = self._scenario
         self._started_s = started_s
         self._next_step = 0
-        self.vehicle = SimVehicle(scenario, np.random.default_rng(noise_seed))
+        self.vehicle = SimVehicle(scenario, np.random.default_rng(noise_seed), body)
         self.vehicle.flavour.parameters.load_text(parameters, name)
         self._telemetry = Telemetry(self.vehicle)
         self._services = Services(self.vehicle, self._link_count)
@@ -103,6 +110,8 @@ class SimEndpoint:
 
     def receive(self, chunk: Chunk, now_s: float) -> None:
         """Take in bytes; whatever is no MAVLink, or not for us, is ignored."""
+        if now_s < self._started_s:
+            return
         if not chunk.data and not chunk.is_datagram:
             self._forget(Channel(chunk.link, chunk.peer))
             return
@@ -113,7 +122,19 @@ class SimEndpoint:
                 continue  # nobody's
             self._handle(arrival.message, arrival.channel, now_s)
             if self._services.wants_reboot:
-                self._boot(now_s, self.parameters_text, "stored parameters")
+                self._reboot(now_s, 0.0)
+
+    def happen(self, incident: Incident, now_s: float) -> None:
+        """Let something happen to the vehicle now, whatever its `time_s` says."""
+        if isinstance(incident, Reboot):
+            self._reboot(now_s, incident.down_s)
+        elif now_s >= self._started_s:
+            apply(incident, self.vehicle, now_s - self._started_s)
+
+    def _reboot(self, now_s: float, down_s: float) -> None:
+        """Restart where it is, motors off, deaf and silent for `down_s` seconds."""
+        body = self.vehicle.body
+        self._boot(now_s + down_s, self.parameters_text, "stored parameters", body)
 
     def _forget(self, channel: Channel) -> None:
         if channel.peer is not None:
@@ -123,15 +144,22 @@ class SimEndpoint:
 
     def handle_timer(self, now_s: float) -> None:
         """Step the physics up to `now_s` and queue the telemetry that is due."""
-        steps = (now_s - self._started_s) / STEP_S + STEP_TOLERANCE
-        last = math.floor(steps)
-        if last - self._next_step > MAX_CATCH_UP_S / STEP_S:
-            self._next_step = last
+        if self._last_step(now_s) - self._next_step > MAX_CATCH_UP_S / STEP_S:
+            self._next_step = self._last_step(now_s)
         if self.links.signing is not None:
             self.links.signing.advance(now_s + self._unix_minus_local_s)
-        while self._next_step <= last:
-            self._step(self._next_step * STEP_S)
-            self._next_step += 1
+        while self._next_step <= self._last_step(now_s):
+            self._happen_by_script(self.next_timer_s())
+            if self._next_step <= self._last_step(now_s):  # no reboot
+                self._step(self._next_step * STEP_S)
+                self._next_step += 1
+
+    def _last_step(self, now_s: float) -> int:
+        return math.floor((now_s - self._started_s) / STEP_S + STEP_TOLERANCE)
+
+    def _happen_by_script(self, now_s: float) -> None:
+        for incident in self._script.take_due(now_s - self._began_s):
+            self.happen(incident, now_s)
 
     def next_timer_s(self) -> float:
         """The time of the next physics step."""

@@ -2,7 +2,7 @@
 
 Theory of operation. The world's frame is local east-north-up about the scenario's origin. The
 autopilot's local frame has its zero at the EKF origin, which a station may move
-(SET_GPS_GLOBAL_ORIGIN), and its estimate differs from the truth by a bias: jumps that the scenario
+(SET_GPS_GLOBAL_ORIGIN), and its estimate differs from the truth by a bias: jumps, which somebody
 asks for, and what wanders off while there is no fix. White noise is in the reports only. An
 autopilot flies by what it believes, so a target goes into the world's frame through
 `world_from_local` or `world_from_geodetic`, which take the bias off; a place that it merely holds
@@ -12,21 +12,16 @@ stays where it is, because a real estimator tells its controllers of a reset.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
 from companion.domain import PositionEnu
-from companion.geometry.frames import LocalOrigin
-from sim_link.autopilot.scenario import EkfJumpParams, GpsParams
+from companion.geometry.frames import LocalOrigin, wrap_pi
+from sim_link.autopilot.scenario import GpsParams
 
 REACQUIRE_RATE_PER_S = 1.0
 """How fast the drift of a loss goes once there is a fix again."""
-
-
-def is_within(windows: Sequence[tuple[float, float]], time_s: float) -> bool:
-    """Whether a time lies in one of the windows."""
-    return any(start_s <= time_s < end_s for start_s, end_s in windows)
+GOOD_RATIO, BLIND_RATIO = 0.05, 0.6
 
 
 class Estimator:
@@ -34,8 +29,7 @@ class Estimator:
 
     Args:
         origin: Zero of the world's frame, and of the local frame at boot.
-        gps: When there is no fix, and what follows.
-        jumps: Resets of the estimate.
+        gps: What follows when there is no fix.
         noise_m: Standard deviation per axis of the reported position.
         rng: Generator of noise and drift.
     """
@@ -44,7 +38,6 @@ class Estimator:
         self,
         origin: LocalOrigin,
         gps: GpsParams,
-        jumps: Sequence[EkfJumpParams],
         noise_m: float,
         rng: np.random.Generator,
     ) -> None:
@@ -55,15 +48,21 @@ class Estimator:
         """What is reported, in the world's frame."""
         self.has_fix = True
         self.is_position_valid = True
+        self.yaw_bias_rad = 0.0
+        """Believed heading minus the true one."""
         self._origin_enu_m: PositionEnu = (0.0, 0.0, 0.0)
         self._gps = gps
-        self._jumps = sorted(jumps, key=lambda jump: jump.time_s)
         self._noise_m = noise_m
         self._rng = rng
         self._jumped: PositionEnu = (0.0, 0.0, 0.0)
         self._drift: PositionEnu = (0.0, 0.0, 0.0)
         self._heading_rad = 0.0
         self._lost_s: float | None = None
+        self._lost_until_s = -math.inf
+        self._has_lost_fix = False
+        self._poor_ratio = 0.0
+        self._poor_until_s = -math.inf
+        self._now_s = 0.0
 
     @property
     def bias_enu_m(self) -> PositionEnu:
@@ -77,13 +76,31 @@ class Estimator:
         (e, n, u), (oe, on, ou) = self.reported_enu_m, self._origin_enu_m
         return (e - oe, n - on, u - ou)
 
+    @property
+    def test_ratio(self) -> float:
+        """How far measurements contradict the estimate: PX4's test ratio, ArduPilot's variance."""
+        ratio = GOOD_RATIO if self.has_fix else BLIND_RATIO
+        return max(ratio, self._poor_ratio) if self._now_s < self._poor_until_s else ratio
+
+    def lose_fix(self, until_s: float) -> None:
+        """No satellite is seen for some time."""
+        self._has_lost_fix = True
+        self._lost_until_s = until_s
+
+    def spoil(self, ratio: float, until_s: float) -> None:
+        """Measurements contradict the estimate for some time."""
+        self._poor_ratio, self._poor_until_s = ratio, until_s
+
+    def jump(self, offset_enu_m: PositionEnu, yaw_rad: float) -> None:
+        """A reset: from now on it believes this much more."""
+        (e, n, u), (de, dn, du) = self._jumped, offset_enu_m
+        self._jumped = (e + de, n + dn, u + du)
+        self.yaw_bias_rad = wrap_pi(self.yaw_bias_rad + yaw_rad)
+
     def step(self, now_s: float, true_enu_m: PositionEnu, dt_s: float) -> None:
         """Report a position at `now_s` seconds since boot."""
-        while self._jumps and self._jumps[0].time_s <= now_s:
-            jump = self._jumps.pop(0)
-            e, n, u = self._jumped
-            self._jumped = (e + jump.east_m, n + jump.north_m, u + jump.up_m)
-        if self._gps.lost_s:
+        self._now_s = now_s
+        if self._has_lost_fix:
             self._watch_fix(now_s, dt_s)
         (e, n, u), (be, bn, bu) = true_enu_m, self.bias_enu_m
         if self._noise_m > 0.0:
@@ -92,7 +109,7 @@ class Estimator:
         self.reported_enu_m = (e + be, n + bn, u + bu)
 
     def _watch_fix(self, now_s: float, dt_s: float) -> None:
-        self.has_fix = not is_within(self._gps.lost_s, now_s)
+        self.has_fix = now_s >= self._lost_until_s
         if self.has_fix:
             self._lost_s = None
             self.is_position_valid = True
@@ -117,6 +134,12 @@ class Estimator:
         self._origin_enu_m = self.world_origin.enu_from_geodetic(
             origin.latitude_deg, origin.longitude_deg, origin.altitude_m
         )
+
+    def shift_origin(self, offset_enu_m: PositionEnu) -> None:
+        """Move the zero of the local frame by so much."""
+        (e, n, u), (de, dn, du) = self._origin_enu_m, offset_enu_m
+        place = self.world_origin.geodetic_from_enu((e + de, n + dn, u + du))
+        self.set_origin(LocalOrigin(*place))
 
     def local_from_world(self, enu_m: PositionEnu) -> PositionEnu:
         """About the EKF origin, from the world's frame; the bias is left out."""

@@ -73,7 +73,7 @@ def attitude(vehicle: SimVehicle) -> Message:
     """ATTITUDE."""
     roll, pitch = _roll_and_pitch(vehicle)
     return mavlink.MAVLink_attitude_message(
-        boot_ms(vehicle), roll, pitch, vehicle.body.yaw_ned_rad, 0.0, 0.0, 0.0
+        boot_ms(vehicle), roll, pitch, vehicle.heading_ned_rad, 0.0, 0.0, 0.0
     )
 
 
@@ -81,7 +81,7 @@ def _quaternion(vehicle: SimVehicle) -> tuple[float, float, float, float]:
     roll, pitch = _roll_and_pitch(vehicle)
     cr, sr = math.cos(roll / 2.0), math.sin(roll / 2.0)
     cp, sp = math.cos(pitch / 2.0), math.sin(pitch / 2.0)
-    cy, sy = math.cos(vehicle.body.yaw_ned_rad / 2.0), math.sin(vehicle.body.yaw_ned_rad / 2.0)
+    cy, sy = math.cos(vehicle.heading_ned_rad / 2.0), math.sin(vehicle.heading_ned_rad / 2.0)
     return (
         cr * cp * cy + sr * sp * sy,
         sr * cp * cy - cr * sp * sy,
@@ -103,7 +103,7 @@ def odometry(vehicle: SimVehicle) -> Message | None:
         return None
     north, east, down = ned_from_enu(vehicle.estimator.local_enu_m)
     v_east, v_north, v_up = vehicle.body.velocity_enu_mps
-    cos_yaw, sin_yaw = math.cos(vehicle.body.yaw_ned_rad), math.sin(vehicle.body.yaw_ned_rad)
+    cos_yaw, sin_yaw = math.cos(vehicle.heading_ned_rad), math.sin(vehicle.heading_ned_rad)
     return mavlink.MAVLink_odometry_message(
         boot_us(vehicle),
         mavlink.MAV_FRAME_LOCAL_NED,
@@ -138,7 +138,7 @@ def global_position_int(vehicle: SimVehicle) -> Message | None:
         to_int16(1e2 * v_north),
         to_int16(1e2 * v_east),
         to_int16(1e2 * v_down),
-        round(math.degrees(vehicle.body.yaw_ned_rad) * 1e2) % 36000,
+        round(math.degrees(vehicle.heading_ned_rad) * 1e2) % 36000,
     )
 
 
@@ -189,7 +189,7 @@ def vfr_hud(vehicle: SimVehicle) -> Message:
     return mavlink.MAVLink_vfr_hud_message(
         speed,
         speed,
-        round(math.degrees(vehicle.body.yaw_ned_rad)) % 360,
+        round(math.degrees(vehicle.heading_ned_rad)) % 360,
         throttle,
         vehicle.estimator.world_origin.altitude_m + vehicle.estimator.reported_enu_m[2],
         v_up,

@@ -139,13 +139,19 @@ class Pilot:
         return (0.0, 0.0, -SINK_WITHOUT_STICKS_MPS)
 
     def yaw_ned_rad(
-        self, setpoint: Setpoint, sticks: Sticks | None, body: PointMass
+        self, setpoint: Setpoint, sticks: Sticks | None, heading_rad: float
     ) -> float | None:
-        """The heading that the task wants now, clockwise from north; None keeps the present."""
+        """The heading that the task wants now, clockwise from north; None keeps the present.
+
+        Args:
+            setpoint: What FOLLOW follows.
+            sticks: What OBEY_STICKS obeys.
+            heading_rad: The present one, as the estimator has it.
+        """
         match self.task:
             case Task.FOLLOW:
                 if setpoint.yaw_ned_rad is None and setpoint.yaw_rate_ned_radps is not None:
-                    return wrap_pi(body.yaw_ned_rad + setpoint.yaw_rate_ned_radps * STEP_S)
+                    return wrap_pi(heading_rad + setpoint.yaw_rate_ned_radps * STEP_S)
                 return setpoint.yaw_ned_rad
             case Task.STAY:
                 return self.hold_yaw_ned_rad
@@ -153,7 +159,7 @@ class Pilot:
                 return self._leg.yaw_ned_rad
             case Task.OBEY_STICKS if sticks is not None and sticks.yaw:
                 rate_radps = sticks.yaw * self._vehicle.max_yaw_rate_radps
-                return wrap_pi(body.yaw_ned_rad + rate_radps * STEP_S)
+                return wrap_pi(heading_rad + rate_radps * STEP_S)
         return None
 
     def stay_here(self, body: PointMass) -> None:

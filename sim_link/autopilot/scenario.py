@@ -11,6 +11,7 @@ import msgspec
 
 from companion.geometry.polygons import area_m2, is_simple
 from companion.params import NonNegative, Params, Positive
+from sim_link.autopilot.incidents import Incident
 from sim_link.world.environment import Environment, ObstacleParams, ShadowParams
 from sim_link.world.point_mass import VehicleParams, WindParams
 from sim_link.world.radio_channel import ChannelParams
@@ -74,28 +75,15 @@ class RcParams(Params, frozen=True):
 
     is_present: bool = False
     """Whether a transmitter is switched on; its sticks rest in the middle."""
-    lost_s: tuple[tuple[NonNegative, NonNegative], ...] = ()
-    """Windows, from and to, seconds since boot, in which its signal is lost."""
 
 
 class GpsParams(Params, frozen=True):
     """What the satellites and the estimator do to the reported position."""
 
-    lost_s: tuple[tuple[NonNegative, NonNegative], ...] = ()
-    """Windows, from and to, seconds since boot, without a fix."""
     drift_mps: NonNegative = 0.3
-    """How fast the estimate wanders off in such a window."""
+    """How fast the estimate wanders off without a fix."""
     valid_without_fix_s: NonNegative = 5.0
     """How long the estimate is used without a fix."""
-
-
-class EkfJumpParams(Params, frozen=True):
-    """A reset of the estimator: from `time_s` on it reports this much more."""
-
-    time_s: NonNegative
-    east_m: Coordinate = 0.0
-    north_m: Coordinate = 0.0
-    up_m: Coordinate = 0.0
 
 
 class FenceParams(Params, frozen=True):
@@ -153,11 +141,11 @@ class Scenario(Params, frozen=True):
     battery: BatteryParams = BatteryParams()
     rc: RcParams = RcParams()
     gps: GpsParams = GpsParams()
-    ekf_jumps: tuple[EkfJumpParams, ...] = ()
-    """Resets of the position estimate, each at its time."""
     fence: FenceParams = FenceParams()
     emitters: tuple[EmitterParams, ...] = ()
     """Further emitters beside `emitter`, heard over the same channel."""
+    incidents: tuple[Incident, ...] = ()
+    """What happens at which time, in any order."""
     vehicles: VehicleCount = 1
     """How many of this vehicle fly in one process."""
     position_noise_m: NonNegative = 0.0

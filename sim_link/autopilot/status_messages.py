@@ -87,9 +87,9 @@ def sys_status(vehicle: SimVehicle) -> Message:
         present,
         health,
         load=250,
-        voltage_battery=CELLS * battery.cell_mv,
-        current_battery=battery.current_ca,
-        battery_remaining=battery.percent,
+        voltage_battery=CELLS * battery.cell_mv if battery.is_known else UINT16_MAX,
+        current_battery=battery.current_ca if battery.is_known else -1,
+        battery_remaining=battery.percent if battery.is_known else -1,
         drop_rate_comm=0,
         errors_comm=0,
         errors_count1=0,
@@ -114,6 +114,8 @@ def extended_sys_state(vehicle: SimVehicle) -> Message:
 def battery_status(vehicle: SimVehicle) -> Message:
     """BATTERY_STATUS: a four-cell pack that only flying empties."""
     battery = vehicle.battery
+    if not battery.is_known:
+        return _unknown_battery()
     state = mavlink.MAV_BATTERY_CHARGE_STATE_OK
     if battery.share <= BATTERY_CRITICAL_SHARE:
         state = mavlink.MAV_BATTERY_CHARGE_STATE_CRITICAL
@@ -131,6 +133,21 @@ def battery_status(vehicle: SimVehicle) -> Message:
         battery.percent,
         time_remaining=battery.remaining_s,
         charge_state=state,
+    )
+
+
+def _unknown_battery() -> Message:
+    return mavlink.MAVLink_battery_status_message(
+        0,
+        mavlink.MAV_BATTERY_FUNCTION_ALL,
+        mavlink.MAV_BATTERY_TYPE_LIPO,
+        INT16_MAX,
+        [UINT16_MAX] * 10,
+        -1,
+        -1,
+        -1,
+        -1,
+        charge_state=mavlink.MAV_BATTERY_CHARGE_STATE_UNDEFINED,
     )
 
 
@@ -193,7 +210,7 @@ def current_mission(vehicle: SimVehicle) -> Message:
 def estimator_status(vehicle: SimVehicle) -> Message:
     """ESTIMATOR_STATUS."""
     is_good = vehicle.estimator.is_position_valid
-    ratio = 0.05 if vehicle.estimator.has_fix else 0.6
+    ratio = vehicle.estimator.test_ratio
     return mavlink.MAVLink_estimator_status_message(
         boot_us(vehicle),
         GOOD_ESTIMATE if is_good else BLIND_ESTIMATE,
@@ -206,7 +223,7 @@ def estimator_status(vehicle: SimVehicle) -> Message:
 def ekf_status_report(vehicle: SimVehicle) -> Message:
     """EKF_STATUS_REPORT, ArduPilot's."""
     is_good = vehicle.estimator.is_position_valid
-    ratio = 0.05 if vehicle.estimator.has_fix else 0.6
+    ratio = vehicle.estimator.test_ratio
     flags = GOOD_ESTIMATE if is_good else BLIND_ESTIMATE
     return MAVLink_ekf_status_report_message(flags, ratio, ratio, ratio, 0.05, 0.0, 0.0)
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
-from sim_link.autopilot.estimator import is_within
 from sim_link.autopilot.scenario import RcParams
 
 JOYSTICK_TIMEOUT_S = 0.5
@@ -43,11 +43,22 @@ class StickInput:
         self._params = params
         self._joystick: Sticks = CENTRED
         self._joystick_s: float | None = None
+        self._moved: Sticks = CENTRED
+        self._moved_until_s = -math.inf
+        self._lost_until_s = -math.inf
 
     def take_joystick(self, sticks: Sticks, now_s: float) -> None:
         """Deflections from MANUAL_CONTROL or RC_CHANNELS_OVERRIDE."""
         self._joystick = sticks
         self._joystick_s = now_s
+
+    def move(self, sticks: Sticks, until_s: float) -> None:
+        """The pilot holds the transmitter's sticks like this for some time."""
+        self._moved, self._moved_until_s = sticks, until_s
+
+    def lose(self, until_s: float) -> None:
+        """The transmitter is not heard for some time."""
+        self._lost_until_s = until_s
 
     def is_joystick_alive(self, now_s: float) -> bool:
         """Whether a station's joystick still reports."""
@@ -55,10 +66,13 @@ class StickInput:
 
     def has_transmitter(self, now_s: float) -> bool:
         """Whether the transmitter is heard."""
-        return self._params.is_present and not is_within(self._params.lost_s, now_s)
+        is_there = self._params.is_present or now_s < self._moved_until_s
+        return is_there and now_s >= self._lost_until_s
 
     def read(self, now_s: float) -> Sticks | None:
         """The deflections, or None if nobody holds any sticks."""
         if self.is_joystick_alive(now_s):
             return self._joystick
-        return CENTRED if self.has_transmitter(now_s) else None
+        if not self.has_transmitter(now_s):
+            return None
+        return self._moved if now_s < self._moved_until_s else CENTRED

@@ -26,15 +26,18 @@ class SimVehicle:
     Args:
         scenario: Place, limits and configuration.
         noise_rng: Generator of the reported position's noise.
+        body: What restarts where it is; None: a new one, at the scenario's start.
 
     Raises:
         ConfigError: The scenario sets a parameter that does not exist, or to what may not be.
     """
 
-    def __init__(self, scenario: Scenario, noise_rng: np.random.Generator) -> None:
+    def __init__(
+        self, scenario: Scenario, noise_rng: np.random.Generator, body: PointMass | None = None
+    ) -> None:
         self.scenario = scenario
         self.system_id = scenario.system_id
-        self.flavour: Flavour = make_flavour(scenario, noise_rng)
+        self.flavour: Flavour = make_flavour(scenario, noise_rng, body)
         self.aircraft: Aircraft = self.flavour.aircraft
         self._geodetic_at_s = -1.0
         self._geodetic = (0.0, 0.0, 0.0)
@@ -74,6 +77,11 @@ class SimVehicle:
     def body(self) -> PointMass:
         """The true motion."""
         return self.aircraft.body
+
+    @property
+    def heading_ned_rad(self) -> float:
+        """Where its nose points as it believes, clockwise from north."""
+        return self.aircraft.heading_ned_rad
 
     @property
     def estimator(self) -> Estimator:

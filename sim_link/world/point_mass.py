@@ -79,13 +79,18 @@ class PointMass:
     ) -> None:
         self._params = params
         self._wind = wind
-        self._drift = (wind.let_through * wind.east_mps, wind.let_through * wind.north_mps, 0.0)
         self._gust = (0.0, 0.0)
+        self._drift = self._drift_of_wind()
         self.ground_up_m = ground_up_m
         self.position_enu_m: PositionEnu = position_enu_m
         self.velocity_enu_mps: PositionEnu = (0.0, 0.0, 0.0)
         self.acceleration_enu_mps2: PositionEnu = (0.0, 0.0, 0.0)
         self.yaw_ned_rad = 0.0
+
+    @property
+    def wind(self) -> WindParams:
+        """What blows."""
+        return self._wind
 
     @property
     def drift_mps(self) -> float:
@@ -106,7 +111,16 @@ class PointMass:
             kept * old + fresh * new for old, new in zip(self._gust, normals, strict=True)
         )
         self._gust = (east, north)
-        self._drift = (
+        self._drift = self._drift_of_wind()
+
+    def set_wind(self, wind: WindParams) -> None:
+        """Another wind; the present gust goes on."""
+        self._wind = wind
+        self._drift = self._drift_of_wind()
+
+    def _drift_of_wind(self) -> PositionEnu:
+        wind, (east, north) = self._wind, self._gust
+        return (
             wind.let_through * (wind.east_mps + east),
             wind.let_through * (wind.north_mps + north),
             0.0,

@@ -124,6 +124,10 @@ class Flavour(ABC):
         """What HEARTBEAT shows."""
 
     @abstractmethod
+    def pilot_chooses(self, mode: FlightMode, now_s: float) -> None:
+        """The pilot turns the mode switch."""
+
+    @abstractmethod
     def command(self, command: Command, now_s: float) -> int:
         """Obey a command; a MAV_RESULT."""
 
@@ -253,7 +257,7 @@ class Flavour(ABC):
         setpoint = self._flown_setpoint(now_s)
         aircraft.move(
             pilot.command(setpoint, self.leg, sticks, body),
-            pilot.yaw_ned_rad(setpoint, sticks, body),
+            pilot.yaw_ned_rad(setpoint, sticks, aircraft.heading_ned_rad),
         )
 
     @property

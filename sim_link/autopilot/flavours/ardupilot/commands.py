@@ -166,7 +166,7 @@ def _condition_yaw(flavour: ArduPilotFlavour, command: Command) -> int:
     yaw = math.radians(angle_deg)
     if is_relative == 1.0:
         sign = -1.0 if direction == -1.0 else 1.0
-        yaw = flavour.aircraft.body.yaw_ned_rad + sign * yaw
+        yaw = flavour.aircraft.heading_ned_rad + sign * yaw
     flavour.turn_to(yaw)
     return ACCEPTED
 

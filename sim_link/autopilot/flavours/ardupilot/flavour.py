@@ -12,9 +12,9 @@ from dataclasses import replace
 from companion.domain import FlightMode, PositionEnu
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.aircraft import Aircraft
-from sim_link.autopilot.battery import CELLS
 from sim_link.autopilot.commands import ACCEPTED, FAILED
 from sim_link.autopilot.flavours.ardupilot import commands, fence_rules, modes
+from sim_link.autopilot.flavours.ardupilot.failsafes import Event, Failsafes
 from sim_link.autopilot.flavours.ardupilot.guided import Guided, GuidedState
 from sim_link.autopilot.flavours.ardupilot.modes import ARMED_FLAG, CopterMode
 from sim_link.autopilot.flavours.ardupilot.protocols import RULES
@@ -43,12 +43,6 @@ IDLE_DETECTION_S = 0.5
 ATTITUDE_SHARE = 0.5
 """Share of the boot after which modes without a position can be armed."""
 CRITICAL, WARNING = mavlink.MAV_SEVERITY_CRITICAL, mavlink.MAV_SEVERITY_WARNING
-FENCE_MODES = {1: modes.RTL, 2: modes.LAND, 3: modes.RTL, 4: modes.BRAKE, 5: modes.LAND}
-"""FENCE_ACTION; 0: only a text."""
-STATION_MODES = {1: modes.RTL, 3: modes.RTL, 4: modes.LAND, 5: modes.LAND, 7: modes.BRAKE}
-"""FS_GCS_ENABLE."""
-BATTERY_MODES = {1: modes.LAND, 2: modes.RTL, 3: modes.RTL, 4: modes.LAND}
-"""BATT_FS_LOW_ACT and BATT_FS_CRT_ACT."""
 
 
 class ArduPilotFlavour(Flavour):
@@ -66,8 +60,7 @@ class ArduPilotFlavour(Flavour):
         super().__init__(aircraft, parameters)
         self.guided = Guided()
         self.copter_mode: CopterMode = modes.STABILIZE
-        self._failsafes: set[str] = set()
-        self._had_sticks = False
+        self._failsafes = Failsafes(aircraft, parameters)
 
     # State
 
@@ -79,12 +72,12 @@ class ArduPilotFlavour(Flavour):
     @property
     def is_failsafe(self) -> bool:
         """Whether something is wrong."""
-        return bool(self._failsafes) and self.is_armed
+        return bool(self._failsafes.active) and self.is_armed
 
     @property
     def reason(self) -> str:
         """What is wrong."""
-        return ", ".join(sorted(self._failsafes))
+        return ", ".join(sorted(self._failsafes.active))
 
     @property
     def task(self) -> Task:
@@ -143,6 +136,13 @@ class ArduPilotFlavour(Flavour):
             self.copter_mode = mode
             self.leg = None
         return ACCEPTED
+
+    def pilot_chooses(self, mode: FlightMode, now_s: float) -> None:
+        """The pilot turns the mode switch; what ArduPilot has no mode for changes nothing."""
+        wanted = modes.BY_WHAT_IT_DOES.get(mode)
+        if wanted is not None:
+            self.choose(wanted, now_s)
+            self.settle(now_s, "pilot")
 
     def _mode_refusal(self, mode: CopterMode, now_s: float) -> str | None:
         """Disarmed, every mode can be chosen: what it needs is left to the arming checks."""
@@ -284,14 +284,20 @@ class ArduPilotFlavour(Flavour):
             return
         if self.guided.state is GuidedState.FOLLOWING and self._runs_into_the_fence():
             self.guided.stop()
-        self._watch_links(now_s)
-        self._watch_battery(now_s)
-        has_breach = self.fence_margin_m(body.position_enu_m) < 0.0
-        action = int(self.parameters["FENCE_ACTION"])
-        self._failsafe("Fence breached", has_breach, FENCE_MODES.get(action), now_s)
-        is_blind = not self.aircraft.estimator.is_position_valid
-        lands = modes.LAND if self.copter_mode.needs_position else None
-        self._failsafe("EKF Failsafe", is_blind, lands, now_s)
+        for event in self._failsafes.watch(self.copter_mode, self.fence_margin_m, now_s):
+            self._react(event, now_s)
+
+    def _react(self, event: Event, now_s: float) -> None:
+        """Say what happened; on entering a failsafe, change the mode once."""
+        self.aircraft.say(CRITICAL, event.text)
+        if event.stops_motors:
+            self.disarm(is_forced=True)
+        if event.reaction is None or self.aircraft.body.is_on_ground:
+            return
+        if self.choose(event.reaction, now_s) != ACCEPTED:
+            self.choose(modes.LAND, now_s)
+        if event.tells_mode:
+            self.aircraft.say(CRITICAL, f"{event.text}: changed to {self.copter_mode.name} Mode")
 
     def _speed_limits(self) -> SpeedLimits:
         """WPNAV_SPEED and its kin, RTL_SPEED on the way home."""
@@ -302,47 +308,6 @@ class ArduPilotFlavour(Flavour):
             value["WPNAV_SPEED_UP"] / 100.0,
             value["WPNAV_SPEED_DN"] / 100.0,
         )
-
-    def _watch_links(self, now_s: float) -> None:
-        heard_s = self.aircraft.stations_s.get(int(self.parameters["SYSID_MYGCS"]))
-        action = STATION_MODES.get(int(self.parameters["FS_GCS_ENABLE"]))
-        timeout_s = self.parameters["FS_GCS_TIMEOUT"]
-        is_silent = heard_s is not None and now_s - heard_s > timeout_s and action is not None
-        self._failsafe("GCS Failsafe", is_silent, action, now_s)
-        has_sticks = self.aircraft.sticks.read(now_s) is not None
-        self._had_sticks = self._had_sticks or has_sticks
-        action = modes.RTL if self.parameters["FS_THR_ENABLE"] else None
-        is_lost = self._had_sticks and not has_sticks and action is not None
-        self._failsafe("Radio Failsafe", is_lost, action, now_s)
-
-    def _watch_battery(self, now_s: float) -> None:
-        value, battery = self.parameters, self.aircraft.battery
-        volts = CELLS * battery.cell_mv / 1e3
-        left_mah = battery.share * value["BATT_CAPACITY"]
-        for level, name in (("LOW", "low"), ("CRT", "critical")):
-            is_under = volts <= value[f"BATT_{level}_VOLT"] or (
-                0.0 < value[f"BATT_{level}_MAH"] >= left_mah
-            )
-            action = BATTERY_MODES.get(int(value[f"BATT_FS_{level}_ACT"]))
-            self._failsafe(f"Battery 1 is {name}", is_under, action, now_s)
-
-    def _failsafe(
-        self, name: str, is_present: bool, reaction: CopterMode | None, now_s: float
-    ) -> None:
-        """Enter or leave a failsafe; on entering, change the mode once."""
-        if not is_present:
-            if name in self._failsafes:
-                self._failsafes.discard(name)
-                self.aircraft.say(WARNING, f"{name} cleared")
-            return
-        if name in self._failsafes:
-            return
-        self._failsafes.add(name)
-        self.aircraft.say(CRITICAL, name)
-        if reaction is None or self.aircraft.body.is_on_ground:
-            return
-        if self.choose(reaction, now_s) != ACCEPTED:
-            self.choose(modes.LAND, now_s)
 
     def _runs_into_the_fence(self) -> bool:
         """Whether a motion leads out: it is stopped FENCE_MARGIN inside."""

@@ -63,6 +63,10 @@ LAND = _mode(
     is_armable=False,
     flags=PLAIN_FLAGS,
 )
+ALT_HOLD = _mode(
+    2, "ALT_HOLD", FlightMode.ALTITUDE, _STICKS, needs_position=False, flags=PLAIN_FLAGS
+)
+SMART_RTL = _mode(21, "SMART_RTL", FlightMode.RETURN, Task.RETURN, is_armable=False)
 BRAKE = _mode(17, "BRAKE", FlightMode.HOLD, Task.STAY, is_armable=False)
 
 MODES: dict[int, CopterMode] = {
@@ -70,7 +74,7 @@ MODES: dict[int, CopterMode] = {
     for mode in (
         STABILIZE,
         _mode(1, "ACRO", FlightMode.ACRO, _STICKS, needs_position=False, flags=PLAIN_FLAGS),
-        _mode(2, "ALT_HOLD", FlightMode.ALTITUDE, _STICKS, needs_position=False, flags=PLAIN_FLAGS),
+        ALT_HOLD,
         AUTO,
         GUIDED,
         LOITER,
@@ -79,9 +83,13 @@ MODES: dict[int, CopterMode] = {
         LAND,
         _mode(16, "POSHOLD", FlightMode.POSITION, _STICKS),
         BRAKE,
-        _mode(21, "SMART_RTL", FlightMode.RETURN, Task.RETURN, is_armable=False),
+        SMART_RTL,
     )
 }
 """Every mode that is flown here; CIRCLE stays in place."""
 NOT_FLOWN = {18: "THROW", 19: "AVOID_ADSB", 20: "GUIDED_NOGPS"}
 """Modes of the real one that are refused here, with a text."""
+BY_WHAT_IT_DOES: dict[FlightMode, CopterMode] = {
+    mode.mode: mode for mode in reversed(MODES.values()) if mode.number not in (7, 16, 21)
+}
+"""The plain mode for each purpose: not CIRCLE, POSHOLD or SMART_RTL."""

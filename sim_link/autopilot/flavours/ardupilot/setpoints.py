@@ -68,7 +68,7 @@ def target_from_local(message: LocalTarget, aircraft: Aircraft) -> Target:
         if not _are_finite(message.x, message.y, message.z):
             return Target(TargetKind.STOP, text="Guided: position is not finite, stopping")
         place = _local_place(message, aircraft)
-    return _target(message, place, aircraft.body.yaw_ned_rad if frame in BODY_FRAMES else None)
+    return _target(message, place, aircraft.heading_ned_rad if frame in BODY_FRAMES else None)
 
 
 def _local_place(message: LocalTarget, aircraft: Aircraft) -> PositionEnu:
@@ -78,7 +78,7 @@ def _local_place(message: LocalTarget, aircraft: Aircraft) -> PositionEnu:
     own_east, own_north, own_up = aircraft.body.position_enu_m
     east, north = float(message.y), float(message.x)
     if message.coordinate_frame == BODY_OFFSET_NED:
-        east, north = turned(message.x, message.y, aircraft.body.yaw_ned_rad)
+        east, north = turned(message.x, message.y, aircraft.heading_ned_rad)
     return (own_east + east, own_north + north, own_up - message.z)
 
 

@@ -10,23 +10,14 @@ import math
 
 from companion.domain import FlightMode, PositionEnu
 from companion.mav.dialect import mavlink
-from companion.mav.modes import CUSTOM_MODE_ENABLED, px4_custom_mode
 from sim_link.autopilot.aircraft import Aircraft
 from sim_link.autopilot.commands import ACCEPTED
 from sim_link.autopilot.flavours.base import Flavour, Identity, Shown
-from sim_link.autopilot.flavours.px4 import commands, parameters, setpoints
-from sim_link.autopilot.flavours.px4.failsafes import (
-    FENCE_REACTION,
-    LINK_LOSS_REACTION,
-    MODE_OF_REACTION,
-    OFFBOARD_LOSS_REACTION,
-    Cause,
-    Failsafes,
-    Finding,
-    Reaction,
-)
+from sim_link.autopilot.flavours.px4 import commands, heartbeat, parameters, setpoints
+from sim_link.autopilot.flavours.px4.failsafes import MODE_OF_REACTION, Failsafes, Reaction
 from sim_link.autopilot.flavours.px4.modes import MODE_NAMES, STICK_MODES, ModeLogic, Situation
 from sim_link.autopilot.flavours.px4.protocols import RULES
+from sim_link.autopilot.flavours.px4.watcher import Watcher
 from sim_link.autopilot.mission import LegKind
 from sim_link.autopilot.pilot import Task
 from sim_link.autopilot.protocols.commands import Command
@@ -48,20 +39,6 @@ CAPABILITIES = (
     | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_RALLY
 )
 """GLOBAL_INT is set although PX4 1.15 leaves it out: it obeys that message."""
-AUTO_FLAGS = (
-    mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
-    | mavlink.MAV_MODE_FLAG_GUIDED_ENABLED
-    | mavlink.MAV_MODE_FLAG_AUTO_ENABLED
-)
-STICK_FLAGS = mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
-BASE_MODE_FLAGS: dict[FlightMode, int] = {
-    FlightMode.POSITION: STICK_FLAGS,
-    FlightMode.ALTITUDE: STICK_FLAGS,
-    FlightMode.STABILIZED: STICK_FLAGS,
-    FlightMode.MANUAL: mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED,
-    FlightMode.ACRO: mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED,
-}
-"""What a mode adds to CUSTOM_MODE_ENABLED; modes not listed are automatic (OFFBOARD apart)."""
 TASKS: dict[FlightMode, Task] = {
     FlightMode.HOLD: Task.STAY,
     FlightMode.TAKEOFF: Task.TAKE_OFF,
@@ -72,8 +49,6 @@ TASKS: dict[FlightMode, Task] = {
 }
 OVERRIDE_AUTO, OVERRIDE_OFFBOARD = 1, 2
 """Bits of COM_RC_OVERRIDE."""
-EXCEPT_MISSION, EXCEPT_HOLD, EXCEPT_OFFBOARD = 1, 2, 4
-"""Bits of COM_RCL_EXCEPT."""
 
 
 class Px4Flavour(Flavour):
@@ -91,8 +66,7 @@ class Px4Flavour(Flavour):
         super().__init__(aircraft, parameters)
         self.modes = ModeLogic()
         self._failsafes = Failsafes()
-        self._had_sticks = False
-        self._warned_percent = 101.0
+        self._watcher = Watcher(aircraft, parameters)
 
     # State
 
@@ -193,6 +167,11 @@ class Px4Flavour(Flavour):
             self.refuse(MODE_NAMES[mode], why or "not now")
         return result
 
+    def pilot_chooses(self, mode: FlightMode, now_s: float) -> None:
+        """The pilot turns the mode switch."""
+        self.choose(mode, now_s)
+        self.settle(now_s, "pilot")
+
     def refuse(self, mode_name: str, why: str) -> None:
         """Say why a mode was not entered."""
         text = f"Switching to {mode_name} not available: {why}"
@@ -289,17 +268,21 @@ class Px4Flavour(Flavour):
                 self.settle(now_s, "mission")
 
     def _watch(self, now_s: float) -> None:
-        self._watch_battery()
+        self._watcher.warn_of_battery()
         self.aircraft.pilot.limits = parameters.speed_limits(self.parameters)
         if not self.is_armed:
             return
         sticks = self.aircraft.sticks.read(now_s)
-        self._had_sticks = self._had_sticks or sticks is not None
         if sticks is not None and sticks.are_moved and self._sticks_override():
             self.choose(FlightMode.POSITION, now_s)
             self.settle(now_s, "sticks moved")
-        fresh = [finding for finding in self._findings(now_s) if self._failsafes.watch(finding)]
-        for finding in fresh:
+        findings = self._watcher.findings(
+            self.modes.intention,
+            self.fence_margin_m(self.aircraft.body.position_enu_m),
+            now_s,
+            is_stream_alive=self._is_stream_alive(now_s),
+        )
+        for finding in [each for each in findings if self._failsafes.watch(each)]:
             self.aircraft.say(mavlink.MAV_SEVERITY_CRITICAL, f"Failsafe: {finding.cause.value}")
         self._react(now_s)
 
@@ -327,73 +310,14 @@ class Px4Flavour(Flavour):
             return bool(bits & OVERRIDE_OFFBOARD)
         return self.mode not in STICK_MODES and bool(bits & OVERRIDE_AUTO)
 
-    def _findings(self, now_s: float) -> list[Finding]:
-        """What is wrong now, and what PX4's parameters do about it."""
-        value, aircraft = self.parameters, self.aircraft
-        is_offboard = self.modes.intention is FlightMode.OFFBOARD
-        heard_s = aircraft.station_heard_s
-        share = aircraft.battery.share
-        low_action = int(value["COM_LOW_BAT_ACT"])
-        critical = {2: Reaction.LAND, 3: Reaction.RETURN}.get(low_action, Reaction.WARN)
-        emergency = Reaction.WARN if low_action == 0 else Reaction.LAND
-        return [
-            Finding(
-                Cause.NO_SETPOINTS,
-                is_offboard and not self._is_stream_alive(now_s),
-                OFFBOARD_LOSS_REACTION.get(int(value["COM_OBL_RC_ACT"]), Reaction.POSITION),
-            ),
-            Finding(
-                Cause.NO_STICKS,
-                self._had_sticks and self._needs_sticks() and aircraft.sticks.read(now_s) is None,
-                LINK_LOSS_REACTION.get(int(value["NAV_RCL_ACT"])),
-            ),
-            Finding(
-                Cause.NO_STATION,
-                heard_s is not None and now_s - heard_s > value["COM_DL_LOSS_T"],
-                LINK_LOSS_REACTION.get(int(value["NAV_DLL_ACT"])),
-            ),
-            Finding(Cause.NO_POSITION, not aircraft.estimator.is_position_valid, Reaction.LAND),
-            Finding(
-                Cause.FENCE,
-                self.fence_margin_m(aircraft.body.position_enu_m) < 0.0,
-                FENCE_REACTION.get(int(value["GF_ACTION"])),
-            ),
-            Finding(Cause.BATTERY_CRITICAL, share <= value["BAT_CRIT_THR"], critical),
-            Finding(Cause.BATTERY_EMERGENCY, share <= value["BAT_EMERGEN_THR"], emergency),
-        ]
-
-    def _needs_sticks(self) -> bool:
-        bits = int(self.parameters["COM_RCL_EXCEPT"])
-        excepted = {
-            FlightMode.MISSION: EXCEPT_MISSION,
-            FlightMode.HOLD: EXCEPT_HOLD,
-            FlightMode.OFFBOARD: EXCEPT_OFFBOARD,
-        }.get(self.modes.intention, 0)
-        return not bits & excepted
-
-    def _watch_battery(self) -> None:
-        """Warn once per level."""
-        share = self.aircraft.battery.share
-        if share > self.parameters["BAT_LOW_THR"]:
-            self._warned_percent = 101.0
-        elif self._warned_percent > 100.0:
-            self._warned_percent = self.aircraft.battery.percent
-            self.aircraft.say(mavlink.MAV_SEVERITY_WARNING, "Low battery level")
-
     # HEARTBEAT
 
     def shown(self, now_s: float) -> Shown:
         """What HEARTBEAT shows."""
-        base_mode = CUSTOM_MODE_ENABLED
-        if self.mode is FlightMode.OFFBOARD:
-            if self.is_armed or self._is_stream_alive(now_s):
-                base_mode |= mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
-        else:
-            base_mode |= BASE_MODE_FLAGS.get(self.mode, AUTO_FLAGS)
-        if self.is_armed:
-            base_mode |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED
-            status = mavlink.MAV_STATE_CRITICAL if self.is_failsafe else mavlink.MAV_STATE_ACTIVE
-        else:
-            can_arm = self.arming_refusal(now_s) is None
-            status = mavlink.MAV_STATE_STANDBY if can_arm else mavlink.MAV_STATE_UNINIT
-        return Shown(base_mode, px4_custom_mode(self.mode), status)
+        return heartbeat.shown(
+            self.mode,
+            is_armed=self.is_armed,
+            is_failsafe=self.is_failsafe,
+            is_stream_alive=self._is_stream_alive(now_s),
+            can_arm=not self.is_armed and self.arming_refusal(now_s) is None,
+        )

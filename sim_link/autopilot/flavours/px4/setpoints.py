@@ -52,7 +52,7 @@ def setpoint_from_local(message: LocalTarget, aircraft: Aircraft) -> Setpoint | 
             place = aircraft.estimator.world_from_local(enu_from_ned(position_ned))
             return _assemble(message, place if has_position else None, None)
         case mavlink.MAV_FRAME_BODY_NED if not has_position:
-            return _assemble(message, None, aircraft.body.yaw_ned_rad)
+            return _assemble(message, None, aircraft.heading_ned_rad)
     return None
 
 
