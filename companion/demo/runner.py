@@ -244,7 +244,7 @@ def _fly(
         shell.run_blocking()
     result = endpoint.session.result
     reason, now_s = ended[0] if ended else ("interrupted", latest[0])
-    if endpoint.session.phase is Phase.YIELDED and options.speed > HIGH_SPEED:
+    if endpoint.session.phase is Phase.YIELD and options.speed > HIGH_SPEED:
         reason += f"; at --speed {options.speed:g} a busy computer is too late for it"
     return DemoResult(
         is_localised=result is not None,
@@ -260,7 +260,7 @@ def _end_reason(
 ) -> str | None:
     if is_handed_over(endpoint):
         return "localised"
-    if endpoint.session.phase is Phase.YIELDED:
+    if endpoint.session.phase is Phase.YIELD:
         return f"the autopilot left {endpoint.session.vehicle.guided_name}"
     if now_s > limit_s:
         return f"time limit of {limit_s:g} s"

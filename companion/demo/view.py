@@ -17,9 +17,9 @@ from companion.guidance.states import IN_CONTROL, Phase
 from companion.guidance.status import GuidanceStatus
 
 PHASE_STYLE = {
-    Phase.ENGAGED: "bold green",
-    Phase.HOLDING: "bold yellow",
-    Phase.YIELDED: "bold red",
+    Phase.NORMAL: "bold green",
+    Phase.HOLD: "bold yellow",
+    Phase.YIELD: "bold red",
     Phase.FINISHED: "bold cyan",
 }
 STATE_STYLE = {

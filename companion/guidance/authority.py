@@ -71,4 +71,4 @@ class Authority:
         """Whether offboard, seen now, was given by the operator."""
         if self._must_leave_offboard:
             return False
-        return self.phase is not Phase.YIELDED or now_s - self.since_s >= REGAIN_QUIET_S
+        return self.phase is not Phase.YIELD or now_s - self.since_s >= REGAIN_QUIET_S

@@ -7,15 +7,15 @@ operator gave it that mode; everything else is either getting there or staying o
     STANDBY    ready; streams "stay here" so that the mode can be entered (PX4 refuses offboard
                without a stream). The operator switches the mode, or in auto the launch begins.
     LAUNCHING  auto only, once: arm, take off, ask for offboard.
-    ENGAGED    offboard and armed: flies what the planner wants, through the guard.
-    HOLDING    offboard and armed, but something the plan stands on is missing (ranging, own
+    NORMAL     offboard and armed: flies what the planner wants, through the guard.
+    HOLD       offboard and armed, but something the plan stands on is missing (ranging, own
                position, a filter that makes sense): streams "stay here".
     FINISHED   the target was reported; the autopilot was asked for the mode that follows, and
                gets "stay here" until it has left offboard, never again after that.
-    YIELDED    the mode left offboard for whatever reason: silence, latched. Only the operator
+    YIELD      the mode left offboard for whatever reason: silence, latched. Only the operator
                ends it, by giving offboard again (on the ground, or with another source of
                setpoints), by an explicit grant, or by disarming (the next flight is a new one).
-    HANDING_BACK  asked to stop while in control: asks for the autopilot's own hold mode and
+    HANDBACK   asked to stop while in control: asks for the autopilot's own hold mode and
                gives it "stay here" until it confirms.
     STOPPED    the process may end.
 
@@ -35,11 +35,11 @@ class Phase(Enum):
     WAITING = "waiting"
     STANDBY = "standby"
     LAUNCHING = "launching"
-    ENGAGED = "engaged"
-    HOLDING = "holding"
+    NORMAL = "normal"
+    HOLD = "hold"
     FINISHED = "finished"
-    YIELDED = "yielded"
-    HANDING_BACK = "handing back"
+    YIELD = "yield"
+    HANDBACK = "handback"
     STOPPED = "stopped"
 
 
@@ -61,54 +61,54 @@ class Trigger(Enum):
     HANDED_BACK = "the hand-back is over"
 
 
-IN_CONTROL = frozenset({Phase.ENGAGED, Phase.HOLDING})
+IN_CONTROL = frozenset({Phase.NORMAL, Phase.HOLD})
 """Phases in which the vehicle obeys our setpoints."""
 
 STREAMING = IN_CONTROL | {
     Phase.STANDBY,
     Phase.LAUNCHING,
     Phase.FINISHED,
-    Phase.HANDING_BACK,
+    Phase.HANDBACK,
 }
 """Phases in which setpoints may be sent at all."""
 
-OUT_OF_CONTROL = frozenset({Phase.WAITING, Phase.YIELDED, Phase.STOPPED})
+OUT_OF_CONTROL = frozenset({Phase.WAITING, Phase.YIELD, Phase.STOPPED})
 """Phases in which nothing may be asked of the autopilot, nor asked again."""
 
 TRANSITIONS: dict[tuple[Phase, Trigger], Phase] = {
     (Phase.WAITING, Trigger.READY): Phase.STANDBY,
     (Phase.STANDBY, Trigger.LAUNCH): Phase.LAUNCHING,
-    (Phase.STANDBY, Trigger.MODE_GIVEN): Phase.HOLDING,
-    (Phase.LAUNCHING, Trigger.MODE_GIVEN): Phase.HOLDING,
-    (Phase.LAUNCHING, Trigger.LAUNCH_FAILED): Phase.YIELDED,
-    (Phase.LAUNCHING, Trigger.MODE_LOST): Phase.YIELDED,
-    (Phase.HOLDING, Trigger.INPUT_BACK): Phase.ENGAGED,
-    (Phase.ENGAGED, Trigger.INPUT_LOST): Phase.HOLDING,
-    (Phase.ENGAGED, Trigger.LOCALISED): Phase.FINISHED,
-    (Phase.ENGAGED, Trigger.MODE_LOST): Phase.YIELDED,
-    (Phase.HOLDING, Trigger.MODE_LOST): Phase.YIELDED,
-    (Phase.YIELDED, Trigger.GRANTED): Phase.STANDBY,
-    (Phase.YIELDED, Trigger.MODE_GIVEN): Phase.HOLDING,
+    (Phase.STANDBY, Trigger.MODE_GIVEN): Phase.HOLD,
+    (Phase.LAUNCHING, Trigger.MODE_GIVEN): Phase.HOLD,
+    (Phase.LAUNCHING, Trigger.LAUNCH_FAILED): Phase.YIELD,
+    (Phase.LAUNCHING, Trigger.MODE_LOST): Phase.YIELD,
+    (Phase.HOLD, Trigger.INPUT_BACK): Phase.NORMAL,
+    (Phase.NORMAL, Trigger.INPUT_LOST): Phase.HOLD,
+    (Phase.NORMAL, Trigger.LOCALISED): Phase.FINISHED,
+    (Phase.NORMAL, Trigger.MODE_LOST): Phase.YIELD,
+    (Phase.HOLD, Trigger.MODE_LOST): Phase.YIELD,
+    (Phase.YIELD, Trigger.GRANTED): Phase.STANDBY,
+    (Phase.YIELD, Trigger.MODE_GIVEN): Phase.HOLD,
     (Phase.FINISHED, Trigger.GRANTED): Phase.STANDBY,
-    (Phase.ENGAGED, Trigger.STOP): Phase.HANDING_BACK,
-    (Phase.HOLDING, Trigger.STOP): Phase.HANDING_BACK,
-    (Phase.LAUNCHING, Trigger.STOP): Phase.HANDING_BACK,
-    (Phase.FINISHED, Trigger.STOP): Phase.HANDING_BACK,
-    (Phase.HANDING_BACK, Trigger.HANDED_BACK): Phase.STOPPED,
-    (Phase.HANDING_BACK, Trigger.MODE_LOST): Phase.STOPPED,
-    (Phase.HANDING_BACK, Trigger.DISARMED): Phase.STOPPED,
+    (Phase.NORMAL, Trigger.STOP): Phase.HANDBACK,
+    (Phase.HOLD, Trigger.STOP): Phase.HANDBACK,
+    (Phase.LAUNCHING, Trigger.STOP): Phase.HANDBACK,
+    (Phase.FINISHED, Trigger.STOP): Phase.HANDBACK,
+    (Phase.HANDBACK, Trigger.HANDED_BACK): Phase.STOPPED,
+    (Phase.HANDBACK, Trigger.MODE_LOST): Phase.STOPPED,
+    (Phase.HANDBACK, Trigger.DISARMED): Phase.STOPPED,
 }
 TRANSITIONS |= {
-    (phase, Trigger.STOP): Phase.STOPPED for phase in (Phase.WAITING, Phase.STANDBY, Phase.YIELDED)
+    (phase, Trigger.STOP): Phase.STOPPED for phase in (Phase.WAITING, Phase.STANDBY, Phase.YIELD)
 }
 TRANSITIONS |= {
     (phase, Trigger.RESTARTED): Phase.WAITING
     for phase in Phase
-    if phase not in (Phase.HANDING_BACK, Phase.STOPPED)
+    if phase not in (Phase.HANDBACK, Phase.STOPPED)
 }
 TRANSITIONS |= {
     (phase, Trigger.DISARMED): Phase.WAITING
-    for phase in (Phase.LAUNCHING, Phase.ENGAGED, Phase.HOLDING, Phase.YIELDED, Phase.FINISHED)
+    for phase in (Phase.LAUNCHING, Phase.NORMAL, Phase.HOLD, Phase.YIELD, Phase.FINISHED)
 }
 
 

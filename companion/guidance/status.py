@@ -7,13 +7,8 @@ from dataclasses import dataclass
 
 from companion.domain import FlightMode, PositionEnu, TargetEstimate, Waypoint
 from companion.estimation.innovation_noise import TrackerHealth
-from companion.estimation.tracker import TargetTracker
-from companion.guidance.authority import Authority
-from companion.guidance.flight_plan import FlightPlan
-from companion.guidance.launch import Launch
+from companion.guidance.situation import Situation
 from companion.guidance.states import Phase
-from companion.guidance.steering import Steering
-from companion.guidance.vehicle import VehicleView
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,30 +36,21 @@ class GuidanceStatus:
     refused: Mapping[str, int]
 
 
-def snapshot(
-    now_s: float,
-    authority: Authority,
-    hold_reason: str,
-    launch: Launch | None,
-    vehicle: VehicleView,
-    flight_plan: FlightPlan,
-    steering: Steering,
-    tracker: TargetTracker,
-    estimate: TargetEstimate | None,
-) -> GuidanceStatus:
+def snapshot(now_s: float, situation: Situation) -> GuidanceStatus:
     """The status that the parts of a session add up to."""
+    vehicle, steering, tracker = situation.vehicle, situation.steering, situation.tracker
     return GuidanceStatus(
         time_s=now_s,
-        phase=authority.phase,
-        detail=_detail(authority, hold_reason, launch, flight_plan.waypoint, vehicle.guided_name),
+        phase=situation.phase,
+        detail=_detail(situation),
         mode=vehicle.mode,
         is_armed=vehicle.is_armed,
         is_link_lost=vehicle.is_link_lost(now_s),
         vehicle_enu_m=vehicle.position_enu_m,
         height_m=vehicle.height_m,
         distance_m=vehicle.distance_m,
-        estimate=estimate,
-        waypoint=flight_plan.waypoint,
+        estimate=situation.estimate,
+        waypoint=situation.flight_plan.waypoint,
         setpoint_enu_m=steering.setpoint_enu_m,
         guard=tuple(reason.value for reason in steering.reasons),
         health=tracker.health,
@@ -73,21 +59,17 @@ def snapshot(
     )
 
 
-def _detail(
-    authority: Authority,
-    hold_reason: str,
-    launch: Launch | None,
-    waypoint: Waypoint | None,
-    guided_name: str,
-) -> str:
+def _detail(situation: Situation) -> str:
     """Why it waits or holds, how far the launch is, or what it flies at."""
-    phase = authority.phase
-    if phase is Phase.WAITING and not authority.may_begin:
+    phase, launch = situation.phase, situation.launch
+    waypoint = situation.flight_plan.waypoint
+    if phase is Phase.WAITING and not situation.authority.may_begin:
+        guided_name = situation.vehicle.guided_name
         return f"found in {guided_name} or in a failsafe: change its mode, or grant control"
-    if phase is Phase.HOLDING:
-        return hold_reason
+    if phase is Phase.HOLD:
+        return situation.hold_reason
     if phase is Phase.LAUNCHING and launch is not None:
         return launch.stage.value
-    if phase is Phase.ENGAGED and waypoint is not None:
+    if phase is Phase.NORMAL and waypoint is not None:
         return f"{waypoint.reason.value}: {waypoint.detail}"
     return ""

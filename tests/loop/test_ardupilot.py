@@ -25,9 +25,9 @@ def copter(config: CompanionConfig = AUTO, seed: int = 1) -> Loop:
 
 
 def flying(seed: int = 1) -> Loop:
-    """An engaged flight in mid-search."""
+    """A flight in mid-search."""
     loop = copter(seed=seed)
-    loop.run_until(lambda: loop.phase is Phase.ENGAGED, 30.0)
+    loop.run_until(lambda: loop.phase is Phase.NORMAL, 30.0)
     loop.run(2.0)
     return loop
 
@@ -69,7 +69,7 @@ def test_texts_speak_of_guided_and_never_of_offboard() -> None:
 
 def test_no_setpoint_disturbs_the_take_off() -> None:
     loop = copter()
-    loop.run_until(lambda: loop.phase is Phase.HOLDING, 30.0)
+    loop.run_until(lambda: loop.phase is Phase.HOLD, 30.0)
     assert loop.setpoints == []
     assert loop.sim.vehicle.body.height_m >= 0.9 * AUTO.mission.altitude_m
 
@@ -77,7 +77,7 @@ def test_no_setpoint_disturbs_the_take_off() -> None:
 def test_an_operators_take_off_is_taken_over_once_it_is_in_the_air() -> None:
     loop = climbing()
     assert loop.setpoints == []
-    loop.run_until(lambda: loop.phase is Phase.ENGAGED, 30.0)
+    loop.run_until(lambda: loop.phase is Phase.NORMAL, 30.0)
     assert loop.sim.vehicle.body.height_m == pytest.approx(20.0, abs=1.0)
 
 
@@ -91,7 +91,7 @@ def test_the_stream_ends_with_the_first_foreign_mode(mode: FlightMode, seed: int
     loop.run(10.0)
     assert loop.setpoints_since(overridden_s - 1e-9) == []
     assert SET_MODE not in [number for _, number in loop.commands[asked:]]
-    assert loop.phase in (Phase.YIELDED, Phase.WAITING)
+    assert loop.phase in (Phase.YIELD, Phase.WAITING)
 
 
 def test_guided_given_again_after_a_while_gives_control_back() -> None:

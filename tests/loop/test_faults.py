@@ -21,9 +21,9 @@ PlannerKind = Literal["latched_crossing", "reactive_crossing"]
 ARM = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
 
 
-def engaged(faults: LinkFaults | None = None, config: CompanionConfig = AUTO) -> Loop:
+def in_control(faults: LinkFaults | None = None, config: CompanionConfig = AUTO) -> Loop:
     loop = Loop(config, faults=faults or LinkFaults())
-    loop.run_until(lambda: loop.phase is Phase.ENGAGED, 60.0)
+    loop.run_until(lambda: loop.phase is Phase.NORMAL, 60.0)
     loop.run(2.0)
     return loop
 
@@ -46,10 +46,10 @@ def test_a_bad_link_still_localises(faults: LinkFaults) -> None:
 
 
 def test_a_short_cut_is_survived() -> None:
-    loop = engaged()
+    loop = in_control()
     loop.is_link_up = False
     loop.run(3.0)
-    assert loop.phase is Phase.HOLDING
+    assert loop.phase is Phase.HOLD
     assert loop.mode is FlightMode.HOLD  # the autopilot's own failsafe
     loop.is_link_up = True
     loop.run_until(lambda: bool(loop.notes.results), 60.0)
@@ -58,7 +58,7 @@ def test_a_short_cut_is_survived() -> None:
 
 
 def test_a_long_cut_leaves_the_vehicle_to_its_failsafe() -> None:
-    loop = engaged()
+    loop = in_control()
     loop.is_link_up = False
     cut_s = loop.now_s
     loop.run(30.0)
@@ -69,11 +69,11 @@ def test_a_long_cut_leaves_the_vehicle_to_its_failsafe() -> None:
     loop.run(10.0)
     assert loop.setpoints_since(back_s) == []
     assert loop.mode is FlightMode.HOLD
-    assert loop.phase is Phase.YIELDED
+    assert loop.phase is Phase.YIELD
 
 
 def test_control_can_be_given_back_after_a_long_cut() -> None:
-    loop = engaged()
+    loop = in_control()
     loop.is_link_up = False
     loop.run(30.0)
     loop.is_link_up = True
@@ -84,21 +84,21 @@ def test_control_can_be_given_back_after_a_long_cut() -> None:
 
 
 def test_without_ranging_it_holds_and_goes_on_when_the_radio_is_back() -> None:
-    loop = engaged()
+    loop = in_control()
     loop.is_ranging_up = False
-    assert loop.run_until(lambda: loop.phase is Phase.HOLDING, 6.0) <= 5.1
+    assert loop.run_until(lambda: loop.phase is Phase.HOLD, 6.0) <= 5.1
     loop.run(2.0)
     held = loop.setpoints_since(loop.now_s - 1.0)
     assert len({s.position_enu_m for s in held}) == 1
     assert len(held) == 20
     loop.is_ranging_up = True
-    assert loop.run_until(lambda: loop.phase is Phase.ENGAGED, 2.0) <= 0.3
+    assert loop.run_until(lambda: loop.phase is Phase.NORMAL, 2.0) <= 0.3
     loop.run_until(lambda: bool(loop.notes.results), 60.0)
     assert loop.error_m <= 1.5
 
 
 def test_a_reboot_in_flight_ends_control_and_nothing_is_launched_again() -> None:
-    loop = engaged()
+    loop = in_control()
     loop.reboot()
     rebooted_s, asked = loop.now_s, len(loop.commands)
     loop.run(30.0)
@@ -119,7 +119,7 @@ def test_a_reboot_in_flight_ends_control_and_nothing_is_launched_again() -> None
 
 
 def test_an_origin_that_moves_in_flight_is_held_on_and_flown_anew() -> None:
-    loop = engaged()
+    loop = in_control()
     loop.run(4.0)
     vehicle = loop.sim.vehicle
     lat, lon, alt = vehicle.origin.geodetic_from_enu((0.0, 12.0, 0.0))
@@ -128,13 +128,13 @@ def test_an_origin_that_moves_in_flight_is_held_on_and_flown_anew() -> None:
     loop.command(REQUEST_MESSAGE, float(mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN))
     loop.run(2.0)
     assert loop.said("local origin moved by 12 m")
-    assert loop.phase is Phase.HOLDING
+    assert loop.phase is Phase.HOLD
     assert loop.companion.session.estimate is None
     held = loop.setpoints_since(loop.now_s - 1.0)
     assert len(held) == 20
     assert len({s.position_enu_m for s in held}) == 1
     loop.is_ranging_up = True
-    assert loop.run_until(lambda: loop.phase is Phase.ENGAGED, 2.0) <= 0.3
+    assert loop.run_until(lambda: loop.phase is Phase.NORMAL, 2.0) <= 0.3
 
 
 @pytest.mark.parametrize("kind", ["latched_crossing", "reactive_crossing"])
@@ -153,7 +153,7 @@ def test_a_target_by_the_fence_never_draws_the_vehicle_over_it(kind: PlannerKind
 
 
 def test_setpoints_keep_the_altitude_band_and_the_speed_limit() -> None:
-    loop = engaged()
+    loop = in_control()
     loop.run(40.0)
     ups = [s.position_enu_m[2] for s in loop.setpoints]
     assert min(ups) >= 5.0 - 1e-4

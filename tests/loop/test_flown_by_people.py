@@ -19,9 +19,9 @@ TAKEOFF = mavlink.MAV_CMD_NAV_TAKEOFF
 
 
 def flying(config: CompanionConfig | None = None, seed: int = 1) -> Loop:
-    """An engaged flight in mid-search."""
+    """A flight in mid-search."""
     loop = Loop(seed=seed) if config is None else Loop(config, seed=seed)
-    loop.run_until(lambda: loop.phase is Phase.ENGAGED, 30.0)
+    loop.run_until(lambda: loop.phase is Phase.NORMAL, 30.0)
     loop.run(2.0)
     return loop
 
@@ -61,7 +61,7 @@ def test_after_an_override_not_one_setpoint_and_not_one_mode_request(seed: int) 
     assert loop.setpoints_since(overridden_s - 1e-9) == []
     assert SET_MODE not in [command for _, command in loop.commands[asked:]]
     assert loop.mode in (mode, FlightMode.HOLD)
-    assert loop.phase in (Phase.YIELDED, Phase.WAITING)
+    assert loop.phase in (Phase.YIELD, Phase.WAITING)
 
 
 def test_control_comes_back_by_a_grant_and_the_mode_switch() -> None:

@@ -65,7 +65,7 @@ def _distance_m(loop: Loop) -> float:
 @pytest.mark.parametrize("search", ["lawnmower", "expanding_square", "sector"])
 def test_an_emitter_out_of_reach_is_searched_for_and_found(search: PatternKind) -> None:
     loop = _loop(_config(search))
-    loop.run_until(lambda: loop.phase is Phase.ENGAGED, 30.0)
+    loop.run_until(lambda: loop.phase is Phase.NORMAL, 30.0)
     assert loop.companion.session.estimate is None
     assert loop.said("no contact yet: flying the search pattern")
     loop.run_until(lambda: loop.companion.session.estimate is not None, 250.0)
@@ -81,7 +81,7 @@ def test_an_emitter_out_of_reach_is_searched_for_and_found(search: PatternKind) 
 def test_without_a_search_the_same_flight_waits() -> None:
     loop = _loop(_config(None))
     loop.run(60.0)
-    assert loop.phase is Phase.HOLDING
+    assert loop.phase is Phase.HOLD
     assert loop.said("hold: waiting for ranging")
 
 
@@ -91,8 +91,8 @@ def test_contact_that_is_lost_leads_back_to_the_search_and_may_come_again() -> N
     loop.run(2.0)
     left = loop.sim.vehicle.body.position_enu_m[:2]
     loop.is_ranging_up = False
-    loop.run_until(lambda: loop.phase is Phase.HOLDING, 6.0)
-    loop.run_until(lambda: loop.phase is Phase.ENGAGED, 6.0)
+    loop.run_until(lambda: loop.phase is Phase.HOLD, 6.0)
+    loop.run_until(lambda: loop.phase is Phase.NORMAL, 6.0)
     assert loop.said("no contact for 10 s: back to the search pattern")
     assert "back to where it was left" in loop.companion.session.status(loop.now_s).detail
     loop.run(30.0)

@@ -197,15 +197,15 @@ class ScriptedFlight:
         self.fly(1.0)
         return self
 
-    def engaged(self) -> ScriptedFlight:
+    def in_control(self) -> ScriptedFlight:
         """Given offboard by the operator, and flying the plan."""
         self.ready()
         self.show(FlightMode.OFFBOARD)
         self.fly(1.0)
-        assert self.phase is Phase.ENGAGED, self.texts
+        assert self.phase is Phase.NORMAL, self.texts
         return self
 
-    def engaged_automatically(self) -> ScriptedFlight:
+    def launched_by_itself(self) -> ScriptedFlight:
         """Launched by the session itself: PX4, already in the air in hold."""
         self.ready()
         self.fly(2.0)
@@ -213,7 +213,7 @@ class ScriptedFlight:
         self.answer(RequestKind.SET_MODE)
         self.show(FlightMode.OFFBOARD)
         self.fly(1.0)
-        assert self.phase is Phase.ENGAGED, self.texts
+        assert self.phase is Phase.NORMAL, self.texts
         return self
 
     def fly_until_reported(self) -> None:

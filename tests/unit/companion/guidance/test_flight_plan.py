@@ -38,13 +38,13 @@ def _waypoints(flight: ScriptedFlight) -> list[str]:
 
 def test_without_a_search_it_holds_until_there_is_ranging() -> None:
     flight = _searching(PlannerConfig())
-    assert flight.is_in(Phase.HOLDING)
+    assert flight.is_in(Phase.HOLD)
     assert flight.session.status(flight.now_s).detail == "waiting for ranging"
 
 
 def test_with_a_search_it_flies_it_before_anything_is_heard() -> None:
     flight = _searching()
-    assert flight.is_in(Phase.ENGAGED)
+    assert flight.is_in(Phase.NORMAL)
     assert "no contact yet: flying the search pattern" in flight.texts
     assert flight.session.status(flight.now_s).detail.startswith("search: to lawnmower, leg 1")
     before = flight.place
@@ -68,10 +68,10 @@ def test_contact_lost_is_waited_for_and_then_searched_for() -> None:
     flight.fly(3.0)
     flight.has_ranging = False
     flight.fly(6.0)
-    assert flight.is_in(Phase.HOLDING)
+    assert flight.is_in(Phase.HOLD)
     assert flight.texts[-1] == "hold: no ranging for 5 s"
     flight.fly(7.0)
-    assert flight.is_in(Phase.ENGAGED)
+    assert flight.is_in(Phase.NORMAL)
     assert "no contact for 12 s: back to the search pattern" in flight.texts
     assert _waypoints(flight)[-1] == "search"
     flight.has_ranging = True
@@ -87,7 +87,7 @@ def test_what_was_believed_before_contact_was_lost_is_not_reported() -> None:
         flight.fly(0.1)
     flight.has_ranging = False
     flight.fly(60.0)
-    assert flight.is_in(Phase.ENGAGED)
+    assert flight.is_in(Phase.NORMAL)
     assert not flight.results
 
 
@@ -100,11 +100,11 @@ def test_a_pattern_alone_is_flown_whatever_is_heard() -> None:
 
 
 def test_a_plan_is_renewed_without_a_measurement() -> None:
-    flight = ScriptedFlight().engaged()
+    flight = ScriptedFlight().in_control()
     flight.has_ranging = False
     plan = flight.session.flight_plan
     flight.fly(1.0)
-    assert flight.is_in(Phase.ENGAGED)
+    assert flight.is_in(Phase.NORMAL)
     assert not plan.is_due(flight.now_s)
     assert plan.is_due(flight.now_s + PLAN_PERIOD_S)
 
@@ -128,7 +128,7 @@ def test_a_frame_that_moves_starts_the_search_anew() -> None:
 def test_crossings_swing_in_height_within_the_band() -> None:
     planner = PlannerConfig(latched_crossing=LatchedCrossingParams(altitude_swing_m=6.0))
     limits = LimitsConfig(altitude_min_m=16.0, altitude_max_m=24.0)
-    flight = ScriptedFlight(limits=limits, planner=planner).engaged()
+    flight = ScriptedFlight(limits=limits, planner=planner).in_control()
     flight.follows = True
     flight.fly(40.0)
     ups = [up for _, _, up in flight.setpoints]
@@ -142,7 +142,7 @@ HOUSE = ((15.0, 5.0), (25.0, 5.0), (25.0, 30.0), (15.0, 30.0))
 
 def test_no_setpoint_enters_a_keep_out_on_the_way_to_the_target() -> None:
     limits = LimitsConfig(keep_out_enu_m=(HOUSE,), fence_margin_m=2.0)
-    flight = ScriptedFlight(limits=limits).engaged()
+    flight = ScriptedFlight(limits=limits).in_control()
     flight.follows = True
     flight.fly_until_reported()
     assert "detour" in _waypoints(flight)
@@ -154,7 +154,7 @@ def test_no_setpoint_enters_a_keep_out_on_the_way_to_the_target() -> None:
 def test_a_target_in_a_keep_out_is_announced_once_and_found_from_around_it() -> None:
     house = ((30.0, 22.0), (46.0, 22.0), (46.0, 40.0), (30.0, 40.0))
     limits = LimitsConfig(keep_out_enu_m=(house,), fence_margin_m=2.0)
-    flight = ScriptedFlight(SessionParams(stop_radius_m=2.0), limits=limits).engaged()
+    flight = ScriptedFlight(SessionParams(stop_radius_m=2.0), limits=limits).in_control()
     flight.follows = True
     flight.fly_until_reported()
     assert len([text for text in flight.texts if "in a keep-out" in text]) == 1

@@ -78,7 +78,7 @@ def test_ardupilot_in_guided_is_not_taken_before_its_takeoff_is_over() -> None:
         assert silent_since(flight, -1.0)
     flight.report_landed(LandedState.IN_AIR)
     flight.fly(1.1)
-    assert flight.is_in(Phase.HOLDING, Phase.ENGAGED)
+    assert flight.is_in(Phase.HOLD, Phase.NORMAL)
 
 
 def test_a_heartbeat_leaves_once_a_second_from_the_tick_and_stops_with_it() -> None:
@@ -109,47 +109,47 @@ def test_offboard_on_the_ground_gives_no_control_until_armed() -> None:
     flight.fly(1.0)
     assert flight.is_in(Phase.STANDBY)
     flight.show(FlightMode.OFFBOARD)
-    assert flight.is_in(Phase.HOLDING)
+    assert flight.is_in(Phase.HOLD)
 
 
-# Holding
+# Hold
 
 
 def test_holds_after_five_seconds_without_ranging_and_resumes() -> None:
-    flight = ScriptedFlight().engaged()
+    flight = ScriptedFlight().in_control()
     flight.has_ranging = False
     flight.fly(4.9)
-    assert flight.is_in(Phase.ENGAGED)
+    assert flight.is_in(Phase.NORMAL)
     flight.fly(0.2)
-    assert flight.is_in(Phase.HOLDING)
+    assert flight.is_in(Phase.HOLD)
     assert "hold: no ranging for 5 s" in flight.texts
     flight.fly(1.0)
     assert len(set(flight.setpoints[-20:])) == 1
     flight.has_ranging = True
     flight.fly(0.2)
-    assert flight.is_in(Phase.ENGAGED)
+    assert flight.is_in(Phase.NORMAL)
 
 
 def test_holds_when_its_own_position_is_stale() -> None:
-    flight = ScriptedFlight().engaged()
+    flight = ScriptedFlight().in_control()
     flight.has_position = False
     flight.fly(0.5)
-    assert flight.is_in(Phase.ENGAGED)
+    assert flight.is_in(Phase.NORMAL)
     flight.fly(0.05)
-    assert flight.is_in(Phase.HOLDING)
+    assert flight.is_in(Phase.HOLD)
     assert flight.texts[-1] == "hold: own position is stale"
     flight.has_position = True
     flight.fly(0.2)
-    assert flight.is_in(Phase.ENGAGED)
+    assert flight.is_in(Phase.NORMAL)
 
 
 def test_holds_when_the_link_is_lost_and_goes_silent_in_the_end() -> None:
-    flight = ScriptedFlight().engaged()
+    flight = ScriptedFlight().in_control()
     flight.heartbeat()
     flight.has_link = flight.has_ranging = False
     cut_s = flight.now_s
     flight.fly(1.1)
-    assert flight.is_in(Phase.HOLDING)
+    assert flight.is_in(Phase.HOLD)
     assert flight.texts[-1] == "hold: autopilot link lost"
     flight.fly(15.0)
     assert [at for at, c in flight.log if isinstance(c, SendSetpoint)][-1] == pytest.approx(
@@ -158,7 +158,7 @@ def test_holds_when_the_link_is_lost_and_goes_silent_in_the_end() -> None:
 
 
 def test_frames_without_a_heartbeat_do_not_end_the_silence() -> None:
-    flight = ScriptedFlight().engaged()
+    flight = ScriptedFlight().in_control()
     flight.heartbeat()
     flight.has_link = flight.has_ranging = False
     flight.fly(30.0)
@@ -169,16 +169,18 @@ def test_frames_without_a_heartbeat_do_not_end_the_silence() -> None:
     flight.show(FlightMode.HOLD, is_failsafe=True)
     flight.fly(3.0)
     assert silent_since(flight, since_s)
-    assert flight.is_in(Phase.YIELDED)
+    assert flight.is_in(Phase.YIELD)
 
 
 def test_holds_while_the_filter_is_diverged() -> None:
-    flight = ScriptedFlight().engaged()
+    flight = ScriptedFlight().in_control()
     assert flight.session.estimate is not None
     flight.has_ranging = False
-    flight.session.estimate = replace(flight.session.estimate, state=EstimateState.DIVERGED)
+    flight.session.situation.estimate = replace(
+        flight.session.estimate, state=EstimateState.DIVERGED
+    )
     flight.fly(0.05)
-    assert flight.is_in(Phase.HOLDING)
+    assert flight.is_in(Phase.HOLD)
     assert flight.texts[-1] == "hold: the filter is recovering from a contradiction"
 
 
@@ -190,17 +192,17 @@ def test_holds_while_the_filter_is_diverged() -> None:
 def test_any_other_mode_means_silence_from_that_very_event_on(
     mode: FlightMode, is_failsafe: bool
 ) -> None:
-    flight = ScriptedFlight().engaged()
+    flight = ScriptedFlight().in_control()
     lost_s = flight.now_s
     flight.show(mode, is_failsafe=is_failsafe)
-    assert flight.is_in(Phase.YIELDED)
+    assert flight.is_in(Phase.YIELD)
     assert flight.has_withdrawn
     flight.fly(60.0)
     assert silent_since(flight, lost_s)
 
 
 def test_a_failsafe_while_holding_is_a_loss_too() -> None:
-    flight = ScriptedFlight().engaged()
+    flight = ScriptedFlight().in_control()
     flight.has_ranging = False
     flight.fly(6.0)
     lost_s = flight.now_s
@@ -211,30 +213,30 @@ def test_a_failsafe_while_holding_is_a_loss_too() -> None:
 
 
 def test_offboard_seen_right_after_the_loss_is_our_own_echo() -> None:
-    flight = ScriptedFlight().engaged()
+    flight = ScriptedFlight().in_control()
     flight.show(FlightMode.HOLD, is_failsafe=True)
     lost_s = flight.now_s
     flight.fly(1.9)
     flight.show(FlightMode.OFFBOARD)
-    assert flight.is_in(Phase.YIELDED)
+    assert flight.is_in(Phase.YIELD)
     flight.show(FlightMode.HOLD)
     flight.fly(1.0)
     assert silent_since(flight, lost_s)
 
 
 def test_offboard_seen_two_seconds_later_was_given() -> None:
-    flight = ScriptedFlight().engaged()
+    flight = ScriptedFlight().in_control()
     flight.show(FlightMode.POSITION)
     flight.fly(2.0)
     flight.show(FlightMode.OFFBOARD)
-    assert flight.is_in(Phase.HOLDING)
+    assert flight.is_in(Phase.HOLD)
     flight.fly(0.2)
-    assert flight.is_in(Phase.ENGAGED)
+    assert flight.is_in(Phase.NORMAL)
     assert flight.asked_modes() == []
 
 
 def test_a_grant_makes_ready_and_the_mode_switch_engages() -> None:
-    flight = ScriptedFlight().engaged()
+    flight = ScriptedFlight().in_control()
     flight.show(FlightMode.POSITION)
     flight.fly(1.0)
     flight.give(ControlGranted(flight.now_s))
@@ -243,12 +245,12 @@ def test_a_grant_makes_ready_and_the_mode_switch_engages() -> None:
     flight.fly(1.0)
     assert len(flight.sent(SendSetpoint, granted_s)) == 20
     flight.show(FlightMode.OFFBOARD)
-    assert flight.is_in(Phase.HOLDING)
+    assert flight.is_in(Phase.HOLD)
     assert flight.asked_modes() == []
 
 
 def test_the_first_setpoint_after_a_loss_is_where_the_vehicle_is() -> None:
-    flight = ScriptedFlight().engaged()
+    flight = ScriptedFlight().in_control()
     flight.show(FlightMode.POSITION)
     flight.place = (-60.0, -70.0, 30.0)
     flight.fly(3.0)
@@ -260,7 +262,7 @@ def test_the_first_setpoint_after_a_loss_is_where_the_vehicle_is() -> None:
 
 
 def test_disarming_ends_the_flight_and_leftover_offboard_does_not_begin_the_next() -> None:
-    flight = ScriptedFlight().engaged()
+    flight = ScriptedFlight().in_control()
     ended_s = flight.now_s
     flight.show(FlightMode.OFFBOARD, is_armed=False)
     assert flight.is_in(Phase.WAITING)
@@ -272,7 +274,7 @@ def test_disarming_ends_the_flight_and_leftover_offboard_does_not_begin_the_next
     flight.fly(0.1)
     assert flight.is_in(Phase.STANDBY)
     flight.show(FlightMode.OFFBOARD)
-    assert flight.is_in(Phase.HOLDING)
+    assert flight.is_in(Phase.HOLD)
 
 
 @pytest.mark.parametrize(
@@ -299,14 +301,14 @@ def test_a_grant_is_enough_for_a_vehicle_found_in_offboard() -> None:
     flight.fly(3.0)
     flight.give(ControlGranted(flight.now_s))
     flight.fly(1.2)
-    assert flight.is_in(Phase.HOLDING, Phase.ENGAGED)
+    assert flight.is_in(Phase.HOLD, Phase.NORMAL)
 
 
 # Restart and frame
 
 
 def test_a_restart_of_the_autopilot_forgets_tracker_and_frame() -> None:
-    flight = ScriptedFlight(SessionParams(engage="auto")).engaged_automatically()
+    flight = ScriptedFlight(SessionParams(engage="auto")).launched_by_itself()
     flight.give(AutopilotRestarted(flight.now_s))
     restarted_s = flight.now_s
     assert flight.is_in(Phase.WAITING)
@@ -324,7 +326,7 @@ def test_a_restart_of_the_autopilot_forgets_tracker_and_frame() -> None:
 
 
 def test_a_vehicle_that_flies_in_offboard_after_a_restart_is_left_alone() -> None:
-    flight = ScriptedFlight().engaged()
+    flight = ScriptedFlight().in_control()
     flight.give(AutopilotRestarted(flight.now_s))
     restarted_s = flight.now_s
     flight.locate()
@@ -336,32 +338,32 @@ def test_a_vehicle_that_flies_in_offboard_after_a_restart_is_left_alone() -> Non
 def test_an_origin_that_moves_takes_the_estimate_with_it(
     north_m: float, is_new_frame: bool
 ) -> None:
-    flight = ScriptedFlight().engaged()
+    flight = ScriptedFlight().in_control()
     flight.has_ranging = False
     moved = LocalOrigin(*ORIGIN.geodetic_from_enu((0.0, north_m, 0.0)))
     flight.give(OriginSet(flight.now_s, moved))
     assert (flight.session.estimate is None) == is_new_frame
-    assert (flight.is_in(Phase.HOLDING)) == is_new_frame
+    assert (flight.is_in(Phase.HOLD)) == is_new_frame
     assert any("local origin moved" in text for text in flight.texts) == is_new_frame
 
 
 def test_after_the_origin_moved_it_holds_in_the_new_frame_until_new_ranging() -> None:
-    flight = ScriptedFlight().engaged()
+    flight = ScriptedFlight().in_control()
     flight.has_ranging = False
     flight.place = (0.0, -50.0, 20.0)
     since_s = flight.now_s
     flight.locate(LocalOrigin(*ORIGIN.geodetic_from_enu((0.0, 50.0, 0.0))))
     flight.fly(3.0)
-    assert flight.is_in(Phase.HOLDING)
+    assert flight.is_in(Phase.HOLD)
     sent = flight.sent(SendSetpoint, since_s)
     assert {c.setpoint.position_enu_m for c in sent} == {(0.0, -50.0, 20.0)}
     flight.has_ranging = True
     flight.fly(0.2)
-    assert flight.is_in(Phase.ENGAGED)
+    assert flight.is_in(Phase.NORMAL)
 
 
 def test_a_position_of_the_old_frame_is_not_flown_in_the_new_one() -> None:
-    flight = ScriptedFlight().engaged()
+    flight = ScriptedFlight().in_control()
     flight.has_position = flight.has_ranging = False
     since_s = flight.now_s
     flight.locate(LocalOrigin(*ORIGIN.geodetic_from_enu((0.0, 50.0, 0.0))))
@@ -383,7 +385,7 @@ def test_reports_after_the_confirmation_time_and_asks_for_the_mode_that_follows(
     on_localised: str, mode: FlightMode
 ) -> None:
     params = SessionParams(on_localised=on_localised)  # type: ignore[arg-type]
-    flight = ScriptedFlight(params).engaged()
+    flight = ScriptedFlight(params).in_control()
     flight.follows = True
     flight.fly_until_reported()
     (result,) = flight.results
@@ -396,7 +398,7 @@ def test_reports_after_the_confirmation_time_and_asks_for_the_mode_that_follows(
 
 
 def test_a_break_in_control_breaks_the_confirmation() -> None:
-    flight = ScriptedFlight(SessionParams(stop_confirm_s=10.0, stop_radius_m=2.0)).engaged()
+    flight = ScriptedFlight(SessionParams(stop_confirm_s=10.0, stop_radius_m=2.0)).in_control()
     flight.follows = True
     while flight.session.estimate is None or flight.session.estimate.r95_m > 1.9:
         flight.fly(0.5)
@@ -411,7 +413,7 @@ def test_a_break_in_control_breaks_the_confirmation() -> None:
 
 
 def test_after_the_report_setpoints_flow_until_the_mode_is_left_and_never_again() -> None:
-    flight = ScriptedFlight().engaged()
+    flight = ScriptedFlight().in_control()
     flight.follows = True
     flight.fly_until_reported()
     reported_s = flight.now_s
@@ -427,7 +429,7 @@ def test_after_the_report_setpoints_flow_until_the_mode_is_left_and_never_again(
 
 
 def test_a_stop_asks_for_hold_and_streams_until_it_is_confirmed() -> None:
-    flight = ScriptedFlight().engaged()
+    flight = ScriptedFlight().in_control()
     asked_s = flight.now_s
     flight.give(StopRequested(asked_s))
     assert flight.asked_modes() == [FlightMode.HOLD]
@@ -442,7 +444,7 @@ def test_a_stop_asks_for_hold_and_streams_until_it_is_confirmed() -> None:
 
 
 def test_a_stop_that_nobody_confirms_ends_within_a_second_and_a_half() -> None:
-    flight = ScriptedFlight().engaged()
+    flight = ScriptedFlight().in_control()
     asked_s = flight.now_s
     flight.give(StopRequested(asked_s))
     while not flight.session.is_stopped:
@@ -451,29 +453,29 @@ def test_a_stop_that_nobody_confirms_ends_within_a_second_and_a_half() -> None:
     assert flight.texts[-1] == "hand-back: not confirmed in time"
 
 
-@pytest.mark.parametrize("situation", ["waiting", "standby", "yielded"])
+@pytest.mark.parametrize("situation", ["waiting", "standby", "yield"])
 def test_a_stop_out_of_control_ends_at_once_without_a_request(situation: str) -> None:
     flight = ScriptedFlight()
     if situation == "standby":
         flight.ready()
-    if situation == "yielded":
-        flight.engaged().show(FlightMode.RETURN)
+    if situation == "yield":
+        flight.in_control().show(FlightMode.RETURN)
     flight.give(StopRequested(flight.now_s))
     assert flight.session.is_stopped
     assert flight.asked_modes() == []
 
 
 def test_a_stop_right_after_the_report_still_hands_back() -> None:
-    flight = ScriptedFlight(SessionParams(on_localised="return")).engaged()
+    flight = ScriptedFlight(SessionParams(on_localised="return")).in_control()
     flight.follows = True
     flight.fly_until_reported()
     flight.give(StopRequested(flight.now_s))
-    assert flight.is_in(Phase.HANDING_BACK)
+    assert flight.is_in(Phase.HANDBACK)
     assert flight.asked_modes() == [FlightMode.RETURN, FlightMode.RETURN]
 
 
 def test_a_refused_follow_up_is_told() -> None:
-    flight = ScriptedFlight().engaged()
+    flight = ScriptedFlight().in_control()
     flight.follows = True
     flight.fly_until_reported()
     flight.answer(RequestKind.SET_MODE, Outcome.REJECTED)
@@ -488,7 +490,7 @@ def test_setpoints_stay_inside_fence_and_band_wherever_the_target_is() -> None:
         fence_enu_m=((-10.0, -10.0), (25.0, -10.0), (25.0, 20.0), (-10.0, 20.0)),
         altitude_max_m=22.0,
     )
-    flight = ScriptedFlight(limits=limits).engaged()
+    flight = ScriptedFlight(limits=limits).in_control()
     flight.follows = True
     flight.fly(40.0)
     assert len(flight.setpoints) > 800
@@ -513,7 +515,7 @@ def test_a_vehicle_outside_is_only_called_inside(place: tuple[float, float, floa
 
 
 def test_parked_on_the_reported_target_it_learns_nothing_more() -> None:
-    flight = ScriptedFlight(SessionParams(stop_confirm_s=1.0)).engaged()
+    flight = ScriptedFlight(SessionParams(stop_confirm_s=1.0)).in_control()
     flight.follows = True
     flight.fly(60.0)
     assert flight.is_in(Phase.FINISHED)
@@ -548,7 +550,7 @@ def test_what_is_missing_is_named_after_a_while() -> None:
 
 def test_a_target_beyond_the_fence_is_announced_once() -> None:
     limits = LimitsConfig(fence_enu_m=((-20.0, -20.0), (20.0, -20.0), (20.0, 20.0), (-20.0, 20.0)))
-    flight = ScriptedFlight(limits=limits).engaged()
+    flight = ScriptedFlight(limits=limits).in_control()
     flight.follows = True
     flight.fly(20.0)
     assert len([text for text in flight.texts if "outside the fence" in text]) == 1

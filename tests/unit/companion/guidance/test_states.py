@@ -13,16 +13,16 @@ from companion.guidance.states import (
 )
 
 TABLE = """
-            READY   LAUNCH    LAUNCH_FAILED MODE_GIVEN MODE_LOST GRANTED DISARMED INPUT_LOST INPUT_BACK LOCALISED RESTARTED STOP         HANDED_BACK
-WAITING     STANDBY .         .             .          .         .       .        .          .          .         .         STOPPED      .
-STANDBY     .       LAUNCHING .             HOLDING    .         .       .        .          .          .         WAITING   STOPPED      .
-LAUNCHING   .       .         YIELDED       HOLDING    YIELDED   .       WAITING  .          .          .         WAITING   HANDING_BACK .
-ENGAGED     .       .         .             .          YIELDED   .       WAITING  HOLDING    .          FINISHED  WAITING   HANDING_BACK .
-HOLDING     .       .         .             .          YIELDED   .       WAITING  .          ENGAGED    .         WAITING   HANDING_BACK .
-FINISHED    .       .         .             .          .         STANDBY WAITING  .          .          .         WAITING   HANDING_BACK .
-YIELDED     .       .         .             HOLDING    .         STANDBY WAITING  .          .          .         WAITING   STOPPED      .
-HANDING_BACK .      .         .             .          STOPPED   .       STOPPED  .          .          .         .         .            STOPPED
-STOPPED     .       .         .             .          .         .       .        .          .          .         .         .            .
+          READY   LAUNCH    LAUNCH_FAILED MODE_GIVEN MODE_LOST GRANTED DISARMED INPUT_LOST INPUT_BACK LOCALISED RESTARTED STOP     HANDED_BACK
+WAITING   STANDBY .         .             .          .         .       .        .          .          .         .         STOPPED  .
+STANDBY   .       LAUNCHING .             HOLD       .         .       .        .          .          .         WAITING   STOPPED  .
+LAUNCHING .       .         YIELD         HOLD       YIELD     .       WAITING  .          .          .         WAITING   HANDBACK .
+NORMAL    .       .         .             .          YIELD     .       WAITING  HOLD       .          FINISHED  WAITING   HANDBACK .
+HOLD      .       .         .             .          YIELD     .       WAITING  .          NORMAL     .         WAITING   HANDBACK .
+FINISHED  .       .         .             .          .         STANDBY WAITING  .          .          .         WAITING   HANDBACK .
+YIELD     .       .         .             HOLD       .         STANDBY WAITING  .          .          .         WAITING   STOPPED  .
+HANDBACK  .       .         .             .          STOPPED   .       STOPPED  .          .          .         .         .        STOPPED
+STOPPED   .       .         .             .          .         .       .        .          .          .         .         .        .
 """  # noqa: E501  one row per phase is the point
 _HEAD, *_ROWS = [line.split() for line in TABLE.strip().splitlines()]
 EXPECTED = {
@@ -67,6 +67,6 @@ def test_control_is_only_entered_by_the_mode_being_given() -> None:
 
 
 def test_where_setpoints_may_flow() -> None:
-    assert frozenset({Phase.ENGAGED, Phase.HOLDING}) == IN_CONTROL
+    assert frozenset({Phase.NORMAL, Phase.HOLD}) == IN_CONTROL
     assert set(Phase) - STREAMING == OUT_OF_CONTROL
-    assert frozenset({Phase.WAITING, Phase.YIELDED, Phase.STOPPED}) == OUT_OF_CONTROL
+    assert frozenset({Phase.WAITING, Phase.YIELD, Phase.STOPPED}) == OUT_OF_CONTROL

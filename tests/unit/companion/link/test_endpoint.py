@@ -135,7 +135,7 @@ def test_its_own_frames_come_back_without_effect() -> None:
 def test_a_grant_is_accepted_and_told_to_its_sender() -> None:
     wire = Wire().ready(OFFBOARD)
     wire.say(heartbeat(is_armed=True, status=4))
-    assert wire.endpoint.session.phase is Phase.YIELDED
+    assert wire.endpoint.session.phase is Phase.YIELD
     said, ack = wire.say(command(GRANT, 1.0), sender=MavCodec(255, 190))
     assert isinstance(said, mavlink.MAVLink_statustext_message)
     assert isinstance(ack, Ack)
@@ -151,7 +151,7 @@ def test_a_grant_that_is_none_is_denied(p1: float) -> None:
     (ack,) = wire.say(command(GRANT, p1), sender=MavCodec(255, 190))
     assert isinstance(ack, Ack)
     assert ack.result == 2
-    assert wire.endpoint.session.phase is Phase.YIELDED
+    assert wire.endpoint.session.phase is Phase.YIELD
 
 
 @pytest.mark.parametrize("number", [22, 176, 246, 400, 511, 512, 65535])
@@ -180,7 +180,7 @@ def test_a_command_from_another_address_is_not_obeyed() -> None:
     wire = Wire().ready(OFFBOARD)
     wire.say(heartbeat(is_armed=True, status=4))
     assert wire.say(command(GRANT, 1.0), sender=MavCodec(255, 190), peer=STRANGER) == []
-    assert wire.endpoint.session.phase is Phase.YIELDED
+    assert wire.endpoint.session.phase is Phase.YIELD
 
 
 def test_an_answer_to_someone_else_is_not_ours() -> None:
@@ -274,7 +274,7 @@ def test_ten_thousand_broken_datagrams_between_good_ones_do_nothing() -> None:
             assert state_of(wire) == before
     wire.say(wire.position())
     wire.say(heartbeat(custom_mode=OFFBOARD, is_armed=True, status=4))
-    assert wire.endpoint.session.phase is Phase.HOLDING
+    assert wire.endpoint.session.phase is Phase.HOLD
     assert wire.endpoint.bad_frames > 0
 
 

@@ -1,0 +1,157 @@
+"""The control tick of a session: what is due, which phase that means, and the setpoint."""
+
+from __future__ import annotations
+
+import math
+
+from companion.domain import PositionSetpoint, TargetEstimate
+from companion.guard.gate import GuardReason
+from companion.guidance.commands import SendHeartbeat, SendSetpoint, Severity
+from companion.guidance.conditions import is_silence_due, missing_input
+from companion.guidance.launch import Launch, LaunchView
+from companion.guidance.params import FOLLOW_UP_MODE
+from companion.guidance.records import result_of
+from companion.guidance.situation import Situation
+from companion.guidance.states import Phase, Trigger
+from companion.guidance.stop_rule import StopRule
+from companion.guidance.waiting import WaitingReason
+
+TICK_S = 0.05
+"""Setpoints at 20 Hz: PX4 wants more than 2 Hz, and at 20 Hz a lossy link still delivers enough."""
+HEARTBEAT_PERIOD_S = 1.0
+HAND_BACK_S = 1.4
+"""How long the autopilot may take to confirm its hold mode: we end within 1.5 s of the request."""
+
+
+class ControlTick:
+    """Runs 20 times a second; heartbeats and setpoints come from here and from nowhere else.
+
+    Args:
+        situation: Of the session.
+    """
+
+    def __init__(self, situation: Situation) -> None:
+        self._situation = situation
+        self._stop_rule = StopRule(situation.params.stop_radius_m, situation.params.stop_confirm_s)
+        self._waiting = WaitingReason(situation.vehicle, situation.authority)
+        self._tick_s: float | None = None
+        self._next_heartbeat_s = -math.inf
+
+    def run(self, now_s: float) -> None:
+        """Decide and send."""
+        situation = self._situation
+        dt_s = TICK_S if self._tick_s is None else now_s - self._tick_s
+        self._tick_s = now_s
+        self._advance_phase(now_s)
+        if situation.phase is Phase.NORMAL and situation.flight_plan.is_due(now_s):
+            situation.plan_now(now_s)
+        if now_s >= self._next_heartbeat_s:
+            self._next_heartbeat_s = now_s + HEARTBEAT_PERIOD_S
+            situation.commands.append(SendHeartbeat())
+        setpoint = self._setpoint(now_s, dt_s)
+        if setpoint is None:
+            return
+        if GuardReason.JUMPED in situation.steering.reasons:
+            text = "own position jumped: going on from where it says"
+            situation.announce(Severity.WARNING, text)
+        situation.commands.append(SendSetpoint(setpoint))
+
+    def _advance_phase(self, now_s: float) -> None:
+        situation = self._situation
+        match situation.phase:
+            case Phase.WAITING:
+                self._wait(now_s)
+            case Phase.STANDBY if situation.params.engage == "auto" and not situation.has_launched:
+                situation.has_launched = True
+                situation.launch = Launch(situation.params.altitude_m, now_s)
+                situation.enter(Trigger.LAUNCH, now_s)
+            case Phase.LAUNCHING:
+                self._advance_launch(now_s)
+            case Phase.NORMAL | Phase.HOLD:
+                self._check_inputs(now_s)
+            case Phase.HANDBACK if now_s - situation.authority.since_s > HAND_BACK_S:
+                situation.announce(Severity.ERROR, "hand-back: not confirmed in time")
+                situation.enter(Trigger.HANDED_BACK, now_s)
+        self._check_localised(now_s)
+
+    def _wait(self, now_s: float) -> None:
+        situation = self._situation
+        reason = self._waiting.news(now_s)
+        if reason is not None:
+            situation.announce(Severity.WARNING, reason)
+        if situation.vehicle.is_usable(now_s) and situation.authority.may_begin:
+            situation.enter(Trigger.READY, now_s)
+            is_auto = situation.params.engage == "auto" and not situation.has_launched
+            guided = f"ready: switch to {situation.vehicle.guided_name} to give control"
+            situation.announce(Severity.INFO, "ready: launching by itself" if is_auto else guided)
+
+    def _advance_launch(self, now_s: float) -> None:
+        situation = self._situation
+        launch, vehicle = situation.launch, situation.vehicle
+        heartbeat, height_m, home = vehicle.heartbeat, vehicle.height_m, vehicle.home_enu_m
+        if launch is None or heartbeat is None or height_m is None or home is None:
+            return
+        if not vehicle.is_usable(now_s):
+            return
+        has_origin = vehicle.origin is not None
+        view = LaunchView(now_s, heartbeat, height_m, home[2], has_origin)
+        situation.commands += launch.tick(view)
+        if launch.failure is not None:
+            situation.announce(Severity.ERROR, f"launch gave up: {launch.failure}")
+            situation.enter(Trigger.LAUNCH_FAILED, now_s)
+
+    def _check_inputs(self, now_s: float) -> None:
+        situation = self._situation
+        missing = missing_input(
+            situation.vehicle,
+            situation.estimate,
+            situation.tracker.last_accepted_s,
+            situation.params.ranging_timeout_s,
+            situation.flight_plan.search_after_s,
+            now_s,
+        )
+        if missing is None:
+            if situation.enter(Trigger.INPUT_BACK, now_s):
+                situation.announce(Severity.INFO, "flying the plan")
+                situation.plan_now(now_s)
+            return
+        if situation.enter(Trigger.INPUT_LOST, now_s) or missing != situation.hold_reason:
+            situation.hold_reason = missing
+            situation.announce(Severity.WARNING, f"hold: {missing}")
+
+    def _check_localised(self, now_s: float) -> None:
+        situation = self._situation
+        heard_s = situation.tracker.last_accepted_s
+        is_fresh = heard_s is not None and now_s - heard_s <= situation.params.ranging_timeout_s
+        is_flying = situation.phase is Phase.NORMAL and is_fresh
+        flown = situation.estimate if is_flying else None
+        if self._stop_rule.is_met(flown, now_s) and flown is not None:
+            self._report(flown, now_s)
+
+    def _report(self, estimate: TargetEstimate, now_s: float) -> None:
+        situation = self._situation
+        height_m = situation.tracker.params.filter.target_height_m
+        situation.result, text = result_of(estimate, situation.vehicle.origin, height_m)
+        situation.commands.append(situation.result)
+        situation.announce(Severity.NOTICE, text)
+        situation.enter(Trigger.LOCALISED, now_s)
+        situation.ask_mode(FOLLOW_UP_MODE[situation.params.on_localised])
+
+    def _setpoint(self, now_s: float, dt_s: float) -> PositionSetpoint | None:
+        """The setpoint of this tick, or None where silence is due."""
+        situation = self._situation
+        steering, vehicle = situation.steering, situation.vehicle
+        position, home = vehicle.position_enu_m, vehicle.home_enu_m
+        if position is None or home is None:
+            return None
+        if is_silence_due(situation.authority, vehicle, situation.launch, now_s):
+            return None
+        match situation.phase:
+            case Phase.STANDBY | Phase.LAUNCHING:
+                return steering.stay_with(position, home[2])
+            case Phase.NORMAL:
+                waypoint = situation.flight_plan.waypoint
+                return steering.follow(waypoint, position, home[2], dt_s)
+            case Phase.HOLD | Phase.FINISHED | Phase.HANDBACK:
+                return steering.stay(position, home[2], dt_s)
+        return None

@@ -1,0 +1,59 @@
+"""The measurement side of a session: from ranging to the estimate and the plan that follows it."""
+
+from __future__ import annotations
+
+from companion.domain import RangingMeasurement
+from companion.estimation.tracker import FusionReport
+from companion.guidance.commands import Severity
+from companion.guidance.listener import RangingListener
+from companion.guidance.records import estimate_record
+from companion.guidance.situation import Situation
+from companion.guidance.states import Phase
+
+
+class Measuring:
+    """Feeds the tracker, and tells of what it makes of it.
+
+    Args:
+        situation: Of the session.
+    """
+
+    def __init__(self, situation: Situation) -> None:
+        self._situation = situation
+        self._listener = RangingListener(situation.tracker, situation.vehicle.track)
+
+    def receive(self, measurement: RangingMeasurement, now_s: float) -> None:
+        """Take in a measurement."""
+        if self._situation.phase is Phase.FINISHED:
+            return  # parked on the estimate there is nothing to learn, only to unlearn
+        self._fused(self._listener.receive(measurement), now_s)
+        self.fuse_due(now_s)
+
+    def fuse_due(self, now_s: float) -> None:
+        """Fuse what waited for an own position."""
+        self._fused(self._listener.fuse_due(now_s), now_s)
+
+    def _fused(self, reports: list[FusionReport], now_s: float) -> None:
+        situation = self._situation
+        for report in reports:
+            if report.refusal is not None:
+                situation.record("refused", reason=report.refusal.value)
+                continue
+            if report.restarted:
+                text = "the filter contradicted its measurements and was started anew"
+                situation.announce(Severity.WARNING, text)
+                situation.flight_plan.forget()
+            self._replan(report, now_s)
+
+    def _replan(self, report: FusionReport, now_s: float) -> None:
+        situation = self._situation
+        estimate = situation.tracker.estimate(now_s)
+        if estimate is None:
+            return
+        if situation.estimate is None or estimate.state is not situation.estimate.state:
+            text = f"{estimate.state.value}: R95 {estimate.r95_m:.1f} m"
+            situation.announce(Severity.INFO, text)
+        situation.estimate = estimate
+        situation.commands.append(estimate_record(report, estimate))
+        if situation.phase is Phase.NORMAL:
+            situation.plan_now(now_s)

@@ -1,0 +1,109 @@
+"""What the parts of a session share: vehicle, estimate, phase, and what is to be done."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from companion.domain import FlightMode, TargetEstimate
+from companion.estimation.tracker import TargetTracker
+from companion.guard.gate import Guard
+from companion.guidance.authority import Authority
+from companion.guidance.commands import (
+    Announce,
+    Command,
+    Record,
+    ReportResult,
+    SetMode,
+    Severity,
+    WithdrawRequest,
+)
+from companion.guidance.flight_plan import FlightPlan
+from companion.guidance.launch import Launch
+from companion.guidance.params import SessionParams
+from companion.guidance.states import IN_CONTROL, OUT_OF_CONTROL, STREAMING, Phase, Trigger
+from companion.guidance.steering import Steering
+from companion.guidance.vehicle import VehicleView
+from companion.planning.base import Planner
+
+
+class Situation:
+    """The state of one session, and the commands that a call has collected so far.
+
+    Args:
+        params: How the mission is flown.
+        tracker: The estimate of the target.
+        planner: Where to fly, given the estimate.
+        guard: What may be sent.
+        needs_origin: Whether setpoints are global, so that nothing flies without an origin.
+    """
+
+    def __init__(
+        self,
+        params: SessionParams,
+        tracker: TargetTracker,
+        planner: Planner[Any],
+        guard: Guard,
+        *,
+        needs_origin: bool,
+    ) -> None:
+        self.params = params
+        self.tracker = tracker
+        self.vehicle = VehicleView(needs_origin=needs_origin)
+        self.flight_plan = FlightPlan(planner, guard.limits.fence, tracker, params.altitude_m)
+        self.steering = Steering(guard, params.altitude_m)
+        self.authority = Authority()
+        self.estimate: TargetEstimate | None = None
+        self.result: ReportResult | None = None
+        self.launch: Launch | None = None
+        self.has_launched = False
+        self.hold_reason = ""
+        self.commands: list[Command] = []
+
+    @property
+    def phase(self) -> Phase:
+        """Where the session stands."""
+        return self.authority.phase
+
+    def take_commands(self) -> list[Command]:
+        """What was collected; the next call begins with nothing."""
+        commands, self.commands = self.commands, []
+        return commands
+
+    def enter(self, trigger: Trigger, now_s: float) -> bool:
+        """Apply a trigger; whether the phase changed."""
+        left = self.authority.enter(trigger, now_s)
+        if left is None:
+            return False
+        self.record("phase", old=left.value, new=self.phase.value, trigger=trigger.value)
+        if self.phase in OUT_OF_CONTROL:
+            self.withdraw()
+        if not (left in IN_CONTROL and self.phase in STREAMING):
+            self.steering.forget_setpoint()
+        return True
+
+    def announce(self, severity: Severity, text: str) -> None:
+        """A text for the operator."""
+        self.commands.append(Announce(severity, text))
+
+    def record(self, kind: str, **fields: object) -> None:
+        """A line for the event log."""
+        self.commands.append(Record(kind, fields))
+
+    def ask_mode(self, mode: FlightMode) -> None:
+        """Ask the autopilot for a mode."""
+        self.commands.append(SetMode(mode, self.vehicle.is_armed))
+
+    def withdraw(self) -> None:
+        """What was asked and not answered must not be sent again."""
+        self.commands.append(WithdrawRequest())
+
+    def plan_now(self, now_s: float) -> None:
+        """Renew the plan."""
+        setpoint = self.steering.setpoint_enu_m
+        self.commands += self.flight_plan.renew(now_s, self.vehicle, setpoint, self.estimate)
+
+    def forget_target(self) -> None:
+        """Drop the estimate and every plan that stands on it."""
+        self.tracker.restart()
+        self.flight_plan.forget()
+        self.estimate = None
