@@ -13,7 +13,7 @@ class OneLineParser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Refuse the arguments."""
-        name = self.prog.removesuffix(".py")
+        name = self.prog.replace(".py", "")
         self.exit(EXIT_BAD_INPUT, f"{name}: {message} (--help shows how)\n")
 
 
