@@ -155,8 +155,15 @@ def flight(planner: PlannerName, estimation: TrackerParams, seed: int) -> Flight
     session = GuidanceSession(config.mission, tracker, watched, Guard(config.limits.guard_limits()))
     radio = StudyRadio(seed)
     emitter = EmitterParams(position_enu_m=CASE.target_enu_m, height_m=HEIGHT_M)
-    loop = Loop(config, Scenario(emitter=emitter), payload_source=radio, payload_period_s=1.0)
-    loop.companion = CompanionEndpoint(session, config.vehicle, loop.notes, 2)
+    loop = Loop(
+        config,
+        Scenario(emitter=emitter),
+        payload_source=radio,
+        payload_period_s=1.0,
+        make_companion=lambda _, journal, links: CompanionEndpoint(
+            session, config.vehicle, journal, 1 + links
+        ),
+    )
     loop.run_until(lambda: len(tracker.means) == STEPS, STEPS + 30.0)
     assert tracker.accepted == STEPS
     estimate = session.estimate

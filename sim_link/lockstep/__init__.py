@@ -1,0 +1,1 @@
+"""A companion and a simulated vehicle joined in memory on a virtual clock."""

@@ -1,0 +1,92 @@
+"""The people around a flight: whoever arms, takes off, switches modes and grants control."""
+
+from __future__ import annotations
+
+import math
+
+from companion.domain import FlightMode
+from companion.mav.codec import MavCodec
+from companion.mav.dialect import Message, mavlink
+from companion.mav.endpoint import Address, Chunk
+from companion.mav.modes import set_mode_params
+from sim_link.lockstep.flight import COMPANION_PEER, Flight
+from sim_link.lockstep.wire import Lane
+
+STATION_PEER: Address = ("127.0.0.1", 1)
+COMPANION_COMPONENT = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
+BOOT_S = 3.0
+"""After this long the simulated autopilot can be armed."""
+
+
+class Operator:
+    """A ground station with a link of its own to the vehicle, which no fault touches.
+
+    Args:
+        flight: The flight.
+    """
+
+    def __init__(self, flight: Flight) -> None:
+        self._flight = flight
+        self._station = MavCodec(255, mavlink.MAV_COMP_ID_MISSIONPLANNER)
+
+    def tell(self, message: Message) -> None:
+        """Send to the vehicle."""
+        self._send(message, STATION_PEER)
+
+    def command(self, number: int, *params: float) -> None:
+        """Command the vehicle; parameters that are left out are NaN."""
+        padded = [*params, *[math.nan] * (7 - len(params))]
+        system = self._flight.scenario.system_id
+        self.tell(mavlink.MAVLink_command_long_message(system, 1, number, 0, *padded))
+
+    def arm(self) -> None:
+        """Ask to arm."""
+        self.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
+
+    def disarm(self) -> None:
+        """Disarm by force, in the air too."""
+        self.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0, 21_196.0)
+
+    def choose(self, mode: FlightMode, *, is_told_at_once: bool = True) -> None:
+        """Switch the mode.
+
+        Args:
+            mode: The wanted one.
+            is_told_at_once: Whether the autopilot tells the companion now, not with the next
+                heartbeat.
+        """
+        flight = self._flight
+        is_armed = flight.sim.vehicle.modes.is_armed
+        params = set_mode_params(mode, flight.autopilot, is_armed=is_armed)
+        self.command(mavlink.MAV_CMD_DO_SET_MODE, *params)
+        if not is_told_at_once:
+            return
+        number, wanted = mavlink.MAV_CMD_REQUEST_MESSAGE, float(mavlink.MAVLINK_MSG_ID_HEARTBEAT)
+        system = flight.scenario.system_id
+        ask = mavlink.MAVLink_command_long_message(system, 1, number, 0, wanted, *[0.0] * 6)
+        self._send(ask, COMPANION_PEER)
+        flight.settle()
+
+    def grant(self) -> None:
+        """Give control back to the companion, through the autopilot, which forwards it."""
+        number, system = mavlink.MAV_CMD_NAV_GUIDED_ENABLE, self._flight.scenario.system_id
+        message = mavlink.MAVLink_command_long_message(
+            system, COMPANION_COMPONENT, number, 0, 1.0, *[0.0] * 6
+        )
+        self._flight.post(self._station.encode(message), Lane.TO_COMPANION)
+
+    def take_off(self, height_m: float = 10.0) -> None:
+        """Arm and take off; the vehicle holds at the end.
+
+        Raises:
+            TimeoutError: It does not get there.
+        """
+        flight = self._flight
+        flight.run(BOOT_S)
+        self.arm()
+        ground_m = flight.scenario.origin.altitude_m
+        self.command(mavlink.MAV_CMD_NAV_TAKEOFF, *[math.nan] * 6, ground_m + height_m)
+        flight.run_until(lambda: flight.mode is FlightMode.HOLD, 60.0)
+
+    def _send(self, message: Message, peer: Address) -> None:
+        self._flight.sim.receive(Chunk(0, self._station.encode(message), peer), self._flight.now_s)
