@@ -88,7 +88,7 @@ def test_actions_happen_at_their_time() -> None:
 
 def test_a_killed_companion_is_silent_and_a_new_one_knows_nothing() -> None:
     flight, watcher = flight_of()
-    flight.run_until(lambda: flight.phase is Phase.ENGAGED, 60.0)
+    flight.run_until(lambda: flight.phase is Phase.NORMAL, 60.0)
     old = flight.companion
     flight.kill_companion()
     killed_s = flight.now_s
@@ -117,7 +117,7 @@ def test_a_suspended_companion_hears_late_what_its_socket_held() -> None:
 
 def test_a_stopped_companion_hands_back_and_ends() -> None:
     flight, watcher = flight_of()
-    flight.run_until(lambda: flight.phase is Phase.ENGAGED, 60.0)
+    flight.run_until(lambda: flight.phase is Phase.NORMAL, 60.0)
     flight.stop_companion()
     flight.run(2.0)
     assert not flight.is_companion_up
