@@ -73,7 +73,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             for handler in logging.getLogger("companion").handlers:
                 handler.close()
     except CompanionError as error:
-        print(f"companion: {error}", file=sys.stderr)
+        for line in str(error).splitlines():
+            print(f"companion: {line}", file=sys.stderr)
         return EXIT_BAD_INPUT
     except KeyboardInterrupt:
         print("companion: interrupted", file=sys.stderr)

@@ -3,6 +3,9 @@
 msgspec checks types, bounds and unknown keys against the record. Three things it does not see are
 checked here: keys given twice (YAML keeps the last one silently), numbers that are not finite, and
 `1e-3` without a point, which YAML 1.1 reads as text.
+
+msgspec stops at the first problem. Here what is wrong is taken out and the rest is looked at again,
+so that one run names every problem of a file, a line for each.
 """
 
 from __future__ import annotations
@@ -10,6 +13,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Hashable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
@@ -20,6 +24,13 @@ from companion.errors import ConfigError
 
 T = TypeVar("T")
 
+MAX_PROBLEMS = 20
+"""More lines than this help nobody."""
+
+MAX_BYTES = 1_000_000
+"""No file of ours comes near; one beyond it is something else, or meant to keep us busy."""
+
+_PATH_PART = re.compile(r"\.(?P<key>[^.\[]+)|\[(?P<index>\d+)\]")
 _MSGSPEC_PATH = re.compile(r"^(?P<problem>.*) - at `(?P<path>\$.*)`$", re.DOTALL)
 _UNKNOWN_KEY = re.compile(r"^Object contains unknown field `(?P<key>.*)`$")
 _MISSING_KEY = re.compile(r"^Object missing required field `(?P<key>.*)`$")
@@ -64,10 +75,14 @@ def load_yaml(path: Path, kind: type[T]) -> T:
         kind: A frozen msgspec Struct.
 
     Raises:
-        ConfigError: The file cannot be read or does not hold a `kind`; one line says where.
+        ConfigError: The file cannot be read or does not hold a `kind`; a line for every problem.
     """
     try:
-        text = path.read_bytes().decode("utf-8")
+        with path.open("rb") as file:
+            content = file.read(MAX_BYTES + 1)
+        if len(content) > MAX_BYTES:
+            raise ConfigError(f"{path}: larger than {MAX_BYTES // 1000} kB; is it the right file?")
+        text = content.decode("utf-8")
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file") from None
     except OSError as error:
@@ -88,22 +103,69 @@ def parse_yaml(text: str, kind: type[T], name: str) -> T:
         name: What to call the text in errors, usually the file's path.
 
     Raises:
-        ConfigError: The text does not hold a `kind`; one line says where.
+        ConfigError: The text does not hold a `kind`; a line for every problem says where.
     """
     raw = _parse(text, name)
     if raw is None:
         raw = {}
     if not isinstance(raw, dict):
         raise ConfigError(f"{name}: $: expected `key: value` lines, got {_kind_of(raw)}")
-    path = _non_finite_path(raw, "$", set())
-    if path is not None:
-        raise ConfigError(f"{name}: {path}: must be a finite number")
+    problems = _strange_values(raw, "$", set())
+    for problem in problems:
+        _take_out(raw, problem.path)
+    while len(problems) < MAX_PROBLEMS:
+        record = _convert(raw, kind)
+        if not isinstance(record, _Problem):
+            if not problems:
+                return record
+            break
+        problems.append(record)
+        if not _take_out(raw, record.path):
+            break
+    raise ConfigError("\n".join(f"{name}: {problem}" for problem in problems[:MAX_PROBLEMS]))
+
+
+@dataclass(frozen=True, slots=True)
+class _Problem:
+    """What is wrong with a value."""
+
+    path: str
+    """Of the value, or of the mapping that misses one."""
+    text: str
+
+    def __str__(self) -> str:
+        return f"{self.path}: {self.text}"
+
+
+def _convert(raw: object, kind: type[T]) -> T | _Problem:
+    """The record, or the first problem in its way."""
     try:
         return msgspec.convert(raw, kind, strict=True)
     except msgspec.ValidationError as error:
-        raise ConfigError(f"{name}: {_located(str(error))}") from None
+        return _located(str(error))
     except OverflowError:
-        raise ConfigError(f"{name}: a number is too large") from None
+        return _Problem("$", "a number is too large")
+    except RecursionError:
+        return _Problem("$", "nested too deeply")
+
+
+def _take_out(raw: object, path: str) -> bool:
+    """Delete what is at a path, or the list that it is in; whether that worked."""
+    owner: object = None
+    last = ""
+    node = raw
+    for part in _PATH_PART.finditer(path):
+        key = part["key"]
+        if key is None:
+            break
+        owner, last = node, key
+        if not isinstance(node, dict):
+            return False
+        node = node.get(key)
+    if not isinstance(owner, dict) or last not in owner:
+        return False
+    del owner[last]
+    return True
 
 
 def _parse(text: str, name: str) -> object:
@@ -120,34 +182,38 @@ def _parse(text: str, name: str) -> object:
         raise ConfigError(f"{name}: {_one_line(str(error))}") from None
 
 
-def _located(problem: str) -> str:
-    """`$.path: what is wrong`, from msgspec's `What is wrong - at `$.path``."""
+def _located(text: str) -> _Problem:
+    """Where and what, from msgspec's `What is wrong - at `$.path``."""
     path = "$"
-    match = _MSGSPEC_PATH.match(problem)
+    match = _MSGSPEC_PATH.match(text)
     if match:
-        problem, path = match["problem"], match["path"]
-    unknown, missing = _UNKNOWN_KEY.match(problem), _MISSING_KEY.match(problem)
+        text, path = match["problem"], match["path"]
+    unknown, missing = _UNKNOWN_KEY.match(text), _MISSING_KEY.match(text)
     if unknown:
-        return f"{path}.{unknown['key']}: unknown key; check its spelling and indentation"
+        problem = "unknown key; check its spelling and indentation"
+        return _Problem(f"{path}.{_one_line(unknown['key'])}", problem)
     if missing:
-        return f"{path}.{missing['key']}: required key is missing"
-    return f"{path}: {_one_line(problem)}"
+        return _Problem(f"{path}.{missing['key']}", "required key is missing")
+    return _Problem(path, _one_line(text))
 
 
-def _non_finite_path(value: object, path: str, seen: set[int]) -> str | None:
-    """Where the first NaN or infinity is, or None; shared (aliased) nodes are visited once."""
-    if isinstance(value, float):
-        return None if math.isfinite(value) else path
+def _strange_values(value: object, path: str, seen: set[int]) -> list[_Problem]:
+    """NaN, infinity and keys that are no text; shared (aliased) nodes are visited once."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return [_Problem(path, "must be a finite number")]
     if not isinstance(value, dict | list) or id(value) in seen:
-        return None
+        return []
     seen.add(id(value))
-    children = (
-        [(f"{path}.{key}", child) for key, child in value.items()]
-        if isinstance(value, dict)
-        else [(f"{path}[{index}]", child) for index, child in enumerate(value)]
-    )
-    found = (_non_finite_path(child, where, seen) for where, child in children)
-    return next((where for where in found if where is not None), None)
+    if isinstance(value, list):
+        children = [(f"{path}[{index}]", child) for index, child in enumerate(value)]
+        return [p for where, child in children for p in _strange_values(child, where, seen)]
+    problems = []
+    for key in [key for key in value if not isinstance(key, str)]:
+        problems.append(_Problem(f"{path}.{key}", "unknown key; put text keys in front of the `:`"))
+        del value[key]
+    for key, child in value.items():
+        problems += _strange_values(child, f"{path}.{key}", seen)
+    return problems
 
 
 def _kind_of(value: object) -> str:

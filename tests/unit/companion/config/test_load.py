@@ -71,7 +71,8 @@ def test_a_power_of_ten_is_a_number_with_or_without_a_point(text: str) -> None:
         ("[1, 2]", "$", "got a list"),
         ("just words", "$", "got text"),
         ("3", "$", "got `3`"),
-        ("1: 2", "$", "Expected `str`"),
+        ("1: 2", "$.1", "unknown key"),
+        ("filter: {true: 2}", "$.filter.True", "unknown key"),
     ],
 )
 def test_a_wrong_value_is_named_by_file_and_path_in_one_line(
@@ -153,4 +154,42 @@ def test_a_file_that_is_not_utf8_says_so(tmp_path: Path) -> None:
     path = tmp_path / "latin.yaml"
     path.write_bytes("name: Größe".encode("latin-1"))
     with pytest.raises(ConfigError, match="not UTF-8"):
+        load_yaml(path, Settings)
+
+
+def test_every_problem_of_a_file_has_its_line() -> None:
+    text = """
+filter: {range_sigma_m: 0, windo: 3, window: none}
+fence_m: [[1, .nan], [a, 2]]
+zones: [{low_m: 3}]
+colour: red
+3: 4
+name: [1]
+"""
+    with pytest.raises(ConfigError) as caught:
+        parse_yaml(text, Settings, "site.yaml")
+    lines = str(caught.value).splitlines()
+    assert [line.split(": ")[:2] for line in lines] == [
+        ["site.yaml", "$.3"],
+        ["site.yaml", "$.fence_m[0][1]"],
+        ["site.yaml", "$.filter.range_sigma_m"],
+        ["site.yaml", "$.filter.windo"],
+        ["site.yaml", "$.filter.window"],
+        ["site.yaml", "$.zones[0]"],
+        ["site.yaml", "$.colour"],
+        ["site.yaml", "$.name"],
+    ]
+
+
+def test_more_problems_than_anybody_reads_are_cut_off() -> None:
+    text = "\n".join(f"key_{number}: 1" for number in range(1000))
+    with pytest.raises(ConfigError) as caught:
+        parse_yaml(text, Settings, "site.yaml")
+    assert len(str(caught.value).splitlines()) == 20
+
+
+def test_a_file_that_is_far_too_large_is_refused_unread(tmp_path: Path) -> None:
+    path = tmp_path / "flight.tlog"
+    path.write_bytes(b"# nothing\n" * 200_000)
+    with pytest.raises(ConfigError, match="larger than 1000 kB"):
         load_yaml(path, Settings)
