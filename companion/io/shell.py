@@ -6,10 +6,14 @@ is due, sends what the endpoint has to say and tells `on_wakeup`. The timer is l
 wake-up, so a flood of datagrams cannot keep it waiting, and it fires once however late it is: what
 to skip is for the endpoint to decide.
 
+After a stall (the process was suspended, starved, or collecting garbage) the links hold what
+arrived meanwhile. It is taken in before the timer fires, so that the first tick knows the present
+and not the moment of the stall; a flood can put that off for a tenth of a second only.
+
 A stop (SIGINT, SIGTERM, SIGHUP or `request_stop`) asks the endpoint for an orderly end and gives
-it two wall seconds; a second signal ends at once. An exception out of the endpoint is a bug of
-ours: it ends the loop, closes the links and is raised to the caller, because a companion that is
-silent is safe (the autopilot's own failsafe takes over) and one in an unknown state is not.
+it one and a half wall seconds; a second signal ends at once. An exception out of the endpoint is a
+bug of ours: it ends the loop, closes the links and is raised to the caller, because a companion
+that is silent is safe (the autopilot's own failsafe takes over) and one in an unknown state is not.
 """
 
 from __future__ import annotations
@@ -18,15 +22,27 @@ import asyncio
 import math
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 
 from companion.io.clock import Clock
 from companion.io.links import Link, LinkSpec, make_link
 from companion.mav.endpoint import Chunk, Endpoint
 
-STOP_DEADLINE_S = 2.0
-"""Wall seconds from the first stop request to the end, whatever the endpoint says."""
+STOP_DEADLINE_S = 1.5
+"""Wall seconds from the first stop request to the end, whatever the endpoint says; closing the logs
+takes the rest of the two seconds that a stop may last."""
+
+LATE_S = 0.05
+"""A timer later than this has missed a whole control tick."""
+
+STALL_S = 0.2
+"""A timer later than this finds links that hold the past."""
+
+CATCH_UP_S = 0.1
+"""Wall seconds that the links may take to hand over what they hold after a stall."""
 
 MIN_TIMER_S = 0.001
 """An endpoint whose next time is always past must not take the whole processor."""
@@ -35,6 +51,28 @@ MAX_TIMER_S = 3600.0
 """The loop refuses timers of many days; waking up once an hour costs nothing."""
 
 OnWakeup = Callable[[float], None]
+
+
+@dataclass(slots=True)
+class TimerStatistics:
+    """How punctual the timer was, in wall seconds."""
+
+    fired: int = 0
+    late: int = 0
+    """Times it was later than `LATE_S`."""
+    late_total_s: float = 0.0
+    """How late it was at those times, in all."""
+    worst_late_s: float = 0.0
+    stalls: int = 0
+    """Times it was later than `STALL_S`, after which the links were emptied first."""
+
+    def note(self, late_s: float) -> None:
+        """Take in how late it is now."""
+        self.fired += 1
+        self.worst_late_s = max(self.worst_late_s, late_s)
+        if late_s > LATE_S:
+            self.late += 1
+            self.late_total_s += late_s
 
 
 class Shell:
@@ -64,6 +102,11 @@ class Shell:
         self._end: asyncio.Event | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._deadline: asyncio.TimerHandle | None = None
+        self.timing = TimerStatistics()
+        self._catching_up_until_s: float | None = None
+        """Of the wall clock, while the links are emptied after a stall."""
+        self._is_drained = False
+        """Whether no link had anything since the timer was looked at last."""
         self._stop_wanted = threading.Event()
         self._is_stopping = False
         self._failure: BaseException | None = None
@@ -107,6 +150,7 @@ class Shell:
     def _timer_fired(self) -> None:
         self._timer = None
         self._wake([])
+        self._is_drained = True
 
     def _wake(self, chunks: list[Chunk], *, begins_stop: bool = False) -> None:
         if self._end is None or self._end.is_set():
@@ -117,7 +161,9 @@ class Shell:
                 self._endpoint.request_stop(now_s)
             for chunk in chunks:
                 self._endpoint.receive(chunk, now_s)
-            if self._endpoint.next_timer_s() <= now_s:
+            if chunks:
+                self._is_drained = False
+            if self._endpoint.next_timer_s() <= now_s and self._may_fire(now_s):
                 self._endpoint.handle_timer(now_s)
             for chunk in self._endpoint.take_output():
                 self.links[chunk.link].send(chunk)
@@ -130,6 +176,21 @@ class Shell:
         except Exception as error:
             self._failure = error
             self._end.set()
+
+    def _may_fire(self, now_s: float) -> bool:
+        """Whether the timer, which is due, may fire; after a stall the links come first."""
+        due_s = self._endpoint.next_timer_s()
+        late_s = 0.0 if math.isinf(due_s) else (now_s - due_s) / self._clock.speed
+        if self._catching_up_until_s is None and late_s > STALL_S:
+            self.timing.stalls += 1
+            self._catching_up_until_s = time.monotonic() + CATCH_UP_S
+            self._is_drained = False
+        is_catching_up = self._catching_up_until_s is not None and not self._is_drained
+        if is_catching_up and time.monotonic() < (self._catching_up_until_s or 0.0):
+            return False
+        self._catching_up_until_s = None
+        self.timing.note(late_s)
+        return True
 
     def _arm_timer(self) -> None:
         if self._timer is not None:

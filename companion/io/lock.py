@@ -1,0 +1,86 @@
+"""One companion per vehicle: locks that end with the process that holds them.
+
+`flock` on a file of the state directory; the kernel releases it however the process ends, so a
+stale lock cannot exist, and the file itself may stay. A companion bound to one system id shares the
+link's lock with those bound to others (several vehicles behind one router) and holds its id's lock
+alone; one that takes the first vehicle it hears holds the link's lock alone.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import logging
+import os
+import re
+from contextlib import suppress
+from pathlib import Path
+
+from companion.errors import LinkError
+
+logger = logging.getLogger("companion.io")
+
+
+class VehicleLock:
+    """Held from construction to `release`, or to the end of the process.
+
+    Args:
+        directory: Where locks are kept; made if it is missing.
+        link: The vehicle link's address in its canonical spelling.
+        system_id: The vehicle's; None: whichever is heard first.
+
+    Raises:
+        LinkError: Another companion has the vehicle.
+    """
+
+    def __init__(self, directory: Path, link: str, system_id: int | None) -> None:
+        self._descriptors: list[int] = []
+        name = lock_name(link)
+        try:
+            directory.mkdir(parents=True, exist_ok=True)
+            is_shared = system_id is not None
+            self._take(directory / f"{name}.lock", link, is_shared=is_shared)
+            if system_id is not None:
+                self._take(directory / f"{name}.system-{system_id}.lock", link, is_shared=False)
+        except LinkError:
+            self.release()
+            raise
+        except OSError as error:  # a disk that went read-only is no reason not to fly
+            logger.warning(
+                "%s: no lock can be kept (%s); make sure that no other companion flies this "
+                "vehicle",
+                directory,
+                error.strerror,
+            )
+
+    def release(self) -> None:
+        """Let another companion have the vehicle; a second call does nothing."""
+        for descriptor in self._descriptors:
+            os.close(descriptor)
+        self._descriptors.clear()
+
+    def _take(self, path: Path, link: str, *, is_shared: bool) -> None:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        self._descriptors.append(descriptor)
+        kind = fcntl.LOCK_SH if is_shared else fcntl.LOCK_EX
+        try:
+            fcntl.flock(descriptor, kind | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise LinkError(
+                f"{link}: another companion ({_holder(descriptor)}) has this vehicle; stop it, or "
+                "choose another link or vehicle.system_id"
+            ) from None
+        with suppress(OSError):  # only for the message of whoever comes next
+            os.ftruncate(descriptor, 0)
+            os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
+
+
+def lock_name(link: str) -> str:
+    """A file name for a link: readable, and different for different links."""
+    readable = re.sub(r"[^A-Za-z0-9.]+", "-", link).strip("-")[:60]
+    return f"{readable}-{hashlib.sha256(link.encode()).hexdigest()[:8]}"
+
+
+def _holder(descriptor: int) -> str:
+    text = os.pread(descriptor, 32, 0).decode("ascii", errors="replace").strip()
+    return f"process {text}" if text.isdigit() else "of another process"
