@@ -16,6 +16,7 @@ import numpy as np
 
 from companion.domain import Point, PositionEnu
 from companion.estimation.base import FilterState, Inflation
+from companion.estimation.belief import as_evidence
 from companion.estimation.filter_params import FilterParams
 from companion.estimation.hypotheses import Hypothesis
 from companion.estimation.measurement_window import MeasurementWindow
@@ -70,6 +71,10 @@ class Polisher:
         self.noise = None
         self._older = OlderEvidence.none(self._map.size)
         self._due_at = MIN_MEASUREMENTS
+
+    def begin_from(self, hypothesis: Hypothesis) -> None:
+        """Take a hypothesis for what was measured before the first measurement."""
+        self._older = as_evidence(hypothesis, self._filter_params)
 
     def distrust(self, recent: int) -> None:
         """Forget what led to an estimate that has been given up: all but the newest `recent`."""

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from companion.domain import PositionEnu, RangingMeasurement, TargetEstimate
 from companion.estimation.adaptation import AdaptationParams
 from companion.estimation.base import NO_INFLATION, Inflation, UpdateReport
+from companion.estimation.belief import Belief, believed, doubted
 from companion.estimation.contradiction import CONTRADICTION_COUNT, Contradiction
 from companion.estimation.filter_params import FilterParams
 from companion.estimation.filters import FilterKind, filter_of
@@ -137,6 +138,29 @@ class TargetTracker:
         self.last_accepted_s = None
         self._recent.clear()
         self._polisher.clear()
+
+    @property
+    def belief(self) -> Belief | None:
+        """What would be worth knowing after a restart; None before the first measurement."""
+        return believed(self._hypotheses, self.emitter_id, self.accepted)
+
+    def resume(self, belief: Belief, age_s: float, now_s: float) -> str | None:
+        """Begin again from what was believed `age_s` ago, with doubt; see `belief`.
+
+        Returns:
+            Why not, in words; the tracker is as before then.
+        """
+        problem = belief.problem(len(self._filter.params.prior[0]))
+        if problem is not None:
+            return problem
+        if self.emitter_id not in (None, belief.emitter_id):
+            return "another emitter"
+        self.restart()
+        self.emitter_id = belief.emitter_id
+        self._hypotheses = doubted(belief, age_s, now_s, self._filter.params)
+        if len(self._hypotheses) == 1:
+            self._polisher.begin_from(self._hypotheses[0])
+        return None
 
     def estimate(self, now_s: float) -> TargetEstimate | None:
         """Where the target is believed to be, or None before the first measurement."""
