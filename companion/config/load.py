@@ -77,6 +77,15 @@ def load_yaml(path: Path, kind: type[T]) -> T:
     Raises:
         ConfigError: The file cannot be read or does not hold a `kind`; a line for every problem.
     """
+    return parse_yaml(read_text(path), kind, str(path))
+
+
+def read_text(path: Path) -> str:
+    """The text of a UTF-8 file, without a byte order mark.
+
+    Raises:
+        ConfigError: It cannot be read, or is no UTF-8.
+    """
     try:
         with path.open("rb") as file:
             content = file.read(MAX_BYTES + 1)
@@ -91,7 +100,7 @@ def load_yaml(path: Path, kind: type[T]) -> T:
         raise ConfigError(
             f"{path}: not UTF-8 text (byte {error.start}); save it as UTF-8"
         ) from None
-    return parse_yaml(text.removeprefix("\ufeff"), kind, str(path))
+    return text.removeprefix("\ufeff")
 
 
 def parse_yaml(text: str, kind: type[T], name: str) -> T:

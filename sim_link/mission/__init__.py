@@ -1,0 +1,1 @@
+"""Scripted missions: one YAML file is a flight, a demonstration and a test."""

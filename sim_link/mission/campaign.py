@@ -1,0 +1,179 @@
+"""Many flights: every script with every seed, one after the other or several at once."""
+
+from __future__ import annotations
+
+import concurrent.futures
+import multiprocessing
+import signal
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+from companion.config.schema import CompanionConfig
+from companion.errors import CompanionError, ConfigError
+from companion.io.files import write_text_atomic
+from companion.run import build_endpoint, prepare
+from sim_link.autopilot.endpoint import SimEndpoint
+from sim_link.autopilot.scenario import FlavourName
+from sim_link.lockstep.journal import Notes
+from sim_link.mission.in_memory import Progress, fly_in_memory
+from sim_link.mission.report import report_name, report_page
+from sim_link.mission.result import MissionResult
+from sim_link.mission.script import Mission
+from sim_link.mission.script_file import flown_config, load_mission
+from sim_link.mission.summary import Summary, summary_of
+
+
+@dataclass(frozen=True, slots=True)
+class FlightTask:
+    """One flight that is to be flown."""
+
+    mission: Mission
+    file: str
+    seed: int
+    reports: str | None
+    """The folder of the reports; None: none are wanted."""
+    speed: float | None = None
+    """Times real time, with real processes; None: lockstep."""
+    connect: str | None = None
+    """The link to a vehicle that is there already."""
+
+
+@dataclass(frozen=True, slots=True)
+class Campaign:
+    """What is to be flown."""
+
+    files: Sequence[Path]
+    seeds: Sequence[int] = (0,)
+    jobs: int = 1
+    autopilot: FlavourName | None = None
+    """In place of the scripts' own."""
+    reports: Path | None = None
+    speed: float | None = None
+    connect: str | None = None
+
+    def tasks(self) -> list[FlightTask]:
+        """Every flight, checked as far as that can be done without flying.
+
+        Raises:
+            ConfigError: A script is wrong; nothing was started.
+        """
+        loaded = [(path, self._load(path)) for path in self.files]
+        for path, mission in loaded:
+            check_flyable(mission, str(path))
+        return [
+            FlightTask(
+                mission=mission,
+                file=str(path),
+                seed=seed,
+                reports=None if self.reports is None else str(self.reports),
+                speed=self.speed,
+                connect=self.connect,
+            )
+            for path, mission in loaded
+            for seed in self.seeds
+        ]
+
+    def _load(self, path: Path) -> Mission:
+        mission = load_mission(path)
+        if self.autopilot is None:
+            return mission
+        return with_autopilot(mission, self.autopilot)
+
+
+def with_autopilot(mission: Mission, flavour: FlavourName) -> Mission:
+    """The mission on another autopilot."""
+    autopilot = msgspec.structs.replace(mission.autopilot, flavour=flavour)
+    return msgspec.structs.replace(mission, autopilot=autopilot)
+
+
+def check_flyable(mission: Mission, name: str) -> None:
+    """Build everything that a flight is made of, and throw it away.
+
+    Raises:
+        ConfigError: A part of it does not exist or is out of range.
+    """
+    try:
+        SimEndpoint(mission.scenario, 0)
+        build_endpoint(flown_config(mission), Notes())
+    except (ConfigError, ValueError) as error:
+        raise ConfigError(f"{name}: {error}") from error
+
+
+def warm_up(tasks: Sequence[FlightTask]) -> None:
+    """Compile what the flights need, once and before any process needs it at the same time."""
+    done: list[CompanionConfig] = []
+    for task in tasks:
+        config = flown_config(task.mission)
+        if config not in done:
+            done.append(config)
+            prepare(config)
+
+
+def fly_all(
+    tasks: Sequence[FlightTask], jobs: int, progress: Progress | None = None
+) -> Iterator[tuple[int, Summary]]:
+    """Fly them; the summaries with the positions of their tasks, as they come.
+
+    Args:
+        tasks: What to fly.
+        jobs: How many at once; 1: in this process.
+        progress: Told of every slice where there is one job.
+
+    Raises:
+        CompanionError: A process ended by force, or a report cannot be written.
+    """
+    if jobs <= 1 or len(tasks) <= 1:
+        for position, task in enumerate(tasks):
+            yield position, fly_task(task, progress)
+        return
+    context = multiprocessing.get_context("spawn")
+    pool = concurrent.futures.ProcessPoolExecutor(
+        min(jobs, len(tasks)), mp_context=context, initializer=_leave_interrupts_to_the_parent
+    )
+    try:
+        waiting = {pool.submit(fly_task, task): n for n, task in enumerate(tasks)}
+        for future in concurrent.futures.as_completed(waiting):
+            yield waiting[future], future.result()
+    except concurrent.futures.BrokenExecutor as error:
+        raise CompanionError("a process ended by force; try fewer --jobs") from error
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _leave_interrupts_to_the_parent() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def fly_task(task: FlightTask, progress: Progress | None = None) -> Summary:
+    """Fly one, and write its report.
+
+    Raises:
+        CompanionError: A process does not start, or the report cannot be written.
+    """
+    result = _fly(task, progress)
+    summary = summary_of(result)
+    if task.reports is None:
+        return summary
+    return summary.with_report(write_report(Path(task.reports), result))
+
+
+def _fly(task: FlightTask, progress: Progress | None) -> MissionResult:
+    if task.speed is None and task.connect is None:
+        return fly_in_memory(task.mission, task.seed, task.file, progress)
+    raise ConfigError("not there yet")
+
+
+def write_report(folder: Path, result: MissionResult) -> str:
+    """Write report and event log of a flight; the place of the report.
+
+    Raises:
+        CompanionError: A file cannot be written.
+    """
+    name = report_name(result)
+    path = folder / f"{name}.html"
+    write_text_atomic(folder / f"{name}.jsonl", result.event_log.decode("ascii"))
+    write_text_atomic(path, report_page(result))
+    return str(path)

@@ -1,0 +1,206 @@
+"""The report of one flight: a page with verdicts, track, estimate, residuals and events.
+
+The page is complete in itself: no network, no scripts; it follows the reader's light or dark theme.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from companion import __version__
+from companion.domain import Point
+from sim_link.mission.drawing import Drawing, square_around
+from sim_link.mission.record import EstimatePoint, FlightRecord
+from sim_link.mission.result import MissionResult
+from sim_link.mission.script import Mission
+from sim_link.mission.verdicts import true_places
+
+MAP_SIZE = 640.0
+CHART_SIZE = (640.0, 220.0)
+BINS = 40
+MAX_EVENTS = 500
+"""Lines of the table of events; the event log has all."""
+SHOWN_EVENTS = ("step", "step ended", "fault", "phase", "text", "result", "answer", "bound")
+
+
+@dataclass(frozen=True, slots=True)
+class EventRow:
+    """One line of the table of events."""
+
+    time_s: float
+    kind: str
+    text: str
+
+
+def report_name(result: MissionResult) -> str:
+    """The report's file name without its ending."""
+    name = re.sub(r"[^A-Za-z0-9._-]+", "-", result.mission.name).strip("-") or "mission"
+    how = re.sub(r"[^A-Za-z0-9._-]+", "-", result.how).strip("-")
+    return f"{name}-{result.mission.autopilot.flavour}-{how}-seed{result.seed}"
+
+
+def report_page(result: MissionResult) -> str:
+    """The page as text."""
+    environment = Environment(
+        loader=PackageLoader("sim_link.mission"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=StrictUndefined,
+    )
+    record = result.record
+    return environment.get_template("mission.html.j2").render(
+        result=result,
+        record=record,
+        mission=result.mission,
+        last=record.last_estimate(result.mission.emitter.emitter_id),
+        map=Markup(_map(result).svg()),
+        charts=[(title, note, Markup(svg)) for title, note, svg in _charts(result)],
+        events=events_of(record)[:MAX_EVENTS],
+        version=__version__,
+    )
+
+
+def events_of(record: FlightRecord) -> list[EventRow]:
+    """The events that people want to read, in the order of time."""
+    rows = [
+        EventRow(time_s, kind, _phrase(kind, fields))
+        for time_s, kind, fields in record.events
+        if kind in SHOWN_EVENTS
+    ]
+    rows += [
+        EventRow(said.time_s, "autopilot", said.text)
+        for said in record.texts
+        if said.source == "autopilot"
+    ]
+    rows += [EventRow(v.time_s, "violation", f"{v.invariant}: {v.text}") for v in record.violations]
+    return sorted(rows, key=lambda row: row.time_s)
+
+
+def _phrase(kind: str, fields: object) -> str:
+    values = dict(fields)  # type: ignore[call-overload]
+    match kind:
+        case "step":
+            return f"{values['step']} {values['name']}: {values['what']}"
+        case "step ended":
+            return f"{values['step']} {values['name']} {values['failure'] or 'done'}"
+        case "phase":
+            return f"{values['old']} → {values['new']} ({values['trigger']})"
+        case "text":
+            return str(values["text"])
+    return ", ".join(f"{name} {_short(value)}" for name, value in values.items())
+
+
+def _short(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _map(result: MissionResult) -> Drawing:
+    record, mission = result.record, result.mission
+    truth = true_places(mission)
+    track: list[Point] = [place[:2] for _, place in record.track]
+    points = [*track, *truth.values(), (0.0, 0.0), *_area(mission)]
+    points += [corner for obstacle in mission.obstacles for corner in obstacle.corners_enu_m]
+    west, east, south, north = square_around(points, 10.0)
+    drawing = Drawing(MAP_SIZE, MAP_SIZE - 16.0, (west, east), (south, north), "Map of the flight")
+    drawing.area(_area(mission), "area")
+    drawing.area(mission.config.limits.fence_enu_m, "fence")
+    for obstacle in mission.obstacles:
+        drawing.area(obstacle.corners_enu_m, "obstacle")
+    drawing.line(track, "track")
+    drawing.dots([point.position_enu_m for point in record.estimates], "estimate")
+    for emitter, place in truth.items():
+        drawing.cross(place, "truth", f"emitter {emitter}")
+        point = record.last_estimate(emitter)
+        if point is not None:
+            name = f"estimate of {emitter}, R95 {point.r95_m:.2f} m"
+            drawing.circle(point.position_enu_m, point.r95_m, "radius", name)
+    return drawing
+
+
+def _area(mission: Mission) -> list[Point]:
+    east, north = mission.area_m
+    return [(0.0, 0.0), (east, 0.0), (east, north), (0.0, north)]
+
+
+def _charts(result: MissionResult) -> list[tuple[str, str, str]]:
+    record = result.record
+    charts = []
+    if record.estimates:
+        note = "metres over seconds: true error (line) and R95 (shaded line), logarithmic"
+        charts.append(("Error and R95", note, _accuracy(result).svg()))
+    ranges = [(p.time_s, p.range_innovation_m) for p in record.estimates]
+    known = [(t, v) for t, v in ranges if v is not None]
+    if known:
+        note = "metres over seconds: what a range was longer than expected"
+        charts.append(("Range residuals", note, _residuals(known, record).svg()))
+        note = "how many over metres"
+        charts.append(("Their histogram", note, _histogram([v for _, v in known]).svg()))
+    if record.track:
+        charts.append(("Height", "metres over seconds", _height(record).svg()))
+    return charts
+
+
+def _accuracy(result: MissionResult) -> Drawing:
+    truth = true_places(result.mission)
+    points = result.record.estimates
+
+    def error_m(point: EstimatePoint) -> float:
+        emitter = point.emitter if point.emitter in truth else result.mission.emitter.emitter_id
+        return max(math.dist(point.position_enu_m, truth[emitter or 0]), 1e-3)
+
+    errors = [(point.time_s, error_m(point)) for point in points]
+    radii = [(point.time_s, max(point.r95_m, 1e-3)) for point in points]
+    values = [value for _, value in (*errors, *radii)]
+    span = (max(0.01, min(values) / 1.5), max(values) * 1.5)
+    drawing = Drawing(*CHART_SIZE, _time_span(result.record), span, "Error and R95", is_log=True)
+    _mark_steps(drawing, result.record)
+    drawing.line(radii, "radius")
+    drawing.line(errors, "error")
+    return drawing
+
+
+def _residuals(known: list[tuple[float, float]], record: FlightRecord) -> Drawing:
+    values = [value for _, value in known]
+    span = (min(values) - 1.0, max(values) + 1.0)
+    drawing = Drawing(*CHART_SIZE, _time_span(record), span, "Range residuals")
+    _mark_steps(drawing, record)
+    drawing.dots(known, "estimate")
+    return drawing
+
+
+def _histogram(values: list[float]) -> Drawing:
+    low, high = min(values), max(values) + 1e-6
+    width = (high - low) / BINS
+    counts = [0] * BINS
+    for value in values:
+        counts[min(BINS - 1, int((value - low) / width))] += 1
+    drawing = Drawing(*CHART_SIZE, (low, high), (0.0, max(counts) * 1.05), "Histogram of residuals")
+    for number, count in enumerate(counts):
+        left, right = low + number * width, low + (number + 1) * width
+        drawing.area([(left, 0.0), (left, count), (right, count), (right, 0.0)], "bar")
+    return drawing
+
+
+def _height(record: FlightRecord) -> Drawing:
+    points = [(time_s, place[2]) for time_s, place in record.track]
+    top = max(value for _, value in points) * 1.1 + 1.0
+    low = min(0.0, *(value for _, value in points))
+    drawing = Drawing(*CHART_SIZE, _time_span(record), (low, top), "Height over time")
+    _mark_steps(drawing, record)
+    drawing.line(points, "track")
+    return drawing
+
+
+def _time_span(record: FlightRecord) -> tuple[float, float]:
+    return (0.0, max(record.ended_s, 1.0))
+
+
+def _mark_steps(drawing: Drawing, record: FlightRecord) -> None:
+    for step in record.steps:
+        drawing.mark(step.started_s, "step", f"{step.title} at {step.started_s:.1f} s")

@@ -1,0 +1,70 @@
+"""One flight of a mission with its verdicts."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+
+from companion.io.files import plain
+from sim_link.mission.record import FlightRecord
+from sim_link.mission.script import Mission
+from sim_link.mission.verdicts import Verdict, true_places
+
+
+@dataclass(frozen=True, slots=True)
+class MissionResult:
+    """What a run came to; can be sent between processes."""
+
+    mission: Mission
+    file: str
+    seed: int
+    how: str
+    """`lockstep`, `speed 4`, or the link to a vehicle that is not ours."""
+    record: FlightRecord
+    verdicts: tuple[Verdict, ...]
+
+    @property
+    def is_passed(self) -> bool:
+        """Whether every expectation is met, and every step done."""
+        return all(verdict.is_met for verdict in self.verdicts)
+
+    @property
+    def failed(self) -> list[Verdict]:
+        """Those that are not met."""
+        return [verdict for verdict in self.verdicts if not verdict.is_met]
+
+    @property
+    def title(self) -> str:
+        """What reports call it."""
+        return f"{self.mission.name} ({self.mission.autopilot.flavour}), seed {self.seed}"
+
+    @property
+    def final_error_m(self) -> float | None:
+        """Of the last estimate of the first emitter."""
+        emitter = self.mission.emitter.emitter_id
+        point = self.record.last_estimate(emitter)
+        if point is None:
+            return None
+        return math.dist(point.position_enu_m, true_places(self.mission)[emitter])
+
+    @property
+    def is_inside_r95(self) -> bool | None:
+        """Whether the true emitter is within R95 of the last estimate."""
+        point = self.record.last_estimate(self.mission.emitter.emitter_id)
+        error_m = self.final_error_m
+        return None if point is None or error_m is None else error_m <= point.r95_m
+
+    @property
+    def event_log(self) -> bytes:
+        """The events as JSON lines; of two runs in lockstep with one seed these are the same."""
+        lines = [
+            {"t_s": round(time_s, 4), "kind": kind, **fields}
+            for time_s, kind, fields in self.record.events
+        ]
+        lines += [
+            {"kind": "verdict", "name": v.name, "is_met": v.is_met, "found": v.found}
+            for v in self.verdicts
+        ]
+        dumps = (json.dumps(plain(line), allow_nan=False, separators=(",", ":")) for line in lines)
+        return "".join(f"{line}\n" for line in dumps).encode("ascii")

@@ -1,0 +1,240 @@
+"""The mission script: what one flight is made of, what is done, and what must come of it.
+
+A script is a scenario (place, vehicle, emitters, channel, obstacles, weather; all its keys are the
+script's own) with the companion's configuration, steps and expectations. `script_file` reads it
+from YAML and checks what no single record can see.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Union
+
+import msgspec
+from msgspec import UNSET, UnsetType
+
+from companion.config.schema import CompanionConfig
+from companion.params import NonNegative, Params, Positive
+from sim_link.autopilot.scenario import FlightAltitude, Scenario
+from sim_link.faults.kinds import Fault
+from sim_link.mission.expectations import Expectation
+from sim_link.world.target import Coordinate
+
+PatternName = Literal["lawnmower", "expanding_square", "sector"]
+PilotMode = Literal["hold", "position", "altitude", "stabilized", "return", "land"]
+Corner = tuple[Coordinate, Coordinate]
+
+
+class ConnectStep(Params, frozen=True):
+    """Wait until operator and companion hear the autopilot."""
+
+    limit_s: Positive = 30.0
+
+
+class WaitReadyStep(Params, frozen=True):
+    """Wait until the autopilot can be armed and the companion stands by."""
+
+    limit_s: Positive = 120.0
+
+
+class ArmStep(Params, frozen=True):
+    """The operator arms."""
+
+    limit_s: Positive = 15.0
+
+
+class TakeoffStep(Params, frozen=True):
+    """The operator takes off; over once the height is reached."""
+
+    altitude_m: FlightAltitude | None = None
+    """Above home; null: the companion's search altitude."""
+    limit_s: Positive = 90.0
+
+
+class EngageStep(Params, frozen=True):
+    """The operator gives control (PX4 OFFBOARD, ArduPilot GUIDED); over once it is taken."""
+
+    limit_s: Positive = 10.0
+
+
+class GrantStep(Params, frozen=True):
+    """The operator lets a companion that yielded stand by again (MAV_CMD_NAV_GUIDED_ENABLE)."""
+
+    limit_s: Positive = 10.0
+
+
+class SearchStep(Params, frozen=True):
+    """The companion flies a pattern; over with the first contact, or when the target is found.
+
+    The pattern becomes the companion's `planner.search`, so a script has one search at most.
+    """
+
+    pattern: PatternName = "lawnmower"
+    spacing_m: Positive | None = None
+    """Between lanes or legs; null: the companion's own."""
+    area_enu_m: tuple[Corner, ...] | None = None
+    """Corners of what a lawnmower sweeps; null: the companion's own."""
+    until: Literal["contact", "reported"] = "contact"
+    limit_s: Positive = 120.0
+
+
+class WaitUntilStep(Params, frozen=True, kw_only=True):
+    """Wait until a condition holds."""
+
+    condition: str
+    limit_s: Positive
+    for_s: NonNegative = 0.0
+    """It must hold for this long without a break."""
+
+
+class WaitStep(Params, frozen=True, kw_only=True):
+    """Let time pass."""
+
+    for_s: Positive
+
+
+class PilotOverrideStep(Params, frozen=True):
+    """The pilot switches the mode; over once the vehicle is in it and the companion has yielded."""
+
+    mode: PilotMode = "hold"
+    limit_s: Positive = 10.0
+
+
+class HoldStep(Params, frozen=True):
+    """The operator has the vehicle hold its place, for a while."""
+
+    for_s: NonNegative = 0.0
+    limit_s: Positive = 15.0
+
+
+class ReturnStep(Params, frozen=True):
+    """The operator sends the vehicle home; over once it stands there, disarmed."""
+
+    limit_s: Positive = 240.0
+
+
+class LandStep(Params, frozen=True):
+    """The operator lands; over once the vehicle stands, disarmed."""
+
+    limit_s: Positive = 120.0
+
+
+StepWord = Literal[
+    "connect", "wait_ready", "arm", "takeoff", "engage", "grant", "search", "pilot_override",
+    "hold", "return", "land",
+]  # fmt: skip
+"""Steps that need no parameters may be a word alone."""
+
+
+class StepRecord(Params, frozen=True, rename={"return_": "return"}):
+    """One step: exactly one of these keys; its value may be left out where all have defaults."""
+
+    connect: ConnectStep | UnsetType | None = UNSET
+    wait_ready: WaitReadyStep | UnsetType | None = UNSET
+    arm: ArmStep | UnsetType | None = UNSET
+    takeoff: TakeoffStep | UnsetType | None = UNSET
+    engage: EngageStep | UnsetType | None = UNSET
+    grant: GrantStep | UnsetType | None = UNSET
+    search: SearchStep | UnsetType | None = UNSET
+    wait_until: WaitUntilStep | UnsetType = UNSET
+    wait: WaitStep | UnsetType = UNSET
+    pilot_override: PilotOverrideStep | UnsetType | None = UNSET
+    inject: Fault | UnsetType = UNSET
+    """A fault of the harness, beginning `start_s` after this step began; the mission goes on."""
+    hold: HoldStep | UnsetType | None = UNSET
+    return_: ReturnStep | UnsetType | None = UNSET
+    land: LandStep | UnsetType | None = UNSET
+
+    def __post_init__(self) -> None:
+        """Refuse none and several."""
+        given = self.given
+        if len(given) != 1:
+            found = " and ".join(given) if given else "none"
+            raise ValueError(f"a step is exactly one of its kinds, not {found}")
+
+    @property
+    def given(self) -> list[str]:
+        """The attributes that are."""
+        return [name for name in self.__struct_fields__ if getattr(self, name) is not UNSET]
+
+
+Step = (
+    ConnectStep
+    | WaitReadyStep
+    | ArmStep
+    | TakeoffStep
+    | EngageStep
+    | GrantStep
+    | SearchStep
+    | WaitUntilStep
+    | WaitStep
+    | PilotOverrideStep
+    | Fault
+    | HoldStep
+    | ReturnStep
+    | LandStep
+)
+"""A step's parameters; their type says which it is."""
+
+STEP_KINDS: dict[str, type[Params]] = {
+    "connect": ConnectStep,
+    "wait_ready": WaitReadyStep,
+    "arm": ArmStep,
+    "takeoff": TakeoffStep,
+    "engage": EngageStep,
+    "grant": GrantStep,
+    "search": SearchStep,
+    "wait_until": WaitUntilStep,
+    "wait": WaitStep,
+    "pilot_override": PilotOverrideStep,
+    "hold": HoldStep,
+    "return": ReturnStep,
+    "land": LandStep,
+}
+"""Every step but `inject` by the name that a script gives it."""
+
+
+class Mission(Scenario, frozen=True, kw_only=True):
+    """One flight from the first frame to the verdict; beside these all keys of a scenario."""
+
+    name: str
+    about: str = ""
+    """What it shows, in a sentence."""
+    companion: CompanionConfig | str = CompanionConfig()
+    """The companion's configuration (configuration.md), or the file that it is in."""
+    steps: Annotated[tuple[Union[StepRecord, StepWord], ...], msgspec.Meta(min_length=1)]  # noqa: UP007
+    expectations: tuple[Expectation, ...] = ()
+
+    @property
+    def named_steps(self) -> tuple[tuple[str, Step], ...]:
+        """Every step with its kind's name."""
+        return tuple(_named(step) for step in self.steps)
+
+    @property
+    def config(self) -> CompanionConfig:
+        """The companion's configuration as the script gives it.
+
+        Raises:
+            TypeError: It is a file that was not read yet.
+        """
+        if isinstance(self.companion, str):
+            raise TypeError(f"{self.companion} was not read; use load_mission")
+        return self.companion
+
+    @property
+    def scenario(self) -> Scenario:
+        """What the simulator is told."""
+        return Scenario(**{name: getattr(self, name) for name in Scenario.__struct_fields__})
+
+
+def _named(step: StepRecord | StepWord) -> tuple[str, Step]:
+    if isinstance(step, str):
+        return step, _plain_step(step)
+    (attribute,) = step.given
+    name = attribute.rstrip("_")
+    value: Step | None = getattr(step, attribute)
+    return name, _plain_step(name) if value is None else value
+
+
+def _plain_step(name: str) -> Step:
+    step: Step = STEP_KINDS[name]()  # type: ignore[assignment]
+    return step

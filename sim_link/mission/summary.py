@@ -1,0 +1,104 @@
+"""The few numbers of a run that are kept of many."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from sim_link.mission.result import MissionResult
+from sim_link.mission.verdicts import Verdict
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """One run, small enough to be kept of hundreds."""
+
+    name: str
+    flavour: str
+    file: str
+    seed: int
+    how: str
+    verdicts: tuple[Verdict, ...]
+    time_s: float
+    distance_m: float
+    final_error_m: float | None
+    r95_m: float | None
+    closest_approach_m: float | None
+    wall_s: float
+    report: str = ""
+    """Where the report is; empty: there is none."""
+
+    @property
+    def title(self) -> str:
+        """What reports call it."""
+        return f"{self.name} ({self.flavour}), seed {self.seed}"
+
+    @property
+    def failed(self) -> tuple[Verdict, ...]:
+        """Verdicts that are not met."""
+        return tuple(verdict for verdict in self.verdicts if not verdict.is_met)
+
+    @property
+    def is_passed(self) -> bool:
+        """Whether all are met."""
+        return not self.failed
+
+    @property
+    def is_inside_r95(self) -> bool | None:
+        """Whether the true emitter is within R95 of the last estimate."""
+        if self.final_error_m is None or self.r95_m is None:
+            return None
+        return self.final_error_m <= self.r95_m
+
+    @property
+    def times_real_time(self) -> float:
+        """Simulated seconds per second."""
+        return self.time_s / self.wall_s if self.wall_s > 0.0 else math.inf
+
+    def with_report(self, path: str) -> Summary:
+        """The same, with the place of its report."""
+        return replace(self, report=path)
+
+
+def summary_of(result: MissionResult) -> Summary:
+    """The summary of a run."""
+    record, mission = result.record, result.mission
+    point = record.last_estimate(mission.emitter.emitter_id)
+    return Summary(
+        name=mission.name,
+        flavour=mission.autopilot.flavour,
+        file=result.file,
+        seed=result.seed,
+        how=result.how,
+        verdicts=result.verdicts,
+        time_s=record.ended_s,
+        distance_m=record.distance_m,
+        final_error_m=result.final_error_m,
+        r95_m=None if point is None else point.r95_m,
+        closest_approach_m=record.closest_approach_m,
+        wall_s=record.wall_s,
+    )
+
+
+def campaign_lines(summaries: list[Summary]) -> list[str]:
+    """What a campaign came to, in lines for people: each mission, then all of them."""
+    names = list(dict.fromkeys((s.name, s.flavour) for s in summaries))
+    lines = [_mission_line([s for s in summaries if (s.name, s.flavour) == n]) for n in names]
+    passed = sum(summary.is_passed for summary in summaries)
+    flown_s, wall_s = sum(s.time_s for s in summaries), sum(s.wall_s for s in summaries)
+    speed = f", {flown_s / wall_s:.0f} times real time" if wall_s > 0.0 else ""
+    return [
+        *lines,
+        f"{passed} of {len(summaries)} flights passed; {flown_s:.0f} s flown in {wall_s:.1f} s "
+        f"of flying{speed}",
+    ]
+
+
+def _mission_line(runs: list[Summary]) -> str:
+    passed = sum(run.is_passed for run in runs)
+    errors = [run.final_error_m for run in runs if run.final_error_m is not None]
+    inside = [run.is_inside_r95 for run in runs if run.is_inside_r95 is not None]
+    line = f"{runs[0].name} ({runs[0].flavour}): {passed}/{len(runs)} passed"
+    if errors:
+        line += f", error at most {max(errors):.2f} m, {sum(inside)}/{len(inside)} inside R95"
+    return f"{line}, {sum(run.time_s for run in runs) / sum(run.wall_s for run in runs):.0f}x"
