@@ -26,6 +26,7 @@ from sim_link.vehicles import Files, Wishes, link_specs, make_vehicles
 DEFAULT_LISTEN = "127.0.0.1:14580"
 DEFAULT_SEND_TO = ("127.0.0.1:14550", "127.0.0.1:14540")
 EXIT_BAD_INPUT = 2
+SUBCOMMANDS = ("mission", "radio")
 MAX_SPEED = 1000.0
 MAX_VEHICLES = 250
 MAX_BOOT_S = 3600.0
@@ -39,7 +40,11 @@ EPILOG = """\
 example:
   sim-link --seed 7 --report truth.json
   flies the canonical scenario for a companion or ground station on UDP 14550 and a MAVSDK
-  program on UDP 14540, and writes where the emitter really is to truth.json."""
+  program on UDP 14540, and writes where the emitter really is to truth.json.
+
+more:
+  sim-link mission run FILE...   fly mission scripts and tell pass or fail
+  sim-link radio --follow URL    a radio payload for a vehicle that has none"""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -67,16 +72,21 @@ class _Voice:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the simulator until it is stopped.
+    """Run the simulator until it is stopped, or a subcommand.
 
     Args:
         argv: Arguments without the program's name; None takes the process's.
 
     Returns:
-        0 after a stop, 2 for bad input or a port that is taken.
+        0 after a stop, 2 for bad input or a port that is taken; of a subcommand, its own.
     """
+    given = sys.argv[1:] if argv is None else list(argv)
     try:
-        return _run(_arguments(argv))
+        if given and given[0] in SUBCOMMANDS:
+            from sim_link.commands import run_subcommand  # slow to import, and rarely needed
+
+            return run_subcommand(given)
+        return _run(_arguments(given))
     except CompanionError as error:
         print(f"sim-link: {error}", file=sys.stderr)
         return EXIT_BAD_INPUT

@@ -9,8 +9,6 @@ from typing import NoReturn
 from companion.errors import ConfigError
 from sim_link.mission import cli as mission_cli
 
-SUBCOMMANDS = ("mission", "radio")
-
 
 class _Parser(argparse.ArgumentParser):
     """Raises what argparse would print, so that every complaint is one line."""
@@ -18,11 +16,6 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Refuse the arguments."""
         raise ConfigError(f"{message} ({self.prog} --help shows how)")
-
-
-def is_subcommand(argv: Sequence[str]) -> bool:
-    """Whether the arguments name a subcommand first."""
-    return bool(argv) and argv[0] in SUBCOMMANDS
 
 
 def run_subcommand(argv: Sequence[str]) -> int:

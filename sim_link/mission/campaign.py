@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import concurrent.futures
+import importlib.util
 import multiprocessing
 import signal
 from collections.abc import Iterator, Sequence
@@ -19,7 +20,6 @@ from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import FlavourName
 from sim_link.lockstep.journal import Notes
 from sim_link.mission.in_memory import Progress, fly_in_memory
-from sim_link.mission.report import report_name, report_page
 from sim_link.mission.result import MissionResult
 from sim_link.mission.script import Mission
 from sim_link.mission.script_file import flown_config, load_mission
@@ -39,6 +39,17 @@ class FlightTask:
     """Times real time, with real processes; None: lockstep."""
     connect: str | None = None
     """The link to a vehicle that is there already."""
+
+
+def check_reports() -> None:
+    """Make sure, before any flight, that reports can be made.
+
+    Raises:
+        ConfigError: A package is missing; the message says how to get it.
+    """
+    if importlib.util.find_spec("jinja2") is None:
+        text = "reports need jinja2: pip install 'companion-guidance[mission]'"
+        raise ConfigError(f"--report: {text}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,6 +183,8 @@ def write_report(folder: Path, result: MissionResult) -> str:
     Raises:
         CompanionError: A file cannot be written.
     """
+    from sim_link.mission.report import report_name, report_page
+
     name = report_name(result)
     path = folder / f"{name}.html"
     write_text_atomic(folder / f"{name}.jsonl", result.event_log.decode("ascii"))

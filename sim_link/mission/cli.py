@@ -10,7 +10,7 @@ from pathlib import Path
 from companion.errors import CompanionError, ConfigError
 from companion.io.files import check_writable, write_text_atomic
 from companion.kernel import IS_COMPILED
-from sim_link.mission.campaign import Campaign, FlightTask, fly_all, warm_up
+from sim_link.mission.campaign import Campaign, FlightTask, check_reports, fly_all, warm_up
 from sim_link.mission.junit import junit_xml
 from sim_link.mission.progress import PlainProgress, progress_for
 from sim_link.mission.summary import Summary, campaign_lines
@@ -75,6 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.junit is not None:
         check_writable(arguments.junit)
     if campaign.reports is not None:
+        check_reports()
         _make_folder(campaign.reports)
     tasks = campaign.tasks()
     if IS_COMPILED and sys.stdout.isatty():

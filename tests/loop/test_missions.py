@@ -1,0 +1,93 @@
+"""Missions flown in lockstep: companion and vehicle in memory, on a virtual clock."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from sim_link.autopilot.scenario import FlavourName
+from sim_link.mission.campaign import Campaign, fly_task, with_autopilot
+from sim_link.mission.in_memory import fly_in_memory
+from sim_link.mission.result import MissionResult
+from sim_link.mission.script import Mission
+from sim_link.mission.script_file import load_mission, parse_mission
+
+LIBRARY = Path(__file__).parents[2] / "configs" / "missions"
+CANONICAL = LIBRARY / "canonical.yaml"
+SHORT = """\
+name: short
+steps: [connect, wait_ready, arm, {takeoff: {altitude_m: 6}}, engage, {wait: {for_s: 2}}, land]
+"""
+
+
+def failed_names(result: MissionResult) -> list[str]:
+    return [verdict.name for verdict in result.failed]
+
+
+@pytest.fixture(scope="module")
+def canonical() -> MissionResult:
+    return fly_in_memory(load_mission(CANONICAL), 1)
+
+
+def test_the_canonical_mission_finds_the_emitter_and_comes_home(canonical: MissionResult) -> None:
+    assert canonical.failed == []
+    assert canonical.final_error_m is not None
+    assert canonical.final_error_m < 1.0
+
+
+def test_the_same_seed_gives_the_same_event_log_to_the_byte(canonical: MissionResult) -> None:
+    again = fly_in_memory(load_mission(CANONICAL), 1)
+    assert again.event_log == canonical.event_log
+    assert len(canonical.event_log) > 10_000
+    other = fly_in_memory(load_mission(CANONICAL), 2)
+    assert other.event_log != canonical.event_log
+
+
+@pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
+def test_a_short_hop_on_both_autopilots(flavour: FlavourName) -> None:
+    mission = parse_mission(SHORT, "short")
+    result = fly_in_memory(with_autopilot(mission, flavour), 0)
+    assert result.failed == []
+    assert result.record.ended_s < 40.0
+
+
+BROKEN = {
+    "final_error_m": {"at_most": -1},
+    "error_over_r95": {"at_most": -1},
+    "reported_s": {"at_most": -1},
+    "time_s": {"at_most": 1},
+    "distance_m": {"at_most": 1},
+    "appears": {"text": "nobody says this"},
+    "never": {"message": "RADIO_RANGING"},
+    "holds": "vehicle.is_armed",
+    "always": "vehicle.height_m < 5",
+}
+
+
+def test_every_expectation_that_is_broken_fails_by_its_name() -> None:
+    script = msgspec.to_builtins(parse_mission(SHORT, "short"))
+    script["expectations"] = [
+        {"name": f"broken {kind}", kind: value} for kind, value in BROKEN.items()
+    ]
+    mission = msgspec.convert(script, Mission)
+    result = fly_in_memory(mission, 0)
+    assert failed_names(result) == [f"broken {kind}" for kind in BROKEN]
+
+
+def test_a_step_that_cannot_be_done_fails_the_flight() -> None:
+    steps = "[connect, {wait_until: {condition: vehicle.is_armed, limit_s: 3}}]"
+    result = fly_in_memory(parse_mission(f"name: m\nsteps: {steps}\n", "m"), 0)
+    assert failed_names(result) == ["all steps"]
+    assert "did not happen within 3 s" in result.failed[0].found
+
+
+def test_a_flights_report_is_written(tmp_path: Path) -> None:
+    script = tmp_path / "short.yaml"
+    script.write_text(SHORT)
+    (task,) = Campaign([script], seeds=[5], reports=tmp_path).tasks()
+    summary = fly_task(task)
+    assert summary.is_passed
+    assert Path(summary.report).name == "short-px4-lockstep-seed5.html"
+    assert Path(summary.report).with_suffix(".jsonl").read_text().startswith('{"t_s":0.0,')
