@@ -6,6 +6,7 @@ single record can see.
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
@@ -15,8 +16,11 @@ from companion.config.load import load_yaml
 from companion.config.process import LogConfig as LogConfig
 from companion.errors import ConfigError
 from companion.estimation.tracker import TrackerParams
+from companion.guard.envelope import Envelope
 from companion.guard.fence import Fence
 from companion.guard.gate import GuardLimits
+from companion.guard.reserve import Reserve
+from companion.guard.stopping import Stopping
 from companion.guidance.session import SessionParams
 from companion.link.params import LinkParams, VehicleParams
 from companion.params import NonNegative, Params, Positive
@@ -49,8 +53,20 @@ class LimitsConfig(Params, frozen=True):
     """Above home."""
     speed_mps: Positive = 5.0
     climb_mps: Positive = 2.0
+    acceleration_mps2: Positive = 2.5
+    """Of setpoints, and what the vehicle surely brakes with."""
     step_m: Positive = 8.0
-    """How far a setpoint may be ahead of the vehicle."""
+    """Farther ahead of the vehicle than this a setpoint is no faster than the vehicle."""
+    latency_s: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.5
+    """From a motion that is measured to a setpoint that is obeyed."""
+    navigation_sigma_m: NonNegative = 0.3
+    """Standard deviation of the vehicle's position, per axis."""
+    distance_home_m: Positive | None = None
+    """How far from home setpoints may be; null: as far as the fence."""
+    battery_pct_per_km: Positive | None = None
+    """Charge that a kilometre of the way home takes; null: the battery is not looked at."""
+    battery_reserve_pct: Annotated[float, msgspec.Meta(ge=0.0, lt=100.0)] = 20.0
+    """Charge that is left at home."""
 
     def __post_init__(self) -> None:
         """Refuse limits that contradict each other."""
@@ -62,14 +78,27 @@ class LimitsConfig(Params, frozen=True):
         Raises:
             ValueError: They contradict each other.
         """
-        return GuardLimits(
-            fence=Fence(self.fence_enu_m, self.fence_margin_m, self.keep_out_enu_m),
+        fence = Fence(self.fence_enu_m, self.fence_margin_m, self.keep_out_enu_m)
+        return GuardLimits(fence, self._envelope(), self._stopping(), *self._way_home())
+
+    def _envelope(self) -> Envelope:
+        return Envelope(
             altitude_min_m=self.altitude_min_m,
             altitude_max_m=self.altitude_max_m,
             speed_mps=self.speed_mps,
             climb_mps=self.climb_mps,
+            acceleration_mps2=self.acceleration_mps2,
             step_m=self.step_m,
         )
+
+    def _stopping(self) -> Stopping:
+        return Stopping(self.latency_s, self.acceleration_mps2, self.navigation_sigma_m)
+
+    def _way_home(self) -> tuple[float, Reserve | None]:
+        distance_m = math.inf if self.distance_home_m is None else self.distance_home_m
+        if self.battery_pct_per_km is None:
+            return distance_m, None
+        return distance_m, Reserve(self.battery_reserve_pct, self.battery_pct_per_km)
 
 
 PatternKind = Literal["lawnmower", "expanding_square", "sector"]

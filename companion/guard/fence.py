@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from companion.geometry.obstacles import FreeSpace, between
+from companion.geometry.obstacles import ROUNDING_M, FreeSpace
 from companion.geometry.polygons import Point, area_m2, deepest_point, depth_m, is_simple
 
 Corners = tuple[Point, ...]
@@ -40,38 +40,31 @@ class Fence:
         middle = deepest_point(self.polygon_enu_m)
         if depth_m(self.polygon_enu_m, middle) <= self.margin_m:
             raise ValueError(f"the margin of {self.margin_m:g} m leaves nothing of the fence")
-        space = FreeSpace(self.polygon_enu_m, self.keep_out_enu_m, self.margin_m)
+        space = self.free_space(self.margin_m)
         object.__setattr__(self, "space", space)
         if space.nearest_allowed(middle) is None:
             raise ValueError("the keep-outs leave nothing of the fence")
+
+    def free_space(self, margin_m: float) -> FreeSpace:
+        """What another margin would leave."""
+        return FreeSpace(self.polygon_enu_m, self.keep_out_enu_m, margin_m)
 
     def allows(self, point: Point) -> bool:
         """Whether a point is inside, and outside every keep-out, by at least the margin."""
         return self.space.allows(point)
 
     def limited(self, start: Point, goal: Point) -> Point:
-        """The farthest allowed point on the straight way from `start` to `goal`.
+        """The farthest point of the straight way from `start` to `goal` with all before allowed.
 
         From a start that is not allowed itself (blown outside, or started there) the result is
         the nearest allowed point instead: only ever the shortest way back.
         """
-        if not self.allows(start):
-            return self.nearest_allowed(start)
-        inside, step = 0.0, self._share_of_way(start, goal)
-        share = step
-        while share < 1.0 and self.allows(between(start, goal, share)):
-            inside = share
-            share = min(1.0, share + step)
-        if share >= 1.0 and self.allows(goal):
+        if self.allows(goal) and self.space.is_clear(start, goal):
             return goal
-        outside = share
-        for _ in range(40):
-            middle = 0.5 * (inside + outside)
-            if self.allows(between(start, goal, middle)):
-                inside = middle
-            else:
-                outside = middle
-        return between(start, goal, inside)
+        pieces = self.space.pieces(start, goal)
+        if pieces and math.dist(pieces[0][0], start) <= ROUNDING_M:
+            return self.nearest_allowed(pieces[0][1])
+        return self.nearest_allowed(start)
 
     def nearest_allowed(self, point: Point) -> Point:
         """`point` if it is allowed, otherwise the nearest allowed one."""
@@ -80,11 +73,6 @@ class Fence:
             nearest = self.space.nearest_allowed(deepest_point(self.polygon_enu_m))
         assert nearest is not None  # checked when the fence was made
         return nearest
-
-    def _share_of_way(self, start: Point, goal: Point) -> float:
-        """Step of the search: no narrower notch than a quarter of the margin is jumped over."""
-        length = math.dist(start, goal)
-        return 1.0 if length == 0.0 else min(1.0, max(0.25 * self.margin_m, 0.05) / length)
 
 
 def _check_polygon(name: str, polygon: Corners, least_m2: float) -> None:

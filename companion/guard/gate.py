@@ -2,10 +2,19 @@
 
 Theory of operation. The autopilot takes a setpoint as it is (PX4 accepted x = 1e9 and flew), and
 an ArduPilot position target never times out. So the setpoint is a carrot: it starts where the
-vehicle is and moves towards the goal no faster than the speed limit, waits when the vehicle falls
-behind by more than the step limit, starts anew at the vehicle when that is far off (its position
-jumped, or wind took it), and never leaves the fence or the altitude band, nor enters a keep-out.
-Each one is therefore safe to be the last one that is ever sent.
+vehicle is, at rest, and moves towards the goal within the envelope, slowing down so that it can
+stop before whatever ends its way. Of every setpoint that moves it is known that
+
+- it is inside the fence and outside every keep-out by the margin, and in the altitude band;
+- the place where it would stop (latency, braking) keeps 3 sigma from every border, and so does the
+  straight way to it from the vehicle, both from where the vehicle was measured and from where it is
+  when the setpoint arrives;
+- it is no farther from home than the leash and the battery allow, or nearer than it was.
+
+One that fails stays where it was, which was safe. Each is therefore safe to be the last one that is
+ever sent. The stream begins anew at the place nearest to the vehicle that is allowed, at rest, when
+the vehicle is where its setpoint cannot be flown to from: it is outside, its position jumped, it is
+too fast to stop before a border, or it was pushed to where the straight way is not free.
 """
 
 from __future__ import annotations
@@ -14,56 +23,119 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 
+from companion.geometry.obstacles import FreeSpace
+from companion.geometry.polygons import Point
+from companion.guard.envelope import MAX_TICK_S, Envelope
 from companion.guard.fence import Fence
+from companion.guard.reserve import Reserve, leashed
+from companion.guard.stopping import Stopping, ahead
 
 Position = tuple[float, float, float]
 
+AT_REST = (0.0, 0.0, 0.0)
 JUMP_STEPS = 2.0
 """A vehicle farther from its setpoint than this many steps did not lag: its position jumped."""
-MAX_TICK_S = 0.2
-"""A tick that comes late moves the setpoint no farther than one of this length."""
+FARTHEST_M = 1e6
+"""Farther from the origin a local frame means nothing."""
 
 
 class GuardReason(Enum):
     """Why a setpoint is not where the planner wanted it."""
 
-    NOT_FINITE = "goal, vehicle, home or time is not a finite number"
+    NO_FENCE = "there is no fence yet"
+    NOT_FINITE = "goal, vehicle, home or time is not a number to fly by"
     FENCE = "goal is outside the fence or in a keep-out"
-    OUTSIDE = "vehicle is outside the fence or in a keep-out"
+    OUTSIDE = "vehicle is outside the fence or in a keep-out: only back inside"
     ALTITUDE = "goal is outside the altitude band"
+    LEASH = "goal is too far from home"
+    BATTERY = "battery is too low to go farther from home"
+    BATTERY_UNKNOWN = "charge of the battery is unknown: no farther from home"
     LAGGING = "vehicle lags behind its setpoint"
     JUMPED = "vehicle is far from its setpoint: staying where it is"
+    TOO_FAST = "vehicle is too fast to stop before the fence or a keep-out"
+    CUT_OFF = "no straight way to the setpoint: waiting for the vehicle"
 
 
 @dataclass(frozen=True, slots=True)
 class GuardLimits:
-    """What no setpoint may exceed."""
+    """What no setpoint may exceed.
+
+    Raises:
+        ValueError: They contradict each other; the text begins with the name of one.
+    """
 
     fence: Fence | None
-    altitude_min_m: float
-    """Above home."""
-    altitude_max_m: float
-    """Above home."""
-    speed_mps: float
-    climb_mps: float
-    step_m: float
-    """How far the setpoint may be ahead of the vehicle."""
+    """None: not known yet, so that nothing moves."""
+    envelope: Envelope
+    stopping: Stopping
+    distance_home_m: float = math.inf
+    """How far from home a setpoint may be."""
+    reserve: Reserve | None = None
+    """None: the battery is not looked at."""
 
     def __post_init__(self) -> None:
         """Refuse limits that contradict each other."""
-        values = (self.speed_mps, self.climb_mps, self.step_m)
-        if not all(math.isfinite(v) and v > 0.0 for v in values):
-            raise ValueError("speed, climb and step limits must be positive")
-        if not 0.0 < self.altitude_min_m < self.altitude_max_m < math.inf:
-            raise ValueError("the altitude band must be positive and not empty")
+        if not self.distance_home_m > 0.0:
+            raise ValueError("distance_home_m: must be above 0")
+        clearance_m, envelope = self.stopping.clearance_m, self.envelope
+        if not self.altitude_m[0] < self.altitude_m[1]:
+            band = f"{envelope.altitude_min_m:g} to {envelope.altitude_max_m:g} m"
+            raise ValueError(
+                f"altitude_min_m: nothing is left of {band} at 3 navigation_sigma_m from both ends"
+            )
+        if self.fence is not None and not self.fence.margin_m >= clearance_m:
+            raise ValueError(
+                f"fence_margin_m: {self.fence.margin_m:g} m is less than 3 navigation_sigma_m "
+                f"({clearance_m:g} m), which a vehicle needs even at rest"
+            )
+
+    @property
+    def altitude_m(self) -> tuple[float, float]:
+        """The least and the greatest height of a setpoint above home."""
+        clearance_m, envelope = self.stopping.clearance_m, self.envelope
+        return envelope.altitude_min_m + clearance_m, envelope.altitude_max_m - clearance_m
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """What the guard must know of the vehicle; local east, north and up."""
+
+    position_enu_m: Position
+    velocity_enu_mps: Position
+    home_enu_m: Position
+    battery_pct: float | None = None
+    """Charge that is left, 0 to 100; None: unknown."""
 
 
 @dataclass(frozen=True, slots=True)
 class Guarded:
-    """A setpoint that is safe to send, and what was changed to make it so."""
+    """A setpoint that is safe to send, how it moves, and what was changed to make it so."""
 
     position_enu_m: Position
-    reasons: tuple[GuardReason, ...]
+    reasons: tuple[GuardReason, ...] = ()
+    velocity_enu_mps: Position = AT_REST
+
+
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """What one tick has to go by."""
+
+    goal_enu_m: Position
+    previous: Guarded
+    motion: Motion
+    dt_s: float
+    speed_cap_mps: float
+    reasons: list[GuardReason]
+
+    @property
+    def start(self) -> Point:
+        """Where the setpoint was."""
+        return self.previous.position_enu_m[:2]
+
+    @property
+    def vehicle(self) -> Point:
+        """Where the vehicle was measured."""
+        return self.motion.position_enu_m[:2]
 
 
 class Guard:
@@ -74,75 +146,173 @@ class Guard:
     """
 
     def __init__(self, limits: GuardLimits) -> None:
-        self.limits = limits
+        self.use(limits)
 
-    def here(self, vehicle_enu_m: Position, home_up_m: float) -> Guarded:
+    def use(self, limits: GuardLimits) -> None:
+        """Other limits from now on, for example when the fence becomes known."""
+        self.limits = limits
+        fence, clearance_m = limits.fence, limits.stopping.clearance_m
+        self._ways: FreeSpace | None = None if fence is None else fence.free_space(clearance_m)
+        """Where the vehicle itself may be on its way to a setpoint."""
+
+    def here(self, motion: Motion) -> Guarded:
         """The setpoint "stay where you are", moved inside the limits if that is outside."""
         reasons: list[GuardReason] = []
-        up = self._in_band(vehicle_enu_m[2], home_up_m, reasons)
-        place = (vehicle_enu_m[0], vehicle_enu_m[1])
-        if self.limits.fence is not None and not self.limits.fence.allows(place):
-            place = self.limits.fence.nearest_allowed(place)
+        up = self._in_band(motion.position_enu_m[2], motion, reasons)
+        place, fence = motion.position_enu_m[:2], self.limits.fence
+        if fence is None:
+            reasons.append(GuardReason.NO_FENCE)
+        elif not fence.allows(place):
+            place = fence.nearest_allowed(place)
             reasons.append(GuardReason.OUTSIDE)
         return Guarded((*place, up), tuple(reasons))
+
+    def hold(self, previous: Guarded, motion: Motion, dt_s: float) -> Guarded:
+        """The setpoint before, at rest: stopping is allowed at once."""
+        at_rest = Guarded(previous.position_enu_m)
+        return self.towards(previous.position_enu_m, at_rest, motion, dt_s)
 
     def towards(
         self,
         goal_enu_m: Position,
-        previous_enu_m: Position,
-        vehicle_enu_m: Position,
-        home_up_m: float,
+        previous: Guarded,
+        motion: Motion,
         dt_s: float,
+        speed_cap_mps: float = math.inf,
     ) -> Guarded:
         """The next setpoint on the way to a goal.
 
         Args:
             goal_enu_m: Where the planner wants to be, at its altitude.
-            previous_enu_m: The setpoint before.
-            vehicle_enu_m: Where the vehicle is.
-            home_up_m: Height of home in the local frame.
+            previous: The setpoint before.
+            motion: Of the vehicle.
             dt_s: Time since the setpoint before.
+            speed_cap_mps: No faster than this, where that is less than the limits.
         """
-        reasons: list[GuardReason] = []
-        if not all(map(math.isfinite, (*goal_enu_m, *vehicle_enu_m, home_up_m, dt_s))):
-            return Guarded(previous_enu_m, (GuardReason.NOT_FINITE,))
+        fence, ways = self.limits.fence, self._ways
+        if fence is None or ways is None:
+            return Guarded(previous.position_enu_m, (GuardReason.NO_FENCE,))
+        if not _are_numbers(goal_enu_m, motion, dt_s, speed_cap_mps):
+            return Guarded(previous.position_enu_m, (GuardReason.NOT_FINITE,))
         dt_s = min(max(dt_s, 0.0), MAX_TICK_S)
-        goal_up = self._in_band(goal_enu_m[2], home_up_m, reasons)
-        climb = self.limits.climb_mps * dt_s
-        up = previous_enu_m[2] + min(max(goal_up - previous_enu_m[2], -climb), climb)
-        if math.dist(previous_enu_m[:2], vehicle_enu_m[:2]) > JUMP_STEPS * self.limits.step_m:
-            reasons.append(GuardReason.JUMPED)
-            place = self.here(vehicle_enu_m, home_up_m).position_enu_m[:2]
-        else:
-            place = self._advanced(goal_enu_m, previous_enu_m, vehicle_enu_m, dt_s, reasons)
-        return Guarded((*place, up), tuple(reasons))
+        step = _Step(goal_enu_m, previous, motion, dt_s, speed_cap_mps, [])
+        trouble = self._trouble(step, ways)
+        if trouble is not None:
+            return self._begun_anew(trouble, step)
+        up_m, climb_mps = self._climbed(step)
+        goal = self._permitted(step, fence)
+        velocity = self._velocity(step, goal, fence)
+        place = ahead(step.start, velocity, dt_s)
+        if not self._is_safe(place, velocity, step, fence, ways):
+            step.reasons.append(GuardReason.CUT_OFF)
+            place, velocity = step.start, (0.0, 0.0)
+        return Guarded((*place, up_m), tuple(step.reasons), (*velocity, climb_mps))
 
-    def _in_band(self, up_m: float, home_up_m: float, reasons: list[GuardReason]) -> float:
-        low = home_up_m + self.limits.altitude_min_m
-        high = home_up_m + self.limits.altitude_max_m
-        if not low <= up_m <= high:
+    # When the vehicle is where its setpoint cannot be flown to from
+
+    def _trouble(self, step: _Step, ways: FreeSpace) -> GuardReason | None:
+        vehicle, limits = step.vehicle, self.limits
+        if not ways.allows(vehicle):
+            return GuardReason.OUTSIDE
+        if math.dist(step.start, vehicle) > JUMP_STEPS * limits.envelope.step_m:
+            return GuardReason.JUMPED
+        stop = limits.stopping.point(vehicle, step.motion.velocity_enu_mps[:2])
+        if not ways.is_clear(vehicle, stop):
+            return GuardReason.TOO_FAST
+        return None if ways.is_clear(vehicle, step.start) else GuardReason.CUT_OFF
+
+    def _begun_anew(self, why: GuardReason, step: _Step) -> Guarded:
+        """At the vehicle; or where it was, if a vehicle that is too fast has passed that."""
+        ve, vn, _ = step.motion.velocity_enu_mps
+        passed = (step.vehicle[0] - step.start[0]) * ve + (step.vehicle[1] - step.start[1]) * vn
+        if why is GuardReason.TOO_FAST and passed >= 0.0:
+            return Guarded(step.previous.position_enu_m, (why,))
+        return Guarded(self.here(step.motion).position_enu_m, (why,))
+
+    # The next setpoint
+
+    def _in_band(self, up_m: float, motion: Motion, reasons: list[GuardReason]) -> float:
+        low_m, high_m = (motion.home_enu_m[2] + height_m for height_m in self.limits.altitude_m)
+        if not low_m <= up_m <= high_m:
             reasons.append(GuardReason.ALTITUDE)
-        return min(max(up_m, low), high)
+        return min(max(up_m, low_m), high_m)
 
-    def _advanced(
-        self,
-        goal: Position,
-        previous: Position,
-        vehicle: Position,
-        dt_s: float,
-        reasons: list[GuardReason],
-    ) -> tuple[float, float]:
-        start, end = previous[:2], goal[:2]
-        distance = math.dist(start, end)
-        share = 1.0 if distance == 0.0 else min(1.0, self.limits.speed_mps * dt_s / distance)
-        place = (start[0] + share * (end[0] - start[0]), start[1] + share * (end[1] - start[1]))
-        lead = math.dist(place, vehicle[:2])
-        if lead > self.limits.step_m and lead > math.dist(start, vehicle[:2]):
-            reasons.append(GuardReason.LAGGING)
-            place = start
-        fence = self.limits.fence
-        if fence is None:
-            return place
-        if not fence.allows(end):
-            reasons.append(GuardReason.FENCE)
-        return fence.limited(start, place)
+    def _climbed(self, step: _Step) -> tuple[float, float]:
+        """Height, and its rate of change."""
+        limits, up_m = self.limits, step.previous.position_enu_m[2]
+        left_m = self._in_band(step.goal_enu_m[2], step.motion, step.reasons) - up_m
+        speed_mps = min(
+            limits.envelope.climb_mps,
+            step.speed_cap_mps,
+            limits.stopping.speed_mps(abs(left_m), step.dt_s),
+        )
+        before, wanted = step.previous.velocity_enu_mps[2], math.copysign(speed_mps, left_m)
+        climb_mps, _ = limits.envelope.next_velocity((before, 0.0), (wanted, 0.0), step.dt_s)
+        return up_m + climb_mps * step.dt_s, climb_mps
+
+    def _permitted(self, step: _Step, fence: Fence) -> Point:
+        """Where the straight way to the goal ends, as far as it may be flown."""
+        limits, home = self.limits, step.motion.home_enu_m[:2]
+        wanted = (_near(step.goal_enu_m[0]), _near(step.goal_enu_m[1]))
+        goal = leashed(step.start, wanted, home, limits.distance_home_m)
+        if goal != wanted:
+            step.reasons.append(GuardReason.LEASH)
+        if limits.reserve is not None:
+            battery_pct = step.motion.battery_pct
+            near = leashed(step.start, goal, home, limits.reserve.reach_m(battery_pct))
+            if near != goal:
+                is_unknown = battery_pct is None
+                why = GuardReason.BATTERY_UNKNOWN if is_unknown else GuardReason.BATTERY
+                step.reasons.append(why)
+            goal = near
+        if not fence.allows(goal):
+            step.reasons.append(GuardReason.FENCE)
+        return fence.limited(step.start, goal)
+
+    def _velocity(self, step: _Step, goal: Point, fence: Fence) -> Point:
+        """Towards the goal, as fast as the envelope and the way to stop allow."""
+        envelope, stopping = self.limits.envelope, self.limits.stopping
+        before, left_m = step.previous.velocity_enu_mps[:2], math.dist(step.start, goal)
+        if left_m == 0.0:
+            return envelope.next_velocity(before, (0.0, 0.0), step.dt_s)
+        east, north = (goal[0] - step.start[0]) / left_m, (goal[1] - step.start[1]) / left_m
+        to_border_m = left_m + fence.margin_m - stopping.clearance_m
+        speed_mps = min(
+            envelope.speed_mps,
+            step.speed_cap_mps,
+            stopping.speed_mps(left_m, step.dt_s),
+            stopping.speed_mps(to_border_m, stopping.latency_s + step.dt_s),
+        )
+        lead = (step.start[0] - step.vehicle[0], step.start[1] - step.vehicle[1])
+        if lead[0] * east + lead[1] * north > 0.0:
+            ve, vn, _ = step.motion.velocity_enu_mps
+            room_m = max(0.0, envelope.step_m - math.hypot(*lead))
+            pace_mps = max(0.0, ve * east + vn * north) + stopping.speed_mps(room_m, step.dt_s)
+            if pace_mps < speed_mps:
+                step.reasons.append(GuardReason.LAGGING)
+                speed_mps = pace_mps
+        return envelope.next_velocity(before, (speed_mps * east, speed_mps * north), step.dt_s)
+
+    def _is_safe(
+        self, place: Point, velocity: Point, step: _Step, fence: Fence, ways: FreeSpace
+    ) -> bool:
+        """Whether a setpoint may be the last one; see the theory of operation."""
+        stopping = self.limits.stopping
+        arrival = ahead(step.vehicle, step.motion.velocity_enu_mps[:2], stopping.latency_s)
+        return (
+            fence.allows(place)
+            and ways.is_clear(place, stopping.point(place, velocity))
+            and ways.is_clear(step.vehicle, place)
+            and ways.is_clear(arrival, place)
+        )
+
+
+def _are_numbers(goal: Position, motion: Motion, dt_s: float, speed_cap_mps: float) -> bool:
+    """Whether everything that a setpoint is made of can be flown by."""
+    values = (*motion.position_enu_m, *motion.velocity_enu_mps, *motion.home_enu_m)
+    are_near = all(abs(value) <= FARTHEST_M for value in values)
+    return are_near and all(map(math.isfinite, (*goal, dt_s))) and speed_cap_mps >= 0.0
+
+
+def _near(coordinate_m: float) -> float:
+    return min(max(coordinate_m, -FARTHEST_M), FARTHEST_M)

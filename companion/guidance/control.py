@@ -141,17 +141,17 @@ class ControlTick:
         """The setpoint of this tick, or None where silence is due."""
         situation = self._situation
         steering, vehicle = situation.steering, situation.vehicle
-        position, home = vehicle.position_enu_m, vehicle.home_enu_m
-        if position is None or home is None:
+        motion = vehicle.motion
+        if motion is None:
             return None
         if is_silence_due(situation.authority, vehicle, situation.launch, now_s):
             return None
         match situation.phase:
             case Phase.STANDBY | Phase.LAUNCHING:
-                return steering.stay_with(position, home[2])
+                return steering.stay_with(motion)
             case Phase.NORMAL:
                 waypoint = situation.flight_plan.waypoint
-                return steering.follow(waypoint, position, home[2], dt_s)
+                return steering.follow(waypoint, motion, dt_s)
             case Phase.HOLD | Phase.FINISHED | Phase.HANDBACK:
-                return steering.stay(position, home[2], dt_s)
+                return steering.stay(motion, dt_s)
         return None

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
+
 from companion.domain import PositionEnu, PositionSetpoint, Waypoint
-from companion.guard.gate import Guard, Guarded, GuardReason
+from companion.guard.gate import Guard, Guarded, GuardReason, Motion
 
 CLIMB_FIRST_M = 1.0
 """Below the altitude band by more than this the vehicle climbs before it goes anywhere."""
@@ -18,46 +20,53 @@ class Steering:
     """
 
     def __init__(self, guard: Guard, altitude_m: float) -> None:
-        self.setpoint_enu_m: PositionEnu | None = None
-        self.reasons: tuple[GuardReason, ...] = ()
         self._guard = guard
         self._altitude_m = altitude_m
+        self._last: Guarded | None = None
+
+    @property
+    def setpoint_enu_m(self) -> PositionEnu | None:
+        """The setpoint sent last, where the next one begins."""
+        return None if self._last is None else self._last.position_enu_m
+
+    @property
+    def reasons(self) -> tuple[GuardReason, ...]:
+        """Why it is not where the planner wanted it."""
+        return () if self._last is None else self._last.reasons
 
     def forget_setpoint(self) -> None:
         """The next setpoint starts where the vehicle is."""
-        self.setpoint_enu_m = None
+        self._last = None
 
-    def stay_with(self, vehicle_enu_m: PositionEnu, home_up_m: float) -> PositionSetpoint:
+    def stay_with(self, motion: Motion) -> PositionSetpoint:
         """Hold at the vehicle's present place, following it while someone else flies it."""
-        return self._sent(self._guard.here(vehicle_enu_m, home_up_m))
+        return self._sent(self._guard.here(motion))
 
-    def stay(self, vehicle_enu_m: PositionEnu, home_up_m: float, dt_s: float) -> PositionSetpoint:
+    def stay(self, motion: Motion, dt_s: float) -> PositionSetpoint:
         """Hold at the place where holding began."""
-        if self.setpoint_enu_m is None:
-            return self._sent(self._guard.here(vehicle_enu_m, home_up_m))
-        at = self.setpoint_enu_m
-        return self._sent(self._guard.towards(at, at, vehicle_enu_m, home_up_m, dt_s))
+        if self._last is None:
+            return self.stay_with(motion)
+        return self._sent(self._guard.hold(self._last, motion, dt_s))
 
     def follow(
         self,
         waypoint: Waypoint | None,
-        vehicle_enu_m: PositionEnu,
-        home_up_m: float,
+        motion: Motion,
         dt_s: float,
+        speed_cap_mps: float = math.inf,
     ) -> PositionSetpoint:
         """One tick towards the waypoint at its altitude; without a waypoint, stay."""
-        previous = self.setpoint_enu_m
-        if previous is None or waypoint is None:
-            return self.stay(vehicle_enu_m, home_up_m, dt_s)
+        last = self._last
+        if last is None or waypoint is None:
+            return self.stay(motion, dt_s)
         east, north = waypoint.position_enu_m
-        floor_m = home_up_m + self._guard.limits.altitude_min_m
-        if vehicle_enu_m[2] < floor_m - CLIMB_FIRST_M:
-            east, north = previous[:2]
-        up = home_up_m + self._altitude_m + waypoint.altitude_offset_m
-        goal = (east, north, up)
-        return self._sent(self._guard.towards(goal, previous, vehicle_enu_m, home_up_m, dt_s))
+        home_up_m = motion.home_enu_m[2]
+        floor_m = home_up_m + self._guard.limits.envelope.altitude_min_m
+        if motion.position_enu_m[2] < floor_m - CLIMB_FIRST_M:
+            east, north = last.position_enu_m[:2]
+        goal = (east, north, home_up_m + self._altitude_m + waypoint.altitude_offset_m)
+        return self._sent(self._guard.towards(goal, last, motion, dt_s, speed_cap_mps))
 
     def _sent(self, guarded: Guarded) -> PositionSetpoint:
-        self.setpoint_enu_m = guarded.position_enu_m
-        self.reasons = guarded.reasons
+        self._last = guarded
         return PositionSetpoint(guarded.position_enu_m)

@@ -6,6 +6,7 @@ import math
 
 from companion.domain import Autopilot, FlightMode, LandedState, PositionEnu
 from companion.geometry.frames import LocalOrigin
+from companion.guard.gate import Motion
 from companion.guidance.events import (
     Event,
     HeartbeatReceived,
@@ -89,6 +90,14 @@ class VehicleView:
         """The newest position."""
         latest = self.track.latest
         return None if latest is None else latest.position_enu_m
+
+    @property
+    def motion(self) -> Motion | None:
+        """What the guard goes by, or None without a position or a home."""
+        latest, home = self.track.latest, self.home_enu_m
+        if latest is None or home is None:
+            return None
+        return Motion(latest.position_enu_m, latest.velocity_enu_mps, home)
 
     @property
     def mode(self) -> FlightMode:

@@ -1,264 +1,469 @@
-"""The guard against everything that a goal, a clock and a vehicle can do.
+"""The guard against everything that a goal, a clock and a vehicle can do, one thing at a time.
 
-What is promised of `towards`, from a previous setpoint that came from the guard itself: inside the
-fence by the margin, in the altitude band, no farther from the previous one than speed and climb
-allow, and never farther ahead of the vehicle than the step limit by its own doing. `here` keeps
-fence and band, and is the only one that may jump: it says where the stream begins.
+What holds for arbitrary sequences of all of it is in tests/property/test_guard_promises.py.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from itertools import pairwise
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from companion.geometry.polygons import Point, deepest_point, depth_m
+from companion.geometry.polygons import Point
+from companion.guard.envelope import Envelope
 from companion.guard.fence import Fence
-from companion.guard.gate import (
-    MAX_TICK_S,
-    Guard,
-    Guarded,
-    GuardLimits,
-    GuardReason,
-    Position,
-)
+from companion.guard.gate import Guard, Guarded, GuardLimits, GuardReason, Motion, Position
+from companion.guard.reserve import Reserve
+from companion.guard.stopping import Stopping
 
 SQUARE = Fence(((-100.0, -100.0), (100.0, -100.0), (100.0, 100.0), (-100.0, 100.0)), 5.0)
-LIMITS = GuardLimits(
-    fence=SQUARE,
+ENVELOPE = Envelope(
     altitude_min_m=5.0,
     altitude_max_m=60.0,
     speed_mps=5.0,
     climb_mps=2.0,
+    acceleration_mps2=2.0,
     step_m=8.0,
 )
+STOPPING = Stopping(latency_s=0.5, deceleration_mps2=2.0, navigation_sigma_m=1.0)
+LIMITS = GuardLimits(SQUARE, ENVELOPE, STOPPING)
 GUARD = Guard(LIMITS)
-HOME_UP_M = 10.0
-ROUNDING_M = 1e-9
+HOME = (0.0, 0.0, 10.0)
+LOW_M, HIGH_M = 18.0, 67.0
+"""The band above home, 3 sigma from both of its ends."""
+START = (0.0, 0.0, 30.0)
 
 
-@dataclass(frozen=True, slots=True)
-class Tick:
-    """One control tick: what is wanted, where the vehicle has got to, and how late it is."""
-
-    goal_enu_m: Position
-    drift_m: Point
-    dt_s: float
+def motion(
+    place: Position, velocity: Position = (0.0, 0.0, 0.0), battery_pct: float | None = None
+) -> Motion:
+    return Motion(place, velocity, HOME, battery_pct)
 
 
-wild = st.floats(-1e9, 1e9) | st.sampled_from([math.nan, math.inf, -math.inf, 1e9, 1e308, -1e308])
-near = st.floats(-300.0, 300.0)
-goals = st.tuples(near | wild, near | wild, st.floats(-50.0, 150.0) | wild)
-ticks = st.builds(
-    Tick,
-    goals,
-    st.tuples(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0)),
-    st.sampled_from([0.05, 0.1]) | st.floats(-1.0, 1e6),
-)
-
-
-@st.composite
-def guards(draw: st.DrawFn) -> Guard:
-    radii = draw(st.lists(st.floats(30.0, 200.0), min_size=3, max_size=8))
-    polygon = tuple(
-        (
-            radius * math.cos(2.0 * math.pi * i / len(radii)),
-            radius * math.sin(2.0 * math.pi * i / len(radii)),
-        )
-        for i, radius in enumerate(radii)
-    )
-    margin_m = draw(st.floats(0.0, 0.8)) * depth_m(polygon, deepest_point(polygon))
-    return Guard(
-        GuardLimits(
-            fence=draw(st.sampled_from([Fence(polygon, margin_m), None])),
-            altitude_min_m=draw(st.floats(1.0, 20.0)),
-            altitude_max_m=draw(st.floats(21.0, 120.0)),
-            speed_mps=draw(st.floats(0.1, 20.0)),
-            climb_mps=draw(st.floats(0.1, 5.0)),
-            step_m=draw(st.floats(0.5, 20.0)),
-        )
-    )
-
-
-def assert_inside(guard: Guard, position: Position) -> None:
-    """Inside the fence by the margin and in the altitude band, and a number at all."""
-    limits, (east, north, up) = guard.limits, position
-    assert all(math.isfinite(v) for v in position)
-    low, high = HOME_UP_M + limits.altitude_min_m, HOME_UP_M + limits.altitude_max_m
-    assert low - ROUNDING_M <= up <= high + ROUNDING_M
-    if limits.fence is not None:
-        depth = depth_m(limits.fence.polygon_enu_m, (east, north))
-        assert depth >= limits.fence.margin_m
-
-
-def assert_reachable(guard: Guard, before: Position, after: Position, dt_s: float) -> None:
-    """No faster than the limits, whatever the clock says."""
-    tick_s = min(max(dt_s, 0.0), MAX_TICK_S)
-    step_m = math.dist(before[:2], after[:2])
-    assert step_m <= guard.limits.speed_mps * tick_s + ROUNDING_M
-    assert abs(after[2] - before[2]) <= guard.limits.climb_mps * tick_s + ROUNDING_M
-
-
-def assert_lead(guard: Guard, before: Position, after: Position, vehicle: Position) -> None:
-    """Within the step limit, or no farther from the vehicle than it was."""
-    lead_m = math.dist(after[:2], vehicle[:2])
-    was_m = math.dist(before[:2], vehicle[:2])
-    assert lead_m <= max(guard.limits.step_m, was_m) + ROUNDING_M
-
-
-@settings(max_examples=150, deadline=None)
-@given(guards(), st.tuples(near, near, near), st.lists(ticks, min_size=1, max_size=12))
-def test_every_setpoint_is_safe_to_be_the_last(
-    guard: Guard, vehicle: Position, flown: list[Tick]
-) -> None:
-    setpoint = guard.here(vehicle, HOME_UP_M).position_enu_m
-    assert_inside(guard, setpoint)
-    for tick in flown:
-        vehicle = (vehicle[0] + tick.drift_m[0], vehicle[1] + tick.drift_m[1], vehicle[2])
-        guarded = guard.towards(tick.goal_enu_m, setpoint, vehicle, HOME_UP_M, tick.dt_s)
-        assert_inside(guard, guarded.position_enu_m)
-        if GuardReason.JUMPED in guarded.reasons:
-            assert math.dist(setpoint[:2], vehicle[:2]) > 2.0 * guard.limits.step_m
-            assert guarded.position_enu_m[:2] == guard.here(vehicle, HOME_UP_M).position_enu_m[:2]
-        else:
-            assert_reachable(guard, setpoint, guarded.position_enu_m, tick.dt_s)
-            assert_lead(guard, setpoint, guarded.position_enu_m, vehicle)
-        if not all(math.isfinite(v) for v in tick.goal_enu_m):
-            assert guarded == Guarded(setpoint, (GuardReason.NOT_FINITE,))
-        setpoint = guarded.position_enu_m
-
-
-@settings(max_examples=100, deadline=None)
-@given(guards(), st.tuples(near, near, near), st.tuples(near, near, near))
-def test_a_setpoint_from_elsewhere_comes_inside_and_stays(
-    guard: Guard, previous: Position, goal: Position
-) -> None:
-    """One that the guard did not make may be anywhere; the next one is inside already."""
-    for _ in range(3):
-        previous = guard.towards(goal, previous, previous, HOME_UP_M, 0.1).position_enu_m
-        if guard.limits.fence is not None:
-            assert guard.limits.fence.allows(previous[:2])
-
-
-def _flown(goal: Position, start: Position = (0.0, 0.0, 30.0), ticks: int = 1000) -> list[Guarded]:
-    """A vehicle that is always where its setpoint is."""
-    flown = [Guarded(start, ())]
+def flown(
+    goal: Position,
+    *,
+    start: Position = START,
+    ticks: int = 1000,
+    dt_s: float = 0.1,
+    guard: Guard = GUARD,
+    battery_pct: float | None = None,
+    cap_mps: float = math.inf,
+) -> list[Guarded]:
+    """A vehicle that is always where its setpoint is, and moves like it."""
+    steps = [Guarded(start)]
     for _ in range(ticks):
-        at = flown[-1].position_enu_m
-        flown.append(GUARD.towards(goal, at, at, HOME_UP_M, 0.1))
-    return flown
+        last = steps[-1]
+        now = Motion(last.position_enu_m, last.velocity_enu_mps, HOME, battery_pct)
+        steps.append(guard.towards(goal, last, now, dt_s, cap_mps))
+    return steps
 
 
-def test_a_goal_within_the_limits_is_reached_exactly_and_in_time() -> None:
-    flown = _flown((30.0, 40.0, 40.0))
-    assert all(not guarded.reasons for guarded in flown)
-    places = [guarded.position_enu_m for guarded in flown]
-    # 50 m at 5 m/s and 10 m at 2 m/s.
-    assert places[99][:2] != (30.0, 40.0)
-    assert places[101][:2] == (30.0, 40.0)
-    assert places[49][2] < 40.0
-    assert places[51][2] == 40.0
+class TestTheWayToAGoal:
+    def test_a_goal_within_the_limits_is_reached_and_kept(self) -> None:
+        steps = flown((30.0, 40.0, 40.0))
+        assert all(not step.reasons for step in steps)
+        assert steps[-1].position_enu_m == pytest.approx((30.0, 40.0, 40.0), abs=1e-9)
+        assert steps[-1].velocity_enu_mps == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
 
+    def test_it_takes_as_long_as_speed_and_acceleration_say(self) -> None:
+        """50 m: 2.5 s to reach 5 m/s, as long to brake, and 7.5 s in between; 10 m up: 6 s."""
+        steps = flown((30.0, 40.0, 40.0))
+        distances = [math.dist(step.position_enu_m[:2], (30.0, 40.0)) for step in steps]
+        assert distances[123] > 0.05
+        assert distances[129] < 0.05
+        ups = [40.0 - step.position_enu_m[2] for step in steps]
+        assert ups[58] > 0.02
+        assert ups[64] < 0.02
+        speeds = [math.hypot(*step.velocity_enu_mps[:2]) for step in steps]
+        assert max(speeds) == pytest.approx(5.0)
+        assert max(step.velocity_enu_mps[2] for step in steps) == pytest.approx(2.0)
 
-def test_a_goal_outside_the_fence_ends_at_the_margin() -> None:
-    last = _flown((1e9, 0.0, 30.0))[-1]
-    assert last.position_enu_m == pytest.approx((95.0, 0.0, 30.0), abs=1e-9)
-    assert last.reasons == (GuardReason.FENCE,)
+    def test_it_begins_and_ends_gently(self) -> None:
+        steps = flown((30.0, 0.0, 30.0))
+        assert steps[1].velocity_enu_mps == pytest.approx((0.2, 0.0, 0.0))
+        assert steps[1].position_enu_m == pytest.approx((0.02, 0.0, 30.0))
+        assert steps[2].velocity_enu_mps == pytest.approx((0.4, 0.0, 0.0))
+        for before, after in pairwise(steps):
+            change = math.dist(before.velocity_enu_mps[:2], after.velocity_enu_mps[:2])
+            assert change <= 0.2 + 1e-9
+        left_m = 30.0 - steps[80].position_enu_m[0]
+        assert left_m > 0.0
+        assert steps[80].velocity_enu_mps[0] ** 2 <= 4.0 * left_m + 1e-9
 
+    def test_it_turns_no_faster_than_it_accelerates(self) -> None:
+        east = Guarded(START, (), (5.0, 0.0, 0.0))
+        turned = GUARD.towards((0.0, 50.0, 30.0), east, motion(START), 0.1)
+        change = (turned.velocity_enu_mps[0] - 5.0, turned.velocity_enu_mps[1])
+        assert math.hypot(*change) == pytest.approx(0.2)
+        assert turned.velocity_enu_mps[1] > 0.1
 
-@pytest.mark.parametrize(("up_m", "end_m"), [(1e9, 70.0), (-1e9, 15.0)])
-def test_a_goal_outside_the_band_ends_at_its_edge(up_m: float, end_m: float) -> None:
-    last = _flown((0.0, 0.0, up_m))[-1]
-    assert last.position_enu_m == (0.0, 0.0, end_m)
-    assert last.reasons == (GuardReason.ALTITUDE,)
+    def test_a_descent_is_braked_like_a_climb(self) -> None:
+        steps = flown((0.0, 0.0, 20.0))
+        rates = [step.velocity_enu_mps[2] for step in steps]
+        assert min(rates) == pytest.approx(-2.0)
+        assert rates[1] == pytest.approx(-0.2)
+        assert min(step.position_enu_m[2] for step in steps) >= 20.0
+        assert steps[-1].position_enu_m[2] == pytest.approx(20.0, abs=1e-9)
 
+    def test_a_speed_cap_slows_it_down_but_no_faster_than_it_brakes(self) -> None:
+        fast = Guarded(START, (), (5.0, 0.0, 2.0))
+        slower = GUARD.towards((50.0, 0.0, 60.0), fast, motion(START), 0.1, 1.0)
+        assert slower.velocity_enu_mps == pytest.approx((4.8, 0.0, 1.8))
+        steps = flown((50.0, 0.0, 60.0), cap_mps=1.0)
+        assert max(step.velocity_enu_mps[0] for step in steps) == pytest.approx(1.0)
+        assert max(step.velocity_enu_mps[2] for step in steps) == pytest.approx(1.0)
+        stopped = flown((50.0, 0.0, 60.0), cap_mps=0.0)
+        assert stopped[-1].position_enu_m == START
 
-@pytest.mark.parametrize("axis", range(3))
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_a_goal_that_is_no_number_keeps_the_setpoint(axis: int, value: float) -> None:
-    goal = (*(0.0, 0.0, 30.0)[:axis], value, *(0.0, 0.0, 30.0)[axis + 1 :])
-    before = (1.0, 2.0, 30.0)
-    guarded = GUARD.towards((goal[0], goal[1], goal[2]), before, before, HOME_UP_M, 0.1)
-    assert guarded == Guarded(before, (GuardReason.NOT_FINITE,))
-
-
-def test_a_vehicle_home_or_clock_that_is_no_number_keeps_the_setpoint() -> None:
-    goal, before = (30.0, 0.0, 30.0), (1.0, 2.0, 30.0)
-    kept = Guarded(before, (GuardReason.NOT_FINITE,))
-    assert GUARD.towards(goal, before, (math.nan, 2.0, 30.0), HOME_UP_M, 0.1) == kept
-    assert GUARD.towards(goal, before, before, math.nan, 0.1) == kept
-    assert GUARD.towards(goal, before, before, HOME_UP_M, math.nan) == kept
-
-
-@pytest.mark.parametrize(
-    ("dt_s", "moved_m"), [(-1.0, 0.0), (0.0, 0.0), (0.1, 0.5), (0.2, 1.0), (5.0, 1.0), (1e9, 1.0)]
-)
-def test_a_late_tick_moves_no_farther_than_a_slow_one(dt_s: float, moved_m: float) -> None:
-    at = (0.0, 0.0, 30.0)
-    guarded = GUARD.towards((50.0, 0.0, 30.0), at, at, HOME_UP_M, dt_s)
-    assert guarded.position_enu_m == pytest.approx((moved_m, 0.0, 30.0))
-
-
-def test_it_waits_for_a_vehicle_that_lags_behind() -> None:
-    vehicle, setpoint = (0.0, 0.0, 30.0), (0.0, 0.0, 30.0)
-    for _ in range(100):
-        guarded = GUARD.towards((50.0, 0.0, 30.0), setpoint, vehicle, HOME_UP_M, 0.1)
-        setpoint = guarded.position_enu_m
-    assert setpoint == pytest.approx((8.0, 0.0, 30.0))
-    assert guarded.reasons == (GuardReason.LAGGING,)
-    onwards = GUARD.towards((50.0, 0.0, 30.0), setpoint, (4.0, 0.0, 30.0), HOME_UP_M, 0.1)
-    assert onwards.position_enu_m == pytest.approx((8.5, 0.0, 30.0))
-    assert onwards.reasons == ()
-
-
-def test_it_may_come_back_to_a_vehicle_that_fell_behind() -> None:
-    """Blown 15 m away, the setpoint still moves when that brings it nearer."""
-    guarded = GUARD.towards(
-        (-50.0, 0.0, 30.0), (0.0, 0.0, 30.0), (-15.0, 0.0, 30.0), HOME_UP_M, 0.1
+    @pytest.mark.parametrize(
+        ("dt_s", "moved_m"),
+        [(-1.0, 0.0), (0.0, 0.0), (0.1, 0.5), (0.2, 1.0), (0.3, 1.0), (5.0, 1.0), (1e9, 1.0)],
     )
-    assert guarded.position_enu_m == pytest.approx((-0.5, 0.0, 30.0))
+    def test_a_late_tick_moves_no_farther_than_a_slow_one(
+        self, dt_s: float, moved_m: float
+    ) -> None:
+        fast = Guarded(START, (), (5.0, 0.0, 0.0))
+        guarded = GUARD.towards((50.0, 0.0, 30.0), fast, motion(START), dt_s)
+        assert guarded.position_enu_m == pytest.approx((moved_m, 0.0, 30.0))
+        assert guarded.velocity_enu_mps == pytest.approx((5.0, 0.0, 0.0))
+
+    def test_who_is_at_the_goal_and_still_moves_brakes(self) -> None:
+        fast = Guarded(START, (), (5.0, 0.0, 0.0))
+        guarded = GUARD.towards(START, fast, motion(START), 0.1)
+        assert guarded.velocity_enu_mps == pytest.approx((4.8, 0.0, 0.0))
+        assert guarded.position_enu_m == pytest.approx((0.48, 0.0, 30.0))
 
 
-def test_a_vehicle_that_jumped_away_is_not_flown_back_across_the_gap() -> None:
-    """An autopilot's position may jump by tens of metres when its estimator resets."""
-    hold = (10.0, 0.0, 30.0)
-    guarded = GUARD.towards(hold, hold, (60.0, 0.0, 30.0), HOME_UP_M, 0.05)
-    assert guarded == Guarded((60.0, 0.0, 30.0), (GuardReason.JUMPED,))
+class TestHolding:
+    def test_holding_stops_at_once(self) -> None:
+        fast = Guarded(START, (), (5.0, 1.0, 2.0))
+        held = GUARD.hold(fast, motion((-5.0, 0.0, 30.0)), 0.1)
+        assert held == Guarded(START)
+
+    def test_holding_still_looks_at_the_vehicle(self) -> None:
+        held = GUARD.hold(Guarded(START), motion((60.0, 0.0, 30.0)), 0.1)
+        assert held == Guarded((60.0, 0.0, 30.0), (GuardReason.JUMPED,))
+
+    def test_a_hold_outside_a_band_that_moved_comes_back_slowly(self) -> None:
+        held = GUARD.hold(Guarded((0.0, 0.0, 10.0)), motion(START), 0.1)
+        assert held.position_enu_m == pytest.approx((0.0, 0.0, 10.02))
+        assert held.reasons == (GuardReason.ALTITUDE,)
 
 
-def test_here_is_where_the_vehicle_is() -> None:
-    assert GUARD.here((3.0, 4.0, 30.0), HOME_UP_M) == Guarded((3.0, 4.0, 30.0), ())
+class TestTheFence:
+    def test_a_goal_outside_ends_at_the_margin(self) -> None:
+        for east in (96.0, 500.0, 1e9, 1e308):
+            steps = flown((east, 0.0, 30.0))
+            assert steps[-1].position_enu_m == pytest.approx((95.0, 0.0, 30.0), abs=1e-5)
+            assert steps[-1].reasons == (GuardReason.FENCE,)
+
+    def test_what_a_far_goal_means_is_its_direction(self) -> None:
+        last = flown((-1e9, 1e5, 30.0), ticks=2000)[-1].position_enu_m
+        assert last == pytest.approx((-95.0, 9.5, 30.0), abs=1e-3)
+
+    def test_near_the_border_it_is_slow_enough_to_stop_with_latency(self) -> None:
+        """Every setpoint: v t + v^2 / 2a + 3 sigma fits into what is left of the fence."""
+        for step in flown((500.0, 0.0, 30.0)):
+            speed = step.velocity_enu_mps[0]
+            needed_m = 0.5 * speed + speed * speed / 4.0 + 3.0
+            assert step.position_enu_m[0] + needed_m <= 100.0 + 1e-6
+
+    def test_a_margin_of_three_sigma_is_enough_and_slower(self) -> None:
+        limits = replace(LIMITS, fence=Fence(SQUARE.polygon_enu_m, 3.0))
+        steps = flown((500.0, 0.0, 30.0), guard=Guard(limits))
+        assert steps[-1].position_enu_m[0] == pytest.approx(97.0, abs=0.01)
+        near = next(step for step in steps if step.position_enu_m[0] >= 95.0)
+        assert near.velocity_enu_mps[0] <= 2.0 * math.sqrt(0.25 + 2.0) - 1.0
+
+    def test_a_setpoint_whose_stop_is_not_inside_stays_where_it_was(self) -> None:
+        """Sideways to its goal it may be too fast, though its goal is near."""
+        fast = Guarded((93.0, 0.0, 30.0), (), (4.0, 0.0, 0.0))
+        kept = GUARD.towards((93.0, 50.0, 30.0), fast, motion((90.0, 0.0, 30.0)), 0.1)
+        assert kept == Guarded((93.0, 0.0, 30.0), (GuardReason.CUT_OFF,))
+
+    def test_a_setpoint_that_would_leave_stays_where_it_was(self) -> None:
+        """Its stop would still keep 3 sigma, but not the margin."""
+        slow = Guarded((94.99, 0.0, 30.0), (), (0.5, 0.0, 0.0))
+        kept = GUARD.towards((94.99, 50.0, 30.0), slow, motion((94.0, 0.0, 30.0)), 0.1)
+        assert kept == Guarded((94.99, 0.0, 30.0), (GuardReason.CUT_OFF,))
+
+    def test_without_a_fence_nothing_moves(self) -> None:
+        guard = Guard(replace(LIMITS, fence=None))
+        fast = Guarded(START, (), (5.0, 0.0, 0.0))
+        kept = Guarded(START, (GuardReason.NO_FENCE,))
+        assert guard.towards((50.0, 0.0, 30.0), fast, motion(START), 0.1) == kept
+        assert guard.here(motion((1.0, 2.0, 30.0))) == Guarded(
+            (1.0, 2.0, 30.0), (GuardReason.NO_FENCE,)
+        )
+
+    def test_a_fence_may_become_known(self) -> None:
+        guard = Guard(replace(LIMITS, fence=None))
+        guard.use(LIMITS)
+        assert guard.limits is LIMITS
+        assert flown((500.0, 0.0, 30.0), guard=guard)[-1].reasons == (GuardReason.FENCE,)
 
 
-def test_here_is_moved_inside_and_says_why() -> None:
-    guarded = GUARD.here((120.0, 0.0, 5.0), HOME_UP_M)
-    assert guarded.position_enu_m == pytest.approx((95.0, 0.0, 15.0), abs=1e-5)
-    assert set(guarded.reasons) == {GuardReason.OUTSIDE, GuardReason.ALTITUDE}
+class TestTheAltitudeBand:
+    @pytest.mark.parametrize(("up_m", "end_m"), [(1e9, HIGH_M), (-1e9, LOW_M), (67.1, HIGH_M)])
+    def test_a_goal_outside_ends_three_sigma_inside(self, up_m: float, end_m: float) -> None:
+        steps = flown((0.0, 0.0, up_m))
+        assert steps[-1].position_enu_m == pytest.approx((0.0, 0.0, end_m), abs=1e-9)
+        assert steps[-1].reasons == (GuardReason.ALTITUDE,)
+        assert all(LOW_M <= step.position_enu_m[2] <= HIGH_M for step in steps)
+
+    @pytest.mark.parametrize("up_m", [LOW_M, HIGH_M])
+    def test_its_ends_belong_to_it(self, up_m: float) -> None:
+        assert flown((0.0, 0.0, up_m))[-1].reasons == ()
+
+    def test_a_band_that_three_sigma_close_is_refused(self) -> None:
+        with pytest.raises(
+            ValueError, match=r"^altitude_min_m: nothing is left of 5 to 11 m at 3 "
+        ):
+            replace(LIMITS, envelope=replace(ENVELOPE, altitude_max_m=11.0))
+        ok = replace(LIMITS, envelope=replace(ENVELOPE, altitude_max_m=11.1))
+        assert ok.altitude_m == pytest.approx((8.0, 8.1))
 
 
-def test_here_without_a_fence_only_keeps_the_band() -> None:
-    guard = Guard(replace(LIMITS, fence=None))
-    guarded = guard.here((1200.0, 0.0, 500.0), HOME_UP_M)
-    assert guarded == Guarded((1200.0, 0.0, 70.0), (GuardReason.ALTITUDE,))
+class TestWhatIsNoNumber:
+    FAST = Guarded((1.0, 2.0, 30.0), (), (5.0, 0.0, 0.0))
+    KEPT = Guarded((1.0, 2.0, 30.0), (GuardReason.NOT_FINITE,))
+
+    @pytest.mark.parametrize("axis", [0, 1, 2])
+    @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+    def test_a_goal_keeps_the_setpoint(self, axis: int, value: float) -> None:
+        goal = list(START)
+        goal[axis] = value
+        place = (goal[0], goal[1], goal[2])
+        assert GUARD.towards(place, self.FAST, motion(START), 0.1) == self.KEPT
+
+    @pytest.mark.parametrize("axis", [0, 1, 2])
+    @pytest.mark.parametrize("value", [math.nan, math.inf, -1.1e6, 1.1e6])
+    def test_a_vehicle_keeps_the_setpoint(self, axis: int, value: float) -> None:
+        odd = list(START)
+        odd[axis] = value
+        place = (odd[0], odd[1], odd[2])
+        for strange in (
+            Motion(place, START, HOME),
+            Motion(START, place, HOME),
+            Motion(START, START, place),
+        ):
+            assert GUARD.towards((50.0, 0.0, 30.0), self.FAST, strange, 0.1) == self.KEPT
+
+    def test_a_home_far_away_is_still_a_place(self) -> None:
+        far = Motion(START, (0.0, 0.0, 0.0), (-1e6, 1e6, 10.0))
+        guarded = GUARD.towards((50.0, 0.0, 30.0), Guarded(START), far, 0.1)
+        assert guarded.reasons == ()
+
+    @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+    def test_a_clock_keeps_the_setpoint(self, value: float) -> None:
+        assert GUARD.towards(START, self.FAST, motion(START), value) == self.KEPT
+
+    @pytest.mark.parametrize("value", [math.nan, -0.1])
+    def test_a_speed_cap_keeps_the_setpoint(self, value: float) -> None:
+        assert GUARD.towards(START, self.FAST, motion(START), 0.1, value) == self.KEPT
 
 
-@pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf])
-def test_limits_that_limit_nothing_are_refused(value: float) -> None:
-    with pytest.raises(ValueError, match="must be positive"):
-        replace(LIMITS, speed_mps=value)
-    with pytest.raises(ValueError, match="must be positive"):
-        replace(LIMITS, climb_mps=value)
-    with pytest.raises(ValueError, match="must be positive"):
-        replace(LIMITS, step_m=value)
+class TestTheLead:
+    def test_it_waits_for_a_vehicle_that_stands(self) -> None:
+        last = Guarded(START)
+        for _ in range(200):
+            last = GUARD.towards((50.0, 0.0, 30.0), last, motion(START), 0.1)
+        assert last.position_enu_m == pytest.approx((8.0, 0.0, 30.0), abs=1e-3)
+        assert last.position_enu_m[0] <= 8.0
+        assert last.reasons == (GuardReason.LAGGING,)
+
+    def test_it_is_as_fast_as_a_vehicle_that_follows_from_afar(self) -> None:
+        ahead = Guarded((9.0, 0.0, 30.0), (), (3.0, 0.0, 0.0))
+        follows = motion(START, (3.0, 1.0, 0.0))
+        guarded = GUARD.towards((50.0, 0.0, 30.0), ahead, follows, 0.1)
+        assert guarded.velocity_enu_mps == pytest.approx((3.0, 0.0, 0.0))
+        assert guarded.reasons == (GuardReason.LAGGING,)
+        northwards = Guarded((0.0, 9.0, 30.0), (), (0.0, 3.0, 0.0))
+        follows = motion(START, (1.0, 3.0, 0.0))
+        guarded = GUARD.towards((0.0, 50.0, 30.0), northwards, follows, 0.1)
+        assert guarded.velocity_enu_mps == pytest.approx((0.0, 3.0, 0.0))
+
+    def test_a_vehicle_that_flies_away_from_it_counts_as_standing(self) -> None:
+        ahead = Guarded((9.0, 0.0, 30.0), (), (0.0, 0.0, 0.0))
+        guarded = GUARD.towards((50.0, 0.0, 30.0), ahead, motion(START, (-3.0, 0.0, 0.0)), 0.1)
+        assert guarded.position_enu_m == (9.0, 0.0, 30.0)
+
+    def test_a_lead_within_the_step_is_nothing_to_wait_for(self) -> None:
+        ahead = Guarded((5.0, 0.0, 30.0), (), (5.0, 0.0, 0.0))
+        guarded = GUARD.towards((50.0, 0.0, 30.0), ahead, motion(START, (5.0, 0.0, 0.0)), 0.1)
+        assert guarded.reasons == ()
+        assert guarded.velocity_enu_mps == pytest.approx((5.0, 0.0, 0.0))
+
+    def test_it_may_come_back_to_a_vehicle_that_fell_behind(self) -> None:
+        """Blown 15 m away, the setpoint still moves when that brings it nearer."""
+        guarded = GUARD.towards((-50.0, 0.0, 30.0), Guarded(START), motion((-15.0, 0.0, 30.0)), 0.1)
+        assert guarded.velocity_enu_mps == pytest.approx((-0.2, 0.0, 0.0))
+        assert guarded.reasons == ()
+        guarded = GUARD.towards((0.0, -50.0, 30.0), Guarded(START), motion((1.0, -15.0, 30.0)), 0.1)
+        assert guarded.velocity_enu_mps == pytest.approx((0.0, -0.2, 0.0))
+
+    def test_a_vehicle_that_jumped_away_is_not_flown_back_across_the_gap(self) -> None:
+        """An autopilot's position may jump by tens of metres when its estimator resets."""
+        for away in ((16.1, 0.0, 30.0), (0.0, -60.0, 30.0)):
+            guarded = GUARD.towards((50.0, 0.0, 30.0), Guarded(START), motion(away), 0.05)
+            assert guarded == Guarded(away, (GuardReason.JUMPED,))
+        near = GUARD.towards((50.0, 0.0, 30.0), Guarded(START), motion((-16.0, 0.0, 30.0)), 0.05)
+        assert near.reasons == (GuardReason.LAGGING,)
 
 
-@pytest.mark.parametrize(
-    ("low_m", "high_m"),
-    [(0.0, 60.0), (-5.0, 60.0), (60.0, 60.0), (61.0, 60.0), (5.0, math.inf), (math.nan, 60.0)],
-)
-def test_an_empty_altitude_band_is_refused(low_m: float, high_m: float) -> None:
-    with pytest.raises(ValueError, match="altitude band"):
-        replace(LIMITS, altitude_min_m=low_m, altitude_max_m=high_m)
+class TestHere:
+    def test_here_is_where_the_vehicle_is(self) -> None:
+        assert GUARD.here(motion((3.0, 4.0, 30.0), (5.0, 0.0, 0.0))) == Guarded((3.0, 4.0, 30.0))
+
+    def test_here_is_moved_inside_and_says_why(self) -> None:
+        guarded = GUARD.here(motion((120.0, 0.0, 5.0)))
+        assert guarded.position_enu_m == pytest.approx((95.0, 0.0, LOW_M), abs=1e-5)
+        assert set(guarded.reasons) == {GuardReason.OUTSIDE, GuardReason.ALTITUDE}
+        assert guarded.velocity_enu_mps == (0.0, 0.0, 0.0)
+
+
+class TestAVehicleInTrouble:
+    @pytest.mark.parametrize("out_m", [1.0, 5.0, 15.0, 50.0, 900.0])
+    def test_outside_only_the_shortest_way_back_is_flown(self, out_m: float) -> None:
+        vehicle = motion((100.0 + out_m, 20.0, 30.0))
+        for goal in ((500.0, 20.0, 30.0), (0.0, 0.0, 30.0), (100.0, 90.0, 30.0)):
+            for last in (Guarded((95.0, 20.0, 30.0)), GUARD.here(vehicle), Guarded(START)):
+                guarded = GUARD.towards(goal, last, vehicle, 0.1)
+                assert guarded.position_enu_m == pytest.approx((95.0, 20.0, 30.0), abs=1e-5)
+                assert guarded.reasons == (GuardReason.OUTSIDE,)
+
+    def test_within_the_margin_it_is_inside_while_three_sigma_are_kept(self) -> None:
+        last = Guarded((95.0, 0.0, 30.0))
+        drifted = GUARD.towards((0.0, 0.0, 30.0), last, motion((97.0, 0.0, 30.0)), 0.1)
+        assert drifted.reasons == (GuardReason.LAGGING,)
+        pushed = GUARD.towards((0.0, 0.0, 30.0), last, motion((97.1, 0.0, 30.0)), 0.1)
+        assert pushed.reasons == (GuardReason.OUTSIDE,)
+
+    @pytest.mark.parametrize(("speed_mps", "is_too_fast"), [(3.9, False), (4.1, True)])
+    def test_too_fast_to_stop_it_brakes_where_it_is(
+        self, speed_mps: float, is_too_fast: bool
+    ) -> None:
+        """At 4 m/s it needs 2 + 4 + 3 m: from 91 m on it is too fast."""
+        last = Guarded((94.0, 0.0, 30.0), (), (1.0, 0.0, 0.0))
+        fast = motion((91.0, 0.0, 31.0), (speed_mps, 0.0, 0.0))
+        guarded = GUARD.towards((94.0, 0.0, 30.0), last, fast, 0.1)
+        if is_too_fast:
+            assert guarded == Guarded((91.0, 0.0, 31.0), (GuardReason.TOO_FAST,))
+        else:
+            assert GuardReason.TOO_FAST not in guarded.reasons
+
+    @pytest.mark.parametrize("turn", [0, 1, 2, 3])
+    def test_a_setpoint_that_a_fast_vehicle_has_passed_stays(self, turn: int) -> None:
+        """It brakes hardest towards what lies behind it."""
+
+        def turned(place: Point) -> Point:
+            for _ in range(turn):
+                place = (-place[1], place[0])
+            return place
+
+        fast = motion((*turned((91.0, 3.0)), 31.0), (*turned((8.0, 2.0)), 0.0))
+        behind = Guarded((*turned((90.0, 3.0)), 30.0), (), (1.0, 0.0, 0.0))
+        kept = GUARD.towards((0.0, 0.0, 30.0), behind, fast, 0.1)
+        assert kept == Guarded(behind.position_enu_m, (GuardReason.TOO_FAST,))
+        beside = Guarded((*turned((90.0, 7.0)), 30.0))
+        assert GUARD.towards((0.0, 0.0, 30.0), beside, fast, 0.1).position_enu_m == (
+            beside.position_enu_m
+        )
+        ahead = Guarded((*turned((90.0, 7.1)), 30.0))
+        anew = GUARD.towards((0.0, 0.0, 30.0), ahead, fast, 0.1)
+        assert anew == Guarded(fast.position_enu_m, (GuardReason.TOO_FAST,))
+
+    def test_only_a_vehicle_that_is_too_fast_leaves_its_setpoint_behind(self) -> None:
+        """A jump forwards is still a jump."""
+        away = motion((60.0, 0.0, 30.0), (1.0, 0.0, 0.0))
+        assert GUARD.towards(START, Guarded(START), away, 0.1).position_enu_m == (60.0, 0.0, 30.0)
+
+
+HOUSE = ((10.0, -20.0), (20.0, -20.0), (20.0, 20.0), (10.0, 20.0))
+
+
+class TestKeepOuts:
+    GUARD = Guard(replace(LIMITS, fence=Fence(SQUARE.polygon_enu_m, 5.0, (HOUSE,))))
+
+    def test_the_straight_way_from_the_vehicle_must_be_free(self) -> None:
+        """Round the corner of a house the setpoint waits until the vehicle has turned it."""
+        last = Guarded((8.0, 25.1, 30.0))
+        goal = (40.0, 25.1, 30.0)
+        behind = self.GUARD.towards(goal, last, motion((5.0, 20.0, 30.0)), 0.1)
+        assert behind.position_enu_m[0] > 8.0
+        last = Guarded((9.3, 25.1, 30.0))
+        behind = self.GUARD.towards(goal, last, motion((6.5, 19.0, 30.0)), 0.1)
+        assert behind.position_enu_m == (9.3, 25.1, 30.0)
+        assert GuardReason.CUT_OFF in behind.reasons
+        turned = self.GUARD.towards(goal, last, motion((7.0, 25.1, 30.0)), 0.1)
+        assert turned.position_enu_m[0] > 9.3
+
+    def test_a_vehicle_pushed_behind_a_corner_starts_anew_where_it_is(self) -> None:
+        last = Guarded((15.0, 25.1, 30.0), (), (1.0, 0.0, 0.0))
+        pushed = motion((6.5, 18.0, 31.0))
+        anew = self.GUARD.towards((40.0, 25.1, 30.0), last, pushed, 0.1)
+        assert anew.position_enu_m == pytest.approx((5.0, 18.0, 31.0), abs=1e-5)
+        assert anew.reasons == (GuardReason.CUT_OFF,)
+        assert anew.velocity_enu_mps == (0.0, 0.0, 0.0)
+
+    def test_the_way_is_looked_at_from_where_the_setpoint_will_find_the_vehicle(self) -> None:
+        """At 4 m/s southwards the vehicle is 2 m farther behind the house after the latency."""
+        last = Guarded((9.0, 25.1, 30.0))
+        place = (6.5, 20.2, 30.0)
+        still = self.GUARD.towards((40.0, 25.1, 30.0), last, motion(place), 0.1)
+        assert still.position_enu_m[0] > 9.0
+        moving = motion(place, (0.0, -4.0, 0.0))
+        kept = self.GUARD.towards((40.0, 25.1, 30.0), last, moving, 0.1)
+        assert kept.position_enu_m == (9.0, 25.1, 30.0)
+        assert GuardReason.CUT_OFF in kept.reasons
+
+
+class TestTheWayHome:
+    def test_a_leash_is_not_left(self) -> None:
+        guard = Guard(replace(LIMITS, distance_home_m=40.0))
+        steps = flown((90.0, 0.0, 30.0), guard=guard)
+        assert steps[-1].position_enu_m == pytest.approx((40.0, 0.0, 30.0), abs=1e-6)
+        assert max(step.position_enu_m[0] for step in steps) <= 40.0 + 1e-9
+        assert steps[-1].reasons == (GuardReason.LEASH,)
+        assert flown((0.0, 40.0, 30.0), guard=guard)[-1].reasons == ()
+
+    @pytest.mark.parametrize("value", [0.0, -1.0, math.nan])
+    def test_a_leash_of_nothing_is_refused(self, value: float) -> None:
+        with pytest.raises(ValueError, match=r"^distance_home_m: must be above 0$"):
+            replace(LIMITS, distance_home_m=value)
+
+    LOW = Guard(replace(LIMITS, reserve=Reserve(20.0, 100.0)))
+
+    def test_a_battery_that_reaches_no_farther_is_the_end_of_the_way_out(self) -> None:
+        steps = flown((90.0, 0.0, 30.0), guard=self.LOW, battery_pct=25.0)
+        assert steps[-1].position_enu_m == pytest.approx((50.0, 0.0, 30.0), abs=1e-6)
+        assert steps[-1].reasons == (GuardReason.BATTERY,)
+
+    def test_there_is_always_a_way_back(self) -> None:
+        steps = flown((0.0, 0.0, 30.0), start=(90.0, 0.0, 30.0), guard=self.LOW, battery_pct=5.0)
+        assert all(not step.reasons for step in steps)
+        assert steps[-1].position_enu_m == pytest.approx(START, abs=1e-6)
+
+    def test_an_unknown_battery_goes_no_farther_and_says_so(self) -> None:
+        last = flown((90.0, 0.0, 30.0), start=(10.0, 0.0, 30.0), guard=self.LOW, ticks=50)[-1]
+        assert last == Guarded((10.0, 0.0, 30.0), (GuardReason.BATTERY_UNKNOWN,))
+
+    def test_the_nearer_of_leash_and_battery_counts(self) -> None:
+        guard = Guard(replace(LIMITS, reserve=Reserve(20.0, 100.0), distance_home_m=40.0))
+        assert flown((90.0, 0.0, 30.0), guard=guard, battery_pct=90.0)[-1].reasons == (
+            GuardReason.LEASH,
+        )
+        both = flown((90.0, 0.0, 30.0), guard=guard, battery_pct=22.0)[-1]
+        assert both.reasons == (GuardReason.LEASH, GuardReason.BATTERY)
+        assert both.position_enu_m[0] == pytest.approx(20.0, abs=1e-6)
+
+
+class TestLimits:
+    def test_a_margin_of_less_than_three_sigma_is_refused(self) -> None:
+        with pytest.raises(
+            ValueError, match=r"^fence_margin_m: 2\.9 m is less than 3 navigation_sigma_m \(3 m\)"
+        ):
+            replace(LIMITS, fence=Fence(SQUARE.polygon_enu_m, 2.9))

@@ -1,0 +1,91 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from companion.geometry.polygons import Point
+from companion.guard.reserve import Reserve, leashed
+
+RESERVE = Reserve(reserve_pct=20.0, cost_pct_per_km=10.0)
+HOME = (10.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("battery_pct", "reach_m"),
+    [(100.0, 8000.0), (50.0, 3000.0), (20.0, 0.0), (19.0, 0.0), (0.0, 0.0), (21.0, 100.0)],
+)
+def test_what_is_left_beyond_the_reserve_is_a_distance(battery_pct: float, reach_m: float) -> None:
+    assert RESERVE.reach_m(battery_pct) == pytest.approx(reach_m)
+
+
+@pytest.mark.parametrize("battery_pct", [None, math.nan])
+def test_an_unknown_battery_is_not_a_full_one(battery_pct: float | None) -> None:
+    assert RESERVE.reach_m(battery_pct) == 0.0
+
+
+def test_no_reserve_is_allowed() -> None:
+    assert Reserve(0.0, 10.0).reach_m(1.0) == pytest.approx(100.0)
+
+
+@pytest.mark.parametrize(
+    ("reserve_pct", "cost", "name"),
+    [
+        (-1.0, 10.0, "battery_reserve_pct"),
+        (100.0, 10.0, "battery_reserve_pct"),
+        (math.nan, 10.0, "battery_reserve_pct"),
+        (20.0, 0.0, "battery_pct_per_km"),
+        (20.0, -1.0, "battery_pct_per_km"),
+        (20.0, math.inf, "battery_pct_per_km"),
+        (20.0, math.nan, "battery_pct_per_km"),
+    ],
+)
+def test_a_reserve_of_nothing_is_refused(reserve_pct: float, cost: float, name: str) -> None:
+    with pytest.raises(ValueError, match=f"^{name}: must be"):
+        Reserve(reserve_pct, cost)
+
+
+@pytest.mark.parametrize(
+    ("start", "goal", "reach_m", "end"),
+    [
+        ((10.0, 0.0), (40.0, 0.0), 50.0, (40.0, 0.0)),
+        ((10.0, 0.0), (60.0, 0.0), 50.0, (60.0, 0.0)),
+        ((10.0, 0.0), (90.0, 0.0), 50.0, (60.0, 0.0)),
+        ((20.0, 0.0), (90.0, 0.0), 50.0, (60.0, 0.0)),
+        ((40.0, 40.0), (40.0, 80.0), 50.0, (40.0, 40.0)),
+        ((10.0, 30.0), (80.0, 30.0), 50.0, (50.0, 30.0)),
+        ((-20.0, 30.0), (120.0, 30.0), 50.0, (50.0, 30.0)),
+        ((10.0, -30.0), (45.0, -100.0), 50.0, (19.541, -49.081)),
+    ],
+)
+def test_a_way_ends_where_it_is_too_far_from_home(
+    start: Point, goal: Point, reach_m: float, end: Point
+) -> None:
+    assert leashed(start, goal, HOME, reach_m) == pytest.approx(end, abs=0.01)
+
+
+def test_who_is_too_far_already_may_only_come_nearer() -> None:
+    start = (110.0, 0.0)
+    assert leashed(start, (120.0, 0.0), HOME, 50.0) == pytest.approx(start)
+    assert leashed(start, (110.0, 10.0), HOME, 50.0) == pytest.approx(start)
+    assert leashed(start, (90.0, 0.0), HOME, 50.0) == (90.0, 0.0)
+    assert leashed(start, (-300.0, 0.0), HOME, 50.0) == pytest.approx((-90.0, 0.0))
+
+
+places = st.tuples(st.floats(-500.0, 500.0), st.floats(-500.0, 500.0))
+
+
+@given(places, places, places, st.floats(0.0, 400.0))
+def test_no_way_leads_too_far_and_none_is_cut_too_soon(
+    start: Point, goal: Point, home: Point, reach_m: float
+) -> None:
+    end = leashed(start, goal, home, reach_m)
+    most_m = max(reach_m, math.dist(start, home))
+    assert math.dist(end, home) <= most_m + 1e-6
+    assert math.dist(start, end) + math.dist(end, goal) == pytest.approx(math.dist(start, goal))
+    if end != goal and math.dist(end, goal) > 1e-3:
+        share = 1e-3 / math.dist(end, goal)
+        beyond = (end[0] + share * (goal[0] - end[0]), end[1] + share * (goal[1] - end[1]))
+        assert math.dist(beyond, home) >= most_m - 1e-6
