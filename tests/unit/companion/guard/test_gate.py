@@ -395,7 +395,7 @@ class TestKeepOuts:
         behind = self.GUARD.towards(goal, last, motion((5.0, 20.0, 30.0)), 0.1)
         assert behind.position_enu_m[0] > 8.0
         last = Guarded((9.3, 25.1, 30.0))
-        behind = self.GUARD.towards(goal, last, motion((6.5, 19.0, 30.0)), 0.1)
+        behind = self.GUARD.towards(goal, last, motion((6.5, 19.8, 30.0)), 0.1)
         assert behind.position_enu_m == (9.3, 25.1, 30.0)
         assert GuardReason.CUT_OFF in behind.reasons
         turned = self.GUARD.towards(goal, last, motion((7.0, 25.1, 30.0)), 0.1)
