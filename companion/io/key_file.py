@@ -1,4 +1,4 @@
-"""The signing key and its timestamp on disk."""
+"""The signing key on disk."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 from companion.errors import ConfigError
 from companion.io.files import write_text_atomic
-from companion.mav.signing import KEY_LENGTH, MAX_TIMESTAMP, SigningKey
+from companion.mav.signing import KEY_LENGTH, SigningKey
 
 HOW_TO_MAKE_ONE = (
     "(umask 077; python3 -c 'import secrets; print(secrets.token_hex(32))' > signing.key)"
@@ -59,31 +59,3 @@ def store_signing_key(path: Path, key: SigningKey) -> None:
         CompanionError: It cannot be written.
     """
     write_text_atomic(path, f"{key.secret.hex()}\n", mode=0o600)
-
-
-def load_timestamp(path: Path) -> int:
-    """The signing timestamp that an earlier run stored; 0 if there was none.
-
-    Raises:
-        ConfigError: The file cannot be read or holds something else.
-    """
-    try:
-        text = path.read_text(encoding="ascii").strip()
-    except FileNotFoundError:
-        return 0
-    except (OSError, UnicodeDecodeError):
-        text = ""
-    if not (text.isascii() and text.isdigit() and len(text) < 20 and int(text) <= MAX_TIMESTAMP):
-        raise ConfigError(
-            f"{path}: holds no signing timestamp; if no frame was ever signed, delete it"
-        )
-    return int(text)
-
-
-def store_timestamp(path: Path, timestamp: int) -> None:
-    """Store the newest signing timestamp, as a whole.
-
-    Raises:
-        CompanionError: It cannot be written.
-    """
-    write_text_atomic(path, f"{timestamp}\n")

@@ -9,6 +9,11 @@ forger can then neither lock out the real sender with a timestamp from the futur
 table of streams. pymavlink stores the stream's timestamp first and looks at the signature after,
 and lets its callback accept badly signed frames; that is why frames are verified here.
 
+`SigningRules` may be stricter than the guide, for who hears each component over one link only. A
+frame recorded on another link of the same component is there the first of a stream of its own, so
+the guide lets it in for a minute; with one stream per component it is a replay. And a sender whose
+clock is far ahead, though it has the key, would push ours ahead for good; it is refused instead.
+
 An unsigned frame, MAVLink 1 among them, is a downgrade: with a key it is refused unless its
 message is on the short list of those that cannot be signed (RADIO_STATUS, which radios inject) or
 the link is trusted by configuration. A bad signature is refused on every link.
@@ -48,7 +53,7 @@ MAX_BEHIND = 6_000_000
 MAX_TIMESTAMP = 2**48 - 1
 MAX_HEARD = MAX_TIMESTAMP - 2**40
 """127 days before the format ends: a peer's clock may not push ours to where nothing is left."""
-MAX_STREAMS = 4096
+MAX_STREAMS = 16
 """Streams are never forgotten, which would let their old frames in again; so they are limited."""
 UNSIGNED_ALLOWED = frozenset({mavlink.MAVLINK_MSG_ID_RADIO_STATUS})
 
@@ -65,6 +70,8 @@ class Verdict(Enum):
     """Not newer than its stream's last frame."""
     TOO_OLD = "too old"
     """The first of its stream, and more than a minute behind."""
+    TOO_FAR_AHEAD = "too far ahead"
+    """Rightly signed, but by a clock that is far ahead of ours."""
     TIMESTAMP_OVERFLOW = "timestamp too late"
     """Rightly signed, but beyond what leaves room for our own frames."""
     TOO_MANY_STREAMS = "too many streams"
@@ -107,18 +114,48 @@ def timestamp_at(unix_s: float) -> int:
     return min(max(0, round((unix_s - EPOCH_UNIX_S) * TICKS_PER_S)), MAX_HEARD)
 
 
+Stream = tuple[int, ...]
+"""System, component and, unless links are joined, link id of a sender."""
+
+
+@dataclass(frozen=True, slots=True)
+class SigningRules:
+    """What a receiver may be stricter about than the guide."""
+
+    max_ahead: int | None = None
+    """How far ahead of our clock, in units of 10 us, a timestamp may be; None: as far as it is."""
+    joins_links: bool = False
+    """One stream per component, whatever link its frames were signed for."""
+
+
+AS_THE_GUIDE = SigningRules()
+ONE_LINK_EACH = SigningRules(max_ahead=6_000_000, joins_links=True)
+"""For a companion: clocks agree to a minute, and every component is heard over one link."""
+
+
 class Signing:
     """Signs and verifies the frames of one system.
 
     Args:
         key: The shared secret.
         stored_timestamp: The newest one that an earlier run stored; 0 if there is none.
+        streams: The last timestamp of each stream, as an earlier run stored them.
+        rules: How strict the receiver is.
     """
 
-    def __init__(self, key: SigningKey, stored_timestamp: int = 0) -> None:
+    def __init__(
+        self,
+        key: SigningKey,
+        stored_timestamp: int = 0,
+        streams: Mapping[Stream, int] | None = None,
+        rules: SigningRules = AS_THE_GUIDE,
+    ) -> None:
         self._key = key
+        self._rules = rules
         self._timestamp = min(max(0, stored_timestamp), MAX_HEARD)
-        self._streams: dict[tuple[int, int, int], int] = {}
+        self._clock = self._timestamp
+        """Our own idea of the time, which no peer moves."""
+        self._streams: dict[Stream, int] = dict(streams or {})
         self.verdicts: dict[Verdict, int] = dict.fromkeys(Verdict, 0)
         """How many frames got which verdict."""
 
@@ -127,9 +164,15 @@ class Signing:
         """The newest timestamp used or believed; to be stored at least once a minute."""
         return self._timestamp
 
+    @property
+    def streams(self) -> Mapping[Stream, int]:
+        """The last timestamp of each stream; to be stored with `timestamp`."""
+        return self._streams
+
     def advance(self, unix_s: float) -> None:
         """Follow the clock; a clock that is behind, or goes back, changes nothing."""
-        self._timestamp = max(self._timestamp, timestamp_at(unix_s))
+        self._clock = max(self._clock, timestamp_at(unix_s))
+        self._timestamp = max(self._timestamp, self._clock)
 
     def verify(self, frame: bytes, *, is_trusted_link: bool = False) -> Verdict:
         """Judge one whole frame whose CRC is right.
@@ -150,7 +193,9 @@ class Signing:
         if not hmac.compare_digest(expected, frame[-HASH_LENGTH:]):
             return Verdict.BAD_SIGNATURE
         timestamp = int.from_bytes(frame[-HASH_LENGTH - TIMESTAMP_LENGTH : -HASH_LENGTH], "little")
-        stream = (frame[5], frame[6], frame[-SIGNATURE_LENGTH])
+        stream: Stream = (frame[5], frame[6])
+        if not self._rules.joins_links:
+            stream += (frame[-SIGNATURE_LENGTH],)
         refusal = self._staleness(stream, timestamp)
         if refusal is not None:
             return refusal
@@ -158,7 +203,7 @@ class Signing:
         self._timestamp = max(self._timestamp, timestamp)
         return Verdict.SIGNED
 
-    def _staleness(self, stream: tuple[int, int, int], timestamp: int) -> Verdict | None:
+    def _staleness(self, stream: Stream, timestamp: int) -> Verdict | None:
         last = self._streams.get(stream)
         if last is not None:
             if timestamp <= last:
@@ -167,6 +212,8 @@ class Signing:
             return Verdict.TOO_OLD
         elif len(self._streams) >= MAX_STREAMS:
             return Verdict.TOO_MANY_STREAMS
+        if self._rules.max_ahead is not None and timestamp > self._clock + self._rules.max_ahead:
+            return Verdict.TOO_FAR_AHEAD
         return Verdict.TIMESTAMP_OVERFLOW if timestamp > MAX_HEARD else None
 
     def sign(self, frame: bytes, link_id: int, crc_extra: int) -> bytes:

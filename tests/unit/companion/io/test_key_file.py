@@ -5,12 +5,7 @@ from pathlib import Path
 import pytest
 
 from companion.errors import ConfigError
-from companion.io.key_file import (
-    load_signing_key,
-    load_timestamp,
-    store_signing_key,
-    store_timestamp,
-)
+from companion.io.key_file import load_signing_key, store_signing_key
 from companion.mav.signing import SigningKey
 
 DIGITS = "0123456789abcdef" * 4
@@ -46,21 +41,6 @@ def test_what_is_no_key_is_refused_and_not_quoted(tmp_path: Path, text: str) -> 
 def test_a_missing_key_tells_how_to_make_one(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="token_hex"):
         load_signing_key(tmp_path / "none")
-
-
-def test_a_timestamp_is_stored_and_found_again(tmp_path: Path) -> None:
-    path = tmp_path / "timestamp"
-    assert load_timestamp(path) == 0
-    store_timestamp(path, 37_000_000_000_001)
-    assert load_timestamp(path) == 37_000_000_000_001
-
-
-@pytest.mark.parametrize("text", ["", "-1", "1.5", "9" * 19, "word"])
-def test_a_broken_timestamp_is_not_taken_for_none(tmp_path: Path, text: str) -> None:
-    path = tmp_path / "timestamp"
-    path.write_text(text)
-    with pytest.raises(ConfigError, match="no signing timestamp"):
-        load_timestamp(path)
 
 
 @pytest.mark.parametrize("is_there_before", [False, True])

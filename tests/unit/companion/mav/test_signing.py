@@ -16,13 +16,16 @@ from companion.mav.codec import CRC_EXTRA_BY_ID, MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.framing import frame_crc, message_id, without_signature
 from companion.mav.signing import (
+    EPOCH_UNIX_S,
     MAX_BEHIND,
     MAX_HEARD,
     MAX_STREAMS,
     MAX_TIMESTAMP,
+    ONE_LINK_EACH,
     LinkSigning,
     Signing,
     SigningKey,
+    Stream,
     Verdict,
     is_secret,
     is_signed,
@@ -34,6 +37,8 @@ SECRET = bytes(range(1, 33))
 KEY = SigningKey(SECRET)
 OTHER_KEY = SigningKey(bytes(range(2, 34)))
 NOW = 37_000_000_000_000
+MAX_AHEAD = 6_000_000
+"""A minute."""
 
 
 def heartbeat(mark: int = 1) -> Message:
@@ -160,6 +165,66 @@ def test_no_frame_is_accepted_again_however_many_streams_there_are() -> None:
     first = [signing.verify(frame) for frame in frames]
     assert first == [Verdict.SIGNED] * MAX_STREAMS + [Verdict.TOO_MANY_STREAMS] * 3
     assert not any(signing.verify(frame).is_accepted for frame in frames)
+
+
+# Stricter than the guide
+
+
+def companion(timestamp: int = NOW, streams: dict[Stream, int] | None = None) -> Signing:
+    return Signing(KEY, timestamp, streams, ONE_LINK_EACH)
+
+
+def test_a_frame_recorded_on_another_link_of_its_sender_is_a_replay() -> None:
+    recorded = signed(NOW - 100, link_id=1)
+    by_the_guide, strict = receiver(), companion()
+    for signing in (by_the_guide, strict):
+        assert signing.verify(signed(NOW, link_id=0)) is Verdict.SIGNED
+    assert by_the_guide.verify(recorded) is Verdict.SIGNED
+    assert strict.verify(recorded) is Verdict.REPLAYED
+    assert strict.verify(signed(NOW + 1, link_id=1)) is Verdict.SIGNED
+
+
+@pytest.mark.parametrize(
+    ("ahead", "verdict"),
+    [(MAX_AHEAD, Verdict.SIGNED), (MAX_AHEAD + 1, Verdict.TOO_FAR_AHEAD)],
+)
+def test_a_peer_may_be_a_minute_ahead_and_no_more(ahead: int, verdict: Verdict) -> None:
+    assert companion().verify(signed(NOW + ahead)) is verdict
+    assert receiver().verify(signed(NOW + ahead)) is Verdict.SIGNED
+
+
+def test_a_sender_far_ahead_moves_nothing_and_is_heard_again_once_it_is_right() -> None:
+    signing = companion()
+    signing.verify(signed(NOW))
+    assert signing.verify(signed(MAX_TIMESTAMP)) is Verdict.TOO_FAR_AHEAD
+    assert signing.timestamp == NOW
+    assert signing.verify(signed(NOW + 1)) is Verdict.SIGNED
+
+
+def test_peers_cannot_push_our_clock_ahead_minute_by_minute() -> None:
+    signing = companion()
+    assert signing.verify(signed(NOW + MAX_AHEAD)) is Verdict.SIGNED
+    assert signing.verify(signed(NOW + 2 * MAX_AHEAD)) is Verdict.TOO_FAR_AHEAD
+
+
+def test_ahead_is_ahead_of_the_clock_as_it_goes_on() -> None:
+    signing = companion(timestamp=0)
+    unix_s = EPOCH_UNIX_S + (NOW - 1000) / 1e5
+    assert signing.verify(signed(NOW)) is Verdict.TOO_FAR_AHEAD
+    signing.advance(unix_s)
+    assert signing.verify(signed(NOW)) is Verdict.SIGNED
+    signing.advance(0.0)
+    assert signing.verify(signed(NOW + 1)) is Verdict.SIGNED
+
+
+def test_streams_that_were_stored_keep_their_recorded_frames_out_after_a_restart() -> None:
+    before = companion()
+    recorded = [signed(NOW + n) for n in range(3)]
+    for frame in recorded:
+        assert before.verify(frame).is_accepted
+    after = companion(before.timestamp, dict(before.streams))
+    assert [after.verify(frame) for frame in recorded] == [Verdict.REPLAYED] * 3
+    assert after.verify(signed(NOW + 3)) is Verdict.SIGNED
 
 
 # Forged timestamps
