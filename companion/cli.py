@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import NoReturn
 
 from companion import __version__
-from companion.config.schema import load_config
+from companion.config.schema import load_config, with_signing_key
 from companion.errors import CompanionError, ConfigError
 from companion.io.clock import Clock
 from companion.io.console import ConsoleHandler
+from companion.io.exposure import check_exposure
 from companion.io.files import check_writable, write_json_atomic
 from companion.io.links import link_from_url
 from companion.io.urls import parse_link_url
@@ -35,7 +36,8 @@ companion fell silent, send it MAV_CMD_NAV_GUIDED_ENABLE (92) with parameter 1 =
 
 EPILOG = """\
 links:
-  udp:HOST:PORT, udpin:HOST:PORT   the companion binds HOST:PORT and answers the autopilot
+  udp:HOST:PORT, udpin:HOST:PORT   the companion binds HOST:PORT and answers the autopilot;
+                                   without HOST 127.0.0.1, beyond it only with a key
   udpout:HOST:PORT                 the companion sends first, the other side binds
   tcp:HOST:PORT, tcpin:HOST:PORT   connect to, or listen at, HOST:PORT
   serial:/dev/ttyAMA0:921600       a serial port and its speed
@@ -122,6 +124,17 @@ def _parser() -> argparse.ArgumentParser:
         type=_speed,
         help="seconds of a simulator per real second (default 1)",
     )
+    parser.add_argument(
+        "--signing-key",
+        metavar="FILE",
+        type=Path,
+        help="MAVLink 2 signing with the key in FILE (64 hexadecimal digits, mode 0600)",
+    )
+    parser.add_argument(
+        "--insecure",
+        action="store_true",
+        help="listen beyond this machine even without a key: anyone may then command the vehicle",
+    )
     parser.add_argument("--once", action="store_true", help="end after the target is reported")
     parser.add_argument("--quiet", action="store_true", help="only warnings and errors")
     commands = parser.add_subparsers(dest="command", metavar="{demo,replay}")
@@ -185,8 +198,8 @@ def _check_place_of_options(arguments: argparse.Namespace) -> None:
         return
     given = [
         f"--{name}"
-        for name in ("connect", "ranging", "once")
-        if getattr(arguments, name) not in (None, [], False)
+        for name in ("connect", "ranging", "signing-key", "insecure", "once")
+        if getattr(arguments, name.replace("-", "_")) not in (None, [], False)
     ]
     given += [f"--{n}" for n in ("config", "speed") if getattr(arguments, f"fly_{n}") is not None]
     if given:
@@ -208,11 +221,19 @@ def _fly(arguments: argparse.Namespace) -> int:
     if arguments.connect is None:
         raise ConfigError("say where the autopilot is: --connect udp:127.0.0.1:14550, or try demo")
     config = load_config(arguments.fly_config)
+    if arguments.signing_key is not None:
+        config = with_signing_key(config, arguments.signing_key)
     urls = [parse_link_url(text) for text in (arguments.connect, *arguments.ranging)]
     for index, url in enumerate(urls):
         if url in urls[:index]:
             text = (arguments.connect, *arguments.ranging)[index]
             raise ConfigError(f"--ranging {text}: this link is given twice; one of them is enough")
+    if not arguments.insecure:
+        check_exposure(
+            urls,
+            has_key=config.link.signing_key_file is not None,
+            unsigned_ranging=config.link.unsigned_ranging,
+        )
     links = [link_from_url(url) for url in urls]
     endpoint = fly(config, links, Clock(arguments.fly_speed or 1.0), once=arguments.once)
     if arguments.once and endpoint.session.result is None:

@@ -18,10 +18,13 @@ from companion.guidance.states import Phase
 from companion.io.clock import Clock
 from companion.io.files import delete_old_flights, new_flight_directory
 from companion.io.journal import FlightJournal
+from companion.io.key_file import load_signing_key
 from companion.io.links import LinkSpec
 from companion.io.shell import Shell
+from companion.io.signing_store import SigningKeeper, open_signing_keeper
 from companion.kernel import IS_COMPILED
 from companion.link.endpoint import CompanionEndpoint, Journal
+from companion.mav.signing import ONE_LINK_EACH, Signing
 from companion.planning.base import Planner
 from companion.planning.fim import FimPlanner
 from companion.planning.latched_crossing import LatchedCrossing
@@ -82,7 +85,12 @@ def build_session(config: CompanionConfig) -> GuidanceSession:
 
 
 def build_endpoint(
-    config: CompanionConfig, journal: Journal, ranging_links: int = 0
+    config: CompanionConfig,
+    journal: Journal,
+    ranging_links: int = 0,
+    *,
+    signing: Signing | None = None,
+    started_unix_s: float = 0.0,
 ) -> CompanionEndpoint:
     """The companion as a MAVLink participant.
 
@@ -90,9 +98,31 @@ def build_endpoint(
         config: The configuration.
         journal: Where it reports.
         ranging_links: Links beside the vehicle's that carry only ranging.
+        signing: Proves what arrives and signs what leaves; None: neither.
+        started_unix_s: Unix time at the clock's zero, for the timestamps of signatures.
     """
-    session = build_session(config)
-    return CompanionEndpoint(session, config.vehicle, journal, 1 + ranging_links, config.link)
+    return CompanionEndpoint(
+        build_session(config),
+        config.vehicle,
+        journal,
+        1 + ranging_links,
+        config.link,
+        signing=signing,
+        started_unix_s=started_unix_s,
+    )
+
+
+def open_signing(config: CompanionConfig) -> SigningKeeper | None:
+    """Signing with the configured key, and its memory; None without a key.
+
+    Raises:
+        ConfigError: The key, or what signing remembers, cannot be read.
+        CompanionError: What it must remember cannot be written.
+    """
+    if config.link.signing_key_file is None:
+        return None
+    path = Path(config.link.signing_key_file)
+    return open_signing_keeper(path, load_signing_key(path), ONE_LINK_EACH)
 
 
 def open_journal(config: CompanionConfig) -> FlightJournal:
@@ -137,15 +167,27 @@ def fly(
 
     Raises:
         LinkError: A link cannot be opened; nothing was sent.
+        ConfigError: The signing key cannot be read.
         CompanionError: The flight directory cannot be made.
     """
+    keeper = open_signing(config)
     prepare(config)
     journal = open_journal(config)
-    endpoint = build_endpoint(config, journal, len(links) - 1)
+    endpoint = build_endpoint(
+        config,
+        journal,
+        len(links) - 1,
+        signing=None if keeper is None else keeper.signing,
+        started_unix_s=time.time() - clock.now_s(),
+    )
     hints = _Hints(endpoint, clock, journal.directory)
 
-    def on_wakeup(_: float) -> None:
+    def on_wakeup(now_s: float) -> None:
         hints.check()
+        if keeper is not None:
+            keeper.keep(now_s)
+            if clock.speed == 1.0 and not endpoint.binding.is_bound:
+                endpoint.authenticity.set_clock(time.time(), now_s)
         if once and is_handed_over(endpoint):
             shell.request_stop()
 
@@ -157,6 +199,8 @@ def fly(
         journal.discard()
         raise
     finally:
+        if keeper is not None:
+            keeper.close()
         journal.close()
     return endpoint
 

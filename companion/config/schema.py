@@ -156,6 +156,12 @@ def load_config(path: Path | None) -> CompanionConfig:
     return config
 
 
+def with_signing_key(config: CompanionConfig, path: Path) -> CompanionConfig:
+    """The same configuration with another file that holds the signing key."""
+    link = msgspec.structs.replace(config.link, signing_key_file=str(path))
+    return msgspec.structs.replace(config, link=link)
+
+
 def inconsistency(config: CompanionConfig) -> str | None:
     """What contradicts what between sections, with its YAML path, or None."""
     limits, mission = config.limits, config.mission

@@ -21,7 +21,7 @@ import msgspec
 from companion.errors import ConfigError
 from companion.io.background_replace import BackgroundReplacer
 from companion.io.files import write_bytes_atomic
-from companion.mav.signing import TICKS_PER_S, Signing, SigningKey, SigningRules
+from companion.mav.signing import AS_THE_GUIDE, TICKS_PER_S, Signing, SigningKey, SigningRules
 
 VERSION = 1
 SLOTS = 2
@@ -115,7 +115,7 @@ class SigningKeeper:
     """
 
     def __init__(self, signing: Signing, store: SigningStore) -> None:
-        self._signing = signing
+        self.signing = signing
         self._store = store
         self._store_now(is_end=False)
         self._replacer = BackgroundReplacer("write signing time", MODE)
@@ -125,7 +125,7 @@ class SigningKeeper:
         """Store what is due; never waits."""
         if now_s >= self._next_s:
             self._next_s = now_s + STORE_PERIOD_S
-            self._replacer.replace(*self._store.next_content(self._signing, is_end=False))
+            self._replacer.replace(*self._store.next_content(self.signing, is_end=False))
 
     def close(self) -> None:
         """Store the last state.
@@ -137,8 +137,26 @@ class SigningKeeper:
         self._store_now(is_end=True)
 
     def _store_now(self, *, is_end: bool) -> None:
-        path, content = self._store.next_content(self._signing, is_end=is_end)
+        path, content = self._store.next_content(self.signing, is_end=is_end)
         write_bytes_atomic(path, content, mode=MODE)
+
+
+def open_signing_keeper(
+    key_file: Path, key: SigningKey, rules: SigningRules = AS_THE_GUIDE
+) -> SigningKeeper:
+    """Signing that goes on from the last run, and is stored again.
+
+    Args:
+        key_file: Beside which the memory is kept.
+        key: What it holds.
+        rules: How strict the receiver is.
+
+    Raises:
+        ConfigError: The memory cannot be read.
+        CompanionError: It cannot be written.
+    """
+    store = SigningStore(key_file, key)
+    return SigningKeeper(store.signing(key, rules), store)
 
 
 def _read(path: Path) -> bytes | None:

@@ -6,6 +6,7 @@ sends instead, and is read here as the same thing as `udp:HOST:PORT`. `udpout:` 
 
 from __future__ import annotations
 
+import ipaddress
 from dataclasses import dataclass
 from enum import Enum
 
@@ -14,8 +15,8 @@ from companion.errors import ConfigError
 DEFAULT_BAUD = 921_600
 """Serial speed where none is given: PX4's default for TELEM2, its companion port."""
 
-ANY_HOST = "0.0.0.0"
-"""Every interface: what an empty host means where we listen."""
+OWN_HOST = "127.0.0.1"
+"""This machine alone: what an empty host means where we listen."""
 
 
 class LinkKind(Enum):
@@ -64,6 +65,16 @@ class LinkUrl:
     port: int = 0
     device: str = ""
     baud: int = 0
+
+    @property
+    def is_exposed(self) -> bool:
+        """Whether it listens where other machines may send to."""
+        if self.kind not in _LISTENING or self.host.lower() == "localhost":
+            return False
+        try:
+            return not ipaddress.IPv4Address(self.host).is_loopback
+        except ValueError:
+            return True  # a name, of who knows which interface
 
     def __str__(self) -> str:
         """The canonical spelling, which parses to the same address."""
@@ -114,7 +125,7 @@ def _parse_host_and_port(text: str, kind: LinkKind, rest: str) -> LinkUrl:
     if not host:
         if kind not in _LISTENING:
             raise _wrong(text, kind, "needs a host to send to")
-        host = ANY_HOST
+        host = OWN_HOST
     if any(character.isspace() or character in "/@?#" for character in host):
         raise _wrong(text, kind, f"`{host}` is no host name")
     port = _number(port_text)

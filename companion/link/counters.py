@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 
 from companion.guidance.session import GuidanceSession
+from companion.link.authenticity import Authenticity
 from companion.link.binding import AutopilotBinding
 from companion.link.health import LinkHealth
 from companion.link.journal import Journal
@@ -25,6 +26,7 @@ class LinkCounters:
         codecs: Of all links.
         binding: The autopilot.
         health: How well it is heard.
+        authenticity: Who was believed.
         outlet: The way out.
         journal: Where to report.
     """
@@ -35,6 +37,7 @@ class LinkCounters:
         codecs: Sequence[MavCodec],
         binding: AutopilotBinding,
         health: LinkHealth,
+        authenticity: Authenticity,
         outlet: Outlet,
         journal: Journal,
     ) -> None:
@@ -42,6 +45,7 @@ class LinkCounters:
         self._codecs = codecs
         self._binding = binding
         self._health = health
+        self._authenticity = authenticity
         self._outlet = outlet
         self._journal = journal
         self._next_record_s = -math.inf
@@ -65,6 +69,7 @@ class LinkCounters:
         return {
             "links": [asdict(codec.counters) for codec in self._codecs],
             **self._health.record(now_s),
+            **self._authenticity.record(),
             "undecodable": sum(codec.undecodable for codec in self._codecs),
             "strangers": self._binding.strangers,
             "setpoints": self._outlet.setpoints_sent,

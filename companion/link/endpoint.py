@@ -13,6 +13,7 @@ import math
 
 from companion.guidance.events import StopRequested, TimerFired
 from companion.guidance.session import GuidanceSession
+from companion.link.authenticity import Authenticity
 from companion.link.binding import AutopilotBinding
 from companion.link.counters import LinkCounters
 from companion.link.dialogues import Dialogues
@@ -26,6 +27,7 @@ from companion.link.receiver import VehicleReceiver
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message
 from companion.mav.endpoint import Chunk
+from companion.mav.signing import Signing
 
 __all__ = ["COMPONENT_ID", "VEHICLE_LINK", "CompanionEndpoint", "Journal", "VehicleParams"]
 
@@ -39,6 +41,8 @@ class CompanionEndpoint:
         journal: Where to report.
         links: Number of links, the vehicle's included.
         link_params: How the links are used.
+        signing: Proves what arrives and signs what leaves; None: neither.
+        started_unix_s: Unix time at `now_s` = 0, for the timestamps of signatures.
     """
 
     def __init__(
@@ -48,14 +52,28 @@ class CompanionEndpoint:
         journal: Journal,
         links: int = 1,
         link_params: LinkParams | None = None,
+        *,
+        signing: Signing | None = None,
+        started_unix_s: float = 0.0,
     ) -> None:
+        link_params = link_params or LinkParams()
         self.session = session
         self.binding = AutopilotBinding(params.system_id)
         self._journal = journal
-        self._codecs = [MavCodec(params.system_id or 1, COMPONENT_ID) for _ in range(links)]
+        self.authenticity = Authenticity(signing, started_unix_s)
+        self._codecs = [
+            MavCodec(
+                params.system_id or 1,
+                COMPONENT_ID,
+                self.authenticity.of_link(
+                    number, is_trusted=number != VEHICLE_LINK and link_params.unsigned_ranging
+                ),
+            )
+            for number in range(links)
+        ]
         self._outlet = Outlet(self._codecs, self.binding, journal)
         self._dialogues = Dialogues(self.binding)
-        self._health = LinkHealth(link_params or LinkParams())
+        self._health = LinkHealth(link_params)
         self.executor = SessionExecutor(
             session, params, self.binding, self._outlet, self._dialogues, self._health, journal
         )
@@ -64,7 +82,13 @@ class CompanionEndpoint:
         )
         self._ranging = RangingInbound()
         self._counters = LinkCounters(
-            session, self._codecs, self.binding, self._health, self._outlet, journal
+            session,
+            self._codecs,
+            self.binding,
+            self._health,
+            self.authenticity,
+            self._outlet,
+            journal,
         )
         self._next_timer_s = -math.inf
 
@@ -72,12 +96,15 @@ class CompanionEndpoint:
 
     def receive(self, chunk: Chunk, now_s: float) -> None:
         """Take in what arrived on a link."""
+        self.authenticity.advance(now_s)
         messages = self._codecs[chunk.link].decode(chunk.data, is_datagram=chunk.is_datagram)
         for message in messages:
             self._receive_message(message, chunk, now_s)
 
     def handle_timer(self, now_s: float) -> None:
         """The control tick; a late one is not made up for."""
+        for text in self.authenticity.tick(now_s):
+            self._outlet.announce(text, now_s)
         self._health.tick(now_s)
         period_s = self._health.pacing.period_s
         self._next_timer_s += period_s
@@ -128,8 +155,11 @@ class CompanionEndpoint:
     def _receive_message(self, message: Message, chunk: Chunk, now_s: float) -> None:
         if (message.get_srcSystem(), message.get_srcComponent()) == self._outlet.own_ids:
             return  # our own frame, echoed by a router
-        self._journal.frame(bytes(message.get_msgbuf()), now_s)
+        frame = bytes(message.get_msgbuf())
+        self._journal.frame(frame, now_s)
         if chunk.link == VEHICLE_LINK:
+            if not self.authenticity.is_proved(frame):
+                return
             self._receiver.receive(message, chunk.peer, now_s)
             if message.get_srcSystem() != self.binding.system_id:
                 return  # what another vehicle's radio measures is not from our place

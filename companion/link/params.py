@@ -27,6 +27,10 @@ class LinkParams(Params, frozen=True):
     """The same where frames get lost."""
     lossy_share: Annotated[float, msgspec.Meta(gt=0.0, lt=1.0)] = 0.2
     """A line that loses more than this share of the autopilot's frames is lossy."""
+    signing_key_file: str | None = None
+    """MAVLink 2 signing with the key in this file; null: no signing. `--signing-key` goes first."""
+    unsigned_ranging: bool = False
+    """With a key: whether ranging links may bring unsigned frames, of a radio that cannot sign."""
 
     def __post_init__(self) -> None:
         """Refuse a rate that goes down where it should go up."""

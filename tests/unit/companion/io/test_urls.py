@@ -25,13 +25,13 @@ from companion.io.urls import DEFAULT_BAUD, parse_link_url
         ("udpin://127.0.0.1:14550", UdpBind("127.0.0.1", 14550)),
         ("UDP:localhost:1", UdpBind("localhost", 1)),
         (" udp:127.0.0.1:14550\n", UdpBind("127.0.0.1", 14550)),
-        ("udp::14550", UdpBind("0.0.0.0", 14550)),
-        ("udpin://:14550", UdpBind("0.0.0.0", 14550)),
+        ("udp::14550", UdpBind("127.0.0.1", 14550)),
+        ("udpin://:14550", UdpBind("127.0.0.1", 14550)),
         ("udpout:10.0.0.2:65535", UdpConnect("10.0.0.2", 65535)),
         ("udpout://10.0.0.2:14580", UdpConnect("10.0.0.2", 14580)),
         ("tcp:localhost:5760", TcpClient("localhost", 5760)),
         ("tcpout://localhost:5760", TcpClient("localhost", 5760)),
-        ("tcpin::5760", TcpServer("0.0.0.0", 5760)),
+        ("tcpin::5760", TcpServer("127.0.0.1", 5760)),
         ("serial:/dev/ttyACM0:57600", SerialPort("/dev/ttyACM0", 57600)),
         ("serial:///dev/ttyACM0:57600", SerialPort("/dev/ttyACM0", 57600)),
         ("serial:/dev/ttyACM0", SerialPort("/dev/ttyACM0", DEFAULT_BAUD)),
@@ -95,3 +95,27 @@ def test_a_wrong_address_is_refused_in_one_line_with_a_right_one(text: str) -> N
 def test_ipv6_is_named_as_the_reason() -> None:
     with pytest.raises(ConfigError, match="IPv6 is not supported"):
         parse_link_url("udp:[::1]:14550")
+
+
+@pytest.mark.parametrize(
+    ("text", "is_exposed"),
+    [
+        ("udp:127.0.0.1:14550", False),
+        ("udp:127.9.9.9:14550", False),
+        ("udp::14550", False),
+        ("udp:LocalHost:14550", False),
+        ("udp:0.0.0.0:14550", True),
+        ("udpin:192.168.1.7:14550", True),
+        ("udp:drone.local:14550", True),
+        ("tcpin:0.0.0.0:5760", True),
+        ("tcpin:127.0.0.1:5760", False),
+        ("udpout:192.168.1.7:14580", False),
+        ("tcp:192.168.1.7:5760", False),
+        ("serial:/dev/ttyACM0", False),
+        ("pty:/tmp/vehicle", False),
+    ],
+)
+def test_only_a_link_that_listens_beyond_this_machine_is_exposed(
+    text: str, is_exposed: bool
+) -> None:
+    assert parse_link_url(text).is_exposed is is_exposed

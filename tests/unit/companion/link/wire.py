@@ -10,6 +10,7 @@ from companion.guidance.commands import ReportResult, Severity
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address, Chunk
+from companion.mav.signing import Signing
 from companion.run import build_endpoint
 
 M = TypeVar("M", bound=Message)
@@ -73,9 +74,22 @@ def origin(latitude: int = 47 * E7, longitude: int = 8 * E7, altitude: int = 488
 class Wire:
     """One endpoint and its autopilot, system 1 component 1."""
 
-    def __init__(self, config: CompanionConfig | None = None, links: int = 0) -> None:
+    def __init__(
+        self,
+        config: CompanionConfig | None = None,
+        links: int = 0,
+        *,
+        signing: Signing | None = None,
+        started_unix_s: float = 0.0,
+    ) -> None:
         self.journal = Journal()
-        self.endpoint = build_endpoint(config or CompanionConfig(), self.journal, links)
+        self.endpoint = build_endpoint(
+            config or CompanionConfig(),
+            self.journal,
+            links,
+            signing=signing,
+            started_unix_s=started_unix_s,
+        )
         self.autopilot = MavCodec(1, 1)
         self.reader = MavCodec(9, 9)
         self.now_s = 0.0

@@ -1,0 +1,163 @@
+"""The endpoint with a key: who moves its state, what it sends, what it tells."""
+
+from __future__ import annotations
+
+import pytest
+
+from companion.config.schema import CompanionConfig
+from companion.guidance.states import Phase
+from companion.link.authenticity import REPORT_PERIOD_S
+from companion.link.params import LinkParams
+from companion.mav.codec import MavCodec
+from companion.mav.dialect import MAVLink_radio_ranging_message, mavlink
+from companion.mav.framing import without_signature
+from companion.mav.signing import (
+    EPOCH_UNIX_S,
+    ONE_LINK_EACH,
+    LinkSigning,
+    Signing,
+    SigningKey,
+    is_signed,
+    timestamp_at,
+)
+from tests.unit.companion.link.wire import OFFBOARD, Wire, heartbeat
+
+KEY = SigningKey(bytes(range(1, 33)))
+OTHER_KEY = SigningKey(bytes(range(2, 34)))
+UNIX_S = EPOCH_UNIX_S + 370_000_000.0
+NAN = float("nan")
+
+
+def codec(key: SigningKey = KEY, unix_s: float = UNIX_S, link_id: int = 0) -> MavCodec:
+    """An autopilot that signs from a time on."""
+    return MavCodec(1, 1, LinkSigning(Signing(key, timestamp_at(unix_s)), link_id))
+
+
+def wire(config: CompanionConfig | None = None, links: int = 0) -> Wire:
+    """A companion with the key, and its autopilot."""
+    signing = Signing(KEY, rules=ONE_LINK_EACH)
+    made = Wire(config, links, signing=signing, started_unix_s=UNIX_S)
+    made.autopilot = codec()
+    made.reader = MavCodec(9, 9, LinkSigning(Signing(KEY), 9))
+    return made
+
+
+def in_offboard() -> Wire:
+    made = wire().ready(OFFBOARD)
+    assert made.endpoint.session.phase is Phase.HOLD
+    return made
+
+
+def test_with_the_key_on_both_sides_it_flies_and_all_it_sends_is_signed() -> None:
+    made = in_offboard()
+    made.wait(2.0)
+    assert len(made.sent) == len(made.raw) > 30
+    assert all(is_signed(chunk.data) for chunk in made.raw)
+
+
+def test_timestamps_follow_the_clock() -> None:
+    made = wire().ready()
+    made.wait(100.0)
+    newest = int.from_bytes(made.raw[-1].data[-12:-6], "little")
+    assert newest == pytest.approx(timestamp_at(UNIX_S + made.now_s), abs=1e5)
+
+
+def test_nothing_unsigned_or_forged_binds_an_autopilot() -> None:
+    made = wire()
+    made.wait(0.05)
+    frames = made.journal.frames
+    for forger in (MavCodec(1, 1), codec(OTHER_KEY), codec(unix_s=UNIX_S + 3600.0)):
+        made.say(heartbeat(), sender=forger)
+    made.bytes(without_signature(made.autopilot.encode(heartbeat()), 50))
+    assert not made.endpoint.binding.is_bound
+    assert made.journal.frames == frames
+
+
+@pytest.mark.parametrize("attack", ["unsigned", "MAVLink 1", "forged", "stripped", "replayed"])
+def test_a_mode_that_nobody_with_the_key_sent_changes_nothing(attack: str) -> None:
+    made = in_offboard()
+    recorded = made.autopilot.encode(heartbeat(custom_mode=3 << 16, is_armed=True))
+    made.say(heartbeat(custom_mode=OFFBOARD, is_armed=True, status=4))
+    data = {
+        "unsigned": MavCodec(1, 1).encode(heartbeat()),
+        "MAVLink 1": MavCodec(1, 1).encode(heartbeat(), is_mavlink1=True),
+        "forged": codec(OTHER_KEY, UNIX_S + 9.0).encode(heartbeat()),
+        "stripped": without_signature(made.autopilot.encode(heartbeat()), 50),
+        "replayed": recorded,
+    }[attack]
+    heard_s, made.now_s = made.endpoint.binding.heard_s, made.now_s + 0.01
+    made.bytes(data)
+    assert made.endpoint.session.phase is Phase.HOLD
+    assert made.endpoint.binding.heard_s == heard_s
+
+
+def test_what_was_recorded_on_another_link_of_the_autopilot_is_no_news() -> None:
+    made = in_offboard()
+    recorded = codec(unix_s=UNIX_S - 5.0, link_id=1).encode(heartbeat(is_armed=True))
+    made.bytes(recorded)
+    assert made.endpoint.session.phase is Phase.HOLD
+
+
+def test_an_unsigned_radio_status_is_noted_and_says_nothing_about_the_autopilot() -> None:
+    made = in_offboard()
+    heard_s, frames = made.endpoint.binding.heard_s, made.journal.frames
+    made.now_s += 0.01
+    status = mavlink.MAVLink_radio_status_message(1, 2, 3, 4, 5, 6, 7)
+    made.say(status, sender=MavCodec(1, 1))
+    assert made.endpoint.binding.heard_s == heard_s
+    assert made.journal.frames == frames + 1
+
+
+def test_refusals_are_told_at_once_and_then_rarely() -> None:
+    made = wire()
+    for _ in range(1000):
+        made.say(heartbeat(), sender=MavCodec(1, 1))
+        made.wait(0.05)
+    said = [text for text in made.journal.texts if "refused" in text]
+    assert "1 x unsigned (does the autopilot sign, with this key?)" in said[0]
+    assert len(said) == pytest.approx(50.0 / REPORT_PERIOD_S, abs=1.0)
+
+
+def test_somebody_with_the_key_and_a_clock_far_ahead_is_an_alarm() -> None:
+    made = in_offboard()
+    made.say(heartbeat(), sender=codec(unix_s=UNIX_S + 61.0))
+    made.wait(0.05)
+    assert any(
+        "too far ahead (its sender has the key; set the clocks" in t for t in made.journal.texts
+    )
+    assert made.endpoint.session.phase is Phase.HOLD
+
+
+def test_the_wall_clock_may_still_be_set_before_an_autopilot_is_heard() -> None:
+    made = wire()
+    made.autopilot = codec(unix_s=UNIX_S + 1e7)
+    made.say(heartbeat())
+    assert not made.endpoint.binding.is_bound
+    made.endpoint.authenticity.set_clock(UNIX_S + 1e7, made.now_s)
+    made.wait(0.05)
+    made.say(heartbeat())
+    assert made.endpoint.binding.is_bound
+
+
+def ranging() -> MAVLink_radio_ranging_message:
+    return MAVLink_radio_ranging_message(1_000_000, 60.0, 1.0, 0.5, 0.1, NAN, NAN, 7, 255, 0)
+
+
+@pytest.mark.parametrize("is_allowed", [False, True])
+def test_a_radio_that_cannot_sign_is_heard_only_if_configured(is_allowed: bool) -> None:
+    config = CompanionConfig(link=LinkParams(unsigned_ranging=is_allowed))
+    made = wire(config, links=1).ready()
+    made.say(ranging(), sender=MavCodec(77, 5), link=1)
+    made.wait(0.5)
+    assert made.endpoint.session.tracker.accepted == is_allowed
+    made.say(heartbeat(), sender=MavCodec(1, 1))
+    made.wait(0.5)
+    assert any("unsigned" in text for text in made.journal.texts)
+
+
+def test_the_verdicts_are_in_the_log() -> None:
+    made = in_offboard()
+    made.say(heartbeat(), sender=MavCodec(1, 1))
+    made.wait(11.0)
+    record = [fields for kind, fields in made.journal.records if kind == "link"][-1]
+    assert record["signing"] == {"signed": 5, "unsigned": 1}

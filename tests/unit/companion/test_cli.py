@@ -1,0 +1,70 @@
+"""What the `companion` command refuses before any socket opens: one line, exit code 2."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from companion.cli import EXIT_BAD_INPUT, main
+
+OPEN = "udp:0.0.0.0:14999"
+
+
+def complaint(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    """The one line that refuses these arguments."""
+    assert main(arguments) == EXIT_BAD_INPUT
+    (line,) = capsys.readouterr().err.splitlines()
+    return line
+
+
+def key_file(folder: Path, mode: int = 0o600, text: str = "0123456789abcdef" * 4) -> Path:
+    path = folder / "signing.key"
+    path.write_text(text)
+    path.chmod(mode)
+    return path
+
+
+@pytest.mark.parametrize(
+    "arguments", [("--connect", OPEN), ("--connect", "udp::1", "--ranging", OPEN)]
+)
+def test_a_port_open_to_the_network_needs_a_key(
+    capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...]
+) -> None:
+    line = complaint(capsys, *arguments)
+    assert line.startswith("companion: udpin:0.0.0.0:14999: anyone in the network could command it")
+    assert "--signing-key FILE, or insist with --insecure" in line
+
+
+@pytest.mark.parametrize(
+    ("mode", "text", "problem"),
+    [
+        (0o644, "0123456789abcdef" * 4, "chmod 600"),
+        (0o600, "0" * 64, "zeros"),
+        (0o600, "0123", "64 hexadecimal digits"),
+    ],
+)
+def test_a_bad_key_file_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], mode: int, text: str, problem: str
+) -> None:
+    path = key_file(tmp_path, mode, text)
+    line = complaint(capsys, "--connect", OPEN, "--signing-key", str(path), "--quiet")
+    assert line.startswith(f"companion: {path}: ")
+    assert problem in line
+
+
+def test_a_key_file_of_the_configuration_is_refused_the_same_way(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = key_file(tmp_path, 0o640)
+    config = tmp_path / "site.yaml"
+    config.write_text(f"link: {{signing_key_file: {path}}}")
+    assert "chmod 600" in complaint(capsys, "--connect", OPEN, "--config", str(config), "--quiet")
+
+
+@pytest.mark.parametrize("option", [("--signing-key", "k"), ("--insecure",)])
+def test_options_of_flying_are_refused_in_front_of_a_subcommand(
+    capsys: pytest.CaptureFixture[str], option: tuple[str, ...]
+) -> None:
+    line = complaint(capsys, *option, "replay", "walk.csv")
+    assert f"{option[0]} in front of `replay` has no effect" in line
