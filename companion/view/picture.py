@@ -1,0 +1,148 @@
+"""One moment of a flight as plain JSON values: what every view draws.
+
+Lengths are metres in the local frame, east first; times are seconds of the companion's clock. A
+value that is not known is None. Texts are as they came: whoever shows them escapes them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from companion.config.schema import CompanionConfig
+from companion.domain import EstimateState, TargetEstimate
+from companion.geometry.ellipse import ellipse_95
+from companion.geometry.frames import LocalOrigin
+from companion.guidance.states import Phase
+from companion.guidance.status import GuidanceStatus
+from companion.link.endpoint import CompanionEndpoint
+
+Json = dict[str, object]
+
+PHASE_WORDS = {
+    Phase.WAITING: "waiting for the autopilot",
+    Phase.STANDBY: "ready: switch the mode to give control",
+    Phase.LAUNCHING: "launching",
+    Phase.NORMAL: "searching",
+    Phase.DEGRADED: "searching slowly: the inputs age",
+    Phase.HOLD: "holding in place",
+    Phase.FINISHED: "found: handed over",
+    Phase.YIELD: "silent: somebody else flies",
+    Phase.HANDBACK: "handing the vehicle back",
+    Phase.STOPPED: "stopped",
+}
+"""Phases in the operator's words."""
+
+ESTIMATE_WORDS = {
+    EstimateState.SEARCHING: "searching",
+    EstimateState.AMBIGUOUS: "two places are possible",
+    EstimateState.LOCALISED: "localised",
+    EstimateState.DIVERGED: "recovering",
+}
+
+
+def scene_of(config: CompanionConfig) -> Json:
+    """What does not change during a flight.
+
+    Args:
+        config: Of the flight.
+    """
+    limits, mission = config.limits, config.mission
+    return {
+        "fence": limits.fence_enu_m,
+        "keep_out": limits.keep_out_enu_m,
+        "fence_margin_m": limits.fence_margin_m,
+        "stop_radius_m": mission.stop_radius_m,
+        "old_after_s": {
+            "autopilot": 1.0,
+            "position": 0.5,
+            "ranging": mission.ranging_timeout_s,
+        },
+    }
+
+
+def picture_of(endpoint: CompanionEndpoint, now_s: float) -> Json:
+    """What is known now.
+
+    Args:
+        endpoint: The companion.
+        now_s: The present.
+    """
+    session = endpoint.session
+    status = session.status(now_s)
+    vehicle = session.vehicle
+    return {
+        "t_s": now_s,
+        "phase": status.phase.value,
+        "phase_text": _phase_text(status),
+        "mode": vehicle.name_of(status.mode),
+        "is_armed": status.is_armed,
+        "is_link_lost": status.is_link_lost,
+        "origin": _origin(vehicle.origin),
+        "vehicle": status.vehicle_enu_m,
+        "height_m": status.height_m,
+        "distance_m": status.distance_m,
+        "estimate": None if status.estimate is None else _estimate(status.estimate),
+        "waypoint": _waypoint(status),
+        "setpoint": status.setpoint_enu_m,
+        "guard": status.guard,
+        "nlos_share": status.health.nlos_share,
+        "accepted": status.accepted,
+        "refused": dict(status.refused),
+        "bad_frames": endpoint.bad_frames,
+        "setpoint_rate_hz": endpoint.setpoint_rate_hz(now_s),
+        "ages_s": _ages(endpoint, now_s),
+    }
+
+
+def _phase_text(status: GuidanceStatus) -> str:
+    words = PHASE_WORDS[status.phase]
+    is_localised = (
+        status.estimate is not None and status.estimate.state is EstimateState.LOCALISED
+    )
+    if status.phase is Phase.NORMAL and is_localised:
+        words = "localised: confirming"
+    return f"{words}: {status.detail}" if status.detail else words
+
+
+def _origin(origin: LocalOrigin | None) -> tuple[float, float] | None:
+    return None if origin is None else (origin.latitude_deg, origin.longitude_deg)
+
+
+def _estimate(estimate: TargetEstimate) -> Json:
+    ellipse = ellipse_95(estimate.position_enu_m, estimate.covariance_m2)
+    return {
+        "state": estimate.state.value,
+        "words": ESTIMATE_WORDS[estimate.state],
+        "place": estimate.position_enu_m,
+        "ellipse": ellipse.corners_enu_m(),
+        "r95_m": estimate.r95_m,
+        "alternative": estimate.alternative_enu_m,
+        "range_offset_m": estimate.range_offset_m,
+        "bearing_offset_rad": estimate.bearing_offset_rad,
+        "measurements": estimate.measurements,
+    }
+
+
+def _waypoint(status: GuidanceStatus) -> Json | None:
+    waypoint = status.waypoint
+    if waypoint is None:
+        return None
+    return {
+        "place": waypoint.position_enu_m,
+        "reason": waypoint.reason.value,
+        "detail": waypoint.detail,
+    }
+
+
+def _ages(endpoint: CompanionEndpoint, now_s: float) -> Mapping[str, float | None]:
+    """How long ago each input was last heard; None: never."""
+    session = endpoint.session
+    state = session.vehicle.track.latest
+    heard = {
+        "autopilot": endpoint.binding.heard_s,
+        "position": None if state is None else state.time_s,
+        "ranging": session.tracker.last_accepted_s,
+    }
+    return {
+        name: None if time_s is None else max(0.0, now_s - time_s) for name, time_s in heard.items()
+    }

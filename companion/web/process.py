@@ -1,0 +1,164 @@
+"""The control side of the live map: a child process and two pipes that are never waited for.
+
+Theory of operation. A browser, or ten, or one that stalled, must not be felt by the control tick.
+So the page lives in another process: pictures go down a pipe as JSON lines, a few times a second,
+and only when the pipe has room; what does not fit is not queued, because a newer picture replaces
+it anyway. Buttons come back up another pipe. If the child dies, the flight goes on without a map.
+The listening socket is opened here, before the flight, so that a taken port is an error at once.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+
+from companion.errors import CompanionError
+from companion.io.files import plain
+from companion.web.settings import WebSettings
+
+log = logging.getLogger("companion.web")
+
+PICTURE_PERIOD_S = 0.25
+"""Of the flight; faster than an eye needs, slower than a Raspberry Pi notices."""
+MAX_LINE = 1_000_000
+"""More than this without a line's end is no button."""
+END_S = 2.0
+BUTTONS = frozenset({"hold", "resume", "return"})
+
+
+class WebProcess:
+    """Serves the page from a child process.
+
+    Args:
+        settings: Where, and for whom.
+        scene: What does not change during the flight, for `companion.view`'s page.
+
+    Raises:
+        CompanionError: The port is taken, or the extra `web` is not installed.
+    """
+
+    def __init__(self, settings: WebSettings, scene: Mapping[str, object]) -> None:
+        _check_installed()
+        listener = listening_socket(settings)
+        first = {
+            "fd": listener.fileno(),
+            "host": settings.host,
+            "token": settings.token,
+            "is_control_on": settings.is_control_on,
+            "is_view_open": settings.is_view_open,
+            "tiles": None if settings.tiles is None else str(settings.tiles.resolve()),
+            "scene": scene,
+        }
+        self._child = subprocess.Popen(
+            [sys.executable, "-m", "companion.web"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            pass_fds=(listener.fileno(),),
+        )
+        listener.close()
+        assert self._child.stdin is not None
+        assert self._child.stdout is not None
+        self._down, self._up = self._child.stdin.fileno(), self._child.stdout.fileno()
+        os.set_blocking(self._down, False)
+        os.set_blocking(self._up, False)
+        self._unsent = _line(first)
+        self._received = b""
+        self._next_s = 0.0
+        self._is_over = False
+        self.dropped = 0
+        """Pictures that the child was too slow for."""
+
+    def update(self, now_s: float, picture: Callable[[], Mapping[str, object]]) -> list[str]:
+        """Send a picture if one is due and the pipe has room; the buttons pressed meanwhile.
+
+        Args:
+            now_s: The present.
+            picture: Makes it; only called when it goes out.
+        """
+        if self._is_over:
+            return []
+        self._flush()
+        if now_s >= self._next_s:
+            self._next_s = now_s + PICTURE_PERIOD_S
+            if self._unsent:
+                self.dropped += 1
+            else:
+                self._unsent = _line(picture())
+                self._flush()
+        return self._buttons()
+
+    def close(self) -> None:
+        """End the child; it ends by itself when its pipe does."""
+        self._is_over = True
+        for pipe in (self._child.stdin, self._child.stdout):
+            if pipe is not None:
+                with suppress(OSError):
+                    pipe.close()
+        try:
+            self._child.wait(END_S)
+        except subprocess.TimeoutExpired:
+            self._child.kill()
+            self._child.wait()
+
+    def _flush(self) -> None:
+        try:
+            while self._unsent:
+                sent = os.write(self._down, self._unsent)
+                self._unsent = self._unsent[sent:]
+        except BlockingIOError:
+            pass
+        except OSError:
+            self._is_over = True
+            log.warning("the live map ended; the flight goes on without it")
+
+    def _buttons(self) -> list[str]:
+        try:
+            data = os.read(self._up, 65536)
+        except (BlockingIOError, OSError):
+            return []
+        *lines, self._received = (self._received + data).split(b"\n")
+        self._received = self._received[-MAX_LINE:]
+        names = [line.decode("utf-8", errors="replace").strip() for line in lines]
+        return [name for name in names if name in BUTTONS]
+
+
+def listening_socket(settings: WebSettings) -> socket.socket:
+    """The socket that the page is served on.
+
+    Raises:
+        CompanionError: The address is not ours, or the port is taken.
+    """
+    try:
+        found = socket.getaddrinfo(settings.host, settings.port, type=socket.SOCK_STREAM)
+        family, kind, protocol, _, address = found[0]
+        listener = socket.socket(family, kind, protocol)
+    except OSError as error:
+        raise CompanionError(f"--web {settings.host}: no address of this computer") from error
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(address)
+        listener.listen()
+    except OSError as error:
+        listener.close()
+        raise CompanionError(
+            f"--web {settings.host}:{settings.port}: cannot be opened ({error.strerror}); "
+            "is another program using the port?"
+        ) from error
+    return listener
+
+
+def _check_installed() -> None:
+    from importlib.util import find_spec
+
+    if find_spec("nicegui") is None:
+        raise CompanionError("--web needs the extra web: pip install 'companion-guidance[web]'")
+
+
+def _line(value: Mapping[str, object]) -> bytes:
+    return json.dumps(plain(value), allow_nan=False, separators=(",", ":")).encode() + b"\n"
