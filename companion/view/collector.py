@@ -16,6 +16,8 @@ MARKS = 40
 CURVE_POINTS = 600
 CURVE_STEP_S = 0.5
 """Curves keep five minutes at this step; a longer flight keeps every second point, and so on."""
+MARK_FIELDS = ("sensor_enu_m", "range_m", "bearing_enu_rad", "range_weight", "emitter_id")
+CURVE_FIELDS = ("range_innovation", "range_offset_m", "r95_m", "nis")
 
 Json = dict[str, object]
 
@@ -35,12 +37,10 @@ class Collector:
         if kind != "estimate":
             return
         if fields.get("sensor_enu_m") is not None:
-            names = ("sensor_enu_m", "range_m", "bearing_enu_rad", "range_weight", "emitter_id")
-            self.marks.append({"t_s": now_s, **{name: fields.get(name) for name in names}})
+            self.marks.append({"t_s": now_s, **{name: fields.get(name) for name in MARK_FIELDS}})
         if now_s >= self._next_point_s:
             self._next_point_s = now_s + CURVE_STEP_S
-            names = ("range_innovation", "range_offset_m", "r95_m", "nis")
-            self._curve.append({"t_s": now_s, **{name: fields.get(name) for name in names}})
+            self._curve.append({"t_s": now_s, **{name: fields.get(name) for name in CURVE_FIELDS}})
 
     def text(self, severity: Severity, text: str, now_s: float) -> None:
         """Take in a text for the operator."""

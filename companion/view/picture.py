@@ -23,7 +23,6 @@ PHASE_WORDS = {
     Phase.STANDBY: "ready: switch the mode to give control",
     Phase.LAUNCHING: "launching",
     Phase.NORMAL: "searching",
-    Phase.DEGRADED: "searching slowly: the inputs age",
     Phase.HOLD: "holding in place",
     Phase.FINISHED: "found: handed over",
     Phase.YIELD: "silent: somebody else flies",
@@ -95,10 +94,8 @@ def picture_of(endpoint: CompanionEndpoint, now_s: float) -> Json:
 
 
 def _phase_text(status: GuidanceStatus) -> str:
-    words = PHASE_WORDS[status.phase]
-    is_localised = (
-        status.estimate is not None and status.estimate.state is EstimateState.LOCALISED
-    )
+    words = PHASE_WORDS.get(status.phase, status.phase.value)
+    is_localised = status.estimate is not None and status.estimate.state is EstimateState.LOCALISED
     if status.phase is Phase.NORMAL and is_localised:
         words = "localised: confirming"
     return f"{words}: {status.detail}" if status.detail else words

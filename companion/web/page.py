@@ -7,6 +7,7 @@ texts go into labels, which escape, and never into HTML.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from nicegui import ui
@@ -20,7 +21,8 @@ REFRESH_S = 0.3
 STALE_S = 2.0
 """Seconds without a picture after which the page says that the companion is silent."""
 STYLE = """
-.search-map { width: 100%; height: 58vh; min-height: 320px; background: #f8fafc; }
+.search-map { width: 100%; height: 58vh; min-height: 320px; }
+.search-map.leaflet-container { background: #f8fafc; }
 @media (min-width: 1024px) { .search-map { height: calc(100vh - 150px); } }
 .nicegui-content { padding: 0.5rem; }
 """
@@ -70,7 +72,7 @@ class Page:
             if press is None:
                 return
             for name, label, colour, question in BUTTONS:
-                dialog = _confirmation(question, label, colour, lambda n=name: press(n))
+                dialog = _confirmation(question, label, colour, partial(press, name))
                 ui.button(label, color=colour, on_click=dialog.open).props(f"id=button-{name}")
 
     def _refresh(self) -> None:

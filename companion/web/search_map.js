@@ -93,7 +93,7 @@ export default {
       const width = bounds.getEast() - bounds.getWest();
       let step = 1;
       for (const factor of [5, 2, 5, 2, 2.5, 2, 2]) if (width / step > 12) step *= factor;
-      const style = { color: "#94a3b8", weight: 0.5, opacity: 0.5 };
+      const style = { color: "#94a3b8", weight: 0.5, opacity: 0.7 };
       const [w, e, s, n] = [bounds.getWest(), bounds.getEast(), bounds.getSouth(), bounds.getNorth()];
       for (let x = Math.ceil(w / step) * step; x <= e; x += step) {
         this.grid.addLayer(this.line([[x, s], [x, n]], style));

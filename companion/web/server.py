@@ -1,4 +1,4 @@
-"""The child process: pictures from standard input, pages to browsers, buttons to standard output."""
+"""The child process: pictures from standard input, buttons to standard output, pages between."""
 
 from __future__ import annotations
 
@@ -62,7 +62,9 @@ class HostCheck:
         return self._access.is_origin_ours(headers.get(b"origin"), host)
 
 
-def build_app(hub: Hub, access: Access, tiles: Path | None, press: Callable[[str], None]) -> FastAPI:
+def build_app(
+    hub: Hub, access: Access, tiles: Path | None, press: Callable[[str], None]
+) -> FastAPI:
     """The web application.
 
     Args:
@@ -106,7 +108,9 @@ async def serve() -> None:
     app = build_app(hub, access, tiles, _press)
     listener = socket.socket(fileno=first["fd"])
     server = uvicorn.Server(
-        uvicorn.Config(app, log_level="warning", access_log=False, lifespan="on", ws_ping_timeout=10)
+        uvicorn.Config(
+            app, log_level="warning", access_log=False, lifespan="on", ws_ping_timeout=10
+        )
     )
     serving = asyncio.create_task(server.serve(sockets=[listener]))
     while line := await reader.readline():

@@ -1,0 +1,49 @@
+"""What views remember of the past is bounded and taken once."""
+
+from companion.guidance.commands import Severity
+from companion.view.collector import CURVE_POINTS, MARKS, TEXTS, Collector
+
+
+def estimate(t_s: float) -> dict[str, object]:
+    return {
+        "sensor_enu_m": (t_s, 0.0, 20.0),
+        "range_m": 30.0,
+        "bearing_enu_rad": None,
+        "range_weight": 0.5,
+        "r95_m": 4.0,
+        "range_offset_m": 0.1,
+        "range_innovation": 2.0,
+        "nis": 1.5,
+    }
+
+
+def test_lists_keep_the_newest() -> None:
+    collector = Collector()
+    for t in range(2000):
+        collector.record("estimate", estimate(float(t)), float(t))
+        collector.text(Severity.INFO, f"text {t}", float(t))
+    assert len(collector.marks) == MARKS
+    assert len(collector.texts) == TEXTS
+    assert collector.texts[-1] == (1999.0, "info", "text 1999")
+    assert collector.marks[-1]["t_s"] == 1999.0
+
+
+def test_the_curve_is_taken_once_and_has_at_most_two_points_a_second() -> None:
+    collector = Collector()
+    for tick in range(100):
+        collector.record("estimate", estimate(0.1 * tick), 0.1 * tick)
+    points = collector.take_curve()
+    assert 18 <= len(points) <= 21
+    assert points[0]["range_innovation"] == 2.0
+    assert collector.take_curve() == []
+    for t in range(10 * CURVE_POINTS):
+        collector.record("estimate", estimate(100.0 + t), 100.0 + t)
+    assert len(collector.take_curve()) == CURVE_POINTS
+
+
+def test_other_records_are_not_shown_and_an_estimate_without_a_place_has_no_mark() -> None:
+    collector = Collector()
+    collector.record("link", {"setpoints": 3}, 1.0)
+    collector.record("estimate", {"r95_m": 4.0}, 2.0)
+    assert not collector.marks
+    assert len(collector.take_curve()) == 1

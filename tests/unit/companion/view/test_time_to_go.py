@@ -1,0 +1,34 @@
+"""The time to go: extrapolated while R95 shrinks, counted down once it is small enough."""
+
+import math
+
+import pytest
+
+from companion.view.time_to_go import TimeToGo
+
+
+def test_a_radius_that_halves_every_ten_seconds() -> None:
+    rule = TimeToGo(stop_radius_m=1.0, confirm_s=10.0)
+    to_go = [rule.observe(t / 2, 16.0 * 0.5 ** (t / 20)) for t in range(41)]
+    assert to_go[5] is None
+    # After 20 s R95 is 4 m: two more halvings, then the confirmation.
+    assert to_go[40] == pytest.approx(30.0, abs=0.01)
+
+
+def test_a_radius_that_grows_promises_nothing() -> None:
+    rule = TimeToGo(1.0, 10.0)
+    assert [rule.observe(float(t), 2.0 + 0.1 * t) for t in range(20)] == [None] * 20
+
+
+def test_the_confirmation_is_counted_down_and_begins_anew() -> None:
+    rule = TimeToGo(1.0, 10.0)
+    assert rule.observe(0.0, 0.9) == 10.0
+    assert rule.observe(4.0, 0.8) == 6.0
+    assert rule.observe(20.0, 0.8) == 0.0
+    rule.observe(21.0, 1.5)
+    assert rule.observe(22.0, 0.9) == 10.0
+
+
+@pytest.mark.parametrize("r95_m", [None, 0.0, math.nan])
+def test_no_radius_no_time(r95_m: float | None) -> None:
+    assert TimeToGo(1.0, 10.0).observe(0.0, r95_m) is None
