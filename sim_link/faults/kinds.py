@@ -8,328 +8,149 @@ switch) happens at its start, and its duration means nothing.
 
 from __future__ import annotations
 
-import math
-from typing import Annotated, Literal, get_args
-
-import msgspec
-
-from companion.domain import FlightMode
-from companion.params import NonNegative, Params, Positive
-
-Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
-Count = Annotated[int, msgspec.Meta(ge=1, le=1000)]
-Length = Annotated[float, msgspec.Meta(ge=-1e5, le=1e5)]
-WindSpeed = Annotated[float, msgspec.Meta(ge=-50.0, le=50.0)]
-Rate = Annotated[float, msgspec.Meta(gt=0.0, le=100_000.0)]
-Direction = Literal["both", "to_companion", "to_vehicle"]
-RangingField = Literal["range", "bearing", "both"]
-
-
-class FaultRecord(Params, frozen=True, tag_field="kind"):
-    """What every fault has."""
-
-    start_s: NonNegative = 0.0
-    duration_s: Positive = math.inf
-
-    @property
-    def end_s(self) -> float:
-        """When it is over."""
-        return self.start_s + self.duration_s
-
-    def is_active(self, time_s: float) -> bool:
-        """Whether it acts at a time since the schedule began."""
-        return self.start_s <= time_s < self.end_s
-
-
-# The link
-
-
-class LinkFault(FaultRecord, frozen=True):
-    """Something between the two, in one direction or both."""
-
-    direction: Direction = "both"
-
-
-class LinkLoss(LinkFault, frozen=True, tag="link_loss"):
-    """Each frame is lost by itself."""
-
-    share: Share = 0.3
-
-
-class LinkBursts(LinkFault, frozen=True, tag="link_bursts"):
-    """Gilbert-Elliott: the link changes between a good and a bad state, by time, not by frame."""
-
-    mean_good_s: Positive = 2.0
-    mean_bad_s: Positive = 0.2
-    loss_good: Share = 0.0
-    loss_bad: Share = 1.0
-
-
-class LinkBlackout(LinkFault, frozen=True, tag="link_blackout"):
-    """Nothing arrives; in one direction only, that is a one-way link."""
-
-
-class LinkDelay(LinkFault, frozen=True, tag="link_delay"):
-    """Every frame is late."""
-
-    delay_s: NonNegative = 0.1
-
-
-class LinkJitter(LinkFault, frozen=True, tag="link_jitter"):
-    """Some frames are late by a random time, so that others overtake them."""
-
-    jitter_s: Positive = 0.2
-    """Up to this much."""
-    share: Share = 1.0
-
-
-class LinkDuplicates(LinkFault, frozen=True, tag="link_duplicates"):
-    """Some frames arrive several times."""
-
-    share: Share = 0.1
-    copies: Count = 1
-    """Beside the frame itself."""
-    spread_s: NonNegative = 0.1
-    """Copies come up to this much later."""
-
-
-class LinkBitFlips(LinkFault, frozen=True, tag="link_bit_flips"):
-    """Some frames arrive with bits turned over."""
-
-    share: Share = 0.1
-    bits: Count = 1
-
-
-class LinkTruncation(LinkFault, frozen=True, tag="link_truncation"):
-    """Some frames lose their end."""
-
-    share: Share = 0.1
-
-
-class LinkGarbage(LinkFault, frozen=True, tag="link_garbage"):
-    """Bytes that are no frame stand before some frames, in the same datagram."""
-
-    share: Share = 0.1
-    most_bytes: Count = 40
-
-
-class LinkRateCap(LinkFault, frozen=True, tag="link_rate_cap"):
-    """A slow link with a queue; what does not fit into the queue is lost."""
-
-    bits_per_s: Positive = 57_600.0
-    queue_bytes: Annotated[int, msgspec.Meta(ge=1, le=10_000_000)] = 4096
-
-
-class LinkHold(LinkFault, frozen=True, tag="link_hold"):
-    """Nothing arrives until the fault is over; then everything at once."""
-
-
-class StreamMute(FaultRecord, frozen=True, tag="stream_mute"):
-    """One message of the vehicle does not arrive."""
-
-    message: str = "LOCAL_POSITION_NED"
-    """Its MAVLink name."""
-
-
-# The radio
-
-
-class RangingFault(FaultRecord, frozen=True):
-    """Something with the radio's measurements."""
-
-
-class RangingDropout(RangingFault, frozen=True, tag="ranging_dropout"):
-    """Range, bearing or both are missing."""
-
-    missing: RangingField = "both"
-
-
-class RangingFreeze(RangingFault, frozen=True, tag="ranging_freeze"):
-    """The radio repeats its last measurement with fresh stamps."""
-
-
-class RangingWrongUnit(RangingFault, frozen=True, tag="ranging_wrong_unit"):
-    """Range or bearing comes in another unit."""
-
-    of: RangingField = "range"
-    factor: Positive = 100.0
-
-
-class RangingOutliers(RangingFault, frozen=True, tag="ranging_outliers"):
-    """Some measurements are grossly wrong: too long, and a bearing from anywhere."""
-
-    share: Share = 0.3
-    excess_m: Positive = 40.0
-    """Mean of what is added to the range."""
-    is_bearing_hit: bool = True
-
-
-class RangingStale(RangingFault, frozen=True, tag="ranging_stale"):
-    """Measurements arrive late, with the stamp of when they were made."""
-
-    age_s: Positive = 0.7
-
-
-class RangingOutOfOrder(RangingFault, frozen=True, tag="ranging_out_of_order"):
-    """Measurements overtake each other."""
-
-    window_s: Positive = 0.8
-
-
-class RangingSecondEmitter(RangingFault, frozen=True, tag="ranging_second_emitter"):
-    """Another emitter answers too; with the same id, it poses as ours."""
-
-    east_m: Length = 0.0
-    north_m: Length = 60.0
-    emitter_id: Annotated[int, msgspec.Meta(ge=0, le=65_535)] | None = None
-    """None: it uses ours."""
-
-
-class RangingNan(RangingFault, frozen=True, tag="ranging_nan"):
-    """Some measurements are no numbers, infinite, negative or absurd."""
-
-    share: Share = 0.5
-
-
-# The vehicle
-
-
-class VehicleFault(FaultRecord, frozen=True):
-    """Something with the vehicle, its autopilot or the weather."""
-
-
-class VehicleReboot(VehicleFault, frozen=True, tag="vehicle_reboot"):
-    """The vehicle starts anew; event."""
-
-
-class PositionJump(VehicleFault, frozen=True, tag="position_jump"):
-    """The autopilot's estimator resets: from now on it reports this much more; event."""
-
-    east_m: Length = 7.0
-    north_m: Length = 0.0
-    up_m: Length = 0.0
-
-
-class EkfPoor(VehicleFault, frozen=True, tag="ekf_poor"):
-    """The autopilot says that its estimate is bad."""
-
-
-class GpsLoss(VehicleFault, frozen=True, tag="gps_loss"):
-    """No satellites: the fix is gone and the estimate wanders."""
-
-
-class Wind(VehicleFault, frozen=True, tag="wind"):
-    """The wind changes."""
-
-    east_mps: WindSpeed = 12.0
-    north_mps: WindSpeed = 0.0
-
-
-class BatteryLow(VehicleFault, frozen=True, tag="battery_low"):
-    """The charge drops to a share; event."""
-
-    charge: Share = 0.14
-
-
-class BatteryCritical(VehicleFault, frozen=True, tag="battery_critical"):
-    """The charge drops to where the autopilot acts; event."""
-
-    charge: Share = 0.06
-
-
-class OriginShift(VehicleFault, frozen=True, tag="origin_shift"):
-    """Somebody moves the local frame's zero; event."""
-
-    east_m: Length = 10.0
-    north_m: Length = 0.0
-
-
-class PilotSwitch(VehicleFault, frozen=True, tag="pilot_switch"):
-    """The pilot switches the mode; event."""
-
-    mode: FlightMode = FlightMode.HOLD
-    is_told_at_once: bool = False
-    """Whether the autopilot tells it at once, not with its next HEARTBEAT."""
-
-
-class ModeFlap(VehicleFault, frozen=True, tag="mode_flap"):
-    """The mode changes to and fro."""
-
-    mode: FlightMode = FlightMode.HOLD
-    period_s: Positive = 0.5
-
-
-class Failsafe(VehicleFault, frozen=True, tag="failsafe"):
-    """The autopilot leaves by itself; event."""
-
-    mode: FlightMode = FlightMode.RETURN
-
-
-class Disarm(VehicleFault, frozen=True, tag="disarm"):
-    """The motors stop in the air; event."""
-
-
-class SecondSender(VehicleFault, frozen=True, tag="second_sender"):
-    """Somebody else sends setpoints to the vehicle."""
-
-    rate_hz: Rate = 10.0
-    east_m: Length = 20.0
-    north_m: Length = 20.0
-
-
-class TelemetryNonsense(VehicleFault, frozen=True, tag="telemetry_nonsense"):
-    """Some of the vehicle's reports are sentinels, no numbers or infinite."""
-
-    share: Share = 0.3
-
-
-# The companion as a process
-
-
-class ProcessFault(FaultRecord, frozen=True):
-    """Something with the companion's process or its host."""
-
-
-class CompanionKilled(ProcessFault, frozen=True, tag="companion_killed"):
-    """The process is killed, and started anew after a while; event."""
-
-    down_s: NonNegative = 1.0
-
-
-class CompanionStalled(ProcessFault, frozen=True, tag="companion_stalled"):
-    """The process gets no time (SIGSTOP, a starved host)."""
-
-    duration_s: Positive = 1.0
-
-
-class CompanionTerminated(ProcessFault, frozen=True, tag="companion_terminated"):
-    """The process is asked to end (SIGTERM); event."""
-
-
-# Security
-
-
-class SecurityFault(FaultRecord, frozen=True):
-    """Somebody on the link who should not be there."""
-
-    rate_hz: Rate = 50.0
-
-
-class ForgedFrames(SecurityFault, frozen=True, tag="forged_frames"):
-    """Frames in the vehicle's name, signed with a wrong key where the link is signed."""
-
-
-class ReplayedFrames(SecurityFault, frozen=True, tag="replayed_frames"):
-    """Frames that the vehicle sent before, bit by bit."""
-
-
-class UnsignedFrames(SecurityFault, frozen=True, tag="unsigned_frames"):
-    """Frames in the vehicle's name without any signature."""
-
-
-class ForeignFrames(SecurityFault, frozen=True, tag="foreign_frames"):
-    """Frames of another vehicle on the same link, with an id of its own."""
-
+from typing import get_args
+
+from sim_link.faults.content_kinds import (
+    ContentFault as ContentFault,
+)
+from sim_link.faults.content_kinds import (
+    RangingDropout as RangingDropout,
+)
+from sim_link.faults.content_kinds import (
+    RangingFreeze as RangingFreeze,
+)
+from sim_link.faults.content_kinds import (
+    RangingNan as RangingNan,
+)
+from sim_link.faults.content_kinds import (
+    RangingOutliers as RangingOutliers,
+)
+from sim_link.faults.content_kinds import (
+    RangingOutOfOrder as RangingOutOfOrder,
+)
+from sim_link.faults.content_kinds import (
+    RangingSecondEmitter as RangingSecondEmitter,
+)
+from sim_link.faults.content_kinds import (
+    RangingStale as RangingStale,
+)
+from sim_link.faults.content_kinds import (
+    RangingWrongUnit as RangingWrongUnit,
+)
+from sim_link.faults.content_kinds import (
+    StreamMute as StreamMute,
+)
+from sim_link.faults.content_kinds import (
+    TelemetryNonsense as TelemetryNonsense,
+)
+from sim_link.faults.host_kinds import (
+    CompanionKilled as CompanionKilled,
+)
+from sim_link.faults.host_kinds import (
+    CompanionStalled as CompanionStalled,
+)
+from sim_link.faults.host_kinds import (
+    CompanionTerminated as CompanionTerminated,
+)
+from sim_link.faults.host_kinds import (
+    ForeignFrames as ForeignFrames,
+)
+from sim_link.faults.host_kinds import (
+    ForgedFrames as ForgedFrames,
+)
+from sim_link.faults.host_kinds import (
+    ProcessFault as ProcessFault,
+)
+from sim_link.faults.host_kinds import (
+    ReplayedFrames as ReplayedFrames,
+)
+from sim_link.faults.host_kinds import (
+    SecurityFault as SecurityFault,
+)
+from sim_link.faults.host_kinds import (
+    UnsignedFrames as UnsignedFrames,
+)
+from sim_link.faults.link_kinds import (
+    LinkBitFlips as LinkBitFlips,
+)
+from sim_link.faults.link_kinds import (
+    LinkBlackout as LinkBlackout,
+)
+from sim_link.faults.link_kinds import (
+    LinkBursts as LinkBursts,
+)
+from sim_link.faults.link_kinds import (
+    LinkDelay as LinkDelay,
+)
+from sim_link.faults.link_kinds import (
+    LinkDuplicates as LinkDuplicates,
+)
+from sim_link.faults.link_kinds import (
+    LinkFault as LinkFault,
+)
+from sim_link.faults.link_kinds import (
+    LinkGarbage as LinkGarbage,
+)
+from sim_link.faults.link_kinds import (
+    LinkHold as LinkHold,
+)
+from sim_link.faults.link_kinds import (
+    LinkJitter as LinkJitter,
+)
+from sim_link.faults.link_kinds import (
+    LinkLoss as LinkLoss,
+)
+from sim_link.faults.link_kinds import (
+    LinkRateCap as LinkRateCap,
+)
+from sim_link.faults.link_kinds import (
+    LinkTruncation as LinkTruncation,
+)
+from sim_link.faults.record import (
+    FaultRecord as FaultRecord,
+)
+from sim_link.faults.vehicle_kinds import (
+    Battery as Battery,
+)
+from sim_link.faults.vehicle_kinds import (
+    Disarm as Disarm,
+)
+from sim_link.faults.vehicle_kinds import (
+    EkfJump as EkfJump,
+)
+from sim_link.faults.vehicle_kinds import (
+    EkfPoor as EkfPoor,
+)
+from sim_link.faults.vehicle_kinds import (
+    Failsafe as Failsafe,
+)
+from sim_link.faults.vehicle_kinds import (
+    GpsLoss as GpsLoss,
+)
+from sim_link.faults.vehicle_kinds import (
+    ModeFlap as ModeFlap,
+)
+from sim_link.faults.vehicle_kinds import (
+    OriginShift as OriginShift,
+)
+from sim_link.faults.vehicle_kinds import (
+    PilotMode as PilotMode,
+)
+from sim_link.faults.vehicle_kinds import (
+    PilotSticks as PilotSticks,
+)
+from sim_link.faults.vehicle_kinds import (
+    SecondSender as SecondSender,
+)
+from sim_link.faults.vehicle_kinds import (
+    VehicleFault as VehicleFault,
+)
+from sim_link.faults.vehicle_kinds import (
+    VehicleReboot as VehicleReboot,
+)
+from sim_link.faults.vehicle_kinds import (
+    Wind as Wind,
+)
 
 Fault = (
     LinkLoss
@@ -353,14 +174,14 @@ Fault = (
     | RangingSecondEmitter
     | RangingNan
     | VehicleReboot
-    | PositionJump
+    | EkfJump
     | EkfPoor
     | GpsLoss
     | Wind
-    | BatteryLow
-    | BatteryCritical
+    | Battery
     | OriginShift
-    | PilotSwitch
+    | PilotMode
+    | PilotSticks
     | ModeFlap
     | Failsafe
     | Disarm

@@ -5,10 +5,9 @@ Every effect owns its generator, so that adding one fault never changes what ano
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-
 import numpy as np
 
+from sim_link.faults.effect import Effect
 from sim_link.faults.kinds import (
     FaultRecord,
     LinkBitFlips,
@@ -27,24 +26,6 @@ from sim_link.lockstep.wire import Delivery
 
 NO_MAGIC = bytes(set(range(256)) - {0xFD, 0xFE})
 """Bytes that begin no frame."""
-
-
-class Effect(ABC):
-    """One fault in one direction.
-
-    Args:
-        rng: Of this effect alone.
-    """
-
-    def __init__(self, rng: np.random.Generator) -> None:
-        self._rng = rng
-
-    @abstractmethod
-    def apply(self, deliveries: list[Delivery], now_s: float) -> list[Delivery]:
-        """What becomes of what would arrive of one datagram that is sent at `now_s`."""
-
-    def _happens(self, share: float) -> bool:
-        return float(self._rng.random()) < share
 
 
 class Loss(Effect):
@@ -190,7 +171,7 @@ class Hold(Effect):
         return [(max(due_s, self._end_s), data) for due_s, data in deliveries]
 
 
-def make_effect(fault: FaultRecord, end_s: float, rng: np.random.Generator) -> Effect | None:
+def link_effect(fault: FaultRecord, end_s: float, rng: np.random.Generator) -> Effect | None:
     """The effect of a link fault; None for any other fault.
 
     Args:

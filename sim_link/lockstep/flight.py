@@ -27,6 +27,7 @@ from companion.mav.endpoint import Address, Chunk
 from companion.run import build_endpoint
 from sim_link.autopilot import payload
 from sim_link.autopilot.endpoint import SimEndpoint
+from sim_link.autopilot.incidents import Incident, Reboot
 from sim_link.autopilot.scenario import Scenario
 from sim_link.lockstep.observer import Frame, Observer, frames_in
 from sim_link.lockstep.wire import Lane, PerfectWire, Wire
@@ -96,7 +97,7 @@ class Flight:
         self._queue: list[tuple[float, int, Callable[[], None]]] = []
         self._count = 0
         self._suspended_until_s = 0.0
-        self._socket: deque[Chunk] = deque()
+        self._socket: deque[tuple[Chunk, bool]] = deque()
         self._socket_bytes = 0
         self.sim = make_simulator(scenario, seed, 0.0)
         self.start_companion()
@@ -182,27 +183,30 @@ class Flight:
                     observer.vehicle_heard(frame)
             self.sim.receive(Chunk(0, data, COMPANION_PEER), self.now_s)
             return
-        if not self.is_companion_up:
-            return
         is_ranging = lane is Lane.RANGING
         chunk = Chunk(1, data, RADIO_PEER) if is_ranging else Chunk(0, data, VEHICLE_PEER)
+        self._reach_companion(chunk, is_genuine=True)
+
+    def attack(self, chunk: Chunk) -> None:
+        """Have a datagram of an attacker reach the companion now, whatever the wire does."""
+        self._reach_companion(chunk, is_genuine=False)
+
+    def _reach_companion(self, chunk: Chunk, *, is_genuine: bool) -> None:
+        if not self.is_companion_up:
+            return
         if self.now_s < self._suspended_until_s:
-            size = len(data) + DATAGRAM_OVERHEAD
+            size = len(chunk.data) + DATAGRAM_OVERHEAD
             if self._socket_bytes + size <= SOCKET_BYTES:
                 self._socket_bytes += size
-                self._socket.append(chunk)
+                self._socket.append((chunk, is_genuine))
             return
         self._wake_companion()
-        self._give(chunk)
+        self._give(chunk, is_genuine)
 
-    def give(self, chunk: Chunk) -> None:
-        """Have a datagram of anybody reach the companion now, whatever the wire does."""
-        if self.is_companion_up:
-            self._give(chunk)
-
-    def _give(self, chunk: Chunk) -> None:
+    def _give(self, chunk: Chunk, is_genuine: bool) -> None:
         lane = Lane.TO_COMPANION if chunk.link == 0 else Lane.RANGING
         for frame in self._observed(chunk.data, lane):
+            frame.is_genuine = is_genuine
             for observer in self.observers:
                 observer.heard(frame)
         self.companion.receive(chunk, self.now_s)
@@ -210,7 +214,7 @@ class Flight:
     def _wake_companion(self) -> None:
         """What waited in the socket while the process was suspended."""
         while self._socket:
-            self._give(self._socket.popleft())
+            self._give(*self._socket.popleft())
         self._socket_bytes = 0
 
     def _collect(self) -> None:
@@ -287,10 +291,17 @@ class Flight:
     # The vehicle
 
     def reboot(self) -> None:
-        """The vehicle starts anew at its home, its clock with it."""
+        """Another vehicle in its place: at home, on the ground, its clock at zero."""
         self.sim = self._make_simulator(self.scenario, self.seed, self.now_s)
         for observer in self.observers:
             observer.vehicle_rebooted(self.now_s)
+
+    def happen(self, incident: Incident) -> None:
+        """Let something happen to the vehicle."""
+        self.sim.happen(incident, self.now_s)
+        if isinstance(incident, Reboot):
+            for observer in self.observers:
+                observer.vehicle_rebooted(self.now_s)
 
     @property
     def autopilot(self) -> Autopilot:

@@ -28,6 +28,8 @@ class Frame:
     time_s: float
     data: bytes
     lane: Lane
+    is_genuine: bool = True
+    """Whether it came from the other end of the wire, damaged or not, and not from an attacker."""
     _message: object = field(default=_UNREAD, repr=False)
 
     @property

@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from companion.domain import FlightMode
-from sim_link.faults.kinds import KINDS, Fault, LinkLoss, PilotSwitch, VehicleReboot
+from sim_link.faults.kinds import KINDS, Fault, LinkLoss, PilotMode, VehicleReboot
 from sim_link.faults.schedule import Schedule, fault_from, fields_of
 
 LOSS = LinkLoss(share=0.3, start_s=20.0, duration_s=5.0)
@@ -17,8 +17,8 @@ LOSS = LinkLoss(share=0.3, start_s=20.0, duration_s=5.0)
 def test_a_mapping_names_a_fault_by_its_kind() -> None:
     fields: dict[str, object] = {"kind": "link_loss", "share": 0.3, "start_s": 20, "duration_s": 5}
     assert fault_from(fields) == LOSS
-    switch = fault_from({"kind": "pilot_switch", "mode": "return"})
-    assert switch == PilotSwitch(mode=FlightMode.RETURN)
+    switch = fault_from({"kind": "pilot_mode", "mode": "return"})
+    assert switch == PilotMode(mode=FlightMode.RETURN)
 
 
 @pytest.mark.parametrize(
