@@ -23,6 +23,8 @@ import yaml
 from companion.errors import ConfigError
 
 T = TypeVar("T")
+SMALLEST = 1e-12
+"""The square of a number much smaller than this is zero, and its inverse infinite."""
 
 MAX_PROBLEMS = 20
 """More lines than this help nobody."""
@@ -207,9 +209,11 @@ def _located(text: str) -> _Problem:
 
 
 def _strange_values(value: object, path: str, seen: set[int]) -> list[_Problem]:
-    """NaN, infinity and keys that are no text; shared (aliased) nodes are visited once."""
+    """NaN, infinity, underflow and keys that are no text; aliased nodes are visited once."""
     if isinstance(value, float) and not math.isfinite(value):
         return [_Problem(path, "must be a finite number")]
+    if isinstance(value, float) and 0.0 < abs(value) < SMALLEST:
+        return [_Problem(path, "is too near to zero to compute with; give 0 or a larger number")]
     if not isinstance(value, dict | list) or id(value) in seen:
         return []
     seen.add(id(value))

@@ -65,6 +65,7 @@ def test_a_power_of_ten_is_a_number_with_or_without_a_point(text: str) -> None:
         ("fence_m: [[1, .nan]]", "$.fence_m[0][1]", "finite"),
         ("filter: {range_sigma_m: .inf}", "$.filter.range_sigma_m", "finite"),
         ("filter: {range_sigma_m: -.inf}", "$.filter.range_sigma_m", "finite"),
+        ("filter: {range_sigma_m: 1e-308}", "$.filter.range_sigma_m", "near to zero"),
         ("filter: {range_sigma_m: 1e999}", "$.filter.range_sigma_m", "finite"),
         ("filter: {low_m: 3}", "$.filter", "low_m must be below high_m"),
         ("zones: [{}, {low_m: 3}]", "$.zones[1]", "low_m must be below high_m"),
