@@ -18,6 +18,7 @@ from companion.guidance.status import GuidanceStatus
 
 PHASE_STYLE = {
     Phase.NORMAL: "bold green",
+    Phase.DEGRADED: "bold yellow",
     Phase.HOLD: "bold yellow",
     Phase.YIELD: "bold red",
     Phase.FINISHED: "bold cyan",

@@ -1,8 +1,8 @@
-"""What the session decides by: is a plan possible, is silence due, and how to hand back."""
+"""What the session decides by: is a search due, is silence due, and how to hand back."""
 
 from __future__ import annotations
 
-from companion.domain import EstimateState, FlightMode, TargetEstimate
+from companion.domain import FlightMode, TargetEstimate
 from companion.guidance.authority import Authority
 from companion.guidance.launch import Launch
 from companion.guidance.states import IN_CONTROL, STREAMING, Phase
@@ -31,41 +31,6 @@ def is_search_due(
     if estimate is None or ranging_heard_s is None or search_after_s == 0.0:
         return True
     return now_s - ranging_heard_s > search_after_s
-
-
-def missing_input(
-    vehicle: VehicleView,
-    estimate: TargetEstimate | None,
-    ranging_heard_s: float | None,
-    ranging_timeout_s: float,
-    search_after_s: float | None,
-    now_s: float,
-) -> str | None:
-    """What the plan stands on and is not there, or None.
-
-    Args:
-        vehicle: As last heard.
-        estimate: Of the target.
-        ranging_heard_s: When the last usable measurement came.
-        ranging_timeout_s: How old it may be.
-        search_after_s: See `Planner`.
-        now_s: The present.
-    """
-    if vehicle.is_link_lost(now_s):
-        return "autopilot link lost"
-    if not vehicle.is_mode_known(now_s):
-        return "autopilot's mode is unknown"
-    if not vehicle.is_position_fresh(now_s):
-        return "own position is stale"
-    if is_search_due(estimate, ranging_heard_s, search_after_s, now_s):
-        return None
-    if ranging_heard_s is None or estimate is None:
-        return "waiting for ranging"
-    if now_s - ranging_heard_s > ranging_timeout_s:
-        return f"no ranging for {ranging_timeout_s:g} s"
-    if estimate.state is EstimateState.DIVERGED:
-        return "the filter is recovering from a contradiction"
-    return None
 
 
 def is_silence_due(

@@ -7,18 +7,22 @@ import math
 from companion.domain import PositionSetpoint, TargetEstimate
 from companion.guard.gate import GuardReason
 from companion.guidance.commands import SendHeartbeat, SendSetpoint, Severity
-from companion.guidance.conditions import is_silence_due, missing_input
+from companion.guidance.conditions import is_silence_due
+from companion.guidance.findings import Verdict
+from companion.guidance.inputs import InputWatch
 from companion.guidance.launch import Launch, LaunchView
 from companion.guidance.params import FOLLOW_UP_MODE
 from companion.guidance.records import result_of
 from companion.guidance.situation import Situation
-from companion.guidance.states import Phase, Trigger
+from companion.guidance.states import FLYING, Phase, Trigger
 from companion.guidance.stop_rule import StopRule
 from companion.guidance.waiting import WaitingReason
 
 TICK_S = 0.05
 """Setpoints at 20 Hz: PX4 wants more than 2 Hz, and at 20 Hz a lossy link still delivers enough."""
 HEARTBEAT_PERIOD_S = 1.0
+SILENCE_S = 0.5
+"""After a longer one the vehicle may be anywhere: the first setpoint is where it is."""
 HAND_BACK_S = 1.4
 """How long the autopilot may take to confirm its hold mode: we end within 1.5 s of the request."""
 
@@ -28,29 +32,36 @@ class ControlTick:
 
     Args:
         situation: Of the session.
+        inputs: Of what the plan stands on.
     """
 
-    def __init__(self, situation: Situation) -> None:
+    def __init__(self, situation: Situation, inputs: InputWatch) -> None:
         self._situation = situation
+        self._inputs = inputs
         self._stop_rule = StopRule(situation.params.stop_radius_m, situation.params.stop_confirm_s)
         self._waiting = WaitingReason(situation.vehicle, situation.authority)
         self._tick_s: float | None = None
         self._next_heartbeat_s = -math.inf
+        self._sent_s = -math.inf
 
     def run(self, now_s: float) -> None:
         """Decide and send."""
         situation = self._situation
         dt_s = TICK_S if self._tick_s is None else now_s - self._tick_s
         self._tick_s = now_s
+        self._inputs.tick(now_s)
         self._advance_phase(now_s)
-        if situation.phase is Phase.NORMAL and situation.flight_plan.is_due(now_s):
+        if situation.phase in FLYING and situation.flight_plan.is_due(now_s):
             situation.plan_now(now_s)
         if now_s >= self._next_heartbeat_s:
             self._next_heartbeat_s = now_s + HEARTBEAT_PERIOD_S
             situation.commands.append(SendHeartbeat())
+        if now_s - self._sent_s > SILENCE_S:
+            situation.steering.forget_setpoint()
         setpoint = self._setpoint(now_s, dt_s)
         if setpoint is None:
             return
+        self._sent_s = now_s
         if GuardReason.JUMPED in situation.steering.reasons:
             text = "own position jumped: going on from where it says"
             situation.announce(Severity.WARNING, text)
@@ -67,8 +78,8 @@ class ControlTick:
                 situation.enter(Trigger.LAUNCH, now_s)
             case Phase.LAUNCHING:
                 self._advance_launch(now_s)
-            case Phase.NORMAL | Phase.HOLD:
-                self._check_inputs(now_s)
+            case Phase.NORMAL | Phase.DEGRADED | Phase.HOLD:
+                self._judge(now_s)
             case Phase.HANDBACK if now_s - situation.authority.since_s > HAND_BACK_S:
                 situation.announce(Severity.ERROR, "hand-back: not confirmed in time")
                 situation.enter(Trigger.HANDED_BACK, now_s)
@@ -100,30 +111,27 @@ class ControlTick:
             situation.announce(Severity.ERROR, f"launch gave up: {launch.failure}")
             situation.enter(Trigger.LAUNCH_FAILED, now_s)
 
-    def _check_inputs(self, now_s: float) -> None:
-        situation = self._situation
-        missing = missing_input(
-            situation.vehicle,
-            situation.estimate,
-            situation.tracker.last_accepted_s,
-            situation.params.ranging_timeout_s,
-            situation.flight_plan.search_after_s,
-            now_s,
-        )
-        if missing is None:
+    def _judge(self, now_s: float) -> None:
+        """Fly the plan, fly it slower, or stay, by what is wrong now."""
+        situation, finding = self._situation, self._inputs.finding(now_s)
+        if finding is None:
+            situation.finding = None
             if situation.enter(Trigger.INPUT_BACK, now_s):
                 situation.announce(Severity.INFO, "flying the plan")
                 situation.plan_now(now_s)
             return
-        if situation.enter(Trigger.INPUT_LOST, now_s) or missing != situation.hold_reason:
-            situation.hold_reason = missing
-            situation.announce(Severity.WARNING, f"hold: {missing}")
+        is_news = situation.find(finding)
+        is_slow = finding.verdict is Verdict.SLOW
+        situation.enter(Trigger.INPUT_AGES if is_slow else Trigger.INPUT_LOST, now_s)
+        if is_news:
+            word = "degraded" if is_slow else "hold"
+            situation.announce(Severity.WARNING, f"{word}: {finding.text}")
 
     def _check_localised(self, now_s: float) -> None:
         situation = self._situation
         heard_s = situation.tracker.last_accepted_s
         is_fresh = heard_s is not None and now_s - heard_s <= situation.params.ranging_timeout_s
-        is_flying = situation.phase is Phase.NORMAL and is_fresh
+        is_flying = situation.phase in FLYING and is_fresh
         flown = situation.estimate if is_flying else None
         if self._stop_rule.is_met(flown, now_s) and flown is not None:
             self._report(flown, now_s)
@@ -149,9 +157,10 @@ class ControlTick:
         match situation.phase:
             case Phase.STANDBY | Phase.LAUNCHING:
                 return steering.stay_with(motion)
-            case Phase.NORMAL:
-                waypoint = situation.flight_plan.waypoint
-                return steering.follow(waypoint, motion, dt_s)
+            case Phase.NORMAL | Phase.DEGRADED:
+                limit_mps = situation.guard.limits.envelope.speed_mps
+                cap_mps = limit_mps * self._inputs.speed_share(now_s)
+                return steering.follow(situation.flight_plan.waypoint, motion, dt_s, cap_mps)
             case Phase.HOLD | Phase.FINISHED | Phase.HANDBACK:
                 return steering.stay(motion, dt_s)
         return None

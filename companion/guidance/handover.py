@@ -12,10 +12,13 @@ from companion.guidance.events import (
     RequestAnswered,
     RequestKind,
 )
+from companion.guidance.findings import Finding, Reason, Verdict
 from companion.guidance.params import FOLLOW_UP_MODE
 from companion.guidance.situation import Situation
 from companion.guidance.states import Phase, Trigger
 from companion.guidance.vehicle import ORIGIN_STEP_M
+
+CHECKING = Finding(Verdict.HOLD, Reason.CHECKING, "checking its inputs")
 
 
 class Handover:
@@ -65,7 +68,7 @@ class Handover:
         if situation.enter(Trigger.MODE_GIVEN, now_s):
             situation.launch = None
             situation.has_launched = True
-            situation.hold_reason = "checking its inputs"
+            situation.find(CHECKING)
             text = f"in control: autopilot is in {situation.vehicle.guided_name}"
             situation.announce(Severity.NOTICE, text)
 
@@ -101,7 +104,7 @@ class Handover:
         situation.vehicle.forget_frame()
         situation.forget_target()
         situation.steering.forget_setpoint()
-        situation.hold_reason = "the local frame moved"
+        situation.find(Finding(Verdict.HOLD, Reason.FRAME_MOVED, "the local frame moved"))
         situation.enter(Trigger.INPUT_LOST, event.time_s)
         text = f"local origin moved by {step_m:.0f} m: estimate forgotten, waiting for ranging"
         situation.announce(Severity.WARNING, text)

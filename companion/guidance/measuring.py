@@ -5,10 +5,11 @@ from __future__ import annotations
 from companion.domain import RangingMeasurement
 from companion.estimation.tracker import FusionReport
 from companion.guidance.commands import Severity
+from companion.guidance.inputs import InputWatch
 from companion.guidance.listener import RangingListener
 from companion.guidance.records import estimate_record
 from companion.guidance.situation import Situation
-from companion.guidance.states import Phase
+from companion.guidance.states import FLYING, Phase
 
 
 class Measuring:
@@ -16,10 +17,12 @@ class Measuring:
 
     Args:
         situation: Of the session.
+        inputs: Is told what the tracker accepts.
     """
 
-    def __init__(self, situation: Situation) -> None:
+    def __init__(self, situation: Situation, inputs: InputWatch) -> None:
         self._situation = situation
+        self._inputs = inputs
         self._listener = RangingListener(situation.tracker, situation.vehicle.track)
 
     def receive(self, measurement: RangingMeasurement, now_s: float) -> None:
@@ -40,9 +43,12 @@ class Measuring:
                 situation.record("refused", reason=report.refusal.value)
                 continue
             if report.restarted:
+                self._inputs.rejected()
                 text = "the filter contradicted its measurements and was started anew"
                 situation.announce(Severity.WARNING, text)
                 situation.flight_plan.forget()
+            else:
+                self._inputs.accepted()
             self._replan(report, now_s)
 
     def _replan(self, report: FusionReport, now_s: float) -> None:
@@ -55,5 +61,5 @@ class Measuring:
             situation.announce(Severity.INFO, text)
         situation.estimate = estimate
         situation.commands.append(estimate_record(report, estimate))
-        if situation.phase is Phase.NORMAL:
+        if situation.phase in FLYING:
             situation.plan_now(now_s)

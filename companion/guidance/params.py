@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from companion.domain import FlightMode
-from companion.params import Params, Positive
+from companion.params import NonNegative, Params, Positive
 
 
 class SessionParams(Params, frozen=True):
@@ -25,6 +25,12 @@ class SessionParams(Params, frozen=True):
     """Mode the autopilot is asked for after the report."""
     ranging_timeout_s: Annotated[float, msgspec.Meta(ge=0.5)] = 5.0
     """Without a usable measurement for this long: hold."""
+    degraded_after_s: Positive = 2.0
+    """Without one for this long: fly on, slower."""
+    coast_drift_mps: NonNegative = 1.0
+    """How fast the target may move away from its estimate while nothing is heard of it."""
+    coast_sigma_max_m: Positive = 30.0
+    """An estimate that is less certain than this, one sigma, is not flown on without ranging."""
 
 
 FOLLOW_UP_MODE = {

@@ -30,6 +30,7 @@ from companion.guidance.events import (
 )
 from companion.guidance.flight_plan import FlightPlan
 from companion.guidance.handover import Handover
+from companion.guidance.inputs import InputWatch
 from companion.guidance.measuring import Measuring
 from companion.guidance.params import SessionParams as SessionParams
 from companion.guidance.situation import Situation
@@ -61,9 +62,10 @@ class GuidanceSession:
         needs_origin: bool = False,
     ) -> None:
         self.situation = Situation(params, tracker, planner, guard, needs_origin=needs_origin)
-        self._measuring = Measuring(self.situation)
+        inputs = InputWatch(self.situation)
+        self._measuring = Measuring(self.situation, inputs)
         self._handover = Handover(self.situation)
-        self._control = ControlTick(self.situation)
+        self._control = ControlTick(self.situation, inputs)
 
     def handle(self, event: Event) -> list[Command]:
         """What is to be done about an event."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Any
 
 from companion.domain import FlightMode, TargetEstimate
@@ -17,6 +18,7 @@ from companion.guidance.commands import (
     Severity,
     WithdrawRequest,
 )
+from companion.guidance.findings import Finding, Reason
 from companion.guidance.flight_plan import FlightPlan
 from companion.guidance.launch import Launch
 from companion.guidance.params import SessionParams
@@ -48,6 +50,7 @@ class Situation:
     ) -> None:
         self.params = params
         self.tracker = tracker
+        self.guard = guard
         self.vehicle = VehicleView(needs_origin=needs_origin)
         self.flight_plan = FlightPlan(planner, guard.limits.fence, tracker, params.altitude_m)
         self.steering = Steering(guard, params.altitude_m)
@@ -56,7 +59,10 @@ class Situation:
         self.result: ReportResult | None = None
         self.launch: Launch | None = None
         self.has_launched = False
-        self.hold_reason = ""
+        self.finding: Finding | None = None
+        """What is wrong now."""
+        self.reasons: Counter[Reason] = Counter()
+        """How often each reason was what is wrong."""
         self.commands: list[Command] = []
 
     @property
@@ -79,6 +85,16 @@ class Situation:
             self.withdraw()
         if not (left in IN_CONTROL and self.phase in STREAMING):
             self.steering.forget_setpoint()
+        return True
+
+    def find(self, finding: Finding) -> bool:
+        """Take note of what is wrong now; whether it is another reason than before."""
+        before, self.finding = self.finding, finding
+        if before is not None and before.reason is finding.reason:
+            return False
+        self.reasons[finding.reason] += 1
+        verdict = finding.verdict.name.lower()
+        self.record("finding", verdict=verdict, reason=finding.reason.value, text=finding.text)
         return True
 
     def announce(self, severity: Severity, text: str) -> None:

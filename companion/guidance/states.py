@@ -8,6 +8,7 @@ operator gave it that mode; everything else is either getting there or staying o
                without a stream). The operator switches the mode, or in auto the launch begins.
     LAUNCHING  auto only, once: arm, take off, ask for offboard.
     NORMAL     offboard and armed: flies what the planner wants, through the guard.
+    DEGRADED   the same, slower: ranging ages, and the target is only believed to be where it was.
     HOLD       offboard and armed, but something the plan stands on is missing (ranging, own
                position, a filter that makes sense): streams "stay here".
     FINISHED   the target was reported; the autopilot was asked for the mode that follows, and
@@ -36,6 +37,7 @@ class Phase(Enum):
     STANDBY = "standby"
     LAUNCHING = "launching"
     NORMAL = "normal"
+    DEGRADED = "degraded"
     HOLD = "hold"
     FINISHED = "finished"
     YIELD = "yield"
@@ -53,6 +55,7 @@ class Trigger(Enum):
     MODE_LOST = "the mode left offboard"
     GRANTED = "the operator grants control again"
     DISARMED = "disarmed"
+    INPUT_AGES = "something the plan stands on ages"
     INPUT_LOST = "something the plan stands on is missing"
     INPUT_BACK = "everything the plan stands on is there"
     LOCALISED = "the target is reported"
@@ -61,7 +64,10 @@ class Trigger(Enum):
     HANDED_BACK = "the hand-back is over"
 
 
-IN_CONTROL = frozenset({Phase.NORMAL, Phase.HOLD})
+FLYING = frozenset({Phase.NORMAL, Phase.DEGRADED})
+"""Phases in which the plan is flown."""
+
+IN_CONTROL = FLYING | {Phase.HOLD}
 """Phases in which the vehicle obeys our setpoints."""
 
 STREAMING = IN_CONTROL | {
@@ -83,21 +89,24 @@ TRANSITIONS: dict[tuple[Phase, Trigger], Phase] = {
     (Phase.LAUNCHING, Trigger.LAUNCH_FAILED): Phase.YIELD,
     (Phase.LAUNCHING, Trigger.MODE_LOST): Phase.YIELD,
     (Phase.HOLD, Trigger.INPUT_BACK): Phase.NORMAL,
+    (Phase.DEGRADED, Trigger.INPUT_BACK): Phase.NORMAL,
+    (Phase.NORMAL, Trigger.INPUT_AGES): Phase.DEGRADED,
+    (Phase.HOLD, Trigger.INPUT_AGES): Phase.DEGRADED,
     (Phase.NORMAL, Trigger.INPUT_LOST): Phase.HOLD,
+    (Phase.DEGRADED, Trigger.INPUT_LOST): Phase.HOLD,
     (Phase.NORMAL, Trigger.LOCALISED): Phase.FINISHED,
-    (Phase.NORMAL, Trigger.MODE_LOST): Phase.YIELD,
-    (Phase.HOLD, Trigger.MODE_LOST): Phase.YIELD,
+    (Phase.DEGRADED, Trigger.LOCALISED): Phase.FINISHED,
     (Phase.YIELD, Trigger.GRANTED): Phase.STANDBY,
     (Phase.YIELD, Trigger.MODE_GIVEN): Phase.HOLD,
     (Phase.FINISHED, Trigger.GRANTED): Phase.STANDBY,
-    (Phase.NORMAL, Trigger.STOP): Phase.HANDBACK,
-    (Phase.HOLD, Trigger.STOP): Phase.HANDBACK,
     (Phase.LAUNCHING, Trigger.STOP): Phase.HANDBACK,
     (Phase.FINISHED, Trigger.STOP): Phase.HANDBACK,
     (Phase.HANDBACK, Trigger.HANDED_BACK): Phase.STOPPED,
     (Phase.HANDBACK, Trigger.MODE_LOST): Phase.STOPPED,
     (Phase.HANDBACK, Trigger.DISARMED): Phase.STOPPED,
 }
+TRANSITIONS |= {(phase, Trigger.MODE_LOST): Phase.YIELD for phase in IN_CONTROL}
+TRANSITIONS |= {(phase, Trigger.STOP): Phase.HANDBACK for phase in IN_CONTROL}
 TRANSITIONS |= {
     (phase, Trigger.STOP): Phase.STOPPED for phase in (Phase.WAITING, Phase.STANDBY, Phase.YIELD)
 }
@@ -108,7 +117,7 @@ TRANSITIONS |= {
 }
 TRANSITIONS |= {
     (phase, Trigger.DISARMED): Phase.WAITING
-    for phase in (Phase.LAUNCHING, Phase.NORMAL, Phase.HOLD, Phase.YIELD, Phase.FINISHED)
+    for phase in IN_CONTROL | {Phase.LAUNCHING, Phase.YIELD, Phase.FINISHED}
 }
 
 

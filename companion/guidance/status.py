@@ -34,6 +34,8 @@ class GuidanceStatus:
     """How far the estimate can be trusted."""
     accepted: int
     refused: Mapping[str, int]
+    reasons: Mapping[str, int]
+    """How often each reason kept it from flying the plan at full speed, or at all."""
 
 
 def snapshot(now_s: float, situation: Situation) -> GuidanceStatus:
@@ -56,6 +58,7 @@ def snapshot(now_s: float, situation: Situation) -> GuidanceStatus:
         health=tracker.health,
         accepted=tracker.accepted,
         refused={reason.value: count for reason, count in tracker.refusals.items()},
+        reasons={reason.value: count for reason, count in situation.reasons.items()},
     )
 
 
@@ -66,8 +69,8 @@ def _detail(situation: Situation) -> str:
     if phase is Phase.WAITING and not situation.authority.may_begin:
         guided_name = situation.vehicle.guided_name
         return f"found in {guided_name} or in a failsafe: change its mode, or grant control"
-    if phase is Phase.HOLD:
-        return situation.hold_reason
+    if phase in (Phase.DEGRADED, Phase.HOLD) and situation.finding is not None:
+        return situation.finding.text
     if phase is Phase.LAUNCHING and launch is not None:
         return launch.stage.value
     if phase is Phase.NORMAL and waypoint is not None:

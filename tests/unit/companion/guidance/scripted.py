@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import random
+from collections.abc import Mapping
 from typing import TypeVar
 
 from companion.config.schema import CompanionConfig, LimitsConfig, PlannerConfig
@@ -19,6 +20,7 @@ from companion.geometry.frames import LocalOrigin
 from companion.guidance.commands import (
     Announce,
     Command,
+    Record,
     ReportResult,
     SendSetpoint,
     SetMode,
@@ -79,6 +81,7 @@ class ScriptedFlight:
         self.follows = False
         """Whether the vehicle is where the last setpoint was."""
         self.has_link = True
+        self.has_heartbeat = True
         self.has_position = True
         self.has_ranging = True
         self._rng = random.Random(1)
@@ -147,7 +150,7 @@ class ScriptedFlight:
 
     def _hear(self) -> None:
         self._heard_s = self.now_s
-        if self._ticks % 20 == 0:
+        if self.has_heartbeat and self._ticks % 20 == 0:
             self.heartbeat()
         if self.follows and self.setpoints:
             self.place = self.setpoints[-1]
@@ -159,6 +162,10 @@ class ScriptedFlight:
 
     def sent(self, kind: type[C], since_s: float = -math.inf) -> list[C]:
         return [c for at_s, c in self.log if at_s > since_s and isinstance(c, kind)]
+
+    def records(self, kind: str) -> list[Mapping[str, object]]:
+        """What the event log got of a kind."""
+        return [c.fields for c in self.sent(Record) if c.kind == kind]
 
     @property
     def setpoints(self) -> list[PositionEnu]:

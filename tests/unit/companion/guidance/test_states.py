@@ -13,16 +13,17 @@ from companion.guidance.states import (
 )
 
 TABLE = """
-          READY   LAUNCH    LAUNCH_FAILED MODE_GIVEN MODE_LOST GRANTED DISARMED INPUT_LOST INPUT_BACK LOCALISED RESTARTED STOP     HANDED_BACK
-WAITING   STANDBY .         .             .          .         .       .        .          .          .         .         STOPPED  .
-STANDBY   .       LAUNCHING .             HOLD       .         .       .        .          .          .         WAITING   STOPPED  .
-LAUNCHING .       .         YIELD         HOLD       YIELD     .       WAITING  .          .          .         WAITING   HANDBACK .
-NORMAL    .       .         .             .          YIELD     .       WAITING  HOLD       .          FINISHED  WAITING   HANDBACK .
-HOLD      .       .         .             .          YIELD     .       WAITING  .          NORMAL     .         WAITING   HANDBACK .
-FINISHED  .       .         .             .          .         STANDBY WAITING  .          .          .         WAITING   HANDBACK .
-YIELD     .       .         .             HOLD       .         STANDBY WAITING  .          .          .         WAITING   STOPPED  .
-HANDBACK  .       .         .             .          STOPPED   .       STOPPED  .          .          .         .         .        STOPPED
-STOPPED   .       .         .             .          .         .       .        .          .          .         .         .        .
+          READY   LAUNCH    LAUNCH_FAILED MODE_GIVEN MODE_LOST GRANTED DISARMED INPUT_AGES INPUT_LOST INPUT_BACK LOCALISED RESTARTED STOP     HANDED_BACK
+WAITING   STANDBY .         .             .          .         .       .        .          .          .          .         .         STOPPED  .
+STANDBY   .       LAUNCHING .             HOLD       .         .       .        .          .          .          .         WAITING   STOPPED  .
+LAUNCHING .       .         YIELD         HOLD       YIELD     .       WAITING  .          .          .          .         WAITING   HANDBACK .
+NORMAL    .       .         .             .          YIELD     .       WAITING  DEGRADED   HOLD       .          FINISHED  WAITING   HANDBACK .
+DEGRADED  .       .         .             .          YIELD     .       WAITING  .          HOLD       NORMAL     FINISHED  WAITING   HANDBACK .
+HOLD      .       .         .             .          YIELD     .       WAITING  DEGRADED   .          NORMAL     .         WAITING   HANDBACK .
+FINISHED  .       .         .             .          .         STANDBY WAITING  .          .          .          .         WAITING   HANDBACK .
+YIELD     .       .         .             HOLD       .         STANDBY WAITING  .          .          .          .         WAITING   STOPPED  .
+HANDBACK  .       .         .             .          STOPPED   .       STOPPED  .          .          .          .         .         .        STOPPED
+STOPPED   .       .         .             .          .         .       .        .          .          .          .         .         .        .
 """  # noqa: E501  one row per phase is the point
 _HEAD, *_ROWS = [line.split() for line in TABLE.strip().splitlines()]
 EXPECTED = {
@@ -67,6 +68,6 @@ def test_control_is_only_entered_by_the_mode_being_given() -> None:
 
 
 def test_where_setpoints_may_flow() -> None:
-    assert frozenset({Phase.NORMAL, Phase.HOLD}) == IN_CONTROL
+    assert frozenset({Phase.NORMAL, Phase.DEGRADED, Phase.HOLD}) == IN_CONTROL
     assert set(Phase) - STREAMING == OUT_OF_CONTROL
     assert frozenset({Phase.WAITING, Phase.YIELD, Phase.STOPPED}) == OUT_OF_CONTROL

@@ -1,0 +1,65 @@
+"""What the watches of a session find wrong, and how much that changes.
+
+Every tick each watch says what it finds; the worst finding decides what is flown. A finding has a
+reason, which is counted, and words, which are told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import Enum, IntEnum
+
+from companion.domain import FlightMode
+
+
+class Verdict(IntEnum):
+    """What a finding asks for, by severity.
+
+    Giving way stands above handing back: to ask for a mode while somebody else commands would be
+    a fight about the vehicle.
+    """
+
+    SLOW = 1
+    """Fly on, slower: DEGRADED."""
+    HOLD = 2
+    """Stay in place: HOLD."""
+    HAND_BACK = 3
+    """Ask the autopilot to fly by itself: HANDBACK."""
+    GIVE_WAY = 4
+    """Be silent: YIELD."""
+
+
+class Reason(Enum):
+    """Why the plan is not flown, or not at full speed."""
+
+    NO_LINK = "autopilot link lost"
+    MODE_UNKNOWN = "autopilot's mode is unknown"
+    POSITION_STALE = "own position is stale"
+    LINK_IS_BACK = "link is back for less than a second"
+    NO_RANGING_YET = "waiting for ranging"
+    RANGING_AGES = "ranging ages"
+    NO_RANGING = "no ranging"
+    RANGING_IS_BACK = "ranging is back, too few measurements"
+    ESTIMATE_VAGUE = "estimate is too vague to coast on"
+    FILTER_DIVERGED = "filter is recovering"
+    FRAME_MOVED = "local frame moved"
+    CHECKING = "checking its inputs"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that is wrong."""
+
+    verdict: Verdict
+    reason: Reason
+    text: str
+    """For the operator."""
+    mode: FlightMode = FlightMode.HOLD
+    """What to ask the autopilot for when it is handed back."""
+
+
+def worst(findings: Iterable[Finding | None]) -> Finding | None:
+    """The most severe finding, the first of several; None if nothing is wrong."""
+    found = [finding for finding in findings if finding is not None]
+    return max(found, key=lambda finding: finding.verdict, default=None)

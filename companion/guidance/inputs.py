@@ -1,0 +1,146 @@
+"""Whether what the plan stands on is there: link, mode, own position, ranging, a usable estimate.
+
+Theory of operation. Ranging that ages is coasted on: the target is where it was, less certain by
+the second, and the vehicle slows down accordingly. When the ranging is too old, or the estimate too
+vague, it stays in place, and a single measurement does not end that: some must agree first. A link
+or an own position that was lost must be there for a while, with the mode seen anew, before
+anything is flown on it: who came back for a moment goes again.
+"""
+
+from __future__ import annotations
+
+import math
+
+from companion.domain import EstimateState, TargetEstimate
+from companion.guidance.conditions import is_search_due
+from companion.guidance.findings import Finding, Reason, Verdict
+from companion.guidance.situation import Situation
+
+REGAIN_S = 1.0
+"""How long link and position must be there again."""
+AGREEING = 5
+"""Measurements that the filter accepted since the dropout, before it counts as over."""
+R95_OF_SIGMA = math.sqrt(-2.0 * math.log(0.05))
+"""R95 of a circular normal distribution with a sigma of 1."""
+COAST_SHARE = 0.5
+"""Of the speed limit that is flown at most while ranging ages."""
+
+
+class InputWatch:
+    """Watches the inputs at every tick, in control or not.
+
+    Args:
+        situation: Of the session.
+    """
+
+    def __init__(self, situation: Situation) -> None:
+        self._situation = situation
+        self._lost: Finding | None = None
+        """What of link, mode and position is missing, or was within the last second."""
+        self._lost_s = 0.0
+        """When it was last missing."""
+        self._back_s: float | None = None
+        self._agreed = 0
+        self._is_dropout = True
+        """Whether ranging was lost, or never there, and has not agreed since."""
+
+    def accepted(self) -> None:
+        """The filter took a measurement in without restarting."""
+        self._agreed += 1
+
+    def rejected(self) -> None:
+        """The filter restarted, or failed: what was agreed on counts no more."""
+        self._agreed = 0
+        self._is_dropout = True
+
+    def tick(self, now_s: float) -> None:
+        """Take note of what is there."""
+        lost = self._missing(now_s)
+        if lost is not None:
+            self._lost, self._lost_s, self._back_s = lost, now_s, None
+        elif self._lost is not None:
+            self._watch_return(now_s)
+        if self._is_ranging_lost(now_s):
+            self._is_dropout, self._agreed = True, 0
+        elif self._agreed >= AGREEING:
+            self._is_dropout = False
+
+    def finding(self, now_s: float) -> Finding | None:
+        """The worst that is wrong with the inputs."""
+        if self._lost is not None:
+            if self._back_s is None:
+                return self._lost
+            text = f"{self._lost.text}, and back for less than {REGAIN_S:g} s"
+            return Finding(Verdict.HOLD, Reason.LINK_IS_BACK, text)
+        situation = self._situation
+        estimate, heard_s = situation.estimate, situation.tracker.last_accepted_s
+        search_after_s = situation.flight_plan.search_after_s
+        if is_search_due(estimate, heard_s, search_after_s, now_s):
+            return None
+        if estimate is None or heard_s is None:
+            return Finding(Verdict.HOLD, Reason.NO_RANGING_YET, "waiting for ranging")
+        return self._ranging_finding(estimate, now_s - heard_s)
+
+    def coasting_sigma_m(self, estimate: TargetEstimate, age_s: float) -> float:
+        """How wrong the estimate may be after no ranging for a while, one sigma."""
+        drift_m = self._situation.params.coast_drift_mps * age_s
+        return math.hypot(estimate.r95_m / R95_OF_SIGMA, drift_m)
+
+    def speed_share(self, now_s: float) -> float:
+        """Share of the speed limit that the age of the ranging leaves: less as sigma grows."""
+        situation = self._situation
+        estimate, heard_s = situation.estimate, situation.tracker.last_accepted_s
+        if estimate is None or heard_s is None:
+            return 1.0
+        age_s = now_s - heard_s
+        if age_s <= situation.params.degraded_after_s:
+            return 1.0
+        limit_m = situation.params.coast_sigma_max_m
+        return COAST_SHARE * max(0.0, 1.0 - self.coasting_sigma_m(estimate, age_s) / limit_m)
+
+    def _missing(self, now_s: float) -> Finding | None:
+        vehicle = self._situation.vehicle
+        if vehicle.is_link_lost(now_s):
+            reason = Reason.NO_LINK
+        elif not vehicle.is_mode_known(now_s):
+            reason = Reason.MODE_UNKNOWN
+        elif not vehicle.is_position_fresh(now_s):
+            reason = Reason.POSITION_STALE
+        else:
+            return None
+        return Finding(Verdict.HOLD, reason, reason.value)
+
+    def _watch_return(self, now_s: float) -> None:
+        """Link and position are there; a lost link must show its mode anew, too."""
+        if self._back_s is None:
+            self._back_s = now_s
+        heartbeat = self._situation.vehicle.heartbeat
+        was_deaf = self._lost is not None and self._lost.reason is not Reason.POSITION_STALE
+        is_mode_seen = heartbeat is not None and heartbeat.time_s > self._lost_s
+        if now_s - self._back_s >= REGAIN_S and (is_mode_seen or not was_deaf):
+            self._lost = self._back_s = None
+
+    def _is_ranging_lost(self, now_s: float) -> bool:
+        heard_s = self._situation.tracker.last_accepted_s
+        return heard_s is None or now_s - heard_s > self._situation.params.ranging_timeout_s
+
+    def _ranging_finding(self, estimate: TargetEstimate, age_s: float) -> Finding | None:
+        params = self._situation.params
+        if age_s > params.ranging_timeout_s:
+            text = f"no ranging for {params.ranging_timeout_s:g} s"
+            return Finding(Verdict.HOLD, Reason.NO_RANGING, text)
+        if estimate.state is EstimateState.DIVERGED:
+            text = "the filter is recovering from a contradiction"
+            return Finding(Verdict.HOLD, Reason.FILTER_DIVERGED, text)
+        if self._is_dropout and self._agreed < AGREEING:
+            text = f"waiting for {AGREEING} measurements that agree"
+            return Finding(Verdict.HOLD, Reason.RANGING_IS_BACK, text)
+        if age_s <= params.degraded_after_s:
+            return None
+        if self.coasting_sigma_m(estimate, age_s) > params.coast_sigma_max_m:
+            text = (
+                f"the estimate is too vague to fly on without ranging: R95 {estimate.r95_m:.0f} m"
+            )
+            return Finding(Verdict.HOLD, Reason.ESTIMATE_VAGUE, text)
+        text = f"no ranging for {params.degraded_after_s:g} s: flying on, slower"
+        return Finding(Verdict.SLOW, Reason.RANGING_AGES, text)
