@@ -11,6 +11,8 @@ from companion.mav.modes import autopilot_of
 
 PEER_SILENCE_S = 3.0
 """The autopilot must be silent this long before the same ids are believed from a new address."""
+KEYED_SILENCE_S = 0.5
+"""The same where every frame is proved: so long that two ways to one autopilot do not alternate."""
 
 
 @dataclass(slots=True)
@@ -22,6 +24,8 @@ class AutopilotBinding:
     """
 
     wanted_system_id: int | None = None
+    is_keyed: bool = False
+    """Whether every frame that comes here was proved to be from somebody with our key."""
     system_id: int | None = None
     component_id: int = 0
     autopilot: Autopilot = Autopilot.OTHER
@@ -29,6 +33,8 @@ class AutopilotBinding:
     heard_s: float | None = None
     strangers: int = 0
     """Frames that carried the autopilot's ids from another address."""
+    moves: int = 0
+    """How often the autopilot's address changed."""
 
     @property
     def is_bound(self) -> bool:
@@ -42,10 +48,12 @@ class AutopilotBinding:
         if not self._is_its_id(message):
             return False
         if peer != self.peer:
-            if self.heard_s is not None and now_s - self.heard_s < PEER_SILENCE_S:
+            silence_s = KEYED_SILENCE_S if self.is_keyed else PEER_SILENCE_S
+            if self.heard_s is not None and now_s - self.heard_s < silence_s:
                 self.strangers += 1
                 return False
             self.peer = peer
+            self.moves += 1
         self.heard_s = now_s
         return True
 

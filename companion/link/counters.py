@@ -10,9 +10,9 @@ from companion.guidance.session import GuidanceSession
 from companion.link.authenticity import Authenticity
 from companion.link.binding import AutopilotBinding
 from companion.link.health import LinkHealth
+from companion.link.intake import Intake
 from companion.link.journal import Journal
 from companion.link.outlet import Outlet
-from companion.mav.codec import MavCodec
 
 RECORD_PERIOD_S = 10.0
 """How often the health of the links goes to the event log."""
@@ -23,7 +23,7 @@ class LinkCounters:
 
     Args:
         session: The guidance, for what became of the measurements.
-        codecs: Of all links.
+        intakes: Of all links.
         binding: The autopilot.
         health: How well it is heard.
         authenticity: Who was believed.
@@ -34,7 +34,7 @@ class LinkCounters:
     def __init__(
         self,
         session: GuidanceSession,
-        codecs: Sequence[MavCodec],
+        intakes: Sequence[Intake],
         binding: AutopilotBinding,
         health: LinkHealth,
         authenticity: Authenticity,
@@ -42,7 +42,7 @@ class LinkCounters:
         journal: Journal,
     ) -> None:
         self._session = session
-        self._codecs = codecs
+        self._intakes = intakes
         self._binding = binding
         self._health = health
         self._authenticity = authenticity
@@ -53,7 +53,8 @@ class LinkCounters:
     @property
     def bad_frames(self) -> int:
         """Frames that failed their CRC or could not be decoded, on all links."""
-        return sum(codec.counters.bad_crc + codec.undecodable for codec in self._codecs)
+        codecs = [intake.codec for intake in self._intakes]
+        return sum(codec.counters.bad_crc + codec.undecodable for codec in codecs)
 
     def report(self, now_s: float) -> None:
         """Write to the event log what is due."""
@@ -67,11 +68,16 @@ class LinkCounters:
         """Counters of all links, and what became of the measurements."""
         tracker = self._session.tracker
         return {
-            "links": [asdict(codec.counters) for codec in self._codecs],
+            "links": [
+                asdict(intake.codec.counters) | {"over_budget": intake.budget.dropped}
+                for intake in self._intakes
+            ],
             **self._health.record(now_s),
             **self._authenticity.record(),
-            "undecodable": sum(codec.undecodable for codec in self._codecs),
+            "undecodable": sum(intake.codec.undecodable for intake in self._intakes),
             "strangers": self._binding.strangers,
+            "moves": self._binding.moves,
+            "echoes": self._outlet.own_frames.echoes,
             "setpoints": self._outlet.setpoints_sent,
             "setpoint_rate_hz": self._outlet.setpoint_rate_hz(now_s),
             "accepted": tracker.accepted,

@@ -5,6 +5,9 @@ forward our message. The endpoint only joins its parts: `receiver` sorts what th
 brings, `executor` tells the session and does what it wants, `dialogues` ask for streams and
 parameters, `outlet` is the one way out, `counters` keep the books. What happened goes to a journal,
 which a shell writes to disk.
+
+On the way in, `intake` keeps to a budget and lets `authenticity` prove what it can before anything
+is decoded; `alarms` tell the operator what was refused.
 """
 
 from __future__ import annotations
@@ -13,6 +16,7 @@ import math
 
 from companion.guidance.events import StopRequested, TimerFired
 from companion.guidance.session import GuidanceSession
+from companion.link.alarms import LinkAlarms
 from companion.link.authenticity import Authenticity
 from companion.link.binding import AutopilotBinding
 from companion.link.counters import LinkCounters
@@ -20,6 +24,7 @@ from companion.link.dialogues import Dialogues
 from companion.link.executor import SessionExecutor
 from companion.link.health import LinkHealth
 from companion.link.inbound import RangingInbound
+from companion.link.intake import Intake
 from companion.link.journal import Journal
 from companion.link.outlet import COMPONENT_ID, VEHICLE_LINK, Outlet
 from companion.link.params import LinkParams, VehicleParams
@@ -58,10 +63,10 @@ class CompanionEndpoint:
     ) -> None:
         link_params = link_params or LinkParams()
         self.session = session
-        self.binding = AutopilotBinding(params.system_id)
+        self.binding = AutopilotBinding(params.system_id, is_keyed=signing is not None)
         self._journal = journal
         self.authenticity = Authenticity(signing, started_unix_s)
-        self._codecs = [
+        codecs = [
             MavCodec(
                 params.system_id or 1,
                 COMPONENT_ID,
@@ -71,7 +76,12 @@ class CompanionEndpoint:
             )
             for number in range(links)
         ]
-        self._outlet = Outlet(self._codecs, self.binding, journal)
+        self._intakes = [
+            Intake(codec, self.binding if number == VEHICLE_LINK else None)
+            for number, codec in enumerate(codecs)
+        ]
+        self._alarms = LinkAlarms(self.binding, self._intakes)
+        self._outlet = Outlet(codecs, self.binding, journal)
         self._dialogues = Dialogues(self.binding)
         self._health = LinkHealth(link_params)
         self.executor = SessionExecutor(
@@ -83,7 +93,7 @@ class CompanionEndpoint:
         self._ranging = RangingInbound()
         self._counters = LinkCounters(
             session,
-            self._codecs,
+            self._intakes,
             self.binding,
             self._health,
             self.authenticity,
@@ -97,13 +107,14 @@ class CompanionEndpoint:
     def receive(self, chunk: Chunk, now_s: float) -> None:
         """Take in what arrived on a link."""
         self.authenticity.advance(now_s)
-        messages = self._codecs[chunk.link].decode(chunk.data, is_datagram=chunk.is_datagram)
-        for message in messages:
+        for message in self._intakes[chunk.link].take(chunk):
             self._receive_message(message, chunk, now_s)
 
     def handle_timer(self, now_s: float) -> None:
         """The control tick; a late one is not made up for."""
-        for text in self.authenticity.tick(now_s):
+        for intake in self._intakes:
+            intake.budget.renew()
+        for text in (*self.authenticity.tick(now_s), *self._alarms.tick(now_s)):
             self._outlet.announce(text, now_s)
         self._health.tick(now_s)
         period_s = self._health.pacing.period_s
@@ -154,15 +165,27 @@ class CompanionEndpoint:
 
     def _receive_message(self, message: Message, chunk: Chunk, now_s: float) -> None:
         if (message.get_srcSystem(), message.get_srcComponent()) == self._outlet.own_ids:
-            return  # our own frame, echoed by a router
-        frame = bytes(message.get_msgbuf())
-        self._journal.frame(frame, now_s)
+            self._outlet.came_back(bytes(message.get_msgbuf()), now_s)
+            return
         if chunk.link == VEHICLE_LINK:
-            if not self.authenticity.is_proved(frame):
-                return
-            self._receiver.receive(message, chunk.peer, now_s)
-            if message.get_srcSystem() != self.binding.system_id:
-                return  # what another vehicle's radio measures is not from our place
+            self._receive_on_vehicle_link(message, chunk, now_s)
+        else:
+            self._journal.frame(bytes(message.get_msgbuf()), now_s)
+            self._receive_ranging(message, chunk.link, now_s)
+
+    def _receive_on_vehicle_link(self, message: Message, chunk: Chunk, now_s: float) -> None:
+        """The log has room for the vehicle and whoever has the key, not for every stranger."""
+        binding, frame = self.binding, bytes(message.get_msgbuf())
+        if binding.is_keyed or not binding.is_bound or chunk.peer == binding.peer:
+            self._journal.frame(frame, now_s)
+        if not self.authenticity.is_proved(frame):
+            return
+        self._receiver.receive(message, chunk.peer, now_s)
+        is_here = message.get_srcSystem() == binding.system_id
+        if is_here and (binding.is_keyed or chunk.peer == binding.peer):
+            self._receive_ranging(message, chunk.link, now_s)
+
+    def _receive_ranging(self, message: Message, link: int, now_s: float) -> None:
         offset_s = self._receiver.clock_offset_s
-        for event in self._ranging.events(message, chunk.link, now_s, offset_s):
+        for event in self._ranging.events(message, link, now_s, offset_s):
             self.executor.handle(event, now_s)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from companion.guidance.commands import Announce
+from companion.guidance.commands import Announce, Severity
 from companion.link import outbound
 from companion.link.binding import AutopilotBinding
 from companion.link.journal import Journal
+from companion.link.own_frames import OwnFrames
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Chunk
@@ -32,6 +33,7 @@ class Outlet:
     ) -> None:
         self.setpoints_sent = 0
         self._codecs = codecs
+        self.own_frames = OwnFrames()
         self._codec = codecs[VEHICLE_LINK]
         self._binding = binding
         self._journal = journal
@@ -57,6 +59,7 @@ class Outlet:
     def send(self, message: Message, now_s: float) -> None:
         """Queue a message for the autopilot's address."""
         data = self._codec.encode(message)
+        self.own_frames.sent(data)
         self._journal.frame(data, now_s)
         self._output.append(Chunk(VEHICLE_LINK, data, self._binding.peer))
 
@@ -69,6 +72,13 @@ class Outlet:
             self._setpoint_times_s = [
                 t for t in self._setpoint_times_s if t > now_s - RATE_WINDOW_S
             ]
+
+    def came_back(self, frame: bytes, now_s: float) -> None:
+        """Take note of a frame that carries our own ids."""
+        if self.own_frames.came_back(frame) and self._binding.is_bound:
+            system_id, component_id = self.own_ids
+            text = f"someone else sends as {system_id}/{component_id}: two companions, one vehicle?"
+            self.announce(Announce(Severity.ERROR, text), now_s)
 
     def announce(self, text: Announce, now_s: float) -> None:
         """Tell the operator: to the journal, and as STATUSTEXT if there is an autopilot."""

@@ -13,9 +13,14 @@ from companion.link.health import LinkHealth
 from companion.link.inbound import VehicleInbound
 from companion.link.journal import Journal
 from companion.link.outlet import Outlet
+from companion.link.rate_limit import RateLimit
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address
 
+COMMANDS_PER_S = 20
+"""Commands to us that are answered; a flood of them must not become a flood of answers."""
+TEXTS_PER_S, TEXT_BURST = 10, 30
+"""Texts of the autopilot that go to the log."""
 AddressedCommand = mavlink.MAVLink_command_long_message | mavlink.MAVLink_command_int_message
 
 
@@ -47,6 +52,8 @@ class VehicleReceiver:
         self._outlet = outlet
         self._journal = journal
         self._inbound = VehicleInbound()
+        self._command_limit = RateLimit(COMMANDS_PER_S, COMMANDS_PER_S)
+        self._text_limit = RateLimit(TEXTS_PER_S, TEXT_BURST)
 
     @property
     def clock_offset_s(self) -> float | None:
@@ -87,8 +94,9 @@ class VehicleReceiver:
                 if self._is_for_us(message.target_system, message.target_component):
                     self._executor.answered(message, now_s)
             case mavlink.MAVLink_statustext_message():
-                text = _clean(message.text)
-                self._journal.record("autopilot_text", {"text": text}, now_s)
+                if self._text_limit.allows(now_s):
+                    text = {"text": _clean(message.text), "dropped": self._text_limit.refused}
+                    self._journal.record("autopilot_text", text, now_s)
 
     def _is_for_us(self, target_system: int, target_component: int) -> bool:
         system_id, component_id = self._outlet.own_ids
@@ -100,7 +108,7 @@ class VehicleReceiver:
         """A command to this very component: only the operator's grant is known."""
         if (message.target_system, message.target_component) != self._outlet.own_ids:
             return
-        if peer != self._binding.peer:
+        if peer != self._binding.peer or not self._command_limit.allows(now_s):
             return
         result = mavlink.MAV_RESULT_UNSUPPORTED
         if message.command == mavlink.MAV_CMD_NAV_GUIDED_ENABLE:

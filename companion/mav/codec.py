@@ -109,9 +109,17 @@ class MavCodec:
 
     def decode_frame(self, frame: bytes) -> Message | None:
         """The message of one whole frame; None, and counted, if it is refused."""
-        if self.signing is not None and not self.signing.accepts(frame):
-            self.unproved += 1
-            return None
+        return self.decode_proved(frame) if self.proves(frame) else None
+
+    def proves(self, frame: bytes) -> bool:
+        """Whether signing, if it is on, lets one whole frame in; refusals are counted."""
+        if self.signing is None or self.signing.accepts(frame):
+            return True
+        self.unproved += 1
+        return False
+
+    def decode_proved(self, frame: bytes) -> Message | None:
+        """The message of a frame that was let in; None, and counted, if it cannot be decoded."""
         try:
             return self._decode_frame(frame)
         except RemoteProtocolError:

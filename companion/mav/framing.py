@@ -19,17 +19,19 @@ Source: MAVLink developer guide, "Packet Serialization".
 
 from __future__ import annotations
 
+import re
 from bisect import bisect_right
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from pymavlink.generator.mavcrc import x25crc
+from fastcrc import crc16
 
 MAGIC_V1, MAGIC_V2 = 0xFE, 0xFD
 HEADER_LENGTH = {MAGIC_V1: 6, MAGIC_V2: 10}
 CRC_LENGTH = 2
 SIGNATURE_LENGTH = 13
 INCOMPAT_SIGNED = 0x01
+_MAGIC = re.compile(bytes((ord("["), MAGIC_V2, MAGIC_V1, ord("]"))))
 
 
 @dataclass(slots=True)
@@ -73,34 +75,34 @@ class FrameSplitter:
         frames: list[bytes] = []
         taken: list[tuple[int, int]] = []
         guesses: list[tuple[int, int]] = []
-        start = 0
+        start = self._next_magic(buffer, 0)
         while start < len(buffer):
-            if buffer[start] not in HEADER_LENGTH:
-                start += 1
-                self.counters.junk_bytes += 1
-                continue
-            length = self._frame_length(buffer, start)
-            if length is None or start + length > len(buffer):
-                if not is_datagram:
-                    break
-                start += 1
-                self.counters.junk_bytes += 1
-                continue
-            frame = buffer[start : start + length]
-            if self._is_valid(frame):
-                taken.append((start, start + length))
-                start += length
-                if self._is_compatible(frame):
-                    frames.append(frame)
-            else:
+            end = frame_end(buffer, start)
+            if end > len(buffer) and not is_datagram:
+                break
+            if end <= len(buffer):
+                frame = buffer[start:end]
+                if self._is_valid(frame):
+                    taken.append((start, end))
+                    if self._is_compatible(frame):
+                        frames.append(frame)
+                    start = self._next_magic(buffer, end)
+                    continue
                 if self._keeps_unknown and message_id(frame) not in self._crc_extra_by_id:
-                    guesses.append((start, start + length))
-                start += 1
-                self.counters.junk_bytes += 1
+                    guesses.append((start, end))
+            self.counters.junk_bytes += 1
+            start = self._next_magic(buffer, start + 1)
         self._keep_unknown(buffer, guesses, taken)
         self._pending = b"" if is_datagram else buffer[start:]
         self.counters.good += len(frames)
         return frames
+
+    def _next_magic(self, buffer: bytes, start: int) -> int:
+        """Where the next frame may begin; what lies before it is junk."""
+        found = _MAGIC.search(buffer, start)
+        at = len(buffer) if found is None else found.start()
+        self.counters.junk_bytes += at - start
+        return at
 
     def take_unknown(self) -> list[bytes]:
         """What looked like frames of unknown messages since the last call, unproved."""
@@ -122,24 +124,13 @@ class FrameSplitter:
                 self._unknown.append(buffer[start:end])
                 free_from = end
 
-    @staticmethod
-    def _frame_length(buffer: bytes, start: int) -> int | None:
-        magic = buffer[start]
-        header = HEADER_LENGTH[magic]
-        if start + header > len(buffer):
-            return None
-        length = header + buffer[start + 1] + CRC_LENGTH
-        if magic == MAGIC_V2 and buffer[start + 2] & INCOMPAT_SIGNED:
-            length += SIGNATURE_LENGTH
-        return length
-
     def _is_valid(self, frame: bytes) -> bool:
         crc_extra = self._crc_extra_by_id.get(message_id(frame))
         if crc_extra is None:
             self.counters.unknown += 1
             return False
         end = HEADER_LENGTH[frame[0]] + frame[1]
-        if frame_crc(frame, crc_extra) == int.from_bytes(frame[end : end + CRC_LENGTH], "little"):
+        if frame_crc(frame, crc_extra) == frame[end] | frame[end + 1] << 8:
             return True
         self.counters.bad_crc += 1
         return False
@@ -151,11 +142,28 @@ class FrameSplitter:
         return True
 
 
+def frame_end(buffer: bytes, start: int) -> int:
+    """Where the frame that begins at `start` ends, by its header; beyond `buffer` without one.
+
+    Args:
+        buffer: Any bytes.
+        start: The place of a magic byte.
+    """
+    magic = buffer[start]
+    header_end = start + HEADER_LENGTH[magic]
+    if header_end > len(buffer):
+        return header_end
+    end = header_end + buffer[start + 1] + CRC_LENGTH
+    if magic == MAGIC_V2 and buffer[start + 2] & INCOMPAT_SIGNED:
+        end += SIGNATURE_LENGTH
+    return end
+
+
 def message_id(frame: bytes) -> int:
     """The message id in a frame's header."""
     if frame[0] == MAGIC_V1:
         return frame[5]
-    return int.from_bytes(frame[7:10], "little")
+    return frame[7] | frame[8] << 8 | frame[9] << 16
 
 
 def frame_crc(frame: bytes, crc_extra: int) -> int:
@@ -166,7 +174,7 @@ def frame_crc(frame: bytes, crc_extra: int) -> int:
         crc_extra: CRC_EXTRA of its message.
     """
     end = HEADER_LENGTH[frame[0]] + frame[1]
-    return int(x25crc(frame[1:end] + bytes((crc_extra,))).crc)  # type: ignore[no-untyped-call]
+    return crc16.mcrf4xx(frame[1:end] + bytes((crc_extra,)))
 
 
 def without_signature(frame: bytes, crc_extra: int | None) -> bytes:

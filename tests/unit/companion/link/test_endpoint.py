@@ -270,6 +270,8 @@ def test_ten_thousand_broken_datagrams_between_good_ones_do_nothing() -> None:
             flipped[rng.randrange(len(good) - 2)] ^= 1 << rng.randrange(8)
             data = bytes(flipped)
         assert wire.bytes(data) == []
+        if number % 100 == 99:
+            wire.wait(0.05)
         if number % 1000 == 999:
             assert state_of(wire) == before
     wire.say(wire.position())
