@@ -196,7 +196,7 @@ class Guard:
             return Guarded(previous.position_enu_m, (GuardReason.NOT_FINITE,))
         dt_s = min(max(dt_s, 0.0), MAX_TICK_S)
         step = _Step(goal_enu_m, previous, motion, dt_s, speed_cap_mps, [])
-        trouble = self._trouble(step, ways)
+        trouble = self._trouble(step, fence, ways)
         if trouble is not None:
             return self._begun_anew(trouble, step)
         up_m, climb_mps = self._climbed(step)
@@ -210,7 +210,7 @@ class Guard:
 
     # When the vehicle is where its setpoint cannot be flown to from
 
-    def _trouble(self, step: _Step, ways: FreeSpace) -> GuardReason | None:
+    def _trouble(self, step: _Step, fence: Fence, ways: FreeSpace) -> GuardReason | None:
         vehicle, limits = step.vehicle, self.limits
         if not ways.allows(vehicle):
             return GuardReason.OUTSIDE
@@ -219,7 +219,8 @@ class Guard:
         stop = limits.stopping.point(vehicle, step.motion.velocity_enu_mps[:2])
         if not ways.is_clear(vehicle, stop):
             return GuardReason.TOO_FAST
-        return None if ways.is_clear(vehicle, step.start) else GuardReason.CUT_OFF
+        may_go_on = fence.allows(step.start) and ways.is_clear(vehicle, step.start)
+        return None if may_go_on else GuardReason.CUT_OFF
 
     def _begun_anew(self, why: GuardReason, step: _Step) -> Guarded:
         """At the vehicle; or where it was, if a vehicle that is too fast has passed that."""
