@@ -9,9 +9,8 @@ import math
 
 from companion.domain import PositionEnu
 from companion.geometry.frames import ned_from_enu
-from companion.mav import type_mask
 from companion.mav.dialect import Message, mavlink
-from sim_link.autopilot.setpoints import Setpoint
+from sim_link.autopilot.echo import Axes, Echo
 from sim_link.autopilot.vehicle import SimVehicle
 from sim_link.world.point_mass import GRAVITY_MPS2
 
@@ -214,67 +213,58 @@ def nav_controller_output(vehicle: SimVehicle) -> Message:
     )
 
 
-def _mask(setpoint: Setpoint) -> int:
-    mask = 0 if setpoint.acceleration_enu_mps2 else type_mask.ACCELERATION_IGNORE
-    mask |= 0 if setpoint.position_en_m else type_mask.X_IGNORE | type_mask.Y_IGNORE
-    mask |= 0 if setpoint.up_m is not None else type_mask.Z_IGNORE
-    mask |= 0 if setpoint.velocity_en_mps else type_mask.VX_IGNORE | type_mask.VY_IGNORE
-    mask |= 0 if setpoint.climb_mps is not None else type_mask.VZ_IGNORE
-    mask |= 0 if setpoint.yaw_ned_rad is not None else type_mask.YAW_IGNORE
-    mask |= 0 if setpoint.yaw_rate_ned_radps is not None else type_mask.YAW_RATE_IGNORE
-    return mask
-
-
-def _motion(setpoint: Setpoint) -> tuple[float, ...]:
-    """Velocity and acceleration, NED, yaw and yaw rate; 0 where nothing is asked."""
-    v_east, v_north = setpoint.velocity_en_mps or (0.0, 0.0)
-    a_east, a_north, a_up = setpoint.acceleration_enu_mps2 or (0.0, 0.0, 0.0)
-    return (
-        *(v_north, v_east, -(setpoint.climb_mps or 0.0)),
-        *(a_north, a_east, -a_up),
-        setpoint.yaw_ned_rad or 0.0,
-        setpoint.yaw_rate_ned_radps or 0.0,
-    )
-
-
 def position_target_local_ned(vehicle: SimVehicle) -> Message | None:
-    """POSITION_TARGET_LOCAL_NED: the setpoint that is flown; None where none is."""
-    setpoint = vehicle.flavour.target()
-    if setpoint is None:
+    """POSITION_TARGET_LOCAL_NED: the target that is flown; None where none is."""
+    echo = vehicle.flavour.echo()
+    if echo is None:
         return None
-    east, north, up = vehicle.estimator.shown_from_world(_place(setpoint))
-    x, y = (north, east) if setpoint.position_en_m else (0.0, 0.0)
+    shown = vehicle.estimator.shown_from_world(_filled(echo.place_enu_m, 0.0))
+    place = _where_given(shown, echo.place_enu_m, echo.nothing)
     return mavlink.MAVLink_position_target_local_ned_message(
         boot_ms(vehicle),
         mavlink.MAV_FRAME_LOCAL_NED,
-        _mask(setpoint),
-        x,
-        y,
-        0.0 if setpoint.up_m is None else -up,
-        *_motion(setpoint),
+        echo.type_mask,
+        *ned_from_enu(place),
+        *_motion(echo),
     )
 
 
 def position_target_global_int(vehicle: SimVehicle) -> Message | None:
-    """POSITION_TARGET_GLOBAL_INT in frame GLOBAL_INT; None where none is flown."""
-    setpoint = vehicle.flavour.target()
-    if setpoint is None:
-        return None
-    place = _place(setpoint)
-    if any(abs(value) > FARTHEST_M for value in place):
+    """POSITION_TARGET_GLOBAL_INT above sea level; None where no place is flown to."""
+    echo = vehicle.flavour.echo()
+    place = None if echo is None else echo.whole_place
+    if echo is None or place is None or any(abs(value) > FARTHEST_M for value in place):
         return None
     lat, lon, alt = vehicle.estimator.world_origin.geodetic_from_enu(place)
     return mavlink.MAVLink_position_target_global_int_message(
         boot_ms(vehicle),
         mavlink.MAV_FRAME_GLOBAL_INT,
-        _mask(setpoint),
+        echo.type_mask,
         to_int32(lat * 1e7),
         to_int32(lon * 1e7),
         alt,
-        *_motion(setpoint),
+        *_motion(echo),
     )
 
 
-def _place(setpoint: Setpoint) -> PositionEnu:
-    east, north = setpoint.position_en_m or (0.0, 0.0)
-    return (east, north, setpoint.up_m or 0.0)
+def _motion(echo: Echo) -> tuple[float, ...]:
+    """Velocity and acceleration, NED, yaw and yaw rate."""
+    nothing = echo.nothing
+    return (
+        *ned_from_enu(_filled(echo.velocity_enu_mps, nothing)),
+        *ned_from_enu(_filled(echo.acceleration_enu_mps2, nothing)),
+        nothing if echo.yaw_ned_rad is None else echo.yaw_ned_rad,
+        nothing if echo.yaw_rate_ned_radps is None else echo.yaw_rate_ned_radps,
+    )
+
+
+def _filled(axes: Axes, nothing: float) -> PositionEnu:
+    east, north, up = (nothing if axis is None else axis for axis in axes)
+    return (east, north, up)
+
+
+def _where_given(values: PositionEnu, axes: Axes, nothing: float) -> PositionEnu:
+    east, north, up = (
+        nothing if axis is None else value for value, axis in zip(values, axes, strict=True)
+    )
+    return (east, north, up)

@@ -87,6 +87,10 @@ class Pilot:
         self._velocity: PositionEnu = (0.0, 0.0, 0.0)
         self._is_staying = False
         self._leg: Leg | None = None
+        self.goal_enu_m: PositionEnu | None = None
+        """Where the task goes now; None where it has no place, as with sticks that are moved."""
+        self.wanted_enu_mps: PositionEnu = (0.0, 0.0, 0.0)
+        """The velocity that the task wanted last."""
 
     def enter(self, task: Task, body: PointMass) -> None:
         """A new task begins."""
@@ -119,6 +123,13 @@ class Pilot:
     ) -> PositionEnu:
         """The velocity that the task wants now, local east-north-up."""
         self._leg = leg
+        self.goal_enu_m = None
+        self.wanted_enu_mps = self._command(setpoint, leg, sticks, body)
+        return self.wanted_enu_mps
+
+    def _command(
+        self, setpoint: Setpoint, leg: Leg | None, sticks: Sticks | None, body: PointMass
+    ) -> PositionEnu:
         match self.task:
             case Task.FOLLOW:
                 return self._follow(setpoint, body)
@@ -173,6 +184,7 @@ class Pilot:
     def _towards(
         self, goal_enu_m: PositionEnu, body: PointMass, speed_mps: float | None = None
     ) -> PositionEnu:
+        self.goal_enu_m = goal_enu_m
         east, north, up = approach_velocity(body.position_enu_m, goal_enu_m, self._vehicle)
         limits = self.limits
         limit_mps = limits.horizontal_mps if speed_mps is None else speed_mps

@@ -146,10 +146,7 @@ class SimVehicle:
     @property
     def goal_enu_m(self) -> PositionEnu:
         """Where it goes."""
-        setpoint = self.flavour.target()
-        if setpoint is not None and setpoint.position_en_m is not None:
-            return (*setpoint.position_en_m, setpoint.up_m or 0.0)
-        return self.pilot.hold_enu_m
+        return self.pilot.goal_enu_m or self.pilot.hold_enu_m
 
     @property
     def geodetic(self) -> tuple[float, float, float]:

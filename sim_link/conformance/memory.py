@@ -22,20 +22,22 @@ class MemoryHub:
         self.now_s = started_s
         self._links: list[MemoryLink] = []
 
-    def connect(self, link_index: int = 0) -> MemoryLink:
+    def connect(self, link_index: int = 0, *, is_datagram: bool = True) -> MemoryLink:
         """A client with an address of its own.
 
         Args:
             link_index: The endpoint's link that it is on.
+            is_datagram: Whether its pieces keep their limits; otherwise it is a byte stream.
         """
         address = ("127.0.0.1", FIRST_PORT + len(self._links))
-        link = MemoryLink(self, address, link_index)
+        link = MemoryLink(self, address, link_index, is_datagram=is_datagram)
         self._links.append(link)
         return link
 
     def receive(self, data: bytes, sender: MemoryLink) -> None:
         """A client's bytes arrive at the endpoint."""
-        self.endpoint.receive(Chunk(sender.link_index, data, sender.address), self.now_s)
+        chunk = Chunk(sender.link_index, data, sender.address, is_datagram=sender.is_datagram)
+        self.endpoint.receive(chunk, self.now_s)
         self._deliver()
 
     def step(self, until_s: float) -> None:
@@ -62,11 +64,13 @@ class MemoryLink:
         hub: Whom it is connected to.
         address: Where the endpoint sees it.
         link_index: The endpoint's link that it is on.
+        is_datagram: Whether its pieces keep their limits.
     """
 
-    is_datagram = True
-
-    def __init__(self, hub: MemoryHub, address: Address, link_index: int) -> None:
+    def __init__(
+        self, hub: MemoryHub, address: Address, link_index: int, *, is_datagram: bool
+    ) -> None:
+        self.is_datagram = is_datagram
         self.address = address
         self.link_index = link_index
         self.inbox: deque[bytes] = deque()
@@ -91,7 +95,7 @@ class MemoryLink:
 
     def another(self) -> MemoryLink:
         """A second client on the same link of the endpoint."""
-        return self._hub.connect(self.link_index)
+        return self._hub.connect(self.link_index, is_datagram=self.is_datagram)
 
     def is_meant(self, chunk: Chunk) -> bool:
         """Whether a chunk of the endpoint comes here."""

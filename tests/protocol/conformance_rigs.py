@@ -36,9 +36,11 @@ def signing_simulator(flavour: Flavour) -> SimEndpoint:
     return SimEndpoint(scenario, SEED, signing=signing, started_unix_s=STARTED_UNIX_S)
 
 
-def probe_of(endpoint: Endpoint, signing_key: bytes | None = None) -> VehicleProbe:
-    """A ground station that has heard the vehicle."""
-    probe = VehicleProbe(MemoryHub(endpoint).connect(), signing_key)
+def probe_of(
+    endpoint: Endpoint, signing_key: bytes | None = None, *, is_datagram: bool = True
+) -> VehicleProbe:
+    """A ground station that has heard the vehicle, over datagrams or a byte stream."""
+    probe = VehicleProbe(MemoryHub(endpoint).connect(is_datagram=is_datagram), signing_key)
     probe.attach()
     return probe
 

@@ -13,7 +13,6 @@ from companion.mav.dialect import Message, mavlink
 from sim_link.autopilot.scenario import AutopilotParams, LossAction, Scenario
 from tests.protocol.sim_helpers import (
     ACCEPTED,
-    DENIED,
     NAN,
     TEMPORARILY_REJECTED,
     GroundStation,
@@ -117,19 +116,6 @@ def test_flies_a_velocity_along_the_nose_in_the_body_frame(station: GroundStatio
     station.run(4.0)
     report = station.last(mavlink.MAVLink_local_position_ned_message)
     assert (report.vx, report.vy) == pytest.approx((0.14, 2.0), abs=0.05)
-
-
-def test_shows_the_target_it_flies_to_in_offboard_only(station: GroundStation) -> None:
-    target = station.last(mavlink.MAVLink_position_target_local_ned_message)
-    assert (target.x, target.y, target.z) == (10.0, 10.0, -10.0)
-    assert target.type_mask == type_mask.POSITION_ONLY
-    assert station.set_mode(FlightMode.HOLD) == ACCEPTED
-    number = float(mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED)
-    assert station.command(mavlink.MAV_CMD_REQUEST_MESSAGE, number) == DENIED
-    station.run(0.2)
-    station.inbox.clear()
-    station.run(1.0)
-    assert not station.all(mavlink.MAVLink_position_target_local_ned_message)
 
 
 def test_losing_the_stream_is_a_failsafe_one_second_after_the_last_setpoint(

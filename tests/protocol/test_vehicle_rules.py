@@ -24,3 +24,13 @@ def test_simulator_keeps_the_rule(rule: Rule, flavour: Flavour) -> None:
     else:
         outcome = try_on_vehicle(rule, simulator(flavour))
     assert outcome.verdict is Verdict.PASS, outcome.detail
+
+
+@pytest.mark.parametrize(
+    ("rule", "flavour"),
+    [case for case in cases(Role.VEHICLE) if case[0].rule_id.startswith("frames.")],
+    ids=case_id,
+)
+def test_simulator_keeps_the_rule_on_a_byte_stream(rule: Rule, flavour: Flavour) -> None:
+    outcome = try_rule(rule, probe_of(simulator(flavour), is_datagram=False))
+    assert outcome.verdict is Verdict.PASS, outcome.detail

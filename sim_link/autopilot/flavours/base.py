@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from companion.domain import FlightMode, LandedState
 from sim_link.autopilot.aircraft import Aircraft, Occurrence
+from sim_link.autopilot.echo import Echo
 from sim_link.autopilot.mission import Leg, LegKind
 from sim_link.autopilot.pilot import Task
 from sim_link.autopilot.protocols.commands import Command, CommandForms
@@ -140,8 +141,8 @@ class Flavour(ABC):
         """SET_POSITION_TARGET_GLOBAL_INT arrived."""
 
     @abstractmethod
-    def target(self) -> Setpoint | None:
-        """What POSITION_TARGET_* tells; None outside of its mode."""
+    def echo(self) -> Echo | None:
+        """What POSITION_TARGET_* tells; None while it tells nothing."""
 
     @abstractmethod
     def set_origin(self, latitude_e7: int, longitude_e7: int, altitude_mm: int) -> bool:

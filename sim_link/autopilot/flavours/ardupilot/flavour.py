@@ -13,6 +13,7 @@ from companion.domain import FlightMode, PositionEnu
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.aircraft import Aircraft
 from sim_link.autopilot.commands import ACCEPTED, FAILED
+from sim_link.autopilot.echo import Echo
 from sim_link.autopilot.flavours.ardupilot import commands, fence_rules, modes
 from sim_link.autopilot.flavours.ardupilot.failsafes import Event, Failsafes
 from sim_link.autopilot.flavours.ardupilot.guided import Guided, GuidedState
@@ -234,9 +235,11 @@ class ArduPilotFlavour(Flavour):
         self.guided.take(target, now_s, is_on_ground=on_ground)
         self.settle(now_s)
 
-    def target(self) -> Setpoint | None:
-        """The setpoint that is flown, in GUIDED only."""
-        return self.guided.setpoint if self.copter_mode is modes.GUIDED else None
+    def echo(self) -> Echo | None:
+        """The target of GUIDED, and nothing in any other mode."""
+        if self.copter_mode is not modes.GUIDED:
+            return None
+        return self.guided.echo(self.aircraft.pilot.goal_enu_m)
 
     def _flown_setpoint(self, now_s: float) -> Setpoint:  # noqa: ARG002  `_watch` lets it age
         return self.guided.setpoint

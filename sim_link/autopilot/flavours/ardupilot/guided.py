@@ -7,9 +7,13 @@ from __future__ import annotations
 
 from enum import Enum
 
+from companion.domain import PositionEnu
+from sim_link.autopilot.echo import NOTHING, Axes, Echo
 from sim_link.autopilot.flavours.ardupilot.setpoints import Target, TargetKind
 from sim_link.autopilot.pilot import Task
 from sim_link.autopilot.setpoints import Setpoint
+
+STILL: PositionEnu = (0.0, 0.0, 0.0)
 
 
 class GuidedState(Enum):
@@ -44,6 +48,23 @@ class Guided:
     def is_latched(self) -> bool:
         """Whether it flies to a position and stays there for ever."""
         return self.state is GuidedState.FOLLOWING and self._kind is TargetKind.POSITION
+
+    def echo(self, climb_goal_enu_m: PositionEnu | None) -> Echo:
+        """What POSITION_TARGET_* tells: a place, or a motion, which is 0 while it stays.
+
+        Args:
+            climb_goal_enu_m: Where a take-off goes.
+        """
+        if self.state is GuidedState.CLIMBING and climb_goal_enu_m is not None:
+            return Echo(climb_goal_enu_m)
+        if self.state is not GuidedState.FOLLOWING:
+            return Echo(NOTHING, STILL, STILL)
+        setpoint = self.setpoint
+        place: Axes = (*(setpoint.position_en_m or (None, None)), setpoint.up_m)
+        if setpoint.velocity_en_mps is None:
+            return Echo(place, NOTHING, setpoint.acceleration_enu_mps2 or NOTHING)
+        velocity = (*setpoint.velocity_en_mps, setpoint.climb_mps or 0.0)
+        return Echo(place, velocity, setpoint.acceleration_enu_mps2 or STILL)
 
     def enter(self) -> None:
         """The mode begins: stay until something is asked."""

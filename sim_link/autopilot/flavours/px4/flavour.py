@@ -12,6 +12,7 @@ from companion.domain import FlightMode, PositionEnu
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.aircraft import Aircraft
 from sim_link.autopilot.commands import ACCEPTED
+from sim_link.autopilot.echo import NOTHING, Axes, Echo
 from sim_link.autopilot.flavours.base import Flavour, Identity, Shown
 from sim_link.autopilot.flavours.px4 import commands, heartbeat, parameters, setpoints
 from sim_link.autopilot.flavours.px4.failsafes import MODE_OF_REACTION, Failsafes, Reaction
@@ -47,6 +48,7 @@ TASKS: dict[FlightMode, Task] = {
     FlightMode.MISSION: Task.FLY_MISSION,
     FlightMode.OFFBOARD: Task.FOLLOW,
 }
+WITHOUT_POSITION_CONTROL = (FlightMode.STABILIZED, FlightMode.ACRO, FlightMode.MANUAL)
 OVERRIDE_AUTO, OVERRIDE_OFFBOARD = 1, 2
 """Bits of COM_RC_OVERRIDE."""
 
@@ -227,9 +229,24 @@ class Px4Flavour(Flavour):
         """SET_POSITION_TARGET_GLOBAL_INT arrived."""
         self.setpoints.take(setpoints.setpoint_from_global(message, self.aircraft), now_s)
 
-    def target(self) -> Setpoint | None:
-        """The setpoint that is flown, in OFFBOARD only."""
-        return self.setpoints.setpoint if self.mode is FlightMode.OFFBOARD else None
+    def echo(self) -> Echo | None:
+        """What the position controller works with; nothing in modes without one."""
+        if not self.is_armed or self.mode in WITHOUT_POSITION_CONTROL:
+            return None
+        pilot, setpoint = self.aircraft.pilot, self.setpoints.setpoint
+        place: Axes = NOTHING if pilot.goal_enu_m is None else pilot.goal_enu_m
+        yaw, yaw_rate = pilot.hold_yaw_ned_rad, 0.0
+        if self.task is Task.FOLLOW:
+            place = (*(setpoint.position_en_m or (None, None)), setpoint.up_m)
+            yaw, yaw_rate = setpoint.yaw_ned_rad, setpoint.yaw_rate_ned_radps or 0.0
+        return Echo(
+            place,
+            pilot.wanted_enu_mps,
+            self.aircraft.body.acceleration_enu_mps2,
+            self.aircraft.heading_ned_rad if yaw is None else yaw,
+            yaw_rate,
+            nothing=math.nan,
+        )
 
     def _flown_setpoint(self, now_s: float) -> Setpoint:  # noqa: ARG002  it does not age
         return self.setpoints.setpoint
