@@ -76,7 +76,8 @@ def attitude(vehicle: SimVehicle) -> Message:
     )
 
 
-def _quaternion(vehicle: SimVehicle) -> tuple[float, float, float, float]:
+def quaternion(vehicle: SimVehicle) -> tuple[float, float, float, float]:
+    """The attitude, w first."""
     roll, pitch = _roll_and_pitch(vehicle)
     cr, sr = math.cos(roll / 2.0), math.sin(roll / 2.0)
     cp, sp = math.cos(pitch / 2.0), math.sin(pitch / 2.0)
@@ -92,7 +93,7 @@ def _quaternion(vehicle: SimVehicle) -> tuple[float, float, float, float]:
 def attitude_quaternion(vehicle: SimVehicle) -> Message:
     """ATTITUDE_QUATERNION; w first."""
     return mavlink.MAVLink_attitude_quaternion_message(
-        boot_ms(vehicle), *_quaternion(vehicle), 0.0, 0.0, 0.0
+        boot_ms(vehicle), *quaternion(vehicle), 0.0, 0.0, 0.0
     )
 
 
@@ -110,7 +111,7 @@ def odometry(vehicle: SimVehicle) -> Message | None:
         north,
         east,
         down,
-        list(_quaternion(vehicle)),
+        list(quaternion(vehicle)),
         v_north * cos_yaw + v_east * sin_yaw,
         v_east * cos_yaw - v_north * sin_yaw,
         -v_up,

@@ -22,7 +22,7 @@ from sim_link.autopilot.commands import (
     whole,
 )
 from sim_link.autopilot.protocols.base import Addressing, Channel, Outgoing, Partner, partner_of
-from sim_link.autopilot.protocols.clocks import Clocks
+from sim_link.autopilot.protocols.clocks import ClockRequests, Clocks
 from sim_link.autopilot.protocols.commands import (
     UNKNOWN_PROGRESS,
     Cancel,
@@ -48,7 +48,6 @@ from sim_link.autopilot.sticks import Sticks
 from sim_link.autopilot.telemetry import Telemetry
 from sim_link.autopilot.vehicle import SimVehicle
 
-TIMESYNC_PERIOD_S = 10.0
 STICK_RANGE = 1000.0
 """MANUAL_CONTROL's full deflection."""
 NEUTRAL_US, RANGE_US = 1500.0, 500.0
@@ -90,7 +89,7 @@ class Services:
         self._announcer = MissionAnnouncer()
         self._announcer.changed(mission_progress(vehicle))
         self._seen = (0, 0, vehicle.flavour.changes)
-        self._timesync_due_s = TIMESYNC_PERIOD_S
+        self._clock_requests = ClockRequests(rules.timesync_period_s, rules.ping_period_s)
         self.wants_reboot = False
         """Whether a client asked for one."""
         self._handlers: dict[type[Message], Handler] = {
@@ -126,9 +125,7 @@ class Services:
         """What is due by itself at a physics step."""
         outgoing = self._parameters.handle_timer(now_s) + self._plans.handle_timer(now_s)
         outgoing += self._calibration.step(now_s)
-        if self._rules.asks_timesync and now_s >= self._timesync_due_s:
-            self._timesync_due_s = now_s + TIMESYNC_PERIOD_S
-            outgoing.append(Outgoing(self._clocks.timesync_request(now_s)))
+        outgoing += [Outgoing(each) for each in self._clock_requests.take_due(now_s)]
         return outgoing + self.news()
 
     def news(self) -> list[Outgoing]:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from companion.mav.dialect import Message, mavlink
 from companion.mav.ekf_status_report import MAVLink_ekf_status_report_message
 from sim_link.autopilot import motion_messages as motion
+from sim_link.autopilot import sensor_messages as sensors
 from sim_link.autopilot import status_messages as status
 from sim_link.autopilot.vehicle import SimVehicle
 
@@ -27,6 +28,9 @@ BUILDERS: dict[int, Builder] = {
     mavlink.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT: motion.nav_controller_output,
     mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: motion.position_target_local_ned,
     mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: motion.position_target_global_int,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: sensors.attitude_target,
+    mavlink.MAVLINK_MSG_ID_HIGHRES_IMU: sensors.highres_imu,
+    mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: sensors.servo_output_raw,
     mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: motion.gps_raw_int,
     mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: status.battery_status,
     mavlink.MAVLINK_MSG_ID_HOME_POSITION: status.home_position,

@@ -11,6 +11,7 @@ from sim_link.autopilot.battery import Battery
 from sim_link.autopilot.estimator import Estimator
 from sim_link.autopilot.flavours.base import Flavour
 from sim_link.autopilot.flavours.registry import make_flavour
+from sim_link.autopilot.geodetic import GeodeticReports
 from sim_link.autopilot.pilot import STEP_S, Pilot
 from sim_link.autopilot.scenario import Scenario
 from sim_link.autopilot.setpoints import SetpointMonitor
@@ -39,6 +40,7 @@ class SimVehicle:
         self.system_id = scenario.system_id
         self.flavour: Flavour = make_flavour(scenario, noise_rng, body)
         self.aircraft: Aircraft = self.flavour.aircraft
+        self._reports = GeodeticReports(self.aircraft.estimator.world_origin)
         self._geodetic_at_s = -1.0
         self._geodetic = (0.0, 0.0, 0.0)
         self._home_seen = 0
@@ -152,8 +154,7 @@ class SimVehicle:
     def geodetic(self) -> tuple[float, float, float]:
         """Reported latitude and longitude in degrees and altitude in metres, once per step."""
         if self._geodetic_at_s != self.time_s:
-            estimator = self.estimator
-            self._geodetic = estimator.world_origin.geodetic_from_enu(estimator.reported_enu_m)
+            self._geodetic = self._reports.geodetic_from_enu(self.estimator.reported_enu_m)
             self._geodetic_at_s = self.time_s
         return self._geodetic
 

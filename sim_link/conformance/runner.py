@@ -81,6 +81,7 @@ def run_rules(
         allowed: The most that may be done to it.
         make_probe: An attached probe for each rule.
     """
+    base: tuple[int, int] | None = None
     for rule in rules:
         if flavour not in rule.flavours:
             continue
@@ -92,5 +93,5 @@ def run_rules(
         outcome = try_rule(rule, probe)
         if rule.effect is Effect.FLIES:
             with suppress(Violation, NotApplicable):
-                probe.come_to_rest()
+                base = probe.come_to_rest(base)
         yield outcome

@@ -9,17 +9,23 @@ from companion.mav.dialect import Message, mavlink
 from sim_link.conformance import modes
 from sim_link.conformance.links import ProbeLink
 from sim_link.conformance.rules import Flavour, NotApplicable, Violation, require
+from sim_link.conformance.setpoints import distance_m
 from sim_link.conformance.station import M, Station, heartbeat
 
 NAN = math.nan
 FIRST_HEARTBEAT_S = 10.0
 READY_S = 90.0
 """A real autopilot needs 20 to 45 s from boot until it can be armed."""
+BOOT_S = 60.0
+SPENT_PERCENT = 30
+"""A battery that may not last for the next flight."""
 ACK_S = 2.0
 POSITION_INTERVAL_S = 0.05
 FLIGHT_HEIGHT_M = 10.0
 CLIMB_S = 40.0
 LAND_S = 60.0
+NEAR_M = 20.0
+GO_BACK_S = 60.0
 STREAM_PERIOD_S = 0.1
 
 ACCEPTED = mavlink.MAV_RESULT_ACCEPTED
@@ -292,10 +298,30 @@ class VehicleProbe(Station):
         Raises:
             Violation: It never gets ready.
         """
-        self.set_mode("hold" if self.is_px4 else "offboard")
-        self.watch(mavlink.MAVLink_sys_status_message, 0.2)
+        self._begin_flight()
+        if 0 <= self.latest(mavlink.MAVLink_sys_status_message).battery_remaining < SPENT_PERCENT:
+            self.reboot()
+            self._begin_flight()
         self.await_prearm()
         self.watch(mavlink.MAVLink_local_position_ned_message)
+
+    def _begin_flight(self) -> None:
+        self.set_mode("hold" if self.is_px4 else "offboard")
+        self.watch(mavlink.MAVLink_sys_status_message, 0.2)
+
+    def reboot(self) -> None:
+        """Restart the autopilot; a simulated one has a fresh battery then.
+
+        Raises:
+            Violation: It refuses, or does not come back.
+        """
+        result = self.command(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1.0, 0.0, 0.0)
+        require(result == ACCEPTED, f"the reboot gave result {result}")
+        mark = self.mark
+        back = self.run_until(
+            lambda: bool(self.heard_since(mavlink.MAVLink_heartbeat_message, mark)), BOOT_S
+        )
+        require(back, f"it did not come back within {BOOT_S:g} s of a reboot")
 
     def await_prearm(self) -> None:
         """Wait until SYS_STATUS says that it can be armed.
@@ -355,12 +381,47 @@ class VehicleProbe(Station):
         self.await_mode("offboard")
         return stop
 
-    def come_to_rest(self) -> None:
-        """Land if it flies and wait until it is disarmed; for whoever tries the next rule."""
+    def come_to_rest(self, base_e7: tuple[int, int] | None = None) -> tuple[int, int]:
+        """Land if it flies and wait until it is disarmed; for whoever tries the next rule.
+
+        Args:
+            base_e7: Where flights began, 1e-7 degrees: it goes back there from afar, or the next
+                flights would lead ever farther away. None: here.
+
+        Returns:
+            The base.
+        """
         self.signer = None
-        if self.is_armed():
-            self.set_mode("land")
-            self.await_disarmed(LAND_S)
+        here = self._where()
+        if not self.is_armed():
+            return base_e7 or here
+        if base_e7 is not None:
+            self._go_back(base_e7)
+        self.set_mode("land")
+        self.await_disarmed(LAND_S)
+        return base_e7 or here
+
+    def _where(self) -> tuple[int, int]:
+        report = self.request(mavlink.MAVLink_global_position_int_message)
+        return (report.lat, report.lon)
+
+    def _go_back(self, base_e7: tuple[int, int]) -> None:
+        """Fly to the base, unless it is near or the vehicle does not want to."""
+        if distance_m(self._where(), base_e7) < NEAR_M:
+            return
+        above_home_m = max(FLIGHT_HEIGHT_M, self.home().z - self.place()[2])
+        result = self.command_int(
+            mavlink.MAV_CMD_DO_REPOSITION,
+            mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
+            (-1.0, 1.0, 0.0, NAN),
+            (*base_e7, above_home_m),
+        )
+        if result == ACCEPTED:
+            self.run_until(lambda: self._is_near(base_e7), GO_BACK_S)
+
+    def _is_near(self, base_e7: tuple[int, int]) -> bool:
+        self.run(1.0)
+        return distance_m(self._where(), base_e7) < NEAR_M / 2.0
 
     def _is_ready(self) -> bool:
         status = self.from_vehicle(mavlink.MAVLink_sys_status_message)

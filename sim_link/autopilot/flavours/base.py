@@ -47,8 +47,10 @@ class ProtocolRules(NamedTuple):
     plans: PlanRules
     names_timesync_target: bool
     answers_ping: bool
-    asks_timesync: bool
-    """TIMESYNC requests of its own, every 10 s."""
+    timesync_period_s: float
+    """Of TIMESYNC requests of its own."""
+    ping_period_s: float | None
+    """Of PING requests of its own; None: it never asks."""
     tells_mode_at_once: bool
     """An extra HEARTBEAT on every change of mode."""
     first_mission_item: int

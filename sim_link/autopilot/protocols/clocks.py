@@ -6,6 +6,7 @@ ArduCopter 4.5 as observed.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from companion.mav.dialect import Message, mavlink
@@ -16,6 +17,8 @@ NS_PER_S = 1_000_000_000
 US_PER_S = 1_000_000
 MS_PER_S = 1000
 UINT32 = 0xFFFF_FFFF
+TOLERANCE_S = 1e-6
+"""A clock of whole steps may be early by rounding."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,10 +55,6 @@ class Clocks:
             return mavlink.MAVLink_timesync_message(own_ns, message.ts1)
         return TargetedTimesync(own_ns, message.ts1, partner.system_id, partner.component_id)
 
-    def timesync_request(self, boot_s: float) -> Message:
-        """A TIMESYNC request of ours, to everyone."""
-        return mavlink.MAVLink_timesync_message(0, max(1, round(NS_PER_S * boot_s)))
-
     def ping(self, message: Message, partner: Partner) -> Message | None:
         """The answer to a PING request; None for a PING with a target, which is an answer."""
         if not self.answers_ping or not isinstance(message, mavlink.MAVLink_ping_message):
@@ -65,6 +64,36 @@ class Clocks:
         return mavlink.MAVLink_ping_message(
             message.time_usec, message.seq, partner.system_id, partner.component_id
         )
+
+
+class ClockRequests:
+    """TIMESYNC and PING requests of the vehicle's own, to everyone.
+
+    Args:
+        timesync_period_s: Time between two of the first; the first one waits as long.
+        ping_period_s: Of the other; None: it never asks.
+    """
+
+    def __init__(self, timesync_period_s: float, ping_period_s: float | None) -> None:
+        self._timesync_period_s = timesync_period_s
+        self._ping_period_s = ping_period_s
+        self._timesync_due_s = timesync_period_s
+        self._ping_due_s = math.inf if ping_period_s is None else ping_period_s
+        self._pings = 0
+
+    def take_due(self, boot_s: float) -> list[Message]:
+        """What is asked at a physics step."""
+        messages: list[Message] = []
+        if boot_s + TOLERANCE_S >= self._timesync_due_s:
+            self._timesync_due_s = boot_s + self._timesync_period_s
+            messages.append(mavlink.MAVLink_timesync_message(0, max(1, round(NS_PER_S * boot_s))))
+        if self._ping_period_s is not None and boot_s + TOLERANCE_S >= self._ping_due_s:
+            self._ping_due_s = boot_s + self._ping_period_s
+            messages.append(
+                mavlink.MAVLink_ping_message(round(US_PER_S * boot_s), self._pings, 0, 0)
+            )
+            self._pings = (self._pings + 1) & UINT32
+        return messages
 
 
 def system_time(boot_s: float, unix_s: float | None) -> Message:

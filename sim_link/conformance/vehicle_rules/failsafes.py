@@ -121,13 +121,7 @@ def reboot_restarts_the_clock_and_keeps_parameters(probe: VehicleProbe) -> None:
     await_value(probe, write(probe, name, 4.5, REAL32), name)
     probe.run(2.0)
     old_ms = probe.request(mavlink.MAVLink_system_time_message).time_boot_ms
-    result = probe.command(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1.0, 0.0, 0.0)
-    require(result == 0, f"result {result}")
-    mark = probe.mark
-    back = probe.run_until(
-        lambda: bool(probe.heard_since(mavlink.MAVLink_heartbeat_message, mark)), 60.0
-    )
-    require(back, "it did not come back")
+    probe.reboot()
     new_ms = probe.request(mavlink.MAVLink_system_time_message).time_boot_ms
     kept = read(probe, name).value(probe)
     write(probe, name, before.value(probe), REAL32)

@@ -72,7 +72,7 @@ def test_every_link_has_rates_of_its_own() -> None:
             continue  # for those who did not ask
         kinds = [m.get_type() for m in codec.decode(chunk.data)]
         heard[chunk.link] += kinds.count("ATTITUDE")
-    assert heard == {0: pytest.approx(200, abs=2), 1: pytest.approx(10, abs=1)}
+    assert heard == {0: pytest.approx(500, abs=2), 1: pytest.approx(10, abs=1)}
 
 
 def test_gusts_have_the_spread_that_was_asked_for() -> None:

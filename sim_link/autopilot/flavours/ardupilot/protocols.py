@@ -27,6 +27,8 @@ ON_REQUEST = (
     mavlink.MAVLINK_MSG_ID_VFR_HUD,
     mavlink.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT,
     mavlink.MAVLINK_MSG_ID_RC_CHANNELS,
+    mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET,
     mavlink.MAVLINK_MSG_ID_MISSION_CURRENT,
     mavlink.MAVLINK_MSG_ID_BATTERY_STATUS,
     mavlink.MAVLINK_MSG_ID_HOME_POSITION,
@@ -41,7 +43,10 @@ DATA_STREAMS: dict[int, tuple[int, ...]] = {
         mavlink.MAVLINK_MSG_ID_GPS_RAW_INT,
         mavlink.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT,
     ),
-    mavlink.MAV_DATA_STREAM_RC_CHANNELS: (mavlink.MAVLINK_MSG_ID_RC_CHANNELS,),
+    mavlink.MAV_DATA_STREAM_RC_CHANNELS: (
+        mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW,
+        mavlink.MAVLINK_MSG_ID_RC_CHANNELS,
+    ),
     mavlink.MAV_DATA_STREAM_POSITION: (
         mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
         mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
@@ -71,7 +76,8 @@ RULES = ProtocolRules(
     plans=plan_transfers.ARDUPILOT_RULES,
     names_timesync_target=False,
     answers_ping=False,
-    asks_timesync=True,
+    timesync_period_s=10.0,
+    ping_period_s=None,
     tells_mode_at_once=True,
     first_mission_item=1,
 )

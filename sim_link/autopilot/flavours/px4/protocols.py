@@ -1,7 +1,7 @@
 """How PX4 1.15 speaks each of MAVLink's services.
 
-Streams lie between the rates that PX4 was seen to use on its onboard and its ground station link,
-with those lowered that only fill the link; a client asks for more with SET_MESSAGE_INTERVAL.
+Every link has the streams of PX4's onboard link; its ground station link is slower in some (GPS 5,
+VFR_HUD 4 Hz) and faster in others. DISTANCE_SENSOR is left out: not every vehicle has one.
 """
 
 from __future__ import annotations
@@ -16,29 +16,33 @@ from sim_link.autopilot.protocols.streams import StreamRules
 
 DEFAULT_RATE_HZ: dict[int, float] = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0,
-    mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
-    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
-    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 2.0,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE: 50.0,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 50.0,
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 50.0,
+    mavlink.MAVLINK_MSG_ID_HIGHRES_IMU: 50.0,
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 30.0,
-    mavlink.MAVLINK_MSG_ID_ATTITUDE: 20.0,
-    mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 10.0,
-    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 10.0,
+    mavlink.MAVLINK_MSG_ID_ODOMETRY: 30.0,
+    mavlink.MAVLINK_MSG_ID_ALTITUDE: 10.0,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: 10.0,
     mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: 10.0,
-    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 5.0,
-    mavlink.MAVLINK_MSG_ID_VFR_HUD: 4.0,
-    mavlink.MAVLINK_MSG_ID_ALTITUDE: 2.0,
+    mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: 10.0,
+    mavlink.MAVLINK_MSG_ID_VFR_HUD: 10.0,
+    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 8.0,
+    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
+    mavlink.MAVLINK_MSG_ID_RC_CHANNELS: 5.0,
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS: 5.0,
     mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 1.0,
     mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: 1.0,
+    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
     mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 0.5,
     mavlink.MAVLINK_MSG_ID_HOME_POSITION: 0.5,
-    mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: 0.0,
     mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: 0.0,
-    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: 0.0,
-    mavlink.MAVLINK_MSG_ID_ODOMETRY: 0.0,
-    mavlink.MAVLINK_MSG_ID_RC_CHANNELS: 0.0,
+    mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: 0.0,
     mavlink.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT: 0.0,
+    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: 0.0,
 }
-"""0: only on request."""
+"""As measured on the onboard link, ATTITUDE's 99 Hz limited to a message per physics step; 0: only
+on request. RC_CHANNELS come while there is a remote control."""
 
 RULES = ProtocolRules(
     commands=CommandForms(),
@@ -48,7 +52,8 @@ RULES = ProtocolRules(
     plans=plan_transfers.PX4_RULES,
     names_timesync_target=True,
     answers_ping=True,
-    asks_timesync=False,
+    timesync_period_s=0.1,
+    ping_period_s=1.0,
     tells_mode_at_once=False,
     first_mission_item=0,
 )

@@ -26,8 +26,9 @@ class FakeProbe:
     now_s: float = 0.0
     rested: int = 0
 
-    def come_to_rest(self) -> None:
+    def come_to_rest(self, base_e7: tuple[int, int] | None) -> tuple[int, int]:
         self.rested += 1
+        return base_e7 or (1, 2)
 
 
 book = RuleBook(Role.VEHICLE, "samples")
