@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from companion import __version__
-from companion.config.schema import load_config, with_signing_key
+from companion.config.schema import CompanionConfig, load_config, with_signing_key
 from companion.errors import CompanionError, ConfigError
 from companion.io.clock import Clock
 from companion.io.console import ConsoleHandler
@@ -18,7 +18,8 @@ from companion.io.exposure import check_exposure
 from companion.io.files import check_writable, write_json_atomic
 from companion.io.links import link_from_url
 from companion.io.urls import parse_link_url
-from companion.replay import replay_walk, table
+from companion.replay.command import Pace, replay_flight
+from companion.replay.walk import replay_walk, table
 from companion.run import fly
 
 EXIT_FAILED = 1
@@ -168,10 +169,18 @@ def _add_demo(commands: argparse._SubParsersAction[_Parser]) -> None:
 def _add_replay(commands: argparse._SubParsersAction[_Parser]) -> None:
     replay = commands.add_parser(
         "replay",
-        help="run the estimator over a recorded ranging walk",
-        description="Run the flying estimator over a recorded ranging walk, a filter per target.",
+        help="run a recorded flight or ranging walk again",
+        description="Run a recorded flight through the flying code once more and say whether it "
+        "is the same, or, with another configuration, how it differs. A CSV file is a recorded "
+        "ranging walk: it goes through the estimator, a filter per target.",
     )
-    replay.add_argument("file", metavar="FILE.csv", type=Path)
+    replay.add_argument("file", metavar="FLIGHT|FILE.tlog|FILE.csv", type=Path)
+    replay.add_argument(
+        "--speed",
+        metavar="X",
+        type=_speed,
+        help="of a flight, times real time (default: all at once)",
+    )
     replay.add_argument("--config", metavar="FILE", type=Path, help="companion configuration")
     replay.add_argument("--json", metavar="FILE", type=Path, help="write the results as JSON")
 
@@ -243,10 +252,23 @@ def _fly(arguments: argparse.Namespace) -> int:
 
 
 def _replay(arguments: argparse.Namespace) -> int:
-    config = load_config(arguments.config)
+    config = None if arguments.config is None else load_config(arguments.config)
     if arguments.json is not None:
         check_writable(arguments.json)
+    if arguments.file.suffix.lower() == ".csv":
+        if arguments.speed is not None:
+            raise ConfigError("--speed: a walk is replayed as fast as it goes; leave it out")
+        return _replay_walk(arguments, config or CompanionConfig())
+    pace = None if arguments.speed is None else Pace(arguments.speed)
+    replay = replay_flight(arguments.file, config, print, pace)
+    print(replay.comparison.table())
+    print(replay.verdict)
+    if arguments.json is not None:
+        write_json_atomic(arguments.json, {**replay.comparison.as_json(), "exact": replay.is_exact})
+    return EXIT_FAILED if replay.is_failed else 0
 
+
+def _replay_walk(arguments: argparse.Namespace, config: CompanionConfig) -> int:
     def progress(rows: int) -> None:
         if sys.stderr.isatty():
             print(f"\r{rows} rows", end="", file=sys.stderr, flush=True)

@@ -12,6 +12,7 @@ from typing import Any
 from companion.config.schema import CompanionConfig, CrossingKind, PatternKind, PlannerConfig
 from companion.errors import LinkError
 from companion.estimation.tracker import TargetTracker
+from companion.flight_facts import FlightFacts, write_facts
 from companion.guard.gate import Guard
 from companion.guidance.session import GuidanceSession
 from companion.guidance.states import Phase
@@ -24,6 +25,7 @@ from companion.io.shell import Shell
 from companion.io.signing_store import SigningKeeper, open_signing_keeper
 from companion.kernel import IS_COMPILED
 from companion.link.endpoint import CompanionEndpoint, Journal
+from companion.link.inputs import InputRecorder
 from companion.mav.signing import ONE_LINK_EACH, Signing
 from companion.planning.base import Planner
 from companion.planning.fim import FimPlanner
@@ -91,6 +93,7 @@ def build_endpoint(
     *,
     signing: Signing | None = None,
     started_unix_s: float = 0.0,
+    recorder: InputRecorder | None = None,
 ) -> CompanionEndpoint:
     """The companion as a MAVLink participant.
 
@@ -100,6 +103,7 @@ def build_endpoint(
         ranging_links: Links beside the vehicle's that carry only ranging.
         signing: Proves what arrives and signs what leaves; None: neither.
         started_unix_s: Unix time at the clock's zero, for the timestamps of signatures.
+        recorder: Keeps what the endpoint is told.
     """
     return CompanionEndpoint(
         build_session(config),
@@ -109,6 +113,7 @@ def build_endpoint(
         config.link,
         signing=signing,
         started_unix_s=started_unix_s,
+        recorder=recorder,
     )
 
 
@@ -125,8 +130,12 @@ def open_signing(config: CompanionConfig) -> SigningKeeper | None:
     return open_signing_keeper(path, load_signing_key(path), ONE_LINK_EACH)
 
 
-def open_journal(config: CompanionConfig) -> FlightJournal:
+def open_journal(config: CompanionConfig, links: int) -> FlightJournal:
     """The black box of a new flight.
+
+    Args:
+        config: The configuration.
+        links: The vehicle's and those that carry only ranging.
 
     Raises:
         CompanionError: The flight directory cannot be made.
@@ -138,6 +147,8 @@ def open_journal(config: CompanionConfig) -> FlightJournal:
         deleted = delete_old_flights(root, config.log.keep_flights)
         if deleted:
             log.info("log.keep_flights: deleted %d older flights", len(deleted))
+    facts = FlightFacts(started_unix_s=started_unix_s, links=links, config=config)
+    write_facts(directory, facts)
     return FlightJournal(directory, started_unix_s, config.log.max_bytes)
 
 
@@ -172,13 +183,14 @@ def fly(
     """
     keeper = open_signing(config)
     prepare(config)
-    journal = open_journal(config)
+    journal = open_journal(config, len(links))
     endpoint = build_endpoint(
         config,
         journal,
         len(links) - 1,
         signing=None if keeper is None else keeper.signing,
         started_unix_s=time.time() - clock.now_s(),
+        recorder=journal.inputs,
     )
     hints = _Hints(endpoint, clock, journal.directory)
 

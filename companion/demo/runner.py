@@ -17,6 +17,7 @@ from companion.demo.recording import RecordingJournal
 from companion.demo.simulator import HOST, SimulatorProcess, free_udp_port
 from companion.domain import TargetEstimate
 from companion.errors import CompanionError, ConfigError
+from companion.flight_facts import FlightFacts, write_facts
 from companion.guidance.states import Phase
 from companion.io.clock import Clock
 from companion.io.files import check_writable, new_flight_directory, write_json_atomic
@@ -89,6 +90,8 @@ def run_demo(options: DemoOptions) -> bool:
         with simulator:
             truth = simulator.started_report()
             config = _demo_config(config, truth)
+            facts = FlightFacts(started_unix_s=started_unix_s, links=1, config=config)
+            write_facts(directory, facts)
             journal = RecordingJournal(directory, started_unix_s, config.log.max_bytes)
             try:
                 result = _fly(config, options, journal, simulator, port, truth, show)
@@ -222,7 +225,7 @@ def _fly(
     truth: dict[str, Any],
     view: _LiveView | _PlainView,
 ) -> DemoResult:
-    endpoint = build_endpoint(config, journal)
+    endpoint = build_endpoint(config, journal, recorder=journal.inputs)
     journal.is_quiet = isinstance(view, _LiveView)
     limit_s = float(truth["time_limit_s"])
     ended: list[tuple[str, float]] = []

@@ -1,4 +1,4 @@
-"""The flight's black box: `.tlog`, `events.jsonl`, `result.json` and what the operator reads."""
+"""The flight's black box: frames, events, inputs, `result.json` and what the operator reads."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ from companion.io.background_file import CLOSE_TIMEOUT_S
 from companion.io.background_replace import BackgroundReplacer
 from companion.io.events import EventLog
 from companion.io.files import plain
+from companion.io.flight_files import EVENTS, INPUTS, RESULT, TLOG
+from companion.io.inputs import InputLog
 from companion.io.tlog import TlogWriter
 
 log = logging.getLogger("companion.flight")
@@ -26,7 +28,8 @@ LEVELS = {
     Severity.INFO: logging.INFO,
 }
 EVENTS_SHARE = 0.1
-"""Of a flight's cap; frames take the rest."""
+INPUTS_SHARE = 0.45
+"""Of a flight's cap; the tlog takes the rest, which is as much."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,9 +66,13 @@ class FlightJournal:
         self.directory = directory
         self._started_unix_s = started_unix_s
         events_bytes = None if max_bytes is None else int(EVENTS_SHARE * max_bytes)
-        tlog_bytes = None if max_bytes is None else max_bytes - (events_bytes or 0)
-        self._tlog = TlogWriter(directory / "flight.tlog", tlog_bytes)
-        self._events = EventLog(directory / "events.jsonl", events_bytes)
+        inputs_bytes = None if max_bytes is None else int(INPUTS_SHARE * max_bytes)
+        kept = (events_bytes or 0) + (inputs_bytes or 0)
+        tlog_bytes = None if max_bytes is None else max_bytes - kept
+        self._tlog = TlogWriter(directory / TLOG, tlog_bytes)
+        self._events = EventLog(directory / EVENTS, events_bytes)
+        self.inputs = InputLog(directory / INPUTS, inputs_bytes)
+        """What the endpoint is told goes here; see `CompanionEndpoint`."""
         self._results = BackgroundReplacer("write result.json")
 
     def frame(self, data: bytes, now_s: float) -> None:
@@ -100,19 +107,23 @@ class FlightJournal:
         }
         self.record("result", value, now_s)
         text = json.dumps(plain(value), allow_nan=False, indent=2) + "\n"
-        self._results.replace(self.directory / "result.json", text.encode())
+        self._results.replace(self.directory / RESULT, text.encode())
 
     @property
     def health(self) -> JournalHealth:
         """How it is doing, without waiting for any writer."""
-        tlog, events = self._tlog.health, self._events.health
+        logs = [log_file.health for log_file in self._logs]
         return JournalHealth(
-            queued=tlog.queued + events.queued,
-            dropped=tlog.dropped + events.dropped + self._results.failed,
-            bytes_kept=tlog.bytes_kept + events.bytes_kept,
-            silent_s=max(tlog.silent_s, events.silent_s, self._results.silent_s),
-            is_alive=tlog.is_alive and events.is_alive and self._results.is_alive,
+            queued=sum(one.queued for one in logs),
+            dropped=sum(one.dropped for one in logs) + self._results.failed,
+            bytes_kept=sum(one.bytes_kept for one in logs),
+            silent_s=max(self._results.silent_s, *(one.silent_s for one in logs)),
+            is_alive=self._results.is_alive and all(one.is_alive for one in logs),
         )
+
+    @property
+    def _logs(self) -> tuple[TlogWriter, EventLog, InputLog]:
+        return (self._tlog, self._events, self.inputs)
 
     def discard(self) -> None:
         """Close and remove the directory, because the flight never began."""
@@ -122,9 +133,9 @@ class FlightJournal:
     def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> None:
         """Write what is queued, for so long at most in all, and close; losses are told."""
         deadline_s = time.monotonic() + timeout_s
-        self._tlog.finish()
-        self._events.finish()
-        for writer in (self._results, self._tlog, self._events):
+        for log_file in self._logs:
+            log_file.finish()
+        for writer in (self._results, *self._logs):
             writer.close(max(0.0, deadline_s - time.monotonic()))
         dropped = self.health.dropped
         if dropped:

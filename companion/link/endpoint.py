@@ -24,6 +24,7 @@ from companion.link.dialogues import Dialogues
 from companion.link.executor import SessionExecutor
 from companion.link.health import LinkHealth
 from companion.link.inbound import RangingInbound
+from companion.link.inputs import InputRecorder, NoRecorder
 from companion.link.intake import Intake
 from companion.link.journal import Journal
 from companion.link.outlet import COMPONENT_ID, VEHICLE_LINK, Outlet
@@ -48,6 +49,7 @@ class CompanionEndpoint:
         link_params: How the links are used.
         signing: Proves what arrives and signs what leaves; None: neither.
         started_unix_s: Unix time at `now_s` = 0, for the timestamps of signatures.
+        recorder: Keeps what the endpoint is told, so that the flight can be run again.
     """
 
     def __init__(
@@ -60,11 +62,13 @@ class CompanionEndpoint:
         *,
         signing: Signing | None = None,
         started_unix_s: float = 0.0,
+        recorder: InputRecorder | None = None,
     ) -> None:
         link_params = link_params or LinkParams()
         self.session = session
         self.binding = AutopilotBinding(params.system_id, is_keyed=signing is not None)
         self._journal = journal
+        self._recorder = recorder or NoRecorder()
         self.authenticity = Authenticity(signing, started_unix_s)
         codecs = [
             MavCodec(
@@ -112,6 +116,7 @@ class CompanionEndpoint:
 
     def handle_timer(self, now_s: float) -> None:
         """The control tick; a late one is not made up for."""
+        self._recorder.tick(now_s)
         for intake in self._intakes:
             intake.budget.renew()
         for text in (*self.authenticity.tick(now_s), *self._alarms.tick(now_s)):
@@ -138,6 +143,7 @@ class CompanionEndpoint:
 
     def request_stop(self, now_s: float) -> None:
         """Hand the vehicle back, then finish."""
+        self._recorder.stop(now_s)
         self.executor.handle(StopRequested(now_s), now_s)
 
     @property
@@ -164,6 +170,7 @@ class CompanionEndpoint:
     # Inbound
 
     def _receive_message(self, message: Message, chunk: Chunk, now_s: float) -> None:
+        self._recorder.frame(bytes(message.get_msgbuf()), chunk.link, chunk.peer, now_s)
         if (message.get_srcSystem(), message.get_srcComponent()) == self._outlet.own_ids:
             self._outlet.came_back(bytes(message.get_msgbuf()), now_s)
             return

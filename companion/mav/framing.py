@@ -166,6 +166,12 @@ def message_id(frame: bytes) -> int:
     return frame[7] | frame[8] << 8 | frame[9] << 16
 
 
+def sender_of(frame: bytes) -> tuple[int, int]:
+    """System and component id of the sender in a frame's header."""
+    at = 3 if frame[0] == MAGIC_V1 else 5
+    return (frame[at], frame[at + 1])
+
+
 def frame_crc(frame: bytes, crc_extra: int) -> int:
     """The CRC that a frame must carry, from its header and payload.
 

@@ -51,12 +51,14 @@ def test_a_flight_stays_within_its_cap(tmp_path: Path) -> None:
     for number in range(3000):
         journal.frame(a_heartbeat(), 0.01 * number)
         journal.record("phase", {"number": number}, 0.01 * number)
+        journal.inputs.tick(0.01 * number)
         if number % 500 == 0:
             time.sleep(0.01)
     journal.close()
     sizes = {path.name: path.stat().st_size for path in tmp_path.iterdir()}
     assert set(sizes) == {
         *("flight.tlog", "flight.old.tlog"),
+        *("flight.inputs", "flight.old.inputs"),
         *("events.jsonl", "events.old.jsonl"),
     }
     assert sum(sizes.values()) <= 20_000

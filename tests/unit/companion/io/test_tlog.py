@@ -6,7 +6,8 @@ from typing import Any
 import pytest
 from pymavlink import mavutil
 
-from companion.io.tlog import TlogWriter
+from companion.errors import ConfigError
+from companion.io.tlog import TlogWriter, read_tlog
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message, Message, mavlink
 
@@ -82,3 +83,26 @@ def test_an_unknown_message_keeps_its_length_but_not_its_signature(tmp_path: Pat
     writer.write(bytes(frame), 0.0)
     writer.close()
     assert path.read_bytes() == bytes(8) + bytes(frame[:-13]) + bytes(13)
+
+
+def test_frames_and_times_come_back(tmp_path: Path) -> None:
+    path = tmp_path / "flight.tlog"
+    log, codec = TlogWriter(path), MavCodec(1, 191)
+    frames = [codec.encode(message) for message in _messages()]
+    for number, frame in enumerate(frames):
+        log.write(frame, 1.8e9 + 0.01 * number)
+    log.close(10.0)
+    records = list(read_tlog(path))
+    assert [record.frame for record in records] == frames
+    assert records[7].unix_us == round((1.8e9 + 0.07) * 1e6)
+    path.write_bytes(path.read_bytes()[:-3])
+    assert [record.frame for record in read_tlog(path)] == frames[:-1]
+
+
+def test_what_is_no_tlog_is_refused_in_words(tmp_path: Path) -> None:
+    path = tmp_path / "flight.tlog"
+    path.write_bytes(b"no MAVLink in here at all")
+    with pytest.raises(ConfigError, match="is this a tlog"):
+        list(read_tlog(path))
+    with pytest.raises(ConfigError, match="cannot be read"):
+        list(read_tlog(tmp_path / "nowhere"))

@@ -12,6 +12,7 @@ from companion.mav.framing import (
     FrameSplitter,
     frame_crc,
     message_id,
+    sender_of,
     without_signature,
 )
 
@@ -301,3 +302,9 @@ def test_unknown_messages_are_not_kept_unless_wanted() -> None:
     link = splitter()
     link.split(unknown(), is_datagram=True)
     assert link.take_unknown() == []
+
+
+def test_the_sender_is_read_from_either_header() -> None:
+    heartbeat = mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 3, 3)
+    assert sender_of(MavCodec(7, 191).encode(heartbeat)) == (7, 191)
+    assert sender_of(bytes((0xFE, 9, 0, 42, 154, 0, *([0] * 11)))) == (42, 154)

@@ -15,9 +15,9 @@ from companion.config.schema import load_config
 from companion.errors import ConfigError
 from companion.estimation.tracker import TrackerParams
 from companion.estimation.window_map import WindowParams
-from companion.replay import TargetResult, read_walk, replay_walk
+from companion.replay.walk import TargetResult, read_walk, replay_walk
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[4]
 MALL = ROOT / "tests/data/rtt_mall_w9_p1.csv"
 WIFI = ROOT / "configs/companion/wifi_rtt.yaml"
 

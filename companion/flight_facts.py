@@ -1,0 +1,76 @@
+"""`flight.json`: how a flight was flown, for its replay and its report."""
+
+from __future__ import annotations
+
+import platform
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from companion import __version__
+from companion.config.schema import CompanionConfig
+from companion.errors import ConfigError
+from companion.io.files import write_bytes_atomic
+from companion.io.flight_files import FLIGHT
+from companion.kernel import IS_COMPILED
+
+
+class FlightFacts(msgspec.Struct, frozen=True, kw_only=True):
+    """What a replay and a report must know of a flight."""
+
+    started_unix_s: float
+    links: int
+    """The vehicle's and those that carry only ranging."""
+    config: CompanionConfig
+    version: str = __version__
+    python: str = platform.python_version()
+    numpy: str = np.__version__
+    is_compiled: bool = IS_COMPILED
+    """Compiled kernels may differ from plain ones in the last digits."""
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """A recorded flight on disk."""
+
+    directory: Path
+    facts: FlightFacts
+
+    def path(self, name: str) -> Path:
+        """One of its files."""
+        return self.directory / name
+
+
+def write_facts(directory: Path, facts: FlightFacts) -> None:
+    """Write `flight.json` into a new flight's directory.
+
+    Raises:
+        CompanionError: It cannot be written.
+    """
+    content = msgspec.json.format(msgspec.json.encode(facts), indent=2)
+    write_bytes_atomic(directory / FLIGHT, content + b"\n")
+
+
+def open_flight(path: Path) -> Flight:
+    """A recorded flight, by its directory or by any file in it.
+
+    Raises:
+        ConfigError: There is none; one line says what is missing.
+    """
+    directory = path if path.is_dir() else path.parent
+    if not path.exists():
+        raise ConfigError(f"{path}: there is no such file or folder")
+    facts_path = directory / FLIGHT
+    try:
+        data = facts_path.read_bytes()
+    except OSError as error:
+        raise ConfigError(
+            f"{facts_path}: cannot be read ({error.strerror}); give a flight's folder, as in "
+            "flights/2026-11-21T02-50-00Z"
+        ) from error
+    try:
+        return Flight(directory, msgspec.json.decode(data, type=FlightFacts))
+    except (msgspec.DecodeError, ValueError) as error:
+        raise ConfigError(f"{facts_path}: {error}") from error

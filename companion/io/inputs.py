@@ -1,0 +1,117 @@
+"""`flight.inputs`: what the endpoint was told, exactly and in order, to replay a flight from.
+
+A record is a header of fixed size (`_HEADER`), the sender's address as text, and the data. Times
+are the endpoint's own float64 seconds, because a replay is only the same to the last bit if they
+are. Signatures are left out, and frames that carry a key altogether.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import IntEnum
+from pathlib import Path
+
+from companion.errors import ConfigError
+from companion.io.background_file import BackgroundLog
+from companion.mav.codec import CRC_EXTRA_BY_ID
+from companion.mav.endpoint import Address
+from companion.mav.framing import message_id, without_signature
+from companion.mav.signing import is_secret
+
+FORMAT = b"companion inputs 1"
+_HEADER = struct.Struct("<IdBBBH")
+"""Number of the record, time_s, kind, link, length of the sender's address, length of the data."""
+
+
+class InputKind(IntEnum):
+    """What the endpoint was told."""
+
+    BEGIN = 0
+    """The first record; its data name the format."""
+    FRAME = 1
+    TICK = 2
+    STOP = 3
+
+
+_KINDS = frozenset(int(kind) for kind in InputKind)
+
+
+@dataclass(frozen=True, slots=True)
+class Input:
+    """One thing that the endpoint was told."""
+
+    kind: InputKind
+    time_s: float
+    link: int = 0
+    peer: Address | None = None
+    data: bytes = b""
+
+
+class InputLog(BackgroundLog):
+    """Writes inputs from a background thread; see `BackgroundLog`."""
+
+    def __init__(self, path: Path, max_bytes: int | None = None) -> None:
+        super().__init__(path, max_bytes)
+        self._number = 0
+        self._append(Input(InputKind.BEGIN, 0.0, data=FORMAT))
+
+    def frame(self, data: bytes, link: int, peer: Address | None, now_s: float) -> None:
+        """Keep a frame; its signature, if any, is left out, a SETUP_SIGNING altogether."""
+        if is_secret(data):
+            return
+        unsigned = without_signature(data, CRC_EXTRA_BY_ID.get(message_id(data)))
+        self._append(Input(InputKind.FRAME, now_s, link, peer, unsigned))
+
+    def tick(self, now_s: float) -> None:
+        """Keep a tick."""
+        self._append(Input(InputKind.TICK, now_s))
+
+    def stop(self, now_s: float) -> None:
+        """Keep a stop."""
+        self._append(Input(InputKind.STOP, now_s))
+
+    def _append(self, value: Input) -> None:
+        peer = b"" if value.peer is None else f"{value.peer[0]} {value.peer[1]}".encode()[:255]
+        header = _HEADER.pack(
+            self._number, value.time_s, value.kind, value.link, len(peer), len(value.data)
+        )
+        self._number = (self._number + 1) & 0xFFFFFFFF
+        self._file.append(header + peer + value.data)
+
+
+def read_inputs(path: Path) -> Iterator[Input]:
+    """The inputs of a flight, in order; a torn last record (a power cut) ends them.
+
+    Raises:
+        ConfigError: The file cannot be read, is none of ours, or lacks records; one line says so.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
+    offset, number = 0, 0
+    while offset + _HEADER.size <= len(data):
+        found, time_s, kind, link, peer_size, size = _HEADER.unpack_from(data, offset)
+        end = offset + _HEADER.size + peer_size + size
+        if end > len(data):
+            break
+        body = data[offset + _HEADER.size : end]
+        if number == 0 and (kind != InputKind.BEGIN or body != FORMAT):
+            raise ConfigError(
+                f"{path}: does not begin with a flight's start (an old part was given up to "
+                "log.max_mb, or this is no flight.inputs)"
+            )
+        if found != number or kind not in _KINDS:
+            raise ConfigError(f"{path}: record {number} is missing: the disk was too slow or full")
+        if kind != InputKind.BEGIN:
+            yield Input(InputKind(kind), time_s, link, _peer(body[:peer_size]), body[peer_size:])
+        offset, number = end, (number + 1) & 0xFFFFFFFF
+    if number == 0:
+        raise ConfigError(f"{path}: is empty")
+
+
+def _peer(text: bytes) -> Address | None:
+    host, _, port = text.decode("ascii", errors="replace").rpartition(" ")
+    return (host, int(port)) if port.isdecimal() else None

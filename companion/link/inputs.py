@@ -1,0 +1,33 @@
+"""Everything the endpoint is told, for a log from which the flight can be run again."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from companion.mav.endpoint import Address
+
+
+class InputRecorder(Protocol):
+    """Takes the inputs in their order; never raises and never waits."""
+
+    def frame(self, data: bytes, link: int, peer: Address | None, now_s: float) -> None:
+        """A valid frame that was not our own."""
+
+    def tick(self, now_s: float) -> None:
+        """The timer fired."""
+
+    def stop(self, now_s: float) -> None:
+        """The process was asked to end."""
+
+
+class NoRecorder:
+    """Keeps nothing."""
+
+    def frame(self, data: bytes, link: int, peer: Address | None, now_s: float) -> None:
+        """Forget a frame."""
+
+    def tick(self, now_s: float) -> None:
+        """Forget a tick."""
+
+    def stop(self, now_s: float) -> None:
+        """Forget a stop."""

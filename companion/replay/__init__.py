@@ -1,0 +1,1 @@
+"""`companion replay`: what was recorded, through the flying code once more."""

@@ -1,0 +1,125 @@
+"""`companion replay` of a flight: runs it again and says whether it is the same."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from companion.config.schema import CompanionConfig
+from companion.errors import ConfigError
+from companion.flight_facts import Flight, open_flight
+from companion.io.flight_files import INPUTS, TLOG
+from companion.io.inputs import Input, read_inputs
+from companion.io.tlog import read_tlog
+from companion.kernel import IS_COMPILED
+from companion.link.endpoint import CompanionEndpoint
+from companion.replay.comparison import Comparison
+from companion.replay.flight import CourseJournal, OnInput, rerun
+from companion.replay.recorded import inputs_of_tlog, recorded_course
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class FlightReplay:
+    """A flight's replay, and how exact it can be."""
+
+    comparison: Comparison
+    is_exact: bool
+    """Whether the inputs were recorded; otherwise ticks were guessed from the tlog."""
+    is_same_configuration: bool
+
+    @property
+    def verdict(self) -> str:
+        """One line: the same, or not, and why that may be."""
+        comparison = self.comparison
+        counts = (
+            f"{len(comparison.recorded.estimates)} estimates and "
+            f"{len(comparison.recorded.setpoints)} setpoints"
+        )
+        if comparison.is_identical:
+            return f"IDENTICAL: {counts}, bit for bit"
+        first = comparison.first_difference
+        if not self.is_same_configuration:
+            return f"another configuration, first different: {first}"
+        if not self.is_exact:
+            return f"close, not exact (no {INPUTS}, so ticks are guessed), first different: {first}"
+        return f"DIFFERENT with the flight's own configuration: {first}"
+
+    @property
+    def is_failed(self) -> bool:
+        """Whether it should have been identical, and is not."""
+        is_expected = self.is_exact and self.is_same_configuration
+        return is_expected and not self.comparison.is_identical
+
+
+def replay_flight(
+    path: Path,
+    config: CompanionConfig | None,
+    say: Say,
+    on_input: OnInput | None = None,
+    journal: CourseJournal | None = None,
+) -> FlightReplay:
+    """Run a recorded flight again.
+
+    Args:
+        path: Its directory, or a file in it.
+        config: Another configuration; None: the flight's own.
+        say: Takes remarks for people.
+        on_input: Sees the endpoint after every input.
+        journal: Listens; None: one of its own.
+
+    Raises:
+        ConfigError: The flight cannot be read.
+    """
+    flight = open_flight(path)
+    used = flight.facts.config if config is None else config
+    if flight.facts.is_compiled != IS_COMPILED:
+        how = "compiled" if flight.facts.is_compiled else "plain"
+        say(f"the flight used {how} kernels, this replay does not: last digits may differ")
+    inputs, is_exact = inputs_of(flight)
+    course = rerun(inputs, used, flight.facts.links, on_input, journal)
+    return FlightReplay(
+        comparison=Comparison(recorded_course(flight), course),
+        is_exact=is_exact,
+        is_same_configuration=used == flight.facts.config,
+    )
+
+
+def inputs_of(flight: Flight) -> tuple[list[Input], bool]:
+    """What the endpoint was told, and whether that was recorded or guessed from the tlog.
+
+    Raises:
+        ConfigError: Neither can be read.
+    """
+    path = flight.path(INPUTS)
+    if path.exists():
+        return list(read_inputs(path)), True
+    inputs = inputs_of_tlog(list(read_tlog(flight.path(TLOG))))
+    if not inputs:
+        raise ConfigError(f"{flight.path(TLOG)}: has no frames")
+    return inputs, False
+
+
+class Pace:
+    """Lets a replay take its time, for people who watch.
+
+    Args:
+        speed: Times real time.
+    """
+
+    def __init__(self, speed: float) -> None:
+        self._speed = speed
+        self._started: tuple[float, float] | None = None
+
+    def __call__(self, endpoint: CompanionEndpoint, now_s: float) -> None:
+        """Wait until it is time for this input."""
+        del endpoint
+        if self._started is None:
+            self._started = (time.monotonic(), now_s)
+        wall_s, first_s = self._started
+        ahead_s = wall_s + (now_s - first_s) / self._speed - time.monotonic()
+        if ahead_s > 0.0:
+            time.sleep(ahead_s)

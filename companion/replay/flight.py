@@ -1,0 +1,106 @@
+"""A recorded flight through the same endpoint once more.
+
+What the endpoint was told is in `flight.inputs`, so the replay takes the very same way: frames,
+ticks and stops at their own times, and nothing else. With the configuration of the flight it gives
+the same estimates and the same setpoints, byte for byte; `companion.replay.comparison` looks
+whether that is so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+
+from companion.config.schema import CompanionConfig
+from companion.guidance.commands import ReportResult, Severity
+from companion.io.files import plain
+from companion.io.inputs import Input, InputKind
+from companion.link.endpoint import CompanionEndpoint
+from companion.mav.dialect import mavlink
+from companion.mav.endpoint import Chunk
+from companion.mav.framing import message_id
+from companion.run import build_endpoint
+
+Json = dict[str, object]
+OnInput = Callable[[CompanionEndpoint, float], None]
+"""Called after every input: the endpoint, and the flight's time."""
+
+SETPOINT_IDS = frozenset(
+    {
+        mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED,
+        mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT,
+    }
+)
+
+
+@dataclass(slots=True)
+class Course:
+    """What a flight came to, recorded or replayed."""
+
+    estimates: list[Json] = field(default_factory=list)
+    """Lines of the event log."""
+    setpoints: list[bytes] = field(default_factory=list)
+    """Frames, in order."""
+    localised_s: float | None = None
+    """When the target was reported."""
+
+
+class CourseJournal:
+    """The endpoint's journal during a replay."""
+
+    def __init__(self) -> None:
+        self.course = Course()
+        self.texts: list[tuple[float, Severity, str]] = []
+
+    def frame(self, data: bytes, now_s: float) -> None:
+        """Frames are collected where they are sent."""
+
+    def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
+        """Keep an estimate in the words of the event log."""
+        if kind == "estimate":
+            line = plain({"t_s": round(now_s, 4), "kind": kind, **fields})
+            assert isinstance(line, dict)
+            self.course.estimates.append(line)
+
+    def text(self, severity: Severity, text: str, now_s: float) -> None:
+        """Keep a text."""
+        self.texts.append((now_s, severity, text))
+
+    def result(self, report: ReportResult, now_s: float) -> None:
+        """Keep when the target was reported."""
+        del report
+        self.course.localised_s = now_s
+
+
+def rerun(
+    inputs: Iterable[Input],
+    config: CompanionConfig,
+    links: int,
+    on_input: OnInput | None = None,
+    journal: CourseJournal | None = None,
+) -> Course:
+    """Run a flight again.
+
+    Args:
+        inputs: What the endpoint was told.
+        config: The flight's, or another one to compare with.
+        links: Number of links, the vehicle's included.
+        on_input: Sees the endpoint after every input.
+        journal: Listens; None: one of its own.
+    """
+    journal = journal or CourseJournal()
+    endpoint = build_endpoint(config, journal, links - 1)
+    for value in inputs:
+        match value.kind:
+            case InputKind.FRAME:
+                chunk = Chunk(value.link, value.data, value.peer)
+                endpoint.receive(chunk, value.time_s)
+            case InputKind.TICK:
+                endpoint.handle_timer(value.time_s)
+            case InputKind.STOP:
+                endpoint.request_stop(value.time_s)
+        sent = [chunk.data for chunk in endpoint.take_output()]
+        journal.course.setpoints += [data for data in sent if message_id(data) in SETPOINT_IDS]
+        if on_input is not None:
+            on_input(endpoint, value.time_s)
+    return journal.course

@@ -1,0 +1,106 @@
+"""A recorded flight, run again: the same to the last bit, and a difference is found."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from companion.config.schema import CompanionConfig
+from companion.estimation.tracker import TrackerParams
+from companion.flight_facts import FlightFacts, write_facts
+from companion.guidance.session import SessionParams
+from companion.io.flight_files import EVENTS, FLIGHT, INPUTS, TLOG
+from companion.io.journal import FlightJournal
+from companion.link.endpoint import CompanionEndpoint, Journal
+from companion.replay.command import replay_flight
+from companion.run import build_endpoint
+from sim_link.autopilot.scenario import Scenario
+from sim_link.lockstep.flight import Flight
+
+AUTO = CompanionConfig(mission=SessionParams(engage="auto"))
+FLOWN_S = 60.0
+REMARKS: list[str] = []
+
+
+def record(
+    directory: Path, config: CompanionConfig = AUTO, scenario: Scenario | None = None
+) -> None:
+    """Fly a minute and leave a flight directory."""
+    write_facts(directory, FlightFacts(started_unix_s=1.8e9, links=1, config=config))
+    journal = FlightJournal(directory, 1.8e9)
+
+    def companion(config: CompanionConfig, journal_: Journal, links: int) -> CompanionEndpoint:
+        return build_endpoint(config, journal_, links, recorder=journal.inputs)
+
+    flight = Flight(config, scenario or Scenario(), 3, journal, make_companion=companion)
+    flight.run(FLOWN_S)
+    flight.run(1.0)
+    journal.close(timeout_s=30.0)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    directory = tmp_path_factory.mktemp("flight")
+    record(directory)
+    return directory
+
+
+@pytest.fixture
+def copy(recorded: Path, tmp_path: Path) -> Path:
+    """The recorded flight, to be tampered with."""
+    for path in recorded.iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    return tmp_path
+
+
+def test_the_same_configuration_gives_the_same_bits(recorded: Path) -> None:
+    replay = replay_flight(recorded / TLOG, None, REMARKS.append)
+    assert len(replay.comparison.recorded.estimates) > 50
+    assert len(replay.comparison.recorded.setpoints) > 500
+    assert replay.comparison.first_difference is None
+    assert replay.verdict.startswith("IDENTICAL")
+    assert not replay.is_failed
+
+
+def test_another_estimator_is_compared_side_by_side(recorded: Path) -> None:
+    config = msgspec.structs.replace(AUTO, estimation=TrackerParams(kind="ekf"))
+    replay = replay_flight(recorded, config, REMARKS.append)
+    assert replay.verdict.startswith("another configuration")
+    assert not replay.is_failed
+    assert "estimates apart" in replay.comparison.table()
+    assert replay.comparison.as_json()["identical"] is False
+
+
+def test_one_changed_digit_of_the_log_is_found(copy: Path) -> None:
+    lines = (copy / EVENTS).read_text().splitlines()
+    number = max(i for i, line in enumerate(lines) if '"kind":"estimate"' in line)
+    lines[number] = lines[number].replace('"r95_m":', '"r95_m":1', 1)
+    (copy / EVENTS).write_text("\n".join(lines) + "\n")
+    replay = replay_flight(copy, None, REMARKS.append)
+    assert replay.is_failed
+    assert replay.verdict.startswith("DIFFERENT")
+    assert "r95_m" in replay.verdict
+
+
+def test_without_the_recorded_inputs_a_replay_is_close_and_says_so(copy: Path) -> None:
+    (copy / INPUTS).unlink()
+    replay = replay_flight(copy, None, REMARKS.append)
+    assert not replay.is_exact
+    assert not replay.is_failed
+    apart = replay.comparison.as_json()["apart_end_m"]
+    assert apart is None or float(str(apart)) < 0.5
+
+
+def test_a_flight_of_other_kernels_is_remarked(copy: Path) -> None:
+    facts = msgspec.json.decode((copy / FLIGHT).read_bytes(), type=FlightFacts)
+    write_facts(copy, msgspec.structs.replace(facts, is_compiled=not facts.is_compiled))
+    remarks: list[str] = []
+    replay_flight(copy, None, remarks.append)
+    assert "kernels" in remarks[0]
+
+
+def test_the_facts_keep_the_whole_configuration(recorded: Path) -> None:
+    facts = msgspec.json.decode((recorded / FLIGHT).read_bytes(), type=FlightFacts)
+    assert facts.config == AUTO
