@@ -18,10 +18,12 @@ class LinkHealth:
     def __init__(self, params: LinkParams) -> None:
         self.sequence = SequenceMonitor()
         self.pacing = Pacing(params)
+        self.overtaken = 0
+        """Messages that came after a newer one of their kind."""
 
-    def heard(self, message: Message, now_s: float) -> None:
-        """Take in a message of the bound autopilot."""
-        self.sequence.take(message.get_seq(), now_s)
+    def heard(self, message: Message, now_s: float) -> int:
+        """Take in a message of the bound autopilot; its place in the order of sending."""
+        return self.sequence.take(message.get_seq(), now_s)
 
     def tick(self, now_s: float) -> None:
         """Judge the line once more."""
@@ -40,5 +42,6 @@ class LinkHealth:
             "lost": sequence.lost,
             "late": sequence.late,
             "duplicates": sequence.duplicates,
+            "overtaken": self.overtaken,
             "tick_s": self.pacing.period_s,
         }

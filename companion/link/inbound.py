@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from companion.domain import LandedState, VehicleState
+from companion.domain import FlightMode, LandedState, VehicleState
 from companion.geometry.frames import LocalOrigin, enu_from_ned
 from companion.guidance.events import (
     AutopilotRestarted,
@@ -29,6 +29,15 @@ FAILSAFE_STATES = (
     mavlink.MAV_STATE_EMERGENCY,
     mavlink.MAV_STATE_FLIGHT_TERMINATION,
 )
+STAMPED = frozenset(
+    {
+        mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+        mavlink.MAVLINK_MSG_ID_ATTITUDE,
+        mavlink.MAVLINK_MSG_ID_COMMAND_ACK,
+        mavlink.MAVLINK_MSG_ID_STATUSTEXT,
+    }
+)
+"""Kinds that are not put in order by their sequence numbers: stamped ones, and those without."""
 UP_STATES = (mavlink.MAV_STATE_STANDBY, mavlink.MAV_STATE_ACTIVE)
 MAX_HOME_DISTANCE_M = 1e5
 """A home farther from the origin than this is a fault, in whatever field."""
@@ -47,14 +56,29 @@ class VehicleInbound:
         self._origin: LocalOrigin | None = None
         self._home: mavlink.MAVLink_home_position_message | None = None
         self._is_prearm_good = True
+        self._newest: dict[int, int] = {}
+        """Place in the order of sending, of the newest message of each kind."""
+        self.overtaken = 0
+        """Messages that came after a newer one of their kind."""
 
     @property
     def clock_offset_s(self) -> float | None:
         """Local time minus the autopilot's, seconds; None before its first stamp."""
         return self._clock.offset_s
 
-    def events(self, message: Message, now_s: float) -> list[Event]:
-        """What a message of the autopilot says."""
+    def events(self, message: Message, now_s: float, number: int = 0) -> list[Event]:
+        """What a message of the autopilot says; nothing, if a newer one of its kind came before.
+
+        Positions and attitudes are put in order by their stamps, by whoever keeps them.
+
+        Args:
+            message: Of the autopilot.
+            now_s: When it came.
+            number: Its place in the order of sending, from the sequence numbers.
+        """
+        if self._is_overtaken(message, number):
+            self.overtaken += 1
+            return []
         match message:
             case mavlink.MAVLink_heartbeat_message():
                 return self._heartbeat(message, now_s)
@@ -83,12 +107,36 @@ class VehicleInbound:
                 return self._home_set(now_s)
         return []
 
+    def _is_overtaken(self, message: Message, number: int) -> bool:
+        """Whether a message is older than one of its kind that was taken in.
+
+        After a long delay a sequence number may lie. So a HEARTBEAT is withheld only if it shows
+        what could give us control, never if it takes control away.
+        """
+        kind = message.get_msgId()
+        if kind in STAMPED:
+            return False
+        if number >= self._newest.get(kind, number):
+            self._newest[kind] = number
+            return False
+        if isinstance(message, mavlink.MAVLink_heartbeat_message):
+            autopilot = autopilot_of(message)
+            is_armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+            is_offboard = (
+                autopilot is not None and mode_of(message, autopilot) is FlightMode.OFFBOARD
+            )
+            return is_armed and is_offboard
+        return True
+
     def _read(self, stamp_ms: int, now_s: float) -> StampReading:
         return self._clock.read(stamp_ms / 1000.0, now_s)
 
     def _with_restart(self, reading: StampReading, event: Event) -> list[Event]:
+        if self._clock.is_wild:
+            return []
         if not reading.is_reboot:
             return [event]
+        self._newest.clear()
         self._origin = None
         self._home = None
         self._is_prearm_good = True

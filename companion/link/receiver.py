@@ -67,10 +67,12 @@ class VehicleReceiver:
         if not was_bound and self._binding.is_bound:
             self._on_bound(now_s)
         if is_autopilot:
-            self._health.heard(message, now_s)
+            number = self._health.heard(message, now_s)
             for text in self._dialogues.heard(message, now_s):
                 self._outlet.announce(text, now_s)
-            for event in self._inbound.events(message, now_s):
+            events = self._inbound.events(message, now_s, number)
+            self._health.overtaken = self._inbound.overtaken
+            for event in events:
                 self._executor.handle(event, now_s)
             self._receive_answer(message, now_s)
         if isinstance(message, AddressedCommand):

@@ -42,8 +42,8 @@ class SequenceMonitor:
         self._buckets: deque[tuple[float, int, int]] = deque()
         """Of each tenth of a second: begin, numbers that the count advanced, frames that came."""
 
-    def take(self, sequence: int, now_s: float) -> int | None:
-        """The unwrapped number of a frame that came; None if it came before."""
+    def take(self, sequence: int, now_s: float) -> int:
+        """The unwrapped number of a frame that came, perhaps not for the first time."""
         if self._newest is None:
             return self._start(sequence, now_s)
         ahead = (sequence - self._newest) % MODULUS
@@ -56,7 +56,6 @@ class SequenceMonitor:
             self._advance(ahead, now_s)
         elif self._seen >> -ahead & 1:
             self.duplicates += 1
-            return None
         else:
             self.late += 1
             self.lost = max(0, self.lost - 1)  # one from before the first was not missed

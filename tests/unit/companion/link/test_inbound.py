@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import pytest
 
@@ -31,6 +32,10 @@ from tests.unit.companion.link.wire import (
 
 NAN = math.nan
 INT32_MAX = 2**31 - 1
+
+
+def attitude(boot_ms: int) -> Message:
+    return mavlink.MAVLink_attitude_message(boot_ms, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
 
 def only(events: list[Event]) -> Event:
@@ -146,14 +151,24 @@ def test_unknown_landed_states_are_unknown() -> None:
         assert inbound.events(message, 1.0) == [LandedStateChanged(1.0, landed)]
 
 
+def restart(inbound: VehicleInbound, boot_ms: int, now_s: float) -> list[Event]:
+    """Positions of an autopilot that started anew, until that is noticed."""
+    for step in range(20):
+        events = inbound.events(local_position(boot_ms + 50 * step), now_s + 0.05 * step)
+        if len(events) > 1:
+            return events
+    return []
+
+
 def test_a_clock_that_goes_back_is_a_restart_and_forgets_the_frame() -> None:
     inbound = VehicleInbound()
     inbound.events(origin(), 1.0)
     inbound.events(local_position(60_000), 60.0)
-    restarted, moved = inbound.events(local_position(500), 61.0)
-    assert restarted == AutopilotRestarted(61.0)
+    restarted, moved = restart(inbound, 500, 61.0)
+    assert isinstance(restarted, AutopilotRestarted)
+    assert restarted.time_s <= 61.5
     assert isinstance(moved, VehicleMoved)
-    assert moved.state.time_s == 61.0
+    assert moved.state.time_s == pytest.approx(restarted.time_s)
     assert inbound.events(home_position(0, 0, 0, 3.0, 4.0, -1.0), 61.0) == [
         HomeSet(61.0, (4.0, 3.0, 1.0))
     ]
@@ -179,6 +194,59 @@ def test_a_burst_of_old_frames_is_no_restart() -> None:
     for tick in range(200):
         events += inbound.events(local_position(10_050 + 50 * tick), 20.0 + 0.001 * tick)
     assert not any(isinstance(e, AutopilotRestarted) for e in events)
+
+
+# Order
+
+LANDED, FLYING = (mavlink.MAVLink_extended_sys_state_message(0, n) for n in (1, 2))
+
+
+def test_a_state_that_was_overtaken_is_no_news() -> None:
+    inbound = VehicleInbound()
+    assert inbound.events(FLYING, 1.0, 10)
+    assert inbound.events(LANDED, 1.1, 9) == []
+    assert inbound.overtaken == 1
+    assert inbound.events(FLYING, 1.2, 10)  # the same again
+    assert inbound.events(LANDED, 1.3, 11)
+
+
+def test_kinds_overtake_each_other_freely() -> None:
+    inbound = VehicleInbound()
+    assert inbound.events(FLYING, 1.0, 10)
+    assert inbound.events(heartbeat(), 1.0, 9)
+    assert inbound.events(home_position(), 1.0, 8)
+    assert inbound.events(local_position(1000), 1.0, 7)
+
+
+@pytest.mark.parametrize(
+    ("mode", "is_armed", "is_taken"),
+    [(OFFBOARD, True, False), (OFFBOARD, False, True), (3 << 16, True, True)],
+)
+def test_an_overtaken_heartbeat_may_end_control_but_never_give_it(
+    mode: int, is_armed: bool, is_taken: bool
+) -> None:
+    inbound = VehicleInbound()
+    inbound.events(heartbeat(custom_mode=3 << 16, is_armed=True), 1.0, 10)
+    late = heartbeat(custom_mode=mode, is_armed=is_armed)
+    assert bool(inbound.events(late, 1.1, 9)) is is_taken
+
+
+def test_after_a_restart_the_order_begins_anew() -> None:
+    inbound = VehicleInbound()
+    inbound.events(local_position(60_000), 60.0, 999)
+    inbound.events(FLYING, 60.0, 1000)
+    assert restart(inbound, 500, 61.0)
+    assert inbound.events(LANDED, 62.0, 5)
+
+
+@pytest.mark.parametrize("make", [local_position, attitude])
+def test_a_clock_that_runs_wild_tells_nothing(make: Callable[[int], Message]) -> None:
+    inbound, told = VehicleInbound(), []
+    for step in range(100):
+        now_s = 0.05 * step
+        if inbound.events(make(round(2000.0 * now_s)), now_s):
+            told.append(now_s)
+    assert told[-1] == pytest.approx(1.0, abs=0.11)
 
 
 # Ranging
