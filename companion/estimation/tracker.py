@@ -68,6 +68,10 @@ class FusionReport:
     """The best hypothesis' update; None for a refusal and for the first measurement."""
     restarted: bool = False
     """The filter lost its covariance or contradicted its measurements, and was started anew."""
+    measurement: RangingMeasurement | None = None
+    """What was measured, its bearing in the local frame, where the log is to tell it."""
+    sensor_enu_m: PositionEnu | None = None
+    """Where it was measured."""
 
 
 class TargetTracker:

@@ -67,4 +67,5 @@ class RangingListener:
             if yaw_ned_rad is not None and math.isfinite(body_rad):
                 bearing_enu_rad = bearing_enu_from_ned(yaw_ned_rad + body_rad)
                 measurement = replace(measurement, bearing_enu_rad=bearing_enu_rad)
-        return self._tracker.fuse(measurement, sensor_enu_m, now_s)
+        report = self._tracker.fuse(measurement, sensor_enu_m, now_s)
+        return replace(report, measurement=measurement, sensor_enu_m=sensor_enu_m)

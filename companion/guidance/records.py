@@ -13,10 +13,18 @@ def estimate_record(report: FusionReport, estimate: TargetEstimate) -> Record:
     fields: dict[str, object] = {
         "state": estimate.state.value,
         "position_enu_m": estimate.position_enu_m,
+        "covariance_m2": estimate.covariance_m2,
+        "alternative_enu_m": estimate.alternative_enu_m,
         "r95_m": estimate.r95_m,
         "range_offset_m": estimate.range_offset_m,
         "bearing_offset_rad": estimate.bearing_offset_rad,
     }
+    measured = report.measurement
+    if measured is not None and report.sensor_enu_m is not None:
+        fields["emitter_id"] = measured.emitter_id
+        fields["sensor_enu_m"] = report.sensor_enu_m
+        fields["range_m"] = measured.range_m
+        fields["bearing_enu_rad"] = measured.bearing_enu_rad
     update = report.update
     if update is not None:
         fields["nis"] = update.nis
