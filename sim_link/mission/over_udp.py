@@ -1,0 +1,276 @@
+"""Flies a mission with real processes over UDP, the operator's side through MAVSDK.
+
+Theory of operation. The companion is the `companion` command in a process of its own. The vehicle
+is `sim-link` in another, or whoever answers on the link that was given. Between them stands the
+hub, in this process: it shares the vehicle's one link among companion, operator and radio, keeps
+the `.tlog`, injects the faults of the link, and looks at the mission ten times a second of flight.
+Everything starts before the first frame is passed on, so the mission's time is the companion's.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import shutil
+import signal
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import yaml
+
+from companion.demo.simulator import HOST, free_udp_port
+from companion.errors import CompanionError, ConfigError
+from companion.io.clock import Clock
+from companion.io.links import LinkSpec, UdpBind, UdpConnect, link_from_url
+from companion.io.shell import Shell
+from companion.io.tlog import TlogWriter
+from companion.io.urls import parse_link_url
+from sim_link.faults.faulty_link import FaultyLink
+from sim_link.faults.schedule import Schedule
+from sim_link.mission.children import Child, EventTail
+from sim_link.mission.hub import COMPANION, VEHICLE, Hub
+from sim_link.mission.in_memory import Progress
+from sim_link.mission.journal import EventReader
+from sim_link.mission.mavsdk_operator import MavsdkOperator
+from sim_link.mission.process_faults import ProcessHarness
+from sim_link.mission.record import FlightRecord
+from sim_link.mission.result import MissionResult
+from sim_link.mission.script import Mission
+from sim_link.mission.script_file import flown_config
+from sim_link.mission.situation import Situation
+from sim_link.mission.steps import StepRunner
+from sim_link.mission.telemetry import TelemetryReader
+from sim_link.mission.verdicts import Flown, true_places, verdicts_of
+
+START_S = 150.0
+"""Real time that a process may take to start; the first one of all compiles."""
+SILENCE_S = 15.0
+"""Real time without any frame of the vehicle after which the mission is given up."""
+HOME_S = 5.0
+"""Real time for asking a vehicle of others to come home after a mission that failed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ports:
+    """UDP ports of this machine for one flight."""
+
+    vehicle: int
+    """Where the hub hears a simulated vehicle."""
+    simulator: int
+    companion: int
+    operator: int
+    radio: int
+    ranging: int
+
+    @classmethod
+    def free(cls) -> Ports:
+        """Six that nobody has now."""
+        return cls(*(free_udp_port() for _ in range(6)))
+
+
+def fly_over_udp(
+    mission: Mission,
+    seed: int,
+    file: str = "",
+    *,
+    speed: float = 1.0,
+    connect: str | None = None,
+    keep: Path | None = None,
+    progress: Progress | None = None,
+) -> MissionResult:
+    """Fly a mission once.
+
+    Args:
+        mission: The script.
+        seed: Of a simulated vehicle, its radio and its faults.
+        file: Where the script is from.
+        speed: Seconds of the flight per second.
+        connect: The vehicle's link; None: a simulated one is started.
+        keep: A folder for `.tlog`, event log and output of the processes; None: nothing is kept.
+        progress: Told after every look.
+
+    Raises:
+        CompanionError: A process does not start, or a link cannot be opened.
+    """
+    with tempfile.TemporaryDirectory(prefix="mission-") as temporary:
+        folder = Path(temporary) if keep is None else keep
+        folder.mkdir(parents=True, exist_ok=True)
+        flight = _UdpFlight(mission, seed, folder, speed, connect)
+        started = time.perf_counter()
+        try:
+            asyncio.run(flight.fly(progress))
+        finally:
+            flight.close()
+        flight.record.wall_s = time.perf_counter() - started
+    how = f"speed {speed:g}" if connect is None else f"{connect}"
+    verdicts = verdicts_of(Flown(mission, flight.record, flight.situation))
+    return MissionResult(mission, file, seed, how, flight.record, tuple(verdicts))
+
+
+class _UdpFlight:
+    """One flight with its processes."""
+
+    def __init__(
+        self, mission: Mission, seed: int, folder: Path, speed: float, connect: str | None
+    ) -> None:
+        self.record, self.situation = FlightRecord(), Situation()
+        self._mission, self._seed, self._folder = mission, seed, folder
+        self._speed, self._connect = speed, connect
+        self._ports = Ports.free()
+        self._flights = folder / "flights"
+        self._tail = EventTail(self._flights)
+        self._offset_s: float | None = None
+        """The mission's time minus the companion's."""
+        self._reader = EventReader(
+            self.record, self.situation, true_places(mission), mission.emitter.emitter_id
+        )
+        self._telemetry = TelemetryReader(self.record, self.situation)
+        self._wire = FaultyLink(Schedule(), seed)
+        self._companion = self._companion_child()
+        self._vehicle = self._vehicle_child() if connect is None else None
+        self._radio: Child | None = None
+        self._operator = MavsdkOperator(self._ports.operator)
+        harness = ProcessHarness(self._wire, self._vehicle, self._companion)
+        self._harness = harness
+        self._runner = StepRunner(
+            mission, self.situation, self.record, self._operator, harness
+        )
+        self._hub = Hub(self._wire, self._watch, self._look, has_radio=connect is not None)
+        self._clock = Clock(speed)
+        self._started_unix_s = time.time()
+        self._tlog = TlogWriter(folder / "flight.tlog")
+        self._heard_wall_s = time.monotonic()
+        self._progress: Progress | None = None
+
+    async def fly(self, progress: Progress | None) -> None:
+        """From starting the processes to the last step."""
+        self._progress = progress
+        self._companion.start()
+        await self._until_companion_waits()
+        if self._vehicle is not None:
+            self._vehicle.start()
+        async with self._operator:
+            self._clock = Clock(self._speed)
+            self._started_unix_s = time.time()
+            self._heard_wall_s = time.monotonic()
+            shell = Shell(self._hub, self._links(), self._clock)
+            await shell.run()
+            if not self._runner.is_over:
+                self._runner.abandon("interrupted", self._clock.now_s())
+
+    def close(self) -> None:
+        """End what still runs."""
+        for child in (self._companion, self._radio, self._vehicle):
+            if child is not None:
+                child.stop()
+        self._take_events(self._clock.now_s())
+        self._tlog.close()
+
+    def _links(self) -> list[LinkSpec]:
+        ports = self._ports
+        vehicle: LinkSpec = UdpBind(HOST, ports.vehicle)
+        if self._connect is not None:
+            vehicle = link_from_url(parse_link_url(self._connect))
+        links = [vehicle, UdpConnect(HOST, ports.companion), UdpConnect(HOST, ports.operator)]
+        return links if self._connect is None else [*links, UdpConnect(HOST, ports.radio)]
+
+    # Processes
+
+    def _companion_child(self) -> Child:
+        config = flown_config(self._mission)
+        log = msgspec.structs.replace(config.log, directory=str(self._flights))
+        path = self._folder / "companion.yaml"
+        _write_yaml(path, msgspec.structs.replace(config, log=log))
+        arguments = ["-m", "sim_link.mission.leashed", "--config", str(path)]
+        arguments += ["--connect", f"udpin:{HOST}:{self._ports.companion}"]
+        arguments += ["--speed", f"{self._speed:g}"]
+        if self._connect is not None:
+            arguments += ["--ranging", f"udpin:{HOST}:{self._ports.ranging}"]
+        return Child("companion", arguments, self._folder / "companion.log")
+
+    def _vehicle_child(self) -> Child:
+        path = self._folder / "scenario.yaml"
+        _write_yaml(path, self._mission.scenario)
+        arguments = ["-m", "sim_link", "--stop-on-eof", "--scenario", str(path)]
+        arguments += ["--seed", str(self._seed), "--speed", f"{self._speed:g}"]
+        arguments += ["--listen", f"{HOST}:{self._ports.simulator}"]
+        arguments += ["--send-to", f"{HOST}:{self._ports.vehicle}"]
+        return Child("sim-link", arguments, self._folder / "vehicle.log")
+
+    def _radio_child(self) -> Child:
+        """The radio beside a vehicle that has none, once it is known where that is."""
+        path = self._folder / "scenario.yaml"
+        _write_yaml(path, self._mission.scenario)
+        arguments = ["-m", "sim_link", "radio", "--stop-on-eof", "--scenario", str(path)]
+        arguments += ["--follow", f"udpin:{HOST}:{self._ports.radio}"]
+        arguments += ["--send-to", f"{HOST}:{self._ports.ranging}"]
+        arguments += ["--seed", str(self._seed), "--speed", f"{self._speed:g}"]
+        return Child("radio", arguments, self._folder / "radio.log")
+
+    async def _until_companion_waits(self) -> None:
+        """Wait for its flight's folder: it compiles before its clock starts.
+
+        Raises:
+            CompanionError: It ended, or takes too long.
+        """
+        deadline = time.monotonic() + START_S
+        while not self._tail.look_for_flight():
+            if not self._companion.is_alive or time.monotonic() > deadline:
+                words = self._companion.last_words.removeprefix("companion: ")
+                raise CompanionError(f"the companion did not start: {words}")
+            await asyncio.sleep(0.02)
+        if self._connect is not None:
+            self._radio = self._radio_child()
+            self._radio.start()
+
+    # What the hub calls
+
+    def _watch(self, link: int, frame: bytes, now_s: float) -> None:
+        self._tlog.write(frame, self._started_unix_s + now_s)
+        if link == VEHICLE:
+            self._heard_wall_s = time.monotonic()
+            self._telemetry.take(frame, now_s)
+        elif link == COMPANION:
+            self._telemetry.take_companion(frame)
+
+    def _look(self, now_s: float) -> None:
+        self._take_events(now_s)
+        self._reader.age(now_s)
+        vehicle, operator = self.situation.vehicle, self._operator
+        operator.is_armed = bool(vehicle.is_armed)
+        vehicle.is_ready = operator.is_ready or operator.is_armed
+        self._harness.tick(now_s)
+        self._check_children(now_s)
+        self._runner.tick(now_s)
+        if self._progress is not None:
+            self._progress(self._runner, self.situation)
+        if self._runner.is_over:
+            self.record.ended_s = now_s
+            self._hub.request_stop(now_s)
+
+    def _take_events(self, now_s: float) -> None:
+        if self._harness.has_restarted_companion and self._tail.look_for_flight():
+            self._harness.has_restarted_companion = False
+            self._offset_s = None
+        for event in self._tail.take():
+            time_s, kind = event.pop("t_s"), event.pop("kind")
+            if self._offset_s is None:
+                self._offset_s = now_s - time_s
+            self._reader.take(kind, event, max(0.0, time_s + self._offset_s))
+
+    def _check_children(self, now_s: float) -> None:
+        """End the mission when something that it needs is gone."""
+        silent_s = time.monotonic() - self._heard_wall_s
+        for child in (self._vehicle, self._radio):
+            if child is not None and not child.is_alive:
+                self._runner.abandon(f"{child.name} ended: {child.last_words}", now_s)
+        if not self._companion.is_alive and not self._harness.is_companion_down:
+            self._runner.abandon(f"the companion ended: {self._companion.last_words}", now_s)
+        if silent_s > SILENCE_S and self._telemetry.system_id is None:
+            self._runner.abandon(f"nothing heard of a vehicle for {SILENCE_S:g} s", now_s)
+
+
+def _write_yaml(path: Path, value: object) -> None:
+    path.write_text(yaml.safe_dump(msgspec.to_builtins(value), sort_keys=False), encoding="utf-8")
