@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import queue
 import sys
 import threading
 from collections.abc import Sequence
@@ -19,6 +20,7 @@ from companion.io.shell import Shell
 from companion.io.urls import parse_link_url
 from companion.mav.endpoint import Address, Endpoint
 from sim_link.autopilot.endpoint import SimEndpoint
+from sim_link.autopilot.incidents import Incident
 from sim_link.config import Scenario, load_scenario
 from sim_link.fleet import Fleet
 from sim_link.vehicles import Files, Wishes, link_specs, make_vehicles
@@ -195,7 +197,8 @@ def _add_files(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--stop-on-eof",
         action="store_true",
-        help="stop when standard input ends: a parent that dies leaves no simulator behind",
+        help="stop when standard input ends: a parent that dies leaves no simulator behind; "
+        "incidents of a scenario, as JSON lines there, happen at once to the first vehicle",
     )
 
 
@@ -206,8 +209,11 @@ def _run(arguments: argparse.Namespace) -> int:
     voice, files = _Voice(), Files(wishes, endpoints)
     files.begin()
 
+    orders: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+
     def on_wakeup(now_s: float) -> None:
         files.keep(now_s)
+        _happen(endpoints[0], orders, now_s)
         for endpoint in endpoints:
             who = f"{endpoint.vehicle.system_id:3d}  " if len(endpoints) > 1 else ""
             for occurrence in endpoint.take_occurrences():
@@ -220,7 +226,7 @@ def _run(arguments: argparse.Namespace) -> int:
     try:
         shell = Shell(fleet, links, Clock(wishes.speed), on_wakeup)
         if arguments.stop_on_eof:
-            threading.Thread(target=_stop_at_eof, args=(shell,), daemon=True).start()
+            threading.Thread(target=_obey_input, args=(shell, orders), daemon=True).start()
         shell.run_blocking()
     finally:
         files.end()
@@ -265,10 +271,24 @@ def _scenario(arguments: argparse.Namespace) -> Scenario:
     return scenario
 
 
-def _stop_at_eof(shell: Shell) -> None:
-    while os.read(sys.stdin.fileno(), 4096):
-        pass
+def _obey_input(shell: Shell, orders: queue.SimpleQueue[bytes]) -> None:
+    """Hand over what is read, line by line, and stop when that ends."""
+    rest = b""
+    while data := os.read(sys.stdin.fileno(), 4096):
+        *lines, rest = (rest + data).split(b"\n")
+        for line in lines:
+            orders.put(line)
     shell.request_stop()
+
+
+def _happen(endpoint: SimEndpoint, orders: queue.SimpleQueue[bytes], now_s: float) -> None:
+    """Let incidents happen that were ordered, JSON as in a scenario; anything else is refused."""
+    while not orders.empty():
+        line = orders.get()
+        try:
+            endpoint.happen(msgspec.json.decode(line, type=Incident), now_s)
+        except (msgspec.DecodeError, ValueError) as error:
+            print(f"sim-link: {line!r} is no incident: {error}", file=sys.stderr)
 
 
 def _seed(seed: int) -> int:

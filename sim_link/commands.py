@@ -8,6 +8,7 @@ from typing import NoReturn
 
 from companion.errors import ConfigError
 from sim_link.mission import cli as mission_cli
+from sim_link.mission import radio_cli
 
 
 class _Parser(argparse.ArgumentParser):
@@ -49,4 +50,13 @@ def _parser() -> argparse.ArgumentParser:
     )
     mission_cli.add_arguments(run)
     run.set_defaults(run=mission_cli.run)
+    radio = commands.add_parser(
+        "radio",
+        help="a radio payload for a vehicle that has none",
+        description=radio_cli.DESCRIPTION,
+        epilog=radio_cli.EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    radio_cli.add_arguments(radio)
+    radio.set_defaults(run=radio_cli.run)
     return parser

@@ -20,7 +20,9 @@ from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import FlavourName
 from sim_link.lockstep.journal import Notes
 from sim_link.mission.in_memory import Progress, fly_in_memory
-from sim_link.mission.result import MissionResult
+from sim_link.mission.mavsdk_operator import check_installed
+from sim_link.mission.process_faults import check_faults
+from sim_link.mission.result import MissionResult, slug
 from sim_link.mission.script import Mission
 from sim_link.mission.script_file import flown_config, load_mission
 from sim_link.mission.summary import Summary, summary_of
@@ -74,6 +76,10 @@ class Campaign:
         loaded = [(path, self._load(path)) for path in self.files]
         for path, mission in loaded:
             check_flyable(mission, str(path))
+            if self.speed is not None:
+                check_faults(mission, str(path), is_our_vehicle=self.connect is None)
+        if self.speed is not None:
+            check_installed()
         return [
             FlightTask(
                 mission=mission,
@@ -172,9 +178,20 @@ def fly_task(task: FlightTask, progress: Progress | None = None) -> Summary:
 
 
 def _fly(task: FlightTask, progress: Progress | None) -> MissionResult:
-    if task.speed is None and task.connect is None:
+    if task.speed is None:
         return fly_in_memory(task.mission, task.seed, task.file, progress)
-    raise ConfigError("not there yet")
+    from sim_link.mission.over_udp import fly_over_udp
+
+    name = f"{slug(task.mission.name)}-{task.mission.autopilot.flavour}-seed{task.seed}"
+    return fly_over_udp(
+        task.mission,
+        task.seed,
+        task.file,
+        speed=task.speed,
+        connect=task.connect,
+        keep=None if task.reports is None else Path(task.reports) / name,
+        progress=progress,
+    )
 
 
 def write_report(folder: Path, result: MissionResult) -> str:

@@ -58,12 +58,20 @@ class Child:
         return self._process is not None and self._process.poll() is None
 
     @property
+    def first_words(self) -> str:
+        """The first line of its output; empty: it has said nothing yet."""
+        return next(iter(self._lines()), "")
+
+    @property
     def last_words(self) -> str:
         """The last line of its output."""
-        with contextlib.suppress(OSError):
-            lines = self._log.read_text(encoding="utf-8", errors="replace").splitlines()
-            return lines[-1] if lines else ""
-        return ""
+        return next(iter(self._lines()[::-1]), "")
+
+    def _lines(self) -> list[str]:
+        try:
+            return self._log.read_text(encoding="utf-8", errors="replace").splitlines()
+        except OSError:
+            return []
 
     def tell(self, line: str) -> None:
         """Write a line to its standard input."""

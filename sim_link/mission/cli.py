@@ -106,6 +106,8 @@ def _fly(
     for position, summary in fly_all(tasks, jobs, progress.moved):
         summaries[position] = summary
         progress.finished(summary)
+        if summary.is_interrupted:
+            raise KeyboardInterrupt
 
 
 def _campaign(arguments: argparse.Namespace) -> Campaign:

@@ -28,6 +28,7 @@ class Hub:
         wire: What lies between vehicle and companion.
         watch: Told of every frame with the link it came from and the time.
         tick: Called every 0.1 s with the time; the mission.
+        stop: Called when an end is asked for; the mission then calls `finish`.
         has_radio: Whether there is a radio beside the vehicle.
     """
 
@@ -36,12 +37,14 @@ class Hub:
         wire: Wire,
         watch: Callable[[int, bytes, float], None],
         tick: Callable[[float], None],
+        stop: Callable[[float], None],
         *,
         has_radio: bool = False,
     ) -> None:
         self._wire = wire
         self._watch = watch
         self._tick = tick
+        self._stop = stop
         self._clients = (COMPANION, OPERATOR, RADIO) if has_radio else (COMPANION, OPERATOR)
         self._splitters = [MavCodec(0, 0) for _ in range(4)]
         self._peers: dict[int, Address] = {}
@@ -58,8 +61,7 @@ class Hub:
         splitter = self._splitters[chunk.link]
         for frame in splitter.split(chunk.data, is_datagram=chunk.is_datagram):
             self._watch(chunk.link, frame, now_s)
-            receivers = self._clients if chunk.link == VEHICLE else (VEHICLE, *self._clients)
-            for link in receivers:
+            for link in (VEHICLE, *self._clients):
                 if link != chunk.link:
                     self._route(frame, chunk.link, link, now_s)
 
@@ -99,11 +101,15 @@ class Hub:
         output, self._output = self._output, []
         return output
 
-    def request_stop(self, now_s: float) -> None:  # noqa: ARG002  the protocol gives the time
+    def request_stop(self, now_s: float) -> None:
+        """Ask the mission to end."""
+        self._stop(now_s)
+
+    def finish(self) -> None:
         """End at once."""
         self._is_finished = True
 
     @property
     def is_finished(self) -> bool:
-        """Whether it was asked to end."""
+        """Whether the mission is over."""
         return self._is_finished

@@ -13,7 +13,10 @@ from collections.abc import Callable
 
 from companion.domain import FlightMode
 from companion.mav.dialect import mavlink
+from sim_link.faults.faulty_link import FaultyLink
+from sim_link.faults.injector import Injector
 from sim_link.faults.kinds import Fault
+from sim_link.faults.schedule import Schedule
 from sim_link.lockstep.flight import Flight
 from sim_link.lockstep.observer import Frame, Observer
 from sim_link.lockstep.operator import Operator as Station
@@ -57,15 +60,20 @@ class _MissionFlight:
     """One flight with everybody around it."""
 
     def __init__(self, mission: Mission, seed: int) -> None:
-        self.record, self.situation = FlightRecord(), Situation()
+        self.record = FlightRecord(autopilot=mission.autopilot.flavour)
+        self.situation = Situation()
         emitters = true_places(mission)
         self._reader = EventReader(
             self.record, self.situation, emitters, mission.emitter.emitter_id
         )
-        self._flight = Flight(flown_config(mission), mission.scenario, seed, self._reader)
-        self._flight.observers.append(_Watcher(self.record, self.situation))
-        station = _Operator(self._flight)
-        self._runner = StepRunner(mission, self.situation, self.record, station, _Harness())
+        wire = FaultyLink(Schedule(), seed)
+        flight = Flight(flown_config(mission), mission.scenario, seed, self._reader, wire=wire)
+        flight.observers.append(_Watcher(self.record, self.situation, self._reader))
+        station = Station(flight)
+        harness = _Harness(Injector(flight, wire, station))
+        operator = _Operator(flight, station)
+        self._flight = flight
+        self._runner = StepRunner(mission, self.situation, self.record, operator, harness)
         self._slices = 0
 
     def fly(self, progress: Progress | None) -> None:
@@ -109,9 +117,14 @@ class _MissionFlight:
 class _Watcher(Observer):
     """Counts messages, and hears what the autopilot says."""
 
-    def __init__(self, record: FlightRecord, situation: Situation) -> None:
+    def __init__(self, record: FlightRecord, situation: Situation, reader: EventReader) -> None:
         self._record = record
         self._situation = situation
+        self._reader = reader
+
+    def companion_ended(self, now_s: float) -> None:  # noqa: ARG002  the observer's protocol
+        """What it said of itself is over."""
+        self._reader.restarted()
 
     def sent(self, frame: Frame) -> None:
         """The companion sent this."""
@@ -132,9 +145,9 @@ class _Watcher(Observer):
 class _Operator:
     """The operator of a flight in memory."""
 
-    def __init__(self, flight: Flight) -> None:
+    def __init__(self, flight: Flight, station: Station) -> None:
         self._flight = flight
-        self._station = Station(flight)
+        self._station = station
 
     def ask(self, action: Action) -> None:
         """Do it at once."""
@@ -169,8 +182,11 @@ class _Operator:
 
 
 class _Harness:
-    """Not there yet."""
+    """Injects faults into a flight in memory."""
 
-    def inject(self, fault: Fault, now_s: float) -> None:
-        """Refuse."""
-        raise NotImplementedError(fault, now_s)
+    def __init__(self, injector: Injector) -> None:
+        self._injector = injector
+
+    def inject(self, fault: Fault, now_s: float) -> None:  # noqa: ARG002  the flight's own time
+        """Have it begin `fault.start_s` from now."""
+        self._injector.add(fault)

@@ -6,6 +6,7 @@ import asyncio
 import json
 from collections.abc import Coroutine
 from contextlib import aclosing, suppress
+from pathlib import Path
 from typing import Any
 
 from companion.domain import Autopilot, FlightMode
@@ -41,28 +42,35 @@ class MavsdkOperator:
 
     Args:
         port: Where it listens on this machine.
+        log: Where MAVSDK's remarks go.
     """
 
-    def __init__(self, port: int) -> None:
+    def __init__(self, port: int, log: Path) -> None:
         self._port = port
+        self._log = log
         self._mavsdk: Any = None
         self._system: Any = None
         self._action: Any = None
         self._direct: Any = None
         self._system_id = 1
-        self._autopilot = Autopilot.OTHER
         self._task: asyncio.Task[None] | None = None
         self._watches: list[asyncio.Task[None]] = []
         self._refusal: str | None = None
         self.is_ready = False
         """Whether the autopilot can be armed and knows its home."""
+        self.is_heard = False
+        """Whether `autopilot` is known."""
+        self.autopilot = Autopilot.OTHER
+        """Told by whoever watches the vehicle, because modes have other numbers elsewhere."""
         self.is_armed = False
         """Told by whoever watches the vehicle."""
 
     async def __aenter__(self) -> MavsdkOperator:
         """Begin to listen."""
         from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
+        from mavsdk.logging import log_subscribe
 
+        log_subscribe(self._note)
         configuration = Configuration.create_with_component_type(ComponentType.GROUND_STATION)
         self._mavsdk = Mavsdk(configuration)
         await self._mavsdk.__aenter__()
@@ -78,10 +86,13 @@ class MavsdkOperator:
         for task in tasks:
             with suppress(asyncio.CancelledError, Exception):
                 await task
-        for plugin in (self._action, self._direct):
-            if plugin is not None:
-                plugin.destroy() if hasattr(plugin, "destroy") else None
         await self._mavsdk.__aexit__(None, None, None)
+
+    def _note(self, level: Any, message: str, *_: object) -> bool:
+        """Keep a remark of MAVSDK's, which then prints nothing."""
+        with suppress(OSError), self._log.open("a", encoding="utf-8") as file:
+            file.write(f"{level.name} {message}\n")
+        return True
 
     def ask(self, action: Action) -> None:
         """Begin; what was asked before is forgotten."""
@@ -108,12 +119,12 @@ class MavsdkOperator:
         if self._system is None:
             raise CompanionError("MAVSDK found no autopilot")
         self._system_id = await self._system.get_system_id()
-        kind = str(await self._system.autopilot_type())
-        self._autopilot = Autopilot.ARDUPILOT if "ARDU" in kind.upper() else Autopilot.PX4
+        while not self.is_heard:
+            await asyncio.sleep(0.01)
         self._action = ActionAsync(self._system)
         self._direct = MavlinkDirectAsync(self._system)
         telemetry = TelemetryAsync(self._system)
-        if self._autopilot is Autopilot.ARDUPILOT:
+        if self.autopilot is Autopilot.ARDUPILOT:
             await _ask_for_streams(telemetry)
         async with aclosing(telemetry.subscribe_health()) as updates:
             async for health in updates:
@@ -152,10 +163,10 @@ class MavsdkOperator:
         await self._action.takeoff()
 
     async def _switch(self, mode: FlightMode) -> None:
-        params = set_mode_params(mode, self._autopilot, is_armed=self.is_armed)
-        await self._command(
-            mavlink.MAV_COMP_ID_AUTOPILOT1, mavlink.MAV_CMD_DO_SET_MODE, params
-        )
+        if self.autopilot is Autopilot.OTHER:
+            raise CompanionError("only modes of PX4 and ArduPilot are known")
+        params = set_mode_params(mode, self.autopilot, is_armed=self.is_armed)
+        await self._command(mavlink.MAV_COMP_ID_AUTOPILOT1, mavlink.MAV_CMD_DO_SET_MODE, params)
 
     async def _command(self, component: int, number: int, params: tuple[float, ...]) -> None:
         """Send a COMMAND_LONG and wait for its answer.

@@ -10,7 +10,6 @@ Everything starts before the first frame is passed on, so the mission's time is 
 from __future__ import annotations
 
 import asyncio
-import shutil
 import signal
 import tempfile
 import time
@@ -21,7 +20,8 @@ import msgspec
 import yaml
 
 from companion.demo.simulator import HOST, free_udp_port
-from companion.errors import CompanionError, ConfigError
+from companion.domain import FlightMode
+from companion.errors import CompanionError
 from companion.io.clock import Clock
 from companion.io.links import LinkSpec, UdpBind, UdpConnect, link_from_url
 from companion.io.shell import Shell
@@ -30,10 +30,11 @@ from companion.io.urls import parse_link_url
 from sim_link.faults.faulty_link import FaultyLink
 from sim_link.faults.schedule import Schedule
 from sim_link.mission.children import Child, EventTail
-from sim_link.mission.hub import COMPANION, VEHICLE, Hub
+from sim_link.mission.hub import COMPANION, RADIO, VEHICLE, Hub
 from sim_link.mission.in_memory import Progress
 from sim_link.mission.journal import EventReader
 from sim_link.mission.mavsdk_operator import MavsdkOperator
+from sim_link.mission.operator import SwitchMode
 from sim_link.mission.process_faults import ProcessHarness
 from sim_link.mission.record import FlightRecord
 from sim_link.mission.result import MissionResult
@@ -48,6 +49,8 @@ START_S = 150.0
 """Real time that a process may take to start; the first one of all compiles."""
 SILENCE_S = 15.0
 """Real time without any frame of the vehicle after which the mission is given up."""
+HAND_BACK_S = 3.0
+"""Real time that the companion may take to hand the vehicle back."""
 HOME_S = 5.0
 """Real time for asking a vehicle of others to come home after a mission that failed."""
 
@@ -62,12 +65,11 @@ class Ports:
     companion: int
     operator: int
     radio: int
-    ranging: int
 
     @classmethod
     def free(cls) -> Ports:
-        """Six that nobody has now."""
-        return cls(*(free_udp_port() for _ in range(6)))
+        """Five that nobody has now."""
+        return cls(*(free_udp_port() for _ in range(5)))
 
 
 def fly_over_udp(
@@ -131,13 +133,15 @@ class _UdpFlight:
         self._companion = self._companion_child()
         self._vehicle = self._vehicle_child() if connect is None else None
         self._radio: Child | None = None
-        self._operator = MavsdkOperator(self._ports.operator)
-        harness = ProcessHarness(self._wire, self._vehicle, self._companion)
+        self._operator = MavsdkOperator(self._ports.operator, folder / "mavsdk.log")
+        harness = ProcessHarness(mission, self._wire, self._vehicle, self._companion)
         self._harness = harness
-        self._runner = StepRunner(
-            mission, self.situation, self.record, self._operator, harness
-        )
-        self._hub = Hub(self._wire, self._watch, self._look, has_radio=connect is not None)
+        self._runner = StepRunner(mission, self.situation, self.record, self._operator, harness)
+        has_radio = connect is not None
+        self._hub = Hub(self._wire, self._watch, self._look, self._interrupt, has_radio=has_radio)
+        self._end_wall_s: float | None = None
+        """When the end began."""
+        self._is_companion_told = False
         self._clock = Clock(speed)
         self._started_unix_s = time.time()
         self._tlog = TlogWriter(folder / "flight.tlog")
@@ -149,16 +153,13 @@ class _UdpFlight:
         self._progress = progress
         self._companion.start()
         await self._until_companion_waits()
-        if self._vehicle is not None:
-            self._vehicle.start()
+        await self._start_vehicle()
         async with self._operator:
             self._clock = Clock(self._speed)
             self._started_unix_s = time.time()
             self._heard_wall_s = time.monotonic()
             shell = Shell(self._hub, self._links(), self._clock)
             await shell.run()
-            if not self._runner.is_over:
-                self._runner.abandon("interrupted", self._clock.now_s())
 
     def close(self) -> None:
         """End what still runs."""
@@ -186,8 +187,6 @@ class _UdpFlight:
         arguments = ["-m", "sim_link.mission.leashed", "--config", str(path)]
         arguments += ["--connect", f"udpin:{HOST}:{self._ports.companion}"]
         arguments += ["--speed", f"{self._speed:g}"]
-        if self._connect is not None:
-            arguments += ["--ranging", f"udpin:{HOST}:{self._ports.ranging}"]
         return Child("companion", arguments, self._folder / "companion.log")
 
     def _vehicle_child(self) -> Child:
@@ -200,12 +199,11 @@ class _UdpFlight:
         return Child("sim-link", arguments, self._folder / "vehicle.log")
 
     def _radio_child(self) -> Child:
-        """The radio beside a vehicle that has none, once it is known where that is."""
+        """The radio beside a vehicle that has none."""
         path = self._folder / "scenario.yaml"
         _write_yaml(path, self._mission.scenario)
         arguments = ["-m", "sim_link", "radio", "--stop-on-eof", "--scenario", str(path)]
         arguments += ["--follow", f"udpin:{HOST}:{self._ports.radio}"]
-        arguments += ["--send-to", f"{HOST}:{self._ports.ranging}"]
         arguments += ["--seed", str(self._seed), "--speed", f"{self._speed:g}"]
         return Child("radio", arguments, self._folder / "radio.log")
 
@@ -221,15 +219,28 @@ class _UdpFlight:
                 words = self._companion.last_words.removeprefix("companion: ")
                 raise CompanionError(f"the companion did not start: {words}")
             await asyncio.sleep(0.02)
-        if self._connect is not None:
-            self._radio = self._radio_child()
-            self._radio.start()
+
+    async def _start_vehicle(self) -> None:
+        """Start the simulator, or the radio beside a vehicle that has none.
+
+        Raises:
+            CompanionError: It ended, or takes too long.
+        """
+        child = self._vehicle
+        if child is None:
+            child = self._radio = self._radio_child()
+        child.start()
+        deadline = time.monotonic() + START_S
+        while not child.first_words:
+            if not child.is_alive or time.monotonic() > deadline:
+                raise CompanionError(f"{child.name} did not start: {child.last_words}")
+            await asyncio.sleep(0.02)
 
     # What the hub calls
 
     def _watch(self, link: int, frame: bytes, now_s: float) -> None:
         self._tlog.write(frame, self._started_unix_s + now_s)
-        if link == VEHICLE:
+        if link in (VEHICLE, RADIO):
             self._heard_wall_s = time.monotonic()
             self._telemetry.take(frame, now_s)
         elif link == COMPANION:
@@ -239,25 +250,62 @@ class _UdpFlight:
         self._take_events(now_s)
         self._reader.age(now_s)
         vehicle, operator = self.situation.vehicle, self._operator
+        heartbeat = self._telemetry.heartbeat
+        if heartbeat is not None:
+            operator.autopilot, operator.is_heard = heartbeat.autopilot, True
+            self.record.autopilot = heartbeat.autopilot.name.lower()
         operator.is_armed = bool(vehicle.is_armed)
         vehicle.is_ready = operator.is_ready or operator.is_armed
         self._harness.tick(now_s)
+        if self._end_wall_s is not None:
+            self._end()
+            return
         self._check_children(now_s)
         self._runner.tick(now_s)
         if self._progress is not None:
             self._progress(self._runner, self.situation)
         if self._runner.is_over:
-            self.record.ended_s = now_s
-            self._hub.request_stop(now_s)
+            self._begin_end(now_s)
+
+    def _interrupt(self, now_s: float) -> None:
+        """A signal: leave the vehicle to its own hold, by way of the companion."""
+        if self._end_wall_s is None:
+            self.record.is_interrupted = True
+            self._runner.abandon("interrupted", now_s)
+            self._begin_end(now_s)
+
+    def _begin_end(self, now_s: float) -> None:
+        self.record.ended_s = now_s
+        self._end_wall_s = time.monotonic()
+
+    def _end(self) -> None:
+        """Bring a vehicle of others home, have the companion hand back, then let go."""
+        began = self._end_wall_s or 0.0
+        vehicle, waited_s = self.situation.vehicle, time.monotonic() - began
+        is_stranded = self._connect is not None and self._runner.failure and vehicle.is_armed
+        is_on_its_way = vehicle.mode in ("return", "land") or self.record.is_interrupted
+        if is_stranded and not is_on_its_way and waited_s < HOME_S:
+            self._operator.ask(SwitchMode(FlightMode.RETURN))
+            return
+        if not self._is_companion_told:  # a second signal would end it at once
+            self._is_companion_told = True
+            self._companion.signal(signal.SIGTERM)
+        if not self._companion.is_alive or waited_s > HOME_S + HAND_BACK_S:
+            self._hub.finish()
 
     def _take_events(self, now_s: float) -> None:
         if self._harness.has_restarted_companion and self._tail.look_for_flight():
             self._harness.has_restarted_companion = False
             self._offset_s = None
-        for event in self._tail.take():
+        events = self._tail.take()
+        if not events:
+            return
+        # an event is never read before it happened: the earliest one read is the best clock
+        offset_s = now_s - float(events[-1]["t_s"])
+        if self._offset_s is None or offset_s < self._offset_s:
+            self._offset_s = offset_s
+        for event in events:
             time_s, kind = event.pop("t_s"), event.pop("kind")
-            if self._offset_s is None:
-                self._offset_s = now_s - time_s
             self._reader.take(kind, event, max(0.0, time_s + self._offset_s))
 
     def _check_children(self, now_s: float) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import heapq
+import json
+import math
 import signal
 from collections.abc import Callable
 from functools import partial
@@ -10,17 +12,17 @@ from functools import partial
 import msgspec
 
 from companion.errors import ConfigError
+from sim_link.autopilot.incidents import Incident, WindChange
 from sim_link.faults.faulty_link import FaultyLink
 from sim_link.faults.injector import incident_of
 from sim_link.faults.kinds import (
     CompanionKilled,
     CompanionStalled,
     CompanionTerminated,
-    ContentFault,
     Fault,
-    LinkFault,
-    ProcessFault,
+    SecurityFault,
     VehicleFault,
+    Wind,
 )
 from sim_link.mission.children import Child
 from sim_link.mission.script import Mission
@@ -30,12 +32,16 @@ class ProcessHarness:
     """Injects faults into a flight of real processes.
 
     Args:
+        mission: The script, which knows the weather before a fault.
         wire: Between vehicle and companion.
         vehicle: The simulator; None: the vehicle is not ours.
         companion: The companion.
     """
 
-    def __init__(self, wire: FaultyLink, vehicle: Child | None, companion: Child) -> None:
+    def __init__(
+        self, mission: Mission, wire: FaultyLink, vehicle: Child | None, companion: Child
+    ) -> None:
+        self._mission = mission
         self._wire = wire
         self._vehicle = vehicle
         self._companion = companion
@@ -58,8 +64,12 @@ class ProcessHarness:
                 self._at(start_s + duration_s, partial(self._companion.signal, signal.SIGCONT))
             case CompanionTerminated():
                 self._at(start_s, self._terminate)
+            case Wind():
+                wind = WindChange(east_mps=fault.east_mps, north_mps=fault.north_mps)
+                self._at(start_s, partial(self._tell, wind))
+                self._at(now_s + fault.end_s, self._calm)
             case VehicleFault():
-                self._at(start_s, partial(self._happen, fault))
+                self._at(start_s, partial(self._tell, incident_of(fault)))
 
     def tick(self, now_s: float) -> None:
         """Do what is due."""
@@ -83,10 +93,16 @@ class ProcessHarness:
         self.is_companion_down = True
         self._companion.signal(signal.SIGTERM)
 
-    def _happen(self, fault: VehicleFault) -> None:
+    def _calm(self) -> None:
+        wind = self._mission.wind
+        self._tell(WindChange(east_mps=wind.east_mps, north_mps=wind.north_mps))
+
+    def _tell(self, incident: Incident) -> None:
         if self._vehicle is not None:
-            incident = msgspec.json.encode(incident_of(fault))
-            self._vehicle.tell(incident.decode("ascii"))
+            fields = msgspec.to_builtins(incident)
+            endless = {name for name, value in fields.items() if value == math.inf}
+            plain = {name: value for name, value in fields.items() if name not in endless}
+            self._vehicle.tell(json.dumps(plain))
 
 
 def check_faults(mission: Mission, name: str, *, is_our_vehicle: bool) -> None:
@@ -105,7 +121,15 @@ def check_faults(mission: Mission, name: str, *, is_our_vehicle: bool) -> None:
         if isinstance(step, VehicleFault):
             if not is_our_vehicle:
                 raise ConfigError(f"{where}: a vehicle that is not ours cannot be broken")
-            try:
-                incident_of(step)
-            except ValueError:
-                raise ConfigError(f"{where}: only possible in lockstep") from None
+            if not _is_incident(step):
+                raise ConfigError(f"{where}: only possible in lockstep")
+        if isinstance(step, SecurityFault):
+            raise ConfigError(f"{where}: only possible in lockstep")
+
+
+def _is_incident(fault: VehicleFault) -> bool:
+    try:
+        incident_of(fault)
+    except ValueError:
+        return isinstance(fault, Wind)
+    return True

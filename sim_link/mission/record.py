@@ -97,6 +97,10 @@ class FlightRecord:
     """To the fence, in the whole flight."""
     failure: str = ""
     """What ended the mission, beside a step; empty: nothing."""
+    autopilot: str = ""
+    """Who was flown: px4, ardupilot or other."""
+    is_interrupted: bool = False
+    """Somebody asked for the end."""
     wall_s: float = 0.0
     """Real time that it took; not part of the event log."""
 

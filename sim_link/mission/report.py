@@ -6,7 +6,6 @@ The page is complete in itself: no network, no scripts; it follows the reader's 
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import dataclass
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -16,7 +15,7 @@ from companion import __version__
 from companion.domain import Point
 from sim_link.mission.drawing import Drawing, square_around
 from sim_link.mission.record import EstimatePoint, FlightRecord
-from sim_link.mission.result import MissionResult
+from sim_link.mission.result import MissionResult, slug
 from sim_link.mission.script import Mission
 from sim_link.mission.verdicts import true_places
 
@@ -39,9 +38,8 @@ class EventRow:
 
 def report_name(result: MissionResult) -> str:
     """The report's file name without its ending."""
-    name = re.sub(r"[^A-Za-z0-9._-]+", "-", result.mission.name).strip("-") or "mission"
-    how = re.sub(r"[^A-Za-z0-9._-]+", "-", result.how).strip("-")
-    return f"{name}-{result.mission.autopilot.flavour}-{how}-seed{result.seed}"
+    name, how = slug(result.mission.name), slug(result.how)
+    return f"{name}-{result.flavour}-{how}-seed{result.seed}"
 
 
 def report_page(result: MissionResult) -> str:

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import dataclass
 
 from companion.io.files import plain
 from sim_link.mission.record import FlightRecord
 from sim_link.mission.script import Mission
 from sim_link.mission.verdicts import Verdict, true_places
+
+
+def slug(name: str) -> str:
+    """A mission's name as part of a file name."""
+    return re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-") or "mission"
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +43,12 @@ class MissionResult:
     @property
     def title(self) -> str:
         """What reports call it."""
-        return f"{self.mission.name} ({self.mission.autopilot.flavour}), seed {self.seed}"
+        return f"{self.mission.name} ({self.flavour}), seed {self.seed}"
+
+    @property
+    def flavour(self) -> str:
+        """Whose autopilot was flown."""
+        return self.record.autopilot or self.mission.autopilot.flavour
 
     @property
     def final_error_m(self) -> float | None:

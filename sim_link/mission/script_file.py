@@ -26,6 +26,7 @@ _TOKEN = re.compile(r"\.([^.\[\]]+)|\[(\d+)\]")
 _MESSAGE = re.compile(r"^(?P<path>\$[^:]*): (?P<problem>.*)$", re.DOTALL)
 _CHOICE = re.compile(r"^Invalid (?:enum )?value '(?P<value>.*)'$")
 
+MISSING = "required key is missing"
 Problem = tuple[str, str]
 """A path in the script, and what is wrong there."""
 
@@ -53,11 +54,11 @@ def parse_mission(text: str, name: str, folder: Path = Path()) -> Mission:
     try:
         mission = parse_yaml(text, Mission, name)
     except ConfigError as error:
-        match = _MESSAGE.match(str(error).removeprefix(f"{name}: "))
-        if match is None:
+        problems = _told_apart(str(error), name)
+        if not problems:
             raise
-        problem = _with_hint(match["path"], match["problem"])
-        raise _located(text, name, match["path"], problem) from None
+        lines = [str(_located(text, name, path, _with_hint(path, what))) for path, what in problems]
+        raise ConfigError("\n".join(lines)) from None
     if isinstance(mission.companion, str):
         mission = _with_companion_file(mission, text, name, folder)
     for where, problem in _problems(mission):
@@ -106,6 +107,20 @@ def _located(text: str, name: str, path: str, problem: str) -> ConfigError:
     line = line_of(text, path)
     where = name if line is None else f"{name}:{line}"
     return ConfigError(f"{where}: {path}: {problem}")
+
+
+def _told_apart(message: str, name: str) -> list[Problem]:
+    """The problems of a message, a line each, but those that only follow from others."""
+    problems: list[Problem] = []
+    for line in message.splitlines():
+        match = _MESSAGE.match(line.removeprefix(f"{name}: "))
+        if match is None:
+            return []
+        path, what = match["path"], match["problem"]
+        is_echo = what == MISSING and any(other.startswith(path) for other, _ in problems)
+        if not is_echo:  # a list whose element is wrong counts as missing then
+            problems.append((path, what))
+    return problems
 
 
 def _with_hint(path: str, problem: str) -> str:

@@ -25,6 +25,7 @@ class Summary:
     r95_m: float | None
     closest_approach_m: float | None
     wall_s: float
+    is_interrupted: bool = False
     report: str = ""
     """Where the report is; empty: there is none."""
 
@@ -66,7 +67,7 @@ def summary_of(result: MissionResult) -> Summary:
     point = record.last_estimate(mission.emitter.emitter_id)
     return Summary(
         name=mission.name,
-        flavour=mission.autopilot.flavour,
+        flavour=result.flavour,
         file=result.file,
         seed=result.seed,
         how=result.how,
@@ -77,6 +78,7 @@ def summary_of(result: MissionResult) -> Summary:
         r95_m=None if point is None else point.r95_m,
         closest_approach_m=record.closest_approach_m,
         wall_s=record.wall_s,
+        is_interrupted=record.is_interrupted,
     )
 
 

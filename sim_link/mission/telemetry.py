@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from companion.domain import PositionEnu
+from companion.geometry.frames import LocalOrigin
 from companion.guidance.events import (
     HeartbeatReceived,
     HomeSet,
@@ -12,7 +13,6 @@ from companion.guidance.events import (
     OriginSet,
     VehicleMoved,
 )
-from companion.geometry.frames import LocalOrigin
 from companion.link.inbound import VehicleInbound
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
@@ -82,9 +82,8 @@ class TelemetryReader:
 
     def _is_ours(self, message: Message) -> bool:
         """Whether the sender is on the vehicle that was heard first; its radio is, too."""
-        if self.system_id is None and isinstance(message, mavlink.MAVLink_heartbeat_message):
-            if autopilot_of(message) is not None:
-                self.system_id = message.get_srcSystem()
+        if self.system_id is None and _is_autopilots(message):
+            self.system_id = message.get_srcSystem()
         return message.get_srcSystem() == self.system_id
 
     def _take_plain(self, message: Message, now_s: float) -> None:
@@ -137,3 +136,10 @@ class TelemetryReader:
         if step_m >= COUNTED_STEP_M:
             self._record.distance_m += step_m
             self._counted_at = place
+
+
+def _is_autopilots(message: Message) -> bool:
+    """Whether it is an autopilot's HEARTBEAT."""
+    if not isinstance(message, mavlink.MAVLink_heartbeat_message):
+        return False
+    return autopilot_of(message) is not None

@@ -1,0 +1,116 @@
+"""Missions with real processes: the companion's own, a vehicle's, and MAVSDK as the operator."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from sim_link.mission.over_udp import fly_over_udp
+from sim_link.mission.script_file import parse_mission
+from tests.e2e.simulator_process import free_port
+
+SPEED = 5.0
+HOP = """\
+name: hop
+autopilot: {flavour: %s}
+companion: {mission: {altitude_m: 8}}
+steps:
+  - connect
+  - wait_ready
+  - arm
+  - takeoff: {altitude_m: 8}
+  - engage
+  - wait_until: {condition: companion.measurements > 5 and vehicle.mode == offboard, limit_s: 20}
+%s
+  - land
+expectations:
+  - {name: hears the emitter, appears: {message: RADIO_RANGING, from: autopilot}}
+  - {name: stands, holds: vehicle.is_armed == false}
+"""
+
+
+def test_a_hop_with_faults_of_link_vehicle_and_process(tmp_path: Path) -> None:
+    faults = """\
+  - inject: {kind: wind, east_mps: 2}
+  - inject: {kind: link_blackout, duration_s: 3}
+  - wait_until: {condition: companion.phase == hold, limit_s: 5}
+  - wait_until: {condition: companion.is_in_control and companion.ranging_age_s < 1, limit_s: 20}
+  - inject: {kind: companion_killed, down_s: 1}
+  - wait_until: {condition: vehicle.mode == hold, limit_s: 10}
+"""
+    result = fly_over_udp(
+        parse_mission(HOP % ("px4", faults), "hop"), 1, speed=SPEED, keep=tmp_path
+    )
+    assert result.failed == [], result.record.steps
+    assert result.record.track
+    assert (tmp_path / "flight.tlog").stat().st_size > 10_000
+    assert len(list(tmp_path.glob("flights/*/events.jsonl"))) == 2
+    assert b'"kind":"estimate"' in result.event_log
+
+
+def test_a_vehicle_of_others_gets_a_radio_beside_it(tmp_path: Path) -> None:
+    scenario = tmp_path / "foreign.yaml"
+    scenario.write_text("payload: {max_range_m: 0.001}\nautopilot: {flavour: ardupilot}\n")
+    port = free_port()
+    command = [sys.executable, "-m", "sim_link", "--scenario", str(scenario), "--speed", str(SPEED)]
+    command += ["--listen", f"127.0.0.1:{free_port()}", "--send-to", f"127.0.0.1:{port}"]
+    with subprocess.Popen([*command, "--quiet"], stdout=subprocess.DEVNULL) as vehicle:
+        try:
+            result = fly_over_udp(
+                # the flavour of the script is not looked at: the vehicle says whose it is
+                parse_mission((HOP % ("px4", "")).replace(", from: autopilot", ""), "hop"),
+                1,
+                speed=SPEED,
+                connect=f"udpin:127.0.0.1:{port}",
+            )
+        finally:
+            vehicle.send_signal(signal.SIGTERM)
+            vehicle.wait(timeout=5.0)
+    assert result.failed == [], result.record.steps
+    assert result.flavour == "ardupilot"
+
+
+@pytest.mark.parametrize("argument", ["nonsense.yaml", "broken.yaml"])
+def test_a_script_error_never_starts_anything(tmp_path: Path, argument: str) -> None:
+    (tmp_path / "broken.yaml").write_text("name: x\nsteps: [{arm: {limit_s: -1}}]\n")
+    command = [sys.executable, "-m", "sim_link", "mission", "run", str(tmp_path / argument)]
+    done = subprocess.run(
+        [*command, "--speed", "4", "--report", str(tmp_path / "reports")],
+        capture_output=True,
+        text=True,
+        timeout=60.0,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert argument in done.stderr
+    assert done.stdout == ""
+    assert list(tmp_path.glob("reports/*")) == []
+
+
+def test_an_interrupt_leaves_nothing_behind(tmp_path: Path) -> None:
+    script = tmp_path / "long.yaml"
+    script.write_text("name: long\nsteps: [connect, {wait: {for_s: 200}}]\n")
+    command = [sys.executable, "-m", "sim_link", "mission", "run", str(script), "--speed", "1"]
+    junit = tmp_path / "junit.xml"
+    with subprocess.Popen(
+        [*command, "--report", str(tmp_path / "reports"), "--junit", str(junit)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    ) as runner:
+        assert runner.stdout is not None
+        while "step 2/2" not in runner.stdout.readline():
+            pass
+        time.sleep(0.5)
+        runner.send_signal(signal.SIGINT)
+        output, _ = runner.communicate(timeout=30.0)
+    assert runner.returncode == 1
+    assert "interrupted" in output
+    assert "interrupted" in junit.read_text()
+    left = subprocess.run(["ps", "-ef"], capture_output=True, text=True, check=True).stdout
+    assert str(tmp_path) not in left
