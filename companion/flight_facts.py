@@ -49,8 +49,12 @@ def write_facts(directory: Path, facts: FlightFacts) -> None:
     Raises:
         CompanionError: It cannot be written.
     """
-    content = msgspec.json.format(msgspec.json.encode(facts), indent=2)
-    write_bytes_atomic(directory / FLIGHT, content + b"\n")
+    write_bytes_atomic(directory / FLIGHT, facts_as_json(facts))
+
+
+def facts_as_json(facts: FlightFacts) -> bytes:
+    """The content of `flight.json`."""
+    return msgspec.json.format(msgspec.json.encode(facts), indent=2) + b"\n"
 
 
 def open_flight(path: Path) -> Flight:
@@ -71,6 +75,18 @@ def open_flight(path: Path) -> Flight:
             "flights/2026-11-21T02-50-00Z"
         ) from error
     try:
-        return Flight(directory, msgspec.json.decode(data, type=FlightFacts))
-    except (msgspec.DecodeError, ValueError) as error:
+        return Flight(directory, facts_of_json(data))
+    except ConfigError as error:
         raise ConfigError(f"{facts_path}: {error}") from error
+
+
+def facts_of_json(data: bytes) -> FlightFacts:
+    """What `facts_as_json` wrote.
+
+    Raises:
+        ConfigError: It is something else, or of a version that cannot be read.
+    """
+    try:
+        return msgspec.json.decode(data, type=FlightFacts)
+    except (msgspec.DecodeError, ValueError) as error:
+        raise ConfigError(f"not the facts of a flight: {error}") from error

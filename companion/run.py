@@ -12,15 +12,17 @@ from typing import Any
 from companion.config.schema import CompanionConfig, CrossingKind, PatternKind, PlannerConfig
 from companion.errors import LinkError
 from companion.estimation.tracker import TargetTracker
-from companion.flight_facts import FlightFacts, write_facts
+from companion.flight_facts import FlightFacts, facts_as_json, write_facts
 from companion.guard.gate import Guard
 from companion.guidance.session import GuidanceSession
 from companion.guidance.states import Phase
 from companion.io.clock import Clock
 from companion.io.files import delete_old_flights, new_flight_directory
+from companion.io.flight_files import MCAP
 from companion.io.journal import FlightJournal
 from companion.io.key_file import load_signing_key
 from companion.io.links import LinkSpec
+from companion.io.mcap_log import McapLog
 from companion.io.shell import Shell
 from companion.io.signing_store import SigningKeeper, open_signing_keeper
 from companion.kernel import IS_COMPILED
@@ -149,7 +151,11 @@ def open_journal(config: CompanionConfig, links: int) -> FlightJournal:
             log.info("log.keep_flights: deleted %d older flights", len(deleted))
     facts = FlightFacts(started_unix_s=started_unix_s, links=links, config=config)
     write_facts(directory, facts)
-    return FlightJournal(directory, started_unix_s, config.log.max_bytes)
+    mcap = None
+    if config.log.mcap:
+        flight_json = facts_as_json(facts).decode()
+        mcap = McapLog(directory / MCAP, started_unix_s, flight_json, config.log.max_bytes)
+    return FlightJournal(directory, started_unix_s, config.log.max_bytes, mcap)
 
 
 def prepare(config: CompanionConfig) -> None:

@@ -18,6 +18,8 @@ class LogConfig(Params, frozen=True):
     """Each flight makes its own folder in here."""
     max_mb: Annotated[float, msgspec.Meta(ge=1.0)] = 1000.0
     """Cap of one flight's logs; of a longer flight the newest is kept. A tenth is for events."""
+    mcap: bool = False
+    """Whether flight.mcap is written as well, for Foxglove; needs the extra `mcap`."""
     keep_flights: AtLeastOne | None = None
     """The folders of older flights than this many are deleted at the start; null: none ever."""
 

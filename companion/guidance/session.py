@@ -7,6 +7,7 @@ transition table of `states` says whether anything may be sent.
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 from companion.domain import TargetEstimate
@@ -71,6 +72,8 @@ class GuidanceSession:
         """What is to be done about an event."""
         if isinstance(event, OriginSet):
             self._handover.check_frame(event)
+            if event.origin != self.vehicle.origin:
+                self.situation.record("origin", **asdict(event.origin))
         self.vehicle.handle(event)
         match event:
             case HeartbeatReceived():

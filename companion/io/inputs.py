@@ -8,7 +8,7 @@ are. Signatures are left out, and frames that carry a key altogether.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
@@ -35,6 +35,8 @@ class InputKind(IntEnum):
     STOP = 3
 
 
+AlsoKeeps = Callable[[bytes, float], None]
+"""Takes a record and its time."""
 _KINDS = frozenset(int(kind) for kind in InputKind)
 
 
@@ -50,11 +52,20 @@ class Input:
 
 
 class InputLog(BackgroundLog):
-    """Writes inputs from a background thread; see `BackgroundLog`."""
+    """Writes inputs from a background thread; see `BackgroundLog`.
 
-    def __init__(self, path: Path, max_bytes: int | None = None) -> None:
+    Args:
+        path: The file; its directory exists.
+        max_bytes: Its cap; None: none.
+        also: Takes every record and its time, too (the MCAP file).
+    """
+
+    def __init__(
+        self, path: Path, max_bytes: int | None = None, also: AlsoKeeps | None = None
+    ) -> None:
         super().__init__(path, max_bytes)
         self._number = 0
+        self._also = also
         self._append(Input(InputKind.BEGIN, 0.0, data=FORMAT))
 
     def frame(self, data: bytes, link: int, peer: Address | None, now_s: float) -> None:
@@ -78,7 +89,10 @@ class InputLog(BackgroundLog):
             self._number, value.time_s, value.kind, value.link, len(peer), len(value.data)
         )
         self._number = (self._number + 1) & 0xFFFFFFFF
-        self._file.append(header + peer + value.data)
+        record = header + peer + value.data
+        self._file.append(record)
+        if self._also is not None:
+            self._also(record, value.time_s)
 
 
 def read_inputs(path: Path) -> Iterator[Input]:
@@ -91,6 +105,19 @@ def read_inputs(path: Path) -> Iterator[Input]:
         data = path.read_bytes()
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
+    return parse_inputs(data, str(path))
+
+
+def parse_inputs(data: bytes, name: str) -> Iterator[Input]:
+    """The inputs in some bytes; see `read_inputs`.
+
+    Args:
+        data: Records, one behind the other.
+        name: Of the file, for complaints.
+
+    Raises:
+        ConfigError: They are none of ours, or some are missing.
+    """
     offset, number = 0, 0
     while offset + _HEADER.size <= len(data):
         found, time_s, kind, link, peer_size, size = _HEADER.unpack_from(data, offset)
@@ -100,16 +127,16 @@ def read_inputs(path: Path) -> Iterator[Input]:
         body = data[offset + _HEADER.size : end]
         if number == 0 and (kind != InputKind.BEGIN or body != FORMAT):
             raise ConfigError(
-                f"{path}: does not begin with a flight's start (an old part was given up to "
-                "log.max_mb, or this is no flight.inputs)"
+                f"{name}: does not begin with a flight's start (an old part was given up to "
+                "the log's cap, or this is no flight.inputs)"
             )
         if found != number or kind not in _KINDS:
-            raise ConfigError(f"{path}: record {number} is missing: the disk was too slow or full")
+            raise ConfigError(f"{name}: record {number} is missing: the disk was too slow or full")
         if kind != InputKind.BEGIN:
             yield Input(InputKind(kind), time_s, link, _peer(body[:peer_size]), body[peer_size:])
         offset, number = end, (number + 1) & 0xFFFFFFFF
     if number == 0:
-        raise ConfigError(f"{path}: is empty")
+        raise ConfigError(f"{name}: has no inputs")
 
 
 def _peer(text: bytes) -> Address | None:

@@ -17,6 +17,7 @@ from companion.io.events import EventLog
 from companion.io.files import plain
 from companion.io.flight_files import EVENTS, INPUTS, RESULT, TLOG
 from companion.io.inputs import InputLog
+from companion.io.mcap_log import McapLog
 from companion.io.tlog import TlogWriter
 
 log = logging.getLogger("companion.flight")
@@ -55,13 +56,18 @@ class FlightJournal:
         directory: Exists already.
         started_unix_s: Wall clock at `now_s` = 0; wall time is used for logs and nothing else.
         max_bytes: What the flight may keep on disk, the newest of it; None: everything.
+        mcap: Gets everything as well; it is closed with the journal.
 
     Raises:
         CompanionError: A file cannot be opened.
     """
 
     def __init__(
-        self, directory: Path, started_unix_s: float, max_bytes: int | None = None
+        self,
+        directory: Path,
+        started_unix_s: float,
+        max_bytes: int | None = None,
+        mcap: McapLog | None = None,
     ) -> None:
         self.directory = directory
         self._started_unix_s = started_unix_s
@@ -71,21 +77,29 @@ class FlightJournal:
         tlog_bytes = None if max_bytes is None else max_bytes - kept
         self._tlog = TlogWriter(directory / TLOG, tlog_bytes)
         self._events = EventLog(directory / EVENTS, events_bytes)
-        self.inputs = InputLog(directory / INPUTS, inputs_bytes)
+        self._mcap = mcap
+        also = None if mcap is None else mcap.input
+        self.inputs = InputLog(directory / INPUTS, inputs_bytes, also)
         """What the endpoint is told goes here; see `CompanionEndpoint`."""
         self._results = BackgroundReplacer("write result.json")
 
     def frame(self, data: bytes, now_s: float) -> None:
         """Keep a raw frame."""
         self._tlog.write(data, self._started_unix_s + now_s)
+        if self._mcap is not None:
+            self._mcap.frame(data, now_s)
 
     def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
         """Keep an event."""
         self._events.write({"t_s": round(now_s, 4), "kind": kind, **fields})
+        if self._mcap is not None:
+            self._mcap.record(kind, fields, now_s)
 
     def text(self, severity: Severity, text: str, now_s: float) -> None:
         """Keep a text and show it."""
         self.record("text", {"severity": severity.name.lower(), "text": text}, now_s)
+        if self._mcap is not None:
+            self._mcap.text(severity, text, now_s)
         log.log(LEVELS[severity], "%7.1f s  %s", now_s, text)
 
     def result(self, report: ReportResult, now_s: float) -> None:
@@ -137,6 +151,8 @@ class FlightJournal:
             log_file.finish()
         for writer in (self._results, *self._logs):
             writer.close(max(0.0, deadline_s - time.monotonic()))
+        if self._mcap is not None:
+            self._mcap.close(max(0.0, deadline_s - time.monotonic()))
         dropped = self.health.dropped
         if dropped:
             log.warning(

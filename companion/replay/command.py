@@ -8,16 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from companion.config.schema import CompanionConfig
-from companion.errors import ConfigError
-from companion.flight_facts import Flight, open_flight
-from companion.io.flight_files import INPUTS, TLOG
-from companion.io.inputs import Input, read_inputs
-from companion.io.tlog import read_tlog
+from companion.io.flight_files import INPUTS
 from companion.kernel import IS_COMPILED
 from companion.link.endpoint import CompanionEndpoint
 from companion.replay.comparison import Comparison
 from companion.replay.flight import CourseJournal, OnInput, rerun
-from companion.replay.recorded import inputs_of_tlog, recorded_course
+from companion.replay.recorded import open_recording
 
 Say = Callable[[str], None]
 
@@ -65,7 +61,7 @@ def replay_flight(
     """Run a recorded flight again.
 
     Args:
-        path: Its directory, or a file in it.
+        path: Its folder, a file in it, or an MCAP file.
         config: Another configuration; None: the flight's own.
         say: Takes remarks for people.
         on_input: Sees the endpoint after every input.
@@ -74,33 +70,18 @@ def replay_flight(
     Raises:
         ConfigError: The flight cannot be read.
     """
-    flight = open_flight(path)
-    used = flight.facts.config if config is None else config
-    if flight.facts.is_compiled != IS_COMPILED:
-        how = "compiled" if flight.facts.is_compiled else "plain"
+    recording = open_recording(path)
+    facts = recording.facts
+    used = facts.config if config is None else config
+    if facts.is_compiled != IS_COMPILED:
+        how = "compiled" if facts.is_compiled else "plain"
         say(f"the flight used {how} kernels, this replay does not: last digits may differ")
-    inputs, is_exact = inputs_of(flight)
-    course = rerun(inputs, used, flight.facts.links, on_input, journal)
+    course = rerun(recording.inputs, used, facts.links, on_input, journal)
     return FlightReplay(
-        comparison=Comparison(recorded_course(flight), course),
-        is_exact=is_exact,
-        is_same_configuration=used == flight.facts.config,
+        comparison=Comparison(recording.course, course),
+        is_exact=recording.is_exact,
+        is_same_configuration=used == facts.config,
     )
-
-
-def inputs_of(flight: Flight) -> tuple[list[Input], bool]:
-    """What the endpoint was told, and whether that was recorded or guessed from the tlog.
-
-    Raises:
-        ConfigError: Neither can be read.
-    """
-    path = flight.path(INPUTS)
-    if path.exists():
-        return list(read_inputs(path)), True
-    inputs = inputs_of_tlog(list(read_tlog(flight.path(TLOG))))
-    if not inputs:
-        raise ConfigError(f"{flight.path(TLOG)}: has no frames")
-    return inputs, False
 
 
 class Pace:

@@ -9,10 +9,11 @@ import pytest
 
 from companion.config.schema import CompanionConfig
 from companion.estimation.tracker import TrackerParams
-from companion.flight_facts import FlightFacts, write_facts
+from companion.flight_facts import FlightFacts, facts_as_json, write_facts
 from companion.guidance.session import SessionParams
-from companion.io.flight_files import EVENTS, FLIGHT, INPUTS, TLOG
+from companion.io.flight_files import EVENTS, FLIGHT, INPUTS, MCAP, TLOG
 from companion.io.journal import FlightJournal
+from companion.io.mcap_log import McapLog
 from companion.link.endpoint import CompanionEndpoint, Journal
 from companion.replay.command import replay_flight
 from companion.run import build_endpoint
@@ -24,26 +25,27 @@ FLOWN_S = 60.0
 REMARKS: list[str] = []
 
 
-def record(
-    directory: Path, config: CompanionConfig = AUTO, scenario: Scenario | None = None
-) -> None:
-    """Fly a minute and leave a flight directory."""
-    write_facts(directory, FlightFacts(started_unix_s=1.8e9, links=1, config=config))
-    journal = FlightJournal(directory, 1.8e9)
+def fly(journal: FlightJournal, config: CompanionConfig) -> None:
+    """Fly a minute and close the log."""
 
     def companion(config: CompanionConfig, journal_: Journal, links: int) -> CompanionEndpoint:
         return build_endpoint(config, journal_, links, recorder=journal.inputs)
 
-    flight = Flight(config, scenario or Scenario(), 3, journal, make_companion=companion)
+    flight = Flight(config, Scenario(), 3, journal, make_companion=companion)
     flight.run(FLOWN_S)
-    flight.run(1.0)
     journal.close(timeout_s=30.0)
+
+
+def record(directory: Path, config: CompanionConfig) -> None:
+    """Leave a flight directory."""
+    write_facts(directory, FlightFacts(started_unix_s=1.8e9, links=1, config=config))
+    fly(FlightJournal(directory, 1.8e9), config)
 
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory = tmp_path_factory.mktemp("flight")
-    record(directory)
+    record(directory, AUTO)
     return directory
 
 
@@ -104,3 +106,17 @@ def test_a_flight_of_other_kernels_is_remarked(copy: Path) -> None:
 def test_the_facts_keep_the_whole_configuration(recorded: Path) -> None:
     facts = msgspec.json.decode((recorded / FLIGHT).read_bytes(), type=FlightFacts)
     assert facts.config == AUTO
+
+
+def test_an_mcap_file_alone_is_replayed(tmp_path: Path) -> None:
+    facts = FlightFacts(started_unix_s=1.8e9, links=1, config=AUTO)
+    write_facts(tmp_path, facts)
+    mcap = McapLog(tmp_path / MCAP, 1.8e9, facts_as_json(facts).decode())
+    journal = FlightJournal(tmp_path, 1.8e9, mcap=mcap)
+    fly(journal, AUTO)
+    alone = tmp_path / "elsewhere.mcap"
+    (tmp_path / MCAP).rename(alone)
+    replay = replay_flight(alone, None, REMARKS.append)
+    assert replay.verdict.startswith("IDENTICAL")
+    assert len(replay.comparison.recorded.estimates) > 50
+    assert len(replay.comparison.recorded.setpoints) > 500
