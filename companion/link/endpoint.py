@@ -119,7 +119,12 @@ class CompanionEndpoint:
         self._recorder.tick(now_s)
         for intake in self._intakes:
             intake.budget.renew()
-        for text in (*self.authenticity.tick(now_s), *self._alarms.tick(now_s)):
+        news = (
+            *self.authenticity.tick(now_s),
+            *self._alarms.tick(now_s),
+            *self._dialogues.news(now_s),
+        )
+        for text in news:
             self._outlet.announce(text, now_s)
         self._health.tick(now_s)
         period_s = self._health.pacing.period_s
@@ -127,8 +132,7 @@ class CompanionEndpoint:
         if self._next_timer_s <= now_s:
             self._next_timer_s = now_s + period_s
         self.executor.tick(now_s)
-        question = self._dialogues.due(now_s)
-        if question is not None:
+        for question in self._dialogues.due(now_s):
             self._outlet.send(question, now_s)
         self.executor.handle(TimerFired(now_s, self.binding.heard_s), now_s)
         self._counters.report(now_s)

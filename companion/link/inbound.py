@@ -17,6 +17,7 @@ from companion.guidance.events import (
     VehicleMoved,
     YawMeasured,
 )
+from companion.link.clock_sync import ClockSync
 from companion.link.clocks import SenderClock
 from companion.mav.dialect import MAVLink_radio_ranging_message, Message, mavlink
 from companion.mav.modes import autopilot_of, mode_of
@@ -49,10 +50,15 @@ MAX_SENDERS = 16
 
 
 class VehicleInbound:
-    """Events from the bound autopilot's messages."""
+    """Events from the bound autopilot's messages.
 
-    def __init__(self) -> None:
+    Args:
+        sync: Knows the offset of its clock better than the arrival of its stamps does.
+    """
+
+    def __init__(self, sync: ClockSync | None = None) -> None:
         self._clock = SenderClock()
+        self._sync = sync or ClockSync()
         self._origin: LocalOrigin | None = None
         self._home: mavlink.MAVLink_home_position_message | None = None
         self._is_prearm_good = True
@@ -63,8 +69,16 @@ class VehicleInbound:
 
     @property
     def clock_offset_s(self) -> float | None:
-        """Local time minus the autopilot's, seconds; None before its first stamp."""
-        return self._clock.offset_s
+        """Local time minus the autopilot's, seconds; None before its first stamp.
+
+        By arrival it is too large by the shortest delay. The exchange of times knows that delay,
+        and is believed as long as it is a plausible one.
+        """
+        by_arrival_s, by_exchange_s = self._clock.offset_s, self._sync.offset_s
+        if by_arrival_s is None or by_exchange_s is None:
+            return by_arrival_s
+        delay_s = by_arrival_s - by_exchange_s
+        return by_exchange_s if 0.0 <= delay_s <= MAX_LINK_DELAY_S else by_arrival_s
 
     def events(self, message: Message, now_s: float, number: int = 0) -> list[Event]:
         """What a message of the autopilot says; nothing, if a newer one of its kind came before.
@@ -129,7 +143,11 @@ class VehicleInbound:
         return True
 
     def _read(self, stamp_ms: int, now_s: float) -> StampReading:
-        return self._clock.read(stamp_ms / 1000.0, now_s)
+        reading = self._clock.read(stamp_ms / 1000.0, now_s)
+        best_s, by_arrival_s = self.clock_offset_s, self._clock.offset_s
+        if reading.is_reboot or best_s is None or by_arrival_s is None:
+            return reading
+        return replace(reading, time_s=reading.time_s + best_s - by_arrival_s)
 
     def _with_restart(self, reading: StampReading, event: Event) -> list[Event]:
         if self._clock.is_wild:

@@ -51,7 +51,7 @@ class VehicleReceiver:
         self._health = health
         self._outlet = outlet
         self._journal = journal
-        self._inbound = VehicleInbound()
+        self._inbound = VehicleInbound(dialogues.clock)
         self._command_limit = RateLimit(COMMANDS_PER_S, COMMANDS_PER_S)
         self._text_limit = RateLimit(TEXTS_PER_S, TEXT_BURST)
 

@@ -1,7 +1,7 @@
 """Requests to the autopilot: one at a time, resent, and answered or given up.
 
 Source: MAVLink guide, "Command Protocol": no ACK means resend with `confirmation` + 1; IN_PROGRESS
-means wait. All in all at most 2 s, never a loop.
+means wait. All in all at most 2 s, or 10 s with progress, never a loop.
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ from companion.mav.dialect import Message, mavlink
 RESEND_S = 0.5
 SENDS = 4
 IN_PROGRESS_S = 3.0
+MAX_PROGRESS_S = 10.0
+"""An autopilot that only ever makes progress does not answer."""
 
 CommandMessage = mavlink.MAVLink_command_long_message
 
@@ -27,6 +29,7 @@ class _Pending:
     """The message for a `confirmation` number."""
     sends: int = 0
     next_s: float = 0.0
+    first_s: float | None = None
 
 
 class RequestClient:
@@ -51,6 +54,8 @@ class RequestClient:
         if pending.sends >= SENDS:
             self._pending = None
             return RequestAnswered(now_s, pending.kind, Outcome.NO_ANSWER)
+        if pending.first_s is None:
+            pending.first_s = now_s
         message = pending.build(pending.sends)
         pending.sends += 1
         pending.next_s = now_s + RESEND_S
@@ -65,7 +70,8 @@ class RequestClient:
             return None  # not asked yet: the answer belongs to a request that was replaced
         if ack.result == mavlink.MAV_RESULT_IN_PROGRESS:
             pending.sends = SENDS
-            pending.next_s = now_s + IN_PROGRESS_S
+            last_s = now_s if pending.first_s is None else pending.first_s + MAX_PROGRESS_S
+            pending.next_s = min(now_s + IN_PROGRESS_S, last_s)
             return None
         self._pending = None
         if ack.result == mavlink.MAV_RESULT_ACCEPTED:

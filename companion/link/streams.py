@@ -6,8 +6,9 @@ asks for all of it. Source: MAVLink common, MAV_CMD_SET_MESSAGE_INTERVAL and REQ
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
+from companion.link.freshness import Stream, StreamFreshness
 from companion.mav.dialect import Message, mavlink
 
 STREAM_INTERVAL_S: dict[int, float] = {
@@ -28,6 +29,8 @@ ONE_SHOT = (mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, mavlink.MAVLINK_MSG_ID_HOM
 FIRST_RETRY_S = 1.0
 LAST_RETRY_S = 16.0
 MISSED_PERIODS = 3.0
+"""A stream that is silent for so many of its periods has stopped, and one that takes so many for
+each message is slow."""
 
 
 @dataclass(slots=True)
@@ -37,49 +40,51 @@ class _Want:
     """None: one message, not a stream."""
     retry_s: float = FIRST_RETRY_S
     asked_s: float | None = None
-    heard_s: float | None = None
 
-    def is_due(self, now_s: float) -> bool:
-        """Whether to ask: never asked, not heard since, or it stopped."""
-        if self.asked_s is None:
-            return True
-        if now_s - self.asked_s < self.retry_s:
+    def is_met(self, stream: Stream, now_s: float) -> bool:
+        """Whether it comes, as often as it should."""
+        if stream.heard_s is None:
             return False
         if self.interval_s is None:
-            return self.heard_s is None
-        patience_s = max(MISSED_PERIODS * self.interval_s, FIRST_RETRY_S)
-        return self.heard_s is None or now_s - self.heard_s > patience_s
+            return True
+        if now_s - stream.heard_s > max(MISSED_PERIODS * self.interval_s, FIRST_RETRY_S):
+            return False
+        return stream.gap_s is None or stream.gap_s <= MISSED_PERIODS * self.interval_s
+
+    def is_due(self, stream: Stream, now_s: float) -> bool:
+        """Whether to ask: never asked, or not met in spite of it."""
+        if self.asked_s is None:
+            return True
+        if self.is_met(stream, now_s):
+            self.retry_s = FIRST_RETRY_S
+            return False
+        return now_s - self.asked_s >= self.retry_s
 
 
-@dataclass(slots=True)
 class StreamRequester:
-    """Keeps the streams flowing; at most one request per tick, with back-off per stream."""
+    """Keeps the streams flowing; at most one request per tick, with back-off per stream.
 
-    _wants: list[_Want] = field(
-        default_factory=lambda: (
-            [_Want(number, interval_s) for number, interval_s in STREAM_INTERVAL_S.items()]
-            + [_Want(number, None) for number in ONE_SHOT]
-        )
-    )
+    Args:
+        freshness: Of the autopilot's streams.
+    """
 
-    def heard(self, message: Message, now_s: float) -> None:
-        """Note that a message arrived."""
-        number = message.get_msgId()
-        for want in self._wants:
-            if want.message_id == number:
-                want.heard_s = now_s
-                want.retry_s = FIRST_RETRY_S
+    def __init__(self, freshness: StreamFreshness) -> None:
+        self._freshness = freshness
+        self._wants = [
+            _Want(number, interval_s) for number, interval_s in STREAM_INTERVAL_S.items()
+        ]
+        self._wants += [_Want(number, None) for number in ONE_SHOT]
 
     def restart(self) -> None:
         """Ask for everything again, because the autopilot forgot."""
         for want in self._wants:
-            want.asked_s = want.heard_s = None
+            want.asked_s = None
             want.retry_s = FIRST_RETRY_S
 
     def due(self, now_s: float, system_id: int, component_id: int) -> Message | None:
         """The next request to send, if any."""
         for want in self._wants:
-            if want.is_due(now_s):
+            if want.is_due(self._freshness.stream(want.message_id), now_s):
                 if want.asked_s is not None:
                     want.retry_s = min(2.0 * want.retry_s, LAST_RETRY_S)
                 want.asked_s = now_s

@@ -17,6 +17,7 @@ from companion.guidance.events import (
     VehicleMoved,
     YawMeasured,
 )
+from companion.link.clock_sync import ClockSync
 from companion.link.inbound import RangingInbound, VehicleInbound
 from companion.mav.dialect import MAVLink_radio_ranging_message, Message, mavlink
 from tests.unit.companion.link.wire import (
@@ -194,6 +195,49 @@ def test_a_burst_of_old_frames_is_no_restart() -> None:
     for tick in range(200):
         events += inbound.events(local_position(10_050 + 50 * tick), 20.0 + 0.001 * tick)
     assert not any(isinstance(e, AutopilotRestarted) for e in events)
+
+
+# The autopilot's clock
+
+
+def synchronised(up_s: float, down_s: float, offset_s: float = 100.0) -> ClockSync:
+    """An exchange of times over a line with these delays, at 50 s."""
+    sync = ClockSync()
+    sync.due(50.0, 1, 1)
+    answer = mavlink.MAVLink_timesync_message(round((50.0 + up_s + offset_s) * 1e9), 50 * 10**9)
+    sync.heard(answer, 50.0 + up_s + down_s)
+    return sync
+
+
+def age_at_arrival(inbound: VehicleInbound, down_s: float, offset_s: float = 100.0) -> float:
+    """How old a position is read to be that took this long."""
+    (moved,) = inbound.events(local_position(round(1e3 * (60.0 + offset_s))), 60.0 + down_s)
+    assert isinstance(moved, VehicleMoved)
+    return 60.0 + down_s - moved.state.time_s
+
+
+def test_without_an_exchange_the_shortest_delay_is_taken_for_none() -> None:
+    assert age_at_arrival(VehicleInbound(), 0.2) == pytest.approx(0.0)
+
+
+def test_with_an_exchange_of_times_the_delay_of_the_line_is_known() -> None:
+    inbound = VehicleInbound(synchronised(0.2, 0.2))
+    assert age_at_arrival(inbound, 0.2) == pytest.approx(0.2)
+    assert inbound.clock_offset_s == pytest.approx(-100.0)
+
+
+@pytest.mark.parametrize(("up_s", "down_s"), [(0.3, 0.1), (0.0, 0.3)])
+def test_unequal_ways_are_wrong_by_half_of_their_difference(up_s: float, down_s: float) -> None:
+    inbound = VehicleInbound(synchronised(up_s, down_s))
+    assert age_at_arrival(inbound, down_s) == pytest.approx((up_s + down_s) / 2.0)
+
+
+@pytest.mark.parametrize("their_offset_s", [101.0, 99.7, 1.7e9])
+def test_an_exchange_about_another_clock_than_the_stamps_is_left_alone(
+    their_offset_s: float,
+) -> None:
+    inbound = VehicleInbound(synchronised(0.2, 0.2, their_offset_s))
+    assert age_at_arrival(inbound, 0.2) == pytest.approx(0.0)
 
 
 # Order

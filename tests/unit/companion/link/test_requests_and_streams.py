@@ -3,15 +3,16 @@ from __future__ import annotations
 import pytest
 
 from companion.guidance.events import Outcome, RequestAnswered, RequestKind
+from companion.link.freshness import StreamFreshness
 from companion.link.outbound import arm
 from companion.link.requests import CommandMessage, RequestClient
 from companion.link.streams import ONE_SHOT, STREAM_INTERVAL_S, StreamRequester
 from companion.mav.dialect import Message, mavlink
+from tests.unit.companion.link.wire import local_position
 
 ARM = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
 ACCEPTED, DENIED, IN_PROGRESS = 0, 2, 5
 POSITION = mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED
-POSITION_MESSAGE = mavlink.MAVLink_local_position_ned_message(0, 0, 0, 0, 0, 0, 0)
 TICK_S = 0.05
 
 
@@ -82,6 +83,20 @@ def test_an_answer_to_another_command_is_not_ours() -> None:
     assert confirmation_of(client.due(0.5)) == 1
 
 
+def test_progress_without_end_is_given_up() -> None:
+    client = asked()
+    client.due(0.0)
+    given_up_s = None
+    for tick in range(1, 400):
+        now_s = tick * TICK_S
+        client.answered(ack(result=IN_PROGRESS), now_s)
+        due = client.due(now_s)
+        assert not isinstance(due, CommandMessage)
+        if due is not None:
+            given_up_s = now_s
+    assert given_up_s == pytest.approx(10.0, abs=TICK_S)
+
+
 def test_an_answer_before_the_question_belongs_to_an_older_one() -> None:
     client = asked()
     assert client.answered(ack(), 0.0) is None
@@ -104,7 +119,8 @@ class Asking:
     """A requester on its ticks, and what it asked for when."""
 
     def __init__(self) -> None:
-        self.requester = StreamRequester()
+        self.freshness = StreamFreshness()
+        self.requester = StreamRequester(self.freshness)
         self.now_s = 0.0
         self.asked: list[tuple[float, int, int]] = []
 
@@ -115,6 +131,13 @@ class Asking:
             if due is not None:
                 assert isinstance(due, CommandMessage)
                 self.asked.append((self.now_s, due.command, int(due.param1)))
+
+    def hear(self, interval_s: float, duration_s: float) -> None:
+        """Positions come."""
+        for _ in range(round(duration_s / interval_s)):
+            message = local_position(round(1e3 * self.now_s))
+            self.freshness.heard(message, self.now_s)
+            self.wait(interval_s)
 
     def times(self, number: int) -> list[float]:
         return [at for at, command, n in self.asked if n == number and command == 511]
@@ -129,7 +152,7 @@ def test_every_stream_is_asked_for_one_a_tick() -> None:
 
 
 def test_an_interval_is_asked_for_in_microseconds() -> None:
-    requester = StreamRequester()
+    requester = StreamRequester(StreamFreshness())
     first = requester.due(0.0, 3, 1)
     assert isinstance(first, CommandMessage)
     assert (first.target_system, first.param1, first.param2) == (3, POSITION, 50_000.0)
@@ -146,18 +169,35 @@ def test_an_unheard_stream_is_asked_for_again_and_again_ever_more_slowly() -> No
 def test_a_stream_that_flows_is_left_alone_and_one_that_stops_is_asked_for() -> None:
     asking = Asking()
     asking.wait(0.5)
-    for _ in range(40):
-        asking.requester.heard(POSITION_MESSAGE, asking.now_s)
-        asking.wait(0.5)
+    asking.hear(0.05, 20.0)
     assert len(asking.times(POSITION)) == 1
     asking.wait(1.5)
     assert len(asking.times(POSITION)) == 2
 
 
+def test_a_stream_that_is_slow_is_asked_for_ever_more_slowly() -> None:
+    asking = Asking()
+    asking.wait(0.5)
+    asking.hear(0.3, 60.0)
+    assert len(asking.times(POSITION)) == pytest.approx(1 + 6, abs=1)
+    asking.hear(0.05, 60.0)
+    assert len(asking.times(POSITION)) <= 8
+
+
+def test_a_stream_whose_stamps_stand_still_has_stopped() -> None:
+    asking = Asking()
+    asking.hear(0.05, 5.0)
+    message = local_position(round(1e3 * asking.now_s))
+    for _ in range(60):
+        asking.freshness.heard(message, asking.now_s)
+        asking.wait(0.05)
+    assert len(asking.times(POSITION)) >= 2
+
+
 def test_after_a_restart_everything_is_asked_for_again() -> None:
     asking = Asking()
     asking.wait(0.6)
-    asking.requester.heard(POSITION_MESSAGE, asking.now_s)
+    asking.hear(0.05, 0.5)
     asking.asked.clear()
     asking.requester.restart()
     asking.wait(0.6)

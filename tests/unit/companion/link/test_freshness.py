@@ -1,0 +1,101 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from companion.link.freshness import StreamFreshness
+from companion.mav.dialect import Message, mavlink
+from tests.unit.companion.link.wire import OFFBOARD, Wire, heartbeat, home_position, local_position
+
+POSITION = mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED
+
+
+def attitude(boot_ms: int) -> Message:
+    return mavlink.MAVLink_attitude_message(boot_ms, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def test_the_age_of_a_stream_is_that_of_its_last_progress() -> None:
+    freshness = StreamFreshness()
+    assert freshness.age_s(POSITION, 5.0) is None
+    assert freshness.heard(local_position(1000), 5.0)
+    assert not freshness.heard(local_position(1000), 5.3)
+    assert freshness.age_s(POSITION, 5.4) == pytest.approx(0.4)
+    assert freshness.heard(local_position(1050), 5.5)
+    assert freshness.age_s(POSITION, 5.5) == 0.0
+
+
+@pytest.mark.parametrize("message", [heartbeat(), local_position(0)])
+def test_without_a_stamp_every_arrival_is_progress(message: Message) -> None:
+    freshness = StreamFreshness()
+    assert freshness.heard(message, 1.0)
+    assert freshness.heard(message, 2.0)
+
+
+def test_the_mean_gap_follows_the_rate() -> None:
+    freshness = StreamFreshness()
+    for step in range(100):
+        freshness.heard(local_position(1 + step), 0.05 * step)
+    assert freshness.stream(POSITION).gap_s == pytest.approx(0.05)
+    for step in range(100):
+        freshness.heard(local_position(200 + step), 5.0 + 0.5 * step)
+    assert freshness.stream(POSITION).gap_s == pytest.approx(0.5, rel=0.01)
+
+
+def test_what_stopped_is_stale_by_name_and_what_never_came_is_not() -> None:
+    freshness = StreamFreshness()
+    freshness.heard(local_position(1), 1.0)
+    freshness.heard(attitude(1), 1.0)
+    assert freshness.stale(1.5) == ()
+    assert freshness.stale(1.51) == ("position",)
+    assert freshness.stale(2.01) == ("position", "attitude")
+    freshness.restart()
+    assert freshness.stale(9.0) == ()
+
+
+# The endpoint
+
+SPOKEN: dict[str, Callable[[float], Message]] = {
+    "position": lambda now_s: local_position(
+        round(1e3 * now_s) + 1, 0.0, 0.0, -20.0, 0.0, 0.0, 0.0
+    ),
+    "attitude": lambda now_s: attitude(round(1e3 * now_s) + 1),
+    "heartbeat": lambda _: heartbeat(custom_mode=OFFBOARD, is_armed=True, status=4),
+    "landed state": lambda _: mavlink.MAVLink_extended_sys_state_message(0, 2),
+    "status": lambda _: mavlink.MAVLink_sys_status_message(*[0] * 13),
+    "home": lambda _: home_position(),
+}
+
+
+def speak(wire: Wire, seconds: float, muted: str = "") -> None:
+    for _ in range(round(seconds / 0.05)):
+        for name, make in SPOKEN.items():
+            if name != muted:
+                wire.say(make(wire.now_s))
+        wire.wait(0.05)
+
+
+@pytest.mark.parametrize("muted", list(SPOKEN))
+def test_a_stream_that_stops_while_the_link_is_alive_is_told_once_and_asked_for(muted: str) -> None:
+    wire = Wire().ready(OFFBOARD)
+    speak(wire, 3.0)
+    wire.journal.texts.clear()
+    speak(wire, 40.0, muted)
+    said = [text for text in wire.journal.texts if "any more: asking again" in text]
+    assert said == [f"no {muted} any more: asking again"]
+
+
+def test_a_link_that_is_lost_is_not_told_stream_by_stream() -> None:
+    wire = Wire().ready(OFFBOARD)
+    speak(wire, 3.0)
+    wire.wait(30.0)
+    assert not any("any more: asking again" in text for text in wire.journal.texts)
+
+
+def test_a_stream_that_comes_and_goes_does_not_fill_the_log() -> None:
+    wire = Wire().ready(OFFBOARD)
+    for _ in range(30):
+        speak(wire, 0.2)
+        speak(wire, 0.8, "position")
+    said = [text for text in wire.journal.texts if "any more: asking again" in text]
+    assert 1 <= len(said) <= 7
