@@ -138,9 +138,10 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--once", action="store_true", help="end after the target is reported")
     parser.add_argument("--quiet", action="store_true", help="only warnings and errors")
-    commands = parser.add_subparsers(dest="command", metavar="{demo,replay}")
+    commands = parser.add_subparsers(dest="command", metavar="{demo,replay,report}")
     _add_demo(commands)
     _add_replay(commands)
+    _add_report(commands)
     return parser
 
 
@@ -183,6 +184,17 @@ def _add_replay(commands: argparse._SubParsersAction[_Parser]) -> None:
     )
     replay.add_argument("--config", metavar="FILE", type=Path, help="companion configuration")
     replay.add_argument("--json", metavar="FILE", type=Path, help="write the results as JSON")
+
+
+def _add_report(commands: argparse._SubParsersAction[_Parser]) -> None:
+    report = commands.add_parser(
+        "report",
+        help="make the report of a recorded flight",
+        description="Make one self-contained HTML page of a flight's event log, and print where it "
+        "is. Every flight gets one at its end.",
+    )
+    report.add_argument("flight", metavar="FLIGHT", type=Path, help="its folder, or a file in it")
+    report.add_argument("--output", metavar="FILE", type=Path, help="instead of report.html there")
 
 
 def _speed(text: str) -> float:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 from companion.errors import ConfigError
 from companion.flight_facts import FlightFacts, facts_of_json, open_flight
+from companion.io.event_lines import event_lines
 from companion.io.flight_files import EVENTS, INPUTS, TLOG
 from companion.io.inputs import Input, InputKind, parse_inputs, read_inputs
 from companion.io.mcap_reader import McapFlight, read_mcap_flight
@@ -79,27 +79,6 @@ def course_of(lines: Iterable[Json], frames: Iterable[bytes]) -> Course:
         if sender_of(frame)[1] == OWN_COMPONENT and message_id(frame) in SETPOINT_IDS:
             course.setpoints.append(frame)
     return course
-
-
-def event_lines(path: Path) -> list[dict[str, object]]:
-    """The event log; a torn last line (a power cut) is left out.
-
-    Raises:
-        ConfigError: It cannot be read, or a line in its midst is no JSON.
-    """
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read ({error})") from error
-    values: list[dict[str, object]] = []
-    for number, line in enumerate(lines, start=1):
-        try:
-            values.append(json.loads(line))
-        except json.JSONDecodeError as error:
-            if number == len(lines):
-                break
-            raise ConfigError(f"{path}: line {number}: {error}") from error
-    return values
 
 
 def inputs_of_tlog(records: list[TlogRecord]) -> list[Input]:

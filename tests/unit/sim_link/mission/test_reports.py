@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from sim_link.mission.drawing import MAX_POINTS, Drawing, square_around, thinned
+from companion.report.drawing import MAX_POINTS, Drawing, square_around, thinned
 from sim_link.mission.junit import junit_xml
 from sim_link.mission.progress import PlainProgress, progress_for
 from sim_link.mission.record import EstimatePoint, FlightRecord, Report, Said, StepOutcome, Violated

@@ -1,0 +1,134 @@
+"""What the event log tells of a flight, sorted for its report."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+from companion.domain import Point
+
+TOLD = ("text", "phase", "answer", "autopilot_text", "bound", "result")
+"""Kinds of events that people read."""
+
+Line = Mapping[str, object]
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatePoint:
+    """One estimate."""
+
+    time_s: float
+    place_enu_m: Point
+    r95_m: float
+    state: str
+    range_offset_m: float | None
+    range_innovation_m: float | None
+    range_weight: float | None
+    nis: float | None
+    covariance_m2: tuple[Point, Point] | None
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """One line for people."""
+
+    time_s: float
+    kind: str
+    text: str
+
+
+@dataclass(slots=True)
+class Story:
+    """A flight as its event log tells it."""
+
+    estimates: list[EstimatePoint] = field(default_factory=list)
+    track_enu_m: list[Point] = field(default_factory=list)
+    """Where the vehicle was when it measured."""
+    waypoints: list[tuple[float, Point, str]] = field(default_factory=list)
+    """(time_s, place, why)"""
+    told: list[Told] = field(default_factory=list)
+    guard: Counter[str] = field(default_factory=Counter)
+    """Interventions of the guard, by reason."""
+    links: list[Line] = field(default_factory=list)
+    """The counters of the links, in order."""
+    result: Line | None = None
+    ended_s: float = 0.0
+
+    @property
+    def last(self) -> EstimatePoint | None:
+        """The last estimate."""
+        return self.estimates[-1] if self.estimates else None
+
+
+def story_of(lines: Iterable[Line]) -> Story:
+    """The story that an event log tells; unknown kinds are passed over."""
+    story = Story()
+    for line in lines:
+        time_s = _number(line.get("t_s")) or 0.0
+        story.ended_s = max(story.ended_s, time_s)
+        kind = str(line.get("kind"))
+        if kind == "estimate":
+            _take_estimate(story, line, time_s)
+        elif kind == "waypoint" and (place := _point(line.get("position_enu_m"))) is not None:
+            story.waypoints.append((time_s, place, f"{line.get('reason')}: {line.get('detail')}"))
+        elif kind == "guard":
+            story.guard.update([str(line.get("reason"))])
+        elif kind == "link":
+            story.links.append(line)
+        if kind == "result" and story.result is None:
+            story.result = line
+        if kind in TOLD:
+            story.told.append(Told(time_s, kind.replace("_", " "), _phrase(kind, line)))
+    return story
+
+
+def _take_estimate(story: Story, line: Line, time_s: float) -> None:
+    place, r95_m = _point(line.get("position_enu_m")), _number(line.get("r95_m"))
+    if place is None or r95_m is None:
+        return
+    sensor = _point(line.get("sensor_enu_m"))
+    if sensor is not None:
+        story.track_enu_m.append(sensor)
+    point = EstimatePoint(
+        time_s=time_s,
+        place_enu_m=place,
+        r95_m=r95_m,
+        state=str(line.get("state")),
+        range_offset_m=_number(line.get("range_offset_m")),
+        range_innovation_m=_number(line.get("range_innovation")),
+        range_weight=_number(line.get("range_weight")),
+        nis=_number(line.get("nis")),
+        covariance_m2=_covariance(line.get("covariance_m2")),
+    )
+    story.estimates.append(point)
+
+
+def _phrase(kind: str, line: Line) -> str:
+    if kind in ("text", "autopilot_text"):
+        return str(line.get("text"))
+    if kind == "phase":
+        return f"{line.get('old')} → {line.get('new')} ({line.get('trigger')})"
+    if kind == "result":
+        return f"reported: {line.get('state')}, R95 {_number(line.get('r95_m')) or 0.0:.2f} m"
+    shown = {name: value for name, value in line.items() if name not in ("t_s", "kind")}
+    return ", ".join(f"{name} {value}" for name, value in shown.items())
+
+
+def _number(value: object) -> float | None:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return float(value) if is_number and isinstance(value, int | float) else None
+
+
+def _point(value: object) -> Point | None:
+    if not isinstance(value, list) or len(value) < 2:
+        return None
+    east, north = _number(value[0]), _number(value[1])
+    return None if east is None or north is None else (east, north)
+
+
+def _covariance(value: object) -> tuple[Point, Point] | None:
+    if not isinstance(value, list) or len(value) != 2:
+        return None
+    first, second = _point(value[0]), _point(value[1])
+    return None if first is None or second is None else (first, second)

@@ -1,0 +1,134 @@
+"""The flight report: one page, whole in itself, true to the event log, and safe to open."""
+
+from __future__ import annotations
+
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import pytest
+
+from companion.config.schema import CompanionConfig
+from companion.errors import ConfigError
+from companion.flight_facts import FlightFacts, write_facts
+from companion.io.flight_files import EVENTS
+from companion.report.page import is_quick, report_page, verdict_of, write_report
+from companion.report.story import story_of
+
+FACTS = FlightFacts(started_unix_s=1.8e9, links=1, config=CompanionConfig())
+Line = dict[str, object]
+
+
+def estimate(t_s: float, r95_m: float = 4.0) -> Line:
+    return {
+        "t_s": t_s,
+        "kind": "estimate",
+        "state": "searching",
+        "position_enu_m": [10.0, 20.0],
+        "covariance_m2": [[4.0, 1.0], [1.0, 2.0]],
+        "sensor_enu_m": [t_s, 5.0, 20.0],
+        "r95_m": r95_m,
+        "range_offset_m": 0.3,
+        "range_innovation": 7.0,
+        "range_weight": 0.2,
+        "nis": 1.2,
+    }
+
+
+def text(t_s: float, words: str) -> Line:
+    return {"t_s": t_s, "kind": "text", "severity": "info", "text": words}
+
+
+RESULT: Line = {
+    "t_s": 60.0,
+    "kind": "result",
+    "state": "localised",
+    "r95_m": 0.4,
+    "latitude_deg": 47.4,
+    "longitude_deg": 8.5,
+}
+FLIGHT = [estimate(0.5 * n, 20.0 / (1 + n)) for n in range(40)] + [text(3.0, "flying"), RESULT]
+
+
+class Tags(HTMLParser):
+    """What a page loads, and the elements in it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.names: list[str] = []
+        self.loads: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.names.append(tag)
+        self.loads += [value or "" for name, value in attrs if name in ("src", "href")]
+
+
+def page_of(lines: list[Line]) -> str:
+    return report_page(story_of(lines), FACTS, "2026-11-21T10-00-00Z")
+
+
+def test_the_page_loads_nothing_and_runs_nothing() -> None:
+    tags = Tags()
+    tags.feed(page_of(FLIGHT))
+    assert tags.loads == []
+    assert "script" not in tags.names
+    assert tags.names.count("svg") == 6
+
+
+def test_every_drawing_is_well_formed() -> None:
+    for svg in re.findall(r"<svg.*?</svg>", page_of(FLIGHT), flags=re.DOTALL):
+        assert ET.fromstring(svg).tag == "svg"
+
+
+def test_the_verdict_is_what_the_flight_came_to() -> None:
+    assert verdict_of(story_of(FLIGHT)) == "localised, R95 0.40 m"
+    assert verdict_of(story_of(FLIGHT[:-1])) == "not reported: searching, R95 0.5 m"
+    assert verdict_of(story_of([])) == "nothing was heard of the emitter"
+
+
+def test_guard_interventions_are_counted() -> None:
+    fence: Line = {"t_s": 1.0, "kind": "guard", "reason": "goal is outside the fence"}
+    story = story_of([fence, fence, {**fence, "reason": "too fast"}])
+    assert story.guard.most_common(1) == [("goal is outside the fence", 2)]
+    assert "goal is outside the fence" in page_of([fence])
+
+
+def test_hostile_texts_are_escaped() -> None:
+    page = page_of([text(1.0, "<script>alert(1)</script>"), *FLIGHT])
+    assert "<script>" not in page
+    assert "&lt;script&gt;" in page
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        [],
+        [text(1.0, "nothing else")],
+        [estimate(1.0)],
+        [{**estimate(1.0), "nis": None, "range_innovation": None, "covariance_m2": None}],
+        [{"t_s": 1.0, "kind": "estimate"}, {"kind": "unheard of"}, {"t_s": "x", "kind": "link"}],
+    ],
+)
+def test_a_poor_flight_has_a_report_too(lines: list[Line]) -> None:
+    assert "Flight report" in page_of(lines)
+
+
+def test_it_is_written_beside_the_flight(tmp_path: Path) -> None:
+    write_facts(tmp_path, FACTS)
+    (tmp_path / EVENTS).write_text("".join(json.dumps(line) + "\n" for line in FLIGHT))
+    (tmp_path / "events.old.jsonl").write_text(json.dumps(text(0.1, "earlier")) + "\n")
+    assert is_quick(tmp_path)
+    path = write_report(tmp_path)
+    assert path == tmp_path / "report.html"
+    assert "earlier" in path.read_text()
+    other = tmp_path / "other.html"
+    assert write_report(tmp_path / EVENTS, other) == other
+    assert other.read_text() == path.read_text()
+
+
+def test_a_folder_without_a_flight_is_refused_in_words(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"flight\.json"):
+        write_report(tmp_path)
+    assert not is_quick(tmp_path)
