@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import math
+
 from companion.domain import FlightMode
-from companion.guidance.events import HeartbeatReceived
-from companion.guidance.states import Phase, Trigger, next_phase
+from companion.guidance.events import HeartbeatReceived, LandedStateChanged
+from companion.guidance.states import IN_CONTROL, Phase, Trigger, next_phase
 
 REGAIN_QUIET_S = 2.0
-"""Offboard seen sooner than this after a yield comes from our own setpoints still in flight."""
+"""Offboard seen sooner than this after a yield comes from our own setpoints still in flight, or
+from a mode that flaps: it must have been left for as long."""
+LATE_S = 1.0
+"""A frame from before control was given may come this much later, and ends nothing."""
+NOT_LEFT = frozenset({Trigger.HANDED_BACK, Trigger.GIVE_WAY, Trigger.LANDED, Trigger.LAUNCH_FAILED})
+"""They end control while the mode may still be offboard, which nobody gave again then."""
 
 
 class Authority:
@@ -21,6 +28,13 @@ class Authority:
         """Since the report the vehicle was seen out of offboard: it is not ours any more."""
         self._must_leave_offboard = False
         self._has_heartbeat = False
+        self._left_s = -math.inf
+        """When another mode was first shown after offboard ..."""
+        self._away_s = math.inf
+        """... and for how long, when offboard came back."""
+        self._given_s = -math.inf
+        """When control was given last."""
+        self._newest: HeartbeatReceived | None = None
 
     def enter(self, trigger: Trigger, now_s: float) -> Phase | None:
         """Apply a trigger; the phase that was left, or None if nothing changed."""
@@ -30,11 +44,30 @@ class Authority:
         phase = next_phase(left, trigger)
         if phase is left:
             return None
+        if trigger in NOT_LEFT:
+            self._must_leave_offboard = True
         self.phase = phase
         self.since_s = now_s
+        if trigger is Trigger.MODE_GIVEN:
+            self._given_s = now_s
         if phase is Phase.FINISHED:
             self.has_let_go = False
         return left
+
+    def is_overtaken(self, event: HeartbeatReceived | LandedStateChanged) -> bool:
+        """Whether a newer heartbeat came before, so that what this one shows is over.
+
+        An order may lie, after a long delay or over two links. So what takes control away is
+        believed in any case, but for the moment after control was given.
+        """
+        newest = self._newest
+        if newest is None or newest.order is None or event.order is None:
+            return False
+        if event.order >= newest.order:
+            return False
+        if isinstance(event, HeartbeatReceived) and event.mode is FlightMode.OFFBOARD:
+            return event.is_armed
+        return self.phase in IN_CONTROL and event.time_s - self._given_s <= LATE_S
 
     def observe(self, heartbeat: HeartbeatReceived) -> None:
         """Set or clear the latch from what the autopilot shows.
@@ -44,6 +77,12 @@ class Authority:
         (PX4 re-enters offboard by itself when setpoints return).
         """
         is_offboard = heartbeat.mode is FlightMode.OFFBOARD
+        was_offboard = self._newest is not None and self._newest.mode is FlightMode.OFFBOARD
+        if was_offboard and not is_offboard:
+            self._left_s = heartbeat.time_s
+        elif is_offboard and not was_offboard:
+            self._away_s = heartbeat.time_s - self._left_s
+        self._newest = heartbeat
         if self.phase is Phase.FINISHED and not (heartbeat.is_armed and is_offboard):
             self.has_let_go = True
         if not self._has_heartbeat:
@@ -61,14 +100,22 @@ class Authority:
     def restarted(self) -> None:
         """The autopilot restarted: its next heartbeat is a first one again."""
         self._has_heartbeat = False
+        self._newest = None
 
     @property
     def may_begin(self) -> bool:
         """Whether the vehicle is free for us to get ready."""
         return not self._must_leave_offboard
 
-    def may_take(self, now_s: float) -> bool:
+    @property
+    def may_take(self) -> bool:
         """Whether offboard, seen now, was given by the operator."""
         if self._must_leave_offboard:
             return False
-        return self.phase is not Phase.YIELD or now_s - self.since_s >= REGAIN_QUIET_S
+        return self.phase is not Phase.YIELD or self._away_s >= REGAIN_QUIET_S
+
+    @property
+    def came_too_soon(self) -> bool:
+        """Whether offboard, seen now after a yield, would have been given a little later."""
+        is_yield = self.phase is Phase.YIELD and not self._must_leave_offboard
+        return is_yield and self._away_s < REGAIN_QUIET_S

@@ -27,6 +27,10 @@ class HeartbeatReceived:
     is_ready: bool
     """It says that it can be armed, or is."""
     is_failsafe: bool
+    is_terminated: bool = False
+    """The motors were stopped for good: kill switch, flight termination."""
+    order: int | None = None
+    """Of the frame among the sender's frames; None: unknown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +72,8 @@ class LandedStateChanged:
 
     time_s: float
     landed: LandedState
+    order: int | None = None
+    """As of HeartbeatReceived."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +108,8 @@ class RequestAnswered:
     kind: RequestKind
     outcome: Outcome
     detail: str = ""
+    order: int | None = None
+    """As of HeartbeatReceived."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from companion.domain import FlightMode
+from companion.domain import FlightMode, LandedState
+from companion.guidance.authority import REGAIN_QUIET_S
 from companion.guidance.commands import Severity
 from companion.guidance.conditions import hand_back_mode
 from companion.guidance.events import (
     HeartbeatReceived,
+    LandedStateChanged,
     OriginSet,
     Outcome,
     RequestAnswered,
@@ -30,6 +32,9 @@ class Handover:
 
     def __init__(self, situation: Situation) -> None:
         self._situation = situation
+        self._has_flown = False
+        """Whether it was in the air since control began."""
+        self._was_told_too_soon = False
 
     def heartbeat(self, event: HeartbeatReceived) -> None:
         """The autopilot shows its mode."""
@@ -40,32 +45,61 @@ class Handover:
             situation.withdraw()
         launch = situation.launch if situation.phase is Phase.LAUNCHING else None
         objection = None if launch is None else launch.observe(event)
-        if not event.is_armed:
-            if launch is None or objection is not None:
-                self._disarmed(event)
+        if event.is_terminated or not event.is_armed:
+            if launch is None or objection is not None or event.is_terminated:
+                self._flight_over(event)
         elif objection is not None:
             situation.enter(Trigger.MODE_LOST, now_s)
             situation.announce(Severity.WARNING, f"launch ended: {objection}")
         elif event.mode is FlightMode.OFFBOARD:
             self._offboard(now_s)
-        elif launch is None and situation.enter(Trigger.MODE_LOST, now_s):
-            name = situation.vehicle.name_of(event.mode)
-            text = f"control lost: autopilot went to {name}; silent until given back"
-            situation.announce(Severity.WARNING, text)
+        elif launch is None:
+            self._foreign(event)
 
-    def _disarmed(self, event: HeartbeatReceived) -> None:
+    def landed(self, event: LandedStateChanged) -> None:
+        """The autopilot tells whether it flies; landing means that somebody else decides."""
+        situation = self._situation
+        if event.landed is LandedState.IN_AIR:
+            self._has_flown = True
+        is_down = event.landed is LandedState.ON_GROUND and self._has_flown
+        if not is_down and event.landed is not LandedState.LANDING:
+            return
+        if situation.enter(Trigger.LANDED, event.time_s):
+            text = "on the ground" if is_down else "the autopilot is landing"
+            situation.announce(Severity.WARNING, f"control lost: {text}; silent until given back")
+
+    def _foreign(self, event: HeartbeatReceived) -> None:
+        situation, left = self._situation, self._situation.phase
+        if not situation.enter(Trigger.MODE_LOST, event.time_s):
+            return
+        self._was_told_too_soon = False
+        name = situation.vehicle.name_of(event.mode)
+        if left is Phase.HANDBACK:
+            situation.announce(Severity.NOTICE, f"handed back: autopilot is in {name}")
+            return
+        text = f"control lost: autopilot went to {name}; silent until given back"
+        situation.announce(Severity.WARNING, text)
+
+    def _flight_over(self, event: HeartbeatReceived) -> None:
         if self._situation.enter(Trigger.DISARMED, event.time_s):
             self._situation.authority.disarmed_in(event.mode)
-            self._situation.announce(Severity.NOTICE, "disarmed: the flight is over")
+            why = "flight terminated" if event.is_terminated else "disarmed"
+            self._situation.announce(Severity.NOTICE, f"{why}: the flight is over")
 
     def _offboard(self, now_s: float) -> None:
         situation = self._situation
-        if not (situation.authority.may_take(now_s) and situation.vehicle.obeys_setpoints):
+        if situation.authority.came_too_soon and not self._was_told_too_soon:
+            self._was_told_too_soon = True
+            name = situation.vehicle.guided_name
+            text = f"{name} came too soon: leave it for {REGAIN_QUIET_S:g} s, or grant control"
+            situation.announce(Severity.WARNING, text)
+        if not (situation.authority.may_take and situation.vehicle.obeys_setpoints):
             return
         is_climbing = situation.launch is not None and not situation.launch.is_at_offboard
         if situation.phase is Phase.LAUNCHING and is_climbing:
             return
         if situation.enter(Trigger.MODE_GIVEN, now_s):
+            self._has_flown = situation.vehicle.landed is LandedState.IN_AIR
             situation.launch = None
             situation.has_launched = True
             situation.find(CHECKING)
@@ -119,9 +153,26 @@ class Handover:
         text = "autopilot restarted: holding until the operator engages"
         situation.announce(Severity.WARNING, text)
 
+    def hand_back(self, finding: Finding, now_s: float) -> None:
+        """What is wrong does not pass: the autopilot shall fly by itself."""
+        situation = self._situation
+        if not situation.enter(Trigger.GIVE_UP, now_s):
+            return
+        name = situation.vehicle.name_of(finding.mode)
+        text = f"handing back: {finding.text}; asking the autopilot to {name}"
+        situation.announce(Severity.ERROR, text)
+        situation.ask_mode(finding.mode)
+
+    def give_way(self, finding: Finding, now_s: float) -> None:
+        """Somebody else commands: silence."""
+        if self._situation.enter(Trigger.GIVE_WAY, now_s):
+            text = f"giving way: {finding.text}; silent until given back"
+            self._situation.announce(Severity.ERROR, text)
+
     def stop(self, now_s: float) -> None:
         """The process is asked to end: hand the vehicle back if it is in our hands."""
         situation = self._situation
+        situation.is_stopping = True
         follow_up = FOLLOW_UP_MODE[situation.params.on_localised]
         mode = hand_back_mode(situation.authority, situation.vehicle, situation.launch, follow_up)
         if not (situation.enter(Trigger.STOP, now_s) and situation.phase is Phase.HANDBACK):

@@ -76,6 +76,7 @@ class Launch:
         self._modes: frozenset[FlightMode] = frozenset()
         """Modes that the launch itself leads through."""
         self._was_armed = False
+        self._offboard_accepted: RequestAnswered | None = None
         self._needs_prestream = True
 
     @property
@@ -102,11 +103,18 @@ class Launch:
         self._was_armed = True
         if heartbeat.is_failsafe:
             return "failsafe"
-        is_expected = heartbeat.mode in self._modes or (
-            self.is_at_offboard and heartbeat.mode is FlightMode.OFFBOARD
-        )
+        is_offboard = self.is_at_offboard and heartbeat.mode is FlightMode.OFFBOARD
+        is_on_the_way = heartbeat.mode in self._modes and not self._is_after_offboard(heartbeat)
+        is_expected = is_offboard or is_on_the_way
         name = mode_name(heartbeat.mode, heartbeat.autopilot)
         return None if is_expected else f"mode is {name}"
+
+    def _is_after_offboard(self, heartbeat: HeartbeatReceived) -> bool:
+        """Whether it was sent after the autopilot accepted offboard: then that is what it shows."""
+        accepted = self._offboard_accepted
+        if accepted is None or accepted.order is None or heartbeat.order is None:
+            return False
+        return heartbeat.order > accepted.order
 
     @property
     def wants_stream(self) -> bool:
@@ -140,6 +148,8 @@ class Launch:
         if event.kind is not expected:
             return
         if event.outcome is Outcome.ACCEPTED:
+            if self.stage is Stage.OFFBOARD:
+                self._offboard_accepted = event
             following = {
                 Stage.MODE: Stage.ARM,
                 Stage.ARM: Stage.TAKE_OFF,

@@ -22,6 +22,7 @@ from companion.guidance.events import (
     ControlGranted,
     Event,
     HeartbeatReceived,
+    LandedStateChanged,
     OriginSet,
     RangingReceived,
     RequestAnswered,
@@ -40,6 +41,8 @@ from companion.guidance.status import GuidanceStatus, snapshot
 from companion.guidance.steering import Steering
 from companion.guidance.vehicle import VehicleView
 from companion.planning.base import Planner
+
+MODE_EVENTS = (HeartbeatReceived, LandedStateChanged)
 
 
 class GuidanceSession:
@@ -65,31 +68,36 @@ class GuidanceSession:
         self.situation = Situation(params, tracker, planner, guard, needs_origin=needs_origin)
         inputs = InputWatch(self.situation)
         self._measuring = Measuring(self.situation, inputs)
-        self._handover = Handover(self.situation)
+        self.handover = Handover(self.situation)
         self._control = ControlTick(self.situation, inputs)
 
     def handle(self, event: Event) -> list[Command]:
         """What is to be done about an event."""
+        if isinstance(event, MODE_EVENTS) and self.authority.is_overtaken(event):
+            self.situation.record("overtaken", what=type(event).__name__)
+            return self.situation.take_commands()
         if isinstance(event, OriginSet):
-            self._handover.check_frame(event)
+            self.handover.check_frame(event)
             if event.origin != self.vehicle.origin:
                 self.situation.record("origin", **asdict(event.origin))
         self.vehicle.handle(event)
         match event:
             case HeartbeatReceived():
-                self._handover.heartbeat(event)
+                self.handover.heartbeat(event)
+            case LandedStateChanged():
+                self.handover.landed(event)
             case RangingReceived():
                 self._measuring.receive(event.measurement, event.time_s)
             case VehicleMoved():
                 self._measuring.fuse_due(event.time_s)
             case RequestAnswered():
-                self._handover.answered(event)
+                self.handover.answered(event)
             case ControlGranted():
-                self._handover.granted(event.time_s)
+                self.handover.granted(event.time_s)
             case AutopilotRestarted():
-                self._handover.restarted(event.time_s)
+                self.handover.restarted(event.time_s)
             case StopRequested():
-                self._handover.stop(event.time_s)
+                self.handover.stop(event.time_s)
             case TimerFired():
                 self._measuring.fuse_due(event.time_s)
                 self._control.run(event.time_s)

@@ -59,6 +59,8 @@ class Situation:
         self.result: ReportResult | None = None
         self.launch: Launch | None = None
         self.has_launched = False
+        self.is_stopping = False
+        """Whether the process ends as soon as the vehicle is not in our hands."""
         self.finding: Finding | None = None
         """What is wrong now."""
         self.reasons: Counter[Reason] = Counter()
@@ -85,6 +87,8 @@ class Situation:
             self.withdraw()
         if not (left in IN_CONTROL and self.phase in STREAMING):
             self.steering.forget_setpoint()
+        if self.is_stopping and self.phase in OUT_OF_CONTROL:
+            self.enter(Trigger.STOP, now_s)
         return True
 
     def find(self, finding: Finding) -> bool:

@@ -9,15 +9,18 @@ operator gave it that mode; everything else is either getting there or staying o
     LAUNCHING  auto only, once: arm, take off, ask for offboard.
     NORMAL     offboard and armed: flies what the planner wants, through the guard.
     DEGRADED   the same, slower: ranging ages, and the target is only believed to be where it was.
-    HOLD       offboard and armed, but something the plan stands on is missing (ranging, own
-               position, a filter that makes sense): streams "stay here".
+    HOLD       offboard and armed, but something is wrong (ranging, own position, a filter that
+               makes no sense, the autopilot's health): streams "stay here".
     FINISHED   the target was reported; the autopilot was asked for the mode that follows, and
                gets "stay here" until it has left offboard, never again after that.
-    YIELD      the mode left offboard for whatever reason: silence, latched. Only the operator
-               ends it, by giving offboard again (on the ground, or with another source of
-               setpoints), by an explicit grant, or by disarming (the next flight is a new one).
-    HANDBACK   asked to stop while in control: asks for the autopilot's own hold mode and
-               gives it "stay here" until it confirms.
+    YIELD      somebody else flies: the mode left offboard for whatever reason, the vehicle lands,
+               others send setpoints or move the sticks, or it was handed back. Silence, latched.
+               Only the operator ends it, by giving offboard again (on the ground, or with another
+               source of setpoints), by an explicit grant, or by disarming (the next flight is a
+               new one). A mode that flaps was not given.
+    HANDBACK   asked to stop while in control, or what is wrong does not pass: asks once for the
+               autopilot's own hold, or for the return, and gives it "stay here" until it answers.
+               Then YIELD, and STOPPED if that was wanted.
     STOPPED    the process may end.
 
 Three rules stand above the table: a lost mode is never asked for again; what was asked and not
@@ -55,10 +58,13 @@ class Trigger(Enum):
     MODE_LOST = "the mode left offboard"
     GRANTED = "the operator grants control again"
     DISARMED = "disarmed"
+    LANDED = "landing, or on the ground after a flight"
     INPUT_AGES = "something the plan stands on ages"
     INPUT_LOST = "something the plan stands on is missing"
     INPUT_BACK = "everything the plan stands on is there"
     LOCALISED = "the target is reported"
+    GIVE_UP = "what is wrong does not pass"
+    GIVE_WAY = "somebody else commands"
     RESTARTED = "the autopilot restarted"
     STOP = "asked to stop"
     HANDED_BACK = "the hand-back is over"
@@ -101,23 +107,27 @@ TRANSITIONS: dict[tuple[Phase, Trigger], Phase] = {
     (Phase.FINISHED, Trigger.GRANTED): Phase.STANDBY,
     (Phase.LAUNCHING, Trigger.STOP): Phase.HANDBACK,
     (Phase.FINISHED, Trigger.STOP): Phase.HANDBACK,
-    (Phase.HANDBACK, Trigger.HANDED_BACK): Phase.STOPPED,
-    (Phase.HANDBACK, Trigger.MODE_LOST): Phase.STOPPED,
-    (Phase.HANDBACK, Trigger.DISARMED): Phase.STOPPED,
+    (Phase.HANDBACK, Trigger.HANDED_BACK): Phase.YIELD,
+    (Phase.HANDBACK, Trigger.MODE_LOST): Phase.YIELD,
+    (Phase.HANDBACK, Trigger.LANDED): Phase.YIELD,
+    (Phase.FINISHED, Trigger.LANDED): Phase.YIELD,
 }
-TRANSITIONS |= {(phase, Trigger.MODE_LOST): Phase.YIELD for phase in IN_CONTROL}
+TRANSITIONS |= {
+    (phase, trigger): Phase.YIELD
+    for phase in IN_CONTROL
+    for trigger in (Trigger.MODE_LOST, Trigger.LANDED, Trigger.GIVE_WAY)
+}
+TRANSITIONS |= {(phase, Trigger.GIVE_UP): Phase.HANDBACK for phase in IN_CONTROL}
 TRANSITIONS |= {(phase, Trigger.STOP): Phase.HANDBACK for phase in IN_CONTROL}
 TRANSITIONS |= {
     (phase, Trigger.STOP): Phase.STOPPED for phase in (Phase.WAITING, Phase.STANDBY, Phase.YIELD)
 }
 TRANSITIONS |= {
-    (phase, Trigger.RESTARTED): Phase.WAITING
-    for phase in Phase
-    if phase not in (Phase.HANDBACK, Phase.STOPPED)
+    (phase, Trigger.RESTARTED): Phase.WAITING for phase in Phase if phase is not Phase.STOPPED
 }
 TRANSITIONS |= {
     (phase, Trigger.DISARMED): Phase.WAITING
-    for phase in IN_CONTROL | {Phase.LAUNCHING, Phase.YIELD, Phase.FINISHED}
+    for phase in IN_CONTROL | {Phase.LAUNCHING, Phase.YIELD, Phase.FINISHED, Phase.HANDBACK}
 }
 
 

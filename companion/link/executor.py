@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from companion.domain import FlightMode
 from companion.guidance.commands import (
     Announce,
@@ -69,11 +71,22 @@ class SessionExecutor:
         for command in self._session.handle(event):
             self.execute(command, now_s)
 
-    def answered(self, ack: mavlink.MAVLink_command_ack_message, now_s: float) -> None:
-        """Take in an ACK of the autopilot that is for us."""
+    def answered(
+        self,
+        ack: mavlink.MAVLink_command_ack_message,
+        now_s: float,
+        order: int | None = None,
+    ) -> None:
+        """Take in an ACK of the autopilot that is for us.
+
+        Args:
+            ack: The message.
+            now_s: When it came.
+            order: Of its frame among the autopilot's, if that is known.
+        """
         answer = self._requests.answered(ack, now_s)
         if answer is not None:
-            self.handle(answer, now_s)
+            self.handle(replace(answer, order=order), now_s)
 
     def tick(self, now_s: float) -> None:
         """Send the request that is due, or give it up."""

@@ -30,6 +30,7 @@ FAILSAFE_STATES = (
     mavlink.MAV_STATE_EMERGENCY,
     mavlink.MAV_STATE_FLIGHT_TERMINATION,
 )
+ENDED_STATES = (mavlink.MAV_STATE_FLIGHT_TERMINATION, mavlink.MAV_STATE_POWEROFF)
 STAMPED = frozenset(
     {
         mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
@@ -95,7 +96,7 @@ class VehicleInbound:
             return []
         match message:
             case mavlink.MAVLink_heartbeat_message():
-                return self._heartbeat(message, now_s)
+                return self._heartbeat(message, now_s, number)
             case mavlink.MAVLink_local_position_ned_message():
                 reading = self._read(message.time_boot_ms, now_s)
                 state = VehicleState(
@@ -109,7 +110,7 @@ class VehicleInbound:
                 yaw = YawMeasured(now_s, reading.time_s, message.yaw)
                 return self._with_restart(reading, yaw)
             case mavlink.MAVLink_extended_sys_state_message():
-                return [LandedStateChanged(now_s, _landed_state(message.landed_state))]
+                return [LandedStateChanged(now_s, _landed_state(message.landed_state), number)]
             case mavlink.MAVLink_sys_status_message():
                 present = message.onboard_control_sensors_present & PREARM_BIT
                 health = message.onboard_control_sensors_health & PREARM_BIT
@@ -160,7 +161,9 @@ class VehicleInbound:
         self._is_prearm_good = True
         return [AutopilotRestarted(event.time_s), event]
 
-    def _heartbeat(self, message: mavlink.MAVLink_heartbeat_message, now_s: float) -> list[Event]:
+    def _heartbeat(
+        self, message: mavlink.MAVLink_heartbeat_message, now_s: float, order: int | None
+    ) -> list[Event]:
         autopilot = autopilot_of(message)
         if autopilot is None:
             return []
@@ -174,6 +177,8 @@ class VehicleInbound:
             is_armed=is_armed,
             is_ready=is_armed or (is_up and self._is_prearm_good),
             is_failsafe=status in FAILSAFE_STATES,
+            is_terminated=status in ENDED_STATES,
+            order=order,
         )
         return [event]
 

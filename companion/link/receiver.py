@@ -74,7 +74,7 @@ class VehicleReceiver:
             self._health.overtaken = self._inbound.overtaken
             for event in events:
                 self._executor.handle(event, now_s)
-            self._receive_answer(message, now_s)
+            self._receive_answer(message, now_s, number)
         if isinstance(message, AddressedCommand):
             self._receive_command(message, peer, now_s)
 
@@ -90,11 +90,11 @@ class VehicleReceiver:
             text = "unknown autopilot: only PX4 and ArduPilot modes are understood"
             self._journal.text(Severity.WARNING, text, now_s)
 
-    def _receive_answer(self, message: Message, now_s: float) -> None:
+    def _receive_answer(self, message: Message, now_s: float, order: int | None) -> None:
         match message:
             case mavlink.MAVLink_command_ack_message():
                 if self._is_for_us(message.target_system, message.target_component):
-                    self._executor.answered(message, now_s)
+                    self._executor.answered(message, now_s, order)
             case mavlink.MAVLink_statustext_message():
                 if self._text_limit.allows(now_s):
                     text = {"text": _clean(message.text), "dropped": self._text_limit.refused}

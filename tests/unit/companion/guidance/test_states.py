@@ -13,17 +13,17 @@ from companion.guidance.states import (
 )
 
 TABLE = """
-          READY   LAUNCH    LAUNCH_FAILED MODE_GIVEN MODE_LOST GRANTED DISARMED INPUT_AGES INPUT_LOST INPUT_BACK LOCALISED RESTARTED STOP     HANDED_BACK
-WAITING   STANDBY .         .             .          .         .       .        .          .          .          .         .         STOPPED  .
-STANDBY   .       LAUNCHING .             HOLD       .         .       .        .          .          .          .         WAITING   STOPPED  .
-LAUNCHING .       .         YIELD         HOLD       YIELD     .       WAITING  .          .          .          .         WAITING   HANDBACK .
-NORMAL    .       .         .             .          YIELD     .       WAITING  DEGRADED   HOLD       .          FINISHED  WAITING   HANDBACK .
-DEGRADED  .       .         .             .          YIELD     .       WAITING  .          HOLD       NORMAL     FINISHED  WAITING   HANDBACK .
-HOLD      .       .         .             .          YIELD     .       WAITING  DEGRADED   .          NORMAL     .         WAITING   HANDBACK .
-FINISHED  .       .         .             .          .         STANDBY WAITING  .          .          .          .         WAITING   HANDBACK .
-YIELD     .       .         .             HOLD       .         STANDBY WAITING  .          .          .          .         WAITING   STOPPED  .
-HANDBACK  .       .         .             .          STOPPED   .       STOPPED  .          .          .          .         .         .        STOPPED
-STOPPED   .       .         .             .          .         .       .        .          .          .          .         .         .        .
+          READY   LAUNCH    LAUNCH_FAILED MODE_GIVEN MODE_LOST GRANTED DISARMED LANDED INPUT_AGES INPUT_LOST INPUT_BACK LOCALISED GIVE_UP  GIVE_WAY RESTARTED STOP     HANDED_BACK
+WAITING   STANDBY .         .             .          .         .       .        .      .          .          .          .         .        .        .         STOPPED  .
+STANDBY   .       LAUNCHING .             HOLD       .         .       .        .      .          .          .          .         .        .        WAITING   STOPPED  .
+LAUNCHING .       .         YIELD         HOLD       YIELD     .       WAITING  .      .          .          .          .         .        .        WAITING   HANDBACK .
+NORMAL    .       .         .             .          YIELD     .       WAITING  YIELD  DEGRADED   HOLD       .          FINISHED  HANDBACK YIELD    WAITING   HANDBACK .
+DEGRADED  .       .         .             .          YIELD     .       WAITING  YIELD  .          HOLD       NORMAL     FINISHED  HANDBACK YIELD    WAITING   HANDBACK .
+HOLD      .       .         .             .          YIELD     .       WAITING  YIELD  DEGRADED   .          NORMAL     .         HANDBACK YIELD    WAITING   HANDBACK .
+FINISHED  .       .         .             .          .         STANDBY WAITING  YIELD  .          .          .          .         .        .        WAITING   HANDBACK .
+YIELD     .       .         .             HOLD       .         STANDBY WAITING  .      .          .          .          .         .        .        WAITING   STOPPED  .
+HANDBACK  .       .         .             .          YIELD     .       WAITING  YIELD  .          .          .          .         .        .        WAITING   .        YIELD
+STOPPED   .       .         .             .          .         .       .        .      .          .          .          .         .        .        .         .        .
 """  # noqa: E501  one row per phase is the point
 _HEAD, *_ROWS = [line.split() for line in TABLE.strip().splitlines()]
 EXPECTED = {

@@ -149,7 +149,7 @@ def test_unknown_landed_states_are_unknown() -> None:
     inbound = VehicleInbound()
     for value, landed in ((1, LandedState.ON_GROUND), (77, LandedState.UNKNOWN)):
         message = mavlink.MAVLink_extended_sys_state_message(0, value)
-        assert inbound.events(message, 1.0) == [LandedStateChanged(1.0, landed)]
+        assert inbound.events(message, 1.0) == [LandedStateChanged(1.0, landed, order=0)]
 
 
 def restart(inbound: VehicleInbound, boot_ms: int, now_s: float) -> list[Event]:

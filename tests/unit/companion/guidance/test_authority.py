@@ -1,0 +1,280 @@
+"""Who flies: first foreign frames, flaps, late frames, landings, kills and hand-backs."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from companion.domain import Autopilot, FlightMode, LandedState
+from companion.guidance.commands import Arm, SendSetpoint, SetMode, TakeOff
+from companion.guidance.events import (
+    AutopilotRestarted,
+    ControlGranted,
+    HeartbeatReceived,
+    LandedStateChanged,
+    Outcome,
+    RequestAnswered,
+    RequestKind,
+    StopRequested,
+)
+from companion.guidance.findings import Finding, Reason, Verdict
+from companion.guidance.session import TICK_S, SessionParams
+from companion.guidance.states import Phase
+from tests.unit.companion.guidance.scripted import ScriptedFlight
+
+AUTOPILOTS = [Autopilot.PX4, Autopilot.ARDUPILOT]
+CRITICAL = Finding(Verdict.HAND_BACK, Reason.CHECKING, "a test wants it", FlightMode.RETURN)
+FOREIGN = Finding(Verdict.GIVE_WAY, Reason.CHECKING, "a test wants it")
+
+
+def flying(autopilot: Autopilot = Autopilot.PX4) -> ScriptedFlight:
+    """In the air and in control."""
+    flight = ScriptedFlight(autopilot=autopilot)
+    flight.report_landed(LandedState.IN_AIR)
+    return flight.in_control()
+
+
+def acts(flight: ScriptedFlight, since_s: float = -math.inf) -> int:
+    """Setpoints and requests after a time."""
+    return sum(len(flight.sent(kind, since_s)) for kind in (SendSetpoint, SetMode, Arm, TakeOff))
+
+
+def numbered(flight: ScriptedFlight, mode: FlightMode, order: int) -> None:
+    """An armed heartbeat with its place in the sender's order."""
+    flight.give(
+        HeartbeatReceived(
+            flight.now_s, flight.autopilot, mode, True, True, is_failsafe=False, order=order
+        )
+    )
+
+
+# Modes that come and go
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@pytest.mark.parametrize("period_s", [0.2, 0.5, 1.0, 1.9])
+def test_a_mode_that_flaps_is_left_alone(autopilot: Autopilot, period_s: float) -> None:
+    flight = flying(autopilot)
+    flight.show(FlightMode.POSITION)
+    lost_s = flight.now_s
+    for _ in range(20):
+        flight.fly(period_s)
+        flight.show(FlightMode.OFFBOARD)
+        flight.fly(period_s)
+        flight.show(FlightMode.POSITION)
+    assert flight.is_in(Phase.YIELD)
+    assert acts(flight, lost_s) == 0
+
+
+def test_offboard_given_again_too_soon_is_explained_once() -> None:
+    flight = flying(Autopilot.ARDUPILOT)
+    flight.show(FlightMode.POSITION)
+    flight.fly(1.0)
+    flight.show(FlightMode.OFFBOARD)
+    flight.fly(5.0)
+    assert flight.is_in(Phase.YIELD)
+    text = "GUIDED came too soon: leave it for 2 s, or grant control"
+    assert flight.texts.count(text) == 1
+
+
+def test_a_heartbeat_that_was_overtaken_ends_nothing() -> None:
+    flight = ScriptedFlight().ready()
+    numbered(flight, FlightMode.OFFBOARD, 50)
+    numbered(flight, FlightMode.HOLD, 49)
+    flight.fly(0.2)
+    assert flight.is_in(Phase.NORMAL)
+    numbered(flight, FlightMode.HOLD, 51)
+    assert flight.is_in(Phase.YIELD)
+
+
+def test_an_overtaken_heartbeat_gives_nothing_either() -> None:
+    flight = ScriptedFlight(autopilot=Autopilot.ARDUPILOT).ready()
+    flight.report_landed(LandedState.IN_AIR)
+    numbered(flight, FlightMode.POSITION, 50)
+    numbered(flight, FlightMode.OFFBOARD, 49)
+    flight.fly(TICK_S)
+    assert flight.is_in(Phase.STANDBY)
+
+
+def test_an_order_that_makes_no_sense_hides_no_foreign_mode() -> None:
+    flight = flying()
+    numbered(flight, FlightMode.OFFBOARD, 10_000)
+    flight.fly(0.1)
+    numbered(flight, FlightMode.HOLD, 3)
+    assert flight.is_in(Phase.YIELD)
+
+
+def test_numbers_begin_anew_with_the_autopilot() -> None:
+    flight = flying()
+    numbered(flight, FlightMode.OFFBOARD, 5000)
+    flight.give(AutopilotRestarted(flight.now_s))
+    numbered(flight, FlightMode.HOLD, 7)
+    assert flight.session.vehicle.mode is FlightMode.HOLD
+
+
+def test_after_the_launch_was_told_that_it_has_offboard_another_mode_is_somebodys() -> None:
+    flight = ScriptedFlight(SessionParams(engage="auto")).ready()
+    flight.fly(2.0)
+    assert FlightMode.OFFBOARD in flight.asked_modes()
+    accepted = RequestAnswered(flight.now_s, RequestKind.SET_MODE, Outcome.ACCEPTED, order=100)
+    flight.give(accepted)
+    numbered(flight, FlightMode.HOLD, 99)
+    assert flight.is_in(Phase.LAUNCHING)
+    numbered(flight, FlightMode.HOLD, 101)
+    assert flight.is_in(Phase.YIELD)
+
+
+# The end of a flight
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@pytest.mark.parametrize("landed", [LandedState.ON_GROUND, LandedState.LANDING])
+def test_landing_in_control_ends_it(autopilot: Autopilot, landed: LandedState) -> None:
+    flight = flying(autopilot)
+    flight.report_landed(landed)
+    assert flight.is_in(Phase.YIELD)
+    landed_s = flight.now_s
+    flight.fly(10.0)
+    assert acts(flight, landed_s) == 0
+    assert flight.is_in(Phase.YIELD)  # the mode is still offboard, and nobody gave it again
+
+
+def test_a_vehicle_that_takes_control_on_the_ground_is_not_landing() -> None:
+    flight = ScriptedFlight()
+    flight.report_landed(LandedState.ON_GROUND)
+    flight.in_control()
+    flight.report_landed(LandedState.ON_GROUND)
+    assert flight.is_in(Phase.NORMAL)
+    flight.report_landed(LandedState.IN_AIR)
+    flight.report_landed(LandedState.ON_GROUND)
+    assert flight.is_in(Phase.YIELD)
+
+
+def test_a_landed_state_that_was_overtaken_ends_nothing() -> None:
+    flight = ScriptedFlight().ready()
+    numbered(flight, FlightMode.OFFBOARD, 50)
+    flight.give(LandedStateChanged(flight.now_s, LandedState.LANDING, order=49))
+    flight.fly(TICK_S)
+    assert flight.is_in(Phase.NORMAL)
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_a_kill_ends_everything_at_once(autopilot: Autopilot) -> None:
+    flight = flying(autopilot)
+    flight.give(
+        HeartbeatReceived(
+            flight.now_s,
+            autopilot,
+            FlightMode.OFFBOARD,
+            True,
+            False,
+            is_failsafe=True,
+            is_terminated=True,
+        )
+    )
+    killed_s = flight.now_s
+    flight.has_heartbeat = False
+    flight.fly(1.0)
+    assert acts(flight, killed_s) == 0
+    assert flight.is_in(Phase.WAITING)
+    assert "flight terminated: the flight is over" in flight.texts
+
+
+@pytest.mark.parametrize("phase", [Phase.NORMAL, Phase.HOLD, Phase.FINISHED])
+def test_disarming_ends_everything_at_once(phase: Phase) -> None:
+    flight = ScriptedFlight(SessionParams(stop_confirm_s=1.0, stop_radius_m=2.0))
+    flight.follows = True
+    flight.in_control()
+    if phase is Phase.HOLD:
+        flight.has_ranging = False
+        flight.fly(6.0)
+    elif phase is Phase.FINISHED:
+        flight.fly_until_reported()
+    assert flight.is_in(phase)
+    flight.show(FlightMode.OFFBOARD, is_armed=False)
+    assert flight.has_withdrawn
+    disarmed_s = flight.now_s
+    flight.fly(0.9)
+    assert acts(flight, disarmed_s) == 0
+
+
+# Handing back and giving way in flight
+
+
+def test_handing_back_asks_once_stays_and_is_silent_once_it_is_answered() -> None:
+    flight = flying()
+    flight.session.handover.hand_back(CRITICAL, flight.now_s)
+    flight.fly(TICK_S)
+    assert flight.is_in(Phase.HANDBACK)
+    assert flight.asked_modes() == [FlightMode.RETURN]
+    asked_s = flight.now_s
+    flight.fly(0.5)
+    assert len(flight.sent(SendSetpoint, asked_s)) == 10
+    flight.answer(RequestKind.SET_MODE)
+    assert flight.is_in(Phase.YIELD)
+    answered_s = flight.now_s
+    flight.show(FlightMode.RETURN)
+    flight.fly(30.0)
+    assert acts(flight, answered_s) == 0
+    assert not flight.session.is_stopped
+
+
+@pytest.mark.parametrize("outcome", [Outcome.REJECTED, Outcome.NO_ANSWER])
+def test_a_hand_back_that_fails_is_told_and_leaves_the_vehicle(outcome: Outcome) -> None:
+    flight = flying(Autopilot.ARDUPILOT)
+    flight.session.handover.hand_back(CRITICAL, flight.now_s)
+    flight.fly(0.2)
+    flight.answer(RequestKind.SET_MODE, outcome)
+    assert f"hand-back: {outcome.value}" in flight.texts
+    failed_s = flight.now_s
+    flight.fly(30.0)  # in GUIDED all the time: nobody gave it again
+    assert acts(flight, failed_s) == 0
+    assert flight.is_in(Phase.YIELD)
+
+
+def test_a_hand_back_nobody_answers_ends_within_a_second_and_a_half() -> None:
+    flight = flying()
+    flight.session.handover.hand_back(CRITICAL, flight.now_s)
+    flight.fly(1.5)
+    assert flight.is_in(Phase.YIELD)
+    assert flight.has_withdrawn
+
+
+def test_a_vehicle_that_was_handed_back_is_given_again_by_the_operator() -> None:
+    flight = flying(Autopilot.ARDUPILOT)
+    flight.session.handover.hand_back(CRITICAL, flight.now_s)
+    flight.fly(TICK_S)
+    flight.answer(RequestKind.SET_MODE)
+    flight.show(FlightMode.RETURN)
+    flight.fly(3.0)
+    flight.show(FlightMode.OFFBOARD)
+    assert flight.is_in(Phase.HOLD)
+
+
+def test_a_stop_during_a_hand_back_ends_the_process_with_it() -> None:
+    flight = flying()
+    flight.session.handover.hand_back(CRITICAL, flight.now_s)
+    flight.give(StopRequested(flight.now_s))
+    assert flight.is_in(Phase.HANDBACK)
+    flight.answer(RequestKind.SET_MODE)
+    assert flight.session.is_stopped
+
+
+def test_a_restart_during_a_stop_ends_the_process() -> None:
+    flight = flying()
+    flight.give(StopRequested(flight.now_s))
+    flight.give(AutopilotRestarted(flight.now_s))
+    assert flight.session.is_stopped
+
+
+def test_giving_way_is_silence_until_the_mode_is_given_again() -> None:
+    flight = flying(Autopilot.ARDUPILOT)
+    flight.session.handover.give_way(FOREIGN, flight.now_s)
+    assert flight.is_in(Phase.YIELD)
+    gave_s = flight.now_s
+    flight.fly(20.0)
+    assert acts(flight, gave_s) == 0
+    flight.give(ControlGranted(flight.now_s))
+    flight.fly(1.1)
+    assert flight.is_in(Phase.HOLD, Phase.NORMAL)
