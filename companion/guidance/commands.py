@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from companion.domain import FlightMode, PositionSetpoint, TargetEstimate
+from companion.geometry.frames import LocalOrigin
 
 
 class Severity(Enum):
@@ -73,6 +74,9 @@ class ReportResult:
     estimate: TargetEstimate
     latitude_deg: float | None
     longitude_deg: float | None
+    emitter_id: int | None = None
+    origin: LocalOrigin | None = None
+    """Zero of the estimate's frame."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -139,7 +139,8 @@ class ControlTick:
     def _report(self, estimate: TargetEstimate, now_s: float) -> None:
         situation = self._situation
         height_m = situation.tracker.params.filter.target_height_m
-        situation.result, text = result_of(estimate, situation.vehicle.origin, height_m)
+        emitter_id = situation.tracker.emitter_id
+        situation.result, text = result_of(estimate, situation.vehicle.origin, height_m, emitter_id)
         situation.commands.append(situation.result)
         situation.announce(Severity.NOTICE, text)
         situation.enter(Trigger.LOCALISED, now_s)

@@ -47,7 +47,10 @@ def waypoint_record(waypoint: Waypoint) -> Record:
 
 
 def result_of(
-    estimate: TargetEstimate, origin: LocalOrigin | None, target_height_m: float
+    estimate: TargetEstimate,
+    origin: LocalOrigin | None,
+    target_height_m: float,
+    emitter_id: int | None = None,
 ) -> tuple[ReportResult, str]:
     """The result of the flight, and the operator's text about it.
 
@@ -55,11 +58,12 @@ def result_of(
         estimate: Where the target is.
         origin: Zero of the local frame; without it there are no degrees to tell.
         target_height_m: Of the target in the local frame.
+        emitter_id: Which emitter it is.
     """
     r95 = f"R95 {estimate.r95_m:.1f} m"
     if origin is None:
-        return ReportResult(estimate, None, None), f"LOCALISED {r95}"
+        return ReportResult(estimate, None, None, emitter_id), f"LOCALISED {r95}"
     place = (*estimate.position_enu_m, target_height_m)
     latitude_deg, longitude_deg, _ = origin.geodetic_from_enu(place)
     text = f"LOCALISED {latitude_deg:.7f} {longitude_deg:.7f} {r95}"
-    return ReportResult(estimate, latitude_deg, longitude_deg), text
+    return ReportResult(estimate, latitude_deg, longitude_deg, emitter_id, origin), text

@@ -16,6 +16,7 @@ from companion.io.background_replace import BackgroundReplacer
 from companion.io.events import EventLog
 from companion.io.files import plain
 from companion.io.flight_files import EVENTS, INPUTS, RESULT, TLOG
+from companion.io.handoff_files import HandoffFiles
 from companion.io.inputs import InputLog
 from companion.io.mcap_log import McapLog
 from companion.io.tlog import TlogWriter
@@ -82,6 +83,7 @@ class FlightJournal:
         self.inputs = InputLog(directory / INPUTS, inputs_bytes, also)
         """What the endpoint is told goes here; see `CompanionEndpoint`."""
         self._results = BackgroundReplacer("write result.json")
+        self._handoff = HandoffFiles()
 
     def frame(self, data: bytes, now_s: float) -> None:
         """Keep a raw frame."""
@@ -106,6 +108,7 @@ class FlightJournal:
         """Write `result.json`; a disk that refuses it does not stop the flight."""
         estimate = report.estimate
         value = {
+            "emitter_id": report.emitter_id,
             "state": estimate.state.value,
             "latitude_deg": report.latitude_deg,
             "longitude_deg": report.longitude_deg,
@@ -122,6 +125,8 @@ class FlightJournal:
         self.record("result", value, now_s)
         text = json.dumps(plain(value), allow_nan=False, indent=2) + "\n"
         self._results.replace(self.directory / RESULT, text.encode())
+        for name, content in self._handoff.files(report, self._started_unix_s + now_s).items():
+            self._results.replace(self.directory / name, content.encode())
 
     @property
     def health(self) -> JournalHealth:
