@@ -136,6 +136,14 @@ class TimerFired:
 
 
 @dataclass(frozen=True, slots=True)
+class ControlStalled:
+    """The control tick stood still (suspended, starved): mode and position are of the past."""
+
+    time_s: float
+    stalled_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class StopRequested:
     """The process is asked to end."""
 
@@ -154,5 +162,6 @@ Event = (
     | AutopilotRestarted
     | ControlGranted
     | TimerFired
+    | ControlStalled
     | StopRequested
 )

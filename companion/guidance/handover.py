@@ -7,6 +7,7 @@ from companion.guidance.authority import REGAIN_QUIET_S
 from companion.guidance.commands import Severity
 from companion.guidance.conditions import hand_back_mode
 from companion.guidance.events import (
+    ControlStalled,
     HeartbeatReceived,
     LandedStateChanged,
     OriginSet,
@@ -168,6 +169,21 @@ class Handover:
         if self._situation.enter(Trigger.GIVE_WAY, now_s):
             text = f"giving way: {finding.text}; silent until given back"
             self._situation.announce(Severity.ERROR, text)
+
+    def stalled(self, event: ControlStalled) -> None:
+        """The tick stood still: nothing is sent until mode and position were heard anew.
+
+        What was asked before is not asked again, because whoever flies may have changed since;
+        handing back is the exception.
+        """
+        situation = self._situation
+        situation.vehicle.distrust(event.time_s)
+        situation.steering.forget_setpoint()
+        if situation.phase is not Phase.HANDBACK:
+            situation.withdraw()
+        situation.enter(Trigger.LAUNCH_FAILED, event.time_s)
+        text = f"the computer stood still for {event.stalled_s:.1f} s: looking where we are"
+        situation.announce(Severity.WARNING, text)
 
     def stop(self, now_s: float) -> None:
         """The process is asked to end: hand the vehicle back if it is in our hands."""

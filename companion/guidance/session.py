@@ -20,6 +20,7 @@ from companion.guidance.control import ControlTick
 from companion.guidance.events import (
     AutopilotRestarted,
     ControlGranted,
+    ControlStalled,
     Event,
     HeartbeatReceived,
     LandedStateChanged,
@@ -96,6 +97,8 @@ class GuidanceSession:
                 self.handover.granted(event.time_s)
             case AutopilotRestarted():
                 self.handover.restarted(event.time_s)
+            case ControlStalled():
+                self.handover.stalled(event)
             case StopRequested():
                 self.handover.stop(event.time_s)
             case TimerFired():

@@ -46,6 +46,8 @@ class VehicleView:
         """Flown so far while armed, climbs included."""
         self._counted_at: PositionEnu | None = None
         self._needs_origin = needs_origin
+        self._distrusted_s = -math.inf
+        """A mode heard before this counts no more."""
 
     def handle(self, event: Event) -> None:
         """Take in an event about the vehicle; others change nothing."""
@@ -71,6 +73,11 @@ class VehicleView:
         self.heartbeat = None
         self.origin = None
         self.landed = LandedState.UNKNOWN
+
+    def distrust(self, now_s: float) -> None:
+        """Wait for a new mode and position, because what was heard so far is of the past."""
+        self._distrusted_s = now_s
+        self.track.clear()
 
     def forget_frame(self) -> None:
         """Drop every local position, because the frame moved."""
@@ -165,7 +172,9 @@ class VehicleView:
 
     def is_mode_known(self, now_s: float) -> bool:
         """Whether the mode last shown still says who flies."""
-        return self.heartbeat is not None and now_s - self.heartbeat.time_s <= MODE_UNKNOWN_AFTER_S
+        if self.heartbeat is None or self.heartbeat.time_s <= self._distrusted_s:
+            return False
+        return now_s - self.heartbeat.time_s <= MODE_UNKNOWN_AFTER_S
 
     def is_usable(self, now_s: float) -> bool:
         """Whether it can be guided at all: heard, positioned, with a home."""

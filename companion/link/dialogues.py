@@ -13,8 +13,8 @@ from companion.link.clock_sync import ClockSync
 from companion.link.freshness import PATIENCE_S, StreamFreshness
 from companion.link.px4_check import Px4FailsafeCheck
 from companion.link.rate_limit import RateLimit
-from companion.link.streams import StreamRequester
-from companion.mav.dialect import Message
+from companion.link.streams import StreamRequester, request_message
+from companion.mav.dialect import Message, mavlink
 
 TEXTS_PER_S = 0.2
 """About streams."""
@@ -33,6 +33,7 @@ class Dialogues:
         self._binding = binding
         self._streams = StreamRequester(self.freshness)
         self._px4_check = Px4FailsafeCheck()
+        self._asks_mode = False
         self._stale: tuple[str, ...] = ()
         self._may_tell = RateLimit(TEXTS_PER_S)
 
@@ -51,8 +52,14 @@ class Dialogues:
         ids = (binding.system_id, binding.component_id)
         request = self._streams.due(now_s, *ids)
         request = request or self._px4_check.due(now_s, binding.autopilot, *ids)
+        mode = request_message(mavlink.MAVLINK_MSG_ID_HEARTBEAT, *ids) if self._asks_mode else None
+        self._asks_mode = False
         time = self.clock.due(now_s, *ids)
-        return [question for question in (request, time) if question is not None]
+        return [question for question in (mode, request, time) if question is not None]
+
+    def ask_mode(self) -> None:
+        """Ask for a HEARTBEAT, once, instead of waiting for the next one."""
+        self._asks_mode = True
 
     def news(self, now_s: float) -> list[Announce]:
         """What the operator is to be told about streams, while others still flow."""

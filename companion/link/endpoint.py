@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 
-from companion.guidance.events import StopRequested, TimerFired
+from companion.guidance.events import ControlStalled, StopRequested, TimerFired
 from companion.guidance.session import GuidanceSession
 from companion.link.alarms import LinkAlarms
 from companion.link.authenticity import Authenticity
@@ -126,7 +126,10 @@ class CompanionEndpoint:
         )
         for text in news:
             self._outlet.announce(text, now_s)
-        self._health.tick(now_s)
+        stalled_s = self._health.tick(now_s)
+        if stalled_s is not None:
+            self._dialogues.ask_mode()
+            self.executor.handle(ControlStalled(now_s, stalled_s), now_s)
         period_s = self._health.pacing.period_s
         self._next_timer_s += period_s
         if self._next_timer_s <= now_s:

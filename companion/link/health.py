@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from companion.link.pacing import Pacing
+from companion.link.pacing import Pacing, TickWatch
 from companion.link.params import LinkParams
 from companion.link.sequence import SequenceMonitor
 from companion.mav.dialect import Message
@@ -18,6 +18,7 @@ class LinkHealth:
     def __init__(self, params: LinkParams) -> None:
         self.sequence = SequenceMonitor()
         self.pacing = Pacing(params)
+        self.ticks = TickWatch()
         self.overtaken = 0
         """Messages that came after a newer one of their kind."""
 
@@ -25,9 +26,11 @@ class LinkHealth:
         """Take in a message of the bound autopilot; its place in the order of sending."""
         return self.sequence.take(message.get_seq(), now_s)
 
-    def tick(self, now_s: float) -> None:
-        """Judge the line once more."""
+    def tick(self, now_s: float) -> float | None:
+        """Judge the line once more; how long the control tick stood still, if that is a stall."""
+        stalled_s = self.ticks.tick(self.pacing.period_s, now_s)
         self.pacing.observe(self.sequence.loss(now_s), now_s)
+        return stalled_s
 
     def restart(self) -> None:
         """Begin anew, because the autopilot did."""
@@ -44,4 +47,6 @@ class LinkHealth:
             "duplicates": sequence.duplicates,
             "overtaken": self.overtaken,
             "tick_s": self.pacing.period_s,
+            "missed_ticks": self.ticks.missed,
+            "stalls": self.ticks.stalls,
         }

@@ -92,11 +92,19 @@ class StreamRequester:
         return None
 
 
+def request_message(message_id: int, system_id: int, component_id: int) -> Message:
+    """REQUEST_MESSAGE: one message, now."""
+    number = mavlink.MAV_CMD_REQUEST_MESSAGE
+    return _command(number, message_id, 0.0, system_id, component_id)
+
+
 def _request(want: _Want, system_id: int, component_id: int) -> Message:
     if want.interval_s is None:
-        command, p2 = mavlink.MAV_CMD_REQUEST_MESSAGE, 0.0
-    else:
-        command, p2 = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 1e6 * want.interval_s
-    return mavlink.MAVLink_command_long_message(
-        system_id, component_id, command, 0, float(want.message_id), p2, 0.0, 0.0, 0.0, 0.0, 0.0
-    )
+        return request_message(want.message_id, system_id, component_id)
+    number = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
+    return _command(number, want.message_id, 1e6 * want.interval_s, system_id, component_id)
+
+
+def _command(number: int, message_id: int, p2: float, system_id: int, component_id: int) -> Message:
+    params = (float(message_id), p2, 0.0, 0.0, 0.0, 0.0, 0.0)
+    return mavlink.MAVLink_command_long_message(system_id, component_id, number, 0, *params)
