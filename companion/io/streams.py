@@ -1,19 +1,22 @@
 """TCP clients and serial links: one bounded byte stream over a descriptor, reopened when lost.
 
 Theory of operation. `ByteStream` owns a non-blocking descriptor: it reads a bounded batch per
-wake-up, writes at once what the system takes, keeps at most 64 kB for later and refuses whole
-chunks beyond that, so that a slow line costs telemetry and not memory. The links above it only
-know how to obtain a descriptor. `ReopeningLink` does so again and again with a growing pause; a
-loss is logged once, and so is a first connection that fails. A serial port must be there at the
-start, because a wrong name would otherwise never be noticed.
+wake-up, writes at once what the system takes, and keeps a little for later (`send_queue`), so that
+a slow line costs telemetry and neither memory nor setpoints. The system would hide a second of a
+slow serial line in its own buffer; no more is written there than the line sends in a tenth of one.
+The links above only know how to obtain a descriptor. `ReopeningLink` does so again and again with a
+growing pause; a loss is logged once, and so is a first connection that fails. A serial port must be
+there at the start, because a wrong name would otherwise never be noticed.
 """
 
 from __future__ import annotations
 
 import asyncio
 import errno
+import fcntl
 import os
 import socket
+import sys
 import termios
 from abc import abstractmethod
 from collections.abc import Callable
@@ -24,14 +27,25 @@ import serial
 
 from companion.errors import LinkError
 from companion.io.link_base import MAX_READS, Link, Received, logger
+from companion.io.send_queue import SendQueue
 from companion.io.udp import resolve
 from companion.mav.endpoint import Chunk
 
 MAX_UNSENT_BYTES = 64 * 1024
+"""For streams whose speed is not known."""
+QUEUE_S = 0.25
+"""Of a serial line's speed: how much waits here at most."""
+SYSTEM_QUEUE_S = 0.1
+"""The same for what waits in the system."""
+MIN_QUEUE_BYTES = 600
+"""Room for two frames of the longest kind on the slowest of lines."""
+LINE_LOOK_S = 0.02
 READ_BYTES = 4096
 BACKOFF_MIN_S = 0.5
 BACKOFF_MAX_S = 5.0
 CONNECT_TIMEOUT_S = 5.0
+BITS_PER_BYTE = 10
+"""On a serial line: eight, a start and a stop."""
 KEEPALIVE_IDLE_S, KEEPALIVE_INTERVAL_S, KEEPALIVE_PROBES = 5, 2, 3
 """A peer that vanished without a word is noticed after about eleven seconds."""
 
@@ -51,6 +65,7 @@ class ByteStream:
         fd: Its descriptor, already non-blocking.
         received: Takes the pieces read in one wake-up.
         lost: Called once when the other end or the device is gone; the stream is closed then.
+        bytes_per_s: Speed of a serial line, if it is one.
     """
 
     def __init__(
@@ -59,23 +74,34 @@ class ByteStream:
         fd: int,
         received: Callable[[list[bytes]], None],
         lost: Callable[[str], None],
+        bytes_per_s: float | None = None,
     ) -> None:
         self._loop = asyncio.get_running_loop()
         self._handle, self._fd = handle, fd
         self._received, self._lost = received, lost
-        self._unsent = bytearray()
+        self._bytes_per_s = bytes_per_s
+        limit = MAX_UNSENT_BYTES
+        if bytes_per_s is not None:
+            limit = max(MIN_QUEUE_BYTES, round(QUEUE_S * bytes_per_s))
+        self._queue = SendQueue(limit)
+        self._look: asyncio.TimerHandle | None = None
         self._is_open = True
         self._loop.add_reader(fd, self._read)
 
-    def write(self, data: bytes) -> bool:
+    @property
+    def dropped(self) -> int:
+        """Chunks that were taken or offered, and never sent, because the line is too slow."""
+        return self._queue.dropped
+
+    def write(self, data: bytes, *, can_be_spared: bool = False) -> bool:
         """Send now or later; False if too much is waiting already and `data` was dropped."""
-        if not self._is_open or len(self._unsent) + len(data) > MAX_UNSENT_BYTES:
+        if not self._is_open:
             return False
-        was_empty = not self._unsent
-        self._unsent += data
-        if was_empty:
+        was_empty = not self._queue
+        is_taken = self._queue.add(data, can_be_spared=can_be_spared)
+        if was_empty and is_taken:
             self._flush()
-        return True
+        return is_taken
 
     def close(self) -> None:
         """Close without telling `lost`."""
@@ -84,21 +110,36 @@ class ByteStream:
         self._is_open = False
         self._loop.remove_reader(self._fd)
         self._loop.remove_writer(self._fd)
+        if self._look is not None:
+            self._look.cancel()
         self._handle.close()
 
     def _flush(self) -> None:
+        self._look = None
         try:
-            written = os.write(self._fd, self._unsent)
+            room = self._room()
+            if room > 0:
+                self._queue.wrote(os.write(self._fd, self._queue.head()[:room]))
         except (BlockingIOError, InterruptedError):
-            written = 0
+            room = MAX_UNSENT_BYTES
         except OSError as error:
             self._end(error.strerror or str(error))
             return
-        del self._unsent[:written]
-        if self._unsent:
+        self._loop.remove_writer(self._fd)
+        if not self._queue:
+            return
+        if self._bytes_per_s is None or room >= len(self._queue):
             self._loop.add_writer(self._fd, self._flush)
         else:
-            self._loop.remove_writer(self._fd)
+            self._look = self._loop.call_later(LINE_LOOK_S, self._flush)
+
+    def _room(self) -> int:
+        """How many bytes the system may be given now."""
+        if self._bytes_per_s is None:
+            return MAX_UNSENT_BYTES
+        answer = fcntl.ioctl(self._fd, termios.TIOCOUTQ, bytes(4))
+        allowed = max(MIN_QUEUE_BYTES // 2, round(SYSTEM_QUEUE_S * self._bytes_per_s))
+        return max(0, allowed - int.from_bytes(answer, sys.byteorder))
 
     def _read(self) -> None:
         pieces: list[bytes] = []
@@ -133,6 +174,7 @@ class StreamLink(Link):
         super().__init__(name, index, received)
         self._stream: ByteStream | None = None
         self._is_closed = False
+        self._bytes_per_s: float | None = None
 
     @property
     def is_connected(self) -> bool:
@@ -141,10 +183,13 @@ class StreamLink(Link):
 
     def send(self, chunk: Chunk) -> None:
         """Send to whoever is connected; dropped and counted if nobody is or the line is full."""
-        if self._stream is not None and self._stream.write(chunk.data):
-            self.counters.sent += 1
-        else:
+        stream = self._stream
+        if stream is None:
             self.counters.dropped += 1
+            return
+        dropped = stream.dropped
+        self.counters.sent += stream.write(chunk.data, can_be_spared=chunk.can_be_spared)
+        self.counters.dropped += stream.dropped - dropped
 
     def close(self) -> None:
         """Close the stream."""
@@ -155,7 +200,8 @@ class StreamLink(Link):
 
     def _connected(self, handle: Handle, fd: int) -> None:
         logger.info("%s: connected", self.name)
-        self._stream = ByteStream(handle, fd, self._take, self._forget)
+        rate = self._bytes_per_s
+        self._stream = ByteStream(handle, fd, self._take, self._forget, rate)
 
     def _take(self, pieces: list[bytes]) -> None:
         self.counters.received += len(pieces)
@@ -245,6 +291,7 @@ class SerialLink(ReopeningLink):
     def __init__(self, device: str, baud: int, index: int, received: Received) -> None:
         super().__init__(f"serial {device}", index, received)
         self._device, self._baud = device, baud
+        self._bytes_per_s = baud / BITS_PER_BYTE
 
     async def open(self) -> None:
         """Open the port; a loss later is mended, a port that is not there at the start is not.

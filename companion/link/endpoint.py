@@ -136,7 +136,7 @@ class CompanionEndpoint:
             self._next_timer_s = now_s + period_s
         self.executor.tick(now_s)
         for question in self._dialogues.due(now_s):
-            self._outlet.send(question, now_s)
+            self._outlet.send(question, now_s, can_be_spared=True)
         self.executor.handle(TimerFired(now_s, self.binding.heard_s), now_s)
         self._counters.report(now_s)
 

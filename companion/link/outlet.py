@@ -56,12 +56,20 @@ class Outlet:
         for codec in self._codecs:
             codec.system_id = system_id
 
-    def send(self, message: Message, now_s: float) -> None:
-        """Queue a message for the autopilot's address."""
+    def send(self, message: Message, now_s: float, *, can_be_spared: bool = False) -> None:
+        """Queue a message for the autopilot's address.
+
+        Args:
+            message: What to send.
+            now_s: The present.
+            can_be_spared: A line that is too slow for everything does without it.
+        """
         data = self._codec.encode(message)
         self.own_frames.sent(data)
         self._journal.frame(data, now_s)
-        self._output.append(Chunk(VEHICLE_LINK, data, self._binding.peer))
+        self._output.append(
+            Chunk(VEHICLE_LINK, data, self._binding.peer, can_be_spared=can_be_spared)
+        )
 
     def send_setpoint(self, message: Message, now_s: float) -> None:
         """The same for a setpoint, which is counted."""
@@ -87,7 +95,7 @@ class Outlet:
             return
         self._text_id = self._text_id % 0xFFFF + 1
         for message in outbound.status_text(text.severity.value, text.text, self._text_id):
-            self.send(message, now_s)
+            self.send(message, now_s, can_be_spared=True)
 
     def take(self) -> list[Chunk]:
         """What is to be sent, in order; taken once."""
