@@ -24,7 +24,7 @@ from companion.estimation.older_evidence import OlderEvidence
 from companion.geometry.arrays import Matrix
 from companion.models.ranging_model import BEARING_OFFSET, RANGE_OFFSET
 
-DOUBT = 4.0
+DOUBT = 2.0
 """Factor on every variance of a belief that comes back."""
 DRIFT_M_PER_SQRT_S = 0.1
 """Random walk of a place that nobody measured, per axis: 1 m after 100 s."""

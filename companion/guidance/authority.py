@@ -51,7 +51,7 @@ class Authority:
         if trigger is Trigger.MODE_GIVEN:
             self._given_s = now_s
         if phase is Phase.FINISHED:
-            self.has_let_go = False
+            self.has_let_go = trigger is Trigger.REPORT_RECALLED
         return left
 
     def is_overtaken(self, event: HeartbeatReceived | LandedStateChanged) -> bool:

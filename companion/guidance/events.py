@@ -14,6 +14,7 @@ from companion.domain import (
     VehicleState,
 )
 from companion.geometry.frames import LocalOrigin
+from companion.guidance.memory import SessionMemory
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,6 +151,22 @@ class StopRequested:
     time_s: float
 
 
+@dataclass(frozen=True, slots=True)
+class EarlierRunFound:
+    """An earlier process of ours did not end in order; see `guidance.memory`."""
+
+    time_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class MemoryRecalled:
+    """What the earlier process knew of this very vehicle, fence and mission."""
+
+    time_s: float
+    memory: SessionMemory
+    age_s: float
+
+
 Event = (
     HeartbeatReceived
     | VehicleMoved
@@ -164,4 +181,6 @@ Event = (
     | TimerFired
     | ControlStalled
     | StopRequested
+    | EarlierRunFound
+    | MemoryRecalled
 )

@@ -21,9 +21,11 @@ from companion.guidance.events import (
     AutopilotRestarted,
     ControlGranted,
     ControlStalled,
+    EarlierRunFound,
     Event,
     HeartbeatReceived,
     LandedStateChanged,
+    MemoryRecalled,
     OriginSet,
     RangingReceived,
     RequestAnswered,
@@ -35,7 +37,9 @@ from companion.guidance.flight_plan import FlightPlan
 from companion.guidance.handover import Handover
 from companion.guidance.inputs import InputWatch
 from companion.guidance.measuring import Measuring
+from companion.guidance.memory import SessionMemory
 from companion.guidance.params import SessionParams as SessionParams
+from companion.guidance.recollection import Recollection, remembered
 from companion.guidance.situation import Situation
 from companion.guidance.states import Phase
 from companion.guidance.status import GuidanceStatus, snapshot
@@ -71,6 +75,7 @@ class GuidanceSession:
         self._measuring = Measuring(self.situation, inputs)
         self.handover = Handover(self.situation)
         self._control = ControlTick(self.situation, inputs)
+        self._recollection = Recollection(self.situation)
 
     def handle(self, event: Event) -> list[Command]:
         """What is to be done about an event."""
@@ -97,11 +102,17 @@ class GuidanceSession:
                 self.handover.granted(event.time_s)
             case AutopilotRestarted():
                 self.handover.restarted(event.time_s)
+                self._recollection.forget()
             case ControlStalled():
                 self.handover.stalled(event)
             case StopRequested():
                 self.handover.stop(event.time_s)
+            case EarlierRunFound():
+                self._recollection.forbid_launch()
+            case MemoryRecalled():
+                self._recollection.recall(event.memory, event.age_s, event.time_s)
             case TimerFired():
+                self._recollection.advance(event.time_s)
                 self._measuring.fuse_due(event.time_s)
                 self._control.run(event.time_s)
         return self.situation.take_commands()
@@ -150,6 +161,11 @@ class GuidanceSession:
     def phase(self) -> Phase:
         """Where the session stands."""
         return self.situation.phase
+
+    @property
+    def memory(self) -> SessionMemory:
+        """What a later session would need to know."""
+        return remembered(self.situation)
 
     @property
     def is_stopped(self) -> bool:

@@ -68,6 +68,8 @@ class Trigger(Enum):
     RESTARTED = "the autopilot restarted"
     STOP = "asked to stop"
     HANDED_BACK = "the hand-back is over"
+    YIELD_RECALLED = "it had yielded before the process restarted"
+    REPORT_RECALLED = "it had reported before the process restarted"
 
 
 FLYING = frozenset({Phase.NORMAL, Phase.DEGRADED})
@@ -111,6 +113,10 @@ TRANSITIONS: dict[tuple[Phase, Trigger], Phase] = {
     (Phase.HANDBACK, Trigger.MODE_LOST): Phase.YIELD,
     (Phase.HANDBACK, Trigger.LANDED): Phase.YIELD,
     (Phase.FINISHED, Trigger.LANDED): Phase.YIELD,
+    (Phase.WAITING, Trigger.YIELD_RECALLED): Phase.YIELD,
+    (Phase.STANDBY, Trigger.YIELD_RECALLED): Phase.YIELD,
+    (Phase.WAITING, Trigger.REPORT_RECALLED): Phase.FINISHED,
+    (Phase.STANDBY, Trigger.REPORT_RECALLED): Phase.FINISHED,
 }
 TRANSITIONS |= {
     (phase, trigger): Phase.YIELD

@@ -1,0 +1,36 @@
+"""What a session knew, as a value that outlives its process."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from companion.estimation.belief import Belief
+from companion.geometry.frames import LocalOrigin
+from companion.guidance.commands import ReportResult
+from companion.guidance.states import Phase
+
+
+@dataclass(frozen=True, slots=True)
+class SessionMemory:
+    """What a session knew at a moment."""
+
+    phase: Phase
+    origin: LocalOrigin | None
+    """Of the frame that the rest is in."""
+    belief: Belief | None
+    report: ReportResult | None
+    """What was reported, if it was."""
+
+    @property
+    def problem(self) -> str | None:
+        """Why it cannot be what a session knew, in words, or None."""
+        origin = self.origin
+        if origin is None:
+            return None
+        values = (origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
+        if not all(math.isfinite(value) for value in values):
+            return "an origin that is no place"
+        if abs(origin.latitude_deg) > 90.0 or abs(origin.longitude_deg) > 180.0:
+            return "an origin beyond the poles"
+        return None

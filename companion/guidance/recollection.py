@@ -1,0 +1,128 @@
+"""How a session takes up again what an earlier process of ours knew.
+
+Theory of operation. While it runs, a session can say at any time what a later one would need: its
+phase, what it reported, what it believes of the target, and where the local frame was. A later one
+is told first that there was an earlier one at all; from then on it never launches by itself. Then
+it is told what was remembered, and takes it up in two steps. The phase at once: who had yielded
+stays silent until control is granted, and who had reported does not search again. The belief only
+when the autopilot's origin shows that local coordinates still mean the same places, because a
+belief in another frame is wrong without looking wrong. Nothing of this gives control: the
+operator does, as always, and what is streamed before that is "stay here".
+"""
+
+from __future__ import annotations
+
+from companion.estimation.belief import Belief
+from companion.geometry.frames import LocalOrigin
+from companion.guidance.commands import ReportResult, Severity
+from companion.guidance.memory import SessionMemory
+from companion.guidance.situation import Situation
+from companion.guidance.states import Phase, Trigger
+from companion.guidance.vehicle import ORIGIN_STEP_M
+
+ORIGIN_PATIENCE_S = 15.0
+"""How long a belief waits for the origin of the frame that it is in."""
+
+
+def remembered(situation: Situation) -> SessionMemory:
+    """What a later session would need to know."""
+    return SessionMemory(
+        phase=situation.phase,
+        origin=situation.vehicle.origin,
+        belief=situation.tracker.belief,
+        report=situation.result,
+    )
+
+
+class Recollection:
+    """Takes up what an earlier session knew.
+
+    Args:
+        situation: Of the session.
+    """
+
+    def __init__(self, situation: Situation) -> None:
+        self._situation = situation
+        self._belief: Belief | None = None
+        self._origin: LocalOrigin | None = None
+        self._held_at_s = 0.0
+        """When the belief was held, on this session's clock."""
+        self._recalled_s = 0.0
+
+    def forbid_launch(self) -> None:
+        """There was an earlier session: control comes from the operator and from nobody else."""
+        self._situation.has_launched = True
+
+    def recall(self, memory: SessionMemory, age_s: float, now_s: float) -> None:
+        """Take up a memory.
+
+        Args:
+            memory: Without a problem.
+            age_s: How old it is.
+            now_s: The present.
+        """
+        self.forbid_launch()
+        situation = self._situation
+        was = f"resumed after {age_s:.0f} s: it was in {memory.phase.value}"
+        situation.announce(Severity.NOTICE, f"{was}; nothing engages by itself")
+        if memory.phase is Phase.YIELD:
+            situation.enter(Trigger.YIELD_RECALLED, now_s)
+        if memory.report is not None:
+            self._recall_report(memory.report, now_s)
+        if memory.belief is not None:
+            self._belief, self._origin = memory.belief, memory.origin
+            self._held_at_s, self._recalled_s = now_s - age_s, now_s
+        self.advance(now_s)
+
+    def advance(self, now_s: float) -> None:
+        """Take up the belief once its frame is known to be the present one."""
+        belief = self._belief
+        if belief is None:
+            return
+        origin, situation = self._situation.vehicle.origin, self._situation
+        if self._origin is None:
+            self._begin_anew("its local frame was not known")
+        elif origin is not None:
+            step_m = situation.vehicle.origin_step_m(self._origin)
+            if step_m > ORIGIN_STEP_M:
+                self._begin_anew(f"the local frame moved by {step_m:.0f} m")
+            else:
+                self._resume(belief, now_s)
+        elif now_s - self._recalled_s > ORIGIN_PATIENCE_S:
+            self._begin_anew("the autopilot does not tell its origin")
+
+    def forget(self) -> None:
+        """The autopilot restarted: whatever waits is of another frame."""
+        self._belief = None
+
+    def _recall_report(self, report: ReportResult, now_s: float) -> None:
+        situation = self._situation
+        situation.result = report
+        situation.commands.append(report)
+        r95_m = report.estimate.r95_m
+        situation.announce(Severity.NOTICE, f"the target was reported already, R95 {r95_m:.1f} m")
+        situation.enter(Trigger.REPORT_RECALLED, now_s)
+
+    def _resume(self, belief: Belief, now_s: float) -> None:
+        self._belief = None
+        situation = self._situation
+        problem = situation.tracker.resume(belief, now_s - self._held_at_s, now_s)
+        if problem is not None:
+            situation.announce(Severity.WARNING, f"estimate begins anew: it held {problem}")
+            return
+        estimate = situation.estimate = situation.tracker.estimate(now_s)
+        if estimate is None:
+            return
+        situation.record(
+            "resumed",
+            state=estimate.state.value,
+            position_enu_m=estimate.position_enu_m,
+            r95_m=estimate.r95_m,
+            measurements=belief.measurements,
+        )
+        text = f"estimate resumed: {estimate.state.value}, R95 {estimate.r95_m:.1f} m"
+        situation.announce(Severity.NOTICE, text)
+
+    def _begin_anew(self, reason: str) -> None:
+        self._belief = None
+        self._situation.announce(Severity.WARNING, f"estimate begins anew: {reason}")
