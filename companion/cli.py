@@ -136,6 +136,11 @@ def _parser() -> argparse.ArgumentParser:
         action="store_true",
         help="listen beyond this machine even without a key: anyone may then command the vehicle",
     )
+    parser.add_argument(
+        "--fresh",
+        action="store_true",
+        help="take up nothing of an earlier run that did not end in order",
+    )
     parser.add_argument("--once", action="store_true", help="end after the target is reported")
     parser.add_argument("--quiet", action="store_true", help="only warnings and errors")
     commands = parser.add_subparsers(dest="command", metavar="{demo,replay,report}")
@@ -219,7 +224,7 @@ def _check_place_of_options(arguments: argparse.Namespace) -> None:
         return
     given = [
         f"--{name}"
-        for name in ("connect", "ranging", "signing-key", "insecure", "once")
+        for name in ("connect", "ranging", "signing-key", "insecure", "fresh", "once")
         if getattr(arguments, name.replace("-", "_")) not in (None, [], False)
     ]
     given += [f"--{n}" for n in ("config", "speed") if getattr(arguments, f"fly_{n}") is not None]
@@ -256,7 +261,8 @@ def _fly(arguments: argparse.Namespace) -> int:
             unsigned_ranging=config.link.unsigned_ranging,
         )
     links = [link_from_url(url) for url in urls]
-    endpoint = fly(config, links, Clock(arguments.fly_speed or 1.0), once=arguments.once)
+    clock = Clock(arguments.fly_speed or 1.0)
+    endpoint = fly(config, links, clock, once=arguments.once, is_fresh=arguments.fresh)
     if arguments.once and endpoint.session.result is None:
         print("companion: ended before the target was localised", file=sys.stderr)
         return EXIT_FAILED

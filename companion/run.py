@@ -2,29 +2,35 @@
 
 from __future__ import annotations
 
+import gc
 import logging
 import math
+import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from companion.config.schema import CompanionConfig, CrossingKind, PatternKind, PlannerConfig
-from companion.errors import LinkError
+from companion.errors import CompanionError, LinkError
 from companion.estimation.tracker import TargetTracker
 from companion.flight_facts import FlightFacts, facts_as_json, write_facts
 from companion.guard.gate import Guard
 from companion.guidance.session import GuidanceSession
 from companion.guidance.states import Phase
+from companion.io.checkpoint_store import CheckpointStore
 from companion.io.clock import Clock
 from companion.io.files import delete_old_flights, new_flight_directory
 from companion.io.flight_files import MCAP
-from companion.io.journal import FlightJournal
+from companion.io.journal import BlackBox, FlightJournal, MissingJournal
 from companion.io.key_file import load_signing_key
-from companion.io.links import LinkSpec
+from companion.io.links import LinkSpec, make_link
+from companion.io.lock import VehicleLock, lock_name
 from companion.io.mcap_log import McapLog
 from companion.io.shell import Shell
 from companion.io.signing_store import SigningKeeper, open_signing_keeper
+from companion.io.state_directory import state_directory
+from companion.io.supervisor import Supervisor
 from companion.kernel import IS_COMPILED
 from companion.link.endpoint import CompanionEndpoint, Journal
 from companion.link.inputs import InputRecorder
@@ -36,10 +42,16 @@ from companion.planning.patterns import ExpandingSquare, Lawnmower, SectorSearch
 from companion.planning.reactive_crossing import ReactiveCrossing
 from companion.planning.search import Pattern, SearchPlanner
 from companion.planning.search_then_cross import SearchThenCross
+from companion.process.accounts import Accounts
+from companion.process.chores import Chores
+from companion.process.restart import RestartKeeper, digests_of
+from companion.process.watchdog import Watchdog
 from companion.warm_up import warm_up
 
 log = logging.getLogger("companion.run")
 
+CLOSE_S = 0.25
+"""What the disk may take for the last checkpoint, and again for the last of the log."""
 SILENCE_HINT_S = 10.0
 """After this long without an autopilot the operator is told where we listen."""
 
@@ -155,7 +167,23 @@ def open_journal(config: CompanionConfig, links: int) -> FlightJournal:
     if config.log.mcap:
         flight_json = facts_as_json(facts).decode()
         mcap = McapLog(directory / MCAP, started_unix_s, flight_json, config.log.max_bytes)
+    log.info("flight log: %s", directory)
     return FlightJournal(directory, started_unix_s, config.log.max_bytes, mcap)
+
+
+def _open_black_box(config: CompanionConfig, links: int, *, is_restart: bool) -> BlackBox:
+    """A journal; after a restart in flight the vehicle matters more than its log.
+
+    Raises:
+        CompanionError: The flight directory cannot be made, and nothing flies yet.
+    """
+    try:
+        return open_journal(config, links)
+    except CompanionError as error:
+        if not is_restart:
+            raise
+        log.error("%s; resuming a flight, so going on without any log", error)
+        return MissingJournal()
 
 
 def prepare(config: CompanionConfig) -> None:
@@ -172,7 +200,12 @@ def is_handed_over(endpoint: CompanionEndpoint) -> bool:
 
 
 def fly(
-    config: CompanionConfig, links: Sequence[LinkSpec], clock: Clock, *, once: bool = False
+    config: CompanionConfig,
+    links: Sequence[LinkSpec],
+    clock: Clock,
+    *,
+    once: bool = False,
+    is_fresh: bool = False,
 ) -> CompanionEndpoint:
     """Fly until asked to stop; the endpoint as it was at the end.
 
@@ -181,56 +214,115 @@ def fly(
         links: The vehicle's link, then those that carry only ranging.
         clock: Where the time comes from.
         once: End by itself once the target is reported and the vehicle handed over.
+        is_fresh: Take up nothing of an earlier run.
 
     Raises:
-        LinkError: A link cannot be opened; nothing was sent.
+        LinkError: A link cannot be opened, or another companion has the vehicle; nothing was sent.
         ConfigError: The signing key cannot be read.
         CompanionError: The flight directory cannot be made.
     """
     keeper = open_signing(config)
-    prepare(config)
-    journal = open_journal(config, len(links))
-    endpoint = build_endpoint(
-        config,
-        journal,
-        len(links) - 1,
-        signing=None if keeper is None else keeper.signing,
-        started_unix_s=time.time() - clock.now_s(),
-        recorder=journal.inputs,
-    )
-    hints = _Hints(endpoint, clock, journal.directory)
-
-    def on_wakeup(now_s: float) -> None:
-        hints.check()
-        if keeper is not None:
-            keeper.keep(now_s)
-            if clock.speed == 1.0 and not endpoint.binding.is_bound:
-                endpoint.authenticity.set_clock(time.time(), now_s)
-        if once and is_handed_over(endpoint):
-            shell.request_stop()
-
-    shell = Shell(endpoint, links, clock, on_wakeup)
-    hints.link_name = shell.links[0].name
+    state = state_directory(config.process.state_directory, os.environ)
+    name = make_link(links[0], 0, lambda _: None).name
+    lock = VehicleLock(state, name, config.vehicle.system_id)
     try:
-        shell.run_blocking()
-    except LinkError:
-        journal.discard()
-        raise
+        prepare(config)
+        store = CheckpointStore(state, lock_name(name)) if config.process.checkpoint else None
+        flight = _Flight(config, links, clock, keeper, store, once=once, is_fresh=is_fresh)
+        flight.run()
     finally:
         if keeper is not None:
             keeper.close()
-        journal.close()
-    return endpoint
+        lock.release()
+    return flight.endpoint
+
+
+class _Flight:
+    """One run of the shell, and the chores at the end of each of its wake-ups."""
+
+    def __init__(
+        self,
+        config: CompanionConfig,
+        links: Sequence[LinkSpec],
+        clock: Clock,
+        keeper: SigningKeeper | None,
+        store: CheckpointStore | None,
+        *,
+        once: bool,
+        is_fresh: bool,
+    ) -> None:
+        found = None if store is None or is_fresh else store.load()
+        is_restart = found is not None and found.has_files
+        self._journal = _open_black_box(config, len(links), is_restart=is_restart)
+        self.endpoint = build_endpoint(
+            config,
+            self._journal,
+            len(links) - 1,
+            signing=None if keeper is None else keeper.signing,
+            started_unix_s=time.time() - clock.now_s(),
+            recorder=self._journal.inputs,
+        )
+        self._clock = clock
+        self._keeper = keeper
+        self._once = once
+        self._restart = None
+        if store is not None:
+            self._restart = RestartKeeper(
+                self.endpoint,
+                store,
+                digests_of(config),
+                clock,
+                config.process.resume_max_age_s,
+                is_fresh=is_fresh,
+            )
+        self._shell = Shell(self.endpoint, links, clock, self._after_wakeup)
+        self._supervisor = Supervisor(os.environ)
+        parts = (self._journal, self._shell.timing, self._shell.links, store)
+        watchdog = Watchdog(self._supervisor, self.endpoint, *parts)
+        accounts = Accounts(self.endpoint, *parts, clock.speed)
+        self._chores = Chores(
+            self.endpoint,
+            {
+                "accounts": accounts.run,
+                "watchdog": lambda now_s: watchdog.run(now_s, time.monotonic()),
+                **({} if self._restart is None else {"checkpoints": self._restart.run}),
+            },
+        )
+        self._hints = _Hints(self.endpoint, clock, self._shell.links[0].name)
+
+    def run(self) -> None:
+        """Run to the end, whatever it is, and leave everything closed."""
+        gc.freeze()  # what was loaded so far stays: later collections need not look at it
+        try:
+            self._shell.run_blocking()
+        except LinkError:
+            self._journal.discard()
+            raise
+        finally:
+            self._supervisor.stopping()
+            if self._restart is not None:
+                self._restart.close(CLOSE_S)
+            self._journal.close(CLOSE_S)
+            self._supervisor.close()
+
+    def _after_wakeup(self, now_s: float) -> None:
+        self._hints.check()
+        if self._keeper is not None:
+            self._keeper.keep(now_s)
+            if self._clock.speed == 1.0 and not self.endpoint.binding.is_bound:
+                self.endpoint.authenticity.set_clock(time.time(), now_s)
+        self._chores.run(now_s)
+        if self._once and is_handed_over(self.endpoint):
+            self._shell.request_stop()
 
 
 class _Hints:
     """What whoever started us wants to read: where we wait, and that nothing was heard there."""
 
-    def __init__(self, endpoint: CompanionEndpoint, clock: Clock, directory: Path) -> None:
-        self.link_name = ""
+    def __init__(self, endpoint: CompanionEndpoint, clock: Clock, link_name: str) -> None:
+        self._link_name = link_name
         self._endpoint = endpoint
         self._clock = clock
-        self._directory = directory
         self._has_begun = False
         self._has_warned = False
 
@@ -238,13 +330,12 @@ class _Hints:
         """Say what is due now; the first time is when the links are open."""
         if not self._has_begun:
             self._has_begun = True
-            log.info("flight log: %s", self._directory)
-            log.info("waiting for an autopilot on %s", self.link_name)
+            log.info("waiting for an autopilot on %s", self._link_name)
         if self._has_warned or self._clock.now_s() < SILENCE_HINT_S:
             return
         self._has_warned = True
         if not self._endpoint.binding.is_bound:
             log.warning(
                 "no autopilot heard on %s yet: does it send there, and is the port the right one?",
-                self.link_name,
+                self._link_name,
             )

@@ -1,10 +1,19 @@
-"""Tests run the kernels as the vehicle does, as plain Python: what is compiled is the same source.
+"""What holds for every test.
 
-`tests/oracle/test_kernels_compiled.py` compares the two in processes of their own.
+Kernels run as the vehicle runs them, as plain Python: what is compiled is the same source
+(`tests/oracle/test_kernels_compiled.py` compares the two in processes of their own). Checkpoints
+and locks of companions that are started go to a place of their own, which is removed at the end.
 """
 
 from __future__ import annotations
 
+import atexit
 import os
+import shutil
+import tempfile
 
 os.environ.setdefault("NUMBA_DISABLE_JIT", "1")
+
+_STATE = tempfile.mkdtemp(prefix="companion-tests-")
+os.environ["XDG_STATE_HOME"] = _STATE
+atexit.register(shutil.rmtree, _STATE, ignore_errors=True)

@@ -1,4 +1,4 @@
-"""What the process keeps on disk, and how it behaves as one."""
+"""What the process keeps on disk: logs of its flights, and what must outlive it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Annotated
 
 import msgspec
 
-from companion.params import Params
+from companion.params import Params, Positive
 
 AtLeastOne = Annotated[int, msgspec.Meta(ge=1)]
 
@@ -27,3 +27,14 @@ class LogConfig(Params, frozen=True):
     def max_bytes(self) -> int:
         """The cap of one flight."""
         return int(1e6 * self.max_mb)
+
+
+class ProcessConfig(Params, frozen=True):
+    """How a process follows the one before it."""
+
+    state_directory: str | None = None
+    """For checkpoints and locks; null: systemd's StateDirectory, or ~/.local/state/companion."""
+    checkpoint: bool = True
+    """Whether the mission's memory is kept, once a second, for a restart in flight."""
+    resume_max_age_s: Positive = 600.0
+    """An older memory is not taken up."""

@@ -14,6 +14,7 @@ import msgspec
 
 from companion.config.load import load_yaml
 from companion.config.process import LogConfig as LogConfig
+from companion.config.process import ProcessConfig
 from companion.errors import ConfigError
 from companion.estimation.tracker import TrackerParams
 from companion.guard.envelope import Envelope
@@ -139,6 +140,7 @@ class CompanionConfig(Params, frozen=True):
     vehicle: VehicleParams = VehicleParams()
     link: LinkParams = LinkParams()
     log: LogConfig = LogConfig()
+    process: ProcessConfig = ProcessConfig()
 
 
 def load_config(path: Path | None) -> CompanionConfig:

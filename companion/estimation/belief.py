@@ -79,7 +79,7 @@ def believed(
     best = hypotheses[0].log_weight
     places = tuple(
         BelievedPlace(
-            hypothesis.log_weight - best,
+            float(hypothesis.log_weight - best),
             tuple(hypothesis.state.mean.tolist()),
             tuple(tuple(row) for row in _widest(hypothesis).tolist()),
         )

@@ -41,6 +41,8 @@ EARLY_SHARE = 0.1
 """Early on the window is solved whenever it has grown by this share."""
 VAGUE_COVARIANCE_M2 = MAX_POSITION_SIGMA_M**2 * np.eye(2)
 """What is believed of a hypothesis while the window finds no place at all."""
+CONTRADICTING_SHARE = 0.5
+"""Of a full window, before it may contradict older evidence."""
 CONTRADICTED_DISTANCE2 = 16.0
 """Mahalanobis, squared, between solutions with and without the older evidence: it was wrong."""
 
@@ -191,7 +193,12 @@ class Polisher:
         return starts
 
     def _is_contradicted(self, best: Optimum) -> bool:
-        """Whether the window alone leads elsewhere than with the older evidence."""
+        """Whether the window alone leads elsewhere than with the older evidence.
+
+        A window that is far from full, as after a restart, does not know how wrong it is itself.
+        """
+        if len(self._window) < CONTRADICTING_SHARE * self._params.size:
+            return False
         alone = self._map.optima(self._window.rows, [best.mean])
         if not alone:
             return False

@@ -49,6 +49,11 @@ class Recollection:
         """When the belief was held, on this session's clock."""
         self._recalled_s = 0.0
 
+    @property
+    def is_waiting(self) -> bool:
+        """Whether a belief waits for its frame."""
+        return self._belief is not None
+
     def forbid_launch(self) -> None:
         """There was an earlier session: control comes from the operator and from nobody else."""
         self._situation.has_launched = True

@@ -168,6 +168,11 @@ class GuidanceSession:
         return remembered(self.situation)
 
     @property
+    def is_recalling(self) -> bool:
+        """Whether what was recalled is not taken up yet: until then `memory` lacks it."""
+        return self._recollection.is_waiting
+
+    @property
     def is_stopped(self) -> bool:
         """Whether the process may end."""
         return self.phase is Phase.STOPPED

@@ -67,7 +67,7 @@ class Checkpoint:
 
 def encode_checkpoint(checkpoint: Checkpoint) -> bytes:
     """The bytes of a checkpoint."""
-    payload = msgspec.msgpack.encode(checkpoint)
+    payload = msgspec.msgpack.encode(checkpoint, enc_hook=_plain)
     head = _HEADER.pack(MAGIC, VERSION, 0, len(payload)) + payload
     return head + _CRC.pack(zlib.crc32(head))
 
@@ -109,6 +109,13 @@ def age_s(then: Moment, now: Moment) -> float | None:
         return now.boot_s - then.boot_s if now.boot_s >= then.boot_s else None
     passed_s = now.unix_s - then.unix_s
     return passed_s if passed_s >= 0.0 else None
+
+
+def _plain(value: object) -> object:
+    """A numpy scalar, which arithmetic leaves here and there, as Python's own."""
+    if isinstance(value, float | int):
+        return float(value) if isinstance(value, float) else int(value)
+    raise TypeError(f"a checkpoint holds no {type(value).__name__}")
 
 
 def _problem(checkpoint: Checkpoint) -> str | None:

@@ -9,6 +9,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 from companion.guidance.commands import ReportResult, Severity
 from companion.io.background_file import CLOSE_TIMEOUT_S
@@ -20,6 +21,8 @@ from companion.io.handoff_files import HandoffFiles
 from companion.io.inputs import InputLog
 from companion.io.mcap_log import McapLog
 from companion.io.tlog import TlogWriter
+from companion.link.inputs import InputRecorder
+from companion.link.journal import Journal
 
 log = logging.getLogger("companion.flight")
 
@@ -48,6 +51,66 @@ class JournalHealth:
     """How long the disk has not answered."""
     is_alive: bool
     """Whether every writer still runs."""
+
+
+class BlackBox(Journal, Protocol):
+    """A journal that a process owns."""
+
+    @property
+    def inputs(self) -> InputRecorder | None:
+        """What the endpoint is told goes here."""
+
+    @property
+    def health(self) -> JournalHealth:
+        """How it is doing, without waiting for any writer."""
+
+    def discard(self) -> None:
+        """Close it and leave nothing, because the flight never began."""
+
+    def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> None:
+        """Write what is queued, for so long at most in all, and close."""
+
+
+class MissingJournal:
+    """Stands in where no log can be written: everything is counted as lost, texts are shown."""
+
+    def __init__(self) -> None:
+        self._dropped = 0
+
+    @property
+    def inputs(self) -> InputRecorder | None:
+        """Nothing can be run again from nothing."""
+        return None
+
+    def frame(self, data: bytes, now_s: float) -> None:
+        """Lose a raw frame."""
+        del data, now_s
+        self._dropped += 1
+
+    def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
+        """Lose an event."""
+        del kind, fields, now_s
+        self._dropped += 1
+
+    def text(self, severity: Severity, text: str, now_s: float) -> None:
+        """Show a text."""
+        _show(severity, text, now_s)
+
+    def result(self, report: ReportResult, now_s: float) -> None:
+        """Show the result, which has no other place to be."""
+        _show(Severity.NOTICE, f"result: {plain(report)}", now_s)
+
+    @property
+    def health(self) -> JournalHealth:
+        """It loses everything, reliably."""
+        return JournalHealth(0, self._dropped, 0, 0.0, is_alive=True)
+
+    def discard(self) -> None:
+        """There is nothing to leave."""
+
+    def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> None:
+        """There is nothing to write."""
+        del timeout_s
 
 
 class FlightJournal:
@@ -102,7 +165,7 @@ class FlightJournal:
         self.record("text", {"severity": severity.name.lower(), "text": text}, now_s)
         if self._mcap is not None:
             self._mcap.text(severity, text, now_s)
-        log.log(LEVELS[severity], "%7.1f s  %s", now_s, text)
+        _show(severity, text, now_s)
 
     def result(self, report: ReportResult, now_s: float) -> None:
         """Write `result.json`; a disk that refuses it does not stop the flight."""
@@ -163,3 +226,7 @@ class FlightJournal:
             log.warning(
                 "%s: %d log entries were lost to a slow or full disk", self.directory, dropped
             )
+
+
+def _show(severity: Severity, text: str, now_s: float) -> None:
+    log.log(LEVELS[severity], "%7.1f s  %s", now_s, text)

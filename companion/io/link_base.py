@@ -57,6 +57,11 @@ class Link(ABC):
             LinkError: It can never work as configured (port taken, no such host).
         """
 
+    @property
+    def is_open(self) -> bool:
+        """Whether it listens, is connected, or tries to be; not whether anybody is there."""
+        return True
+
     @abstractmethod
     def send(self, chunk: Chunk) -> None:
         """Send now or count why not; never raises and never waits."""

@@ -177,6 +177,11 @@ class StreamLink(Link):
         self._bytes_per_s: float | None = None
 
     @property
+    def is_open(self) -> bool:
+        """Whether it is connected or tries to be."""
+        return not self._is_closed
+
+    @property
     def is_connected(self) -> bool:
         """Whether somebody is at the other end, as far as the system knows."""
         return self._stream is not None

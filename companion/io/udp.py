@@ -40,6 +40,11 @@ class UdpLink(Link):
         host, port = self._socket.getsockname()[:2]
         return (str(host), int(port))
 
+    @property
+    def is_open(self) -> bool:
+        """Whether the socket is there."""
+        return self._socket is not None
+
     async def open(self) -> None:
         """Bind.
 

@@ -84,7 +84,7 @@ def test_two_mirror_images_come_back_as_two() -> None:
 
 
 def test_a_belief_that_was_wrong_is_given_up() -> None:
-    rows = walk(np.random.default_rng(4), 200)
+    rows = walk(np.random.default_rng(4), 400)
     belief = belief_after(rows[:150])
     place = belief.places[0]
     elsewhere = replace(place, mean=(place.mean[0] + 60.0, place.mean[1], *place.mean[2:]))
