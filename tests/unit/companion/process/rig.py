@@ -18,6 +18,8 @@ PEER = ("127.0.0.1", 14580)
 class WatchedNotes(Notes):
     """Notes whose disk does what the test says."""
 
+    inputs = None
+
     def __init__(self) -> None:
         super().__init__()
         self.health = JournalHealth(0, 0, 0, 0.0, is_alive=True)
