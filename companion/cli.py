@@ -169,6 +169,13 @@ def _add_demo(commands: argparse._SubParsersAction[_Parser]) -> None:
     demo.add_argument(
         "--plot", metavar="FILE", type=Path, default=Path("track.png"), help="where to draw"
     )
+    demo.add_argument(
+        "--web",
+        metavar="[HOST:]PORT",
+        nargs="?",
+        const="8080",
+        help="serve the live map, with buttons (default port 8080)",
+    )
     demo.add_argument("--no-plot", action="store_true", help="do not draw the track")
 
 
@@ -303,6 +310,7 @@ def _replay_walk(arguments: argparse.Namespace, config: CompanionConfig) -> int:
 
 def _demo(arguments: argparse.Namespace) -> int:
     from companion.demo.runner import DemoOptions, run_demo
+    from companion.web.settings import web_settings
 
     options = DemoOptions(
         seed=arguments.seed,
@@ -312,5 +320,6 @@ def _demo(arguments: argparse.Namespace) -> int:
         config=arguments.config,
         json=arguments.json,
         plot=None if arguments.no_plot else arguments.plot,
+        web=None if arguments.web is None else web_settings(arguments.web, is_control_on=True),
     )
     return 0 if run_demo(options) else EXIT_FAILED

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 import tempfile
 import time
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ import msgspec
 
 from companion.config.schema import CompanionConfig, load_config
 from companion.demo.recording import RecordingJournal
+from companion.demo.screens import LiveScreen, PlainLines, best_screen, say
 from companion.demo.simulator import HOST, SimulatorProcess, free_udp_port
 from companion.domain import TargetEstimate
 from companion.errors import CompanionError, ConfigError
@@ -26,11 +26,9 @@ from companion.io.shell import Shell
 from companion.kernel import IS_COMPILED
 from companion.link.endpoint import CompanionEndpoint
 from companion.run import build_endpoint, is_handed_over, prepare
+from companion.web.settings import WebSettings
+from companion.web.view import WebView
 
-REFRESH_S = 0.15
-"""Wall seconds between two pictures of the live view."""
-PLAIN_REFRESH_S = 15.0
-"""Seconds of the flight between two lines where there is no terminal."""
 FENCE_AROUND_AREA_M = 10.0
 OBSTACLE_CLEARANCE_M = 5.0
 """Obstacles that end less than this below the search altitude are flown around."""
@@ -52,6 +50,8 @@ class DemoOptions:
     config: Path | None
     json: Path | None
     plot: Path | None
+    web: WebSettings | None = None
+    """Where to serve the live map; None: nowhere."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,9 +76,9 @@ def run_demo(options: DemoOptions) -> bool:
     config = load_config(options.config)
     _check_outputs(options)
     if IS_COMPILED:
-        _say("compiling kernels: half a minute the first time, then a second")
+        say("compiling kernels: half a minute the first time, then a second")
     prepare(config)
-    show = _view()
+    show = best_screen()
     started_unix_s = time.time()
     directory = new_flight_directory(Path(config.log.directory), started_unix_s)
     port = free_udp_port()
@@ -93,10 +93,13 @@ def run_demo(options: DemoOptions) -> bool:
             facts = FlightFacts(started_unix_s=started_unix_s, links=1, config=config)
             write_facts(directory, facts)
             journal = RecordingJournal(directory, started_unix_s, config.log.max_bytes)
+            page = _open_page(options.web, config, truth)
             try:
-                result = _fly(config, options, journal, simulator, port, truth, show)
+                result = _fly(config, options, journal, simulator, port, truth, show, page)
             finally:
                 journal.close()
+                if page is not None:
+                    page.close()
             simulator.stop()
             _conclude(options, config, journal, result, simulator.report())
     return result.is_localised
@@ -146,76 +149,6 @@ def _demo_config(config: CompanionConfig, truth: dict[str, Any]) -> CompanionCon
     return msgspec.structs.replace(config, mission=mission, limits=limits)
 
 
-class _LiveView:
-    """The one-screen view of `companion.demo.view`, redrawn in place."""
-
-    def __init__(self) -> None:
-        from rich.console import Console
-        from rich.live import Live
-
-        self._live = Live(console=Console(), auto_refresh=False)
-        self._next_wall_s = 0.0
-
-    def __enter__(self) -> _LiveView:
-        self._live.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._live.stop()
-
-    def __call__(
-        self, endpoint: CompanionEndpoint, journal: RecordingJournal, now_s: float
-    ) -> None:
-        from companion.demo.view import screen
-
-        wall_s = time.monotonic()
-        if wall_s < self._next_wall_s and not endpoint.is_finished:
-            return
-        self._next_wall_s = wall_s + REFRESH_S
-        self._live.update(
-            screen(
-                endpoint.session.status(now_s),
-                journal.texts,
-                endpoint.setpoint_rate_hz(now_s),
-                endpoint.bad_frames,
-                endpoint.session.params.stop_radius_m,
-            ),
-            refresh=True,
-        )
-
-
-class _PlainView:
-    """A line now and then, where the output is no terminal or rich is not installed."""
-
-    def __init__(self) -> None:
-        self._next_s = 0.0
-
-    def __enter__(self) -> _PlainView:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        return None
-
-    def __call__(self, endpoint: CompanionEndpoint, _: RecordingJournal, now_s: float) -> None:
-        if now_s < self._next_s:
-            return
-        self._next_s = now_s + PLAIN_REFRESH_S
-        status = endpoint.session.status(now_s)
-        line = f"{now_s:7.1f} s  {status.phase.value}, flown {status.distance_m:.0f} m"
-        if status.estimate is not None:
-            line += f", {status.estimate.state.value} R95 {status.estimate.r95_m:.1f} m"
-        _say(line)
-
-
-def _view() -> _LiveView | _PlainView:
-    if sys.stdout.isatty():
-        try:
-            return _LiveView()
-        except ImportError:
-            _say("for the live view: pip install 'companion-guidance[demo]'")
-    return _PlainView()
-
-
 def _fly(
     config: CompanionConfig,
     options: DemoOptions,
@@ -223,16 +156,20 @@ def _fly(
     simulator: SimulatorProcess,
     port: int,
     truth: dict[str, Any],
-    view: _LiveView | _PlainView,
+    view: LiveScreen | PlainLines,
+    page: WebView | None,
 ) -> DemoResult:
-    endpoint = build_endpoint(config, journal, recorder=journal.inputs)
-    journal.is_quiet = isinstance(view, _LiveView)
+    listens = journal if page is None else page.listen(journal)
+    endpoint = build_endpoint(config, listens, recorder=journal.inputs)
+    journal.is_quiet = isinstance(view, LiveScreen)
     limit_s = float(truth["time_limit_s"])
     ended: list[tuple[str, float]] = []
     latest = [0.0]
 
     def on_wakeup(now_s: float) -> None:
         view(endpoint, journal, now_s)
+        if page is not None:
+            page.update(endpoint, now_s)
         latest[0] = now_s
         reason = _end_reason(endpoint, simulator, now_s, limit_s)
         if endpoint.binding.heard_s is None and time.monotonic() - started > SILENCE_LIMIT_S:
@@ -256,6 +193,22 @@ def _fly(
         time_s=now_s if result is None else result.estimate.time_s,
         wall_s=time.monotonic() - started,
     )
+
+
+def _open_page(
+    settings: WebSettings | None, config: CompanionConfig, truth: dict[str, Any]
+) -> WebView | None:
+    """The live map, with the emitter's true place for comparison.
+
+    Raises:
+        CompanionError: The port is taken, or the extra `web` is not installed.
+    """
+    if settings is None:
+        return None
+    east, north = truth["emitter"]["enu_m"][:2]
+    page = WebView(settings, config, (float(east), float(north)))
+    say(f"live map: {settings.url}")
+    return page
 
 
 def _end_reason(
@@ -282,11 +235,11 @@ def _conclude(
     truth = (float(report["emitter"]["enu_m"][0]), float(report["emitter"]["enu_m"][1]))
     estimate = result.estimate
     error_m = None if estimate is None else math.dist(estimate.position_enu_m, truth)
-    _say(_summary(result, error_m, report))
-    _say(f"flight log: {journal.directory}")
+    say(_summary(result, error_m, report))
+    say(f"flight log: {journal.directory}")
     if options.json is not None:
         write_json_atomic(options.json, _as_json(options, result, error_m, report))
-        _say(f"result: {options.json}")
+        say(f"result: {options.json}")
     if options.plot is not None and estimate is not None:
         _draw(options.plot, options, config, journal, estimate, truth, report)
 
@@ -340,7 +293,7 @@ def _draw(
     try:
         from companion.demo.plot import Flight, Obstacle, draw
     except ImportError:
-        _say("no picture: pip install 'companion-guidance[demo]' brings matplotlib")
+        say("no picture: pip install 'companion-guidance[demo]' brings matplotlib")
         return
     flight = Flight(
         track_enu_m=[(point[1], point[2]) for point in report["track"]],
@@ -362,9 +315,4 @@ def _draw(
         draw(path, flight)
     except OSError as error:
         raise CompanionError(f"{path}: cannot be written: {error.strerror}") from error
-    _say(f"picture: {path}")
-
-
-def _say(line: str) -> None:
-    sys.stdout.write(f"{line}\n")
-    sys.stdout.flush()
+    say(f"picture: {path}")

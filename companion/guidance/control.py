@@ -8,7 +8,8 @@ from companion.domain import PositionSetpoint, TargetEstimate
 from companion.guard.gate import GuardReason
 from companion.guidance.commands import SendHeartbeat, SendSetpoint, Severity
 from companion.guidance.conditions import is_silence_due
-from companion.guidance.findings import Verdict
+from companion.guidance.findings import Verdict, worst
+from companion.guidance.handover import Handover
 from companion.guidance.inputs import InputWatch
 from companion.guidance.launch import Launch, LaunchView
 from companion.guidance.params import FOLLOW_UP_MODE
@@ -17,6 +18,7 @@ from companion.guidance.situation import Situation
 from companion.guidance.states import FLYING, Phase, Trigger
 from companion.guidance.stop_rule import StopRule
 from companion.guidance.waiting import WaitingReason
+from companion.guidance.wishes import WishWatch
 
 TICK_S = 0.05
 """Setpoints at 20 Hz: PX4 wants more than 2 Hz, and at 20 Hz a lossy link still delivers enough."""
@@ -35,9 +37,13 @@ class ControlTick:
         inputs: Of what the plan stands on.
     """
 
-    def __init__(self, situation: Situation, inputs: InputWatch) -> None:
+    def __init__(
+        self, situation: Situation, inputs: InputWatch, wishes: WishWatch, handover: Handover
+    ) -> None:
         self._situation = situation
         self._inputs = inputs
+        self._wishes = wishes
+        self._handover = handover
         self._stop_rule = StopRule(situation.params.stop_radius_m, situation.params.stop_confirm_s)
         self._waiting = WaitingReason(situation.vehicle, situation.authority)
         self._tick_s: float | None = None
@@ -113,7 +119,8 @@ class ControlTick:
 
     def _judge(self, now_s: float) -> None:
         """Fly the plan, fly it slower, or stay, by what is wrong now."""
-        situation, finding = self._situation, self._inputs.finding(now_s)
+        situation = self._situation
+        finding = worst((self._wishes.finding(), self._inputs.finding(now_s)))
         if finding is None:
             situation.finding = None
             if situation.enter(Trigger.INPUT_BACK, now_s):
@@ -121,6 +128,9 @@ class ControlTick:
                 situation.plan_now(now_s)
             return
         is_news = situation.find(finding)
+        if finding.verdict is Verdict.HAND_BACK:
+            self._handover.hand_back(finding, now_s)
+            return
         is_slow = finding.verdict is Verdict.SLOW
         situation.enter(Trigger.INPUT_AGES if is_slow else Trigger.INPUT_LOST, now_s)
         if is_news:

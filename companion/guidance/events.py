@@ -127,6 +127,22 @@ class ControlGranted:
     time_s: float
 
 
+class Wish(Enum):
+    """What the operator may ask for beside the mode switch."""
+
+    HOLD = "hold"
+    RESUME = "resume"
+    RETURN = "return"
+
+
+@dataclass(frozen=True, slots=True)
+class OperatorAsked:
+    """A button of the live map was pressed and confirmed."""
+
+    time_s: float
+    wish: Wish
+
+
 @dataclass(frozen=True, slots=True)
 class TimerFired:
     """The control tick, 20 times a second."""
@@ -178,6 +194,7 @@ Event = (
     | RequestAnswered
     | AutopilotRestarted
     | ControlGranted
+    | OperatorAsked
     | TimerFired
     | ControlStalled
     | StopRequested

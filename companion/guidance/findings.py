@@ -45,6 +45,8 @@ class Reason(Enum):
     FILTER_DIVERGED = "filter is recovering"
     FRAME_MOVED = "local frame moved"
     CHECKING = "checking its inputs"
+    OPERATOR_HOLDS = "the operator asked to hold"
+    OPERATOR_RETURNS = "the operator asked to return"
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,6 +26,7 @@ from companion.guidance.events import (
     HeartbeatReceived,
     LandedStateChanged,
     MemoryRecalled,
+    OperatorAsked,
     OriginSet,
     RangingReceived,
     RequestAnswered,
@@ -45,6 +46,7 @@ from companion.guidance.states import Phase
 from companion.guidance.status import GuidanceStatus, snapshot
 from companion.guidance.steering import Steering
 from companion.guidance.vehicle import VehicleView
+from companion.guidance.wishes import WishWatch
 from companion.planning.base import Planner
 
 MODE_EVENTS = (HeartbeatReceived, LandedStateChanged)
@@ -74,7 +76,8 @@ class GuidanceSession:
         inputs = InputWatch(self.situation)
         self._measuring = Measuring(self.situation, inputs)
         self.handover = Handover(self.situation)
-        self._control = ControlTick(self.situation, inputs)
+        self._wishes = WishWatch(self.situation)
+        self._control = ControlTick(self.situation, inputs, self._wishes, self.handover)
         self._recollection = Recollection(self.situation)
 
     def handle(self, event: Event) -> list[Command]:
@@ -100,6 +103,8 @@ class GuidanceSession:
                 self.handover.answered(event)
             case ControlGranted():
                 self.handover.granted(event.time_s)
+            case OperatorAsked():
+                self._wishes.ask(event.wish)
             case AutopilotRestarted():
                 self.handover.restarted(event.time_s)
                 self._recollection.forget()

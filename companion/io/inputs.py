@@ -14,6 +14,7 @@ from enum import IntEnum
 from pathlib import Path
 
 from companion.errors import ConfigError
+from companion.guidance.events import Wish
 from companion.io.background_file import BackgroundLog
 from companion.mav.codec import CRC_EXTRA_BY_ID
 from companion.mav.endpoint import Address
@@ -33,6 +34,8 @@ class InputKind(IntEnum):
     FRAME = 1
     TICK = 2
     STOP = 3
+    WISH = 4
+    """Its data name what the operator asked for."""
 
 
 AlsoKeeps = Callable[[bytes, float], None]
@@ -82,6 +85,10 @@ class InputLog(BackgroundLog):
     def stop(self, now_s: float) -> None:
         """Keep a stop."""
         self._append(Input(InputKind.STOP, now_s))
+
+    def wish(self, wish: Wish, now_s: float) -> None:
+        """Keep what the operator asked for."""
+        self._append(Input(InputKind.WISH, now_s, data=wish.value.encode()))
 
     def _append(self, value: Input) -> None:
         peer = b"" if value.peer is None else f"{value.peer[0]} {value.peer[1]}".encode()[:255]

@@ -14,7 +14,13 @@ from __future__ import annotations
 
 import math
 
-from companion.guidance.events import ControlStalled, StopRequested, TimerFired
+from companion.guidance.events import (
+    ControlStalled,
+    OperatorAsked,
+    StopRequested,
+    TimerFired,
+    Wish,
+)
 from companion.guidance.session import GuidanceSession
 from companion.link.alarms import LinkAlarms
 from companion.link.authenticity import Authenticity
@@ -152,6 +158,11 @@ class CompanionEndpoint:
         """Hand the vehicle back, then finish."""
         self._recorder.stop(now_s)
         self.executor.handle(StopRequested(now_s), now_s)
+
+    def ask(self, wish: Wish, now_s: float) -> None:
+        """Take in what the operator asks for beside the mode switch."""
+        self._recorder.wish(wish, now_s)
+        self.executor.handle(OperatorAsked(now_s, wish), now_s)
 
     @property
     def is_finished(self) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
+from companion.guidance.events import Wish
 from companion.mav.endpoint import Address
 
 
@@ -19,6 +20,9 @@ class InputRecorder(Protocol):
     def stop(self, now_s: float) -> None:
         """The process was asked to end."""
 
+    def wish(self, wish: Wish, now_s: float) -> None:
+        """The operator asked for something."""
+
 
 class NoRecorder:
     """Keeps nothing."""
@@ -31,3 +35,6 @@ class NoRecorder:
 
     def stop(self, now_s: float) -> None:
         """Forget a stop."""
+
+    def wish(self, wish: Wish, now_s: float) -> None:
+        """Forget a wish."""

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 
 from companion.config.schema import CompanionConfig
 from companion.guidance.commands import ReportResult, Severity
+from companion.guidance.events import Wish
 from companion.io.files import plain
 from companion.io.inputs import Input, InputKind
 from companion.link.endpoint import CompanionEndpoint
@@ -99,6 +100,8 @@ def rerun(
                 endpoint.handle_timer(value.time_s)
             case InputKind.STOP:
                 endpoint.request_stop(value.time_s)
+            case InputKind.WISH:
+                endpoint.ask(Wish(value.data.decode()), value.time_s)
         sent = [chunk.data for chunk in endpoint.take_output()]
         journal.course.setpoints += [data for data in sent if message_id(data) in SETPOINT_IDS]
         if on_input is not None:

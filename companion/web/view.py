@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from companion.config.schema import CompanionConfig
+from companion.guidance.events import Wish
 from companion.link.endpoint import CompanionEndpoint
+from companion.link.journal import Journal
 from companion.view.collector import Collector
 from companion.view.picture import Json, picture_of, scene_of
+from companion.view.tee import TeeJournal
 from companion.view.time_to_go import TimeToGo
 from companion.web.process import WebProcess
 from companion.web.settings import WebSettings
-
-Pressed = Callable[[str, float], None]
-"""Takes a button's name and the time."""
 
 
 class WebView:
@@ -22,7 +20,6 @@ class WebView:
     Args:
         settings: Where, and for whom.
         config: Of the flight.
-        collector: Listens to the flight log.
         truth_enu_m: Where the emitter is, if somebody knows it (the simulator does).
 
     Raises:
@@ -33,24 +30,26 @@ class WebView:
         self,
         settings: WebSettings,
         config: CompanionConfig,
-        collector: Collector,
         truth_enu_m: tuple[float, float] | None = None,
     ) -> None:
-        self._collector = collector
+        self._collector = Collector()
         mission = config.mission
         self._time_to_go = TimeToGo(mission.stop_radius_m, mission.stop_confirm_s)
         self._process = WebProcess(settings, {**scene_of(config), "truth": truth_enu_m})
 
-    def update(self, endpoint: CompanionEndpoint, pressed: Pressed, now_s: float) -> None:
+    def listen(self, journal: Journal) -> Journal:
+        """A journal that tells the page what it tells the flight log."""
+        return TeeJournal(journal, self._collector)
+
+    def update(self, endpoint: CompanionEndpoint, now_s: float) -> None:
         """Called at every wake-up of the flight; costs nothing unless a picture is due.
 
         Args:
-            endpoint: The companion.
-            pressed: Takes the buttons.
+            endpoint: The companion; buttons go to it.
             now_s: The present.
         """
         for name in self._process.update(now_s, lambda: self._picture(endpoint, now_s)):
-            pressed(name, now_s)
+            endpoint.ask(Wish(name), now_s)
 
     def close(self) -> None:
         """End the page."""
