@@ -21,6 +21,8 @@ from companion.io.urls import parse_link_url
 from companion.replay.command import Pace, replay_flight
 from companion.replay.walk import replay_walk, table
 from companion.run import fly
+from companion.web.settings import WebSettings, web_settings
+from companion.web.view import WebView
 
 EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
@@ -96,6 +98,8 @@ def _run(argv: Sequence[str] | None) -> int:
             return _demo(arguments)
         case "replay":
             return _replay(arguments)
+        case "report":
+            return _report(arguments)
     return _fly(arguments)
 
 
@@ -143,11 +147,45 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--once", action="store_true", help="end after the target is reported")
     parser.add_argument("--quiet", action="store_true", help="only warnings and errors")
+    _add_web(parser)
     commands = parser.add_subparsers(dest="command", metavar="{demo,replay,report}")
     _add_demo(commands)
     _add_replay(commands)
     _add_report(commands)
     return parser
+
+
+def _add_web(parser: argparse.ArgumentParser) -> None:
+    web = parser.add_argument_group("live map (extra web)")
+    web.add_argument(
+        "--web",
+        dest="fly_web",
+        metavar="[HOST:]PORT",
+        help="serve the live map; without HOST to this computer only, beyond it with a token",
+    )
+    web.add_argument("--web-control", action="store_true", help="with HOLD, RESUME and RETURN")
+    web.add_argument("--web-token", metavar="TEXT", help="token instead of one made up")
+    web.add_argument("--web-open", action="store_true", help="looking needs no token, buttons do")
+    web.add_argument("--web-tiles", metavar="DIR", type=Path, help="map tiles, z/x/y.png")
+
+
+def _web_settings(arguments: argparse.Namespace) -> WebSettings | None:
+    if arguments.fly_web is None:
+        given = [
+            f"--web-{name}"
+            for name in ("control", "token", "open", "tiles")
+            if getattr(arguments, f"web_{name}")
+        ]
+        if given:
+            raise ConfigError(f"{given[0]}: there is no map without --web PORT")
+        return None
+    return web_settings(
+        arguments.fly_web,
+        token=arguments.web_token,
+        is_control_on=arguments.web_control,
+        is_view_open=arguments.web_open,
+        tiles=arguments.web_tiles,
+    )
 
 
 def _add_demo(commands: argparse._SubParsersAction[_Parser]) -> None:
@@ -234,7 +272,9 @@ def _check_place_of_options(arguments: argparse.Namespace) -> None:
         for name in ("connect", "ranging", "signing-key", "insecure", "fresh", "once")
         if getattr(arguments, name.replace("-", "_")) not in (None, [], False)
     ]
-    given += [f"--{n}" for n in ("config", "speed") if getattr(arguments, f"fly_{n}") is not None]
+    given += [
+        f"--{n}" for n in ("config", "speed", "web") if getattr(arguments, f"fly_{n}") is not None
+    ]
     if given:
         word = arguments.command
         raise ConfigError(f"{given[0]} in front of `{word}` has no effect; put options after it")
@@ -256,6 +296,7 @@ def _fly(arguments: argparse.Namespace) -> int:
     config = load_config(arguments.fly_config)
     if arguments.signing_key is not None:
         config = with_signing_key(config, arguments.signing_key)
+    settings = _web_settings(arguments)
     urls = [parse_link_url(text) for text in (arguments.connect, *arguments.ranging)]
     for index, url in enumerate(urls):
         if url in urls[:index]:
@@ -269,11 +310,44 @@ def _fly(arguments: argparse.Namespace) -> int:
         )
     links = [link_from_url(url) for url in urls]
     clock = Clock(arguments.fly_speed or 1.0)
-    endpoint = fly(config, links, clock, once=arguments.once, is_fresh=arguments.fresh)
+    views = [] if settings is None else [WebView(settings, config)]
+    if settings is not None:
+        print(f"live map: {settings.url}", file=sys.stderr)
+    endpoint = fly(
+        config,
+        links,
+        clock,
+        once=arguments.once,
+        is_fresh=arguments.fresh,
+        views=views,
+        at_end=_report_flight,
+    )
     if arguments.once and endpoint.session.result is None:
         print("companion: ended before the target was localised", file=sys.stderr)
         return EXIT_FAILED
     return 0
+
+
+def _report(arguments: argparse.Namespace) -> int:
+    from companion.report.page import write_report
+
+    print(write_report(arguments.flight, arguments.output))
+    return 0
+
+
+def _report_flight(directory: Path) -> None:
+    """A report of every flight; of a long one only on request, because the end must be quick."""
+    from companion.report.page import is_quick, write_report  # jinja2 only where it is needed
+
+    if not is_quick(directory):
+        print(f"companion: make the report with: companion report {directory}", file=sys.stderr)
+        return
+    try:
+        path = write_report(directory)
+    except CompanionError as error:
+        print(f"companion: no report: {error}", file=sys.stderr)
+    else:
+        logging.getLogger("companion").info("report: %s", path)
 
 
 def _replay(arguments: argparse.Namespace) -> int:
@@ -310,7 +384,6 @@ def _replay_walk(arguments: argparse.Namespace, config: CompanionConfig) -> int:
 
 def _demo(arguments: argparse.Namespace) -> int:
     from companion.demo.runner import DemoOptions, run_demo
-    from companion.web.settings import web_settings
 
     options = DemoOptions(
         seed=arguments.seed,

@@ -7,9 +7,10 @@ import logging
 import math
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from companion.config.schema import CompanionConfig, CrossingKind, PatternKind, PlannerConfig
 from companion.errors import CompanionError, LinkError
@@ -206,6 +207,8 @@ def fly(
     *,
     once: bool = False,
     is_fresh: bool = False,
+    views: Sequence[FlightView] = (),
+    at_end: Callable[[Path], None] | None = None,
 ) -> CompanionEndpoint:
     """Fly until asked to stop; the endpoint as it was at the end.
 
@@ -215,6 +218,8 @@ def fly(
         clock: Where the time comes from.
         once: End by itself once the target is reported and the vehicle handed over.
         is_fresh: Take up nothing of an earlier run.
+        views: Watch the flight; closed at its end.
+        at_end: Gets the flight's directory once everything is written.
 
     Raises:
         LinkError: A link cannot be opened, or another companion has the vehicle; nothing was sent.
@@ -228,13 +233,30 @@ def fly(
     try:
         prepare(config)
         store = CheckpointStore(state, lock_name(name)) if config.process.checkpoint else None
-        flight = _Flight(config, links, clock, keeper, store, once=once, is_fresh=is_fresh)
+        flight = _Flight(config, links, clock, keeper, store, views, once=once, is_fresh=is_fresh)
         flight.run()
+        if at_end is not None and flight.directory is not None:
+            at_end(flight.directory)
     finally:
         if keeper is not None:
             keeper.close()
         lock.release()
+        for view in views:
+            view.close()
     return flight.endpoint
+
+
+class FlightView(Protocol):
+    """Shows a flight to somebody, and never makes it wait."""
+
+    def listen(self, journal: Journal) -> Journal:
+        """A journal that passes everything on, and lets the view know."""
+
+    def update(self, endpoint: CompanionEndpoint, now_s: float) -> None:
+        """Called at every wake-up of the flight."""
+
+    def close(self) -> None:
+        """The flight is over."""
 
 
 class _Flight:
@@ -247,6 +269,7 @@ class _Flight:
         clock: Clock,
         keeper: SigningKeeper | None,
         store: CheckpointStore | None,
+        views: Sequence[FlightView],
         *,
         once: bool,
         is_fresh: bool,
@@ -254,9 +277,12 @@ class _Flight:
         found = None if store is None or is_fresh else store.load()
         is_restart = found is not None and found.has_files
         self._journal = _open_black_box(config, len(links), is_restart=is_restart)
+        listens: Journal = self._journal
+        for view in views:
+            listens = view.listen(listens)
         self.endpoint = build_endpoint(
             config,
-            self._journal,
+            listens,
             len(links) - 1,
             signing=None if keeper is None else keeper.signing,
             started_unix_s=time.time() - clock.now_s(),
@@ -283,12 +309,21 @@ class _Flight:
         self._chores = Chores(
             self.endpoint,
             {
+                **{
+                    f"view {number}": partial(view.update, self.endpoint)
+                    for number, view in enumerate(views, start=1)
+                },
                 "accounts": accounts.run,
                 "watchdog": lambda now_s: watchdog.run(now_s, time.monotonic()),
                 **({} if self._restart is None else {"checkpoints": self._restart.run}),
             },
         )
         self._hints = _Hints(self.endpoint, clock, self._shell.links[0].name)
+
+    @property
+    def directory(self) -> Path | None:
+        """Where the flight's files are; None without a log."""
+        return self._journal.directory if isinstance(self._journal, FlightJournal) else None
 
     def run(self) -> None:
         """Run to the end, whatever it is, and leave everything closed."""

@@ -68,3 +68,14 @@ def test_options_of_flying_are_refused_in_front_of_a_subcommand(
 ) -> None:
     line = complaint(capsys, *option, "replay", "walk.csv")
     assert f"{option[0]} in front of `replay` has no effect" in line
+
+
+def test_a_report_of_no_flight_is_refused_in_words(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert "flight.json" in complaint(capsys, "report", str(tmp_path))
+
+
+def test_options_of_the_map_need_the_map(capsys: pytest.CaptureFixture[str]) -> None:
+    line = complaint(capsys, "--connect", "udp:127.0.0.1:0", "--web-control")
+    assert "--web-control" in line
