@@ -56,6 +56,7 @@ class ControlTick:
         dt_s = TICK_S if self._tick_s is None else now_s - self._tick_s
         self._tick_s = now_s
         self._inputs.tick(now_s)
+        self._wishes.tick()
         self._advance_phase(now_s)
         if situation.phase in FLYING and situation.flight_plan.is_due(now_s):
             situation.plan_now(now_s)

@@ -39,8 +39,11 @@ class WishWatch:
             case Wish.RETURN:
                 self._finding = RETURNS
 
-    def finding(self) -> Finding | None:
-        """What the operator wants instead of the plan."""
+    def tick(self) -> None:
+        """Forget a wish when the control it was made under has ended."""
         if self._situation.phase not in IN_CONTROL:
             self._finding = None
+
+    def finding(self) -> Finding | None:
+        """What the operator wants instead of the plan."""
         return self._finding
