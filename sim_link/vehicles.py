@@ -19,7 +19,7 @@ from companion.io.key_file import load_signing_key, store_signing_key
 from companion.io.links import LinkSpec, UdpFanOut, shared_link_from_url
 from companion.io.urls import LinkKind, LinkUrl
 from companion.mav.endpoint import Address
-from companion.mav.signing import KEY_LENGTH, Signing
+from companion.mav.signing import Signing
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import Scenario
 from sim_link.report import end_report, start_report
@@ -28,10 +28,7 @@ STATION_PORT = 14550
 """UDP port of ground stations, the same for every vehicle."""
 MAX_PORT = 65_535
 MAX_SYSTEM_ID = 255
-UDP_LINK = 0
 SAVE_PERIOD_S = 1.0
-NO_KEY = 2 * KEY_LENGTH * "0"
-"""SETUP_SIGNING's way to say that there is no signing."""
 WIRED = (LinkKind.SERIAL, LinkKind.PTY)
 """Links that nobody else can hear."""
 
@@ -62,8 +59,9 @@ def make_vehicles(wishes: Wishes) -> list[SimEndpoint]:
     last = scenario.system_id + scenario.vehicles - 1
     if last > MAX_SYSTEM_ID:
         raise ConfigError(f"{scenario.vehicles} vehicles: system ids would go beyond 255")
-    lines = frozenset(index for index, url in enumerate(wishes.links, 1) if url.kind in WIRED)
-    loopback = frozenset({UDP_LINK} if wishes.listen[0] == "127.0.0.1" else ())
+    trusted = frozenset(index for index, url in enumerate(wishes.links, 1) if url.kind in WIRED) | (
+        {0} if wishes.listen[0] == "127.0.0.1" and wishes.signing_key is None else set()
+    )
     endpoints = []
     for number in range(scenario.vehicles):
         path = numbered(wishes.parameters, number)
@@ -76,8 +74,7 @@ def make_vehicles(wishes: Wishes) -> list[SimEndpoint]:
                 parameters=stored_parameters(path),
                 parameters_name=str(path),
                 signing=_signing(wishes.signing_key),
-                trusted_links=lines,
-                setup_links=loopback,
+                trusted_links=trusted,
                 started_unix_s=time.time(),
             )
         )
@@ -85,15 +82,7 @@ def make_vehicles(wishes: Wishes) -> list[SimEndpoint]:
 
 
 def _signing(path: Path | None) -> Signing | None:
-    return None if path is None or has_ended(path) else Signing(load_signing_key(path))
-
-
-def has_ended(path: Path) -> bool:
-    """Whether a client ended signing by SETUP_SIGNING: then the file holds the key of zeros."""
-    try:
-        return path.read_text(encoding="ascii").strip() == NO_KEY
-    except (OSError, UnicodeDecodeError):
-        return False  # whoever loads the key says what is wrong
+    return None if path is None else Signing(load_signing_key(path))
 
 
 def link_specs(wishes: Wishes, number: int) -> list[LinkSpec]:
@@ -188,15 +177,11 @@ class Files:
                 self._saved[number] = text
 
     def _keep_key(self) -> None:
-        """A key that a client set up, or the end of signing, where there is a file."""
+        """A key that a client set up, where there is a file; an end of signing is not kept."""
         for endpoint in self._endpoints:
             setup = endpoint.links.take_setup()
             path = self._wishes.signing_key
-            if setup is None or path is None:
-                continue
-            if setup.key is None:
-                write_text_atomic(path, f"{NO_KEY}\n", mode=0o600)
-            else:
+            if setup is not None and setup.key is not None and path is not None:
                 store_signing_key(path, setup.key)
 
     def end(self) -> None:

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from companion.estimation.base import Inflation, ModalityReport, UpdateReport
+from companion.estimation.gate import OPEN, Gate
 
 CONTRADICTION_COUNT = 40
 """How many measurements in a row must contradict the estimate before it is given up."""
@@ -28,22 +29,35 @@ class Contradiction:
     """Where those bearings are off to: +-1 or `BEHIND`."""
     ranges: int = 0
     """Ranges that are too short; too long ones say nothing, because that is what reflections do."""
+    refused_ranges: int = 0
+    """Ranges that did not pass the gate: a run of them is no run of outliers."""
+    refused_bearings: int = 0
 
     @property
     def is_conclusive(self) -> bool:
         """Whether the estimate should be given up."""
-        return max(self.bearings, self.ranges) >= CONTRADICTION_COUNT
+        counts = (self.bearings, self.ranges, self.refused_ranges, self.refused_bearings)
+        return max(counts) >= CONTRADICTION_COUNT
 
-    def after(self, report: UpdateReport, inflation: Inflation) -> Contradiction:
-        """The counts after one more update."""
+    def after(self, report: UpdateReport, inflation: Inflation, gate: Gate = OPEN) -> Contradiction:
+        """The counts after one more update.
+
+        Args:
+            report: Of the update with all that was measured.
+            inflation: In force at the update.
+            gate: What of it was fused.
+        """
         bearings, side, ranges = self.bearings, self.side, self.ranges
+        refused_ranges, refused_bearings = self.refused_ranges, self.refused_bearings
         if report.bearing is not None:
             side = _side(report.bearing, inflation[1])
             bearings = 0 if side == 0.0 else (bearings + 1 if side == self.side else 1)
+            refused_bearings = 0 if gate.passes_bearing else refused_bearings + 1
         if report.range is not None:
             is_too_short = _whitened(report.range, inflation[0]) < -CONTRADICTION_U
             ranges = ranges + 1 if is_too_short else 0
-        return Contradiction(bearings, side, ranges)
+            refused_ranges = 0 if gate.passes_range else refused_ranges + 1
+        return Contradiction(bearings, side, ranges, refused_ranges, refused_bearings)
 
 
 def _side(report: ModalityReport, inflation: float) -> float:

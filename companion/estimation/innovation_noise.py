@@ -62,6 +62,11 @@ class InnovationNoise:
         return all(monitor.correlation == 0.0 for monitor in self.monitors)
 
     @property
+    def repetition(self) -> float:
+        """How many measurements say as much as one that repeats nothing, at the worst."""
+        return max(monitor.repetition for monitor in self.monitors)
+
+    @property
     def nlos_share(self) -> float:
         """Share of recent ranges on the linear branch of the loss: taken for reflections."""
         return 1.0 - self.monitors[0].bilateral_share

@@ -9,7 +9,7 @@ and is forgotten.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -30,7 +30,7 @@ from companion.estimation.window_map import (
     WindowMap,
     WindowParams,
 )
-from companion.geometry.arrays import Vector
+from companion.geometry.arrays import Matrix, Vector
 
 MAX_POLISHED = 4
 """Hypotheses that start a solution of the window each time."""
@@ -78,11 +78,18 @@ class Polisher:
         """Take a hypothesis for what was measured before the first measurement."""
         self._older = as_evidence(hypothesis, self._filter_params)
 
-    def distrust(self, recent: int) -> None:
-        """Forget what led to an estimate that has been given up: all but the newest `recent`."""
+    def begin_with(self, latest: Iterable[tuple[PositionEnu, Vector, Vector]]) -> None:
+        """Forget what led to an estimate that has been given up, all but the latest measurements.
+
+        Args:
+            latest: Where each was taken, its values (3,) and their thermal noise (3,).
+        """
         self._older = OlderEvidence.none(self._map.size)
-        self._window.keep_last(recent)
+        self._window.clear()
+        for sensor_enu_m, z, sigma in latest:
+            self._window.add(sensor_enu_m, z, sigma, sensor_enu_m[:2])
         self.noise = None
+        self._due_at = self._fresh_at = 0
 
     def retune(self, filter_params: FilterParams) -> None:
         """Believe in other noise and thresholds, for what was measured already, too."""
@@ -91,6 +98,11 @@ class Polisher:
         self._window.believe(
             filter_params.range_sigma_m, math.radians(filter_params.bearing_sigma_deg)
         )
+
+    @property
+    def window_rows(self) -> Matrix:
+        """The measurements held, (n, 10), see `map_kernels`."""
+        return self._window.rows
 
     @property
     def has_bearings(self) -> bool:
@@ -156,6 +168,8 @@ class Polisher:
             self._older = OlderEvidence.none(self._map.size)
             starts.append(optima[0].mean)
             optima = self._map.optima(rows, starts, is_white=is_white)
+        if optima:
+            optima = self._trimmed(optima, starts, is_white=is_white)
         if not optima:
             return tuple(replace(h, least_covariance_m2=VAGUE_COVARIANCE_M2) for h in hypotheses)
         self.noise = optima[0].noise
@@ -191,6 +205,19 @@ class Polisher:
             starts.append(self._map.start_around(rows, direction_rad, spread))
             self._turn += 1
         return starts
+
+    def _trimmed(
+        self, optima: list[Optimum], starts: Sequence[Vector], *, is_white: bool
+    ) -> list[Optimum]:
+        """The optima without gross errors, if there are any: not even a linear loss outvotes many.
+
+        Where most measurements look wrong, it is rather the optimum, and nothing is left out.
+        """
+        rows = self._map.without_gross(self._window.rows, optima[0])
+        if rows is None:
+            return optima
+        starts = [*starts, *(optimum.mean for optimum in optima)]
+        return self._map.optima(rows, starts, self._older, is_white=is_white) or optima
 
     def _is_contradicted(self, best: Optimum) -> bool:
         """Whether the window alone leads elsewhere than with the older evidence.

@@ -23,6 +23,8 @@ class Refusal(Enum):
     FROM_THE_FUTURE = "from the future"
     STALE = "stale"
     DUPLICATE = "duplicate"
+    RANGE_OUTLIER = "range too short for the estimate"
+    BEARING_OUTLIER = "bearing off the estimate"
     NO_POSITION = "own position unknown at its time"
     NO_YAW = "own yaw unknown at its time"
 

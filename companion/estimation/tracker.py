@@ -11,15 +11,20 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+
+import msgspec
 
 from companion.domain import PositionEnu, RangingMeasurement, TargetEstimate
 from companion.estimation.adaptation import AdaptationParams
+from companion.estimation.bank import BankUpdate, updated
 from companion.estimation.base import NO_INFLATION, Inflation, UpdateReport
 from companion.estimation.belief import Belief, believed, doubted
-from companion.estimation.contradiction import CONTRADICTION_COUNT, Contradiction
+from companion.estimation.contact import Contact
+from companion.estimation.contradiction import CONTRADICTION_COUNT
 from companion.estimation.filter_params import FilterParams
 from companion.estimation.filters import FilterKind, filter_of
+from companion.estimation.gate import Gate
 from companion.estimation.hypotheses import (
     Hypothesis,
     HypothesisParams,
@@ -27,17 +32,21 @@ from companion.estimation.hypotheses import (
     first_hypotheses,
 )
 from companion.estimation.innovation_noise import InnovationNoise, TrackerHealth
-from companion.estimation.losses import asymmetric_huber_loss
 from companion.estimation.noise_learner import NoiseLearner
+from companion.estimation.objections import Objection
 from companion.estimation.observability import Observability
 from companion.estimation.polish import Polisher
 from companion.estimation.refusal import AcceptanceParams, Refusal, refusal_of
+from companion.estimation.standing import Standing
 from companion.estimation.verdict import estimate_of
 from companion.estimation.window_map import WindowParams
+from companion.geometry.arrays import Vector
 from companion.models.ranging_model import target_height_m
 from companion.params import Params, Positive
 
 DUPLICATE_MEMORY = 256
+Row = tuple[PositionEnu, Vector, Vector]
+"""Where a measurement was made, its values (3,) and their sigmas (3,)."""
 
 
 class TrackerParams(Params, frozen=True):
@@ -55,6 +64,9 @@ class TrackerParams(Params, frozen=True):
     """Variance inflation taken for granted until the run has shown its own."""
     adaptation: AdaptationParams | None = None
     """Whether and how noise and thresholds are learnt on the run; null: they stay as configured."""
+    range_gross_k: Positive | None = 6.0
+    """Ranges shorter than expected by more than this many sigma count linearly even where
+    `filter.range_k_short` is null: no noise makes them; null: quadratic at any size."""
     adapt_inflation: bool = True
     """Whether the inflation is measured; false keeps it at 1, as the paper's filter has it."""
 
@@ -68,6 +80,8 @@ class FusionReport:
     """The best hypothesis' update; None for a refusal and for the first measurement."""
     restarted: bool = False
     """The filter lost its covariance or contradicted its measurements, and was started anew."""
+    agrees: bool = True
+    """Whether all that was measured agrees with the estimate."""
     measurement: RangingMeasurement | None = None
     """What was measured, its bearing in the local frame, where the log is to tell it."""
     sensor_enu_m: PositionEnu | None = None
@@ -89,14 +103,16 @@ class TargetTracker:
         self.accepted = 0
         self.restarts = 0
         self.last_accepted_s: float | None = None
-        self._filter = filter_of(params.kind, params.filter)
+        self._standing = Standing()
+        self._believed = believed_in(params)
+        self._filter = filter_of(params.kind, self._believed)
         self._thresholds = self._filter.params.thresholds
         self._polisher = Polisher(self._filter.params, params.window)
         self._recent: deque[Hashable] = deque(maxlen=DUPLICATE_MEMORY)
         self._hypotheses: tuple[Hypothesis, ...] = ()
         self._noise = self._fresh_noise()
         self._learner = self._fresh_learner()
-        self._contradiction = Contradiction()
+        self._latest: deque[Row] = deque(maxlen=CONTRADICTION_COUNT)
         self._diverged_until = 0
 
     def fuse(
@@ -115,17 +131,14 @@ class TargetTracker:
         if self.emitter_id is None:
             self.emitter_id = measurement.emitter_id
         self._recent.append(_identity(measurement))
+        report = self._fused(measurement, sensor_enu_m)
+        if report.refusal is not None:
+            return self.refuse(report.refusal)
         self.accepted += 1
         self.last_accepted_s = now_s
-        z, sigma = self._filter.params.seen(measurement)
-        self._polisher.add(sensor_enu_m, z, sigma, self._hypotheses, is_white=self.is_white)
-        if not self._hypotheses:
-            self._start(measurement, sensor_enu_m)
-            return FusionReport(None)
-        report = self._update(measurement, sensor_enu_m)
         if report.update is not None:
             self._learn(report.update)
-        if self._polisher.is_due(self.accepted):
+        if self._hypotheses and self._polisher.is_due(self.accepted):
             self.polish()
         return report
 
@@ -138,9 +151,10 @@ class TargetTracker:
         """Forget the target but not the emitter, because the frame may have moved."""
         self._hypotheses = ()
         self._noise = self._fresh_noise()
-        self._contradiction = Contradiction()
+        self._standing.forget()
         self.last_accepted_s = None
         self._recent.clear()
+        self._latest.clear()
         self._polisher.clear()
 
     @property
@@ -178,6 +192,18 @@ class TargetTracker:
             now_s,
             is_diverged=self.accepted < self._diverged_until,
         )
+
+    def objection(self, now_s: float) -> Objection | None:
+        """Why the estimate must not be flown on, although there is one; None: it may."""
+        objection = self._standing.objection(now_s)
+        if objection is None and self._hypotheses and self.accepted < self._diverged_until:
+            return Objection.RECOVERING
+        return objection
+
+    @property
+    def contact(self) -> Contact:
+        """How old each kind of measurement is, and how many agreed since the last gap."""
+        return self._standing.contact
 
     @property
     def hypotheses(self) -> Sequence[Hypothesis]:
@@ -249,7 +275,7 @@ class TargetTracker:
         adaptation = self.params.adaptation
         if adaptation is None:
             return None
-        return NoiseLearner.starting(self.params.filter, adaptation)
+        return NoiseLearner.starting(self._believed, adaptation)
 
     def _learn(self, report: UpdateReport) -> None:
         """Learn the noise, and tune the filter to it now and then."""
@@ -257,37 +283,59 @@ class TargetTracker:
             return
         learner = self._learner.after(report)
         if learner.is_due and learner.count > self._learner.count:
-            tuned = learner.tuned(self.params.filter)
+            tuned = learner.tuned(self._believed)
             self._filter = filter_of(self.params.kind, tuned)
             self._thresholds = self._filter.params.thresholds
             self._polisher.retune(self._filter.params)
         self._learner = learner
 
+    def _fused(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> FusionReport:
+        if not self._hypotheses:
+            self._latest.append(self._row(measurement, sensor_enu_m))
+            self._add_to_window(self._latest[-1])
+            self._start(measurement, sensor_enu_m)
+            self._standing.began(measurement)
+            return FusionReport(None)
+        inflation = self.inflation
+        bank = self._updated(measurement, sensor_enu_m, inflation)
+        gate = bank.gate if self._standing.is_proven else bank.gate.unarmed()
+        self._latest.append(self._row(measurement, sensor_enu_m))
+        if bank.best is None or self._standing.note(measurement, bank.best, gate, inflation):
+            return self._restart(measurement, sensor_enu_m)
+        passed = gate.passed(measurement)
+        if not gate.is_open:
+            self._count_outliers(gate, passed)
+            if passed is None:
+                return FusionReport(_outlier(gate))
+            bank = self._updated(passed, sensor_enu_m, inflation)
+        if passed is None or bank.best is None:
+            return self._restart(measurement, sensor_enu_m)
+        self._add_to_window(self._row(passed, sensor_enu_m))
+        several = len(bank.hypotheses) > 1
+        self._hypotheses = consolidated(bank.hypotheses) if several else bank.hypotheses
+        self._noise = self._noise.after(bank.best, self._thresholds)
+        return FusionReport(None, bank.best, agrees=gate.agrees)
+
+    def _updated(
+        self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu, inflation: Inflation
+    ) -> BankUpdate:
+        return updated(self._hypotheses, self._filter, measurement, sensor_enu_m, inflation)
+
+    def _count_outliers(self, gate: Gate, passed: RangingMeasurement | None) -> None:
+        """Count what was not fused of a measurement; one that is refused as a whole is one."""
+        if passed is not None:
+            self.refusals[_outlier(gate)] += 1
+
+    def _row(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> Row:
+        return (sensor_enu_m, *self._filter.params.seen(measurement))
+
+    def _add_to_window(self, row: Row) -> None:
+        self._polisher.add(*row, self._hypotheses, is_white=self.is_white)
+
     def _start(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> None:
         self._hypotheses = first_hypotheses(
-            measurement, sensor_enu_m, self.params.filter, self.params.hypotheses
+            measurement, sensor_enu_m, self._believed, self.params.hypotheses
         )
-
-    def _update(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> FusionReport:
-        inflation = self.inflation
-        updated: list[Hypothesis] = []
-        best: UpdateReport | None = None
-        for hypothesis in self._hypotheses:
-            state = self._filter.predict(hypothesis.state, measurement.measured_at_s)
-            report = self._filter.update(state, measurement, sensor_enu_m, inflation)
-            if not report.is_positive_definite:
-                continue
-            best = best or report
-            log_weight = hypothesis.log_weight + self._log_likelihood(report, inflation)
-            updated.append(replace(hypothesis, log_weight=log_weight, state=report.state))
-        if best is None:
-            return self._restart(measurement, sensor_enu_m)
-        self._hypotheses = consolidated(updated) if len(updated) > 1 else tuple(updated)
-        self._noise = self._noise.after(best, self._thresholds)
-        self._contradiction = self._contradiction.after(best, self.inflation)
-        if self._contradiction.is_conclusive:
-            return self._restart(measurement, sensor_enu_m)
-        return FusionReport(None, best)
 
     def polish(self, fresh_starts: int | None = None) -> None:
         """Check the hypotheses against the window, and let its optima correct them.
@@ -304,28 +352,26 @@ class TargetTracker:
         """The same from every direction, for use after the last measurement of a recording."""
         self.polish(self.params.window.starts)
 
-    def _log_likelihood(self, report: UpdateReport, inflation: Inflation) -> float:
-        """Robust log-likelihood of all innovations, tempered by the inflation."""
-        total = 0.0
-        for row, (k_long, k_short), c in zip(
-            report.modalities, self._thresholds, inflation, strict=True
-        ):
-            if row is None:
-                continue
-            spread2 = row.noise_sigma**2 * (1.0 + row.prior_share)
-            u = row.innovation / math.sqrt(spread2)
-            loss = asymmetric_huber_loss(u, k_long, k_short)
-            total -= (loss + 0.5 * math.log(spread2)) / c
-        return total
-
     def _restart(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> FusionReport:
+        """Give the estimate up, and start from what was measured last, outliers included."""
         self.restarts += 1
-        self._diverged_until = self.accepted + CONTRADICTION_COUNT
-        self._contradiction = Contradiction()
+        self._standing.given_up(measurement.measured_at_s)
+        self._diverged_until = self.accepted + 1 + CONTRADICTION_COUNT
         self._noise = self._fresh_noise()
-        self._polisher.distrust(CONTRADICTION_COUNT)
+        self._polisher.begin_with(self._latest)
         self._start(measurement, sensor_enu_m)
         return FusionReport(None, None, restarted=True)
+
+
+def believed_in(params: TrackerParams) -> FilterParams:
+    """What the tracker's filter believes: the configuration, ranges bounded on the short side."""
+    if params.range_gross_k is None or params.filter.range_k_short is not None:
+        return params.filter
+    return msgspec.structs.replace(params.filter, range_k_short=params.range_gross_k)
+
+
+def _outlier(gate: Gate) -> Refusal:
+    return Refusal.BEARING_OUTLIER if gate.passes_range else Refusal.RANGE_OUTLIER
 
 
 def _identity(measurement: RangingMeasurement) -> Hashable:

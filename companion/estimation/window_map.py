@@ -48,12 +48,22 @@ from companion.estimation.sandwich import (
     thermal_moment,
 )
 from companion.geometry.arrays import Matrix, Vector
-from companion.models.ranging_model import BEARING_OFFSET, MODALITIES, RANGE, RANGE_OFFSET
+from companion.models.ranging_model import (
+    BEARING,
+    BEARING_OFFSET,
+    MODALITIES,
+    RANGE,
+    RANGE_OFFSET,
+)
 from companion.params import Params
 
 MIN_MEASUREMENTS = 12
 MAX_POSITION_SIGMA_M = 200.0
 """An optimum vaguer than this is no place."""
+GROSS_SIGMAS = 6.0
+"""A range shorter by more than this, or a bearing off by more, is no noise."""
+MAX_BEARING_NOISE = 4.0
+"""Reflections widen bearings by no more than this (in variance) before they count as gross."""
 SAME_PLACE_M = 0.3
 """Optima nearer than this are one."""
 
@@ -172,6 +182,28 @@ class WindowMap:
             H = row_partials(rows, mean, sigmas, self._model)
             is_measured = ~np.isnan(rows[:, VALUES : VALUES + 3].T)
         return Scores(u, clipped(u, self._thresholds), H, is_measured, self._thermal)
+
+    def without_gross(self, rows: Matrix, optimum: Optimum) -> Matrix | None:
+        """The rows without ranges that are too short, and bearings too far off, for any noise.
+
+        Args:
+            rows: (n, 10), see `map_kernels`.
+            optimum: Where they are judged from.
+
+        Returns:
+            (n, 10), NaN where something was taken out; None: nothing was, or more than a half.
+        """
+        u = self.scores(rows, optimum.mean).u
+        bearing_noise = min(optimum.noise[BEARING], MAX_BEARING_NOISE)
+        is_short = u[RANGE] < -GROSS_SIGMAS
+        is_off = np.abs(u[BEARING]) > GROSS_SIGMAS * math.sqrt(bearing_noise)
+        count = int(np.sum(is_short | is_off))
+        if not 0 < count <= len(rows) // 2:
+            return None
+        kept = np.array(rows)
+        kept[is_short, VALUES + RANGE] = np.nan
+        kept[is_off, VALUES + BEARING] = np.nan
+        return kept
 
     def start_around(self, rows: Matrix, direction_rad: float, spread: int) -> Vector:
         """A fresh start: off the middle of the path, as far as the ranges say.

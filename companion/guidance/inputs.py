@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 
-from companion.domain import EstimateState, TargetEstimate
+from companion.domain import TargetEstimate
 from companion.guidance.conditions import is_search_due
 from companion.guidance.findings import Finding, Reason, Verdict
 from companion.guidance.situation import Situation
@@ -79,7 +79,7 @@ class InputWatch:
             return None
         if estimate is None or heard_s is None:
             return Finding(Verdict.HOLD, Reason.NO_RANGING_YET, "waiting for ranging")
-        return self._ranging_finding(estimate, now_s - heard_s)
+        return self._ranging_finding(estimate, heard_s, now_s)
 
     def coasting_sigma_m(self, estimate: TargetEstimate, age_s: float) -> float:
         """How wrong the estimate may be after no ranging for a while, one sigma."""
@@ -124,14 +124,16 @@ class InputWatch:
         heard_s = self._situation.tracker.last_accepted_s
         return heard_s is None or now_s - heard_s > self._situation.params.ranging_timeout_s
 
-    def _ranging_finding(self, estimate: TargetEstimate, age_s: float) -> Finding | None:
-        params = self._situation.params
+    def _ranging_finding(
+        self, estimate: TargetEstimate, heard_s: float, now_s: float
+    ) -> Finding | None:
+        params, age_s = self._situation.params, now_s - heard_s
         if age_s > params.ranging_timeout_s:
             text = f"no ranging for {params.ranging_timeout_s:g} s"
             return Finding(Verdict.HOLD, Reason.NO_RANGING, text)
-        if estimate.state is EstimateState.DIVERGED:
-            text = "the filter is recovering from a contradiction"
-            return Finding(Verdict.HOLD, Reason.FILTER_DIVERGED, text)
+        objection = self._situation.tracker.objection(now_s)
+        if objection is not None:
+            return Finding(Verdict.HOLD, Reason.FILTER_DIVERGED, objection.value)
         if self._is_dropout and self._agreed < AGREEING:
             text = f"waiting for {AGREEING} measurements that agree"
             return Finding(Verdict.HOLD, Reason.RANGING_IS_BACK, text)

@@ -47,7 +47,7 @@ class Measuring:
                 text = "the filter contradicted its measurements and was started anew"
                 situation.announce(Severity.WARNING, text)
                 situation.flight_plan.forget()
-            else:
+            elif report.agrees:
                 self._inputs.accepted()
             self._replan(report, now_s)
 

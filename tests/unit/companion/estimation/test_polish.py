@@ -231,7 +231,10 @@ def test_what_was_expanded_about_a_wrong_place_is_forgotten() -> None:
     rows = walk(np.random.default_rng(6), 400)
     wrong = (_hypothesis(70.0, 60.0),)
     misled, distrusted = (_fed(rows, wrong, size=128) for _ in range(2))
-    distrusted.distrust(recent=128)
+    kept = distrusted.window_rows.tolist()
+    distrusted.begin_with(
+        ((row[0], row[1], row[2]), np.array(row[3:6]), np.array(row[6:9])) for row in kept
+    )
     (best,) = _polished(misled, wrong)
     (alone,) = _polished(distrusted, wrong)
     assert best.place_enu_m == pytest.approx(TARGET, abs=1.0)

@@ -78,6 +78,8 @@ class ScriptedFlight:
         self.is_ready = True
         self.is_failsafe = False
         self.place: PositionEnu = (0.0, 0.0, 20.0)
+        self.bearing_error_rad = 0.0
+        """What is wrong with the radio's bearings, beside noise."""
         self.follows = False
         """Whether the vehicle is where the last setpoint was."""
         self.has_link = True
@@ -142,9 +144,12 @@ class ScriptedFlight:
         """One range and bearing of the target, with a metre and two degrees of noise."""
         range_m = math.dist(self.place, TARGET) + self._rng.gauss(0.0, 1.0)
         bearing_rad = math.atan2(TARGET[1] - self.place[1], TARGET[0] - self.place[0])
-        bearing_rad += self._rng.gauss(0.0, 0.035)
+        bearing_rad += self._rng.gauss(0.0, 0.035) + self.bearing_error_rad
         measurement = RangingMeasurement(
-            emitter_id=1, measured_at_s=self.now_s, range_m=range_m, bearing_enu_rad=bearing_rad
+            emitter_id=1,
+            measured_at_s=self.now_s,
+            range_m=range_m,
+            bearing_enu_rad=math.remainder(bearing_rad, 2.0 * math.pi),
         )
         self.give(RangingReceived(self.now_s, measurement))
 

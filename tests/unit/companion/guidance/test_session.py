@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import pytest
 
 from companion.config.schema import LimitsConfig
-from companion.domain import Autopilot, EstimateState, FlightMode, LandedState
+from companion.domain import Autopilot, FlightMode, LandedState
 from companion.geometry.frames import LocalOrigin
 from companion.guidance.commands import Arm, SendHeartbeat, SendSetpoint, SetMode, TakeOff
 from companion.guidance.events import (
@@ -172,16 +171,26 @@ def test_frames_without_a_heartbeat_do_not_end_the_silence() -> None:
     assert flight.is_in(Phase.YIELD)
 
 
-def test_holds_while_the_filter_is_diverged() -> None:
+def test_holds_when_next_to_nothing_agrees_with_the_estimate() -> None:
     flight = ScriptedFlight().in_control()
-    assert flight.session.estimate is not None
-    flight.has_ranging = False
-    flight.session.situation.estimate = replace(
-        flight.session.estimate, state=EstimateState.DIVERGED
-    )
-    flight.fly(0.05)
+    flight.follows = True
+    flight.fly(6.0)
+    flight.bearing_error_rad = math.pi
+    flight.fly(2.5)
     assert flight.is_in(Phase.HOLD)
-    assert flight.texts[-1] == "hold: the filter is recovering from a contradiction"
+    assert "hold: measurements do not agree with the estimate" in flight.texts
+
+
+def test_holds_while_the_filter_recovers() -> None:
+    flight = ScriptedFlight().in_control()
+    flight.follows = True
+    flight.fly(6.0)
+    flight.bearing_error_rad = math.pi
+    flight.fly(4.5)
+    assert flight.session.tracker.restarts == 1
+    assert flight.is_in(Phase.HOLD)
+    status = flight.session.status(flight.now_s)
+    assert status.detail == "the filter is recovering from a contradiction"
 
 
 # Losing control

@@ -1,0 +1,103 @@
+"""Innovations that stay larger than they say they are, and restarts that come too often."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from companion.estimation.base import FilterState, ModalityReport, UpdateReport
+from companion.estimation.divergence import (
+    RESTART_MEMORY_S,
+    WINDOW_COUNT,
+    NisWindow,
+    RestartCounter,
+)
+
+STATE = FilterState.of(0.0, np.zeros(4), np.eye(4))
+
+
+def _row(u: float, weight: float = 1.0) -> ModalityReport:
+    return ModalityReport(u, 1.0, 1.0, u, weight, 0.0)
+
+
+def _report(ranged: float, borne: float, range_weight: float = 1.0) -> UpdateReport:
+    return UpdateReport(STATE, _row(ranged, range_weight), _row(borne), None, 0.0, True)
+
+
+def _first_alarm(
+    window: NisWindow, reports: Sequence[UpdateReport], start_s: float, rate_hz: float = 10.0
+) -> float | None:
+    for step, report in enumerate(reports):
+        time_s = start_s + step / rate_hz
+        if window.add(report, time_s):
+            return time_s - start_s
+    return None
+
+
+def _consistent(count: int, seed: int = 1) -> list[UpdateReport]:
+    rng = np.random.default_rng(seed)
+    return [_report(*rng.normal(size=2).tolist()) for _ in range(count)]
+
+
+def test_consistent_innovations_never_alarm() -> None:
+    assert _first_alarm(NisWindow(), _consistent(20_000), 0.0) is None
+
+
+def test_innovations_of_twice_their_size_do_within_seconds() -> None:
+    window = NisWindow()
+    assert _first_alarm(window, _consistent(300), 0.0) is None
+    rng = np.random.default_rng(2)
+    wide = [_report(*(2.5 * rng.normal(size=2)).tolist()) for _ in range(100)]
+    alarm_s = _first_alarm(window, wide, 30.0)
+    assert alarm_s is not None
+    assert 3.0 <= alarm_s <= 7.0
+
+
+def test_reflections_are_no_divergence() -> None:
+    long = [_report(8.0, 0.3, range_weight=0.2)] * 300
+    assert _first_alarm(NisWindow(), long, 0.0) is None
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3])
+def test_outliers_are_no_divergence(share: float) -> None:
+    rng = np.random.default_rng(3)
+    reports = [
+        _report(*((10.0 if rng.random() < share else 0.6) * rng.normal(size=2)).tolist())
+        for _ in range(3000)
+    ]
+    assert _first_alarm(NisWindow(), reports, 0.0) is None
+
+
+def test_what_is_over_is_forgiven() -> None:
+    window = NisWindow()
+    assert _first_alarm(window, _consistent(60), 0.0) is None
+    assert _first_alarm(window, [_report(4.0, 4.0)] * 25, 6.0) is None
+    assert _first_alarm(window, [_report(0.2, 0.2)] * 60, 8.5) is None
+
+
+def test_it_takes_a_full_window_to_tell() -> None:
+    window = NisWindow()
+    assert _first_alarm(window, [_report(9.0, 9.0)] * (WINDOW_COUNT - 1), 0.0, 1.0) is None
+    window.clear()
+    assert _first_alarm(window, [_report(9.0, 9.0)] * (WINDOW_COUNT + 8), 0.0, 1.0) is None
+    assert _first_alarm(window, [_report(9.0, 9.0)] * 3, 50.0, 1.0) is not None
+
+
+def test_an_update_without_a_word_about_the_estimate_counts_for_nothing() -> None:
+    window = NisWindow()
+    empty = UpdateReport(STATE, _row(5.0, weight=0.1), None, None, 0.0, True)
+    assert _first_alarm(window, [empty] * 200, 0.0) is None
+
+
+def test_two_restarts_within_a_minute_are_too_many() -> None:
+    counter = RestartCounter()
+    counter.add(100.0)
+    assert not counter.is_too_many(100.0)
+    counter.add(130.0)
+    assert counter.is_too_many(130.0)
+    assert counter.is_too_many(100.0 + RESTART_MEMORY_S)
+    assert not counter.is_too_many(100.1 + RESTART_MEMORY_S)
+    counter.add(170.0)
+    assert counter.is_too_many(189.0)

@@ -1,0 +1,66 @@
+"""What is held against an estimate, and what is told of it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from companion.domain import RangingMeasurement
+from companion.estimation.base import NO_INFLATION, FilterState, ModalityReport, UpdateReport
+from companion.estimation.contradiction import CONTRADICTION_COUNT
+from companion.estimation.gate import Gate
+from companion.estimation.objections import Objection
+from companion.estimation.standing import Standing
+
+STATE = FilterState.of(0.0, np.zeros(4), np.eye(4))
+
+
+def _noted(standing: Standing, time_s: float, u: float) -> bool:
+    """A range with this innovation, in sigma."""
+    row = ModalityReport(u, 1.0, 1.0, u, 1.0, 0.0)
+    report = UpdateReport(STATE, row, None, None, u * u, True)
+    measurement = RangingMeasurement(1, time_s, range_m=50.0)
+    return standing.note(measurement, report, Gate.of(report, NO_INFLATION), NO_INFLATION)
+
+
+def _flown(standing: Standing, count: int, start_s: float, u: float) -> list[bool]:
+    return [_noted(standing, start_s + 0.1 * step, u) for step in range(count)]
+
+
+def test_nothing_speaks_against_an_estimate_that_fits() -> None:
+    standing = Standing()
+    standing.began(RangingMeasurement(1, 0.0, range_m=50.0))
+    assert not any(_flown(standing, 100, 0.1, 0.5))
+    assert standing.objection(10.1) is None
+    assert standing.is_proven
+    assert standing.contact.agreeing_since_gap(10.1) == 101
+
+
+def test_a_run_of_ranges_that_are_too_short_ends_it() -> None:
+    standing = Standing()
+    _flown(standing, 100, 0.0, 0.5)
+    given_up = _flown(standing, CONTRADICTION_COUNT, 10.0, -9.0)
+    assert given_up[-1]
+    assert given_up.index(True) >= 25
+    assert standing.objection(14.0) is Objection.CONTRADICTED
+    assert standing.contact.range_age_s(14.0) is not None
+    standing.given_up(14.0)
+    assert standing.objection(14.0) is None
+    assert not standing.is_proven
+
+
+def test_giving_up_twice_within_a_minute_is_told() -> None:
+    standing = Standing()
+    standing.given_up(100.0)
+    standing.given_up(130.0)
+    assert standing.objection(131.0) is Objection.UNSTABLE
+    standing.forget()
+    assert standing.objection(131.0) is Objection.UNSTABLE
+    assert standing.objection(161.0) is None
+
+
+def test_a_frame_that_moved_ends_the_contact() -> None:
+    standing = Standing()
+    _flown(standing, 50, 0.0, 0.5)
+    standing.forget()
+    assert standing.contact.newest_s is None
+    assert not standing.is_proven
