@@ -29,6 +29,7 @@ from sim_link.autopilot import payload
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.incidents import Incident, Reboot
 from sim_link.autopilot.scenario import Scenario
+from sim_link.lockstep.journal import WatchedJournal
 from sim_link.lockstep.observer import Frame, Observer, frames_in
 from sim_link.lockstep.wire import Lane, PerfectWire, Wire
 
@@ -80,14 +81,14 @@ class Flight:
         self.config = config
         self.scenario = scenario
         self.seed = seed
-        self.journal = journal
+        self.observers: list[Observer] = []
+        self.journal: Journal = WatchedJournal(journal, self.observers)
         self.wire: Wire = PerfectWire() if wire is None else wire
         self.now_s = 0.0
         self.is_link_up = True
         """False: the cable between the two is pulled."""
         self.is_ranging_up = True
         """False: the radio says nothing."""
-        self.observers: list[Observer] = []
         self.is_companion_up = False
         self._radio = radio
         self._radio_period_s = radio_period_s
@@ -205,11 +206,15 @@ class Flight:
 
     def _give(self, chunk: Chunk, is_genuine: bool) -> None:
         lane = Lane.TO_COMPANION if chunk.link == 0 else Lane.RANGING
-        for frame in self._observed(chunk.data, lane):
+        frames = self._observed(chunk.data, lane)
+        for frame in frames:
             frame.is_genuine = is_genuine
             for observer in self.observers:
                 observer.heard(frame)
         self.companion.receive(chunk, self.now_s)
+        for frame in frames:
+            for observer in self.observers:
+                observer.read(frame)
 
     def _wake_companion(self) -> None:
         """What waited in the socket while the process was suspended."""
@@ -279,6 +284,8 @@ class Flight:
     def suspend_companion(self, duration_s: float) -> None:
         """Give the process no time (SIGSTOP, starvation)."""
         self._suspended_until_s = max(self._suspended_until_s, self.now_s + duration_s)
+        for observer in self.observers:
+            observer.companion_suspended(self.now_s, self._suspended_until_s)
 
     def _end_companion(self) -> None:
         self.is_companion_up = False

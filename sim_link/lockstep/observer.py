@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from companion.mav.codec import MavCodec
@@ -54,6 +55,9 @@ class Observer:
     def heard(self, frame: Frame) -> None:
         """This reached the companion, which has not read it yet."""
 
+    def read(self, frame: Frame) -> None:
+        """The companion has read what it heard."""
+
     def vehicle_sent(self, frame: Frame) -> None:
         """The vehicle, or its radio, sent this."""
 
@@ -66,8 +70,14 @@ class Observer:
     def ticked(self, now_s: float) -> None:
         """The companion's control tick is over."""
 
+    def noted(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
+        """The companion wrote this into its journal; texts and results are kinds as well."""
+
     def companion_started(self, now_s: float) -> None:
         """The companion process began, at the start or anew."""
+
+    def companion_suspended(self, now_s: float, until_s: float) -> None:
+        """The companion process gets no time until then."""
 
     def companion_ended(self, now_s: float) -> None:
         """The companion process ended or was killed."""

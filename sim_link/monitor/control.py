@@ -1,0 +1,208 @@
+"""I3, I7 and I8: who may send setpoints, that the stream does not pause, and that it ends."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from companion.mav.dialect import mavlink
+from sim_link.lockstep.observer import Frame
+from sim_link.monitor.invariant import Invariant
+from sim_link.monitor.rules import TICK_S
+from sim_link.monitor.scene import (
+    AUTOPILOT_COMPONENT,
+    PX4_OFFBOARD_MAIN,
+    Scene,
+    Setpoint,
+    is_offboard,
+)
+
+EPSILON_S = 1e-6
+GIVEN_AGAIN_S = 1.0
+"""Offboard that is shown again sooner after it was lost comes from our own frames in flight."""
+HERE_M = 2.0
+RAISES = (
+    mavlink.MAV_CMD_DO_SET_MODE,
+    mavlink.MAV_CMD_COMPONENT_ARM_DISARM,
+    mavlink.MAV_CMD_NAV_TAKEOFF,
+)
+"""Commands that take control, or change who has it."""
+
+
+class OnlyWithAuthority(Invariant):
+    """No setpoint and no request of a mode without the operator's consent."""
+
+    name = "I3"
+    title = "silence within a tick of the first foreign mode, and nothing is taken back"
+
+    def __init__(self, scene: Scene) -> None:
+        super().__init__(scene)
+        self.late = 0
+        """Setpoints and requests later than a tick after the frame that ended control."""
+        self.worst_late_s = 0.0
+        self._was_ours = False
+        self._ours_sent_s = -1.0
+        self._lost_s: float | None = None
+        self._lost_sent_s = -1.0
+        self._may_engage = True
+
+    def started(self) -> None:
+        """A process that starts beside a vehicle in the air never takes it by itself."""
+        self._was_ours, self._lost_s = False, None
+        vehicle = self.scene.vehicle
+        self._may_engage = not (vehicle.is_armed or not vehicle.body.is_on_ground)
+
+    def heard(self, frame: Frame) -> None:
+        """Follow the mode, and the operator's grants."""
+        message = frame.message
+        if message is None or not frame.is_genuine:
+            return
+        if isinstance(message, mavlink.MAVLink_command_long_message):
+            if message.command == mavlink.MAV_CMD_NAV_GUIDED_ENABLE and message.param1 == 1.0:
+                self._was_ours, self._lost_s, self._may_engage = False, None, True
+            return
+        is_autopilot = message.get_srcSystem() == self.scene.vehicle.system_id
+        is_autopilot = is_autopilot and message.get_srcComponent() == AUTOPILOT_COMPONENT
+        if is_autopilot and isinstance(message, mavlink.MAVLink_heartbeat_message):
+            self._follow(message, self.scene.sent_s(frame))
+
+    def _follow(self, heartbeat: mavlink.MAVLink_heartbeat_message, sent_s: float) -> None:
+        now_s = self.scene.now_s
+        is_armed = bool(heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+        if is_armed and is_offboard(heartbeat):
+            if self._lost_s is None:
+                self._was_ours = True
+                self._ours_sent_s = max(self._ours_sent_s, sent_s)
+            elif sent_s > self._lost_sent_s and now_s - self._lost_s >= GIVEN_AGAIN_S:
+                self._was_ours, self._lost_s, self._ours_sent_s = True, None, sent_s
+            return
+        if self._was_ours and self._lost_s is None and sent_s > self._ours_sent_s:
+            self._lost_s = now_s
+        if self._lost_s is not None:
+            self._lost_sent_s = max(self._lost_sent_s, sent_s)
+            if not is_armed and now_s - self._lost_s > TICK_S:
+                self._was_ours, self._lost_s = False, None  # the next flight is a new one
+
+    def setpoint(self, setpoint: Setpoint) -> None:
+        """Judge whether it may be sent at all."""
+        if self._is_late("a setpoint after the mode was lost"):
+            return
+        if self._was_ours:
+            return
+        told = self.scene.told.position_enu_m
+        away = math.inf if told is None else math.dist(setpoint.place_enu_m[:2], told[:2])
+        if away > HERE_M + self.scene.rules.clearance_m:
+            self.report("a setpoint that moves before control was given", away_m=away)
+
+    def sent(self, frame: Frame) -> None:
+        """Judge requests."""
+        message = frame.message
+        match message:
+            case mavlink.MAVLink_set_mode_message():
+                self._is_late("a mode request after the mode was lost")
+            case mavlink.MAVLink_command_long_message() | mavlink.MAVLink_command_int_message() if (
+                message.command in RAISES
+            ):
+                if self._is_late("a request after the mode was lost"):
+                    return
+                is_hand_back = message.command == mavlink.MAV_CMD_DO_SET_MODE
+                is_hand_back = is_hand_back and not self._asks_offboard(message)
+                if not self._may_engage and not is_hand_back:
+                    self.report("took a flying vehicle by itself", command=message.command)
+
+    def _asks_offboard(self, message: mavlink.MAVLink_command_long_message) -> bool:
+        main, number = float(PX4_OFFBOARD_MAIN), 4.0
+        is_px4 = self.scene.vehicle.scenario.autopilot.flavour == "px4"
+        return bool(message.param2 == (main if is_px4 else number))
+
+    def _is_late(self, what: str) -> bool:
+        if self._lost_s is None:
+            return False
+        late_s = self.scene.now_s - self._lost_s
+        if late_s <= TICK_S + EPSILON_S:
+            return False
+        self.late += 1
+        self.worst_late_s = max(self.worst_late_s, late_s)
+        self.report(what, late_s=late_s)
+        return True
+
+
+class KeepsStreaming(Invariant):
+    """In control, a setpoint leaves at least every 100 ms."""
+
+    name = "I7"
+    title = "in control the stream of setpoints does not pause"
+    PHASES = frozenset({"normal", "degraded", "hold"})
+
+    def __init__(self, scene: Scene) -> None:
+        super().__init__(scene)
+        self.worst_gap_s = 0.0
+        self._is_in_control = False
+        self._since_s = 0.0
+        self._last_s: float | None = None
+
+    def noted(self, kind: str, fields: Mapping[str, object]) -> None:
+        """Follow what the companion claims to be."""
+        if kind == "phase":
+            self._is_in_control = fields.get("new") in self.PHASES
+            self._since_s = self.scene.now_s
+
+    def started(self) -> None:
+        """A new process claims nothing yet."""
+        self._is_in_control, self._last_s = False, None
+
+    def setpoint(self, setpoint: Setpoint) -> None:
+        """Remember it; judge the gap before it."""
+        self._judge(setpoint.time_s)
+        self._last_s = setpoint.time_s
+
+    def stepped(self) -> None:
+        """Time passes without a setpoint."""
+        self._judge(self.scene.now_s)
+
+    def _judge(self, now_s: float) -> None:
+        scene = self.scene
+        heard_s = scene.told.heard_s
+        if not self._is_in_control or not scene.told.is_ours or heard_s is None:
+            self._last_s = None
+            return
+        if self._last_s is None:
+            self._last_s = now_s
+        if scene.suspended_until_s >= now_s or now_s - heard_s >= scene.rules.silence_s - TICK_S:
+            return
+        gap_s = now_s - max(self._last_s, self._since_s, scene.suspended_until_s)
+        self.worst_gap_s = max(self.worst_gap_s, gap_s)
+        if gap_s > scene.rules.gap_s + EPSILON_S:
+            self.report("the stream paused while in control", gap_s=gap_s)
+            self._last_s = now_s
+
+
+class SilentWithoutTick(Invariant):
+    """Heartbeat and setpoints stop where the control tick stalls."""
+
+    name = "I8"
+    title = "without the control tick there is no heartbeat and no setpoint"
+
+    def __init__(self, scene: Scene) -> None:
+        super().__init__(scene)
+        self._started_s = 0.0
+
+    def started(self) -> None:
+        """The first tick is still to come."""
+        self._started_s = self.scene.now_s
+
+    def sent(self, frame: Frame) -> None:
+        """Judge by when the tick ran last."""
+        message = frame.message
+        is_vital = isinstance(
+            message,
+            mavlink.MAVLink_heartbeat_message
+            | mavlink.MAVLink_set_position_target_local_ned_message
+            | mavlink.MAVLink_set_position_target_global_int_message,
+        )
+        if not is_vital:
+            return
+        tick_s = self._started_s if self.scene.tick_s is None else self.scene.tick_s
+        stalled_s = frame.time_s - tick_s
+        if stalled_s > self.scene.rules.stall_s:
+            self.report("sent although the control tick stalled", stalled_s=stalled_s)

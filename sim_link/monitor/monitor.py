@@ -1,0 +1,156 @@
+"""The monitor: an observer of a flight that reports every invariant that does not hold.
+
+Theory of operation. One `Scene` keeps what the companion was told and what is true; twelve small
+invariants (I1 to I12) look at it whenever a frame is sent or heard, a tick is over or the vehicle
+moved. None of them uses the companion's own guard, estimator or guidance: the frames on the wire
+and the simulator's truth are enough, and where the companion's own word is asked for (its phase,
+its estimate) it is only held against it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from companion.mav.signing import SigningKey
+from sim_link.autopilot.vehicle import SimVehicle
+from sim_link.lockstep.observer import Frame, Observer
+from sim_link.monitor.beliefs import (
+    Estimate,
+    HonestCovariance,
+    OnlyProvedFrames,
+    Repeatable,
+    Snapshot,
+)
+from sim_link.monitor.control import KeepsStreaming, OnlyWithAuthority, SilentWithoutTick
+from sim_link.monitor.frames import Bounded, KnownFrames
+from sim_link.monitor.invariant import Invariant
+from sim_link.monitor.motions import FreshState, WithinEnvelope
+from sim_link.monitor.places import InsideFence, SafeToFreeze
+from sim_link.monitor.rules import Rules
+from sim_link.monitor.scene import Scene, Told
+from sim_link.monitor.violation import Violation
+
+
+def no_estimate() -> None:
+    """Where nobody shows the companion's estimate."""
+
+
+class Monitor(Observer):
+    """Watches one flight.
+
+    Args:
+        rules: What must hold.
+        vehicle: The true vehicle.
+        estimate: The companion's estimate of the target.
+        snapshot: The companion's state, for I10; None: I10 is not judged.
+        key: Of the link, where it is signed.
+        sizes: The companion's queues, for I11.
+    """
+
+    def __init__(
+        self,
+        rules: Rules,
+        vehicle: SimVehicle,
+        *,
+        estimate: Estimate = no_estimate,
+        snapshot: Snapshot | None = None,
+        key: SigningKey | None = None,
+        sizes: Callable[[], Mapping[str, tuple[int, int]]] | None = None,
+    ) -> None:
+        self.scene = scene = Scene(rules, vehicle)
+        self.fence = InsideFence(scene)
+        self.authority = OnlyWithAuthority(scene)
+        self.stream = KeepsStreaming(scene)
+        self.repeat = Repeatable(scene)
+        self._proved = None if snapshot is None else OnlyProvedFrames(scene, snapshot, key)
+        self.invariants: list[Invariant] = [
+            self.fence,
+            WithinEnvelope(scene),
+            self.authority,
+            SafeToFreeze(scene),
+            FreshState(scene),
+            KnownFrames(scene),
+            self.stream,
+            SilentWithoutTick(scene),
+            HonestCovariance(scene, estimate),
+            Bounded(scene, sizes),
+            self.repeat,
+        ]
+        if self._proved is not None:
+            self.invariants.append(self._proved)
+
+    @property
+    def violations(self) -> list[Violation]:
+        """What did not hold, in the order of time; at most twenty of a kind."""
+        return self.scene.violations
+
+    # Observer
+
+    def sent(self, frame: Frame) -> None:
+        """The companion sent this."""
+        self.scene.now_s = frame.time_s
+        setpoint = self.scene.setpoint_of(frame)
+        for invariant in self.invariants:
+            invariant.sent(frame)
+            if setpoint is not None:
+                invariant.setpoint(setpoint)
+
+    def heard(self, frame: Frame) -> None:
+        """This reaches the companion."""
+        self.scene.now_s = frame.time_s
+        self.scene.tell(frame)
+        for invariant in self.invariants:
+            invariant.heard(frame)
+
+    def read(self, frame: Frame) -> None:
+        """The companion has read it."""
+        if self._proved is not None:
+            self._proved.read(frame)
+
+    def vehicle_sent(self, frame: Frame) -> None:
+        """The vehicle sent this."""
+        self.scene.remember(frame)
+
+    def stepped(self, vehicle: SimVehicle, now_s: float) -> None:
+        """The vehicle moved."""
+        self.scene.now_s, self.scene.vehicle = now_s, vehicle
+        for invariant in self.invariants:
+            invariant.stepped()
+
+    def ticked(self, now_s: float) -> None:
+        """The control tick is over."""
+        self.scene.now_s = self.scene.tick_s = now_s
+        for invariant in self.invariants:
+            invariant.ticked()
+
+    def noted(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
+        """The companion wrote into its journal."""
+        self.scene.now_s = now_s
+        for invariant in self.invariants:
+            invariant.noted(kind, fields)
+
+    def companion_started(self, now_s: float) -> None:
+        """The companion process began anew."""
+        scene = self.scene
+        scene.now_s, scene.tick_s = now_s, None
+        scene.is_companion_up, scene.is_restarted = True, True
+        scene.told = Told(began_s=now_s, origin_enu_m=scene.told.origin_enu_m)
+        for invariant in self.invariants:
+            invariant.started()
+
+    def companion_suspended(self, now_s: float, until_s: float) -> None:  # noqa: ARG002
+        """The companion process gets no time."""
+        self.scene.suspended_until_s = max(self.scene.suspended_until_s, until_s)
+
+    def companion_ended(self, now_s: float) -> None:  # noqa: ARG002
+        """The companion process ended."""
+        self.scene.is_companion_up = False
+
+    def vehicle_rebooted(self, now_s: float) -> None:
+        """The vehicle begins anew; what it said before means nothing."""
+        scene = self.scene
+        scene.now_s = now_s
+        scene.told.position_boot_ms = -1
+        scene.told.mode_sent_s = -1.0
+        for invariant in self.invariants:
+            invariant.rebooted()

@@ -1,0 +1,121 @@
+"""I2 and I5: how setpoints move, and that none moves on an old position."""
+
+from __future__ import annotations
+
+import math
+
+from sim_link.monitor.invariant import Invariant
+from sim_link.monitor.predicates import Point, depth_m
+from sim_link.monitor.rules import TICK_S
+from sim_link.monitor.scene import Scene, Setpoint
+
+STREAM_BREAK_S = 0.35
+"""A longer pause begins a new stream, which starts where the vehicle is."""
+SHARE = 1.05
+TOLERANCE_M = 0.02
+"""Rounding on the wire, and ticks that are not exactly a period apart."""
+HERE_M = 1.5
+"""How far from the vehicle's newest place "here" may be, beside what it moved meanwhile."""
+BORDER_M = 4.0
+"""Nearer to a border than this, "here" may be moved inwards by the margin."""
+STILL_M = 0.02
+
+
+class WithinEnvelope(Invariant):
+    """Setpoints keep to speed, climb and acceleration, and begin where the vehicle is."""
+
+    name = "I2"
+    title = "setpoints move within speed, climb, acceleration and lead, and begin at the vehicle"
+
+    def __init__(self, scene: Scene) -> None:
+        super().__init__(scene)
+        self._last: Setpoint | None = None
+        self._velocity = (0.0, 0.0)
+
+    def started(self) -> None:
+        """A new process begins a new stream."""
+        self._last = None
+
+    def rebooted(self) -> None:
+        """A new frame begins a new stream."""
+        self._last = None
+
+    def setpoint(self, setpoint: Setpoint) -> None:
+        """Judge a setpoint by the one before."""
+        last, self._last = self._last, setpoint
+        if last is None or setpoint.time_s - last.time_s > STREAM_BREAK_S:
+            self._velocity = (0.0, 0.0)
+            self._judge_begin(setpoint)
+            return
+        dt_s = setpoint.time_s - last.time_s
+        moved = math.dist(setpoint.place_enu_m[:2], last.place_enu_m[:2])
+        rules = self.scene.rules
+        if moved > SHARE * rules.speed_mps * dt_s + TOLERANCE_M:
+            self._velocity = (0.0, 0.0)
+            if not self._is_here(setpoint):
+                self.report("setpoint too fast", step_m=moved, dt_s=dt_s)
+            return
+        climbed = abs(setpoint.place_enu_m[2] - last.place_enu_m[2])
+        if climbed > SHARE * rules.climb_mps * dt_s + TOLERANCE_M and not self._is_here(setpoint):
+            self.report("setpoint climbs or sinks too fast", step_m=climbed, dt_s=dt_s)
+        self._judge_change(setpoint, last, dt_s)
+
+    def _judge_change(self, setpoint: Setpoint, last: Setpoint, dt_s: float) -> None:
+        """Faster by no more than the acceleration; stopping is allowed at once."""
+        if dt_s <= 0.0:
+            return
+        place, before = setpoint.place_enu_m, last.place_enu_m
+        velocity = ((place[0] - before[0]) / dt_s, (place[1] - before[1]) / dt_s)
+        change = math.dist(velocity, self._velocity)
+        most = SHARE * self.scene.rules.acceleration_mps2 * max(dt_s, TICK_S)
+        most += 2.0 * TOLERANCE_M / dt_s
+        if change > most and math.hypot(*velocity) > math.hypot(*self._velocity):
+            self.report("setpoint accelerates too fast", change_mps=change, dt_s=dt_s)
+        self._velocity = velocity
+
+    def _judge_begin(self, setpoint: Setpoint) -> None:
+        if not self._is_here(setpoint):
+            told = self.scene.told.position_enu_m
+            away = math.inf if told is None else math.dist(setpoint.place_enu_m[:2], told[:2])
+            self.report("the first setpoint is not where the vehicle is", away_m=away)
+
+    def _is_here(self, setpoint: Setpoint) -> bool:
+        """Where the vehicle is, or, for one at a border, what is allowed next to that."""
+        told, rules = self.scene.told, self.scene.rules
+        if told.position_enu_m is None or told.position_s is None:
+            return False
+        age_s = self.scene.now_s - told.position_s
+        speed_mps = math.hypot(*told.velocity_enu_mps[:2])
+        near_m = HERE_M + rules.clearance_m + speed_mps * (age_s + rules.latency_s)
+        away = math.dist(setpoint.place_enu_m[:2], told.position_enu_m[:2])
+        return away <= near_m or self._is_outside(told.position_enu_m[:2])
+
+    def _is_outside(self, place: Point) -> bool:
+        rules = self.scene.rules
+        return depth_m(rules.fence_enu_m, rules.keep_out_enu_m, place) < BORDER_M
+
+
+class FreshState(Invariant):
+    """No setpoint moves on a position older than half a second."""
+
+    name = "I5"
+    title = "nothing moves on a stale position"
+
+    def __init__(self, scene: Scene) -> None:
+        super().__init__(scene)
+        self._last: Setpoint | None = None
+
+    def started(self) -> None:
+        """A new process begins a new stream."""
+        self._last = None
+
+    def setpoint(self, setpoint: Setpoint) -> None:
+        """Judge whether it moved, and what it stands on."""
+        last, self._last = self._last, setpoint
+        told = self.scene.told
+        age_s = math.inf if told.position_s is None else self.scene.now_s - told.position_s
+        if age_s <= self.scene.rules.state_age_s + TICK_S or last is None:
+            return
+        moved = math.dist(setpoint.place_enu_m, last.place_enu_m)
+        if moved > STILL_M:
+            self.report("a setpoint moved on a stale position", age_s=age_s, moved_m=moved)

@@ -1,0 +1,134 @@
+"""I1 and I4: no setpoint and no way to one leaves the fence, and each may be the last."""
+
+from __future__ import annotations
+
+import math
+
+from companion.domain import PositionEnu
+from companion.mav.type_mask import POSITION_AND_YAW, POSITION_ONLY
+from sim_link.monitor.invariant import Invariant
+from sim_link.monitor.predicates import Point, depth_m, way_depth_m
+from sim_link.monitor.scene import Scene, Setpoint
+from sim_link.world.point_mass import PointMass, approach_velocity
+
+ROUNDING_M = 2e-3
+"""Single precision on the wire, and degrees in steps of a centimetre."""
+HEIGHT_ROUNDING_M = 0.05
+"""Home and height are told in millimetres and by a noisy estimate."""
+CONTROL_FADES_S = 5.0
+"""So long after it was in control the companion answers for where the vehicle is."""
+FREEZE_EVERY_S = 2.0
+FREEZE_FOR_S = 60.0
+FREEZE_STEP_S = 0.1
+AT_REST_MPS, ARRIVED_M = 0.05, 0.2
+
+
+class InsideFence(Invariant):
+    """Setpoint, way to it and place to stop are inside the fence, and so is the true vehicle."""
+
+    name = "I1"
+    title = "setpoints, the ways to them and the vehicle stay inside fence and altitude band"
+
+    def __init__(self, scene: Scene) -> None:
+        super().__init__(scene)
+        self.closest_m = math.inf
+        """Least true distance to a border while the companion answered for it."""
+        self.breaches = 0
+        """How often the true vehicle left the fence."""
+        self._is_out = False
+        self._in_control_s = -math.inf
+        self._in_control_since_s: float | None = None
+
+    def setpoint(self, setpoint: Setpoint) -> None:
+        """Judge a setpoint by where the companion believed the vehicle to be."""
+        rules, told = self.scene.rules, self.scene.told
+        place = setpoint.place_enu_m[:2]
+        depth = self._depth(place)
+        least = rules.clearance_m - ROUNDING_M
+        vehicle = told.position_enu_m
+        own_depth = math.inf if vehicle is None else self._depth(vehicle[:2])
+        if depth < least and depth < min(own_depth, rules.clearance_m) + ROUNDING_M:
+            self.report("setpoint too near to a border or beyond it", depth_m=depth)
+        if vehicle is not None and own_depth > 0.0:
+            way = way_depth_m(rules.fence_enu_m, rules.keep_out_enu_m, vehicle[:2], place)
+            if way <= 0.0 and way < min(own_depth, depth):
+                self.report("the way to a setpoint leaves the fence", depth_m=way)
+        self._judge_height(setpoint.place_enu_m[2])
+
+    def _judge_height(self, up_m: float) -> None:
+        rules, home_m = self.scene.rules, self.scene.vehicle.home_enu_m[2]
+        height = up_m - home_m
+        if height < rules.altitude_min_m - HEIGHT_ROUNDING_M - self._height_error_m:
+            self.report("setpoint below the altitude band", height_m=height)
+        if height > rules.altitude_max_m + HEIGHT_ROUNDING_M + self._height_error_m:
+            self.report("setpoint above the altitude band", height_m=height)
+
+    @property
+    def _height_error_m(self) -> float:
+        return abs(self.scene.vehicle.estimator.bias_enu_m[2])
+
+    def stepped(self) -> None:
+        """Judge where the vehicle truly is and where it could stop."""
+        scene, body = self.scene, self.scene.vehicle.body
+        is_ours = scene.told.is_ours and scene.is_companion_up
+        if is_ours:
+            self._in_control_s = scene.now_s
+            if self._in_control_since_s is None:
+                self._in_control_since_s = scene.now_s
+        else:
+            self._in_control_since_s = None
+        if body.is_on_ground or scene.now_s - self._in_control_s > CONTROL_FADES_S:
+            self._is_out = False
+            return
+        depth = self._depth(body.position_enu_m[:2]) + scene.bias_m
+        self.closest_m = min(self.closest_m, depth)
+        if depth >= 0.0:
+            self._is_out = False
+        elif not self._is_out:
+            self._is_out = True
+            self.breaches += 1
+            self.report("the vehicle left the fence", depth_m=depth)
+
+    def _depth(self, place: Point) -> float:
+        return depth_m(self.scene.rules.fence_enu_m, self.scene.rules.keep_out_enu_m, place)
+
+
+class SafeToFreeze(Invariant):
+    """Freezing any setpoint for 60 s is safe."""
+
+    name = "I4"
+    title = "every setpoint may be the last one"
+
+    def __init__(self, scene: Scene) -> None:
+        super().__init__(scene)
+        self._frozen_s = -math.inf
+
+    def setpoint(self, setpoint: Setpoint) -> None:
+        """Fly on to it for a minute, every so often; and never send one that moves by itself."""
+        mask = getattr(setpoint.message, "type_mask", None)
+        if mask not in (POSITION_ONLY, POSITION_AND_YAW):
+            self.report("a setpoint that is no place", mask=float(mask or 0))
+        scene = self.scene
+        if not scene.told.is_ours or scene.now_s - self._frozen_s < FREEZE_EVERY_S:
+            return
+        self._frozen_s = scene.now_s
+        bias = scene.vehicle.estimator.bias_enu_m
+        east, north, up = setpoint.place_enu_m
+        least = self._least_depth((east - bias[0], north - bias[1], up - bias[2]))
+        if least + scene.bias_m < 0.0:
+            self.report("a setpoint that freezes leads out of the fence", depth_m=least)
+
+    def _least_depth(self, goal: PositionEnu) -> float:
+        rules, truth = self.scene.rules, self.scene.vehicle.body
+        params = self.scene.vehicle.scenario.vehicle
+        body = PointMass(params, truth.wind, truth.position_enu_m, truth.ground_up_m)
+        body.velocity_enu_mps = truth.velocity_enu_mps
+        least = math.inf
+        for _ in range(round(FREEZE_FOR_S / FREEZE_STEP_S)):
+            place = body.position_enu_m
+            least = min(least, depth_m(rules.fence_enu_m, rules.keep_out_enu_m, place[:2]))
+            is_there = math.dist(place, goal) < ARRIVED_M
+            if is_there and math.hypot(*body.velocity_enu_mps) < AT_REST_MPS:
+                break
+            body.step(approach_velocity(place, goal, params), None, FREEZE_STEP_S)
+        return least

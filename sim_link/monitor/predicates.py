@@ -1,0 +1,82 @@
+"""Exact predicates on polygons, written for the monitor alone.
+
+The companion's guard has geometry of its own; nothing here is shared with it, so that a mistake in
+one does not excuse itself in the other. Points are east and north, metres.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+Point = tuple[float, float]
+Corners = Sequence[Point]
+
+
+def is_inside(corners: Corners, point: Point) -> bool:
+    """Whether a point is inside a polygon, by its winding number; on the border counts as inside."""
+    if border_distance_m(corners, point) == 0.0:
+        return True
+    winding = 0
+    for a, b in _edges(corners):
+        if a[1] <= point[1]:
+            if b[1] > point[1] and _side(a, b, point) > 0.0:
+                winding += 1
+        elif b[1] <= point[1] and _side(a, b, point) < 0.0:
+            winding -= 1
+    return winding != 0
+
+
+def border_distance_m(corners: Corners, point: Point) -> float:
+    """How far a point is from a polygon's border."""
+    return min(_to_segment_m(a, b, point) for a, b in _edges(corners))
+
+
+def depth_m(fence: Corners, keep_outs: Sequence[Corners], point: Point) -> float:
+    """How far inside the fence and outside of all keep-outs a point is; negative: it is not."""
+    inside = border_distance_m(fence, point)
+    depth = inside if is_inside(fence, point) else -inside
+    for keep_out in keep_outs:
+        away = border_distance_m(keep_out, point)
+        depth = min(depth, -away if is_inside(keep_out, point) else away)
+    return depth
+
+
+def way_depth_m(fence: Corners, keep_outs: Sequence[Corners], start: Point, end: Point) -> float:
+    """The least depth on the straight way between two points.
+
+    Depth along a segment is least at an end, or where the segment comes nearest to a corner or an
+    edge; where it crosses a border, it is taken as the negative of how deep the worse end is
+    outside, or as 0 if both ends are inside and the way between them is not.
+    """
+    least = min(depth_m(fence, keep_outs, start), depth_m(fence, keep_outs, end))
+    for corners in (fence, *keep_outs):
+        for a, b in _edges(corners):
+            if _cross(start, end, a, b):
+                return min(least, 0.0)
+            least = min(least, max(0.0, _to_segment_m(start, end, a)))
+    return least
+
+
+def _edges(corners: Corners) -> list[tuple[Point, Point]]:
+    return [(corners[i - 1], corners[i]) for i in range(len(corners))]
+
+
+def _side(a: Point, b: Point, p: Point) -> float:
+    """Positive if `p` is left of the line from `a` to `b`."""
+    return (b[0] - a[0]) * (p[1] - a[1]) - (p[0] - a[0]) * (b[1] - a[1])
+
+
+def _to_segment_m(a: Point, b: Point, p: Point) -> float:
+    ab = (b[0] - a[0], b[1] - a[1])
+    length2 = ab[0] * ab[0] + ab[1] * ab[1]
+    share = 0.0
+    if length2 > 0.0:
+        share = ((p[0] - a[0]) * ab[0] + (p[1] - a[1]) * ab[1]) / length2
+        share = min(1.0, max(0.0, share))
+    return math.hypot(p[0] - a[0] - share * ab[0], p[1] - a[1] - share * ab[1])
+
+
+def _cross(a: Point, b: Point, c: Point, d: Point) -> bool:
+    """Whether two segments cross properly."""
+    return _side(a, b, c) * _side(a, b, d) < 0.0 and _side(c, d, a) * _side(c, d, b) < 0.0

@@ -1,0 +1,182 @@
+"""What the invariants look at: what the companion was told, what it sent, and what is true.
+
+Theory of operation. The companion is judged by what it could know. `Told` keeps, from the frames
+that reached it and that it had to believe, the mode, the vehicle's place and the origin of the
+local frame; an attacker's frames and those that arrive damaged tell nothing. A report of the mode
+is dated by when the vehicle sent it, because frames overtake each other: an old one that arrives
+after a newer one takes nothing away and gives nothing back.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from companion.domain import PositionEnu
+from companion.mav.dialect import Message, mavlink
+from sim_link.autopilot.vehicle import SimVehicle
+from sim_link.lockstep.observer import Frame
+from sim_link.monitor.rules import Rules
+from sim_link.monitor.violation import Violation
+
+AUTOPILOT_COMPONENT = 1
+REMEMBERED = 6000
+"""Frames of the vehicle whose time of sending is known."""
+PX4_OFFBOARD_MAIN, ARDUPILOT_GUIDED = 6, 4
+MOST_OF_A_KIND = 20
+"""Violations of one kind that are kept; more are counted."""
+
+
+def is_offboard(heartbeat: mavlink.MAVLink_heartbeat_message) -> bool:
+    """Whether the mode obeys setpoints: PX4 main mode 6, ArduPilot mode 4."""
+    if heartbeat.autopilot == mavlink.MAV_AUTOPILOT_PX4:
+        return int(heartbeat.custom_mode) >> 16 & 0xFF == PX4_OFFBOARD_MAIN
+    return int(heartbeat.custom_mode) == ARDUPILOT_GUIDED
+
+
+@dataclass(slots=True)
+class Told:
+    """What reached the companion since its process began."""
+
+    began_s: float = 0.0
+    heard_s: float | None = None
+    """Any frame of the autopilot."""
+    heartbeat_s: float | None = None
+    is_ours: bool = False
+    """The newest mode is ours and the vehicle is armed."""
+    is_armed: bool = False
+    mode_sent_s: float = -1.0
+    """When the newest report of the mode was sent."""
+    position_enu_m: PositionEnu | None = None
+    """In the world's frame, by the origin that was told."""
+    velocity_enu_mps: PositionEnu = (0.0, 0.0, 0.0)
+    position_s: float | None = None
+    """When the newest position arrived."""
+    position_boot_ms: int = -1
+    origin_enu_m: PositionEnu = (0.0, 0.0, 0.0)
+    """Zero of the local frame, as it was told last."""
+
+
+@dataclass(slots=True)
+class Setpoint:
+    """A setpoint that the companion sent."""
+
+    time_s: float
+    place_enu_m: PositionEnu
+    """In the world's frame, as far as the companion can know."""
+    message: Message
+
+
+@dataclass(slots=True)
+class Scene:
+    """Shared by all invariants of one flight.
+
+    Args:
+        rules: What must hold.
+        vehicle: The truth.
+    """
+
+    rules: Rules
+    vehicle: SimVehicle
+    now_s: float = 0.0
+    told: Told = field(default_factory=Told)
+    is_companion_up: bool = True
+    is_restarted: bool = False
+    """The companion process is not the first one."""
+    tick_s: float | None = None
+    """When the companion's control tick last ran."""
+    suspended_until_s: float = -1.0
+    """The companion process gets no time until then."""
+    violations: list[Violation] = field(default_factory=list)
+    counts: dict[tuple[str, str], int] = field(default_factory=dict)
+    _sent_s: OrderedDict[bytes, float] = field(default_factory=OrderedDict)
+
+    def report(self, invariant: str, what: str, numbers: Mapping[str, float] | None = None) -> None:
+        """An invariant does not hold now."""
+        kind = (invariant, what)
+        self.counts[kind] = self.counts.get(kind, 0) + 1
+        if self.counts[kind] <= MOST_OF_A_KIND:
+            self.violations.append(Violation(self.now_s, invariant, what, numbers or {}))
+
+    # What the vehicle sent and what reached the companion
+
+    def remember(self, frame: Frame) -> None:
+        """The vehicle sent this."""
+        self._sent_s.pop(frame.data, None)
+        self._sent_s[frame.data] = frame.time_s
+        if len(self._sent_s) > REMEMBERED:
+            self._sent_s.popitem(last=False)
+
+    def sent_s(self, frame: Frame) -> float:
+        """When the vehicle sent a frame that reached the companion; now, if that is unknown."""
+        return self._sent_s.get(frame.data, frame.time_s)
+
+    def tell(self, frame: Frame) -> None:
+        """This reached the companion."""
+        if not frame.is_genuine:
+            return
+        message = frame.message
+        if message is None or message.get_srcSystem() != self.vehicle.system_id:
+            return
+        if message.get_srcComponent() != AUTOPILOT_COMPONENT:
+            return
+        told = self.told
+        told.heard_s = frame.time_s
+        match message:
+            case mavlink.MAVLink_heartbeat_message():
+                told.heartbeat_s = frame.time_s
+                sent_s = self.sent_s(frame)
+                if sent_s >= told.mode_sent_s:
+                    told.mode_sent_s = sent_s
+                    told.is_armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+                    told.is_ours = told.is_armed and is_offboard(message)
+            case mavlink.MAVLink_local_position_ned_message():
+                self._tell_position(message, frame.time_s)
+            case mavlink.MAVLink_gps_global_origin_message():
+                place = (message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3)
+                if abs(place[0]) <= 90.0 and abs(place[1]) <= 180.0:
+                    world = self.vehicle.estimator.world_origin
+                    told.origin_enu_m = world.enu_from_geodetic(*place)
+
+    def _tell_position(
+        self, message: mavlink.MAVLink_local_position_ned_message, now_s: float
+    ) -> None:
+        told = self.told
+        values = (message.x, message.y, message.z, message.vx, message.vy, message.vz)
+        if not all(abs(value) < 1e5 for value in values):
+            return
+        has_rebooted = message.time_boot_ms < told.position_boot_ms - 5000
+        if message.time_boot_ms < told.position_boot_ms and not has_rebooted:
+            return
+        told.position_boot_ms = message.time_boot_ms
+        told.position_s = now_s
+        told.position_enu_m = self.world_from_local((message.y, message.x, -message.z))
+        told.velocity_enu_mps = (message.vy, message.vx, -message.vz)
+
+    def world_from_local(self, enu_m: PositionEnu) -> PositionEnu:
+        """By the origin that the companion was told last."""
+        origin = self.told.origin_enu_m
+        return (enu_m[0] + origin[0], enu_m[1] + origin[1], enu_m[2] + origin[2])
+
+    def setpoint_of(self, frame: Frame) -> Setpoint | None:
+        """The setpoint in a frame that the companion sent, or None if it is none."""
+        message = frame.message
+        match message:
+            case mavlink.MAVLink_set_position_target_local_ned_message():
+                place = self.world_from_local((message.y, message.x, -message.z))
+            case mavlink.MAVLink_set_position_target_global_int_message():
+                place = self.vehicle.estimator.world_origin.enu_from_geodetic(
+                    message.lat_int / 1e7, message.lon_int / 1e7, message.alt
+                )
+            case _:
+                return None
+        return Setpoint(frame.time_s, place, message)
+
+    # The truth
+
+    @property
+    def bias_m(self) -> float:
+        """How wrong the autopilot is about the vehicle's horizontal place."""
+        east, north, _ = self.vehicle.estimator.bias_enu_m
+        return float((east * east + north * north) ** 0.5)
