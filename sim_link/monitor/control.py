@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from companion.mav.dialect import mavlink
+from companion.mav.dialect import Message, mavlink
 from sim_link.lockstep.observer import Frame
 from sim_link.monitor.invariant import Invariant
 from sim_link.monitor.rules import TICK_S
@@ -44,6 +44,7 @@ class OnlyWithAuthority(Invariant):
         self._ours_sent_s = -1.0
         self._lost_s: float | None = None
         self._lost_sent_s = -1.0
+        self._foreign_s = -math.inf
         self._may_engage = True
 
     def started(self) -> None:
@@ -73,15 +74,17 @@ class OnlyWithAuthority(Invariant):
             if self._lost_s is None:
                 self._was_ours = True
                 self._ours_sent_s = max(self._ours_sent_s, sent_s)
-            elif sent_s > self._lost_sent_s and now_s - self._lost_s >= GIVEN_AGAIN_S:
+            elif sent_s > self._lost_sent_s and now_s - self._foreign_s >= GIVEN_AGAIN_S:
                 self._was_ours, self._lost_s, self._ours_sent_s = True, None, sent_s
             return
-        if self._was_ours and self._lost_s is None and sent_s > self._ours_sent_s:
-            self._lost_s = now_s
-        if self._lost_s is not None:
+        if sent_s <= self._ours_sent_s:
+            return
+        if not is_armed:  # the flight is over, and the next one is a new one
+            self._was_ours, self._lost_s, self._may_engage = False, None, True
+        elif self._was_ours:
+            self._lost_s = now_s if self._lost_s is None else self._lost_s
             self._lost_sent_s = max(self._lost_sent_s, sent_s)
-            if not is_armed and now_s - self._lost_s > TICK_S:
-                self._was_ours, self._lost_s = False, None  # the next flight is a new one
+            self._foreign_s = now_s
 
     def setpoint(self, setpoint: Setpoint) -> None:
         """Judge whether it may be sent at all."""
@@ -110,10 +113,10 @@ class OnlyWithAuthority(Invariant):
                 if not self._may_engage and not is_hand_back:
                     self.report("took a flying vehicle by itself", command=message.command)
 
-    def _asks_offboard(self, message: mavlink.MAVLink_command_long_message) -> bool:
+    def _asks_offboard(self, message: Message) -> bool:
         main, number = float(PX4_OFFBOARD_MAIN), 4.0
         is_px4 = self.scene.vehicle.scenario.autopilot.flavour == "px4"
-        return bool(message.param2 == (main if is_px4 else number))
+        return bool(getattr(message, "param2", 0.0) == (main if is_px4 else number))
 
     def _is_late(self, what: str) -> bool:
         if self._lost_s is None:
@@ -163,7 +166,8 @@ class KeepsStreaming(Invariant):
     def _judge(self, now_s: float) -> None:
         scene = self.scene
         heard_s = scene.told.heard_s
-        if not self._is_in_control or not scene.told.is_ours or heard_s is None:
+        is_in_control = self._is_in_control and scene.is_companion_up and scene.told.is_ours
+        if not is_in_control or heard_s is None:
             self._last_s = None
             return
         if self._last_s is None:

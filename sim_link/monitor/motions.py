@@ -43,7 +43,8 @@ class WithinEnvelope(Invariant):
     def setpoint(self, setpoint: Setpoint) -> None:
         """Judge a setpoint by the one before."""
         last, self._last = self._last, setpoint
-        if last is None or setpoint.time_s - last.time_s > STREAM_BREAK_S:
+        is_new = last is None or setpoint.time_s - last.time_s > STREAM_BREAK_S
+        if last is None or is_new or not self.scene.told.is_ours:
             self._velocity = (0.0, 0.0)
             self._judge_begin(setpoint)
             return

@@ -14,7 +14,7 @@ Corners = Sequence[Point]
 
 
 def is_inside(corners: Corners, point: Point) -> bool:
-    """Whether a point is inside a polygon, by its winding number; on the border counts as inside."""
+    """Whether a point is inside a polygon, by its winding number; so is its border."""
     if border_distance_m(corners, point) == 0.0:
         return True
     winding = 0
