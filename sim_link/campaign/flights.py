@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from companion.config.schema import CompanionConfig
-from companion.mav.signing import SigningKey
+from companion.run import build_endpoint
+from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import Scenario
+from sim_link.campaign.signed import KEY, STARTED_UNIX_S, SignedPair
 from sim_link.faults.faulty_link import FaultyLink
 from sim_link.faults.injector import Injector
 from sim_link.faults.schedule import Schedule
-from sim_link.lockstep.flight import Flight, MakeCompanion, MakeSimulator
+from sim_link.lockstep.flight import Flight, MakeCompanion
 from sim_link.lockstep.journal import Notes
 from sim_link.lockstep.operator import Operator
 from sim_link.monitor.monitor import Monitor
@@ -34,6 +36,24 @@ def rules_of(config: CompanionConfig) -> Rules:
     )
 
 
+def snapshot_of(flight: Flight) -> object:
+    """What the companion acts by, to be compared."""
+    companion = flight.companion
+    session, vehicle = companion.session, companion.session.vehicle
+    return (
+        session.phase,
+        session.estimate,
+        vehicle.heartbeat,
+        vehicle.position_enu_m,
+        vehicle.home_enu_m,
+        vehicle.origin,
+        vehicle.landed,
+        companion.binding.system_id,
+        companion.binding.peer,
+        companion.binding.heard_s,
+    )
+
+
 @dataclass(slots=True)
 class Monitored:
     """A flight and everybody around it."""
@@ -51,9 +71,8 @@ def monitored(
     scenario: Scenario,
     seed: int,
     *,
-    key: SigningKey | None = None,
+    is_signed: bool = False,
     make_companion: MakeCompanion | None = None,
-    make_simulator: MakeSimulator | None = None,
 ) -> Monitored:
     """A flight that has not begun yet.
 
@@ -61,24 +80,30 @@ def monitored(
         config: The companion's.
         scenario: The vehicle's.
         seed: Of everything random.
-        key: Of the link, where it is signed.
-        make_companion: Starts the companion; None: as its command does.
-        make_simulator: Switches the vehicle on; None: an unsigned one.
+        is_signed: Whether the link is signed.
+        make_companion: Starts the companion, in place of the genuine one.
     """
+    pair = SignedPair() if is_signed else None
+    key = KEY if is_signed else None
     notes, link = Notes(), FaultyLink(Schedule(), seed, key=key)
-    makers: dict[str, MakeCompanion | MakeSimulator] = {}
-    if make_companion is not None:
-        makers["make_companion"] = make_companion
-    if make_simulator is not None:
-        makers["make_simulator"] = make_simulator
-    flight = Flight(config, scenario, seed, notes, wire=link, **makers)  # type: ignore[arg-type]
-    operator = Operator(flight)
+    genuine = build_endpoint if pair is None else pair.companion
+    flight = Flight(
+        config,
+        scenario,
+        seed,
+        notes,
+        wire=link,
+        make_companion=make_companion or genuine,
+        make_simulator=SimEndpoint if pair is None else pair.simulator,
+    )
+    operator = Operator(flight, pair.station if pair else None, STARTED_UNIX_S)
     monitor = Monitor(
         rules_of(config),
         flight.sim.vehicle,
         estimate=lambda: flight.companion.session.estimate,
+        snapshot=lambda: snapshot_of(flight),
         key=key,
     )
     flight.observers.append(monitor)
-    injector = Injector(flight, link, operator, is_spoofing=key is not None)
+    injector = Injector(flight, link, operator, is_spoofing=is_signed)
     return Monitored(flight, link, operator, injector, monitor, notes)

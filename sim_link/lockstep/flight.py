@@ -98,7 +98,7 @@ class Flight:
         self._queue: list[tuple[float, int, Callable[[], None]]] = []
         self._count = 0
         self._suspended_until_s = 0.0
-        self._socket: deque[tuple[Chunk, bool]] = deque()
+        self._socket: deque[tuple[Chunk, bool, bool]] = deque()
         self._socket_bytes = 0
         self.sim = make_simulator(scenario, seed, 0.0)
         self.start_companion()
@@ -175,9 +175,9 @@ class Flight:
         if not self.is_link_up and lane is not Lane.RANGING:
             return
         for due_s, arriving in self.wire.carry(data, lane, self.now_s):
-            self.at(due_s, partial(self._arrive, arriving, lane))
+            self.at(due_s, partial(self._arrive, arriving, lane, is_intact=arriving is data))
 
-    def _arrive(self, data: bytes, lane: Lane) -> None:
+    def _arrive(self, data: bytes, lane: Lane, *, is_intact: bool) -> None:
         if lane is Lane.TO_VEHICLE:
             for frame in self._observed(data, lane):
                 for observer in self.observers:
@@ -186,29 +186,29 @@ class Flight:
             return
         is_ranging = lane is Lane.RANGING
         chunk = Chunk(1, data, RADIO_PEER) if is_ranging else Chunk(0, data, VEHICLE_PEER)
-        self._reach_companion(chunk, is_genuine=True)
+        self._reach_companion(chunk, is_genuine=True, is_intact=is_intact)
 
     def attack(self, chunk: Chunk) -> None:
         """Have a datagram of an attacker reach the companion now, whatever the wire does."""
-        self._reach_companion(chunk, is_genuine=False)
+        self._reach_companion(chunk, is_genuine=False, is_intact=False)
 
-    def _reach_companion(self, chunk: Chunk, *, is_genuine: bool) -> None:
+    def _reach_companion(self, chunk: Chunk, *, is_genuine: bool, is_intact: bool) -> None:
         if not self.is_companion_up:
             return
         if self.now_s < self._suspended_until_s:
             size = len(chunk.data) + DATAGRAM_OVERHEAD
             if self._socket_bytes + size <= SOCKET_BYTES:
                 self._socket_bytes += size
-                self._socket.append((chunk, is_genuine))
+                self._socket.append((chunk, is_genuine, is_intact))
             return
         self._wake_companion()
-        self._give(chunk, is_genuine)
+        self._give(chunk, is_genuine, is_intact)
 
-    def _give(self, chunk: Chunk, is_genuine: bool) -> None:
+    def _give(self, chunk: Chunk, is_genuine: bool, is_intact: bool) -> None:
         lane = Lane.TO_COMPANION if chunk.link == 0 else Lane.RANGING
         frames = self._observed(chunk.data, lane)
         for frame in frames:
-            frame.is_genuine = is_genuine
+            frame.is_genuine, frame.is_intact = is_genuine, is_intact
             for observer in self.observers:
                 observer.heard(frame)
         self.companion.receive(chunk, self.now_s)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from companion.mav.codec import MavCodec
+from companion.mav.codec import CRC_EXTRA_BY_ID, MavCodec
 from companion.mav.dialect import Message
 from companion.mav.framing import (
     CRC_LENGTH,
@@ -13,11 +13,14 @@ from companion.mav.framing import (
     INCOMPAT_SIGNED,
     MAGIC_V2,
     SIGNATURE_LENGTH,
+    FrameSplitter,
     message_id,
 )
 from sim_link.autopilot.vehicle import SimVehicle
 from sim_link.lockstep.wire import Lane
 
+SHORTEST = 8
+"""Bytes of the shortest frame."""
 _READER = MavCodec(9, 9)
 _UNREAD = object()
 
@@ -31,6 +34,8 @@ class Frame:
     lane: Lane
     is_genuine: bool = True
     """Whether it came from the other end of the wire, damaged or not, and not from an attacker."""
+    is_intact: bool = False
+    """Whether it is bit by bit as it was sent; otherwise only reading it tells."""
     _message: object = field(default=_UNREAD, repr=False)
 
     @property
@@ -39,11 +44,22 @@ class Frame:
         return message_id(self.data)
 
     @property
+    def sender(self) -> tuple[int, int]:
+        """System and component id, read from the header."""
+        start = 5 if self.data[0] == MAGIC_V2 else 3
+        return self.data[start], self.data[start + 1]
+
+    @property
     def message(self) -> Message | None:
         """What it says, decoded once; None if its checksum is wrong or it makes no sense."""
         if self._message is _UNREAD:
             self._message = _READER.decode_frame(self.data)
         return self._message  # type: ignore[return-value]
+
+    @property
+    def is_readable(self) -> bool:
+        """Whether its checksum is right."""
+        return self.is_intact or self.message is not None
 
 
 class Observer:
@@ -87,10 +103,10 @@ class Observer:
 
 
 def frames_in(data: bytes) -> list[bytes]:
-    """The frames of a datagram by the lengths in their headers; junk ends the list."""
+    """The frames of a datagram: by the lengths in their headers, or, among junk, by their CRC."""
     frames = []
     start = 0
-    while start + HEADER_LENGTH[MAGIC_V2] <= len(data) and data[start] in HEADER_LENGTH:
+    while start + SHORTEST <= len(data) and data[start] in HEADER_LENGTH:
         length = HEADER_LENGTH[data[start]] + data[start + 1] + CRC_LENGTH
         if data[start] == MAGIC_V2 and data[start + 2] & INCOMPAT_SIGNED:
             length += SIGNATURE_LENGTH
@@ -98,4 +114,6 @@ def frames_in(data: bytes) -> list[bytes]:
             break
         frames.append(data[start : start + length])
         start += length
-    return frames
+    if start == len(data):
+        return frames
+    return FrameSplitter(CRC_EXTRA_BY_ID).split(data, is_datagram=True)

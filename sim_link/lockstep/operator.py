@@ -9,6 +9,7 @@ from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address, Chunk
 from companion.mav.modes import set_mode_params
+from companion.mav.signing import LinkSigning
 from sim_link.lockstep.flight import COMPANION_PEER, Flight
 from sim_link.lockstep.wire import Lane
 
@@ -23,11 +24,17 @@ class Operator:
 
     Args:
         flight: The flight.
+        signing: Signs what the station sends, where the vehicle wants that.
+        started_unix_s: Unix time at the start of the flight, for signatures.
     """
 
-    def __init__(self, flight: Flight) -> None:
+    def __init__(
+        self, flight: Flight, signing: LinkSigning | None = None, started_unix_s: float = 0.0
+    ) -> None:
         self._flight = flight
-        self._station = MavCodec(255, mavlink.MAV_COMP_ID_MISSIONPLANNER)
+        self._signing = signing
+        self._started_unix_s = started_unix_s
+        self._station = MavCodec(255, mavlink.MAV_COMP_ID_MISSIONPLANNER, signing)
 
     def tell(self, message: Message) -> None:
         """Send to the vehicle."""
@@ -73,7 +80,7 @@ class Operator:
         message = mavlink.MAVLink_command_long_message(
             system, COMPANION_COMPONENT, number, 0, 1.0, *[0.0] * 6
         )
-        self._flight.post(self._station.encode(message), Lane.TO_COMPANION)
+        self._flight.post(self._encoded(message), Lane.TO_COMPANION)
 
     def take_off(self, height_m: float = 10.0) -> None:
         """Arm and take off; the vehicle holds at the end.
@@ -89,4 +96,9 @@ class Operator:
         flight.run_until(lambda: flight.mode is FlightMode.HOLD, 60.0)
 
     def _send(self, message: Message, peer: Address) -> None:
-        self._flight.sim.receive(Chunk(0, self._station.encode(message), peer), self._flight.now_s)
+        self._flight.sim.receive(Chunk(0, self._encoded(message), peer), self._flight.now_s)
+
+    def _encoded(self, message: Message) -> bytes:
+        if self._signing is not None:
+            self._signing.signing.advance(self._started_unix_s + self._flight.now_s)
+        return self._station.encode(message)

@@ -7,7 +7,6 @@ import math
 from collections.abc import Callable
 
 from companion.domain import TargetEstimate
-from companion.mav.signing import Signing, SigningKey
 from sim_link.lockstep.observer import Frame
 from sim_link.monitor.invariant import Invariant
 from sim_link.monitor.scene import Scene
@@ -58,36 +57,27 @@ class HonestCovariance(Invariant):
 
 
 class OnlyProvedFrames(Invariant):
-    """With a key, a frame that is not signed with it, or was heard before, changes nothing.
+    """What is damaged, of a stranger or, with a key, not proved, changes nothing.
 
     Args:
         scene: What all invariants share.
         snapshot: The companion's state.
-        key: Of the link; None: frames of strangers must change nothing.
     """
 
     name = "I10"
     title = "no unproved frame changes any state"
 
-    def __init__(self, scene: Scene, snapshot: Snapshot, key: SigningKey | None) -> None:
+    def __init__(self, scene: Scene, snapshot: Snapshot) -> None:
         super().__init__(scene)
         self._snapshot = snapshot
-        self._own = None if key is None else Signing(key)
         self._before: object = None
         self._is_unproved = False
         self.unproved = 0
         """Frames that had to change nothing."""
 
-    def started(self) -> None:
-        """A new process; what is proved is proved anew."""
-        self._is_unproved = False
-
-    def heard(self, frame: Frame) -> None:
+    def heard(self, frame: Frame) -> None:  # noqa: ARG002
         """Remember the state before a frame that must not change it."""
-        is_proved = frame.is_genuine
-        if self._own is not None and frame.message is not None:
-            is_proved = self._own.verify(frame.data).is_accepted
-        self._is_unproved = not is_proved
+        self._is_unproved = not self.scene.is_believable
         if self._is_unproved:
             self.unproved += 1
             self._before = self._snapshot()

@@ -27,6 +27,7 @@ RAISES = (
     mavlink.MAV_CMD_NAV_TAKEOFF,
 )
 """Commands that take control, or change who has it."""
+HEARD = frozenset({mavlink.MAVLINK_MSG_ID_HEARTBEAT, mavlink.MAVLINK_MSG_ID_COMMAND_LONG})
 
 
 class OnlyWithAuthority(Invariant):
@@ -55,15 +56,14 @@ class OnlyWithAuthority(Invariant):
 
     def heard(self, frame: Frame) -> None:
         """Follow the mode, and the operator's grants."""
-        message = frame.message
-        if message is None or not frame.is_genuine:
+        if not self.scene.is_believable or frame.number not in HEARD:
             return
+        message = frame.message
         if isinstance(message, mavlink.MAVLink_command_long_message):
             if message.command == mavlink.MAV_CMD_NAV_GUIDED_ENABLE and message.param1 == 1.0:
                 self._was_ours, self._lost_s, self._may_engage = False, None, True
             return
-        is_autopilot = message.get_srcSystem() == self.scene.vehicle.system_id
-        is_autopilot = is_autopilot and message.get_srcComponent() == AUTOPILOT_COMPONENT
+        is_autopilot = frame.sender == (self.scene.vehicle.system_id, AUTOPILOT_COMPONENT)
         if is_autopilot and isinstance(message, mavlink.MAVLink_heartbeat_message):
             self._follow(message, self.scene.sent_s(frame))
 

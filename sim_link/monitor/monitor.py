@@ -26,6 +26,7 @@ from sim_link.monitor.frames import Bounded, KnownFrames
 from sim_link.monitor.invariant import Invariant
 from sim_link.monitor.motions import FreshState, WithinEnvelope
 from sim_link.monitor.places import InsideFence, SafeToFreeze
+from sim_link.monitor.proof import Proof
 from sim_link.monitor.rules import Rules
 from sim_link.monitor.scene import Scene, Told
 from sim_link.monitor.violation import Violation
@@ -62,7 +63,8 @@ class Monitor(Observer):
         self.authority = OnlyWithAuthority(scene)
         self.stream = KeepsStreaming(scene)
         self.repeat = Repeatable(scene)
-        self._proved = None if snapshot is None else OnlyProvedFrames(scene, snapshot, key)
+        self._proved = None if snapshot is None else OnlyProvedFrames(scene, snapshot)
+        self._proof = None if key is None else Proof(key)
         self.invariants: list[Invariant] = [
             self.fence,
             WithinEnvelope(scene),
@@ -97,8 +99,13 @@ class Monitor(Observer):
 
     def heard(self, frame: Frame) -> None:
         """This reaches the companion."""
-        self.scene.now_s = frame.time_s
-        self.scene.tell(frame)
+        scene = self.scene
+        scene.now_s = frame.time_s
+        scene.is_believable = frame.is_genuine and frame.is_readable
+        if self._proof is not None and frame.is_readable:
+            scene.is_believable = self._proof.accepts(frame.data)
+        if scene.is_believable:
+            scene.tell(frame)
         for invariant in self.invariants:
             invariant.heard(frame)
 

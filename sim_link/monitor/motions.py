@@ -30,7 +30,8 @@ class WithinEnvelope(Invariant):
     def __init__(self, scene: Scene) -> None:
         super().__init__(scene)
         self._last: Setpoint | None = None
-        self._velocity = (0.0, 0.0)
+        self._velocity: Point | None = None
+        """Of the setpoint, once there were two."""
 
     def started(self) -> None:
         """A new process begins a new stream."""
@@ -45,14 +46,14 @@ class WithinEnvelope(Invariant):
         last, self._last = self._last, setpoint
         is_new = last is None or setpoint.time_s - last.time_s > STREAM_BREAK_S
         if last is None or is_new or not self.scene.told.is_ours:
-            self._velocity = (0.0, 0.0)
+            self._velocity = None
             self._judge_begin(setpoint)
             return
         dt_s = setpoint.time_s - last.time_s
         moved = math.dist(setpoint.place_enu_m[:2], last.place_enu_m[:2])
         rules = self.scene.rules
         if moved > SHARE * rules.speed_mps * dt_s + TOLERANCE_M:
-            self._velocity = (0.0, 0.0)
+            self._velocity = None
             if not self._is_here(setpoint):
                 self.report("setpoint too fast", step_m=moved, dt_s=dt_s)
             return
@@ -67,12 +68,14 @@ class WithinEnvelope(Invariant):
             return
         place, before = setpoint.place_enu_m, last.place_enu_m
         velocity = ((place[0] - before[0]) / dt_s, (place[1] - before[1]) / dt_s)
-        change = math.dist(velocity, self._velocity)
+        last_velocity, self._velocity = self._velocity, velocity
+        if last_velocity is None:
+            return
+        change = math.dist(velocity, last_velocity)
         most = SHARE * self.scene.rules.acceleration_mps2 * max(dt_s, TICK_S)
         most += 2.0 * TOLERANCE_M / dt_s
-        if change > most and math.hypot(*velocity) > math.hypot(*self._velocity):
+        if change > most and math.hypot(*velocity) > math.hypot(*last_velocity):
             self.report("setpoint accelerates too fast", change_mps=change, dt_s=dt_s)
-        self._velocity = velocity
 
     def _judge_begin(self, setpoint: Setpoint) -> None:
         if not self._is_here(setpoint):

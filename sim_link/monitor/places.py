@@ -7,7 +7,7 @@ import math
 from companion.domain import PositionEnu
 from companion.mav.type_mask import POSITION_AND_YAW, POSITION_ONLY
 from sim_link.monitor.invariant import Invariant
-from sim_link.monitor.predicates import Point, depth_m, way_depth_m
+from sim_link.monitor.predicates import Point, depth_m, is_way_clear
 from sim_link.monitor.scene import Scene, Setpoint
 from sim_link.world.point_mass import PointMass, approach_velocity
 
@@ -37,7 +37,8 @@ class InsideFence(Invariant):
         """How often the true vehicle left the fence."""
         self._is_out = False
         self._in_control_s = -math.inf
-        self._in_control_since_s: float | None = None
+        self._known: tuple[Point, float] = ((0.0, 0.0), -math.inf)
+        """A place, and how deep inside it is."""
 
     def setpoint(self, setpoint: Setpoint) -> None:
         """Judge a setpoint by where the companion believed the vehicle to be."""
@@ -49,10 +50,10 @@ class InsideFence(Invariant):
         own_depth = math.inf if vehicle is None else self._depth(vehicle[:2])
         if depth < least and depth < min(own_depth, rules.clearance_m) + ROUNDING_M:
             self.report("setpoint too near to a border or beyond it", depth_m=depth)
-        if vehicle is not None and own_depth > 0.0:
-            way = way_depth_m(rules.fence_enu_m, rules.keep_out_enu_m, vehicle[:2], place)
-            if way <= 0.0 and way < min(own_depth, depth):
-                self.report("the way to a setpoint leaves the fence", depth_m=way)
+        if vehicle is not None and own_depth > 0.0 and depth > 0.0:
+            fence, keep_outs = rules.fence_enu_m, rules.keep_out_enu_m
+            if not is_way_clear(fence, keep_outs, vehicle[:2], place):
+                self.report("the way to a setpoint leaves the fence", depth_m=depth)
         self._judge_height(setpoint.place_enu_m[2])
 
     def _judge_height(self, up_m: float) -> None:
@@ -73,14 +74,15 @@ class InsideFence(Invariant):
         is_ours = scene.told.is_ours and scene.is_companion_up
         if is_ours:
             self._in_control_s = scene.now_s
-            if self._in_control_since_s is None:
-                self._in_control_since_s = scene.now_s
-        else:
-            self._in_control_since_s = None
         if body.is_on_ground or scene.now_s - self._in_control_s > CONTROL_FADES_S:
             self._is_out = False
             return
-        depth = self._depth(body.position_enu_m[:2]) + scene.bias_m
+        place = body.position_enu_m[:2]
+        at, known = self._known
+        if known - math.dist(place, at) > max(0.0, self.closest_m):
+            return  # it cannot have come nearer than it was
+        depth = self._depth(place) + scene.bias_m
+        self._known = (place, depth)
         self.closest_m = min(self.closest_m, depth)
         if depth >= 0.0:
             self._is_out = False

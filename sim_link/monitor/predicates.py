@@ -42,20 +42,11 @@ def depth_m(fence: Corners, keep_outs: Sequence[Corners], point: Point) -> float
     return depth
 
 
-def way_depth_m(fence: Corners, keep_outs: Sequence[Corners], start: Point, end: Point) -> float:
-    """The least depth on the straight way between two points.
-
-    Depth along a segment is least at an end, or where the segment comes nearest to a corner or an
-    edge; where it crosses a border, it is taken as the negative of how deep the worse end is
-    outside, or as 0 if both ends are inside and the way between them is not.
-    """
-    least = min(depth_m(fence, keep_outs, start), depth_m(fence, keep_outs, end))
-    for corners in (fence, *keep_outs):
-        for a, b in _edges(corners):
-            if _cross(start, end, a, b):
-                return min(least, 0.0)
-            least = min(least, max(0.0, _to_segment_m(start, end, a)))
-    return least
+def is_way_clear(fence: Corners, keep_outs: Sequence[Corners], start: Point, end: Point) -> bool:
+    """Whether the straight way between two points inside crosses no border."""
+    return not any(
+        _cross(start, end, a, b) for corners in (fence, *keep_outs) for a, b in _edges(corners)
+    )
 
 
 def _edges(corners: Corners) -> list[tuple[Point, Point]]:

@@ -21,6 +21,14 @@ from sim_link.monitor.rules import Rules
 from sim_link.monitor.violation import Violation
 
 AUTOPILOT_COMPONENT = 1
+TOLD = frozenset(
+    {
+        mavlink.MAVLINK_MSG_ID_HEARTBEAT,
+        mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+        mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
+    }
+)
+"""Messages that `Told` keeps something of."""
 REMEMBERED = 6000
 """Frames of the vehicle whose time of sending is known."""
 PX4_OFFBOARD_MAIN, ARDUPILOT_GUIDED = 6, 4
@@ -88,6 +96,8 @@ class Scene:
     """When the companion's control tick last ran."""
     suspended_until_s: float = -1.0
     """The companion process gets no time until then."""
+    is_believable: bool = True
+    """Whether the frame that was heard last had to be believed."""
     violations: list[Violation] = field(default_factory=list)
     counts: dict[tuple[str, str], int] = field(default_factory=dict)
     _sent_s: OrderedDict[bytes, float] = field(default_factory=OrderedDict)
@@ -113,16 +123,14 @@ class Scene:
         return self._sent_s.get(frame.data, frame.time_s)
 
     def tell(self, frame: Frame) -> None:
-        """This reached the companion."""
-        if not frame.is_genuine:
-            return
-        message = frame.message
-        if message is None or message.get_srcSystem() != self.vehicle.system_id:
-            return
-        if message.get_srcComponent() != AUTOPILOT_COMPONENT:
+        """This reached the companion, which had to believe it."""
+        if frame.sender != (self.vehicle.system_id, AUTOPILOT_COMPONENT):
             return
         told = self.told
         told.heard_s = frame.time_s
+        if frame.number not in TOLD:
+            return
+        message = frame.message
         match message:
             case mavlink.MAVLink_heartbeat_message():
                 told.heartbeat_s = frame.time_s

@@ -1,0 +1,39 @@
+"""Whether a signed link had to believe a frame, by the letter of MAVLink's signing.
+
+Written for the monitor: nothing of the companion's own check is used but the key.
+"""
+
+from __future__ import annotations
+
+import hashlib
+
+from companion.mav.signing import SigningKey
+
+SIGNATURE, TAG, STAMP = 13, 6, 6
+MAGIC_V2, SIGNED_FLAG = 0xFD, 0x01
+
+
+class Proof:
+    """Follows the newest timestamp of every component.
+
+    Args:
+        key: Of the link.
+    """
+
+    def __init__(self, key: SigningKey) -> None:
+        self._secret = key.secret
+        self._newest: dict[tuple[int, int], int] = {}
+
+    def accepts(self, frame: bytes) -> bool:
+        """Whether it is signed with the key and newer than all before of its sender."""
+        if frame[0] != MAGIC_V2 or not frame[2] & SIGNED_FLAG:
+            return False
+        tag = hashlib.sha256(self._secret + frame[:-TAG]).digest()[:TAG]
+        if tag != frame[-TAG:]:
+            return False
+        sender = (frame[5], frame[6])
+        stamp = int.from_bytes(frame[-TAG - STAMP : -TAG], "little")
+        if stamp <= self._newest.get(sender, -1):
+            return False
+        self._newest[sender] = stamp
+        return True
