@@ -25,6 +25,7 @@ from companion.io.files import delete_old_flights, new_flight_directory
 from companion.io.flight_files import MCAP
 from companion.io.journal import BlackBox, FlightJournal, MissingJournal
 from companion.io.key_file import load_signing_key
+from companion.io.link_watch import LinkWatch
 from companion.io.links import LinkSpec, make_link
 from companion.io.lock import VehicleLock, lock_name
 from companion.io.mcap_log import McapLog
@@ -302,6 +303,7 @@ class _Flight:
                 is_fresh=is_fresh,
             )
         self._shell = Shell(self.endpoint, links, clock, self._after_wakeup)
+        self._watch = LinkWatch(self._shell.links, self._journal)
         self._supervisor = Supervisor(os.environ)
         parts = (self._journal, self._shell.timing, self._shell.links, store)
         watchdog = Watchdog(self._supervisor, self.endpoint, *parts)
@@ -342,6 +344,7 @@ class _Flight:
 
     def _after_wakeup(self, now_s: float) -> None:
         self._hints.check()
+        self._watch.check(now_s)
         if self._keeper is not None:
             self._keeper.keep(now_s)
             if self._clock.speed == 1.0 and not self.endpoint.binding.is_bound:

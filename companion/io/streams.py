@@ -214,7 +214,9 @@ class StreamLink(Link):
 
     def _forget(self, reason: str) -> None:
         self._stream = None
-        self.counters.send_errors += reason != "closed by the other end"
+        if reason != "closed by the other end":
+            self.counters.send_errors += 1
+            self.counters.last_error = reason
         logger.warning("%s: lost (%s)", self.name, reason)
 
 

@@ -101,8 +101,9 @@ class UdpLink(Link):
                 self._socket.send(data)
             else:
                 self._socket.sendto(data, peer)
-        except OSError:
+        except OSError as error:
             self.counters.send_errors += 1
+            self.counters.last_error = error.strerror or str(error)
         else:
             self.counters.sent += 1
 

@@ -1,0 +1,80 @@
+from __future__ import annotations
+
+from companion.io.link_base import Link
+from companion.io.link_watch import LinkWatch
+from companion.io.streams import TcpClientLink
+from companion.io.udp import UdpLink
+from tests.unit.companion.link.wire import Journal
+
+
+class ConnectedLine(TcpClientLink):
+    """A line with somebody at the other end."""
+
+    @property
+    def is_connected(self) -> bool:
+        return True
+
+
+def udp() -> UdpLink:
+    return UdpLink("127.0.0.1", 14550, 0, print)
+
+
+def line() -> ConnectedLine:
+    return ConnectedLine("127.0.0.1", 5760, 0, print)
+
+
+def watched(link: Link) -> tuple[LinkWatch, Journal]:
+    journal = Journal()
+    return LinkWatch([link], journal), journal
+
+
+def test_a_link_that_refuses_is_told_with_the_reason() -> None:
+    link = udp()
+    watch, journal = watched(link)
+    watch.check(0.0)
+    link.counters.send_errors, link.counters.last_error = 3, "Connection refused"
+    watch.check(1.0)
+    assert journal.texts == [
+        "udp 127.0.0.1:14550: the system refused 3 frames (Connection refused)"
+    ]
+
+
+def test_it_is_told_rarely_and_nothing_is_left_out_of_the_sum() -> None:
+    link = udp()
+    watch, journal = watched(link)
+    for tenth in range(1000):
+        link.counters.send_errors += 1
+        watch.check(tenth / 10.0)
+    assert len(journal.texts) in (9, 10)
+    told = sum(int(text.split("refused ")[1].split()[0]) for text in journal.texts)
+    assert told > 900
+
+
+def test_before_anybody_is_there_it_is_no_news_that_nothing_is_sent() -> None:
+    link = udp()
+    watch, journal = watched(link)
+    for second in range(30):
+        link.counters.dropped += 1
+        watch.check(float(second))
+    assert journal.texts == []
+
+
+def test_a_line_that_is_too_slow_is_told() -> None:
+    link = line()
+    watch, journal = watched(link)
+    watch.check(0.0)
+    link.counters.dropped = 7
+    watch.check(1.0)
+    assert journal.texts == ["tcp 127.0.0.1:5760: 7 frames were given up, the line is too slow"]
+
+
+def test_the_counters_are_in_the_event_log_every_ten_seconds() -> None:
+    link = udp()
+    watch, journal = watched(link)
+    for tenth in range(601):
+        watch.check(tenth / 10.0)
+    records = [fields for kind, fields in journal.records if kind == "io"]
+    assert len(records) in (6, 7)
+    counters = records[0]["udp 127.0.0.1:14550"]
+    assert isinstance(counters, dict)
+    assert {"sent", "send_errors", "dropped", "received"} <= set(counters)
