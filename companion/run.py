@@ -345,6 +345,7 @@ class _Flight:
     def _after_wakeup(self, now_s: float) -> None:
         self._hints.check()
         self._watch.check(now_s)
+        self._shell.links[0].hear_only(self.endpoint.sole_peer(now_s))
         if self._keeper is not None:
             self._keeper.keep(now_s)
             if self._clock.speed == 1.0 and not self.endpoint.binding.is_bound:

@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from companion.mav.endpoint import Chunk
+from companion.mav.endpoint import Address, Chunk
 
 logger = logging.getLogger("companion.io")
 
@@ -67,6 +67,10 @@ class Link(ABC):
     @abstractmethod
     def send(self, chunk: Chunk) -> None:
         """Send now or count why not; never raises and never waits."""
+
+    def hear_only(self, peer: Address | None) -> None:
+        """Let the system drop what others than `peer` send, if it can; None: hear everybody."""
+        del peer  # only UDP has strangers
 
     @abstractmethod
     def close(self) -> None:

@@ -16,10 +16,13 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 from companion.errors import LinkError
+from companion.io import source_filter
 from companion.io.link_base import MAX_READS, Link, Received, bind_problem
 from companion.mav.endpoint import Address, Chunk
 
 MAX_DATAGRAM = 65_535
+RECEIVE_BUFFER = 1 << 20
+"""Bytes that the kernel may keep for us, so that a burst is not lost between two looks."""
 MAX_PEERS = 16
 """Senders that a fan-out link remembers; telemetry must not grow with every stranger."""
 
@@ -31,6 +34,7 @@ class UdpLink(Link):
         super().__init__(f"udp {host}:{port}", index, received)
         self._host, self._port = host, port
         self._socket: socket.socket | None = None
+        self._sole_peer: Address | None = None
 
     @property
     def local_address(self) -> Address:
@@ -84,6 +88,16 @@ class UdpLink(Link):
 
     def _heard(self, peer: Address) -> None:
         """Take note of a sender."""
+
+    def hear_only(self, peer: Address | None) -> None:
+        """Let the kernel drop what others send; a change only, for it is asked often."""
+        if peer == self._sole_peer or self._socket is None:
+            return
+        self._sole_peer = peer
+        if peer is None:
+            source_filter.hear_all(self._socket)
+        else:
+            source_filter.hear_only(self._socket, peer)
 
     def send(self, chunk: Chunk) -> None:
         """Send to the chunk's peer; a chunk without one is dropped and counted."""
@@ -187,6 +201,7 @@ class UdpConnectLink(UdpLink):
 def _new_socket() -> socket.socket:
     new = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     new.setblocking(False)
+    new.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)  # as far as allowed
     return new
 
 

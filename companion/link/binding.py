@@ -41,6 +41,11 @@ class AutopilotBinding:
         """Whether an autopilot was heard."""
         return self.system_id is not None
 
+    @property
+    def silence_s(self) -> float:
+        """How long the autopilot must be silent before another address is believed."""
+        return KEYED_SILENCE_S if self.is_keyed else PEER_SILENCE_S
+
     def admits(self, message: Message, peer: Address | None, now_s: float) -> bool:
         """Whether a message comes from the bound autopilot; binds to the first one."""
         if isinstance(message, mavlink.MAVLink_heartbeat_message):
@@ -48,8 +53,7 @@ class AutopilotBinding:
         if not self._is_its_id(message):
             return False
         if peer != self.peer:
-            silence_s = KEYED_SILENCE_S if self.is_keyed else PEER_SILENCE_S
-            if self.heard_s is not None and now_s - self.heard_s < silence_s:
+            if self.heard_s is not None and now_s - self.heard_s < self.silence_s:
                 self.strangers += 1
                 return False
             self.peer = peer

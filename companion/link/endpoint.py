@@ -36,9 +36,10 @@ from companion.link.journal import Journal
 from companion.link.outlet import COMPONENT_ID, VEHICLE_LINK, Outlet
 from companion.link.params import LinkParams, VehicleParams
 from companion.link.receiver import VehicleReceiver
+from companion.link.shield import FloodShield
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message
-from companion.mav.endpoint import Chunk
+from companion.mav.endpoint import Address, Chunk
 from companion.mav.signing import Signing
 
 __all__ = ["COMPONENT_ID", "VEHICLE_LINK", "CompanionEndpoint", "Journal", "VehicleParams"]
@@ -91,6 +92,7 @@ class CompanionEndpoint:
             for number, codec in enumerate(codecs)
         ]
         self._alarms = LinkAlarms(self.binding, self._intakes)
+        self._shield = FloodShield(self._intakes[VEHICLE_LINK], self.binding)
         self._outlet = Outlet(codecs, self.binding, journal)
         self._dialogues = Dialogues(self.binding)
         self._health = LinkHealth(link_params)
@@ -123,6 +125,7 @@ class CompanionEndpoint:
     def handle_timer(self, now_s: float) -> None:
         """The control tick; a late one is not made up for."""
         self._recorder.tick(now_s)
+        self._shield.tick(now_s)
         for intake in self._intakes:
             intake.budget.renew()
         news = (
@@ -153,6 +156,10 @@ class CompanionEndpoint:
     def take_output(self) -> list[Chunk]:
         """What is to be sent, in order; taken once."""
         return self._outlet.take()
+
+    def sole_peer(self, now_s: float) -> Address | None:
+        """Whom alone to hear on the vehicle link, in a flood; None: everybody."""
+        return self._shield.sole_peer(now_s)
 
     def request_stop(self, now_s: float) -> None:
         """Hand the vehicle back, then finish."""
