@@ -9,6 +9,7 @@ import pytest
 from companion.config.load import load_yaml, parse_yaml
 from companion.config.schema import CompanionConfig, inconsistency, load_config
 from companion.errors import ConfigError
+from companion.link.params import LinkParams
 from companion.planning.fim import FimPlanner
 from companion.planning.latched_crossing import LatchedCrossing
 from companion.planning.reactive_crossing import ReactiveCrossing
@@ -30,6 +31,16 @@ def test_default_preset_names_every_key() -> None:
     for record in _records(CompanionConfig()):
         for name in record.__struct_fields__:
             assert f"{name}:" in text, f"{type(record).__name__}.{name} is not in default.yaml"
+
+
+def test_the_page_of_the_configuration_names_every_key_of_the_link_with_its_default() -> None:
+    page = (ROOT / "docs/configuration.md").read_text()
+    link = LinkParams()
+    for name in link.__struct_fields__:
+        value = getattr(link, name)
+        default = {None: "null", True: "true", False: "false"}.get(value, value)
+        shown = f"{default:g}" if isinstance(default, float) else default
+        assert f"| `{name}` | {shown} |" in page, name
 
 
 def _records(record: object) -> list:  # type: ignore[type-arg]

@@ -11,6 +11,7 @@ from companion.mav.dialect import MAVLink_radio_ranging_message, Message, mavlin
 from companion.mav.framing import (
     FrameSplitter,
     frame_crc,
+    frame_end,
     message_id,
     sender_of,
     without_signature,
@@ -247,6 +248,33 @@ def test_leaving_a_signature_out_gives_the_unsigned_frame() -> None:
 @pytest.mark.parametrize("frame", GOOD)
 def test_an_unsigned_frame_is_left_alone(frame: bytes) -> None:
     assert without_signature(frame, CRC_EXTRA_BY_ID[message_id(frame)]) == frame
+
+
+def test_a_sequence_number_of_mavlink_1_is_not_taken_for_the_flag_of_a_signature() -> None:
+    """Both are the third byte."""
+    frame = with_header(heartbeat_v1(), 2, 1)
+    assert without_signature(frame, CRC_EXTRA_BY_ID[0]) == frame
+
+
+def test_of_an_unknown_message_the_signature_is_blanked() -> None:
+    frame = signed(mavlink.MAVLink_heartbeat_message(2, 12, 0, 1, 4, 3))
+    blanked = without_signature(frame, None)
+    assert blanked == frame[:-13] + bytes(13)
+    assert frame_end(blanked, 0) == len(blanked)
+
+
+def test_only_counters_that_there_are_can_be_counted() -> None:
+    with pytest.raises(AttributeError):
+        splitter().counters.god += 1  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("frame", GOOD)
+@pytest.mark.parametrize("junk", [b"", b"abc", bytes((0xFD,)), bytes((0xFE, 0xFD))])
+def test_where_a_frame_ends_is_in_its_header(frame: bytes, junk: bytes) -> None:
+    for length in range(1, len(frame) + 1):
+        end = frame_end(junk + frame[:length], len(junk))
+        if end <= len(junk) + length:
+            assert end == len(junk) + len(frame)
 
 
 # Frames of unknown messages, for a router
