@@ -268,6 +268,11 @@ def test_only_counters_that_there_are_can_be_counted() -> None:
         splitter().counters.god += 1  # type: ignore[attr-defined]
 
 
+@pytest.mark.parametrize("number", [0, 1, 255, 256, 65_535, 65_536, 0x123456, 2**24 - 1])
+def test_a_message_id_of_mavlink_2_has_three_bytes(number: int) -> None:
+    assert message_id(unknown(number=number)) == number
+
+
 @pytest.mark.parametrize("frame", GOOD)
 @pytest.mark.parametrize("junk", [b"", b"abc", bytes((0xFD,)), bytes((0xFE, 0xFD))])
 def test_where_a_frame_ends_is_in_its_header(frame: bytes, junk: bytes) -> None:
