@@ -1,8 +1,9 @@
 """Bytes to messages and back: one codec per link.
 
-pymavlink's generated class packs and decodes payloads; framing, the CRC check and the sequence
-number are ours (`pack` does not advance it, and pymavlink's own parser loses the good frame
-behind a truncated one), and so are signatures: a frame is verified before pymavlink sees it.
+pymavlink's generated class packs and decodes payloads, except those of `plain_messages`; framing,
+the CRC check and the sequence number are ours (`pack` does not advance it, and pymavlink's own
+parser loses the good frame behind a truncated one), and so are signatures: a frame is verified
+before pymavlink sees it.
 Nothing that a peer sends raises out of here.
 """
 
@@ -11,6 +12,7 @@ from __future__ import annotations
 from companion.errors import LocalProtocolError, RemoteProtocolError
 from companion.mav.dialect import Message, mavlink
 from companion.mav.framing import FrameCounters, FrameSplitter
+from companion.mav.plain_messages import pack_plain, unpack_plain
 from companion.mav.signing import LinkSigning
 
 CRC_EXTRA_BY_ID = {
@@ -86,13 +88,21 @@ class MavCodec:
         if component_id is not None:
             self._mav.srcComponent = component_id
         try:
-            frame = message.pack(self._mav, force_mavlink1=is_mavlink1)
+            frame = self._pack(message, is_mavlink1=is_mavlink1)
         except Exception as error:  # struct.error, TypeError, OverflowError: always our mistake
             raise LocalProtocolError(f"{message.get_type()} cannot be packed: {error}") from error
         finally:
             self._mav.srcComponent = own_component
         self._mav.seq = (self._mav.seq + 1) % 256
         return frame if self.signing is None else self.signing.sign(frame, CRC_EXTRA_BY_ID)
+
+    def _pack(self, message: Message, *, is_mavlink1: bool) -> bytes:
+        mav = self._mav
+        if not is_mavlink1:
+            frame = pack_plain(message, mav.seq, mav.srcSystem, mav.srcComponent)
+            if frame is not None:
+                return frame
+        return bytes(message.pack(mav, force_mavlink1=is_mavlink1))
 
     def decode(self, data: bytes, *, is_datagram: bool = True) -> list[Message]:
         """The messages completed by `data`; bad bytes are counted, never raised."""
@@ -127,6 +137,9 @@ class MavCodec:
             return None
 
     def _decode_frame(self, frame: bytes) -> Message:
+        plain = unpack_plain(frame)
+        if plain is not None:
+            return plain
         try:
             return self._mav.decode(bytearray(frame))
         except Exception as error:  # MAVError, UnicodeDecodeError: whatever a payload provokes

@@ -57,6 +57,8 @@ class AutopilotParams(Params, frozen=True):
     """Above home, for RETURN (PX4 RTL_RETURN_ALT)."""
     disarm_after_landing_s: NonNegative = 2.0
     """PX4 COM_DISARM_LAND; ArduPilot disarms a second after LAND and RTL ended."""
+    streams: Literal["all", "asked"] = "all"
+    """What PX4 sends unasked: its onboard link's streams, or HEARTBEAT (a link in mode Custom)."""
     parameters: dict[str, float] = msgspec.field(default_factory=dict)
     """Defaults of the autopilot's parameters that differ from its own, by name."""
 

@@ -182,7 +182,7 @@ class Flight:
             for frame in self._observed(data, lane):
                 for observer in self.observers:
                     observer.vehicle_heard(frame)
-            self.sim.receive(Chunk(0, data, COMPANION_PEER), self.now_s)
+            self.sim.receive(Chunk(0, data, None), self.now_s)
             return
         is_ranging = lane is Lane.RANGING
         chunk = Chunk(1, data, RADIO_PEER) if is_ranging else Chunk(0, data, VEHICLE_PEER)

@@ -10,7 +10,7 @@ from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address, Chunk
 from companion.mav.modes import set_mode_params
 from companion.mav.signing import LinkSigning
-from sim_link.lockstep.flight import COMPANION_PEER, Flight
+from sim_link.lockstep.flight import Flight
 from sim_link.lockstep.wire import Lane
 
 STATION_PEER: Address = ("127.0.0.1", 1)
@@ -71,7 +71,7 @@ class Operator:
         number, wanted = mavlink.MAV_CMD_REQUEST_MESSAGE, float(mavlink.MAVLINK_MSG_ID_HEARTBEAT)
         system = flight.scenario.system_id
         ask = mavlink.MAVLink_command_long_message(system, 1, number, 0, wanted, *[0.0] * 6)
-        self._send(ask, COMPANION_PEER)
+        self._send(ask, None)
         flight.settle()
 
     def grant(self) -> None:
@@ -95,7 +95,7 @@ class Operator:
         self.command(mavlink.MAV_CMD_NAV_TAKEOFF, *[math.nan] * 6, ground_m + height_m)
         flight.run_until(lambda: flight.mode is FlightMode.HOLD, 60.0)
 
-    def _send(self, message: Message, peer: Address) -> None:
+    def _send(self, message: Message, peer: Address | None) -> None:
         self._flight.sim.receive(Chunk(0, self._encoded(message), peer), self._flight.now_s)
 
     def _encoded(self, message: Message) -> bytes:

@@ -73,7 +73,7 @@ class Campaign:
         Raises:
             ConfigError: A script is wrong; nothing was started.
         """
-        loaded = [(path, self._load(path)) for path in self.files]
+        loaded = [(path, mission) for path in self.files for mission in self._load(path)]
         for path, mission in loaded:
             check_flyable(mission, str(path))
             if self.speed is not None:
@@ -93,11 +93,14 @@ class Campaign:
             for seed in self.seeds
         ]
 
-    def _load(self, path: Path) -> Mission:
+    def _load(self, path: Path) -> list[Mission]:
+        """The script, once for every autopilot that it is to be flown on."""
         mission = load_mission(path)
-        if self.autopilot is None:
-            return mission
-        return with_autopilot(mission, self.autopilot)
+        if self.connect is not None:
+            return [mission]
+        own = mission.autopilots or (mission.autopilot.flavour,)
+        flavours = own if self.autopilot is None else (self.autopilot,)
+        return [with_autopilot(mission, flavour) for flavour in flavours]
 
 
 def with_autopilot(mission: Mission, flavour: FlavourName) -> Mission:

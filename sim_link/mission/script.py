@@ -14,7 +14,7 @@ from msgspec import UNSET, UnsetType
 
 from companion.config.schema import CompanionConfig
 from companion.params import NonNegative, Params, Positive
-from sim_link.autopilot.scenario import FlightAltitude, Scenario
+from sim_link.autopilot.scenario import FlavourName, FlightAltitude, Scenario
 from sim_link.faults.kinds import Fault
 from sim_link.mission.expectations import Expectation
 from sim_link.world.target import Coordinate
@@ -199,6 +199,8 @@ class Mission(Scenario, frozen=True, kw_only=True):
     name: str
     about: str = ""
     """What it shows, in a sentence."""
+    autopilots: tuple[FlavourName, ...] = ()
+    """Flown on each of these; empty: on `autopilot.flavour`."""
     companion: CompanionConfig | str = CompanionConfig()
     """The companion's configuration (configuration.md), or the file that it is in."""
     steps: Annotated[tuple[Union[StepRecord, StepWord], ...], msgspec.Meta(min_length=1)]  # noqa: UP007

@@ -17,7 +17,7 @@ from sim_link.autopilot.flavours.base import Flavour, Identity, Shown
 from sim_link.autopilot.flavours.px4 import commands, heartbeat, parameters, setpoints
 from sim_link.autopilot.flavours.px4.failsafes import MODE_OF_REACTION, Failsafes, Reaction
 from sim_link.autopilot.flavours.px4.modes import MODE_NAMES, STICK_MODES, ModeLogic, Situation
-from sim_link.autopilot.flavours.px4.protocols import RULES
+from sim_link.autopilot.flavours.px4.protocols import CUSTOM_RULES, RULES
 from sim_link.autopilot.flavours.px4.watcher import Watcher
 from sim_link.autopilot.mission import LegKind
 from sim_link.autopilot.pilot import Task
@@ -66,6 +66,8 @@ class Px4Flavour(Flavour):
 
     def __init__(self, aircraft: Aircraft, parameters: ParameterStore) -> None:
         super().__init__(aircraft, parameters)
+        if aircraft.scenario.autopilot.streams == "asked":
+            self.rules = CUSTOM_RULES
         self.modes = ModeLogic()
         self._failsafes = Failsafes()
         self._watcher = Watcher(aircraft, parameters)

@@ -57,3 +57,14 @@ RULES = ProtocolRules(
     tells_mode_at_once=False,
     first_mission_item=0,
 )
+
+CUSTOM_RULES = RULES._replace(
+    streams=StreamRules(
+        {
+            number: rate_hz if number == mavlink.MAVLINK_MSG_ID_HEARTBEAT else 0.0
+            for number, rate_hz in DEFAULT_RATE_HZ.items()
+        },
+        STEP_S,
+    )
+)
+"""On links in mode Custom (PX4 MAV_1_MODE 1): whoever wants a stream asks for it."""
