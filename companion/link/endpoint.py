@@ -77,22 +77,10 @@ class CompanionEndpoint:
         self._journal = journal
         self._recorder = recorder or NoRecorder()
         self.authenticity = Authenticity(signing, started_unix_s)
-        codecs = [
-            MavCodec(
-                params.system_id or 1,
-                COMPONENT_ID,
-                self.authenticity.of_link(
-                    number, is_trusted=number != VEHICLE_LINK and link_params.unsigned_ranging
-                ),
-            )
-            for number in range(links)
-        ]
-        self._intakes = [
-            Intake(codec, self.binding if number == VEHICLE_LINK else None)
-            for number, codec in enumerate(codecs)
-        ]
+        self._intakes = [self._make_intake(number, params, link_params) for number in range(links)]
         self._alarms = LinkAlarms(self.binding, self._intakes)
         self._shield = FloodShield(self._intakes[VEHICLE_LINK], self.binding)
+        codecs = [intake.codec for intake in self._intakes]
         self._outlet = Outlet(codecs, self.binding, journal)
         self._dialogues = Dialogues(self.binding)
         self._health = LinkHealth(link_params)
@@ -113,6 +101,14 @@ class CompanionEndpoint:
             journal,
         )
         self._next_timer_s = -math.inf
+
+    def _make_intake(self, number: int, params: VehicleParams, link_params: LinkParams) -> Intake:
+        """The way in of a link, with a codec that proves and signs where there is a key."""
+        is_vehicle = number == VEHICLE_LINK
+        is_trusted = not is_vehicle and link_params.unsigned_ranging
+        signing = self.authenticity.of_link(number, is_trusted=is_trusted)
+        codec = MavCodec(params.system_id or 1, COMPONENT_ID, signing)
+        return Intake(codec, self.binding if is_vehicle else None)
 
     # The Endpoint protocol
 
