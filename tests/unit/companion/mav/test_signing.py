@@ -167,6 +167,25 @@ def test_no_frame_is_accepted_again_however_many_streams_there_are() -> None:
     assert not any(signing.verify(frame).is_accepted for frame in frames)
 
 
+def test_there_is_room_for_sixteen_streams() -> None:
+    signing = receiver()
+    verdicts = [signing.verify(signed(NOW, link_id=n)) for n in range(17)]
+    assert verdicts == [Verdict.SIGNED] * 16 + [Verdict.TOO_MANY_STREAMS]
+
+
+def test_every_verdict_is_counted() -> None:
+    signing = receiver()
+    for frame in (signed(NOW), signed(NOW), signed(NOW, OTHER_KEY), unsigned(), unsigned()):
+        signing.verify(frame)
+    counted = {verdict: count for verdict, count in signing.verdicts.items() if count}
+    assert counted == {
+        Verdict.SIGNED: 1,
+        Verdict.REPLAYED: 1,
+        Verdict.BAD_SIGNATURE: 1,
+        Verdict.UNSIGNED: 2,
+    }
+
+
 # Stricter than the guide
 
 
@@ -267,7 +286,9 @@ def test_only_rightly_signed_frames_move_any_clock(frames: list[tuple[int, bool,
 
 def test_a_peer_cannot_use_up_the_timestamps_that_are_left() -> None:
     signing = receiver()
+    assert MAX_HEARD == 2**48 - 1 - 2**40
     assert signing.verify(signed(MAX_TIMESTAMP)) is Verdict.TIMESTAMP_OVERFLOW
+    assert signing.verify(signed(MAX_HEARD + 1)) is Verdict.TIMESTAMP_OVERFLOW
     assert signing.verify(signed(MAX_HEARD)) is Verdict.SIGNED
     assert is_signed(signing.sign(unsigned(), 0, CRC_EXTRA_BY_ID[0]))
 
