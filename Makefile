@@ -1,17 +1,19 @@
 # Everything here works on a machine with Python 3.11 or newer, pip and make; `make help` lists it.
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check clean venv-demo venv-dev
+.PHONY: help demo missions test check clean venv-demo venv-dev
 
 BIN := .venv/bin
 DEMO_ARGS ?= --speed 4
 PYTEST_ARGS ?=
+MISSION_ARGS ?= --repeat 20 --jobs 2
 ifdef PYTHON
 export PYTHON
 endif
 
 help:
 	@echo "make demo    fly the simulated search and watch it (DEMO_ARGS='$(DEMO_ARGS)')"
+	@echo "make missions  fly the library of missions in lockstep (MISSION_ARGS='$(MISSION_ARGS)')"
 	@echo "make test    run all tests"
 	@echo "make check   format, lint, types and import rules"
 	@echo "make clean   remove .venv and every cache"
@@ -19,6 +21,9 @@ help:
 
 demo: venv-demo
 	@$(BIN)/companion demo $(DEMO_ARGS)
+
+missions: venv-dev
+	@$(BIN)/sim-link mission run configs/missions/*.yaml $(MISSION_ARGS)
 
 test: venv-dev
 	$(BIN)/python -m pytest -n auto $(PYTEST_ARGS)

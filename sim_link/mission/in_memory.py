@@ -16,6 +16,7 @@ import msgspec
 from companion.domain import FlightMode
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import Scenario
+from sim_link.campaign.flights import rules_of
 from sim_link.faults.faulty_link import FaultyLink
 from sim_link.faults.injector import Injector
 from sim_link.faults.kinds import Fault
@@ -25,13 +26,14 @@ from sim_link.lockstep.observer import Frame, Observer
 from sim_link.lockstep.operator import Operator as Station
 from sim_link.mission.journal import EventReader
 from sim_link.mission.operator import Action, Arm, Grant, SwitchMode, TakeOff
-from sim_link.mission.record import FlightRecord, Said
+from sim_link.mission.record import FlightRecord, Said, Violated
 from sim_link.mission.result import MissionResult
 from sim_link.mission.script import Mission
 from sim_link.mission.script_file import flown_config
 from sim_link.mission.situation import Situation
 from sim_link.mission.steps import StepRunner
 from sim_link.mission.verdicts import Flown, true_places, verdicts_of
+from sim_link.monitor.monitor import Monitor
 
 SLICE_S = 0.1
 TRACK_SLICES = 2
@@ -63,7 +65,7 @@ class _MissionFlight:
     """One flight with everybody around it."""
 
     def __init__(self, mission: Mission, seed: int) -> None:
-        self.record = FlightRecord(autopilot=mission.autopilot.flavour)
+        self.record = FlightRecord(autopilot=mission.autopilot.flavour, is_monitored=True)
         self.situation = Situation()
         emitters = true_places(mission)
         self._reader = EventReader(
@@ -72,6 +74,12 @@ class _MissionFlight:
         wire = FaultyLink(Schedule(), seed)
         flight = Flight(flown_config(mission), _quiet(mission), seed, self._reader, wire=wire)
         flight.observers.append(_Watcher(self.record, self.situation, self._reader))
+        self._monitor = Monitor(
+            rules_of(flight.config),
+            flight.sim.vehicle,
+            estimate=lambda: flight.companion.session.estimate,
+        )
+        flight.observers.append(self._monitor)
         station = Station(flight)
         harness = _Harness(Injector(flight, wire, station))
         operator = _Operator(flight, station)
@@ -93,6 +101,8 @@ class _MissionFlight:
             flight.run(self._slices * SLICE_S - flight.now_s)
         self.record.ended_s = flight.now_s
         self.record.distance_m = flight.sim.vehicle.distance_m
+        closest_m = self._monitor.fence.closest_m
+        self.record.closest_approach_m = closest_m if math.isfinite(closest_m) else None
 
     def _look(self) -> None:
         """Bring the situation up to date from the vehicle itself."""
@@ -112,6 +122,8 @@ class _MissionFlight:
         seen.home_distance_m = math.dist(place[:2], home[:2])
         seen.distance_m, seen.battery = vehicle.distance_m, vehicle.battery.share
         seen.has_fix = vehicle.estimator.has_fix
+        for found in self._monitor.violations[len(self.record.violations) :]:
+            self.record.violations.append(Violated(found.time_s, found.invariant, found.what))
         self.situation.companion.violations = len(self.record.violations)
         if self._slices % TRACK_SLICES == 0:
             self.record.track.append((now_s, place))

@@ -99,6 +99,8 @@ class FlightRecord:
     """What ended the mission, beside a step; empty: nothing."""
     autopilot: str = ""
     """Who was flown: px4, ardupilot or other."""
+    is_monitored: bool = False
+    """Whether the invariants were watched."""
     is_interrupted: bool = False
     """Somebody asked for the end."""
     wall_s: float = 0.0

@@ -43,6 +43,7 @@ expectations: [{{name: it, {expectation}}}]
         engaged_s=10.0,
         ended_s=100.0,
         distance_m=250.0,
+        is_monitored=True,
     )
     record.messages["companion", mavlink.MAVLINK_MSG_ID_HEARTBEAT] = 99
     situation = Situation()
@@ -104,6 +105,14 @@ def test_an_always_is_broken_once_it_was_false() -> None:
 
 def test_violations_tell_the_first_one() -> None:
     assert "first I7 at 25.00 s: gap of 0.3 s" in verdict("violations: {}").found
+
+
+def test_invariants_that_nobody_watched_are_not_judged() -> None:
+    unwatched = flown("violations: {}")
+    unwatched.record.is_monitored = False
+    own = verdicts_of(unwatched)[1]
+    assert own.is_met
+    assert "not judged" in own.found
 
 
 def test_a_failed_step_is_a_verdict_of_its_own() -> None:
