@@ -1,0 +1,66 @@
+"""The pytest plugin, in an empty folder outside of this repository, as a user has it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parents[4]
+SCRIPT = """\
+name: hop
+steps: [connect, wait_ready, arm, {takeoff: {altitude_m: 5}}, land]
+expectations: [{name: stays low, always: vehicle.height_m < 8}]
+"""
+TESTS = """\
+import pytest
+
+
+@pytest.mark.mission("hop.yaml", autopilot="ardupilot")
+def test_hop(mission_result):
+    assert mission_result.is_passed
+
+
+@pytest.mark.mission("high.yaml")
+def test_high():
+    pass
+
+
+@pytest.mark.mission("broken.yaml")
+def test_broken():
+    pass
+
+
+def test_others_are_left_alone(faulty_link):
+    assert faulty_link.carry(b"x", next(iter(faulty_link._acting)), 0.0) == [(0.0, b"x")]
+"""
+
+
+def test_marked_tests_fly_and_fail_by_the_names_of_expectations(tmp_path: Path) -> None:
+    (tmp_path / "hop.yaml").write_text(SCRIPT)
+    (tmp_path / "high.yaml").write_text(SCRIPT.replace("< 8", "< 2"))
+    (tmp_path / "broken.yaml").write_text(
+        SCRIPT.replace("- name", "").replace("[connect,", "[fly,")
+    )
+    (tmp_path / "test_mine.py").write_text(TESTS)
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "pytest",
+            "-q",
+            "-p",
+            "companion.testing.plugin",
+            "--strict-markers",
+        ],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=300.0,
+        check=False,
+    )
+    assert "2 passed, 2 errors" in done.stdout, done.stdout
+    assert "stays low: vehicle.height_m < 2 was false at" in done.stdout
+    assert "broken.yaml:2: $.steps[0]" in done.stdout
