@@ -19,8 +19,6 @@ SILENT_DISK_S = 2.0
 MISSED_TICKS = 10
 """Within a period, before anybody is told."""
 TICK_S = 0.05
-STALL_S = 0.5
-"""A pause longer than this is told by itself."""
 
 
 class Accounts:
@@ -54,12 +52,10 @@ class Accounts:
         self._told_dropped = 0
         self._is_disk_silent = False
         self._late_total_s = 0.0
-        self._stalls = 0
 
     def run(self, now_s: float) -> None:
         """Record and tell what is due."""
         self._check_disk(now_s)
-        self._check_stall(now_s)
         if now_s / self._speed < self._next_s:
             return
         self._next_s = now_s / self._speed + RECORD_PERIOD_S
@@ -110,14 +106,6 @@ class Accounts:
         if dropped > self._told_dropped:
             self._told_dropped = dropped
             text = f"{dropped} log entries lost: the disk is full, broken or too slow; flying on"
-            self._tell(Severity.WARNING, text, now_s)
-
-    def _check_stall(self, now_s: float) -> None:
-        if self._timing.stalls == self._stalls:
-            return
-        self._stalls = self._timing.stalls
-        if self._timing.worst_late_s > STALL_S:
-            text = f"did not run for {self._timing.worst_late_s:.1f} s: suspended or starved"
             self._tell(Severity.WARNING, text, now_s)
 
     def _check_punctuality(self, now_s: float) -> None:

@@ -84,12 +84,3 @@ def test_a_computer_that_is_too_slow_is_told() -> None:
     assert rig.texts == ["the computer is too slow: 16 control ticks missed in 10 s"]
     worst = [record["worst_late_s"] for record in rig.notes.of_kind("process")]
     assert worst == [0.0, 0.1, 0.0]
-
-
-def test_a_pause_of_the_process_is_told() -> None:
-    rig = Rig()
-    rig.pass_time(1.0)
-    rig.timing.stalls += 1
-    rig.timing.note(5.0)
-    rig.pass_time(1.0)
-    assert rig.texts == ["did not run for 5.0 s: suspended or starved"]

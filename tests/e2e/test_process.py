@@ -1,0 +1,199 @@
+"""The companion as a process: killed, doubled, supervised, on a host that fails; few and short."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import pytest
+
+from tests.e2e.simulator_process import running_simulator
+
+COMMAND = [sys.executable, "-m", "companion"]
+SPEED = 2.0
+PATIENCE_S = 60.0
+
+
+class Companion:
+    """One companion process; what it says is read by a thread, so that it can be waited for."""
+
+    def __init__(
+        self,
+        directory: Path,
+        port: int,
+        *arguments: str,
+        environment: Mapping[str, str] | None = None,
+        max_file_bytes: int | None = None,
+    ) -> None:
+        def limit_files() -> None:
+            if max_file_bytes is not None:
+                resource.setrlimit(resource.RLIMIT_FSIZE, (max_file_bytes, max_file_bytes))
+
+        state = {"XDG_STATE_HOME": str(directory / "state")}
+        url = f"udp:127.0.0.1:{port}"
+        self.process = subprocess.Popen(
+            [*COMMAND, "--connect", url, "--speed", f"{SPEED:g}", *arguments],
+            cwd=directory,
+            stderr=subprocess.PIPE,
+            text=True,
+            env={**os.environ, **state, **(environment or {})},
+            preexec_fn=limit_files,
+        )
+        self.lines: list[str] = []
+        self._reader = threading.Thread(target=self._read)
+        self._reader.start()
+
+    def _read(self) -> None:
+        assert self.process.stderr is not None
+        for line in self.process.stderr:
+            self.lines.append(line.rstrip("\n"))
+
+    def said(self, part: str) -> bool:
+        return any(part in line for line in self.lines)
+
+    def wait_for(self, part: str) -> None:
+        deadline_s = time.monotonic() + PATIENCE_S
+        while not self.said(part):
+            assert time.monotonic() < deadline_s, self.lines
+            assert self.process.poll() is None, self.lines
+            time.sleep(0.01)
+
+    def end(self, number: signal.Signals) -> float:
+        """Send a signal; how many seconds the process took to end."""
+        began_s = time.monotonic()
+        self.process.send_signal(number)
+        self.process.wait(PATIENCE_S)
+        took_s = time.monotonic() - began_s
+        self.close()
+        return took_s
+
+    def close(self) -> None:
+        self.process.kill()
+        self.process.wait()
+        self._reader.join()
+        assert self.process.stderr is not None
+        self.process.stderr.close()
+
+    def events(self, directory: Path) -> list[dict[str, object]]:
+        newest = max(directory.glob("flights/*/events.jsonl"))
+        return [json.loads(line) for line in newest.read_text().splitlines()]
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Path:
+    (tmp_path / "auto.yaml").write_text("mission: {engage: auto}\n")
+    return tmp_path
+
+
+@pytest.fixture
+def port() -> Iterator[int]:
+    with running_simulator("px4", SPEED) as opened:
+        yield opened
+
+
+def test_a_killed_companion_is_taken_up_by_the_next_which_never_engages(
+    place: Path, port: int
+) -> None:
+    first = Companion(place, port, "--config", "auto.yaml")
+    first.wait_for("flying the plan")
+    time.sleep(3.0)
+    first.end(signal.SIGKILL)
+    second = Companion(place, port, "--config", "auto.yaml")
+    second.wait_for("resumed after")
+    second.wait_for("estimate resumed")
+    time.sleep(2.0)
+    assert second.end(signal.SIGTERM) < 2.0
+    assert second.process.returncode == 0
+    assert not second.said("in control")
+    assert not second.said("launching")
+    requests = [event for event in second.events(place) if event["kind"] == "answer"]
+    assert requests == []
+    fresh = Companion(place, port, "--fresh")
+    fresh.wait_for("autopilot heard")
+    fresh.end(signal.SIGTERM)
+    assert not fresh.said("resumed")
+
+
+def test_a_second_companion_on_a_link_ends_with_one_line(place: Path, port: int) -> None:
+    first = Companion(place, port)
+    first.wait_for("waiting for an autopilot")
+    second = Companion(place, port)
+    assert second.process.wait(PATIENCE_S) == 2
+    second.close()
+    assert second.lines == [
+        f"companion: udp 127.0.0.1:{port}: another companion (process {first.process.pid}) has "
+        "this vehicle; stop it, or choose another link or vehicle.system_id"
+    ]
+    first.end(signal.SIGTERM)
+    assert first.process.returncode == 0
+
+
+def test_a_disk_that_takes_no_more_costs_the_log_and_not_the_flight(place: Path, port: int) -> None:
+    companion = Companion(place, port, max_file_bytes=20_000)
+    companion.wait_for("log entries lost")
+    companion.wait_for("ready: switch to")
+    assert companion.end(signal.SIGTERM) < 2.0
+    assert companion.process.returncode == 0
+    assert all(path.stat().st_size <= 20_000 for path in place.glob("flights/*/*"))
+
+
+def test_the_service_manager_hears_that_it_is_ready_alive_and_stopping(
+    place: Path, port: int
+) -> None:
+    name = f"companion-e2e-{os.getpid()}"
+    heard: list[str] = []
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind(f"\0{name}")
+        manager.settimeout(0.05)
+        environment = {"NOTIFY_SOCKET": f"@{name}", "WATCHDOG_USEC": "2000000"}
+        companion = Companion(place, port, environment=environment)
+        deadline_s = time.monotonic() + PATIENCE_S
+        while heard.count("WATCHDOG=1") < 6 and time.monotonic() < deadline_s:
+            try:
+                heard.append(manager.recv(4096).decode())
+            except TimeoutError:
+                continue
+        companion.process.send_signal(signal.SIGTERM)
+        while heard[-1] != "STOPPING=1":
+            heard.append(manager.recv(4096).decode())
+    companion.process.wait(PATIENCE_S)
+    companion.close()
+    assert heard[0] == "READY=1"
+    assert "STATUS=standby" in heard
+
+
+def test_a_terminal_that_nobody_reads_holds_up_nothing(place: Path, port: int) -> None:
+    url = f"udp:127.0.0.1:{port}"
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
+    try:
+        while True:
+            os.write(writer, b"x" * 4096)
+    except BlockingIOError:
+        os.set_blocking(writer, True)
+    with subprocess.Popen(
+        [*COMMAND, "--connect", url],
+        cwd=place,
+        stderr=writer,
+        env={**os.environ, "XDG_STATE_HOME": str(place / "state")},
+    ) as process:
+        deadline_s = time.monotonic() + PATIENCE_S
+        while not list(place.glob("state/companion/*.checkpoint-0")):
+            assert time.monotonic() < deadline_s
+            assert process.poll() is None
+            time.sleep(0.02)
+        began_s = time.monotonic()
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(PATIENCE_S) == 0
+        assert time.monotonic() - began_s < 2.0
+    os.close(reader)
+    os.close(writer)
