@@ -195,6 +195,11 @@ def prepare(config: CompanionConfig) -> None:
     warm_up(config.estimation, build_planner(config))
 
 
+def link_name(link: LinkSpec) -> str:
+    """What a link is called in messages, locks and checkpoints."""
+    return make_link(link, 0, lambda _: None).name
+
+
 def is_handed_over(endpoint: CompanionEndpoint) -> bool:
     """Whether the target is reported and the vehicle no longer obeys us."""
     session = endpoint.session
@@ -229,7 +234,7 @@ def fly(
     """
     keeper = open_signing(config)
     state = state_directory(config.process.state_directory, os.environ)
-    name = make_link(links[0], 0, lambda _: None).name
+    name = link_name(links[0])
     lock = VehicleLock(state, name, config.vehicle.system_id)
     try:
         prepare(config)

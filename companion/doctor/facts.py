@@ -1,0 +1,111 @@
+"""What the doctor looked at, as values; what it means is for `checks` to say."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from companion.domain import Autopilot
+
+
+@dataclass(frozen=True, slots=True)
+class StreamRate:
+    """One kind of message of the autopilot."""
+
+    name: str
+    """As MAVLink calls it."""
+    asked_hz: float
+    count: int
+    """Messages that came ..."""
+    seconds: float
+    """... in this time."""
+
+    @property
+    def measured_hz(self) -> float:
+        """Messages per second."""
+        return self.count / self.seconds if self.seconds > 0.0 else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class AutopilotFacts:
+    """What the autopilot said."""
+
+    autopilot: Autopilot
+    system_id: int
+    component_id: int
+    mode: str
+    """As its operator calls it."""
+    is_armed: bool
+    rates: tuple[StreamRate, ...]
+    parameters: Mapping[str, float | None]
+    """Those that were asked for; None: it does not tell."""
+    has_rc: bool | None
+    """Whether it hears a transmitter; None: it does not tell."""
+    has_position: bool
+    has_home: bool
+    has_origin: bool
+    gps_fix: int | None
+    """GPS_FIX_TYPE; None: it does not tell."""
+    battery_pct: int | None
+    round_trip_s: float | None
+    clock_offset_s: float | None
+    loss: float | None
+    """Share of its frames that did not come, 0 to 1."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinkFacts:
+    """What was heard on the vehicle's link."""
+
+    name: str
+    waited_s: float
+    """How long an autopilot was listened for."""
+    autopilot: AutopilotFacts | None
+    """None: none was heard."""
+    other_autopilots: tuple[int, ...]
+    """Their system ids."""
+    other_companions: tuple[int, ...]
+    """System ids under which another component 191 spoke."""
+    bytes_received: int
+    bad_frames: int
+    """That failed their checksum or made no sense."""
+    unproved_frames: int
+    """That signing refused; 0 without a key."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlaceFacts:
+    """A directory that is written to in flight."""
+
+    path: str
+    problem: str | None
+    """Why it cannot be written, in words."""
+    free_mb: float | None = None
+    synced_write_s: float | None = None
+    """What writing a megabyte took, until it was on the disk."""
+
+
+@dataclass(frozen=True, slots=True)
+class HostFacts:
+    """What there is on this computer."""
+
+    python: tuple[int, int, int]
+    numpy: str
+    numba: str | None
+    """Its version; None: not installed."""
+    logs: PlaceFacts
+    state: PlaceFacts
+    key_problem: str | None
+    """What is wrong with the signing key; None: nothing, or there is none."""
+    has_key: bool
+    unix_s: float
+    is_clock_synchronised: bool | None
+    """Whether the system keeps its clock by others; None: it does not tell."""
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """Everything."""
+
+    host: HostFacts
+    link: LinkFacts

@@ -1,0 +1,270 @@
+"""The doctor on the wire: listens, asks, and changes nothing that lasts.
+
+Theory of operation. It is heard as the companion would be (component 191 of the vehicle's system),
+asks for the streams that a flight needs, with the flight's own requester, and lets them settle
+before it counts them. Beside that it asks for parameters, for the time, and for what is sent only
+on request. The only commands it sends are SET_MESSAGE_INTERVAL and REQUEST_MESSAGE, which a
+restart of the autopilot undoes: no arming, no mode, no setpoint, no parameter is ever set.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+from companion.doctor.facts import AutopilotFacts, LinkFacts, StreamRate
+from companion.doctor.parameters import needed_parameters
+from companion.domain import Autopilot
+from companion.guidance.mode_names import mode_name
+from companion.link import outbound
+from companion.link.authenticity import Authenticity
+from companion.link.binding import AutopilotBinding
+from companion.link.clock_sync import ClockSync
+from companion.link.freshness import StreamFreshness
+from companion.link.outlet import COMPONENT_ID, VEHICLE_LINK
+from companion.link.sequence import SequenceMonitor
+from companion.link.streams import STREAM_INTERVAL_S, StreamRequester
+from companion.mav.codec import MavCodec
+from companion.mav.dialect import Message, mavlink
+from companion.mav.endpoint import Chunk
+from companion.mav.modes import autopilot_of, mode_of
+from companion.mav.parameters import ParamEncoding, ParamType, raw_of, value_from_raw
+
+TICK_S = 0.05
+HEARTBEAT_PERIOD_S = 1.0
+PATIENCE_S = 10.0
+"""For an autopilot."""
+SETTLE_S = 2.5
+"""From the first frame until streams are as they were asked for."""
+PARAMETER_RETRY_S = 0.7
+PARAMETER_TRIES = 4
+RC_BIT = mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
+HEARTBEAT_HZ = 1.0
+NAMES = {number: mavlink.mavlink_map[number].msgname for number in STREAM_INTERVAL_S}
+
+
+@dataclass(slots=True)
+class _Question:
+    """A parameter that was asked for."""
+
+    name: str
+    value: float | None = None
+    tries: int = 0
+    next_s: float = 0.0
+
+    @property
+    def is_open(self) -> bool:
+        return self.value is None and self.tries < PARAMETER_TRIES
+
+
+class DoctorProbe:
+    """Implements `companion.mav.endpoint.Endpoint`.
+
+    Args:
+        name: Of the link, for the facts.
+        system_id: The autopilot's; None: the first one heard.
+        authenticity: Signing.
+        duration_s: How long streams are counted.
+    """
+
+    def __init__(
+        self, name: str, system_id: int | None, authenticity: Authenticity, duration_s: float
+    ) -> None:
+        self._name = name
+        self._duration_s = duration_s
+        self._authenticity = authenticity
+        self._binding = AutopilotBinding(system_id, is_keyed=authenticity.is_on)
+        signing = authenticity.of_link(VEHICLE_LINK, is_trusted=False)
+        self._codec = MavCodec(system_id or 1, COMPONENT_ID, signing)
+        self._freshness = StreamFreshness()
+        self._streams = StreamRequester(self._freshness)
+        self._clock = ClockSync()
+        self._sequence = SequenceMonitor()
+        self._questions: list[_Question] = []
+        self._counts: Counter[str] = Counter()
+        self._newest: dict[str, Message] = {}
+        self._autopilots: set[int] = set()
+        self._companions: set[int] = set()
+        self._bytes = 0
+        self._bound_s: float | None = None
+        self._began_s: float | None = None
+        self._now_s = 0.0
+        self._next_timer_s = 0.0
+        self._next_heartbeat_s = 0.0
+        self._is_stopped = False
+        self._output: list[Chunk] = []
+
+    # The Endpoint protocol
+
+    def receive(self, chunk: Chunk, now_s: float) -> None:
+        """Take in what arrived."""
+        self._now_s = now_s
+        self._authenticity.advance(now_s)
+        self._bytes += len(chunk.data)
+        for message in self._codec.decode(chunk.data, is_datagram=chunk.is_datagram):
+            if self._authenticity.is_proved(bytes(message.get_msgbuf())):
+                self._hear(message, chunk, now_s)
+
+    def handle_timer(self, now_s: float) -> None:
+        """Ask what is due."""
+        self._now_s = now_s
+        self._authenticity.advance(now_s)
+        if self._began_s is None:
+            self._began_s = now_s
+        self._next_timer_s = now_s + TICK_S
+        if now_s >= self._next_heartbeat_s:
+            self._next_heartbeat_s = now_s + HEARTBEAT_PERIOD_S
+            self._send(outbound.heartbeat())
+        system_id, component_id = self._binding.system_id, self._binding.component_id
+        if system_id is None:
+            return
+        for question in (
+            self._streams.due(now_s, system_id, component_id),
+            self._clock.due(now_s, system_id, component_id),
+            self._next_question(now_s, system_id, component_id),
+        ):
+            if question is not None:
+                self._send(question)
+
+    def next_timer_s(self) -> float:
+        """When the next question may be due."""
+        return self._next_timer_s
+
+    def take_output(self) -> list[Chunk]:
+        """What is to be sent, in order; taken once."""
+        output, self._output = self._output, []
+        return output
+
+    def request_stop(self, now_s: float) -> None:
+        """End with what is known."""
+        del now_s
+        self._is_stopped = True
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether everything was asked and counted, or nobody is there."""
+        if self._is_stopped:
+            return True
+        if self._bound_s is None:
+            return self._began_s is not None and self._now_s - self._began_s > PATIENCE_S
+        is_counted = self._now_s - self._bound_s >= SETTLE_S + self._duration_s
+        return is_counted and not any(question.is_open for question in self._questions)
+
+    # What was found
+
+    def facts(self) -> LinkFacts:
+        """What is known by now."""
+        return LinkFacts(
+            name=self._name,
+            waited_s=self._now_s - (self._began_s or 0.0),
+            autopilot=None if self._binding.system_id is None else self._autopilot_facts(),
+            other_autopilots=tuple(sorted(self._autopilots - {self._binding.system_id})),
+            other_companions=tuple(sorted(self._companions)),
+            bytes_received=self._bytes,
+            bad_frames=self._codec.counters.bad_crc + self._codec.undecodable,
+            unproved_frames=self._codec.unproved,
+        )
+
+    def _autopilot_facts(self) -> AutopilotFacts:
+        binding, newest = self._binding, self._newest
+        heartbeat = newest["HEARTBEAT"]
+        assert isinstance(heartbeat, mavlink.MAVLink_heartbeat_message)
+        mode = mode_of(heartbeat, binding.autopilot)
+        fix = newest.get("GPS_RAW_INT")
+        return AutopilotFacts(
+            autopilot=binding.autopilot,
+            system_id=binding.system_id or 0,
+            component_id=binding.component_id,
+            mode=mode_name(mode, binding.autopilot),
+            is_armed=bool(heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED),
+            rates=self._rates(),
+            parameters={question.name: question.value for question in self._questions},
+            has_rc=self._has_rc(),
+            has_position="LOCAL_POSITION_NED" in newest,
+            has_home="HOME_POSITION" in newest,
+            has_origin="GPS_GLOBAL_ORIGIN" in newest,
+            gps_fix=fix.fix_type if isinstance(fix, mavlink.MAVLink_gps_raw_int_message) else None,
+            battery_pct=self._battery_pct(),
+            round_trip_s=self._clock.round_trip_s,
+            clock_offset_s=self._clock.offset_s,
+            loss=self._sequence.loss(self._now_s),
+        )
+
+    def _rates(self) -> tuple[StreamRate, ...]:
+        begin_s = (self._bound_s or 0.0) + SETTLE_S
+        seconds = max(0.0, self._now_s - begin_s)
+        asked = {"HEARTBEAT": HEARTBEAT_HZ}
+        asked |= {NAMES[number]: 1.0 / interval for number, interval in STREAM_INTERVAL_S.items()}
+        return tuple(
+            StreamRate(name, hertz, self._counts[name], seconds) for name, hertz in asked.items()
+        )
+
+    def _has_rc(self) -> bool | None:
+        status = self._newest.get("SYS_STATUS")
+        if not isinstance(status, mavlink.MAVLink_sys_status_message):
+            return None
+        present = status.onboard_control_sensors_present & RC_BIT
+        return bool(present and status.onboard_control_sensors_health & RC_BIT)
+
+    def _battery_pct(self) -> int | None:
+        status = self._newest.get("SYS_STATUS")
+        if not isinstance(status, mavlink.MAVLink_sys_status_message):
+            return None
+        return status.battery_remaining if status.battery_remaining >= 0 else None
+
+    # In and out
+
+    def _hear(self, message: Message, chunk: Chunk, now_s: float) -> None:
+        sender = (message.get_srcSystem(), message.get_srcComponent())
+        if isinstance(message, mavlink.MAVLink_heartbeat_message):
+            if autopilot_of(message) is not None:
+                self._autopilots.add(sender[0])
+            elif sender[1] == COMPONENT_ID:
+                self._companions.add(sender[0])
+        if not self._binding.admits(message, chunk.peer, now_s):
+            return
+        if self._bound_s is None:
+            self._begin(now_s)
+        self._sequence.take(message.get_seq(), now_s)
+        self._freshness.heard(message, now_s)
+        self._clock.heard(message, now_s)
+        name = message.get_type()
+        self._newest[name] = message
+        if self._bound_s is not None and now_s >= self._bound_s + SETTLE_S:
+            self._counts[name] += 1
+        if isinstance(message, mavlink.MAVLink_param_value_message):
+            self._take_parameter(message)
+
+    def _begin(self, now_s: float) -> None:
+        self._bound_s = now_s
+        self._codec.system_id = self._binding.system_id or 1
+        names = needed_parameters(self._binding.autopilot)
+        self._questions = [_Question(name) for name in names]
+
+    def _next_question(self, now_s: float, system_id: int, component_id: int) -> Message | None:
+        """One parameter per tick."""
+        for question in self._questions:
+            if question.is_open and now_s >= question.next_s:
+                question.tries += 1
+                question.next_s = now_s + PARAMETER_RETRY_S
+                return mavlink.MAVLink_param_request_read_message(
+                    system_id, component_id, question.name.encode(), -1
+                )
+        return None
+
+    def _take_parameter(self, message: mavlink.MAVLink_param_value_message) -> None:
+        told: bytes | str = message.param_id  # annotated as str, decoded as bytes
+        name = (told if isinstance(told, str) else told.decode("ascii", "replace")).rstrip("\0")
+        is_cast = self._binding.autopilot is Autopilot.ARDUPILOT
+        encoding = ParamEncoding.C_CAST if is_cast else ParamEncoding.BYTEWISE
+        try:
+            kind = ParamType(message.param_type)
+        except ValueError:
+            return
+        for question in self._questions:
+            if question.name == name:
+                question.value = value_from_raw(raw_of(message), kind, encoding)
+
+    def _send(self, message: Message) -> None:
+        data = self._codec.encode(message)
+        self._output.append(Chunk(VEHICLE_LINK, data, self._binding.peer))

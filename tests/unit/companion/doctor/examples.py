@@ -1,0 +1,71 @@
+"""Facts of a vehicle that is fit to fly, to be made worse by the tests."""
+
+from __future__ import annotations
+
+from companion.doctor.facts import (
+    AutopilotFacts,
+    Facts,
+    HostFacts,
+    LinkFacts,
+    PlaceFacts,
+    StreamRate,
+)
+from companion.domain import Autopilot
+
+PX4_PARAMETERS: dict[str, float | None] = {
+    "COM_OF_LOSS_T": 1.0,
+    "COM_OBL_RC_ACT": 5,
+    "COM_RC_OVERRIDE": 1,
+    "GF_ACTION": 2,
+    "MPC_XY_VEL_MAX": 12.0,
+}
+ARDUPILOT_PARAMETERS: dict[str, float | None] = {
+    "GUID_TIMEOUT": 3.0,
+    "SYSID_MYGCS": 255,
+    "FS_GCS_ENABLE": 1,
+    "FS_GCS_TIMEOUT": 5.0,
+    "FS_THR_ENABLE": 1,
+    "FENCE_ENABLE": 1,
+    "FENCE_ACTION": 1,
+    "WPNAV_SPEED": 1000.0,
+}
+HOST = HostFacts(
+    python=(3, 11, 7),
+    numpy="2.0.0",
+    numba=None,
+    logs=PlaceFacts("flights", None, 20_000.0, 0.02),
+    state=PlaceFacts("/var/lib/companion", None, 20_000.0, 0.02),
+    key_problem=None,
+    has_key=True,
+    unix_s=1.8e9,
+    is_clock_synchronised=True,
+)
+PX4 = AutopilotFacts(
+    autopilot=Autopilot.PX4,
+    system_id=1,
+    component_id=1,
+    mode="hold",
+    is_armed=False,
+    rates=(StreamRate("HEARTBEAT", 1.0, 5, 5.0), StreamRate("LOCAL_POSITION_NED", 20.0, 100, 5.0)),
+    parameters=PX4_PARAMETERS,
+    has_rc=True,
+    has_position=True,
+    has_home=True,
+    has_origin=True,
+    gps_fix=3,
+    battery_pct=95,
+    round_trip_s=0.002,
+    clock_offset_s=-12.5,
+    loss=0.0,
+)
+LINK = LinkFacts(
+    name="udp 127.0.0.1:14550",
+    waited_s=8.0,
+    autopilot=PX4,
+    other_autopilots=(),
+    other_companions=(),
+    bytes_received=50_000,
+    bad_frames=0,
+    unproved_frames=0,
+)
+FIT = Facts(HOST, LINK)

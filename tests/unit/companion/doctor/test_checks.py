@@ -1,0 +1,153 @@
+"""What the doctor makes of what it found."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from companion.config.process import LogConfig
+from companion.config.schema import CompanionConfig
+from companion.doctor.checks import examine, exit_code
+from companion.doctor.facts import Facts, PlaceFacts, StreamRate
+from companion.doctor.verdicts import Finding, Level
+from companion.domain import Autopilot
+from companion.link.params import VehicleParams
+from tests.unit.companion.doctor.examples import FIT, HOST, LINK, PX4
+
+CONFIG = CompanionConfig()
+
+
+def finding_about(subject: str, facts: Facts, config: CompanionConfig = CONFIG) -> Finding:
+    (found,) = [finding for finding in examine(facts, config) if finding.subject == subject]
+    return found
+
+
+def host_with(**changes: Any) -> Facts:
+    return replace(FIT, host=replace(HOST, **changes))
+
+
+def link_with(**changes: Any) -> Facts:
+    return replace(FIT, link=replace(LINK, **changes))
+
+
+def autopilot_with(**changes: Any) -> Facts:
+    return link_with(autopilot=replace(PX4, **changes))
+
+
+def test_a_vehicle_that_is_fit_has_nothing_to_mend() -> None:
+    findings = examine(FIT, CONFIG)
+    assert {finding.level for finding in findings} == {Level.OK}
+    assert exit_code(findings) == 0
+
+
+PLACE = PlaceFacts("flights", None, 20_000.0, 0.02)
+HOST_CASES = [
+    ("log.directory", host_with(logs=PlaceFacts("flights", "Read-only file system")), Level.FAIL),
+    ("log.directory", host_with(logs=replace(PLACE, free_mb=20.0)), Level.FAIL),
+    ("log.directory", host_with(logs=replace(PLACE, free_mb=500.0)), Level.WARN),
+    ("log.directory", host_with(logs=replace(PLACE, synced_write_s=3.0)), Level.WARN),
+    ("process.state_directory", host_with(state=PlaceFacts("s", "Permission denied")), Level.WARN),
+    ("signing key", host_with(has_key=False), Level.WARN),
+    ("signing key", host_with(key_problem="k: open to others (mode 0644)"), Level.FAIL),
+    ("clock", host_with(unix_s=3600.0, has_key=False), Level.WARN),
+    ("clock", host_with(unix_s=3600.0), Level.FAIL),
+    ("clock", host_with(is_clock_synchronised=False), Level.WARN),
+    ("clock", host_with(is_clock_synchronised=None), Level.OK),
+]
+
+
+@pytest.mark.parametrize(("subject", "facts", "level"), HOST_CASES)
+def test_what_is_wrong_with_the_computer_is_named(subject: str, facts: Facts, level: Level) -> None:
+    finding = finding_about(subject, facts)
+    assert finding.level is level
+    assert bool(finding.fix) is (level is not Level.OK)
+
+
+def test_less_room_than_a_flight_may_take_is_fine_if_it_may_take_less() -> None:
+    facts = host_with(logs=replace(PLACE, free_mb=500.0))
+    config = CompanionConfig(log=LogConfig(max_mb=100.0))
+    assert finding_about("log.directory", facts, config).level is Level.OK
+
+
+LINK_CASES = [
+    ("companion", link_with(other_companions=(1,)), Level.FAIL, "another component 191"),
+    ("vehicle.system_id", link_with(other_autopilots=(2, 3)), Level.FAIL, "system 2, 3"),
+    ("link", autopilot_with(loss=0.1), Level.WARN, "10.0 % lost"),
+    ("link", autopilot_with(loss=0.5), Level.FAIL, "50.0 % lost"),
+    ("link", link_with(bad_frames=3), Level.WARN, "3 bad frames"),
+    ("autopilot", autopilot_with(autopilot=Autopilot.OTHER), Level.FAIL, "unknown autopilot"),
+    ("time", autopilot_with(round_trip_s=None), Level.WARN, "TIMESYNC"),
+    ("time", autopilot_with(clock_offset_s=None), Level.WARN, "TIMESYNC"),
+    ("time", autopilot_with(round_trip_s=0.2), Level.WARN, "200.0 ms"),
+    ("time", autopilot_with(round_trip_s=0.9), Level.FAIL, "900.0 ms"),
+    ("position", autopilot_with(has_home=False), Level.WARN, "no home yet"),
+    (
+        "position",
+        autopilot_with(has_position=False, has_origin=False),
+        Level.WARN,
+        "no local position, no origin yet",
+    ),
+    ("GPS", autopilot_with(gps_fix=1), Level.WARN, "no 3D fix"),
+    ("battery", autopilot_with(battery_pct=12), Level.WARN, "12 %"),
+    ("RC", autopilot_with(has_rc=None), Level.OK, "does not tell"),
+]
+
+
+@pytest.mark.parametrize(("subject", "facts", "level", "text"), LINK_CASES)
+def test_what_is_wrong_with_the_link_is_named(
+    subject: str, facts: Facts, level: Level, text: str
+) -> None:
+    finding = finding_about(subject, facts)
+    assert finding.level is level
+    assert text in finding.text
+    assert bool(finding.fix) is (level is not Level.OK)
+
+
+def test_several_vehicles_are_fine_where_one_is_chosen() -> None:
+    config = CompanionConfig(vehicle=VehicleParams(system_id=1))
+    findings = examine(link_with(other_autopilots=(2,)), config)
+    assert exit_code(findings) == 0
+
+
+def test_a_companion_of_another_vehicle_is_none_of_ours() -> None:
+    assert exit_code(examine(link_with(other_companions=(7,)), CONFIG)) == 0
+
+
+@pytest.mark.parametrize(
+    ("rate", "level"),
+    [
+        (StreamRate("LOCAL_POSITION_NED", 20.0, 100, 5.0), Level.OK),
+        (StreamRate("LOCAL_POSITION_NED", 20.0, 79, 5.0), Level.OK),
+        (StreamRate("LOCAL_POSITION_NED", 20.0, 50, 5.0), Level.WARN),
+        (StreamRate("LOCAL_POSITION_NED", 20.0, 15, 5.0), Level.FAIL),
+        (StreamRate("LOCAL_POSITION_NED", 20.0, 0, 5.0), Level.FAIL),
+        (StreamRate("ATTITUDE", 10.0, 0, 5.0), Level.FAIL),
+        (StreamRate("BATTERY_STATUS", 0.5, 1, 5.0), Level.OK),
+        (StreamRate("BATTERY_STATUS", 0.5, 0, 5.0), Level.WARN),
+        (StreamRate("HEARTBEAT", 1.0, 4, 5.0), Level.OK),
+    ],
+)
+def test_a_stream_is_judged_by_what_is_flown_on_and_what_was_asked_for(
+    rate: StreamRate, level: Level
+) -> None:
+    assert finding_about(rate.name, autopilot_with(rates=(rate,))).level is level
+
+
+@pytest.mark.parametrize(
+    ("changes", "text", "fix"),
+    [
+        ({"bytes_received": 0}, "no autopilot heard in 8 s", "is the port the right one"),
+        ({}, "50000 bytes of something else", "is it MAVLink"),
+        ({"unproved_frames": 40}, "40 frames without our key", "the same signing key"),
+        ({"other_autopilots": (7,)}, "but system 7", "vehicle.system_id"),
+    ],
+)
+def test_an_autopilot_that_is_not_there_keeps_from_flying(
+    changes: dict[str, Any], text: str, fix: str
+) -> None:
+    findings = examine(link_with(autopilot=None, **changes), CONFIG)
+    assert exit_code(findings) == 1
+    assert text in findings[-1].text
+    assert fix in findings[-1].fix

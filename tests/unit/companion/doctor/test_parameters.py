@@ -1,0 +1,96 @@
+"""What the autopilot's parameters mean for a flight."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from companion.config.schema import CompanionConfig, LimitsConfig
+from companion.doctor.facts import AutopilotFacts
+from companion.doctor.parameters import check_parameters, needed_parameters
+from companion.doctor.verdicts import Finding, Level
+from companion.domain import Autopilot
+from tests.unit.companion.doctor.examples import ARDUPILOT_PARAMETERS, PX4, PX4_PARAMETERS
+
+ARDUPILOT = replace(PX4, autopilot=Autopilot.ARDUPILOT, parameters=ARDUPILOT_PARAMETERS)
+
+
+def with_value(facts: AutopilotFacts, name: str, value: float | None) -> AutopilotFacts:
+    assert name in facts.parameters
+    return replace(facts, parameters={**facts.parameters, name: value})
+
+
+def findings_about(name: str, facts: AutopilotFacts) -> list[Finding]:
+    return [f for f in check_parameters(facts, CompanionConfig()) if f.subject == name]
+
+
+@pytest.mark.parametrize("facts", [PX4, ARDUPILOT])
+def test_good_parameters_need_no_mending(facts: AutopilotFacts) -> None:
+    findings = list(check_parameters(facts, CompanionConfig()))
+    assert findings
+    assert {finding.level for finding in findings} == {Level.OK}
+    assert set(needed_parameters(facts.autopilot)) == set(facts.parameters)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "has_rc", "level", "text"),
+    [
+        ("COM_OF_LOSS_T", 0.2, True, Level.FAIL, "a few lost packets"),
+        ("COM_OF_LOSS_T", 0.5, True, Level.OK, "0.5 s"),
+        ("COM_OF_LOSS_T", 20.0, True, Level.WARN, "flies on"),
+        ("COM_OBL_RC_ACT", 0, False, Level.WARN, "sinks and drifts"),
+        ("COM_OBL_RC_ACT", 0, None, Level.WARN, "sinks and drifts"),
+        ("COM_OBL_RC_ACT", 0, True, Level.WARN, "the pilot must take over"),
+        ("COM_OBL_RC_ACT", 3, False, Level.OK, "3 (Return)"),
+        ("COM_OBL_RC_ACT", 7, True, Level.FAIL, "7 (Disarm)"),
+        ("COM_OBL_RC_ACT", 99, True, Level.FAIL, "99 (unknown)"),
+        ("COM_RC_OVERRIDE", 3, True, Level.OK, "sticks take over"),
+        ("COM_RC_OVERRIDE", 1, True, Level.OK, "sticks do not"),
+        ("GF_ACTION", 0, True, Level.WARN, "does nothing"),
+        ("MPC_XY_VEL_MAX", 3.0, True, Level.WARN, "slower than limits.speed_mps (5)"),
+        ("MPC_XY_VEL_MAX", None, True, Level.WARN, "does not tell"),
+    ],
+)
+def test_px4(name: str, value: float | None, has_rc: bool | None, level: Level, text: str) -> None:
+    facts = replace(with_value(PX4, name, value), has_rc=has_rc)
+    (finding,) = findings_about(name, facts)
+    assert finding.level is level
+    assert text in finding.text
+    assert bool(finding.fix) is (level is not Level.OK)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "level", "text"),
+    [
+        ("GUID_TIMEOUT", 3.0, Level.OK, "for velocities only"),
+        ("SYSID_MYGCS", 1, Level.FAIL, "would count as the ground station"),
+        ("FS_GCS_ENABLE", 0, Level.WARN, "a lost ground station does nothing"),
+        ("FS_THR_ENABLE", 0, Level.WARN, "a lost transmitter does nothing"),
+        ("FENCE_ENABLE", 0, Level.WARN, "own fence is off"),
+        ("FENCE_ACTION", 0, Level.WARN, "only reports"),
+        ("WPNAV_SPEED", 300.0, Level.WARN, "3 m/s: slower"),
+        ("FS_GCS_TIMEOUT", None, Level.WARN, "does not tell"),
+    ],
+)
+def test_ardupilot(name: str, value: float | None, level: Level, text: str) -> None:
+    (finding,) = findings_about(name, with_value(ARDUPILOT, name, value))
+    assert finding.level is level
+    assert text in finding.text
+
+
+def test_without_a_transmitter_its_failsafe_does_not_matter() -> None:
+    facts = replace(with_value(ARDUPILOT, "FS_THR_ENABLE", 0), has_rc=False)
+    assert findings_about("FS_THR_ENABLE", facts) == []
+
+
+def test_a_slow_mission_is_fine_on_a_slow_vehicle() -> None:
+    config = CompanionConfig(limits=LimitsConfig(speed_mps=2.0))
+    facts = with_value(PX4, "MPC_XY_VEL_MAX", 3.0)
+    assert all(finding.level is Level.OK for finding in check_parameters(facts, config))
+
+
+def test_an_unknown_autopilot_is_asked_for_nothing() -> None:
+    assert needed_parameters(Autopilot.OTHER) == ()
+    facts = replace(PX4, autopilot=Autopilot.OTHER, parameters=PX4_PARAMETERS)
+    assert list(check_parameters(facts, CompanionConfig())) == []
