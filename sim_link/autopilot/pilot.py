@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 
-from companion.domain import PositionEnu
+from companion.domain import Point, PositionEnu
 from companion.geometry.frames import wrap_pi
 from sim_link.autopilot.mission import Leg, LegKind
 from sim_link.autopilot.setpoints import Setpoint, turned
@@ -45,6 +45,7 @@ class Task(Enum):
     FLY_MISSION = "fly mission"
     FOLLOW = "follow setpoints"
     OBEY_STICKS = "obey sticks"
+    CIRCLE = "circle"
     DESCEND = "descend"
     """Without a position to hold."""
 
@@ -78,6 +79,11 @@ class Pilot:
         """Height above which RETURN stays instead of landing; None: it lands."""
         self.return_loiter_s = 0.0
         """How long RETURN waits over home before it comes down."""
+        self.circle_radius_m = 0.0
+        self.circle_rate_radps = 0.0
+        """Of CIRCLE, clockwise positive; 0 only turns the nose to the centre."""
+        self._circle_centre: Point = home_enu_m[:2]
+        self._circle_yaw_ned_rad: float | None = None
         self.limits = SpeedLimits()
         self.hold_yaw_ned_rad: float | None = None
         self.hold_speed_mps: float | None = None
@@ -103,6 +109,9 @@ class Pilot:
         self.hold_yaw_ned_rad = self.hold_speed_mps = None
         if task is Task.RETURN:
             self._begin_return(body)
+        if task is Task.CIRCLE:
+            ahead = turned(self.circle_radius_m, 0.0, body.yaw_ned_rad)
+            self._circle_centre = (self._hold_enu_m[0] + ahead[0], self._hold_enu_m[1] + ahead[1])
 
     def go_to(self, goal_enu_m: PositionEnu, speed_mps: float | None, yaw: float | None) -> None:
         """Stay at another place from now on; needs the task STAY."""
@@ -143,6 +152,8 @@ class Pilot:
                 return self._return(body)
             case Task.FLY_MISSION if leg is not None:
                 return self._fly_leg(leg, body)
+            case Task.CIRCLE:
+                return self._circle(body)
             case Task.STAY | Task.FLY_MISSION:
                 return self._towards(self._hold_enu_m, body, self.hold_speed_mps)
             case Task.OBEY_STICKS if sticks is not None:
@@ -166,6 +177,8 @@ class Pilot:
                 return setpoint.yaw_ned_rad
             case Task.STAY:
                 return self.hold_yaw_ned_rad
+            case Task.CIRCLE:
+                return self._circle_yaw_ned_rad
             case Task.FLY_MISSION if self._leg is not None:
                 return self._leg.yaw_ned_rad
             case Task.OBEY_STICKS if sticks is not None and sticks.yaw:
@@ -204,6 +217,17 @@ class Pilot:
             return self._land(body)
         self._hold_enu_m = leg.goal_enu_m
         return self._towards(leg.goal_enu_m, body, leg.speed_mps)
+
+    def _circle(self, body: PointMass) -> PositionEnu:
+        """Along the circle, pulled back to its radius; the centre is where the nose pointed."""
+        (east, north, _), (centre_e, centre_n) = body.position_enu_m, self._circle_centre
+        angle = math.atan2(east - centre_e, north - centre_n)
+        radius_m, speed_mps = self.circle_radius_m, self.circle_radius_m * self.circle_rate_radps
+        place = (centre_e + radius_m * math.sin(angle), centre_n + radius_m * math.cos(angle))
+        back = self._towards((*place, self._hold_enu_m[2]), body)
+        along = (speed_mps * math.cos(angle), -speed_mps * math.sin(angle))
+        self._circle_yaw_ned_rad = wrap_pi(angle + math.pi)
+        return (back[0] + along[0], back[1] + along[1], back[2])
 
     def _begin_return(self, body: PointMass) -> None:
         if not body.is_on_ground and not self._is_over_home(body):

@@ -77,14 +77,15 @@ def sys_status(vehicle: SimVehicle) -> Message:
     if vehicle.scenario.rc.is_present or vehicle.sticks.is_joystick_alive(now_s):
         present |= RC
         health |= RC if vehicle.sticks.read(now_s) is not None else 0
-    if not vehicle.aircraft.fence.is_empty:
-        present |= FENCE
-        health |= FENCE if vehicle.aircraft.fence.margin_m(vehicle.body.position_enu_m) >= 0 else 0
+    fence = vehicle.flavour.fence_state(vehicle.body.position_enu_m)
+    present |= FENCE if fence.is_present else 0
+    health |= 0 if fence.is_breached else FENCE  # without a fence too: clients report a breach
     if vehicle.is_armed or vehicle.flavour.arming_refusal(now_s) is None:
         health |= PREARM
+    enabled = present if fence.is_enabled else present & ~FENCE
     return mavlink.MAVLink_sys_status_message(
         present,
-        present,
+        enabled,
         health,
         load=250,
         voltage_battery=CELLS * battery.cell_mv if battery.is_known else UINT16_MAX,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from companion.mav import type_mask
@@ -19,7 +21,7 @@ from tests.protocol.sim_helpers import (
     local_setpoint,
 )
 
-STABILIZE, AUTO, GUIDED, RTL, LAND, BRAKE = 0, 3, 4, 6, 9, 17
+STABILIZE, AUTO, GUIDED, RTL, CIRCLE, LAND, BRAKE = 0, 3, 4, 6, 7, 9, 17
 SET_INTERVAL = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
 STREAMS = (24, 30, 32, 33, 42, 245)
 VELOCITY_ONLY = 0x0DC7
@@ -211,3 +213,41 @@ def test_return_waits_over_home_before_it_comes_down(loiter_s: float) -> None:
     station.run_until(lambda: abs(station.place[0] - 10.0) < 0.6, 20.0)
     waited_s = station.run_until(lambda: station.place[2] > -9.0, 20.0)
     assert waited_s == pytest.approx(1.2 + loiter_s, abs=0.8)
+
+
+@pytest.mark.parametrize(("is_on", "is_out"), [(0, False), (1, False), (1, True)])
+def test_sys_status_tells_of_a_breach_only_where_there_is_one(is_on: int, is_out: bool) -> None:
+    station = copter({"FENCE_ENABLE": is_on}, fence=FenceParams(corners_enu_m=SQUARE))
+    if is_out:
+        station.sim.vehicle.body.position_enu_m = (60.0, 10.0, 0.0)
+    assert station.command(mavlink.MAV_CMD_REQUEST_MESSAGE, 1.0) == ACCEPTED
+    status = station.last(mavlink.MAVLink_sys_status_message)
+    bit = mavlink.MAV_SYS_STATUS_GEOFENCE
+    assert status.onboard_control_sensors_present & bit
+    assert bool(status.onboard_control_sensors_enabled & bit) == bool(is_on)
+    assert bool(status.onboard_control_sensors_health & bit) != is_out
+
+
+@pytest.mark.parametrize("rate", [20.0, -40.0])
+def test_circle_goes_round_what_the_nose_pointed_at(rate: float) -> None:
+    station = flying({"CIRCLE_RADIUS": 800.0, "CIRCLE_RATE": rate})
+    body = station.sim.vehicle.body
+    heading = body.yaw_ned_rad
+    centre = (
+        body.position_enu_m[0] + 8.0 * math.sin(heading),
+        body.position_enu_m[1] + 8.0 * math.cos(heading),
+    )
+    assert choose(station, CIRCLE) == ACCEPTED
+    station.run(3.0)
+    turned = 0.0
+    east, north, _ = body.position_enu_m
+    before = math.atan2(east - centre[0], north - centre[1])
+    for _ in range(50):
+        station.run(0.1)
+        east, north, up = body.position_enu_m
+        now = math.atan2(east - centre[0], north - centre[1])
+        turned += math.remainder(now - before, math.tau)
+        before = now
+        assert math.dist((east, north), centre) == pytest.approx(8.0, abs=2.5)
+        assert up == pytest.approx(10.0, abs=0.5)
+    assert math.degrees(turned) == pytest.approx(5.0 * rate, rel=0.2)

@@ -11,7 +11,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import NamedTuple
 
-from companion.domain import FlightMode, LandedState
+from companion.domain import FlightMode, LandedState, PositionEnu
 from sim_link.autopilot.aircraft import Aircraft, Occurrence
 from sim_link.autopilot.echo import Echo
 from sim_link.autopilot.mission import Leg, LegKind
@@ -63,6 +63,14 @@ class Shown(NamedTuple):
     base_mode: int
     custom_mode: int
     system_status: int
+
+
+class FenceState(NamedTuple):
+    """What SYS_STATUS tells of the fence."""
+
+    is_present: bool
+    is_enabled: bool
+    is_breached: bool
 
 
 class Flavour(ABC):
@@ -121,6 +129,10 @@ class Flavour(ABC):
     @abstractmethod
     def has_position(self, now_s: float) -> bool:
         """Whether the position is told."""
+
+    @abstractmethod
+    def fence_state(self, place: PositionEnu) -> FenceState:
+        """Whether there is a fence, and whether a place is in breach of it."""
 
     @abstractmethod
     def shown(self, now_s: float) -> Shown:

@@ -1,48 +1,18 @@
 """ArduCopter's parameters that clients ask for and the simulator heeds or shows.
 
-Names are those of ArduCopter 4.5; types, defaults and ranges are set after the sense of its Copter
-Parameter List, without a line by line comparison: ask the real one where it matters. ArduPilot
-checks no ranges; here a value out of range is refused, because a simulator that flies on with a
-wrapped integer teaches nobody anything.
+Names, types and defaults were compared one by one with what an ArduCopter 4.5.5 shows, and with
+SITL's `copter.parm` (battery monitor, flight modes, fence radius, throttle failsafe); ranges are
+those of the Copter Parameter List by sense. ArduPilot checks no ranges; here a value out of range
+is refused, because a simulator that flies on with a wrapped integer teaches nobody anything.
 """
 
 from __future__ import annotations
 
 from companion.mav.parameters import ParamType
-from sim_link.autopilot.protocols.parameter_store import ParamSpec
+from sim_link.autopilot.protocols.parameter_store import ParamSpec, spec_of
 
-
-def _int8(
-    name: str, default: int, minimum: int | None = None, maximum: int | None = None
-) -> ParamSpec:
-    return ParamSpec(name, ParamType.INT8, default, minimum, maximum)
-
-
-def _int16(
-    name: str, default: int, minimum: int | None = None, maximum: int | None = None, unit: str = ""
-) -> ParamSpec:
-    return ParamSpec(name, ParamType.INT16, default, minimum, maximum, unit)
-
-
-def _int32(
-    name: str, default: int, minimum: int | None = None, maximum: int | None = None, unit: str = ""
-) -> ParamSpec:
-    return ParamSpec(name, ParamType.INT32, default, minimum, maximum, unit)
-
-
-def _real(
-    name: str,
-    default: float,
-    minimum: float | None = None,
-    maximum: float | None = None,
-    unit: str = "",
-) -> ParamSpec:
-    return ParamSpec(name, ParamType.REAL32, default, minimum, maximum, unit)
-
-
-def _fixed(name: str, kind: ParamType, value: float, unit: str = "") -> ParamSpec:
-    return ParamSpec(name, kind, value, None, None, unit, is_read_only=True)
-
+_int8, _int16 = spec_of(ParamType.INT8), spec_of(ParamType.INT16)
+_int32, _real = spec_of(ParamType.INT32), spec_of(ParamType.REAL32)
 
 _STREAM_RATES = tuple(
     _int16(f"SR{link}_{group}", 0, 0, 50, "Hz")
@@ -62,12 +32,12 @@ _STREAM_RATES = tuple(
 )
 
 ARDUPILOT_PARAMETERS: tuple[ParamSpec, ...] = (
-    _fixed("FORMAT_VERSION", ParamType.INT16, 120),
+    _int16("FORMAT_VERSION", 120, is_read_only=True),
     _int16("SYSID_THISMAV", 1, 1, 255),
     _int16("SYSID_MYGCS", 255, 1, 255),
     _real("PILOT_TKOFF_ALT", 0.0, 0.0, 1000.0, "cm"),
     _int16("PILOT_THR_BHV", 0, 0, 7),
-    _int8("GCS_PID_MASK", 0, 0, 63),
+    _int16("GCS_PID_MASK", 0, 0, 63),
     _int32("RTL_ALT", 1500, 30, 300_000, "cm"),
     _real("RTL_CONE_SLOPE", 3.0, 0.0, 10.0),
     _int16("RTL_SPEED", 0, 0, 2000, "cm/s"),
@@ -88,7 +58,6 @@ ARDUPILOT_PARAMETERS: tuple[ParamSpec, ...] = (
     _int16("PILOT_SPEED_UP", 250, 50, 500, "cm/s"),
     _int16("PILOT_SPEED_DN", 0, 0, 500, "cm/s"),
     _int16("PILOT_ACCEL_Z", 250, 50, 500, "cm/s^2"),
-    _int16("PILOT_TKOFF_DZ", 100, 0, 500),
     _int8("FS_THR_ENABLE", 1, 0, 7),
     _int16("FS_THR_VALUE", 975, 910, 1100, "PWM"),
     _int16("THR_DZ", 100, 0, 300, "PWM"),
@@ -100,6 +69,8 @@ ARDUPILOT_PARAMETERS: tuple[ParamSpec, ...] = (
     _int8("FLTMODE6", 0, 0, 28),
     _int8("FLTMODE_CH", 5, 0, 16),
     _int8("INITIAL_MODE", 0, 0, 28),
+    _real("CIRCLE_RADIUS", 1000.0, 0.0, 200_000.0, "cm"),
+    _real("CIRCLE_RATE", 20.0, -90.0, 90.0, "deg/s"),
     _int32("LOG_BITMASK", 176_126, 0, None),
     _int16("ANGLE_MAX", 3000, 1000, 8000, "cdeg"),
     _int8("DISARM_DELAY", 10, 0, 127),
@@ -113,7 +84,6 @@ ARDUPILOT_PARAMETERS: tuple[ParamSpec, ...] = (
     _real("GUID_TIMEOUT", 3.0, 0.1, 5.0, "s"),
     _int32("GUID_OPTIONS", 0, 0, 255),
     _int32("ARMING_CHECK", 1, 0, 2_097_151),
-    _int8("ARMING_REQUIRE", 1, 0, 2),
     _int8("ARMING_RUDDER", 2, 0, 2),
     _int8("AHRS_EKF_TYPE", 3, 0, 11),
     _int8("EK3_ENABLE", 1, 0, 1),
@@ -121,18 +91,17 @@ ARDUPILOT_PARAMETERS: tuple[ParamSpec, ...] = (
     _int8("GPS_TYPE", 1, 0, 26),
     _int8("AVOID_ENABLE", 3, 0, 7),
     _int8("TERRAIN_ENABLE", 1, 0, 1),
+    _int8("RALLY_INCL_HOME", 1, 0, 1),
     _int8("RALLY_TOTAL", 0, 0, 127),
     _real("RALLY_LIMIT_KM", 0.3, 0.0, 100.0, "km"),
     _int8("FENCE_ENABLE", 0, 0, 1),
     _int8("FENCE_TYPE", 7, 0, 15),
     _int8("FENCE_ACTION", 1, 0, 5),
     _real("FENCE_ALT_MAX", 100.0, 10.0, 1000.0, "m"),
-    _real("FENCE_RADIUS", 300.0, 30.0, 10_000.0, "m"),
+    _real("FENCE_RADIUS", 150.0, 30.0, 10_000.0, "m"),
     _real("FENCE_MARGIN", 2.0, 1.0, 10.0, "m"),
     _int8("FENCE_TOTAL", 0, 0, 84),
     _real("FENCE_ALT_MIN", -10.0, -100.0, 100.0, "m"),
-    _int8("FENCE_AUTOENABLE", 0, 0, 3),
-    _int16("FENCE_OPTIONS", 1, 0, 7),
     _int8("BATT_MONITOR", 4, 0, 30),
     _int32("BATT_CAPACITY", 3300, 0, None, "mAh"),
     _int8("BATT_LOW_TIMER", 10, 0, 120),
@@ -152,15 +121,15 @@ ARDUPILOT_PARAMETERS: tuple[ParamSpec, ...] = (
     _int8("WPNAV_RFND_USE", 1, 0, 1),
     _real("LOIT_SPEED", 1250.0, 20.0, 3500.0, "cm/s"),
     _real("LOIT_ACC_MAX", 500.0, 100.0, 981.0, "cm/s^2"),
-    _fixed("MIS_TOTAL", ParamType.INT16, 0),
+    _int16("MIS_TOTAL", 0, is_read_only=True),
     _int8("MIS_RESTART", 0, 0, 1),
     _int16("MIS_OPTIONS", 0, 0, 7),
     _int16("SCHED_LOOP_RATE", 400, 50, 400, "Hz"),
     _int8("SERIAL0_PROTOCOL", 2, -1, 49),
     _int32("SERIAL0_BAUD", 115, 1, 2000),
     *_STREAM_RATES,
-    _fixed("STAT_BOOTCNT", ParamType.INT16, 1),
-    _fixed("STAT_FLTTIME", ParamType.INT32, 0, "s"),
-    _fixed("STAT_RUNTIME", ParamType.INT32, 0, "s"),
+    _int16("STAT_BOOTCNT", 1, is_read_only=True),
+    _int32("STAT_FLTTIME", 0, unit="s", is_read_only=True),
+    _int32("STAT_RUNTIME", 0, unit="s", is_read_only=True),
 )
 """The battery failsafes are BATT_FS_*, as since Copter 3.6; FS_BATT_* no longer exists."""

@@ -11,6 +11,7 @@ import math
 import zlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Protocol
 
 from companion.errors import ConfigError, LocalProtocolError
 from companion.mav.parameters import (
@@ -57,6 +58,39 @@ class ParamSpec:
             least if self.minimum is None else self.minimum,
             greatest if self.maximum is None else self.maximum,
         )
+
+
+class SpecOf(Protocol):
+    """Makes the parameters of one type."""
+
+    def __call__(
+        self,
+        name: str,
+        default: float,
+        minimum: float | None = None,
+        maximum: float | None = None,
+        unit: str = "",
+        *,
+        is_read_only: bool = False,
+    ) -> ParamSpec:
+        """See `ParamSpec`."""
+
+
+def spec_of(kind: ParamType) -> SpecOf:
+    """What makes the parameters of a type, so that a table needs a line for each."""
+
+    def make(
+        name: str,
+        default: float,
+        minimum: float | None = None,
+        maximum: float | None = None,
+        unit: str = "",
+        *,
+        is_read_only: bool = False,
+    ) -> ParamSpec:
+        return ParamSpec(name, kind, default, minimum, maximum, unit, is_read_only)
+
+    return make
 
 
 class ParameterStore:

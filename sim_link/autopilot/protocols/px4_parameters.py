@@ -1,31 +1,16 @@
 """PX4's parameters that clients ask for and the simulator heeds or shows.
 
-Names and types are PX4 1.15's, where only INT32 and REAL32 exist; defaults and ranges are set after
-the sense of its Parameter Reference, without a line by line comparison: ask the real one where it
-matters.
+Names, types, defaults and ranges of COM_*, NAV_*_ACT, GF_* and MPC_* were compared with the sources
+of its modules; the rest is set after the sense of its Parameter Reference: ask the real one where
+it matters. PX4 has only INT32 and REAL32.
 """
 
 from __future__ import annotations
 
 from companion.mav.parameters import ParamType
-from sim_link.autopilot.protocols.parameter_store import ParamSpec
+from sim_link.autopilot.protocols.parameter_store import ParamSpec, spec_of
 
-
-def _whole(
-    name: str, default: int, minimum: int | None = None, maximum: int | None = None, unit: str = ""
-) -> ParamSpec:
-    return ParamSpec(name, ParamType.INT32, default, minimum, maximum, unit)
-
-
-def _real(
-    name: str,
-    default: float,
-    minimum: float | None = None,
-    maximum: float | None = None,
-    unit: str = "",
-) -> ParamSpec:
-    return ParamSpec(name, ParamType.REAL32, default, minimum, maximum, unit)
-
+_whole, _real = spec_of(ParamType.INT32), spec_of(ParamType.REAL32)
 
 PX4_PARAMETERS: tuple[ParamSpec, ...] = (
     _real("BAT1_CAPACITY", -1.0, -1.0, 100_000.0, "mAh"),

@@ -7,6 +7,7 @@ Source: ArduCopter 4.5 as observed in SITL; ArduPilot documentation, "Failsafe F
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 from companion.domain import FlightMode, PositionEnu
@@ -25,7 +26,7 @@ from sim_link.autopilot.flavours.ardupilot.setpoints import (
     target_from_global,
     target_from_local,
 )
-from sim_link.autopilot.flavours.base import Flavour, Identity, Shown
+from sim_link.autopilot.flavours.base import FenceState, Flavour, Identity, Shown
 from sim_link.autopilot.mission import LegKind
 from sim_link.autopilot.pilot import SpeedLimits, Task
 from sim_link.autopilot.protocols.commands import Command
@@ -117,6 +118,14 @@ class ArduPilotFlavour(Flavour):
     def fence_margin_m(self, place: PositionEnu) -> float:
         """Distance from a place to the nearest breach of the fence, negative in one."""
         return fence_rules.margin_m(place, self.aircraft, self.parameters)
+
+    def fence_state(self, place: PositionEnu) -> FenceState:
+        """FENCE_TYPE says which parts there are, FENCE_ENABLE whether they are heeded."""
+        parts = int(self.parameters["FENCE_TYPE"])
+        has_areas = bool(parts & fence_rules.POLYGON) and not self.aircraft.fence.is_empty
+        is_present = has_areas or bool(parts & ~fence_rules.POLYGON)
+        is_enabled = is_present and bool(self.parameters["FENCE_ENABLE"])
+        return FenceState(is_present, is_enabled, self.fence_margin_m(place) < 0.0)
 
     # Commands
 
@@ -264,6 +273,10 @@ class ArduPilotFlavour(Flavour):
 
     def settle(self, now_s: float, why: str = "") -> None:
         """As the base does, with the heights of a return known before it begins."""
+        if self.task is Task.CIRCLE:
+            self.aircraft.pilot.circle_radius_m = self.parameters["CIRCLE_RADIUS"] / 100.0
+            rate_radps = math.radians(self.parameters["CIRCLE_RATE"])
+            self.aircraft.pilot.circle_rate_radps = rate_radps
         if self.task is Task.RETURN:
             pilot, home_up_m = self.aircraft.pilot, self.aircraft.home_enu_m[2]
             final_m = self.parameters["RTL_ALT_FINAL"] / 100.0

@@ -79,14 +79,14 @@ MODES: dict[int, CopterMode] = {
         GUIDED,
         LOITER,
         RTL,
-        _mode(7, "CIRCLE", FlightMode.HOLD, Task.STAY, is_armable=False),
+        _mode(7, "CIRCLE", FlightMode.HOLD, Task.CIRCLE, is_armable=False),
         LAND,
         _mode(16, "POSHOLD", FlightMode.POSITION, _STICKS),
         BRAKE,
         SMART_RTL,
     )
 }
-"""Every mode that is flown here; CIRCLE stays in place."""
+"""Every mode that is flown here."""
 NOT_FLOWN = {18: "THROW", 19: "AVOID_ADSB", 20: "GUIDED_NOGPS"}
 """Modes of the real one that are refused here, with a text."""
 BY_WHAT_IT_DOES: dict[FlightMode, CopterMode] = {

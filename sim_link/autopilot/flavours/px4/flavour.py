@@ -13,7 +13,7 @@ from companion.mav.dialect import mavlink
 from sim_link.autopilot.aircraft import Aircraft
 from sim_link.autopilot.commands import ACCEPTED
 from sim_link.autopilot.echo import NOTHING, Axes, Echo
-from sim_link.autopilot.flavours.base import Flavour, Identity, Shown
+from sim_link.autopilot.flavours.base import FenceState, Flavour, Identity, Shown
 from sim_link.autopilot.flavours.px4 import commands, heartbeat, parameters, setpoints
 from sim_link.autopilot.flavours.px4.failsafes import MODE_OF_REACTION, Failsafes, Reaction
 from sim_link.autopilot.flavours.px4.modes import MODE_NAMES, STICK_MODES, ModeLogic, Situation
@@ -148,6 +148,14 @@ class Px4Flavour(Flavour):
         if vertical_m > 0.0:
             margin = min(margin, vertical_m - (place[2] - home[2]))
         return margin
+
+    def fence_state(self, place: PositionEnu) -> FenceState:
+        """A fence is there once it is uploaded, or a distance is set."""
+        value = self.parameters
+        has_limits = value["GF_MAX_HOR_DIST"] > 0.0 or value["GF_MAX_VER_DIST"] > 0.0
+        is_present = has_limits or not self.aircraft.fence.is_empty
+        is_enabled = is_present and value["GF_ACTION"] > 0
+        return FenceState(is_present, is_enabled, self.fence_margin_m(place) < 0.0)
 
     # Commands
 
