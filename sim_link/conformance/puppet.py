@@ -19,7 +19,8 @@ VEHICLE = (1, 1)
 PLACE = (473_977_420, 85_455_940, 488_000)
 """Latitude and longitude, 1e-7 degrees, and altitude, mm: origin and home."""
 HOVER_DOWN_M = -10.0
-FIRST_WORD_S = 10.0
+FIRST_WORD_S = 90.0
+"""A companion that compiles its kernels for the first time takes half a minute."""
 SETTLE_S = 4.0
 ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
 SENSORS = 1 | 2 | 4 | 8 | 32 | 0x200000 | 0x2000000 | mavlink.MAV_SYS_STATUS_PREARM_CHECK
@@ -142,11 +143,12 @@ class CompanionProbe(Station):
             raise NotApplicable(f"no companion heard within {FIRST_WORD_S:g} s")
         self.run(SETTLE_S)
 
-    def come_to_rest(self) -> None:
-        """Leave the companion in peace: another mode, disarmed."""
+    def come_to_rest(self, base_e7: tuple[int, int] | None = None) -> tuple[int, int] | None:
+        """Leave the companion in peace: another mode, disarmed; a puppet has no base."""
         self.choose("hold")
         self.is_armed = False
         self.run(1.0)
+        return base_e7
 
     def setpoints(self, mark: int = 0) -> list[tuple[float, SetpointMessage]]:
         """The setpoints that came since a mark, with their times."""
