@@ -66,7 +66,12 @@ class WireLink:
         return isinstance(self._spec, UdpBind | UdpConnect)
 
     def send(self, data: bytes) -> None:
-        """Send now; nothing is sent before a peer was heard where we only listen."""
+        """Send now; nothing is sent before a peer was heard where we only listen.
+
+        What has arrived is read first: a client that was busy elsewhere would lose the answer,
+        because its socket is full.
+        """
+        self._loop.run_until_complete(self._drain())
         self._link.send(Chunk(0, data, self._peer))
         self._loop.run_until_complete(asyncio.sleep(0))
 
@@ -94,6 +99,13 @@ class WireLink:
 
     async def _close(self) -> None:
         self._link.close()
+
+    async def _drain(self) -> None:
+        before = -1
+        while before != len(self._arrived):
+            before = len(self._arrived)
+            await asyncio.sleep(0)
+            await asyncio.sleep(0)  # a reader is called in the turn after its socket was seen
 
     async def _wait(self, until_s: float) -> None:
         self._wake.clear()
