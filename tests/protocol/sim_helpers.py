@@ -143,7 +143,12 @@ class GroundStation:
         ]
 
     def last(self, kind: type[M], component: int = 1) -> M:
-        return self.all(kind, component)[-1]
+        """The newest message of a kind; found from the end, for whoever asks in every step."""
+        return next(
+            m
+            for _, m in reversed(self.inbox)
+            if isinstance(m, kind) and m.get_srcComponent() == component
+        )
 
     @property
     def heartbeat(self) -> mavlink.MAVLink_heartbeat_message:

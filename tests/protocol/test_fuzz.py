@@ -18,7 +18,7 @@ FLAVOURS = pytest.mark.parametrize("flavour", list(Flavour), ids=lambda flavour:
 
 
 @FLAVOURS
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1])
 def test_random_frames_break_nothing_and_those_for_others_change_nothing(
     flavour: Flavour, seed: int
 ) -> None:

@@ -190,7 +190,8 @@ def test_return_climbs_flies_home_lands_and_disarms(is_command: bool) -> None:
 
 def test_return_lands_in_a_strong_wind_too() -> None:
     wind = WindParams(east_mps=12.0, north_mps=9.0)
-    station = GroundStation(Scenario(wind=wind))
+    autopilot = AutopilotParams(return_altitude_m=12.0)
+    station = GroundStation(Scenario(wind=wind, autopilot=autopilot))
     station.fly_offboard()
     station.stream = lambda: local_setpoint(40.0, 40.0, -10.0)
     station.run(10.0)
