@@ -296,6 +296,7 @@ class _UdpFlight:
     def _take_events(self, now_s: float) -> None:
         if self._harness.has_restarted_companion and self._tail.look_for_flight():
             self._harness.has_restarted_companion = False
+            self._reader.restarted()
             self._offset_s = None
         events = self._tail.take()
         if not events:

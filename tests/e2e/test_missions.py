@@ -18,6 +18,7 @@ SPEED = 5.0
 HOP = """\
 name: hop
 autopilot: {flavour: %s}
+time_limit_s: 400
 companion: {mission: {altitude_m: 8}}
 steps:
   - connect
@@ -42,6 +43,7 @@ def test_a_hop_with_faults_of_link_vehicle_and_process(tmp_path: Path) -> None:
   - wait_until: {condition: companion.is_in_control and companion.ranging_age_s < 1, limit_s: 20}
   - inject: {kind: companion_killed, down_s: 1}
   - wait_until: {condition: vehicle.mode == hold, limit_s: 10}
+  - wait_until: {condition: companion.is_in_control == false, limit_s: 150}
 """
     result = fly_over_udp(
         parse_mission(HOP % ("px4", faults), "hop"), 1, speed=SPEED, keep=tmp_path
