@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+from companion.domain import FlightMode
 from companion.mav.dialect import Message, mavlink
 from sim_link.lockstep.observer import Frame
 from sim_link.monitor.invariant import Invariant
@@ -18,8 +19,6 @@ from sim_link.monitor.scene import (
 )
 
 EPSILON_S = 1e-6
-GIVEN_AGAIN_S = 1.0
-"""Offboard that is shown again sooner after it was lost comes from our own frames in flight."""
 HERE_M = 2.0
 RAISES = (
     mavlink.MAV_CMD_DO_SET_MODE,
@@ -44,8 +43,8 @@ class OnlyWithAuthority(Invariant):
         self._was_ours = False
         self._ours_sent_s = -1.0
         self._lost_s: float | None = None
-        self._lost_sent_s = -1.0
-        self._foreign_s = -math.inf
+        self._given_s = -1.0
+        """When a person gave the mode since it was lost."""
         self._may_engage = True
 
     def started(self) -> None:
@@ -53,6 +52,10 @@ class OnlyWithAuthority(Invariant):
         self._was_ours, self._lost_s = False, None
         vehicle = self.scene.vehicle
         self._may_engage = not (vehicle.is_armed or not vehicle.body.is_on_ground)
+
+    def mode_chosen(self, mode: FlightMode) -> None:
+        """An autopilot that goes back to offboard by itself gives nobody control."""
+        self._given_s = self.scene.now_s if mode is FlightMode.OFFBOARD else -1.0
 
     def heard(self, frame: Frame) -> None:
         """Follow the mode, and the operator's grants."""
@@ -74,17 +77,15 @@ class OnlyWithAuthority(Invariant):
             if self._lost_s is None:
                 self._was_ours = True
                 self._ours_sent_s = max(self._ours_sent_s, sent_s)
-            elif sent_s > self._lost_sent_s and now_s - self._foreign_s >= GIVEN_AGAIN_S:
+            elif sent_s >= self._given_s >= 0.0:
                 self._was_ours, self._lost_s, self._ours_sent_s = True, None, sent_s
             return
         if sent_s <= self._ours_sent_s:
             return
         if not is_armed:  # the flight is over, and the next one is a new one
             self._was_ours, self._lost_s, self._may_engage = False, None, True
-        elif self._was_ours:
-            self._lost_s = now_s if self._lost_s is None else self._lost_s
-            self._lost_sent_s = max(self._lost_sent_s, sent_s)
-            self._foreign_s = now_s
+        elif self._was_ours and self._lost_s is None:
+            self._lost_s = now_s
 
     def setpoint(self, setpoint: Setpoint) -> None:
         """Judge whether it may be sent at all."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
+from companion.domain import FlightMode
 from companion.mav.signing import SigningKey
 from sim_link.autopilot.vehicle import SimVehicle
 from sim_link.lockstep.observer import Frame, Observer
@@ -152,6 +153,12 @@ class Monitor(Observer):
     def companion_ended(self, now_s: float) -> None:  # noqa: ARG002
         """The companion process ended."""
         self.scene.is_companion_up = False
+
+    def mode_chosen(self, mode: FlightMode, now_s: float) -> None:
+        """A person switched the mode."""
+        self.scene.now_s = now_s
+        for invariant in self.invariants:
+            invariant.mode_chosen(mode)
 
     def vehicle_rebooted(self, now_s: float) -> None:
         """The vehicle begins anew; what it said before means nothing."""
