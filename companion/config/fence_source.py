@@ -6,6 +6,7 @@ from pathlib import Path
 
 from companion.config.fence_kml import areas_of_kml
 from companion.config.fence_plan import areas_of_plan
+from companion.config.load import read_text
 from companion.errors import ConfigError
 from companion.geometry.geofence import GeoFence, fence_of
 
@@ -26,24 +27,6 @@ def read_fence(path: Path) -> GeoFence:
         hint = "; unpack it, there is a .kml in it" if path.suffix.lower() == ".kmz" else ""
         raise ConfigError(f"{path}: a fence is a {kinds} file{hint}")
     try:
-        return fence_of(reader(_text(path)))
+        return fence_of(reader(read_text(path, MAX_BYTES)))
     except ValueError as error:
         raise ConfigError(f"{path}: {error}") from None
-
-
-def _text(path: Path) -> str:
-    try:
-        with path.open("rb") as file:
-            data = file.read(MAX_BYTES + 1)
-    except FileNotFoundError:
-        raise ConfigError(f"{path}: no such file") from None
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
-    if len(data) > MAX_BYTES:
-        raise ConfigError(f"{path}: is larger than {MAX_BYTES // 1_000_000} MB")
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise ConfigError(
-            f"{path}: not UTF-8 text (byte {error.start}); save it as UTF-8"
-        ) from None

@@ -165,7 +165,12 @@ def fence_of(areas: Sequence[NamedArea]) -> GeoFence:
     return GeoFence(inclusions[0].area, exclusions)
 
 
-def difference(own: LocalFence, other: LocalFence, tolerance_m: float) -> str | None:
+def difference(
+    own: LocalFence,
+    other: LocalFence,
+    tolerance_m: float,
+    more_keep_out_enu_m: Sequence[Corners] = (),
+) -> str | None:
     """What two fences differ in by more than a tolerance, in words, or None.
 
     Borders are compared both ways, at every corner and every 5 m between (of long ones, at about
@@ -175,16 +180,18 @@ def difference(own: LocalFence, other: LocalFence, tolerance_m: float) -> str | 
         own: Ours.
         other: The autopilot's.
         tolerance_m: How far apart borders may be.
+        more_keep_out_enu_m: Keep-outs of ours that the autopilot need not have.
     """
     apart_m, place = _apart(own.polygon_enu_m, other.polygon_enu_m)
     if apart_m > tolerance_m:
         return f"borders up to {apart_m:.1f} m apart, at {_named(place)}"
-    for one, two, lacks in (
-        (own, other, "the autopilot's has no such exclusion"),
-        (other, own, "ours has no such exclusion"),
+    ours = (*own.keep_out_enu_m, *more_keep_out_enu_m)
+    for some, others, lacks in (
+        (own.keep_out_enu_m, other.keep_out_enu_m, "the autopilot's has no such exclusion"),
+        (other.keep_out_enu_m, ours, "ours has no such exclusion"),
     ):
-        for keep_out in one.keep_out_enu_m:
-            nearest = min((_apart(keep_out, k) for k in two.keep_out_enu_m), default=None)
+        for keep_out in some:
+            nearest = min((_apart(keep_out, another) for another in others), default=None)
             if nearest is None or nearest[0] > tolerance_m:
                 by = "" if nearest is None else f" (the nearest is {nearest[0]:.1f} m off)"
                 return f"exclusion at {_named(keep_out[0])}: {lacks}{by}"

@@ -45,7 +45,7 @@ class ControlTick:
         self._wishes = wishes
         self._handover = handover
         self._stop_rule = StopRule(situation.params.stop_radius_m, situation.params.stop_confirm_s)
-        self._waiting = WaitingReason(situation.vehicle, situation.authority)
+        self._waiting = WaitingReason(situation.vehicle, situation.authority, situation.fencing)
         self._tick_s: float | None = None
         self._next_heartbeat_s = -math.inf
         self._sent_s = -math.inf
@@ -79,6 +79,8 @@ class ControlTick:
         match situation.phase:
             case Phase.WAITING:
                 self._wait(now_s)
+            case Phase.STANDBY if not situation.fencing.is_ready:
+                situation.enter(Trigger.FENCE_LOST, now_s)
             case Phase.STANDBY if situation.params.engage == "auto" and not situation.has_launched:
                 situation.has_launched = True
                 situation.launch = Launch(situation.params.altitude_m, now_s)
@@ -97,7 +99,8 @@ class ControlTick:
         reason = self._waiting.news(now_s)
         if reason is not None:
             situation.announce(Severity.WARNING, reason)
-        if situation.vehicle.is_usable(now_s) and situation.authority.may_begin:
+        is_ready = situation.vehicle.is_usable(now_s) and situation.fencing.is_ready
+        if is_ready and situation.authority.may_begin:
             situation.enter(Trigger.READY, now_s)
             is_auto = situation.params.engage == "auto" and not situation.has_launched
             guided = f"ready: switch to {situation.vehicle.guided_name} to give control"

@@ -14,6 +14,7 @@ from companion.domain import (
     VehicleState,
 )
 from companion.geometry.frames import LocalOrigin
+from companion.geometry.geofence import GeoFence
 from companion.guidance.memory import SessionMemory
 
 
@@ -121,6 +122,19 @@ class AutopilotRestarted:
 
 
 @dataclass(frozen=True, slots=True)
+class AutopilotFenceRead:
+    """The autopilot told its own fence, or did not."""
+
+    time_s: float
+    fence: GeoFence | None = None
+    """None: it has none, if there was no problem."""
+    problem: str | None = None
+    """Why it is not known, in words."""
+    is_unusable: bool = False
+    """The problem is in what it told: there is a fence, but not one that can be kept."""
+
+
+@dataclass(frozen=True, slots=True)
 class ControlGranted:
     """The operator gives control back after a yield (MAV_CMD_NAV_GUIDED_ENABLE to us)."""
 
@@ -193,6 +207,7 @@ Event = (
     | RangingReceived
     | RequestAnswered
     | AutopilotRestarted
+    | AutopilotFenceRead
     | ControlGranted
     | OperatorAsked
     | TimerFired

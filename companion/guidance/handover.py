@@ -7,6 +7,7 @@ from companion.guidance.authority import REGAIN_QUIET_S
 from companion.guidance.commands import Severity
 from companion.guidance.conditions import hand_back_mode
 from companion.guidance.events import (
+    AutopilotFenceRead,
     ControlStalled,
     HeartbeatReceived,
     LandedStateChanged,
@@ -96,6 +97,8 @@ class Handover:
             situation.announce(Severity.WARNING, text)
         if not (situation.authority.may_take and situation.vehicle.obeys_setpoints):
             return
+        if not situation.fencing.is_ready:
+            return
         is_climbing = situation.launch is not None and not situation.launch.is_at_offboard
         if situation.phase is Phase.LAUNCHING and is_climbing:
             return
@@ -144,9 +147,27 @@ class Handover:
         text = f"local origin moved by {step_m:.0f} m: estimate forgotten, waiting for ranging"
         situation.announce(Severity.WARNING, text)
 
+    def fence(self, event: OriginSet | AutopilotFenceRead) -> None:
+        """What the guard's fence stands on became known, or another one."""
+        situation, fencing = self._situation, self._situation.fencing
+        before = (fencing.refusal, fencing.note, fencing.is_ready)
+        if isinstance(event, OriginSet):
+            fencing.set_origin(event.origin)
+        else:
+            fencing.take(event)
+        if (fencing.refusal, fencing.note, fencing.is_ready) == before:
+            return
+        if fencing.refusal is not None:
+            situation.announce(Severity.ERROR, f"no control without a fence: {fencing.refusal}")
+        elif fencing.note is not None:
+            situation.announce(Severity.WARNING, fencing.note)
+        elif fencing.is_ready:
+            situation.announce(Severity.INFO, f"fence: {fencing.words}")
+
     def restarted(self, now_s: float) -> None:
         """The autopilot restarted."""
         situation = self._situation
+        situation.fencing.forget()
         situation.vehicle.forget()
         situation.forget_target()
         situation.authority.restarted()

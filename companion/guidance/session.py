@@ -18,6 +18,7 @@ from companion.guidance.commands import Command, ReportResult
 from companion.guidance.control import TICK_S as TICK_S
 from companion.guidance.control import ControlTick
 from companion.guidance.events import (
+    AutopilotFenceRead,
     AutopilotRestarted,
     ControlGranted,
     ControlStalled,
@@ -34,6 +35,7 @@ from companion.guidance.events import (
     TimerFired,
     VehicleMoved,
 )
+from companion.guidance.fencing import FencePlan, Fencing
 from companion.guidance.flight_plan import FlightPlan
 from companion.guidance.handover import Handover
 from companion.guidance.inputs import InputWatch
@@ -61,6 +63,7 @@ class GuidanceSession:
         planner: Where to fly, given the estimate.
         guard: What may be sent.
         needs_origin: Whether setpoints are global, so that nothing flies without an origin.
+        fence_plan: Where the guard's fence comes from; None: the guard has it already.
     """
 
     def __init__(
@@ -71,8 +74,12 @@ class GuidanceSession:
         guard: Guard,
         *,
         needs_origin: bool = False,
+        fence_plan: FencePlan | None = None,
     ) -> None:
-        self.situation = Situation(params, tracker, planner, guard, needs_origin=needs_origin)
+        fencing = Fencing(guard, fence_plan)
+        self.situation = Situation(
+            params, tracker, planner, guard, fencing, needs_origin=needs_origin
+        )
         inputs = InputWatch(self.situation)
         self._measuring = Measuring(self.situation, inputs)
         self.handover = Handover(self.situation)
@@ -91,6 +98,8 @@ class GuidanceSession:
                 self.situation.record("origin", **asdict(event.origin))
         self.vehicle.handle(event)
         match event:
+            case OriginSet() | AutopilotFenceRead():
+                self.handover.fence(event)
             case HeartbeatReceived():
                 self.handover.heartbeat(event)
             case LandedStateChanged():
@@ -151,6 +160,11 @@ class GuidanceSession:
     def authority(self) -> Authority:
         """Who may fly."""
         return self.situation.authority
+
+    @property
+    def fencing(self) -> Fencing:
+        """Which fence the guard keeps."""
+        return self.situation.fencing
 
     @property
     def estimate(self) -> TargetEstimate | None:

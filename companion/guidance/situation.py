@@ -18,6 +18,7 @@ from companion.guidance.commands import (
     Severity,
     WithdrawRequest,
 )
+from companion.guidance.fencing import Fencing
 from companion.guidance.findings import Finding, Reason
 from companion.guidance.flight_plan import FlightPlan
 from companion.guidance.launch import Launch
@@ -36,6 +37,7 @@ class Situation:
         tracker: The estimate of the target.
         planner: Where to fly, given the estimate.
         guard: What may be sent.
+        fencing: Gives the guard its fence.
         needs_origin: Whether setpoints are global, so that nothing flies without an origin.
     """
 
@@ -45,6 +47,7 @@ class Situation:
         tracker: TargetTracker,
         planner: Planner[Any],
         guard: Guard,
+        fencing: Fencing,
         *,
         needs_origin: bool,
     ) -> None:
@@ -52,7 +55,8 @@ class Situation:
         self.tracker = tracker
         self.guard = guard
         self.vehicle = VehicleView(needs_origin=needs_origin)
-        self.flight_plan = FlightPlan(planner, guard.limits.fence, tracker, params.altitude_m)
+        self.flight_plan = FlightPlan(planner, guard, tracker, params.altitude_m)
+        self.fencing = fencing
         self.steering = Steering(guard, params.altitude_m)
         self.authority = Authority()
         self.estimate: TargetEstimate | None = None

@@ -41,7 +41,7 @@ def test_both_formats_give_the_same_fence(tmp_path: Path, name: str) -> None:
         ("site.json", b"", "a fence is a .plan or .kml file"),
         ("site.kmz", b"", "there is a .kml in it"),
         ("site.plan", b"\xff\xfe", "not UTF-8 text (byte 0)"),
-        ("site.plan", b" " * (MAX_BYTES + 1), "larger than 10 MB"),
+        ("site.plan", b" " * (MAX_BYTES + 1), "larger than 10000 kB"),
         ("site.plan", b"{", "line 1, column 2"),
         ("site.kml", b"<kml/>", "no inclusion area"),
         ("site.plan", _plan(CORNERS[:2]).encode(), "geoFence.polygons[0]: has 2 corners"),
