@@ -348,6 +348,8 @@ def test_sending_starts_from_the_stored_timestamp_when_the_clock_is_behind() -> 
 def test_timestamps_count_ten_microseconds_since_2015() -> None:
     assert timestamp_at(1_420_070_400.0) == 0
     assert timestamp_at(1_420_070_401.0) == 100_000
+    assert timestamp_at(1_420_070_399.0) == 0
+    assert timestamp_at(1e30) == MAX_HEARD
     assert timestamp_at(float("nan")) == 0
 
 
