@@ -345,6 +345,12 @@ def test_sending_starts_from_the_stored_timestamp_when_the_clock_is_behind() -> 
     assert int.from_bytes(signing.sign(unsigned(), 0, 50)[-12:-6], "little") == NOW + 1
 
 
+def test_time_begins_in_2015_and_ends_127_days_early() -> None:
+    assert Signing(KEY).timestamp == 0
+    assert Signing(KEY, -5).timestamp == 0
+    assert Signing(KEY, MAX_TIMESTAMP).timestamp == MAX_HEARD
+
+
 def test_timestamps_count_ten_microseconds_since_2015() -> None:
     assert timestamp_at(1_420_070_400.0) == 0
     assert timestamp_at(1_420_070_401.0) == 100_000
