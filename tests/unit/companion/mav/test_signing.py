@@ -104,6 +104,13 @@ def test_our_own_frames_are_what_the_guide_says() -> None:
     assert frame == signed(NOW)
 
 
+def test_signing_sets_its_own_flag_and_leaves_the_others() -> None:
+    frame = bytearray(unsigned())
+    frame[3] = 0x08
+    ours = Signing(KEY, NOW).sign(bytes(frame), 3, CRC_EXTRA_BY_ID[0])
+    assert (ours[2], ours[3]) == (0x01, 0x08)
+
+
 # Replay
 
 
@@ -432,7 +439,7 @@ def test_a_key_is_taken_over_a_trusted_link() -> None:
 def test_a_key_of_zeros_ends_signing() -> None:
     setup = setup_from(setup_message(secret=bytes(32)), 1, 1, is_trusted_link=True)
     assert setup is not None
-    assert setup.key is None
+    assert (setup.key, setup.initial_timestamp) == (None, 0)
 
 
 @pytest.mark.parametrize(("system", "component"), [(0, 0), (1, 0), (0, 1), (2, 1), (1, 191)])
