@@ -72,6 +72,7 @@ def monitored(
     seed: int,
     *,
     is_signed: bool = False,
+    is_spoofing: bool | None = None,
     make_companion: MakeCompanion | None = None,
 ) -> Monitored:
     """A flight that has not begun yet.
@@ -81,6 +82,7 @@ def monitored(
         scenario: The vehicle's.
         seed: Of everything random.
         is_signed: Whether the link is signed.
+        is_spoofing: Whether attackers use the vehicle's address; None: where the link is signed.
         make_companion: Starts the companion, in place of the genuine one.
     """
     pair = SignedPair() if is_signed else None
@@ -105,5 +107,7 @@ def monitored(
         key=key,
     )
     flight.observers.append(monitor)
-    injector = Injector(flight, link, operator, is_spoofing=is_signed)
+    injector = Injector(
+        flight, link, operator, is_spoofing=is_signed if is_spoofing is None else is_spoofing
+    )
     return Monitored(flight, link, operator, injector, monitor, notes)

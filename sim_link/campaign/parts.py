@@ -5,20 +5,56 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from companion.errors import ConfigError
+from sim_link.campaign.floods import Floods
+from sim_link.campaign.fuzz import Fuzzing
 from sim_link.campaign.gaps import GapHours
+from sim_link.campaign.kills import Kills, Stops
 from sim_link.campaign.missions import Missions
 from sim_link.campaign.override import Overrides
 from sim_link.campaign.trial import Part, Trial
 
-PARTS: Mapping[str, Part] = {part.name: part for part in (Missions(), Overrides(), GapHours())}
+ALL: tuple[Part, ...] = (Missions(), Overrides(), GapHours(), Kills(), Stops(), Floods(), Fuzzing())
+PARTS: Mapping[str, Part] = {part.name: part for part in ALL}
 
 AMOUNTS: Mapping[str, Mapping[str, float]] = {
-    "sample": {"missions": 24, "override": 20, "gaps": 0.01},
-    "ci": {"missions": 500, "override": 200, "gaps": 0.1},
-    "long": {"missions": 3000, "override": 2000, "gaps": 10.0},
-    "release": {"missions": 10_000, "override": 2000, "gaps": 10.0},
+    "sample": {
+        "missions": 12,
+        "override": 20,
+        "gaps": 0.01,
+        "kill": 6,
+        "stop": 6,
+        "forged": 10_000,
+        "fuzz": 5_000,
+    },
+    "ci": {
+        "missions": 500,
+        "override": 2000,
+        "gaps": 0.1,
+        "kill": 200,
+        "stop": 200,
+        "forged": 1_000_000,
+        "fuzz": 1_000_000,
+    },
+    "long": {
+        "missions": 3000,
+        "override": 2000,
+        "gaps": 10.0,
+        "kill": 400,
+        "stop": 400,
+        "forged": 10_000_000,
+        "fuzz": 10_000_000,
+    },
+    "release": {
+        "missions": 10_000,
+        "override": 4000,
+        "gaps": 10.0,
+        "kill": 1000,
+        "stop": 1000,
+        "forged": 10_000_000,
+        "fuzz": 100_000_000,
+    },
 }
-"""Missions; take-overs; hours at each loss."""
+"""Missions; take-overs; hours at each loss; kills; stops; frames."""
 
 
 def trials_of(size: str, seed: int, only: Sequence[str] = ()) -> list[Trial]:
