@@ -6,6 +6,7 @@ again), 2 for bad arguments, 130 after Ctrl-C, with what was found until then.
 
 from __future__ import annotations
 
+import logging
 import os
 import sys
 import time
@@ -37,6 +38,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=non_negative, default=1, metavar="N")
     parser.add_argument("--replay", metavar="PART:SEED", help="one trial, with its story")
     arguments = parser.parse_args(argv)
+    logging.disable(logging.CRITICAL)  # what flights say is in their stories
     try:
         if arguments.replay is not None:
             return replay(trial_named(arguments.replay))

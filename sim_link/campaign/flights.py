@@ -12,6 +12,7 @@ from sim_link.campaign.signed import KEY, STARTED_UNIX_S, SignedPair
 from sim_link.faults.faulty_link import FaultyLink
 from sim_link.faults.injector import Injector
 from sim_link.faults.schedule import Schedule
+from sim_link.lockstep.checkpoints import Checkpointing
 from sim_link.lockstep.flight import Flight, MakeCompanion
 from sim_link.lockstep.journal import Notes
 from sim_link.lockstep.operator import Operator
@@ -64,6 +65,7 @@ class Monitored:
     injector: Injector
     monitor: Monitor
     notes: Notes
+    checkpointing: Checkpointing
 
 
 def monitored(
@@ -110,4 +112,5 @@ def monitored(
     injector = Injector(
         flight, link, operator, is_spoofing=is_signed if is_spoofing is None else is_spoofing
     )
-    return Monitored(flight, link, operator, injector, monitor, notes)
+    checkpointing = Checkpointing(flight)
+    return Monitored(flight, link, operator, injector, monitor, notes, checkpointing)

@@ -14,7 +14,7 @@ from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.campaign.draws import Dice
 from sim_link.campaign.flights import Monitored, monitored
 from sim_link.campaign.trial import Outcome, Trial, findings_of, trial_seed
-from sim_link.lockstep.checkpoints import Checkpointing, MemoryStore
+from sim_link.lockstep.checkpoints import MemoryStore
 from sim_link.lockstep.observer import Frame, Observer
 
 EARLIEST_S, LATEST_S = 1.0, 45.0
@@ -45,14 +45,14 @@ class Taking(Observer):
             self.taken += 1
 
 
-def flight_of(seed: int) -> tuple[Monitored, Checkpointing, Dice]:
+def flight_of(seed: int) -> tuple[Monitored, Dice]:
     """A flight with checkpoints, either autopilot, launched by the companion."""
     dice = Dice(np.random.default_rng((seed, 0x1C7)))
     flavour: FlavourName = "px4" if dice.happens(0.5) else "ardupilot"
     scenario = Scenario(autopilot=AutopilotParams(flavour=flavour))
     config = CompanionConfig(mission=SessionParams(engage="auto", stop_confirm_s=1e6))
     around = monitored(config, scenario, seed)
-    return around, Checkpointing(around.flight), dice
+    return around, dice
 
 
 class Kills:
@@ -71,13 +71,13 @@ class Kills:
 
     def run(self, trial: Trial) -> Outcome:
         """Kill, damage, start again, and watch who engages."""
-        around, checkpointing, dice = flight_of(trial.seed)
+        around, dice = flight_of(trial.seed)
         flight = around.flight
         flight.run(dice.number(EARLIEST_S, LATEST_S))
         flight.kill_companion()
         was_airborne = flight.sim.vehicle.body.height_m > AIRBORNE_M
-        damaged = damages(checkpointing.store, trial.seed)
-        starts = self._starts(checkpointing.store, damaged)
+        damaged = damages(around.checkpointing.store, trial.seed)
+        starts = self._starts(around.checkpointing.store, damaged)
         flight.run(dice.number(0.1, 10.0))
         is_flying = was_airborne and flight.sim.vehicle.is_armed
         taking = Taking()
@@ -146,7 +146,7 @@ class Stops:
 
     def run(self, trial: Trial) -> Outcome:
         """Stop, and watch the mode and the process."""
-        around, _, dice = flight_of(trial.seed)
+        around, dice = flight_of(trial.seed)
         flight = around.flight
         flight.run(dice.number(EARLIEST_S, LATEST_S))
         was_ours = flight.mode is FlightMode.OFFBOARD and flight.sim.vehicle.is_armed

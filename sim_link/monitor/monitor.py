@@ -165,6 +165,6 @@ class Monitor(Observer):
         scene = self.scene
         scene.now_s = now_s
         scene.told.position_boot_ms = -1
-        scene.told.mode_sent_s = -1.0
+        scene.told.mode_sent_at = (-1.0, 0)
         for invariant in self.invariants:
             invariant.rebooted()
