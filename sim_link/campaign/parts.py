@@ -11,9 +11,21 @@ from sim_link.campaign.gaps import GapHours
 from sim_link.campaign.kills import Kills, Stops
 from sim_link.campaign.missions import Missions
 from sim_link.campaign.override import Overrides
+from sim_link.campaign.reactions import Reactions
+from sim_link.campaign.soak import Soak
 from sim_link.campaign.trial import Part, Trial
 
-ALL: tuple[Part, ...] = (Missions(), Overrides(), GapHours(), Kills(), Stops(), Floods(), Fuzzing())
+ALL: tuple[Part, ...] = (
+    Missions(),
+    Overrides(),
+    GapHours(),
+    Kills(),
+    Stops(),
+    Floods(),
+    Fuzzing(),
+    Reactions(),
+    Soak(),
+)
 PARTS: Mapping[str, Part] = {part.name: part for part in ALL}
 
 AMOUNTS: Mapping[str, Mapping[str, float]] = {
@@ -25,6 +37,8 @@ AMOUNTS: Mapping[str, Mapping[str, float]] = {
         "stop": 6,
         "forged": 10_000,
         "fuzz": 5_000,
+        "reaction": 6,
+        "soak": 0.02,
     },
     "ci": {
         "missions": 500,
@@ -34,6 +48,8 @@ AMOUNTS: Mapping[str, Mapping[str, float]] = {
         "stop": 200,
         "forged": 1_000_000,
         "fuzz": 1_000_000,
+        "reaction": 100,
+        "soak": 0.2,
     },
     "long": {
         "missions": 3000,
@@ -43,6 +59,8 @@ AMOUNTS: Mapping[str, Mapping[str, float]] = {
         "stop": 400,
         "forged": 10_000_000,
         "fuzz": 10_000_000,
+        "reaction": 500,
+        "soak": 24.0,
     },
     "release": {
         "missions": 10_000,
@@ -52,9 +70,11 @@ AMOUNTS: Mapping[str, Mapping[str, float]] = {
         "stop": 1000,
         "forged": 10_000_000,
         "fuzz": 100_000_000,
+        "reaction": 2000,
+        "soak": 24.0,
     },
 }
-"""Missions; take-overs; hours at each loss; kills; stops; frames."""
+"""Missions; take-overs; hours at each loss; kills; stops; frames; cuts; hours."""
 
 
 def trials_of(size: str, seed: int, only: Sequence[str] = ()) -> list[Trial]:

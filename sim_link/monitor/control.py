@@ -176,6 +176,7 @@ class KeepsStreaming(Invariant):
         if self._last_s is None:
             self._last_s = now_s
         is_mode_unknown = now_s - heartbeat_s >= scene.rules.silence_s - TICK_S
+        is_mode_unknown |= heartbeat_s <= scene.suspended_until_s  # it looks first who flies
         if scene.suspended_until_s >= now_s or is_mode_unknown:
             self._last_s = now_s
             return
