@@ -7,6 +7,7 @@ from enum import Enum
 
 from companion.domain import (
     Autopilot,
+    BatteryLevel,
     FlightMode,
     LandedState,
     PositionEnu,
@@ -76,6 +77,52 @@ class LandedStateChanged:
     landed: LandedState
     order: int | None = None
     """As of HeartbeatReceived."""
+
+
+@dataclass(frozen=True, slots=True)
+class SetpointEchoed:
+    """The autopilot tells the target that it follows."""
+
+    time_s: float
+    position_enu_m: PositionEnu | None
+    """None: it follows no position, but a velocity, for example."""
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatorRated:
+    """How well the autopilot's estimator agrees with its sensors."""
+
+    time_s: float
+    worst: float
+    """The worst of its test ratios, in units of what its maker calls bad; 1 and more is poor."""
+
+
+@dataclass(frozen=True, slots=True)
+class FixReported:
+    """Whether the satellites give a position."""
+
+    time_s: float
+    has_fix: bool
+
+
+@dataclass(frozen=True, slots=True)
+class BatteryReported:
+    """The charge, as the autopilot knows it."""
+
+    time_s: float
+    charge_pct: float | None
+    """0 to 100; None: unknown."""
+    level: BatteryLevel
+    """What the autopilot calls it."""
+
+
+@dataclass(frozen=True, slots=True)
+class SticksReported:
+    """Where the pilot's sticks are."""
+
+    time_s: float
+    deflections: tuple[float, ...]
+    """Of the first four channels, -1 to 1."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,6 +251,11 @@ Event = (
     | OriginSet
     | HomeSet
     | LandedStateChanged
+    | SetpointEchoed
+    | EstimatorRated
+    | FixReported
+    | BatteryReported
+    | SticksReported
     | RangingReceived
     | RequestAnswered
     | AutopilotRestarted

@@ -25,6 +25,7 @@ from companion.guidance.events import (
     EarlierRunFound,
     Event,
     HeartbeatReceived,
+    HomeSet,
     LandedStateChanged,
     MemoryRecalled,
     OperatorAsked,
@@ -38,7 +39,6 @@ from companion.guidance.events import (
 from companion.guidance.fencing import FencePlan, Fencing
 from companion.guidance.flight_plan import FlightPlan
 from companion.guidance.handover import Handover
-from companion.guidance.inputs import InputWatch
 from companion.guidance.measuring import Measuring
 from companion.guidance.memory import SessionMemory
 from companion.guidance.params import SessionParams as SessionParams
@@ -48,7 +48,7 @@ from companion.guidance.states import Phase
 from companion.guidance.status import GuidanceStatus, snapshot
 from companion.guidance.steering import Steering
 from companion.guidance.vehicle import VehicleView
-from companion.guidance.wishes import WishWatch
+from companion.guidance.watches import Watches
 from companion.planning.base import Planner
 
 MODE_EVENTS = (HeartbeatReceived, LandedStateChanged)
@@ -80,11 +80,10 @@ class GuidanceSession:
         self.situation = Situation(
             params, tracker, planner, guard, fencing, needs_origin=needs_origin
         )
-        inputs = InputWatch(self.situation)
-        self._measuring = Measuring(self.situation, inputs)
         self.handover = Handover(self.situation)
-        self._wishes = WishWatch(self.situation)
-        self._control = ControlTick(self.situation, inputs, self._wishes, self.handover)
+        self._watches = Watches(self.situation)
+        self._measuring = Measuring(self.situation, self._watches.inputs)
+        self._control = ControlTick(self.situation, self._watches, self.handover)
         self._recollection = Recollection(self.situation)
 
     def handle(self, event: Event) -> list[Command]:
@@ -93,10 +92,14 @@ class GuidanceSession:
             self.situation.record("overtaken", what=type(event).__name__)
             return self.situation.take_commands()
         if isinstance(event, OriginSet):
-            self.handover.check_frame(event)
+            if self.handover.check_frame(event):
+                self._watches.frame_moved(event.time_s)
             if event.origin != self.vehicle.origin:
                 self.situation.record("origin", **asdict(event.origin))
+        if isinstance(event, HomeSet):
+            self.handover.check_home(event)
         self.vehicle.handle(event)
+        self._watches.handle(event)
         match event:
             case OriginSet() | AutopilotFenceRead():
                 self.handover.fence(event)
@@ -113,7 +116,7 @@ class GuidanceSession:
             case ControlGranted():
                 self.handover.granted(event.time_s)
             case OperatorAsked():
-                self._wishes.ask(event.wish)
+                self._watches.wishes.ask(event.wish)
             case AutopilotRestarted():
                 self.handover.restarted(event.time_s)
                 self._recollection.forget()

@@ -63,7 +63,7 @@ class Trigger(Enum):
     INPUT_AGES = "something the plan stands on ages"
     INPUT_LOST = "something the plan stands on is missing"
     INPUT_BACK = "everything the plan stands on is there"
-    LOCALISED = "the target is reported"
+    LOCALISED = "the target is reported, or the battery is low"
     GIVE_UP = "what is wrong does not pass"
     GIVE_WAY = "somebody else commands"
     RESTARTED = "the autopilot restarted"
@@ -78,6 +78,9 @@ FLYING = frozenset({Phase.NORMAL, Phase.DEGRADED})
 
 IN_CONTROL = FLYING | {Phase.HOLD}
 """Phases in which the vehicle obeys our setpoints."""
+
+HAS_VEHICLE = IN_CONTROL | {Phase.FINISHED, Phase.HANDBACK}
+"""Phases in which the vehicle is in our hands, or was a moment ago."""
 
 STREAMING = IN_CONTROL | {
     Phase.STANDBY,
@@ -106,6 +109,7 @@ TRANSITIONS: dict[tuple[Phase, Trigger], Phase] = {
     (Phase.DEGRADED, Trigger.INPUT_LOST): Phase.HOLD,
     (Phase.NORMAL, Trigger.LOCALISED): Phase.FINISHED,
     (Phase.DEGRADED, Trigger.LOCALISED): Phase.FINISHED,
+    (Phase.HOLD, Trigger.LOCALISED): Phase.FINISHED,
     (Phase.YIELD, Trigger.GRANTED): Phase.STANDBY,
     (Phase.YIELD, Trigger.MODE_GIVEN): Phase.HOLD,
     (Phase.FINISHED, Trigger.GRANTED): Phase.STANDBY,

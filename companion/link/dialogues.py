@@ -68,7 +68,7 @@ class Dialogues:
             return []
         ids = (binding.system_id, binding.component_id)
         request = self._fence.due(now_s, ids, is_wanted=self._fencing.wants_reading)
-        request = request or self._streams.due(now_s, *ids)
+        request = request or self._streams.due(now_s, *ids, binding.autopilot)
         request = request or self._px4_check.due(now_s, binding.autopilot, *ids)
         mode = request_message(mavlink.MAVLINK_MSG_ID_HEARTBEAT, *ids) if self._asks_mode else None
         self._asks_mode = False

@@ -19,7 +19,7 @@ STANDBY   .       WAITING    LAUNCHING .             HOLD       .         .     
 LAUNCHING .       .          .         YIELD         HOLD       YIELD     .       WAITING  .      .          .          .          .         .        .        WAITING   HANDBACK .           .              .
 NORMAL    .       .          .         .             .          YIELD     .       WAITING  YIELD  DEGRADED   HOLD       .          FINISHED  HANDBACK YIELD    WAITING   HANDBACK .           .              .
 DEGRADED  .       .          .         .             .          YIELD     .       WAITING  YIELD  .          HOLD       NORMAL     FINISHED  HANDBACK YIELD    WAITING   HANDBACK .           .              .
-HOLD      .       .          .         .             .          YIELD     .       WAITING  YIELD  DEGRADED   .          NORMAL     .         HANDBACK YIELD    WAITING   HANDBACK .           .              .
+HOLD      .       .          .         .             .          YIELD     .       WAITING  YIELD  DEGRADED   .          NORMAL     FINISHED  HANDBACK YIELD    WAITING   HANDBACK .           .              .
 FINISHED  .       .          .         .             .          .         STANDBY WAITING  YIELD  .          .          .          .         .        .        WAITING   HANDBACK .           .              .
 YIELD     .       .          .         .             HOLD       .         STANDBY WAITING  .      .          .          .          .         .        .        WAITING   STOPPED  .           .              .
 HANDBACK  .       .          .         .             .          YIELD     .       WAITING  YIELD  .          .          .          .         .        .        WAITING   .        YIELD       .              .
