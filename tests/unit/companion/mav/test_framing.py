@@ -257,6 +257,14 @@ def test_a_sequence_number_of_mavlink_1_is_not_taken_for_the_flag_of_a_signature
     assert without_signature(frame, CRC_EXTRA_BY_ID[0]) == frame
 
 
+def test_leaving_a_signature_out_leaves_the_other_flags() -> None:
+    frame = with_header(heartbeat(), 3, 0x08)
+    tagged = bytearray(frame)
+    tagged[2] = 0x01
+    unsigned = without_signature(bytes(tagged) + bytes(13), CRC_EXTRA_BY_ID[0])
+    assert unsigned == frame
+
+
 def test_of_an_unknown_message_the_signature_is_blanked() -> None:
     frame = signed(mavlink.MAVLink_heartbeat_message(2, 12, 0, 1, 4, 3))
     blanked = without_signature(frame, None)
