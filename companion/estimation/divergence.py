@@ -3,7 +3,7 @@
 The contradiction needs forty measurements that all say the same. An estimate may fail more gently,
 for instance because the target moves: innovations are merely larger than they should be, until the
 measured inflation has grown to hide them. So the NIS of the last seconds is held against its band.
-Its median is taken, because outliers are the gate's task, and a range that is taken for a
+The median is taken, because outliers are the gate's task, and a range that is taken for a
 reflection says nothing of the estimate.
 """
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Hashable
 from enum import Enum
 
 from companion.domain import RangingMeasurement
@@ -15,6 +16,7 @@ class Refusal(Enum):
     OTHER_EMITTER = "other emitter"
     NOTHING_MEASURED = "nothing measured"
     NOT_FINITE = "not finite"
+    DENORMAL = "denormal"
     RANGE_NOT_POSITIVE = "range not positive"
     RANGE_ABSURD = "range absurd"
     BEARING_ABSURD = "bearing absurd"
@@ -22,7 +24,10 @@ class Refusal(Enum):
     SIGMA_NOT_POSITIVE = "sigma not positive"
     FROM_THE_FUTURE = "from the future"
     STALE = "stale"
+    TOO_MANY = "too many at once"
     DUPLICATE = "duplicate"
+    FROZEN = "frozen while the vehicle moves"
+    WRONG_UNIT = "in a wrong unit, as it seems"
     RANGE_OUTLIER = "range too short for the estimate"
     BEARING_OUTLIER = "bearing off the estimate"
     NO_POSITION = "own position unknown at its time"
@@ -41,6 +46,10 @@ class AcceptanceParams(Params, frozen=True):
 FUTURE_TOLERANCE_S = 0.1
 MAX_ELEVATION_RAD = 0.5 * math.pi + 1e-6
 """A right angle, which in the wire's 32 bits is a little more than one."""
+MAX_BEARING_RAD = math.pi + 1e-6
+"""Half a turn, in the same way; more is most likely another unit."""
+LEAST_NORMAL = 2.0**-126
+"""Of 32 bits. Nothing is measured as finely: what is smaller, but not zero, was no float."""
 
 
 def refusal_of(
@@ -55,12 +64,15 @@ def refusal_of(
     numbers = (*values, m.elevation_rad, *sigmas, m.measured_at_s)
     if any(number is not None and not math.isfinite(number) for number in numbers):
         return Refusal.NOT_FINITE
+    measured = (*values, m.elevation_rad, *sigmas)
+    if any(number is not None and 0.0 < abs(number) < LEAST_NORMAL for number in measured):
+        return Refusal.DENORMAL
     if m.range_m is not None and m.range_m <= 0.0:
         return Refusal.RANGE_NOT_POSITIVE
     if m.range_m is not None and m.range_m > params.max_range_m:
         return Refusal.RANGE_ABSURD
     bearings = (m.bearing_enu_rad, m.bearing_body_rad)
-    if any(b is not None and abs(b) > 2.0 * math.pi for b in bearings):
+    if any(b is not None and abs(b) > MAX_BEARING_RAD for b in bearings):
         return Refusal.BEARING_ABSURD
     if m.elevation_rad is not None and abs(m.elevation_rad) > MAX_ELEVATION_RAD:
         return Refusal.ELEVATION_ABSURD
@@ -71,3 +83,14 @@ def refusal_of(
     if now_s - m.measured_at_s > params.max_age_s:
         return Refusal.STALE
     return None
+
+
+def identity_of(measurement: RangingMeasurement) -> Hashable:
+    """What two copies of one measurement share: the stamp alone is shared by range and bearing.
+
+    Not the bearing that was turned from the body frame, because a copy may see a later yaw.
+    """
+    m = measurement
+    bearing_rad = m.bearing_enu_rad if m.bearing_body_rad is None else m.bearing_body_rad
+    stamp = m.measured_at_s if m.stamp_us is None else m.stamp_us
+    return (stamp, m.range_m, bearing_rad, m.elevation_rad)

@@ -35,8 +35,9 @@ from companion.estimation.innovation_noise import InnovationNoise, TrackerHealth
 from companion.estimation.noise_learner import NoiseLearner
 from companion.estimation.objections import Objection
 from companion.estimation.observability import Observability
+from companion.estimation.plausibility import Plausibility
 from companion.estimation.polish import Polisher
-from companion.estimation.refusal import AcceptanceParams, Refusal, refusal_of
+from companion.estimation.refusal import AcceptanceParams, Refusal, identity_of, refusal_of
 from companion.estimation.standing import Standing
 from companion.estimation.verdict import estimate_of
 from companion.estimation.window_map import WindowParams
@@ -104,6 +105,7 @@ class TargetTracker:
         self.restarts = 0
         self.last_accepted_s: float | None = None
         self._standing = Standing()
+        self._plausibility = Plausibility(params.filter, params.acceptance.max_range_m)
         self._believed = believed_in(params)
         self._filter = filter_of(params.kind, self._believed)
         self._thresholds = self._filter.params.thresholds
@@ -127,11 +129,12 @@ class TargetTracker:
         """
         refusal = self._refusal_of(measurement, sensor_enu_m, now_s)
         if refusal is not None or sensor_enu_m is None:
+            self._plausibility.refused(refusal or Refusal.NO_POSITION, now_s)
             return self.refuse(refusal or Refusal.NO_POSITION)
         if self.emitter_id is None:
             self.emitter_id = measurement.emitter_id
-        self._recent.append(_identity(measurement))
-        report = self._fused(measurement, sensor_enu_m)
+        self._recent.append(identity_of(measurement))
+        report = self._judged(measurement, sensor_enu_m, now_s)
         if report.refusal is not None:
             return self.refuse(report.refusal)
         self.accepted += 1
@@ -149,11 +152,15 @@ class TargetTracker:
 
     def restart(self) -> None:
         """Forget the target but not the emitter, because the frame may have moved."""
+        self._forget_place()
+        self._plausibility.clear()
+        self.last_accepted_s = None
+        self._recent.clear()
+
+    def _forget_place(self) -> None:
         self._hypotheses = ()
         self._noise = self._fresh_noise()
         self._standing.forget()
-        self.last_accepted_s = None
-        self._recent.clear()
         self._latest.clear()
         self._polisher.clear()
 
@@ -195,7 +202,7 @@ class TargetTracker:
 
     def objection(self, now_s: float) -> Objection | None:
         """Why the estimate must not be flown on, although there is one; None: it may."""
-        objection = self._standing.objection(now_s)
+        objection = self._plausibility.objection or self._standing.objection(now_s)
         if objection is None and self._hypotheses and self.accepted < self._diverged_until:
             return Objection.RECOVERING
         return objection
@@ -260,7 +267,7 @@ class TargetTracker:
         refusal = refusal_of(measurement, now_s, self.params.acceptance)
         if refusal is not None:
             return refusal
-        if _identity(measurement) in self._recent:
+        if identity_of(measurement) in self._recent:
             return Refusal.DUPLICATE
         if sensor_enu_m is None or not all(math.isfinite(v) for v in sensor_enu_m):
             return Refusal.NO_POSITION
@@ -288,6 +295,21 @@ class TargetTracker:
             self._thresholds = self._filter.params.thresholds
             self._polisher.retune(self._filter.params)
         self._learner = learner
+
+    def _judged(
+        self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu, now_s: float
+    ) -> FusionReport:
+        """Fuse what is plausible of a measurement."""
+        was_plausible = self._plausibility.objection is None
+        judgement = self._plausibility.judge(measurement, sensor_enu_m, now_s)
+        if was_plausible and self._plausibility.objection and not self._standing.is_proven:
+            self._forget_place()  # it was made from the very values that are condemned now
+        passed = judgement.passed
+        if passed is None:
+            return FusionReport(judgement.reason)
+        if judgement.reason is not None:
+            self.refusals[judgement.reason] += 1
+        return self._fused(passed, sensor_enu_m)
 
     def _fused(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> FusionReport:
         if not self._hypotheses:
@@ -372,14 +394,3 @@ def believed_in(params: TrackerParams) -> FilterParams:
 
 def _outlier(gate: Gate) -> Refusal:
     return Refusal.BEARING_OUTLIER if gate.passes_range else Refusal.RANGE_OUTLIER
-
-
-def _identity(measurement: RangingMeasurement) -> Hashable:
-    """What two copies of one measurement share: the stamp alone is shared by range and bearing.
-
-    Not the bearing that was turned from the body frame, because a copy may see a later yaw.
-    """
-    m = measurement
-    bearing_rad = m.bearing_enu_rad if m.bearing_body_rad is None else m.bearing_body_rad
-    stamp = m.measured_at_s if m.stamp_us is None else m.stamp_us
-    return (stamp, m.range_m, bearing_rad, m.elevation_rad)

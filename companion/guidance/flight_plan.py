@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -10,7 +11,6 @@ from companion.estimation.tracker import TargetTracker
 from companion.geometry.arrays import Matrix
 from companion.geometry.polygons import depth_m
 from companion.guard.fence import Fence
-from companion.guard.gate import Guard
 from companion.guidance.commands import Announce, Command, Severity
 from companion.guidance.conditions import is_search_due
 from companion.guidance.records import waypoint_record
@@ -21,12 +21,16 @@ PLAN_PERIOD_S = 0.2
 """A plan is renewed at least this often, with or without a measurement: the vehicle moves."""
 
 
+TOLD_AGAIN_S = 20.0
+"""How long after a text about the target's place there is no other one."""
+
+
 class FlightPlan:
     """The planner with its memory, and the waypoint that it wants now.
 
     Args:
         planner: Where to fly.
-        guard: Knows the fence with its keep-outs.
+        fence: With its keep-outs; None: no limit.
         tracker: Whose estimate is planned on.
         altitude_m: Search altitude above home.
     """
@@ -34,19 +38,22 @@ class FlightPlan:
     def __init__(
         self,
         planner: Planner[Any],
-        guard: Guard,
+        fence: Fence | None,
         tracker: TargetTracker,
         altitude_m: float,
     ) -> None:
         self.waypoint: Waypoint | None = None
         self._planner = planner
         self._memory = planner.initial_memory()
-        self._guard = guard
+        self._fence = fence
         self._tracker = tracker
         self._altitude_m = altitude_m
         self._planned_s: float | None = None
         self._is_searching: bool | None = None
+        self.is_target_outside = False
+        """Whether the target is believed to be where the vehicle may not go."""
         self._where_target_is = ""
+        self._told_outside_s = -math.inf
 
     @property
     def search_after_s(self) -> float | None:
@@ -55,6 +62,8 @@ class FlightPlan:
 
     def forget(self) -> None:
         """The next plan starts from nothing."""
+        self.is_target_outside = False
+        self._where_target_is = ""
         self.waypoint = None
         self._planned_s = None
         self._is_searching = None
@@ -93,12 +102,12 @@ class FlightPlan:
         commands = self._search_news(now_s, estimate)
         if previous is None or previous.detail != plan.waypoint.detail:
             commands.append(waypoint_record(plan.waypoint))
-        return commands + self._target_news(estimate)
+        return commands + self._target_news(now_s, estimate)
 
     def _request(
         self, now_s: float, place_enu_m: PositionEnu, estimate: TargetEstimate | None
     ) -> PlanRequest:
-        fence, tracker = self._guard.limits.fence, self._tracker
+        fence, tracker = self._fence, self._tracker
         return PlanRequest(
             vehicle_enu_m=place_enu_m[:2],
             estimate=estimate,
@@ -133,16 +142,20 @@ class FlightPlan:
         text = f"no contact for {after_s:g} s: back to the search pattern"
         return [Announce(Severity.WARNING, text)]
 
-    def _target_news(self, estimate: TargetEstimate | None) -> list[Command]:
-        """A text when the target turns out to be where the vehicle may not go."""
-        fence = self._guard.limits.fence
-        if estimate is None or fence is None:
+    def _target_news(self, now_s: float, estimate: TargetEstimate | None) -> list[Command]:
+        """A text when the target turns out to be where the vehicle may not go.
+
+        A target that goes to and fro across the fence is told of now and then only.
+        """
+        if estimate is None or self._fence is None:
             return []
-        where = _forbidden_place(fence, estimate.position_enu_m)
-        if where == self._where_target_is:
+        where = _forbidden_place(self._fence, estimate.position_enu_m)
+        is_news, self._where_target_is = where != self._where_target_is, where
+        self.is_target_outside = bool(where)
+        if not (where and is_news) or now_s - self._told_outside_s < TOLD_AGAIN_S:
             return []
-        self._where_target_is = where
-        return [Announce(Severity.WARNING, where)] if where else []
+        self._told_outside_s = now_s
+        return [Announce(Severity.WARNING, where)]
 
 
 def _forbidden_place(fence: Fence, place: Point) -> str:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 
 from companion.domain import TargetEstimate
+from companion.estimation.objections import Objection
 from companion.guidance.conditions import is_search_due
 from companion.guidance.findings import Finding, Reason, Verdict
 from companion.guidance.situation import Situation
@@ -68,7 +69,10 @@ class InputWatch:
     def finding(self, now_s: float) -> Finding | None:
         """The worst that is wrong with the inputs."""
         if self._lost is not None:
-            return self._lost
+            if self._back_s is None:
+                return self._lost
+            text = f"{self._lost.text}, and back for less than {REGAIN_S:g} s"
+            return Finding(Verdict.HOLD, Reason.LINK_IS_BACK, text)
         situation = self._situation
         estimate, heard_s = situation.estimate, situation.tracker.last_accepted_s
         search_after_s = situation.flight_plan.search_after_s
@@ -130,7 +134,9 @@ class InputWatch:
             return Finding(Verdict.HOLD, Reason.NO_RANGING, text)
         objection = self._situation.tracker.objection(now_s)
         if objection is not None:
-            return Finding(Verdict.HOLD, Reason.FILTER_DIVERGED, objection.value)
+            is_unit = objection in (Objection.RANGE_UNIT, Objection.BEARING_UNIT)
+            reason = Reason.WRONG_UNIT if is_unit else Reason.FILTER_DIVERGED
+            return Finding(Verdict.HOLD, reason, objection.value)
         if self._is_dropout and self._agreed < AGREEING:
             text = f"waiting for {AGREEING} measurements that agree"
             return Finding(Verdict.HOLD, Reason.RANGING_IS_BACK, text)

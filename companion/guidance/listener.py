@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 
 from companion.domain import RangingMeasurement
-from companion.estimation.refusal import Refusal
+from companion.estimation.refusal import Refusal, identity_of
 from companion.estimation.tracker import FusionReport, TargetTracker
 from companion.geometry.frames import bearing_enu_from_ned
 from companion.guidance.track import VehicleTrack
@@ -37,24 +37,33 @@ class RangingListener:
         self._waiting: list[RangingMeasurement] = []
 
     def receive(self, measurement: RangingMeasurement) -> list[FusionReport]:
-        """Take in a measurement; it is fused at the next `fuse_due`."""
+        """Take in a measurement; it is fused at the next `fuse_due`.
+
+        Of too many that wait the oldest goes; a copy of one that waits does not wait, too.
+        """
+        identity = identity_of(measurement)
+        if any(identity_of(waiting) == identity for waiting in self._waiting):
+            return [self._tracker.refuse(Refusal.DUPLICATE)]
         self._waiting.append(measurement)
-        if len(self._waiting) > MAX_WAITING:
-            self._waiting.pop(0)
-            return [self._tracker.refuse(Refusal.STALE)]
-        return []
+        if len(self._waiting) <= MAX_WAITING:
+            return []
+        oldest = min(range(len(self._waiting)), key=lambda i: self._waiting[i].measured_at_s)
+        del self._waiting[oldest]
+        return [self._tracker.refuse(Refusal.TOO_MANY)]
 
     def fuse_due(self, now_s: float) -> list[FusionReport]:
         """Fuse every measurement whose place is known, or will not become known any more."""
         latest = self._track.latest
-        due: list[RangingMeasurement] = []
-        waiting: list[RangingMeasurement] = []
+        reports, waiting = [], []
         for measurement in self._waiting:
             is_covered = latest is not None and measurement.measured_at_s <= latest.time_s
             is_recent = abs(now_s - measurement.measured_at_s) <= self._patience_s
-            (waiting if is_recent and not is_covered else due).append(measurement)
-        self._waiting = waiting  # first, so that one that makes the tracker fail is not tried again
-        return [self._fuse(measurement, now_s) for measurement in due]
+            if is_recent and not is_covered:
+                waiting.append(measurement)
+            else:
+                reports.append(self._fuse(measurement, now_s))
+        self._waiting = waiting
+        return reports
 
     def _fuse(self, measurement: RangingMeasurement, now_s: float) -> FusionReport:
         sensor_enu_m = self._track.position_at(measurement.measured_at_s)

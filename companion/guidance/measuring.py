@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from companion.domain import RangingMeasurement
 from companion.estimation.tracker import FusionReport
 from companion.guidance.commands import Severity
 from companion.guidance.inputs import InputWatch
 from companion.guidance.listener import RangingListener
 from companion.guidance.records import estimate_record
+from companion.guidance.refusal_news import RefusalNews
 from companion.guidance.situation import Situation
 from companion.guidance.states import FLYING, Phase
 
@@ -25,28 +24,25 @@ class Measuring:
     def __init__(self, situation: Situation, inputs: InputWatch) -> None:
         self._situation = situation
         self._inputs = inputs
+        self._news = RefusalNews()
         self._listener = RangingListener(situation.tracker, situation.vehicle.track)
 
     def receive(self, measurement: RangingMeasurement, now_s: float) -> None:
         """Take in a measurement."""
         if self._situation.phase is Phase.FINISHED:
             return  # parked on the estimate there is nothing to learn, only to unlearn
-        self._contained(lambda: self._fused(self._listener.receive(measurement), now_s), now_s)
+        self._fused(self._listener.receive(measurement), now_s)
         self.fuse_due(now_s)
 
     def fuse_due(self, now_s: float) -> None:
         """Fuse what waited for an own position."""
-        self._contained(lambda: self._fused(self._listener.fuse_due(now_s), now_s), now_s)
-
-    def _contained(self, work: Callable[[], None], now_s: float) -> None:
-        if not self._situation.containment.run("estimator", now_s, work):
-            self._inputs.rejected()
+        self._fused(self._listener.fuse_due(now_s), now_s)
 
     def _fused(self, reports: list[FusionReport], now_s: float) -> None:
         situation = self._situation
         for report in reports:
             if report.refusal is not None:
-                situation.record("refused", reason=report.refusal.value)
+                situation.commands += self._news.refused(report.refusal, now_s)
                 continue
             if report.restarted:
                 self._inputs.rejected()

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 from companion.domain import TargetEstimate, Waypoint
-from companion.estimation.tracker import FusionReport
+from companion.estimation.tracker import FusionReport, TargetTracker
 from companion.geometry.frames import LocalOrigin
 from companion.guidance.commands import Record, ReportResult
 
@@ -35,6 +37,18 @@ def estimate_record(report: FusionReport, estimate: TargetEstimate) -> Record:
     return Record("estimate", fields)
 
 
+def health_fields(tracker: TargetTracker, now_s: float) -> dict[str, object]:
+    """How far the estimate can be trusted, as live values."""
+    objection, contact = tracker.objection(now_s), tracker.contact
+    return {
+        **asdict(tracker.health),
+        "objection": None if objection is None else objection.value,
+        "range_age_s": contact.range_age_s(now_s),
+        "bearing_age_s": contact.bearing_age_s(now_s),
+        "agreeing": contact.agreeing_since_gap(now_s),
+    }
+
+
 def waypoint_record(waypoint: Waypoint) -> Record:
     """A waypoint and why it was chosen."""
     fields = {
@@ -51,7 +65,6 @@ def result_of(
     origin: LocalOrigin | None,
     target_height_m: float,
     emitter_id: int | None = None,
-    head: str = "LOCALISED",
 ) -> tuple[ReportResult, str]:
     """The result of the flight, and the operator's text about it.
 
@@ -60,12 +73,11 @@ def result_of(
         origin: Zero of the local frame; without it there are no degrees to tell.
         target_height_m: Of the target in the local frame.
         emitter_id: Which emitter it is.
-        head: What the text begins with.
     """
     r95 = f"R95 {estimate.r95_m:.1f} m"
     if origin is None:
-        return ReportResult(estimate, None, None, emitter_id), f"{head} {r95}"
+        return ReportResult(estimate, None, None, emitter_id), f"LOCALISED {r95}"
     place = (*estimate.position_enu_m, target_height_m)
     latitude_deg, longitude_deg, _ = origin.geodetic_from_enu(place)
-    text = f"{head} {latitude_deg:.7f} {longitude_deg:.7f} {r95}"
+    text = f"LOCALISED {latitude_deg:.7f} {longitude_deg:.7f} {r95}"
     return ReportResult(estimate, latitude_deg, longitude_deg, emitter_id, origin), text

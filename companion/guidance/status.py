@@ -30,21 +30,26 @@ class GuidanceStatus:
     setpoint_enu_m: PositionEnu | None
     guard: tuple[str, ...]
     """Why the setpoint is not where the planner wanted it."""
+    is_target_outside: bool
+    """Whether the target is believed to be where the vehicle may not go."""
     health: TrackerHealth
     """How far the estimate can be trusted."""
+    objection: str | None
+    """Why the estimate must not be flown on, in words."""
+    range_age_s: float | None
+    """How old the newest range is that agrees with the estimate; None: there was none yet."""
+    bearing_age_s: float | None
+    """The same of bearings."""
     accepted: int
     refused: Mapping[str, int]
     reasons: Mapping[str, int]
     """How often each reason kept it from flying the plan at full speed, or at all."""
-    internal_errors: Mapping[str, int]
-    """Errors of the companion's own parts, which were contained."""
-    battery_pct: float | None
-    """0 to 100; None: unknown."""
 
 
 def snapshot(now_s: float, situation: Situation) -> GuidanceStatus:
     """The status that the parts of a session add up to."""
     vehicle, steering, tracker = situation.vehicle, situation.steering, situation.tracker
+    objection = tracker.objection(now_s)
     return GuidanceStatus(
         time_s=now_s,
         phase=situation.phase,
@@ -59,11 +64,13 @@ def snapshot(now_s: float, situation: Situation) -> GuidanceStatus:
         waypoint=situation.flight_plan.waypoint,
         setpoint_enu_m=steering.setpoint_enu_m,
         guard=tuple(reason.value for reason in steering.reasons),
+        is_target_outside=situation.flight_plan.is_target_outside,
         health=tracker.health,
+        objection=None if objection is None else objection.value,
+        range_age_s=tracker.contact.range_age_s(now_s),
+        bearing_age_s=tracker.contact.bearing_age_s(now_s),
         accepted=tracker.accepted,
         refused={reason.value: count for reason, count in tracker.refusals.items()},
-        internal_errors=dict(situation.containment.errors),
-        battery_pct=vehicle.battery_pct,
         reasons={reason.value: count for reason, count in situation.reasons.items()},
     )
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict
 
+from companion.guidance.records import health_fields
 from companion.guidance.session import GuidanceSession
 from companion.link.authenticity import Authenticity
 from companion.link.binding import AutopilotBinding
@@ -62,7 +63,7 @@ class LinkCounters:
             return
         self._next_record_s = now_s + RECORD_PERIOD_S
         self._journal.record("link", self._link_record(now_s), now_s)
-        self._journal.record("health", asdict(self._session.tracker.health), now_s)
+        self._journal.record("health", health_fields(self._session.tracker, now_s), now_s)
 
     def _link_record(self, now_s: float) -> dict[str, object]:
         """Counters of all links, and what became of the measurements."""

@@ -17,6 +17,8 @@ from companion.mav.radio_ranging import RangingFlag
 
 UINT8_MAX = 0xFF
 UINT32_MAX = 0xFFFFFFFF
+MAX_BEARING_RAD = math.pi + 1e-6
+"""Half a turn, which in 32 bits is a little more than one."""
 
 
 def _or_none(value: float) -> float | None:
@@ -30,7 +32,7 @@ def _or_nan(value: float | None) -> float:
 def _enu_or_none(bearing_ned_rad: float) -> float | None:
     if not math.isfinite(bearing_ned_rad):
         return _or_none(bearing_ned_rad)
-    if abs(bearing_ned_rad) > 2.0 * math.pi:  # most likely degrees: shown as sent, refused later
+    if abs(bearing_ned_rad) > MAX_BEARING_RAD:  # most likely degrees: shown as sent, refused later
         return bearing_ned_rad
     return bearing_enu_from_ned(bearing_ned_rad)
 

@@ -181,7 +181,7 @@ def _walk_row(row: Mapping[str, str | None], place: str, numbers: dict[str, int]
             emitter_id=numbers.setdefault(target_id, len(numbers)),
             measured_at_s=t_s,
             range_m=_number(row, "range_m", place),
-            bearing_enu_rad=_number(row, "bearing_rad", place),
+            bearing_enu_rad=_bearing(row, place),
             elevation_rad=_number(row, "elevation_rad", place),
         ),
         agent_enu_m=(east, north, _number(row, "agent_z_m", place) or 0.0),
@@ -197,6 +197,14 @@ def _number(row: Mapping[str, str | None], name: str, place: str) -> float | Non
         return float(text)
     except ValueError:
         raise ConfigError(f"{place}: {name} is not a number: `{text}`") from None
+
+
+def _bearing(row: Mapping[str, str | None], place: str) -> float | None:
+    """A bearing, from -pi to pi; what is counted from 0 to 2 pi in the file is turned there."""
+    value = _number(row, "bearing_rad", place)
+    if value is None or not math.pi < abs(value) <= 2.0 * math.pi:
+        return value
+    return math.remainder(value, 2.0 * math.pi)
 
 
 def _needed(row: Mapping[str, str | None], name: str, place: str) -> float:

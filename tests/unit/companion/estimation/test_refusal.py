@@ -71,6 +71,15 @@ REFUSED = {
     "range absurd": (replace(GOOD, range_m=2000.1), Refusal.RANGE_ABSURD),
     "bearing in degrees": (replace(GOOD, bearing_enu_rad=90.0), Refusal.BEARING_ABSURD),
     "body bearing in degrees": (replace(GOOD, bearing_body_rad=-7.0), Refusal.BEARING_ABSURD),
+    "bearing past half a turn": (replace(GOOD, bearing_enu_rad=3.15), Refusal.BEARING_ABSURD),
+    "body bearing past half a turn": (
+        replace(GOOD, bearing_body_rad=-3.15),
+        Refusal.BEARING_ABSURD,
+    ),
+    "range denormal": (replace(GOOD, range_m=1e-40), Refusal.DENORMAL),
+    "range the least of 64 bits": (replace(GOOD, range_m=5e-324), Refusal.DENORMAL),
+    "bearing denormal": (replace(GOOD, bearing_enu_rad=-1e-39), Refusal.DENORMAL),
+    "sigma denormal": (replace(GOOD, range_sigma_m=1e-300), Refusal.DENORMAL),
     "elevation NaN": (replace(GOOD, elevation_rad=math.nan), Refusal.NOT_FINITE),
     "elevation inf": (replace(GOOD, elevation_rad=math.inf), Refusal.NOT_FINITE),
     "elevation sigma NaN": (replace(GOOD, elevation_sigma_rad=math.nan), Refusal.NOT_FINITE),
@@ -136,8 +145,14 @@ def test_what_was_refused_leaves_no_trace_in_what_follows(name: str) -> None:
 
 def test_every_reason_is_covered_here() -> None:
     covered = {reason for _, reason in REFUSED.values()} | {Refusal.NO_POSITION}
-    judged_by_the_estimate = {Refusal.RANGE_OUTLIER, Refusal.BEARING_OUTLIER}
-    assert covered == set(Refusal) - judged_by_the_estimate
+    judged_beside_others = {
+        Refusal.RANGE_OUTLIER,
+        Refusal.BEARING_OUTLIER,
+        Refusal.TOO_MANY,
+        Refusal.FROZEN,
+        Refusal.WRONG_UNIT,
+    }
+    assert covered == set(Refusal) - judged_beside_others
 
 
 @pytest.mark.parametrize(
@@ -148,13 +163,14 @@ def test_every_reason_is_covered_here() -> None:
         replace(GOOD, range_m=2000.0),
         replace(GOOD, range_m=None),
         replace(GOOD, bearing_enu_rad=None),
-        replace(GOOD, bearing_enu_rad=-2.0 * math.pi),
+        replace(GOOD, bearing_enu_rad=float(np.float32(-math.pi))),
         replace(GOOD, measured_at_s=NOW_S - 1.0),
         replace(GOOD, measured_at_s=NOW_S + 0.5 * FUTURE_TOLERANCE_S),
         replace(GOOD, stamp_us=None),
         replace(GOOD, elevation_rad=float(np.float32(0.5 * math.pi))),
         replace(GOOD, elevation_rad=float(np.float32(-0.5 * math.pi))),
-        replace(GOOD, range_sigma_m=1e-300, bearing_sigma_rad=1e300),
+        replace(GOOD, range_sigma_m=1e-37, bearing_sigma_rad=1e300),
+        replace(GOOD, bearing_enu_rad=0.0),
     ],
 )
 def test_what_is_just_plausible_is_accepted(edge: RangingMeasurement) -> None:
@@ -196,3 +212,37 @@ def test_range_and_bearing_of_one_moment_are_no_duplicates_of_each_other() -> No
     assert tracker.fuse(replace(both, range_m=None), PLACE, NOW_S).refusal is None
     again = tracker.fuse(replace(both, range_m=None, measured_at_s=NOW_S - 0.01), PLACE, NOW_S)
     assert again.refusal is Refusal.DUPLICATE
+
+
+@pytest.mark.parametrize("bound", [None, 0, 7])
+def test_one_emitter_is_bound_and_all_others_are_ignored_and_counted(bound: int | None) -> None:
+    """Also 0, which is an id like any other; and the first one heard stays the one."""
+    mixed, alone = TargetTracker(TrackerParams(), bound), TargetTracker(TrackerParams(), bound)
+    ours = 0 if bound is None else bound
+    for step in range(30):
+        time_s, place = NOW_S + 0.1 * step, (2.0 * step, 0.0, 20.0)
+        seen = replace(
+            GOOD,
+            emitter_id=ours,
+            measured_at_s=time_s,
+            stamp_us=step,
+            range_m=50.0 + math.sin(step),
+            bearing_enu_rad=0.4 + 0.03 * math.cos(step),
+        )
+        for tracker in (mixed, alone):
+            assert tracker.fuse(seen, place, time_s).refusal is None
+        for other in {0, 7, 8, 65_535} - {ours}:
+            stranger = replace(seen, emitter_id=other, range_m=5.0, bearing_enu_rad=-2.0)
+            assert mixed.fuse(stranger, place, time_s).refusal is Refusal.OTHER_EMITTER
+    assert mixed.emitter_id == ours
+    assert mixed.refusals == {Refusal.OTHER_EMITTER: 90}
+    assert _snapshot(mixed) == _snapshot(alone)
+
+
+def test_an_id_that_changes_in_flight_is_a_dropout() -> None:
+    tracker = _tracker()
+    for step in range(40):
+        seen = replace(GOOD, emitter_id=9, measured_at_s=NOW_S + 0.1 * step, stamp_us=2_000 + step)
+        assert tracker.fuse(seen, PLACE, NOW_S + 0.1 * step).refusal is Refusal.OTHER_EMITTER
+    assert tracker.emitter_id == 7
+    assert tracker.contact.is_interrupted(NOW_S + 4.0)

@@ -107,14 +107,43 @@ def test_order_of_arrival_is_kept_and_the_waiting_ones_stay(flight: Flight) -> N
     assert flight.refusals == {}
 
 
-def test_the_oldest_gives_way_when_too_many_wait(flight: Flight) -> None:
-    for step in range(MAX_WAITING):
-        assert flight.listener.receive(replace(AT_10_S, measured_at_s=10.0 + step * 1e-3)) == []
-    (report,) = flight.listener.receive(replace(AT_10_S, measured_at_s=10.1))
-    assert report.refusal is Refusal.STALE
+@pytest.mark.parametrize("backwards", [False, True])
+def test_the_oldest_gives_way_when_too_many_wait(flight: Flight, backwards: bool) -> None:
+    times_s = [10.0 + step * 1e-3 for step in range(MAX_WAITING + 1)]
+    reports = []
+    for time_s in reversed(times_s) if backwards else times_s:
+        reports += flight.listener.receive(replace(AT_10_S, measured_at_s=time_s))
+    assert [report.refusal for report in reports] == [Refusal.TOO_MANY]
     flight.moved(10.0, 10.2)
     assert len(flight.listener.fuse_due(10.2)) == MAX_WAITING
     assert flight.tracker.accepted == MAX_WAITING
+    assert flight.refusals == {Refusal.TOO_MANY: 1}
+
+
+def test_a_burst_of_three_seconds_leaves_what_is_fresh(flight: Flight) -> None:
+    """From a fast radio, all at once; the place of each is known."""
+    flight.moved(*(10.0 + 0.1 * step for step in range(31)))
+    refused = []
+    for step in range(150):
+        seen = replace(AT_10_S, measured_at_s=10.0 + 0.02 * step, range_m=50.0 + 1e-3 * step)
+        refused += flight.listener.receive(seen)
+    reports = flight.listener.fuse_due(13.0)
+    assert len(refused) + len(reports) == 150
+    assert len(reports) == MAX_WAITING
+    fused = [report for report in reports if report.refusal is None]
+    assert len(fused) == flight.tracker.accepted == 50  # not older than a second
+    assert set(flight.refusals) == {Refusal.TOO_MANY, Refusal.STALE}
+
+
+def test_copies_of_one_that_waits_do_not_crowd_out_others(flight: Flight) -> None:
+    flight.moved(9.9)
+    for _ in range(5):
+        for step in range(20):
+            seen = replace(AT_10_S, measured_at_s=10.0 + step * 1e-3, stamp_us=step)
+            flight.listener.receive(seen)
+    flight.moved(10.2)
+    assert [r.refusal for r in flight.listener.fuse_due(10.2)] == [None] * 20
+    assert flight.refusals == {Refusal.DUPLICATE: 80}
 
 
 @pytest.mark.parametrize(
@@ -126,7 +155,7 @@ def test_the_oldest_gives_way_when_too_many_wait(flight: Flight) -> None:
         (0.0, -90.0, -50.0, 0.0),
         (170.0, 100.0, -50.0, 0.0),  # 270 degrees: over the cut
         (-170.0, -100.0, 50.0, 0.0),
-        (179.0, 181.0, 0.0, 50.0),
+        (179.0, -179.0, 0.0, 50.0),
     ],
 )
 def test_a_body_bearing_is_turned_by_the_yaw(
@@ -189,3 +218,30 @@ def test_a_body_bearing_in_degrees_is_refused(flight: Flight) -> None:
     flight.track.add_yaw(10.0, 0.0)
     flight.listener.receive(replace(AT_10_S, bearing_body_rad=90.0))
     assert [r.refusal for r in flight.listener.fuse_due(10.1)] == [Refusal.BEARING_ABSURD]
+
+
+@pytest.mark.parametrize("copies", range(2, 6))
+def test_every_measurement_several_times_gives_the_same_estimate_byte_by_byte(
+    copies: int,
+) -> None:
+    once, often = Flight(), Flight()
+    for step in range(60):
+        time_s = 10.0 + 0.1 * step
+        seen = replace(
+            AT_10_S,
+            measured_at_s=time_s - 0.04,
+            range_m=50.0 + math.sin(step),
+            bearing_enu_rad=0.2 * math.cos(step),
+            stamp_us=step,
+        )
+        for flight, count in ((once, 1), (often, copies)):
+            flight.moved(time_s)
+            for copy in range(count):
+                late = replace(seen, measured_at_s=seen.measured_at_s + 1e-4 * copy)
+                flight.listener.receive(late)  # a sender's clock is read anew each time
+                flight.listener.fuse_due(time_s + 0.01 * copy)
+    assert once.tracker.accepted == often.tracker.accepted >= 59
+    one, other = once.tracker.hypotheses[0].state, often.tracker.hypotheses[0].state
+    assert one.mean.tobytes() == other.mean.tobytes()
+    assert one.covariance.tobytes() == other.covariance.tobytes()
+    assert once.tracker.estimate(20.0) == often.tracker.estimate(20.0)

@@ -99,6 +99,15 @@ def test_a_bearing_in_degrees_is_shown_as_sent() -> None:
     assert measurement.bearing_enu_rad == 270.0
 
 
+def test_a_bearing_past_half_a_turn_is_shown_as_sent() -> None:
+    half = ranging_from_message(radio_ranging(bearing=3.1415927410125732), 0.0)
+    more = ranging_from_message(radio_ranging(bearing=3.15), 0.0)
+    assert half is not None
+    assert half.bearing_enu_rad == pytest.approx(-0.5 * math.pi)
+    assert more is not None
+    assert more.bearing_enu_rad == pytest.approx(3.15)
+
+
 def test_an_infinite_bearing_reaches_whoever_judges_it() -> None:
     measurement = ranging_from_message(radio_ranging(bearing=math.inf), 0.0)
     assert measurement is not None

@@ -1,0 +1,262 @@
+"""Do ranges come in metres? Own motion tells, wherever the target is.
+
+Theory of operation. A range in the wrong unit is a plausible number: 60 m become 0.6. It gives
+itself away when the vehicle moves, because ranges must change as the distance to *some* place does.
+So the ranges of the last seconds are explained twice: in metres, and in each larger unit that is
+confused with metres,
+
+    z_i = factor (|p - s_i| + offset) + e_i
+
+with the place p anywhere within the radio's reach. What counts is how little is left unexplained,
+(n / 2) log var(e) in the radio's own numbers, and the offset beside its prior; long ranges are
+reflections, so that an offset may be long for nothing. The number of measurements is that of
+independent ones. No noise is assumed: a unit that explains ranges to a centimetre while metres
+leave a metre is the right one, whatever the radio is configured as. And no estimate is involved,
+which might have been made from the same wrong numbers. A factor is believed when it is a thousand
+times as probable, and until metres are more probable again. Hovering tells neither, unless ranges
+are shorter than the vehicle is high.
+
+In a smaller unit the ranges, noise included, become absurdly long or scatter by hundreds of metres,
+which no reflection does. Nothing is flown on such ranges, whatever their unit may be.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.domain import PositionEnu
+from companion.estimation.filter_params import FilterParams
+from companion.geometry.arrays import Matrix, Vector
+
+FACTORS = (1e-3, 1e-2, 1.0 / 57.29577951308232)
+"""What ranges are multiplied by in the larger units that are confused with metres."""
+MAX_SPREAD_M = 100.0
+"""Between the quartiles of the ranges of the last seconds, beyond own motion."""
+CHANGED_RATIO = 5.0
+"""Ranges that became so much shorter or longer come in another unit than before."""
+NEWEST_COUNT = 4
+"""So many must say so."""
+WINDOW_S = 3.0
+MIN_COUNT, MAX_COUNT = 12, 48
+EVERY = 4
+"""Ranges between two judgements."""
+CONDEMNED_LOG_RATIO = math.log(1000.0)
+ACQUITTED_LOG_RATIO = -3.0
+REFINED, REFINEMENTS = 4, 5
+"""So many of the best places are refined, in so many steps, where ranges come in metres."""
+DIRECTIONS = 24
+NEAREST_M, RINGS = 1.0, 20
+LEAST_NOISE_M = 1e-3
+"""What no radio resolves, in its own numbers."""
+MOST_NOISE_M = 40.0
+"""A unit in which the radio would be noisier than this is none."""
+OUTLIER_DEVIATIONS = 4.0
+"""Ranges longer than the median by more median deviations than this count as that much longer."""
+FREE_EXCESS_M = 30.0
+"""An offset that is longer by up to this is a reflection, which costs nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Window:
+    """Ranges of the last seconds and where they were measured, oldest first."""
+
+    range_m: Vector
+    """(n,) as the radio has it."""
+    sensor_enu_m: Matrix
+    """(n, 3)"""
+
+
+class UnitCheck:
+    """Watches the ranges of one emitter.
+
+    Args:
+        params: Prior and bounds of the offset, and the target's height.
+        max_range_m: No target is farther.
+    """
+
+    def __init__(self, params: FilterParams, max_range_m: float) -> None:
+        self._params = params
+        self._rings_m = np.geomspace(NEAREST_M, max_range_m, RINGS)
+        self._samples: deque[tuple[float, float, PositionEnu]] = deque(maxlen=MAX_COUNT)
+        self._since = 0
+        self._condemned_s = 0.0
+        self._condemned_m = 0.0
+        self.factor: float | None = None
+        """What ranges seem to be multiplied by; None: nothing speaks for any other than 1."""
+        self.is_wild = False
+        """Whether ranges scatter by more than anything that is flown on may."""
+
+    def clear(self) -> None:
+        """Forget everything, a condemnation included."""
+        self._samples.clear()
+        self._since = 0
+        self.factor = None
+        self.is_wild = False
+
+    @property
+    def is_condemned(self) -> bool:
+        """Whether ranges must not be used."""
+        return self.factor is not None or self.is_wild
+
+    def add(self, time_s: float, range_m: float, sensor_enu_m: PositionEnu) -> None:
+        """Take in a range, and judge now and then.
+
+        Args:
+            time_s: When it was measured.
+            range_m: As the radio has it; finite and positive.
+            sensor_enu_m: Where.
+        """
+        self._samples.append((time_s, range_m, sensor_enu_m))
+        self._forget_other_sizes()
+        while len(self._samples) > MIN_COUNT and self._samples[0][0] < time_s - WINDOW_S:
+            self._samples.popleft()
+        self._since += 1
+        if self._since < EVERY or len(self._samples) < MIN_COUNT:
+            return
+        self._since = 0
+        self._judge(time_s)
+
+    def _forget_other_sizes(self) -> None:
+        """Forget what was of another size: where the unit changed, a mixture explains nothing."""
+        sizes = [range_m for _, range_m, _ in self._samples]
+        before, newest = sizes[:-NEWEST_COUNT], sizes[-NEWEST_COUNT:]
+        if len(before) < NEWEST_COUNT:
+            return
+        middle_m = statistics.median(before)
+        if max(newest) < middle_m / CHANGED_RATIO or min(newest) > middle_m * CHANGED_RATIO:
+            for _ in before:
+                self._samples.popleft()
+
+    def _judge(self, now_s: float) -> None:
+        raw_m = np.array([range_m for _, range_m, _ in self._samples])
+        window = _Window(_clipped(raw_m), np.array([place for _, _, place in self._samples]))
+        if not self.is_condemned:
+            self._suspect(window, float(np.median(raw_m)), now_s)
+        elif self._samples[0][0] > self._condemned_s:
+            self._reconsider(window, float(np.median(raw_m)))
+
+    def _suspect(self, window: _Window, middle_m: float, now_s: float) -> None:
+        factor, log_ratio = self._likeliest(window, FACTORS)
+        if log_ratio >= CONDEMNED_LOG_RATIO:
+            self.factor = factor
+        self.is_wild = _spread_m(window) > MAX_SPREAD_M
+        self._condemned_s, self._condemned_m = now_s, middle_m
+
+    def _reconsider(self, window: _Window, middle_m: float) -> None:
+        """Acquit by evidence: metres are likelier, or the numbers are of another size."""
+        if self.factor is not None:
+            _, log_ratio = self._likeliest(window, (self.factor,))
+            if log_ratio <= ACQUITTED_LOG_RATIO:
+                self.factor = None
+        if self.is_wild and middle_m < self._condemned_m / CHANGED_RATIO:
+            self.is_wild = _spread_m(window) > MAX_SPREAD_M
+
+    def _likeliest(self, window: _Window, factors: tuple[float, ...]) -> tuple[float, float]:
+        """The likeliest of some factors, and the log of how much more so than 1 it is.
+
+        Metres get the better search: a place between those that are tried must not condemn them.
+        """
+        places = self._places_enu_m(window.sensor_enu_m)
+        distances_m = self._distances_m(places, window.sensor_enu_m)
+        count = _independent(window.range_m, distances_m)
+        costs = [
+            float(self._costs(window.range_m, distances_m, factor, count).min())
+            for factor in factors
+        ]
+        in_metres = self._costs(window.range_m, distances_m, 1.0, count)
+        starts = places[np.argsort(in_metres)[:REFINED]]
+        refined = self._distances_m(self._refined(starts, window), window.sensor_enu_m)
+        best_in_metres = float(self._costs(window.range_m, refined, 1.0, count).min())
+        best = int(np.argmin(costs))
+        return factors[best], min(best_in_metres, float(in_metres.min())) - costs[best]
+
+    def _places_enu_m(self, sensor_enu_m: Matrix) -> Matrix:
+        """Places that are considered, (places, 2): all around, near and far."""
+        angles = 2.0 * math.pi * np.arange(DIRECTIONS) / DIRECTIONS
+        around = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        places = self._rings_m[:, None, None] * around + sensor_enu_m[:, :2].mean(axis=0)
+        flat: Matrix = places.reshape(-1, 2)
+        return flat
+
+    def _distances_m(self, places_enu_m: Matrix, sensor_enu_m: Matrix) -> Matrix:
+        """Distances of places from where ranges were made, (places, n)."""
+        up = sensor_enu_m[:, 2] - self._params.target_height_m
+        ground2 = (places_enu_m[:, :1] - sensor_enu_m[:, 0]) ** 2
+        ground2 += (places_enu_m[:, 1:] - sensor_enu_m[:, 1]) ** 2
+        distances: Matrix = np.sqrt(ground2 + up**2)
+        return distances
+
+    def _refined(self, places_enu_m: Matrix, window: _Window) -> Matrix:
+        """The places after some steps of Gauss-Newton with a free offset, (places, 2)."""
+        refined = np.array(places_enu_m)
+        for _ in range(REFINEMENTS):
+            distances_m = self._distances_m(refined, window.sensor_enu_m)
+            for place, distance_m in zip(refined, distances_m, strict=True):
+                partials = (place - window.sensor_enu_m[:, :2]) / np.maximum(distance_m, 1e-3)[
+                    :, None
+                ]
+                H = np.column_stack([partials, np.ones(len(distance_m))])
+                damped = H.T @ H + 1e-6 * len(distance_m) * np.eye(3)
+                step = np.linalg.solve(damped, H.T @ (window.range_m - distance_m))[:2]
+                limit_m = 0.5 * float(distance_m.mean())
+                place += step * min(1.0, limit_m / max(float(np.hypot(*step)), 1e-9))
+        return refined
+
+    def _costs(self, z: Vector, distances_m: Matrix, factor: float, count: float) -> Vector:
+        """Minus the log-likelihood of a factor at each of the places."""
+        middle = distances_m.mean(axis=1)
+        off = distances_m - middle[:, None]
+        about = z - z.mean()
+        residual2 = np.mean((about - factor * off) ** 2, axis=1)
+        cost = 0.5 * count * np.log(residual2 + LEAST_NOISE_M**2)
+        cost += self._offset_cost(z.mean() / factor - middle)
+        if factor != 1.0:
+            cost[np.sqrt(residual2) / factor > MOST_NOISE_M] = math.inf
+        costs: Vector = cost
+        return costs
+
+    def _offset_cost(self, offset_m: Vector) -> Vector:
+        """Minus the log-prior of range offsets, reflections included."""
+        p = self._params
+        low_m = 0.0 if p.range_offset_min_m is None else min(p.range_offset_min_m, 0.0)
+        high_m = p.range_offset_max_m or 0.0
+        sigma_m = p.range_offset_sigma_m if p.range_offset_min_m is None else p.range_sigma_m
+        below = np.minimum(offset_m - low_m, 0.0) / sigma_m
+        above = np.maximum(offset_m - high_m - FREE_EXCESS_M, 0.0) / p.range_offset_sigma_m
+        cost: Vector = 0.5 * (below**2 + above**2)
+        return cost
+
+
+def _spread_m(window: _Window) -> float:
+    """Distance between the quartiles of the ranges, beyond what own motion can explain."""
+    low_m, high_m = np.quantile(window.range_m, [0.25, 0.75])
+    path_m = float(np.sum(np.linalg.norm(np.diff(window.sensor_enu_m, axis=0), axis=1)))
+    return float(high_m - low_m) - path_m
+
+
+def _clipped(range_m: Vector) -> Vector:
+    """The ranges without gross excess."""
+    middle = float(np.median(range_m))
+    deviation = float(np.median(np.abs(range_m - middle)))
+    clipped: Vector = np.minimum(range_m, middle + OUTLIER_DEVIATIONS * deviation)
+    return clipped
+
+
+def _independent(z: Vector, distances_m: Matrix) -> float:
+    """How many independent measurements the window is worth, about its best linear fit."""
+    about = z - z.mean()
+    off = distances_m - distances_m.mean(axis=1)[:, None]
+    spread = np.maximum(np.sum(off * off, axis=1), 1e-12)
+    slope = off @ about / spread
+    residual = about - slope[:, None] * off
+    best = residual[int(np.argmin(np.sum(residual * residual, axis=1)))]
+    total = float(best @ best)
+    if total <= 0.0:
+        return float(len(z))
+    rho = min(max(float(best[1:] @ best[:-1]) / total, 0.0), 0.95)
+    return len(z) * (1.0 - rho) / (1.0 + rho)

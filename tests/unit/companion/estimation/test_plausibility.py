@@ -1,0 +1,134 @@
+"""What of a measurement may be used before any estimate has a say."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from companion.domain import PositionEnu, RangingMeasurement
+from companion.estimation.filter_params import FilterParams
+from companion.estimation.objections import Objection
+from companion.estimation.plausibility import AbsurdShare, Plausibility
+from companion.estimation.refusal import Refusal
+
+TARGET = (60.0, 20.0, 0.0)
+
+
+class Radio:
+    """Ten measurements a second from a vehicle that flies east at 5 m/s."""
+
+    def __init__(self) -> None:
+        self.plausibility = Plausibility(FilterParams(), 2000.0)
+        self.step = 0
+        self._rng = np.random.default_rng(1)
+
+    @property
+    def now_s(self) -> float:
+        return 0.1 * self.step
+
+    @property
+    def place(self) -> PositionEnu:
+        return (0.5 * self.step, 0.0, 20.0)
+
+    def measure(self) -> RangingMeasurement:
+        east, north = TARGET[0] - self.place[0], TARGET[1] - self.place[1]
+        return RangingMeasurement(
+            1,
+            self.now_s,
+            range_m=math.dist(self.place, TARGET) + float(self._rng.normal(0.0, 1.5)),
+            bearing_enu_rad=math.atan2(north, east) + float(self._rng.normal(0.0, 0.05)),
+        )
+
+    def judged(self, seen: RangingMeasurement) -> tuple[bool, bool, Refusal | None]:
+        """Whether range and bearing may be used, and why not both."""
+        judgement = self.plausibility.judge(seen, self.place, self.now_s)
+        self.step += 1
+        passed = judgement.passed
+        if passed is None:
+            return False, False, judgement.reason
+        return passed.range_m is not None, passed.bearing_enu_rad is not None, judgement.reason
+
+
+def test_what_is_measured_is_used_as_it_is() -> None:
+    radio = Radio()
+    for _ in range(100):
+        seen = radio.measure()
+        assert radio.plausibility.judge(seen, radio.place, radio.now_s).passed is seen
+        radio.step += 1
+    assert radio.plausibility.objection is None
+
+
+@pytest.mark.parametrize("frozen", ["range", "bearing", "both"])
+def test_what_is_frozen_is_as_good_as_none(frozen: str) -> None:
+    radio = Radio()
+    kept = radio.measure()
+    for _ in range(30):
+        fresh = radio.measure()
+        seen = RangingMeasurement(
+            1,
+            radio.now_s,
+            range_m=fresh.range_m if frozen == "bearing" else kept.range_m,
+            bearing_enu_rad=fresh.bearing_enu_rad if frozen == "range" else kept.bearing_enu_rad,
+        )
+        has_range, has_bearing, reason = radio.judged(seen)
+    assert (has_range, has_bearing) == (frozen == "bearing", frozen == "range")
+    assert reason is Refusal.FROZEN
+    assert radio.plausibility.objection is None
+
+
+def test_a_frozen_bearing_in_the_body_frame_is_told_although_the_vehicle_turns() -> None:
+    radio = Radio()
+    for _ in range(30):
+        turned = RangingMeasurement(
+            1, radio.now_s, bearing_enu_rad=0.02 * radio.step, bearing_body_rad=0.3
+        )
+        _, has_bearing, reason = radio.judged(turned)
+    assert not has_bearing
+    assert reason is Refusal.FROZEN
+
+
+def test_a_wrong_unit_of_ranges_leaves_the_bearing_but_speaks_against_flying() -> None:
+    radio = Radio()
+    for _ in range(30):
+        seen = radio.measure()
+        assert seen.range_m is not None
+        scaled = RangingMeasurement(
+            1, radio.now_s, range_m=0.01 * seen.range_m, bearing_enu_rad=seen.bearing_enu_rad
+        )
+        has_range, has_bearing, reason = radio.judged(scaled)
+    assert (has_range, has_bearing, reason) == (False, True, Refusal.WRONG_UNIT)
+    assert radio.plausibility.objection is Objection.RANGE_UNIT
+    radio.plausibility.clear()
+    assert radio.plausibility.objection is None
+
+
+@pytest.mark.parametrize(
+    ("reason", "objection"),
+    [
+        (Refusal.RANGE_ABSURD, Objection.RANGE_UNIT),
+        (Refusal.BEARING_ABSURD, Objection.BEARING_UNIT),
+        (Refusal.STALE, None),
+    ],
+)
+def test_mostly_absurd_values_speak_against_flying(
+    reason: Refusal, objection: Objection | None
+) -> None:
+    radio = Radio()
+    for _ in range(30):
+        radio.judged(radio.measure())
+    for _ in range(12):
+        radio.plausibility.refused(reason, radio.now_s)
+        radio.step += 1
+    assert radio.plausibility.objection is objection
+    for _ in range(30):
+        radio.judged(radio.measure())
+    assert radio.plausibility.objection is None
+
+
+def test_degrees_now_and_then_are_refused_but_no_objection() -> None:
+    share = AbsurdShare()
+    for step in range(100):
+        share.add(0.1 * step, is_absurd=step % 3 == 0)
+        assert not share.is_most

@@ -1,0 +1,148 @@
+"""Ranges in a wrong unit are told by own motion; honest ones never are."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import pytest
+
+from companion.domain import PositionEnu
+from companion.estimation.filter_params import FilterParams
+from companion.estimation.unit_check import UnitCheck
+
+MAX_RANGE_M = 2000.0
+RATE_HZ = 10.0
+SPEED_MPS = 5.0
+TARGET: PositionEnu = (50.0, 50.0, 0.0)
+Track = Literal["radial", "abeam", "hover", "orbit"]
+
+
+@dataclass(frozen=True, slots=True)
+class Radio:
+    sigma_m: float
+    p_nlos: float
+    bias_m: float
+    offset_m: float
+
+
+CANONICAL = Radio(1.5, 0.9, 8.0, 1.5)
+UWB = Radio(0.05, 0.0, 0.0, 0.2)
+NOISELESS = Radio(0.0, 0.0, 0.0, 0.0)
+Sample = tuple[float, float, PositionEnu]
+
+
+def _place(track: Track, time_s: float, height_m: float) -> PositionEnu:
+    far = SPEED_MPS * time_s
+    if track == "orbit":
+        turned = far / 25.0
+        return (50.0 + 25.0 * math.cos(turned), 50.0 + 25.0 * math.sin(turned), height_m)
+    east, north = {"radial": (1.0, 1.0), "abeam": (1.0, -1.0), "hover": (0.0, 0.0)}[track]
+    root = math.sqrt(0.5) * far
+    return (10.0 + east * root, 10.0 + north * root, height_m)
+
+
+def _samples(
+    radio: Radio, track: Track, height_m: float, seconds: float, seed: int
+) -> list[Sample]:
+    rng = np.random.default_rng(seed)
+    samples = []
+    for step in range(round(seconds * RATE_HZ)):
+        time_s = step / RATE_HZ
+        place = _place(track, time_s, height_m)
+        range_m = math.dist(place, TARGET) + radio.offset_m + radio.sigma_m * rng.normal()
+        range_m += radio.bias_m * rng.exponential() * (rng.random() < radio.p_nlos)
+        samples.append((time_s, max(float(range_m), 0.01), place))
+    return samples
+
+
+def _condemned_s(check: UnitCheck, samples: list[Sample], factor: float) -> float | None:
+    """When ranges times a factor are condemned; what is absurd never gets here."""
+    for time_s, range_m, place in samples:
+        if factor * range_m <= MAX_RANGE_M:
+            check.add(time_s, factor * range_m, place)
+        if check.is_condemned:
+            return time_s
+    return None
+
+
+def _check(params: FilterParams | None = None) -> UnitCheck:
+    return UnitCheck(params or FilterParams(), MAX_RANGE_M)
+
+
+@pytest.mark.parametrize("factor", [0.001, 0.01, 1.0 / 57.3])
+@pytest.mark.parametrize("track", ["radial", "abeam", "orbit"])
+@pytest.mark.parametrize("radio", [CANONICAL, UWB, NOISELESS])
+@pytest.mark.parametrize("height_m", [8.0, 20.0])
+def test_a_larger_unit_is_told_within_two_seconds_of_motion(
+    factor: float, track: Track, radio: Radio, height_m: float
+) -> None:
+    for seed in range(3):
+        told_s = _condemned_s(_check(), _samples(radio, track, height_m, 3.0, seed), factor)
+        assert told_s is not None
+        assert told_s <= 2.0
+
+
+def test_above_what_the_offset_allows_hovering_is_enough() -> None:
+    hovering = _samples(CANONICAL, "hover", 20.0, 3.0, 1)
+    assert _condemned_s(_check(), hovering, 0.01) is not None
+    bounded = FilterParams(range_offset_min_m=-3.0, range_offset_max_m=3.0, range_sigma_m=0.15)
+    low = _samples(UWB, "hover", 8.0, 3.0, 1)
+    assert _condemned_s(_check(bounded), low, 0.01) is not None
+    assert _condemned_s(_check(), low, 0.01) is None  # an offset of -8 m is possible there
+
+
+@pytest.mark.parametrize("radio", [CANONICAL, UWB])
+def test_a_smaller_unit_scatters_or_runs_away(radio: Radio) -> None:
+    """Nearer than 35 m even 57.3 times the range is not absurd."""
+    flown = [s for s in _samples(radio, "radial", 10.0, 12.0, 2) if s[1] < 34.0]
+    began_s = flown[0][0]
+    told_s = _condemned_s(_check(), flown, 57.3)
+    assert told_s is not None
+    assert told_s - began_s <= 3.0
+
+
+@pytest.mark.parametrize("track", ["radial", "abeam", "orbit", "hover"])
+@pytest.mark.parametrize("radio", [CANONICAL, UWB, NOISELESS])
+@pytest.mark.parametrize("height_m", [1.0, 20.0])
+def test_metres_are_never_condemned(track: Track, radio: Radio, height_m: float) -> None:
+    for seed in range(3):
+        samples = _samples(radio, track, height_m, 30.0, 10 + seed)
+        assert _condemned_s(_check(), samples, 1.0) is None
+
+
+@pytest.mark.parametrize("share", [0.1, 0.4])
+def test_outliers_are_another_matter(share: float) -> None:
+    rng = np.random.default_rng(5)
+    outliers = [
+        (t, r + float(rng.exponential(40.0)) * (rng.random() < share), place)
+        for t, r, place in _samples(CANONICAL, "radial", 20.0, 30.0, 3)
+    ]
+    assert _condemned_s(_check(), outliers, 1.0) is None
+
+
+@pytest.mark.parametrize("factor", [0.01, 57.3])
+def test_in_flight_a_new_unit_is_told_and_so_is_its_end(factor: float) -> None:
+    check = _check()
+    samples = [s for s in _samples(CANONICAL, "radial", 8.0, 14.0, 4) if s[1] < 60.0]
+    third = len(samples) // 3
+    assert _condemned_s(check, samples[:third], 1.0) is None
+    near = [(t, min(r, 30.0 + r / 10.0), p) for t, r, p in samples[third : 2 * third]]
+    told_s = _condemned_s(check, near, factor)
+    assert told_s is not None
+    assert told_s - near[0][0] <= 3.0
+    for time_s, range_m, place in samples[2 * third :]:
+        check.add(time_s, range_m, place)
+    assert not check.is_condemned
+
+
+def test_hovering_does_not_acquit() -> None:
+    check = _check()
+    assert _condemned_s(check, _samples(UWB, "radial", 8.0, 3.0, 1), 0.01) is not None
+    for time_s, range_m, _ in _samples(UWB, "hover", 8.0, 60.0, 2):
+        check.add(3.0 + time_s, 0.01 * range_m, (20.0, 20.0, 8.0))
+    assert check.is_condemned
+    check.clear()
+    assert not check.is_condemned
