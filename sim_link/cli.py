@@ -23,7 +23,7 @@ from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.incidents import Incident
 from sim_link.config import Scenario, load_scenario
 from sim_link.fleet import Fleet
-from sim_link.vehicles import Files, Wishes, link_specs, make_vehicles
+from sim_link.vehicles import Files, Wishes, has_ended, link_specs, make_vehicles
 
 DEFAULT_LISTEN = "127.0.0.1:14580"
 DEFAULT_SEND_TO = ("127.0.0.1:14550", "127.0.0.1:14540")
@@ -179,14 +179,14 @@ def _add_files(parser: argparse.ArgumentParser) -> None:
         "--parameters",
         metavar="FILE",
         type=Path,
-        help="load the autopilot's parameters from FILE if it exists, and store them there",
+        help="load the autopilot's parameters from FILE, and store there what a client changes; "
+        "a FILE that does not exist yet is made then",
     )
     parser.add_argument(
         "--signing-key",
         metavar="FILE",
         type=Path,
-        help="sign, and believe only what is signed with this key; SETUP_SIGNING over "
-        "a line (pty:, serial:) replaces it",
+        help="sign, and believe only what is signed with this key; SETUP_SIGNING replaces it",
     )
     parser.add_argument(
         "--report",
@@ -221,6 +221,8 @@ def _run(arguments: argparse.Namespace) -> int:
                     voice.say(f"{occurrence.time_s:8.2f} s  {who}{occurrence.text}")
 
     voice.say(_start_line(wishes))
+    for line in _notes(wishes):
+        voice.say(line)
     fleet: Endpoint = endpoints[0] if len(endpoints) == 1 else Fleet(endpoints, len(specs[0]))
     links = [spec for own in specs for spec in own]
     try:
@@ -322,6 +324,18 @@ def _start_line(wishes: Wishes) -> str:
         f"seed {wishes.seed}, speed {wishes.speed:g}x; "
         f"sending to {targets}; listening on {listen[0]}:{listen[1]}{also}"
     )
+
+
+def _notes(wishes: Wishes) -> list[str]:
+    """What a user may have meant otherwise."""
+    notes = []
+    if wishes.parameters is not None and not wishes.parameters.exists():
+        notes.append(
+            f"sim-link: {wishes.parameters} is not there yet; changes will be stored there"
+        )
+    if wishes.signing_key is not None and has_ended(wishes.signing_key):
+        notes.append(f"sim-link: signing is off, a client ended it ({wishes.signing_key})")
+    return notes
 
 
 def _summary(endpoint: SimEndpoint) -> str:

@@ -19,7 +19,7 @@ from companion.io.key_file import load_signing_key, store_signing_key
 from companion.io.links import LinkSpec, UdpFanOut, shared_link_from_url
 from companion.io.urls import LinkKind, LinkUrl
 from companion.mav.endpoint import Address
-from companion.mav.signing import Signing
+from companion.mav.signing import KEY_LENGTH, Signing
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import Scenario
 from sim_link.report import end_report, start_report
@@ -28,7 +28,10 @@ STATION_PORT = 14550
 """UDP port of ground stations, the same for every vehicle."""
 MAX_PORT = 65_535
 MAX_SYSTEM_ID = 255
+UDP_LINK = 0
 SAVE_PERIOD_S = 1.0
+NO_KEY = 2 * KEY_LENGTH * "0"
+"""SETUP_SIGNING's way to say that there is no signing."""
 WIRED = (LinkKind.SERIAL, LinkKind.PTY)
 """Links that nobody else can hear."""
 
@@ -59,9 +62,8 @@ def make_vehicles(wishes: Wishes) -> list[SimEndpoint]:
     last = scenario.system_id + scenario.vehicles - 1
     if last > MAX_SYSTEM_ID:
         raise ConfigError(f"{scenario.vehicles} vehicles: system ids would go beyond 255")
-    trusted = frozenset(index for index, url in enumerate(wishes.links, 1) if url.kind in WIRED) | (
-        {0} if wishes.listen[0] == "127.0.0.1" and wishes.signing_key is None else set()
-    )
+    lines = frozenset(index for index, url in enumerate(wishes.links, 1) if url.kind in WIRED)
+    loopback = frozenset({UDP_LINK} if wishes.listen[0] == "127.0.0.1" else ())
     endpoints = []
     for number in range(scenario.vehicles):
         path = numbered(wishes.parameters, number)
@@ -74,7 +76,8 @@ def make_vehicles(wishes: Wishes) -> list[SimEndpoint]:
                 parameters=stored_parameters(path),
                 parameters_name=str(path),
                 signing=_signing(wishes.signing_key),
-                trusted_links=trusted,
+                trusted_links=lines,
+                setup_links=loopback,
                 started_unix_s=time.time(),
             )
         )
@@ -82,7 +85,15 @@ def make_vehicles(wishes: Wishes) -> list[SimEndpoint]:
 
 
 def _signing(path: Path | None) -> Signing | None:
-    return None if path is None else Signing(load_signing_key(path))
+    return None if path is None or has_ended(path) else Signing(load_signing_key(path))
+
+
+def has_ended(path: Path) -> bool:
+    """Whether a client ended signing by SETUP_SIGNING: then the file holds the key of zeros."""
+    try:
+        return path.read_text(encoding="ascii").strip() == NO_KEY
+    except (OSError, UnicodeDecodeError):
+        return False  # whoever loads the key says what is wrong
 
 
 def link_specs(wishes: Wishes, number: int) -> list[LinkSpec]:
@@ -177,11 +188,15 @@ class Files:
                 self._saved[number] = text
 
     def _keep_key(self) -> None:
-        """A key that a client set up, where there is a file; an end of signing is not kept."""
+        """A key that a client set up, or the end of signing, where there is a file."""
         for endpoint in self._endpoints:
             setup = endpoint.links.take_setup()
             path = self._wishes.signing_key
-            if setup is not None and setup.key is not None and path is not None:
+            if setup is None or path is None:
+                continue
+            if setup.key is None:
+                write_text_atomic(path, f"{NO_KEY}\n", mode=0o600)
+            else:
                 store_signing_key(path, setup.key)
 
     def end(self) -> None:

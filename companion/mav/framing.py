@@ -92,8 +92,8 @@ class FrameSplitter:
                     guesses.append((start, end))
             self.counters.junk_bytes += 1
             start = self._next_magic(buffer, start + 1)
-        self._keep_unknown(buffer, guesses, taken)
-        self._pending = b"" if is_datagram else buffer[start:]
+        free_from = self._keep_unknown(buffer, guesses, taken)
+        self._pending = b"" if is_datagram else buffer[max(start, free_from) :]
         self.counters.good += len(frames)
         return frames
 
@@ -111,7 +111,8 @@ class FrameSplitter:
 
     def _keep_unknown(
         self, buffer: bytes, guesses: list[tuple[int, int]], taken: list[tuple[int, int]]
-    ) -> None:
+    ) -> int:
+        """Keep the guesses that are likely frames; where the last of them ends."""
         free_from = 0
         good_ends = [end for _, end in taken]
         for start, end in guesses:
@@ -123,6 +124,7 @@ class FrameSplitter:
             if ends_well and is_free:
                 self._unknown.append(buffer[start:end])
                 free_from = end
+        return free_from
 
     def _is_valid(self, frame: bytes) -> bool:
         crc_extra = self._crc_extra_by_id.get(message_id(frame))

@@ -54,6 +54,7 @@ class SimEndpoint:
         parameters_name: What to call them in errors, usually a file.
         signing: Proves and signs; None: neither, until a client sets a key up.
         trusted_links: Links that nobody else can hear, where unsigned frames are welcome.
+        setup_links: Links over which a key may be set up, too.
         started_unix_s: Unix time at boot, for the timestamps of signatures.
 
     Raises:
@@ -72,6 +73,7 @@ class SimEndpoint:
         parameters_name: str = "stored parameters",
         signing: Signing | None = None,
         trusted_links: frozenset[int] = frozenset(),
+        setup_links: frozenset[int] = frozenset(),
         started_unix_s: float = 0.0,
     ) -> None:
         self._scenario = scenario
@@ -81,7 +83,9 @@ class SimEndpoint:
         self._is_finished = False
         self._output: list[Chunk] = []
         components = (AUTOPILOT_COMPONENT_ID, payload.COMPONENT_ID)
-        self.links = LinkLayer(scenario.system_id, components, links, signing, trusted_links)
+        self.links = LinkLayer(
+            scenario.system_id, components, links, signing, trusted_links, setup_links
+        )
         self.recorder = FlightRecorder()
         self._began_s = started_s
         self._script = Script(scenario.incidents)

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from companion.mav.dialect import Message, mavlink
 
 MAGIC_V1, MAGIC_V2 = 0xFE, 0xFD
+HEADER_LENGTH = {MAGIC_V1: 6, MAGIC_V2: 10}
+CRC_LENGTH = 2
 SIGNED = 0x01
 SIGNATURE_LENGTH = 13
 SIGNING_UNITS_PER_S = 100_000
@@ -113,3 +115,21 @@ def signature_of(frame: bytes, key: bytes) -> Signature | None:
     expected = hashlib.sha256(key + body + block[:7]).digest()[:6]
     timestamp = int.from_bytes(block[1:7], "little")
     return Signature(block[0], timestamp, block[7:] == expected)
+
+
+def cut(data: bytes) -> list[bytes]:
+    """The frames that bytes consist of, by the lengths in their headers; the rest is left out."""
+    frames = []
+    start = 0
+    while start + HEADER_LENGTH[MAGIC_V1] <= len(data):
+        magic = data[start]
+        if magic not in HEADER_LENGTH:
+            start += 1
+            continue
+        end = start + HEADER_LENGTH[magic] + data[start + 1] + CRC_LENGTH
+        if magic == MAGIC_V2 and data[start + 2] & SIGNED:
+            end += SIGNATURE_LENGTH
+        if end <= len(data):
+            frames.append(data[start:end])
+        start = end
+    return frames

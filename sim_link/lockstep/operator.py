@@ -54,13 +54,13 @@ class Operator:
         """Disarm by force, in the air too."""
         self.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0, 21_196.0)
 
-    def choose(self, mode: FlightMode, *, is_told_at_once: bool = True) -> None:
+    def choose(self, mode: FlightMode, *, is_told_at_once: bool = False) -> None:
         """Switch the mode.
 
         Args:
             mode: The wanted one.
-            is_told_at_once: Whether the autopilot tells the companion now, not with the next
-                heartbeat.
+            is_told_at_once: Whether the companion is told now: ArduPilot does so anyhow, PX4 tells
+                a new mode with its next HEARTBEAT only, unless it is asked.
         """
         flight = self._flight
         is_armed = flight.sim.vehicle.modes.is_armed

@@ -14,6 +14,8 @@ from tests.loop.loop_helpers import Loop
 
 OPERATOR = CompanionConfig()
 SET_MODE = mavlink.MAV_CMD_DO_SET_MODE
+HEARTBEAT_PERIOD_S = 1.0
+"""PX4 tells a new mode with its next HEARTBEAT."""
 ARM = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
 TAKEOFF = mavlink.MAV_CMD_NAV_TAKEOFF
 
@@ -55,10 +57,11 @@ def test_after_an_override_not_one_setpoint_and_not_one_mode_request(seed: int) 
     assert loop.mode is FlightMode.OFFBOARD
     asked = len(loop.commands)
     mode = rng.choice([FlightMode.HOLD, FlightMode.RETURN, FlightMode.LAND])
-    loop.choose(mode)
-    overridden_s = loop.now_s
+    is_told_at_once = seed % 2 == 1
+    loop.choose(mode, is_told_at_once=is_told_at_once)
+    told_s = loop.now_s if is_told_at_once else loop.now_s + HEARTBEAT_PERIOD_S
     loop.run(15.0)
-    assert loop.setpoints_since(overridden_s - 1e-9) == []
+    assert loop.setpoints_since(told_s - 1e-9) == []
     assert SET_MODE not in [command for _, command in loop.commands[asked:]]
     assert loop.mode in (mode, FlightMode.HOLD)
     assert loop.phase in (Phase.YIELD, Phase.WAITING)

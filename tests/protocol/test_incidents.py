@@ -13,7 +13,7 @@ from companion.mav.dialect import MAVLink_ekf_status_report_message, mavlink
 from sim_link.autopilot import incidents
 from sim_link.autopilot.incidents import Incident
 from sim_link.autopilot.scenario import AutopilotParams, RcParams, Scenario
-from tests.protocol.sim_helpers import ACCEPTED, ARM, TAKEOFF, GroundStation, local_setpoint
+from tests.protocol.sim_helpers import ACCEPTED, ARM, DENIED, TAKEOFF, GroundStation, local_setpoint
 
 STABILIZE, GUIDED, LOITER, RTL, LAND, ALT_HOLD = 0, 4, 5, 6, 9, 2
 RC_CHANNELS = float(mavlink.MAVLINK_MSG_ID_RC_CHANNELS)
@@ -109,9 +109,10 @@ def test_a_lost_transmitter_comes_back() -> None:
     station = px4(rc=RcParams(is_present=True))
     happen(station, incidents.RcLoss(for_s=4.0))
     station.run(1.0)
-    assert mode_of(station) is FlightMode.RETURN
+    assert station.status == mavlink.MAV_STATE_CRITICAL
+    assert station.command(mavlink.MAV_CMD_REQUEST_MESSAGE, RC_CHANNELS) == DENIED
     station.run(4.0)
-    assert mode_of(station) is FlightMode.HOLD
+    assert station.command(mavlink.MAV_CMD_REQUEST_MESSAGE, RC_CHANNELS) == ACCEPTED
 
 
 def test_a_poor_estimate_shows_in_estimator_status_and_ends() -> None:

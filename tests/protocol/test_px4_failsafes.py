@@ -26,6 +26,8 @@ from tests.protocol.sim_helpers import (
 )
 
 CRITICAL = mavlink.MAV_STATE_CRITICAL
+HOLD_BEFORE_S = 5.0
+"""COM_FAIL_ACT_T."""
 SQUARE = ((0.0, 0.0), (30.0, 0.0), (30.0, 30.0), (0.0, 30.0))
 
 
@@ -42,6 +44,10 @@ def flying(parameters: dict[str, float] | None = None, **scenario: object) -> Gr
     return station
 
 
+def mode_of(station: GroundStation) -> FlightMode:
+    return station.mode
+
+
 def manual(x: int = 0, y: int = 0, z: int = 500, r: int = 0) -> mavlink.MAVLink_message:
     """MANUAL_CONTROL of a joystick."""
     return mavlink.MAVLink_manual_control_message(1, x, y, z, r, 0)
@@ -56,10 +62,12 @@ def test_leaving_the_fence_starts_its_action(action: int, mode: FlightMode) -> N
     station.run(0.5)
     assert station.set_mode(FlightMode.OFFBOARD) == ACCEPTED
     station.run_until(lambda: station.mode is not FlightMode.OFFBOARD, 15.0)
-    assert station.mode is mode
+    assert station.mode is FlightMode.HOLD
     assert station.status == CRITICAL
-    assert "Failsafe: fence breached" in texts(station)
     assert station.place[1] == pytest.approx(30.0, abs=3.0)
+    waited_s = station.run_until(lambda: station.mode is mode, 6.0)
+    assert waited_s == pytest.approx(0.0 if mode is FlightMode.HOLD else HOLD_BEFORE_S, abs=0.1)
+    assert "Failsafe: fence breached" in texts(station)
 
 
 def test_a_place_outside_the_fence_is_not_flown_to_and_not_armed_at() -> None:
@@ -76,7 +84,7 @@ def test_a_place_outside_the_fence_is_not_flown_to_and_not_armed_at() -> None:
 
 
 def test_an_empty_battery_returns_and_lands() -> None:
-    station = flying(battery=BatteryParams(endurance_s=100.0, start_share=0.25))
+    station = flying(battery=BatteryParams(endurance_s=400.0, start_share=0.11))
     station.run_until(lambda: station.mode is FlightMode.RETURN, 60.0)
     assert station.status == CRITICAL
     assert "Low battery level" in texts(station)
@@ -87,7 +95,7 @@ def test_an_empty_battery_returns_and_lands() -> None:
 
 
 def test_the_operator_may_take_over_from_a_battery_failsafe_until_it_gets_worse() -> None:
-    station = flying(battery=BatteryParams(endurance_s=200.0, start_share=0.15))
+    station = flying(battery=BatteryParams(endurance_s=400.0, start_share=0.11))
     station.run_until(lambda: station.mode is FlightMode.RETURN, 60.0)
     assert station.set_mode(FlightMode.HOLD) == ACCEPTED
     station.run(1.0)
@@ -104,10 +112,11 @@ def test_a_silent_ground_station_is_a_failsafe_only_if_asked_for() -> None:
         station.run(4.8)
         assert station.mode is FlightMode.HOLD
         station.run(0.5)
-        assert station.mode is mode
-        station.send(beat)
-        station.run(0.1)
         assert station.mode is FlightMode.HOLD
+        assert (station.status == CRITICAL) == (action != 0)
+        station.send(beat)
+        station.run(HOLD_BEFORE_S)
+        assert station.mode is mode
 
 
 def test_a_transmitter_that_is_lost_returns_and_shows_in_the_health() -> None:
@@ -115,10 +124,40 @@ def test_a_transmitter_that_is_lost_returns_and_shows_in_the_health() -> None:
     report = station.last(mavlink.MAVLink_sys_status_message)
     assert report.onboard_control_sensors_health & mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
     station.run(21.2 - station.now_s)
-    assert station.mode is FlightMode.RETURN
+    assert (station.mode, station.status) == (FlightMode.HOLD, CRITICAL)
+    assert "Failsafe activated, entering Hold for 5 seconds" in texts(station)
     report = station.last(mavlink.MAVLink_sys_status_message)
     assert not report.onboard_control_sensors_health & mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
-    station.run_until(lambda: station.mode is FlightMode.HOLD, 4.0)
+    station.run(25.2 - station.now_s)
+    assert station.mode is FlightMode.RETURN
+    station.run(5.0)
+    assert station.mode is FlightMode.RETURN, "regained, it goes on until somebody chooses a mode"
+    assert station.set_mode(FlightMode.HOLD) == ACCEPTED
+    assert station.status == mavlink.MAV_STATE_ACTIVE
+
+
+def test_a_failsafe_that_waits_in_hold_hears_no_sticks_but_a_mode() -> None:
+    station = flying(rc=RcParams(is_present=True), incidents=(RcLoss(time_s=20.0),))
+    station.run(21.0 - station.now_s)
+    station.send(manual(x=900))
+    station.run(1.0)
+    assert mode_of(station) is FlightMode.HOLD
+    assert station.set_mode(FlightMode.LAND) == ACCEPTED
+    station.run(6.0)
+    assert mode_of(station) is FlightMode.LAND
+
+
+def test_a_cause_that_comes_and_goes_is_held_for_less_and_less() -> None:
+    station = flying({"NAV_DLL_ACT": 3, "COM_DL_LOSS_T": 5})
+    beat = mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GCS, 8, 0, 0, 4, 3)
+    for waited_s in (5.0, 2.3):
+        station.send(beat)
+        station.run(5.1)
+        assert station.status == CRITICAL
+        station.run(4.0)
+        assert (station.mode is FlightMode.LAND) == (waited_s < 4.0)
+        station.set_mode(FlightMode.HOLD)
+        station.run(0.1)
 
 
 def test_sticks_take_over_from_automatic_modes_and_fly() -> None:

@@ -42,8 +42,10 @@ class LinkLayer:
         component_ids: Of its components, the autopilot first.
         links: How many links there are.
         signing: The vehicle's, with its key; None to begin without.
-        trusted_links: Links that nobody else can hear (a wire, loopback): unsigned frames are
-            welcome there, and a key may be set up over them.
+        trusted_links: Links that nobody else can hear (a wire): unsigned frames are welcome
+            there, and a key may be set up over them.
+        setup_links: Links over which a key may be set up, too (loopback); once there is one, they
+            need signatures like any other.
     """
 
     def __init__(
@@ -53,6 +55,7 @@ class LinkLayer:
         links: int = 1,
         signing: Signing | None = None,
         trusted_links: frozenset[int] = frozenset(),
+        setup_links: frozenset[int] = frozenset(),
     ) -> None:
         self.signing = signing
         self.router = Router(system_id, component_ids, links)
@@ -60,6 +63,7 @@ class LinkLayer:
         self._component_ids = component_ids
         self._links = range(links)
         self._trusted = trusted_links
+        self._may_set_up = trusted_links | setup_links
         self._receivers = FrameReceivers()
         self._versions = {Channel(link): WireVersion() for link in self._links}
         """Of every link, and of every peer that is kept apart."""
@@ -169,7 +173,7 @@ class LinkLayer:
             message,
             self._system_id,
             self._component_ids[0],
-            is_trusted_link=link in self._trusted,
+            is_trusted_link=link in self._may_set_up,
         )
         if setup is None:
             return

@@ -30,6 +30,8 @@ OBSERVED_ARDUPILOT = "ArduCopter 4.5, observed in SITL"
 PX4_SAFETY = "PX4 user guide, Safety Configuration"
 PX4_OFFBOARD = "PX4 user guide, Offboard Mode, COM_OF_LOSS_T"
 FLIES = Effect.FLIES
+HOLD_BEFORE_S = 6.0
+"""PX4 holds for COM_FAIL_ACT_T, 5 s by default, before it returns."""
 CRITICAL = mavlink.MAV_STATE_CRITICAL
 OFFBOARD_NUMBER = 6 << 16
 
@@ -85,13 +87,13 @@ def lost_ground_station_is_nothing_by_default(probe: VehicleProbe) -> None:
 
 @book.rule(f"{PX4_SAFETY}, NAV_DLL_ACT, COM_DL_LOSS_T", effect=FLIES, flavours=PX4_ONLY)
 def lost_data_link_returns(probe: VehicleProbe) -> None:
-    """With NAV_DLL_ACT 2, COM_DL_LOSS_T without a ground station: RETURN, CRITICAL."""
+    """With NAV_DLL_ACT 2, COM_DL_LOSS_T without a ground station: Hold for a while, RETURN."""
     with parameter_set(probe, "NAV_DLL_ACT", 2.0), parameter_set(probe, "COM_DL_LOSS_T", 5.0):
         probe.take_off()
         with silence(probe):
             probe.run(3.0)
             require(probe.is_in("hold"), "RETURN before 5 s")
-            probe.await_mode("return", 5.0)
+            probe.await_mode("return", 5.0 + HOLD_BEFORE_S)
             beat = probe.heartbeat()
         require(beat.system_status == CRITICAL, f"system_status {beat.system_status}")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from companion.mav.dialect import Message, mavlink
-from sim_link.conformance.frames import build_raw
+from sim_link.conformance.frames import build_raw, cut
 from sim_link.conformance.parameter_client import float_name, read, write
 from sim_link.conformance.rules import Effect, NotApplicable, Role, RuleBook, require
 from sim_link.conformance.station import Station, heartbeat
@@ -93,9 +93,9 @@ def acknowledgement_names_the_asker(probe: VehicleProbe) -> None:
 
 
 def frames_at(station: Station, mark: int) -> list[bytes]:
-    """The datagrams that a second station got since `mark`."""
+    """The frames that a second station got since `mark`."""
     station.run(SETTLE_S)
-    return [data for _, data in station.datagrams[mark:]]
+    return cut(b"".join(data for _, data in station.datagrams[mark:]))
 
 
 def companion_of(probe: VehicleProbe) -> Station:

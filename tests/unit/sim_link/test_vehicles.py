@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
+from companion.errors import ConfigError
 from companion.io.key_file import load_signing_key, store_signing_key
 from companion.io.urls import parse_link_url
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk
 from companion.mav.signing import SigningKey
+from companion.mav.targets import source_of
+from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import Scenario
 from sim_link.vehicles import Files, Wishes, make_vehicles
 
@@ -39,6 +44,11 @@ def set_up(wanted: Wishes, key: bytes, link: int) -> None:
     files.keep(0.0)
 
 
+def answers(endpoint: SimEndpoint) -> list[bytes]:
+    """What the autopilot itself sends; unproved frames are passed on all the same."""
+    return [chunk.data for chunk in endpoint.take_output() if source_of(chunk.data) == (1, 1)]
+
+
 def key_file(folder: Path) -> Path:
     path = folder / "signing.key"
     store_signing_key(path, SigningKey(OLD))
@@ -57,10 +67,33 @@ def test_a_key_from_a_link_that_others_hear_is_not_stored(tmp_path: Path) -> Non
     assert load_signing_key(path).secret == OLD
 
 
-def test_the_end_of_signing_leaves_the_file_alone(tmp_path: Path) -> None:
+def test_the_end_of_signing_lasts_until_another_key_is_set_up(tmp_path: Path) -> None:
     path = key_file(tmp_path)
     set_up(wishes(path), bytes(32), LINE)
-    assert load_signing_key(path).secret == OLD
+    (endpoint,) = make_vehicles(wishes(path))
+    assert endpoint.links.signing is None
+    set_up(wishes(path), NEW, LINE)
+    assert load_signing_key(path).secret == NEW
+
+
+def test_a_companion_refuses_the_file_of_a_vehicle_whose_signing_ended(tmp_path: Path) -> None:
+    path = key_file(tmp_path)
+    set_up(wishes(path), bytes(32), LINE)
+    with pytest.raises(ConfigError, match=r"signing\.key"):
+        load_signing_key(path)
+
+
+def test_a_key_from_loopback_makes_loopback_need_signatures() -> None:
+    (endpoint,) = make_vehicles(wishes(None))
+    setup = mavlink.MAVLink_setup_signing_message(1, 1, list(NEW), 0)
+    ping = mavlink.MAVLink_timesync_message(0, 42)
+    station = MavCodec(255, 190)
+    endpoint.receive(Chunk(UDP, station.encode(setup), ("127.0.0.1", 1)), 0.0)
+    endpoint.take_output()
+    endpoint.receive(Chunk(UDP, station.encode(ping), ("127.0.0.1", 1)), 0.0)
+    assert not answers(endpoint)
+    endpoint.receive(Chunk(LINE, station.encode(ping), None, is_datagram=False), 0.0)
+    assert answers(endpoint)
 
 
 def test_without_a_file_nothing_is_written(tmp_path: Path) -> None:

@@ -1,15 +1,23 @@
 """PX4's failsafes: what is wrong now, and which reaction to it wins.
 
-Theory of operation. Every cause has a reaction while it is active. Causes of the first kind end
-with their condition (setpoints, sticks, station, position); those of the second stay until the
-operator chooses a mode or the vehicle disarms (battery, fence). A choice of the operator takes over
-from all of them: a cause that was taken over acts again only after its condition has gone and come
-back. The most severe reaction is flown. Source: PX4 1.15, `failsafe/framework.h` and user guide,
-"Safety Configuration".
+Theory of operation. Every cause has a reaction while it is active, and the most severe reaction is
+flown. Most reactions wait: PX4 holds for COM_FAIL_ACT_T first, so that the operator may take over,
+by a mode but not by the sticks. What only falls back (no setpoints, no position) and a hold at the
+fence do not wait. The time to hold shrinks while it is used and grows back four times as slowly, so
+that a cause that comes and goes is acted on in the end.
+
+Some causes end with their condition (setpoints, position, battery), the others stay until the
+operator chooses a mode or the vehicle disarms (sticks, station, fence). A choice of the operator
+takes over from all of them: a cause that was taken over acts again only after its condition has
+gone and come back.
+
+Source: PX4 1.15, `commander/failsafe/framework.cpp` and `failsafe.cpp`; user guide, "Safety
+Configuration".
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 
@@ -28,9 +36,8 @@ class Cause(Enum):
     BATTERY_EMERGENCY = "battery emergency"
 
 
-ENDS_WITH_ITS_CONDITION = frozenset(
-    {Cause.NO_SETPOINTS, Cause.NO_STICKS, Cause.NO_STATION, Cause.NO_POSITION}
-)
+REGROWTH = 0.25
+"""How fast the delay grows back."""
 
 
 class Reaction(Enum):
@@ -91,21 +98,51 @@ class Finding:
     is_present: bool
     reaction: Reaction | None
     """None: this is not watched."""
+    waits: bool = True
+    """Whether COM_FAIL_ACT_T comes first."""
+    ends: bool = False
+    """Whether it ends with its condition."""
 
 
 class Failsafes:
-    """Which causes are active."""
+    """Which causes are active, and what is flown for them."""
 
     def __init__(self) -> None:
         self._active: dict[Cause, Reaction] = {}
         self._taken_over: set[Cause] = set()
+        self._delay_s = 0.0
+        """What is left of the hold before the reaction."""
+        self._spent_s = 0.0
+        """By how much the next such hold is shorter than COM_FAIL_ACT_T."""
 
-    def watch(self, finding: Finding) -> bool:
-        """Take in a finding; whether a cause became active just now."""
+    def watch(
+        self, findings: Iterable[Finding], dt_s: float, delay_s: float, *, can_hold: bool
+    ) -> list[Cause]:
+        """Take in what is wrong; the causes that became active just now.
+
+        Args:
+            findings: Everything that is watched.
+            dt_s: Time since the last call.
+            delay_s: COM_FAIL_ACT_T.
+            can_hold: Whether the vehicle could hold a place.
+        """
+        before = self.flown
+        is_reacting = before is not None and before.value > Reaction.HOLD.value
+        self._delay_s = max(0.0, self._delay_s - dt_s)
+        fresh = [each for each in findings if self._watch(each)]
+        if any(each.waits and each.reaction is not Reaction.WARN for each in fresh):
+            self._delay_s = self._delay_s or max(0.0, delay_s - self._spent_s)
+        if is_reacting or not can_hold or not self._active:
+            self._delay_s = 0.0
+        change_s = dt_s if self._delay_s else -REGROWTH * dt_s
+        self._spent_s = min(delay_s, max(0.0, self._spent_s + change_s))
+        return [each.cause for each in fresh]
+
+    def _watch(self, finding: Finding) -> bool:
         cause = finding.cause
         if not finding.is_present or finding.reaction is None:
             self._taken_over.discard(cause)
-            if cause in ENDS_WITH_ITS_CONDITION:
+            if finding.ends:
                 self._active.pop(cause, None)
             return False
         if cause in self._taken_over or cause in self._active:
@@ -117,11 +154,18 @@ class Failsafes:
         """The operator chose a mode."""
         self._taken_over |= self._active.keys()
         self._active.clear()
+        self._delay_s = 0.0
 
     def clear(self) -> None:
         """The vehicle disarmed."""
         self._active.clear()
         self._taken_over.clear()
+        self._delay_s = 0.0
+
+    @property
+    def delay_s(self) -> float:
+        """How long it will hold before the reaction; 0 once that is flown."""
+        return self._delay_s
 
     @property
     def worst(self) -> tuple[Cause, Reaction] | None:
@@ -129,3 +173,12 @@ class Failsafes:
         if not self._active:
             return None
         return max(self._active.items(), key=lambda item: item[1].value)
+
+    @property
+    def flown(self) -> Reaction | None:
+        """The reaction that is flown now: a hold while the worst one waits."""
+        worst = self.worst
+        if worst is None:
+            return None
+        waits = self._delay_s > 0.0 and worst[1] not in (Reaction.WARN, Reaction.DISARM)
+        return Reaction.HOLD if waits else worst[1]

@@ -15,12 +15,17 @@ from sim_link.autopilot.commands import ACCEPTED
 from sim_link.autopilot.echo import NOTHING, Axes, Echo
 from sim_link.autopilot.flavours.base import FenceState, Flavour, Identity, Shown
 from sim_link.autopilot.flavours.px4 import commands, heartbeat, parameters, setpoints
-from sim_link.autopilot.flavours.px4.failsafes import MODE_OF_REACTION, Failsafes, Reaction
+from sim_link.autopilot.flavours.px4.failsafes import (
+    MODE_OF_REACTION,
+    Cause,
+    Failsafes,
+    Reaction,
+)
 from sim_link.autopilot.flavours.px4.modes import MODE_NAMES, STICK_MODES, ModeLogic, Situation
 from sim_link.autopilot.flavours.px4.protocols import CUSTOM_RULES, RULES
 from sim_link.autopilot.flavours.px4.watcher import Watcher
 from sim_link.autopilot.mission import LegKind
-from sim_link.autopilot.pilot import Task
+from sim_link.autopilot.pilot import STEP_S, Task
 from sim_link.autopilot.protocols.commands import Command
 from sim_link.autopilot.protocols.parameter_store import ParameterStore
 from sim_link.autopilot.setpoints import GlobalTarget, LocalTarget, Setpoint
@@ -309,19 +314,23 @@ class Px4Flavour(Flavour):
             now_s,
             is_stream_alive=self._is_stream_alive(now_s),
         )
-        for finding in [each for each in findings if self._failsafes.watch(each)]:
-            self.aircraft.say(mavlink.MAV_SEVERITY_CRITICAL, f"Failsafe: {finding.cause.value}")
+        delay_s = self.parameters["COM_FAIL_ACT_T"]
+        can_hold = self.aircraft.estimator.is_position_valid
+        for cause in self._failsafes.watch(findings, STEP_S, delay_s, can_hold=can_hold):
+            self._tell(cause)
         self._react(now_s)
 
+    def _tell(self, cause: Cause) -> None:
+        self.aircraft.say(mavlink.MAV_SEVERITY_CRITICAL, f"Failsafe: {cause.value}")
+        if self._failsafes.delay_s > 0.0:
+            text = f"Failsafe activated, entering Hold for {self._failsafes.delay_s:.0f} seconds"
+            self.aircraft.say(mavlink.MAV_SEVERITY_CRITICAL, text)
+
     def _react(self, now_s: float) -> None:
-        worst = self._failsafes.worst
-        reaction = None if worst is None else worst[1]
+        reaction = self._failsafes.flown
         if reaction is Reaction.DISARM:
             self.disarm(now_s, is_forced=True)
             return
-        if reaction is Reaction.RETURN:
-            height_m = self.parameters["RTL_RETURN_ALT"]
-            self.aircraft.pilot.return_up_m = self.aircraft.home_enu_m[2] + height_m
         self.modes.reaction = None if reaction is None else MODE_OF_REACTION.get(reaction)
 
     def settle(self, now_s: float, why: str = "") -> None:
@@ -332,6 +341,9 @@ class Px4Flavour(Flavour):
         super().settle(now_s, why)
 
     def _sticks_override(self) -> bool:
+        """Whether moved sticks end the mode; a failsafe that waits in Hold hears no sticks."""
+        if self._failsafes.delay_s > 0.0:
+            return False
         bits = int(self.parameters["COM_RC_OVERRIDE"])
         if self.modes.intention is FlightMode.OFFBOARD:
             return bool(bits & OVERRIDE_OFFBOARD)

@@ -62,6 +62,8 @@ class Watcher:
                 Cause.NO_SETPOINTS,
                 intention is FlightMode.OFFBOARD and not is_stream_alive,
                 OFFBOARD_LOSS_REACTION.get(int(value["COM_OBL_RC_ACT"]), Reaction.POSITION),
+                waits=False,
+                ends=True,
             ),
             Finding(
                 Cause.NO_STICKS,
@@ -78,14 +80,20 @@ class Watcher:
             *self._battery_findings(),
         ]
 
+    def _fence_finding(self, margin_m: float) -> Finding:
+        reaction = FENCE_REACTION.get(int(self._parameters["GF_ACTION"]))
+        return Finding(Cause.FENCE, margin_m < 0.0, reaction, waits=reaction is not Reaction.HOLD)
+
     def _battery_findings(self) -> list[Finding]:
         value, share = self._parameters, self._aircraft.battery.share
         action = int(value["COM_LOW_BAT_ACT"])
         critical = {2: Reaction.LAND, 3: Reaction.RETURN}.get(action, Reaction.WARN)
         emergency = Reaction.WARN if action == 0 else Reaction.LAND
         return [
-            Finding(Cause.BATTERY_CRITICAL, share <= value["BAT_CRIT_THR"], critical),
-            Finding(Cause.BATTERY_EMERGENCY, share <= value["BAT_EMERGEN_THR"], emergency),
+            Finding(Cause.BATTERY_CRITICAL, share <= value["BAT_CRIT_THR"], critical, ends=True),
+            Finding(
+                Cause.BATTERY_EMERGENCY, share <= value["BAT_EMERGEN_THR"], emergency, ends=True
+            ),
         ]
 
     def warn_of_battery(self) -> None:

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from companion.mav.codec import CRC_EXTRA_BY_ID, MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message, Message, mavlink
 from companion.mav.framing import (
+    MAGIC_V2,
     FrameSplitter,
     frame_crc,
     frame_end,
@@ -323,6 +324,15 @@ def test_a_stream_keeps_them_too() -> None:
     for place in range(len(data)):
         link.split(data[place : place + 1], is_datagram=False)
     assert link.take_unknown() == [unknown()]
+
+
+def test_a_magic_byte_inside_an_unknown_message_does_not_hold_the_stream_up() -> None:
+    link = keeping()
+    frame = unknown(position())
+    tricky = frame[:14] + bytes((MAGIC_V2,)) + frame[15:]
+    assert link.split(tricky, is_datagram=False) == []
+    assert link.take_unknown() == [tricky]
+    assert link.split(heartbeat(), is_datagram=False) == [heartbeat()]
 
 
 def test_what_a_good_frame_lies_in_is_no_unknown_message() -> None:
