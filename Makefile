@@ -1,12 +1,13 @@
 # Everything here works on a machine with Python 3.11 or newer, pip and make; `make help` lists it.
 
 .DEFAULT_GOAL := help
-.PHONY: help demo missions test check clean venv-demo venv-dev
+.PHONY: help demo missions test faults check clean venv-demo venv-dev
 
 BIN := .venv/bin
 DEMO_ARGS ?= --speed 4
 PYTEST_ARGS ?=
 MISSION_ARGS ?= --repeat 20 --jobs 2
+FAULTS_ARGS ?=
 ifdef PYTHON
 export PYTHON
 endif
@@ -15,6 +16,7 @@ help:
 	@echo "make demo    fly the simulated search and watch it (DEMO_ARGS='$(DEMO_ARGS)')"
 	@echo "make missions  fly the library of missions in lockstep (MISSION_ARGS='$(MISSION_ARGS)')"
 	@echo "make test    run all tests"
+	@echo "make faults  fly hundreds of missions with faults, every invariant watched (FAULTS_ARGS)"
 	@echo "make check   format, lint, types and import rules"
 	@echo "make clean   remove .venv and every cache"
 	@echo "Each makes .venv by itself when needed; PYTHON=... chooses the interpreter."
@@ -27,6 +29,9 @@ missions: venv-dev
 
 test: venv-dev
 	$(BIN)/python -m pytest -n auto $(PYTEST_ARGS)
+
+faults: venv-dev
+	$(BIN)/python tools/faults.py --campaign ci $(FAULTS_ARGS)
 
 check: venv-dev
 	$(BIN)/ruff format --check .

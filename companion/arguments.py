@@ -74,6 +74,12 @@ def argument_parser() -> argparse.ArgumentParser:
         help="seconds of a simulator per real second (default 1)",
     )
     parser.add_argument(
+        "--fence",
+        metavar="FILE",
+        type=Path,
+        help="QGroundControl .plan or .kml with the fence, instead of the configuration's",
+    )
+    parser.add_argument(
         "--signing-key",
         metavar="FILE",
         type=Path,
@@ -224,7 +230,7 @@ def check_place_of_options(arguments: argparse.Namespace) -> None:
         return
     given = [
         f"--{name}"
-        for name in ("connect", "ranging", "signing-key", "insecure", "fresh", "once")
+        for name in ("connect", "ranging", "fence", "signing-key", "insecure", "fresh", "once")
         if getattr(arguments, name.replace("-", "_")) not in (None, [], False)
     ]
     given += [

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from companion.arguments import argument_parser, check_place_of_options
-from companion.config.schema import CompanionConfig, load_config, with_signing_key
+from companion.config.schema import CompanionConfig, load_config, with_fence, with_signing_key
 from companion.errors import CompanionError, ConfigError
 from companion.io.clock import Clock
 from companion.io.console import ConsoleHandler
@@ -104,6 +104,8 @@ def _fly(arguments: argparse.Namespace) -> int:
     if arguments.connect is None:
         raise ConfigError("say where the autopilot is: --connect udp:127.0.0.1:14550, or try demo")
     config = load_config(arguments.fly_config)
+    if arguments.fence is not None:
+        config = with_fence(config, arguments.fence)
     if arguments.signing_key is not None:
         config = with_signing_key(config, arguments.signing_key)
     settings = _web_settings(arguments)

@@ -8,7 +8,7 @@ monotonic axis. What was not measured is `None`, never NaN.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum
+from enum import Enum, IntEnum
 
 Point = tuple[float, float]
 """East and north, metres."""
@@ -163,3 +163,13 @@ class LandedState(Enum):
     IN_AIR = 2
     TAKEOFF = 3
     LANDING = 4
+
+
+class BatteryLevel(IntEnum):
+    """What a charge means, the worse the greater."""
+
+    UNKNOWN = 0
+    """Not full: unknown."""
+    GOOD = 1
+    LOW = 2
+    CRITICAL = 3

@@ -99,6 +99,7 @@ def build_session(config: CompanionConfig) -> GuidanceSession:
         build_planner(config),
         Guard(config.limits.guard_limits()),
         needs_origin=config.vehicle.setpoint == "global_int",
+        fence_plan=config.limits.fence_plan(),
     )
 
 

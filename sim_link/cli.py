@@ -28,7 +28,7 @@ from sim_link.vehicles import Files, Wishes, has_ended, link_specs, make_vehicle
 DEFAULT_LISTEN = "127.0.0.1:14580"
 DEFAULT_SEND_TO = ("127.0.0.1:14550", "127.0.0.1:14540")
 EXIT_BAD_INPUT = 2
-SUBCOMMANDS = ("mission", "radio")
+SUBCOMMANDS = ("mission", "radio", "proxy")
 MAX_SPEED = 1000.0
 MAX_VEHICLES = 250
 MAX_BOOT_S = 3600.0
@@ -46,7 +46,9 @@ example:
 
 more:
   sim-link mission run FILE...   fly mission scripts and tell pass or fail
-  sim-link radio --follow URL    a radio payload for a vehicle that has none"""
+  sim-link proxy --fault MAPPING  a bad link between a vehicle and a companion
+  sim-link radio --follow URL    a radio payload for a vehicle that has none
+  sim-link proxy --fault MAPPING  a bad link between a vehicle and a companion"""
 
 
 class _Parser(argparse.ArgumentParser):

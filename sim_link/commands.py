@@ -1,4 +1,4 @@
-"""The subcommands of `sim-link`: `mission run` and `radio`."""
+"""The subcommands of `sim-link`: `mission run`, `radio` and `proxy`."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 from companion.errors import ConfigError
+from sim_link.faults import proxy_cli
 from sim_link.mission import cli as mission_cli
 from sim_link.mission import radio_cli
 
@@ -38,7 +39,7 @@ def run_subcommand(argv: Sequence[str]) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="sim-link")
-    commands = parser.add_subparsers(required=True, metavar="{mission,radio}")
+    commands = parser.add_subparsers(required=True, metavar="{mission,radio,proxy}")
     mission = commands.add_parser("mission", help="fly mission scripts")
     kinds = mission.add_subparsers(required=True, metavar="{run}")
     run = kinds.add_parser(
@@ -59,4 +60,13 @@ def _parser() -> argparse.ArgumentParser:
     )
     radio_cli.add_arguments(radio)
     radio.set_defaults(run=radio_cli.run)
+    proxy = commands.add_parser(
+        "proxy",
+        help="a bad link between a vehicle and a companion",
+        description=proxy_cli.DESCRIPTION,
+        epilog=proxy_cli.EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    proxy_cli.add_arguments(proxy)
+    proxy.set_defaults(run=proxy_cli.run)
     return parser

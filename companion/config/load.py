@@ -34,6 +34,7 @@ MAX_BYTES = 1_000_000
 
 _PATH_PART = re.compile(r"\.(?P<key>[^.\[]+)|\[(?P<index>\d+)\]")
 _MSGSPEC_PATH = re.compile(r"^(?P<problem>.*) - at `(?P<path>\$.*)`$", re.DOTALL)
+_NAMED_KEY = re.compile(r"^(?P<key>[a-z][a-z0-9_]*): (?P<problem>.*)$", re.DOTALL)
 _UNKNOWN_KEY = re.compile(r"^Object contains unknown field `(?P<key>.*)`$")
 _MISSING_KEY = re.compile(r"^Object missing required field `(?P<key>.*)`$")
 
@@ -82,17 +83,21 @@ def load_yaml(path: Path, kind: type[T]) -> T:
     return parse_yaml(read_text(path), kind, str(path))
 
 
-def read_text(path: Path) -> str:
+def read_text(path: Path, max_bytes: int = MAX_BYTES) -> str:
     """The text of a UTF-8 file, without a byte order mark.
+
+    Args:
+        path: The file.
+        max_bytes: It may not be larger.
 
     Raises:
         ConfigError: It cannot be read, or is no UTF-8.
     """
     try:
         with path.open("rb") as file:
-            content = file.read(MAX_BYTES + 1)
-        if len(content) > MAX_BYTES:
-            raise ConfigError(f"{path}: larger than {MAX_BYTES // 1000} kB; is it the right file?")
+            content = file.read(max_bytes + 1)
+        if len(content) > max_bytes:
+            raise ConfigError(f"{path}: larger than {max_bytes // 1000} kB; is it the right file?")
         text = content.decode("utf-8")
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file") from None
@@ -205,6 +210,9 @@ def _located(text: str) -> _Problem:
         return _Problem(f"{path}.{_one_line(unknown['key'])}", problem)
     if missing:
         return _Problem(f"{path}.{missing['key']}", "required key is missing")
+    named = _NAMED_KEY.match(text)  # a record's own complaint about one of its keys
+    if named:
+        return _Problem(f"{path}.{named['key']}", _one_line(named["problem"]))
     return _Problem(path, _one_line(text))
 
 

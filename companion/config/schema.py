@@ -6,25 +6,21 @@ single record can see.
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
 import msgspec
 
+from companion.config.limits import DEFAULT_FENCE
+from companion.config.limits import LimitsConfig as LimitsConfig
 from companion.config.load import load_yaml
 from companion.config.process import LogConfig as LogConfig
 from companion.config.process import ProcessConfig
 from companion.errors import ConfigError
 from companion.estimation.tracker import TrackerParams
-from companion.guard.envelope import Envelope
-from companion.guard.fence import Fence
-from companion.guard.gate import GuardLimits
-from companion.guard.reserve import Reserve
-from companion.guard.stopping import Stopping
 from companion.guidance.session import SessionParams
 from companion.link.params import LinkParams, VehicleParams
-from companion.params import NonNegative, Params, Positive
+from companion.params import Params, Positive
 from companion.planning.base import PlanRequest
 from companion.planning.fim import FimParams
 from companion.planning.latched_crossing import LatchedCrossingParams
@@ -35,72 +31,6 @@ from companion.planning.patterns import (
     SectorParams,
 )
 from companion.planning.reactive_crossing import ReactiveCrossingParams
-
-DEFAULT_FENCE = ((-150.0, -150.0), (150.0, -150.0), (150.0, 150.0), (-150.0, 150.0))
-
-
-class LimitsConfig(Params, frozen=True):
-    """What no setpoint may exceed; metres in the autopilot's local frame, east and north."""
-
-    fence_enu_m: tuple[tuple[float, float], ...] = DEFAULT_FENCE
-    """Corners of the fence polygon, about the autopilot's local origin."""
-    fence_margin_m: NonNegative = 3.0
-    """Distance that setpoints keep from the fence and from keep-outs, on the allowed side."""
-    keep_out_enu_m: tuple[tuple[tuple[float, float], ...], ...] = ()
-    """Polygons that no setpoint enters, each by its corners."""
-    altitude_min_m: Positive = 5.0
-    """Above home."""
-    altitude_max_m: Positive = 60.0
-    """Above home."""
-    speed_mps: Positive = 5.0
-    climb_mps: Positive = 2.0
-    acceleration_mps2: Positive = 2.5
-    """Of setpoints, and what the vehicle surely brakes with."""
-    step_m: Positive = 8.0
-    """Farther ahead of the vehicle than this a setpoint is no faster than the vehicle."""
-    latency_s: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.5
-    """From a motion that is measured to a setpoint that is obeyed."""
-    navigation_sigma_m: NonNegative = 0.3
-    """Standard deviation of the vehicle's position, per axis."""
-    distance_home_m: Positive | None = None
-    """How far from home setpoints may be; null: as far as the fence."""
-    battery_pct_per_km: Positive | None = None
-    """Charge that a kilometre of the way home takes; null: the battery is not looked at."""
-    battery_reserve_pct: Annotated[float, msgspec.Meta(ge=0.0, lt=100.0)] = 20.0
-    """Charge that is left at home."""
-
-    def __post_init__(self) -> None:
-        """Refuse limits that contradict each other."""
-        self.guard_limits()
-
-    def guard_limits(self) -> GuardLimits:
-        """The same limits as the guard takes them.
-
-        Raises:
-            ValueError: They contradict each other.
-        """
-        fence = Fence(self.fence_enu_m, self.fence_margin_m, self.keep_out_enu_m)
-        return GuardLimits(fence, self._envelope(), self._stopping(), *self._way_home())
-
-    def _envelope(self) -> Envelope:
-        return Envelope(
-            altitude_min_m=self.altitude_min_m,
-            altitude_max_m=self.altitude_max_m,
-            speed_mps=self.speed_mps,
-            climb_mps=self.climb_mps,
-            acceleration_mps2=self.acceleration_mps2,
-            step_m=self.step_m,
-        )
-
-    def _stopping(self) -> Stopping:
-        return Stopping(self.latency_s, self.acceleration_mps2, self.navigation_sigma_m)
-
-    def _way_home(self) -> tuple[float, Reserve | None]:
-        distance_m = math.inf if self.distance_home_m is None else self.distance_home_m
-        if self.battery_pct_per_km is None:
-            return distance_m, None
-        return distance_m, Reserve(self.battery_reserve_pct, self.battery_pct_per_km)
-
 
 PatternKind = Literal["lawnmower", "expanding_square", "sector"]
 CrossingKind = Literal["latched_crossing", "reactive_crossing", "fim"]
@@ -152,10 +82,32 @@ def load_config(path: Path | None) -> CompanionConfig:
     if path is None:
         return CompanionConfig()
     config = load_yaml(path, CompanionConfig)
+    if config.limits.fence_file is not None:
+        beside = str(path.parent / config.limits.fence_file)
+        limits = msgspec.structs.replace(config.limits, fence_file=beside)
+        config = msgspec.structs.replace(config, limits=limits)
+        limits.fence_plan()
     problem = inconsistency(config)
     if problem is not None:
         raise ConfigError(f"{path}: {problem}")
     return config
+
+
+def with_fence(config: CompanionConfig, path: Path) -> CompanionConfig:
+    """The same with the fence of a file instead of its own.
+
+    Raises:
+        ConfigError: The file holds no fence; one line names it, the element and the problem.
+    """
+    policy = config.limits.autopilot_fence
+    limits = msgspec.structs.replace(
+        config.limits,
+        fence_file=str(path),
+        fence_enu_m=DEFAULT_FENCE,
+        autopilot_fence="compare" if policy == "use" else policy,
+    )
+    limits.fence_plan()
+    return msgspec.structs.replace(config, limits=limits)
 
 
 def with_signing_key(config: CompanionConfig, path: Path) -> CompanionConfig:
@@ -167,12 +119,13 @@ def with_signing_key(config: CompanionConfig, path: Path) -> CompanionConfig:
 def inconsistency(config: CompanionConfig) -> str | None:
     """What contradicts what between sections, with its YAML path, or None."""
     limits, mission = config.limits, config.mission
-    if not limits.altitude_min_m <= mission.altitude_m <= limits.altitude_max_m:
-        band = f"{limits.altitude_min_m:g} to {limits.altitude_max_m:g} m"
+    least_m, most_m = limits.guard_limits().altitude_m
+    if not least_m <= mission.altitude_m <= most_m:
+        band = f"{least_m:g} to {most_m:g} m, 3 navigation_sigma_m inside"
         return f"$.mission.altitude_m: {mission.altitude_m:g} m is outside $.limits ({band})"
     swing_m = config.planner.latched_crossing.altitude_swing_m
     low_m, high_m = mission.altitude_m - swing_m, mission.altitude_m + swing_m
-    if not limits.altitude_min_m <= low_m <= high_m <= limits.altitude_max_m:
+    if not least_m <= low_m <= high_m <= most_m:
         return (
             f"$.planner.latched_crossing.altitude_swing_m: {low_m:g} to {high_m:g} m is not "
             "within $.limits"
@@ -196,7 +149,7 @@ def inconsistency(config: CompanionConfig) -> str | None:
 def _has_lanes(config: CompanionConfig) -> bool:
     """Whether a lawnmower that may fly has anything to fly."""
     planner, limits = config.planner, config.limits
-    if "lawnmower" not in (planner.kind, planner.search):
+    if "lawnmower" not in (planner.kind, planner.search) or not limits.is_fence_local:
         return True
     request = PlanRequest(
         limits.fence_enu_m[0],

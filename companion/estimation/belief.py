@@ -113,7 +113,7 @@ def as_evidence(hypothesis: Hypothesis, params: FilterParams) -> OlderEvidence:
     """A hypothesis as a prior of the window, without what the window's own prior says already."""
     centre, sigmas = params.prior
     centre[RANGE_OFFSET : BEARING_OFFSET + 1] = 0.0
-    own = np.diag(1.0 / sigmas**2)
+    own = np.diag((1.0 / sigmas) ** 2)
     own[:RANGE_OFFSET] = 0.0  # the window takes the position's prior to be flat
     held = np.linalg.inv(hypothesis.state.covariance)
     values, vectors = np.linalg.eigh(0.5 * (held + held.T) - own)

@@ -112,7 +112,7 @@ class WindowMap:
         self._bounds = filter_params.bounds
         self._thermal = tuple(thermal_moment(*pair) for pair in self._thresholds.tolist())
         mean, sigmas = filter_params.prior
-        weights = 1.0 / sigmas**2
+        weights = (1.0 / sigmas) ** 2
         weights[:RANGE_OFFSET] = 0.0  # the position's prior is flat (paper, section IV-A)
         centre = np.array(mean)
         centre[RANGE_OFFSET : BEARING_OFFSET + 1] = 0.0

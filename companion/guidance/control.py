@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import math
 
-from companion.domain import PositionSetpoint, TargetEstimate
+from companion.domain import PositionSetpoint
 from companion.guard.gate import GuardReason
 from companion.guidance.commands import SendHeartbeat, SendSetpoint, Severity
 from companion.guidance.conditions import is_silence_due
-from companion.guidance.findings import Verdict, worst
+from companion.guidance.findings import Verdict
 from companion.guidance.handover import Handover
-from companion.guidance.inputs import InputWatch
 from companion.guidance.launch import Launch, LaunchView
-from companion.guidance.params import FOLLOW_UP_MODE
-from companion.guidance.records import result_of
+from companion.guidance.reporting import Reporting
 from companion.guidance.situation import Situation
 from companion.guidance.states import FLYING, Phase, Trigger
-from companion.guidance.stop_rule import StopRule
 from companion.guidance.waiting import WaitingReason
-from companion.guidance.wishes import WishWatch
+from companion.guidance.watches import Watches
 
 TICK_S = 0.05
 """Setpoints at 20 Hz: PX4 wants more than 2 Hz, and at 20 Hz a lossy link still delivers enough."""
@@ -34,18 +31,16 @@ class ControlTick:
 
     Args:
         situation: Of the session.
-        inputs: Of what the plan stands on.
+        watches: Say what is wrong.
+        handover: Lets the vehicle go.
     """
 
-    def __init__(
-        self, situation: Situation, inputs: InputWatch, wishes: WishWatch, handover: Handover
-    ) -> None:
+    def __init__(self, situation: Situation, watches: Watches, handover: Handover) -> None:
         self._situation = situation
-        self._inputs = inputs
-        self._wishes = wishes
+        self._watches = watches
         self._handover = handover
-        self._stop_rule = StopRule(situation.params.stop_radius_m, situation.params.stop_confirm_s)
-        self._waiting = WaitingReason(situation.vehicle, situation.authority)
+        self._reporting = Reporting(situation, watches.battery)
+        self._waiting = WaitingReason(situation.vehicle, situation.authority, situation.fencing)
         self._tick_s: float | None = None
         self._next_heartbeat_s = -math.inf
         self._sent_s = -math.inf
@@ -55,8 +50,7 @@ class ControlTick:
         situation = self._situation
         dt_s = TICK_S if self._tick_s is None else now_s - self._tick_s
         self._tick_s = now_s
-        self._inputs.tick(now_s)
-        self._wishes.tick()
+        self._watches.tick(now_s)
         self._advance_phase(now_s)
         if situation.phase in FLYING and situation.flight_plan.is_due(now_s):
             situation.plan_now(now_s)
@@ -73,12 +67,15 @@ class ControlTick:
             text = "own position jumped: going on from where it says"
             situation.announce(Severity.WARNING, text)
         situation.commands.append(SendSetpoint(setpoint))
+        self._watches.sent(setpoint.position_enu_m, now_s)
 
     def _advance_phase(self, now_s: float) -> None:
         situation = self._situation
         match situation.phase:
             case Phase.WAITING:
                 self._wait(now_s)
+            case Phase.STANDBY if not situation.fencing.is_ready:
+                situation.enter(Trigger.FENCE_LOST, now_s)
             case Phase.STANDBY if situation.params.engage == "auto" and not situation.has_launched:
                 situation.has_launched = True
                 situation.launch = Launch(situation.params.altitude_m, now_s)
@@ -90,14 +87,15 @@ class ControlTick:
             case Phase.HANDBACK if now_s - situation.authority.since_s > HAND_BACK_S:
                 situation.announce(Severity.ERROR, "hand-back: not confirmed in time")
                 situation.enter(Trigger.HANDED_BACK, now_s)
-        self._check_localised(now_s)
+        self._reporting.tick(now_s)
 
     def _wait(self, now_s: float) -> None:
         situation = self._situation
         reason = self._waiting.news(now_s)
         if reason is not None:
             situation.announce(Severity.WARNING, reason)
-        if situation.vehicle.is_usable(now_s) and situation.authority.may_begin:
+        is_ready = situation.vehicle.is_usable(now_s) and situation.fencing.is_ready
+        if is_ready and situation.authority.may_begin:
             situation.enter(Trigger.READY, now_s)
             is_auto = situation.params.engage == "auto" and not situation.has_launched
             guided = f"ready: switch to {situation.vehicle.guided_name} to give control"
@@ -119,9 +117,8 @@ class ControlTick:
             situation.enter(Trigger.LAUNCH_FAILED, now_s)
 
     def _judge(self, now_s: float) -> None:
-        """Fly the plan, fly it slower, or stay, by what is wrong now."""
-        situation = self._situation
-        finding = worst((self._wishes.finding(), self._inputs.finding(now_s)))
+        """Fly the plan, fly it slower, stay, or let go, by the worst that is wrong now."""
+        situation, finding = self._situation, self._watches.finding(now_s)
         if finding is None:
             situation.finding = None
             if situation.enter(Trigger.INPUT_BACK, now_s):
@@ -129,33 +126,21 @@ class ControlTick:
                 situation.plan_now(now_s)
             return
         is_news = situation.find(finding)
-        if finding.verdict is Verdict.HAND_BACK:
-            self._handover.hand_back(finding, now_s)
-            return
-        is_slow = finding.verdict is Verdict.SLOW
-        situation.enter(Trigger.INPUT_AGES if is_slow else Trigger.INPUT_LOST, now_s)
+        match finding.verdict:
+            case Verdict.SLOW:
+                situation.enter(Trigger.INPUT_AGES, now_s)
+            case Verdict.HOLD:
+                situation.enter(Trigger.INPUT_LOST, now_s)
+            case Verdict.HAND_BACK:
+                self._handover.hand_back(finding, now_s)
+                self._watches.handed_back(finding)
+                return
+            case Verdict.GIVE_WAY:
+                self._handover.give_way(finding, now_s)
+                return
         if is_news:
-            word = "degraded" if is_slow else "hold"
+            word = "degraded" if finding.verdict is Verdict.SLOW else "hold"
             situation.announce(Severity.WARNING, f"{word}: {finding.text}")
-
-    def _check_localised(self, now_s: float) -> None:
-        situation = self._situation
-        heard_s = situation.tracker.last_accepted_s
-        is_fresh = heard_s is not None and now_s - heard_s <= situation.params.ranging_timeout_s
-        is_flying = situation.phase in FLYING and is_fresh
-        flown = situation.estimate if is_flying else None
-        if self._stop_rule.is_met(flown, now_s) and flown is not None:
-            self._report(flown, now_s)
-
-    def _report(self, estimate: TargetEstimate, now_s: float) -> None:
-        situation = self._situation
-        height_m = situation.tracker.params.filter.target_height_m
-        emitter_id = situation.tracker.emitter_id
-        situation.result, text = result_of(estimate, situation.vehicle.origin, height_m, emitter_id)
-        situation.commands.append(situation.result)
-        situation.announce(Severity.NOTICE, text)
-        situation.enter(Trigger.LOCALISED, now_s)
-        situation.ask_mode(FOLLOW_UP_MODE[situation.params.on_localised])
 
     def _setpoint(self, now_s: float, dt_s: float) -> PositionSetpoint | None:
         """The setpoint of this tick, or None where silence is due."""
@@ -171,7 +156,7 @@ class ControlTick:
                 return steering.stay_with(motion)
             case Phase.NORMAL | Phase.DEGRADED:
                 limit_mps = situation.guard.limits.envelope.speed_mps
-                cap_mps = limit_mps * self._inputs.speed_share(now_s)
+                cap_mps = limit_mps * self._watches.inputs.speed_share(now_s)
                 return steering.follow(situation.flight_plan.waypoint, motion, dt_s, cap_mps)
             case Phase.HOLD | Phase.FINISHED | Phase.HANDBACK:
                 return steering.stay(motion, dt_s)

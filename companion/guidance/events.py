@@ -7,6 +7,7 @@ from enum import Enum
 
 from companion.domain import (
     Autopilot,
+    BatteryLevel,
     FlightMode,
     LandedState,
     PositionEnu,
@@ -14,6 +15,7 @@ from companion.domain import (
     VehicleState,
 )
 from companion.geometry.frames import LocalOrigin
+from companion.geometry.geofence import GeoFence
 from companion.guidance.memory import SessionMemory
 
 
@@ -78,6 +80,52 @@ class LandedStateChanged:
 
 
 @dataclass(frozen=True, slots=True)
+class SetpointEchoed:
+    """The autopilot tells the target that it follows."""
+
+    time_s: float
+    position_enu_m: PositionEnu | None
+    """None: it follows no position, but a velocity, for example."""
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatorRated:
+    """How well the autopilot's estimator agrees with its sensors."""
+
+    time_s: float
+    worst: float
+    """The worst of its test ratios, in units of what its maker calls bad; 1 and more is poor."""
+
+
+@dataclass(frozen=True, slots=True)
+class FixReported:
+    """Whether the satellites give a position."""
+
+    time_s: float
+    has_fix: bool
+
+
+@dataclass(frozen=True, slots=True)
+class BatteryReported:
+    """The charge, as the autopilot knows it."""
+
+    time_s: float
+    charge_pct: float | None
+    """0 to 100; None: unknown."""
+    level: BatteryLevel
+    """What the autopilot calls it."""
+
+
+@dataclass(frozen=True, slots=True)
+class SticksReported:
+    """Where the pilot's sticks are."""
+
+    time_s: float
+    deflections: tuple[float, ...]
+    """Of the first four channels, -1 to 1."""
+
+
+@dataclass(frozen=True, slots=True)
 class RangingReceived:
     """A measurement of the radio; its bearing may still be in the body frame."""
 
@@ -118,6 +166,19 @@ class AutopilotRestarted:
     """The autopilot's clock went back."""
 
     time_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class AutopilotFenceRead:
+    """The autopilot told its own fence, or did not."""
+
+    time_s: float
+    fence: GeoFence | None = None
+    """None: it has none, if there was no problem."""
+    problem: str | None = None
+    """Why it is not known, in words."""
+    is_unusable: bool = False
+    """The problem is in what it told: there is a fence, but not one that can be kept."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,9 +251,15 @@ Event = (
     | OriginSet
     | HomeSet
     | LandedStateChanged
+    | SetpointEchoed
+    | EstimatorRated
+    | FixReported
+    | BatteryReported
+    | SticksReported
     | RangingReceived
     | RequestAnswered
     | AutopilotRestarted
+    | AutopilotFenceRead
     | ControlGranted
     | OperatorAsked
     | TimerFired

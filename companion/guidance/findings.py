@@ -36,7 +36,6 @@ class Reason(Enum):
     NO_LINK = "autopilot link lost"
     MODE_UNKNOWN = "autopilot's mode is unknown"
     POSITION_STALE = "own position is stale"
-    LINK_IS_BACK = "link is back for less than a second"
     NO_RANGING_YET = "waiting for ranging"
     RANGING_AGES = "ranging ages"
     NO_RANGING = "no ranging"
@@ -45,9 +44,19 @@ class Reason(Enum):
     FILTER_DIVERGED = "filter is recovering"
     WRONG_UNIT = "measurements seem to be in a wrong unit"
     FRAME_MOVED = "local frame moved"
+    HOME_MOVED = "home moved"
     CHECKING = "checking its inputs"
     OPERATOR_HOLDS = "the operator asked to hold"
     OPERATOR_RETURNS = "the operator asked to return"
+    SECOND_SOURCE = "somebody else sends setpoints"
+    SETPOINTS_LOST = "setpoints do not arrive"
+    NO_ECHO = "setpoints are not echoed"
+    STICKS = "the pilot moves the sticks"
+    ESTIMATOR_POOR = "autopilot doubts its position"
+    NO_FIX = "satellites lost"
+    FAILSAFE = "autopilot reports a failsafe"
+    BATTERY_CRITICAL = "battery critical"
+    INTERNAL_ERROR = "internal error"
 
 
 @dataclass(frozen=True, slots=True)

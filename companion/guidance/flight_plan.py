@@ -11,6 +11,7 @@ from companion.estimation.tracker import TargetTracker
 from companion.geometry.arrays import Matrix
 from companion.geometry.polygons import depth_m
 from companion.guard.fence import Fence
+from companion.guard.gate import Guard
 from companion.guidance.commands import Announce, Command, Severity
 from companion.guidance.conditions import is_search_due
 from companion.guidance.records import waypoint_record
@@ -30,7 +31,7 @@ class FlightPlan:
 
     Args:
         planner: Where to fly.
-        fence: With its keep-outs; None: no limit.
+        guard: Knows the fence with its keep-outs.
         tracker: Whose estimate is planned on.
         altitude_m: Search altitude above home.
     """
@@ -38,14 +39,14 @@ class FlightPlan:
     def __init__(
         self,
         planner: Planner[Any],
-        fence: Fence | None,
+        guard: Guard,
         tracker: TargetTracker,
         altitude_m: float,
     ) -> None:
         self.waypoint: Waypoint | None = None
         self._planner = planner
         self._memory = planner.initial_memory()
-        self._fence = fence
+        self._guard = guard
         self._tracker = tracker
         self._altitude_m = altitude_m
         self._planned_s: float | None = None
@@ -107,7 +108,7 @@ class FlightPlan:
     def _request(
         self, now_s: float, place_enu_m: PositionEnu, estimate: TargetEstimate | None
     ) -> PlanRequest:
-        fence, tracker = self._fence, self._tracker
+        fence, tracker = self._guard.limits.fence, self._tracker
         return PlanRequest(
             vehicle_enu_m=place_enu_m[:2],
             estimate=estimate,
@@ -147,9 +148,10 @@ class FlightPlan:
 
         A target that goes to and fro across the fence is told of now and then only.
         """
-        if estimate is None or self._fence is None:
+        fence = self._guard.limits.fence
+        if estimate is None or fence is None:
             return []
-        where = _forbidden_place(self._fence, estimate.position_enu_m)
+        where = _forbidden_place(fence, estimate.position_enu_m)
         is_news, self._where_target_is = where != self._where_target_is, where
         self.is_target_outside = bool(where)
         if not (where and is_news) or now_s - self._told_outside_s < TOLD_AGAIN_S:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
+
 from companion.domain import FlightMode, LandedState
 from companion.guidance.authority import REGAIN_QUIET_S
 from companion.guidance.commands import Severity
 from companion.guidance.conditions import hand_back_mode
 from companion.guidance.events import (
+    AutopilotFenceRead,
     ControlStalled,
     HeartbeatReceived,
+    HomeSet,
     LandedStateChanged,
     OriginSet,
     Outcome,
@@ -18,9 +22,11 @@ from companion.guidance.events import (
 from companion.guidance.findings import Finding, Reason, Verdict
 from companion.guidance.params import FOLLOW_UP_MODE
 from companion.guidance.situation import Situation
-from companion.guidance.states import Phase, Trigger
+from companion.guidance.states import HAS_VEHICLE, Phase, Trigger
 from companion.guidance.vehicle import ORIGIN_STEP_M
 
+SETTLE_S = 2.0
+"""How long a frame or a home that moved must be stable."""
 CHECKING = Finding(Verdict.HOLD, Reason.CHECKING, "checking its inputs")
 
 
@@ -96,6 +102,8 @@ class Handover:
             situation.announce(Severity.WARNING, text)
         if not (situation.authority.may_take and situation.vehicle.obeys_setpoints):
             return
+        if not situation.fencing.is_ready:
+            return
         is_climbing = situation.launch is not None and not situation.launch.is_at_offboard
         if situation.phase is Phase.LAUNCHING and is_climbing:
             return
@@ -127,26 +135,63 @@ class Handover:
             text = f"granted again: switch to {situation.vehicle.guided_name}"
             situation.announce(Severity.NOTICE, text)
 
-    def check_frame(self, event: OriginSet) -> None:
+    def check_frame(self, event: OriginSet) -> bool:
         """An origin that moved has moved every local position: start anew in the new frame.
 
-        To be called before the vehicle takes the origin in.
+        To be called before the vehicle takes the origin in; whether it moved.
         """
         situation = self._situation
         step_m = situation.vehicle.origin_step_m(event.origin)
         if step_m <= ORIGIN_STEP_M:
-            return
+            return False
         situation.vehicle.forget_frame()
         situation.forget_target()
         situation.steering.forget_setpoint()
-        situation.find(Finding(Verdict.HOLD, Reason.FRAME_MOVED, "the local frame moved"))
+        finding = Finding(Verdict.HOLD, Reason.FRAME_MOVED, "the local frame moved")
+        situation.find(finding)
+        situation.hold_until(finding, event.time_s + SETTLE_S)
         situation.enter(Trigger.INPUT_LOST, event.time_s)
         text = f"local origin moved by {step_m:.0f} m: estimate forgotten, waiting for ranging"
         situation.announce(Severity.WARNING, text)
+        return True
+
+    def check_home(self, event: HomeSet) -> None:
+        """A home that moves in flight changes neither the plan nor its height: hold, and tell.
+
+        To be called before the vehicle takes the home in.
+        """
+        situation, before = self._situation, self._situation.vehicle.reported_home_enu_m
+        if situation.phase not in HAS_VEHICLE or before is None:
+            return
+        step_m = math.dist(before, event.position_enu_m)
+        if not step_m > ORIGIN_STEP_M:
+            return
+        text = f"home moved by {step_m:.0f} m; heights stay above the home of the take-over"
+        situation.announce(Severity.WARNING, text)
+        finding = Finding(Verdict.HOLD, Reason.HOME_MOVED, "home moved")
+        situation.hold_until(finding, event.time_s + SETTLE_S)
+
+    def fence(self, event: OriginSet | AutopilotFenceRead) -> None:
+        """What the guard's fence stands on became known, or another one."""
+        situation, fencing = self._situation, self._situation.fencing
+        before = (fencing.refusal, fencing.note, fencing.is_ready)
+        if isinstance(event, OriginSet):
+            fencing.set_origin(event.origin)
+        else:
+            fencing.take(event)
+        if (fencing.refusal, fencing.note, fencing.is_ready) == before:
+            return
+        if fencing.refusal is not None:
+            situation.announce(Severity.ERROR, f"no control without a fence: {fencing.refusal}")
+        elif fencing.note is not None:
+            situation.announce(Severity.WARNING, fencing.note)
+        elif fencing.is_ready:
+            situation.announce(Severity.INFO, f"fence: {fencing.words}")
 
     def restarted(self, now_s: float) -> None:
         """The autopilot restarted."""
         situation = self._situation
+        situation.fencing.forget()
         situation.vehicle.forget()
         situation.forget_target()
         situation.authority.restarted()

@@ -69,10 +69,7 @@ class InputWatch:
     def finding(self, now_s: float) -> Finding | None:
         """The worst that is wrong with the inputs."""
         if self._lost is not None:
-            if self._back_s is None:
-                return self._lost
-            text = f"{self._lost.text}, and back for less than {REGAIN_S:g} s"
-            return Finding(Verdict.HOLD, Reason.LINK_IS_BACK, text)
+            return self._lost
         situation = self._situation
         estimate, heard_s = situation.estimate, situation.tracker.last_accepted_s
         search_after_s = situation.flight_plan.search_after_s

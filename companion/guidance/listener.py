@@ -54,16 +54,14 @@ class RangingListener:
     def fuse_due(self, now_s: float) -> list[FusionReport]:
         """Fuse every measurement whose place is known, or will not become known any more."""
         latest = self._track.latest
-        reports, waiting = [], []
+        due: list[RangingMeasurement] = []
+        waiting: list[RangingMeasurement] = []
         for measurement in self._waiting:
             is_covered = latest is not None and measurement.measured_at_s <= latest.time_s
             is_recent = abs(now_s - measurement.measured_at_s) <= self._patience_s
-            if is_recent and not is_covered:
-                waiting.append(measurement)
-            else:
-                reports.append(self._fuse(measurement, now_s))
-        self._waiting = waiting
-        return reports
+            (waiting if is_recent and not is_covered else due).append(measurement)
+        self._waiting = waiting  # first, so that one that makes the tracker fail is not tried again
+        return [self._fuse(measurement, now_s) for measurement in due]
 
     def _fuse(self, measurement: RangingMeasurement, now_s: float) -> FusionReport:
         sensor_enu_m = self._track.position_at(measurement.measured_at_s)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from companion.domain import RangingMeasurement
 from companion.estimation.tracker import FusionReport
 from companion.guidance.commands import Severity
@@ -31,12 +33,16 @@ class Measuring:
         """Take in a measurement."""
         if self._situation.phase is Phase.FINISHED:
             return  # parked on the estimate there is nothing to learn, only to unlearn
-        self._fused(self._listener.receive(measurement), now_s)
+        self._contained(lambda: self._fused(self._listener.receive(measurement), now_s), now_s)
         self.fuse_due(now_s)
 
     def fuse_due(self, now_s: float) -> None:
         """Fuse what waited for an own position."""
-        self._fused(self._listener.fuse_due(now_s), now_s)
+        self._contained(lambda: self._fused(self._listener.fuse_due(now_s), now_s), now_s)
+
+    def _contained(self, work: Callable[[], None], now_s: float) -> None:
+        if not self._situation.containment.run("estimator", now_s, work):
+            self._inputs.rejected()
 
     def _fused(self, reports: list[FusionReport], now_s: float) -> None:
         situation = self._situation

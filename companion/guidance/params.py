@@ -7,7 +7,10 @@ from typing import Annotated, Literal
 import msgspec
 
 from companion.domain import FlightMode
+from companion.guidance.sticks import StickReaction
 from companion.params import NonNegative, Params, Positive
+
+Percent = Annotated[float, msgspec.Meta(ge=0.0, le=100.0)]
 
 
 class SessionParams(Params, frozen=True):
@@ -31,6 +34,18 @@ class SessionParams(Params, frozen=True):
     """How fast the target may move away from its estimate while nothing is heard of it."""
     coast_sigma_max_m: Positive = 30.0
     """An estimate that is less certain than this, one sigma, is not flown on without ranging."""
+    on_sticks: StickReaction = "yield"
+    """What a pilot who moves the sticks gets: the vehicle stays and then is left to the pilot,
+    stays only, or flies on."""
+    battery_low_pct: Percent = 20.0
+    """At this charge the leg is finished, what is known is reported, and the vehicle returns."""
+    battery_critical_pct: Percent = 10.0
+    """At this charge the vehicle is handed back at once by asking for the return."""
+
+    def __post_init__(self) -> None:
+        """Refuse a low that is lower than critical."""
+        if self.battery_low_pct < self.battery_critical_pct:
+            raise ValueError("battery_low_pct must not be below battery_critical_pct")
 
 
 FOLLOW_UP_MODE = {

@@ -65,6 +65,7 @@ def result_of(
     origin: LocalOrigin | None,
     target_height_m: float,
     emitter_id: int | None = None,
+    head: str = "LOCALISED",
 ) -> tuple[ReportResult, str]:
     """The result of the flight, and the operator's text about it.
 
@@ -73,11 +74,12 @@ def result_of(
         origin: Zero of the local frame; without it there are no degrees to tell.
         target_height_m: Of the target in the local frame.
         emitter_id: Which emitter it is.
+        head: What the text begins with.
     """
     r95 = f"R95 {estimate.r95_m:.1f} m"
     if origin is None:
-        return ReportResult(estimate, None, None, emitter_id), f"LOCALISED {r95}"
+        return ReportResult(estimate, None, None, emitter_id), f"{head} {r95}"
     place = (*estimate.position_enu_m, target_height_m)
     latitude_deg, longitude_deg, _ = origin.geodetic_from_enu(place)
-    text = f"LOCALISED {latitude_deg:.7f} {longitude_deg:.7f} {r95}"
+    text = f"{head} {latitude_deg:.7f} {longitude_deg:.7f} {r95}"
     return ReportResult(estimate, latitude_deg, longitude_deg, emitter_id, origin), text

@@ -18,12 +18,14 @@ from companion.guidance.commands import Command, ReportResult
 from companion.guidance.control import TICK_S as TICK_S
 from companion.guidance.control import ControlTick
 from companion.guidance.events import (
+    AutopilotFenceRead,
     AutopilotRestarted,
     ControlGranted,
     ControlStalled,
     EarlierRunFound,
     Event,
     HeartbeatReceived,
+    HomeSet,
     LandedStateChanged,
     MemoryRecalled,
     OperatorAsked,
@@ -34,9 +36,9 @@ from companion.guidance.events import (
     TimerFired,
     VehicleMoved,
 )
+from companion.guidance.fencing import FencePlan, Fencing
 from companion.guidance.flight_plan import FlightPlan
 from companion.guidance.handover import Handover
-from companion.guidance.inputs import InputWatch
 from companion.guidance.measuring import Measuring
 from companion.guidance.memory import SessionMemory
 from companion.guidance.params import SessionParams as SessionParams
@@ -46,7 +48,7 @@ from companion.guidance.states import Phase
 from companion.guidance.status import GuidanceStatus, snapshot
 from companion.guidance.steering import Steering
 from companion.guidance.vehicle import VehicleView
-from companion.guidance.wishes import WishWatch
+from companion.guidance.watches import Watches
 from companion.planning.base import Planner
 
 MODE_EVENTS = (HeartbeatReceived, LandedStateChanged)
@@ -61,6 +63,7 @@ class GuidanceSession:
         planner: Where to fly, given the estimate.
         guard: What may be sent.
         needs_origin: Whether setpoints are global, so that nothing flies without an origin.
+        fence_plan: Where the guard's fence comes from; None: the guard has it already.
     """
 
     def __init__(
@@ -71,13 +74,16 @@ class GuidanceSession:
         guard: Guard,
         *,
         needs_origin: bool = False,
+        fence_plan: FencePlan | None = None,
     ) -> None:
-        self.situation = Situation(params, tracker, planner, guard, needs_origin=needs_origin)
-        inputs = InputWatch(self.situation)
-        self._measuring = Measuring(self.situation, inputs)
+        fencing = Fencing(guard, fence_plan)
+        self.situation = Situation(
+            params, tracker, planner, guard, fencing, needs_origin=needs_origin
+        )
         self.handover = Handover(self.situation)
-        self._wishes = WishWatch(self.situation)
-        self._control = ControlTick(self.situation, inputs, self._wishes, self.handover)
+        self._watches = Watches(self.situation)
+        self._measuring = Measuring(self.situation, self._watches.inputs)
+        self._control = ControlTick(self.situation, self._watches, self.handover)
         self._recollection = Recollection(self.situation)
 
     def handle(self, event: Event) -> list[Command]:
@@ -86,11 +92,17 @@ class GuidanceSession:
             self.situation.record("overtaken", what=type(event).__name__)
             return self.situation.take_commands()
         if isinstance(event, OriginSet):
-            self.handover.check_frame(event)
+            if self.handover.check_frame(event):
+                self._watches.frame_moved(event.time_s)
             if event.origin != self.vehicle.origin:
                 self.situation.record("origin", **asdict(event.origin))
+        if isinstance(event, HomeSet):
+            self.handover.check_home(event)
         self.vehicle.handle(event)
+        self._watches.handle(event)
         match event:
+            case OriginSet() | AutopilotFenceRead():
+                self.handover.fence(event)
             case HeartbeatReceived():
                 self.handover.heartbeat(event)
             case LandedStateChanged():
@@ -104,7 +116,7 @@ class GuidanceSession:
             case ControlGranted():
                 self.handover.granted(event.time_s)
             case OperatorAsked():
-                self._wishes.ask(event.wish)
+                self._watches.wishes.ask(event.wish)
             case AutopilotRestarted():
                 self.handover.restarted(event.time_s)
                 self._recollection.forget()
@@ -151,6 +163,11 @@ class GuidanceSession:
     def authority(self) -> Authority:
         """Who may fly."""
         return self.situation.authority
+
+    @property
+    def fencing(self) -> Fencing:
+        """Which fence the guard keeps."""
+        return self.situation.fencing
 
     @property
     def estimate(self) -> TargetEstimate | None:

@@ -18,11 +18,20 @@ from companion.guidance.commands import (
     Severity,
     WithdrawRequest,
 )
+from companion.guidance.containment import Containment
+from companion.guidance.fencing import Fencing
 from companion.guidance.findings import Finding, Reason
 from companion.guidance.flight_plan import FlightPlan
 from companion.guidance.launch import Launch
 from companion.guidance.params import SessionParams
-from companion.guidance.states import IN_CONTROL, OUT_OF_CONTROL, STREAMING, Phase, Trigger
+from companion.guidance.states import (
+    HAS_VEHICLE,
+    IN_CONTROL,
+    OUT_OF_CONTROL,
+    STREAMING,
+    Phase,
+    Trigger,
+)
 from companion.guidance.steering import Steering
 from companion.guidance.vehicle import VehicleView
 from companion.planning.base import Planner
@@ -36,6 +45,7 @@ class Situation:
         tracker: The estimate of the target.
         planner: Where to fly, given the estimate.
         guard: What may be sent.
+        fencing: Gives the guard its fence.
         needs_origin: Whether setpoints are global, so that nothing flies without an origin.
     """
 
@@ -45,6 +55,7 @@ class Situation:
         tracker: TargetTracker,
         planner: Planner[Any],
         guard: Guard,
+        fencing: Fencing,
         *,
         needs_origin: bool,
     ) -> None:
@@ -52,7 +63,8 @@ class Situation:
         self.tracker = tracker
         self.guard = guard
         self.vehicle = VehicleView(needs_origin=needs_origin)
-        self.flight_plan = FlightPlan(planner, guard.limits.fence, tracker, params.altitude_m)
+        self.flight_plan = FlightPlan(planner, guard, tracker, params.altitude_m)
+        self.fencing = fencing
         self.steering = Steering(guard, params.altitude_m)
         self.authority = Authority()
         self.estimate: TargetEstimate | None = None
@@ -65,7 +77,9 @@ class Situation:
         """What is wrong now."""
         self.reasons: Counter[Reason] = Counter()
         """How often each reason was what is wrong."""
+        self.containment = Containment()
         self.commands: list[Command] = []
+        self._passing: tuple[Finding, float] | None = None
 
     @property
     def phase(self) -> Phase:
@@ -75,7 +89,7 @@ class Situation:
     def take_commands(self) -> list[Command]:
         """What was collected; the next call begins with nothing."""
         commands, self.commands = self.commands, []
-        return commands
+        return commands + self.containment.take_news()
 
     def enter(self, trigger: Trigger, now_s: float) -> bool:
         """Apply a trigger; whether the phase changed."""
@@ -87,6 +101,7 @@ class Situation:
             self.withdraw()
         if not (left in IN_CONTROL and self.phase in STREAMING):
             self.steering.forget_setpoint()
+        self.vehicle.keep_home(self.phase in HAS_VEHICLE)
         if self.is_stopping and self.phase in OUT_OF_CONTROL:
             self.enter(Trigger.STOP, now_s)
         return True
@@ -100,6 +115,16 @@ class Situation:
         verdict = finding.verdict.name.lower()
         self.record("finding", verdict=verdict, reason=finding.reason.value, text=finding.text)
         return True
+
+    def hold_until(self, finding: Finding, until_s: float) -> None:
+        """Something happened that is over already, but shall be held on for a while."""
+        self._passing = (finding, until_s)
+
+    def passing_finding(self, now_s: float) -> Finding | None:
+        """What is held on for a while, if that is not over."""
+        if self._passing is None or now_s >= self._passing[1]:
+            return None
+        return self._passing[0]
 
     def announce(self, severity: Severity, text: str) -> None:
         """A text for the operator."""
@@ -118,7 +143,10 @@ class Situation:
         self.commands.append(WithdrawRequest())
 
     def plan_now(self, now_s: float) -> None:
-        """Renew the plan."""
+        """Renew the plan; without one, after an error, the vehicle will stay."""
+        self.containment.run("planner", now_s, lambda: self._renew_plan(now_s))
+
+    def _renew_plan(self, now_s: float) -> None:
         setpoint = self.steering.setpoint_enu_m
         self.commands += self.flight_plan.renew(now_s, self.vehicle, setpoint, self.estimate)
 

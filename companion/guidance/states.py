@@ -3,7 +3,7 @@
 Theory of operation. The companion commands only while the autopilot is in offboard mode *and* the
 operator gave it that mode; everything else is either getting there or staying out of the way.
 
-    WAITING    no autopilot, or no usable position or home yet. Silent.
+    WAITING    no autopilot, or no usable position, home or fence yet. Silent.
     STANDBY    ready; streams "stay here" so that the mode can be entered (PX4 refuses offboard
                without a stream). The operator switches the mode, or in auto the launch begins.
     LAUNCHING  auto only, once: arm, take off, ask for offboard.
@@ -51,7 +51,8 @@ class Phase(Enum):
 class Trigger(Enum):
     """What moves the session from one phase to another."""
 
-    READY = "autopilot, position and home are known"
+    READY = "autopilot, position, home and fence are known"
+    FENCE_LOST = "the fence is not known any more, or refused"
     LAUNCH = "automatic launch begins"
     LAUNCH_FAILED = "automatic launch gave up"
     MODE_GIVEN = "offboard and armed"
@@ -62,7 +63,7 @@ class Trigger(Enum):
     INPUT_AGES = "something the plan stands on ages"
     INPUT_LOST = "something the plan stands on is missing"
     INPUT_BACK = "everything the plan stands on is there"
-    LOCALISED = "the target is reported"
+    LOCALISED = "the target is reported, or the battery is low"
     GIVE_UP = "what is wrong does not pass"
     GIVE_WAY = "somebody else commands"
     RESTARTED = "the autopilot restarted"
@@ -78,6 +79,9 @@ FLYING = frozenset({Phase.NORMAL, Phase.DEGRADED})
 IN_CONTROL = FLYING | {Phase.HOLD}
 """Phases in which the vehicle obeys our setpoints."""
 
+HAS_VEHICLE = IN_CONTROL | {Phase.FINISHED, Phase.HANDBACK}
+"""Phases in which the vehicle is in our hands, or was a moment ago."""
+
 STREAMING = IN_CONTROL | {
     Phase.STANDBY,
     Phase.LAUNCHING,
@@ -91,6 +95,7 @@ OUT_OF_CONTROL = frozenset({Phase.WAITING, Phase.YIELD, Phase.STOPPED})
 
 TRANSITIONS: dict[tuple[Phase, Trigger], Phase] = {
     (Phase.WAITING, Trigger.READY): Phase.STANDBY,
+    (Phase.STANDBY, Trigger.FENCE_LOST): Phase.WAITING,
     (Phase.STANDBY, Trigger.LAUNCH): Phase.LAUNCHING,
     (Phase.STANDBY, Trigger.MODE_GIVEN): Phase.HOLD,
     (Phase.LAUNCHING, Trigger.MODE_GIVEN): Phase.HOLD,
@@ -104,6 +109,7 @@ TRANSITIONS: dict[tuple[Phase, Trigger], Phase] = {
     (Phase.DEGRADED, Trigger.INPUT_LOST): Phase.HOLD,
     (Phase.NORMAL, Trigger.LOCALISED): Phase.FINISHED,
     (Phase.DEGRADED, Trigger.LOCALISED): Phase.FINISHED,
+    (Phase.HOLD, Trigger.LOCALISED): Phase.FINISHED,
     (Phase.YIELD, Trigger.GRANTED): Phase.STANDBY,
     (Phase.YIELD, Trigger.MODE_GIVEN): Phase.HOLD,
     (Phase.FINISHED, Trigger.GRANTED): Phase.STANDBY,

@@ -44,6 +44,10 @@ class GuidanceStatus:
     refused: Mapping[str, int]
     reasons: Mapping[str, int]
     """How often each reason kept it from flying the plan at full speed, or at all."""
+    internal_errors: Mapping[str, int]
+    """Errors of the companion's own parts, which were contained."""
+    battery_pct: float | None
+    """0 to 100; None: unknown."""
 
 
 def snapshot(now_s: float, situation: Situation) -> GuidanceStatus:
@@ -71,6 +75,8 @@ def snapshot(now_s: float, situation: Situation) -> GuidanceStatus:
         bearing_age_s=tracker.contact.bearing_age_s(now_s),
         accepted=tracker.accepted,
         refused={reason.value: count for reason, count in tracker.refusals.items()},
+        internal_errors=dict(situation.containment.errors),
+        battery_pct=vehicle.battery_pct,
         reasons={reason.value: count for reason, count in situation.reasons.items()},
     )
 

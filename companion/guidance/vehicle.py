@@ -8,6 +8,7 @@ from companion.domain import Autopilot, FlightMode, LandedState, PositionEnu
 from companion.geometry.frames import LocalOrigin
 from companion.guard.gate import Motion
 from companion.guidance.events import (
+    BatteryReported,
     Event,
     HeartbeatReceived,
     HomeSet,
@@ -40,6 +41,9 @@ class VehicleView:
         self.heartbeat: HeartbeatReceived | None = None
         self.origin: LocalOrigin | None = None
         self.home_enu_m: PositionEnu | None = None
+        """Its height stays while it is kept."""
+        self.reported_home_enu_m: PositionEnu | None = None
+        self.battery_pct: float | None = None
         self.landed = LandedState.UNKNOWN
         self.heard_s: float | None = None
         self.distance_m = 0.0
@@ -48,6 +52,7 @@ class VehicleView:
         self._needs_origin = needs_origin
         self._distrusted_s = -math.inf
         """A mode heard before this counts no more."""
+        self._keeps_home = False
 
     def handle(self, event: Event) -> None:
         """Take in an event about the vehicle; others change nothing."""
@@ -61,7 +66,9 @@ class VehicleView:
             case OriginSet():
                 self.origin = event.origin
             case HomeSet() if all(math.isfinite(v) for v in event.position_enu_m):
-                self.home_enu_m = event.position_enu_m
+                self._set_home(event.position_enu_m)
+            case BatteryReported():
+                self.battery_pct = event.charge_pct
             case LandedStateChanged():
                 self.landed = event.landed
             case TimerFired():
@@ -73,6 +80,7 @@ class VehicleView:
         self.heartbeat = None
         self.origin = None
         self.landed = LandedState.UNKNOWN
+        self.battery_pct = None
 
     def distrust(self, now_s: float) -> None:
         """Wait for a new mode and position, because what was heard so far is of the past."""
@@ -82,8 +90,20 @@ class VehicleView:
     def forget_frame(self) -> None:
         """Drop every local position, because the frame moved."""
         self.track.clear()
-        self.home_enu_m = None
+        self.home_enu_m = self.reported_home_enu_m = None
         self._counted_at = None
+
+    def keep_home(self, keeps: bool) -> None:
+        """Whether altitudes stay above the home that is known now, wherever it is moved."""
+        self._keeps_home = keeps
+        if not keeps:
+            self.home_enu_m = self.reported_home_enu_m
+
+    def _set_home(self, home_enu_m: PositionEnu) -> None:
+        before, self.reported_home_enu_m = self.home_enu_m, home_enu_m
+        is_kept = self._keeps_home and before is not None
+        up_m = before[2] if before is not None and is_kept else home_enu_m[2]
+        self.home_enu_m = (*home_enu_m[:2], up_m)
 
     def origin_step_m(self, origin: LocalOrigin) -> float:
         """How far an origin is from the one known so far; 0 if none is."""
@@ -104,7 +124,7 @@ class VehicleView:
         latest, home = self.track.latest, self.home_enu_m
         if latest is None or home is None:
             return None
-        return Motion(latest.position_enu_m, latest.velocity_enu_mps, home)
+        return Motion(latest.position_enu_m, latest.velocity_enu_mps, home, self.battery_pct)
 
     @property
     def mode(self) -> FlightMode:

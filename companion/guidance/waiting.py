@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from companion.guidance.authority import Authority
+from companion.guidance.fencing import Fencing
 from companion.guidance.vehicle import VehicleView
 
 PATIENCE_S = 10.0
@@ -15,11 +16,13 @@ class WaitingReason:
     Args:
         vehicle: What is known of it.
         authority: Whether it is ours to guide.
+        fencing: Whether there is a fence.
     """
 
-    def __init__(self, vehicle: VehicleView, authority: Authority) -> None:
+    def __init__(self, vehicle: VehicleView, authority: Authority, fencing: Fencing) -> None:
         self._vehicle = vehicle
         self._authority = authority
+        self._fencing = fencing
         self._missing_since_s: float | None = None
         self._said: str | None = None
 
@@ -33,6 +36,7 @@ class WaitingReason:
 
     def _text(self, now_s: float) -> str | None:
         missing = self._vehicle.missing(now_s)
+        missing += [part for part in self._fencing.missing if part not in missing]
         if self._vehicle.heartbeat is None or not missing:
             self._missing_since_s = None
         if not missing:

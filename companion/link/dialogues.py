@@ -1,15 +1,19 @@
 """What the companion asks the autopilot by itself, outside of any mission.
 
-Each dialogue hears the autopilot's messages and says when a question is due: for the streams that
-are needed, for a parameter, for the time. At most one command leaves per control tick, the streams'
-first, so that a slow line is not flooded.
+Each dialogue hears the autopilot's messages and says when a question is due: for its fence, for the
+streams that are needed, for a parameter, for the time. At most one of the first three leaves per
+control tick, so that a slow line is not flooded; that for the fence first, because nothing engages
+before it is answered.
 """
 
 from __future__ import annotations
 
 from companion.guidance.commands import Announce, Severity
+from companion.guidance.events import AutopilotFenceRead
+from companion.guidance.fencing import Fencing
 from companion.link.binding import AutopilotBinding
 from companion.link.clock_sync import ClockSync
+from companion.link.fence_fetch import FenceFetch
 from companion.link.freshness import PATIENCE_S, StreamFreshness
 from companion.link.px4_check import Px4FailsafeCheck
 from companion.link.rate_limit import RateLimit
@@ -25,12 +29,15 @@ class Dialogues:
 
     Args:
         binding: The autopilot that is asked.
+        fencing: Says whether its fence is wanted.
     """
 
-    def __init__(self, binding: AutopilotBinding) -> None:
+    def __init__(self, binding: AutopilotBinding, fencing: Fencing) -> None:
         self.clock = ClockSync()
         self.freshness = StreamFreshness()
         self._binding = binding
+        self._fencing = fencing
+        self._fence = FenceFetch()
         self._streams = StreamRequester(self.freshness)
         self._px4_check = Px4FailsafeCheck()
         self._asks_mode = False
@@ -44,13 +51,24 @@ class Dialogues:
         warning = self._px4_check.heard(message)
         return [] if warning is None else [Announce(Severity.WARNING, warning)]
 
+    def fence_heard(
+        self, message: Message, now_s: float, own_ids: tuple[int, int]
+    ) -> AutopilotFenceRead | None:
+        """Take in a message of the autopilot; its fence, once that is complete."""
+        return self._fence.heard(message, now_s, own_ids)
+
+    def fence_given_up(self, now_s: float) -> AutopilotFenceRead | None:
+        """The news that it does not tell its fence."""
+        return self._fence.gave_up(now_s)
+
     def due(self, now_s: float) -> list[Message]:
         """The questions to ask now."""
         binding = self._binding
         if binding.system_id is None:
             return []
         ids = (binding.system_id, binding.component_id)
-        request = self._streams.due(now_s, *ids)
+        request = self._fence.due(now_s, ids, is_wanted=self._fencing.wants_reading)
+        request = request or self._streams.due(now_s, *ids, binding.autopilot)
         request = request or self._px4_check.due(now_s, binding.autopilot, *ids)
         mode = request_message(mavlink.MAVLINK_MSG_ID_HEARTBEAT, *ids) if self._asks_mode else None
         self._asks_mode = False
@@ -80,3 +98,4 @@ class Dialogues:
         self.freshness.restart()
         self.clock.restart()
         self._streams.restart()
+        self._fence.restart()

@@ -82,7 +82,7 @@ class CompanionEndpoint:
         self._shield = FloodShield(self._intakes[VEHICLE_LINK], self.binding)
         codecs = [intake.codec for intake in self._intakes]
         self._outlet = Outlet(codecs, self.binding, journal)
-        self._dialogues = Dialogues(self.binding)
+        self._dialogues = Dialogues(self.binding, session.fencing)
         self._health = LinkHealth(link_params)
         self.executor = SessionExecutor(
             session, params, self.binding, self._outlet, self._dialogues, self._health, journal
@@ -140,6 +140,9 @@ class CompanionEndpoint:
         if self._next_timer_s <= now_s:
             self._next_timer_s = now_s + period_s
         self.executor.tick(now_s)
+        given_up = self._dialogues.fence_given_up(now_s)
+        if given_up is not None:
+            self.executor.handle(given_up, now_s)
         for question in self._dialogues.due(now_s):
             self._outlet.send(question, now_s, can_be_spared=True)
         self.executor.handle(TimerFired(now_s, self.binding.heard_s), now_s)

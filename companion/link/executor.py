@@ -62,6 +62,11 @@ class SessionExecutor:
         self._journal = journal
         self._requests = RequestClient()
 
+    @property
+    def may_engage(self) -> bool:
+        """Whether nothing that is known already forbids it: a fence that was refused does."""
+        return self._session.fencing.refusal is None
+
     def handle(self, event: Event, now_s: float) -> None:
         """Give an event to the session and execute what follows from it."""
         if isinstance(event, AutopilotRestarted):

@@ -19,6 +19,7 @@ from companion.guidance.events import (
 )
 from companion.link.clock_sync import ClockSync
 from companion.link.clocks import SenderClock
+from companion.link.vehicle_health import VehicleHealthInbound
 from companion.mav.dialect import MAVLink_radio_ranging_message, Message, mavlink
 from companion.mav.modes import autopilot_of, mode_of
 from companion.mav.ranging import ranging_from_message
@@ -65,6 +66,7 @@ class VehicleInbound:
         self._is_prearm_good = True
         self._newest: dict[int, int] = {}
         """Place in the order of sending, of the newest message of each kind."""
+        self._health = VehicleHealthInbound()
         self.overtaken = 0
         """Messages that came after a newer one of their kind."""
 
@@ -120,7 +122,7 @@ class VehicleInbound:
             case mavlink.MAVLink_home_position_message():
                 self._home = message
                 return self._home_set(now_s)
-        return []
+        return self._health.events(message, now_s)
 
     def _is_overtaken(self, message: Message, number: int) -> bool:
         """Whether a message is older than one of its kind that was taken in.
@@ -156,6 +158,7 @@ class VehicleInbound:
         if not reading.is_reboot:
             return [event]
         self._newest.clear()
+        self._health.restart()
         self._origin = None
         self._home = None
         self._is_prearm_good = True

@@ -74,6 +74,9 @@ class VehicleReceiver:
             self._health.overtaken = self._inbound.overtaken
             for event in events:
                 self._executor.handle(event, now_s)
+            fence = self._dialogues.fence_heard(message, now_s, self._outlet.own_ids)
+            if fence is not None:
+                self._executor.handle(fence, now_s)
             self._receive_answer(message, now_s, number)
         if isinstance(message, AddressedCommand):
             self._receive_command(message, peer, now_s)
@@ -115,7 +118,7 @@ class VehicleReceiver:
         result = mavlink.MAV_RESULT_UNSUPPORTED
         if message.command == mavlink.MAV_CMD_NAV_GUIDED_ENABLE:
             result = mavlink.MAV_RESULT_DENIED
-            if message.param1 == 1.0:
+            if message.param1 == 1.0 and self._executor.may_engage:
                 result = mavlink.MAV_RESULT_ACCEPTED
                 self._executor.handle(ControlGranted(now_s), now_s)
         self._outlet.send(outbound.command_ack(message.command, result, message), now_s)

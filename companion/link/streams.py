@@ -8,21 +8,34 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from companion.domain import Autopilot
 from companion.link.freshness import Stream, StreamFreshness
-from companion.mav.dialect import Message, mavlink
+from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, mavlink
 
+ECHO_S = 0.07
+"""No multiple of a rate that anybody sends setpoints at: in step with our own, which follows soon
+after, an echo would never show those of another sender."""
 STREAM_INTERVAL_S: dict[int, float] = {
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 0.05,
     mavlink.MAVLINK_MSG_ID_ATTITUDE: 0.1,
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 0.5,
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 0.5,
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
-    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 1.0,
+    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: ECHO_S,
+    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 0.2,
+    mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 0.2,
+    MAVLink_ekf_status_report_message.id: 0.2,
+    mavlink.MAVLINK_MSG_ID_RC_CHANNELS: 0.2,
     mavlink.MAVLINK_MSG_ID_HOME_POSITION: 2.0,
-    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 2.0,
+    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 1.0,
 }
-"""What is flown on; GLOBAL_POSITION_INT, GPS_RAW_INT and BATTERY_STATUS are for the flight log,
-because ground stations replay a track only from those."""
+"""What is flown on; GLOBAL_POSITION_INT is for the flight log, because ground stations replay a
+track only from it."""
+ONLY_FROM = {
+    mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: Autopilot.PX4,
+    MAVLink_ekf_status_report_message.id: Autopilot.ARDUPILOT,
+}
+"""Who else is asked refuses, for ever."""
 ONE_SHOT = (mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, mavlink.MAVLINK_MSG_ID_HOME_POSITION)
 """Asked for by REQUEST_MESSAGE until they arrive: what is only sent when it changes."""
 
@@ -81,9 +94,17 @@ class StreamRequester:
             want.asked_s = None
             want.retry_s = FIRST_RETRY_S
 
-    def due(self, now_s: float, system_id: int, component_id: int) -> Message | None:
+    def due(
+        self,
+        now_s: float,
+        system_id: int,
+        component_id: int,
+        autopilot: Autopilot = Autopilot.OTHER,
+    ) -> Message | None:
         """The next request to send, if any."""
         for want in self._wants:
+            if ONLY_FROM.get(want.message_id, autopilot) is not autopilot:
+                continue
             if want.is_due(self._freshness.stream(want.message_id), now_s):
                 if want.asked_s is not None:
                     want.retry_s = min(2.0 * want.retry_s, LAST_RETRY_S)

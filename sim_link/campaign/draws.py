@@ -22,8 +22,8 @@ MUTED = ("LOCAL_POSITION_NED", "HEARTBEAT", "ATTITUDE", "HOME_POSITION", "EXTEND
 DIRECTIONS: tuple[Direction, ...] = ("both", "to_companion", "to_vehicle")
 FIELDS: tuple[RangingField, ...] = ("both", "range", "bearing")
 JUMP_M = 7.0
-EARLIEST_S, LATEST_S = 2.0, 45.0
-SHORTEST_S, LONGEST_S = 0.3, 20.0
+EARLIEST_S, LATEST_S = 2.0, 30.0
+SHORTEST_S, LONGEST_S = 0.3, 15.0
 
 
 class Dice:

@@ -12,6 +12,7 @@ from sim_link.campaign.signed import KEY, STARTED_UNIX_S, SignedPair
 from sim_link.faults.faulty_link import FaultyLink
 from sim_link.faults.injector import Injector
 from sim_link.faults.schedule import Schedule
+from sim_link.lockstep.checkpoints import Checkpointing
 from sim_link.lockstep.flight import Flight, MakeCompanion
 from sim_link.lockstep.journal import Notes
 from sim_link.lockstep.operator import Operator
@@ -64,6 +65,7 @@ class Monitored:
     injector: Injector
     monitor: Monitor
     notes: Notes
+    checkpointing: Checkpointing
 
 
 def monitored(
@@ -72,6 +74,7 @@ def monitored(
     seed: int,
     *,
     is_signed: bool = False,
+    is_spoofing: bool | None = None,
     make_companion: MakeCompanion | None = None,
 ) -> Monitored:
     """A flight that has not begun yet.
@@ -81,6 +84,7 @@ def monitored(
         scenario: The vehicle's.
         seed: Of everything random.
         is_signed: Whether the link is signed.
+        is_spoofing: Whether attackers use the vehicle's address; None: where the link is signed.
         make_companion: Starts the companion, in place of the genuine one.
     """
     pair = SignedPair() if is_signed else None
@@ -105,5 +109,8 @@ def monitored(
         key=key,
     )
     flight.observers.append(monitor)
-    injector = Injector(flight, link, operator, is_spoofing=is_signed)
-    return Monitored(flight, link, operator, injector, monitor, notes)
+    injector = Injector(
+        flight, link, operator, is_spoofing=is_signed if is_spoofing is None else is_spoofing
+    )
+    checkpointing = Checkpointing(flight)
+    return Monitored(flight, link, operator, injector, monitor, notes, checkpointing)

@@ -42,7 +42,7 @@ PLANNERS: tuple[CrossingKind | PatternKind, ...] = (
 SIGNED_SHARE = 0.3
 OPERATED_SHARE = 0.4
 ALTITUDE_M = 15.0
-FLIGHT_S = 75.0
+FLIGHT_S = 50.0
 """From the moment at which the schedule begins."""
 
 
@@ -97,7 +97,7 @@ def mission_case(seed: int) -> MissionCase:
         schedule=Schedule(faults=tuple(delays + faults)),
         is_signed=is_signed,
         is_operated=is_operated,
-        regrant_s=dice.number(20.0, 60.0) if dice.happens(0.5) else None,
+        regrant_s=dice.number(15.0, 40.0) if dice.happens(0.5) else None,
     )
 
 

@@ -11,8 +11,6 @@ from sim_link.campaign.mission_case import FLIGHT_S, MissionCase, mission_case
 from sim_link.campaign.trial import Outcome, Trial, findings_of, trial_seed
 from sim_link.faults.schedule import fields_of
 
-TAKE_OFF_S = 40.0
-GUIDED_S = 20.0
 SAID = 400
 """Characters of the story's texts."""
 

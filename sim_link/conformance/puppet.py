@@ -35,6 +35,7 @@ SETPOINTS = (
 )
 CommandMessage = mavlink.MAVLink_command_long_message | mavlink.MAVLink_command_int_message
 COMMANDS = (mavlink.MAVLink_command_long_message, mavlink.MAVLink_command_int_message)
+PlanRequest = mavlink.MAVLink_mission_request_list_message
 Policy = Callable[[CommandMessage], int | None]
 """The MAV_RESULT of a command; None answers nothing."""
 
@@ -210,12 +211,15 @@ class CompanionProbe(Station):
     # Messages
 
     def _answer(self, message: Message) -> None:
-        if not isinstance(message, COMMANDS):
+        if not isinstance(message, (*COMMANDS, PlanRequest)):
             return
         if (message.target_system, message.target_component) not in (
             (self.system_id, self.component_id),
             (self.system_id, 0),
         ):
+            return
+        if isinstance(message, PlanRequest):
+            self.send(_no_plan(message))
             return
         result = self.policy(message)
         if result is None:
@@ -283,3 +287,10 @@ class CompanionProbe(Station):
 
     def _origin(self) -> Message:
         return mavlink.MAVLink_gps_global_origin_message(*PLACE, 1_000 * self.boot_ms)
+
+
+def _no_plan(request: PlanRequest) -> Message:
+    """It has neither a mission nor a fence nor rally points."""
+    return mavlink.MAVLink_mission_count_message(
+        request.get_srcSystem(), request.get_srcComponent(), 0, request.mission_type
+    )

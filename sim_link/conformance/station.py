@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
@@ -83,6 +84,8 @@ class Station:
         self.reader = MavCodec(system_id, component_id)
         self.signer: Signer | None = None
         self.on_message: Callable[[Message], None] | None = None
+        self._pending: deque[bytes] = deque()
+        self._is_taking = False
         """Told of each message as it arrives."""
         self._sequence = 0
         self._tasks: list[_Task] = []
@@ -264,12 +267,19 @@ class Station:
                 task.action()
 
     def _take(self, pieces: list[bytes]) -> None:
-        for data in pieces:
+        """Read what arrived; what an answer of ours calls forth is read after that."""
+        self._pending.extend(pieces)
+        if self._is_taking:
+            return
+        self._is_taking = True
+        while self._pending:
+            data = self._pending.popleft()
             self.datagrams.append((self.now_s, data))
             for message in self.reader.decode(data, is_datagram=self.link.is_datagram):
                 self.inbox.append(Heard(self.now_s, message))
                 if self.on_message is not None:
                     self.on_message(message)
+        self._is_taking = False
 
 
 def heartbeat(kind: int, autopilot: int = mavlink.MAV_AUTOPILOT_INVALID) -> Message:

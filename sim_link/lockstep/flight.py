@@ -27,7 +27,7 @@ from companion.mav.endpoint import Address, Chunk
 from companion.run import build_endpoint
 from sim_link.autopilot import payload
 from sim_link.autopilot.endpoint import SimEndpoint
-from sim_link.autopilot.incidents import Incident, Reboot
+from sim_link.autopilot.incidents import Incident, PilotMode, Reboot
 from sim_link.autopilot.scenario import Scenario
 from sim_link.lockstep.journal import WatchedJournal
 from sim_link.lockstep.observer import Frame, Observer, frames_in
@@ -306,9 +306,16 @@ class Flight:
     def happen(self, incident: Incident) -> None:
         """Let something happen to the vehicle."""
         self.sim.happen(incident, self.now_s)
+        if isinstance(incident, PilotMode):
+            self.tell_chosen(incident.mode)
         if isinstance(incident, Reboot):
             for observer in self.observers:
                 observer.vehicle_rebooted(self.now_s)
+
+    def tell_chosen(self, mode: FlightMode) -> None:
+        """Tell the observers that a person switched the mode."""
+        for observer in self.observers:
+            observer.mode_chosen(mode, self.now_s)
 
     @property
     def autopilot(self) -> Autopilot:

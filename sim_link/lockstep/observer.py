@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from companion.domain import FlightMode
 from companion.mav.codec import CRC_EXTRA_BY_ID, MavCodec
 from companion.mav.dialect import Message
 from companion.mav.framing import (
@@ -97,6 +98,9 @@ class Observer:
 
     def companion_ended(self, now_s: float) -> None:
         """The companion process ended or was killed."""
+
+    def mode_chosen(self, mode: FlightMode, now_s: float) -> None:
+        """A person switched the mode: the pilot or the operator."""
 
     def vehicle_rebooted(self, now_s: float) -> None:
         """The vehicle begins anew."""

@@ -66,6 +66,7 @@ class Operator:
         is_armed = flight.sim.vehicle.modes.is_armed
         params = set_mode_params(mode, flight.autopilot, is_armed=is_armed)
         self.command(mavlink.MAV_CMD_DO_SET_MODE, *params)
+        flight.tell_chosen(mode)
         if not is_told_at_once:
             return
         number, wanted = mavlink.MAV_CMD_REQUEST_MESSAGE, float(mavlink.MAVLINK_MSG_ID_HEARTBEAT)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+from companion.domain import FlightMode
 from companion.mav.dialect import Message, mavlink
 from sim_link.lockstep.observer import Frame
 from sim_link.monitor.invariant import Invariant
@@ -18,8 +19,6 @@ from sim_link.monitor.scene import (
 )
 
 EPSILON_S = 1e-6
-GIVEN_AGAIN_S = 1.0
-"""Offboard that is shown again sooner after it was lost comes from our own frames in flight."""
 HERE_M = 2.0
 RAISES = (
     mavlink.MAV_CMD_DO_SET_MODE,
@@ -42,10 +41,10 @@ class OnlyWithAuthority(Invariant):
         """Setpoints and requests later than a tick after the frame that ended control."""
         self.worst_late_s = 0.0
         self._was_ours = False
-        self._ours_sent_s = -1.0
+        self._ours_sent_at = (-1.0, 0)
         self._lost_s: float | None = None
-        self._lost_sent_s = -1.0
-        self._foreign_s = -math.inf
+        self._given_s = -1.0
+        """When a person gave the mode since it was lost."""
         self._may_engage = True
 
     def started(self) -> None:
@@ -53,6 +52,10 @@ class OnlyWithAuthority(Invariant):
         self._was_ours, self._lost_s = False, None
         vehicle = self.scene.vehicle
         self._may_engage = not (vehicle.is_armed or not vehicle.body.is_on_ground)
+
+    def mode_chosen(self, mode: FlightMode) -> None:
+        """An autopilot that goes back to offboard by itself gives nobody control."""
+        self._given_s = self.scene.now_s if mode is FlightMode.OFFBOARD else -1.0
 
     def heard(self, frame: Frame) -> None:
         """Follow the mode, and the operator's grants."""
@@ -65,26 +68,26 @@ class OnlyWithAuthority(Invariant):
             return
         is_autopilot = frame.sender == (self.scene.vehicle.system_id, AUTOPILOT_COMPONENT)
         if is_autopilot and isinstance(message, mavlink.MAVLink_heartbeat_message):
-            self._follow(message, self.scene.sent_s(frame))
+            self._follow(message, self.scene.sent_at(frame))
 
-    def _follow(self, heartbeat: mavlink.MAVLink_heartbeat_message, sent_s: float) -> None:
+    def _follow(
+        self, heartbeat: mavlink.MAVLink_heartbeat_message, sent_at: tuple[float, int]
+    ) -> None:
         now_s = self.scene.now_s
         is_armed = bool(heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
         if is_armed and is_offboard(heartbeat):
             if self._lost_s is None:
                 self._was_ours = True
-                self._ours_sent_s = max(self._ours_sent_s, sent_s)
-            elif sent_s > self._lost_sent_s and now_s - self._foreign_s >= GIVEN_AGAIN_S:
-                self._was_ours, self._lost_s, self._ours_sent_s = True, None, sent_s
+                self._ours_sent_at = max(self._ours_sent_at, sent_at)
+            elif sent_at[0] >= self._given_s >= 0.0:
+                self._was_ours, self._lost_s, self._ours_sent_at = True, None, sent_at
             return
-        if sent_s <= self._ours_sent_s:
+        if sent_at <= self._ours_sent_at:
             return
         if not is_armed:  # the flight is over, and the next one is a new one
             self._was_ours, self._lost_s, self._may_engage = False, None, True
-        elif self._was_ours:
-            self._lost_s = now_s if self._lost_s is None else self._lost_s
-            self._lost_sent_s = max(self._lost_sent_s, sent_s)
-            self._foreign_s = now_s
+        elif self._was_ours and self._lost_s is None:
+            self._lost_s = now_s
 
     def setpoint(self, setpoint: Setpoint) -> None:
         """Judge whether it may be sent at all."""
@@ -165,14 +168,17 @@ class KeepsStreaming(Invariant):
 
     def _judge(self, now_s: float) -> None:
         scene = self.scene
-        heard_s = scene.told.heard_s
+        heartbeat_s = scene.told.heartbeat_s
         is_in_control = self._is_in_control and scene.is_companion_up and scene.told.is_ours
-        if not is_in_control or heard_s is None:
+        if not is_in_control or heartbeat_s is None:
             self._last_s = None
             return
         if self._last_s is None:
             self._last_s = now_s
-        if scene.suspended_until_s >= now_s or now_s - heard_s >= scene.rules.silence_s - TICK_S:
+        is_mode_unknown = now_s - heartbeat_s >= scene.rules.silence_s - TICK_S
+        is_mode_unknown |= heartbeat_s <= scene.suspended_until_s  # it looks first who flies
+        if scene.suspended_until_s >= now_s or is_mode_unknown:
+            self._last_s = now_s
             return
         gap_s = now_s - max(self._last_s, self._since_s, scene.suspended_until_s)
         self.worst_gap_s = max(self.worst_gap_s, gap_s)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from companion.domain import FlightMode
 from sim_link.lockstep.observer import Frame
 from sim_link.monitor.scene import Scene, Setpoint
 
@@ -45,6 +46,9 @@ class Invariant:
 
     def started(self) -> None:
         """The companion process began."""
+
+    def mode_chosen(self, mode: FlightMode) -> None:
+        """A person switched the mode."""
 
     def rebooted(self) -> None:
         """The vehicle began anew."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
+from companion.domain import FlightMode
 from companion.mav.signing import SigningKey
 from sim_link.autopilot.vehicle import SimVehicle
 from sim_link.lockstep.observer import Frame, Observer
@@ -153,11 +154,17 @@ class Monitor(Observer):
         """The companion process ended."""
         self.scene.is_companion_up = False
 
+    def mode_chosen(self, mode: FlightMode, now_s: float) -> None:
+        """A person switched the mode."""
+        self.scene.now_s = now_s
+        for invariant in self.invariants:
+            invariant.mode_chosen(mode)
+
     def vehicle_rebooted(self, now_s: float) -> None:
         """The vehicle begins anew; what it said before means nothing."""
         scene = self.scene
         scene.now_s = now_s
         scene.told.position_boot_ms = -1
-        scene.told.mode_sent_s = -1.0
+        scene.told.mode_sent_at = (-1.0, 0)
         for invariant in self.invariants:
             invariant.rebooted()

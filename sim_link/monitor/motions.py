@@ -92,9 +92,9 @@ class WithinEnvelope(Invariant):
         speed_mps = math.hypot(*told.velocity_enu_mps[:2])
         near_m = HERE_M + rules.clearance_m + speed_mps * (age_s + rules.latency_s)
         away = math.dist(setpoint.place_enu_m[:2], told.position_enu_m[:2])
-        return away <= near_m or self._is_outside(told.position_enu_m[:2])
+        return away <= near_m or self._is_at_border(told.position_enu_m[:2])
 
-    def _is_outside(self, place: Point) -> bool:
+    def _is_at_border(self, place: Point) -> bool:
         rules = self.scene.rules
         return depth_m(rules.fence_enu_m, rules.keep_out_enu_m, place) < BORDER_M
 

@@ -20,6 +20,8 @@ CONTROL_FADES_S = 5.0
 FREEZE_EVERY_S = 2.0
 FREEZE_FOR_S = 60.0
 FREEZE_STEP_S = 0.1
+SAFE_M = 1.0
+"""Farther inside than this need not be known exactly."""
 AT_REST_MPS, ARRIVED_M = 0.05, 0.2
 
 
@@ -125,10 +127,12 @@ class SafeToFreeze(Invariant):
         params = self.scene.vehicle.scenario.vehicle
         body = PointMass(params, truth.wind, truth.position_enu_m, truth.ground_up_m)
         body.velocity_enu_mps = truth.velocity_enu_mps
-        least = math.inf
+        least, known, at = math.inf, -math.inf, (0.0, 0.0)
         for _ in range(round(FREEZE_FOR_S / FREEZE_STEP_S)):
             place = body.position_enu_m
-            least = min(least, depth_m(rules.fence_enu_m, rules.keep_out_enu_m, place[:2]))
+            if known - math.dist(at, place[:2]) < max(0.0, min(least, SAFE_M)):
+                known, at = depth_m(rules.fence_enu_m, rules.keep_out_enu_m, place[:2]), place[:2]
+                least = min(least, known)
             is_there = math.dist(place, goal) < ARRIVED_M
             if is_there and math.hypot(*body.velocity_enu_mps) < AT_REST_MPS:
                 break

@@ -59,13 +59,17 @@ def _side(a: Point, b: Point, p: Point) -> float:
 
 
 def _to_segment_m(a: Point, b: Point, p: Point) -> float:
-    ab = (b[0] - a[0], b[1] - a[1])
-    length2 = ab[0] * ab[0] + ab[1] * ab[1]
-    share = 0.0
+    east, north = b[0] - a[0], b[1] - a[1]
+    to_east, to_north = p[0] - a[0], p[1] - a[1]
+    length2 = east * east + north * north
     if length2 > 0.0:
-        share = ((p[0] - a[0]) * ab[0] + (p[1] - a[1]) * ab[1]) / length2
-        share = min(1.0, max(0.0, share))
-    return math.hypot(p[0] - a[0] - share * ab[0], p[1] - a[1] - share * ab[1])
+        share = (to_east * east + to_north * north) / length2
+        if share >= 1.0:
+            share = 1.0
+        if share > 0.0:
+            to_east -= share * east
+            to_north -= share * north
+    return math.hypot(to_east, to_north)
 
 
 def _cross(a: Point, b: Point, c: Point, d: Point) -> bool:

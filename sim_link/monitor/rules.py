@@ -30,7 +30,7 @@ class Rules(Params, frozen=True):
     gap_s: Positive = 0.1
     """Longest silence of the setpoints while in control."""
     silence_s: Positive = 10.0
-    """Without any frame of the autopilot for this long the companion may fall silent."""
+    """Without a HEARTBEAT for this long nobody knows who flies: the companion may fall silent."""
     stall_s: Positive = 0.5
     """A control tick later than this must have stopped heartbeat and setpoints."""
     sent_frames_per_s: Positive = 150.0

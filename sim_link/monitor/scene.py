@@ -54,7 +54,7 @@ class Told:
     is_ours: bool = False
     """The newest mode is ours and the vehicle is armed."""
     is_armed: bool = False
-    mode_sent_s: float = -1.0
+    mode_sent_at: tuple[float, int] = (-1.0, 0)
     """When the newest report of the mode was sent."""
     position_enu_m: PositionEnu | None = None
     """In the world's frame, by the origin that was told."""
@@ -100,7 +100,8 @@ class Scene:
     """Whether the frame that was heard last had to be believed."""
     violations: list[Violation] = field(default_factory=list)
     counts: dict[tuple[str, str], int] = field(default_factory=dict)
-    _sent_s: OrderedDict[bytes, float] = field(default_factory=OrderedDict)
+    _sent_s: OrderedDict[bytes, tuple[float, int]] = field(default_factory=OrderedDict, repr=False)
+    _sent_count: int = 0
 
     def report(self, invariant: str, what: str, numbers: Mapping[str, float] | None = None) -> None:
         """An invariant does not hold now."""
@@ -114,13 +115,14 @@ class Scene:
     def remember(self, frame: Frame) -> None:
         """The vehicle sent this."""
         self._sent_s.pop(frame.data, None)
-        self._sent_s[frame.data] = frame.time_s
+        self._sent_count += 1
+        self._sent_s[frame.data] = (frame.time_s, self._sent_count)
         if len(self._sent_s) > REMEMBERED:
             self._sent_s.popitem(last=False)
 
-    def sent_s(self, frame: Frame) -> float:
-        """When the vehicle sent a frame that reached the companion; now, if that is unknown."""
-        return self._sent_s.get(frame.data, frame.time_s)
+    def sent_at(self, frame: Frame) -> tuple[float, int]:
+        """When, and as its how many-th, the vehicle sent a frame; now, if that is unknown."""
+        return self._sent_s.get(frame.data, (frame.time_s, self._sent_count))
 
     def tell(self, frame: Frame) -> None:
         """This reached the companion, which had to believe it."""
@@ -134,9 +136,9 @@ class Scene:
         match message:
             case mavlink.MAVLink_heartbeat_message():
                 told.heartbeat_s = frame.time_s
-                sent_s = self.sent_s(frame)
-                if sent_s >= told.mode_sent_s:
-                    told.mode_sent_s = sent_s
+                sent_at = self.sent_at(frame)
+                if sent_at >= told.mode_sent_at:
+                    told.mode_sent_at = sent_at
                     told.is_armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
                     told.is_ours = told.is_armed and is_offboard(message)
             case mavlink.MAVLink_local_position_ned_message():

@@ -62,7 +62,30 @@ def test_a_key_file_of_the_configuration_is_refused_the_same_way(
     assert "chmod 600" in complaint(capsys, "--connect", OPEN, "--config", str(config), "--quiet")
 
 
-@pytest.mark.parametrize("option", [("--signing-key", "k"), ("--insecure",)])
+BOW_TIE = (
+    '{"fileType": "Plan", "geoFence": {"version": 2, "circles": [], "polygons": [{"version": 1, '
+    '"inclusion": true, "polygon": [[47, 8], [47.01, 8.01], [47.01, 8], [47, 8.01]]}]}}'
+)
+
+
+def test_a_fence_that_is_none_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "site.plan"
+    line = complaint(capsys, "--connect", OPEN, "--fence", str(path), "--quiet")
+    assert line == f"companion: {path}: no such file"
+    path.write_text(BOW_TIE)
+    line = complaint(capsys, "--connect", OPEN, "--fence", str(path), "--quiet")
+    assert line == f"companion: {path}: geoFence.polygons[0]: two of its edges cross each other"
+    config = tmp_path / "site.yaml"
+    config.write_text("limits: {fence_file: site.plan}")
+    again = complaint(capsys, "--connect", OPEN, "--config", str(config), "--quiet")
+    assert again == line
+
+
+@pytest.mark.parametrize(
+    "option", [("--signing-key", "k"), ("--insecure",), ("--fence", "site.plan")]
+)
 def test_options_of_flying_are_refused_in_front_of_a_subcommand(
     capsys: pytest.CaptureFixture[str], option: tuple[str, ...]
 ) -> None:

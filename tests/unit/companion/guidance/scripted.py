@@ -27,6 +27,7 @@ from companion.guidance.commands import (
     WithdrawRequest,
 )
 from companion.guidance.events import (
+    AutopilotFenceRead,
     Event,
     HeartbeatReceived,
     HomeSet,
@@ -91,6 +92,7 @@ class ScriptedFlight:
         self.r95_history: list[tuple[float, float]] = []
         self._heard_s: float | None = None
         self._ticks = 0
+        self.session.handle(AutopilotFenceRead(0.0))
 
     def give(self, event: Event) -> list[Command]:
         commands = self.session.handle(event)

@@ -11,6 +11,7 @@ from companion.domain import Autopilot, FlightMode, LandedState
 from companion.geometry.frames import LocalOrigin
 from companion.guidance.commands import Arm, SendHeartbeat, SendSetpoint, SetMode, TakeOff
 from companion.guidance.events import (
+    AutopilotFenceRead,
     AutopilotRestarted,
     ControlGranted,
     OriginSet,
@@ -327,6 +328,7 @@ def test_a_restart_of_the_autopilot_forgets_tracker_and_frame() -> None:
     assert flight.texts[-1].startswith("autopilot restarted")
     flight.show(FlightMode.HOLD, is_armed=False)
     flight.locate()
+    flight.give(AutopilotFenceRead(flight.now_s))
     flight.fly(30.0)
     assert flight.is_in(Phase.STANDBY)
     assert "launching" not in flight.texts[-1]

@@ -14,6 +14,7 @@ from companion.config.schema import CompanionConfig
 from companion.domain import PositionSetpoint
 from companion.errors import LocalProtocolError
 from companion.guidance.commands import SendSetpoint
+from companion.guidance.events import AutopilotFenceRead
 from companion.guidance.states import Phase
 from companion.link.params import LinkParams, VehicleParams
 from companion.mav.codec import MavCodec
@@ -152,6 +153,28 @@ def test_a_grant_that_is_none_is_denied(p1: float) -> None:
     assert isinstance(ack, Ack)
     assert ack.result == 2
     assert wire.endpoint.session.phase is Phase.YIELD
+
+
+def test_a_grant_is_denied_while_the_fence_is_refused() -> None:
+    made = Wire().ready()
+    torn = AutopilotFenceRead(0.0, problem="item 3: torn", is_unusable=True)
+    made.endpoint.session.handle(torn)
+    (ack,) = [m for m in made.say(command(GRANT, 1.0)) if isinstance(m, Ack)]
+    assert ack.result == mavlink.MAV_RESULT_DENIED
+    assert made.endpoint.session.fencing.refusal == "the autopilot's fence: item 3: torn"
+
+
+def test_a_fence_refused_in_standby_ends_the_stream_and_is_no_fence_to_fly_in() -> None:
+    made = Wire().ready()
+    assert made.endpoint.session.phase.value == "standby"
+    torn = AutopilotFenceRead(0.0, problem="item 3: torn", is_unusable=True)
+    made.endpoint.session.handle(torn)
+    made.say(made.position())
+    sent = [m for m in made.wait(0.5) if isinstance(m, LocalTarget)]
+    assert sent == []
+    assert made.endpoint.session.phase.value == "waiting"
+    made.say(heartbeat(custom_mode=OFFBOARD, is_armed=True, status=4))
+    assert made.endpoint.session.phase.value == "waiting"
 
 
 @pytest.mark.parametrize("number", [22, 176, 246, 400, 511, 512, 65535])

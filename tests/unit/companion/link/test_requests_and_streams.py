@@ -2,12 +2,13 @@ from __future__ import annotations
 
 import pytest
 
+from companion.domain import Autopilot
 from companion.guidance.events import Outcome, RequestAnswered, RequestKind
 from companion.link.freshness import StreamFreshness
 from companion.link.outbound import arm
 from companion.link.requests import CommandMessage, RequestClient
-from companion.link.streams import ONE_SHOT, STREAM_INTERVAL_S, StreamRequester
-from companion.mav.dialect import Message, mavlink
+from companion.link.streams import ONE_SHOT, ONLY_FROM, STREAM_INTERVAL_S, StreamRequester
+from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, mavlink
 from tests.unit.companion.link.wire import local_position
 
 ARM = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
@@ -115,6 +116,9 @@ def test_a_new_wish_replaces_the_old_and_a_withdrawn_one_is_gone() -> None:
 # Streams
 
 
+FROM_PX4 = [n for n in STREAM_INTERVAL_S if ONLY_FROM.get(n) is not Autopilot.ARDUPILOT]
+
+
 class Asking:
     """A requester on its ticks, and what it asked for when."""
 
@@ -127,7 +131,7 @@ class Asking:
     def wait(self, duration_s: float) -> None:
         for _ in range(round(duration_s / TICK_S)):
             self.now_s += TICK_S
-            due = self.requester.due(self.now_s, 1, 1)
+            due = self.requester.due(self.now_s, 1, 1, Autopilot.PX4)
             if due is not None:
                 assert isinstance(due, CommandMessage)
                 self.asked.append((self.now_s, due.command, int(due.param1)))
@@ -145,10 +149,24 @@ class Asking:
 
 def test_every_stream_is_asked_for_one_a_tick() -> None:
     asking = Asking()
-    asking.wait(0.6)
-    assert {n for _, command, n in asking.asked if command == 511} == set(STREAM_INTERVAL_S)
+    asking.wait(0.9)
+    assert {n for _, command, n in asking.asked if command == 511} == set(FROM_PX4)
     assert {n for _, command, n in asking.asked if command == 512} == set(ONE_SHOT)
     assert len({at for at, _, _ in asking.asked}) == len(asking.asked)
+
+
+def test_each_autopilot_is_asked_for_its_own_view_of_its_estimator() -> None:
+    asked = {autopilot: set[int]() for autopilot in Autopilot}
+    for autopilot, numbers in asked.items():
+        requester = StreamRequester(StreamFreshness())
+        for tick in range(30):
+            request = requester.due(0.05 * tick, 1, 1, autopilot)
+            if isinstance(request, CommandMessage):
+                numbers.add(int(request.param1))
+    px4, copter = asked[Autopilot.PX4], asked[Autopilot.ARDUPILOT]
+    assert px4 - copter == {mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS}
+    assert copter - px4 == {MAVLink_ekf_status_report_message.id}
+    assert asked[Autopilot.OTHER] == px4 & copter
 
 
 def test_an_interval_is_asked_for_in_microseconds() -> None:
@@ -200,5 +218,5 @@ def test_after_a_restart_everything_is_asked_for_again() -> None:
     asking.hear(0.05, 0.5)
     asking.asked.clear()
     asking.requester.restart()
-    asking.wait(0.6)
-    assert len(asking.asked) == len(STREAM_INTERVAL_S) + len(ONE_SHOT)
+    asking.wait(0.9)
+    assert len(asking.asked) == len(FROM_PX4) + len(ONE_SHOT)

@@ -7,6 +7,7 @@ from typing import TypeVar
 
 from companion.config.schema import CompanionConfig
 from companion.guidance.commands import ReportResult, Severity
+from companion.guidance.events import AutopilotFenceRead
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address, Chunk
@@ -90,6 +91,7 @@ class Wire:
             signing=signing,
             started_unix_s=started_unix_s,
         )
+        self.endpoint.session.handle(AutopilotFenceRead(0.0))  # it has none
         self.autopilot = MavCodec(1, 1)
         self.reader = MavCodec(9, 9)
         self.now_s = 0.0

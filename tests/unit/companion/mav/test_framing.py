@@ -249,6 +249,7 @@ def test_leaving_a_signature_out_gives_the_unsigned_frame() -> None:
 @pytest.mark.parametrize("frame", GOOD)
 def test_an_unsigned_frame_is_left_alone(frame: bytes) -> None:
     assert without_signature(frame, CRC_EXTRA_BY_ID[message_id(frame)]) == frame
+    assert without_signature(frame, None) == frame
 
 
 def test_a_sequence_number_of_mavlink_1_is_not_taken_for_the_flag_of_a_signature() -> None:

@@ -104,6 +104,13 @@ def test_our_own_frames_are_what_the_guide_says() -> None:
     assert frame == signed(NOW)
 
 
+def test_signing_sets_its_own_flag_and_leaves_the_others() -> None:
+    frame = bytearray(unsigned())
+    frame[3] = 0x08
+    ours = Signing(KEY, NOW).sign(bytes(frame), 3, CRC_EXTRA_BY_ID[0])
+    assert (ours[2], ours[3]) == (0x01, 0x08)
+
+
 # Replay
 
 
@@ -345,9 +352,17 @@ def test_sending_starts_from_the_stored_timestamp_when_the_clock_is_behind() -> 
     assert int.from_bytes(signing.sign(unsigned(), 0, 50)[-12:-6], "little") == NOW + 1
 
 
+def test_time_begins_in_2015_and_ends_127_days_early() -> None:
+    assert Signing(KEY).timestamp == 0
+    assert Signing(KEY, -5).timestamp == 0
+    assert Signing(KEY, MAX_TIMESTAMP).timestamp == MAX_HEARD
+
+
 def test_timestamps_count_ten_microseconds_since_2015() -> None:
     assert timestamp_at(1_420_070_400.0) == 0
     assert timestamp_at(1_420_070_401.0) == 100_000
+    assert timestamp_at(1_420_070_399.0) == 0
+    assert timestamp_at(1e30) == MAX_HEARD
     assert timestamp_at(float("nan")) == 0
 
 
@@ -424,7 +439,7 @@ def test_a_key_is_taken_over_a_trusted_link() -> None:
 def test_a_key_of_zeros_ends_signing() -> None:
     setup = setup_from(setup_message(secret=bytes(32)), 1, 1, is_trusted_link=True)
     assert setup is not None
-    assert setup.key is None
+    assert (setup.key, setup.initial_timestamp) == (None, 0)
 
 
 @pytest.mark.parametrize(("system", "component"), [(0, 0), (1, 0), (0, 1), (2, 1), (1, 191)])

@@ -1,0 +1,241 @@
+"""A fence on the globe: polygons and circles in degrees, and how they become local metres.
+
+Theory of operation. A file or an autopilot gives areas with the place where each was found. One
+inclusion is the fence, every exclusion a keep-out. Circles become polygons on the safe side: the
+fence's lies inside its circle, a keep-out's around it. Positions go through geocentric coordinates
+(pymap3d), so the antimeridian is nothing special; near the poles east and north mean little, and
+0/0 is what senders write who do not know, so both are refused.
+
+An autopilot's own local frame is simpler than that: PX4 projects from a sphere of 6371.0 km,
+ArduPilot scales degrees by 111.319 km, while the ellipsoid's radii of curvature are 6335 to
+6400 km. A local fence may therefore be off by 0.7 % of its distance from the origin; `distortion_m`
+says by how many metres, for the margin.
+
+Several inclusions are refused: MAVLink, PX4 and ArduPilot do not agree on whether a vehicle must be
+inside one or inside all of them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from companion.geometry.frames import LocalOrigin
+from companion.geometry.polygons import Point, area_m2, edges, is_simple, nearest_on_segment
+
+LatLon = tuple[float, float]
+"""Latitude and longitude, degrees."""
+Corners = tuple[Point, ...]
+
+MAX_LATITUDE_DEG = 85.0
+MAX_CORNERS = 200
+"""Of all areas together: the guard looks at every edge in every tick."""
+MAX_REACH_M = 20_000.0
+"""Farther from the origin a flat local frame is no place for a fence."""
+MIN_RADIUS_M = 1.0
+MIN_AREA_M2 = 1.0
+CIRCLE_CORNERS = 36
+"""An inscribed polygon is at most 0.4 % of the radius inside its circle."""
+DISTORTION = 0.007
+COMPARED_EVERY_M = 5.0
+COMPARED_POINTS = 400
+"""Of a longer border only about so many places are compared."""
+
+
+@dataclass(frozen=True, slots=True)
+class GeoArea:
+    """A polygon, or a circle about its only corner."""
+
+    corners_deg: tuple[LatLon, ...]
+    radius_m: float | None = None
+    """None: a polygon."""
+
+
+@dataclass(frozen=True, slots=True)
+class NamedArea:
+    """An area, and where it was found."""
+
+    path: str
+    is_inclusion: bool
+    area: GeoArea
+
+
+@dataclass(frozen=True, slots=True)
+class LocalFence:
+    """The same in local east and north."""
+
+    polygon_enu_m: Corners
+    keep_out_enu_m: tuple[Corners, ...] = ()
+    distortion_m: float = 0.0
+    """How far an autopilot's own frame may put it elsewhere."""
+
+
+@dataclass(frozen=True, slots=True)
+class GeoFence:
+    """Where to stay inside of, and where to stay out of."""
+
+    inclusion: GeoArea
+    exclusions: tuple[GeoArea, ...] = ()
+
+    def local(self, origin: LocalOrigin) -> LocalFence:
+        """In the local frame of an origin.
+
+        Raises:
+            ValueError: It is too far from there.
+        """
+        polygon = _local_area(self.inclusion, origin, is_inside=True)
+        keep_outs = tuple(_local_area(area, origin, is_inside=False) for area in self.exclusions)
+        reach_m = max(math.hypot(*corner) for corner in polygon)
+        if reach_m > MAX_REACH_M:
+            raise ValueError(
+                f"a corner of the fence is {reach_m / 1000.0:.0f} km from the autopilot's origin "
+                f"(at most {MAX_REACH_M / 1000.0:g} km)"
+            )
+        return LocalFence(polygon, keep_outs, DISTORTION * reach_m)
+
+    @property
+    def centre(self) -> LocalOrigin:
+        """An origin that is surely near: its first corner."""
+        return LocalOrigin(*self.inclusion.corners_deg[0], 0.0)
+
+
+def place_problem(latitude_deg: float, longitude_deg: float) -> str | None:
+    """Why latitude and longitude are no place for a corner, or None."""
+    if not (math.isfinite(latitude_deg) and math.isfinite(longitude_deg)):
+        return "is not a finite number"
+    if latitude_deg == 0.0 and longitude_deg == 0.0:
+        return "0/0 means that nobody knew the place"
+    if abs(latitude_deg) > 90.0 or abs(longitude_deg) > 180.0:
+        return f"{latitude_deg:g}/{longitude_deg:g} is no latitude and longitude in degrees"
+    if abs(latitude_deg) > MAX_LATITUDE_DEG:
+        return f"latitude {latitude_deg:g} is too near to a pole (at most {MAX_LATITUDE_DEG:g})"
+    return None
+
+
+def area_problem(area: GeoArea) -> str | None:
+    """Why an area encloses nothing that can be flown in, or None; its places are checked."""
+    if area.radius_m is not None:
+        if MIN_RADIUS_M <= area.radius_m <= MAX_REACH_M:
+            return None
+        return f"a radius of {area.radius_m:g} m is not from {MIN_RADIUS_M:g} to {MAX_REACH_M:g} m"
+    if len(area.corners_deg) < 3:
+        return f"has {len(area.corners_deg)} corners, at least 3 make a polygon"
+    if len(area.corners_deg) > MAX_CORNERS:
+        return f"has {len(area.corners_deg)} corners, at most {MAX_CORNERS} are looked at in time"
+    origin = LocalOrigin(*area.corners_deg[0], 0.0)
+    polygon = _local_area(area, origin, is_inside=True)
+    reach_m = max(math.hypot(*corner) for corner in polygon)
+    if reach_m > 2.0 * MAX_REACH_M:
+        return f"is {reach_m / 1000.0:.0f} km wide"
+    if not is_simple(polygon):
+        return "two of its edges cross each other"
+    return None if area_m2(polygon) >= MIN_AREA_M2 else "encloses no area"
+
+
+def fence_of(areas: Sequence[NamedArea]) -> GeoFence:
+    """The fence that areas make together.
+
+    Raises:
+        ValueError: They make none; the text begins with the place of the one that is wrong.
+    """
+    for named in areas:
+        for index, (latitude_deg, longitude_deg) in enumerate(named.area.corners_deg):
+            problem = place_problem(latitude_deg, longitude_deg)
+            if problem is not None:
+                raise ValueError(f"{named.path}: corner {index + 1}: {problem}")
+        problem = area_problem(named.area)
+        if problem is not None:
+            raise ValueError(f"{named.path}: {problem}")
+    inclusions = [named for named in areas if named.is_inclusion]
+    if not inclusions:
+        raise ValueError("no inclusion area: nothing says where the vehicle may be")
+    if len(inclusions) > 1:
+        raise ValueError(
+            f"{inclusions[1].path}: a second inclusion area; autopilots do not agree on what "
+            "several mean, so give one, and what is not to be flown in as exclusions"
+        )
+    corners = sum(CIRCLE_CORNERS if a.area.radius_m else len(a.area.corners_deg) for a in areas)
+    if corners > MAX_CORNERS:
+        raise ValueError(
+            f"{corners} corners in all (a circle counts as {CIRCLE_CORNERS}); at most "
+            f"{MAX_CORNERS} are looked at in time"
+        )
+    exclusions = tuple(named.area for named in areas if not named.is_inclusion)
+    return GeoFence(inclusions[0].area, exclusions)
+
+
+def difference(
+    own: LocalFence,
+    other: LocalFence,
+    tolerance_m: float,
+    more_keep_out_enu_m: Sequence[Corners] = (),
+) -> str | None:
+    """What two fences differ in by more than a tolerance, in words, or None.
+
+    Borders are compared both ways, at every corner and every 5 m between (of long ones, at about
+    400 places).
+
+    Args:
+        own: Ours.
+        other: The autopilot's.
+        tolerance_m: How far apart borders may be.
+        more_keep_out_enu_m: Keep-outs of ours that the autopilot need not have.
+    """
+    apart_m, place = _apart(own.polygon_enu_m, other.polygon_enu_m)
+    if apart_m > tolerance_m:
+        return f"borders up to {apart_m:.1f} m apart, at {_named(place)}"
+    ours = (*own.keep_out_enu_m, *more_keep_out_enu_m)
+    for some, others, lacks in (
+        (own.keep_out_enu_m, other.keep_out_enu_m, "the autopilot's has no such exclusion"),
+        (other.keep_out_enu_m, ours, "ours has no such exclusion"),
+    ):
+        for keep_out in some:
+            nearest = min((_apart(keep_out, another) for another in others), default=None)
+            if nearest is None or nearest[0] > tolerance_m:
+                by = "" if nearest is None else f" (the nearest is {nearest[0]:.1f} m off)"
+                return f"exclusion at {_named(keep_out[0])}: {lacks}{by}"
+    return None
+
+
+def _named(place: Point) -> str:
+    return f"{place[0]:.0f} m east, {place[1]:.0f} m north"
+
+
+def _apart(one: Corners, other: Corners) -> tuple[float, Point]:
+    """The greatest distance of either border from the other, and where (Hausdorff)."""
+    return max(_reach(one, other), _reach(other, one))
+
+
+def _reach(one: Corners, other: Corners) -> tuple[float, Point]:
+    sides = tuple(edges(other))
+
+    def off_m(point: Point) -> float:
+        return min(math.dist(point, nearest_on_segment(a, b, point)) for a, b in sides)
+
+    return max((off_m(point), point) for point in _along(one))
+
+
+def _along(border: Corners) -> list[Point]:
+    points, length_m = [], sum(math.dist(a, b) for a, b in edges(border))
+    every_m = max(COMPARED_EVERY_M, length_m / COMPARED_POINTS)
+    for (e0, n0), (e1, n1) in edges(border):
+        steps = max(1, math.ceil(math.hypot(e1 - e0, n1 - n0) / every_m))
+        shares = [step / steps for step in range(steps)]
+        points += [(e0 + share * (e1 - e0), n0 + share * (n1 - n0)) for share in shares]
+    return points
+
+
+def _local_area(area: GeoArea, origin: LocalOrigin, *, is_inside: bool) -> Corners:
+    corners = tuple(
+        origin.enu_from_geodetic(latitude_deg, longitude_deg, origin.altitude_m)[:2]
+        for latitude_deg, longitude_deg in area.corners_deg
+    )
+    if area.radius_m is None:
+        return corners
+    (east, north), half_rad = corners[0], math.pi / CIRCLE_CORNERS
+    radius_m = area.radius_m if is_inside else area.radius_m / math.cos(half_rad)
+    turns = [2.0 * half_rad * index for index in range(CIRCLE_CORNERS)]
+    return tuple(
+        (east + radius_m * math.cos(turn), north + radius_m * math.sin(turn)) for turn in turns
+    )

@@ -1,0 +1,148 @@
+"""Whether the autopilot flies our setpoints: it echoes the one that it follows.
+
+Theory of operation. PX4 and ArduPilot both tell the target that they follow as
+POSITION_TARGET_LOCAL_NED. What is told now was sent a while ago: a setpoint travels to the
+autopilot, some are lost, and the echo travels back. So an echo is compared with the way that our
+setpoints took lately, not with the last of them, and the newest moment at which it was on that way
+says how much of what we send arrives.
+
+- An echo beside the whole way is somebody else's setpoint. One alone may be a frame that just
+  moved; several over a while are a second source. We stay in place for a second, and if it goes
+  on meanwhile, we are the ones who give way: two streams would tear the vehicle to and fro.
+- An echo that is on the way, but where it was seconds ago, means that nothing of ours arrives any
+  more, and so may no echo at all where there was one.
+
+POSITION_TARGET_GLOBAL_INT is not looked at: PX4 fills it from its mission's triplet, which
+offboard setpoints do not touch.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+from companion.domain import PositionEnu
+from companion.guidance.events import SetpointEchoed
+from companion.guidance.findings import Finding, Reason, Verdict
+
+TOLERANCE_M = 1.5
+"""An echo nearer to our way than this is ours: PX4 smooths, and floats round."""
+MEMORY_S = 30.0
+"""A position target of ArduPilot is echoed for ever; one of ours that is older is not known."""
+GRACE_S = 2.0
+"""After control began the echo may still tell of what was flown before."""
+MAX_LAG_S = 2.0
+"""How old the newest setpoint may be that is known to have arrived."""
+FOREIGN_ECHOES = 3
+FOREIGN_WINDOW_S = 4.0
+FOREIGN_SPAN_S = 0.6
+"""So many foreign echoes in the window, over no less than the span, are a second source."""
+HOLD_S = 1.0
+"""How long it is held before giving way ..."""
+GOES_ON_S = 0.4
+"""... to a source that was still there after this much of it."""
+
+
+class EchoWatch:
+    """Compares what is echoed with what was sent."""
+
+    def __init__(self) -> None:
+        self._way: deque[tuple[float, float, PositionEnu]] = deque()
+        """From, until, and where."""
+        self._control_s: float | None = None
+        self._echo_s: float | None = None
+        self._lag_s = 0.0
+        self._foreign_s: deque[float] = deque()
+        self._disputed_s: float | None = None
+
+    def begin(self, now_s: float) -> None:
+        """Control begins: what was echoed before says nothing."""
+        self._control_s = now_s
+        self._forget_echoes()
+
+    def end(self) -> None:
+        """Control ends."""
+        self._control_s = None
+        self._forget_echoes()
+
+    def frame_moved(self, now_s: float) -> None:
+        """Every local position means another place from now on."""
+        self._way.clear()
+        if self._control_s is not None:
+            self.begin(now_s)
+
+    def sent(self, place_enu_m: PositionEnu, now_s: float) -> None:
+        """We sent a setpoint."""
+        if self._way and self._way[-1][2] == place_enu_m:
+            from_s, _, _ = self._way.pop()
+            self._way.append((from_s, now_s, place_enu_m))
+        else:
+            self._way.append((now_s, now_s, place_enu_m))
+        while self._way[0][1] < now_s - MEMORY_S:
+            self._way.popleft()
+
+    def echoed(self, event: SetpointEchoed) -> None:
+        """The autopilot told what it follows."""
+        now_s = event.time_s
+        if self._control_s is None or now_s - self._control_s < GRACE_S or not self._way:
+            return
+        self._echo_s = now_s
+        on_way_s = self._last_on_way_s(event.position_enu_m)
+        if on_way_s is None:
+            self._foreign_s.append(now_s)
+        else:
+            self._lag_s = now_s - on_way_s
+
+    def finding(self, now_s: float) -> Finding | None:
+        """What the echoes say at a tick in control."""
+        while self._foreign_s and self._foreign_s[0] < now_s - FOREIGN_WINDOW_S:
+            self._foreign_s.popleft()
+        if self._is_disputed():
+            if self._disputed_s is None:
+                self._disputed_s = now_s
+            went_on = self._foreign_s[-1] - self._disputed_s >= GOES_ON_S
+            is_over = now_s - self._disputed_s >= HOLD_S
+            verdict = Verdict.GIVE_WAY if went_on and is_over else Verdict.HOLD
+            return Finding(verdict, Reason.SECOND_SOURCE, "somebody else sends setpoints")
+        self._disputed_s = None
+        if self._echo_s is None:
+            return None
+        if now_s - self._echo_s > MAX_LAG_S:
+            text = f"setpoints are not echoed for {MAX_LAG_S:g} s"
+            return Finding(Verdict.HOLD, Reason.NO_ECHO, text)
+        if self._lag_s > MAX_LAG_S:
+            text = f"setpoints do not arrive for {MAX_LAG_S:g} s"
+            return Finding(Verdict.HOLD, Reason.SETPOINTS_LOST, text)
+        return None
+
+    def _is_disputed(self) -> bool:
+        times_s = self._foreign_s
+        return len(times_s) >= FOREIGN_ECHOES and times_s[-1] - times_s[0] >= FOREIGN_SPAN_S
+
+    def _forget_echoes(self) -> None:
+        self._echo_s = self._disputed_s = None
+        self._lag_s = 0.0
+        self._foreign_s.clear()
+
+    def _last_on_way_s(self, place_enu_m: PositionEnu | None) -> float | None:
+        """When our way was last at a place; None if it never was."""
+        if place_enu_m is None:
+            return None
+        following: PositionEnu | None = None
+        for _, until_s, place in reversed(self._way):
+            end = place if following is None else following
+            if _distance_m(place_enu_m, place, end) <= TOLERANCE_M:
+                return until_s
+            following = place
+        return None
+
+
+def _distance_m(point: PositionEnu, start: PositionEnu, end: PositionEnu) -> float:
+    """From a point to a straight piece of way."""
+    along = [b - a for a, b in zip(start, end, strict=True)]
+    length2 = sum(d * d for d in along)
+    if length2 == 0.0:
+        return math.dist(point, start)
+    offset = [p - a for a, p in zip(start, point, strict=True)]
+    share = min(1.0, max(0.0, sum(d * o for d, o in zip(along, offset, strict=True)) / length2))
+    return math.dist(offset, [share * d for d in along])

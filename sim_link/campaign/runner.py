@@ -1,0 +1,115 @@
+"""Runs trials on several processes, and adds up what they found."""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import signal
+import traceback
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from dataclasses import dataclass, field
+
+from sim_link.campaign.parts import PARTS
+from sim_link.campaign.trial import Finding, Outcome, Trial
+
+AHEAD = 2
+"""Trials per process that wait their turn, so that an interruption need not finish many."""
+
+
+@dataclass(slots=True)
+class Tally:
+    """What all trials so far found and measured."""
+
+    trials: int = 0
+    findings: list[Finding] = field(default_factory=list)
+    sums: dict[str, float] = field(default_factory=dict)
+    most: dict[str, float] = field(default_factory=dict)
+    least: dict[str, float] = field(default_factory=dict)
+
+    def add(self, outcome: Outcome) -> None:
+        """One more trial."""
+        self.trials += 1
+        name = outcome.trial.name
+        self.findings += [Finding(name, what) for what in outcome.findings]
+        for key, value in outcome.sums.items():
+            self.sums[key] = self.sums.get(key, 0.0) + value
+        for key, value in outcome.most.items():
+            self.most[key] = max(self.most.get(key, value), value)
+        for key, value in outcome.least.items():
+            self.least[key] = min(self.least.get(key, value), value)
+
+    def figures(self) -> Mapping[str, float]:
+        """All figures, and the number of findings as `violations`."""
+        return {
+            **self.sums,
+            **self.most,
+            **self.least,
+            "violations": float(len(self.findings)),
+            "trials": float(self.trials),
+        }
+
+
+def run_one(trial: Trial) -> Outcome:
+    """Run a trial; an exception is a finding like any other."""
+    try:
+        return PARTS[trial.part].run(trial)
+    except Exception as error:
+        where = traceback.format_exc(limit=-4)
+        what = f"{type(error).__name__}: {error}"
+        return Outcome(trial, (what,), story=tuple(where.splitlines()))
+
+
+def run_all(
+    trials: Sequence[Trial], jobs: int, on_done: Callable[[Outcome], None] | None = None
+) -> Tally:
+    """Run trials and add them up; an interruption ends early and keeps what was found.
+
+    Args:
+        trials: In the order of their start.
+        jobs: Processes; 1 runs them in this one.
+        on_done: Told of every trial that is done.
+
+    Raises:
+        KeyboardInterrupt: With the tally so far as its argument.
+    """
+    tally = Tally()
+    outcomes = _outcomes(trials, jobs)
+    try:
+        for outcome in outcomes:
+            tally.add(outcome)
+            if on_done is not None:
+                on_done(outcome)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(tally) from None
+    return tally
+
+
+def _outcomes(trials: Sequence[Trial], jobs: int) -> Iterator[Outcome]:
+    if jobs <= 1:
+        yield from map(run_one, trials)
+        return
+    coming = iter(trials)
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_begin_worker)
+    running: set[Future[Outcome]] = set()
+    try:
+        while True:
+            while len(running) < jobs * AHEAD:
+                trial = next(coming, None)
+                if trial is None:
+                    break
+                running.add(pool.submit(run_one, trial))
+            if not running:
+                return
+            done, running = wait(running, return_when=FIRST_COMPLETED)
+            for future in done:
+                yield future.result()
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _begin_worker() -> None:
+    """Ctrl-C reaches the whole group, and only the parent answers it; flights keep quiet."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    logging.disable(logging.CRITICAL)

@@ -1,0 +1,121 @@
+"""A day of flight in minutes: memory, descriptors and queues stay as they are, the log in its cap.
+
+The companion flies and writes its real journal to a real disk; landed by a low battery it would
+end early, so the battery is endless. What grows is measured against invented time.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from companion.config.schema import CompanionConfig
+from companion.guidance.session import SessionParams
+from companion.io.journal import FlightJournal
+from sim_link.autopilot.scenario import AutopilotParams, BatteryParams, Scenario
+from sim_link.campaign.flights import rules_of
+from sim_link.campaign.fuzz import resident_mb
+from sim_link.campaign.trial import Outcome, Trial, findings_of, trial_seed
+from sim_link.faults.faulty_link import FaultyLink
+from sim_link.faults.kinds import LinkBursts, LinkJitter, LinkLoss
+from sim_link.faults.schedule import Schedule
+from sim_link.lockstep.flight import Flight
+from sim_link.monitor.monitor import Monitor
+
+HOUR_S = 3600.0
+SAMPLE_S = 300.0
+SETTLED_H = 1.0
+"""The first hour may grow."""
+SLOPE_MB_PER_H = 0.1
+LOG_CAP_BYTES = 20_000_000
+LOG_SLACK = 1.1
+"""The file that is being written, and the names of the others."""
+
+
+class Soak:
+    """The part of the campaign that flies for a day."""
+
+    name = "soak"
+    title = "24 simulated hours: memory, descriptors and log stay bounded"
+
+    def trials(self, amount: float, seed: int) -> Sequence[Trial]:
+        """One flight of so many hours."""
+        return [Trial(self.name, trial_seed(seed, 0), amount)] if amount else []
+
+    def cost(self, trial: Trial) -> float:
+        """Seconds of one core."""
+        return 90.0 * trial.size
+
+    def run(self, trial: Trial) -> Outcome:
+        """Fly and measure."""
+        directory = Path(tempfile.mkdtemp(prefix="soak-"))
+        try:
+            return _soaked(trial, directory)
+        finally:
+            shutil.rmtree(directory, ignore_errors=True)
+
+
+def _soaked(trial: Trial, directory: Path) -> Outcome:
+    flight, monitor, journal = _flight(trial.seed, directory)
+    hours: list[float] = []
+    memory_mb: list[float] = []
+    descriptors: list[int] = []
+    while flight.now_s < trial.size * HOUR_S:
+        flight.run(min(SAMPLE_S, trial.size * HOUR_S - flight.now_s))
+        hours.append(flight.now_s / HOUR_S)
+        memory_mb.append(resident_mb())
+        descriptors.append(len(os.listdir("/proc/self/fd")))
+    written = sum(path.stat().st_size for path in directory.rglob("*") if path.is_file())
+    journal.close()
+    slope = slope_after(hours, memory_mb, min(SETTLED_H, 0.5 * trial.size))
+    findings = list(findings_of(monitor.violations))
+    if slope > SLOPE_MB_PER_H and trial.size > 2.0 * SETTLED_H:
+        findings.append(f"memory grows by {slope:.3f} MB/h")
+    if descriptors[-1] != descriptors[0]:
+        findings.append(f"{descriptors[0]} descriptors became {descriptors[-1]}")
+    if written > LOG_SLACK * LOG_CAP_BYTES:
+        findings.append(f"the log has {written} bytes, its cap is {LOG_CAP_BYTES}")
+    return Outcome(
+        trial,
+        tuple(findings),
+        sums={"soak_hours": trial.size},
+        most={"soak_slope_mb_per_h": slope, "soak_log_bytes": float(written)},
+    )
+
+
+def slope_after(hours: Sequence[float], values: Sequence[float], since_h: float) -> float:
+    """The slope of a straight line through the values from a time on, per hour."""
+    chosen = [(h, v) for h, v in zip(hours, values, strict=True) if h >= since_h]
+    if len(chosen) < 2:
+        return 0.0
+    times, wanted = zip(*chosen, strict=True)
+    return float(np.polyfit(times, wanted, 1)[0])
+
+
+def _flight(seed: int, directory: Path) -> tuple[Flight, Monitor, FlightJournal]:
+    """An endless search over a mediocre link."""
+    scenario = Scenario(
+        autopilot=AutopilotParams(flavour="px4" if seed % 2 else "ardupilot"),
+        battery=BatteryParams(endurance_s=1e7),
+    )
+    config = CompanionConfig(mission=SessionParams(engage="auto", stop_confirm_s=1e9))
+    faults = (
+        LinkLoss(share=0.05),
+        LinkJitter(jitter_s=0.05),
+        LinkBursts(mean_good_s=60.0, mean_bad_s=0.2),
+    )
+    link = FaultyLink(Schedule(faults=faults), seed)
+    journal = FlightJournal(directory, 1.795e9, LOG_CAP_BYTES)
+    flight = Flight(config, scenario, seed, journal, wire=link)
+    monitor = Monitor(
+        rules_of(config),
+        flight.sim.vehicle,
+        estimate=lambda: flight.companion.session.estimate,
+    )
+    flight.observers.append(monitor)
+    return flight, monitor, journal

@@ -1,0 +1,283 @@
+"""Pilots, other senders and the autopilot's own troubles, on both autopilots and on bad links."""
+
+from __future__ import annotations
+
+import random
+from typing import get_args
+
+import pytest
+
+from companion.config.schema import CompanionConfig
+from companion.domain import Autopilot, FlightMode
+from companion.guidance.findings import Reason
+from companion.guidance.session import SessionParams
+from companion.guidance.states import IN_CONTROL, Phase
+from companion.mav.dialect import mavlink
+from companion.mav.modes import autopilot_of, mode_of
+from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
+from sim_link.faults.injector import Injector
+from sim_link.faults.kinds import (
+    Battery,
+    EkfPoor,
+    GpsLoss,
+    LinkBlackout,
+    ModeFlap,
+    OriginShift,
+    PilotSticks,
+    SecondSender,
+    VehicleFault,
+    VehicleReboot,
+)
+from sim_link.lockstep.observer import Frame, Observer
+from tests.loop.loop_helpers import LinkFaults, Loop
+
+FLAVOURS: tuple[FlavourName, ...] = get_args(FlavourName)
+TICK_S = 0.05
+ENDLESS = CompanionConfig(mission=SessionParams(engage="auto", stop_radius_m=0.3))
+"""A target that is never found well enough: the search goes on."""
+SET_MODE = mavlink.MAV_CMD_DO_SET_MODE
+BAD = LinkFaults(loss=0.3, delay_s=0.2)
+WORSE = LinkFaults(loss=0.3, delay_s=0.5)
+"""Every position is old when it comes: it only holds."""
+CLEAN = LinkFaults()
+
+
+class Yielding(Observer):
+    """What the companion does after it was shown another mode."""
+
+    def __init__(self) -> None:
+        self.foreign_s: float | None = None
+        """When the first frame of another mode was heard since control was given."""
+        self.late: list[tuple[float, str]] = []
+        """What was sent more than a tick after such a frame."""
+        self.is_watching = True
+
+    def watch(self) -> None:
+        """Control was given."""
+        self.is_watching, self.foreign_s = True, None
+
+    def heard(self, frame: Frame) -> None:
+        message = frame.message
+        if not isinstance(message, mavlink.MAVLink_heartbeat_message):
+            return
+        autopilot = autopilot_of(message)
+        is_foreign = autopilot and mode_of(message, autopilot) is not FlightMode.OFFBOARD
+        if is_foreign and self.foreign_s is None:
+            self.foreign_s = frame.time_s
+
+    def sent(self, frame: Frame) -> None:
+        message, foreign_s = frame.message, self.foreign_s
+        if message is None or foreign_s is None or not self.is_watching:
+            return
+        is_request = (
+            isinstance(message, mavlink.MAVLink_command_long_message)
+            and message.command == SET_MODE
+        )
+        is_setpoint = isinstance(message, mavlink.MAVLink_set_position_target_local_ned_message)
+        if (is_setpoint or is_request) and frame.time_s > foreign_s + TICK_S:
+            self.late.append((frame.time_s, message.get_type()))
+
+
+def flying(
+    flavour: FlavourName = "px4", faults: LinkFaults = CLEAN, seed: int = 1, after_s: float = 6.0
+) -> Loop:
+    """In control for a while."""
+    scenario = Scenario(autopilot=AutopilotParams(flavour=flavour))
+    loop = Loop(ENDLESS, scenario, seed)
+    loop.run_until(lambda: loop.phase is Phase.NORMAL, 60.0)
+    for fault in faults.schedule().faults:
+        loop.wire.add(fault, loop.now_s)
+    loop.run(after_s)
+    assert loop.phase in IN_CONTROL, loop.notes.texts
+    return loop
+
+
+def inject(loop: Loop, *faults: VehicleFault | LinkBlackout) -> None:
+    injector = Injector(loop.flight, loop.wire, loop.operator)
+    for fault in faults:
+        injector.add(fault)
+
+
+def reasons(loop: Loop) -> dict[str, int]:
+    return dict(loop.companion.session.status(loop.now_s).reasons)
+
+
+# The pilot
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+@pytest.mark.parametrize("loss", [0.0, 0.1, 0.3])
+@pytest.mark.parametrize("seed", range(2))
+def test_nothing_follows_the_first_frame_of_another_mode(
+    flavour: FlavourName, loss: float, seed: int
+) -> None:
+    rng = random.Random(f"{flavour}{loss}{seed}")
+    loop = flying(flavour, LinkFaults(loss=loss), seed)
+    watched = Yielding()
+    loop.flight.observers.append(watched)
+    modes = [rng.choice([FlightMode.HOLD, FlightMode.RETURN]) for _ in range(3)]
+    for mode in (*modes, FlightMode.LAND):
+        loop.run(rng.uniform(0.05, 2.0))
+        loop.operator.choose(mode, is_told_at_once=rng.random() < 0.5)
+        loop.run(6.0)
+        assert loop.phase is Phase.YIELD
+        assert watched.foreign_s is not None
+        assert watched.late == []
+        if mode is not FlightMode.LAND:
+            watched.is_watching = False
+            give_again(loop)
+            watched.watch()
+
+
+def give_again(loop: Loop) -> None:
+    """The operator gives control; on a lossy link people try again."""
+    for _ in range(10):
+        if loop.flight.autopilot is Autopilot.PX4:
+            loop.grant()
+            loop.run(1.2)
+        loop.choose(FlightMode.OFFBOARD)
+        loop.run(3.0)
+        if loop.phase in IN_CONTROL:
+            return
+    raise AssertionError(f"control was not given again: {loop.notes.texts[-5:]}")
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+def test_a_mode_that_flaps_is_left_alone(flavour: FlavourName) -> None:
+    loop = flying(flavour, LinkFaults(delay_s=0.02, jitter_s=0.2))
+    watched = Yielding()
+    loop.flight.observers.append(watched)
+    inject(loop, ModeFlap(period_s=0.7, duration_s=10.0))
+    loop.run(13.0)
+    assert watched.foreign_s is not None
+    assert watched.late == []
+    assert loop.phase is Phase.YIELD
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+def test_a_pilot_who_moves_the_sticks_gets_the_vehicle(flavour: FlavourName) -> None:
+    loop = flying(flavour)
+    inject(loop, PilotSticks(start_s=5.0, forward=0.8, duration_s=10.0))
+    loop.run(5.0)
+    asked = loop.commands.copy()
+    assert loop.run_until(lambda: loop.phase is Phase.HOLD, 1.0) <= 0.4
+    assert loop.run_until(lambda: loop.phase is Phase.YIELD, 2.0) <= 1.0
+    assert loop.said("giving way: the pilot moves the sticks")
+    gave_s = loop.now_s
+    loop.run(5.0)
+    assert loop.setpoints_since(gave_s) == []
+    assert [n for _, n in loop.commands[len(asked) :] if n == SET_MODE] == []
+
+
+# Other senders, and links that do not carry our setpoints
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+@pytest.mark.parametrize(
+    ("faults", "rate_hz", "limit_s"), [(CLEAN, 7.0, 10.0), (CLEAN, 33.0, 4.0), (BAD, 33.0, 10.0)]
+)
+def test_a_second_sender_is_given_way_to(
+    flavour: FlavourName, faults: LinkFaults, rate_hz: float, limit_s: float
+) -> None:
+    loop = flying(flavour, faults)
+    inject(loop, SecondSender(rate_hz=rate_hz, east_m=60.0, north_m=-40.0))
+    loop.run_until(lambda: loop.phase is Phase.HOLD, limit_s)
+    held_s = loop.now_s
+    loop.run_until(lambda: loop.phase is Phase.YIELD, 5.0)
+    assert loop.now_s - held_s >= 0.9
+    assert loop.said("giving way: somebody else sends setpoints")
+    assert reasons(loop)[Reason.SECOND_SOURCE.value] == 1
+    loop.run(0.1)
+    gave_s = loop.now_s
+    loop.run(10.0)
+    assert loop.setpoints_since(gave_s) == []
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+@pytest.mark.parametrize("faults", [BAD, WORSE], ids=["0.2 s late", "0.5 s late"])
+@pytest.mark.parametrize("seed", range(2))
+def test_a_bad_link_raises_no_alarm(flavour: FlavourName, faults: LinkFaults, seed: int) -> None:
+    loop = flying(flavour, faults, seed)
+    loop.run(60.0)
+    contention = {Reason.SECOND_SOURCE, Reason.SETPOINTS_LOST, Reason.NO_ECHO}
+    assert not contention & {Reason(reason) for reason in reasons(loop)}
+
+
+def test_setpoints_that_do_not_arrive_are_told_of() -> None:
+    """PX4 leaves offboard then; ArduPilot says nothing."""
+    loop = flying("ardupilot")
+    inject(loop, LinkBlackout(direction="to_vehicle", duration_s=10.0))
+    assert loop.run_until(lambda: loop.phase is Phase.HOLD, 3.0) <= 2.6
+    assert loop.said("hold: setpoints do not arrive for 2 s")
+    loop.run_until(lambda: loop.phase is Phase.NORMAL, 10.0)
+
+
+# The autopilot's own troubles
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+def test_an_estimator_that_doubts_is_held_on_and_then_handed_back(flavour: FlavourName) -> None:
+    loop = flying(flavour)
+    inject(loop, EkfPoor(duration_s=20.0))
+    if flavour == "ardupilot":  # lands by itself after a second
+        loop.run_until(lambda: loop.phase is Phase.YIELD, 1.5)
+        return
+    loop.run_until(lambda: loop.phase is Phase.HOLD, 1.5)
+    loop.run_until(lambda: loop.phase is Phase.YIELD, 5.0)
+    loop.run(1.0)
+    assert loop.said("handing back: the autopilot doubts its own position for 5 s")
+    assert loop.mode is FlightMode.HOLD
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+def test_a_lost_fix_is_held_on_within_a_second(flavour: FlavourName) -> None:
+    loop = flying(flavour)
+    inject(loop, GpsLoss(duration_s=3.0))
+    assert loop.run_until(lambda: loop.phase is Phase.HOLD, 1.0) <= 0.5
+    loop.run(5.0)
+    assert loop.phase is Phase.NORMAL
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+def test_a_low_battery_ends_the_search_in_good_order(flavour: FlavourName) -> None:
+    loop = flying(flavour)
+    inject(loop, Battery(share=0.18))
+    loop.run_until(lambda: bool(loop.notes.results), 25.0)
+    loop.run(2.0)
+    assert loop.said("battery low, 18 %")
+    assert loop.said("SEARCH ENDED, battery low:")
+    assert loop.mode is FlightMode.RETURN
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+def test_a_critical_battery_is_handed_back_once(flavour: FlavourName) -> None:
+    loop = flying(flavour)
+    asked = len(loop.commands)
+    inject(loop, Battery(share=0.09))
+    loop.run_until(lambda: loop.phase is Phase.YIELD, 5.0)
+    loop.run(2.0)
+    assert loop.mode is FlightMode.RETURN
+    assert [n for _, n in loop.commands[asked:]].count(SET_MODE) == 1
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+def test_an_origin_that_moved_is_held_on_for_two_seconds(flavour: FlavourName) -> None:
+    loop = flying(flavour)
+    inject(loop, OriginShift(east_m=10.0))
+    loop.run_until(lambda: loop.said("local origin moved by 10 m"), 20.0)
+    assert loop.run_until(lambda: loop.phase is Phase.NORMAL, 5.0) >= 1.9
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+def test_a_reboot_drops_everything_and_waits_for_the_operator(flavour: FlavourName) -> None:
+    loop = flying(flavour)
+    asked = len(loop.commands)
+    inject(loop, VehicleReboot())
+    loop.run_until(lambda: loop.phase not in IN_CONTROL, 4.0)
+    ended_s = loop.now_s
+    loop.run(60.0)
+    assert loop.said("autopilot restarted")
+    assert loop.phase is Phase.STANDBY
+    assert SET_MODE not in [n for _, n in loop.commands[asked:]]
+    if flavour == "ardupilot":
+        assert loop.setpoints_since(ended_s) == []

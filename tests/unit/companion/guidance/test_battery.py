@@ -1,0 +1,79 @@
+"""Low, critical and unknown charge."""
+
+from __future__ import annotations
+
+import pytest
+
+from companion.domain import BatteryLevel, FlightMode
+from companion.guidance.battery import BatteryWatch
+from companion.guidance.events import BatteryReported
+from companion.guidance.findings import Verdict
+
+
+def watch_at(
+    charge_pct: float | None, level: BatteryLevel = BatteryLevel.UNKNOWN, reports: int = 2
+) -> BatteryWatch:
+    watch = BatteryWatch(low_pct=20.0, critical_pct=10.0)
+    for number in range(reports):
+        watch.reported(BatteryReported(float(number), charge_pct, level))
+    return watch
+
+
+@pytest.mark.parametrize(
+    ("charge_pct", "said", "expected"),
+    [
+        (80.0, BatteryLevel.GOOD, BatteryLevel.GOOD),
+        (20.0, BatteryLevel.GOOD, BatteryLevel.LOW),
+        (10.0, BatteryLevel.LOW, BatteryLevel.CRITICAL),
+        (50.0, BatteryLevel.CRITICAL, BatteryLevel.CRITICAL),
+        (None, BatteryLevel.LOW, BatteryLevel.LOW),
+        (None, BatteryLevel.UNKNOWN, BatteryLevel.UNKNOWN),
+        (0.0, BatteryLevel.UNKNOWN, BatteryLevel.CRITICAL),
+    ],
+)
+def test_the_worse_of_charge_and_state_counts(
+    charge_pct: float | None, said: BatteryLevel, expected: BatteryLevel
+) -> None:
+    assert watch_at(charge_pct, said).level is expected
+
+
+def test_unknown_is_not_full() -> None:
+    assert watch_at(None).level is BatteryLevel.UNKNOWN
+    assert watch_at(None).charge_pct is None
+
+
+def test_one_report_is_not_believed() -> None:
+    watch = watch_at(80.0)
+    watch.reported(BatteryReported(5.0, 3.0, BatteryLevel.CRITICAL))
+    levels = [watch.level]
+    watch.reported(BatteryReported(6.0, 79.0, BatteryLevel.GOOD))
+    watch.reported(BatteryReported(7.0, 3.0, BatteryLevel.CRITICAL))
+    levels.append(watch.level)
+    watch.reported(BatteryReported(8.0, 3.0, BatteryLevel.CRITICAL))
+    levels.append(watch.level)
+    assert levels == [BatteryLevel.GOOD, BatteryLevel.GOOD, BatteryLevel.CRITICAL]
+
+
+def test_critical_is_handed_back_once_in_a_flight() -> None:
+    watch = watch_at(5.0)
+    finding = watch.finding()
+    assert finding is not None
+    assert (finding.verdict, finding.mode) == (Verdict.HAND_BACK, FlightMode.RETURN)
+    watch.handed_back()
+    finding = watch.finding()
+    assert finding is not None
+    assert finding.verdict is Verdict.HOLD
+    watch.flight_over()
+    finding = watch.finding()
+    assert finding is not None
+    assert finding.verdict is Verdict.HAND_BACK
+
+
+def test_low_ends_a_mission_once_in_a_flight() -> None:
+    watch = watch_at(15.0)
+    assert watch.finding() is None
+    assert watch.ends_mission
+    watch.mission_ended()
+    assert not watch.ends_mission
+    watch.flight_over()
+    assert watch.ends_mission

@@ -1,0 +1,186 @@
+"""A second source of setpoints, setpoints that do not arrive, and links that only look so."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+import pytest
+
+from companion.domain import PositionEnu
+from companion.guidance.contention import EchoWatch
+from companion.guidance.events import SetpointEchoed
+from companion.guidance.findings import Finding, Reason, Verdict
+
+TICK_S = 0.05
+ECHO_S = 0.1
+SPEED_MPS = 5.0
+FOREIGN: PositionEnu = (80.0, -40.0, 15.0)
+
+
+class Line:
+    """Our setpoints to an autopilot that obeys the newest it got, and its echoes back to us."""
+
+    def __init__(self, loss: float = 0.0, latency_s: float = 0.0, seed: int = 1) -> None:
+        self.watch = EchoWatch()
+        self.now_s = 0.0
+        self.intruder_hz = 0.0
+        self.is_uplink_up = self.is_echo_up = True
+        self.is_moving = True
+        self.findings: list[tuple[float, Finding]] = []
+        self._loss, self._latency_s = loss, latency_s
+        self._rng = np.random.default_rng(seed)
+        self._up: deque[tuple[float, PositionEnu]] = deque()
+        self._down: deque[tuple[float, PositionEnu]] = deque()
+        self._target: PositionEnu | None = None
+        self._ticks = 0
+        self._path_m = 0.0
+
+    def run(self, duration_s: float) -> None:
+        if not self._ticks:
+            self.watch.begin(0.0)
+        for _ in range(round(duration_s / TICK_S)):
+            self._ticks += 1
+            self.now_s = self._ticks * TICK_S
+            self._carry()
+            finding = self.watch.finding(self.now_s)
+            if finding is not None:
+                self.findings.append((self.now_s, finding))
+            if self.is_moving:
+                self._path_m += SPEED_MPS * TICK_S
+            place = self._place()
+            self.watch.sent(place, self.now_s)
+            if self.is_uplink_up and self._rng.random() >= self._loss:
+                self._up.append((self.now_s + self._latency_s, place))
+
+    def _place(self) -> PositionEnu:
+        """A zigzag, as planners fly."""
+        leg, along = divmod(self._path_m, 40.0)
+        return (along if leg % 2 == 0 else 40.0 - along, 3.0 * leg, 20.0)
+
+    def _carry(self) -> None:
+        while self._up and self._up[0][0] <= self.now_s:
+            self._target = self._up.popleft()[1]
+        is_intruded = self.intruder_hz * TICK_S > self._rng.random()
+        if is_intruded:
+            self._target = FOREIGN
+        is_due = self.is_echo_up and self._ticks % round(ECHO_S / TICK_S) == 0
+        if is_due and self._target is not None and self._rng.random() >= self._loss:
+            self._down.append((self.now_s + self._latency_s, self._target))
+        while self._down and self._down[0][0] <= self.now_s:
+            self.watch.echoed(SetpointEchoed(self.now_s, self._down.popleft()[1]))
+
+    @property
+    def reasons(self) -> set[Reason]:
+        return {finding.reason for _, finding in self.findings}
+
+    def first(self, verdict: Verdict) -> float:
+        """When a verdict was reached first; infinite if it never was."""
+        return min((at for at, f in self.findings if f.verdict is verdict), default=math.inf)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize(("loss", "latency_s"), [(0.0, 0.0), (0.3, 0.0), (0.3, 0.5), (0.1, 0.5)])
+def test_a_bad_link_is_no_second_source(loss: float, latency_s: float, seed: int) -> None:
+    line = Line(loss, latency_s, seed)
+    for _ in range(10):
+        line.run(20.0)
+        line.is_moving = not line.is_moving
+    assert line.findings == []
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("intruder_hz", [5.0, 10.0, 20.0])
+@pytest.mark.parametrize(("loss", "latency_s"), [(0.0, 0.0), (0.3, 0.5)])
+def test_a_second_source_is_held_on_for_a_second_and_then_given_way_to(
+    loss: float, latency_s: float, intruder_hz: float, seed: int
+) -> None:
+    line = Line(loss, latency_s, seed)
+    line.run(10.0)
+    line.intruder_hz = intruder_hz
+    began_s = line.now_s
+    line.run(20.0)
+    hold_s, way_s = line.first(Verdict.HOLD), line.first(Verdict.GIVE_WAY)
+    assert line.reasons == {Reason.SECOND_SOURCE}
+    assert hold_s - began_s <= 4.0 + 2.0 * latency_s
+    assert 1.0 <= way_s - hold_s <= 3.0
+
+
+def test_a_second_source_that_stops_is_forgotten() -> None:
+    line = Line()
+    line.run(10.0)
+    line.intruder_hz = 20.0
+    line.run(0.8)
+    line.intruder_hz = 0.0
+    line.run(6.0)
+    assert line.first(Verdict.GIVE_WAY) == math.inf
+    assert line.watch.finding(line.now_s) is None
+
+
+def test_one_foreign_echo_is_no_source() -> None:
+    line = Line()
+    line.run(10.0)
+    line.watch.echoed(SetpointEchoed(line.now_s, FOREIGN))
+    line.run(5.0)
+    assert line.findings == []
+
+
+def test_a_target_that_is_no_position_is_foreign() -> None:
+    line = Line()
+    line.run(10.0)
+    line.is_echo_up = False
+    for _ in range(10):
+        line.watch.echoed(SetpointEchoed(line.now_s, None))
+        line.run(0.1)
+    assert Reason.SECOND_SOURCE in line.reasons
+
+
+def test_setpoints_that_do_not_arrive_are_noticed_within_two_seconds() -> None:
+    line = Line()
+    line.run(10.0)
+    line.is_uplink_up = False
+    cut_s = line.now_s
+    line.run(5.0)
+    assert line.reasons == {Reason.SETPOINTS_LOST}
+    assert line.findings[0][0] - cut_s <= 2.5
+    line.is_uplink_up = True
+    line.run(1.0)
+    assert line.watch.finding(line.now_s) is None
+
+
+def test_echoes_that_stop_are_noticed_within_two_seconds() -> None:
+    line = Line()
+    line.run(10.0)
+    line.is_echo_up = False
+    cut_s = line.now_s
+    line.run(5.0)
+    assert line.reasons == {Reason.NO_ECHO}
+    assert line.findings[0][0] - cut_s <= 2.2
+
+
+def test_an_autopilot_that_never_echoes_is_flown() -> None:
+    line = Line()
+    line.is_echo_up = False
+    line.run(60.0)
+    assert line.findings == []
+
+
+def test_what_was_flown_before_control_began_is_not_held_against_it() -> None:
+    watch = EchoWatch()
+    watch.begin(100.0)
+    for tick in range(40):
+        now_s = 100.0 + TICK_S * tick
+        watch.sent((0.0, 0.0, 20.0), now_s)
+        watch.echoed(SetpointEchoed(now_s, FOREIGN))
+        assert watch.finding(now_s) is None
+
+
+def test_a_frame_that_moved_begins_anew() -> None:
+    line = Line()
+    line.run(10.0)
+    line.watch.frame_moved(line.now_s)
+    for _ in range(20):
+        line.watch.echoed(SetpointEchoed(line.now_s, FOREIGN))
+        line.now_s += 0.05
+    assert line.watch.finding(line.now_s) is None

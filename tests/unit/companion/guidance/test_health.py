@@ -1,0 +1,103 @@
+"""What the autopilot says of its own health, and what follows."""
+
+from __future__ import annotations
+
+import pytest
+
+from companion.domain import Autopilot, FlightMode
+from companion.guidance.events import EstimatorRated, FixReported, HeartbeatReceived
+from companion.guidance.findings import Finding, Reason, Verdict
+from companion.guidance.health import HealthWatch
+
+STEP_S = 0.2
+
+
+def heartbeat(time_s: float, *, is_failsafe: bool) -> HeartbeatReceived:
+    return HeartbeatReceived(
+        time_s, Autopilot.ARDUPILOT, FlightMode.OFFBOARD, True, True, is_failsafe
+    )
+
+
+def times(
+    watch: HealthWatch, *, worst: float = 0.1, has_fix: bool = True, for_s: float = 10.0
+) -> dict[tuple[Reason, Verdict], float]:
+    """Report the same for a while; when each finding came first."""
+    first: dict[tuple[Reason, Verdict], float] = {}
+    for number in range(round(for_s / STEP_S)):
+        now_s = 100.0 + STEP_S * number
+        watch.handle(EstimatorRated(now_s, worst))
+        watch.handle(FixReported(now_s, has_fix))
+        for finding in only(watch, now_s):
+            first.setdefault((finding.reason, finding.verdict), now_s - 100.0)
+    return first
+
+
+def only(watch: HealthWatch, now_s: float) -> list[Finding]:
+    return watch.findings(now_s, is_battery_low=False)
+
+
+def test_a_healthy_autopilot_is_flown() -> None:
+    assert times(HealthWatch()) == {}
+
+
+@pytest.mark.parametrize("worst", [1.0, 1.9, 50.0])
+def test_a_filter_that_doubts_is_held_on_after_a_second_and_handed_back_after_five(
+    worst: float,
+) -> None:
+    first = times(HealthWatch(), worst=worst)
+    assert first[Reason.ESTIMATOR_POOR, Verdict.HOLD] == pytest.approx(1.0, abs=0.01)
+    assert first[Reason.ESTIMATOR_POOR, Verdict.HAND_BACK] == pytest.approx(5.2, abs=0.01)
+
+
+def test_a_short_doubt_changes_nothing() -> None:
+    watch = HealthWatch()
+    assert times(watch, worst=1.5, for_s=0.9) == {}
+    for number in range(20):
+        watch.handle(EstimatorRated(101.0 + STEP_S * number, 0.2))
+        assert only(watch, 101.0 + STEP_S * number) == []
+
+
+def test_a_lost_fix_is_held_on_at_once_and_handed_back_after_five_seconds() -> None:
+    watch = HealthWatch()
+    watch.handle(FixReported(99.0, True))
+    first = times(watch, has_fix=False)
+    assert first[Reason.NO_FIX, Verdict.HOLD] == 0.0
+    assert first[Reason.NO_FIX, Verdict.HAND_BACK] == pytest.approx(5.2, abs=0.01)
+
+
+def test_a_vehicle_that_never_had_a_fix_flies_without() -> None:
+    assert times(HealthWatch(), has_fix=False) == {}
+
+
+def test_trouble_ends_after_a_second_without() -> None:
+    watch = HealthWatch()
+    times(watch, worst=1.5, for_s=3.0)
+    watch.handle(EstimatorRated(103.0, 0.2))
+    assert only(watch, 103.5) != []
+    watch.handle(EstimatorRated(103.6, 1.5))
+    assert only(watch, 104.2) != []
+    watch.handle(EstimatorRated(104.4, 0.2))
+    assert only(watch, 105.3) != []
+    assert only(watch, 105.5) == []
+
+
+def test_a_failsafe_raised_in_flight_is_held_on_until_it_is_over() -> None:
+    watch = HealthWatch()
+    watch.handle(heartbeat(10.0, is_failsafe=False))
+    watch.begin()
+    watch.handle(heartbeat(20.0, is_failsafe=True))
+    (finding,) = only(watch, 21.0)
+    assert (finding.verdict, finding.reason) == (Verdict.HOLD, Reason.FAILSAFE)
+    assert watch.findings(21.0, is_battery_low=True) == []
+    watch.handle(heartbeat(22.0, is_failsafe=False))
+    assert only(watch, 22.0) == []
+
+
+def test_a_failsafe_that_was_there_when_control_was_given_is_the_operators() -> None:
+    watch = HealthWatch()
+    watch.handle(heartbeat(10.0, is_failsafe=True))
+    watch.begin()
+    assert only(watch, 11.0) == []
+    watch.handle(heartbeat(12.0, is_failsafe=False))
+    watch.handle(heartbeat(13.0, is_failsafe=True))
+    assert only(watch, 14.0) != []

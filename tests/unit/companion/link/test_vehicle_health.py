@@ -1,0 +1,140 @@
+"""Messages about health and targets to events; what nobody knows is no number."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from companion.domain import BatteryLevel
+from companion.guidance.events import (
+    BatteryReported,
+    EstimatorRated,
+    Event,
+    FixReported,
+    SetpointEchoed,
+    SticksReported,
+)
+from companion.link.vehicle_health import VehicleHealthInbound
+from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, mavlink
+
+NAN, INF = math.nan, math.inf
+UINT16_MAX = 2**16 - 1
+
+
+def events(message: Message) -> list[Event]:
+    return VehicleHealthInbound().events(message, 5.0)
+
+
+def target(north: float, east: float, down: float, mask: int = 0, frame: int = 1) -> Message:
+    return mavlink.MAVLink_position_target_local_ned_message(
+        0, frame, mask, north, east, down, *(0.0,) * 6, 0.0, 0.0
+    )
+
+
+def estimator_status(velocity: float, place: float, height: float, mag: float) -> Message:
+    """Terrain and airspeed, which few vehicles have, are bad."""
+    return mavlink.MAVLink_estimator_status_message(
+        0, 0, velocity, place, height, mag, 9.0, 9.0, 0.3, 0.4
+    )
+
+
+def battery_status(percent: int, charge_state: int = 0, number: int = 0) -> Message:
+    return mavlink.MAVLink_battery_status_message(
+        number, 0, 0, 0, [UINT16_MAX] * 10, -1, -1, -1, percent, charge_state=charge_state
+    )
+
+
+def sys_status(percent: int) -> Message:
+    return mavlink.MAVLink_sys_status_message(0, 0, 0, 0, 0, -1, percent, *(0,) * 6)
+
+
+def rc_channels(roll: int, pitch: int, throttle: int, yaw: int) -> Message:
+    unused = (UINT16_MAX,) * 14
+    return mavlink.MAVLink_rc_channels_message(0, 4, roll, pitch, throttle, yaw, *unused, 255)
+
+
+def test_a_target_is_a_place() -> None:
+    assert events(target(1.0, 2.0, -3.0)) == [SetpointEchoed(5.0, (2.0, 1.0, 3.0))]
+
+
+@pytest.mark.parametrize("message", [target(NAN, 2.0, -3.0), target(1.0, 2.0, -3.0, mask=0x7)])
+def test_a_target_without_a_position_is_one_all_the_same(message: Message) -> None:
+    assert events(message) == [SetpointEchoed(5.0, None)]
+
+
+def test_a_target_in_another_frame_cannot_be_compared() -> None:
+    assert events(target(1.0, 2.0, -3.0, frame=8)) == []
+
+
+@pytest.mark.parametrize(
+    ("ratios", "worst"),
+    [((0.1, 0.2, 0.3, 0.4), 0.4), ((0.1, 1.5, 0.3, 0.4), 1.5), ((NAN, 0.2, INF, 0.1), 0.2)],
+)
+def test_px4_is_as_good_as_its_worst_ratio(
+    ratios: tuple[float, float, float, float], worst: float
+) -> None:
+    (event,) = events(estimator_status(*ratios))
+    assert isinstance(event, EstimatorRated)
+    assert event.worst == pytest.approx(worst)
+
+
+def test_ardupilot_doubts_from_a_variance_of_08_on() -> None:
+    (event,) = events(MAVLink_ekf_status_report_message(0, 0.1, 0.8, 0.2, 0.3, 9.0))
+    assert isinstance(event, EstimatorRated)
+    assert event.worst == pytest.approx(1.0)
+
+
+def test_ratios_that_nobody_knows_say_nothing() -> None:
+    assert events(estimator_status(NAN, NAN, NAN, NAN)) == []
+
+
+@pytest.mark.parametrize(
+    ("fix_type", "expected"), [(0, False), (1, False), (2, False), (3, True), (6, True)]
+)
+def test_a_fix_has_three_dimensions(fix_type: int, expected: bool) -> None:
+    message = mavlink.MAVLink_gps_raw_int_message(0, fix_type, 0, 0, 0, 0, 0, 0, 0, 255)
+    assert events(message) == [FixReported(5.0, expected)]
+
+
+def test_a_fix_of_no_known_type_says_nothing() -> None:
+    assert events(mavlink.MAVLink_gps_raw_int_message(0, 200, 0, 0, 0, 0, 0, 0, 0, 255)) == []
+
+
+@pytest.mark.parametrize(
+    ("percent", "charge_state", "charge_pct", "level"),
+    [
+        (80, mavlink.MAV_BATTERY_CHARGE_STATE_OK, 80.0, BatteryLevel.GOOD),
+        (-1, mavlink.MAV_BATTERY_CHARGE_STATE_UNDEFINED, None, BatteryLevel.UNKNOWN),
+        (-1, mavlink.MAV_BATTERY_CHARGE_STATE_LOW, None, BatteryLevel.LOW),
+        (120, mavlink.MAV_BATTERY_CHARGE_STATE_EMERGENCY, None, BatteryLevel.CRITICAL),
+        (0, 99, 0.0, BatteryLevel.UNKNOWN),
+    ],
+)
+def test_charge_in_percent_and_as_a_state(
+    percent: int, charge_state: int, charge_pct: float | None, level: BatteryLevel
+) -> None:
+    assert events(battery_status(percent, charge_state)) == [
+        BatteryReported(5.0, charge_pct, level)
+    ]
+
+
+def test_sys_status_tells_the_charge_until_battery_status_does() -> None:
+    inbound = VehicleHealthInbound()
+    assert inbound.events(sys_status(70), 5.0) == [BatteryReported(5.0, 70.0, BatteryLevel.UNKNOWN)]
+    assert inbound.events(battery_status(60, number=1), 6.0) == []
+    inbound.events(battery_status(70), 7.0)
+    assert inbound.events(sys_status(70), 8.0) == []
+    inbound.restart()
+    assert len(inbound.events(sys_status(70), 9.0)) == 1
+
+
+def test_sticks_are_the_first_four_channels() -> None:
+    assert events(rc_channels(1500, 1000, 2000, 1750)) == [
+        SticksReported(5.0, (0.0, -1.0, 1.0, 0.5))
+    ]
+
+
+@pytest.mark.parametrize("pulse", [0, UINT16_MAX, 700])
+def test_a_channel_without_a_pulse_is_no_stick(pulse: int) -> None:
+    assert events(rc_channels(1500, pulse, 1500, 1500)) == []

@@ -1,0 +1,90 @@
+"""Every part of a campaign, for as little as tells something: it measures, and finds nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from companion.mav.codec import MavCodec
+from sim_link.campaign.fuzz import FrameMaker, resident_mb
+from sim_link.campaign.gaps import Gaps
+from sim_link.campaign.kills import damages
+from sim_link.campaign.mission_case import MOST_FAULTS, mission_case
+from sim_link.campaign.parts import PARTS
+from sim_link.campaign.runner import run_one
+from sim_link.campaign.soak import slope_after
+from sim_link.campaign.trial import Trial
+from sim_link.faults.kinds import KINDS
+from sim_link.lockstep.checkpoints import MemoryStore
+
+SMALL = {"gaps": 0.003, "forged": 0.1, "fuzz": 0.05, "soak": 0.01}
+MEASURES = {
+    "missions": "missions",
+    "override": "overrides",
+    "gaps": "max_gap_s",
+    "kill": "kills",
+    "stop": "stops",
+    "forged": "attack_frames",
+    "fuzz": "fuzz_frames",
+    "reaction": "hold_after_stale_s",
+    "soak": "soak_hours",
+}
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_a_short_trial_of_every_part_finds_nothing(name: str) -> None:
+    outcome = run_one(Trial(name, 5, SMALL.get(name, 1.0)))
+    assert outcome.findings == ()
+    assert {**outcome.sums, **outcome.most}[MEASURES[name]] > 0.0
+
+
+def test_random_missions_meet_every_fault_autopilot_and_planner() -> None:
+    cases = [mission_case(seed) for seed in range(400)]
+    kinds = {f.__struct_config__.tag for case in cases for f in case.schedule.faults}
+    assert kinds == set(KINDS)
+    assert {case.scenario.autopilot.flavour for case in cases} == {"px4", "ardupilot"}
+    assert len({case.config.planner.kind for case in cases}) == 6
+    assert {len(case.schedule.faults) - 2 for case in cases} == set(range(1, MOST_FAULTS + 1))
+    assert max(case.config.limits.speed_mps for case in cases) == 10.0
+    assert 0.2 < sum(case.is_signed for case in cases) / len(cases) < 0.4
+    assert mission_case(7) == mission_case(7)
+
+
+def test_damage_reaches_every_byte_from_seed_to_seed() -> None:
+    store = MemoryStore()
+    store.slots = {0: bytes(range(200)), 1: b"older"}
+    cut, flipped = set(), set()
+    for seed in range(10):
+        for slots in damages(store, seed):
+            (data,) = slots.values()
+            if len(data) < 200:
+                cut.add(len(data))
+            else:
+                flipped |= {i for i in range(200) if data[i] != i}
+    assert cut | flipped == set(range(200))
+    assert damages(MemoryStore(), 1) == []
+
+
+def test_random_frames_are_frames() -> None:
+    maker = FrameMaker(np.random.default_rng(1), None)
+    reader = MavCodec(9, 9)
+    for _ in range(500):
+        reader.decode(maker.next())
+    assert reader.counters.good == 500
+    assert reader.counters.bad_crc == 0
+
+
+def test_a_slope_is_told_from_after_the_settling() -> None:
+    hours = [0.5 * i for i in range(10)]
+    values = [10.0 if h < 1.0 else 20.0 + 0.3 * h for h in hours]
+    assert slope_after(hours, values, 1.0) == pytest.approx(0.3)
+    assert slope_after([0.1], [5.0], 0.0) == 0.0
+    assert resident_mb() > 10.0
+
+
+def test_a_link_that_was_lost_is_counted() -> None:
+    gaps = Gaps()
+    gaps.noted("text", {"text": "hold: autopilot link lost"}, 1.0)
+    gaps.is_counting = True
+    gaps.noted("text", {"text": "hold: autopilot link lost"}, 2.0)
+    assert gaps.false_losses == 1

@@ -1,0 +1,117 @@
+"""Trials are named, run, added up and judged; an exception is a finding."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import pytest
+
+from companion.errors import ConfigError
+from sim_link.campaign import parts, runner
+from sim_link.campaign.parts import AMOUNTS, PARTS, trial_named, trials_of
+from sim_link.campaign.runner import Tally, run_all, run_one
+from sim_link.campaign.trial import Outcome, Trial
+from sim_link.campaign.verdict import judge, report
+
+
+class Dice:
+    """A part whose trial n fails for every fifth n, and breaks at 7."""
+
+    name = "dice"
+    title = "numbers"
+
+    def trials(self, amount: float, seed: int) -> Sequence[Trial]:
+        return [Trial(self.name, seed + i) for i in range(round(amount))]
+
+    def cost(self, trial: Trial) -> float:  # noqa: ARG002
+        return 1.0
+
+    def run(self, trial: Trial) -> Outcome:
+        if trial.seed == 7:
+            raise ZeroDivisionError("seven")
+        if trial.seed == 99:
+            raise KeyboardInterrupt
+        findings = ("a fifth",) if trial.seed % 5 == 0 else ()
+        n = float(trial.seed)
+        return Outcome(trial, findings, {"sum": n}, {"most": n}, {"least": n})
+
+
+@pytest.fixture(autouse=True)
+def dice(monkeypatch: pytest.MonkeyPatch) -> Dice:
+    part = Dice()
+    known = {**PARTS, part.name: part}
+    monkeypatch.setattr(runner, "PARTS", known)
+    monkeypatch.setattr(parts, "PARTS", known)
+    return part
+
+
+def test_figures_are_added_up_and_findings_name_their_trial(dice: Dice) -> None:
+    tally = run_all(dice.trials(6, 1), jobs=1)
+    assert tally.trials == 6
+    assert (tally.sums["sum"], tally.most["most"], tally.least["least"]) == (21.0, 6.0, 1.0)
+    assert [(each.trial, each.what) for each in tally.findings] == [("dice:5", "a fifth")]
+    summary = report(tally, {"campaign": "ci"}, "replay")
+    assert summary["violations"] == 1
+    assert summary["findings"] == [
+        {"trial": "dice:5", "what": "a fifth", "replay": "replay dice:5"}
+    ]
+
+
+def test_an_exception_is_a_finding_with_its_place() -> None:
+    outcome = run_one(Trial("dice", 7))
+    assert outcome.findings == ("ZeroDivisionError: seven",)
+    assert any("test_runner" in line for line in outcome.story)
+
+
+def test_an_interruption_keeps_what_was_found(dice: Dice) -> None:
+    trials = [*dice.trials(5, 1), Trial("dice", 99), Trial("dice", 100)]
+    with pytest.raises(KeyboardInterrupt) as caught:
+        run_all(trials, jobs=1)
+    (tally,) = caught.value.args
+    assert isinstance(tally, Tally)
+    assert tally.trials == 5
+    assert len(tally.findings) == 1
+
+
+def test_several_processes_find_what_one_finds() -> None:
+    trials = [Trial("override", 1), Trial("missions", 5), Trial("missions", 21)]
+    alone, together = run_all(trials, jobs=1), run_all(trials, jobs=2)
+    assert alone.sums == pytest.approx(together.sums)
+    assert alone.most == pytest.approx(together.most)
+    assert alone.least == pytest.approx(together.least)
+
+
+@pytest.mark.parametrize("trial", [Trial("dice", 3), Trial("gaps", 1_000_002, 0.25)])
+def test_a_trial_is_found_by_its_name(trial: Trial) -> None:
+    assert trial_named(trial.name) == trial
+
+
+def test_a_number_alone_is_a_mission() -> None:
+    assert trial_named("12") == Trial("missions", 12)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "x", "nothing:1", "dice:x", "dice:1:2:3", "dice:-1", "dice:1:0"]
+)
+def test_what_names_no_trial_is_refused(text: str) -> None:
+    with pytest.raises(ConfigError):
+        trial_named(text)
+
+
+@pytest.mark.parametrize("size", AMOUNTS)
+def test_every_size_runs_every_part_with_seeds_of_its_own(size: str) -> None:
+    trials = trials_of(size, 1)
+    assert {trial.part for trial in trials} == set(AMOUNTS[size])
+    assert len({trial.name for trial in trials}) == len(trials)
+    assert {trial.name for trial in trials}.isdisjoint(t.name for t in trials_of(size, 2))
+    assert {trial.part for trial in trials_of(size, 1, ["override"])} == {"override"}
+
+
+def test_a_rate_of_false_losses_is_judged_over_hours() -> None:
+    rare, often = Tally(), Tally()
+    rare.sums.update(hours_30_pct=20.0, false_losses_30_pct=1.0)
+    often.sums.update(hours_30_pct=20.0, false_losses_30_pct=2.0)
+    judge(rare)
+    judge(often)
+    assert rare.findings == []
+    assert len(often.findings) == 1

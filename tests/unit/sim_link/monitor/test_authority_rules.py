@@ -1,0 +1,54 @@
+"""Who gave the mode: a person's switch counts, an autopilot that goes back by itself does not."""
+
+from __future__ import annotations
+
+import pytest
+
+from companion.config.schema import CompanionConfig
+from companion.domain import FlightMode
+from companion.guidance.session import SessionParams
+from sim_link.autopilot.scenario import AutopilotParams, Scenario
+from sim_link.campaign.flights import Monitored, monitored
+from sim_link.faults.planted import KeepsFlying, maker
+
+COPTER = Scenario(autopilot=AutopilotParams(flavour="ardupilot"))
+AUTO = CompanionConfig(mission=SessionParams(engage="auto", stop_confirm_s=1e6))
+
+
+def taken_over(*, is_planted: bool = False) -> Monitored:
+    """A flight that the operator took over some seconds ago."""
+    around = monitored(AUTO, COPTER, 1, make_companion=maker(KeepsFlying) if is_planted else None)
+    around.flight.run(18.0)
+    around.operator.choose(FlightMode.HOLD)
+    around.flight.run(5.0)
+    return around
+
+
+def test_silence_after_a_take_over_breaks_nothing() -> None:
+    around = taken_over()
+    assert around.monitor.authority.late == 0
+    assert around.monitor.violations == []
+
+
+def test_what_is_sent_after_it_is_counted_with_how_late_it_was() -> None:
+    authority = taken_over(is_planted=True).monitor.authority
+    assert authority.late > 3
+    assert authority.worst_late_s == pytest.approx(4.5, abs=0.6)
+
+
+def test_a_mode_that_the_operator_gives_back_is_no_offence() -> None:
+    around = taken_over()
+    around.operator.grant()
+    around.operator.choose(FlightMode.OFFBOARD)
+    around.flight.run(6.0)
+    assert around.flight.mode is FlightMode.OFFBOARD
+    assert around.monitor.violations == []
+
+
+def test_a_mode_that_nobody_gave_back_gives_no_right_to_fly() -> None:
+    around = taken_over(is_planted=True)
+    before = around.monitor.authority.late
+    mode_s = around.flight.now_s
+    around.flight.sim.vehicle.flavour.pilot_chooses(FlightMode.OFFBOARD, mode_s)
+    around.flight.run(3.0)
+    assert around.monitor.authority.late > before

@@ -1,0 +1,89 @@
+"""Fault campaigns: random missions with faults, take-overs, bad links; every invariant watched.
+
+Exit code 0 when nothing was found, 1 when something was (each with the command that shows it
+again), 2 for bad arguments, 130 after Ctrl-C, with what was found until then.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+os.environ.setdefault("NUMBA_DISABLE_JIT", "1")  # as on a vehicle, and no minute of compiling
+
+from companion.errors import CompanionError
+from companion.io.files import write_json_atomic
+from sim_link.campaign.parts import AMOUNTS, PARTS, trial_named, trials_of
+from sim_link.campaign.runner import Tally, run_all, run_one
+from sim_link.campaign.trial import Trial
+from sim_link.campaign.verdict import judge, report
+from sim_link.evaluation.arguments import OneLineParser, non_negative, positive
+from sim_link.evaluation.progress import shown
+
+REPLAY = "python tools/faults.py --replay"
+SHOWN_FINDINGS = 20
+INTERRUPTED = 130
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = OneLineParser(description=(__doc__ or "").splitlines()[0], epilog=_epilog())
+    parser.add_argument("--campaign", choices=list(AMOUNTS), default="ci", help="how much of it")
+    parser.add_argument("--only", action="append", default=[], metavar="PART", help="this part")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures there")
+    parser.add_argument("--jobs", type=positive, default=os.cpu_count() or 1, metavar="N")
+    parser.add_argument("--seed", type=non_negative, default=1, metavar="N")
+    parser.add_argument("--replay", metavar="PART:SEED", help="one trial, with its story")
+    arguments = parser.parse_args(argv)
+    logging.disable(logging.CRITICAL)  # what flights say is in their stories
+    try:
+        if arguments.replay is not None:
+            return replay(trial_named(arguments.replay))
+        trials = trials_of(arguments.campaign, arguments.seed, arguments.only)
+        facts = {"campaign": arguments.campaign, "seed": arguments.seed}
+        return campaign(trials, arguments.jobs, facts, arguments.json)
+    except CompanionError as error:
+        parser.error(str(error))
+
+
+def _epilog() -> str:
+    return "parts: " + "; ".join(f"{part.name}: {part.title}" for part in PARTS.values())
+
+
+def campaign(trials: list[Trial], jobs: int, facts: dict[str, object], path: Path | None) -> int:
+    started_s = time.monotonic()
+    code = 0
+    try:
+        with shown(sum(PARTS[trial.part].cost(trial) for trial in trials), sys.stderr) as done:
+            tally = run_all(trials, jobs, lambda o: done(PARTS[o.trial.part].cost(o.trial)))
+    except KeyboardInterrupt as interruption:
+        tally = interruption.args[0] if interruption.args else Tally()
+        code = INTERRUPTED
+    judge(tally)
+    facts |= {"wall_s": round(time.monotonic() - started_s, 1), "is_complete": code == 0}
+    summary = report(tally, facts, REPLAY)
+    if path is not None:
+        write_json_atomic(path, summary)
+    for name, value in summary.items():
+        if name != "findings":
+            print(f"{name:32s} {value}")
+    for finding in tally.findings[:SHOWN_FINDINGS]:
+        print(f"FOUND {finding.what}\n      {REPLAY} {finding.trial}", file=sys.stderr)
+    if len(tally.findings) > SHOWN_FINDINGS:
+        print(f"... and {len(tally.findings) - SHOWN_FINDINGS} more", file=sys.stderr)
+    return code or (1 if tally.findings else 0)
+
+
+def replay(trial: Trial) -> int:
+    outcome = run_one(trial)
+    print(*outcome.story, sep="\n")
+    for what in outcome.findings:
+        print(f"FOUND {what}")
+    return 1 if outcome.findings else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
