@@ -52,7 +52,7 @@ class LimitsConfig(Params, frozen=True):
     """Standard deviation of the vehicle's position, per axis."""
     distance_home_m: Positive | None = None
     """How far from home setpoints may be; null: as far as the fence."""
-    battery_pct_per_km: Positive | None = None
+    battery_pct_per_km: Positive | None = 15.0
     """Charge that a kilometre of the way home takes; null: the battery is not looked at."""
     battery_reserve_pct: Annotated[float, msgspec.Meta(ge=0.0, lt=100.0)] = 20.0
     """Charge that is left at home."""

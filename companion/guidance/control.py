@@ -9,11 +9,12 @@ from companion.guard.gate import GuardReason
 from companion.guidance.commands import SendHeartbeat, SendSetpoint, Severity
 from companion.guidance.conditions import is_silence_due
 from companion.guidance.findings import Verdict
+from companion.guidance.guard_news import GuardNews
 from companion.guidance.handover import Handover
 from companion.guidance.launch import Launch, LaunchView
 from companion.guidance.reporting import Reporting
 from companion.guidance.situation import Situation
-from companion.guidance.states import FLYING, Phase, Trigger
+from companion.guidance.states import FLYING, IN_CONTROL, Phase, Trigger
 from companion.guidance.waiting import WaitingReason
 from companion.guidance.watches import Watches
 
@@ -41,6 +42,7 @@ class ControlTick:
         self._handover = handover
         self._reporting = Reporting(situation, watches.battery)
         self._waiting = WaitingReason(situation.vehicle, situation.authority, situation.fencing)
+        self._guard_news = GuardNews()
         self._tick_s: float | None = None
         self._next_heartbeat_s = -math.inf
         self._sent_s = -math.inf
@@ -63,11 +65,18 @@ class ControlTick:
         if setpoint is None:
             return
         self._sent_s = now_s
-        if GuardReason.JUMPED in situation.steering.reasons:
-            text = "own position jumped: going on from where it says"
-            situation.announce(Severity.WARNING, text)
+        if situation.phase in IN_CONTROL:
+            self._tell_reasons(situation.steering.reasons, now_s)
         situation.commands.append(SendSetpoint(setpoint))
         self._watches.sent(setpoint.position_enu_m, now_s)
+
+    def _tell_reasons(self, reasons: tuple[GuardReason, ...], now_s: float) -> None:
+        """Why the setpoint is not where the planner wants it."""
+        for text in self._guard_news.texts(reasons, now_s):
+            self._situation.announce(Severity.WARNING, text)
+        names = self._guard_news.record(reasons, now_s)
+        if names is not None:
+            self._situation.record("guard", reasons=names)
 
     def _advance_phase(self, now_s: float) -> None:
         situation = self._situation

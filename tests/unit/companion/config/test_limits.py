@@ -65,7 +65,8 @@ def test_the_defaults_keep_a_local_fence_that_the_autopilots_must_not_contradict
     assert plan.limits.fence is not None
     assert plan.site is None
     assert plan.policy is FencePolicy.COMPARE
-    assert plan.limits.reserve is None
+    assert plan.limits.reserve is not None
+    assert LimitsConfig(battery_pct_per_km=None).guard_limits().reserve is None
 
 
 def test_battery_and_leash_are_handed_on() -> None:

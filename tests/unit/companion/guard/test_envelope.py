@@ -40,6 +40,11 @@ def test_limits_that_limit_nothing_are_refused(name: str, value: float) -> None:
         replace(ENVELOPE, **{name: value})
 
 
+def test_slow_and_low_limits_are_limits_all_the_same() -> None:
+    slow = Envelope(0.5, 0.9, 0.5, 0.5, 0.5, 0.5)
+    assert slow.next_velocity((0.0, 0.0), (1.0, 0.0), 1.0) == (0.5, 0.0)
+
+
 @pytest.mark.parametrize(
     ("low_m", "high_m"),
     [(0.0, 60.0), (-5.0, 60.0), (60.0, 60.0), (61.0, 60.0), (5.0, math.inf), (math.nan, 60.0)],

@@ -57,6 +57,10 @@ def test_what_is_no_number_or_stops_nothing_is_refused(
         Stopping(latency_s, deceleration_mps2, sigma_m)
 
 
+def test_weak_brakes_are_brakes_all_the_same() -> None:
+    assert Stopping(0.0, 0.5, 0.0).point((0.0, 0.0), (1.0, 0.0)) == (1.0, 0.0)
+
+
 def test_no_latency_and_perfect_navigation_are_allowed() -> None:
     perfect = Stopping(0.0, 2.0, 0.0)
     assert perfect.clearance_m == 0.0

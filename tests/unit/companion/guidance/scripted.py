@@ -10,6 +10,7 @@ from typing import TypeVar
 from companion.config.schema import CompanionConfig, LimitsConfig, PlannerConfig
 from companion.domain import (
     Autopilot,
+    BatteryLevel,
     FlightMode,
     LandedState,
     PositionEnu,
@@ -28,6 +29,7 @@ from companion.guidance.commands import (
 )
 from companion.guidance.events import (
     AutopilotFenceRead,
+    BatteryReported,
     Event,
     HeartbeatReceived,
     HomeSet,
@@ -93,6 +95,7 @@ class ScriptedFlight:
         self._heard_s: float | None = None
         self._ticks = 0
         self.session.handle(AutopilotFenceRead(0.0))
+        self.session.handle(BatteryReported(0.0, 100.0, BatteryLevel.UNKNOWN))
 
     def give(self, event: Event) -> list[Command]:
         commands = self.session.handle(event)

@@ -1,0 +1,79 @@
+from __future__ import annotations
+
+import math
+
+from companion.domain import BatteryLevel, FlightMode
+from companion.guard.gate import GuardReason
+from companion.guidance.commands import Record
+from companion.guidance.events import BatteryReported
+from companion.guidance.guard_news import GuardNews
+from tests.unit.companion.guidance.scripted import ScriptedFlight
+
+FENCE, LAGGING, JUMPED = GuardReason.FENCE, GuardReason.LAGGING, GuardReason.JUMPED
+
+
+def test_a_reason_is_told_once_and_again_after_a_while() -> None:
+    news = GuardNews()
+    assert news.texts((FENCE,), 0.0) == ["guard: goal is outside the fence or in a keep-out"]
+    assert news.texts((FENCE,), 0.05) == []
+    assert news.texts((), 10.0) == []
+    assert news.texts((FENCE,), 29.9) == []
+    assert news.texts((FENCE,), 30.0) == ["guard: goal is outside the fence or in a keep-out"]
+    assert news.texts((FENCE,), 30.1) == []
+
+
+def test_every_reason_has_a_time_of_its_own() -> None:
+    news = GuardNews()
+    assert len(news.texts((FENCE,), 0.0)) == 1
+    assert news.texts((FENCE, JUMPED), 1.0) == [f"guard: {JUMPED.value}"]
+
+
+def test_what_every_corner_brings_is_not_told() -> None:
+    assert GuardNews().texts((LAGGING, GuardReason.CUT_OFF), 0.0) == []
+
+
+def test_the_log_has_every_change_but_not_every_flicker() -> None:
+    news = GuardNews()
+    assert news.record((), 0.0) is None
+    assert news.record((LAGGING,), 0.0) == ["lagging"]
+    assert news.record((LAGGING,), 0.05) is None
+    assert news.record((), 0.1) is None
+    assert news.record((FENCE, LAGGING), 1.0) == ["fence", "lagging"]
+    assert news.record((), 2.0) == []
+    assert news.record((), 9.0) is None
+
+
+def _engaged(battery_pct: float | None) -> ScriptedFlight:
+    flight = ScriptedFlight()
+    flight.give(BatteryReported(0.0, battery_pct, BatteryLevel.UNKNOWN))
+    flight.ready()
+    flight.show(FlightMode.OFFBOARD)
+    flight.follows = True
+    flight.fly(20.0)
+    return flight
+
+
+def _farthest_m(flight: ScriptedFlight) -> float:
+    return max(math.hypot(*place[:2]) for place in flight.setpoints)
+
+
+def test_a_charged_battery_flies_and_says_nothing() -> None:
+    flight = _engaged(100.0)
+    assert _farthest_m(flight) > 20.0
+    assert not [text for text in flight.texts if text.startswith("guard:")]
+
+
+def test_an_unknown_battery_goes_no_farther_from_home_and_the_operator_is_told() -> None:
+    flight = _engaged(None)
+    assert _farthest_m(flight) < 0.1
+    told = [text for text in flight.texts if text.startswith("guard:")]
+    assert told == ["guard: charge of the battery is unknown: no farther from home"]
+    records = [c.fields["reasons"] for c in flight.sent(Record) if c.kind == "guard"]
+    assert records == [["battery_unknown"]]
+
+
+def test_a_low_battery_reaches_as_far_as_it_brings_back() -> None:
+    """20.15 % with 15 % for a kilometre and 20 % reserve: 10 m."""
+    flight = _engaged(20.15)
+    assert 9.0 < _farthest_m(flight) <= 10.001
+    assert "guard: battery is too low to go farther from home" in flight.texts
