@@ -125,6 +125,7 @@ class Verdicts:
         """Take in how a mutant's process ended."""
         if status == 0:
             self.survived.append(mutant)
+            print(f"survived so far: {mutant.key}", file=sys.stderr, flush=True)
         elif os.WIFSIGNALED(status):
             self.timeouts += 1
         else:
