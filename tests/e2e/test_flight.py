@@ -18,7 +18,7 @@ from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 
 BIN = Path(sys.executable).parent
-SPEED = "8"
+SPEED = "3"
 
 
 def free_port() -> int:
@@ -96,7 +96,7 @@ def test_companion_finds_the_emitter_and_both_end_cleanly(commands: Commands) ->
     companion = commands.companion(port, "--once")
     wait_for_text(companion, "waiting for an autopilot")
     simulator = commands.simulator(port)
-    _, companion_errors = companion.communicate(timeout=60)
+    _, companion_errors = companion.communicate(timeout=150)
     assert companion.returncode == 0, companion_errors
     simulator.send_signal(signal.SIGTERM)
     simulator.communicate(timeout=10)
@@ -173,7 +173,7 @@ def test_companion_survives_garbage_and_understands_the_next_heartbeat(commands:
 def test_demo_writes_its_result_and_picture(commands: Commands, autopilot: str) -> None:
     options = ("--speed", SPEED, "--seed", "2", "--json", "d.json", "--autopilot", autopilot)
     demo = commands.start("companion", "demo", *options)
-    output, errors = demo.communicate(timeout=90)
+    output, errors = demo.communicate(timeout=150)
     assert demo.returncode == 0, errors
     assert "LOCALISED" in output
     value = json.loads((commands.directory / "d.json").read_text())
@@ -190,7 +190,7 @@ def test_demo_that_runs_out_of_time_says_so(commands: Commands) -> None:
     demo = commands.start(
         "companion", "demo", "--speed", SPEED, "--scenario", "short.yaml", "--no-plot"
     )
-    output, _ = demo.communicate(timeout=60)
+    output, _ = demo.communicate(timeout=150)
     assert demo.returncode == 1
     assert "NOT LOCALISED (time limit of 20 s)" in output
 
