@@ -30,6 +30,8 @@ class WithinEnvelope(Invariant):
     def __init__(self, scene: Scene) -> None:
         super().__init__(scene)
         self._last: Setpoint | None = None
+        self._origin_enu_m = scene.told.origin_enu_m
+        """Another frame begins another stream."""
         self._velocity: Point | None = None
         """Of the setpoint, once there were two."""
 
@@ -37,14 +39,13 @@ class WithinEnvelope(Invariant):
         """A new process begins a new stream."""
         self._last = None
 
-    def rebooted(self) -> None:
-        """A new frame begins a new stream."""
-        self._last = None
-
     def setpoint(self, setpoint: Setpoint) -> None:
         """Judge a setpoint by the one before."""
         last, self._last = self._last, setpoint
+        origin_enu_m = self.scene.told.origin_enu_m
         is_new = last is None or setpoint.time_s - last.time_s > STREAM_BREAK_S
+        is_new |= origin_enu_m != self._origin_enu_m
+        self._origin_enu_m = origin_enu_m
         if last is None or is_new or not self.scene.told.is_ours:
             self._velocity = None
             self._judge_begin(setpoint)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from companion.domain import PositionEnu
+from companion.domain import FlightMode, PositionEnu
 from companion.mav.type_mask import POSITION_AND_YAW, POSITION_ONLY
 from sim_link.monitor.invariant import Invariant
 from sim_link.monitor.predicates import Point, depth_m, is_way_clear
@@ -17,6 +17,8 @@ HEIGHT_ROUNDING_M = 0.05
 """Home and height are told in millimetres and by a noisy estimate."""
 CONTROL_FADES_S = 5.0
 """So long after it was in control the companion answers for where the vehicle is."""
+OUR_MOTION = frozenset({FlightMode.OFFBOARD, FlightMode.HOLD, FlightMode.LAND})
+"""Modes that fly our setpoints, or only brake what they began."""
 FREEZE_EVERY_S = 2.0
 FREEZE_FOR_S = 60.0
 FREEZE_STEP_S = 0.1
@@ -76,7 +78,9 @@ class InsideFence(Invariant):
         is_ours = scene.told.is_ours and scene.is_companion_up
         if is_ours:
             self._in_control_s = scene.now_s
-        if body.is_on_ground or scene.now_s - self._in_control_s > CONTROL_FADES_S:
+        is_flown_by_others = scene.vehicle.modes.mode not in OUR_MOTION
+        has_faded = scene.now_s - self._in_control_s > CONTROL_FADES_S
+        if body.is_on_ground or is_flown_by_others or has_faded:
             self._is_out = False
             return
         place = body.position_enu_m[:2]

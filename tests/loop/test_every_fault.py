@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
+from functools import lru_cache
+
 import msgspec
 import pytest
 
@@ -12,8 +15,10 @@ from sim_link.campaign.flights import Monitored, monitored
 from sim_link.campaign.missions import Missions
 from sim_link.campaign.runner import run_one
 from sim_link.campaign.trial import Trial
+from sim_link.faults.injector import Injector
 from sim_link.faults.kinds import KINDS, Fault
 from sim_link.faults.schedule import Schedule, fault_from
+from sim_link.lockstep.observer import Frame, Observer
 
 AUTO = CompanionConfig(mission=SessionParams(engage="auto", stop_confirm_s=1e6))
 ENGAGED_S, FAULT_S, AFTER_S = 13.0, 3.0, 4.0
@@ -22,25 +27,75 @@ NAMES = sorted(KINDS)
 MISSIONS = (1, 5, 9, 14)
 
 
-def flown(kind: str) -> Monitored:
-    """A search in which this goes wrong for a while."""
+class Mark(Observer):
+    """A digest of all that was heard and sent, and when: what a fault must change."""
+
+    def __init__(self) -> None:
+        self._hash = hashlib.blake2b(digest_size=16)
+
+    def heard(self, frame: Frame) -> None:
+        self._take("heard", frame)
+
+    def vehicle_heard(self, frame: Frame) -> None:
+        self._take("vehicle heard", frame)
+
+    def _take(self, who: str, frame: Frame) -> None:
+        self._hash.update(f"{who} {frame.time_s:.6f} {frame.is_intact}".encode() + frame.data)
+
+    @property
+    def digest(self) -> str:
+        return self._hash.hexdigest()
+
+
+def flown(kind: str, *faults: Fault) -> tuple[Monitored, str]:
+    """The search in which `kind` is tried: autopilot, pilot and signing are chosen by it."""
     flavour: FlavourName = "px4" if NAMES.index(kind) % 2 else "ardupilot"
-    scenario = Scenario(
-        autopilot=AutopilotParams(flavour=flavour), rc=RcParams(is_present=kind == "pilot_sticks")
-    )
-    around = monitored(AUTO, scenario, 3, is_signed=kind in SIGNED)
+    return _flown(flavour, kind == "pilot_sticks", kind in SIGNED, faults)
+
+
+def _flown(
+    flavour: FlavourName, has_rc: bool, is_signed: bool, faults: tuple[Fault, ...]
+) -> tuple[Monitored, str]:
+    scenario = Scenario(autopilot=AutopilotParams(flavour=flavour), rc=RcParams(is_present=has_rc))
+    around, mark = monitored(AUTO, scenario, 3, is_signed=is_signed), Mark()
+    around.flight.observers.append(mark)
     around.flight.run(ENGAGED_S)
-    fault: Fault = fault_from({"kind": kind, "start_s": 1.0})
-    around.injector.inject(Schedule(faults=(msgspec.structs.replace(fault, duration_s=FAULT_S),)))
+    around.injector.inject(Schedule(faults=faults))
     around.flight.run(1.0 + FAULT_S + AFTER_S)
-    return around
+    return around, mark.digest
+
+
+@lru_cache
+def peace(flavour: FlavourName, has_rc: bool, is_signed: bool) -> str:
+    """The digest of the same search when nothing goes wrong."""
+    return _flown(flavour, has_rc, is_signed, ())[1]
+
+
+def peace_of(kind: str) -> str:
+    flavour: FlavourName = "px4" if NAMES.index(kind) % 2 else "ardupilot"
+    return peace(flavour, kind == "pilot_sticks", kind in SIGNED)
+
+
+def fault_of(kind: str) -> Fault:
+    fault = fault_from({"kind": kind, "start_s": 1.0})
+    changed: Fault = msgspec.structs.replace(fault, duration_s=FAULT_S)
+    return changed
 
 
 @pytest.mark.parametrize("kind", NAMES)
 def test_no_invariant_breaks_while_this_goes_wrong(kind: str) -> None:
-    monitor = flown(kind).monitor
-    assert [str(violation) for violation in monitor.violations] == []
-    assert monitor.fence.closest_m > 0.0
+    around, mark = flown(kind, fault_of(kind))
+    assert [str(violation) for violation in around.monitor.violations] == []
+    assert around.monitor.fence.closest_m > 0.0
+    assert mark != peace_of(kind)  # it did go wrong
+
+
+@pytest.mark.parametrize("kind", ["companion_stalled", "forged_frames", "link_loss", "wind"])
+def test_an_injector_that_does_nothing_would_be_noticed(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Injector, "add", lambda *_: None)
+    assert flown(kind, fault_of(kind))[1] == peace_of(kind)
 
 
 @pytest.mark.parametrize("seed", MISSIONS)
