@@ -72,8 +72,7 @@ class InputWatch:
             return self._lost
         situation = self._situation
         estimate, heard_s = situation.estimate, situation.tracker.last_accepted_s
-        search_after_s = situation.flight_plan.search_after_s
-        if is_search_due(estimate, heard_s, search_after_s, now_s):
+        if self._is_searching(now_s):
             return None
         if estimate is None or heard_s is None:
             return Finding(Verdict.HOLD, Reason.NO_RANGING_YET, "waiting for ranging")
@@ -85,16 +84,25 @@ class InputWatch:
         return math.hypot(estimate.r95_m / R95_OF_SIGMA, drift_m)
 
     def speed_share(self, now_s: float) -> float:
-        """Share of the speed limit that the age of the ranging leaves: less as sigma grows."""
+        """Share of the speed limit that the age of the ranging leaves: less as sigma grows.
+
+        All of it while a pattern is searched: that stands on no estimate.
+        """
         situation = self._situation
         estimate, heard_s = situation.estimate, situation.tracker.last_accepted_s
-        if estimate is None or heard_s is None:
+        if estimate is None or heard_s is None or self._is_searching(now_s):
             return 1.0
         age_s = now_s - heard_s
         if age_s <= situation.params.degraded_after_s:
             return 1.0
         limit_m = situation.params.coast_sigma_max_m
         return COAST_SHARE * max(0.0, 1.0 - self.coasting_sigma_m(estimate, age_s) / limit_m)
+
+    def _is_searching(self, now_s: float) -> bool:
+        situation = self._situation
+        search_after_s = situation.flight_plan.search_after_s
+        heard_s = situation.tracker.last_accepted_s
+        return is_search_due(situation.estimate, heard_s, search_after_s, now_s)
 
     def _missing(self, now_s: float) -> Finding | None:
         vehicle = self._situation.vehicle
