@@ -5,23 +5,33 @@ of the autopilot) becomes local when the autopilot's origin is known, again when
 and its margin grows by what an autopilot's own frame may distort it by. Until then, and whenever
 something speaks against it, the guard has no fence: nothing engages, and what flies holds.
 
+A fence is a place in the world, in whatever way it is given. One in local metres lies about the
+first origin that was heard, its anchor; when the origin moves, the fence is turned into the new
+frame by the step between both. The anchor outlives restarts of the autopilot, and of the companion
+in mid-mission.
+
 Two fences that differ are worse than one: each protects from what the other allows. So the
 autopilot's is compared, and a difference is refused.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import Enum
 
 from companion.geometry.frames import LocalOrigin
-from companion.geometry.geofence import Corners, GeoFence, LocalFence, difference
+from companion.geometry.geofence import DISTORTION, Corners, GeoFence, LocalFence, difference
+from companion.geometry.polygons import Point
 from companion.guard.fence import Fence
 from companion.guard.gate import Guard, GuardLimits
 from companion.guidance.events import AutopilotFenceRead
 
 TOLERANCE_M = 1.0
 """How far apart two borders may be that are meant to be the same."""
+FARTHEST_STEP_M = 1000.0
+"""An origin that moved farther than this means another place, and not a better fix."""
 
 
 class FencePolicy(Enum):
@@ -50,6 +60,11 @@ class FencePlan:
     """The fence of a file."""
     policy: FencePolicy = FencePolicy.IGNORE
 
+    @property
+    def has_local_metres(self) -> bool:
+        """Whether anything of it is given in local metres."""
+        return self.limits.fence is not None or bool(self.keep_out_enu_m)
+
 
 class Fencing:
     """Gives the guard its fence and says why it has none.
@@ -67,6 +82,8 @@ class Fencing:
         self.note: str | None = None
         """What the operator should know of one that is there."""
         self.guard = guard
+        self.anchor: LocalOrigin | None = None
+        """The origin that local metres of the configuration are about; None: not heard yet."""
         self._origin: LocalOrigin | None = None
         self._read: AutopilotFenceRead | None = None
         self._settle()
@@ -103,8 +120,15 @@ class Fencing:
         return self._read is None or self._read.problem is not None or self.refusal is not None
 
     def set_origin(self, origin: LocalOrigin) -> None:
-        """Take in the origin of the local frame."""
+        """Take in the origin of the local frame; the first one is the anchor."""
         self._origin = origin
+        if self.anchor is None:
+            self.anchor = origin
+        self._settle()
+
+    def recall(self, anchor: LocalOrigin) -> None:
+        """Take up the anchor of an earlier process: its fence is still in the same place."""
+        self.anchor = anchor
         self._settle()
 
     def take(self, event: AutopilotFenceRead) -> None:
@@ -113,14 +137,14 @@ class Fencing:
         self._settle()
 
     def forget(self) -> None:
-        """The autopilot restarted: neither its origin nor its fence is known any more."""
+        """The autopilot restarted: its origin and its fence are not known any more; ours stays."""
         self._origin = self._read = None
         self._settle()
 
     @property
     def _needs_origin(self) -> bool:
         has_one = self._read is not None and self._read.fence is not None
-        return self.plan.site is not None or has_one
+        return self.plan.site is not None or has_one or self.anchor is not None
 
     def _settle(self) -> None:
         """Decide anew."""
@@ -142,10 +166,39 @@ class Fencing:
             if site is None:
                 raise ValueError("the autopilot has no fence to use")
         if site is None or self._origin is None:
-            return plan.limits.fence
-        local = site.local(self._origin)
-        keep_outs = (*local.keep_out_enu_m, *plan.keep_out_enu_m)
-        return Fence(local.polygon_enu_m, plan.margin_m + local.distortion_m, keep_outs)
+            return self._local_fence(plan.limits.fence)
+        local, step_m = site.local(self._origin), self._step_m()
+        keep_outs = (*local.keep_out_enu_m, *_moved(plan.keep_out_enu_m, step_m))
+        margin_m = plan.margin_m + local.distortion_m + DISTORTION * math.hypot(*step_m)
+        return Fence(local.polygon_enu_m, margin_m, keep_outs)
+
+    def _local_fence(self, fence: Fence | None) -> Fence | None:
+        """The fence of the configuration in the present frame."""
+        step_m = self._step_m()
+        if fence is None or step_m == (0.0, 0.0):
+            return fence
+        polygon, *keep_outs = _moved((fence.polygon_enu_m, *fence.keep_out_enu_m), step_m)
+        margin_m = fence.margin_m + DISTORTION * math.hypot(*step_m)
+        return Fence(polygon, margin_m, tuple(keep_outs))
+
+    def _step_m(self) -> Point:
+        """Where the anchor is now, east and north.
+
+        Raises:
+            ValueError: Too far away to be the same place.
+        """
+        origin, anchor = self._origin, self.anchor
+        if origin is None or anchor is None or origin == anchor or not self.plan.has_local_metres:
+            return (0.0, 0.0)
+        place = (anchor.latitude_deg, anchor.longitude_deg, anchor.altitude_m)
+        east_m, north_m, _ = origin.enu_from_geodetic(*place)
+        away_m = math.hypot(east_m, north_m)
+        if away_m > FARTHEST_STEP_M:
+            raise ValueError(
+                f"the autopilot's origin is {away_m / 1000.0:.1f} km from where it was; restart "
+                "the companion to have the fence in local metres about the new one"
+            )
+        return (east_m, north_m)
 
     def _autopilots(self) -> GeoFence | None:
         """The autopilot's fence; None: it has none.
@@ -188,7 +241,13 @@ class Fencing:
             centre = plan.site.centre
             own, other = plan.site.local(centre), theirs.local(centre)
             return difference(own, other, TOLERANCE_M, plan.keep_out_enu_m)
-        if fence is None or self._origin is None:
+        if fence is None or self.anchor is None:
             return None
-        own, other = LocalFence(fence.polygon_enu_m), theirs.local(self._origin)
+        own, other = LocalFence(fence.polygon_enu_m), theirs.local(self.anchor)
         return difference(own, other, TOLERANCE_M + other.distortion_m, fence.keep_out_enu_m)
+
+
+def _moved(polygons: Iterable[Corners], step_m: Point) -> list[Corners]:
+    """The same places where the zero of the frame is elsewhere."""
+    east_m, north_m = step_m
+    return [tuple((e + east_m, n + north_m) for e, n in polygon) for polygon in polygons]

@@ -144,14 +144,14 @@ class Handover:
         step_m = situation.vehicle.origin_step_m(event.origin)
         if step_m <= ORIGIN_STEP_M:
             return False
-        situation.vehicle.forget_frame()
+        situation.vehicle.move_frame(event.origin)
         situation.forget_target()
         situation.steering.forget_setpoint()
         finding = Finding(Verdict.HOLD, Reason.FRAME_MOVED, "the local frame moved")
         situation.find(finding)
         situation.hold_until(finding, event.time_s + SETTLE_S)
         situation.enter(Trigger.INPUT_LOST, event.time_s)
-        text = f"local origin moved by {step_m:.0f} m: estimate forgotten, waiting for ranging"
+        text = f"local origin moved by {step_m:.0f} m: fence kept in its place, estimate forgotten"
         situation.announce(Severity.WARNING, text)
         return True
 

@@ -21,16 +21,22 @@ class SessionMemory:
     belief: Belief | None
     report: ReportResult | None
     """What was reported, if it was."""
+    fence_anchor: LocalOrigin | None = None
+    """The origin that a fence in local metres is about; see `Fencing`."""
 
     @property
     def problem(self) -> str | None:
         """Why it cannot be what a session knew, in words, or None."""
-        origin = self.origin
-        if origin is None:
-            return None
-        values = (origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
-        if not all(math.isfinite(value) for value in values):
-            return "an origin that is no place"
-        if abs(origin.latitude_deg) > 90.0 or abs(origin.longitude_deg) > 180.0:
-            return "an origin beyond the poles"
+        problems = (_problem(self.origin), _problem(self.fence_anchor))
+        return next((problem for problem in problems if problem is not None), None)
+
+
+def _problem(origin: LocalOrigin | None) -> str | None:
+    if origin is None:
         return None
+    values = (origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
+    if not all(math.isfinite(value) for value in values):
+        return "an origin that is no place"
+    if abs(origin.latitude_deg) > 90.0 or abs(origin.longitude_deg) > 180.0:
+        return "an origin beyond the poles"
+    return None

@@ -1,7 +1,8 @@
 """How a session takes up again what an earlier process of ours knew.
 
 Theory of operation. While it runs, a session can say at any time what a later one would need: its
-phase, what it reported, what it believes of the target, and where the local frame was. A later one
+phase, what it reported, what it believes of the target, where the local frame was, and where the
+one was that its fence is about. A later one
 is told first that there was an earlier one at all; from then on it never launches by itself. Then
 it is told what was remembered, and takes it up in two steps. The phase at once: who had yielded
 stays silent until control is granted, and who had reported does not search again. The belief only
@@ -31,6 +32,7 @@ def remembered(situation: Situation) -> SessionMemory:
         origin=situation.vehicle.origin,
         belief=situation.tracker.belief,
         report=situation.result,
+        fence_anchor=situation.fencing.anchor,
     )
 
 
@@ -68,6 +70,8 @@ class Recollection:
         """
         self.forbid_launch()
         situation = self._situation
+        if memory.fence_anchor is not None:
+            situation.fencing.recall(memory.fence_anchor)
         was = f"resumed after {age_s:.0f} s: it was in {memory.phase.value}"
         situation.announce(Severity.NOTICE, f"{was}; nothing engages by itself")
         if memory.phase is Phase.YIELD:

@@ -40,6 +40,8 @@ class VehicleView:
         self.track = VehicleTrack()
         self.heartbeat: HeartbeatReceived | None = None
         self.origin: LocalOrigin | None = None
+        self.frame: LocalOrigin | None = None
+        """The origin when local positions were last begun anew; it may have crept since."""
         self.home_enu_m: PositionEnu | None = None
         """Its height stays while it is kept."""
         self.reported_home_enu_m: PositionEnu | None = None
@@ -65,6 +67,7 @@ class VehicleView:
                 self.track.add_yaw(event.measured_at_s, event.yaw_ned_rad)
             case OriginSet():
                 self.origin = event.origin
+                self.frame = self.frame or event.origin
             case HomeSet() if all(math.isfinite(v) for v in event.position_enu_m):
                 self._set_home(event.position_enu_m)
             case BatteryReported():
@@ -90,6 +93,7 @@ class VehicleView:
     def forget_frame(self) -> None:
         """Drop every local position, because the frame moved."""
         self.track.clear()
+        self.frame = None
         self.home_enu_m = self.reported_home_enu_m = None
         self._counted_at = None
 
@@ -106,11 +110,19 @@ class VehicleView:
         self.home_enu_m = (*home_enu_m[:2], up_m)
 
     def origin_step_m(self, origin: LocalOrigin) -> float:
-        """How far an origin is from the one known so far; 0 if none is."""
-        if self.origin is None:
+        """How far an origin is from the one that local positions began with; 0 if none is known."""
+        if self.frame is None:
             return 0.0
         place = (origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
-        return math.hypot(*self.origin.enu_from_geodetic(*place))
+        return math.hypot(*self.frame.enu_from_geodetic(*place))
+
+    def move_frame(self, origin: LocalOrigin) -> None:
+        """Drop every local position but home, which is turned into the frame of a new origin."""
+        home, kept, before = self.reported_home_enu_m, self.home_enu_m, self.origin
+        self.forget_frame()
+        if before is not None and home is not None and kept is not None:
+            self.reported_home_enu_m = origin.enu_from_geodetic(*before.geodetic_from_enu(home))
+            self.home_enu_m = origin.enu_from_geodetic(*before.geodetic_from_enu(kept))
 
     @property
     def position_enu_m(self) -> PositionEnu | None:

@@ -15,6 +15,7 @@ from companion.guidance.session import SessionParams
 from companion.guidance.states import Phase
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import AutopilotParams, OriginParams, Scenario
+from sim_link.lockstep.checkpoints import Checkpointing
 from sim_link.world.target import EmitterParams
 from tests.loop.loop_helpers import LinkFaults, Loop
 
@@ -127,3 +128,28 @@ def test_without_a_fence_on_the_autopilot_it_flies_and_says_so() -> None:
     loop.run_until(lambda: loop.phase is Phase.NORMAL, 30.0)
     assert loop.said("the autopilot has no fence of its own")
     assert loop.mode is FlightMode.OFFBOARD
+
+
+def test_a_fence_in_local_metres_stays_where_it_was_when_the_origin_moves() -> None:
+    """The target stands by the border, and the local frame moves the vehicle away from it."""
+    loop = Loop(with_limits(LimitsConfig(fence_enu_m=SITE)), scenario())
+    loop.run_until(lambda: loop.phase is Phase.NORMAL, 60.0)
+    loop.sim.vehicle.aircraft.shift_origin((12.0, 9.0, 0.0))
+    loop.run(35.0)
+    assert loop.said("local origin moved by 15 m: fence kept in its place")
+    assert all(depth_m(SITE, place[:2]) > 0.0 for place in loop.true_positions)
+    assert max(place[0] for place in loop.true_positions) > 50.0
+
+
+def test_a_companion_that_is_killed_remembers_where_its_fence_was() -> None:
+    loop = Loop(with_limits(LimitsConfig(fence_enu_m=SITE)), scenario())
+    Checkpointing(loop.flight)
+    loop.run_until(lambda: loop.phase is Phase.NORMAL, 60.0)
+    loop.sim.vehicle.aircraft.shift_origin((12.0, 9.0, 0.0))
+    loop.run(2.0)
+    loop.flight.kill_companion()
+    loop.flight.start_companion()
+    loop.run(5.0)
+    fence = loop.companion.session.fencing.guard.limits.fence
+    assert fence is not None
+    assert fence.polygon_enu_m[0] == pytest.approx((-17.0, -14.0), abs=0.01)

@@ -211,3 +211,70 @@ class TestUsingTheAutopilots:
         fencing.set_origin(ORIGIN)
         fencing.take(read(SQUARE))
         assert "leaves nothing of the fence" in str(fencing.refusal)
+
+
+class TestAFenceInLocalMetres:
+    STEP = LocalOrigin(*ORIGIN.geodetic_from_enu((10.0, -4.0, 0.0)))
+
+    def test_it_stays_where_it_was_when_the_origin_moves(self) -> None:
+        fencing = local(FencePolicy.IGNORE, (HOUSE,))
+        fencing.set_origin(ORIGIN)
+        fencing.set_origin(self.STEP)
+        fence = fencing.guard.limits.fence
+        assert fence is not None
+        assert fence.polygon_enu_m[2] == pytest.approx((70.0, 84.0), abs=1e-3)
+        assert fence.keep_out_enu_m[0][0] == pytest.approx((0.0, 14.0), abs=1e-3)
+        assert fence.margin_m == pytest.approx(3.0 + DISTORTION * 116.0**0.5, abs=1e-4)
+
+    def test_it_comes_back_with_the_origin(self) -> None:
+        fencing = local(FencePolicy.IGNORE)
+        for origin in (ORIGIN, self.STEP, ORIGIN):
+            fencing.set_origin(origin)
+        assert guards_fence(fencing) == SQUARE
+
+    def test_keep_outs_beside_a_file_stay_too(self) -> None:
+        fencing = of_file()
+        fencing.set_origin(ORIGIN)
+        fencing.set_origin(self.STEP)
+        fence = fencing.guard.limits.fence
+        assert fence is not None
+        assert fence.keep_out_enu_m[1][0] == pytest.approx((-40.0, -26.0), abs=1e-3)
+
+    def test_it_outlives_a_restart_of_the_autopilot(self) -> None:
+        fencing = local(FencePolicy.IGNORE)
+        fencing.set_origin(ORIGIN)
+        fencing.forget()
+        assert fencing.missing == ["the origin"]
+        assert guards_fence(fencing) is None
+        fencing.set_origin(self.STEP)
+        polygon = guards_fence(fencing)
+        assert polygon is not None
+        assert polygon[2] == pytest.approx((70.0, 84.0), abs=1e-3)
+
+    @pytest.mark.parametrize("is_origin_first", [True, False])
+    def test_it_outlives_a_restart_of_ours(self, is_origin_first: bool) -> None:
+        fencing = local(FencePolicy.IGNORE)
+        if is_origin_first:
+            fencing.set_origin(self.STEP)
+        fencing.recall(ORIGIN)
+        if not is_origin_first:
+            assert guards_fence(fencing) is None
+            fencing.set_origin(self.STEP)
+        polygon = guards_fence(fencing)
+        assert polygon is not None
+        assert polygon[2] == pytest.approx((70.0, 84.0), abs=1e-3)
+
+    def test_an_origin_in_another_place_is_refused(self) -> None:
+        fencing = local(FencePolicy.IGNORE)
+        fencing.set_origin(ORIGIN)
+        fencing.set_origin(LocalOrigin(*ORIGIN.geodetic_from_enu((0.0, 1500.0, 0.0))))
+        assert fencing.refusal is not None
+        assert "origin is 1.5 km from where it was" in fencing.refusal
+        assert guards_fence(fencing) is None
+
+    def test_the_autopilots_fence_is_compared_in_the_world(self) -> None:
+        fencing = local(FencePolicy.REQUIRE)
+        fencing.take(read(SQUARE))
+        fencing.set_origin(ORIGIN)
+        fencing.set_origin(self.STEP)
+        assert fencing.refusal is None

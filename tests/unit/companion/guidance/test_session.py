@@ -358,6 +358,21 @@ def test_an_origin_that_moves_takes_the_estimate_with_it(
     assert any("local origin moved" in text for text in flight.texts) == is_new_frame
 
 
+def test_an_origin_that_creeps_takes_the_estimate_with_it_after_a_metre() -> None:
+    flight = ScriptedFlight().in_control()
+    for north_m in (0.4, 0.8):
+        flight.give(OriginSet(0.0, LocalOrigin(*ORIGIN.geodetic_from_enu((0.0, north_m, 0.0)))))
+        assert flight.session.estimate is not None
+    flight.give(OriginSet(0.0, LocalOrigin(*ORIGIN.geodetic_from_enu((0.0, 1.2, 0.0)))))
+    assert flight.session.estimate is None
+
+
+def test_heights_stay_above_the_same_home_when_the_origin_moves() -> None:
+    flight = ScriptedFlight().in_control()
+    flight.give(OriginSet(0.0, LocalOrigin(*ORIGIN.geodetic_from_enu((0.0, 5.0, 7.0)))))
+    assert flight.session.vehicle.home_enu_m == pytest.approx((0.0, -5.0, -7.0), abs=1e-3)
+
+
 def test_after_the_origin_moved_it_holds_in_the_new_frame_until_new_ranging() -> None:
     flight = ScriptedFlight().in_control()
     flight.has_ranging = False
