@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from companion.domain import RangingMeasurement
-from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.estimation.tracker import TargetTracker
+from companion.estimation.tracker_params import TrackerParams
 from companion.kernel import IS_COMPILED
 from companion.planning.base import Planner, PlanRequest
 

@@ -17,7 +17,7 @@ from companion.config.load import load_yaml
 from companion.config.process import LogConfig as LogConfig
 from companion.config.process import ProcessConfig
 from companion.errors import ConfigError
-from companion.estimation.tracker import TrackerParams
+from companion.estimation.tracker_params import TrackerParams
 from companion.guidance.session import SessionParams
 from companion.link.params import LinkParams, VehicleParams
 from companion.params import Params, Positive

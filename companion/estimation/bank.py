@@ -42,6 +42,7 @@ def updated(
     measurement: RangingMeasurement,
     sensor_enu_m: PositionEnu,
     inflation: Inflation,
+    shown: Inflation,
 ) -> BankUpdate:
     """All hypotheses after a measurement.
 
@@ -50,7 +51,8 @@ def updated(
         target_filter: What each is run by.
         measurement: With its bearing, if any, in ENU.
         sensor_enu_m: Where the antenna was at its time.
-        inflation: Variance inflation of range, bearing and elevation.
+        inflation: Variance inflation of range, bearing and elevation that the filter is told.
+        shown: That the run has shown, which the gate goes by.
     """
     before, survivors, reports = [], [], []
     thresholds = target_filter.params.thresholds
@@ -63,7 +65,7 @@ def updated(
         before.append(hypothesis.log_weight)
         survivors.append(replace(hypothesis, log_weight=log_weight, state=report.state))
         reports.append(report)
-    return BankUpdate(tuple(survivors), tuple(reports), _gate(before, reports, inflation))
+    return BankUpdate(tuple(survivors), tuple(reports), _gate(before, reports, shown))
 
 
 def _gate(

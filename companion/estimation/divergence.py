@@ -13,7 +13,7 @@ import math
 import statistics
 from collections import deque
 
-from companion.estimation.base import ModalityReport, UpdateReport
+from companion.estimation.base import Inflation, ModalityReport, UpdateReport
 from companion.estimation.chi_square import mean_band
 
 WINDOW_S = 3.0
@@ -43,14 +43,16 @@ class NisWindow:
         self._above_since_s = None
         self._above_count = 0
 
-    def add(self, report: UpdateReport, time_s: float) -> bool:
+    def add(self, report: UpdateReport, inflation: Inflation, time_s: float) -> bool:
         """Take in an update; whether the NIS has been above its band for too long.
 
         Args:
             report: Of the update.
+            inflation: Variance inflation of range, bearing and elevation that the run has shown,
+                whether or not the filter was told.
             time_s: When it was measured.
         """
-        shares = [row.innovation**2 / row.innovation_variance for row in _telling(report)]
+        shares = [_normalised2(row, c) for row, c in _telling(report, inflation)]
         if not shares:
             return False
         self._values.append((time_s, statistics.fmean(shares), len(shares)))
@@ -81,12 +83,19 @@ class NisWindow:
         return mean_band(dof, count)[1] / dof
 
 
-def _telling(report: UpdateReport) -> list[ModalityReport]:
-    """What was measured, without a range that is taken for a reflection."""
-    rows = [row for row in report.modalities if row is not None]
+def _telling(report: UpdateReport, inflation: Inflation) -> list[tuple[ModalityReport, float]]:
+    """What was measured, each with its inflation, without a range taken for a reflection."""
+    rows = [
+        (row, c) for row, c in zip(report.modalities, inflation, strict=True) if row is not None
+    ]
     if report.range is not None and report.range.weight < 1.0 and report.range.innovation > 0.0:
-        rows.remove(report.range)
+        rows.pop(0)
     return rows
+
+
+def _normalised2(row: ModalityReport, inflation: float) -> float:
+    """The innovation squared over its variance under that inflation."""
+    return row.whitened_innovation**2 / (inflation / row.weight + row.prior_share)
 
 
 class RestartCounter:

@@ -45,12 +45,12 @@ class Standing:
             measurement: All that was measured.
             report: What all of it would do.
             gate: What of it is fused.
-            inflation: In force at the update.
+            inflation: That the run has shown, whether or not the filter was told.
         """
         self.contact = self.contact.after(measurement, gate)
         self._agreement.add(measurement.measured_at_s, agrees=gate.agrees)
         self._contradiction = self._contradiction.after(report, inflation, gate)
-        is_out_of_band = self._nis.add(report, measurement.measured_at_s)
+        is_out_of_band = self._nis.add(report, inflation, measurement.measured_at_s)
         return self._contradiction.is_conclusive or is_out_of_band
 
     def given_up(self, time_s: float) -> None:

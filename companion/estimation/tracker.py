@@ -13,21 +13,17 @@ from collections import Counter, deque
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 
-import msgspec
-
 from companion.domain import PositionEnu, RangingMeasurement, TargetEstimate
-from companion.estimation.adaptation import AdaptationParams
 from companion.estimation.bank import BankUpdate, updated
 from companion.estimation.base import NO_INFLATION, Inflation, UpdateReport
 from companion.estimation.belief import Belief, believed, doubted
 from companion.estimation.contact import Contact
 from companion.estimation.contradiction import CONTRADICTION_COUNT
 from companion.estimation.filter_params import FilterParams
-from companion.estimation.filters import FilterKind, filter_of
+from companion.estimation.filters import filter_of
 from companion.estimation.gate import Gate
 from companion.estimation.hypotheses import (
     Hypothesis,
-    HypothesisParams,
     consolidated,
     first_hypotheses,
 )
@@ -37,39 +33,16 @@ from companion.estimation.objections import Objection
 from companion.estimation.observability import Observability
 from companion.estimation.plausibility import Plausibility
 from companion.estimation.polish import Polisher
-from companion.estimation.refusal import AcceptanceParams, Refusal, identity_of, refusal_of
+from companion.estimation.refusal import Refusal, identity_of, refusal_of
 from companion.estimation.standing import Standing
+from companion.estimation.tracker_params import TrackerParams
 from companion.estimation.verdict import estimate_of
-from companion.estimation.window_map import WindowParams
 from companion.geometry.arrays import Vector
 from companion.models.ranging_model import target_height_m
-from companion.params import Params, Positive
 
 DUPLICATE_MEMORY = 256
 Row = tuple[PositionEnu, Vector, Vector]
 """Where a measurement was made, its values (3,) and their sigmas (3,)."""
-
-
-class TrackerParams(Params, frozen=True):
-    """Everything about the estimate of one target."""
-
-    kind: FilterKind = "asymmetric_huber"
-    """The recursive filter; the others are baselines."""
-    filter: FilterParams = FilterParams()
-    acceptance: AcceptanceParams = AcceptanceParams()
-    hypotheses: HypothesisParams = HypothesisParams()
-    window: WindowParams = WindowParams()
-    localised_r95_m: Positive = 2.0
-    """The state is `localised` while R95 is at most this."""
-    initial_inflation: Positive = 4.0
-    """Variance inflation taken for granted until the run has shown its own."""
-    adaptation: AdaptationParams | None = None
-    """Whether and how noise and thresholds are learnt on the run; null: they stay as configured."""
-    range_gross_k: Positive | None = 6.0
-    """Ranges shorter than expected by more than this many sigma count linearly even where
-    `filter.range_k_short` is null: no noise makes them; null: quadratic at any size."""
-    adapt_inflation: bool = True
-    """Whether the inflation is measured; false keeps it at 1, as the paper's filter has it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +79,7 @@ class TargetTracker:
         self.last_accepted_s: float | None = None
         self._standing = Standing()
         self._plausibility = Plausibility(params.filter, params.acceptance.max_range_m)
-        self._believed = believed_in(params)
+        self._believed = params.believed
         self._filter = filter_of(params.kind, self._believed)
         self._thresholds = self._filter.params.thresholds
         self._polisher = Polisher(self._filter.params, params.window)
@@ -219,9 +192,16 @@ class TargetTracker:
 
     @property
     def inflation(self) -> Inflation:
-        """Variance inflation of range, bearing and elevation now in force."""
-        if not self.params.adapt_inflation:
-            return NO_INFLATION
+        """Variance inflation of range, bearing and elevation that the filter is told now."""
+        return self._shown_inflation if self.params.adapt_inflation else NO_INFLATION
+
+    @property
+    def _shown_inflation(self) -> Inflation:
+        """The one that the run has shown, by which measurements are judged.
+
+        A filter that is told none believes in thermal noise among reflections, so that innovations
+        are always larger than it says: that is no fault of measurement or estimate.
+        """
         return self._noise.inflation(self._polisher.noise)
 
     @property
@@ -318,18 +298,19 @@ class TargetTracker:
             self._start(measurement, sensor_enu_m)
             self._standing.began(measurement)
             return FusionReport(None)
-        inflation = self.inflation
-        bank = self._updated(measurement, sensor_enu_m, inflation)
+        bank = self._updated(measurement, sensor_enu_m)
         gate = bank.gate if self._standing.is_proven else bank.gate.unarmed()
         self._latest.append(self._row(measurement, sensor_enu_m))
-        if bank.best is None or self._standing.note(measurement, bank.best, gate, inflation):
+        if bank.best is None or self._standing.note(
+            measurement, bank.best, gate, self._shown_inflation
+        ):
             return self._restart(measurement, sensor_enu_m)
         passed = gate.passed(measurement)
         if not gate.is_open:
             self._count_outliers(gate, passed)
             if passed is None:
                 return FusionReport(_outlier(gate))
-            bank = self._updated(passed, sensor_enu_m, inflation)
+            bank = self._updated(passed, sensor_enu_m)
         if passed is None or bank.best is None:
             return self._restart(measurement, sensor_enu_m)
         self._add_to_window(self._row(passed, sensor_enu_m))
@@ -338,10 +319,10 @@ class TargetTracker:
         self._noise = self._noise.after(bank.best, self._thresholds)
         return FusionReport(None, bank.best, agrees=gate.agrees)
 
-    def _updated(
-        self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu, inflation: Inflation
-    ) -> BankUpdate:
-        return updated(self._hypotheses, self._filter, measurement, sensor_enu_m, inflation)
+    def _updated(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> BankUpdate:
+        shown = self._shown_inflation
+        told = shown if self.params.adapt_inflation else NO_INFLATION
+        return updated(self._hypotheses, self._filter, measurement, sensor_enu_m, told, shown)
 
     def _count_outliers(self, gate: Gate, passed: RangingMeasurement | None) -> None:
         """Count what was not fused of a measurement; one that is refused as a whole is one."""
@@ -383,13 +364,6 @@ class TargetTracker:
         self._polisher.begin_with(self._latest)
         self._start(measurement, sensor_enu_m)
         return FusionReport(None, None, restarted=True)
-
-
-def believed_in(params: TrackerParams) -> FilterParams:
-    """What the tracker's filter believes: the configuration, ranges bounded on the short side."""
-    if params.range_gross_k is None or params.filter.range_k_short is not None:
-        return params.filter
-    return msgspec.structs.replace(params.filter, range_k_short=params.range_gross_k)
 
 
 def _outlier(gate: Gate) -> Refusal:

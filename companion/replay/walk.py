@@ -17,7 +17,8 @@ from pathlib import Path
 from companion.domain import PositionEnu, RangingMeasurement, TargetEstimate
 from companion.errors import ConfigError
 from companion.estimation.observability import Observability
-from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.estimation.tracker import TargetTracker
+from companion.estimation.tracker_params import TrackerParams
 
 REQUIRED = ("t_s", "agent_x_m", "agent_y_m", "target_id")
 MEASURED = ("range_m", "bearing_rad", "elevation_rad")

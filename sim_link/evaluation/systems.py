@@ -15,7 +15,8 @@ from companion.estimation.admm_ekf import AdmmEkf
 from companion.estimation.base import TargetFilter
 from companion.estimation.filters import KINDS, filter_of
 from companion.estimation.recursive_filter import RecursiveFilter
-from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.estimation.tracker import TargetTracker
+from companion.estimation.tracker_params import TrackerParams
 from companion.geometry.arrays import Matrix, Vector
 from companion.models.ranging_model import MODALITIES
 from companion.planning.base import Planner

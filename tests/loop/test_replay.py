@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from companion.config.schema import CompanionConfig
-from companion.estimation.tracker import TrackerParams
+from companion.estimation.tracker_params import TrackerParams
 from companion.flight_facts import FlightFacts, facts_as_json, write_facts
 from companion.guidance.session import SessionParams
 from companion.io.flight_files import EVENTS, FLIGHT, INPUTS, MCAP, TLOG

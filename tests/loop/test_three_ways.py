@@ -25,7 +25,8 @@ from companion.domain import (
     RangingMeasurement,
     WaypointReason,
 )
-from companion.estimation.tracker import FusionReport, TargetTracker, TrackerParams
+from companion.estimation.tracker import FusionReport, TargetTracker
+from companion.estimation.tracker_params import TrackerParams
 from companion.estimation.window_map import WindowParams
 from companion.guard.gate import Guard
 from companion.guidance.session import GuidanceSession, SessionParams
@@ -66,7 +67,10 @@ IN_PLANE = msgspec.structs.replace(CASE.belief, target_height_m=HEIGHT_M)
 AS_FLOWN = TrackerParams(filter=IN_PLANE)
 """The companion's own, which the studies call `tracker`."""
 FILTER_ALONE = TrackerParams(
-    filter=IN_PLANE, window=WindowParams(enabled=False), adapt_inflation=False
+    filter=IN_PLANE,
+    window=WindowParams(enabled=False),
+    adapt_inflation=False,
+    range_gross_k=None,
 )
 """The paper's filter and nothing else, as the kernels have it."""
 

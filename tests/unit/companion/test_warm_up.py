@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 
 from companion import warm_up as module
-from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.estimation.tracker import TargetTracker
+from companion.estimation.tracker_params import TrackerParams
 from companion.estimation.window_map import WindowParams
 from companion.planning.base import Plan, PlanRequest
 from companion.planning.latched_crossing import LatchedCrossing, LatchedCrossingParams

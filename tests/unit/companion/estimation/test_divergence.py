@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from companion.estimation.base import FilterState, ModalityReport, UpdateReport
+from companion.estimation.base import NO_INFLATION, FilterState, ModalityReport, UpdateReport
 from companion.estimation.divergence import (
     RESTART_MEMORY_S,
     WINDOW_COUNT,
@@ -31,7 +31,7 @@ def _first_alarm(
 ) -> float | None:
     for step, report in enumerate(reports):
         time_s = start_s + step / rate_hz
-        if window.add(report, time_s):
+        if window.add(report, NO_INFLATION, time_s):
             return time_s - start_s
     return None
 
@@ -68,6 +68,14 @@ def test_outliers_are_no_divergence(share: float) -> None:
         for _ in range(3000)
     ]
     assert _first_alarm(NisWindow(), reports, 0.0) is None
+
+
+def test_noise_that_the_run_has_shown_is_no_divergence() -> None:
+    window, rng = NisWindow(), np.random.default_rng(2)
+    wide = [_report(*(2.5 * rng.normal(size=2)).tolist()) for _ in range(600)]
+    assert not any(
+        window.add(report, (6.25, 6.25, 1.0), 0.1 * step) for step, report in enumerate(wide)
+    )
 
 
 def test_what_is_over_is_forgiven() -> None:

@@ -12,7 +12,8 @@ from companion.estimation.base import FilterState
 from companion.estimation.filter_params import FilterParams
 from companion.estimation.hypotheses import Hypothesis
 from companion.estimation.polish import Polisher
-from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.estimation.tracker import TargetTracker
+from companion.estimation.tracker_params import TrackerParams
 from companion.estimation.window_map import (
     MAX_POSITION_SIGMA_M,
     MIN_MEASUREMENTS,

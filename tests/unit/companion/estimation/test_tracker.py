@@ -15,7 +15,8 @@ from companion.estimation.filter_params import FilterParams
 from companion.estimation.filters import KINDS, FilterKind, filter_of
 from companion.estimation.objections import Objection
 from companion.estimation.refusal import Refusal
-from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.estimation.tracker import TargetTracker
+from companion.estimation.tracker_params import TrackerParams
 from companion.estimation.window_map import WindowParams
 from companion.planning.base import PlanRequest
 from companion.planning.latched_crossing import Latch, LatchedCrossing, LatchedCrossingParams

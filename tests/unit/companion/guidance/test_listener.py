@@ -7,7 +7,8 @@ import pytest
 
 from companion.domain import PositionEnu, RangingMeasurement, VehicleState
 from companion.estimation.refusal import Refusal
-from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.estimation.tracker import TargetTracker
+from companion.estimation.tracker_params import TrackerParams
 from companion.guidance.listener import MAX_WAITING, RangingListener
 from companion.guidance.track import VehicleTrack
 
