@@ -16,6 +16,7 @@ from sim_link.conformance.results import (
     REFUSALS,
     TEMPORARILY_REJECTED,
     UNSUPPORTED,
+    UNSUPPORTED_FRAME,
 )
 from sim_link.conformance.rules import (
     PX4_ONLY,
@@ -207,6 +208,21 @@ def heartbeat_rate_cannot_be_changed(probe: VehicleProbe) -> None:
     result = probe.set_interval(0, -1.0)
     require(result == FAILED, f"result {result}")
     probe.heartbeat()
+
+
+# Frames
+
+
+@book.rule(f"{SERVICE} (UNSUPPORTED_MAV_FRAME; never guess another frame)", effect=Effect.CHANGES)
+def unsupported_frame_is_told(probe: VehicleProbe) -> None:
+    """A place in a frame that a command does not take is UNSUPPORTED_MAV_FRAME."""
+    probe.get_ready()
+    home = probe.home()
+    place = (home.latitude + 900, home.longitude, home.altitude / 1e3)
+    for frame in (mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_BODY_NED, 20):
+        result = probe.command_int(mavlink.MAV_CMD_DO_SET_HOME, frame, (0.0, 0.0, 0.0, 0.0), place)
+        require(result == UNSUPPORTED_FRAME, f"frame {frame}: result {result}")
+    require(probe.home().latitude == home.latitude, "home moved")
 
 
 # Modes

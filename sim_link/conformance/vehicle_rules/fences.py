@@ -42,6 +42,29 @@ def fences_survive(probe: VehicleProbe) -> None:
 
 
 @book.rule(f"{SERVICE}, Geofence", effect=CHANGES)
+def exclusions_survive(probe: VehicleProbe) -> None:
+    """Areas to stay out of come back as such, beside one to stay in."""
+    probe.get_ready()
+    (inside,) = circle(probe)
+    hole = plans.changed(
+        inside,
+        command=mavlink.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION,
+        params=(10.0, 0.0, 0.0, 0.0),
+        x=inside.x + 9_000,
+    )
+    vertex = mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION
+    zone = [
+        plans.changed(corner, command=vertex, y=corner.y + 90_000)
+        for corner in polygon(probe, half=9_000)
+    ]
+    wanted = [inside, hole, *zone]
+    plans.require_upload(probe, wanted, FENCE)
+    found = plans.download(probe, FENCE)
+    plans.clear(probe, FENCE)
+    require(places(found) == places(wanted), "the fence changed")
+
+
+@book.rule(f"{SERVICE}, Geofence", effect=CHANGES)
 def broken_fence_is_refused(probe: VehicleProbe) -> None:
     """A polygon that tells more vertices than it has is refused, and the old fence stays."""
     probe.get_ready()

@@ -7,7 +7,15 @@ from collections import defaultdict
 from dataclasses import replace
 
 from companion.mav.dialect import mavlink
-from sim_link.conformance.frames import MAGIC_V1, MAGIC_V2, FrameSpec, build_frame, build_raw
+from sim_link.conformance.frames import (
+    MAGIC_V1,
+    MAGIC_V2,
+    FrameSpec,
+    base_length,
+    build_frame,
+    build_raw,
+    payload_of,
+)
 from sim_link.conformance.rules import Role, RuleBook, Violation, require
 from sim_link.conformance.station import heartbeat
 from sim_link.conformance.vehicle_probe import ACK_S, VehicleProbe
@@ -139,6 +147,41 @@ def cut_payload_is_accepted(probe: VehicleProbe) -> None:
     mark = probe.mark
     probe.send(command)
     probe.expect(mavlink.MAVLink_autopilot_version_message, mark=mark)
+
+
+@book.rule(SERIALIZATION + " (extension fields are no part of CRC_EXTRA)")
+def message_without_its_extensions_is_understood(probe: VehicleProbe) -> None:
+    """A message that ends before its extension fields, as in MAVLink 1, is understood."""
+    message = mavlink.MAVLink_mission_request_list_message(*probe.target, 0)
+    short = payload_of(message)[: base_length(message)]
+    frames = {
+        "MAVLink 2": build_raw(message.get_msgId(), short, type(message).crc_extra, probe.spec()),
+        "MAVLink 1": build_frame(message, probe.spec(version=1)),
+    }
+    for version, frame in frames.items():
+        mark = probe.mark
+        probe.send_raw(frame)
+        probe.expect(
+            mavlink.MAVLink_mission_count_message,
+            lambda m: m.mission_type == 0,
+            mark=mark,
+            what=f"answer to one in {version}",
+        )
+        probe.send(mavlink.MAVLink_mission_ack_message(*probe.target, 0, 0))
+
+
+@book.rule(VERSIONS)
+def mavlink1_frame_is_sent_whole_and_without_extensions(probe: VehicleProbe) -> None:
+    """What is sent in MAVLink 1, if anything is, has its whole payload and no extensions."""
+    message = question(probe)
+    mark = probe.mark
+    probe.send_raw(build_frame(message, probe.spec(version=1)))
+    probe.run(LISTEN_S)
+    for entry in probe.inbox[mark:]:
+        if entry.frame[0] == MAGIC_V1:
+            name, wanted = entry.message.get_type(), base_length(entry.message)
+            require(entry.frame[1] == wanted, f"{name}: {entry.frame[1]} bytes, not {wanted}")
+    probe.require_hearing()
 
 
 @book.rule(SERIALIZATION)

@@ -228,7 +228,11 @@ def request_beyond_the_end_is_an_error(probe: VehicleProbe) -> None:
     probe.run(MIN_LIFE_S)
 
 
-@book.rule(f"{SERVICE} (partial lists are not standard)", effect=CHANGES, flavours=PX4_ONLY)
+@book.rule(
+    f"{SERVICE} (partial lists are not standard)",
+    effect=CHANGES,
+    ardupilot="ArduCopter takes a partial write; here it is asked to refuse it as the guide does",
+)
 def partial_lists_are_unsupported(probe: VehicleProbe) -> None:
     """MISSION_WRITE_PARTIAL_LIST and MISSION_REQUEST_PARTIAL_LIST are answered UNSUPPORTED."""
     for kind in (
@@ -239,6 +243,32 @@ def partial_lists_are_unsupported(probe: VehicleProbe) -> None:
         probe.send(kind(*probe.target, 0, 1, MISSION))
         result = plans.await_ack(probe, mark)
         require(result == PLAN_UNSUPPORTED, f"{kind.msgname}: ACK {result}")
+
+
+@book.rule(f"{SERVICE}, MAV_MISSION_TYPE_ALL", effect=CHANGES)
+def type_all_is_for_clearing_only(probe: VehicleProbe) -> None:
+    """Upload and download of type ALL, or of a type that there is not, are UNSUPPORTED."""
+    wanted = prepare(probe)
+    for kind in (ALL, 77):
+        mark = plans.send_count(probe, 1, kind)
+        result = plans.await_ack(probe, mark)
+        require(result == PLAN_UNSUPPORTED, f"upload of type {kind}: ACK {result}")
+        mark = probe.mark
+        probe.send(mavlink.MAVLink_mission_request_list_message(*probe.target, kind))
+        result = plans.await_ack(probe, mark)
+        require(result == PLAN_UNSUPPORTED, f"download of type {kind}: ACK {result}")
+    require(places(stored(probe)) == places(wanted), "the mission changed")
+
+
+@book.rule(f"{SERVICE}, Rally Points", effect=CHANGES)
+def rally_points_survive(probe: VehicleProbe) -> None:
+    """A rally point comes back where it was put."""
+    probe.get_ready()
+    wanted = rally(probe)
+    plans.require_upload(probe, wanted, RALLY)
+    found = plans.download(probe, RALLY)
+    plans.clear(probe, RALLY)
+    require(places(found) == places(wanted), f"{places(found)}, not {places(wanted)}")
 
 
 @book.rule("MAVLink guide, Routing", effect=CHANGES)

@@ -253,6 +253,40 @@ def nan_is_refused(probe: VehicleProbe) -> None:
         require(read(probe, name).raw == before.raw, f"{value} was stored")
 
 
+@book.rule(
+    f"{SERVICE} {STRICT}",
+    effect=Effect.CHANGES,
+    px4="PX4 1.15 stores a NaN",
+    ardupilot="silent, as ArduCopter 4.5 is, or the old value",
+)
+def refused_value_is_answered_by_the_old_one(probe: VehicleProbe) -> None:
+    """PARAM_SET with a value that is not stored is answered by PARAM_VALUE with the old value."""
+    name = float_name(probe)
+    before = read(probe, name)
+    mark = write(probe, name, NAN, REAL32)
+    probe.run(ANSWER_S)
+    told = values_since(probe, mark, name)
+    require(bool(told) or not probe.is_px4, "not answered")
+    require(all(each.raw == before.raw for each in told), "another value is told")
+    require(read(probe, name).raw == before.raw, "it was stored")
+
+
+@book.rule(f"{SERVICE} (a text)", px4=STRICTER, ardupilot=SILENT)
+def unknown_name_is_told_in_words(probe: VehicleProbe) -> None:
+    """Reading or setting a name that there is not is answered by a STATUSTEXT, too."""
+    for message in (
+        mavlink.MAVLink_param_request_read_message(*probe.target, b"NO_SUCH_PARAM", -1),
+        mavlink.MAVLink_param_set_message(*probe.target, b"NO_SUCH_PARAM", 1.0, REAL32),
+    ):
+        mark = probe.mark
+        probe.send(message)
+        probe.run(ANSWER_S)
+        texts = probe.heard_since(mavlink.MAVLink_statustext_message, mark)
+        told = any("NO_SUCH_PARAM" in text.text for text in texts)
+        require(told or not probe.is_px4, f"{message.get_type()}: no text")
+    probe.require_hearing()
+
+
 @book.rule(f"{SERVICE}; {OBSERVED_PX4}", effect=Effect.CHANGES, flavours=PX4_ONLY)
 def wrong_type_is_refused(probe: VehicleProbe) -> None:
     """A value of another type is not stored."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from companion.mav.dialect import Message, mavlink
-from sim_link.conformance.frames import build_raw, cut
+from sim_link.conformance.frames import SIGNED, build_frame, build_raw, cut, sign
 from sim_link.conformance.parameter_client import float_name, read, write
 from sim_link.conformance.rules import Effect, NotApplicable, Role, RuleBook, require
 from sim_link.conformance.station import Station, heartbeat
@@ -16,6 +16,7 @@ VERSION_ID = float(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
 Ack = mavlink.MAVLink_command_ack_message
 Version = mavlink.MAVLink_autopilot_version_message
 UNKNOWN_ID = 45_998
+FOREIGN_KEY = b"\x5a" * 32
 SETTLE_S = 0.3
 
 
@@ -141,6 +142,19 @@ def addressed_message_reaches_its_target(probe: VehicleProbe) -> None:
 
 
 @book.rule(ROUTING)
+def component_zero_reaches_the_whole_system(probe: VehicleProbe) -> None:
+    """A command for all components of a system reaches every connection where it was heard."""
+    first = probe.another(42, 191, mavlink.MAV_TYPE_ONBOARD_CONTROLLER)
+    second = probe.another(42, 100, mavlink.MAV_TYPE_CAMERA)
+    other = probe.another(43, 191, mavlink.MAV_TYPE_ONBOARD_CONTROLLER)
+    marks = [station.mark for station in (first, second, other)]
+    probe.send(request_version(42, 0))
+    for station, mark in ((first, marks[0]), (second, marks[1])):
+        station.expect(mavlink.MAVLink_command_long_message, mark=mark)
+    other.expect_none(mavlink.MAVLink_command_long_message, mark=marks[2], what="leaked")
+
+
+@book.rule(ROUTING)
 def addressed_message_reaches_nobody_else(probe: VehicleProbe) -> None:
     """A command for one component is not sent to where others were heard."""
     companion_of(probe)
@@ -189,6 +203,17 @@ def unknown_message_is_forwarded(probe: VehicleProbe) -> None:
     other = companion_of(probe)
     mark = len(other.datagrams)
     frame = build_raw(UNKNOWN_ID, b"\x01\x02\x03\x04\x05", 17, probe.spec())
+    probe.send_raw(frame)
+    require(any(frame in data for data in frames_at(other, mark)), "it was not forwarded")
+
+
+@book.rule(ROUTING)
+def unauthenticated_frame_is_forwarded_unaltered(probe: VehicleProbe) -> None:
+    """A frame signed with a key that the vehicle does not have goes on, signature and all."""
+    other = companion_of(probe)
+    mark = len(other.datagrams)
+    text = mavlink.MAVLink_statustext_message(6, b"signed by a stranger", 0, 0)
+    frame = sign(build_frame(text, probe.spec(incompat=SIGNED)), FOREIGN_KEY, 3, 10**13)
     probe.send_raw(frame)
     require(any(frame in data for data in frames_at(other, mark)), "it was not forwarded")
 

@@ -13,7 +13,7 @@ from sim_link.conformance.rules import (
     require,
 )
 from sim_link.conformance.station import brief
-from sim_link.conformance.vehicle_probe import PREARM, VehicleProbe
+from sim_link.conformance.vehicle_probe import ACCEPTED, PREARM, VehicleProbe
 
 book = RuleBook(Role.VEHICLE, "telemetry")
 COMMON = "MAVLink common"
@@ -189,6 +189,27 @@ def origin_can_be_set(probe: VehicleProbe) -> None:
         )
     )
     probe.run(0.2)
+
+
+@book.rule(f"{COMMON}, HOME_POSITION (sent when it changes)", effect=Effect.CHANGES)
+def moved_home_is_told_unasked(probe: VehicleProbe) -> None:
+    """After DO_SET_HOME a HOME_POSITION with the new place comes by itself."""
+    probe.get_ready()
+    home = probe.home()
+    probe.set_interval(mavlink.MAVLINK_MSG_ID_HOME_POSITION, -1.0)
+    moved = (home.latitude + 450, home.longitude, home.altitude / 1e3)
+    mark = probe.mark
+    for place, latitude in ((moved, moved[0]), ((home.latitude, *moved[1:]), home.latitude)):
+        number, frame = mavlink.MAV_CMD_DO_SET_HOME, mavlink.MAV_FRAME_GLOBAL
+        result = probe.command_int(number, frame, (0.0, 0.0, 0.0, 0.0), place)
+        require(result == ACCEPTED, f"DO_SET_HOME gave result {result}")
+        probe.expect(
+            mavlink.MAVLink_home_position_message,
+            lambda m, latitude=latitude: abs(m.latitude - latitude) < 10,  # type: ignore[misc]
+            mark=mark,
+        )
+        mark = probe.mark
+    probe.set_interval(mavlink.MAVLINK_MSG_ID_HOME_POSITION, 0.0)
 
 
 @book.rule("MAVLink guide, Routing", effect=Effect.CHANGES)
