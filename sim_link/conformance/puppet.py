@@ -21,7 +21,7 @@ PLACE = (473_977_420, 85_455_940, 488_000)
 HOVER_DOWN_M = -10.0
 FIRST_WORD_S = 90.0
 """A companion that compiles its kernels for the first time takes half a minute."""
-SETTLE_S = 4.0
+SETTLE_S = 2.0
 ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
 SENSORS = 1 | 2 | 4 | 8 | 32 | 0x200000 | 0x2000000 | mavlink.MAV_SYS_STATUS_PREARM_CHECK
 

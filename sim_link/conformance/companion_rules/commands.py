@@ -79,7 +79,7 @@ def unanswered_command_is_repeated_a_few_times(probe: CompanionProbe) -> None:
     """A command without an answer is repeated with a rising confirmation, and given up."""
     mark = 0 if probe.policy is stay_silent else probe.mark
     probe.policy = stay_silent
-    probe.run(20.0)
+    probe.run(12.0)
     sent = Counter(
         (c.command, c.confirmation)
         for _, c in probe.commands(mark)

@@ -21,6 +21,7 @@ MIN_RATE_HZ = 2.0
 MAX_GAP_S = 0.5
 MAX_RATE_HZ = 55.0
 LISTEN_S = 5.0
+LOOK_S = 2.0
 REACTION_S = 1.0
 FIELDS = (
     (7, ("x", "y", "z")),
@@ -49,7 +50,7 @@ def rate_of(probe: CompanionProbe) -> tuple[float, float]:
 def all_setpoints(probe: CompanionProbe) -> list[SetpointMessage]:
     """Setpoints from before and in control."""
     probe.give_control()
-    probe.run(LISTEN_S)
+    probe.run(LOOK_S)
     return [message for _, message in probe.setpoints()]
 
 
