@@ -21,6 +21,7 @@ from sim_link.autopilot.commands import (
     UNSUPPORTED,
     whole,
 )
+from sim_link.autopilot.protocols.absent import refusal
 from sim_link.autopilot.protocols.base import Addressing, Channel, Outgoing, Partner, partner_of
 from sim_link.autopilot.protocols.clocks import ClockRequests, Clocks
 from sim_link.autopilot.protocols.commands import (
@@ -44,12 +45,10 @@ from sim_link.autopilot.status_messages import (
     home_position,
     mission_progress,
 )
-from sim_link.autopilot.sticks import Sticks
+from sim_link.autopilot.sticks import Sticks, sticks_from
 from sim_link.autopilot.telemetry import Telemetry
 from sim_link.autopilot.vehicle import SimVehicle
 
-STICK_RANGE = 1000.0
-"""MANUAL_CONTROL's full deflection."""
 NEUTRAL_US, RANGE_US = 1500.0, 500.0
 Handler = Callable[[Any, Partner, float], list[Outgoing]]
 
@@ -119,7 +118,7 @@ class Services:
         outgoing = self._parameters.handle(message, partner, now_s)
         outgoing += self._plans.handle(message, partner, now_s)
         self._take_plan_events()
-        return outgoing + self.news()
+        return outgoing + refusal(message, partner) + self.news()
 
     def step(self, now_s: float) -> list[Outgoing]:
         """What is due by itself at a physics step."""
@@ -283,12 +282,7 @@ class Services:
         now_s: float,
     ) -> list[Outgoing]:
         if message.target == self._vehicle.system_id:
-            forward, right, yaw = (
-                max(-1.0, min(1.0, value / STICK_RANGE))
-                for value in (message.x, message.y, message.r)
-            )
-            up = max(-1.0, min(1.0, 2.0 * message.z / STICK_RANGE - 1.0))
-            self._vehicle.sticks.take_joystick(Sticks(forward, right, up, yaw), now_s)
+            self._vehicle.sticks.take_joystick(sticks_from(message), now_s)
         return []
 
     def _take_rc_override(

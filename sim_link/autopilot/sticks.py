@@ -5,8 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import RcParams
 
+STICK_RANGE = 1000.0
+"""MANUAL_CONTROL's full deflection."""
 JOYSTICK_TIMEOUT_S = 0.5
 """A joystick that has been silent for this long is gone (PX4 COM_RC_LOSS_T)."""
 MOVED = 0.3
@@ -30,6 +33,21 @@ class Sticks:
 
 
 CENTRED = Sticks()
+
+
+def sticks_from(message: mavlink.MAVLink_manual_control_message) -> Sticks:
+    """The deflections of MANUAL_CONTROL; an axis beyond its range is not there, and centred.
+
+    Source: MAVLink common, MANUAL_CONTROL (INT16_MAX: the axis is invalid; z is thrust, 500 is
+    half); PX4 `handle_message_manual_control` takes no axis beyond 1000 either.
+    """
+    forward, right, thrust, yaw = (
+        value / STICK_RANGE if abs(value) <= STICK_RANGE else math.nan
+        for value in (message.x, message.y, message.z, message.r)
+    )
+    axes = (forward, right, 2.0 * thrust - 1.0, yaw)
+    forward, right, up, yaw = (0.0 if math.isnan(axis) else max(-1.0, axis) for axis in axes)
+    return Sticks(forward, right, up, yaw)
 
 
 class StickInput:

@@ -187,13 +187,28 @@ def test_a_second_origin_has_no_effect() -> None:
 @pytest.mark.parametrize("speed_cmps", [200.0, 500.0])
 def test_it_goes_to_a_place_at_the_speed_of_its_parameter(speed_cmps: float) -> None:
     station = flying({"WPNAV_SPEED": speed_cmps})
-    station.send(local_setpoint(40.0, 10.0, -10.0))
+    assert top_speed_mps(station, 40.0) == pytest.approx(speed_cmps / 100.0, rel=0.05)
+
+
+def test_it_goes_to_a_place_at_the_speed_that_was_commanded_until_the_mode_changes() -> None:
+    station = flying({"WPNAV_SPEED": 500.0})
+    assert station.command(mavlink.MAV_CMD_DO_CHANGE_SPEED, 1.0, 2.0) == ACCEPTED
+    assert top_speed_mps(station, 30.0) == pytest.approx(2.0, rel=0.05)
+    assert choose(station, BRAKE) == ACCEPTED
+    assert station.command(mavlink.MAV_CMD_DO_CHANGE_SPEED, 1.0, 2.0) == FAILED
+    assert choose(station, GUIDED) == ACCEPTED
+    assert top_speed_mps(station, -30.0) == pytest.approx(5.0, rel=0.05)
+
+
+def top_speed_mps(station: GroundStation, north_m: float) -> float:
+    """On the way to a place far away."""
+    station.send(local_setpoint(north_m, 0.0, -10.0))
     speeds = []
     for _ in range(40):
         station.run(0.1)
         report = station.last(mavlink.MAVLink_local_position_ned_message)
-        speeds.append((report.vx**2 + report.vy**2) ** 0.5)
-    assert max(speeds) == pytest.approx(speed_cmps / 100.0, rel=0.05)
+        speeds.append(math.hypot(report.vx, report.vy))
+    return max(speeds)
 
 
 def test_it_climbs_at_the_speed_of_its_parameter() -> None:

@@ -176,6 +176,16 @@ def test_sticks_take_over_from_automatic_modes_and_fly() -> None:
     assert station.place == pytest.approx(rest, abs=0.05)
 
 
+def test_an_axis_that_a_joystick_does_not_have_is_centred() -> None:
+    station = flying(rc=RcParams(is_present=True))
+    assert station.set_mode(FlightMode.POSITION) == ACCEPTED
+    before = station.place
+    for _ in range(20):
+        station.send(manual(x=32767, y=32767, z=32767, r=32767))
+        station.run(0.1)
+    assert station.place == pytest.approx(before, abs=0.3)
+
+
 def test_offboard_is_not_overridden_by_sticks_unless_its_bit_is_set() -> None:
     for bits, mode in ((1, FlightMode.OFFBOARD), (3, FlightMode.POSITION)):
         station = flying({"COM_RC_OVERRIDE": bits})

@@ -59,6 +59,7 @@ def test_default_rates(station: GroundStation) -> None:
             "ODOMETRY": 30.0,
             "ALTITUDE": 10.0,
             "ATTITUDE_TARGET": 10.0,
+            "DISTANCE_SENSOR": 10.0,
             "SERVO_OUTPUT_RAW": 10.0,
             "TIMESYNC": 10.0,
             "VFR_HUD": 10.0,
@@ -203,6 +204,14 @@ def test_timesync_and_ping_requests_are_answered_and_answers_are_not(
     assert (sync.ts1, sync.tc1) == (777, 2_500_000_000)
     (ping,) = station.all(mavlink.MAVLink_ping_message)
     assert (ping.time_usec, ping.seq, ping.target_system) == (123, 9, 255)
+
+
+def test_a_rangefinder_tells_the_height_above_the_ground() -> None:
+    station = GroundStation()
+    station.take_off(12.0)
+    told = station.last(mavlink.MAVLink_distance_sensor_message)
+    assert told.current_distance == pytest.approx(-100.0 * station.place[2], abs=15.0)
+    assert told.orientation == mavlink.MAV_SENSOR_ROTATION_PITCH_270
 
 
 def test_payload_has_a_heartbeat_of_its_own_and_is_no_autopilot(station: GroundStation) -> None:

@@ -88,8 +88,9 @@ def test_flies_a_velocity_in_north_east_down(station: GroundStation) -> None:
     [
         global_setpoint((30.0, 20.0, 12.0)),
         global_setpoint((30.0, 20.0, 12.0), mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT, 12.0),
+        global_setpoint((30.0, 20.0, 12.0), mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT, 12.0),
     ],
-    ids=["above sea level", "above home"],
+    ids=["above sea level", "above home", "above the terrain"],
 )
 def test_flies_to_a_global_position(station: GroundStation, setpoint: Message) -> None:
     station.stream = lambda: setpoint
@@ -222,7 +223,9 @@ INVALID = {
     "other system": local_setpoint(system=2),
     "other component": local_setpoint(component=191),
     "altitude is NaN": global_setpoint((30.0, 20.0, 12.0), altitude_m=NAN),
-    "terrain frame": global_setpoint((30.0, 20.0, 12.0), mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT),
+    "no altitude above the terrain": global_setpoint(
+        (30.0, 20.0, 12.0), mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT, NAN
+    ),
     "not an INT frame": global_setpoint((30.0, 20.0, 12.0), mavlink.MAV_FRAME_GLOBAL),
     "no latitude": mavlink.MAVLink_set_position_target_global_int_message(
         0, 1, 1, 5, type_mask.POSITION_ONLY, 2**31 - 1, 0, 500.0, *[0.0] * 8
@@ -248,6 +251,20 @@ def test_a_setpoint_without_all_axes_keeps_offboard_and_stays_in_place(
 ) -> None:
     before = station.place
     station.stream = lambda: local_setpoint(90.0, 90.0, -50.0, mask=mask)
+    station.run(5.0)
+    assert station.mode is FlightMode.OFFBOARD
+    assert station.place == pytest.approx(before, abs=0.3)
+
+
+@pytest.mark.parametrize("axis", [type_mask.X_IGNORE, type_mask.Y_IGNORE, type_mask.Z_IGNORE])
+def test_a_global_setpoint_without_all_axes_gives_no_position(
+    station: GroundStation, axis: int
+) -> None:
+    before = station.place
+    setpoint = global_setpoint((90.0, 90.0, 50.0))
+    assert isinstance(setpoint, mavlink.MAVLink_set_position_target_global_int_message)
+    setpoint.type_mask = 0x0DC0 | axis
+    station.stream = lambda: setpoint
     station.run(5.0)
     assert station.mode is FlightMode.OFFBOARD
     assert station.place == pytest.approx(before, abs=0.3)

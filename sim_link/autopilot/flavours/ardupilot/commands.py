@@ -71,7 +71,8 @@ def obey(flavour: ArduPilotFlavour, command: Command, now_s: float) -> int:
 def _obey_more(flavour: ArduPilotFlavour, command: Command, now_s: float) -> int:
     match command.number:
         case mavlink.MAV_CMD_DO_CHANGE_SPEED:
-            return ACCEPTED if command.params[1] > 0.0 else FAILED
+            is_changed = flavour.change_speed(command.params[0], command.params[1])
+            return ACCEPTED if is_changed else FAILED
         case mavlink.MAV_CMD_CONDITION_YAW:
             return _condition_yaw(flavour, command)
         case mavlink.MAV_CMD_DO_FENCE_ENABLE:

@@ -44,6 +44,8 @@ IDLE_DETECTION_S = 0.5
 """ArduCopter takes this much longer than DISARM_DELAY."""
 ATTITUDE_SHARE = 0.5
 """Share of the boot after which modes without a position can be armed."""
+HORIZONTAL = mavlink.SPEED_TYPE_GROUNDSPEED
+CLIMB, DESCENT = mavlink.SPEED_TYPE_CLIMB_SPEED, mavlink.SPEED_TYPE_DESCENT_SPEED
 CRITICAL, WARNING = mavlink.MAV_SEVERITY_CRITICAL, mavlink.MAV_SEVERITY_WARNING
 
 
@@ -62,6 +64,8 @@ class ArduPilotFlavour(Flavour):
         super().__init__(aircraft, parameters)
         self.guided = Guided()
         self.copter_mode: CopterMode = modes.STABILIZE
+        self._commanded_mps: dict[int, float] = {}
+        """By SPEED_TYPE, until the mode changes."""
         self._failsafes = Failsafes(aircraft, parameters)
 
     # State
@@ -144,6 +148,7 @@ class ArduPilotFlavour(Flavour):
         if mode is not self.copter_mode:
             self.guided.enter()
             self.copter_mode = mode
+            self._commanded_mps.clear()
             self.leg = None
         return ACCEPTED
 
@@ -211,6 +216,14 @@ class ArduPilotFlavour(Flavour):
         is_on_ground = self.aircraft.body.is_on_ground
         target = Target(TargetKind.POSITION, setpoint)
         self.guided.take(target, self.aircraft.time_s, is_on_ground=is_on_ground)
+
+    def change_speed(self, kind: float, speed_mps: float) -> bool:
+        """DO_CHANGE_SPEED of a SPEED_TYPE; whether the mode has such a speed."""
+        if self.copter_mode not in (modes.GUIDED, modes.AUTO, modes.RTL) or not speed_mps > 0.0:
+            return False
+        key = DESCENT if kind > CLIMB else CLIMB if kind > HORIZONTAL else HORIZONTAL
+        self._commanded_mps[key] = speed_mps
+        return True
 
     def turn_to(self, yaw_ned_rad: float) -> None:
         """CONDITION_YAW."""
@@ -316,13 +329,13 @@ class ArduPilotFlavour(Flavour):
             self.aircraft.say(CRITICAL, f"{event.text}: changed to {self.copter_mode.name} Mode")
 
     def _speed_limits(self) -> SpeedLimits:
-        """WPNAV_SPEED and its kin, RTL_SPEED on the way home."""
-        value = self.parameters
+        """As commanded, or WPNAV_SPEED and its kin, RTL_SPEED on the way home."""
+        value, commanded_mps = self.parameters, self._commanded_mps
         home_cmps = value["RTL_SPEED"] if self.task is Task.RETURN else 0.0
         return SpeedLimits(
-            (home_cmps or value["WPNAV_SPEED"]) / 100.0,
-            value["WPNAV_SPEED_UP"] / 100.0,
-            value["WPNAV_SPEED_DN"] / 100.0,
+            commanded_mps.get(HORIZONTAL, (home_cmps or value["WPNAV_SPEED"]) / 100.0),
+            commanded_mps.get(CLIMB, value["WPNAV_SPEED_UP"] / 100.0),
+            commanded_mps.get(DESCENT, value["WPNAV_SPEED_DN"] / 100.0),
         )
 
     def _runs_into_the_fence(self) -> bool:

@@ -28,6 +28,10 @@ ON_REQUEST = (
     mavlink.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT,
     mavlink.MAVLINK_MSG_ID_RC_CHANNELS,
     mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW,
+    mavlink.MAVLINK_MSG_ID_RAW_IMU,
+    mavlink.MAVLINK_MSG_ID_SCALED_PRESSURE,
+    mavlink.MAVLINK_MSG_ID_POWER_STATUS,
+    mavlink.MAVLINK_MSG_ID_VIBRATION,
     mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET,
     mavlink.MAVLINK_MSG_ID_MISSION_CURRENT,
     mavlink.MAVLINK_MSG_ID_BATTERY_STATUS,
@@ -37,8 +41,13 @@ ON_REQUEST = (
     EKF_STATUS_REPORT,
 )
 DATA_STREAMS: dict[int, tuple[int, ...]] = {
+    mavlink.MAV_DATA_STREAM_RAW_SENSORS: (
+        mavlink.MAVLINK_MSG_ID_RAW_IMU,
+        mavlink.MAVLINK_MSG_ID_SCALED_PRESSURE,
+    ),
     mavlink.MAV_DATA_STREAM_EXTENDED_STATUS: (
         mavlink.MAVLINK_MSG_ID_SYS_STATUS,
+        mavlink.MAVLINK_MSG_ID_POWER_STATUS,
         mavlink.MAVLINK_MSG_ID_MISSION_CURRENT,
         mavlink.MAVLINK_MSG_ID_GPS_RAW_INT,
         mavlink.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT,
@@ -56,6 +65,7 @@ DATA_STREAMS: dict[int, tuple[int, ...]] = {
     mavlink.MAV_DATA_STREAM_EXTRA3: (
         mavlink.MAVLINK_MSG_ID_SYSTEM_TIME,
         mavlink.MAVLINK_MSG_ID_BATTERY_STATUS,
+        mavlink.MAVLINK_MSG_ID_VIBRATION,
         EKF_STATUS_REPORT,
     ),
 }

@@ -1,7 +1,8 @@
 """How PX4 1.15 speaks each of MAVLink's services.
 
-Every link has the streams of PX4's onboard link; its ground station link is slower in some (GPS 5,
-VFR_HUD 4 Hz) and faster in others. DISTANCE_SENSOR is left out: not every vehicle has one.
+Every link has the streams of PX4's onboard link (MAV_x_MODE 2); its ground station link (mode 0) is
+slower in some (GPS 5, VFR_HUD 4 Hz) and faster in others. One port serves stations and companions
+here, so that there is no telling which of the two a link is.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ DEFAULT_RATE_HZ: dict[int, float] = {
     mavlink.MAVLINK_MSG_ID_ODOMETRY: 30.0,
     mavlink.MAVLINK_MSG_ID_ALTITUDE: 10.0,
     mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: 10.0,
+    mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR: 10.0,
     mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: 10.0,
     mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: 10.0,
     mavlink.MAVLINK_MSG_ID_VFR_HUD: 10.0,

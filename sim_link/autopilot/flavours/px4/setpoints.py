@@ -31,11 +31,12 @@ HORIZONTAL_VELOCITY_IGNORE = type_mask.VX_IGNORE | type_mask.VY_IGNORE
 MOTION_IGNORE = (
     type_mask.POSITION_IGNORE | type_mask.VELOCITY_IGNORE | type_mask.ACCELERATION_IGNORE
 )
+TERRAIN_FRAME = mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT
 GLOBAL_FRAMES = (
     mavlink.MAV_FRAME_GLOBAL_INT,
     mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
+    TERRAIN_FRAME,
 )
-"""Frame 11, altitude above the terrain, is refused: there is no terrain here."""
 
 
 def setpoint_from_local(message: LocalTarget, aircraft: Aircraft) -> Setpoint | None:
@@ -60,7 +61,7 @@ def setpoint_from_global(message: GlobalTarget, aircraft: Aircraft) -> Setpoint 
     """The setpoint of SET_POSITION_TARGET_GLOBAL_INT, or None if it is refused.
 
     Frame 5 has its altitude above sea level, frame 6 above home (PX4 1.15 is wrong there by twice
-    the height between origin and home; this is not).
+    the height between origin and home; this is not), frame 11 above the flat ground.
     """
     if message.coordinate_frame not in GLOBAL_FRAMES:
         return None
@@ -70,9 +71,11 @@ def setpoint_from_global(message: GlobalTarget, aircraft: Aircraft) -> Setpoint 
         return _assemble(message, None, None)
     if not is_on_earth(message.lat_int, message.lon_int):
         return None
-    place = aircraft.place_from(
-        message.lat_int, message.lon_int, message.alt, message.coordinate_frame
-    )
+    frame, altitude_m = message.coordinate_frame, message.alt
+    if frame == TERRAIN_FRAME:
+        frame = mavlink.MAV_FRAME_GLOBAL
+        altitude_m += aircraft.estimator.world_origin.altitude_m + aircraft.body.ground_up_m
+    place = aircraft.place_from(message.lat_int, message.lon_int, altitude_m, frame)
     return _assemble(message, place, None)
 
 
