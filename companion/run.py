@@ -14,9 +14,9 @@ from typing import Any, Protocol
 
 from companion.config.schema import CompanionConfig, CrossingKind, PatternKind, PlannerConfig
 from companion.errors import CompanionError, LinkError
-from companion.estimation.tracker import TargetTracker
 from companion.flight_facts import FlightFacts, facts_as_json, write_facts
 from companion.guard.gate import Guard
+from companion.guidance.emitters import EmitterQueue
 from companion.guidance.session import GuidanceSession
 from companion.guidance.states import Phase
 from companion.io.checkpoint_store import CheckpointStore
@@ -95,7 +95,7 @@ def build_session(config: CompanionConfig) -> GuidanceSession:
     """The guidance of one flight."""
     return GuidanceSession(
         config.mission,
-        TargetTracker(config.estimation, config.emitter_id),
+        EmitterQueue(config.estimation, config.emitters, config.emitter_id),
         build_planner(config),
         Guard(config.limits.guard_limits()),
         needs_origin=config.vehicle.setpoint == "global_int",

@@ -18,6 +18,7 @@ from companion.config.process import LogConfig as LogConfig
 from companion.config.process import ProcessConfig
 from companion.errors import ConfigError
 from companion.estimation.tracker_params import TrackerParams
+from companion.guidance.emitters import QueueParams
 from companion.guidance.session import SessionParams
 from companion.link.params import LinkParams, VehicleParams
 from companion.params import Params, Positive
@@ -64,6 +65,7 @@ class CompanionConfig(Params, frozen=True):
     mission: SessionParams = SessionParams()
     emitter_id: Annotated[int, msgspec.Meta(ge=0, le=65535)] | None = None
     """The emitter to look for; null: the first one heard."""
+    emitters: QueueParams = QueueParams()
     estimation: TrackerParams = TrackerParams()
     planner: PlannerConfig = PlannerConfig()
     limits: LimitsConfig = LimitsConfig()
@@ -123,6 +125,11 @@ def inconsistency(config: CompanionConfig) -> str | None:
     if not least_m <= mission.altitude_m <= most_m:
         band = f"{least_m:g} to {most_m:g} m, 3 navigation_sigma_m inside"
         return f"$.mission.altitude_m: {mission.altitude_m:g} m is outside $.limits ({band})"
+    if config.emitter_id is not None and config.emitters.order != "first":
+        return (
+            f"$.emitters.order: {config.emitters.order} looks for several emitters, but "
+            "$.emitter_id names one; list several in $.emitters.listed"
+        )
     swing_m = config.planner.latched_crossing.altitude_swing_m
     low_m, high_m = mission.altitude_m - swing_m, mission.altitude_m + swing_m
     if not least_m <= low_m <= high_m <= most_m:

@@ -15,6 +15,7 @@ from companion.guidance.launch import Launch, LaunchView
 from companion.guidance.reporting import Reporting
 from companion.guidance.situation import Situation
 from companion.guidance.states import FLYING, IN_CONTROL, Phase, Trigger
+from companion.guidance.turns import Turns
 from companion.guidance.waiting import WaitingReason
 from companion.guidance.watches import Watches
 
@@ -34,13 +35,17 @@ class ControlTick:
         situation: Of the session.
         watches: Say what is wrong.
         handover: Lets the vehicle go.
+        turns: Which emitter is looked for.
     """
 
-    def __init__(self, situation: Situation, watches: Watches, handover: Handover) -> None:
+    def __init__(
+        self, situation: Situation, watches: Watches, handover: Handover, turns: Turns
+    ) -> None:
         self._situation = situation
         self._watches = watches
         self._handover = handover
-        self._reporting = Reporting(situation, watches.battery)
+        self._turns = turns
+        self._reporting = Reporting(situation, watches.battery, turns)
         self._waiting = WaitingReason(situation.vehicle, situation.authority, situation.fencing)
         self._guard_news = GuardNews()
         self._tick_s: float | None = None
@@ -97,6 +102,7 @@ class ControlTick:
                 situation.announce(Severity.ERROR, "hand-back: not confirmed in time")
                 situation.enter(Trigger.HANDED_BACK, now_s)
         self._reporting.tick(now_s)
+        self._turns.tell()
 
     def _wait(self, now_s: float) -> None:
         situation = self._situation

@@ -7,13 +7,13 @@ from dataclasses import replace
 from typing import Any
 
 from companion.domain import Point, PositionEnu, TargetEstimate, Waypoint
-from companion.estimation.tracker import TargetTracker
 from companion.geometry.arrays import Matrix
 from companion.geometry.polygons import depth_m
 from companion.guard.fence import Fence
 from companion.guard.gate import Guard
 from companion.guidance.commands import Announce, Command, Severity
 from companion.guidance.conditions import is_search_due
+from companion.guidance.emitters import EmitterQueue
 from companion.guidance.records import waypoint_record
 from companion.guidance.vehicle import VehicleView
 from companion.planning.base import Planner, PlanRequest
@@ -32,7 +32,7 @@ class FlightPlan:
     Args:
         planner: Where to fly.
         guard: Knows the fence with its keep-outs.
-        tracker: Whose estimate is planned on.
+        emitters: The current one's estimate is planned on.
         altitude_m: Search altitude above home.
     """
 
@@ -40,14 +40,14 @@ class FlightPlan:
         self,
         planner: Planner[Any],
         guard: Guard,
-        tracker: TargetTracker,
+        emitters: EmitterQueue,
         altitude_m: float,
     ) -> None:
         self.waypoint: Waypoint | None = None
         self._planner = planner
         self._memory = planner.initial_memory()
         self._guard = guard
-        self._tracker = tracker
+        self._emitters = emitters
         self._altitude_m = altitude_m
         self._planned_s: float | None = None
         self._is_searching: bool | None = None
@@ -108,7 +108,7 @@ class FlightPlan:
     def _request(
         self, now_s: float, place_enu_m: PositionEnu, estimate: TargetEstimate | None
     ) -> PlanRequest:
-        fence, tracker = self._guard.limits.fence, self._tracker
+        fence, tracker = self._guard.limits.fence, self._emitters.current
         return PlanRequest(
             vehicle_enu_m=place_enu_m[:2],
             estimate=estimate,
@@ -124,12 +124,12 @@ class FlightPlan:
 
     def _joint_covariance(self) -> Matrix | None:
         """Of east, north and both offsets in the best hypothesis."""
-        hypotheses = self._tracker.hypotheses
+        hypotheses = self._emitters.current.hypotheses
         return hypotheses[0].state.covariance[:4, :4] if hypotheses else None
 
     def _search_news(self, now_s: float, estimate: TargetEstimate | None) -> list[Command]:
         """A text when a search begins, ends, or begins again."""
-        after_s, heard_s = self.search_after_s, self._tracker.last_accepted_s
+        after_s, heard_s = self.search_after_s, self._emitters.current.last_accepted_s
         if after_s is None or after_s == 0.0:
             return []
         was_searching = self._is_searching

@@ -54,6 +54,11 @@ class InputWatch:
         self._agreed = 0
         self._is_dropout = True
 
+    def switched(self, agreeing: int) -> None:
+        """Another emitter is looked for, of which so many measurements in a row agreed."""
+        self._agreed = agreeing
+        self._is_dropout = agreeing < AGREEING
+
     def tick(self, now_s: float) -> None:
         """Take note of what is there."""
         lost = self._missing(now_s)

@@ -9,25 +9,28 @@ from companion.estimation.tracker import FusionReport
 from companion.guidance.commands import Severity
 from companion.guidance.inputs import InputWatch
 from companion.guidance.listener import RangingListener
-from companion.guidance.records import estimate_record
+from companion.guidance.records import estimate_record, waiting_record
 from companion.guidance.refusal_news import RefusalNews
 from companion.guidance.situation import Situation
 from companion.guidance.states import FLYING, Phase
+from companion.guidance.turns import Turns
 
 
 class Measuring:
-    """Feeds the tracker, and tells of what it makes of it.
+    """Feeds the filters, and tells of what they make of it.
 
     Args:
         situation: Of the session.
-        inputs: Is told what the tracker accepts.
+        inputs: Is told what the current emitter's filter accepts.
+        turns: Decides which emitter that is.
     """
 
-    def __init__(self, situation: Situation, inputs: InputWatch) -> None:
+    def __init__(self, situation: Situation, inputs: InputWatch, turns: Turns) -> None:
         self._situation = situation
         self._inputs = inputs
+        self._turns = turns
         self._news = RefusalNews()
-        self._listener = RangingListener(situation.tracker, situation.vehicle.track)
+        self._listener = RangingListener(situation.emitters, situation.vehicle.track)
 
     def receive(self, measurement: RangingMeasurement, now_s: float) -> None:
         """Take in a measurement."""
@@ -46,9 +49,15 @@ class Measuring:
 
     def _fused(self, reports: list[FusionReport], now_s: float) -> None:
         situation = self._situation
+        if reports:
+            self._turns.choose(now_s)
         for report in reports:
             if report.refusal is not None:
                 situation.commands += self._news.refused(report.refusal, now_s)
+                continue
+            measured = report.measurement
+            if measured is not None and not situation.emitters.is_current(measured.emitter_id):
+                self._note_waiting(measured.emitter_id, now_s)
                 continue
             if report.restarted:
                 self._inputs.rejected()
@@ -58,6 +67,12 @@ class Measuring:
             elif report.agrees:
                 self._inputs.accepted()
             self._replan(report, now_s)
+
+    def _note_waiting(self, emitter_id: int, now_s: float) -> None:
+        """Something was learnt of an emitter whose turn it is not."""
+        estimate = self._situation.emitters.tracker_of(emitter_id).estimate(now_s)
+        if estimate is not None:
+            self._situation.commands.append(waiting_record(emitter_id, estimate))
 
     def _replan(self, report: FusionReport, now_s: float) -> None:
         situation = self._situation

@@ -20,9 +20,13 @@ class SessionMemory:
     """Of the frame that the rest is in."""
     belief: Belief | None
     report: ReportResult | None
-    """What was reported, if it was."""
+    """What was reported last, if anything was."""
     fence_anchor: LocalOrigin | None = None
     """The origin that a fence in local metres is about; see `Fencing`."""
+    others: tuple[Belief, ...] = ()
+    """Of the emitters whose turn it was not."""
+    earlier: tuple[ReportResult, ...] = ()
+    """What was reported of other emitters, the newest last."""
 
     @property
     def problem(self) -> str | None:

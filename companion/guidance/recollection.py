@@ -27,12 +27,16 @@ ORIGIN_PATIENCE_S = 15.0
 
 def remembered(situation: Situation) -> SessionMemory:
     """What a later session would need to know."""
+    current = situation.tracker
+    others = (each.belief for each in situation.emitters.trackers if each is not current)
     return SessionMemory(
         phase=situation.phase,
         origin=situation.vehicle.origin,
-        belief=situation.tracker.belief,
+        belief=current.belief,
         report=situation.result,
         fence_anchor=situation.fencing.anchor,
+        others=tuple(belief for belief in others if belief is not None),
+        earlier=tuple(situation.reports.values())[:-1],
     )
 
 
@@ -45,7 +49,8 @@ class Recollection:
 
     def __init__(self, situation: Situation) -> None:
         self._situation = situation
-        self._belief: Belief | None = None
+        self._beliefs: tuple[Belief, ...] = ()
+        """Of all emitters, that of the one that was looked for last."""
         self._origin: LocalOrigin | None = None
         self._held_at_s = 0.0
         """When the belief was held, on this session's clock."""
@@ -54,7 +59,7 @@ class Recollection:
     @property
     def is_waiting(self) -> bool:
         """Whether a belief waits for its frame."""
-        return self._belief is not None
+        return bool(self._beliefs)
 
     def forbid_launch(self) -> None:
         """There was an earlier session: control comes from the operator and from nobody else."""
@@ -77,16 +82,18 @@ class Recollection:
         if memory.phase is Phase.YIELD:
             situation.enter(Trigger.YIELD_RECALLED, now_s)
         if memory.report is not None:
-            self._recall_report(memory.report, now_s)
-        if memory.belief is not None:
-            self._belief, self._origin = memory.belief, memory.origin
+            self._recall_reports((*memory.earlier, memory.report))
+            if situation.emitters.is_single or memory.phase is Phase.FINISHED:
+                situation.enter(Trigger.REPORT_RECALLED, now_s)
+        beliefs = memory.others if memory.belief is None else (*memory.others, memory.belief)
+        if beliefs:
+            self._beliefs, self._origin = beliefs, memory.origin
             self._held_at_s, self._recalled_s = now_s - age_s, now_s
         self.advance(now_s)
 
     def advance(self, now_s: float) -> None:
-        """Take up the belief once its frame is known to be the present one."""
-        belief = self._belief
-        if belief is None:
+        """Take up the beliefs once their frame is known to be the present one."""
+        if not self._beliefs:
             return
         origin, situation = self._situation.vehicle.origin, self._situation
         if self._origin is None:
@@ -96,29 +103,36 @@ class Recollection:
             if step_m > ORIGIN_STEP_M:
                 self._begin_anew(f"the local frame moved by {step_m:.0f} m")
             else:
-                self._resume(belief, now_s)
+                self._resume(now_s)
         elif now_s - self._recalled_s > ORIGIN_PATIENCE_S:
             self._begin_anew("the autopilot does not tell its origin")
 
     def forget(self) -> None:
         """The autopilot restarted: whatever waits is of another frame."""
-        self._belief = None
+        self._beliefs = ()
 
-    def _recall_report(self, report: ReportResult, now_s: float) -> None:
+    def _recall_reports(self, reports: tuple[ReportResult, ...]) -> None:
         situation = self._situation
-        situation.result = report
-        situation.commands.append(report)
-        r95_m = report.estimate.r95_m
-        situation.announce(Severity.NOTICE, f"the target was reported already, R95 {r95_m:.1f} m")
-        situation.enter(Trigger.REPORT_RECALLED, now_s)
+        for report in reports:
+            situation.report(report)
+        ids = [report.emitter_id for report in reports if report.emitter_id is not None]
+        situation.emitters.note_reported(ids)
+        one, r95_m = situation.emitters.is_single, reports[-1].estimate.r95_m
+        who = "the target was" if one else f"emitters {', '.join(map(str, ids))} were"
+        situation.announce(Severity.NOTICE, f"{who} reported already, R95 {r95_m:.1f} m")
 
-    def _resume(self, belief: Belief, now_s: float) -> None:
-        self._belief = None
+    def _resume(self, now_s: float) -> None:
+        beliefs, self._beliefs = self._beliefs, ()
         situation = self._situation
-        problem = situation.tracker.resume(belief, now_s - self._held_at_s, now_s)
-        if problem is not None:
-            situation.announce(Severity.WARNING, f"estimate begins anew: it held {problem}")
-            return
+        for belief in beliefs:
+            problem = situation.emitters.resume(belief, now_s - self._held_at_s, now_s)
+            if problem is not None:
+                situation.announce(Severity.WARNING, f"estimate begins anew: it held {problem}")
+            else:
+                self._resumed(belief, now_s)
+
+    def _resumed(self, belief: Belief, now_s: float) -> None:
+        situation = self._situation
         estimate = situation.estimate = situation.tracker.estimate(now_s)
         if estimate is None:
             return
@@ -133,5 +147,5 @@ class Recollection:
         situation.announce(Severity.NOTICE, text)
 
     def _begin_anew(self, reason: str) -> None:
-        self._belief = None
+        self._beliefs = ()
         self._situation.announce(Severity.WARNING, f"estimate begins anew: {reason}")

@@ -37,6 +37,19 @@ def estimate_record(report: FusionReport, estimate: TargetEstimate) -> Record:
     return Record("estimate", fields)
 
 
+def waiting_record(emitter_id: int, estimate: TargetEstimate) -> Record:
+    """The estimate of an emitter whose turn it is not."""
+    fields = {
+        "emitter_id": emitter_id,
+        "state": estimate.state.value,
+        "position_enu_m": estimate.position_enu_m,
+        "covariance_m2": estimate.covariance_m2,
+        "r95_m": estimate.r95_m,
+        "measurements": estimate.measurements,
+    }
+    return Record("waiting", fields)
+
+
 def health_fields(tracker: TargetTracker, now_s: float) -> dict[str, object]:
     """How far the estimate can be trusted, as live values."""
     objection, contact = tracker.objection(now_s), tracker.contact

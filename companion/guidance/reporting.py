@@ -1,10 +1,11 @@
-"""How a mission ends: the target is reported, because it is found or because the battery is low."""
+"""How a mission ends: targets are reported, as they are found or because the battery is low."""
 
 from __future__ import annotations
 
 import math
 
 from companion.domain import FlightMode, PositionEnu, TargetEstimate
+from companion.estimation.tracker import TargetTracker
 from companion.guidance.battery import LEG_S, BatteryWatch
 from companion.guidance.commands import Severity
 from companion.guidance.params import FOLLOW_UP_MODE
@@ -12,23 +13,27 @@ from companion.guidance.records import result_of
 from companion.guidance.situation import Situation
 from companion.guidance.states import FLYING, IN_CONTROL, Trigger
 from companion.guidance.stop_rule import StopRule
+from companion.guidance.turns import Turns
 
 SAME_LEG_M = 1.0
 """A waypoint that moves by less is the same one, seen better."""
 REACHED_M = 3.0
+ENDED_EARLY = "SEARCH ENDED, battery low:"
 
 
 class Reporting:
-    """Reports once, and asks for the mode that follows.
+    """Reports each emitter once, and after the last one asks for the mode that follows.
 
     Args:
         situation: Of the session.
         battery: Ends the mission early.
+        turns: Which emitter is looked for.
     """
 
-    def __init__(self, situation: Situation, battery: BatteryWatch) -> None:
+    def __init__(self, situation: Situation, battery: BatteryWatch, turns: Turns) -> None:
         self._situation = situation
         self._battery = battery
+        self._turns = turns
         self._stop_rule = StopRule(situation.params.stop_radius_m, situation.params.stop_confirm_s)
         self._leg: tuple[float, PositionEnu | None] | None = None
         """When the battery was found low, and the waypoint flown at then."""
@@ -40,13 +45,17 @@ class Reporting:
         is_fresh = heard_s is not None and now_s - heard_s <= situation.params.ranging_timeout_s
         flown = situation.estimate if situation.phase in FLYING and is_fresh else None
         if self._stop_rule.is_met(flown, now_s) and flown is not None:
-            mode = FOLLOW_UP_MODE[situation.params.on_localised]
-            self._finish(flown, "LOCALISED", mode, now_s)
+            self._report(situation.tracker, flown, "LOCALISED")
+            if situation.emitters.report_current():
+                self._stop_rule.begin_anew()
+                self._turns.follow(now_s)
+            else:
+                self._finish(FOLLOW_UP_MODE[situation.params.on_localised], now_s)
         elif self._is_battery_end(now_s):
             self._battery.mission_ended()
+            self._report_rest(now_s)
             is_landing = situation.params.on_localised == "land"
-            mode = FlightMode.LAND if is_landing else FlightMode.RETURN
-            self._finish(situation.estimate, "SEARCH ENDED, battery low:", mode, now_s)
+            self._finish(FlightMode.LAND if is_landing else FlightMode.RETURN, now_s)
 
     def _is_battery_end(self, now_s: float) -> bool:
         """Whether the battery is low and the leg that was flown is finished."""
@@ -65,18 +74,27 @@ class Reporting:
         is_there = math.dist(goal[:2], vehicle[:2]) <= REACHED_M
         return is_next or is_there or now_s - began_s > LEG_S
 
-    def _finish(
-        self, estimate: TargetEstimate | None, head: str, mode: FlightMode, now_s: float
-    ) -> None:
+    def _report_rest(self, now_s: float) -> None:
+        """What is known of everybody who was not reported, the current emitter last."""
+        emitters = self._situation.emitters
+        waiting = [emitters.tracker_of(n) for n in reversed(emitters.waiting)]
+        believed = [(each, each.estimate(now_s)) for each in (*waiting, emitters.current)]
+        known = [(tracker, estimate) for tracker, estimate in believed if estimate is not None]
+        for tracker, estimate in known:
+            self._report(tracker, estimate, ENDED_EARLY)
+        emitters.note_reported(t.emitter_id for t, _ in known if t.emitter_id is not None)
+        if not known:
+            self._situation.announce(Severity.NOTICE, f"{ENDED_EARLY} nothing was found")
+
+    def _report(self, tracker: TargetTracker, estimate: TargetEstimate, head: str) -> None:
         situation = self._situation
-        if estimate is None:
-            situation.announce(Severity.NOTICE, f"{head} nothing was found")
-        else:
-            height_m = situation.tracker.params.filter.target_height_m
-            emitter_id, origin = situation.tracker.emitter_id, situation.vehicle.origin
-            result, text = result_of(estimate, origin, height_m, emitter_id, head)
-            situation.result = result
-            situation.commands.append(result)
-            situation.announce(Severity.NOTICE, text)
-        situation.enter(Trigger.LOCALISED, now_s)
-        situation.ask_mode(mode)
+        if not situation.emitters.is_single:
+            head = f"{head} emitter {tracker.emitter_id}:"
+        height_m, origin = tracker.params.filter.target_height_m, situation.vehicle.origin
+        result, text = result_of(estimate, origin, height_m, tracker.emitter_id, head)
+        situation.report(result)
+        situation.announce(Severity.NOTICE, text)
+
+    def _finish(self, mode: FlightMode, now_s: float) -> None:
+        self._situation.enter(Trigger.LOCALISED, now_s)
+        self._situation.ask_mode(mode)

@@ -17,6 +17,7 @@ from companion.guidance.authority import Authority
 from companion.guidance.commands import Command, ReportResult
 from companion.guidance.control import TICK_S as TICK_S
 from companion.guidance.control import ControlTick
+from companion.guidance.emitters import EmitterQueue
 from companion.guidance.events import (
     AutopilotFenceRead,
     AutopilotRestarted,
@@ -47,6 +48,7 @@ from companion.guidance.situation import Situation
 from companion.guidance.states import Phase
 from companion.guidance.status import GuidanceStatus, snapshot
 from companion.guidance.steering import Steering
+from companion.guidance.turns import Turns
 from companion.guidance.vehicle import VehicleView
 from companion.guidance.watches import Watches
 from companion.planning.base import Planner
@@ -55,11 +57,11 @@ MODE_EVENTS = (HeartbeatReceived, LandedStateChanged)
 
 
 class GuidanceSession:
-    """Guides one vehicle to one emitter.
+    """Guides one vehicle to one emitter after the other.
 
     Args:
         params: How the mission is flown.
-        tracker: The estimate of the target.
+        emitters: The estimates of the targets, and whose turn it is.
         planner: Where to fly, given the estimate.
         guard: What may be sent.
         needs_origin: Whether setpoints are global, so that nothing flies without an origin.
@@ -69,7 +71,7 @@ class GuidanceSession:
     def __init__(
         self,
         params: SessionParams,
-        tracker: TargetTracker,
+        emitters: EmitterQueue,
         planner: Planner[Any],
         guard: Guard,
         *,
@@ -78,12 +80,13 @@ class GuidanceSession:
     ) -> None:
         fencing = Fencing(guard, fence_plan)
         self.situation = Situation(
-            params, tracker, planner, guard, fencing, needs_origin=needs_origin
+            params, emitters, planner, guard, fencing, needs_origin=needs_origin
         )
         self.handover = Handover(self.situation)
         self._watches = Watches(self.situation)
-        self._measuring = Measuring(self.situation, self._watches.inputs)
-        self._control = ControlTick(self.situation, self._watches, self.handover)
+        turns = Turns(self.situation, self._watches.inputs)
+        self._measuring = Measuring(self.situation, self._watches.inputs, turns)
+        self._control = ControlTick(self.situation, self._watches, self.handover, turns)
         self._recollection = Recollection(self.situation)
 
     def handle(self, event: Event) -> list[Command]:
@@ -176,8 +179,13 @@ class GuidanceSession:
 
     @property
     def result(self) -> ReportResult | None:
-        """What was reported, once it was."""
+        """What was reported last, once something was."""
         return self.situation.result
+
+    @property
+    def has_found_all(self) -> bool:
+        """Whether something was reported and nobody else is to be found."""
+        return self.result is not None and self.situation.emitters.are_all_reported
 
     @property
     def phase(self) -> Phase:

@@ -19,6 +19,7 @@ from companion.guidance.commands import (
     WithdrawRequest,
 )
 from companion.guidance.containment import Containment
+from companion.guidance.emitters import EmitterQueue
 from companion.guidance.fencing import Fencing
 from companion.guidance.findings import Finding, Reason
 from companion.guidance.flight_plan import FlightPlan
@@ -42,7 +43,7 @@ class Situation:
 
     Args:
         params: How the mission is flown.
-        tracker: The estimate of the target.
+        emitters: The estimates of the targets, and whose turn it is.
         planner: Where to fly, given the estimate.
         guard: What may be sent.
         fencing: Gives the guard its fence.
@@ -52,7 +53,7 @@ class Situation:
     def __init__(
         self,
         params: SessionParams,
-        tracker: TargetTracker,
+        emitters: EmitterQueue,
         planner: Planner[Any],
         guard: Guard,
         fencing: Fencing,
@@ -60,15 +61,16 @@ class Situation:
         needs_origin: bool,
     ) -> None:
         self.params = params
-        self.tracker = tracker
+        self.emitters = emitters
         self.guard = guard
         self.vehicle = VehicleView(needs_origin=needs_origin)
-        self.flight_plan = FlightPlan(planner, guard, tracker, params.altitude_m)
+        self.flight_plan = FlightPlan(planner, guard, emitters, params.altitude_m)
         self.fencing = fencing
         self.steering = Steering(guard, params.altitude_m)
         self.authority = Authority()
         self.estimate: TargetEstimate | None = None
-        self.result: ReportResult | None = None
+        self.reports: dict[int | None, ReportResult] = {}
+        """What was reported of each emitter, the newest last."""
         self.launch: Launch | None = None
         self.has_launched = False
         self.is_stopping = False
@@ -85,6 +87,16 @@ class Situation:
     def phase(self) -> Phase:
         """Where the session stands."""
         return self.authority.phase
+
+    @property
+    def tracker(self) -> TargetTracker:
+        """The estimate of the emitter that is looked for."""
+        return self.emitters.current
+
+    @property
+    def result(self) -> ReportResult | None:
+        """What was reported last, if anything was."""
+        return next(reversed(self.reports.values()), None)
 
     def take_commands(self) -> list[Command]:
         """What was collected; the next call begins with nothing."""
@@ -138,6 +150,12 @@ class Situation:
         """Ask the autopilot for a mode."""
         self.commands.append(SetMode(mode, self.vehicle.is_armed))
 
+    def report(self, result: ReportResult) -> None:
+        """Tell where an emitter is."""
+        self.reports.pop(result.emitter_id, None)
+        self.reports[result.emitter_id] = result
+        self.commands.append(result)
+
     def withdraw(self) -> None:
         """What was asked and not answered must not be sent again."""
         self.commands.append(WithdrawRequest())
@@ -151,7 +169,7 @@ class Situation:
         self.commands += self.flight_plan.renew(now_s, self.vehicle, setpoint, self.estimate)
 
     def forget_target(self) -> None:
-        """Drop the estimate and every plan that stands on it."""
-        self.tracker.restart()
+        """Drop all estimates and every plan that stands on them."""
+        self.emitters.restart()
         self.flight_plan.forget()
         self.estimate = None

@@ -12,6 +12,17 @@ from companion.guidance.states import Phase
 
 
 @dataclass(frozen=True, slots=True)
+class EmitterStatus:
+    """What is known of one emitter."""
+
+    emitter_id: int
+    estimate: TargetEstimate | None
+    is_current: bool
+    """Whether it is looked for now."""
+    is_reported: bool
+
+
+@dataclass(frozen=True, slots=True)
 class GuidanceStatus:
     """Everything an operator may want to see, as of `time_s`."""
 
@@ -26,6 +37,9 @@ class GuidanceStatus:
     height_m: float | None
     distance_m: float
     estimate: TargetEstimate | None
+    """Of the emitter that is looked for now."""
+    emitters: tuple[EmitterStatus, ...]
+    """All that were heard or listed."""
     waypoint: Waypoint | None
     setpoint_enu_m: PositionEnu | None
     guard: tuple[str, ...]
@@ -65,6 +79,7 @@ def snapshot(now_s: float, situation: Situation) -> GuidanceStatus:
         height_m=vehicle.height_m,
         distance_m=vehicle.distance_m,
         estimate=situation.estimate,
+        emitters=_emitters(situation, now_s),
         waypoint=situation.flight_plan.waypoint,
         setpoint_enu_m=steering.setpoint_enu_m,
         guard=tuple(reason.value for reason in steering.reasons),
@@ -73,11 +88,25 @@ def snapshot(now_s: float, situation: Situation) -> GuidanceStatus:
         objection=None if objection is None else objection.value,
         range_age_s=tracker.contact.range_age_s(now_s),
         bearing_age_s=tracker.contact.bearing_age_s(now_s),
-        accepted=tracker.accepted,
-        refused={reason.value: count for reason, count in tracker.refusals.items()},
+        accepted=situation.emitters.accepted,
+        refused={reason.value: count for reason, count in situation.emitters.refusals.items()},
         internal_errors=dict(situation.containment.errors),
         battery_pct=vehicle.battery_pct,
         reasons={reason.value: count for reason, count in situation.reasons.items()},
+    )
+
+
+def _emitters(situation: Situation, now_s: float) -> tuple[EmitterStatus, ...]:
+    current = situation.tracker
+    return tuple(
+        EmitterStatus(
+            tracker.emitter_id,
+            situation.estimate if tracker is current else tracker.estimate(now_s),
+            is_current=tracker is current,
+            is_reported=tracker.emitter_id in situation.reports,
+        )
+        for tracker in situation.emitters.trackers
+        if tracker.emitter_id is not None
     )
 
 

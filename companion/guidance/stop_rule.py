@@ -18,6 +18,10 @@ class StopRule:
         self._confirm_s = confirm_s
         self._since_s: float | None = None
 
+    def begin_anew(self) -> None:
+        """What was seen so far counts no more."""
+        self._since_s = None
+
     def is_met(self, estimate: TargetEstimate | None, now_s: float) -> bool:
         """Whether the target is found, given the estimate of this moment; None breaks the run."""
         if estimate is None or not self._is_enough(estimate):

@@ -67,7 +67,7 @@ class LinkCounters:
 
     def _link_record(self, now_s: float) -> dict[str, object]:
         """Counters of all links, and what became of the measurements."""
-        tracker = self._session.tracker
+        emitters = self._session.situation.emitters
         return {
             "links": [
                 asdict(intake.codec.counters) | {"over_budget": intake.budget.dropped}
@@ -81,7 +81,7 @@ class LinkCounters:
             "echoes": self._outlet.own_frames.echoes,
             "setpoints": self._outlet.setpoints_sent,
             "setpoint_rate_hz": self._outlet.setpoint_rate_hz(now_s),
-            "accepted": tracker.accepted,
-            "refused": {reason.value: count for reason, count in tracker.refusals.items()},
-            "restarts": tracker.restarts,
+            "accepted": emitters.accepted,
+            "refused": {reason.value: count for reason, count in emitters.refusals.items()},
+            "restarts": emitters.restarts,
         }

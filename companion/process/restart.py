@@ -65,7 +65,13 @@ class MissionDigests:
 
 def digests_of(config: CompanionConfig) -> MissionDigests:
     """The digests of a configuration; where logs go, for example, is in neither."""
-    mission = (config.mission, config.emitter_id, config.estimation, config.planner)
+    mission = (
+        config.mission,
+        config.emitter_id,
+        config.emitters,
+        config.estimation,
+        config.planner,
+    )
     return MissionDigests(_digest(config.limits), _digest(mission))
 
 
@@ -127,7 +133,7 @@ class RestartKeeper:
     def close(self, timeout_s: float) -> None:
         """Keep the memory of a mission that goes on without us, or delete it if it ended."""
         session = self._endpoint.session
-        is_over = session.result is not None or not session.vehicle.is_armed
+        is_over = session.has_found_all or not session.vehicle.is_armed
         is_known = self._endpoint.is_finished and self._endpoint.binding.is_bound
         if is_known and not is_over:
             self._save()

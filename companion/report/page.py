@@ -55,10 +55,10 @@ def report_page(story: Story, facts: FlightFacts, name: str) -> str:
 
 def verdict_of(story: Story) -> str:
     """The flight in one phrase."""
-    if story.result is not None:
-        r95_m = story.result.get("r95_m")
-        size = f", R95 {r95_m:.2f} m" if isinstance(r95_m, float) else ""
-        return f"localised{size}"
+    if story.results:
+        sizes = [result.get("r95_m") for result in story.results]
+        told = " and ".join(f"{r95_m:.2f} m" for r95_m in sizes if isinstance(r95_m, float))
+        return f"localised, R95 {told}" if told else "localised"
     if story.last is None:
         return "nothing was heard of the emitter"
     return f"not reported: {story.last.state}, R95 {story.last.r95_m:.1f} m"

@@ -52,7 +52,8 @@ class Story:
     """Interventions of the guard, by reason."""
     links: list[Line] = field(default_factory=list)
     """The counters of the links, in order."""
-    result: Line | None = None
+    results: list[Line] = field(default_factory=list)
+    """What was reported of each emitter first, in order."""
     ended_s: float = 0.0
 
     @property
@@ -76,11 +77,15 @@ def story_of(lines: Iterable[Line]) -> Story:
             story.guard.update([str(line.get("reason"))])
         elif kind == "link":
             story.links.append(line)
-        if kind == "result" and story.result is None:
-            story.result = line
+        elif kind == "result" and line.get("emitter_id") not in _reported(story):
+            story.results.append(line)
         if kind in TOLD:
             story.told.append(Told(time_s, kind.replace("_", " "), _phrase(kind, line)))
     return story
+
+
+def _reported(story: Story) -> list[object]:
+    return [result.get("emitter_id") for result in story.results]
 
 
 def _take_estimate(story: Story, line: Line, time_s: float) -> None:
@@ -110,9 +115,15 @@ def _phrase(kind: str, line: Line) -> str:
     if kind == "phase":
         return f"{line.get('old')} → {line.get('new')} ({line.get('trigger')})"
     if kind == "result":
-        return f"reported: {line.get('state')}, R95 {_number(line.get('r95_m')) or 0.0:.2f} m"
+        r95_m = _number(line.get("r95_m")) or 0.0
+        return f"reported: {_of(line)}{line.get('state')}, R95 {r95_m:.2f} m"
     shown = {name: value for name, value in line.items() if name not in ("t_s", "kind")}
     return ", ".join(f"{name} {value}" for name, value in shown.items())
+
+
+def _of(line: Line) -> str:
+    emitter_id = line.get("emitter_id")
+    return "" if emitter_id is None else f"emitter {emitter_id}, "
 
 
 def _number(value: object) -> float | None:

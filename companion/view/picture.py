@@ -13,7 +13,7 @@ from companion.domain import EstimateState, TargetEstimate
 from companion.geometry.ellipse import ellipse_95
 from companion.geometry.frames import LocalOrigin
 from companion.guidance.states import Phase
-from companion.guidance.status import GuidanceStatus
+from companion.guidance.status import EmitterStatus, GuidanceStatus
 from companion.link.endpoint import CompanionEndpoint
 
 Json = dict[str, object]
@@ -81,6 +81,7 @@ def picture_of(endpoint: CompanionEndpoint, now_s: float) -> Json:
         "height_m": status.height_m,
         "distance_m": status.distance_m,
         "estimate": None if status.estimate is None else _estimate(status.estimate),
+        "emitters": [_emitter(emitter) for emitter in status.emitters],
         "waypoint": _waypoint(status),
         "setpoint": status.setpoint_enu_m,
         "guard": status.guard,
@@ -117,6 +118,21 @@ def _estimate(estimate: TargetEstimate) -> Json:
         "range_offset_m": estimate.range_offset_m,
         "bearing_offset_rad": estimate.bearing_offset_rad,
         "measurements": estimate.measurements,
+    }
+
+
+def _emitter(emitter: EmitterStatus) -> Json:
+    estimate = emitter.estimate
+    words = "not heard" if estimate is None else ESTIMATE_WORDS[estimate.state]
+    if emitter.is_reported:
+        words = f"reported, {words}"
+    elif not emitter.is_current:
+        words = f"waiting, {words}"
+    return {
+        "name": str(emitter.emitter_id),
+        "state": words,
+        "place": None if estimate is None else estimate.position_enu_m,
+        "r95_m": None if estimate is None else estimate.r95_m,
     }
 
 

@@ -145,7 +145,7 @@ class Scenario(Params, frozen=True):
     gps: GpsParams = GpsParams()
     fence: FenceParams = FenceParams()
     emitters: tuple[EmitterParams, ...] = ()
-    """Further emitters beside `emitter`, heard over the same channel."""
+    """Further emitters beside `emitter`."""
     incidents: tuple[Incident, ...] = ()
     """What happens at which time, in any order."""
     vehicles: VehicleCount = 1

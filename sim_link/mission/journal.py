@@ -57,7 +57,12 @@ class EventReader:
         """A target that was found."""
         estimate = report.estimate
         east_m, north_m = estimate.position_enu_m
-        fields = {"east_m": east_m, "north_m": north_m, "r95_m": estimate.r95_m}
+        fields = {
+            "emitter_id": report.emitter_id,
+            "east_m": east_m,
+            "north_m": north_m,
+            "r95_m": estimate.r95_m,
+        }
         self.take("result", fields, now_s)
 
     # What both lead to
@@ -125,7 +130,9 @@ class EventReader:
         seen.bearing_offset_deg = math.degrees(fields["bearing_offset_rad"])
 
     def _take_result(self, fields: Mapping[str, Any], time_s: float) -> None:
-        emitter = fields.get("emitter_id", self._situation.estimate.emitter)
+        emitter = fields.get("emitter_id")
+        if emitter is None:
+            emitter = self._situation.estimate.emitter
         place = (float(fields["east_m"]), float(fields["north_m"]))
         self._record.reports.append(Report(time_s, emitter, place, fields["r95_m"]))
         self._situation.companion.reported += 1

@@ -11,14 +11,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated
+from typing import NamedTuple
 
-import msgspec
 import numpy as np
 
 from companion.domain import PositionEnu, RangingMeasurement
 from companion.geometry.frames import wrap_pi
-from companion.params import NonNegative, Params
+from sim_link.world.channel_params import ChannelParams as ChannelParams
 from sim_link.world.environment import (
     NO_MEMORY,
     Environment,
@@ -30,24 +29,8 @@ from sim_link.world.environment import (
 from sim_link.world.sight import Surroundings
 from sim_link.world.target import Emitter
 
-Probability = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
-
 MIN_RANGE_M = 0.01
 """Measured ranges stay positive, as the paper has it."""
-
-
-class ChannelParams(Params, frozen=True):
-    """Offsets, obstruction and noise of the radio. Paper: "Simulation Setup"."""
-
-    range_offset_m: float = 1.5
-    bearing_offset_deg: float = -3.0
-    """Counter-clockwise positive, as the paper's angles are."""
-    p_nlos: Probability = 0.9
-    """In the open: outside of every obstacle's shadow."""
-    range_bias_mean_m: NonNegative = 8.0
-    bearing_bias_sigma_deg: NonNegative = 5.0
-    range_sigma_m: NonNegative = 1.5
-    bearing_sigma_deg: NonNegative = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,11 +44,32 @@ class ChannelDraw:
     bearing_noise_rad: float
 
 
+class _Character(NamedTuple):
+    """The parameters of a channel as it calculates with them."""
+
+    range_offset_m: float
+    bearing_offset_rad: float
+    open_path: OpenPath
+    range_sigma_m: float
+    bearing_sigma_rad: float
+
+
+def _character_of(params: ChannelParams) -> _Character:
+    bend_sigma_rad = math.radians(params.bearing_bias_sigma_deg)
+    return _Character(
+        params.range_offset_m,
+        math.radians(params.bearing_offset_deg),
+        OpenPath(params.p_nlos, params.range_bias_mean_m, bend_sigma_rad),
+        params.range_sigma_m,
+        math.radians(params.bearing_sigma_deg),
+    )
+
+
 class RadioChannel:
     """Measures an emitter through the true channel.
 
     Args:
-        params: Offsets, obstruction and noise.
+        params: Offsets, obstruction and noise of emitters that have no channel of their own.
         rng: The channel's own generator.
         environment: The obstacles; None: there are none.
     """
@@ -80,13 +84,9 @@ class RadioChannel:
         self._environment = environment
         self._surroundings: dict[PositionEnu, Surroundings] = {}
         self._memories: dict[PositionEnu, ShadowMemory] = {}
-        self._range_offset_m = params.range_offset_m
-        self._bearing_offset_rad = math.radians(params.bearing_offset_deg)
-        self._open_path = OpenPath(
-            params.p_nlos, params.range_bias_mean_m, math.radians(params.bearing_bias_sigma_deg)
-        )
-        self.bearing_sigma_rad = math.radians(params.bearing_sigma_deg)
-        self.range_sigma_m = params.range_sigma_m
+        self._common = _character_of(params)
+        self._own: dict[int, _Character] = {}
+        """Of emitters that have a channel of their own, by id."""
 
     def prepare(self, emitter: Emitter) -> None:
         """Find the ways to `emitter`, and compile what is compiled, before time counts."""
@@ -106,11 +106,12 @@ class RadioChannel:
             (uniform, exponential, bend), emitter, sensor_enu_m
         )
         self._memories[emitter.position_enu_m] = memory
+        character = self._character(emitter)
         return ChannelDraw(
             range_bias_m=float(range_bias_m),
             bearing_bias_rad=float(bearing_bias_rad),
-            range_noise_m=self.range_sigma_m * range_noise,
-            bearing_noise_rad=self.bearing_sigma_rad * bearing_noise,
+            range_noise_m=character.range_sigma_m * range_noise,
+            bearing_noise_rad=character.bearing_sigma_rad * bearing_noise,
         )
 
     def measure(
@@ -123,16 +124,16 @@ class RadioChannel:
             sensor_enu_m: True position of the sensor.
             time_s: When, on the vehicle's clock.
         """
-        draw = self.draw(emitter, sensor_enu_m)
+        draw, character = self.draw(emitter, sensor_enu_m), self._character(emitter)
         range_m = (
             emitter.slant_range_m(sensor_enu_m)
-            + self._range_offset_m
+            + character.range_offset_m
             + draw.range_bias_m
             + draw.range_noise_m
         )
         bearing_rad = (
             emitter.bearing_enu_rad(sensor_enu_m)
-            + self._bearing_offset_rad
+            + character.bearing_offset_rad
             + draw.bearing_bias_rad
             + draw.bearing_noise_rad
         )
@@ -140,20 +141,28 @@ class RadioChannel:
             emitter_id=emitter.emitter_id,
             measured_at_s=time_s,
             range_m=max(MIN_RANGE_M, range_m),
-            range_sigma_m=self.range_sigma_m,
+            range_sigma_m=character.range_sigma_m,
             bearing_enu_rad=wrap_pi(bearing_rad),
-            bearing_sigma_rad=self.bearing_sigma_rad,
+            bearing_sigma_rad=character.bearing_sigma_rad,
         )
+
+    def _character(self, emitter: Emitter) -> _Character:
+        if emitter.channel is None:
+            return self._common
+        own = self._own.get(emitter.emitter_id)
+        if own is None:
+            own = self._own[emitter.emitter_id] = _character_of(emitter.channel)
+        return own
 
     def _obstruction(
         self, drawn: tuple[float, float, float], emitter: Emitter, sensor_enu_m: PositionEnu
     ) -> tuple[float, float, ShadowMemory]:
         """Range excess, bearing bias, and what to remember of the shadow."""
-        place = emitter.position_enu_m
+        place, open_path = emitter.position_enu_m, self._character(emitter).open_path
         memory = self._memories.get(place, NO_MEMORY)
         if self._environment is None:
-            return *open_obstruction(*drawn, self._open_path), memory
+            return *open_obstruction(*drawn, open_path), memory
         if place not in self._surroundings:
             self._surroundings[place] = self._environment.around(place)
         shadow, surroundings = self._environment.shadow, self._surroundings[place]
-        return obstruction(*drawn, *sensor_enu_m, self._open_path, shadow, surroundings, memory)
+        return obstruction(*drawn, *sensor_enu_m, open_path, shadow, surroundings, memory)

@@ -9,6 +9,7 @@ import msgspec
 
 from companion.domain import PositionEnu
 from companion.params import Params
+from sim_link.world.channel_params import ChannelParams
 
 EmitterId = Annotated[int, msgspec.Meta(ge=0, le=0xFFFF)]
 Coordinate = Annotated[float, msgspec.Meta(ge=-1e5, le=1e5)]
@@ -21,6 +22,8 @@ class EmitterParams(Params, frozen=True):
     emitter_id: EmitterId = 1
     position_enu_m: tuple[Coordinate, Coordinate] = (50.0, 50.0)
     height_m: Coordinate = 0.0
+    channel: ChannelParams | None = None
+    """How it is heard, what is left out being canonical; None: over the scenario's `channel`."""
 
 
 class Emitter:
@@ -32,6 +35,7 @@ class Emitter:
 
     def __init__(self, params: EmitterParams) -> None:
         self.emitter_id = params.emitter_id
+        self.channel = params.channel
         self.position_enu_m: PositionEnu = (*params.position_enu_m, params.height_m)
 
     def slant_range_m(self, sensor_enu_m: PositionEnu) -> float:

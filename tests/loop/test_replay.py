@@ -10,6 +10,7 @@ import pytest
 from companion.config.schema import CompanionConfig
 from companion.estimation.tracker_params import TrackerParams
 from companion.flight_facts import FlightFacts, facts_as_json, write_facts
+from companion.guidance.emitters import QueueParams
 from companion.guidance.session import SessionParams
 from companion.io.flight_files import EVENTS, FLIGHT, INPUTS, MCAP, TLOG
 from companion.io.journal import FlightJournal
@@ -19,27 +20,28 @@ from companion.replay.command import replay_flight
 from companion.run import build_endpoint
 from sim_link.autopilot.scenario import Scenario
 from sim_link.lockstep.flight import Flight
+from sim_link.world.target import EmitterParams
 
 AUTO = CompanionConfig(mission=SessionParams(engage="auto"))
 FLOWN_S = 60.0
 REMARKS: list[str] = []
 
 
-def fly(journal: FlightJournal, config: CompanionConfig) -> None:
+def fly(journal: FlightJournal, config: CompanionConfig, scenario: Scenario) -> None:
     """Fly a minute and close the log."""
 
     def companion(config: CompanionConfig, journal_: Journal, links: int) -> CompanionEndpoint:
         return build_endpoint(config, journal_, links, recorder=journal.inputs)
 
-    flight = Flight(config, Scenario(), 3, journal, make_companion=companion)
+    flight = Flight(config, scenario, 3, journal, make_companion=companion)
     flight.run(FLOWN_S)
     journal.close(timeout_s=30.0)
 
 
-def record(directory: Path, config: CompanionConfig) -> None:
+def record(directory: Path, config: CompanionConfig, scenario: Scenario | None = None) -> None:
     """Leave a flight directory."""
     write_facts(directory, FlightFacts(started_unix_s=1.8e9, links=1, config=config))
-    fly(FlightJournal(directory, 1.8e9), config)
+    fly(FlightJournal(directory, 1.8e9), config, scenario or Scenario())
 
 
 @pytest.fixture(scope="module")
@@ -64,6 +66,18 @@ def test_the_same_configuration_gives_the_same_bits(recorded: Path) -> None:
     assert replay.comparison.first_difference is None
     assert replay.verdict.startswith("IDENTICAL")
     assert not replay.is_failed
+
+
+def test_a_flight_with_several_emitters_replays_to_the_bit(tmp_path: Path) -> None:
+    mission = SessionParams(engage="auto", stop_radius_m=1.9, stop_confirm_s=2.0)
+    config = CompanionConfig(mission=mission, emitters=QueueParams(order="nearest"))
+    second = EmitterParams(emitter_id=2, position_enu_m=(80.0, 30.0))
+    record(tmp_path, config, Scenario(emitters=(second,)))
+    replay = replay_flight(tmp_path, None, REMARKS.append)
+    assert {e["emitter_id"] for e in replay.comparison.recorded.estimates} == {1, 2}
+    assert replay.comparison.first_difference is None
+    handed_over = (tmp_path / "handoff.txt").read_text().splitlines()
+    assert [line.split(":")[0] for line in handed_over] == ["emitter 1", "emitter 2"]
 
 
 def test_another_estimator_is_compared_side_by_side(recorded: Path) -> None:
@@ -113,7 +127,7 @@ def test_an_mcap_file_alone_is_replayed(tmp_path: Path) -> None:
     write_facts(tmp_path, facts)
     mcap = McapLog(tmp_path / MCAP, 1.8e9, facts_as_json(facts).decode())
     journal = FlightJournal(tmp_path, 1.8e9, mcap=mcap)
-    fly(journal, AUTO)
+    fly(journal, AUTO, Scenario())
     alone = tmp_path / "elsewhere.mcap"
     (tmp_path / MCAP).rename(alone)
     replay = replay_flight(alone, None, REMARKS.append)

@@ -29,6 +29,7 @@ from companion.estimation.tracker import FusionReport, TargetTracker
 from companion.estimation.tracker_params import TrackerParams
 from companion.estimation.window_map import WindowParams
 from companion.guard.gate import Guard
+from companion.guidance.emitters import EmitterQueue
 from companion.guidance.session import GuidanceSession, SessionParams
 from companion.link.endpoint import CompanionEndpoint
 from companion.mav.codec import MavCodec
@@ -156,7 +157,9 @@ def flight(planner: PlannerName, estimation: TrackerParams, seed: int) -> Flight
         planner=PlannerConfig(kind=KINDS[planner]),
     )
     watched, tracker = WatchedPlanner(build_planner(config)), WatchedTracker(config.estimation)
-    session = GuidanceSession(config.mission, tracker, watched, Guard(config.limits.guard_limits()))
+    emitters = EmitterQueue.of(tracker)
+    guard = Guard(config.limits.guard_limits())
+    session = GuidanceSession(config.mission, emitters, watched, guard)
     radio = StudyRadio(seed)
     emitter = EmitterParams(position_enu_m=CASE.target_enu_m, height_m=HEIGHT_M)
     loop = Loop(

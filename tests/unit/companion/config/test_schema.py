@@ -132,6 +132,7 @@ def test_wrong_value_is_named_by_its_path(text: str, problem: str) -> None:
         ("mission: {altitude_m: 100}", "$.mission.altitude_m"),
         ("mission: {stop_radius_m: 0.1}", "$.mission.stop_radius_m"),
         ("mission: {stop_radius_m: 9}", "$.mission.stop_radius_m"),
+        ("{emitter_id: 3, emitters: {order: nearest}}", "$.emitters.order"),
         (
             "planner: {latched_crossing: {altitude_swing_m: 16}}",
             "$.planner.latched_crossing.altitude_swing_m",

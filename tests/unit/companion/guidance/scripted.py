@@ -27,6 +27,7 @@ from companion.guidance.commands import (
     SetMode,
     WithdrawRequest,
 )
+from companion.guidance.emitters import QueueParams
 from companion.guidance.events import (
     AutopilotFenceRead,
     BatteryReported,
@@ -59,6 +60,7 @@ class ScriptedFlight:
         autopilot: Whose heartbeat it sends.
         limits: What no setpoint may exceed.
         planner: Which planner flies.
+        emitters: Who is looked for, one after the other.
     """
 
     def __init__(
@@ -67,11 +69,13 @@ class ScriptedFlight:
         autopilot: Autopilot = Autopilot.PX4,
         limits: LimitsConfig | None = None,
         planner: PlannerConfig | None = None,
+        emitters: QueueParams | None = None,
     ) -> None:
         config = CompanionConfig(
             mission=params or SessionParams(),
             limits=limits or LimitsConfig(),
             planner=planner or PlannerConfig(),
+            emitters=emitters or QueueParams(),
         )
         self.session = build_session(config)
         self.now_s = 0.0
@@ -81,6 +85,8 @@ class ScriptedFlight:
         self.is_ready = True
         self.is_failsafe = False
         self.place: PositionEnu = (0.0, 0.0, 20.0)
+        self.targets: dict[int, PositionEnu] = {1: TARGET}
+        """What the radio hears, by id."""
         self.bearing_error_rad = 0.0
         """What is wrong with the radio's bearings, beside noise."""
         self.follows = False
@@ -146,17 +152,18 @@ class ScriptedFlight:
                 self.r95_history.append((self.now_s, self.session.estimate.r95_m))
 
     def measure(self) -> None:
-        """One range and bearing of the target, with a metre and two degrees of noise."""
-        range_m = math.dist(self.place, TARGET) + self._rng.gauss(0.0, 1.0)
-        bearing_rad = math.atan2(TARGET[1] - self.place[1], TARGET[0] - self.place[0])
-        bearing_rad += self._rng.gauss(0.0, 0.035) + self.bearing_error_rad
-        measurement = RangingMeasurement(
-            emitter_id=1,
-            measured_at_s=self.now_s,
-            range_m=range_m,
-            bearing_enu_rad=math.remainder(bearing_rad, 2.0 * math.pi),
-        )
-        self.give(RangingReceived(self.now_s, measurement))
+        """One range and bearing of each target, with a metre and two degrees of noise."""
+        for emitter_id, target in self.targets.items():
+            range_m = math.dist(self.place, target) + self._rng.gauss(0.0, 1.0)
+            bearing_rad = math.atan2(target[1] - self.place[1], target[0] - self.place[0])
+            bearing_rad += self._rng.gauss(0.0, 0.035) + self.bearing_error_rad
+            measurement = RangingMeasurement(
+                emitter_id=emitter_id,
+                measured_at_s=self.now_s,
+                range_m=range_m,
+                bearing_enu_rad=math.remainder(bearing_rad, 2.0 * math.pi),
+            )
+            self.give(RangingReceived(self.now_s, measurement))
 
     def _hear(self) -> None:
         self._heard_s = self.now_s

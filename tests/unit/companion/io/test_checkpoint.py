@@ -65,6 +65,15 @@ def a_checkpoint(places: int = 1, sequence: int = 7) -> Checkpoint:
     )
 
 
+def test_a_memory_of_several_emitters_comes_back() -> None:
+    one = a_checkpoint()
+    assert one.memory.belief is not None
+    other = replace(one.memory.belief, emitter_id=9)
+    memory = replace(one.memory, others=(other,), earlier=(ReportResult(ESTIMATE, 47.4, 8.5, 9),))
+    several = replace(one, memory=memory)
+    assert decode_checkpoint(encode_checkpoint(several)) == several
+
+
 @pytest.mark.parametrize("places", [1, 2, 24])
 def test_a_checkpoint_comes_back_as_it_was(places: int) -> None:
     data = encode_checkpoint(a_checkpoint(places))

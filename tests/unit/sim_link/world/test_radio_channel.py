@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
@@ -33,6 +34,18 @@ def draws() -> list[ChannelDraw]:
 def measure(params: ChannelParams, seed: int, count: int) -> list[RangingMeasurement]:
     channel = RadioChannel(params, np.random.default_rng(seed))
     return [channel.measure(EMITTER, (10.0, 10.0, 20.0), 0.0) for _ in range(count)]
+
+
+def test_an_emitter_may_have_a_channel_of_its_own() -> None:
+    own = msgspec.structs.replace(QUIET, range_offset_m=-2.0, bearing_offset_deg=7.0)
+    other = Emitter(EmitterParams(emitter_id=2, channel=own))
+    channel = RadioChannel(QUIET, np.random.default_rng(0))
+    here = (10.0, 10.0, 20.0)
+    common, special = channel.measure(EMITTER, here, 0.0), channel.measure(other, here, 0.0)
+    assert common.range_m is not None
+    assert special.range_m == pytest.approx(common.range_m - 3.5)
+    assert common.bearing_enu_rad is not None
+    assert special.bearing_enu_rad == pytest.approx(common.bearing_enu_rad + math.radians(10.0))
 
 
 def test_nine_measurements_of_ten_are_obstructed(draws: list[ChannelDraw]) -> None:

@@ -1,0 +1,188 @@
+"""Several emitters: a filter each, and one after the other."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import pytest
+
+from companion.domain import Point, RangingMeasurement
+from companion.estimation.refusal import Refusal
+from companion.estimation.tracker import FusionReport, TargetTracker
+from companion.estimation.tracker_params import TrackerParams
+from companion.guidance.emitters import LOST_S, EmitterQueue, Order, QueueParams
+
+PLACES: dict[int, Point] = {1: (80.0, 0.0), 2: (30.0, 0.0), 3: (0.0, 50.0)}
+HERE = (0.0, 0.0, 20.0)
+
+
+class Heard:
+    """A queue, and a radio that hears what it is told to."""
+
+    def __init__(self, order: Order, listed: tuple[int, ...] = (), most: int = 8) -> None:
+        self.queue = EmitterQueue(
+            TrackerParams(), QueueParams(order=order, listed=listed, most=most)
+        )
+        self.now_s = 0.0
+
+    def hear(
+        self, *ids: int, times: int = 1, is_flying: bool = False, quality: float | None = None
+    ) -> list[FusionReport]:
+        reports = []
+        for _ in range(times):
+            self.now_s += 0.1
+            for number in ids:
+                east, north = PLACES[number]
+                measurement = RangingMeasurement(
+                    emitter_id=number,
+                    measured_at_s=self.now_s,
+                    range_m=math.dist((east, north, 0.0), HERE),
+                    range_sigma_m=1.0,
+                    bearing_enu_rad=math.atan2(north, east),
+                    bearing_sigma_rad=0.03,
+                    quality=None if quality is None else quality / number,
+                )
+                reports.append(self.queue.fuse(measurement, HERE, self.now_s))
+                self.queue.choose(self.now_s, is_flying=is_flying)
+        return reports
+
+    @property
+    def current(self) -> int | None:
+        return self.queue.current.emitter_id
+
+
+def test_first_is_what_it_was_one_emitter_and_no_other() -> None:
+    heard = Heard("first")
+    heard.hear(3, times=2)
+    (report,) = heard.hear(1)
+    assert report.refusal is Refusal.OTHER_EMITTER
+    assert heard.current == 3
+    assert heard.queue.trackers == (heard.queue.current,)
+    assert not heard.queue.report_current()
+    assert heard.queue.is_single
+
+
+def test_a_queue_of_one_is_its_tracker() -> None:
+    tracker = TargetTracker(TrackerParams(), 5)
+    assert EmitterQueue.of(tracker).current is tracker
+
+
+@pytest.mark.parametrize(("order", "expected"), [("nearest", [2, 3, 1]), ("strongest", [2, 3, 1])])
+def test_each_has_its_turn_and_learns_while_it_waits(order: Order, expected: list[int]) -> None:
+    heard = Heard(order)
+    heard.hear(1, 2, 3, times=20)
+    turns = [heard.current]
+    while heard.queue.report_current():
+        turns.append(heard.current)
+    assert turns == expected
+    assert all(tracker.accepted == 20 for tracker in heard.queue.trackers)
+    assert heard.queue.reported == {1, 2, 3}
+    assert heard.queue.waiting == []
+
+
+def test_strength_is_what_the_radio_says_if_it_says_anything() -> None:
+    heard = Heard("strongest")
+    heard.hear(1, 2, 3, times=20, quality=0.9)
+    assert heard.current == 1
+    assert heard.queue.waiting == [2, 3]
+
+
+def test_listed_emitters_come_in_their_order_and_others_never() -> None:
+    heard = Heard("listed", (3, 1))
+    reports = heard.hear(1, 2, 3, times=10)
+    assert [r.refusal for r in reports[:3]] == [None, Refusal.OTHER_EMITTER, None]
+    assert heard.current == 3
+    assert heard.queue.waiting == [1]
+
+
+def test_a_listed_emitter_is_looked_for_before_it_is_heard() -> None:
+    heard = Heard("listed", (3, 1))
+    assert heard.current == 3
+    assert heard.queue.current.last_accepted_s is None
+    heard.hear(1, times=10)
+    assert heard.current == 1
+    assert heard.queue.waiting == [3]
+
+
+def test_in_flight_the_current_one_stays_though_another_is_nearer() -> None:
+    heard = Heard("nearest")
+    heard.hear(1, times=10)
+    heard.hear(2, times=10, is_flying=True)
+    assert heard.current == 1
+    heard.hear(2)
+    assert heard.current == 2
+
+
+def test_one_that_is_lost_in_flight_waits_behind_those_that_are_heard() -> None:
+    heard = Heard("nearest")
+    heard.hear(1, 2, 3, times=10)
+    assert heard.current == 2
+    heard.hear(1, times=round(10 * LOST_S) + 2, is_flying=True)
+    assert heard.current == 1
+    assert heard.queue.waiting == [3, 2]
+
+
+def test_one_that_is_lost_alone_stays_current() -> None:
+    heard = Heard("nearest")
+    heard.hear(2, times=10)
+    heard.now_s += 2 * LOST_S
+    heard.hear(2, is_flying=True)
+    assert heard.current == 2
+
+
+def test_strangers_cannot_make_filters_without_end() -> None:
+    heard = Heard("nearest", most=2)
+    heard.hear(1, 2, times=5)
+    (report,) = heard.hear(3)
+    assert report.refusal is Refusal.OTHER_EMITTER
+    assert len(heard.queue.trackers) == 2
+
+
+def test_absurd_measurements_of_a_stranger_get_no_filter() -> None:
+    heard = Heard("nearest")
+    heard.hear(1)
+    absurd = RangingMeasurement(emitter_id=9, measured_at_s=heard.now_s, range_m=-5.0)
+    report = heard.queue.fuse(absurd, HERE, heard.now_s)
+    assert report.refusal not in (None, Refusal.OTHER_EMITTER)
+    assert [tracker.emitter_id for tracker in heard.queue.trackers] == [1]
+
+
+def test_in_flight_one_that_was_never_heard_gives_way() -> None:
+    heard = Heard("listed", (3, 1))
+    heard.hear(1, is_flying=True)
+    assert heard.current == 1
+
+
+def test_what_was_counted_before_the_first_emitter_is_not_lost() -> None:
+    heard = Heard("nearest")
+    heard.queue.refuse(Refusal.TOO_MANY)
+    heard.hear(1, 2, times=3)
+    heard.hear(1)
+    heard.queue.trackers[1].refuse(Refusal.STALE)
+    assert heard.queue.accepted == 7
+    assert heard.queue.refusals == {Refusal.TOO_MANY: 1, Refusal.STALE: 1}
+    assert heard.queue.restarts == 0
+
+
+def test_a_moved_frame_is_forgotten_by_all() -> None:
+    heard = Heard("nearest")
+    heard.hear(1, 2, times=10)
+    heard.queue.restart()
+    assert all(tracker.estimate(9.0) is None for tracker in heard.queue.trackers)
+    assert heard.queue.refuse(Refusal.STALE).refusal is Refusal.STALE
+
+
+@pytest.mark.parametrize(
+    ("fields", "complaint"),
+    [
+        ({"order": "listed"}, "needs a list"),
+        ({"order": "nearest", "listed": [1]}, "nothing else does"),
+        ({"order": "listed", "listed": [1, 1]}, "listed twice"),
+        ({"order": "listed", "listed": [1, 2, 3], "most": 2}, "`most` is 2"),
+        ({"order": "best"}, "Invalid enum value"),
+    ],
+)
+def test_orders_that_make_no_sense_are_refused(fields: dict[str, object], complaint: str) -> None:
+    with pytest.raises(msgspec.ValidationError, match=complaint):
+        msgspec.convert(fields, QueueParams)
