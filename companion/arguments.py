@@ -64,6 +64,13 @@ def argument_parser() -> argparse.ArgumentParser:
         help="link that carries only ranging messages; repeatable",
     )
     parser.add_argument(
+        "--gcs",
+        metavar="URL",
+        action="append",
+        default=[],
+        help="link to a ground station, beside the way through the autopilot; repeatable",
+    )
+    parser.add_argument(
         "--config", dest="fly_config", metavar="FILE", type=Path, help="configuration YAML"
     )
     parser.add_argument(
@@ -230,7 +237,16 @@ def check_place_of_options(arguments: argparse.Namespace) -> None:
         return
     given = [
         f"--{name}"
-        for name in ("connect", "ranging", "fence", "signing-key", "insecure", "fresh", "once")
+        for name in (
+            "connect",
+            "ranging",
+            "gcs",
+            "fence",
+            "signing-key",
+            "insecure",
+            "fresh",
+            "once",
+        )
         if getattr(arguments, name.replace("-", "_")) not in (None, [], False)
     ]
     given += [

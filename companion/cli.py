@@ -16,8 +16,8 @@ from companion.io.clock import Clock
 from companion.io.console import ConsoleHandler
 from companion.io.exposure import check_exposure
 from companion.io.files import check_writable, write_json_atomic
-from companion.io.links import link_from_url
-from companion.io.urls import parse_link_url
+from companion.io.links import link_from_url, shared_link_from_url
+from companion.io.urls import LinkUrl, parse_link_url
 from companion.replay.command import Pace, replay_flight
 from companion.replay.walk import replay_walk, table
 from companion.run import fly
@@ -109,18 +109,17 @@ def _fly(arguments: argparse.Namespace) -> int:
     if arguments.signing_key is not None:
         config = with_signing_key(config, arguments.signing_key)
     settings = _web_settings(arguments)
-    urls = [parse_link_url(text) for text in (arguments.connect, *arguments.ranging)]
-    for index, url in enumerate(urls):
-        if url in urls[:index]:
-            text = (arguments.connect, *arguments.ranging)[index]
-            raise ConfigError(f"--ranging {text}: this link is given twice; one of them is enough")
+    urls = _link_urls(arguments)
     if not arguments.insecure:
         check_exposure(
             urls,
             has_key=config.link.signing_key_file is not None,
             unsigned_ranging=config.link.unsigned_ranging,
         )
-    links = [link_from_url(url) for url in urls]
+    gcs_links = len(arguments.gcs)
+    first_gcs = len(urls) - gcs_links
+    links = [link_from_url(url) for url in urls[:first_gcs]]
+    links += [shared_link_from_url(url) for url in urls[first_gcs:]]
     clock = Clock(arguments.fly_speed or 1.0)
     views = [] if settings is None else [WebView(settings, config)]
     if settings is not None:
@@ -129,6 +128,7 @@ def _fly(arguments: argparse.Namespace) -> int:
         config,
         links,
         clock,
+        gcs_links=gcs_links,
         once=arguments.once,
         is_fresh=arguments.fresh,
         views=views,
@@ -138,6 +138,20 @@ def _fly(arguments: argparse.Namespace) -> int:
         print("companion: ended before the target was localised", file=sys.stderr)
         return EXIT_FAILED
     return 0
+
+
+def _link_urls(arguments: argparse.Namespace) -> list[LinkUrl]:
+    """The vehicle's link, then those that carry only ranging, then ground stations'."""
+    given = [("--connect", arguments.connect)]
+    given += [("--ranging", text) for text in arguments.ranging]
+    given += [("--gcs", text) for text in arguments.gcs]
+    urls: list[LinkUrl] = []
+    for option, text in given:
+        url = parse_link_url(text)
+        if url in urls:
+            raise ConfigError(f"{option} {text}: this link is given twice; one of them is enough")
+        urls.append(url)
+    return urls
 
 
 def _report(arguments: argparse.Namespace) -> int:

@@ -22,8 +22,13 @@ class FlightFacts(msgspec.Struct, frozen=True, kw_only=True):
 
     started_unix_s: float
     links: int
-    """The vehicle's and those that carry only ranging."""
+    """The vehicle's, those that carry only ranging, and ground stations'."""
+    gcs_links: int = 0
+    """How many of them lead to ground stations."""
     config: CompanionConfig
+    """As its file had it."""
+    parameters: dict[str, float] = {}
+    """What a ground station had changed before the flight, by name."""
     version: str = __version__
     python: str = platform.python_version()
     numpy: str = np.__version__

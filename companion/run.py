@@ -1,23 +1,22 @@
-"""The composition root: configuration to filter, planner, guard, session, endpoint and shell."""
+"""The composition root of a flight: endpoint, shell, logs, and the chores beside them."""
 
 from __future__ import annotations
 
 import gc
 import logging
-import math
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
-from companion.config.schema import CompanionConfig, CrossingKind, PatternKind, PlannerConfig
+from companion.build import build_endpoint as build_endpoint
+from companion.build import build_planner as build_planner
+from companion.build import build_session as build_session
+from companion.config.schema import CompanionConfig
 from companion.errors import CompanionError, LinkError
 from companion.flight_facts import FlightFacts, facts_as_json, write_facts
-from companion.guard.gate import Guard
-from companion.guidance.emitters import EmitterQueue
-from companion.guidance.session import GuidanceSession
 from companion.guidance.states import Phase
 from companion.io.checkpoint_store import CheckpointStore
 from companion.io.clock import Clock
@@ -35,19 +34,13 @@ from companion.io.state_directory import state_directory
 from companion.io.supervisor import Supervisor
 from companion.kernel import IS_COMPILED
 from companion.link.endpoint import CompanionEndpoint, Journal
-from companion.link.inputs import InputRecorder
-from companion.mav.signing import ONE_LINK_EACH, Signing
-from companion.planning.base import Planner
-from companion.planning.fim import FimPlanner
-from companion.planning.latched_crossing import LatchedCrossing
-from companion.planning.patterns import ExpandingSquare, Lawnmower, SectorSearch
-from companion.planning.reactive_crossing import ReactiveCrossing
-from companion.planning.search import Pattern, SearchPlanner
-from companion.planning.search_then_cross import SearchThenCross
+from companion.mav.signing import ONE_LINK_EACH
 from companion.process.accounts import Accounts
 from companion.process.chores import Chores
+from companion.process.parameters import ParameterKeeper
 from companion.process.restart import RestartKeeper, digests_of
 from companion.process.watchdog import Watchdog
+from companion.tuning import Tunables
 from companion.warm_up import warm_up
 
 log = logging.getLogger("companion.run")
@@ -56,82 +49,6 @@ CLOSE_S = 0.25
 """What the disk may take for the last checkpoint, and again for the last of the log."""
 SILENCE_HINT_S = 10.0
 """After this long without an autopilot the operator is told where we listen."""
-
-
-def build_planner(config: CompanionConfig) -> Planner[Any]:
-    """The planner that the configuration names."""
-    planner = config.planner
-    if planner.search is None:
-        return _build_one(planner.kind, config)
-    search = SearchPlanner(_build_pattern(planner.search, planner))
-    return SearchThenCross(search, _build_one(planner.kind, config), planner.lost_after_s)
-
-
-def _build_one(kind: CrossingKind | PatternKind, config: CompanionConfig) -> Planner[Any]:
-    planner, noise = config.planner, config.estimation.filter
-    match kind:
-        case "latched_crossing":
-            return LatchedCrossing(planner.latched_crossing)
-        case "reactive_crossing":
-            return ReactiveCrossing(planner.reactive_crossing)
-        case "fim":
-            bearing_sigma_rad = math.radians(noise.bearing_sigma_deg)
-            return FimPlanner(planner.fim, noise.range_sigma_m, bearing_sigma_rad)
-        case _:
-            return SearchPlanner(_build_pattern(kind, planner))
-
-
-def _build_pattern(kind: PatternKind, config: PlannerConfig) -> Pattern:
-    match kind:
-        case "lawnmower":
-            return Lawnmower(config.lawnmower)
-        case "expanding_square":
-            return ExpandingSquare(config.expanding_square)
-        case "sector":
-            return SectorSearch(config.sector)
-
-
-def build_session(config: CompanionConfig) -> GuidanceSession:
-    """The guidance of one flight."""
-    return GuidanceSession(
-        config.mission,
-        EmitterQueue(config.estimation, config.emitters, config.emitter_id),
-        build_planner(config),
-        Guard(config.limits.guard_limits()),
-        needs_origin=config.vehicle.setpoint == "global_int",
-        fence_plan=config.limits.fence_plan(),
-    )
-
-
-def build_endpoint(
-    config: CompanionConfig,
-    journal: Journal,
-    ranging_links: int = 0,
-    *,
-    signing: Signing | None = None,
-    started_unix_s: float = 0.0,
-    recorder: InputRecorder | None = None,
-) -> CompanionEndpoint:
-    """The companion as a MAVLink participant.
-
-    Args:
-        config: The configuration.
-        journal: Where it reports.
-        ranging_links: Links beside the vehicle's that carry only ranging.
-        signing: Proves what arrives and signs what leaves; None: neither.
-        started_unix_s: Unix time at the clock's zero, for the timestamps of signatures.
-        recorder: Keeps what the endpoint is told.
-    """
-    return CompanionEndpoint(
-        build_session(config),
-        config.vehicle,
-        journal,
-        1 + ranging_links,
-        config.link,
-        signing=signing,
-        started_unix_s=started_unix_s,
-        recorder=recorder,
-    )
 
 
 def open_signing(config: CompanionConfig) -> SigningKeeper | None:
@@ -147,12 +64,19 @@ def open_signing(config: CompanionConfig) -> SigningKeeper | None:
     return open_signing_keeper(path, load_signing_key(path), ONE_LINK_EACH)
 
 
-def open_journal(config: CompanionConfig, links: int) -> FlightJournal:
+def open_journal(
+    config: CompanionConfig,
+    links: int,
+    gcs_links: int = 0,
+    parameters: Mapping[str, float] | None = None,
+) -> FlightJournal:
     """The black box of a new flight.
 
     Args:
         config: The configuration.
-        links: The vehicle's and those that carry only ranging.
+        links: All of them, the vehicle's included.
+        gcs_links: How many of them lead to ground stations.
+        parameters: What a ground station changed before.
 
     Raises:
         CompanionError: The flight directory cannot be made.
@@ -164,7 +88,13 @@ def open_journal(config: CompanionConfig, links: int) -> FlightJournal:
         deleted = delete_old_flights(root, config.log.keep_flights)
         if deleted:
             log.info("log.keep_flights: deleted %d older flights", len(deleted))
-    facts = FlightFacts(started_unix_s=started_unix_s, links=links, config=config)
+    facts = FlightFacts(
+        started_unix_s=started_unix_s,
+        links=links,
+        gcs_links=gcs_links,
+        config=config,
+        parameters=dict(parameters or {}),
+    )
     write_facts(directory, facts)
     mcap = None
     if config.log.mcap:
@@ -174,14 +104,14 @@ def open_journal(config: CompanionConfig, links: int) -> FlightJournal:
     return FlightJournal(directory, started_unix_s, config.log.max_bytes, mcap)
 
 
-def _open_black_box(config: CompanionConfig, links: int, *, is_restart: bool) -> BlackBox:
+def _open_black_box(open_it: Callable[[], FlightJournal], *, is_restart: bool) -> BlackBox:
     """A journal; after a restart in flight the vehicle matters more than its log.
 
     Raises:
         CompanionError: The flight directory cannot be made, and nothing flies yet.
     """
     try:
-        return open_journal(config, links)
+        return open_it()
     except CompanionError as error:
         if not is_restart:
             raise
@@ -212,6 +142,7 @@ def fly(
     links: Sequence[LinkSpec],
     clock: Clock,
     *,
+    gcs_links: int = 0,
     once: bool = False,
     is_fresh: bool = False,
     views: Sequence[FlightView] = (),
@@ -221,8 +152,9 @@ def fly(
 
     Args:
         config: The configuration.
-        links: The vehicle's link, then those that carry only ranging.
+        links: The vehicle's link, then those that carry only ranging, then ground stations'.
         clock: Where the time comes from.
+        gcs_links: How many of the links lead to ground stations.
         once: End by itself once the target is reported and the vehicle handed over.
         is_fresh: Take up nothing of an earlier run.
         views: Watch the flight; closed at its end.
@@ -240,7 +172,20 @@ def fly(
     try:
         prepare(config)
         store = CheckpointStore(state, lock_name(name)) if config.process.checkpoint else None
-        flight = _Flight(config, links, clock, keeper, store, views, once=once, is_fresh=is_fresh)
+        tunables = Tunables(config, build_planner)
+        parameters = ParameterKeeper(tunables, state / f"{lock_name(name)}.parameters.json")
+        flight = _Flight(
+            tunables,
+            parameters,
+            links,
+            gcs_links,
+            clock,
+            keeper,
+            store,
+            views,
+            once=once,
+            is_fresh=is_fresh,
+        )
         flight.run()
         if at_end is not None and flight.directory is not None:
             at_end(flight.directory)
@@ -271,8 +216,10 @@ class _Flight:
 
     def __init__(
         self,
-        config: CompanionConfig,
+        tunables: Tunables,
+        parameters: ParameterKeeper,
         links: Sequence[LinkSpec],
+        gcs_links: int,
         clock: Clock,
         keeper: SigningKeeper | None,
         store: CheckpointStore | None,
@@ -281,16 +228,22 @@ class _Flight:
         once: bool,
         is_fresh: bool,
     ) -> None:
+        config = tunables.file
         found = None if store is None or is_fresh else store.load()
         is_restart = found is not None and found.has_files
-        self._journal = _open_black_box(config, len(links), is_restart=is_restart)
+        self._journal = _open_black_box(
+            lambda: open_journal(config, len(links), gcs_links, tunables.changed),
+            is_restart=is_restart,
+        )
         listens: Journal = self._journal
         for view in views:
             listens = view.listen(listens)
         self.endpoint = build_endpoint(
             config,
             listens,
-            len(links) - 1,
+            len(links) - 1 - gcs_links,
+            tunables=tunables,
+            gcs_links=gcs_links,
             signing=None if keeper is None else keeper.signing,
             started_unix_s=time.time() - clock.now_s(),
             recorder=self._journal.inputs,
@@ -298,6 +251,7 @@ class _Flight:
         self._clock = clock
         self._keeper = keeper
         self._once = once
+        self._parameters = parameters
         self._restart = None
         if store is not None:
             self._restart = RestartKeeper(
@@ -321,6 +275,7 @@ class _Flight:
                     f"view {number}": partial(view.update, self.endpoint)
                     for number, view in enumerate(views, start=1)
                 },
+                "parameters": parameters.run,
                 "accounts": accounts.run,
                 "watchdog": lambda now_s: watchdog.run(now_s, time.monotonic()),
                 **({} if self._restart is None else {"checkpoints": self._restart.run}),
@@ -345,6 +300,7 @@ class _Flight:
             self._supervisor.stopping()
             if self._restart is not None:
                 self._restart.close(CLOSE_S)
+            self._parameters.close(CLOSE_S)
             self._journal.close(CLOSE_S)
             self._supervisor.close()
 

@@ -17,6 +17,7 @@ from companion.domain import (
 from companion.geometry.frames import LocalOrigin
 from companion.geometry.geofence import GeoFence
 from companion.guidance.memory import SessionMemory
+from companion.guidance.tuning import Tuning
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,6 +206,14 @@ class OperatorAsked:
 
 
 @dataclass(frozen=True, slots=True)
+class Retuned:
+    """Parameters of the mission were changed by a ground station."""
+
+    time_s: float
+    tuning: Tuning
+
+
+@dataclass(frozen=True, slots=True)
 class TimerFired:
     """The control tick, 20 times a second."""
 
@@ -262,6 +271,7 @@ Event = (
     | AutopilotFenceRead
     | ControlGranted
     | OperatorAsked
+    | Retuned
     | TimerFired
     | ControlStalled
     | StopRequested

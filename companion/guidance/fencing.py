@@ -136,6 +136,15 @@ class Fencing:
         self._read = event
         self._settle()
 
+    def use_limits(self, limits: GuardLimits) -> None:
+        """Other limits of motion from now on, with the same fence.
+
+        Args:
+            limits: With the fence of the plan.
+        """
+        self.plan = replace(self.plan, limits=limits)
+        self._settle()
+
     def forget(self) -> None:
         """The autopilot restarted: its origin and its fence are not known any more; ours stays."""
         self._origin = self._read = None

@@ -70,6 +70,11 @@ class FlightPlan:
         self._is_searching = None
         self._memory = self._planner.initial_memory()
 
+    def use(self, planner: Planner[Any], altitude_m: float) -> None:
+        """Go on with another planner of the same kind, from what the one before remembered."""
+        self._planner = planner
+        self._altitude_m = altitude_m
+
     def is_due(self, now_s: float) -> bool:
         """Whether the plan is too old."""
         return self._planned_s is None or now_s - self._planned_s >= PLAN_PERIOD_S

@@ -7,9 +7,9 @@ from typing import Annotated, Literal
 import msgspec
 
 from companion.domain import FlightMode
-from companion.guidance.sticks import StickReaction
 from companion.params import NonNegative, Params, Positive
 
+StickReaction = Literal["yield", "hold", "ignore"]
 Percent = Annotated[float, msgspec.Meta(ge=0.0, le=100.0)]
 
 

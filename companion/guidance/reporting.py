@@ -34,27 +34,29 @@ class Reporting:
         self._situation = situation
         self._battery = battery
         self._turns = turns
-        self._stop_rule = StopRule(situation.params.stop_radius_m, situation.params.stop_confirm_s)
+        self._stop_rule = StopRule()
         self._leg: tuple[float, PositionEnu | None] | None = None
         """When the battery was found low, and the waypoint flown at then."""
 
     def tick(self, now_s: float) -> None:
         """Report if it is due."""
-        situation = self._situation
+        situation, params = self._situation, self._situation.params
         heard_s = situation.tracker.last_accepted_s
-        is_fresh = heard_s is not None and now_s - heard_s <= situation.params.ranging_timeout_s
+        is_fresh = heard_s is not None and now_s - heard_s <= params.ranging_timeout_s
         flown = situation.estimate if situation.phase in FLYING and is_fresh else None
-        if self._stop_rule.is_met(flown, now_s) and flown is not None:
+        radius_m, confirm_s = params.stop_radius_m, params.stop_confirm_s
+        is_met = self._stop_rule.is_met(flown, now_s, radius_m, confirm_s)
+        if is_met and flown is not None:
             self._report(situation.tracker, flown, "LOCALISED")
             if situation.emitters.report_current():
                 self._stop_rule.begin_anew()
                 self._turns.follow(now_s)
             else:
-                self._finish(FOLLOW_UP_MODE[situation.params.on_localised], now_s)
+                self._finish(FOLLOW_UP_MODE[params.on_localised], now_s)
         elif self._is_battery_end(now_s):
             self._battery.mission_ended()
             self._report_rest(now_s)
-            is_landing = situation.params.on_localised == "land"
+            is_landing = params.on_localised == "land"
             self._finish(FlightMode.LAND if is_landing else FlightMode.RETURN, now_s)
 
     def _is_battery_end(self, now_s: float) -> bool:

@@ -33,6 +33,7 @@ from companion.guidance.events import (
     OriginSet,
     RangingReceived,
     RequestAnswered,
+    Retuned,
     StopRequested,
     TimerFired,
     VehicleMoved,
@@ -48,6 +49,7 @@ from companion.guidance.situation import Situation
 from companion.guidance.states import Phase
 from companion.guidance.status import GuidanceStatus, snapshot
 from companion.guidance.steering import Steering
+from companion.guidance.tuning import When, objection_to_change
 from companion.guidance.turns import Turns
 from companion.guidance.vehicle import VehicleView
 from companion.guidance.watches import Watches
@@ -120,6 +122,8 @@ class GuidanceSession:
                 self.handover.granted(event.time_s)
             case OperatorAsked():
                 self._watches.wishes.ask(event.wish)
+            case Retuned():
+                self.situation.retune(event.tuning)
             case AutopilotRestarted():
                 self.handover.restarted(event.time_s)
                 self._recollection.forget()
@@ -206,6 +210,10 @@ class GuidanceSession:
     def is_stopped(self) -> bool:
         """Whether the process may end."""
         return self.phase is Phase.STOPPED
+
+    def objection_to_change(self, when: When) -> str | None:
+        """Why a parameter may not be changed now, in words, or None."""
+        return objection_to_change(when, self.phase, is_armed=self.vehicle.is_armed)
 
     def status(self, now_s: float) -> GuidanceStatus:
         """A snapshot for views and logs."""

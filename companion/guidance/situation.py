@@ -34,6 +34,7 @@ from companion.guidance.states import (
     Trigger,
 )
 from companion.guidance.steering import Steering
+from companion.guidance.tuning import Tuning
 from companion.guidance.vehicle import VehicleView
 from companion.planning.base import Planner
 
@@ -167,6 +168,13 @@ class Situation:
     def _renew_plan(self, now_s: float) -> None:
         setpoint = self.steering.setpoint_enu_m
         self.commands += self.flight_plan.renew(now_s, self.vehicle, setpoint, self.estimate)
+
+    def retune(self, tuning: Tuning) -> None:
+        """Go on with other parameters."""
+        self.params = tuning.params
+        self.fencing.use_limits(tuning.limits)
+        self.steering.use_altitude(tuning.params.altitude_m)
+        self.flight_plan.use(tuning.planner, tuning.params.altitude_m)
 
     def forget_target(self) -> None:
         """Drop all estimates and every plan that stands on them."""

@@ -38,6 +38,10 @@ class Steering:
         """The next setpoint starts where the vehicle is."""
         self._last = None
 
+    def use_altitude(self, altitude_m: float) -> None:
+        """Another search altitude above home from now on."""
+        self._altitude_m = altitude_m
+
     def stay_with(self, motion: Motion) -> PositionSetpoint:
         """Hold at the vehicle's present place, following it while someone else flies it."""
         return self._sent(self._guard.here(motion))

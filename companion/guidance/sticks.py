@@ -11,12 +11,9 @@ Source: MAVLink common, RC_CHANNELS; PX4 COM_RC_STICK_OV (30 %).
 
 from __future__ import annotations
 
-from typing import Literal
-
 from companion.guidance.events import SticksReported
 from companion.guidance.findings import Finding, Reason, Verdict
-
-StickReaction = Literal["yield", "hold", "ignore"]
+from companion.guidance.params import StickReaction as StickReaction
 
 MOVED = 0.3
 """Deflection from rest that means a wish to fly."""

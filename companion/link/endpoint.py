@@ -1,9 +1,10 @@
 """The companion as a MAVLink participant: bytes and time in, bytes out.
 
-Link 0 leads to the autopilot; the others carry only ranging, because a real autopilot does not
-forward our message. The endpoint only joins its parts: `receiver` sorts what the vehicle link
-brings, `executor` tells the session and does what it wants, `dialogues` ask for streams and
-parameters, `outlet` is the one way out, `counters` keep the books. What happened goes to a journal,
+Link 0 leads to the autopilot; the next ones carry only ranging, because a real autopilot does not
+forward our message, and the last ones lead to ground stations. The endpoint only joins its parts:
+`receiver` sorts what the vehicle link brings, `executor` tells the session and does what it wants,
+`dialogues` ask for streams and parameters, `parameter_server` and `command_desk` answer ground
+stations, `outlet` is the one way out, `counters` keep the books. What happened goes to a journal,
 which a shell writes to disk.
 
 On the way in, `intake` keeps to a budget and lets `authenticity` prove what it can before anything
@@ -25,6 +26,7 @@ from companion.guidance.session import GuidanceSession
 from companion.link.alarms import LinkAlarms
 from companion.link.authenticity import Authenticity
 from companion.link.binding import AutopilotBinding
+from companion.link.command_desk import AddressedCommand, CommandDesk
 from companion.link.counters import LinkCounters
 from companion.link.dialogues import Dialogues
 from companion.link.executor import SessionExecutor
@@ -34,6 +36,7 @@ from companion.link.inputs import InputRecorder, NoRecorder
 from companion.link.intake import Intake
 from companion.link.journal import Journal
 from companion.link.outlet import COMPONENT_ID, VEHICLE_LINK, Outlet
+from companion.link.parameter_server import ParameterServer, ParamRequest, TunableBook
 from companion.link.params import LinkParams, VehicleParams
 from companion.link.receiver import VehicleReceiver
 from companion.link.shield import FloodShield
@@ -53,6 +56,8 @@ class CompanionEndpoint:
         params: Which autopilot, and how it is commanded.
         journal: Where to report.
         links: Number of links, the vehicle's included.
+        tunables: The parameters that ground stations may change.
+        gcs_links: How many of the links, the last ones, lead to ground stations.
         link_params: How the links are used.
         signing: Proves what arrives and signs what leaves; None: neither.
         started_unix_s: Unix time at `now_s` = 0, for the timestamps of signatures.
@@ -67,6 +72,8 @@ class CompanionEndpoint:
         links: int = 1,
         link_params: LinkParams | None = None,
         *,
+        tunables: TunableBook,
+        gcs_links: int = 0,
         signing: Signing | None = None,
         started_unix_s: float = 0.0,
         recorder: InputRecorder | None = None,
@@ -81,14 +88,24 @@ class CompanionEndpoint:
         self._alarms = LinkAlarms(self.binding, self._intakes)
         self._shield = FloodShield(self._intakes[VEHICLE_LINK], self.binding)
         codecs = [intake.codec for intake in self._intakes]
-        self._outlet = Outlet(codecs, self.binding, journal)
+        self._gcs_links = range(links - gcs_links, links)
+        self._outlet = Outlet(codecs, self.binding, journal, self._gcs_links)
         self._dialogues = Dialogues(self.binding, session.fencing)
         self._health = LinkHealth(link_params)
         self.executor = SessionExecutor(
             session, params, self.binding, self._outlet, self._dialogues, self._health, journal
         )
+        self._parameters = ParameterServer(
+            tunables, session, self.binding, self.executor, self._outlet, journal
+        )
+        self._commands = CommandDesk(self.executor, self._parameters, self._outlet)
         self._receiver = VehicleReceiver(
-            self.binding, self.executor, self._dialogues, self._health, self._outlet, journal
+            self.binding,
+            self.executor,
+            self._dialogues,
+            self._health,
+            self._outlet,
+            journal,
         )
         self._ranging = RangingInbound()
         self._counters = LinkCounters(
@@ -146,6 +163,7 @@ class CompanionEndpoint:
         for question in self._dialogues.due(now_s):
             self._outlet.send(question, now_s, can_be_spared=True)
         self.executor.handle(TimerFired(now_s, self.binding.heard_s), now_s)
+        self._parameters.tick(now_s)
         self._counters.report(now_s)
 
     def next_timer_s(self) -> float:
@@ -200,6 +218,9 @@ class CompanionEndpoint:
             return
         if chunk.link == VEHICLE_LINK:
             self._receive_on_vehicle_link(message, chunk, now_s)
+        elif chunk.link in self._gcs_links:
+            self._journal.frame(bytes(message.get_msgbuf()), now_s)
+            self._receive_of_station(message, now_s, may_grant=False)
         else:
             self._journal.frame(bytes(message.get_msgbuf()), now_s)
             self._receive_ranging(message, chunk.link, now_s)
@@ -212,9 +233,20 @@ class CompanionEndpoint:
         if not self.authenticity.is_proved(frame):
             return
         self._receiver.receive(message, chunk.peer, now_s)
+        if chunk.peer == binding.peer:
+            self._receive_of_station(message, now_s, may_grant=True)
         is_here = message.get_srcSystem() == binding.system_id
         if is_here and (binding.is_keyed or chunk.peer == binding.peer):
             self._receive_ranging(message, chunk.link, now_s)
+
+    def _receive_of_station(self, message: Message, now_s: float, *, may_grant: bool) -> None:
+        """What ground stations may ask of us, directly or by way of the autopilot."""
+        if not self.binding.is_bound:
+            return
+        if isinstance(message, ParamRequest):
+            self._parameters.receive(message, now_s)
+        elif isinstance(message, AddressedCommand):
+            self._commands.receive(message, now_s, may_grant=may_grant)
 
     def _receive_ranging(self, message: Message, link: int, now_s: float) -> None:
         offset_s = self._receiver.clock_offset_s

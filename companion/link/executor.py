@@ -105,7 +105,7 @@ class SessionExecutor:
         """Do what the session wants."""
         match command:
             case SendHeartbeat():
-                self._outlet.send(outbound.heartbeat(), now_s)
+                self._outlet.broadcast(outbound.heartbeat(), now_s)
             case SendSetpoint():
                 self._send_setpoint(command, now_s)
             case SetMode():

@@ -137,6 +137,20 @@ def take_off(
     return _command(mavlink.MAV_CMD_NAV_TAKEOFF, system_id, component_id, confirmation, *params)
 
 
+def autopilot_version(param_capability: int) -> Message:
+    """AUTOPILOT_VERSION of the companion, which is none, for what it can do.
+
+    Args:
+        param_capability: MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE or _C_CAST.
+    """
+    return mavlink.MAVLink_autopilot_version_message(
+        mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2 | param_capability,
+        *(0,) * 4,
+        *(bytes(8),) * 3,
+        *(0,) * 3,
+    )
+
+
 def command_ack(command: int, result: int, to: Message) -> Message:
     """COMMAND_ACK to the sender of a command."""
     return mavlink.MAVLink_command_ack_message(

@@ -1,4 +1,8 @@
-"""What leaves by the vehicle link: encoded, noted down, queued for the shell, counted."""
+"""What leaves by our links: encoded, noted down, queued for the shell, counted.
+
+The autopilot passes on what is broadcast, so ground stations behind it hear that; a link of their
+own gets the same beside. Setpoints and commands only ever leave by the vehicle link.
+"""
 
 from __future__ import annotations
 
@@ -23,13 +27,18 @@ class Outlet:
     """The one way out of the companion.
 
     Args:
-        codecs: Of all links; only the vehicle's sends, but all carry its system id.
+        codecs: Of all links; those that carry only ranging do not send.
         binding: The autopilot that everything goes to.
         journal: Where to report.
+        gcs_links: Numbers of the links to ground stations.
     """
 
     def __init__(
-        self, codecs: Sequence[MavCodec], binding: AutopilotBinding, journal: Journal
+        self,
+        codecs: Sequence[MavCodec],
+        binding: AutopilotBinding,
+        journal: Journal,
+        gcs_links: Sequence[int] = (),
     ) -> None:
         self.setpoints_sent = 0
         self._codecs = codecs
@@ -37,6 +46,7 @@ class Outlet:
         self._codec = codecs[VEHICLE_LINK]
         self._binding = binding
         self._journal = journal
+        self._gcs_links = tuple(gcs_links)
         self._text_id = 0
         self._setpoint_times_s: list[float] = []
         self._output: list[Chunk] = []
@@ -71,6 +81,26 @@ class Outlet:
             Chunk(VEHICLE_LINK, data, self._binding.peer, can_be_spared=can_be_spared)
         )
 
+    def broadcast(self, message: Message, now_s: float, *, can_be_spared: bool = False) -> None:
+        """Queue a message for everybody: the autopilot, and ground stations on links of their own.
+
+        Args:
+            message: Without a target, or with that of a ground station.
+            now_s: The present.
+            can_be_spared: As of `send`.
+        """
+        self.send(message, now_s, can_be_spared=can_be_spared)
+        self.send_to_stations(message)
+
+    def send_to_stations(self, message: Message) -> None:
+        """Queue a message for ground stations on links of their own, once the vehicle is known."""
+        if not self._binding.is_bound:
+            return  # under which system id we speak is not known yet
+        for link in self._gcs_links:
+            data = self._codecs[link].encode(message)
+            self.own_frames.sent(data)
+            self._output.append(Chunk(link, data, None, can_be_spared=True))
+
     def send_setpoint(self, message: Message, now_s: float) -> None:
         """The same for a setpoint, which is counted."""
         self.send(message, now_s)
@@ -95,7 +125,7 @@ class Outlet:
             return
         self._text_id = self._text_id % 0xFFFF + 1
         for message in outbound.status_text(text.severity.value, text.text, self._text_id):
-            self.send(message, now_s, can_be_spared=True)
+            self.broadcast(message, now_s, can_be_spared=True)
 
     def take(self) -> list[Chunk]:
         """What is to be sent, in order; taken once."""

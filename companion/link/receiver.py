@@ -1,11 +1,9 @@
-"""What the vehicle link receives: the autopilot's messages, its answers, commands to us."""
+"""What the vehicle link receives: the autopilot's messages and its answers."""
 
 from __future__ import annotations
 
 from companion.domain import Autopilot
 from companion.guidance.commands import Severity
-from companion.guidance.events import ControlGranted
-from companion.link import outbound
 from companion.link.binding import AutopilotBinding
 from companion.link.dialogues import Dialogues
 from companion.link.executor import SessionExecutor
@@ -17,11 +15,8 @@ from companion.link.rate_limit import RateLimit
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address
 
-COMMANDS_PER_S = 20
-"""Commands to us that are answered; a flood of them must not become a flood of answers."""
 TEXTS_PER_S, TEXT_BURST = 10, 30
 """Texts of the autopilot that go to the log."""
-AddressedCommand = mavlink.MAVLink_command_long_message | mavlink.MAVLink_command_int_message
 
 
 class VehicleReceiver:
@@ -52,7 +47,6 @@ class VehicleReceiver:
         self._outlet = outlet
         self._journal = journal
         self._inbound = VehicleInbound(dialogues.clock)
-        self._command_limit = RateLimit(COMMANDS_PER_S, COMMANDS_PER_S)
         self._text_limit = RateLimit(TEXTS_PER_S, TEXT_BURST)
 
     @property
@@ -78,8 +72,6 @@ class VehicleReceiver:
             if fence is not None:
                 self._executor.handle(fence, now_s)
             self._receive_answer(message, now_s, number)
-        if isinstance(message, AddressedCommand):
-            self._receive_command(message, peer, now_s)
 
     def _on_bound(self, now_s: float) -> None:
         binding, system_id = self._binding, self._binding.system_id or 1
@@ -106,22 +98,6 @@ class VehicleReceiver:
     def _is_for_us(self, target_system: int, target_component: int) -> bool:
         system_id, component_id = self._outlet.own_ids
         return target_system in (0, system_id) and target_component in (0, component_id)
-
-    def _receive_command(
-        self, message: AddressedCommand, peer: Address | None, now_s: float
-    ) -> None:
-        """A command to this very component: only the operator's grant is known."""
-        if (message.target_system, message.target_component) != self._outlet.own_ids:
-            return
-        if peer != self._binding.peer or not self._command_limit.allows(now_s):
-            return
-        result = mavlink.MAV_RESULT_UNSUPPORTED
-        if message.command == mavlink.MAV_CMD_NAV_GUIDED_ENABLE:
-            result = mavlink.MAV_RESULT_DENIED
-            if message.param1 == 1.0 and self._executor.may_engage:
-                result = mavlink.MAV_RESULT_ACCEPTED
-                self._executor.handle(ControlGranted(now_s), now_s)
-        self._outlet.send(outbound.command_ack(message.command, result, message), now_s)
 
 
 def _clean(text: bytes | str) -> str:

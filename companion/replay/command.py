@@ -76,7 +76,7 @@ def replay_flight(
     if facts.is_compiled != IS_COMPILED:
         how = "compiled" if facts.is_compiled else "plain"
         say(f"the flight used {how} kernels, this replay does not: last digits may differ")
-    course = rerun(recording.inputs, used, facts.links, on_input, journal)
+    course = rerun(recording.inputs, used, facts, on_input, journal)
     return FlightReplay(
         comparison=Comparison(recording.course, course),
         is_exact=recording.is_exact,

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 from companion.config.schema import CompanionConfig
+from companion.flight_facts import FlightFacts
 from companion.guidance.commands import ReportResult, Severity
 from companion.guidance.events import Wish
 from companion.io.files import plain
@@ -20,7 +21,8 @@ from companion.link.endpoint import CompanionEndpoint
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk
 from companion.mav.framing import message_id
-from companion.run import build_endpoint
+from companion.run import build_endpoint, build_planner
+from companion.tuning import Tunables
 
 Json = dict[str, object]
 OnInput = Callable[[CompanionEndpoint, float], None]
@@ -76,7 +78,7 @@ class CourseJournal:
 def rerun(
     inputs: Iterable[Input],
     config: CompanionConfig,
-    links: int,
+    facts: FlightFacts,
     on_input: OnInput | None = None,
     journal: CourseJournal | None = None,
 ) -> Course:
@@ -85,12 +87,18 @@ def rerun(
     Args:
         inputs: What the endpoint was told.
         config: The flight's, or another one to compare with.
-        links: Number of links, the vehicle's included.
+        facts: How it was flown.
         on_input: Sees the endpoint after every input.
         journal: Listens; None: one of its own.
     """
     journal = journal or CourseJournal()
-    endpoint = build_endpoint(config, journal, links - 1)
+    tunables = Tunables(config, build_planner)
+    if config == facts.config:
+        tunables.restore(facts.parameters)
+    ranging_links = facts.links - 1 - facts.gcs_links
+    endpoint = build_endpoint(
+        config, journal, ranging_links, tunables=tunables, gcs_links=facts.gcs_links
+    )
     for value in inputs:
         match value.kind:
             case InputKind.FRAME:

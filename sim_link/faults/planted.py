@@ -20,7 +20,8 @@ from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Chunk
 from companion.mav.framing import message_id
 from companion.mav.modes import set_mode_params
-from companion.run import build_session
+from companion.run import build_planner, build_session
+from companion.tuning import Tunables
 from sim_link.faults.rewriting import rewritten
 from sim_link.lockstep.flight import MakeCompanion
 
@@ -37,7 +38,14 @@ class Planted(CompanionEndpoint):
     """The one that must be reported."""
 
     def __init__(self, config: CompanionConfig, journal: Journal, links: int) -> None:
-        super().__init__(build_session(config), config.vehicle, journal, 1 + links, config.link)
+        super().__init__(
+            build_session(config),
+            config.vehicle,
+            journal,
+            1 + links,
+            config.link,
+            tunables=Tunables(config, build_planner),
+        )
         self._codec = MavCodec(1, mavlink.MAV_COMP_ID_ONBOARD_COMPUTER)
         self._now_s = 0.0
         self._count = 0

@@ -17,11 +17,16 @@ def free_port() -> int:
 
 
 @contextmanager
-def running_simulator(flavour: str, speed: float) -> Iterator[int]:
+def running_simulator(flavour: str, speed: float, listen_port: int | None = None) -> Iterator[int]:
     """A simulator that is stopped at the end; the UDP port that it sends to."""
     port = free_port()
     command = [sys.executable, "-m", "sim_link", "--autopilot", flavour, "--speed", str(speed)]
-    command += ["--listen", f"127.0.0.1:{free_port()}", "--send-to", f"127.0.0.1:{port}"]
+    command += [
+        "--listen",
+        f"127.0.0.1:{listen_port or free_port()}",
+        "--send-to",
+        f"127.0.0.1:{port}",
+    ]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         assert "scenario canonical" in process.stdout.readline()

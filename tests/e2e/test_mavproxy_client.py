@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import queue
 import re
@@ -13,10 +14,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 import pytest
+from pymavlink import mavutil
 
-from tests.e2e.simulator_process import running_simulator
+from companion.tuning import TUNABLES
+from tests.e2e.simulator_process import free_port, running_simulator
 
 SPEED = {"px4": 1.0, "ardupilot": 8.0}
 """On a busy machine MAVProxy does not keep up with several times a PX4's streams."""
@@ -116,9 +120,10 @@ class MavProxy:
 
 
 @contextmanager
-def connected(flavour: str, directory: Path) -> Iterator[MavProxy]:
+def connected(flavour: str, directory: Path, listen_port: int | None = None) -> Iterator[MavProxy]:
     """MAVProxy on a running simulator, with all parameters read."""
-    with running_simulator(flavour, SPEED[flavour]) as port, MavProxy(port, directory) as mavproxy:
+    simulator = running_simulator(flavour, SPEED[flavour], listen_port)
+    with simulator as port, MavProxy(port, directory) as mavproxy:
         mavproxy.expect("Detected vehicle 1:1")
         mavproxy.expect(r"Received \d+ parameters")
         yield mavproxy
@@ -183,3 +188,55 @@ def test_mavproxy_is_told_why_arming_is_refused(flavour: str, tmp_path: Path) ->
         said = mavproxy.expect(f"COMPONENT_ARM_DISARM: {refused}|AP: ")
         if "AP: " not in said:
             mavproxy.expect("AP: ")
+
+
+@contextmanager
+def running_companion(directory: Path, *options: str) -> Iterator[None]:
+    """A companion that is stopped at the end; its state and its flights are in a directory."""
+    command = [sys.executable, "-m", "companion", *options]
+    environment = dict(os.environ, XDG_STATE_HOME=str(directory), NUMBA_DISABLE_JIT="1")
+    with subprocess.Popen(
+        command, cwd=directory, env=environment, stderr=subprocess.DEVNULL
+    ) as process:
+        try:
+            yield
+            process.terminate()
+            assert process.wait(timeout=10.0) == 0
+        finally:
+            process.kill()
+
+
+def station_on(port: int) -> Any:
+    """A ground station of bare pymavlink that hears the companion."""
+    connect: Any = mavutil.mavlink_connection
+    station = connect(f"udpin:127.0.0.1:{port}", source_system=254)
+    heard = station.recv_match(type="HEARTBEAT", blocking=True, timeout=PATIENCE_S)
+    assert heard is not None
+    assert (heard.get_srcSystem(), heard.get_srcComponent()) == (1, 191)
+    return station
+
+
+def test_mavproxy_and_pymavlink_list_and_set_the_companions_parameters(tmp_path: Path) -> None:
+    vehicle, own = free_port(), free_port()
+    links = ("--connect", f"udpout:127.0.0.1:{vehicle}", "--gcs", f"udpout:127.0.0.1:{own}")
+    with connected("px4", tmp_path, vehicle) as mavproxy, running_companion(tmp_path, *links):
+        station = station_on(own)
+        mavproxy.expect("Detected vehicle 1:191")
+        mavproxy.ask("vehicle 1:191", rf"Received {len(TUNABLES)} parameters")
+        mavproxy.ask("param set CMP_SPEED 3", "AP: parameter CMP_SPEED: 5 -> 3")
+        mavproxy.ask("param fetch CMP_SPEED", r"CMP_SPEED = 3\.0")
+        mavproxy.ask("param set CMP_SPEED 30", "CMP_SPEED: 30 is above the configuration's 5")
+        told = station.recv_match(type="STATUSTEXT", blocking=True, timeout=PATIENCE_S)
+        assert told is not None
+        station.mav.param_request_list_send(1, 191)
+        names: dict[str, float] = {}
+        while len(names) < len(TUNABLES):
+            value = station.recv_match(type="PARAM_VALUE", blocking=True, timeout=PATIENCE_S)
+            assert value is not None
+            names[value.param_id] = value.param_value
+        assert names["CMP_SPEED"] == 3.0
+        station.mav.param_set_send(1, 191, b"CMP_ALTITUDE", 25.0, 9)
+        mavproxy.expect("AP: parameter CMP_ALTITUDE: 20 -> 25")
+        station.close()
+    (kept,) = tmp_path.glob("companion/*.parameters.json")
+    assert json.loads(kept.read_text()) == {"CMP_SPEED": 3.0, "CMP_ALTITUDE": 25.0}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -12,14 +13,19 @@ from companion.estimation.tracker_params import TrackerParams
 from companion.flight_facts import FlightFacts, facts_as_json, write_facts
 from companion.guidance.emitters import QueueParams
 from companion.guidance.session import SessionParams
+from companion.io.event_lines import event_lines
 from companion.io.flight_files import EVENTS, FLIGHT, INPUTS, MCAP, TLOG
 from companion.io.journal import FlightJournal
 from companion.io.mcap_log import McapLog
 from companion.link.endpoint import CompanionEndpoint, Journal
+from companion.mav.codec import MavCodec
+from companion.mav.dialect import mavlink
+from companion.mav.endpoint import Chunk
 from companion.replay.command import replay_flight
-from companion.run import build_endpoint
+from companion.run import build_endpoint, build_planner
+from companion.tuning import Tunables
 from sim_link.autopilot.scenario import Scenario
-from sim_link.lockstep.flight import Flight
+from sim_link.lockstep.flight import VEHICLE_PEER, Flight
 from sim_link.world.target import EmitterParams
 
 AUTO = CompanionConfig(mission=SessionParams(engage="auto"))
@@ -120,6 +126,38 @@ def test_a_flight_of_other_kernels_is_remarked(copy: Path) -> None:
 def test_the_facts_keep_the_whole_configuration(recorded: Path) -> None:
     facts = msgspec.json.decode((recorded / FLIGHT).read_bytes(), type=FlightFacts)
     assert facts.config == AUTO
+
+
+def test_parameters_that_were_changed_before_and_in_flight_are_part_of_it(tmp_path: Path) -> None:
+    tunables = Tunables(AUTO, build_planner)
+    assert tunables.restore({"CMP_SPEED": 3.0}) == []
+    facts = FlightFacts(started_unix_s=1.8e9, links=1, config=AUTO, parameters=tunables.changed)
+    write_facts(tmp_path, facts)
+    journal = FlightJournal(tmp_path, 1.8e9)
+    station = MavCodec(255, 190)
+
+    def companion(config: CompanionConfig, journal_: Journal, links: int) -> CompanionEndpoint:
+        inputs = journal.inputs
+        return build_endpoint(config, journal_, links, tunables=tunables, recorder=inputs)
+
+    flight = Flight(AUTO, Scenario(), 3, journal, make_companion=companion)
+
+    def set_speed(speed_mps: float) -> None:
+        change = mavlink.MAVLink_param_set_message(1, 191, b"CMP_SPEED", speed_mps, 9)
+        flight.companion.receive(Chunk(0, station.encode(change), VEHICLE_PEER), flight.now_s)
+
+    for at_s, speed_mps in ((17.0, 5.0), (19.0, 9.0), (21.0, 1.5)):
+        flight.at(at_s, partial(set_speed, speed_mps))
+    flight.run(24.0)
+    journal.close(timeout_s=30.0)
+    replay = replay_flight(tmp_path, None, REMARKS.append)
+    assert replay.verdict.startswith("IDENTICAL")
+    assert tunables.changed == {"CMP_SPEED": 1.5}
+    changes = [line for line in event_lines(tmp_path / EVENTS) if line["kind"] == "parameter"]
+    assert [line["new"] for line in changes] == [5.0, 1.5]
+    without = msgspec.structs.replace(facts, parameters={})
+    write_facts(tmp_path, without)
+    assert replay_flight(tmp_path, None, REMARKS.append).is_failed
 
 
 def test_an_mcap_file_alone_is_replayed(tmp_path: Path) -> None:

@@ -38,6 +38,7 @@ from companion.mav.ranging import message_from_ranging
 from companion.planning.base import Plan, Planner, PlanRequest
 from companion.planning.latch import LATCH_SIZE
 from companion.run import build_planner
+from companion.tuning import Tunables
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import Scenario
 from sim_link.evaluation.case import Case
@@ -168,7 +169,11 @@ def flight(planner: PlannerName, estimation: TrackerParams, seed: int) -> Flight
         payload_source=radio,
         payload_period_s=1.0,
         make_companion=lambda _, journal, links: CompanionEndpoint(
-            session, config.vehicle, journal, 1 + links
+            session,
+            config.vehicle,
+            journal,
+            1 + links,
+            tunables=Tunables(config, build_planner),
         ),
     )
     loop.run_until(lambda: len(tracker.means) == STEPS, STEPS + 30.0)

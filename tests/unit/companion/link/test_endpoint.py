@@ -177,12 +177,19 @@ def test_a_fence_refused_in_standby_ends_the_stream_and_is_no_fence_to_fly_in() 
     assert made.endpoint.session.phase.value == "waiting"
 
 
-@pytest.mark.parametrize("number", [22, 176, 246, 400, 511, 512, 65535])
+@pytest.mark.parametrize("number", [22, 176, 246, 400, 511, 65535])
 def test_every_other_command_is_unsupported(number: int) -> None:
     wire = Wire().ready()
     (ack,) = wire.say(command(number, 1.0), sender=MavCodec(255, 190))
     assert isinstance(ack, Ack)
     assert (ack.command, ack.result) == (number, 3)
+
+
+def test_a_message_that_nobody_has_is_denied() -> None:
+    wire = Wire().ready()
+    (ack,) = wire.say(command(512, 33.0), sender=MavCodec(255, 190))
+    assert isinstance(ack, Ack)
+    assert (ack.command, ack.result) == (512, mavlink.MAV_RESULT_DENIED)
 
 
 def test_a_command_int_is_answered_too() -> None:

@@ -7,7 +7,8 @@ import time
 import pytest
 
 from companion.guidance.states import Phase
-from companion.link.receiver import COMMANDS_PER_S, TEXT_BURST
+from companion.link.command_desk import COMMANDS_PER_S, REQUEST_CAPABILITIES
+from companion.link.receiver import TEXT_BURST
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message, Message, mavlink
 from companion.mav.endpoint import Address
@@ -176,7 +177,7 @@ def test_a_flood_of_texts_is_noted_in_part_and_harmless() -> None:
 ALL_COMMANDS = sorted(mavlink.enums["MAV_CMD"])
 
 
-def test_of_all_commands_only_the_grant_is_known() -> None:
+def test_of_all_commands_only_the_grant_and_questions_about_us_are_known() -> None:
     wire = Wire().ready()
     station, results = MavCodec(255, 190), {}
     for number in ALL_COMMANDS:
@@ -190,14 +191,15 @@ def test_of_all_commands_only_the_grant_is_known() -> None:
         results[ack.command] = ack.result
     known = {number for number, result in results.items() if result != 3}
     assert len(results) == len(ALL_COMMANDS) > 150
-    assert known == {mavlink.MAV_CMD_NAV_GUIDED_ENABLE}
+    questions = {mavlink.MAV_CMD_REQUEST_MESSAGE, REQUEST_CAPABILITIES}
+    assert known == {mavlink.MAV_CMD_NAV_GUIDED_ENABLE} | questions
 
 
 @pytest.mark.parametrize(
     "message",
     [
-        mavlink.MAVLink_param_set_message(1, 191, b"COM_OF_LOSS_T", 60.0, 9),
-        mavlink.MAVLink_param_request_list_message(1, 191),
+        mavlink.MAVLink_param_set_message(1, 1, b"COM_OF_LOSS_T", 60.0, 9),
+        mavlink.MAVLink_param_request_list_message(1, 1),
         mavlink.MAVLink_setup_signing_message(1, 191, list(range(32)), 0),
         mavlink.MAVLink_file_transfer_protocol_message(0, 1, 191, [0] * 251),
         mavlink.MAVLink_serial_control_message(10, 0, 0, 0, 1, [120] * 70),

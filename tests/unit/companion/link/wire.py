@@ -80,6 +80,7 @@ class Wire:
         config: CompanionConfig | None = None,
         links: int = 0,
         *,
+        gcs_links: int = 0,
         signing: Signing | None = None,
         started_unix_s: float = 0.0,
     ) -> None:
@@ -88,6 +89,7 @@ class Wire:
             config or CompanionConfig(),
             self.journal,
             links,
+            gcs_links=gcs_links,
             signing=signing,
             started_unix_s=started_unix_s,
         )
