@@ -48,6 +48,21 @@ class Phase(Enum):
     STOPPED = "stopped"
 
 
+PHASE_WORDS = {
+    Phase.WAITING: "waiting for the autopilot",
+    Phase.STANDBY: "ready: switch the mode to give control",
+    Phase.LAUNCHING: "launching",
+    Phase.NORMAL: "searching",
+    Phase.DEGRADED: "searching slowly",
+    Phase.HOLD: "holding in place",
+    Phase.FINISHED: "found: handed over",
+    Phase.YIELD: "silent: somebody else flies",
+    Phase.HANDBACK: "handing the vehicle back",
+    Phase.STOPPED: "stopped",
+}
+"""Phases in the operator's words."""
+
+
 class Trigger(Enum):
     """What moves the session from one phase to another."""
 

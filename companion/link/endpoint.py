@@ -38,6 +38,7 @@ from companion.link.journal import Journal
 from companion.link.outlet import COMPONENT_ID, VEHICLE_LINK, Outlet
 from companion.link.parameter_server import ParameterServer, ParamRequest, TunableBook
 from companion.link.params import LinkParams, VehicleParams
+from companion.link.presence import Presence
 from companion.link.receiver import VehicleReceiver
 from companion.link.shield import FloodShield
 from companion.mav.codec import MavCodec
@@ -98,6 +99,7 @@ class CompanionEndpoint:
         self._parameters = ParameterServer(
             tunables, session, self.binding, self.executor, self._outlet, journal
         )
+        self._presence = Presence(session, self._outlet, has_icon=link_params.gcs_icon)
         self._commands = CommandDesk(self.executor, self._parameters, self._outlet)
         self._receiver = VehicleReceiver(
             self.binding,
@@ -164,6 +166,7 @@ class CompanionEndpoint:
             self._outlet.send(question, now_s, can_be_spared=True)
         self.executor.handle(TimerFired(now_s, self.binding.heard_s), now_s)
         self._parameters.tick(now_s)
+        self._presence.tick(now_s)
         self._counters.report(now_s)
 
     def next_timer_s(self) -> float:

@@ -41,6 +41,7 @@ class Outlet:
         gcs_links: Sequence[int] = (),
     ) -> None:
         self.setpoints_sent = 0
+        self.texts_sent = 0
         self._codecs = codecs
         self.own_frames = OwnFrames()
         self._codec = codecs[VEHICLE_LINK]
@@ -121,6 +122,7 @@ class Outlet:
     def announce(self, text: Announce, now_s: float) -> None:
         """Tell the operator: to the journal, and as STATUSTEXT if there is an autopilot."""
         self._journal.text(text.severity, text.text, now_s)
+        self.texts_sent += 1
         if not self._binding.is_bound:
             return
         self._text_id = self._text_id % 0xFFFF + 1

@@ -32,6 +32,9 @@ class LinkParams(Params, frozen=True):
     unsigned_ranging: bool = False
     """With a key: whether ranging links may bring unsigned frames, of a radio that cannot sign."""
 
+    gcs_icon: bool = False
+    """Whether ground stations on `--gcs` links get the estimate as an ADSB_VEHICLE, an icon."""
+
     def __post_init__(self) -> None:
         """Refuse a rate that goes down where it should go up."""
         if self.lossy_rate_hz < self.rate_hz:

@@ -12,24 +12,11 @@ from companion.config.schema import CompanionConfig
 from companion.domain import EstimateState, TargetEstimate
 from companion.geometry.ellipse import ellipse_95
 from companion.geometry.frames import LocalOrigin
-from companion.guidance.states import Phase
+from companion.guidance.states import PHASE_WORDS, Phase
 from companion.guidance.status import EmitterStatus, GuidanceStatus
 from companion.link.endpoint import CompanionEndpoint
 
 Json = dict[str, object]
-
-PHASE_WORDS = {
-    Phase.WAITING: "waiting for the autopilot",
-    Phase.STANDBY: "ready: switch the mode to give control",
-    Phase.LAUNCHING: "launching",
-    Phase.NORMAL: "searching",
-    Phase.HOLD: "holding in place",
-    Phase.FINISHED: "found: handed over",
-    Phase.YIELD: "silent: somebody else flies",
-    Phase.HANDBACK: "handing the vehicle back",
-    Phase.STOPPED: "stopped",
-}
-"""Phases in the operator's words."""
 
 ESTIMATE_WORDS = {
     EstimateState.SEARCHING: "searching",

@@ -1,0 +1,174 @@
+"""How the companion shows up in ground stations, beside its parameters and texts.
+
+Once a second each emitter with an estimate gives a TARGET_ESTIMATE, and the one that is looked for
+three NAMED_VALUE_FLOATs in local metres, which Mission Planner and MAVProxy show and plot: degrees
+would step by half a metre as floats. On links of their own, and only if that is wanted, ground
+stations get an ADSB_VEHICLE as well, which they draw on their map. It never goes to the autopilot:
+one that avoids traffic would dodge the emitter.
+
+The session tells most changes of its phase with a reason. A change that came without any text is
+told here, so that every one is.
+
+Source: MAVLink common, NAMED_VALUE_FLOAT and ADSB_VEHICLE; `companion/mav/radio_ranging.xml`.
+"""
+
+from __future__ import annotations
+
+import math
+
+from companion.domain import EstimateState, TargetEstimate
+from companion.geometry.frames import LocalOrigin
+from companion.guidance.commands import Announce, Severity
+from companion.guidance.session import GuidanceSession
+from companion.guidance.states import PHASE_WORDS
+from companion.guidance.status import EmitterStatus
+from companion.link.outbound import time_boot_ms
+from companion.link.outlet import Outlet
+from companion.mav.dialect import MAVLink_target_estimate_message, Message, mavlink
+from companion.mav.target_estimate import INT32_UNKNOWN, TargetState
+
+PERIOD_S = 1.0
+ICAO_BASE = 0xF00000
+"""Of an address that no aircraft has; the emitter's id is added."""
+ICON_FLAGS = (
+    mavlink.ADSB_FLAGS_VALID_COORDS
+    | mavlink.ADSB_FLAGS_VALID_ALTITUDE
+    | mavlink.ADSB_FLAGS_VALID_CALLSIGN
+)
+STATES = {
+    EstimateState.SEARCHING: TargetState.SEARCHING,
+    EstimateState.AMBIGUOUS: TargetState.AMBIGUOUS,
+    EstimateState.LOCALISED: TargetState.LOCALISED,
+    EstimateState.DIVERGED: TargetState.DIVERGED,
+}
+
+
+class Presence:
+    """Tells ground stations what there is.
+
+    Args:
+        session: The guidance.
+        outlet: The way out.
+        has_icon: Whether ground stations on links of their own get icons.
+    """
+
+    def __init__(self, session: GuidanceSession, outlet: Outlet, *, has_icon: bool) -> None:
+        self._session = session
+        self._outlet = outlet
+        self._has_icon = has_icon
+        self._next_s = -math.inf
+        self._phase = session.phase
+        self._texts = outlet.texts_sent
+
+    def tick(self, now_s: float) -> None:
+        """Tell what is due."""
+        self._tell_phase(now_s)
+        if now_s < self._next_s:
+            return
+        self._next_s = now_s + PERIOD_S
+        origin = self._session.vehicle.origin
+        for emitter in self._session.status(now_s).emitters:
+            if emitter.estimate is None:
+                continue
+            message = estimate_message(emitter.emitter_id, emitter.estimate, origin, now_s)
+            self._outlet.broadcast(message, now_s, can_be_spared=True)
+            if emitter.is_current:
+                for value in named_values(emitter.estimate, now_s):
+                    self._outlet.broadcast(value, now_s, can_be_spared=True)
+            if self._has_icon and origin is not None and _is_worth_an_icon(emitter):
+                icon = icon_message(emitter.emitter_id, emitter.estimate, origin, now_s)
+                self._outlet.send_to_stations(icon)
+
+    def _tell_phase(self, now_s: float) -> None:
+        phase, texts = self._session.phase, self._outlet.texts_sent
+        if phase is not self._phase and texts == self._texts:
+            words = PHASE_WORDS.get(phase, phase.value)
+            self._outlet.announce(Announce(Severity.INFO, words), now_s)
+        self._phase, self._texts = phase, self._outlet.texts_sent
+
+
+def estimate_message(
+    emitter_id: int, estimate: TargetEstimate, origin: LocalOrigin | None, now_s: float
+) -> Message:
+    """TARGET_ESTIMATE: ENU to north and east, counter-clockwise to clockwise.
+
+    Args:
+        emitter_id: Which emitter.
+        estimate: Where it is believed to be.
+        origin: Of the local frame; None: not known.
+        now_s: The present.
+    """
+    latitude_e7, longitude_e7 = INT32_UNKNOWN, INT32_UNKNOWN
+    if origin is not None:
+        latitude_e7, longitude_e7, _ = _place_e7(estimate, origin)
+    east_m, north_m = estimate.position_enu_m
+    (var_east, cov_north_east), (_, var_north) = estimate.covariance_m2
+    other = estimate.alternative_enu_m
+    sigma_m = estimate.height_sigma_m
+    return MAVLink_target_estimate_message(
+        time_boot_ms(now_s),
+        latitude_e7,
+        longitude_e7,
+        north_m,
+        east_m,
+        var_north,
+        cov_north_east,
+        var_east,
+        estimate.r95_m,
+        math.nan if other is None else other[1],
+        math.nan if other is None else other[0],
+        estimate.height_m,
+        math.nan if sigma_m is None else sigma_m,
+        estimate.range_offset_m,
+        -estimate.bearing_offset_rad,
+        estimate.measurements,
+        emitter_id,
+        STATES[estimate.state],
+    )
+
+
+def named_values(estimate: TargetEstimate, now_s: float) -> list[Message]:
+    """NAMED_VALUE_FLOATs of an estimate, in metres about the local origin."""
+    east_m, north_m = estimate.position_enu_m
+    values = {b"TGT_EAST": east_m, b"TGT_NORTH": north_m, b"TGT_R95": estimate.r95_m}
+    return [
+        mavlink.MAVLink_named_value_float_message(time_boot_ms(now_s), name, value)
+        for name, value in values.items()
+    ]
+
+
+def icon_message(
+    emitter_id: int, estimate: TargetEstimate, origin: LocalOrigin, now_s: float
+) -> Message:
+    """ADSB_VEHICLE: a point obstacle whose call sign says which emitter, and R95."""
+    latitude_e7, longitude_e7, altitude_mm = _place_e7(estimate, origin)
+    name = f"E{emitter_id % 1000}:{min(estimate.r95_m, 99.0):.0f}m"
+    age_s = max(0.0, now_s - estimate.time_s)
+    return mavlink.MAVLink_adsb_vehicle_message(
+        ICAO_BASE + emitter_id,
+        latitude_e7,
+        longitude_e7,
+        mavlink.ADSB_ALTITUDE_TYPE_GEOMETRIC,
+        altitude_mm,
+        0,
+        0,
+        0,
+        name.encode("ascii"),
+        mavlink.ADSB_EMITTER_TYPE_POINT_OBSTACLE,
+        min(255, round(age_s)),
+        ICON_FLAGS,
+        0,
+    )
+
+
+def _is_worth_an_icon(emitter: EmitterStatus) -> bool:
+    """Whether there is one place to draw: a bare point says nothing of how wrong it may be."""
+    estimate = emitter.estimate
+    return estimate is not None and estimate.state is EstimateState.LOCALISED
+
+
+def _place_e7(estimate: TargetEstimate, origin: LocalOrigin) -> tuple[int, int, int]:
+    """Latitude and longitude in 1e-7 degrees, altitude in millimetres."""
+    place = (*estimate.position_enu_m, estimate.height_m)
+    latitude_deg, longitude_deg, altitude_m = origin.geodetic_from_enu(place)
+    return round(latitude_deg * 1e7), round(longitude_deg * 1e7), round(altitude_m * 1e3)

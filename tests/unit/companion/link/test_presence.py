@@ -1,0 +1,164 @@
+"""What ground stations are shown of the estimate, where, and that phases are told."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from companion.config.schema import CompanionConfig
+from companion.domain import EstimateState, TargetEstimate
+from companion.geometry.frames import LocalOrigin
+from companion.guidance.states import Trigger
+from companion.link.params import LinkParams
+from companion.link.presence import estimate_message, icon_message, named_values
+from companion.mav.codec import MavCodec
+from companion.mav.dialect import (
+    MAVLink_radio_ranging_message,
+    MAVLink_target_estimate_message,
+    Message,
+    mavlink,
+)
+from tests.unit.companion.link.wire import HOLD, OFFBOARD, Wire, heartbeat, local_position
+
+ORIGIN = LocalOrigin(47.0, 8.0, 488.0)
+ESTIMATE = TargetEstimate(
+    time_s=8.0,
+    state=EstimateState.LOCALISED,
+    position_enu_m=(30.0, -40.0),
+    covariance_m2=((4.0, 0.5), (0.5, 9.0)),
+    r95_m=6.4,
+    range_offset_m=12.0,
+    bearing_offset_rad=0.1,
+    measurements=55,
+    alternative_enu_m=(1.0, 2.0),
+    height_m=3.0,
+    height_sigma_m=1.5,
+)
+Estimate = MAVLink_target_estimate_message
+Icon = mavlink.MAVLink_adsb_vehicle_message
+NamedValue = mavlink.MAVLink_named_value_float_message
+Text = mavlink.MAVLink_statustext_message
+
+
+def on_the_wire(message: Message) -> Any:
+    (read,) = MavCodec(9, 9).decode(MavCodec(1, 191).encode(message))
+    return read
+
+
+def test_an_estimate_goes_north_and_east_clockwise_with_its_covariance() -> None:
+    told = on_the_wire(estimate_message(7, ESTIMATE, ORIGIN, 10.0))
+    assert (told.north, told.east) == (-40.0, 30.0)
+    assert (told.var_north, told.cov_north_east, told.var_east) == (9.0, 0.5, 4.0)
+    assert (told.alt_north, told.alt_east) == (2.0, 1.0)
+    assert (told.height, told.height_std, told.range_offset) == (3.0, 1.5, 12.0)
+    assert told.bearing_offset == pytest.approx(-0.1)
+    assert told.r95 == pytest.approx(6.4)
+    assert (told.time_boot_ms, told.emitter_id, told.measurements) == (10_000, 7, 55)
+    assert told.state == 2
+    place = ORIGIN.enu_from_geodetic(told.lat / 1e7, told.lon / 1e7, 491.0)
+    assert place == pytest.approx((30.0, -40.0, 3.0), abs=0.02)
+
+
+def test_what_is_not_known_is_said_so() -> None:
+    vague = TargetEstimate(0.0, EstimateState.SEARCHING, (0.0, 0.0), ((1, 0), (0, 1)), 9, 0, 0, 1)
+    told = on_the_wire(estimate_message(7, vague, None, 0.0))
+    assert told.lat == told.lon == 2**31 - 1
+    assert math.isnan(told.alt_north)
+    assert math.isnan(told.alt_east)
+    assert math.isnan(told.height_std)
+
+
+def test_values_are_local_metres_with_names_that_fit() -> None:
+    told = [on_the_wire(message) for message in named_values(ESTIMATE, 10.0)]
+    values = {message.name: message.value for message in told}
+    assert values == {"TGT_EAST": 30.0, "TGT_NORTH": -40.0, "TGT_R95": pytest.approx(6.4)}
+    assert all(len(name) <= 10 for name in values)
+
+
+def test_an_icon_is_an_obstacle_with_a_name_that_fits() -> None:
+    told = on_the_wire(icon_message(1007, ESTIMATE, ORIGIN, 10.0))
+    assert told.callsign == "E7:6m"
+    assert told.emitter_type == mavlink.ADSB_EMITTER_TYPE_POINT_OBSTACLE
+    assert told.flags == 1 | 2 | 16
+    assert (told.tslc, told.altitude) == (2, pytest.approx(491_000, abs=20))
+    assert told.lat == on_the_wire(estimate_message(7, ESTIMATE, ORIGIN, 10.0)).lat
+
+
+def heard(config: CompanionConfig, ticks: int = 200) -> Wire:
+    """In the air, around an emitter that answers truly, a tenth of a second for each tick."""
+    wire = Wire(config, gcs_links=1).ready()
+    for tick in range(ticks):
+        wire.wait(0.1)
+        angle = 0.05 * tick
+        east_m, north_m = 30.0 + 25.0 * math.cos(angle), -40.0 + 25.0 * math.sin(angle)
+        stamp_ms = round(1e3 * wire.now_s)
+        wire.say(local_position(stamp_ms, north_m, east_m, -20.0, 0.0, 0.0, 0.0))
+        if tick % 5 == 0:
+            wire.say(heartbeat(custom_mode=HOLD, is_armed=True, status=4))
+        bearing = math.atan2(30.0 - east_m, -40.0 - north_m)
+        range_m = math.hypot(25.0, 20.0)
+        ranging = (1000 * stamp_ms, range_m, 1.0, bearing, 0.05, math.nan, math.nan, 7, 255, 0)
+        wire.say(MAVLink_radio_ranging_message(*ranging))
+    return wire
+
+
+def told_on(wire: Wire, link: int) -> list[Message]:
+    reader = MavCodec(9, 9)
+    return [m for c in wire.raw if c.link == link for m in reader.decode(c.data)]
+
+
+def test_once_a_second_on_all_links_and_an_icon_on_those_of_stations_only() -> None:
+    wire = heard(CompanionConfig(link=LinkParams(gcs_icon=True)))
+    assert wire.endpoint.session.estimate is not None
+    for link in (0, 1):
+        told = told_on(wire, link)
+        estimates = [m for m in told if isinstance(m, Estimate)]
+        assert 15 <= len(estimates) <= 21
+        assert estimates[-1].north == pytest.approx(-40.0, abs=5.0)
+        assert estimates[-1].east == pytest.approx(30.0, abs=5.0)
+        names = [m.name for m in told if isinstance(m, NamedValue)]
+        assert set(names) == {"TGT_EAST", "TGT_NORTH", "TGT_R95"}
+        assert len(names) == 3 * len(estimates)
+    icons = [m for m in told_on(wire, 1) if isinstance(m, Icon)]
+    assert icons
+    assert not [m for m in told_on(wire, 0) if isinstance(m, Icon)]
+
+
+def test_nobody_gets_an_icon_unasked() -> None:
+    wire = heard(CompanionConfig(), ticks=60)
+    assert wire.of(Estimate)
+    assert not wire.of(Icon)
+
+
+def test_every_change_of_the_phase_is_told() -> None:
+    wire = Wire().bound()
+    texts = len(wire.of(Text))
+    seen = [wire.endpoint.session.phase]
+
+    def expect_text() -> None:
+        nonlocal texts
+        for _ in range(4):
+            wire.say(wire.position())
+            wire.wait(0.05)
+        assert wire.endpoint.session.phase is not seen[-1]
+        seen.append(wire.endpoint.session.phase)
+        assert len(wire.of(Text)) > texts, seen
+        texts = len(wire.of(Text))
+
+    wire.ready()
+    expect_text()
+    for mode, is_armed in ((OFFBOARD, True), (HOLD, True), (HOLD, False)):
+        wire.say(heartbeat(custom_mode=mode, is_armed=is_armed, status=4))
+        if not is_armed:
+            wire.say(heartbeat(custom_mode=mode, is_armed=False, status=3))
+        expect_text()
+    assert [phase.value for phase in seen[:4]] == ["waiting", "standby", "hold", "yield"]
+
+
+def test_a_change_that_came_without_a_reason_is_told_in_words() -> None:
+    wire = Wire().ready()
+    wire.endpoint.session.situation.enter(Trigger.LAUNCH, wire.now_s)
+    wire.wait(0.05)
+    assert wire.journal.texts[-1] == "launching"
