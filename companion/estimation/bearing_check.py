@@ -49,9 +49,13 @@ class BearingCheck:
 
     def clear(self) -> None:
         """Forget everything, a condemnation included."""
+        self.forget_samples()
+        self.is_quiet = self.is_random = False
+
+    def forget_samples(self) -> None:
+        """Forget what was measured, but not a condemnation."""
         self._samples.clear()
         self._since = 0
-        self.is_quiet = self.is_random = False
 
     def add(
         self, time_s: float, bearing_rad: float, sigma_rad: float, sensor_enu_m: PositionEnu

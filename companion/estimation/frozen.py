@@ -29,6 +29,10 @@ class FrozenValue:
         """Forget everything."""
         self._value = None
 
+    def forget_samples(self) -> None:
+        """The same: there is nothing else to keep."""
+        self.clear()
+
     def add(self, value: float, time_s: float, sensor_enu_m: PositionEnu) -> bool:
         """Take in a value; whether it is frozen.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,6 +56,14 @@ class MeasurementWindow:
         kept = self.rows[max(self._count - count, 0) :].copy()
         self._count = len(kept)
         self._rows[: self._count] = kept
+
+    def change(self, changed: Callable[[Matrix], Matrix]) -> None:
+        """Put other rows in the place of those held.
+
+        Args:
+            changed: The new rows, (n, 10), of the old ones.
+        """
+        self._rows[: self._count] = changed(self.rows)
 
     def believe(self, range_sigma_m: float, bearing_sigma_rad: float) -> None:
         """Take all ranges and bearings held to have this thermal noise."""

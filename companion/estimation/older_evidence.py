@@ -10,7 +10,7 @@ each other, a measurement that was left out says little that its neighbours in t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -39,6 +39,10 @@ class OlderEvidence:
     def is_empty(self) -> bool:
         """Whether nothing was left out yet."""
         return not self.information.any()
+
+    def moved(self, step: Vector) -> OlderEvidence:
+        """The same about a state that is farther by `step`, (k,)."""
+        return replace(self, pull=self.pull + self.information @ step)
 
     def joined(
         self,

@@ -78,6 +78,12 @@ class Plausibility:
         for part in (*parts, self._absurd_ranges, self._absurd_bearings):
             part.clear()
 
+    def jumped(self) -> None:
+        """The vehicle's own position jumped: nothing before it is compared with what follows."""
+        parts = (self._units, self._bearings, self._frozen_range, self._frozen_bearing)
+        for part in parts:
+            part.forget_samples()
+
     @property
     def objection(self) -> Objection | None:
         """Why nothing should be flown on such values."""

@@ -20,6 +20,7 @@ from companion.estimation.belief import as_evidence
 from companion.estimation.filter_params import FilterParams
 from companion.estimation.hypotheses import Hypothesis
 from companion.estimation.measurement_window import MeasurementWindow
+from companion.estimation.moving import moved_rows
 from companion.estimation.observability import Observability, mirrored, observability_of
 from companion.estimation.older_evidence import OlderEvidence
 from companion.estimation.rivals import weighted
@@ -77,6 +78,13 @@ class Polisher:
     def begin_from(self, hypothesis: Hypothesis) -> None:
         """Take a hypothesis for what was measured before the first measurement."""
         self._older = as_evidence(hypothesis, self._filter_params)
+
+    def move(self, shift_enu_m: PositionEnu, step: Vector) -> None:
+        """Move all evidence along with the vehicle's navigation, which jumped; see `moving`."""
+        self._older = self._older.moved(step)
+        self._window.change(
+            lambda rows: moved_rows(rows, shift_enu_m, step, self._filter_params),
+        )
 
     def begin_with(self, latest: Iterable[tuple[PositionEnu, Vector, Vector]]) -> None:
         """Forget what led to an estimate that has been given up, all but the latest measurements.

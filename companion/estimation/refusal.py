@@ -32,6 +32,7 @@ class Refusal(Enum):
     BEARING_OUTLIER = "bearing off the estimate"
     NO_POSITION = "own position unknown at its time"
     NO_YAW = "own yaw unknown at its time"
+    OWN_JUMP = "own position or yaw jumped about its time"
 
 
 class AcceptanceParams(Params, frozen=True):

@@ -28,6 +28,7 @@ from companion.estimation.hypotheses import (
     first_hypotheses,
 )
 from companion.estimation.innovation_noise import InnovationNoise, TrackerHealth
+from companion.estimation.moving import moved, state_step
 from companion.estimation.noise_learner import NoiseLearner
 from companion.estimation.objections import Objection
 from companion.estimation.observability import Observability
@@ -89,6 +90,8 @@ class TargetTracker:
         self._learner = self._fresh_learner()
         self._latest: deque[Row] = deque(maxlen=CONTRADICTION_COUNT)
         self._diverged_until = 0
+        self._is_borne_from_heading = False
+        """Whether the newest bearing came relative to the vehicle's heading."""
 
     def fuse(
         self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu | None, now_s: float
@@ -129,6 +132,21 @@ class TargetTracker:
         self._plausibility.clear()
         self.last_accepted_s = None
         self._recent.clear()
+
+    def move(self, shift_enu_m: PositionEnu, turn_rad: float) -> None:
+        """The vehicle's navigation jumped: what is known moves along, see `moving`.
+
+        Args:
+            shift_enu_m: By how much its reported position jumped.
+            turn_rad: By how much bearings turn that are measured from its heading,
+                counter-clockwise; of a radio that knows north itself they do not.
+        """
+        turn_rad = turn_rad if self._is_borne_from_heading else 0.0
+        step = state_step(self._filter.params, shift_enu_m, turn_rad)
+        self._hypotheses = tuple(moved(h, step) for h in self._hypotheses)
+        self._polisher.move(shift_enu_m, step)
+        self._latest.clear()
+        self._plausibility.jumped()
 
     def _forget_place(self) -> None:
         self._hypotheses = ()
@@ -287,6 +305,8 @@ class TargetTracker:
         passed = judgement.passed
         if passed is None:
             return FusionReport(judgement.reason)
+        if passed.bearing_enu_rad is not None:
+            self._is_borne_from_heading = passed.bearing_body_rad is not None
         if judgement.reason is not None:
             self.refusals[judgement.reason] += 1
         return self._fused(passed, sensor_enu_m)

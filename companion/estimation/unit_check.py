@@ -93,10 +93,14 @@ class UnitCheck:
 
     def clear(self) -> None:
         """Forget everything, a condemnation included."""
-        self._samples.clear()
-        self._since = 0
+        self.forget_samples()
         self.factor = None
         self.is_wild = False
+
+    def forget_samples(self) -> None:
+        """Forget what was measured, but not a condemnation."""
+        self._samples.clear()
+        self._since = 0
 
     @property
     def is_condemned(self) -> bool:

@@ -45,6 +45,7 @@ class Reason(Enum):
     WRONG_UNIT = "measurements seem to be in a wrong unit"
     FRAME_MOVED = "local frame moved"
     HOME_MOVED = "home moved"
+    OWN_JUMP = "own position or heading jumped"
     CHECKING = "checking its inputs"
     OPERATOR_HOLDS = "the operator asked to hold"
     OPERATOR_RETURNS = "the operator asked to return"

@@ -37,10 +37,12 @@ from companion.guidance.events import (
     StopRequested,
     TimerFired,
     VehicleMoved,
+    YawMeasured,
 )
 from companion.guidance.fencing import FencePlan, Fencing
 from companion.guidance.flight_plan import FlightPlan
 from companion.guidance.handover import Handover
+from companion.guidance.jumps import JumpWatch
 from companion.guidance.measuring import Measuring
 from companion.guidance.memory import SessionMemory
 from companion.guidance.params import SessionParams as SessionParams
@@ -90,6 +92,7 @@ class GuidanceSession:
         self._measuring = Measuring(self.situation, self._watches.inputs, turns)
         self._control = ControlTick(self.situation, self._watches, self.handover, turns)
         self._recollection = Recollection(self.situation)
+        self._jumps = JumpWatch(self.situation)
 
     def handle(self, event: Event) -> list[Command]:
         """What is to be done about an event."""
@@ -103,6 +106,10 @@ class GuidanceSession:
                 self.situation.record("origin", **asdict(event.origin))
         if isinstance(event, HomeSet):
             self.handover.check_home(event)
+        if isinstance(event, VehicleMoved):
+            self._jumps.moved(event)
+        if isinstance(event, YawMeasured):
+            self._jumps.turned(event)
         self.vehicle.handle(event)
         self._watches.handle(event)
         match event:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import bisect
+import math
 from collections import deque
+from dataclasses import replace
 
 from companion.domain import PositionEnu, VehicleState
 from companion.geometry.frames import wrap_pi
@@ -29,16 +31,44 @@ class VehicleTrack:
     def __init__(self) -> None:
         self._states: deque[VehicleState] = deque()
         self._yaws: deque[tuple[float, float]] = deque()
+        self._distrusted_s = (math.inf, -math.inf)
 
     @property
     def latest(self) -> VehicleState | None:
         """The newest state."""
         return self._states[-1] if self._states else None
 
+    @property
+    def latest_yaw(self) -> tuple[float, float] | None:
+        """Time and value of the newest heading."""
+        return self._yaws[-1] if self._yaws else None
+
     def clear(self) -> None:
         """Forget everything, because the autopilot restarted or moved its frame."""
         self._states.clear()
         self._yaws.clear()
+        self._distrusted_s = (math.inf, -math.inf)
+
+    def shift(self, jump_enu_m: PositionEnu) -> None:
+        """Move the past along with a position that jumped."""
+        self._states = deque(
+            replace(state, position_enu_m=_plus(state.position_enu_m, jump_enu_m))
+            for state in self._states
+        )
+
+    def turn(self, jump_rad: float) -> None:
+        """Turn the past along with a heading that jumped, clockwise."""
+        self._yaws = deque((time_s, wrap_pi(yaw + jump_rad)) for time_s, yaw in self._yaws)
+
+    def distrust(self, since_s: float, until_s: float) -> None:
+        """Positions and headings between these times are not to be measured from."""
+        earliest_s, latest_s = self._distrusted_s
+        is_apart = latest_s < since_s
+        self._distrusted_s = (since_s if is_apart else min(earliest_s, since_s), until_s)
+
+    def is_trusted_at(self, time_s: float) -> bool:
+        """Whether there was no jump about this time."""
+        return not self._distrusted_s[0] < time_s < self._distrusted_s[1]
 
     def add(self, state: VehicleState) -> None:
         """Take in a state; one that is not newer than the newest is ignored (reordering)."""
@@ -95,6 +125,10 @@ class VehicleTrack:
 def _moved(state: VehicleState, ahead_s: float) -> PositionEnu:
     (e, n, u), (ve, vn, vu) = state.position_enu_m, state.velocity_enu_mps
     return (e + ve * ahead_s, n + vn * ahead_s, u + vu * ahead_s)
+
+
+def _plus(place: PositionEnu, step: PositionEnu) -> PositionEnu:
+    return (place[0] + step[0], place[1] + step[1], place[2] + step[2])
 
 
 def _blended(before: VehicleState, after: VehicleState, share: float) -> PositionEnu:

@@ -97,6 +97,11 @@ class VehicleView:
         self.home_enu_m = self.reported_home_enu_m = None
         self._counted_at = None
 
+    def shift(self, jump_enu_m: PositionEnu) -> None:
+        """The reported position jumped: where the vehicle was is told in the new terms, too."""
+        self.track.shift(jump_enu_m)
+        self._counted_at = None
+
     def keep_home(self, keeps: bool) -> None:
         """Whether altitudes stay above the home that is known now, wherever it is moved."""
         self._keeps_home = keeps

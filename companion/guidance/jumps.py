@@ -1,0 +1,137 @@
+"""Jumps of the vehicle's own navigation: held on, and taken with it by what is believed.
+
+Theory of operation. An estimator that resets moves the reported position, or the heading, at once,
+while the vehicle stays where it is. MAVLink's local position has no counter for that, so each
+report is held against the one before and the velocities of both. What was measured of the target
+is relative to the vehicle, so a jump moves the target, and every place that it was seen from, by
+as much: then the old measurements agree with the new ones, and it does not matter which of the two
+positions was the right one. The vehicle stays until its navigation was steady for a while, and what
+is measured until then is not fused. Navigation that keeps jumping is handed back.
+
+Source: PX4 user guide, "ECL/EKF", resets; `ardupilot/libraries/AP_NavEKF3`, reset of the position.
+"""
+
+from __future__ import annotations
+
+import math
+
+from companion.domain import PositionEnu, VehicleState
+from companion.geometry.frames import wrap_pi
+from companion.guidance.commands import Severity
+from companion.guidance.events import VehicleMoved, YawMeasured
+from companion.guidance.findings import Finding, Reason, Verdict
+from companion.guidance.situation import Situation
+from companion.guidance.states import Trigger
+from companion.guidance.track import is_plausible
+
+LEAST_STEP_M = 0.5
+"""Less than this is noise, or cannot be told from it."""
+MAX_ACCELERATION_MPS2 = 10.0
+"""Two positions and their velocities differ by a quarter of this times the time squared."""
+LEAST_TURN_RAD = math.radians(15.0)
+MAX_TURN_RADPS = math.radians(120.0)
+"""A heading changes no faster than this, beyond the least turn."""
+MAX_GAP_S = 1.0
+"""Reports farther apart than this are not compared."""
+STEADY_S = 2.0
+"""So long there must be no jump."""
+PATIENCE_S = 5.0
+"""Jumps that go on for longer than this are handed back."""
+
+
+def position_jump_m(before: VehicleState, after: VehicleState) -> PositionEnu | None:
+    """How far a report lies from where the vehicle can have flown, ENU metres; None: no jump.
+
+    Args:
+        before: The newest report until now.
+        after: A newer one.
+    """
+    dt_s = after.time_s - before.time_s
+    if not 0.0 < dt_s <= MAX_GAP_S:
+        return None
+    (ae, an, au), (be, bn, bu) = (
+        tuple(
+            place + side * 0.5 * dt_s * speed
+            for place, speed in zip(state.position_enu_m, state.velocity_enu_mps, strict=True)
+        )
+        for state, side in ((after, -1.0), (before, 1.0))
+    )
+    jump = (ae - be, an - bn, au - bu)
+    most_m = LEAST_STEP_M + 0.25 * MAX_ACCELERATION_MPS2 * dt_s * dt_s
+    return jump if math.hypot(*jump) > most_m else None
+
+
+def yaw_jump_rad(before: tuple[float, float], after: tuple[float, float]) -> float | None:
+    """How far a heading turned at once, clockwise; None: no farther than a vehicle turns.
+
+    Args:
+        before: Time and heading of the newest report until now.
+        after: Of a newer one.
+    """
+    dt_s, turn_rad = after[0] - before[0], wrap_pi(after[1] - before[1])
+    if not 0.0 < dt_s <= MAX_GAP_S:
+        return None
+    return turn_rad if abs(turn_rad) > LEAST_TURN_RAD + MAX_TURN_RADPS * dt_s else None
+
+
+class JumpWatch:
+    """Watches position and heading as they are reported.
+
+    Args:
+        situation: Of the session.
+    """
+
+    def __init__(self, situation: Situation) -> None:
+        self._situation = situation
+        self._first_s = -math.inf
+        """When the present jumps began."""
+        self._last_s = -math.inf
+
+    def moved(self, event: VehicleMoved) -> None:
+        """A position is reported; to be called before the vehicle takes it in."""
+        track = self._situation.vehicle.track
+        if track.latest is None or not is_plausible(event.state):
+            return
+        jump_m = position_jump_m(track.latest, event.state)
+        if jump_m is None:
+            return
+        before_s = track.latest.time_s
+        self._situation.vehicle.shift(jump_m)
+        self._situation.tracker.move(jump_m, 0.0)
+        self._situation.steering.forget_setpoint()
+        text = f"own position jumped by {math.hypot(*jump_m):.1f} m"
+        self._hold(text, before_s, event.time_s)
+
+    def turned(self, event: YawMeasured) -> None:
+        """A heading is reported; to be called before the vehicle takes it in."""
+        track = self._situation.vehicle.track
+        if track.latest_yaw is None or not math.isfinite(event.yaw_ned_rad):
+            return
+        before_s = track.latest_yaw[0]
+        jump_rad = yaw_jump_rad(track.latest_yaw, (event.measured_at_s, event.yaw_ned_rad))
+        if jump_rad is None:
+            return
+        track.turn(jump_rad)
+        self._situation.tracker.move((0.0, 0.0, 0.0), -jump_rad)
+        text = f"own heading jumped by {math.degrees(jump_rad):.0f} deg"
+        self._hold(text, before_s, event.time_s)
+
+    def _hold(self, text: str, before_s: float, now_s: float) -> None:
+        situation = self._situation
+        is_first = now_s - self._last_s > STEADY_S
+        if is_first:
+            self._first_s = now_s
+        self._last_s = now_s
+        situation.vehicle.track.distrust(before_s, now_s + STEADY_S)
+        situation.flight_plan.forget()
+        situation.estimate = situation.tracker.estimate(now_s)
+        verdict, reason = Verdict.HOLD, Reason.OWN_JUMP
+        finding = Finding(verdict, reason, f"{text}: waiting until it is steady")
+        if now_s - self._first_s > PATIENCE_S:
+            finding = Finding(Verdict.HAND_BACK, reason, "own position or heading keeps jumping")
+        situation.find(finding)
+        situation.hold_until(finding, now_s + STEADY_S)
+        situation.enter(Trigger.INPUT_LOST, now_s)
+        situation.record("own_jump", text=text)
+        if is_first:
+            situation.announce(Severity.WARNING, f"{text}: the estimate moves along")

@@ -1,0 +1,96 @@
+"""An estimate moves along with navigation that jumps, as if it had always been told so."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+
+from companion.domain import PositionEnu
+from companion.estimation.moving import JUMP_SIGMA_M
+from companion.estimation.tracker import TargetTracker
+from companion.estimation.tracker_params import TrackerParams
+from companion.geometry.arrays import Matrix
+from tests.unit.companion.estimation.walks import measurement_of, params, walk
+
+SHIFT = (12.0, -7.0, 3.0)
+TURN_RAD = math.radians(30.0)
+
+
+def fed(
+    tracker: TargetTracker,
+    rows: Matrix,
+    first: int,
+    shift: PositionEnu = (0.0, 0.0, 0.0),
+    turn_rad: float = 0.0,
+) -> TargetTracker:
+    """The tracker after these rows, seen from shifted places and turned."""
+    for index, row in enumerate(rows, first):
+        seen, place = measurement_of(row, 0.1 * index)
+        if seen.bearing_enu_rad is not None:
+            turned_rad = math.remainder(seen.bearing_enu_rad + turn_rad, 2.0 * math.pi)
+            seen = replace(seen, bearing_enu_rad=turned_rad, bearing_body_rad=turned_rad)
+        moved = (place[0] + shift[0], place[1] + shift[1], place[2] + shift[2])
+        tracker.fuse(seen, moved, 0.1 * index)
+    return tracker
+
+
+@pytest.mark.parametrize("count", [5, 60, 700])
+def test_after_a_jump_it_is_as_if_it_had_always_been_there(count: int) -> None:
+    """With 700 of them some are in the window no more."""
+    believed = TrackerParams(filter=params(target_height_sigma_m=5.0))
+    rows = walk(np.random.default_rng(1), count + 120, elevations=True)
+    jumped = fed(TargetTracker(believed), rows[:count], 0)
+    jumped.move(SHIFT, 0.0)
+    fed(jumped, rows[count:], count, SHIFT)
+    higher = msgspec.structs.replace(believed.filter, target_height_m=SHIFT[2])
+    always = fed(TargetTracker(TrackerParams(filter=higher)), rows, 0, SHIFT)
+    jumped.polish_thoroughly()
+    always.polish_thoroughly()
+    assert jumped.restarts == 0
+    one, other = jumped.hypotheses[0].state.mean, always.hypotheses[0].state.mean
+    np.testing.assert_allclose(one, other, rtol=0, atol=0.05)
+    assert jumped.estimate(1e3).r95_m == pytest.approx(always.estimate(1e3).r95_m, rel=0.1)  # type: ignore[union-attr]
+
+
+def test_bearings_from_a_heading_turn_with_it() -> None:
+    rows = walk(np.random.default_rng(2), 200)
+    tracker = fed(TargetTracker(TrackerParams(filter=params())), rows[:100], 0)
+    before = tracker.hypotheses[0].state
+    tracker.move((0.0, 0.0, 0.0), TURN_RAD)
+    after = tracker.hypotheses[0].state
+    assert after.mean[3] - before.mean[3] == pytest.approx(TURN_RAD)
+    assert after.mean[:3] == pytest.approx(before.mean[:3])
+    assert after.covariance[3, 3] > before.covariance[3, 3]
+    fed(tracker, rows[100:], 100, turn_rad=TURN_RAD)
+    assert tracker.restarts == 0
+    assert not tracker.refusals
+    assert math.dist(tracker.hypotheses[0].place_enu_m, before.mean[:2]) < 1.0
+
+
+def test_of_a_radio_that_knows_north_they_do_not() -> None:
+    tracker = TargetTracker(TrackerParams(filter=params()))
+    for index, row in enumerate(walk(np.random.default_rng(2), 50)):
+        tracker.fuse(*measurement_of(row, 0.1 * index), 0.1 * index)
+    before = tracker.hypotheses[0].state.mean
+    tracker.move((0.0, 0.0, 0.0), TURN_RAD)
+    assert tracker.hypotheses[0].state.mean == pytest.approx(before)
+
+
+def test_a_known_height_stays_and_the_place_is_doubted_a_little() -> None:
+    tracker = fed(TargetTracker(TrackerParams(filter=params())), walk(np.random.default_rng(3)), 0)
+    before = tracker.hypotheses[0].state
+    tracker.move(SHIFT, 0.0)
+    after = tracker.hypotheses[0].state
+    assert after.mean - before.mean == pytest.approx([*SHIFT[:2], 0.0, 0.0])
+    grown = np.diag(after.covariance - before.covariance)
+    assert grown == pytest.approx([JUMP_SIGMA_M**2, JUMP_SIGMA_M**2, 0.0, 0.0])
+
+
+def test_without_an_estimate_there_is_nothing_to_move() -> None:
+    tracker = TargetTracker(TrackerParams())
+    tracker.move(SHIFT, TURN_RAD)
+    assert tracker.hypotheses == ()
