@@ -97,7 +97,7 @@ class JumpWatch:
             return
         before_s = track.latest.time_s
         self._situation.vehicle.shift(jump_m)
-        self._situation.tracker.move(jump_m, 0.0)
+        self._move_targets(jump_m, 0.0)
         self._situation.steering.forget_setpoint()
         text = f"own position jumped by {math.hypot(*jump_m):.1f} m"
         self._hold(text, before_s, event.time_s)
@@ -112,9 +112,13 @@ class JumpWatch:
         if jump_rad is None:
             return
         track.turn(jump_rad)
-        self._situation.tracker.move((0.0, 0.0, 0.0), -jump_rad)
+        self._move_targets((0.0, 0.0, 0.0), -jump_rad)
         text = f"own heading jumped by {math.degrees(jump_rad):.0f} deg"
         self._hold(text, before_s, event.time_s)
+
+    def _move_targets(self, shift_enu_m: PositionEnu, turn_rad: float) -> None:
+        for tracker in self._situation.emitters.trackers:
+            tracker.move(shift_enu_m, turn_rad)
 
     def _hold(self, text: str, before_s: float, now_s: float) -> None:
         situation = self._situation

@@ -76,7 +76,7 @@ class RangingListener:
 
     def _fuse(self, measurement: RangingMeasurement, now_s: float) -> FusionReport:
         if not self._track.is_trusted_at(measurement.measured_at_s):
-            return self._tracker.refuse(Refusal.OWN_JUMP)
+            return self._fuser.refuse(Refusal.OWN_JUMP)
         sensor_enu_m = self._track.position_at(measurement.measured_at_s)
         body_rad = measurement.bearing_body_rad
         if body_rad is not None and measurement.bearing_enu_rad is None:
