@@ -71,6 +71,11 @@ def argument_parser() -> argparse.ArgumentParser:
         help="link to a ground station, beside the way through the autopilot; repeatable",
     )
     parser.add_argument(
+        "--cot",
+        metavar="HOST:PORT",
+        help="send found emitters as Cursor on Target over UDP, for ATAK (239.2.3.1:6969)",
+    )
+    parser.add_argument(
         "--config", dest="fly_config", metavar="FILE", type=Path, help="configuration YAML"
     )
     parser.add_argument(
@@ -241,6 +246,7 @@ def check_place_of_options(arguments: argparse.Namespace) -> None:
             "connect",
             "ranging",
             "gcs",
+            "cot",
             "fence",
             "signing-key",
             "insecure",

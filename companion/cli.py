@@ -20,7 +20,8 @@ from companion.io.links import link_from_url, shared_link_from_url
 from companion.io.urls import LinkUrl, parse_link_url
 from companion.replay.command import Pace, replay_flight
 from companion.replay.walk import replay_walk, table
-from companion.run import fly
+from companion.run import FlightView, fly
+from companion.view.cot import CotView, cot_address
 from companion.web.settings import WebSettings, web_settings
 from companion.web.view import WebView
 
@@ -121,8 +122,11 @@ def _fly(arguments: argparse.Namespace) -> int:
     links = [link_from_url(url) for url in urls[:first_gcs]]
     links += [shared_link_from_url(url) for url in urls[first_gcs:]]
     clock = Clock(arguments.fly_speed or 1.0)
-    views = [] if settings is None else [WebView(settings, config)]
+    views: list[FlightView] = []
+    if arguments.cot is not None:
+        views.append(CotView(cot_address(arguments.cot)))
     if settings is not None:
+        views.append(WebView(settings, config))
         print(f"live map: {settings.url}", file=sys.stderr)
     endpoint = fly(
         config,
