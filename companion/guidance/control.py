@@ -134,13 +134,13 @@ class ControlTick:
     def _judge(self, now_s: float) -> None:
         """Fly the plan, fly it slower, stay, or let go, by the worst that is wrong now."""
         situation, finding = self._situation, self._watches.finding(now_s)
+        is_news = situation.find(finding, now_s)
         if finding is None:
-            situation.finding = None
             if situation.enter(Trigger.INPUT_BACK, now_s):
-                situation.announce(Severity.INFO, "flying the plan")
                 situation.plan_now(now_s)
+            if is_news:
+                situation.announce(Severity.INFO, "flying the plan")
             return
-        is_news = situation.find(finding)
         match finding.verdict:
             case Verdict.SLOW:
                 situation.enter(Trigger.INPUT_AGES, now_s)

@@ -111,7 +111,7 @@ class Handover:
             self._has_flown = situation.vehicle.landed is LandedState.IN_AIR
             situation.launch = None
             situation.has_launched = True
-            situation.find(CHECKING)
+            situation.find(CHECKING, now_s)
             text = f"in control: autopilot is in {situation.vehicle.guided_name}"
             situation.announce(Severity.NOTICE, text)
 
@@ -148,7 +148,7 @@ class Handover:
         situation.forget_target()
         situation.steering.forget_setpoint()
         finding = Finding(Verdict.HOLD, Reason.FRAME_MOVED, "the local frame moved")
-        situation.find(finding)
+        situation.find(finding, event.time_s)
         situation.hold_until(finding, event.time_s + SETTLE_S)
         situation.enter(Trigger.INPUT_LOST, event.time_s)
         text = f"local origin moved by {step_m:.0f} m: fence kept in its place, estimate forgotten"

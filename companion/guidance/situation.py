@@ -21,6 +21,7 @@ from companion.guidance.commands import (
 from companion.guidance.containment import Containment
 from companion.guidance.emitters import EmitterQueue
 from companion.guidance.fencing import Fencing
+from companion.guidance.finding_news import FindingNews
 from companion.guidance.findings import Finding, Reason
 from companion.guidance.flight_plan import FlightPlan
 from companion.guidance.launch import Launch
@@ -80,6 +81,7 @@ class Situation:
         """What is wrong now."""
         self.reasons: Counter[Reason] = Counter()
         """How often each reason was what is wrong."""
+        self._finding_news = FindingNews()
         self.containment = Containment()
         self.commands: list[Command] = []
         self._passing: tuple[Finding, float] | None = None
@@ -112,6 +114,8 @@ class Situation:
         self.record("phase", old=left.value, new=self.phase.value, trigger=trigger.value)
         if self.phase in OUT_OF_CONTROL:
             self.withdraw()
+        if self.phase not in IN_CONTROL:
+            self._finding_news = FindingNews()
         if not (left in IN_CONTROL and self.phase in STREAMING):
             self.steering.forget_setpoint()
         self.vehicle.keep_home(self.phase in HAS_VEHICLE)
@@ -119,11 +123,13 @@ class Situation:
             self.enter(Trigger.STOP, now_s)
         return True
 
-    def find(self, finding: Finding) -> bool:
-        """Take note of what is wrong now; whether it is another reason than before."""
-        before, self.finding = self.finding, finding
-        if before is not None and before.reason is finding.reason:
+    def find(self, finding: Finding | None, now_s: float) -> bool:
+        """Take note of what is wrong now, or that nothing is; whether that is news."""
+        self.finding = finding
+        if not self._finding_news.is_due(finding, now_s):
             return False
+        if finding is None:
+            return True
         self.reasons[finding.reason] += 1
         verdict = finding.verdict.name.lower()
         self.record("finding", verdict=verdict, reason=finding.reason.value, text=finding.text)

@@ -64,6 +64,7 @@ def test_degraded_ends_with_the_next_measurement() -> None:
     seconds_until(flight, Phase.DEGRADED)
     flight.has_ranging = True
     assert seconds_until(flight, Phase.NORMAL) <= 0.15
+    flight.fly(1.0)
     assert flight.texts[-1] == "flying the plan"
 
 

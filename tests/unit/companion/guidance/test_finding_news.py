@@ -1,0 +1,57 @@
+from __future__ import annotations
+
+from companion.guidance.events import OperatorAsked, Wish
+from companion.guidance.finding_news import GONE_S, TOLD_AGAIN_S, FindingNews
+from companion.guidance.findings import Finding, Reason, Verdict
+from companion.guidance.session import TICK_S
+from tests.unit.companion.guidance.scripted import ScriptedFlight
+
+STALE = Finding(Verdict.HOLD, Reason.POSITION_STALE, "")
+NO_LINK = Finding(Verdict.HOLD, Reason.NO_LINK, "")
+AGES = Finding(Verdict.SLOW, Reason.RANGING_AGES, "")
+
+
+def told(news: FindingNews, findings: list[Finding | None], since_s: float = 0.0) -> list[int]:
+    """Which of some findings, one a tick, are told."""
+    return [i for i, each in enumerate(findings) if news.is_due(each, since_s + i * TICK_S)]
+
+
+def test_a_reason_is_told_at_once_and_once() -> None:
+    assert told(FindingNews(), [STALE] * 100) == [0]
+
+
+def test_that_nothing_is_wrong_is_no_news_at_first_and_news_after_something_was() -> None:
+    assert told(FindingNews(), [None] * 30) == []
+    assert told(FindingNews(), [STALE] * 30 + [None] * 30) == [0, 30]
+
+
+def test_two_reasons_that_take_turns_are_told_once_each() -> None:
+    ticks = round(0.9 * TOLD_AGAIN_S / TICK_S)
+    assert told(FindingNews(), [STALE, NO_LINK] * (ticks // 2)) == [0, 1]
+
+
+def test_what_lasts_is_told_a_moment_after_it_began() -> None:
+    flicker: list[Finding | None] = [STALE, NO_LINK] * 10
+    moment = round(GONE_S / TICK_S)
+    assert told(FindingNews(), flicker + [STALE] * 100) == [0, 1, len(flicker) - 1 + moment]
+
+
+def test_what_is_worse_does_not_wait() -> None:
+    news = FindingNews()
+    assert told(news, [STALE] * 20 + [AGES] * 40) == [0, 20]
+    assert told(news, [STALE, AGES] * 20, 3.0) == [0]
+
+
+def test_reasons_that_take_turns_in_flight_are_told_calmly() -> None:
+    """The operator's wish hides the missing ranging in every other tick."""
+    flight = ScriptedFlight().in_control()
+    flight.has_ranging = False
+    flight.fly(6.0)
+    since = len(flight.texts)
+    for _ in range(60):
+        flight.give(OperatorAsked(flight.now_s, Wish.HOLD))
+        flight.fly(TICK_S)
+        flight.give(OperatorAsked(flight.now_s, Wish.RESUME))
+        flight.fly(TICK_S)
+    assert flight.texts[since:] == ["hold: the operator asked to hold"]
+    assert len(flight.records("finding")) < 10
