@@ -12,6 +12,7 @@ from companion.guidance.findings import Verdict
 from companion.guidance.guard_news import GuardNews
 from companion.guidance.handover import Handover
 from companion.guidance.launch import Launch, LaunchView
+from companion.guidance.launch_permit import LaunchPermit
 from companion.guidance.reporting import Reporting
 from companion.guidance.situation import Situation
 from companion.guidance.states import FLYING, IN_CONTROL, Phase, Trigger
@@ -46,6 +47,7 @@ class ControlTick:
         self._handover = handover
         self._turns = turns
         self._reporting = Reporting(situation, watches.battery, turns)
+        self._permit = LaunchPermit(situation)
         self._waiting = WaitingReason(situation.vehicle, situation.authority, situation.fencing)
         self._guard_news = GuardNews()
         self._tick_s: float | None = None
@@ -85,12 +87,14 @@ class ControlTick:
 
     def _advance_phase(self, now_s: float) -> None:
         situation = self._situation
+        if situation.phase in (Phase.WAITING, Phase.STANDBY):
+            self._permit.tick(now_s)
         match situation.phase:
             case Phase.WAITING:
                 self._wait(now_s)
             case Phase.STANDBY if not situation.fencing.is_ready:
                 situation.enter(Trigger.FENCE_LOST, now_s)
-            case Phase.STANDBY if situation.params.engage == "auto" and not situation.has_launched:
+            case Phase.STANDBY if self._permit.is_given:
                 situation.has_launched = True
                 situation.launch = Launch(situation.params.altitude_m, now_s)
                 situation.enter(Trigger.LAUNCH, now_s)
@@ -112,9 +116,9 @@ class ControlTick:
         is_ready = situation.vehicle.is_usable(now_s) and situation.fencing.is_ready
         if is_ready and situation.authority.may_begin:
             situation.enter(Trigger.READY, now_s)
-            is_auto = situation.params.engage == "auto" and not situation.has_launched
             guided = f"ready: switch to {situation.vehicle.guided_name} to give control"
-            situation.announce(Severity.INFO, "ready: launching by itself" if is_auto else guided)
+            text = "ready: launching by itself" if self._permit.is_wanted else guided
+            situation.announce(Severity.INFO, text)
 
     def _advance_launch(self, now_s: float) -> None:
         situation = self._situation

@@ -181,16 +181,14 @@ class Launch:
         heartbeat = view.heartbeat
         if heartbeat.autopilot is Autopilot.OTHER:
             self.failure = "only PX4 and ArduPilot can be launched"
-        elif heartbeat.is_armed and heartbeat.mode not in _launch_modes(heartbeat.autopilot):
+        elif heartbeat.is_armed:
             name = mode_name(heartbeat.mode, heartbeat.autopilot)
             self.failure = f"the vehicle is being flown already, in {name}"
         if self.failure is not None:
             return []
-        self._modes = _modes_on_the_way(heartbeat)
+        self._modes = _modes_on_the_way(heartbeat.autopilot)
         self._needs_prestream = heartbeat.autopilot is not Autopilot.ARDUPILOT
-        if heartbeat.is_armed and view.height_m >= CLIMBED_SHARE * self.altitude_m:
-            self._enter(Stage.PRESTREAM, view.now_s)
-        elif heartbeat.is_ready and view.has_origin:
+        if heartbeat.is_ready and view.has_origin:
             self._enter(Stage.MODE if self._launch_mode(heartbeat) else Stage.ARM, view.now_s)
         elif view.now_s - self._since_s > READY_TIMEOUT_S:
             self.failure = "the autopilot does not become ready to arm"
@@ -234,20 +232,11 @@ class Launch:
             self.failure = "the vehicle did not climb to its altitude"
 
 
-def _launch_modes(autopilot: Autopilot) -> frozenset[FlightMode]:
-    """Modes in which an armed vehicle is nobody's and may be launched or taken over."""
-    if autopilot is Autopilot.ARDUPILOT:
-        return frozenset({FlightMode.OFFBOARD, FlightMode.HOLD})
-    return frozenset({FlightMode.HOLD, FlightMode.TAKEOFF, FlightMode.READY})
-
-
-def _modes_on_the_way(heartbeat: HeartbeatReceived) -> frozenset[FlightMode]:
+def _modes_on_the_way(autopilot: Autopilot) -> frozenset[FlightMode]:
     """Modes that an armed vehicle shows if nobody interferes.
 
-    ArduPilot is launched in GUIDED from the start, so its hold mode is somebody's choice, unless
-    the vehicle was found in it.
+    ArduPilot is launched in GUIDED from the start, so its hold mode is somebody's choice.
     """
-    if heartbeat.autopilot is not Autopilot.ARDUPILOT:
-        return _launch_modes(heartbeat.autopilot)
-    found = {heartbeat.mode} if heartbeat.is_armed else set()
-    return frozenset({FlightMode.OFFBOARD} | found)
+    if autopilot is Autopilot.ARDUPILOT:
+        return frozenset({FlightMode.OFFBOARD})
+    return frozenset({FlightMode.HOLD, FlightMode.TAKEOFF, FlightMode.READY})

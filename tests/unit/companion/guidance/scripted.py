@@ -221,6 +221,15 @@ class ScriptedFlight:
         self.fly(1.0)
         return self
 
+    def on_the_ground(self) -> ScriptedFlight:
+        """Disarmed where it starts, with everything known."""
+        self.place = (0.0, 0.0, 0.0)
+        self.heartbeat()
+        self.report_landed(LandedState.ON_GROUND)
+        self.locate()
+        self.fly(0.5)
+        return self
+
     def in_control(self) -> ScriptedFlight:
         """Given offboard by the operator, and flying the plan."""
         self.ready()
@@ -229,11 +238,22 @@ class ScriptedFlight:
         assert self.phase is Phase.NORMAL, self.texts
         return self
 
-    def launched_by_itself(self) -> ScriptedFlight:
-        """Launched by the session itself: PX4, already in the air in hold."""
-        self.ready()
+    def asking_for_offboard(self) -> ScriptedFlight:
+        """Launched from the ground by the session itself, up to its last request (PX4)."""
+        self.on_the_ground()
+        self.answer(RequestKind.ARM)
+        self.show(FlightMode.HOLD)
+        self.fly(0.1)
+        self.answer(RequestKind.TAKE_OFF)
+        self.report_landed(LandedState.IN_AIR)
+        self.place = (0.0, 0.0, 20.0)
         self.fly(2.0)
         assert FlightMode.OFFBOARD in self.asked_modes()
+        return self
+
+    def launched_by_itself(self) -> ScriptedFlight:
+        """Launched by the session itself (PX4), and flying the plan."""
+        self.asking_for_offboard()
         self.answer(RequestKind.SET_MODE)
         self.show(FlightMode.OFFBOARD)
         self.fly(1.0)

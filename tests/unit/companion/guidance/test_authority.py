@@ -114,9 +114,7 @@ def test_numbers_begin_anew_with_the_autopilot() -> None:
 
 
 def test_after_the_launch_was_told_that_it_has_offboard_another_mode_is_somebodys() -> None:
-    flight = ScriptedFlight(SessionParams(engage="auto")).ready()
-    flight.fly(2.0)
-    assert FlightMode.OFFBOARD in flight.asked_modes()
+    flight = ScriptedFlight(SessionParams(engage="auto")).asking_for_offboard()
     accepted = RequestAnswered(flight.now_s, RequestKind.SET_MODE, Outcome.ACCEPTED, order=100)
     flight.give(accepted)
     numbered(flight, FlightMode.HOLD, 99)

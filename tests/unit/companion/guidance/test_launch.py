@@ -201,7 +201,9 @@ def test_offboard_that_is_accepted_but_never_entered_ends_the_launch() -> None:
     [
         (Autopilot.PX4, FlightMode.POSITION),
         (Autopilot.PX4, FlightMode.OFFBOARD),
+        (Autopilot.PX4, FlightMode.HOLD),
         (Autopilot.ARDUPILOT, FlightMode.POSITION),
+        (Autopilot.ARDUPILOT, FlightMode.HOLD),
     ],
 )
 def test_a_vehicle_that_somebody_flies_is_not_launched(
@@ -225,11 +227,7 @@ def test_an_unknown_autopilot_is_not_launched() -> None:
 
 def launching(autopilot: Autopilot = Autopilot.PX4) -> ScriptedFlight:
     """Armed and climbing, as told by the autopilot."""
-    flight = ScriptedFlight(AUTO, autopilot)
-    flight.place = (0.0, 0.0, 0.0)
-    flight.heartbeat()
-    flight.locate()
-    flight.fly(0.5)
+    flight = ScriptedFlight(AUTO, autopilot).on_the_ground()
     if autopilot is Autopilot.ARDUPILOT:
         flight.answer(RequestKind.SET_MODE)
         flight.mode = FlightMode.OFFBOARD

@@ -66,7 +66,7 @@ def test_a_resumed_estimate_is_flown_on_only_with_a_new_measurement() -> None:
 def test_nothing_launches_by_itself_after_a_restart(autopilot: Autopilot) -> None:
     flight = ScriptedFlight(AUTO, autopilot)
     flight.give(EarlierRunFound(0.0))
-    flight.ready()
+    flight.on_the_ground()
     flight.fly(5.0)
     assert flight.phase is Phase.STANDBY
     assert not flight.sent(Arm)
