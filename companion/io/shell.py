@@ -11,7 +11,8 @@ arrived meanwhile. It is taken in before the timer fires, so that the first tick
 and not the moment of the stall; a flood can put that off for a tenth of a second only.
 
 A stop (SIGINT, SIGTERM, SIGHUP or `request_stop`) asks the endpoint for an orderly end and gives
-it one and a half wall seconds; a second signal ends at once. An exception out of the endpoint is a
+it one and a half wall seconds; a second signal ends at once. Two within 0.3 s are one: timeout(1)
+and some supervisors signal the process and then its group. An exception out of the endpoint is a
 bug of ours: it ends the loop, closes the links and is raised to the caller, because a companion
 that is silent is safe (the autopilot's own failsafe takes over) and one in an unknown state is not.
 """
@@ -34,6 +35,9 @@ from companion.mav.endpoint import Chunk, Endpoint
 STOP_DEADLINE_S = 1.5
 """Wall seconds from the first stop request to the end, whatever the endpoint says; closing the logs
 takes the rest of the two seconds that a stop may last."""
+
+SAME_SIGNAL_S = 0.3
+"""Wall seconds after a signal in which another one is the same wish."""
 
 LATE_S = 0.05
 """A timer later than this has missed a whole control tick."""
@@ -109,6 +113,8 @@ class Shell:
         """Whether no link had anything since the timer was looked at last."""
         self._stop_wanted = threading.Event()
         self._is_stopping = False
+        self._signalled_s: float | None = None
+        """When the last signal that counted came; monotonic."""
         self._failure: BaseException | None = None
 
     async def run(self) -> None:
@@ -210,8 +216,12 @@ class Shell:
         self._wake([], begins_stop=True)
 
     def _signalled(self) -> None:
+        now_s = time.monotonic()
+        if self._signalled_s is not None and now_s - self._signalled_s <= SAME_SIGNAL_S:
+            return
         if self._is_stopping and self._end is not None:
             self._end.set()
+        self._signalled_s = now_s
         self._begin_stop()
 
     @contextmanager

@@ -612,16 +612,26 @@ def test_a_signal_asks_the_endpoint_to_stop(number: signal.Signals) -> None:
     assert len(endpoint.stops_s) == 1
 
 
-def test_a_second_signal_ends_at_once() -> None:
+@pytest.mark.parametrize(
+    ("again_s", "least_s", "most_s"),
+    [([0.05, 0.2], 1.4, 2.5), ([0.5], 0.4, 1.2), ([0.1, 0.5], 0.4, 1.2)],
+    ids=["at once", "later", "both"],
+)
+def test_a_second_signal_ends_at_once_if_it_is_not_the_echo_of_the_first(
+    again_s: list[float], least_s: float, most_s: float
+) -> None:
+    """timeout(1) signals the process, and then its group: within 0.3 s that is one wish."""
     endpoint = EchoEndpoint(finishes=False)
+    signals_s = [0.0, *again_s]
+    started_s = time.monotonic()
 
     def on_wakeup(_: float) -> None:
-        if len(endpoint.ticks_s) in (2, 5):
+        if signals_s and time.monotonic() - started_s >= signals_s[0]:
+            signals_s.pop(0)
             os.kill(os.getpid(), signal.SIGTERM)
 
-    started_s = time.monotonic()
     Shell(endpoint, [], Clock(), on_wakeup).run_blocking()
-    assert time.monotonic() - started_s < 1.5
+    assert least_s < time.monotonic() - started_s < most_s
     assert len(endpoint.stops_s) == 1
 
 
