@@ -42,6 +42,12 @@ def test_what_is_worse_does_not_wait() -> None:
     assert told(news, [STALE, AGES] * 20, 3.0) == [0]
 
 
+def test_a_lost_link_never_waits() -> None:
+    news = FindingNews()
+    outage = [STALE] * 10 + [NO_LINK] * 20 + [None] * 20
+    assert told(news, [*outage, *outage]) == [0, 10, 30, 50, 60, 99]
+
+
 def test_reasons_that_take_turns_in_flight_are_told_calmly() -> None:
     """The operator's wish hides the missing ranging in every other tick."""
     flight = ScriptedFlight().in_control()
