@@ -12,6 +12,7 @@ from sim_link.campaign.kills import Kills, Stops
 from sim_link.campaign.missions import Missions
 from sim_link.campaign.override import Overrides
 from sim_link.campaign.reactions import Reactions
+from sim_link.campaign.signals import Signals
 from sim_link.campaign.soak import Soak
 from sim_link.campaign.trial import Part, Trial
 
@@ -21,6 +22,7 @@ ALL: tuple[Part, ...] = (
     GapHours(),
     Kills(),
     Stops(),
+    Signals(),
     Floods(),
     Fuzzing(),
     Reactions(),
@@ -35,6 +37,7 @@ AMOUNTS: Mapping[str, Mapping[str, float]] = {
         "gaps": 0.01,
         "kill": 6,
         "stop": 6,
+        "signal": 2,
         "forged": 10_000,
         "fuzz": 5_000,
         "reaction": 6,
@@ -46,6 +49,7 @@ AMOUNTS: Mapping[str, Mapping[str, float]] = {
         "gaps": 0.1,
         "kill": 200,
         "stop": 200,
+        "signal": 20,
         "forged": 1_000_000,
         "fuzz": 1_000_000,
         "reaction": 100,
@@ -57,6 +61,7 @@ AMOUNTS: Mapping[str, Mapping[str, float]] = {
         "gaps": 10.0,
         "kill": 400,
         "stop": 400,
+        "signal": 200,
         "forged": 10_000_000,
         "fuzz": 10_000_000,
         "reaction": 500,
@@ -68,13 +73,14 @@ AMOUNTS: Mapping[str, Mapping[str, float]] = {
         "gaps": 10.0,
         "kill": 1000,
         "stop": 1000,
+        "signal": 400,
         "forged": 10_000_000,
         "fuzz": 100_000_000,
         "reaction": 2000,
         "soak": 24.0,
     },
 }
-"""Missions; take-overs; hours at each loss; kills; stops; frames; cuts; hours."""
+"""Missions; take-overs; hours at each loss; kills; stops; signals; frames; cuts; hours."""
 
 
 def trials_of(size: str, seed: int, only: Sequence[str] = ()) -> list[Trial]:

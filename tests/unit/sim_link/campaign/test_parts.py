@@ -17,13 +17,14 @@ from sim_link.campaign.trial import Trial
 from sim_link.faults.kinds import KINDS
 from sim_link.lockstep.checkpoints import MemoryStore
 
-SMALL = {"gaps": 0.003, "forged": 0.1, "fuzz": 0.05, "soak": 0.01}
+SMALL = {"gaps": 0.003, "signal": 0.2, "forged": 0.1, "fuzz": 0.05, "soak": 0.01}
 MEASURES = {
     "missions": "missions",
     "override": "overrides",
     "gaps": "max_gap_s",
     "kill": "kills",
     "stop": "stops",
+    "signal": "signals",
     "forged": "attack_frames",
     "fuzz": "fuzz_frames",
     "reaction": "hold_after_stale_s",

@@ -1,0 +1,219 @@
+"""Signals to real processes: SIGTERM and SIGKILL at random instants of a flight over UDP.
+
+The same as `kill` and `stop`, which fly in lockstep, with everything between: interpreter, event
+loop, sockets, files. What the companion did is read from its event log, what became of the vehicle
+from the simulator's own report.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from companion.demo.simulator import free_udp_port
+from companion.errors import CompanionError
+from sim_link.autopilot.scenario import FlavourName
+from sim_link.campaign.draws import Dice
+from sim_link.campaign.kills import EXIT_S, HOLD_S
+from sim_link.campaign.trial import Outcome, Trial, trial_seed
+
+SPEED = 3.0
+EARLIEST_S, LATEST_S = 0.5, 36.0
+"""Instants, in seconds of the flight."""
+DOWN_S = (0.1, 1.0)
+"""Between a kill and the next start."""
+AFTER_S = 6.0
+"""How long the next one is watched, in seconds of the flight."""
+START_S = 60.0
+"""Real time that a process may take to start on a busy machine."""
+
+
+class Signals:
+    """The part of the campaign that signals real processes."""
+
+    name = "signal"
+    title = "real processes: SIGTERM and SIGKILL at random instants, and started again"
+
+    def trials(self, amount: float, seed: int) -> Sequence[Trial]:
+        """So many signals, of both kinds by turns."""
+        return [Trial(self.name, trial_seed(seed, index)) for index in range(round(amount))]
+
+    def cost(self, trial: Trial) -> float:  # noqa: ARG002
+        """Seconds of one core."""
+        return 12.0
+
+    def run(self, trial: Trial) -> Outcome:
+        """Fly, signal, and read what was left; a size below 1 signals earlier."""
+        dice = Dice(np.random.default_rng((trial.seed, 0x516)))
+        flavour = dice.one(FLAVOURS)
+        instant_s = dice.number(EARLIEST_S, EARLIEST_S + trial.size * (LATEST_S - EARLIEST_S))
+        with tempfile.TemporaryDirectory(prefix="signal-") as folder:
+            flight = _Flight(Path(folder), flavour)
+            try:
+                companion = flight.start_companion()
+                time.sleep(instant_s / SPEED)
+                if trial.seed % 2:
+                    return _stopped(trial, flight, companion)
+                return _killed(trial, flight, companion, dice.number(*DOWN_S))
+            finally:
+                flight.close()
+
+
+FLAVOURS: tuple[FlavourName, ...] = ("px4", "ardupilot")
+
+
+class _Flight:
+    """A simulator and companions in a folder; both end with this process."""
+
+    def __init__(self, folder: Path, flavour: str) -> None:
+        self._folder = folder
+        self._port = free_udp_port()
+        self._config = folder / "companion.yaml"
+        values = {
+            "mission": {"engage": "auto", "stop_confirm_s": 1e6},
+            "log": {"directory": str(folder / "flights")},
+            "process": {"state_directory": str(folder / "state")},
+        }
+        self._config.write_text(yaml.safe_dump(values))
+        self._companions: list[subprocess.Popen[bytes]] = []
+        arguments = ["sim_link", "--stop-on-eof", "--quiet", "--autopilot", flavour]
+        arguments += ["--speed", f"{SPEED:g}", "--report", str(folder / "truth.json")]
+        arguments += ["--listen", f"127.0.0.1:{free_udp_port()}"]
+        self._simulator = self._start([*arguments, "--send-to", f"127.0.0.1:{self._port}"])
+
+    def _start(self, arguments: list[str]) -> subprocess.Popen[bytes]:
+        return subprocess.Popen(
+            [sys.executable, "-m", *arguments],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
+            start_new_session=True,
+        )
+
+    def start_companion(self) -> subprocess.Popen[bytes]:
+        """Start one; back when its flight has begun.
+
+        Raises:
+            CompanionError: It does not start.
+        """
+        before = len(self._logs())
+        arguments = ["sim_link.mission.leashed", "--config", str(self._config)]
+        arguments += ["--connect", f"udp:127.0.0.1:{self._port}", "--speed", f"{SPEED:g}"]
+        process = self._start(arguments)
+        self._companions.append(process)
+        deadline_s = time.monotonic() + START_S
+        while len(self._logs()) == before:
+            if process.poll() is not None or time.monotonic() > deadline_s:
+                raise CompanionError("the companion did not start")
+            time.sleep(0.01)
+        return process
+
+    def _logs(self) -> list[Path]:
+        return sorted(self._folder.glob("flights/*/events.jsonl"))
+
+    def events(self, number: int) -> list[dict[str, Any]]:
+        """What the n-th companion wrote; the last line of one that was killed may be torn."""
+        lines = self._logs()[number].read_bytes().split(b"\n")
+        return [json.loads(line) for line in lines[:-1]]
+
+    def land(self) -> list[str]:
+        """End the simulator; the modes that the vehicle was in."""
+        self._simulator.communicate(timeout=START_S)
+        truth = json.loads((self._folder / "truth.json").read_text())
+        return [change["mode"] for change in truth["mode_changes"]]
+
+    def close(self) -> None:
+        """End everything that still runs."""
+        for process in (*self._companions, self._simulator):
+            process.kill()
+            process.communicate()
+
+
+def _end(process: subprocess.Popen[bytes]) -> float:
+    """SIGTERM; how many seconds the process took to end."""
+    began_s = time.monotonic()
+    process.send_signal(signal.SIGTERM)
+    try:
+        process.wait(EXIT_S + 2.0)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+    return time.monotonic() - began_s
+
+
+def _stopped(trial: Trial, flight: _Flight, companion: subprocess.Popen[bytes]) -> Outcome:
+    took_s = _end(companion)
+    events, modes = flight.events(0), flight.land()
+    findings = [] if took_s <= EXIT_S else [f"gone {took_s:.2f} s after SIGTERM"]
+    if companion.returncode != 0:
+        findings.append(f"exit code {companion.returncode} after SIGTERM")
+    asked_s = _time_of(events, "phase", new="handback")
+    hold_s = 0.0
+    if asked_s is not None:
+        answered_s = _time_of(events, "answer", outcome="accepted", since_s=asked_s)
+        hold_s = took_s if answered_s is None else (answered_s - asked_s) / SPEED
+        if answered_s is None or hold_s > HOLD_S:
+            findings.append(f"hold not confirmed within {HOLD_S:g} s of SIGTERM")
+        if modes[-1] != "hold":
+            findings.append(f"stopped in control, and the vehicle is in {modes[-1]}")
+    return Outcome(
+        trial,
+        tuple(findings),
+        sums={"signals": 1.0, "signals_in_control": float(asked_s is not None)},
+        most={"signal_exit_s": took_s, "signal_hold_s": hold_s},
+        story=_story(events),
+    )
+
+
+def _killed(
+    trial: Trial, flight: _Flight, companion: subprocess.Popen[bytes], down_s: float
+) -> Outcome:
+    companion.kill()
+    companion.wait()
+    before = flight.events(0)
+    had_begun = _time_of(before, "phase", new="launching") is not None
+    time.sleep(down_s)
+    began_s = time.monotonic()
+    companion = flight.start_companion()
+    started_s = time.monotonic() - began_s
+    time.sleep(AFTER_S / SPEED)
+    took_s = _end(companion)
+    after = flight.events(1)
+    asked = [event for event in after if event["kind"] == "answer"]
+    findings = [] if took_s <= EXIT_S else [f"gone {took_s:.2f} s after SIGTERM"]
+    if had_begun and asked:
+        findings.append(f"took the vehicle by itself after a kill ({len(asked)} requests)")
+    return Outcome(
+        trial,
+        tuple(findings),
+        sums={"signals": 1.0, "signals_in_control": float(had_begun)},
+        most={"signal_exit_s": took_s, "signal_start_s": started_s},
+        story=(*_story(before), "SIGKILL", *_story(after)),
+    )
+
+
+def _time_of(
+    events: Sequence[dict[str, Any]], kind: str, since_s: float = 0.0, **fields: object
+) -> float | None:
+    """When something was written first."""
+    for event in events:
+        is_it = all(event.get(name) == value for name, value in fields.items())
+        if event["kind"] == kind and event["t_s"] >= since_s and is_it:
+            return float(event["t_s"])
+    return None
+
+
+def _story(events: Sequence[dict[str, Any]]) -> tuple[str, ...]:
+    return tuple(f"{e['t_s']:8.2f} s  {e['text']}" for e in events if e["kind"] == "text")
