@@ -60,6 +60,7 @@ class CompanionProbe(Station):
         flavour: Which autopilot it shows.
         policy: How it answers commands.
         system_id: Its system.
+        is_flying: Whether it hovers, armed; otherwise it stands on the ground, disarmed.
     """
 
     def __init__(
@@ -68,15 +69,17 @@ class CompanionProbe(Station):
         flavour: Flavour = Flavour.PX4,
         policy: Policy = accept,
         system_id: int = VEHICLE[0],
+        *,
+        is_flying: bool = True,
     ) -> None:
         super().__init__(link, system_id, VEHICLE[1], None)
         self.flavour = flavour
         self.mode = "hold"
-        self.is_armed = True
+        self.is_armed = is_flying
         self.is_failsafe = False
         self.policy = policy
         self.started_s = self.now_s - 100.0
-        self.down_m = HOVER_DOWN_M
+        self.down_m = HOVER_DOWN_M if is_flying else 0.0
         self.on_message = self._answer
         self._stops: list[Callable[[], None]] = []
         self.come_back()

@@ -54,9 +54,10 @@ def companion_probe(flavour: Flavour) -> CompanionProbe:
 
 
 def unanswered_companion_probe(flavour: Flavour) -> CompanionProbe:
-    """The same with a companion that launches by itself, and a vehicle that never answers."""
+    """The same with a companion that launches by itself a vehicle that never answers."""
     endpoint = build_endpoint(LAUNCHES_BY_ITSELF, Notes())
-    probe = CompanionProbe(MemoryHub(endpoint).connect(), flavour, stay_silent)
+    link = MemoryHub(endpoint).connect()
+    probe = CompanionProbe(link, flavour, stay_silent, is_flying=False)
     probe.attach()
     return probe
 
