@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from companion.guidance.events import OperatorAsked, Wish
 from companion.guidance.finding_news import GONE_S, TOLD_AGAIN_S, FindingNews
 from companion.guidance.findings import Finding, Reason, Verdict
@@ -11,7 +13,7 @@ NO_LINK = Finding(Verdict.HOLD, Reason.NO_LINK, "")
 AGES = Finding(Verdict.SLOW, Reason.RANGING_AGES, "")
 
 
-def told(news: FindingNews, findings: list[Finding | None], since_s: float = 0.0) -> list[int]:
+def told(news: FindingNews, findings: Sequence[Finding | None], since_s: float = 0.0) -> list[int]:
     """Which of some findings, one a tick, are told."""
     return [i for i, each in enumerate(findings) if news.is_due(each, since_s + i * TICK_S)]
 
