@@ -133,7 +133,7 @@ class JumpWatch:
         finding = Finding(verdict, reason, f"{text}: waiting until it is steady")
         if now_s - self._first_s > PATIENCE_S:
             finding = Finding(Verdict.HAND_BACK, reason, "own position or heading keeps jumping")
-        situation.find(finding)
+        situation.find(finding, now_s)
         situation.hold_until(finding, now_s + STEADY_S)
         situation.enter(Trigger.INPUT_LOST, now_s)
         situation.record("own_jump", text=text)
