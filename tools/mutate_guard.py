@@ -35,8 +35,10 @@ EQUIVALENTS = ROOT / "tools" / "mutate_guard_equivalents.txt"
 MOST_EQUIVALENTS = 3
 TIMEOUT_S = 120
 MEMORY_BYTES = 4 << 30
+PROFILE = "first-example-will-do"
 PYTEST = (
-    *("-x", "-q", "--no-header", "-p", "no:cacheprovider", "--hypothesis-seed=0"),
+    *("-x", "-q", "--no-header", "-p", "no:cacheprovider"),
+    *("--hypothesis-seed=0", f"--hypothesis-profile={PROFILE}"),
     # Rewritten assertions come with a finder in front of ours, that would load the file as it is.
     "--assert=plain",
 )
@@ -75,7 +77,9 @@ def start(tests: Sequence[str], module: str = "", tree: ast.Module | None = None
         if tree is not None:
             sys.meta_path.insert(0, _Finder(module, tree, f"<mutant of {module}>"))
         import pytest
+        from hypothesis import Phase, settings
 
+        settings.register_profile(PROFILE, phases=(Phase.explicit, Phase.generate))
         code = int(pytest.main([*PYTEST, *tests]))
     except BaseException:
         code = 1

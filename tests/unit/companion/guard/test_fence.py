@@ -6,6 +6,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from companion.geometry.obstacles import GRAZE_M
 from companion.geometry.polygons import Point, deepest_point, depth_m
 from companion.guard.fence import Fence
 
@@ -52,6 +53,7 @@ def fences(draw: st.DrawFn) -> Fence:
         (SQUARE, -0.1, "must not be negative"),
         (SQUARE, math.nan, "must not be negative"),
         (SQUARE, 20.0, "margin of 20 m leaves nothing"),
+        (SQUARE, depth_m(SQUARE, deepest_point(SQUARE)), "leaves nothing"),
         (SQUARE, math.inf, "leaves nothing"),
     ],
 )
@@ -60,6 +62,15 @@ def test_a_fence_that_encloses_nothing_usable_is_refused(
 ) -> None:
     with pytest.raises(ValueError, match=problem):
         Fence(polygon, margin_m)
+
+
+def test_a_fence_of_a_little_more_than_a_square_metre_is_one() -> None:
+    assert Fence(((0.0, 0.0), (1.1, 0.0), (1.1, 1.1), (0.0, 1.1)), 0.0).allows((0.5, 0.5))
+
+
+def test_fences_are_equal_by_what_they_were_made_of_and_say_only_that() -> None:
+    assert Fence(SQUARE, 3.0) == Fence(SQUARE, 3.0)
+    assert "FreeSpace" not in repr(Fence(SQUARE, 3.0))
 
 
 @pytest.mark.parametrize(
@@ -138,6 +149,16 @@ def test_an_allowed_goal_is_reached_exactly() -> None:
     fence = Fence(SQUARE, 3.0)
     assert fence.limited((10.0, 10.0), (30.0, 35.0)) == (30.0, 35.0)
     assert fence.limited((10.0, 10.0), (10.0, 10.0)) == (10.0, 10.0)
+
+
+def test_a_way_that_grazes_a_keep_out_by_rounding_is_followed_to_its_end() -> None:
+    goal = (30.0, 7.0 + 0.5 * GRAZE_M)
+    assert Fence(SQUARE, 3.0, (HOUSE,)).limited((4.0, goal[1]), goal) == goal
+
+
+def test_no_rounding_makes_a_goal_in_the_margin_an_allowed_one() -> None:
+    fence = Fence(SQUARE, 3.0)
+    assert fence.allows(fence.limited((20.0, 20.0), (20.0, 3.0 - 0.5 * GRAZE_M)))
 
 
 def test_an_allowed_goal_behind_a_notch_is_not() -> None:
