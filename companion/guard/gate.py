@@ -151,9 +151,10 @@ class Guard:
     def use(self, limits: GuardLimits) -> None:
         """Other limits from now on, for example when the fence becomes known."""
         self.limits = limits
-        fence, clearance_m = limits.fence, limits.stopping.clearance_m
-        self._ways: FreeSpace | None = None if fence is None else fence.free_space(clearance_m)
-        """Where the vehicle itself may be on its way to a setpoint."""
+        self._known: tuple[Fence, FreeSpace] | None = None
+        """The fence, and where the vehicle itself may be on its way to a setpoint."""
+        if limits.fence is not None:
+            self._known = limits.fence, limits.fence.free_space(limits.stopping.clearance_m)
 
     def here(self, motion: Motion) -> Guarded:
         """The setpoint "stay where you are", moved inside the limits if that is outside."""
@@ -189,11 +190,11 @@ class Guard:
             dt_s: Time since the setpoint before.
             speed_cap_mps: No faster than this, where that is less than the limits.
         """
-        fence, ways = self.limits.fence, self._ways
-        if fence is None or ways is None:
+        if self._known is None:
             return Guarded(previous.position_enu_m, (GuardReason.NO_FENCE,))
         if not _are_numbers(goal_enu_m, motion, dt_s, speed_cap_mps):
             return Guarded(previous.position_enu_m, (GuardReason.NOT_FINITE,))
+        fence, ways = self._known
         dt_s = min(max(dt_s, 0.0), MAX_TICK_S)
         step = _Step(goal_enu_m, previous, motion, dt_s, speed_cap_mps, [])
         trouble = self._trouble(step, fence, ways)

@@ -64,8 +64,10 @@ def test_a_fence_that_encloses_nothing_usable_is_refused(
         Fence(polygon, margin_m)
 
 
-def test_a_fence_of_a_little_more_than_a_square_metre_is_one() -> None:
-    assert Fence(((0.0, 0.0), (1.1, 0.0), (1.1, 1.1), (0.0, 1.1)), 0.0).allows((0.5, 0.5))
+@pytest.mark.parametrize("side_m", [1.0, 1.1])
+def test_a_fence_of_a_square_metre_or_a_little_more_is_one(side_m: float) -> None:
+    square = ((0.0, 0.0), (side_m, 0.0), (side_m, side_m), (0.0, side_m))
+    assert Fence(square, 0.0).allows((0.5, 0.5))
 
 
 def test_fences_are_equal_by_what_they_were_made_of_and_say_only_that() -> None:

@@ -240,7 +240,7 @@ class TestWhatIsNoNumber:
         assert GUARD.towards(place, self.FAST, motion(START), 0.1) == self.KEPT
 
     @pytest.mark.parametrize("axis", [0, 1, 2])
-    @pytest.mark.parametrize("value", [math.nan, math.inf, -1.1e6, 1.1e6])
+    @pytest.mark.parametrize("value", [math.nan, math.inf, -1e6 - 0.5, 1e6 + 0.5])
     def test_a_vehicle_keeps_the_setpoint(self, axis: int, value: float) -> None:
         odd = list(START)
         odd[axis] = value
@@ -381,6 +381,18 @@ class TestAVehicleInTrouble:
         away = motion((60.0, 0.0, 30.0), (1.0, 0.0, 0.0))
         assert GUARD.towards(START, Guarded(START), away, 0.1).position_enu_m == (60.0, 0.0, 30.0)
 
+    def test_a_climb_takes_no_room_from_the_way_to_stop(self) -> None:
+        """4 m/s need 6 m of the 6.1 m to 3 sigma before the fence."""
+        place, climbing = (90.9, 0.0, 30.0), (4.0, 0.0, 2.0)
+        guarded = GUARD.towards((0.0, 0.0, 30.0), Guarded(place), motion(place, climbing), 0.1)
+        assert GuardReason.TOO_FAST not in guarded.reasons
+
+    def test_a_setpoint_that_a_new_fence_forbids_begins_anew_at_the_vehicle(self) -> None:
+        """It is in the margin, where the vehicle itself might be."""
+        place = (90.0, 0.0, 30.0)
+        anew = GUARD.towards((0.0, 0.0, 30.0), Guarded((96.0, 0.0, 30.0)), motion(place), 0.1)
+        assert anew == Guarded(place, (GuardReason.CUT_OFF,))
+
 
 HOUSE = ((10.0, -20.0), (20.0, -20.0), (20.0, 20.0), (10.0, 20.0))
 
@@ -434,6 +446,9 @@ class TestTheWayHome:
     def test_a_leash_of_nothing_is_refused(self, value: float) -> None:
         with pytest.raises(ValueError, match=r"^distance_home_m: must be above 0$"):
             replace(LIMITS, distance_home_m=value)
+
+    def test_a_short_leash_is_one(self) -> None:
+        assert replace(LIMITS, distance_home_m=0.5).distance_home_m == 0.5
 
     LOW = Guard(replace(LIMITS, reserve=Reserve(20.0, 100.0)))
 
