@@ -145,7 +145,7 @@ class UnitCheck:
             self._reconsider(window, float(np.median(raw_m)))
 
     def _suspect(self, window: _Window, middle_m: float, now_s: float) -> None:
-        factor, log_ratio = self._likeliest(window, FACTORS)
+        factor, log_ratio = self._likeliest(window, FACTORS, CONDEMNED_LOG_RATIO)
         if log_ratio >= CONDEMNED_LOG_RATIO:
             self.factor = factor
         self.is_wild = _spread_m(window) > MAX_SPREAD_M
@@ -154,16 +154,19 @@ class UnitCheck:
     def _reconsider(self, window: _Window, middle_m: float) -> None:
         """Acquit by evidence: metres are likelier, or the numbers are of another size."""
         if self.factor is not None:
-            _, log_ratio = self._likeliest(window, (self.factor,))
+            _, log_ratio = self._likeliest(window, (self.factor,), ACQUITTED_LOG_RATIO)
             if log_ratio <= ACQUITTED_LOG_RATIO:
                 self.factor = None
         if self.is_wild and middle_m < self._condemned_m / CHANGED_RATIO:
             self.is_wild = _spread_m(window) > MAX_SPREAD_M
 
-    def _likeliest(self, window: _Window, factors: tuple[float, ...]) -> tuple[float, float]:
+    def _likeliest(
+        self, window: _Window, factors: tuple[float, ...], limit: float
+    ) -> tuple[float, float]:
         """The likeliest of some factors, and the log of how much more so than 1 it is.
 
         Metres get the better search: a place between those that are tried must not condemn them.
+        It only lowers the ratio, so one below `limit` is not looked at any closer.
         """
         places = self._places_enu_m(window.sensor_enu_m)
         distances_m = self._distances_m(places, window.sensor_enu_m)
@@ -172,12 +175,15 @@ class UnitCheck:
             float(self._costs(window.range_m, distances_m, factor, count).min())
             for factor in factors
         ]
+        best = int(np.argmin(costs))
         in_metres = self._costs(window.range_m, distances_m, 1.0, count)
+        log_ratio = float(in_metres.min()) - costs[best]
+        if log_ratio < limit:
+            return factors[best], log_ratio
         starts = places[np.argsort(in_metres)[:REFINED]]
         refined = self._distances_m(self._refined(starts, window), window.sensor_enu_m)
         best_in_metres = float(self._costs(window.range_m, refined, 1.0, count).min())
-        best = int(np.argmin(costs))
-        return factors[best], min(best_in_metres, float(in_metres.min())) - costs[best]
+        return factors[best], min(log_ratio, best_in_metres - costs[best])
 
     def _places_enu_m(self, sensor_enu_m: Matrix) -> Matrix:
         """Places that are considered, (places, 2): all around, near and far."""

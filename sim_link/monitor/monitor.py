@@ -81,6 +81,16 @@ class Monitor(Observer):
         ]
         if self._proved is not None:
             self.invariants.append(self._proved)
+        self._hearing = self._looking_at("heard")
+        self._stepping = self._looking_at("stepped")
+        self._ticking = self._looking_at("ticked")
+        self._sending = self._looking_at("sent")
+        self._noting = self._looking_at("noted")
+
+    def _looking_at(self, what: str) -> list[Invariant]:
+        """Who wants to see something that happens a hundred times a second."""
+        base = getattr(Invariant, what)
+        return [each for each in self.invariants if getattr(type(each), what) is not base]
 
     @property
     def violations(self) -> list[Violation]:
@@ -93,10 +103,13 @@ class Monitor(Observer):
         """The companion sent this."""
         self.scene.now_s = frame.time_s
         setpoint = self.scene.setpoint_of(frame)
+        if setpoint is None:
+            for invariant in self._sending:
+                invariant.sent(frame)
+            return
         for invariant in self.invariants:
             invariant.sent(frame)
-            if setpoint is not None:
-                invariant.setpoint(setpoint)
+            invariant.setpoint(setpoint)
 
     def heard(self, frame: Frame) -> None:
         """This reaches the companion."""
@@ -107,7 +120,7 @@ class Monitor(Observer):
             scene.is_believable = self._proof.accepts(frame.data)
         if scene.is_believable:
             scene.tell(frame)
-        for invariant in self.invariants:
+        for invariant in self._hearing:
             invariant.heard(frame)
 
     def read(self, frame: Frame) -> None:
@@ -122,19 +135,19 @@ class Monitor(Observer):
     def stepped(self, vehicle: SimVehicle, now_s: float) -> None:
         """The vehicle moved."""
         self.scene.now_s, self.scene.vehicle = now_s, vehicle
-        for invariant in self.invariants:
+        for invariant in self._stepping:
             invariant.stepped()
 
     def ticked(self, now_s: float) -> None:
         """The control tick is over."""
         self.scene.now_s = self.scene.tick_s = now_s
-        for invariant in self.invariants:
+        for invariant in self._ticking:
             invariant.ticked()
 
     def noted(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
         """The companion wrote into its journal."""
         self.scene.now_s = now_s
-        for invariant in self.invariants:
+        for invariant in self._noting:
             invariant.noted(kind, fields)
 
     def companion_started(self, now_s: float) -> None:

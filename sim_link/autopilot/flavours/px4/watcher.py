@@ -5,6 +5,8 @@ Source: PX4 user guide, "Safety Configuration"; Parameter Reference, COM_*, NAV_
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 from companion.domain import FlightMode
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.aircraft import Aircraft
@@ -27,6 +29,41 @@ EXCEPTION_OF = {
 }
 
 
+@dataclass(frozen=True, slots=True)
+class _Rules:
+    """What the parameters say of failsafes."""
+
+    findings: tuple[Finding, ...]
+    """Every cause that is watched, as if it were not there."""
+    excepted: int
+    station_loss_s: float
+    critical_share: float
+    emergency_share: float
+
+
+def _rules_of(value: ParameterStore) -> _Rules:
+    action = int(value["COM_LOW_BAT_ACT"])
+    critical = {2: Reaction.LAND, 3: Reaction.RETURN}.get(action, Reaction.WARN)
+    emergency = Reaction.WARN if action == 0 else Reaction.LAND
+    setpoints = OFFBOARD_LOSS_REACTION.get(int(value["COM_OBL_RC_ACT"]), Reaction.POSITION)
+    findings = (
+        Finding(Cause.NO_SETPOINTS, False, setpoints, waits=False, ends=True),
+        Finding(Cause.NO_STICKS, False, LINK_LOSS_REACTION.get(int(value["NAV_RCL_ACT"]))),
+        Finding(Cause.NO_STATION, False, LINK_LOSS_REACTION.get(int(value["NAV_DLL_ACT"]))),
+        Finding(Cause.NO_POSITION, False, Reaction.LAND),
+        Finding(Cause.FENCE, False, FENCE_REACTION.get(int(value["GF_ACTION"]))),
+        Finding(Cause.BATTERY_CRITICAL, False, critical, ends=True),
+        Finding(Cause.BATTERY_EMERGENCY, False, emergency, ends=True),
+    )
+    return _Rules(
+        findings,
+        int(value["COM_RCL_EXCEPT"]),
+        value["COM_DL_LOSS_T"],
+        value["BAT_CRIT_THR"],
+        value["BAT_EMERGEN_THR"],
+    )
+
+
 class Watcher:
     """Looks at one aircraft.
 
@@ -38,6 +75,11 @@ class Watcher:
     def __init__(self, aircraft: Aircraft, parameters: ParameterStore) -> None:
         self._aircraft = aircraft
         self._parameters = parameters
+        self._revision = parameters.revision
+        self._rules = _rules_of(parameters)
+        self._present: tuple[bool, ...] | None = None
+        """Which causes were there at the last look, in the order of the rules' findings."""
+        self._found: list[Finding] = []
         self._had_sticks = False
         self._has_warned = False
 
@@ -52,49 +94,35 @@ class Watcher:
             now_s: Seconds since boot.
             is_stream_alive: Whether setpoints come.
         """
-        value, aircraft = self._parameters, self._aircraft
+        rules, aircraft = self._current_rules(), self._aircraft
         has_sticks = aircraft.sticks.read(now_s) is not None
         self._had_sticks = self._had_sticks or has_sticks
-        is_excepted = bool(int(value["COM_RCL_EXCEPT"]) & EXCEPTION_OF.get(intention, 0))
-        heard_s = aircraft.station_heard_s
-        return [
-            Finding(
-                Cause.NO_SETPOINTS,
-                intention is FlightMode.OFFBOARD and not is_stream_alive,
-                OFFBOARD_LOSS_REACTION.get(int(value["COM_OBL_RC_ACT"]), Reaction.POSITION),
-                waits=False,
-                ends=True,
-            ),
-            Finding(
-                Cause.NO_STICKS,
-                self._had_sticks and not has_sticks and not is_excepted,
-                LINK_LOSS_REACTION.get(int(value["NAV_RCL_ACT"])),
-            ),
-            Finding(
-                Cause.NO_STATION,
-                heard_s is not None and now_s - heard_s > value["COM_DL_LOSS_T"],
-                LINK_LOSS_REACTION.get(int(value["NAV_DLL_ACT"])),
-            ),
-            Finding(Cause.NO_POSITION, not aircraft.estimator.is_position_valid, Reaction.LAND),
-            Finding(Cause.FENCE, fence_margin_m < 0.0, FENCE_REACTION.get(int(value["GF_ACTION"]))),
-            *self._battery_findings(),
-        ]
+        is_excepted = bool(rules.excepted & EXCEPTION_OF.get(intention, 0))
+        heard_s, share = aircraft.station_heard_s, aircraft.battery.share
+        present = (
+            intention is FlightMode.OFFBOARD and not is_stream_alive,
+            self._had_sticks and not has_sticks and not is_excepted,
+            heard_s is not None and now_s - heard_s > rules.station_loss_s,
+            not aircraft.estimator.is_position_valid,
+            fence_margin_m < 0.0,
+            share <= rules.critical_share,
+            share <= rules.emergency_share,
+        )
+        if present != self._present:
+            self._present = present
+            self._found = [
+                replace(each, is_present=is_present)
+                for each, is_present in zip(rules.findings, present, strict=True)
+            ]
+        return self._found
 
-    def _fence_finding(self, margin_m: float) -> Finding:
-        reaction = FENCE_REACTION.get(int(self._parameters["GF_ACTION"]))
-        return Finding(Cause.FENCE, margin_m < 0.0, reaction, waits=reaction is not Reaction.HOLD)
-
-    def _battery_findings(self) -> list[Finding]:
-        value, share = self._parameters, self._aircraft.battery.share
-        action = int(value["COM_LOW_BAT_ACT"])
-        critical = {2: Reaction.LAND, 3: Reaction.RETURN}.get(action, Reaction.WARN)
-        emergency = Reaction.WARN if action == 0 else Reaction.LAND
-        return [
-            Finding(Cause.BATTERY_CRITICAL, share <= value["BAT_CRIT_THR"], critical, ends=True),
-            Finding(
-                Cause.BATTERY_EMERGENCY, share <= value["BAT_EMERGEN_THR"], emergency, ends=True
-            ),
-        ]
+    def _current_rules(self) -> _Rules:
+        """What the parameters say, read anew where one has changed."""
+        revision = self._parameters.revision
+        if revision != self._revision:
+            self._revision, self._rules = revision, _rules_of(self._parameters)
+            self._present = None
+        return self._rules
 
     def warn_of_battery(self) -> None:
         """A text when the charge falls under BAT_LOW_THR."""
