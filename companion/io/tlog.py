@@ -26,10 +26,22 @@ class TlogWriter(BackgroundLog):
             frame: A frame as it was on the wire.
             unix_s: When it was sent or received, seconds since 1970.
         """
-        if is_secret(frame):
-            return
-        unsigned = without_signature(frame, CRC_EXTRA_BY_ID.get(message_id(frame)))
-        self._file.append(_STAMP.pack(max(0, round(unix_s * 1e6))) + unsigned)
+        record = tlog_record(frame, unix_s)
+        if record is not None:
+            self._file.append(record)
+
+
+def tlog_record(frame: bytes, unix_s: float) -> bytes | None:
+    """A frame as a tlog has it; None: it holds a secret, and no tlog may have it.
+
+    Args:
+        frame: A whole frame as it was on the wire; its signature, if any, is left out.
+        unix_s: When it was sent or received, seconds since 1970.
+    """
+    if is_secret(frame):
+        return None
+    unsigned = without_signature(frame, CRC_EXTRA_BY_ID.get(message_id(frame)))
+    return _STAMP.pack(max(0, round(unix_s * 1e6))) + unsigned
 
 
 @dataclass(frozen=True, slots=True)

@@ -181,18 +181,28 @@ class WrongUnit(RangingEffect):
 
 
 class Outliers(RangingEffect):
-    """Some answers grossly wrong: a detour in the range, a bearing from anywhere."""
+    """Some answers grossly wrong: range too long or too short, a bearing from anywhere."""
+
+    SHORTEST_M = 0.1
+    """A range stays one, however much is taken away."""
 
     def __init__(
         self, fault: RangingOutliers, rng: np.random.Generator, key: SigningKey | None
     ) -> None:
         super().__init__(rng, key)
         self._fault = fault
+        self._left = 0
+        """Answers of the present burst that are still to come."""
 
     def _change(self, message: Any) -> None:
-        if not self._happens(self._fault.share):
+        if self._left == 0 and self._happens(self._fault.share):
+            self._left = self._fault.burst
+        if self._left == 0:
             return
-        message.range += float(self._rng.exponential(self._fault.excess_m))
+        self._left -= 1
+        mean_m = self._fault.excess_m
+        excess_m = math.copysign(float(self._rng.exponential(abs(mean_m))), mean_m)
+        message.range = max(self.SHORTEST_M, message.range + excess_m)
         if self._fault.is_bearing_hit:
             message.bearing = float(self._rng.uniform(-math.pi, math.pi))
 

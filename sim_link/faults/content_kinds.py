@@ -51,12 +51,15 @@ class RangingWrongUnit(RangingFault, frozen=True, tag="ranging_wrong_unit"):
 
 
 class RangingOutliers(RangingFault, frozen=True, tag="ranging_outliers"):
-    """Some measurements are grossly wrong: too long, and a bearing from anywhere."""
+    """Some measurements are grossly wrong: too long or too short, and a bearing from anywhere."""
 
     share: Share = 0.3
-    excess_m: Positive = 40.0
-    """Mean of what is added to the range."""
+    """Of measurements outside of bursts, with which one begins."""
+    excess_m: Length = 40.0
+    """Mean of what is added to the range; negative: ranges are too short, as no reflection is."""
     is_bearing_hit: bool = True
+    burst: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 1
+    """So many in a row."""
 
 
 class RangingStale(RangingFault, frozen=True, tag="ranging_stale"):

@@ -14,7 +14,7 @@ import msgspec
 
 from companion.config.schema import CompanionConfig
 from companion.errors import CompanionError, ConfigError
-from companion.io.files import write_text_atomic
+from companion.io.files import write_bytes_atomic, write_text_atomic
 from companion.run import build_endpoint, prepare
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import FlavourName
@@ -207,6 +207,8 @@ def write_report(folder: Path, result: MissionResult) -> str:
 
     name = report_name(result)
     path = folder / f"{name}.html"
+    if result.record.frames:
+        write_bytes_atomic(folder / f"{name}.tlog", result.tlog)
     write_text_atomic(folder / f"{name}.jsonl", result.event_log.decode("ascii"))
     write_text_atomic(path, report_page(result))
     return str(path)

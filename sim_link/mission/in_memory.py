@@ -15,13 +15,14 @@ import msgspec
 
 from companion.domain import FlightMode
 from companion.mav.dialect import mavlink
+from companion.run import build_endpoint
 from sim_link.autopilot.scenario import Scenario
 from sim_link.campaign.flights import rules_of
 from sim_link.faults.faulty_link import FaultyLink
 from sim_link.faults.injector import Injector
 from sim_link.faults.kinds import Fault
 from sim_link.faults.schedule import Schedule
-from sim_link.lockstep.flight import Flight
+from sim_link.lockstep.flight import Flight, MakeCompanion
 from sim_link.lockstep.observer import Frame, Observer
 from sim_link.lockstep.operator import Operator as Station
 from sim_link.mission.journal import EventReader
@@ -42,7 +43,11 @@ Progress = Callable[[StepRunner, Situation], None]
 
 
 def fly_in_memory(
-    mission: Mission, seed: int, file: str = "", progress: Progress | None = None
+    mission: Mission,
+    seed: int,
+    file: str = "",
+    progress: Progress | None = None,
+    make_companion: MakeCompanion = build_endpoint,
 ) -> MissionResult:
     """Fly a mission once.
 
@@ -51,9 +56,10 @@ def fly_in_memory(
         seed: Of everything that is random.
         file: Where the script is from.
         progress: Told after every slice.
+        make_companion: Starts the companion, which may be one that is to fail.
     """
     started = time.perf_counter()
-    flight = _MissionFlight(mission, seed)
+    flight = _MissionFlight(mission, seed, make_companion)
     flight.fly(progress)
     record = flight.record
     record.wall_s = time.perf_counter() - started
@@ -64,7 +70,7 @@ def fly_in_memory(
 class _MissionFlight:
     """One flight with everybody around it."""
 
-    def __init__(self, mission: Mission, seed: int) -> None:
+    def __init__(self, mission: Mission, seed: int, make_companion: MakeCompanion) -> None:
         self.record = FlightRecord(autopilot=mission.autopilot.flavour, is_monitored=True)
         self.situation = Situation()
         emitters = true_places(mission)
@@ -72,7 +78,14 @@ class _MissionFlight:
             self.record, self.situation, emitters, mission.emitter.emitter_id
         )
         wire = FaultyLink(Schedule(), seed)
-        flight = Flight(flown_config(mission), _quiet(mission), seed, self._reader, wire=wire)
+        flight = Flight(
+            flown_config(mission),
+            _quiet(mission),
+            seed,
+            self._reader,
+            wire=wire,
+            make_companion=make_companion,
+        )
         flight.observers.append(_Watcher(self.record, self.situation, self._reader))
         self._monitor = Monitor(
             rules_of(flight.config),
@@ -139,7 +152,7 @@ def _quiet(mission: Mission) -> Scenario:
 
 
 class _Watcher(Observer):
-    """Counts messages, and hears what the autopilot says."""
+    """Keeps and counts messages, and hears what the autopilot says."""
 
     def __init__(self, record: FlightRecord, situation: Situation, reader: EventReader) -> None:
         self._record = record
@@ -152,10 +165,12 @@ class _Watcher(Observer):
 
     def sent(self, frame: Frame) -> None:
         """The companion sent this."""
+        self._record.frames.append((frame.time_s, frame.data))
         self._record.messages["companion", frame.number] += 1
 
     def vehicle_sent(self, frame: Frame) -> None:
         """The vehicle sent this."""
+        self._record.frames.append((frame.time_s, frame.data))
         self._record.messages["autopilot", frame.number] += 1
         if frame.number != mavlink.MAVLINK_MSG_ID_STATUSTEXT:
             return

@@ -74,7 +74,7 @@ class EventReader:
             case "estimate":
                 self._take_estimate(fields, time_s)
             case "refused":
-                self._situation.companion.refused += 1
+                self._situation.companion.refused += int(fields["count"])
             case "phase":
                 self._enter(fields["new"], time_s)
             case "bound" if self._situation.companion.phase is None:

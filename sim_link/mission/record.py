@@ -86,6 +86,8 @@ class FlightRecord:
     track: list[tuple[float, PositionEnu]] = field(default_factory=list)
     messages: Counter[tuple[str, int]] = field(default_factory=Counter)
     """How often each sender's messages were seen, by message id."""
+    frames: list[tuple[float, bytes]] = field(default_factory=list)
+    """What companion and vehicle sent, where it was kept in memory."""
     violations: list[Violated] = field(default_factory=list)
     breaches: dict[str, float] = field(default_factory=dict)
     """When an `always` was first false, by the expectation's name."""

@@ -8,9 +8,13 @@ import re
 from dataclasses import dataclass
 
 from companion.io.files import plain
+from companion.io.tlog import tlog_record
 from sim_link.mission.record import FlightRecord
 from sim_link.mission.script import Mission
 from sim_link.mission.verdicts import Verdict, true_places
+
+EPOCH_S = 946_684_800.0
+"""2000-01-01 in Unix time: an invented clock has no date, and readers of tlogs want one."""
 
 
 def slug(name: str) -> str:
@@ -65,6 +69,12 @@ class MissionResult:
         point = self.record.last_estimate(self.mission.emitter.emitter_id)
         error_m = self.final_error_m
         return None if point is None or error_m is None else error_m <= point.r95_m
+
+    @property
+    def tlog(self) -> bytes:
+        """The frames as a `.tlog`, at times since 2000; empty where a file was written instead."""
+        records = (tlog_record(frame, EPOCH_S + time_s) for time_s, frame in self.record.frames)
+        return b"".join(record for record in records if record is not None)
 
     @property
     def event_log(self) -> bytes:

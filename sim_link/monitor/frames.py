@@ -6,7 +6,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Mapping
 
-from companion.mav.dialect import Message, mavlink
+from companion.mav.dialect import MAVLink_target_estimate_message, Message, mavlink
 from sim_link.lockstep.observer import Frame
 from sim_link.monitor.invariant import Invariant
 from sim_link.monitor.scene import Scene
@@ -25,9 +25,14 @@ ALLOWED: frozenset[type[Message]] = frozenset(
         mavlink.MAVLink_mission_request_list_message,
         mavlink.MAVLink_mission_request_int_message,
         mavlink.MAVLink_mission_ack_message,
+        mavlink.MAVLink_named_value_float_message,
+        mavlink.MAVLink_param_value_message,
+        mavlink.MAVLink_param_error_message,
+        mavlink.MAVLink_autopilot_version_message,
+        MAVLink_target_estimate_message,
     }
 )
-"""Messages that a companion has any business sending."""
+"""Messages that a companion has any business sending to a vehicle, and through it to others."""
 COMMANDS = frozenset(
     {
         mavlink.MAV_CMD_DO_SET_MODE,

@@ -7,8 +7,13 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from companion.io.tlog import read_tlog
+from companion.mav.dialect import MAVLink_radio_ranging_message as RadioRanging
+from companion.mav.framing import message_id, sender_of
 from sim_link.autopilot.scenario import FlavourName
+from sim_link.faults.planted import FliesAway
 from sim_link.mission.campaign import Campaign, fly_task, with_autopilot
+from sim_link.mission.expectations import Expectation
 from sim_link.mission.in_memory import fly_in_memory
 from sim_link.mission.result import MissionResult
 from sim_link.mission.script import Mission
@@ -76,6 +81,20 @@ def test_every_expectation_that_is_broken_fails_by_its_name() -> None:
     assert failed_names(result) == [f"broken {kind}" for kind in BROKEN]
 
 
+def test_a_companion_that_leaves_the_fence_breaks_what_is_expected_of_the_invariants() -> None:
+    script = msgspec.to_builtins(parse_mission(SHORT, "short"))
+    script["expectations"] = [{"name": "broken violations", "violations": {}}]
+    mission = msgspec.convert(script, Mission)
+    result = fly_in_memory(mission, 0, make_companion=FliesAway)
+    assert failed_names(result) == ["broken violations"]
+    assert "I1" in {violated.invariant for violated in result.record.violations}
+
+
+def test_every_kind_of_expectation_is_broken_somewhere_here() -> None:
+    kinds = {field.name for field in msgspec.structs.fields(Expectation)} - {"name"}
+    assert BROKEN.keys() | {"violations"} == kinds
+
+
 def test_a_step_that_cannot_be_done_fails_the_flight() -> None:
     steps = "[connect, {wait_until: {condition: vehicle.is_armed, limit_s: 3}}]"
     result = fly_in_memory(parse_mission(f"name: m\nsteps: {steps}\n", "m"), 0)
@@ -91,3 +110,6 @@ def test_a_flights_report_is_written(tmp_path: Path) -> None:
     assert summary.is_passed
     assert Path(summary.report).name == "short-px4-lockstep-seed5.html"
     assert Path(summary.report).with_suffix(".jsonl").read_text().startswith('{"t_s":0.0,')
+    frames = [record.frame for record in read_tlog(Path(summary.report).with_suffix(".tlog"))]
+    assert {sender_of(frame)[1] for frame in frames} == {1, 158, 191}
+    assert any(message_id(frame) == RadioRanging.id for frame in frames)

@@ -100,6 +100,17 @@ def test_outliers_are_too_long_and_come_from_anywhere() -> None:
     assert len({round(each.bearing, 3) for _, each in found}) > 50
 
 
+def test_bursts_of_ranges_that_are_too_short() -> None:
+    burst = RangingOutliers(share=0.05, excess_m=-25.0, is_bearing_hit=False, burst=8)
+    found = arrivals(burst)
+    short = [each.range < 99.99 + i for i, (_, each) in enumerate(found)]
+    runs = [len(run) for run in "".join("x" if each else " " for each in short).split()]
+    assert len(runs) >= 2
+    assert all(run % 8 == 0 for run in runs[:-1])
+    assert min(each.range for _, each in found) >= 0.1
+    assert len({each.bearing for _, each in found}) == 1
+
+
 def test_stale_answers_come_late_and_keep_their_stamps() -> None:
     found = arrivals(RangingStale(age_s=0.7))
     assert [due for due, _ in found] == pytest.approx([0.7 + 0.1 * i for i in range(200)])

@@ -70,13 +70,13 @@ def test_phases_say_who_is_in_control(read: Read) -> None:
 
 def test_texts_waypoints_and_refusals_are_kept(read: Read) -> None:
     read.reader.text(Severity.NOTICE, "in control", 9.0)
-    read.reader.record("refused", {"reason": "too long"}, 9.1)
+    read.reader.record("refused", {"reason": "too long", "count": 3}, 9.1)
     fields = {"position_enu_m": (1, 2), "reason": "crossing", "detail": ""}
     read.reader.record("waypoint", fields, 9.2)
     read.reader.frame(b"", 9.3)
     assert read.situation.companion_texts == ["in control"]
     assert read.record.texts[0].source == "companion"
-    assert read.situation.companion.refused == 1
+    assert read.situation.companion.refused == 3
     assert read.record.waypoints == [(9.2, (1.0, 2.0), "crossing")]
     assert [kind for _, kind, _ in read.record.events] == ["text", "refused", "waypoint"]
 

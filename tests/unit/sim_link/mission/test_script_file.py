@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from companion.errors import ConfigError
 from sim_link.autopilot.scenario import Scenario
 from sim_link.faults.kinds import LinkLoss
-from sim_link.mission.script import ArmStep, ReturnStep, TakeoffStep
+from sim_link.mission.expectations import Expectation
+from sim_link.mission.script import STEP_KINDS, ArmStep, ReturnStep, TakeoffStep
 from sim_link.mission.script_file import flown_config, line_of, load_mission, parse_mission
 
 FAR = [[900, 900], [910, 900], [910, 910]]
@@ -106,6 +108,22 @@ def test_an_error_names_file_line_and_path(old: str, new: str, complaint: str) -
         parse_mission(SCRIPT.replace(old, new, 1), "m.yaml")
     assert complaint in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("kind", [*STEP_KINDS, "inject"])
+def test_an_error_in_any_step_is_refused_with_its_line(kind: str) -> None:
+    text = f"name: x\nsteps:\n  - connect\n  - {kind}: {{limt_s: 1}}\n"
+    with pytest.raises(ConfigError, match=rf"^m\.yaml:4: \$\.steps\[1\]\.{kind}"):
+        parse_mission(text, "m.yaml")
+
+
+@pytest.mark.parametrize(
+    "kind", [field.name for field in msgspec.structs.fields(Expectation) if field.name != "name"]
+)
+def test_an_error_in_any_expectation_is_refused_with_its_line(kind: str) -> None:
+    text = f"name: x\nsteps: [connect]\nexpectations:\n  - {{name: a, {kind}: [wrong]}}\n"
+    with pytest.raises(ConfigError, match=rf"^m\.yaml:4: \$\.expectations\[0\]\.{kind}"):
+        parse_mission(text, "m.yaml")
 
 
 def test_a_companions_file_is_found_beside_the_script(tmp_path: Path) -> None:

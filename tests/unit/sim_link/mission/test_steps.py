@@ -8,6 +8,7 @@ from companion.domain import FlightMode
 from sim_link.faults.kinds import Fault, LinkBlackout
 from sim_link.mission.operator import Action, Arm, Grant, SwitchMode, TakeOff
 from sim_link.mission.record import FlightRecord
+from sim_link.mission.script import STEP_KINDS
 from sim_link.mission.script_file import parse_mission
 from sim_link.mission.situation import Situation
 from sim_link.mission.steps import ASK_AGAIN_S, StepRunner
@@ -199,6 +200,21 @@ def test_a_mission_can_be_abandoned_between_and_within_steps() -> None:
     flown.tick(0.0)
     flown.runner.abandon("interrupted", 1.0)
     assert flown.runner.failure == "step 1 connect: interrupted"
+
+
+NEEDED = {"wait_until": "condition: vehicle.is_armed, ", "wait": ""}
+
+
+@pytest.mark.parametrize("kind", STEP_KINDS)
+def test_every_step_that_does_not_come_about_fails_by_its_name(kind: str) -> None:
+    keys = "for_s: 1000" if kind == "wait" else f"{NEEDED.get(kind, '')}limit_s: 5"
+    flown = Flown(f"[{{{kind}: {{{keys}}}}}, land]", "time_limit_s: 30")
+    for tick in range(31):
+        flown.tick(float(tick))
+    assert flown.runner.is_over
+    assert flown.runner.failure.startswith(f"step 1 {kind}: ")
+    assert flown.record.steps[-1].ended_s == (30.0 if kind == "wait" else 5.0)
+    assert flown.done == []
 
 
 def test_progress_names_the_step() -> None:
