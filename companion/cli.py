@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import io
 import json
 import logging
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,6 +24,7 @@ from companion.replay.command import Pace, replay_flight
 from companion.replay.walk import replay_walk, table
 from companion.run import FlightView, fly
 from companion.view.cot import CotView, cot_address
+from companion.view.plain import PlainView
 from companion.web.settings import WebSettings, web_settings
 from companion.web.view import WebView
 
@@ -91,10 +94,10 @@ def _web_settings(arguments: argparse.Namespace) -> WebSettings | None:
     )
 
 
-def _set_up_logging(*, quiet: bool) -> None:
+def _set_up_logging(*, quiet: bool, stream: io.TextIOBase | None = None) -> None:
     """Our own loggers only: libraries keep their remarks to themselves."""
     logger = logging.getLogger("companion")
-    handler = ConsoleHandler(sys.stderr)
+    handler = ConsoleHandler(sys.stderr if stream is None else stream)
     handler.setFormatter(logging.Formatter("%(message)s"))
     logger.handlers = [handler]
     logger.setLevel(logging.WARNING if quiet else logging.INFO)
@@ -128,6 +131,8 @@ def _fly(arguments: argparse.Namespace) -> int:
     if settings is not None:
         views.append(WebView(settings, config))
         print(f"live map: {settings.url}", file=sys.stderr)
+    if not arguments.quiet:
+        views.append(_console_view(config))
     endpoint = fly(
         config,
         links,
@@ -142,6 +147,20 @@ def _fly(arguments: argparse.Namespace) -> int:
         print("companion: ended before the target was localised", file=sys.stderr)
         return EXIT_FAILED
     return 0
+
+
+def _console_view(config: CompanionConfig) -> FlightView:
+    """The screen on a terminal, lines elsewhere."""
+    if not sys.stderr.isatty() or os.environ.get("TERM", "dumb") == "dumb":
+        return PlainView()
+    try:
+        from companion.view.terminal import TerminalView
+    except ImportError:
+        print("for the live screen: pip install 'companion-guidance[demo]'", file=sys.stderr)
+        return PlainView()
+    view = TerminalView(config)
+    _set_up_logging(quiet=False, stream=view.stream)
+    return view
 
 
 def _link_urls(arguments: argparse.Namespace) -> list[LinkUrl]:

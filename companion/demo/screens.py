@@ -7,15 +7,16 @@ import time
 
 from companion.demo.recording import RecordingJournal
 from companion.link.endpoint import CompanionEndpoint
+from companion.view.moment import moment_of
+from companion.view.plain import PERIOD_S, plain_line
+from companion.view.time_to_go import TimeToGo
 
 REFRESH_S = 0.15
 """Wall seconds between two pictures of the live view."""
-PLAIN_REFRESH_S = 15.0
-"""Seconds of the flight between two lines where there is no terminal."""
 
 
 class LiveScreen:
-    """The one-screen view of `companion.demo.view`, redrawn in place."""
+    """The screen of `companion.view.screen`, redrawn in place."""
 
     def __init__(self) -> None:
         from rich.console import Console
@@ -23,6 +24,7 @@ class LiveScreen:
 
         self._live = Live(console=Console(), auto_refresh=False)
         self._next_wall_s = 0.0
+        self._time_to_go: TimeToGo | None = None
 
     def __enter__(self) -> LiveScreen:
         self._live.start()
@@ -35,20 +37,18 @@ class LiveScreen:
         self, endpoint: CompanionEndpoint, journal: RecordingJournal, now_s: float
     ) -> None:
         """Draw it anew, if it is time."""
-        from companion.demo.view import screen
+        from companion.view.screen import screen
 
         wall_s = time.monotonic()
         if wall_s < self._next_wall_s and not endpoint.is_finished:
             return
         self._next_wall_s = wall_s + REFRESH_S
+        params, estimate = endpoint.session.params, endpoint.session.estimate
+        if self._time_to_go is None:
+            self._time_to_go = TimeToGo(params.stop_radius_m, params.stop_confirm_s)
+        to_go_s = self._time_to_go.observe(now_s, None if estimate is None else estimate.r95_m)
         self._live.update(
-            screen(
-                endpoint.session.status(now_s),
-                journal.texts,
-                endpoint.setpoint_rate_hz(now_s),
-                endpoint.bad_frames,
-                endpoint.session.params.stop_radius_m,
-            ),
+            screen(moment_of(endpoint, now_s, to_go_s, tuple(journal.texts)), "companion demo"),
             refresh=True,
         )
 
@@ -69,12 +69,8 @@ class PlainLines:
         """Print a line, if it is time."""
         if now_s < self._next_s:
             return
-        self._next_s = now_s + PLAIN_REFRESH_S
-        status = endpoint.session.status(now_s)
-        line = f"{now_s:7.1f} s  {status.phase.value}, flown {status.distance_m:.0f} m"
-        if status.estimate is not None:
-            line += f", {status.estimate.state.value} R95 {status.estimate.r95_m:.1f} m"
-        say(line)
+        self._next_s = now_s + PERIOD_S
+        say(plain_line(endpoint.session.status(now_s)))
 
 
 def best_screen() -> LiveScreen | PlainLines:

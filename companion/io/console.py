@@ -27,7 +27,7 @@ class ConsoleHandler(logging.Handler):
             lock a writer that hangs would otherwise keep through the end of the process.
     """
 
-    def __init__(self, stream: TextIO) -> None:
+    def __init__(self, stream: TextIO | io.TextIOBase) -> None:
         super().__init__()
         self.dropped = 0
         self._told = 0

@@ -77,7 +77,7 @@ def picture_of(endpoint: CompanionEndpoint, now_s: float) -> Json:
         "refused": dict(status.refused),
         "bad_frames": endpoint.bad_frames,
         "setpoint_rate_hz": endpoint.setpoint_rate_hz(now_s),
-        "ages_s": _ages(endpoint, now_s),
+        "ages_s": ages_s(endpoint, now_s),
     }
 
 
@@ -134,7 +134,7 @@ def _waypoint(status: GuidanceStatus) -> Json | None:
     }
 
 
-def _ages(endpoint: CompanionEndpoint, now_s: float) -> Mapping[str, float | None]:
+def ages_s(endpoint: CompanionEndpoint, now_s: float) -> Mapping[str, float | None]:
     """How long ago each input was last heard; None: never."""
     session = endpoint.session
     state = session.vehicle.track.latest

@@ -1,9 +1,9 @@
-"""The live one-screen view: what an operator wants to know, in words and numbers."""
+"""The terminal's one screen: what an operator wants to know, in words and numbers."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Sequence
 
 from rich.console import Group
 from rich.panel import Panel
@@ -14,7 +14,8 @@ from companion.domain import EstimateState
 from companion.estimation.innovation_noise import TrackerHealth
 from companion.guidance.commands import Severity
 from companion.guidance.states import IN_CONTROL, Phase
-from companion.guidance.status import GuidanceStatus
+from companion.guidance.status import EmitterStatus, GuidanceStatus
+from companion.view.moment import Moment, Told
 
 PHASE_STYLE = {
     Phase.NORMAL: "bold green",
@@ -32,32 +33,33 @@ STATE_STYLE = {
 SEVERITY_STYLE = {Severity.ERROR: "bold red", Severity.WARNING: "yellow"}
 WIDTH = 78
 """Of the whole screen, so that it fits an 80-column terminal and does not jump."""
+OLD_AFTER_S = {"autopilot": 1.0, "position": 0.5, "ranging": 5.0}
+"""Ages that are shown as too old."""
 BAR_WIDTH = 30
 BAR_FULL_M = 50.0
 
 
-def screen(
-    status: GuidanceStatus,
-    texts: Iterable[tuple[float, Severity, str]],
-    setpoint_rate_hz: float,
-    bad_frames: int,
-    stop_radius_m: float,
-) -> Panel:
-    """The whole screen for one moment."""
+def screen(moment: Moment, title: str) -> Panel:
+    """The whole screen for one moment.
+
+    Args:
+        moment: What to show.
+        title: Above it, before the time.
+    """
     grid = Table.grid(padding=(0, 2))
     grid.add_column(style="dim", justify="right", no_wrap=True)
     grid.add_column(min_width=52)
-    for name, value in _rows(status, setpoint_rate_hz, bad_frames, stop_radius_m):
+    for name, value in _rows(moment):
         grid.add_row(name, value)
-    title = f"companion demo, {status.time_s:.0f} s"
-    return Panel(Group(grid, Text(), *_texts(texts)), title=title, width=WIDTH)
+    title = f"{title}, {moment.status.time_s:.0f} s"
+    return Panel(Group(grid, *_texts(moment.texts)), title=title, width=WIDTH)
 
 
-def _rows(
-    status: GuidanceStatus, setpoint_rate_hz: float, bad_frames: int, stop_radius_m: float
-) -> list[tuple[str, Text]]:
+def _rows(moment: Moment) -> list[tuple[str, Text]]:
+    status = moment.status
     link = Text("lost", "bold red") if status.is_link_lost else Text("good", "green")
-    link.append(f", {bad_frames} bad frames, {setpoint_rate_hz:.0f} setpoints/s", "default")
+    rates = f", {moment.bad_frames} bad frames, {moment.setpoint_rate_hz:.0f} setpoints/s"
+    link.append(rates, "default")
     phase = Text(status.phase.value, PHASE_STYLE.get(status.phase, "default"))
     if status.detail:
         phase.append(f"  {status.detail}", "default")
@@ -70,12 +72,44 @@ def _rows(
         ("vehicle", Text(f"{status.mode.value}, {armed}, height {height}")),
         ("flown", Text(f"{status.distance_m:.0f} m")),
         ("distance", Text(_distance(status))),
-        *_estimate_rows(status, stop_radius_m),
+        *_estimate_rows(status, moment.stop_radius_m),
+        ("to go", Text(_time_to_go(moment.time_to_go_s))),
+        *_emitter_rows(status.emitters),
         ("reflected", Text(_reflected(status.health))),
         ("ranging", Text(f"{status.accepted} used, {refused} refused")),
+        ("ages", _ages(moment)),
         ("link", link),
         ("guard", Text(guard or "-")),
     ]
+
+
+def _time_to_go(time_to_go_s: float | None) -> str:
+    return "-" if time_to_go_s is None else f"about {time_to_go_s:.0f} s"
+
+
+def _ages(moment: Moment) -> Text:
+    """How old each input is; what is too old to be flown on is red."""
+    text = Text()
+    for name, age_s in moment.ages_s.items():
+        is_old = age_s is None or age_s > OLD_AFTER_S.get(name, math.inf)
+        age = "never" if age_s is None else f"{age_s:.1f} s"
+        text.append(f"{', ' if text else ''}{name} ")
+        text.append(age, "bold red" if is_old else "green")
+    return text
+
+
+def _emitter_rows(emitters: Sequence[EmitterStatus]) -> list[tuple[str, Text]]:
+    """A row for each emitter, where there are several."""
+    if len(emitters) < 2:
+        return []
+    rows = []
+    for emitter in emitters:
+        words = "reported" if emitter.is_reported else "now" if emitter.is_current else "waiting"
+        if emitter.estimate is not None:
+            words += f", {emitter.estimate.state.value}, R95 {emitter.estimate.r95_m:.1f} m"
+        style = "bold" if emitter.is_current else "default"
+        rows.append((f"emitter {emitter.emitter_id}", Text(words, style)))
+    return rows
 
 
 def _reflected(health: TrackerHealth) -> str:
@@ -114,8 +148,9 @@ def _estimate_rows(status: GuidanceStatus, stop_radius_m: float) -> list[tuple[s
     return [("estimate", where), ("R95", bar), ("offsets", Text(offsets))]
 
 
-def _texts(texts: Iterable[tuple[float, Severity, str]]) -> list[Text]:
-    return [
+def _texts(texts: Sequence[Told]) -> list[Text]:
+    lines = [
         Text(f"{time_s:6.1f} s  {text}", SEVERITY_STYLE.get(severity, "default"))
         for time_s, severity, text in texts
     ]
+    return [Text(), *lines] if lines else []
