@@ -1,0 +1,248 @@
+"""How many vehicles one `sim-link` process flies at real time over UDP, on one core.
+
+Starts `sim-link --vehicles N`, arms all of them, lets them take off and streams setpoints at 10 Hz
+to each, which has rates of its own; their default streams go to a port where nobody is. Then it
+counts for a while what comes back. Printed are the processor time of the process, how long it
+waited for a core (Linux only), what the vehicles' clocks and streams lag behind, and whether that
+is real time. If not, fewer are tried until it is; on a machine that is too busy to tell, none.
+Exit code 0 when N held real time, 1 when not, 2 for bad arguments.
+"""
+
+from __future__ import annotations
+
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from companion.mav.codec import MavCodec
+from companion.mav.dialect import Message, mavlink
+from sim_link.conformance.frames import cut
+from sim_link.conformance.rules import Flavour
+from sim_link.evaluation.arguments import OneLineParser, positive
+from tools.bench_sim import command, setpoint
+
+POSITION_ID = mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED
+ASKED_HZ = 20.0
+TOLERANCE = 0.05
+MAX_LAG_S = 0.2
+SETPOINT_PERIOD_S = 0.1
+BOOT_S, CLIMB_S, SETTLE_S = 5.0, 6.0, 2.0
+RECEIVE_BUFFER = 1 << 24
+FEWER = 0.85
+"""How many to try next, by how many were too many."""
+MAX_WAITING = 0.1
+"""Of the time: who waits longer for a core is on a busy machine."""
+
+
+@dataclass(slots=True)
+class Track:
+    """The positions of one vehicle."""
+
+    count: int = 0
+    first_ms: int = 0
+    last_ms: int = 0
+
+    def take(self, boot_ms: int) -> None:
+        """A LOCAL_POSITION_NED came."""
+        if self.count == 0:
+            self.first_ms = boot_ms
+        self.count += 1
+        self.last_ms = boot_ms
+
+    @property
+    def simulated_s(self) -> float:
+        """Time that passed for it."""
+        return (self.last_ms - self.first_ms) / 1e3
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """How a number of vehicles did."""
+
+    count: int
+    flying: int
+    core_share: float
+    waiting_share: float
+    frames_hz: float
+    lag_s: float
+    worst_rate_hz: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether that is real time for every vehicle."""
+        slow = self.worst_rate_hz < (1.0 - TOLERANCE) * ASKED_HZ
+        return self.flying == self.count and self.lag_s <= MAX_LAG_S and not slow
+
+    def line(self, flavour: str) -> str:
+        """For people."""
+        return (
+            f"{flavour}: {self.count} vehicles ({self.flying} flying), {self.frames_hz:.0f} "
+            f"frames/s heard: {self.core_share:.2f} of one core, {self.waiting_share:.2f} waiting; "
+            f"lag {1e3 * self.lag_s:.0f} ms, slowest stream {self.worst_rate_hz:.1f} of "
+            f"{ASKED_HZ:.0f} Hz: {'real time' if self.holds else 'NOT real time'}"
+        )
+
+
+class Crowd:
+    """One socket that speaks to each vehicle, and hears all of them.
+
+    Args:
+        first_port: Where the first of them listens; the others' ports count up.
+        count: How many.
+        is_px4: Their flavour.
+    """
+
+    def __init__(self, first_port: int, count: int, *, is_px4: bool) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
+        self._socket.settimeout(0.005)
+        self._first = first_port
+        self._count, self._is_px4 = count, is_px4
+        self._codec = MavCodec(255, 190)
+        self._next_setpoint_s: float | None = None
+        self.tracks: dict[int, Track] = {}
+        self.armed: set[int] = set()
+        self.frames = 0
+
+    def __enter__(self) -> Crowd:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._socket.close()
+
+    def tell_all(self, number: int, *params: float) -> None:
+        """COMMAND_LONG to every vehicle."""
+        for n in range(self._count):
+            self._tell(n, command(n + 1, number, *params))
+
+    def take_off(self) -> None:
+        """Get all of them into the air and into the mode that obeys setpoints."""
+        time.sleep(BOOT_S)
+        if not self._is_px4:
+            self.tell_all(mavlink.MAV_CMD_DO_SET_MODE, 1.0, 4.0)
+        self.tell_all(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, float(POSITION_ID), 1e6 / ASKED_HZ)
+        self.tell_all(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
+        height_m = 498.0 if self._is_px4 else 10.0
+        self.tell_all(mavlink.MAV_CMD_NAV_TAKEOFF, *[0.0] * 6, height_m)
+        self.listen(CLIMB_S)
+        self._next_setpoint_s = time.monotonic()
+        self.listen(SETTLE_S)
+        if self._is_px4:
+            self.tell_all(mavlink.MAV_CMD_DO_SET_MODE, 1.0, 6.0)
+        self.listen(SETTLE_S)
+
+    def listen(self, seconds: float) -> None:
+        """Take in what comes, and send the setpoints that are due, for a while."""
+        until_s = time.monotonic() + seconds
+        while (now_s := time.monotonic()) < until_s:
+            if self._next_setpoint_s is not None and now_s >= self._next_setpoint_s:
+                self._next_setpoint_s = max(self._next_setpoint_s + SETPOINT_PERIOD_S, now_s)
+                for n in range(self._count):
+                    self._tell(n, setpoint(n + 1))
+            try:
+                self._read(self._socket.recv(65535))
+            except TimeoutError:
+                continue
+
+    def begin_anew(self) -> None:
+        """Forget what was counted."""
+        self.tracks.clear()
+        self.armed.clear()
+        self.frames = 0
+
+    def _tell(self, vehicle: int, message: Message) -> None:
+        address = ("127.0.0.1", self._first + vehicle)
+        self._socket.sendto(self._codec.encode(message), address)
+
+    def _read(self, data: bytes) -> None:
+        for frame in cut(data):
+            self.frames += 1
+            system, component, number = frame[5], frame[6], int.from_bytes(frame[7:10], "little")
+            if component != mavlink.MAV_COMP_ID_AUTOPILOT1:
+                continue
+            if number == POSITION_ID:
+                boot_ms = int.from_bytes(frame[10:14], "little")
+                self.tracks.setdefault(system, Track()).take(boot_ms)
+            elif number == mavlink.MAVLINK_MSG_ID_HEARTBEAT and frame[16] & 0x80:
+                self.armed.add(system)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = OneLineParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--vehicles", metavar="N", type=positive, default=50, help="(default 50)")
+    parser.add_argument("--seconds", metavar="S", type=positive, default=15, help="(default 15)")
+    parser.add_argument("--port", type=positive, default=24_000, help="first port (default 24000)")
+    parser.add_argument(
+        "--autopilot",
+        choices=[flavour.value for flavour in Flavour],
+        help="only this one (default: one after the other)",
+    )
+    arguments = parser.parse_args(argv)
+    chosen = [arguments.autopilot] if arguments.autopilot else [each.value for each in Flavour]
+    held = []
+    for flavour in chosen:
+        outcome = measure(flavour, arguments.vehicles, arguments.seconds, arguments.port)
+        print(outcome.line(flavour), flush=True)
+        held.append(outcome.holds)
+        while not outcome.holds and outcome.count > 1 and outcome.waiting_share <= MAX_WAITING:
+            fewer = max(1, int(FEWER * outcome.count))
+            outcome = measure(flavour, fewer, arguments.seconds, arguments.port)
+            print(outcome.line(flavour), flush=True)
+        if not outcome.holds:
+            print(f"{flavour}: the machine is too busy to tell", flush=True)
+    return 0 if all(held) else 1
+
+
+def measure(flavour: str, count: int, seconds: int, port: int) -> Outcome:
+    """Fly so many vehicles and count."""
+    with (
+        Crowd(port, count, is_px4=flavour == Flavour.PX4.value) as crowd,
+        running(flavour, count, port) as pid,
+    ):
+        crowd.take_off()
+        crowd.begin_anew()
+        began_s, before = time.monotonic(), used_and_waited_s(pid)
+        crowd.listen(seconds)
+        passed_s, after = time.monotonic() - began_s, used_and_waited_s(pid)
+    tracks = crowd.tracks.values()
+    complete = len(crowd.tracks) == count
+    step_s = 1.0 / ASKED_HZ
+    return Outcome(
+        count,
+        len(crowd.armed),
+        (after[0] - before[0]) / passed_s,
+        (after[1] - before[1]) / passed_s,
+        crowd.frames / passed_s,
+        max((passed_s - step_s - track.simulated_s for track in tracks), default=passed_s),
+        min((track.count / passed_s for track in tracks), default=0.0) if complete else 0.0,
+    )
+
+
+@contextmanager
+def running(flavour: str, count: int, port: int) -> Iterator[int]:
+    """The process under test; its id."""
+    arguments = [sys.executable, "-m", "sim_link", "--autopilot", flavour, "--quiet"]
+    arguments += ["--vehicles", str(count), "--listen", f"127.0.0.1:{port}"]
+    arguments += ["--send-to", f"127.0.0.1:{port + count}", "--stop-on-eof"]
+    with subprocess.Popen(arguments, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        try:
+            yield process.pid
+        finally:
+            process.kill()
+
+
+def used_and_waited_s(pid: int) -> tuple[float, float]:
+    """Seconds that a process was on a core, and ready without one."""
+    used_ns, waited_ns, _ = Path(f"/proc/{pid}/schedstat").read_text(encoding="ascii").split()
+    return int(used_ns) / 1e9, int(waited_ns) / 1e9
+
+
+if __name__ == "__main__":
+    sys.exit(main())
