@@ -258,7 +258,7 @@ class Pilot:
     def _obey(self, sticks: Sticks, body: PointMass) -> PositionEnu:
         """Velocities by deflection; let go, it stays where it comes to rest."""
         vehicle = self._vehicle
-        if not sticks.are_moved:
+        if sticks.are_let_go:
             if not self._is_staying:
                 self._stay(body)
                 self._is_staying = True

@@ -13,7 +13,9 @@ STICK_RANGE = 1000.0
 JOYSTICK_TIMEOUT_S = 0.5
 """A joystick that has been silent for this long is gone (PX4 COM_RC_LOSS_T)."""
 MOVED = 0.3
-"""Deflection that means a wish to fly (PX4 COM_RC_STICK_OV, 30 %)."""
+"""Deflection that takes over from an automatic mode (PX4 COM_RC_STICK_OV, 30 %)."""
+DEAD_ZONE = 0.1
+"""Deflection up to which a stick is let go (PX4 MPC_HOLD_DZ)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,8 +30,17 @@ class Sticks:
 
     @property
     def are_moved(self) -> bool:
-        """Whether somebody wants to fly."""
-        return max(abs(self.forward), abs(self.right), abs(self.up), abs(self.yaw)) > MOVED
+        """Whether somebody wants to take over."""
+        return self._deflection > MOVED
+
+    @property
+    def are_let_go(self) -> bool:
+        """Whether nobody flies."""
+        return self._deflection <= DEAD_ZONE
+
+    @property
+    def _deflection(self) -> float:
+        return max(abs(self.forward), abs(self.right), abs(self.up), abs(self.yaw))
 
 
 CENTRED = Sticks()

@@ -133,6 +133,7 @@ def _try_all(
     is_vehicle = arguments.role == Role.VEHICLE.value
 
     def make_probe() -> VehicleProbe | CompanionProbe:
+        link.close_others()
         probe = VehicleProbe(link, key) if is_vehicle else CompanionProbe(link, flavour)
         probe.attach()
         return probe

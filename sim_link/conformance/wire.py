@@ -90,11 +90,14 @@ class WireLink:
         self._others.append(other)
         return other
 
+    def close_others(self) -> None:
+        """Close the connections made from this one: a server takes so many and no more."""
+        while self._others:
+            self._others.pop().close()
+
     def close(self) -> None:
         """Close this connection and those made from it."""
-        for other in self._others:
-            other.close()
-        self._others.clear()
+        self.close_others()
         self._loop.run_until_complete(self._close())
 
     async def _close(self) -> None:

@@ -176,6 +176,19 @@ def test_sticks_take_over_from_automatic_modes_and_fly() -> None:
     assert station.place == pytest.approx(rest, abs=0.05)
 
 
+@pytest.mark.parametrize(("deflection", "speed_mps"), [(50, 0.0), (150, 1.5), (300, 3.0)])
+def test_a_small_deflection_flies_slowly_once_it_leaves_the_dead_zone(
+    deflection: int, speed_mps: float
+) -> None:
+    station = flying(rc=RcParams(is_present=True))
+    assert station.set_mode(FlightMode.POSITION) == ACCEPTED
+    for _ in range(50):
+        station.send(manual(x=deflection))
+        station.run(0.1)
+    report = station.last(mavlink.MAVLink_local_position_ned_message)
+    assert report.vx == pytest.approx(speed_mps, abs=0.1)
+
+
 def test_an_axis_that_a_joystick_does_not_have_is_centred() -> None:
     station = flying(rc=RcParams(is_present=True))
     assert station.set_mode(FlightMode.POSITION) == ACCEPTED

@@ -128,3 +128,18 @@ def test_a_taken_port_is_told(peer: socket.socket) -> None:
 def test_a_wrong_address_is_told() -> None:
     with pytest.raises(ConfigError, match="must begin with"), open_link("carrier-pigeon:1"):
         pass
+
+
+def test_further_clients_of_a_server_leave_it_when_they_are_closed() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(2.0)
+        with open_link(f"tcp:127.0.0.1:{server.getsockname()[1]}") as link:
+            first, _ = server.accept()
+            assert link.another() is not None
+            second, _ = server.accept()
+            with first, second:
+                link.close_others()
+                second.settimeout(2.0)
+                assert second.recv(10) == b""
+                link.send(b"still there")
+                assert first.recv(20) == b"still there"
