@@ -33,6 +33,8 @@ MAX_LAG_S = 0.2
 SETPOINT_PERIOD_S = 0.1
 BOOT_S, CLIMB_S, SETTLE_S = 5.0, 6.0, 2.0
 RECEIVE_BUFFER = 1 << 24
+FULL = 0.9
+"""Of a core: more leaves no time to be late and catch up."""
 FEWER = 0.85
 """How many to try next, by how many were too many."""
 MAX_WAITING = 0.1
@@ -78,13 +80,20 @@ class Outcome:
         slow = self.worst_rate_hz < (1.0 - TOLERANCE) * ASKED_HZ
         return self.flying == self.count and self.lag_s <= MAX_LAG_S and not slow
 
+    @property
+    def verdict(self) -> str:
+        """Real time or not; if so, how many a core that has nothing else to do has room for."""
+        if not self.holds:
+            return "NOT real time"
+        return f"real time; by this a core has room for {self.count * FULL / self.core_share:.0f}"
+
     def line(self, flavour: str) -> str:
         """For people."""
         return (
             f"{flavour}: {self.count} vehicles ({self.flying} flying), {self.frames_hz:.0f} "
             f"frames/s heard: {self.core_share:.2f} of one core, {self.waiting_share:.2f} waiting; "
             f"lag {1e3 * self.lag_s:.0f} ms, slowest stream {self.worst_rate_hz:.1f} of "
-            f"{ASKED_HZ:.0f} Hz: {'real time' if self.holds else 'NOT real time'}"
+            f"{ASKED_HZ:.0f} Hz: {self.verdict}"
         )
 
 

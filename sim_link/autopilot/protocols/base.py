@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address
 
 
-@dataclass(frozen=True, slots=True)
-class Channel:
+class Channel(NamedTuple):
     """One way in and out: a link, or one of the peers that share it (UDP, TCP server)."""
 
     link: int
@@ -26,8 +26,7 @@ class Partner:
     component_id: int
 
 
-@dataclass(frozen=True, slots=True)
-class Outgoing:
+class Outgoing(NamedTuple):
     """A message to send."""
 
     message: Message
