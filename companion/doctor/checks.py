@@ -13,6 +13,7 @@ from companion.doctor.facts import (
     PlaceFacts,
     StreamRate,
 )
+from companion.doctor.fence import check_fence
 from companion.doctor.parameters import check_parameters
 from companion.doctor.verdicts import Finding, Level, fail, ok, warn
 from companion.domain import Autopilot
@@ -111,10 +112,12 @@ def _check_link(link: LinkFacts, config: CompanionConfig) -> Iterator[Finding]:
     yield from _check_company(link, autopilot, config)
     yield _check_loss(link, autopilot)
     for rate in autopilot.rates:
-        yield _check_rate(rate)
+        if rate.count or _is_expected(rate.name, autopilot):
+            yield _check_rate(rate)
     yield _check_time(autopilot)
     yield from _check_readiness(autopilot)
     yield from check_parameters(autopilot, config)
+    yield from check_fence(autopilot, config)
 
 
 def _nobody(link: LinkFacts, config: CompanionConfig) -> Finding:
@@ -172,6 +175,17 @@ def _check_rate(rate: StreamRate) -> Finding:
     return (ok(rate.name, text)) if _is_enough(rate) else warn(rate.name, text, fix)
 
 
+def _is_expected(name: str, facts: AutopilotFacts) -> bool:
+    """Whether an autopilot sends a stream at all, as it is now."""
+    expected = {
+        "ESTIMATOR_STATUS": facts.autopilot is not Autopilot.ARDUPILOT,
+        "EKF_STATUS_REPORT": facts.autopilot is not Autopilot.PX4,
+        "POSITION_TARGET_LOCAL_NED": facts.is_armed,
+        "RC_CHANNELS": facts.has_rc is not False,
+    }
+    return expected.get(name, True)
+
+
 def _is_enough(rate: StreamRate) -> bool:
     """One message may be due just after the time was over."""
     return rate.count >= ENOUGH_SHARE * rate.asked_hz * rate.seconds - 1.0
@@ -195,7 +209,7 @@ def _check_readiness(facts: AutopilotFacts) -> Iterator[Finding]:
         for name, is_there in (
             ("local position", facts.has_position),
             ("home", facts.has_home),
-            ("origin", facts.has_origin),
+            ("origin", facts.origin is not None),
         )
         if not is_there
     ]

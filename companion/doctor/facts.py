@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from companion.domain import Autopilot
+from companion.geometry.frames import LocalOrigin
+from companion.guidance.events import AutopilotFenceRead
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +45,8 @@ class AutopilotFacts:
     """Whether it hears a transmitter; None: it does not tell."""
     has_position: bool
     has_home: bool
-    has_origin: bool
+    origin: LocalOrigin | None
+    """Of the local frame; None: it does not know it, or does not tell."""
     gps_fix: int | None
     """GPS_FIX_TYPE; None: it does not tell."""
     battery_pct: int | None
@@ -51,6 +54,8 @@ class AutopilotFacts:
     clock_offset_s: float | None
     loss: float | None
     """Share of its frames that did not come, 0 to 1."""
+    fence: AutopilotFenceRead | None = None
+    """Its own fence; None: not asked for."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,8 +2,8 @@
 
 Theory of operation. It is heard as the companion would be (component 191 of the vehicle's system),
 asks for the streams that a flight needs, with the flight's own requester, and lets them settle
-before it counts them. Beside that it asks for parameters, for the time, and for what is sent only
-on request. The only commands it sends are SET_MESSAGE_INTERVAL and REQUEST_MESSAGE, which a
+before it counts them. Beside that it asks for parameters, for the time, for the fence, and for what
+is sent only on request. The only commands it sends are SET_MESSAGE_INTERVAL and REQUEST_MESSAGE, which a
 restart of the autopilot undoes: no arming, no mode, no setpoint, no parameter is ever set.
 """
 
@@ -15,11 +15,14 @@ from dataclasses import dataclass
 from companion.doctor.facts import AutopilotFacts, LinkFacts, StreamRate
 from companion.doctor.parameters import needed_parameters
 from companion.domain import Autopilot
+from companion.geometry.frames import LocalOrigin
+from companion.guidance.events import AutopilotFenceRead
 from companion.guidance.mode_names import mode_name
 from companion.link import outbound
 from companion.link.authenticity import Authenticity
 from companion.link.binding import AutopilotBinding
 from companion.link.clock_sync import ClockSync
+from companion.link.fence_fetch import FenceFetch
 from companion.link.freshness import StreamFreshness
 from companion.link.outlet import COMPONENT_ID, VEHICLE_LINK
 from companion.link.sequence import SequenceMonitor
@@ -81,6 +84,8 @@ class DoctorProbe:
         self._clock = ClockSync()
         self._sequence = SequenceMonitor()
         self._questions: list[_Question] = []
+        self._fence_fetch = FenceFetch()
+        self._fence: AutopilotFenceRead | None = None
         self._counts: Counter[str] = Counter()
         self._newest: dict[str, Message] = {}
         self._autopilots: set[int] = set()
@@ -122,9 +127,11 @@ class DoctorProbe:
             self._streams.due(now_s, system_id, component_id),
             self._clock.due(now_s, system_id, component_id),
             self._next_question(now_s, system_id, component_id),
+            self._fence_fetch.due(now_s, (system_id, component_id), is_wanted=self._fence is None),
         ):
             if question is not None:
                 self._send(question)
+        self._fence = self._fence or self._fence_fetch.gave_up(now_s)
 
     def next_timer_s(self) -> float:
         """When the next question may be due."""
@@ -148,7 +155,8 @@ class DoctorProbe:
         if self._bound_s is None:
             return self._began_s is not None and self._now_s - self._began_s > PATIENCE_S
         is_counted = self._now_s - self._bound_s >= SETTLE_S + self._duration_s
-        return is_counted and not any(question.is_open for question in self._questions)
+        is_told = not any(question.is_open for question in self._questions)
+        return is_counted and is_told and self._fence is not None
 
     # What was found
 
@@ -182,12 +190,13 @@ class DoctorProbe:
             has_rc=self._has_rc(),
             has_position="LOCAL_POSITION_NED" in newest,
             has_home="HOME_POSITION" in newest,
-            has_origin="GPS_GLOBAL_ORIGIN" in newest,
+            origin=_origin(newest.get("GPS_GLOBAL_ORIGIN")),
             gps_fix=fix.fix_type if isinstance(fix, mavlink.MAVLink_gps_raw_int_message) else None,
             battery_pct=self._battery_pct(),
             round_trip_s=self._clock.round_trip_s,
             clock_offset_s=self._clock.offset_s,
             loss=self._sequence.loss(self._now_s),
+            fence=self._fence,
         )
 
     def _rates(self) -> tuple[StreamRate, ...]:
@@ -228,6 +237,8 @@ class DoctorProbe:
         self._sequence.take(message.get_seq(), now_s)
         self._freshness.heard(message, now_s)
         self._clock.heard(message, now_s)
+        own = (self._codec.system_id, COMPONENT_ID)
+        self._fence = self._fence_fetch.heard(message, now_s, own) or self._fence
         name = message.get_type()
         self._newest[name] = message
         if self._bound_s is not None and now_s >= self._bound_s + SETTLE_S:
@@ -268,3 +279,13 @@ class DoctorProbe:
     def _send(self, message: Message) -> None:
         data = self._codec.encode(message)
         self._output.append(Chunk(VEHICLE_LINK, data, self._binding.peer))
+
+
+def _origin(message: Message | None) -> LocalOrigin | None:
+    """Of a GPS_GLOBAL_ORIGIN; None: 0/0 is what senders write who do not know."""
+    if not isinstance(message, mavlink.MAVLink_gps_global_origin_message):
+        return None
+    place = (message.latitude / 1e7, message.longitude / 1e7)
+    if place == (0.0, 0.0) or abs(place[0]) > 90.0 or abs(place[1]) > 180.0:
+        return None
+    return LocalOrigin(*place, message.altitude / 1000.0)

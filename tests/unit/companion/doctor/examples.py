@@ -10,7 +10,20 @@ from companion.doctor.facts import (
     PlaceFacts,
     StreamRate,
 )
+from companion.config.limits import DEFAULT_FENCE
 from companion.domain import Autopilot
+from companion.geometry.frames import LocalOrigin
+from companion.geometry.geofence import Corners, GeoArea, GeoFence
+from companion.guidance.events import AutopilotFenceRead
+
+ORIGIN = LocalOrigin(47.397742, 8.545594, 488.0)
+
+
+def fence_about(origin: LocalOrigin, corners: Corners) -> GeoFence:
+    """A fence as an autopilot tells it."""
+    places = (origin.geodetic_from_enu((east, north, 0.0))[:2] for east, north in corners)
+    return GeoFence(GeoArea(tuple(places)))
+
 
 PX4_PARAMETERS: dict[str, float | None] = {
     "COM_OF_LOSS_T": 1.0,
@@ -51,12 +64,13 @@ PX4 = AutopilotFacts(
     has_rc=True,
     has_position=True,
     has_home=True,
-    has_origin=True,
+    origin=ORIGIN,
     gps_fix=3,
     battery_pct=95,
     round_trip_s=0.002,
     clock_offset_s=-12.5,
     loss=0.0,
+    fence=AutopilotFenceRead(0.0, fence_about(ORIGIN, DEFAULT_FENCE)),
 )
 LINK = LinkFacts(
     name="udp 127.0.0.1:14550",

@@ -85,7 +85,7 @@ LINK_CASES = [
     ("position", autopilot_with(has_home=False), Level.WARN, "no home yet"),
     (
         "position",
-        autopilot_with(has_position=False, has_origin=False),
+        autopilot_with(has_position=False, origin=None),
         Level.WARN,
         "no local position, no origin yet",
     ),
@@ -151,3 +151,22 @@ def test_an_autopilot_that_is_not_there_keeps_from_flying(
     assert exit_code(findings) == 1
     assert text in findings[-1].text
     assert fix in findings[-1].fix
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("EKF_STATUS_REPORT", {}),
+        ("ESTIMATOR_STATUS", {"autopilot": Autopilot.ARDUPILOT}),
+        ("POSITION_TARGET_LOCAL_NED", {}),
+        ("RC_CHANNELS", {"has_rc": False}),
+    ],
+)
+def test_a_stream_that_this_autopilot_does_not_send_now_is_not_missed(
+    name: str, changes: dict[str, Any]
+) -> None:
+    silent = StreamRate(name, 5.0, 0, 5.0)
+    findings = examine(autopilot_with(rates=(*PX4.rates, silent), **changes), CONFIG)
+    assert name not in {finding.subject for finding in findings}
+    slow = StreamRate(name, 5.0, 2, 5.0)
+    assert finding_about(name, autopilot_with(rates=(slow,), **changes)).level is Level.WARN

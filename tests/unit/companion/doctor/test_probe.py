@@ -87,7 +87,8 @@ def test_the_autopilot_is_recognised_and_heard_at_the_rates_asked_for(practice: 
     assert by_name["ATTITUDE"].measured_hz == pytest.approx(10.0, rel=0.1)
     assert autopilot.has_position
     assert autopilot.has_home
-    assert autopilot.has_origin
+    assert autopilot.origin is not None
+    assert autopilot.origin.latitude_deg == pytest.approx(47.397742, abs=1e-6)
 
 
 def test_every_parameter_is_told_and_whole_numbers_are_whole(practice: Practice) -> None:
