@@ -178,8 +178,8 @@ def _check_rate(rate: StreamRate) -> Finding:
 def _is_expected(name: str, facts: AutopilotFacts) -> bool:
     """Whether an autopilot sends a stream at all, as it is now."""
     expected = {
-        "ESTIMATOR_STATUS": facts.autopilot is not Autopilot.ARDUPILOT,
-        "EKF_STATUS_REPORT": facts.autopilot is not Autopilot.PX4,
+        "ESTIMATOR_STATUS": facts.autopilot is Autopilot.PX4,
+        "EKF_STATUS_REPORT": facts.autopilot is Autopilot.ARDUPILOT,
         "POSITION_TARGET_LOCAL_NED": facts.is_armed,
         "RC_CHANNELS": facts.has_rc is not False,
     }

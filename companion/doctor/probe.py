@@ -3,8 +3,8 @@
 Theory of operation. It is heard as the companion would be (component 191 of the vehicle's system),
 asks for the streams that a flight needs, with the flight's own requester, and lets them settle
 before it counts them. Beside that it asks for parameters, for the time, for the fence, and for what
-is sent only on request. The only commands it sends are SET_MESSAGE_INTERVAL and REQUEST_MESSAGE, which a
-restart of the autopilot undoes: no arming, no mode, no setpoint, no parameter is ever set.
+is sent only on request. The only commands it sends are SET_MESSAGE_INTERVAL and REQUEST_MESSAGE,
+which a restart of the autopilot undoes: no arming, no mode, no setpoint, no parameter is ever set.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ class DoctorProbe:
         if system_id is None:
             return
         for question in (
-            self._streams.due(now_s, system_id, component_id),
+            self._streams.due(now_s, system_id, component_id, self._binding.autopilot),
             self._clock.due(now_s, system_id, component_id),
             self._next_question(now_s, system_id, component_id),
             self._fence_fetch.due(now_s, (system_id, component_id), is_wanted=self._fence is None),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from companion.config.limits import DEFAULT_FENCE
 from companion.doctor.facts import (
     AutopilotFacts,
     Facts,
@@ -10,7 +11,6 @@ from companion.doctor.facts import (
     PlaceFacts,
     StreamRate,
 )
-from companion.config.limits import DEFAULT_FENCE
 from companion.domain import Autopilot
 from companion.geometry.frames import LocalOrigin
 from companion.geometry.geofence import Corners, GeoArea, GeoFence

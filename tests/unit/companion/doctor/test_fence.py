@@ -83,8 +83,8 @@ def upload(sim: SimEndpoint, corners: tuple[tuple[float, float], ...]) -> None:
     """A ground station gives the autopilot a fence."""
     origin = sim.vehicle.origin
     places = [origin.geodetic_from_enu((east, north, 0.0))[:2] for east, north in corners]
-    messages = [mavlink.MAVLink_mission_count_message(1, 1, len(places), FENCE)]
-    messages += [
+    count = mavlink.MAVLink_mission_count_message(1, 1, len(places), FENCE)
+    items = [
         mavlink.MAVLink_mission_item_int_message(
             *(1, 1, seq, 0, 5001, 0, 1, float(len(places)), 0.0, 0.0, 0.0),
             *(round(lat * 1e7), round(lon * 1e7), 0.0, FENCE),
@@ -92,6 +92,6 @@ def upload(sim: SimEndpoint, corners: tuple[tuple[float, float], ...]) -> None:
         for seq, (lat, lon) in enumerate(places)
     ]
     station = mavlink.MAVLink(None, 255, 190)
-    for message in messages:
+    for message in (count, *items):
         sim.receive(Chunk(0, bytes(message.pack(station)), PEER), 0.0)
         sim.take_output()

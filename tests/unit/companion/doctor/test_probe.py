@@ -85,6 +85,10 @@ def test_the_autopilot_is_recognised_and_heard_at_the_rates_asked_for(practice: 
     by_name = {rate.name: rate for rate in autopilot.rates}
     assert by_name["LOCAL_POSITION_NED"].measured_hz == pytest.approx(20.0, rel=0.1)
     assert by_name["ATTITUDE"].measured_hz == pytest.approx(10.0, rel=0.1)
+    is_px4 = autopilot.autopilot is Autopilot.PX4
+    own, other = ("ESTIMATOR_STATUS", "EKF_STATUS_REPORT")[:: 1 if is_px4 else -1]
+    assert by_name[own].measured_hz >= 4.5
+    assert by_name[other].count == 0
     assert autopilot.has_position
     assert autopilot.has_home
     assert autopilot.origin is not None
