@@ -8,7 +8,8 @@ offset is smoothed, yet a drift of 100 ppm leaves a millisecond only; an exchang
 more than 100 ms is left out, and five of them in a row are a new clock.
 
 Only the answer to a question of ours counts, and once: somebody else's, a late one's or an invented
-one cannot move the clock.
+one cannot move the clock. And a later question is not answered from an earlier time, but for what
+the line may mix up: a clock that went back farther is that of an autopilot that restarted.
 
 Source: MAVLink guide, "Time Synchronization"; PX4 `Timesync.hpp` for filtering and reset.
 """
@@ -18,12 +19,14 @@ from __future__ import annotations
 from collections import deque
 
 from companion.mav.dialect import Message, mavlink
+from companion.mav.timebase import REBOOT_BACKWARD_S
 from companion.mav.timesync import TargetedTimesync
 
 FIRST_PERIOD_S = 0.1
 FIRST_EXCHANGES = 10
 """So many are asked for quickly, to know the offset within a second."""
-PERIOD_S = 1.0
+PERIOD_S = 0.5
+"""So often at least, because a restart shall be known within a second."""
 BEST_OF = 16
 SLOWER_S = 0.010
 DEVIATION_S = 0.1
@@ -49,6 +52,9 @@ class ClockSync:
         self._offset_s: float | None = None
         self._used = 0
         self._deviations = 0
+        self._newest: tuple[float, int] | None = None
+        """When the latest question that was answered was sent, and the autopilot's time then."""
+        self._went_back = False
 
     @property
     def offset_s(self) -> float | None:
@@ -79,14 +85,21 @@ class ClockSync:
         self._open.remove(message.ts1)
         self.answered += 1
         sent_s = message.ts1 / NS_PER_S
+        self._note_time(sent_s, message.tc1, now_s)
         self._round_trips_s.append(max(0.0, now_s - sent_s))
         if self._round_trips_s[-1] > min(self._round_trips_s) + SLOWER_S:
             self.slow += 1
             return
         self._take((sent_s + now_s) / 2.0 - message.tc1 / NS_PER_S)
 
+    def take_restart(self) -> bool:
+        """Whether the clock went back since this was asked last."""
+        went_back, self._went_back = self._went_back, False
+        return went_back
+
     def restart(self) -> None:
         """Begin anew, because the autopilot did."""
+        self._newest, self._went_back = None, False
         self._open.clear()
         self._round_trips_s.clear()
         self._offset_s = None
@@ -103,6 +116,15 @@ class ClockSync:
             "slow": self.slow,
             "resets": self.resets,
         }
+
+    def _note_time(self, sent_s: float, remote_ns: int, now_s: float) -> None:
+        """Look whether the clock went back from one question to a later one."""
+        if self._newest is not None:
+            if sent_s < self._newest[0]:
+                return
+            back_s = (self._newest[1] - remote_ns) / NS_PER_S
+            self._went_back |= back_s > REBOOT_BACKWARD_S + now_s - sent_s
+        self._newest = (sent_s, remote_ns)
 
     def _take(self, offset_s: float) -> None:
         if self._offset_s is None:

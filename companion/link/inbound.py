@@ -122,6 +122,9 @@ class VehicleInbound:
             case mavlink.MAVLink_home_position_message():
                 self._home = message
                 return self._home_set(now_s)
+            case mavlink.MAVLink_timesync_message() if self._sync.take_restart():
+                self._clock = SenderClock()
+                return [self._restarted(now_s)]
         return self._health.events(message, now_s)
 
     def _is_overtaken(self, message: Message, number: int) -> bool:
@@ -155,14 +158,16 @@ class VehicleInbound:
     def _with_restart(self, reading: StampReading, event: Event) -> list[Event]:
         if self._clock.is_wild:
             return []
-        if not reading.is_reboot:
-            return [event]
+        return [self._restarted(event.time_s), event] if reading.is_reboot else [event]
+
+    def _restarted(self, now_s: float) -> AutopilotRestarted:
+        """Forget what was before."""
         self._newest.clear()
         self._health.restart()
         self._origin = None
         self._home = None
         self._is_prearm_good = True
-        return [AutopilotRestarted(event.time_s), event]
+        return AutopilotRestarted(now_s)
 
     def _heartbeat(
         self, message: mavlink.MAVLink_heartbeat_message, now_s: float, order: int | None

@@ -268,6 +268,38 @@ def test_an_origin_that_moved_is_held_on_for_two_seconds(flavour: FlavourName) -
     assert loop.run_until(lambda: loop.phase is Phase.NORMAL, 5.0) >= 1.9
 
 
+class FirstWord(Observer):
+    """When a vehicle that restarted was heard again."""
+
+    def __init__(self) -> None:
+        self.time_s: float | None = None
+        self._has_restarted = False
+
+    def vehicle_rebooted(self, now_s: float) -> None:
+        del now_s
+        self._has_restarted = True
+
+    def heard(self, frame: Frame) -> None:
+        if self._has_restarted and self.time_s is None and frame.sender == (1, 1):
+            self.time_s = frame.time_s
+
+
+@pytest.mark.parametrize("down_s", [0.2, 0.9, 1.5, 4.0])
+@pytest.mark.parametrize("flavour", FLAVOURS)
+def test_a_reboot_is_known_within_a_second_of_its_first_frame(
+    flavour: FlavourName, down_s: float
+) -> None:
+    loop, first = flying(flavour), FirstWord()
+    loop.flight.observers.append(first)
+    inject(loop, VehicleReboot(down_s=down_s))
+    loop.run_until(lambda: loop.said("autopilot restarted"), 10.0)
+    assert first.time_s is not None
+    assert loop.now_s - first.time_s <= 1.0
+    assert loop.phase not in IN_CONTROL
+    loop.run(5.0)
+    assert sum("autopilot restarted" in text for _, text in loop.notes.texts) == 1
+
+
 @pytest.mark.parametrize("flavour", FLAVOURS)
 def test_a_reboot_drops_everything_and_waits_for_the_operator(flavour: FlavourName) -> None:
     loop = flying(flavour)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
-from companion.link.clock_sync import BEST_OF, ClockSync
+from companion.link.clock_sync import BEST_OF, PERIOD_S, ClockSync
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.timesync import TargetedTimesync, targets_of
@@ -119,9 +119,9 @@ def test_a_clock_that_jumped_is_believed_after_five_exchanges() -> None:
     autopilot = Autopilot(constant(0.01, 0.01))
     autopilot.run(20.0)
     autopilot.offset_s += 3.0
-    autopilot.run(4.0)
+    autopilot.run(4.0 * PERIOD_S)
     assert autopilot.sync.resets == 0
-    autopilot.run(2.5)
+    autopilot.run(2.5 * PERIOD_S)
     assert autopilot.sync.resets == 1
     assert abs(autopilot.error_s) < 1e-3
 
@@ -173,3 +173,22 @@ def test_after_a_restart_it_begins_anew() -> None:
     autopilot.offset_s += 2000.0
     autopilot.run(1.3)
     assert abs(autopilot.error_s) < 1e-3
+
+
+@pytest.mark.parametrize(("back_s", "has_restarted"), [(0.9, False), (2.1, True), (1000.0, True)])
+def test_a_clock_that_goes_back_is_one_that_restarted(back_s: float, has_restarted: bool) -> None:
+    autopilot = Autopilot(constant(0.2, 0.3))
+    autopilot.run(20.0)
+    assert not autopilot.sync.take_restart()
+    autopilot.offset_s += back_s
+    autopilot.run(PERIOD_S + 0.6)
+    assert autopilot.sync.take_restart() is has_restarted
+    autopilot.run(10.0)
+    assert not autopilot.sync.take_restart()
+
+
+def test_an_answer_that_was_overtaken_is_no_clock_that_goes_back() -> None:
+    delays = iter([(0.001, 2.0), (0.001, 0.001)] * 100)
+    autopilot = Autopilot(lambda: next(delays))
+    autopilot.run(30.0)
+    assert not autopilot.sync.take_restart()
