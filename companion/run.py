@@ -122,7 +122,7 @@ def _open_black_box(open_it: Callable[[], FlightJournal], *, is_restart: bool) -
 def prepare(config: CompanionConfig) -> None:
     """Compile what a flight needs, before its clock starts; nothing to do without numba."""
     if IS_COMPILED:
-        log.info("compiling kernels: half a minute the first time")
+        log.info("compiling kernels, before any link is opened: half a minute the first time")
     warm_up(config.estimation, build_planner(config))
 
 

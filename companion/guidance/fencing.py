@@ -113,6 +113,18 @@ class Fencing:
         return f"{text}, margin {fence.margin_m:.1f} m"
 
     @property
+    def site(self) -> GeoFence | None:
+        """The fence in degrees, of a file or of the autopilot; None: none, or not known yet."""
+        if self.plan.policy is not FencePolicy.USE:
+            return self.plan.site
+        return None if self._read is None else self._read.fence
+
+    @property
+    def is_site_known(self) -> bool:
+        """Whether `site` is what it will be: the autopilot may not have told its fence yet."""
+        return self.plan.policy is not FencePolicy.USE or self._read is not None
+
+    @property
     def wants_reading(self) -> bool:
         """Whether the autopilot is to be asked for its fence, once more if it did not help."""
         if self.plan.policy is FencePolicy.IGNORE:

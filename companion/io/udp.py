@@ -4,11 +4,15 @@ asyncio's datagram transport queues without bound when the system refuses and re
 per loop; here a refusal is counted at once and a wake-up reads a bounded batch. Sockets are bound
 without SO_REUSEADDR and SO_REUSEPORT: with them a second listener on a port starts without an
 error and one of the two silently gets nothing.
+
+A socket can outlive the interface or the address that it was opened on, and then refuses for ever
+(network down, address gone). It is closed and opened again, ever more slowly until it works.
 """
 
 from __future__ import annotations
 
 import asyncio
+import errno
 import ipaddress
 import socket
 import threading
@@ -23,6 +27,19 @@ from companion.mav.endpoint import Address, Chunk
 MAX_DATAGRAM = 65_535
 RECEIVE_BUFFER = 1 << 20
 """Bytes that the kernel may keep for us, so that a burst is not lost between two looks."""
+GONE = frozenset(
+    {
+        errno.EADDRNOTAVAIL,
+        errno.EBADF,
+        errno.EINVAL,
+        errno.ENETDOWN,
+        errno.ENETRESET,
+        errno.ENETUNREACH,
+        errno.ENODEV,
+    }
+)
+"""A socket that refuses with one of these may never work again."""
+FIRST_REOPEN_S, LAST_REOPEN_S = 0.25, 4.0
 MAX_PEERS = 16
 """Senders that a fan-out link remembers; telemetry must not grow with every stranger."""
 
@@ -35,6 +52,10 @@ class UdpLink(Link):
         self._host, self._port = host, port
         self._socket: socket.socket | None = None
         self._sole_peer: Address | None = None
+        self._address: Address = ("", 0)
+        """What is bound, or connected to."""
+        self._reopening: asyncio.TimerHandle | None = None
+        self._reopen_s = FIRST_REOPEN_S
 
     @property
     def local_address(self) -> Address:
@@ -46,8 +67,8 @@ class UdpLink(Link):
 
     @property
     def is_open(self) -> bool:
-        """Whether the socket is there."""
-        return self._socket is not None
+        """Whether the socket is there, or is being opened again."""
+        return self._socket is not None or self._reopening is not None
 
     async def open(self) -> None:
         """Bind.
@@ -55,18 +76,56 @@ class UdpLink(Link):
         Raises:
             LinkError: The port is taken or the host is not ours.
         """
-        address = await resolve(self.name, self._host, self._port)
+        self._address = await resolve(self.name, self._host, self._port)
+        try:
+            self._start()
+        except OSError as error:
+            raise LinkError(bind_problem("udp", self._host, self._port, error)) from error
+        self._address = self.local_address  # the same port when it is opened again
+
+    def _start(self) -> None:
+        """Open the socket.
+
+        Raises:
+            OSError: It cannot be attached to its address.
+        """
         opened = _new_socket()
         try:
-            opened.bind(address)
-        except OSError as error:
+            self._attach(opened)
+        except OSError:
             opened.close()
-            raise LinkError(bind_problem("udp", self._host, self._port, error)) from error
-        self._start(opened)
-
-    def _start(self, opened: socket.socket) -> None:
+            raise
         self._socket = opened
         asyncio.get_running_loop().add_reader(opened, self._read)
+
+    def _attach(self, opened: socket.socket) -> None:
+        opened.bind(self._address)
+
+    def _refused(self, error: OSError) -> None:
+        """The system refused; a socket whose network is gone is opened again after a while."""
+        if error.errno in GONE and self._reopening is None:
+            self._reopen_later()
+
+    def _reopen_later(self) -> None:
+        self._reopening = asyncio.get_running_loop().call_later(self._reopen_s, self._reopen)
+        self._reopen_s = min(2.0 * self._reopen_s, LAST_REOPEN_S)
+
+    def _reopen(self) -> None:
+        self._reopening = None
+        self._drop()
+        try:
+            self._start()
+        except OSError as error:
+            self.counters.last_error = error.strerror or str(error)
+            self._reopen_later()
+        else:
+            self.counters.reconnects += 1
+
+    def _drop(self) -> None:
+        if self._socket is not None:
+            asyncio.get_running_loop().remove_reader(self._socket)
+            self._socket.close()
+        self._socket = self._sole_peer = None
 
     def _read(self) -> None:
         chunks: list[Chunk] = []
@@ -77,8 +136,9 @@ class UdpLink(Link):
                 data, peer = self._socket.recvfrom(MAX_DATAGRAM)
             except (BlockingIOError, InterruptedError):
                 break
-            except OSError:  # ECONNREFUSED: an earlier datagram found nobody there
+            except OSError as error:  # ECONNREFUSED: an earlier datagram found nobody there
                 self.counters.receive_errors += 1
+                self._refused(error)
                 continue
             chunks.append(Chunk(self.index, data, (str(peer[0]), int(peer[1]))))
             self._heard((str(peer[0]), int(peer[1])))
@@ -118,16 +178,18 @@ class UdpLink(Link):
         except OSError as error:
             self.counters.send_errors += 1
             self.counters.last_error = error.strerror or str(error)
+            self._refused(error)
         else:
             self.counters.sent += 1
+            self._reopen_s = FIRST_REOPEN_S
 
     def close(self) -> None:
-        """Close the socket."""
-        if self._socket is None:
-            return
-        asyncio.get_running_loop().remove_reader(self._socket)
-        self._socket.close()
-        self._socket = None
+        """Close the socket, for good."""
+        if self._reopening is not None:
+            self._reopening.cancel()
+            self._reopening = None
+        if self._socket is not None:
+            self._drop()
 
 
 class UdpFanOutLink(UdpLink):
@@ -184,14 +246,14 @@ class UdpConnectLink(UdpLink):
         Raises:
             LinkError: The host is unknown or unreachable by any interface.
         """
-        address = await resolve(self.name, self._host, self._port)
-        opened = _new_socket()
+        self._address = await resolve(self.name, self._host, self._port)
         try:
-            opened.connect(address)
+            self._start()
         except OSError as error:
-            opened.close()
             raise LinkError(f"{self.name}: no way there ({error.strerror}); check host") from error
-        self._start(opened)
+
+    def _attach(self, opened: socket.socket) -> None:
+        opened.connect(self._address)
 
     def send(self, chunk: Chunk) -> None:
         """Send to the remote, whatever peer the chunk names: there is only one."""

@@ -2,9 +2,10 @@
 
 Theory of operation. Files of an earlier run that did not end in order, readable or not, mean that
 something may be in the air: then nothing engages by itself, whatever the configuration says. What a
-whole checkpoint holds is given to the session when the autopilot is heard, and only if vehicle,
-limits, mission and age are right; otherwise the flight begins anew, with a line that says why. An
-orderly end deletes the files, unless the vehicle was left armed in mid-mission.
+whole checkpoint holds is given to the session when the autopilot is heard (and has told its fence,
+where that is the one to keep), and only if vehicle, limits, fence, mission and age are right;
+otherwise the flight begins anew, with a line that says why. An orderly end deletes the files,
+unless the vehicle was left armed in mid-mission.
 """
 
 from __future__ import annotations
@@ -122,6 +123,8 @@ class RestartKeeper:
         binding = self._endpoint.binding
         if not binding.is_bound:
             return
+        if not self._endpoint.session.fencing.is_site_known:
+            return
         if self._pending is not None:
             self._recall(self._pending, now_s)
             self._pending = None
@@ -135,7 +138,7 @@ class RestartKeeper:
         session = self._endpoint.session
         is_over = session.has_found_all or not session.vehicle.is_armed
         is_known = self._endpoint.is_finished and self._endpoint.binding.is_bound
-        if is_known and not is_over:
+        if is_known and not is_over and self._pending is None:
             self._save()
         self._store.close(timeout_s)
         if is_known and is_over:
@@ -179,15 +182,16 @@ class RestartKeeper:
         if (then.system_id, then.autopilot) != (now.system_id, now.autopilot):
             return f"another vehicle (it was {then.autopilot.value}, system {then.system_id})"
         if then.fence != now.fence:
-            return "other limits"
+            return "other limits or another fence"
         return "another mission or estimator" if then.mission != now.mission else None
 
     def _key(self) -> MissionKey:
-        binding = self._endpoint.binding
-        digests = self._digests
-        return MissionKey(
-            binding.system_id or 1, binding.autopilot, digests.limits, digests.mission
-        )
+        binding, digests = self._endpoint.binding, self._digests
+        fence = digests.limits
+        site = self._endpoint.session.fencing.site
+        if site is not None:
+            fence = _digest((fence, site))
+        return MissionKey(binding.system_id or 1, binding.autopilot, fence, digests.mission)
 
     def _save(self) -> None:
         memory = self._endpoint.session.memory

@@ -306,6 +306,54 @@ def test_a_send_that_the_system_refuses_is_counted(
     drive(endpoint, [UdpBind("127.0.0.1", 0)], scene)
 
 
+@pytest.mark.parametrize("is_bound", [True, False])
+def test_a_socket_whose_network_is_gone_is_opened_again_on_its_port(
+    peer: socket.socket, monkeypatch: pytest.MonkeyPatch, is_bound: bool
+) -> None:
+    """The first socket loses its interface, and the port is taken for a moment meanwhile."""
+    made: list[socket.socket] = []
+
+    class Interface(socket.socket):
+        def __init__(self, *arguments: int) -> None:
+            super().__init__(*arguments)
+            if self.type is socket.SOCK_DGRAM:  # and not one of asyncio's own
+                made.append(self)
+
+        def sendto(self, data: bytes, peer: tuple[str, int]) -> int:  # type: ignore[override]
+            if len(made) == 1:
+                raise OSError(errno.ENETDOWN, "Network is down")
+            return super().sendto(data, peer)
+
+        def send(self, data: bytes) -> int:  # type: ignore[override]
+            if len(made) == 1:
+                raise OSError(errno.EADDRNOTAVAIL, "Cannot assign requested address")
+            return super().send(data)
+
+        def bind(self, address: tuple[str, int]) -> None:  # type: ignore[override]
+            if len(made) == 2:
+                raise OSError(errno.EADDRNOTAVAIL, "Cannot assign requested address")
+            super().bind(address)
+
+    monkeypatch.setattr("companion.io.udp.socket.socket", Interface)
+    endpoint, address = EchoEndpoint(), peer.getsockname()
+    spec = UdpBind("127.0.0.1", 0) if is_bound else UdpConnect(*address)
+
+    async def scene(shell: Shell) -> None:
+        port = port_of(shell)
+        endpoint.say(Chunk(0, heartbeat(1), address))
+        await until(lambda: shell.links[0].counters.send_errors == 1)
+        assert shell.links[0].is_open
+        await until(lambda: shell.links[0].counters.reconnects == 1)
+        assert not is_bound or port_of(shell) == port
+        endpoint.say(Chunk(0, heartbeat(2), address))
+        assert await heard(peer) == heartbeat(2)
+        peer.sendto(heartbeat(3), ("127.0.0.1", port_of(shell)))
+        await understood(endpoint, 3)
+
+    drive(endpoint, [spec], scene)
+    assert len(made) == (3 if is_bound else 2)
+
+
 def test_ten_thousand_bad_datagrams_do_no_harm(peer: socket.socket) -> None:
     endpoint, rng = EchoEndpoint(), random.Random(3)
 

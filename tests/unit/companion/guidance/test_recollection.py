@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from companion.domain import Autopilot, EstimateState, FlightMode
+from companion.domain import Autopilot, EstimateState, FlightMode, WaypointReason
 from companion.geometry.frames import LocalOrigin
 from companion.guidance.commands import Arm, SendSetpoint, TakeOff
 from companion.guidance.events import AutopilotRestarted, EarlierRunFound, MemoryRecalled
@@ -217,3 +217,18 @@ def test_an_origin_that_is_no_place_is_told(origin: LocalOrigin) -> None:
     assert memory.problem is not None
     assert replace(memory, origin=ORIGIN).problem is None
     assert replace(memory, origin=None).problem is None
+
+
+@pytest.mark.parametrize("flown_s", [6.0, 12.0])
+def test_the_planner_needs_no_memory_of_its_own(flown_s: float) -> None:
+    """Its latch is not kept: it is made anew from the estimate, at the first plan."""
+    memory = memory_of_a_flight(flown_s)
+    flight = ScriptedFlight()
+    flight.follows = True
+    recall(flight, memory)
+    flight.in_control()
+    waypoint = flight.session.flight_plan.waypoint
+    assert waypoint is not None
+    assert waypoint.reason in (WaypointReason.APPROACH, WaypointReason.CROSSING)
+    flight.fly_until_reported()
+    assert math.dist(flight.results[-1].estimate.position_enu_m, TARGET[:2]) < 1.5

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import logging
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import msgspec
 import pytest
 
 from companion.config.process import LogConfig
 from companion.config.schema import CompanionConfig, LimitsConfig
+from companion.geometry.geofence import GeoArea, GeoFence
+from companion.guidance.events import AutopilotFenceRead
 from companion.guidance.session import SessionParams
 from companion.io.checkpoint import Moment
 from companion.link.endpoint import CompanionEndpoint
@@ -122,7 +126,7 @@ def test_the_sequence_goes_on_after_a_restart(process: Process) -> None:
     [
         (CONFIG, {"system_id": 2}, "another vehicle (it was PX4, system 1)"),
         (CONFIG, {"autopilot": 3}, "another vehicle (it was PX4, system 1)"),
-        (CompanionConfig(limits=LimitsConfig(speed_mps=4.0)), {}, "other limits"),
+        (CompanionConfig(limits=LimitsConfig(speed_mps=4.0)), {}, "other limits or another fence"),
         (AUTO, {}, "another mission or estimator"),
         (CompanionConfig(emitter_id=7), {}, "another mission or estimator"),
     ],
@@ -235,3 +239,54 @@ def test_a_process_that_ends_before_it_heard_the_vehicle_leaves_what_it_found(
     process.endpoint.request_stop(0.0)
     keeper.close(0.0)
     assert process.store.slots
+
+
+# A fence that is not in the configuration itself
+
+FIELD = ((47.39, 8.54), (47.39, 8.56), (47.41, 8.56), (47.41, 8.54))
+WIDER = ((47.39, 8.53), *FIELD[1:])
+
+
+def of_file(folder: Path, corners: tuple[tuple[float, float], ...]) -> CompanionConfig:
+    """A configuration with a fence in a file, always of the same name."""
+    polygon = {"inclusion": True, "polygon": corners, "version": 1}
+    fence = {"circles": [], "polygons": [polygon], "version": 2}
+    path = folder / "site.plan"
+    path.write_text(json.dumps({"fileType": "Plan", "geoFence": fence, "version": 1}))
+    return CompanionConfig(limits=LimitsConfig(fence_file=str(path)))
+
+
+@pytest.mark.parametrize(("corners", "is_resumed"), [(FIELD, True), (WIDER, False)])
+def test_a_memory_is_taken_up_only_with_the_same_fence_in_its_file(
+    tmp_path: Path, corners: tuple[tuple[float, float], ...], is_resumed: bool
+) -> None:
+    process = Process()
+    process.fly(process.start(of_file(tmp_path, FIELD)))
+    process.fly(process.start(of_file(tmp_path, corners)))
+    assert process.said("resumed after") is is_resumed
+    assert process.said("other limits or another fence") is not is_resumed
+
+
+@pytest.mark.parametrize(("corners", "is_resumed"), [(FIELD, True), (WIDER, False)])
+def test_a_memory_waits_for_the_autopilots_fence_where_that_is_kept(
+    corners: tuple[tuple[float, float], ...], is_resumed: bool
+) -> None:
+    config = CompanionConfig(limits=LimitsConfig(autopilot_fence="use"))
+    process = Process()
+
+    def tell(fence: tuple[tuple[float, float], ...]) -> None:
+        assert process.endpoint is not None
+        process.endpoint.session.handle(AutopilotFenceRead(0.0, GeoFence(GeoArea(fence))))
+
+    keeper = process.start(config)
+    tell(FIELD)
+    process.fly(keeper)
+    kept = dict(process.store.slots)
+    keeper = process.start(config)
+    process.fly(keeper)
+    assert process.store.slots == kept
+    assert not process.said("resumed after")
+    tell(corners)
+    process.fly(keeper)
+    assert process.said("resumed after") is is_resumed
+    assert process.said("other limits or another fence") is not is_resumed
