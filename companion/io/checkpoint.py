@@ -99,6 +99,23 @@ def decode_checkpoint(data: bytes) -> Checkpoint:
     return checkpoint
 
 
+def encode_memory(memory: SessionMemory) -> bytes:
+    """A memory alone, for the log of inputs."""
+    return msgspec.msgpack.encode(memory, enc_hook=_plain)
+
+
+def decode_memory(data: bytes) -> SessionMemory:
+    """The memory that `encode_memory` made bytes of, the same to the last bit.
+
+    Raises:
+        CheckpointError: It is none.
+    """
+    try:
+        return msgspec.msgpack.decode(data, type=SessionMemory, strict=True)
+    except (msgspec.MsgspecError, RecursionError, ValueError, OverflowError) as error:
+        raise CheckpointError(f"of another version ({' '.join(str(error).split())})") from None
+
+
 def age_s(then: Moment, now: Moment) -> float | None:
     """Seconds between two moments; None where no clock tells.
 

@@ -15,15 +15,20 @@ from pathlib import Path
 
 from companion.errors import ConfigError
 from companion.guidance.events import Wish
+from companion.guidance.memory import SessionMemory
 from companion.io.background_file import BackgroundLog
+from companion.io.checkpoint import CheckpointError, decode_memory, encode_memory
 from companion.mav.codec import CRC_EXTRA_BY_ID
 from companion.mav.endpoint import Address
 from companion.mav.framing import message_id, without_signature
 from companion.mav.signing import is_secret
 
-FORMAT = b"companion inputs 1"
-_HEADER = struct.Struct("<IdBBBH")
+FORMAT = b"companion inputs 2"
+_HEADER = struct.Struct("<IdBBBI")
 """Number of the record, time_s, kind, link, length of the sender's address, length of the data."""
+
+
+_AGE = struct.Struct("<d")
 
 
 class InputKind(IntEnum):
@@ -36,6 +41,10 @@ class InputKind(IntEnum):
     STOP = 3
     WISH = 4
     """Its data name what the operator asked for."""
+    EARLIER_RUN = 5
+    """An earlier process did not end in order."""
+    RECALL = 6
+    """Its data are the age, float64 seconds, and what that process knew, in MessagePack."""
 
 
 AlsoKeeps = Callable[[bytes, float], None]
@@ -89,6 +98,15 @@ class InputLog(BackgroundLog):
     def wish(self, wish: Wish, now_s: float) -> None:
         """Keep what the operator asked for."""
         self._append(Input(InputKind.WISH, now_s, data=wish.value.encode()))
+
+    def earlier_run(self, now_s: float) -> None:
+        """Keep that there was an earlier process."""
+        self._append(Input(InputKind.EARLIER_RUN, now_s))
+
+    def recall(self, memory: SessionMemory, age_s: float, now_s: float) -> None:
+        """Keep what it knew."""
+        data = _AGE.pack(age_s) + encode_memory(memory)
+        self._append(Input(InputKind.RECALL, now_s, data=data))
 
     def _append(self, value: Input) -> None:
         peer = b"" if value.peer is None else f"{value.peer[0]} {value.peer[1]}".encode()[:255]
@@ -144,6 +162,18 @@ def parse_inputs(data: bytes, name: str) -> Iterator[Input]:
         offset, number = end, (number + 1) & 0xFFFFFFFF
     if number == 0:
         raise ConfigError(f"{name}: has no inputs")
+
+
+def recalled(value: Input) -> tuple[SessionMemory, float]:
+    """What a RECALL says: what was known, and how old that was in seconds.
+
+    Raises:
+        ConfigError: It cannot be read.
+    """
+    try:
+        return decode_memory(value.data[_AGE.size :]), float(_AGE.unpack_from(value.data)[0])
+    except (CheckpointError, struct.error) as error:
+        raise ConfigError(f"the memory that was taken up at {value.time_s} s: {error}") from error
 
 
 def _peer(text: bytes) -> Address | None:

@@ -17,11 +17,14 @@ import math
 
 from companion.guidance.events import (
     ControlStalled,
+    EarlierRunFound,
+    MemoryRecalled,
     OperatorAsked,
     StopRequested,
     TimerFired,
     Wish,
 )
+from companion.guidance.memory import SessionMemory
 from companion.guidance.session import GuidanceSession
 from companion.link.alarms import LinkAlarms
 from companion.link.authenticity import Authenticity
@@ -190,6 +193,16 @@ class CompanionEndpoint:
         """Take in what the operator asks for beside the mode switch."""
         self._recorder.wish(wish, now_s)
         self.executor.handle(OperatorAsked(now_s, wish), now_s)
+
+    def found_earlier_run(self, now_s: float) -> None:
+        """An earlier process of ours did not end in order."""
+        self._recorder.earlier_run(now_s)
+        self.executor.handle(EarlierRunFound(now_s), now_s)
+
+    def recall(self, memory: SessionMemory, age_s: float, now_s: float) -> None:
+        """Take up what that process knew `age_s` ago."""
+        self._recorder.recall(memory, age_s, now_s)
+        self.executor.handle(MemoryRecalled(now_s, memory, age_s), now_s)
 
     @property
     def is_finished(self) -> bool:

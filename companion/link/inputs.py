@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from companion.guidance.events import Wish
+from companion.guidance.memory import SessionMemory
 from companion.mav.endpoint import Address
 
 
@@ -23,6 +24,12 @@ class InputRecorder(Protocol):
     def wish(self, wish: Wish, now_s: float) -> None:
         """The operator asked for something."""
 
+    def earlier_run(self, now_s: float) -> None:
+        """An earlier process did not end in order."""
+
+    def recall(self, memory: SessionMemory, age_s: float, now_s: float) -> None:
+        """What that process knew is taken up."""
+
 
 class NoRecorder:
     """Keeps nothing."""
@@ -38,3 +45,9 @@ class NoRecorder:
 
     def wish(self, wish: Wish, now_s: float) -> None:
         """Forget a wish."""
+
+    def earlier_run(self, now_s: float) -> None:
+        """Forget an earlier run."""
+
+    def recall(self, memory: SessionMemory, age_s: float, now_s: float) -> None:
+        """Forget a memory."""

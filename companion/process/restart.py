@@ -20,7 +20,6 @@ import msgspec
 
 from companion.config.schema import CompanionConfig
 from companion.guidance.commands import Announce, Severity
-from companion.guidance.events import EarlierRunFound, MemoryRecalled
 from companion.io.checkpoint import Checkpoint, MissionKey, Moment, age_s
 from companion.io.checkpoint_store import Found, present_moment
 from companion.link.endpoint import CompanionEndpoint
@@ -156,7 +155,7 @@ class RestartKeeper:
         self.is_restart = found.has_files
         if not found.has_files:
             return
-        self._endpoint.executor.handle(EarlierRunFound(self._clock.now_s()), self._clock.now_s())
+        self._endpoint.found_earlier_run(self._clock.now_s())
         if checkpoint is None:
             log.warning("checkpoint: none is whole: starting anew, without engaging by itself")
         elif age is None:
@@ -173,8 +172,7 @@ class RestartKeeper:
             self._endpoint.executor.execute(Announce(Severity.WARNING, text), now_s)
             return
         age = self._age_s + now_s - self._began_s
-        event = MemoryRecalled(now_s, checkpoint.memory, age)
-        self._endpoint.executor.handle(event, now_s)
+        self._endpoint.recall(checkpoint.memory, age, now_s)
 
     def _difference(self, then: MissionKey) -> str | None:
         """What is not as it was, in words."""

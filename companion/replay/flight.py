@@ -16,7 +16,7 @@ from companion.flight_facts import FlightFacts
 from companion.guidance.commands import ReportResult, Severity
 from companion.guidance.events import Wish
 from companion.io.files import plain
-from companion.io.inputs import Input, InputKind
+from companion.io.inputs import Input, InputKind, recalled
 from companion.link.endpoint import CompanionEndpoint
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk
@@ -110,6 +110,10 @@ def rerun(
                 endpoint.request_stop(value.time_s)
             case InputKind.WISH:
                 endpoint.ask(Wish(value.data.decode()), value.time_s)
+            case InputKind.EARLIER_RUN:
+                endpoint.found_earlier_run(value.time_s)
+            case InputKind.RECALL:
+                endpoint.recall(*recalled(value), value.time_s)
         sent = [chunk.data for chunk in endpoint.take_output()]
         journal.course.setpoints += [data for data in sent if message_id(data) in SETPOINT_IDS]
         if on_input is not None:

@@ -25,7 +25,9 @@ from companion.replay.command import replay_flight
 from companion.run import build_endpoint, build_planner
 from companion.tuning import Tunables
 from sim_link.autopilot.scenario import Scenario
+from sim_link.lockstep.checkpoints import Checkpointing
 from sim_link.lockstep.flight import VEHICLE_PEER, Flight
+from sim_link.lockstep.journal import Notes
 from sim_link.world.target import EmitterParams
 
 AUTO = CompanionConfig(mission=SessionParams(engage="auto"))
@@ -158,6 +160,33 @@ def test_parameters_that_were_changed_before_and_in_flight_are_part_of_it(tmp_pa
     without = msgspec.structs.replace(facts, parameters={})
     write_facts(tmp_path, without)
     assert replay_flight(tmp_path, None, REMARKS.append).is_failed
+
+
+def test_a_flight_that_took_up_the_memory_of_a_killed_process_is_the_same(tmp_path: Path) -> None:
+    journals: list[FlightJournal] = []
+
+    def companion(config: CompanionConfig, journal: Journal, links: int) -> CompanionEndpoint:
+        del journal
+        folder = tmp_path / str(len(journals))
+        folder.mkdir()
+        write_facts(folder, FlightFacts(started_unix_s=1.8e9, links=1, config=config))
+        journals.append(FlightJournal(folder, 1.8e9))
+        return build_endpoint(config, journals[-1], links, recorder=journals[-1].inputs)
+
+    flight = Flight(AUTO, Scenario(), 3, Notes(), make_companion=companion)
+    Checkpointing(flight)
+    flight.run(26.0)
+    flight.kill_companion()
+    flight.run(2.0)
+    flight.start_companion()
+    flight.run(6.0)
+    for journal in journals:
+        journal.close(timeout_s=30.0)
+    second = replay_flight(tmp_path / "1", None, REMARKS.append)
+    assert second.verdict.startswith("IDENTICAL")
+    assert second.comparison.recorded.estimates
+    lines = event_lines(tmp_path / "1" / EVENTS)
+    assert [line for line in lines if line["kind"] == "resumed"]
 
 
 def test_an_mcap_file_alone_is_replayed(tmp_path: Path) -> None:

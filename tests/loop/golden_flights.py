@@ -1,0 +1,261 @@
+"""Twenty recorded flights of many kinds, and how they are flown anew.
+
+A golden flight is what an endpoint was told, how it was configured, and digests of every estimate
+and every setpoint that came of it. The flights are low and short, so that all of them together are
+small and are run again in seconds. `python -m tools.update_golden` flies them anew.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import lzma
+import platform
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from companion.config.schema import CompanionConfig, LimitsConfig, PlannerConfig
+from companion.domain import FlightMode
+from companion.estimation.tracker_params import TrackerParams
+from companion.flight_facts import FlightFacts, write_facts
+from companion.guidance.emitters import QueueParams
+from companion.guidance.events import Wish
+from companion.guidance.session import SessionParams
+from companion.io.flight_files import INPUTS
+from companion.io.inputs import parse_inputs
+from companion.io.journal import FlightJournal
+from companion.link.endpoint import CompanionEndpoint, Journal
+from companion.link.params import VehicleParams
+from companion.mav.codec import MavCodec
+from companion.mav.dialect import mavlink
+from companion.mav.endpoint import Chunk
+from companion.planning.latched_crossing import LatchedCrossingParams
+from companion.replay.flight import Course, rerun
+from companion.replay.recorded import open_recording
+from companion.run import build_endpoint
+from sim_link.autopilot.incidents import Incident, PilotMode
+from sim_link.autopilot.scenario import AutopilotParams, Scenario
+from sim_link.faults.faulty_link import FaultyLink
+from sim_link.faults.kinds import Fault, LinkDelay, LinkJitter, LinkLoss
+from sim_link.faults.schedule import Schedule
+from sim_link.lockstep.checkpoints import Checkpointing
+from sim_link.lockstep.flight import VEHICLE_PEER, Flight
+from sim_link.lockstep.journal import Notes
+from sim_link.lockstep.operator import Operator
+from sim_link.world.target import EmitterParams
+
+FOLDER = Path(__file__).parents[1] / "data" / "golden"
+SUFFIX = ".flight.xz"
+ALTITUDE_M = 6.5
+DURATION_S = 24.0
+SAMPLE_EVERY = 10
+MISSION = SessionParams(engage="auto", altitude_m=ALTITUDE_M)
+NEAR = EmitterParams(position_enu_m=(35.0, 30.0))
+AUTO = CompanionConfig(mission=MISSION)
+CANONICAL = Scenario(emitter=NEAR)
+SECOND = EmitterParams(emitter_id=2, position_enu_m=(15.0, 40.0))
+KEEP_OUT = (((18.0, 15.0), (26.0, 15.0), (26.0, 26.0), (18.0, 26.0)),)
+
+Happening = tuple[float, Callable[[Flight], None]]
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """How a golden flight is flown."""
+
+    config: CompanionConfig = AUTO
+    scenario: Scenario = CANONICAL
+    faults: tuple[Fault, ...] = ()
+    happenings: tuple[Happening, ...] = ()
+    is_killed: bool = False
+    """The recorded process takes up what one before it knew."""
+
+
+class Golden(msgspec.Struct, frozen=True):
+    """A golden flight on disk."""
+
+    facts: FlightFacts
+    inputs: bytes
+    estimates: int
+    setpoints: int
+    estimates_digest: str
+    setpoints_digest: str
+    samples: tuple[tuple[float, float, float, float], ...]
+    """Time, east, north and R95 of every tenth estimate."""
+    machine: str = platform.machine()
+
+    @property
+    def is_of_this_arithmetic(self) -> bool:
+        """Whether its last digits must be ours: numpy's and the processor's are not all alike."""
+        here = (platform.machine(), np.__version__.split(".")[0])
+        return here == (self.machine, self.facts.numpy.split(".")[0])
+
+
+def samples_of(course: Course) -> tuple[tuple[float, float, float, float], ...]:
+    rows = []
+    for line in course.estimates[::SAMPLE_EVERY]:
+        place = line["position_enu_m"]
+        assert isinstance(place, list | tuple)
+        rows.append((float(str(line["t_s"])), *map(float, place), float(str(line["r95_m"]))))
+    return tuple((t, e, n, r) for t, e, n, r in rows)
+
+
+def estimates_digest(course: Course) -> str:
+    text = "\n".join(json.dumps(line, sort_keys=True) for line in course.estimates)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def setpoints_digest(course: Course) -> str:
+    return hashlib.sha256(b"".join(course.setpoints)).hexdigest()
+
+
+def replayed(golden: Golden) -> Course:
+    """The course of a golden flight, run again."""
+    inputs = parse_inputs(golden.inputs, "golden")
+    return rerun(inputs, golden.facts.config, golden.facts)
+
+
+def load(path: Path) -> Golden:
+    return msgspec.msgpack.decode(lzma.decompress(path.read_bytes()), type=Golden)
+
+
+def save(golden: Golden, path: Path) -> None:
+    path.write_bytes(lzma.compress(msgspec.msgpack.encode(golden), preset=9))
+
+
+def fly(plan: Plan, directory: Path) -> Golden:
+    """Fly a golden flight and keep the log of its last process.
+
+    Args:
+        plan: How.
+        directory: For the logs of its processes.
+    """
+    journals: list[FlightJournal] = []
+
+    def companion(config: CompanionConfig, journal: Journal, links: int) -> CompanionEndpoint:
+        del journal
+        folder = directory / str(len(journals))
+        folder.mkdir()
+        write_facts(folder, FlightFacts(started_unix_s=1.8e9, links=1 + links, config=config))
+        journals.append(FlightJournal(folder, 1.8e9))
+        return build_endpoint(config, journals[-1], links, recorder=journals[-1].inputs)
+
+    wire = FaultyLink(Schedule(faults=plan.faults), 1)
+    flight = Flight(plan.config, plan.scenario, 1, Notes(), wire=wire, make_companion=companion)
+    if plan.is_killed:
+        Checkpointing(flight)
+    for time_s, action in plan.happenings:
+        flight.at(time_s, partial(action, flight))
+    flight.run(DURATION_S)
+    for journal in journals:
+        journal.close(timeout_s=30.0)
+    folder = directory / str(len(journals) - 1)
+    recording = open_recording(folder)
+    return Golden(
+        facts=recording.facts,
+        inputs=(folder / INPUTS).read_bytes(),
+        estimates=len(recording.course.estimates),
+        setpoints=len(recording.course.setpoints),
+        estimates_digest=estimates_digest(recording.course),
+        setpoints_digest=setpoints_digest(recording.course),
+        samples=samples_of(recording.course),
+    )
+
+
+def ask(wish: Wish, flight: Flight) -> None:
+    flight.companion.ask(wish, flight.now_s)
+
+
+def set_parameter(name: bytes, value: float, flight: Flight) -> None:
+    change = mavlink.MAVLink_param_set_message(1, 191, name, value, 9)
+    frame = MavCodec(255, 190).encode(change)
+    flight.companion.receive(Chunk(0, frame, VEHICLE_PEER), flight.now_s)
+
+
+def cut_ranging(is_up: bool, flight: Flight) -> None:
+    flight.is_ranging_up = is_up
+
+
+def happen(incident: Incident, flight: Flight) -> None:
+    flight.happen(incident)
+
+
+def choose(mode: FlightMode, flight: Flight) -> None:
+    Operator(flight).choose(mode)
+
+
+def kill(flight: Flight) -> None:
+    flight.kill_companion()
+
+
+def start(flight: Flight) -> None:
+    flight.start_companion()
+
+
+def configured(**sections: object) -> CompanionConfig:
+    return CompanionConfig(mission=MISSION, **sections)  # type: ignore[arg-type]
+
+
+def searching(pattern: str) -> Plan:
+    planner = PlannerConfig(search=pattern)  # type: ignore[arg-type]
+    payload = msgspec.structs.replace(Scenario().payload, max_range_m=30.0)
+    return Plan(configured(planner=planner), Scenario(emitter=NEAR, payload=payload))
+
+
+def estimated(kind: str) -> Plan:
+    return Plan(configured(estimation=TrackerParams(kind=kind)))  # type: ignore[arg-type]
+
+
+ARDUPILOT = Scenario(emitter=NEAR, autopilot=AutopilotParams(flavour="ardupilot"))
+
+PLANS: dict[str, Plan] = {
+    "px4": Plan(),
+    "ardupilot": Plan(scenario=ARDUPILOT),
+    "global_setpoints": Plan(configured(vehicle=VehicleParams(setpoint="global_int"))),
+    "fim": Plan(configured(planner=PlannerConfig(kind="fim"))),
+    "reactive": Plan(configured(planner=PlannerConfig(kind="reactive_crossing"))),
+    "swing": Plan(
+        CompanionConfig(
+            mission=SessionParams(engage="auto", altitude_m=9.0),
+            planner=PlannerConfig(latched_crossing=LatchedCrossingParams(altitude_swing_m=2.0)),
+        )
+    ),
+    "lawnmower": searching("lawnmower"),
+    "expanding_square": searching("expanding_square"),
+    "sector": searching("sector"),
+    "ekf": estimated("ekf"),
+    "huber": estimated("huber"),
+    "admm": estimated("admm"),
+    "two_emitters": Plan(
+        configured(emitters=QueueParams(order="nearest")),
+        Scenario(emitter=NEAR, emitters=(SECOND,)),
+    ),
+    "keep_out": Plan(configured(limits=LimitsConfig(keep_out_enu_m=KEEP_OUT))),
+    "lossy": Plan(faults=(LinkLoss(share=0.3), LinkDelay(delay_s=0.08), LinkJitter(jitter_s=0.05))),
+    "ranging_cut": Plan(
+        happenings=((13.0, partial(cut_ranging, False)), (20.0, partial(cut_ranging, True)))
+    ),
+    "wishes": Plan(happenings=((14.0, partial(ask, Wish.HOLD)), (18.0, partial(ask, Wish.RESUME)))),
+    "parameters": Plan(
+        happenings=(
+            (13.0, partial(set_parameter, b"CMP_SPEED", 2.0)),
+            (16.0, partial(set_parameter, b"CMP_ALTITUDE", 10.0)),
+            (18.0, partial(set_parameter, b"CMP_SPEED", 50.0)),
+        )
+    ),
+    "pilot": Plan(scenario=ARDUPILOT, happenings=((17.0, partial(happen, PilotMode())),)),
+    "resumed": Plan(
+        is_killed=True,
+        happenings=(
+            (13.0, kill),
+            (13.5, start),
+            (15.5, partial(choose, FlightMode.HOLD)),
+            (18.0, partial(choose, FlightMode.OFFBOARD)),
+        ),
+    ),
+}
