@@ -182,8 +182,10 @@ class _UdpFlight:
     def _companion_child(self) -> Child:
         config = flown_config(self._mission)
         log = msgspec.structs.replace(config.log, directory=str(self._flights))
+        state = str(self._folder / "state")  # a checkpoint of another flight means nothing here
+        process = msgspec.structs.replace(config.process, state_directory=state)
         path = self._folder / "companion.yaml"
-        _write_yaml(path, msgspec.structs.replace(config, log=log))
+        _write_yaml(path, msgspec.structs.replace(config, log=log, process=process))
         arguments = ["-m", "sim_link.mission.leashed", "--config", str(path)]
         arguments += ["--connect", f"udpin:{HOST}:{self._ports.companion}"]
         arguments += ["--speed", f"{self._speed:g}"]

@@ -1,0 +1,50 @@
+"""The fixtures of the pytest plugin, used as a user does, in a folder outside of the project."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+TESTS = '''\
+import time
+
+
+def test_a_companion_meets_a_vehicle(sim_vehicle, companion_process, tmp_path):
+    companion = companion_process("--connect", sim_vehicle)
+    deadline_s = time.monotonic() + 60.0
+    while "ready: switch to" not in (tmp_path / "companion.log").read_text():
+        assert companion.is_alive
+        assert time.monotonic() < deadline_s
+        time.sleep(0.05)
+
+
+def test_a_link_that_breaks(faulty_link):
+    from sim_link.faults.kinds import LinkBlackout
+    from sim_link.lockstep.wire import Lane
+
+    assert faulty_link.carry(b"frame", Lane.TO_VEHICLE, 1.0) == [(1.0, b"frame")]
+    faulty_link.add(LinkBlackout(), 2.0)
+    assert faulty_link.carry(b"frame", Lane.TO_VEHICLE, 3.0) == []
+
+
+def test_without_a_mission(mission_result): ...
+'''
+
+
+def test_processes_and_links_are_there_for_tests_of_ones_own(tmp_path: Path) -> None:
+    (tmp_path / "test_own.py").write_text(TESTS)
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-rA", "-q"],
+        cwd=tmp_path,
+        env=os.environ | {"XDG_STATE_HOME": str(tmp_path / "state")},
+        capture_output=True,
+        text=True,
+        timeout=120.0,
+        check=False,
+    )
+    said = done.stdout + done.stderr
+    assert "PASSED test_own.py::test_a_companion_meets_a_vehicle" in said, said
+    assert "PASSED test_own.py::test_a_link_that_breaks" in said, said
+    assert "mission_result needs @pytest.mark.mission" in said, said
