@@ -13,6 +13,7 @@ from typing import Any, TextIO
 
 from companion.errors import CompanionError
 
+LOGS = "*/events.jsonl"
 STOP_S = 5.0
 """Real time that a process may take to end after SIGTERM."""
 
@@ -30,6 +31,7 @@ class Child:
         self.name = name
         self._arguments = [sys.executable, *arguments]
         self._log = log
+        self._has_begun = False
         self._file: TextIO | None = None
         self._process: subprocess.Popen[str] | None = None
 
@@ -39,7 +41,9 @@ class Child:
         Raises:
             CompanionError: It cannot be started.
         """
-        self._file = self._log.open("a", encoding="utf-8")
+        # what an earlier mission left there was said by another one
+        self._file = self._log.open("a" if self._has_begun else "w", encoding="utf-8")
+        self._has_begun = True
         try:
             self._process = subprocess.Popen(
                 self._arguments,
@@ -110,14 +114,15 @@ class EventTail:
 
     def __init__(self, root: Path) -> None:
         self._root = root
-        self._seen: set[Path] = set()
+        self._seen = set(root.glob(LOGS))
+        """What an earlier mission may have left there, and what was read."""
         self._path: Path | None = None
         self._offset = 0
         self._rest = b""
 
     def look_for_flight(self) -> bool:
         """Whether a flight that was not there before has begun; it is the one that is read."""
-        for path in sorted(self._root.glob("*/events.jsonl")):
+        for path in sorted(self._root.glob(LOGS)):
             if path not in self._seen:
                 self._seen.add(path)
                 self._path, self._offset, self._rest = path, 0, b""

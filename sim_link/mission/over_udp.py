@@ -144,6 +144,7 @@ class _UdpFlight:
         self._is_companion_told = False
         self._clock = Clock(speed)
         self._started_unix_s = time.time()
+        (folder / "flight.tlog").unlink(missing_ok=True)  # an earlier mission's; it is appended to
         self._tlog = TlogWriter(folder / "flight.tlog")
         self._heard_wall_s = time.monotonic()
         self._progress: Progress | None = None

@@ -7,7 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-TESTS = '''\
+TESTS = """\
 import time
 
 
@@ -30,7 +30,7 @@ def test_a_link_that_breaks(faulty_link):
 
 
 def test_without_a_mission(mission_result): ...
-'''
+"""
 
 
 def test_processes_and_links_are_there_for_tests_of_ones_own(tmp_path: Path) -> None:
