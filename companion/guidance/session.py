@@ -49,7 +49,12 @@ from companion.guidance.params import SessionParams as SessionParams
 from companion.guidance.recollection import Recollection, remembered
 from companion.guidance.situation import Situation
 from companion.guidance.states import Phase
-from companion.guidance.status import GuidanceStatus, snapshot
+from companion.guidance.status import (
+    EmitterStatus,
+    GuidanceStatus,
+    emitter_statuses,
+    snapshot,
+)
 from companion.guidance.steering import Steering
 from companion.guidance.tuning import When, objection_to_change
 from companion.guidance.turns import Turns
@@ -221,6 +226,10 @@ class GuidanceSession:
     def objection_to_change(self, when: When) -> str | None:
         """Why a parameter may not be changed now, in words, or None."""
         return objection_to_change(when, self.phase, is_armed=self.vehicle.is_armed)
+
+    def emitters(self, now_s: float) -> tuple[EmitterStatus, ...]:
+        """What is known of every emitter; a part of `status` that costs little."""
+        return emitter_statuses(self.situation, now_s)
 
     def status(self, now_s: float) -> GuidanceStatus:
         """A snapshot for views and logs."""

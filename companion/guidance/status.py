@@ -79,7 +79,7 @@ def snapshot(now_s: float, situation: Situation) -> GuidanceStatus:
         height_m=vehicle.height_m,
         distance_m=vehicle.distance_m,
         estimate=situation.estimate,
-        emitters=_emitters(situation, now_s),
+        emitters=emitter_statuses(situation, now_s),
         waypoint=situation.flight_plan.waypoint,
         setpoint_enu_m=steering.setpoint_enu_m,
         guard=tuple(reason.value for reason in steering.reasons),
@@ -96,7 +96,8 @@ def snapshot(now_s: float, situation: Situation) -> GuidanceStatus:
     )
 
 
-def _emitters(situation: Situation, now_s: float) -> tuple[EmitterStatus, ...]:
+def emitter_statuses(situation: Situation, now_s: float) -> tuple[EmitterStatus, ...]:
+    """What is known of every emitter that was heard or listed."""
     current = situation.tracker
     return tuple(
         EmitterStatus(

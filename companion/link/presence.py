@@ -67,7 +67,7 @@ class Presence:
             return
         self._next_s = now_s + PERIOD_S
         origin = self._session.vehicle.origin
-        for emitter in self._session.status(now_s).emitters:
+        for emitter in self._session.emitters(now_s):
             if emitter.estimate is None:
                 continue
             message = estimate_message(emitter.emitter_id, emitter.estimate, origin, now_s)
