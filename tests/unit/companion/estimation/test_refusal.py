@@ -152,6 +152,7 @@ def test_every_reason_is_covered_here() -> None:
         Refusal.TOO_MANY,
         Refusal.FROZEN,
         Refusal.WRONG_UNIT,
+        Refusal.OWN_JUMP,
     }
     assert covered == set(Refusal) - judged_beside_others
 

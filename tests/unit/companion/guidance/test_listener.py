@@ -246,3 +246,11 @@ def test_every_measurement_several_times_gives_the_same_estimate_byte_by_byte(
     assert one.mean.tobytes() == other.mean.tobytes()
     assert one.covariance.tobytes() == other.covariance.tobytes()
     assert once.tracker.estimate(20.0) == often.tracker.estimate(20.0)
+
+
+def test_nothing_is_measured_from_a_position_that_jumped(flight: Flight) -> None:
+    flight.moved(9.9, 10.1)
+    flight.track.distrust(9.95, 12.0)
+    flight.listener.receive(AT_10_S)
+    assert [r.refusal for r in flight.listener.fuse_due(10.1)] == [Refusal.OWN_JUMP]
+    assert flight.refusals == {Refusal.OWN_JUMP: 1}
