@@ -195,6 +195,14 @@ def _add_replay(commands: argparse._SubParsersAction[_Parser]) -> None:
         type=_speed,
         help="of a flight, times real time (default: all at once)",
     )
+    replay.add_argument(
+        "--web",
+        dest="replay_web",
+        metavar="[HOST:]PORT",
+        nargs="?",
+        const="8080",
+        help="show a flight on the live map, at --speed 1 unless given (default port 8080)",
+    )
     replay.add_argument("--config", metavar="FILE", type=Path, help="companion configuration")
     replay.add_argument("--json", metavar="FILE", type=Path, help="write the results as JSON")
 

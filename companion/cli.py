@@ -20,7 +20,8 @@ from companion.io.exposure import check_exposure
 from companion.io.files import check_writable, write_json_atomic
 from companion.io.links import link_from_url, shared_link_from_url
 from companion.io.urls import LinkUrl, parse_link_url
-from companion.replay.command import Pace, replay_flight
+from companion.replay.command import FlightReplay, Pace, replay_flight
+from companion.replay.on_map import replay_on_map
 from companion.replay.walk import replay_walk, table
 from companion.run import FlightView, fly
 from companion.view.cot import CotView, cot_address
@@ -206,13 +207,25 @@ def _replay(arguments: argparse.Namespace) -> int:
     if arguments.file.suffix.lower() == ".csv":
         if arguments.speed is not None:
             raise ConfigError("--speed: a walk is replayed as fast as it goes; leave it out")
+        if arguments.replay_web is not None:
+            raise ConfigError("--web: a walk has no map; leave it out")
         return _replay_walk(arguments, config or CompanionConfig())
-    pace = None if arguments.speed is None else Pace(arguments.speed)
-    replay = replay_flight(arguments.file, config, print, pace)
-    print(replay.comparison.table())
-    print(replay.verdict)
-    if arguments.json is not None:
-        write_json_atomic(arguments.json, {**replay.comparison.as_json(), "exact": replay.is_exact})
+
+    def tell(replay: FlightReplay) -> None:
+        print(replay.comparison.table())
+        print(replay.verdict, flush=True)
+        if arguments.json is not None:
+            value = {**replay.comparison.as_json(), "exact": replay.is_exact}
+            write_json_atomic(arguments.json, value)
+
+    if arguments.replay_web is not None:
+        settings = web_settings(arguments.replay_web)
+        speed = arguments.speed or 1.0
+        replay = replay_on_map(arguments.file, config, print, settings, speed, tell)
+    else:
+        pace = None if arguments.speed is None else Pace(arguments.speed)
+        replay = replay_flight(arguments.file, config, print, pace)
+        tell(replay)
     return EXIT_FAILED if replay.is_failed else 0
 
 

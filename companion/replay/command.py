@@ -12,7 +12,7 @@ from companion.io.flight_files import INPUTS
 from companion.kernel import IS_COMPILED
 from companion.link.endpoint import CompanionEndpoint
 from companion.replay.comparison import Comparison
-from companion.replay.flight import CourseJournal, OnInput, rerun
+from companion.replay.flight import Listen, OnInput, rerun
 from companion.replay.recorded import open_recording
 
 Say = Callable[[str], None]
@@ -56,7 +56,7 @@ def replay_flight(
     config: CompanionConfig | None,
     say: Say,
     on_input: OnInput | None = None,
-    journal: CourseJournal | None = None,
+    listen: Listen | None = None,
 ) -> FlightReplay:
     """Run a recorded flight again.
 
@@ -65,7 +65,7 @@ def replay_flight(
         config: Another configuration; None: the flight's own.
         say: Takes remarks for people.
         on_input: Sees the endpoint after every input.
-        journal: Listens; None: one of its own.
+        listen: Makes a journal that hears everything, too, and passes it on.
 
     Raises:
         ConfigError: The flight cannot be read.
@@ -76,7 +76,7 @@ def replay_flight(
     if facts.is_compiled != IS_COMPILED:
         how = "compiled" if facts.is_compiled else "plain"
         say(f"the flight used {how} kernels, this replay does not: last digits may differ")
-    course = rerun(recording.inputs, used, facts, on_input, journal)
+    course = rerun(recording.inputs, used, facts, on_input, listen)
     return FlightReplay(
         comparison=Comparison(recording.course, course),
         is_exact=recording.is_exact,

@@ -18,6 +18,7 @@ from companion.guidance.events import Wish
 from companion.io.files import plain
 from companion.io.inputs import Input, InputKind, recalled
 from companion.link.endpoint import CompanionEndpoint
+from companion.link.journal import Journal
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk
 from companion.mav.framing import message_id
@@ -27,6 +28,8 @@ from companion.tuning import Tunables
 Json = dict[str, object]
 OnInput = Callable[[CompanionEndpoint, float], None]
 """Called after every input: the endpoint, and the flight's time."""
+
+Listen = Callable[[Journal], Journal]
 
 SETPOINT_IDS = frozenset(
     {
@@ -80,7 +83,7 @@ def rerun(
     config: CompanionConfig,
     facts: FlightFacts,
     on_input: OnInput | None = None,
-    journal: CourseJournal | None = None,
+    listen: Listen | None = None,
 ) -> Course:
     """Run a flight again.
 
@@ -89,15 +92,19 @@ def rerun(
         config: The flight's, or another one to compare with.
         facts: How it was flown.
         on_input: Sees the endpoint after every input.
-        journal: Listens; None: one of its own.
+        listen: Makes a journal that hears everything, too, and passes it on.
     """
-    journal = journal or CourseJournal()
+    journal = CourseJournal()
     tunables = Tunables(config, build_planner)
     if config == facts.config:
         tunables.restore(facts.parameters)
     ranging_links = facts.links - 1 - facts.gcs_links
     endpoint = build_endpoint(
-        config, journal, ranging_links, tunables=tunables, gcs_links=facts.gcs_links
+        config,
+        journal if listen is None else listen(journal),
+        ranging_links,
+        tunables=tunables,
+        gcs_links=facts.gcs_links,
     )
     for value in inputs:
         match value.kind:

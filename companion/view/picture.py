@@ -120,6 +120,8 @@ def _emitter(emitter: EmitterStatus) -> Json:
         "state": words,
         "place": None if estimate is None else estimate.position_enu_m,
         "r95_m": None if estimate is None else estimate.r95_m,
+        "is_current": emitter.is_current,
+        "is_reported": emitter.is_reported,
     }
 
 

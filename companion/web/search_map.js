@@ -7,6 +7,7 @@ const METRES_PER_DEGREE = 111319.49;
 const COLOURS = {
   vehicle: "#1f4e79", estimate: "#d1495b", second: "#8e44ad", waypoint: "#b8860b",
   fence: "#2a9d3f", keepOut: "#7f1d1d", near: "#2a9d3f", far: "#d97706", truth: "#111111",
+  other: "#d1495b", reported: "#1f4e79",
 };
 
 export default {
@@ -113,6 +114,7 @@ export default {
       const add = (layer) => this.moving.addLayer(layer);
       for (const mark of picture.marks || []) this.drawMark(mark, picture, add);
       if (track.length > 1) add(this.line(track, { color: COLOURS.vehicle, weight: 2, opacity: 0.7 }));
+      this.drawOthers(picture.emitters || [], add);
       this.drawEstimate(picture.estimate, add);
       this.drawPlan(picture, add);
       if (picture.vehicle) {
@@ -147,6 +149,15 @@ export default {
         { color: COLOURS.estimate, fillOpacity: 1, className: "estimate" }));
       if (estimate.alternative) {
         add(this.dot(estimate.alternative, 6, { color: COLOURS.second, className: "second" }));
+      }
+    },
+    drawOthers(emitters, add) {
+      for (const emitter of emitters) {
+        if (emitter.is_current || !emitter.place) continue;
+        const color = emitter.is_reported ? COLOURS.reported : COLOURS.other;
+        add(this.ring(emitter.place, emitter.r95_m,
+          { color, weight: 1, dashArray: "2 4", className: "other-r95" }));
+        add(this.dot(emitter.place, 5, { color, fillOpacity: 0.6, className: "other-emitter" }));
       }
     },
     drawPlan(picture, add) {

@@ -51,6 +51,16 @@ class WebView:
         for name in self._process.update(now_s, lambda: self._picture(endpoint, now_s)):
             endpoint.ask(Wish(name), now_s)
 
+    def show(self, endpoint: CompanionEndpoint, now_s: float, clock_s: float) -> None:
+        """Show a moment that is over, whatever buttons are pressed.
+
+        Args:
+            endpoint: The companion.
+            now_s: The moment.
+            clock_s: Goes on.
+        """
+        self._process.update(clock_s, lambda: self._picture(endpoint, now_s))
+
     def close(self) -> None:
         """End the page."""
         self._process.close()

@@ -8,7 +8,10 @@ from __future__ import annotations
 import math
 import re
 import shutil
+import signal
 import socket
+import subprocess
+import sys
 import threading
 import time
 import urllib.error
@@ -30,6 +33,7 @@ from companion.web.settings import WebSettings, web_settings
 from companion.web.view import WebView
 from sim_link.autopilot.scenario import Scenario
 from sim_link.lockstep.flight import Flight
+from tests.loop.golden_flights import PLANS, fly
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium: apt install chromium")
@@ -228,3 +232,29 @@ def test_a_name_that_a_stranger_points_at_us_is_refused(tmp_path: Path) -> None:
         until_up(live.settings.url)
         assert status(live.settings.url, Host="evil.example") == 421
         assert status(live.settings.url) == 200
+
+
+def test_a_recorded_flight_is_shown_and_stays_until_it_is_ended(
+    browser: Browser, tmp_path: Path
+) -> None:
+    fly(PLANS["ardupilot"], tmp_path)
+    port = free_port()
+    options = ["replay", str(tmp_path / "0"), "--web", str(port), "--speed", "4"]
+    command = [sys.executable, "-m", "companion", *options]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as replay:
+        try:
+            assert replay.stdout is not None
+            url = f"http://127.0.0.1:{port}/"
+            until_up(url)
+            watched = Watched(browser, url, DESK)
+            expect(watched.page.locator("path.ellipse")).to_have_count(1, timeout=PATIENCE_MS)
+            assert watched.page.locator("#button-hold").count() == 0
+            lines = iter(replay.stdout.readline, "")
+            assert any("IDENTICAL" in line for line in lines)
+            time.sleep(3.0)
+            expect(watched.page.locator("#phase")).not_to_contain_text("SILENT")
+            assert watched.complaints == []
+            replay.send_signal(signal.SIGINT)
+            assert replay.wait(timeout=15.0) == 0
+        finally:
+            replay.kill()
