@@ -74,6 +74,11 @@ class WebProcess:
         self.dropped = 0
         """Pictures that the child was too slow for."""
 
+    @property
+    def process_id(self) -> int:
+        """Of the child."""
+        return self._child.pid
+
     def update(self, now_s: float, picture: Callable[[], Mapping[str, object]]) -> list[str]:
         """Send a picture if one is due and the pipe has room; the buttons pressed meanwhile.
 

@@ -37,6 +37,11 @@ class WebView:
         self._time_to_go = TimeToGo(mission.stop_radius_m, mission.stop_confirm_s)
         self._process = WebProcess(settings, {**scene_of(config), "truth": truth_enu_m})
 
+    @property
+    def process_id(self) -> int:
+        """Of the process that serves the page."""
+        return self._process.process_id
+
     def listen(self, journal: Journal) -> Journal:
         """A journal that tells the page what it tells the flight log."""
         return TeeJournal(journal, self._collector)
