@@ -124,13 +124,14 @@ class ControlTick:
         situation = self._situation
         launch, vehicle = situation.launch, situation.vehicle
         heartbeat, height_m, home = vehicle.heartbeat, vehicle.height_m, vehicle.home_enu_m
-        if launch is None or heartbeat is None or height_m is None or home is None:
+        if launch is None:
             return
-        if not vehicle.is_usable(now_s):
-            return
-        has_origin = vehicle.origin is not None
-        view = LaunchView(now_s, heartbeat, height_m, home[2], has_origin)
-        situation.commands += launch.tick(view)
+        if heartbeat is None or height_m is None or home is None or not vehicle.is_usable(now_s):
+            launch.wait(now_s)
+        else:
+            has_origin = vehicle.origin is not None
+            view = LaunchView(now_s, heartbeat, height_m, home[2], has_origin)
+            situation.commands += launch.tick(view)
         if launch.failure is not None:
             situation.announce(Severity.ERROR, f"launch gave up: {launch.failure}")
             situation.enter(Trigger.LAUNCH_FAILED, now_s)

@@ -160,6 +160,8 @@ class RequestAnswered:
     detail: str = ""
     order: int | None = None
     """As of HeartbeatReceived."""
+    is_repeated: bool = False
+    """It was sent more than once, so that an earlier sending may have been obeyed."""
 
 
 @dataclass(frozen=True, slots=True)

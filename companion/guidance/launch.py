@@ -29,7 +29,11 @@ UNANSWERED_LIMIT = 3
 PRESTREAM_S = 1.2
 """PX4 wants setpoints for more than a second before it enters offboard."""
 MODE_TIMEOUT_S = 5.0
+BLIND_S = 10.0
+"""Without mode, position or link for so long it is nobody's to launch."""
 CLIMBED_SHARE = 0.9
+LIFTED_M, LIFT_S = 1.0, 8.0
+"""So high it is within so long, if a take-off that was refused when repeated has begun."""
 
 
 class Stage(Enum):
@@ -71,11 +75,15 @@ class Launch:
         self.failure: str | None = None
         self._since_s = started_s
         self._retry_s = started_s
+        self._seen_s = started_s
+        """When everything that a launch needs was known last."""
         self._is_asked = False
         self._unanswered = 0
         self._modes: frozenset[FlightMode] = frozenset()
         """Modes that the launch itself leads through."""
         self._was_armed = False
+        self._refused: str | None = None
+        """A repeated take-off was refused: ArduPilot does so when the first one has begun."""
         self._offboard_accepted: RequestAnswered | None = None
         self._needs_prestream = True
 
@@ -123,6 +131,7 @@ class Launch:
 
     def tick(self, view: LaunchView) -> list[Command]:
         """What to ask for now."""
+        self._seen_s = view.now_s
         match self.stage:
             case Stage.READY:
                 return self._when_ready(view)
@@ -136,6 +145,11 @@ class Launch:
             case Stage.OFFBOARD:
                 return self._ask(view)
         return []
+
+    def wait(self, now_s: float) -> None:
+        """Nothing is asked while the vehicle is not seen, and not for ever."""
+        if now_s - self._seen_s > BLIND_S:
+            self.failure = f"no link, mode or fresh position for {BLIND_S:g} s"
 
     def answered(self, event: RequestAnswered) -> None:
         """Take in the autopilot's answer to the latest request."""
@@ -157,11 +171,19 @@ class Launch:
             }.get(self.stage)
             if following is not None:
                 self._enter(following, event.time_s)
+        elif self._may_have_taken_off(event):
+            self._refused = f"{self.stage.value}: {event.outcome.value} {event.detail}".strip()
+            self._enter(Stage.CLIMB, event.time_s)
         elif self._may_ask_again(event):
             self._is_asked = False
             self._retry_s = event.time_s + ARM_RETRY_S
         else:
             self.failure = f"{self.stage.value}: {event.outcome.value} {event.detail}".strip()
+
+    def _may_have_taken_off(self, event: RequestAnswered) -> bool:
+        """Whether the answer to an earlier sending may be lost, and what is refused has begun."""
+        is_refused = self.stage is Stage.TAKE_OFF and event.outcome is Outcome.REJECTED
+        return is_refused and (event.is_repeated or self._unanswered > 0)
 
     def _may_ask_again(self, event: RequestAnswered) -> bool:
         """Not ready yet is no reason to give up, and neither is a link that lost an answer."""
@@ -226,8 +248,12 @@ class Launch:
         return [SetMode(FlightMode.OFFBOARD, view.heartbeat.is_armed)]
 
     def _when_climbed(self, view: LaunchView) -> None:
+        if view.height_m >= LIFTED_M:
+            self._refused = None
         if view.height_m >= CLIMBED_SHARE * self.altitude_m:
             self._enter(Stage.PRESTREAM, view.now_s)
+        elif self._refused is not None and view.now_s - self._since_s > LIFT_S:
+            self.failure = self._refused
         elif view.now_s - self._since_s > CLIMB_TIMEOUT_S:
             self.failure = "the vehicle did not climb to its altitude"
 

@@ -227,11 +227,18 @@ class VehicleView:
         """What is not there yet, in words, of what guiding it takes."""
         parts = {
             "the autopilot": self.heartbeat is not None and not self.is_link_lost(now_s),
-            "a local position": self.is_position_fresh(now_s),
+            self._position_wanted(now_s): self.is_position_fresh(now_s),
             "a home position": self.home_enu_m is not None,
             "the origin": self.origin is not None or not self._needs_origin,
         }
         return [name for name, is_there in parts.items() if not is_there]
+
+    def _position_wanted(self, now_s: float) -> str:
+        """A position, or a younger one than a slow link brings."""
+        latest = self.track.latest
+        if latest is None or now_s - latest.time_s > LINK_LOST_S + STALE_STATE_S:
+            return "a local position"
+        return f"a local position that is not {STALE_STATE_S:g} s late (is the link slow?)"
 
     def _move(self, event: VehicleMoved) -> None:
         if not is_plausible(event.state):

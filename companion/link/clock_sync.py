@@ -32,8 +32,8 @@ SLOWER_S = 0.010
 DEVIATION_S = 0.1
 RESET_AFTER = 5
 GAIN = 0.1
-MAX_OPEN = 8
-"""Questions that may still be answered."""
+MAX_OPEN = 32
+"""Questions that may still be answered: those of three seconds, also while they are quick."""
 NS_PER_S = 1e9
 
 

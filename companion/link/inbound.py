@@ -46,7 +46,7 @@ MAX_HOME_DISTANCE_M = 1e5
 """A home farther from the origin than this is a fault, in whatever field."""
 CLOCK_TOLERANCE_S = 0.03
 MAX_LINK_DELAY_S = 0.5
-"""A sender whose clock seems later than the autopilot's by up to this has a slow link."""
+"""A radio whose clock seems later than the autopilot's by up to this has a slow link."""
 MAX_SENDERS = 16
 """Clocks of ranging senders that are kept."""
 
@@ -75,13 +75,15 @@ class VehicleInbound:
         """Local time minus the autopilot's, seconds; None before its first stamp.
 
         By arrival it is too large by the shortest delay. The exchange of times knows that delay,
-        and is believed as long as it is a plausible one.
+        and is believed if one way takes no longer than both: otherwise it is of another clock.
         """
         by_arrival_s, by_exchange_s = self._clock.offset_s, self._sync.offset_s
-        if by_arrival_s is None or by_exchange_s is None:
+        round_trip_s = self._sync.round_trip_s
+        if by_arrival_s is None or by_exchange_s is None or round_trip_s is None:
             return by_arrival_s
         delay_s = by_arrival_s - by_exchange_s
-        return by_exchange_s if 0.0 <= delay_s <= MAX_LINK_DELAY_S else by_arrival_s
+        is_plausible = 0.0 <= delay_s <= round_trip_s + CLOCK_TOLERANCE_S
+        return by_exchange_s if is_plausible else by_arrival_s
 
     def events(self, message: Message, now_s: float, number: int = 0) -> list[Event]:
         """What a message of the autopilot says; nothing, if a newer one of its kind came before.

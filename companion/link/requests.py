@@ -76,7 +76,8 @@ class RequestClient:
         self._pending = None
         if ack.result == mavlink.MAV_RESULT_ACCEPTED:
             return RequestAnswered(now_s, pending.kind, Outcome.ACCEPTED)
-        return RequestAnswered(now_s, pending.kind, Outcome.REJECTED, result_name(ack.result))
+        name, is_repeated = result_name(ack.result), pending.sends > 1
+        return RequestAnswered(now_s, pending.kind, Outcome.REJECTED, name, is_repeated=is_repeated)
 
 
 def result_name(result: int) -> str:

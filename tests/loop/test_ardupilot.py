@@ -60,6 +60,13 @@ def test_finds_the_emitter_over_a_lossy_slow_link_too() -> None:
     assert loop.error_m <= 1.5
 
 
+def test_a_launch_survives_a_take_off_whose_answer_was_lost() -> None:
+    """The repeated take-off is refused, because the vehicle climbs already."""
+    loop = Loop(scenario=COPTER, seed=2, faults=LinkFaults(loss=0.3, delay_s=0.25))
+    loop.run_until(lambda: loop.phase is Phase.NORMAL, 30.0)
+    assert [number for _, number in loop.commands].count(TAKEOFF) > 1
+
+
 def test_texts_speak_of_guided_and_never_of_offboard() -> None:
     loop = copter()
     loop.run_until(lambda: bool(loop.notes.results), 90.0)

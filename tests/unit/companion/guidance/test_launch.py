@@ -159,6 +159,31 @@ def test_any_other_refusal_ends_the_launch(stage: Stage, kind: RequestKind) -> N
     assert attempt.launch.failure == f"{stage.value}: rejected why"
 
 
+@pytest.mark.parametrize("how", ["sent again", "asked again"])
+@pytest.mark.parametrize("has_begun", [True, False])
+def test_a_repeated_take_off_that_is_refused_may_have_begun(how: str, has_begun: bool) -> None:
+    """The first answer was lost; ArduPilot refuses the second, because it climbs already."""
+    attempt = Attempt(Autopilot.ARDUPILOT, FlightMode.OFFBOARD).to_stage(Stage.TAKE_OFF)
+    attempt.wait(0.1)
+    if how == "asked again":
+        attempt.answer(RequestKind.TAKE_OFF, Outcome.NO_ANSWER)
+        attempt.wait(2.5)
+    kind, is_repeated = RequestKind.TAKE_OFF, how == "sent again"
+    refusal = RequestAnswered(
+        attempt.now_s, kind, Outcome.REJECTED, "failed", is_repeated=is_repeated
+    )
+    attempt.launch.answered(refusal)
+    assert attempt.launch.failure is None
+    assert attempt.wait(5.0) == []
+    attempt.height_m = 1.5 if has_begun else 0.2
+    attempt.wait(5.0)
+    assert attempt.launch.failure == (None if has_begun else "taking off: rejected failed")
+    if has_begun:
+        attempt.height_m = 19.0
+        attempt.wait()
+        assert attempt.launch.is_at_offboard
+
+
 def test_a_request_that_nobody_answers_is_made_again_three_times() -> None:
     attempt = Attempt().to_stage(Stage.TAKE_OFF)
     asked = 0
@@ -313,6 +338,17 @@ def test_a_launch_that_gives_up_leaves_the_vehicle_alone() -> None:
     flight.fly(95.0)
     assert flight.is_in(Phase.YIELD)
     assert "launch gave up: the vehicle did not climb to its altitude" in flight.texts
+
+
+@pytest.mark.parametrize("what", ["has_position", "has_link"])
+def test_a_vehicle_that_is_not_seen_any_more_is_not_launched_for_ever(what: str) -> None:
+    flight = launching()
+    setattr(flight, what, False)
+    flight.fly(9.5)
+    assert flight.is_in(Phase.LAUNCHING)
+    flight.fly(1.5)
+    assert flight.is_in(Phase.YIELD)
+    assert "launch gave up: no link, mode or fresh position for 10 s" in flight.texts
 
 
 def test_a_stop_during_the_climb_asks_for_hold() -> None:

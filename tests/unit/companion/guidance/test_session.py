@@ -7,7 +7,7 @@ import math
 import pytest
 
 from companion.config.schema import LimitsConfig
-from companion.domain import Autopilot, FlightMode, LandedState
+from companion.domain import Autopilot, FlightMode, LandedState, VehicleState
 from companion.geometry.frames import LocalOrigin
 from companion.guidance.commands import Arm, SendHeartbeat, SendSetpoint, SetMode, TakeOff
 from companion.guidance.events import (
@@ -18,6 +18,7 @@ from companion.guidance.events import (
     Outcome,
     RequestKind,
     StopRequested,
+    VehicleMoved,
 )
 from companion.guidance.session import SessionParams
 from companion.guidance.states import Phase
@@ -571,6 +572,22 @@ def test_what_is_missing_is_named_after_a_while() -> None:
     flight.fly(3.0)
     assert [text for text in flight.texts if "waiting for" in text] == [
         "still waiting for a home position"
+    ]
+
+
+def test_positions_that_are_always_late_are_told_apart_from_none() -> None:
+    """Over a slow link they come, and every one is too old to be flown on."""
+    flight = ScriptedFlight()
+    flight.has_position = False
+    flight.heartbeat()
+    flight.locate()
+    for _ in range(240):
+        late = VehicleState(flight.now_s - 0.6, flight.place, (0.0, 0.0, 0.0))
+        flight.give(VehicleMoved(flight.now_s, late))
+        flight.fly(0.05)
+    assert flight.is_in(Phase.WAITING)
+    assert [text for text in flight.texts if "waiting for" in text] == [
+        "still waiting for a local position that is not 0.5 s late (is the link slow?)"
     ]
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
-from companion.link.clock_sync import BEST_OF, PERIOD_S, ClockSync
+from companion.link.clock_sync import BEST_OF, MAX_OPEN, PERIOD_S, ClockSync
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.timesync import TargetedTimesync, targets_of
@@ -162,7 +162,7 @@ def test_questions_that_nobody_answers_are_not_kept() -> None:
     sync = ClockSync()
     for step in range(1000):
         sync.due(0.1 * step, 1, 1)
-    assert len(sync._open) <= 8
+    assert len(sync._open) <= MAX_OPEN
 
 
 def test_after_a_restart_it_begins_anew() -> None:
@@ -192,3 +192,10 @@ def test_an_answer_that_was_overtaken_is_no_clock_that_goes_back() -> None:
     autopilot = Autopilot(lambda: next(delays))
     autopilot.run(30.0)
     assert not autopilot.sync.take_restart()
+
+
+@pytest.mark.parametrize("way_s", [0.5, 1.0])
+def test_a_line_with_long_ways_is_synchronised_too(way_s: float) -> None:
+    autopilot = Autopilot(constant(way_s, way_s))
+    autopilot.run(5.0)
+    assert abs(autopilot.error_s) < 0.05

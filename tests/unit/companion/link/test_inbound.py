@@ -226,6 +226,12 @@ def test_with_an_exchange_of_times_the_delay_of_the_line_is_known() -> None:
     assert inbound.clock_offset_s == pytest.approx(-100.0)
 
 
+@pytest.mark.parametrize("way_s", [0.2, 0.5, 0.8])
+def test_however_long_the_ways_are_nothing_late_counts_as_fresh(way_s: float) -> None:
+    inbound = VehicleInbound(synchronised(way_s, way_s))
+    assert age_at_arrival(inbound, way_s) == pytest.approx(way_s)
+
+
 @pytest.mark.parametrize(("up_s", "down_s"), [(0.3, 0.1), (0.0, 0.3)])
 def test_unequal_ways_are_wrong_by_half_of_their_difference(up_s: float, down_s: float) -> None:
     inbound = VehicleInbound(synchronised(up_s, down_s))
