@@ -117,6 +117,8 @@ def _run(arguments: argparse.Namespace) -> int:
         return 0
     if arguments.url is None:
         raise ConfigError("--url is missing, for example --url udpin:127.0.0.1:14550")
+    if arguments.json is not None and not arguments.json.parent.is_dir():
+        raise ConfigError(f"--json {arguments.json}: there is no folder {arguments.json.parent}")
     key = _signing_key(arguments.signing_key)
     with open_link(arguments.url) as link:
         outcomes = _try_all(rules, arguments, link, key)
