@@ -22,6 +22,10 @@ UNSUPPORTED_MAV_FRAME = CommandResult.UNSUPPORTED_MAV_FRAME
 MAX_ALTITUDE_M = 83_000.0
 """ArduPilot's limit of a stored altitude, LOCATION_ALT_MAX_M."""
 MAX_DISTANCE_M = 1e5
+MAX_HEIGHT_M = 1000.0
+"""Above home, of a take-off or a place to go to."""
+CHANGE_MODE_FLAG = 1
+"""MAV_DO_REPOSITION_FLAGS_CHANGE_MODE."""
 FORCE_ARMING = 21196
 """Magic number of MAV_CMD_COMPONENT_ARM_DISARM's second parameter."""
 
@@ -61,6 +65,11 @@ def is_force(value: float) -> bool | None:
     if math.isnan(value) or value == 0.0:
         return False
     return True if value == FORCE_ARMING else None
+
+
+def may_change_mode(command: Command) -> bool:
+    """Whether DO_REPOSITION may choose the mode that goes there."""
+    return bool((whole(command.params[1]) or 0) & CHANGE_MODE_FLAG)
 
 
 def set_home(

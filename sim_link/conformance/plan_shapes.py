@@ -5,19 +5,7 @@ from __future__ import annotations
 from companion.mav.dialect import mavlink
 from sim_link.conformance import plan_client as plans
 from sim_link.conformance.plan_client import PlanItem, waypoint
-from sim_link.conformance.rules import (
-    Effect,
-)
 from sim_link.conformance.vehicle_probe import VehicleProbe
-
-SERVICE = "MAVLink guide, Mission Protocol"
-OBSERVED_PX4 = "PX4 1.15, observed in SITL"
-OBSERVED_ARDUPILOT = "ArduCopter 4.5, observed in SITL"
-CHANGES = Effect.CHANGES
-MIN_LIFE_S = 0.5
-Reached = mavlink.MAVLink_mission_item_reached_message
-Current = mavlink.MAVLink_mission_current_message
-Version = mavlink.MAVLink_autopilot_version_message
 
 
 def square(probe: VehicleProbe, count: int = 4, height_m: float = 10.0) -> list[PlanItem]:

@@ -19,13 +19,7 @@ from sim_link.conformance.vehicle_probe import ACK_S, NAN, VehicleProbe
 
 book = RuleBook(Role.VEHICLE, "fences")
 SERVICE = "MAVLink guide, Mission Protocol"
-OBSERVED_PX4 = "PX4 1.15, observed in SITL"
-OBSERVED_ARDUPILOT = "ArduCopter 4.5, observed in SITL"
 CHANGES = Effect.CHANGES
-MIN_LIFE_S = 0.5
-Reached = mavlink.MAVLink_mission_item_reached_message
-Current = mavlink.MAVLink_mission_current_message
-Version = mavlink.MAVLink_autopilot_version_message
 
 
 @book.rule(f"{SERVICE}, Geofence", effect=CHANGES)

@@ -16,11 +16,13 @@ from sim_link.autopilot.commands import (
     ACCEPTED,
     DENIED,
     FAILED,
+    MAX_HEIGHT_M,
     UNSUPPORTED,
     UNSUPPORTED_MAV_FRAME,
     is_altitude,
     is_force,
     is_place,
+    may_change_mode,
     place_e7,
     set_home,
     whole,
@@ -34,9 +36,6 @@ if TYPE_CHECKING:
 
 GLOBAL = mavlink.MAV_FRAME_GLOBAL
 TAKEOFF_FRAMES = (mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT,)
-MAX_HEIGHT_M = 1000.0
-CHANGE_MODE_FLAG = 1
-"""MAV_DO_REPOSITION_FLAGS_CHANGE_MODE."""
 ERROR = mavlink.MAV_SEVERITY_ERROR
 
 
@@ -59,10 +58,6 @@ def obey(flavour: ArduPilotFlavour, command: Command, now_s: float) -> int:
             return _reposition(flavour, command, now_s)
         case mavlink.MAV_CMD_MISSION_START:
             return flavour.choose(modes.AUTO, now_s) if flavour.is_armed else FAILED
-        case mavlink.MAV_CMD_DO_SET_MISSION_CURRENT:
-            index = whole(command.params[0])
-            is_set = index is not None and flavour.aircraft.mission.set_current(index)
-            return ACCEPTED if is_set else FAILED
         case mavlink.MAV_CMD_DO_SET_HOME:
             return set_home(flavour.aircraft, command, FAILED, lasts=False)
     return _obey_more(flavour, command, now_s)
@@ -144,7 +139,7 @@ def _reposition(flavour: ArduPilotFlavour, command: Command, now_s: float) -> in
     if not is_altitude(altitude_m):
         aircraft.say(ERROR, "Reposition: altitude is not a number")
         return DENIED
-    is_changing = bool((whole(command.params[1]) or 0) & CHANGE_MODE_FLAG)
+    is_changing = may_change_mode(command)
     if flavour.copter_mode is not modes.GUIDED:
         if not is_changing:
             return DENIED

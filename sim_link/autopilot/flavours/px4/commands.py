@@ -15,12 +15,14 @@ from companion.mav.modes import CUSTOM_MODE_ENABLED, px4_mode
 from sim_link.autopilot.commands import (
     ACCEPTED,
     DENIED,
+    MAX_HEIGHT_M,
     TEMPORARILY_REJECTED,
     UNSUPPORTED,
     UNSUPPORTED_MAV_FRAME,
     is_altitude,
     is_force,
     is_place,
+    may_change_mode,
     place_e7,
     set_home,
     whole,
@@ -31,9 +33,6 @@ from sim_link.autopilot.protocols.commands import Command
 if TYPE_CHECKING:
     from sim_link.autopilot.flavours.px4.flavour import Px4Flavour
 
-MAX_HEIGHT_M = 1000.0
-CHANGE_MODE_FLAG = 1
-"""MAV_DO_REPOSITION_FLAGS_CHANGE_MODE."""
 GLOBAL = mavlink.MAV_FRAME_GLOBAL
 
 
@@ -58,10 +57,6 @@ def obey(flavour: Px4Flavour, command: Command, now_s: float) -> int:
             return _pause_continue(flavour, command, now_s)
         case mavlink.MAV_CMD_MISSION_START:
             return _start_mission(flavour, command, now_s)
-        case mavlink.MAV_CMD_DO_SET_MISSION_CURRENT:
-            index = whole(command.params[0])
-            is_set = index is not None and flavour.aircraft.mission.set_current(index)
-            return ACCEPTED if is_set else DENIED
         case mavlink.MAV_CMD_DO_CHANGE_SPEED:
             return _change_speed(flavour, command)
         case mavlink.MAV_CMD_DO_SET_HOME:
@@ -136,7 +131,7 @@ def _reposition(flavour: Px4Flavour, command: Command, now_s: float) -> int:
     if flavour.fence_margin_m((east, north, up_m)) < 0.0:
         aircraft.say(mavlink.MAV_SEVERITY_ERROR, "Reposition is outside geofence")
         return DENIED
-    is_changing = bool((whole(command.params[1]) or 0) & CHANGE_MODE_FLAG)
+    is_changing = may_change_mode(command)
     if flavour.mode is not FlightMode.HOLD and not is_changing:
         return TEMPORARILY_REJECTED
     flavour.choose(FlightMode.HOLD, now_s)
