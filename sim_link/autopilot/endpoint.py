@@ -122,8 +122,6 @@ class SimEndpoint:
         arrivals, forwarded = self.links.receive(chunk)
         self._output += forwarded
         for arrival in arrivals:
-            if arrival.message.get_srcComponent() == 0:
-                continue  # nobody's
             self._handle(arrival.message, arrival.channel, now_s)
             if self._services.wants_reboot:
                 self._reboot(now_s, 0.0)

@@ -224,11 +224,14 @@ def source_system_zero_is_ignored(probe: VehicleProbe) -> None:
     require_silence(probe, spec, "a request from system 0 is answered")
 
 
-@book.rule("MAVLink guide, MAVLink IDs")
-def source_component_zero_is_ignored(probe: VehicleProbe) -> None:
-    """A frame from component 0, which nobody may be, has no effect."""
+@book.rule(
+    "pymavlink mavutil.mavlink_connection, source_component=0 by default; the MAVLink guide gives "
+    "0 to nobody, but scripts that leave it so depend on it"
+)
+def source_component_zero_is_heard(probe: VehicleProbe) -> None:
+    """A frame from component 0, as pymavlink sends unless told otherwise, is handled."""
     spec = replace(probe.spec(), component_id=0)
-    require_silence(probe, spec, "a request from component 0 is answered")
+    require_answer(probe, spec, "a request from component 0 is not answered")
 
 
 @book.rule(PACKET_LOSS)
