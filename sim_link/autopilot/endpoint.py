@@ -200,6 +200,9 @@ class SimEndpoint:
         answers = services.handle(message, channel, boot_s)
         self.links.keep_apart(services.requests.channels)
         self._send_all(answers)
+        refused = payload.refusal(message, self._scenario.system_id)
+        if refused is not None:
+            self._output += self.links.send(Outgoing(refused, channel), payload.COMPONENT_ID)
 
     def _step(self, boot_s: float) -> None:
         self.vehicle.step(boot_s)

@@ -18,6 +18,7 @@ from sim_link.world.target import Emitter
 
 COMPONENT_ID = mavlink.MAV_COMP_ID_PERIPHERAL
 HEARTBEAT_PERIOD_S = 1.0
+COMMANDS = (mavlink.MAVLink_command_long_message, mavlink.MAVLink_command_int_message)
 
 
 class RadioPayload:
@@ -69,6 +70,25 @@ class RadioPayload:
             body.height_m >= self._params.min_altitude_m
             and emitter.slant_range_m(body.position_enu_m) <= self._params.max_range_m
         )
+
+
+def refusal(message: Message, system_id: int) -> Message | None:
+    """The ACK of a command for the payload, which knows none; None if it is none for it.
+
+    Source: MAVLink developer guide, "Command Protocol": every command is acknowledged.
+    """
+    if not isinstance(message, COMMANDS):
+        return None
+    if (message.target_system, message.target_component) != (system_id, COMPONENT_ID):
+        return None
+    return mavlink.MAVLink_command_ack_message(
+        message.command,
+        mavlink.MAV_RESULT_UNSUPPORTED,
+        0,
+        0,
+        message.get_srcSystem(),
+        message.get_srcComponent(),
+    )
 
 
 def _heartbeat() -> Message:

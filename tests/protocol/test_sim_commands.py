@@ -170,7 +170,16 @@ def test_other_commands_are_unsupported(station: GroundStation, number: int) -> 
     assert station.command_int(number, 6) == UNSUPPORTED
 
 
-@pytest.mark.parametrize(("system", "component"), [(2, 1), (1, 191), (1, PAYLOAD), (0, 7)])
+def test_the_payload_answers_that_it_knows_no_command(station: GroundStation) -> None:
+    station.inbox.clear()
+    station.send(mavlink.MAVLink_command_long_message(1, PAYLOAD, ARM, 0, 1.0, *[0.0] * 6))
+    (ack,) = station.all(mavlink.MAVLink_command_ack_message, PAYLOAD)
+    assert (ack.command, ack.result, ack.target_system) == (ARM, UNSUPPORTED, 255)
+    assert station.all(mavlink.MAVLink_command_ack_message) == []
+    assert not station.is_armed
+
+
+@pytest.mark.parametrize(("system", "component"), [(2, 1), (1, 191), (0, 7)])
 def test_commands_for_somebody_else_are_ignored(
     station: GroundStation, system: int, component: int
 ) -> None:
