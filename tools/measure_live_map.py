@@ -10,10 +10,13 @@ over its socket; the stalled one stops reading. Exit code 1 if p99 rises by 5 ms
 
 from __future__ import annotations
 
+import os
+
+os.environ.setdefault("NUMBA_DISABLE_JIT", "1")  # as on a vehicle
+
 import argparse
 import asyncio
 import json
-import os
 import re
 import subprocess
 import sys

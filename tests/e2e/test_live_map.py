@@ -234,10 +234,10 @@ def test_a_name_that_a_stranger_points_at_us_is_refused(tmp_path: Path) -> None:
         assert status(live.settings.url) == 200
 
 
-def test_a_recorded_flight_is_shown_and_stays_until_it_is_ended(
+def test_a_recorded_flight_is_shown_with_all_emitters_and_stays_until_it_is_ended(
     browser: Browser, tmp_path: Path
 ) -> None:
-    fly(PLANS["ardupilot"], tmp_path)
+    fly(PLANS["two_emitters"], tmp_path)
     port = free_port()
     options = ["replay", str(tmp_path / "0"), "--web", str(port), "--speed", "4"]
     command = [sys.executable, "-m", "companion", *options]
@@ -248,6 +248,8 @@ def test_a_recorded_flight_is_shown_and_stays_until_it_is_ended(
             until_up(url)
             watched = Watched(browser, url, DESK)
             expect(watched.page.locator("path.ellipse")).to_have_count(1, timeout=PATIENCE_MS)
+            expect(watched.page.locator("path.other-emitter")).to_have_count(1)
+            expect(watched.page.locator("#emitters")).to_contain_text("waiting")
             assert watched.page.locator("#button-hold").count() == 0
             lines = iter(replay.stdout.readline, "")
             assert any("IDENTICAL" in line for line in lines)
