@@ -23,7 +23,10 @@ from companion.mav.endpoint import Address
 from companion.mav.framing import message_id, without_signature
 from companion.mav.signing import is_secret
 
-FORMAT = b"companion inputs 2"
+FAMILY = b"companion inputs "
+FORMAT = FAMILY + b"2"
+MAGIC_WITHIN = 64
+"""The first bytes of a file, which name its format in every version."""
 _HEADER = struct.Struct("<IdBBBI")
 """Number of the record, time_s, kind, link, length of the sender's address, length of the data."""
 
@@ -143,6 +146,8 @@ def parse_inputs(data: bytes, name: str) -> Iterator[Input]:
     Raises:
         ConfigError: They are none of ours, or some are missing.
     """
+    if FORMAT not in data[:MAGIC_WITHIN] and FAMILY in data[:MAGIC_WITHIN]:
+        raise ConfigError(f"{name}: of another version; replay it with the companion that flew")
     offset, number = 0, 0
     while offset + _HEADER.size <= len(data):
         found, time_s, kind, link, peer_size, size = _HEADER.unpack_from(data, offset)

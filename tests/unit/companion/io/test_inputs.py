@@ -85,3 +85,12 @@ def test_other_files_are_refused_in_words(tmp_path: Path, content: bytes) -> Non
 def test_a_missing_file_is_refused_in_words(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="cannot be read"):
         list(read_inputs(tmp_path / "nowhere"))
+
+
+def test_a_file_of_another_version_is_called_that(tmp_path: Path) -> None:
+    path = tmp_path / "flight.inputs"
+    written(path, [1.0])
+    data = path.read_bytes()
+    path.write_bytes(data[:17] + data[19:].replace(b"companion inputs 2", b"companion inputs 1"))
+    with pytest.raises(ConfigError, match="of another version"):
+        list(read_inputs(path))
