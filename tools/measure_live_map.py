@@ -95,13 +95,15 @@ class MeasuredFlight:
         self.view.close()
         self._journal.close(5.0)
 
-    def memory_mb(self) -> float:
-        """Of this process and the page's."""
-        pages = [
-            int(Path(f"/proc/{process}/statm").read_text(encoding="ascii").split()[1])
-            for process in (os.getpid(), self.view.process_id)
-        ]
-        return sum(pages) * os.sysconf("SC_PAGE_SIZE") / 1e6
+    def memory_mb(self) -> tuple[float, float]:
+        """Of this process and of the page's."""
+        return resident_mb(os.getpid()), resident_mb(self.view.process_id)
+
+
+def resident_mb(process: int) -> float:
+    """What a process has in memory (Linux)."""
+    pages = Path(f"/proc/{process}/statm").read_text(encoding="ascii").split()[1]
+    return int(pages) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 async def browse(url: str, *, is_stalled: bool) -> None:
@@ -183,7 +185,7 @@ def run(rounds: int, seconds: float, count: int, web_port: int) -> int:
     command += ["--send-to", f"127.0.0.1:{port}"]
     without: list[float] = []
     with_all: list[float] = []
-    memory: list[float] = []
+    memory: list[tuple[float, float]] = []
     with (
         tempfile.TemporaryDirectory() as directory,
         subprocess.Popen(command, stdout=subprocess.DEVNULL) as simulator,
@@ -207,7 +209,8 @@ def run(rounds: int, seconds: float, count: int, web_port: int) -> int:
     print(line("without the map", without))
     print(line(f"{count} browsers, 1 stalled", with_all))
     print(f"p99 changes by {change_ms:+.2f} ms (at most {MOST_MS:g})")
-    print(f"memory of flight and page, MB, round by round: {[round(mb, 1) for mb in memory]}")
+    for name, column in (("flight", 0), ("page", 1)):
+        print(f"memory of the {name}, MB: {', '.join(f'{mb[column]:.1f}' for mb in memory)}")
     print(f"load of this machine: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
     return int(change_ms >= MOST_MS)
 
