@@ -32,7 +32,11 @@ MIN_DISTANCE_M = 0.05
 
 @kernel
 def row_sigmas(rows: Matrix, mean: Vector, model: RangingModel) -> Matrix:
-    """Standard deviations of every measurement at `mean`, (3, n), own position included."""
+    """Standard deviations of every measurement at `mean`, (3, n), own position included.
+
+    They are those of thermal noise. Where bearings are worse than that, the own position is so much
+    smaller a part of them: or else it would excuse any bearing of a target near the vehicle.
+    """
     own2 = model.own_sigma_m * model.own_sigma_m
     floor2 = MIN_DISTANCE_M * MIN_DISTANCE_M
     de, dn = mean[0] - rows[:, 0], mean[1] - rows[:, 1]
@@ -40,7 +44,7 @@ def row_sigmas(rows: Matrix, mean: Vector, model: RangingModel) -> Matrix:
     ground2 = np.maximum(de * de + dn * dn, floor2)
     sigmas = np.empty((3, rows.shape[0]))
     sigmas[0] = np.sqrt(rows[:, 6] * rows[:, 6] + own2)
-    sigmas[1] = np.sqrt(rows[:, 7] * rows[:, 7] + own2 / ground2)
+    sigmas[1] = np.sqrt(rows[:, 7] * rows[:, 7] + own2 / (model.bearing_inflation * ground2))
     sigmas[2] = np.sqrt(rows[:, 8] * rows[:, 8] + own2 / (ground2 + du * du))
     return sigmas
 
@@ -132,6 +136,22 @@ def map_cost(
     psi = clipped(u, thresholds)
     prior = 0.5 * np.dot(mean, np.dot(information, mean)) - np.dot(pull, mean)
     return float(np.sum(psi * (u - 0.5 * psi)) + prior)
+
+
+@kernel
+def normaliser(rows: Matrix, sigmas: Matrix, model: RangingModel) -> float:
+    """What makes costs of different places comparable: the bearings' standard deviations differ.
+
+    A density that is as wide as the own position's error makes it, is as much lower; with noise
+    that is inflated by c, -c log p = loss + c log sigma.
+
+    Args:
+        rows: (n, 10).
+        sigmas: (3, n) at the place.
+        model: The constants.
+    """
+    wider = np.log(sigmas[1] / rows[:, 7])
+    return float(model.bearing_inflation * np.sum(np.where(np.isnan(rows[:, 4]), 0.0, wider)))
 
 
 @kernel

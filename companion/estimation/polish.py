@@ -153,6 +153,7 @@ class Polisher:
         self,
         hypotheses: tuple[Hypothesis, ...],
         accepted: int,
+        inflation: Inflation,
         *,
         is_white: bool,
         fresh_starts: int | None,
@@ -162,6 +163,7 @@ class Polisher:
         Args:
             hypotheses: The filter's, best first.
             accepted: Measurements so far.
+            inflation: Of the variances of range, bearing and elevation, that the run has shown.
             is_white: Whether innovations know nothing of each other.
             fresh_starts: How many starts besides the hypotheses; None: as many as the evidence
                 calls for.
@@ -170,6 +172,7 @@ class Polisher:
             return hypotheses
         if fresh_starts is None:
             fresh_starts = self._fresh_starts(len(hypotheses), accepted)
+        self._map.expect(inflation)
         rows, starts = self._window.rows, self._starts(hypotheses, fresh_starts)
         optima = self._map.optima(rows, starts, self._older, is_white=is_white)
         if optima and not self._older.is_empty and self._is_contradicted(optima[0]):

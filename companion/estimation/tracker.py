@@ -368,7 +368,11 @@ class TargetTracker:
                 calls for.
         """
         self._hypotheses = self._polisher.polished(
-            self._hypotheses, self.accepted, is_white=self.is_white, fresh_starts=fresh_starts
+            self._hypotheses,
+            self.accepted,
+            self._shown_inflation,
+            is_white=self.is_white,
+            fresh_starts=fresh_starts,
         )
 
     def polish_thoroughly(self) -> None:

@@ -29,10 +29,12 @@ import numpy as np
 from companion.estimation.base import Inflation
 from companion.estimation.filter_params import FilterParams
 from companion.estimation.map_kernels import (
+    MIN_DISTANCE_M,
     VALUES,
     clipped,
     map_cost,
     map_minimum,
+    normaliser,
     row_partials,
     row_residuals,
     row_sigmas,
@@ -64,6 +66,9 @@ GROSS_SIGMAS = 6.0
 """A range shorter by more than this, or a bearing off by more, is no noise."""
 MAX_BEARING_NOISE = 4.0
 """Reflections widen bearings by no more than this (in variance) before they count as gross."""
+MAX_BENDS, BENT_RATIO = 6, 1.1
+"""At most so many passes in which near bearings lose what they do not say of a vague place; the
+last one is that in which its variance grows by no more than this factor."""
 SAME_PLACE_M = 0.3
 """Optima nearer than this are one."""
 
@@ -119,6 +124,10 @@ class WindowMap:
         self._information = np.diag(weights)
         self._pull = weights * centre
 
+    def expect(self, inflation: Inflation) -> None:
+        """Hold the own position's error against bearings that are so much worse than thermal."""
+        self._model = self._model._replace(bearing_inflation=inflation[BEARING])
+
     @property
     def size(self) -> int:
         """Components of the state."""
@@ -172,12 +181,26 @@ class WindowMap:
             return None
         if not (np.isfinite(mean).all() and math.isfinite(cost)):
             return None
-        return mean, float(cost)
+        sigmas = row_sigmas(rows, mean, self._model)
+        return mean, float(cost) + normaliser(rows, sigmas, self._model)
 
-    def scores(self, rows: Matrix, mean: Vector) -> Scores:
-        """The problem linearised at `mean`: what curvature and covariance are made of."""
+    def scores(self, rows: Matrix, mean: Vector, spread_m2: float = 0.0) -> Scores:
+        """The problem linearised at `mean`: what curvature and covariance are made of.
+
+        Args:
+            rows: (n, 10), see `map_kernels`.
+            mean: (k,).
+            spread_m2: Trace of the position's covariance: nearer to the target than that is wide a
+                bearing is no linear function of it, and says as much less.
+        """
         with np.errstate(all="ignore"):
             sigmas = row_sigmas(rows, mean, self._model)
+            if spread_m2 > 0.0:
+                ground2 = (rows[:, 0] - mean[0]) ** 2 + (rows[:, 1] - mean[1]) ** 2
+                bend = spread_m2 / np.maximum(ground2, MIN_DISTANCE_M**2)
+                sigmas[BEARING] = np.sqrt(
+                    sigmas[BEARING] ** 2 + bend**2 / self._model.bearing_inflation
+                )
             u = row_residuals(rows, mean, sigmas, self._model)
             H = row_partials(rows, mean, sigmas, self._model)
             is_measured = ~np.isnan(rows[:, VALUES : VALUES + 3].T)
@@ -231,9 +254,8 @@ class WindowMap:
         information, pull = self._prior(older)
         with np.errstate(all="ignore"):
             sigmas = row_sigmas(rows, mean, self._model)
-            return float(
-                map_cost(rows, mean, sigmas, self._thresholds, information, pull, self._model)
-            )
+            cost = map_cost(rows, mean, sigmas, self._thresholds, information, pull, self._model)
+            return float(cost) + normaliser(rows, sigmas, self._model)
 
     def _prior(self, older: OlderEvidence | None) -> tuple[Matrix, Vector]:
         if older is None:
@@ -255,23 +277,36 @@ class WindowMap:
         correlation makes an estimate better, it is chance.
         """
         scores = self.scores(rows, mean)
-        A = curvature(scores) + self._prior(older)[0]
-        fixed = self._information + (0.0 if older is None else older.variability)
         try:
-            A_inverse = np.asarray(np.linalg.inv(A))
-            repetition = scores.repetition
-            variabilities = [pooled_variability(scores, A_inverse, repetition) + fixed]
-            if not is_white or (repetition > 1.0).any():
-                variabilities.append(correlated_variability(scores) + fixed)
-            pairs = [(covariance_of(A, B), B) for B in variabilities]
+            covariance, A, B = self._sandwich(scores, older, is_white)
+            inflation = max(1.0, float(np.trace(B @ np.linalg.inv(A))) / len(mean))
+            spread_m2 = float(np.trace(covariance[:2, :2]))
+            for _ in range(MAX_BENDS):
+                bent = self.scores(rows, mean, spread_m2)
+                covariance, A, _ = self._sandwich(bent, older, is_white)
+                before_m2, spread_m2 = spread_m2, float(np.trace(covariance[:2, :2]))
+                if spread_m2 <= BENT_RATIO * before_m2:
+                    break
         except np.linalg.LinAlgError:
             return None
-        covariance, B = max(pairs, key=lambda pair: float(np.trace(pair[0][:2, :2])))
         covariance = stretched(covariance, A, mean, lambda x: self._cost(rows, x, older))
         if math.sqrt(float(np.trace(covariance[:2, :2]))) > MAX_POSITION_SIGMA_M:
             return None
-        inflation = max(1.0, float(np.trace(B @ A_inverse)) / len(mean))
         noise = tuple(max(1.0, scores.inflation(m, len(mean))) for m in range(MODALITIES))
         return Optimum(
             mean, cost, covariance, inflation, scores.psi, (noise[0], noise[1], noise[2])
         )
+
+    def _sandwich(
+        self, scores: Scores, older: OlderEvidence | None, is_white: bool
+    ) -> tuple[Matrix, Matrix, Matrix]:
+        """Covariance, curvature and variability of an optimum, each (k, k)."""
+        A = curvature(scores) + self._prior(older)[0]
+        fixed = self._information + (0.0 if older is None else older.variability)
+        A_inverse = np.asarray(np.linalg.inv(A))
+        repetition = scores.repetition
+        variabilities = [pooled_variability(scores, A_inverse, repetition) + fixed]
+        if not is_white or (repetition > 1.0).any():
+            variabilities.append(correlated_variability(scores) + fixed)
+        pairs = [(covariance_of(A, B), A, B) for B in variabilities]
+        return max(pairs, key=lambda pair: float(np.trace(pair[0][:2, :2])))

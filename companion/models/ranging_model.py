@@ -51,6 +51,9 @@ class RangingModel(NamedTuple):
     """How well the vehicle knows its own place, per axis."""
     near_target_terms: bool
     """Whether variances contain the second-order terms."""
+    bearing_inflation: float = 1.0
+    """How much worse than thermal bearings are. The own position's error does not grow with that,
+    so that it counts for less beside them."""
 
 
 @kernel

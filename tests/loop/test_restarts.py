@@ -71,6 +71,9 @@ def test_an_estimate_survives_a_kill_and_is_localised_long_before_a_cold_one() -
         assert loop.said("estimate resumed") is is_kept
         if is_kept:
             assert loop.error_m < 1.0
+        estimate = loop.companion.session.estimate
+        assert estimate is not None
+        assert loop.error_m <= max(estimate.r95_m, 0.5)  # where a cold one says localised it is
     assert took_s[True] < 0.5 * took_s[False], took_s
 
 

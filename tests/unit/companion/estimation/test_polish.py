@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from companion.domain import EstimateState
-from companion.estimation.base import FilterState
+from companion.estimation.base import NO_INFLATION, FilterState
 from companion.estimation.filter_params import FilterParams
 from companion.estimation.hypotheses import Hypothesis
 from companion.estimation.polish import Polisher
@@ -69,7 +69,7 @@ def _polished(
     *,
     is_white: bool = True,
 ) -> tuple[Hypothesis, ...]:
-    return polisher.polished(hypotheses, 1000, is_white=is_white, fresh_starts=fresh)
+    return polisher.polished(hypotheses, 1000, NO_INFLATION, is_white=is_white, fresh_starts=fresh)
 
 
 # -- When ----------------------------------------------------------------------------------------

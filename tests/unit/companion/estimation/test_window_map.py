@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from companion.estimation.consistency import r95_of_covariance_m
 from companion.estimation.filter_params import FilterParams
 from companion.estimation.map_kernels import map_cost, row_sigmas
 from companion.estimation.observability import mirrored
@@ -254,3 +255,57 @@ def test_older_evidence_joins_the_prior() -> None:
     (pulled,) = solver.optima(rows, [START], older)
     np.testing.assert_allclose(pulled.mean, elsewhere, atol=1e-2)
     assert solver.size == 4
+
+
+def towards(
+    rng: np.random.Generator, noise: float, count: int = 30
+) -> tuple[Matrix, tuple[float, float]]:
+    """Straight towards a target that is 12 m off: bearings on one line, noise worse than thermal.
+
+    Returns:
+        (n, 10) rows, and the last place of the vehicle.
+    """
+    rows = np.full((count, 10), np.nan)
+    along = np.concatenate([np.full(count // 2, 0.0), np.linspace(0.0, 2.5, count - count // 2)])
+    rows[:, 0], rows[:, 1], rows[:, 2] = along, 0.0, 20.0
+    slant = np.hypot(12.0 - along, 20.0)
+    rows[:, 3] = slant + 1.5 + rng.exponential(8.0, count) + rng.normal(0.0, 1.5, count)
+    rows[:, 4] = noise * rng.normal(0.0, 0.035, count)
+    rows[:, 6:9] = 1.5, 0.035, 0.09
+    rows[:, 9] = np.arange(count)
+    return rows, (float(along[-1]), 0.0)
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("noise", [1.0, 3.0])
+def test_a_place_right_before_the_vehicle_is_not_sure_of_itself(seed: int, noise: float) -> None:
+    """Bearings along one line say nothing of how far the target is, however near it may be."""
+    rows, (east, north) = towards(np.random.default_rng(seed), noise)
+    solver = WindowMap(FilterParams())
+    solver.expect((10.0, noise**2, 1.0))
+    starts = [np.array([east + d, north, 8.0, 0.0]) for d in (-0.5, 0.3, 1.0, 3.0, 9.0)]
+    optima = solver.optima(rows, starts, is_white=True)
+    for optimum in optima:
+        miss_m = math.dist(optimum.mean[:2], (12.0, 0.0))
+        assert miss_m <= max(2.0, r95_of_covariance_m(optimum.covariance[:2, :2]))
+
+
+def test_the_own_position_excuses_less_where_bearings_are_worse_than_thermal() -> None:
+    rows, _ = towards(np.random.default_rng(1), 3.0)
+    near, far = np.array([2.7, 0.0, 9.0, 0.0]), np.array([12.0, 0.0, 6.5, 0.0])
+    gains = []
+    for inflation in (1.0, 9.0):
+        solver = WindowMap(FilterParams())
+        solver.expect((1.0, inflation, 1.0))
+        gains.append(np.abs(solver.scores(rows, near).u[1]) / np.abs(solver.scores(rows, far).u[1]))
+    np.testing.assert_array_less(gains[0][-1], gains[1][-1])
+
+
+def test_well_known_places_keep_their_covariance() -> None:
+    """Near views count in full where the place is known much better than they are near."""
+    rows = walk(np.random.default_rng(3), 400)
+    solver = WindowMap(params())
+    best = solver.optima(rows, [START], is_white=True)[0]
+    spread_m2 = float(np.trace(best.covariance[:2, :2]))
+    plain, bent = solver.scores(rows, best.mean), solver.scores(rows, best.mean, spread_m2)
+    np.testing.assert_allclose(bent.H, plain.H, rtol=1e-3, atol=1e-6)
