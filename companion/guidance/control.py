@@ -23,7 +23,7 @@ from companion.guidance.watches import Watches
 TICK_S = 0.05
 """Setpoints at 20 Hz: PX4 wants more than 2 Hz, and at 20 Hz a lossy link still delivers enough."""
 HEARTBEAT_PERIOD_S = 1.0
-SILENCE_S = 0.5
+SILENCE_S = 0.3
 """After a longer one the vehicle may be anywhere: the first setpoint is where it is."""
 HAND_BACK_S = 1.4
 """How long the autopilot may take to confirm its hold mode: we end within 1.5 s of the request."""

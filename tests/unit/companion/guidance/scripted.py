@@ -151,6 +151,10 @@ class ScriptedFlight:
             if self.session.estimate is not None:
                 self.r95_history.append((self.now_s, self.session.estimate.r95_m))
 
+    def skip(self, ticks: int) -> None:
+        """Let ticks pass that nobody gives the session."""
+        self._ticks += ticks
+
     def measure(self) -> None:
         """One range and bearing of each target, with a metre and two degrees of noise."""
         for emitter_id, target in self.targets.items():

@@ -20,7 +20,7 @@ from companion.guidance.events import (
     StopRequested,
     VehicleMoved,
 )
-from companion.guidance.session import SessionParams
+from companion.guidance.session import TICK_S, SessionParams
 from companion.guidance.states import Phase
 from tests.unit.companion.guidance.scripted import ORIGIN, ScriptedFlight
 
@@ -313,6 +313,17 @@ def test_a_grant_is_enough_for_a_vehicle_found_in_offboard() -> None:
     flight.give(ControlGranted(flight.now_s))
     flight.fly(1.2)
     assert flight.is_in(Phase.HOLD, Phase.NORMAL)
+
+
+@pytest.mark.parametrize(("missed", "is_anew"), [(4, False), (7, True)])
+def test_after_a_pause_the_stream_begins_where_the_vehicle_is(missed: int, is_anew: bool) -> None:
+    """The vehicle stays behind its setpoint; then ticks are missed."""
+    flight = ScriptedFlight().in_control()
+    flight.fly(4.0)
+    assert math.dist(flight.setpoints[-1], flight.place) > 3.0
+    flight.skip(missed)
+    flight.fly(TICK_S)
+    assert (math.dist(flight.setpoints[-1], flight.place) < 0.5) is is_anew
 
 
 # Restart and frame
