@@ -11,6 +11,15 @@ from sim_link.campaign.trial import Finding
 ENOUGH_HOURS = 5.0
 """From so many hours on a rate of rare events is judged as a rate."""
 JUDGED_LOSS = "30_pct"
+PROMISED = (
+    "missions",
+    "violations",
+    "fence_breaches",
+    "closest_approach_m",
+    "override_late_frames",
+    "max_gap_s",
+)
+"""Figures that every report has; null where nothing of their part was flown."""
 
 
 def judge(tally: Tally) -> None:
@@ -40,4 +49,4 @@ def report(tally: Tally, facts: Mapping[str, object], command: str) -> dict[str,
         {"trial": each.trial, "what": each.what, "replay": f"{command} {each.trial}"}
         for each in tally.findings
     ]
-    return {**facts, **figures, "findings": findings}
+    return {**facts, **dict.fromkeys(PROMISED), **figures, "findings": findings}

@@ -11,7 +11,7 @@ from sim_link.campaign import parts, runner
 from sim_link.campaign.parts import AMOUNTS, PARTS, trial_named, trials_of
 from sim_link.campaign.runner import Tally, run_all, run_one
 from sim_link.campaign.trial import Outcome, Trial
-from sim_link.campaign.verdict import judge, report
+from sim_link.campaign.verdict import PROMISED, judge, report
 
 
 class Dice:
@@ -73,8 +73,18 @@ def test_an_interruption_keeps_what_was_found(dice: Dice) -> None:
     assert len(tally.findings) == 1
 
 
+def test_a_report_has_every_promised_figure_and_null_for_what_was_not_flown() -> None:
+    tally = Tally()
+    tally.add(Outcome(Trial("gaps", 1), most={"max_gap_s": 0.25}))
+    summary = report(tally, {}, "replay")
+    assert set(PROMISED) <= set(summary)
+    assert summary["max_gap_s"] == 0.25
+    assert summary["missions"] is None
+    assert summary["violations"] == 0
+
+
 def test_several_processes_find_what_one_finds() -> None:
-    trials = [Trial("override", 1), Trial("missions", 5), Trial("missions", 21)]
+    trials = [Trial("reaction", 1), Trial("reaction", 2)]
     alone, together = run_all(trials, jobs=1), run_all(trials, jobs=2)
     assert alone.sums == pytest.approx(together.sums)
     assert alone.most == pytest.approx(together.most)
