@@ -94,7 +94,8 @@ def heard(config: CompanionConfig, ticks: int = 200) -> Wire:
         angle = 0.05 * tick
         east_m, north_m = 30.0 + 25.0 * math.cos(angle), -40.0 + 25.0 * math.sin(angle)
         stamp_ms = round(1e3 * wire.now_s)
-        wire.say(local_position(stamp_ms, north_m, east_m, -20.0, 0.0, 0.0, 0.0))
+        vn_mps, ve_mps = 12.5 * math.cos(angle), -12.5 * math.sin(angle)
+        wire.say(local_position(stamp_ms, north_m, east_m, -20.0, vn_mps, ve_mps, 0.0))
         if tick % 5 == 0:
             wire.say(heartbeat(custom_mode=HOLD, is_armed=True, status=4))
         bearing = math.atan2(30.0 - east_m, -40.0 - north_m)
