@@ -146,8 +146,9 @@ class SimEndpoint:
 
     def handle_timer(self, now_s: float) -> None:
         """Step the physics up to `now_s` and queue the telemetry that is due."""
-        if self._last_step(now_s) - self._next_step > MAX_CATCH_UP_S / STEP_S:
-            self._next_step = self._last_step(now_s)
+        last_step = self._last_step(now_s)
+        if last_step - self._next_step > MAX_CATCH_UP_S / STEP_S:
+            self._next_step = last_step
         if self.links.signing is not None:
             self.links.signing.advance(now_s + self._unix_minus_local_s)
         while self._next_step <= self._last_step(now_s):

@@ -58,11 +58,12 @@ def fly_in_memory(
         progress: Told after every slice.
         make_companion: Starts the companion, which may be one that is to fail.
     """
-    started = time.perf_counter()
+    started, started_cpu = time.perf_counter(), time.process_time()
     flight = _MissionFlight(mission, seed, make_companion)
     flight.fly(progress)
     record = flight.record
     record.wall_s = time.perf_counter() - started
+    record.cpu_s = time.process_time() - started_cpu
     verdicts = verdicts_of(Flown(mission, record, flight.situation))
     return MissionResult(mission, file, seed, "lockstep", record, tuple(verdicts))
 

@@ -107,6 +107,8 @@ class FlightRecord:
     """Somebody asked for the end."""
     wall_s: float = 0.0
     """Real time that it took; not part of the event log."""
+    cpu_s: float = 0.0
+    """Processor time that it took, where it was flown in one process; neither."""
 
     def last_estimate(self, emitter: int) -> EstimatePoint | None:
         """The last one of an emitter; whatever has no id is of every emitter."""

@@ -25,6 +25,8 @@ class Summary:
     r95_m: float | None
     closest_approach_m: float | None
     wall_s: float
+    cpu_s: float = 0.0
+    """Processor time; 0 where several processes flew."""
     is_interrupted: bool = False
     report: str = ""
     """Where the report is; empty: there is none."""
@@ -78,6 +80,7 @@ def summary_of(result: MissionResult) -> Summary:
         r95_m=None if point is None else point.r95_m,
         closest_approach_m=record.closest_approach_m,
         wall_s=record.wall_s,
+        cpu_s=record.cpu_s,
         is_interrupted=record.is_interrupted,
     )
 
@@ -88,7 +91,10 @@ def campaign_lines(summaries: list[Summary]) -> list[str]:
     lines = [_mission_line([s for s in summaries if (s.name, s.flavour) == n]) for n in names]
     passed = sum(summary.is_passed for summary in summaries)
     flown_s, wall_s = sum(s.time_s for s in summaries), sum(s.wall_s for s in summaries)
+    cpu_s = sum(s.cpu_s for s in summaries)
     speed = f", {flown_s / wall_s:.0f} times real time" if wall_s > 0.0 else ""
+    if cpu_s > 0.0:
+        speed += f" ({flown_s / cpu_s:.0f} by processor time)"
     return [
         *lines,
         f"{passed} of {len(summaries)} flights passed; {flown_s:.0f} s flown in {wall_s:.1f} s "
@@ -103,4 +109,6 @@ def _mission_line(runs: list[Summary]) -> str:
     line = f"{runs[0].name} ({runs[0].flavour}): {passed}/{len(runs)} passed"
     if errors:
         line += f", error at most {max(errors):.2f} m, {sum(inside)}/{len(inside)} inside R95"
-    return f"{line}, {sum(run.time_s for run in runs) / sum(run.wall_s for run in runs):.0f}x"
+    flown_s, cpu_s = sum(run.time_s for run in runs), sum(run.cpu_s for run in runs)
+    line += f", {flown_s / sum(run.wall_s for run in runs):.0f}x"
+    return f"{line} ({flown_s / cpu_s:.0f}x by processor time)" if cpu_s > 0.0 else line

@@ -137,6 +137,7 @@ def test_a_campaign_is_summed_up_by_mission() -> None:
     assert lines[0].startswith("two <rubble> heaps (px4): 3/4 passed, error at most 0.10 m, 4/4")
     assert lines[1].startswith("3 of 4 flights passed")
     assert "240 times real time" in lines[1]
+    assert "processor" not in lines[1]
 
 
 def test_plain_progress_tells_steps_of_one_flight_and_results_of_many() -> None:
