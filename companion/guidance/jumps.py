@@ -26,6 +26,10 @@ from companion.guidance.track import is_plausible
 
 LEAST_STEP_M = 0.5
 """Less than this is noise, or cannot be told from it."""
+NOISE_SIGMAS = 7.0
+"""Of the noise that the reports have shown: not exceeded once in a day at 20 reports a second."""
+NOISE_SHARE = 0.02
+"""Of the newest report in the mean square of that noise."""
 MAX_ACCELERATION_MPS2 = 10.0
 """Two positions and their velocities differ by a quarter of this times the time squared."""
 LEAST_TURN_RAD = math.radians(15.0)
@@ -39,13 +43,8 @@ PATIENCE_S = 5.0
 """Jumps that go on for longer than this are handed back."""
 
 
-def position_jump_m(before: VehicleState, after: VehicleState) -> PositionEnu | None:
-    """How far a report lies from where the vehicle can have flown, ENU metres; None: no jump.
-
-    Args:
-        before: The newest report until now.
-        after: A newer one.
-    """
+def _unexplained_m(before: VehicleState, after: VehicleState) -> PositionEnu | None:
+    """What the velocities of two reports leave of the way between them; None: too far apart."""
     dt_s = after.time_s - before.time_s
     if not 0.0 < dt_s <= MAX_GAP_S:
         return None
@@ -56,9 +55,49 @@ def position_jump_m(before: VehicleState, after: VehicleState) -> PositionEnu | 
         )
         for state, side in ((after, -1.0), (before, 1.0))
     )
-    jump = (ae - be, an - bn, au - bu)
-    most_m = LEAST_STEP_M + 0.25 * MAX_ACCELERATION_MPS2 * dt_s * dt_s
+    return (ae - be, an - bn, au - bu)
+
+
+def position_jump_m(
+    before: VehicleState, after: VehicleState, noise_m: float = 0.0
+) -> PositionEnu | None:
+    """How far a report lies from where the vehicle can have flown, ENU metres; None: no jump.
+
+    Args:
+        before: The newest report until now.
+        after: A newer one.
+        noise_m: What the velocities usually leave unexplained, per axis, one sigma.
+    """
+    jump = _unexplained_m(before, after)
+    if jump is None:
+        return None
+    dt_s = after.time_s - before.time_s
+    least_m = max(LEAST_STEP_M, NOISE_SIGMAS * noise_m)
+    most_m = least_m + 0.25 * MAX_ACCELERATION_MPS2 * dt_s * dt_s
     return jump if math.hypot(*jump) > most_m else None
+
+
+class PositionNoise:
+    """How noisy reported positions are, by what velocities leave unexplained between them."""
+
+    def __init__(self) -> None:
+        self._mean_square_m2 = 0.0
+        self._count = 0
+
+    @property
+    def sigma_m(self) -> float:
+        """Per axis, of the difference of two reports; 0 before the first."""
+        return math.sqrt(self._mean_square_m2)
+
+    def add(self, before: VehicleState, after: VehicleState) -> None:
+        """Learn from two reports without a jump between them."""
+        rest = _unexplained_m(before, after)
+        if rest is None:
+            return
+        self._count += 1
+        share = max(NOISE_SHARE, 1.0 / self._count)
+        square_m2 = sum(value * value for value in rest) / 3.0
+        self._mean_square_m2 += share * (square_m2 - self._mean_square_m2)
 
 
 def yaw_jump_rad(before: tuple[float, float], after: tuple[float, float]) -> float | None:
@@ -83,6 +122,7 @@ class JumpWatch:
 
     def __init__(self, situation: Situation) -> None:
         self._situation = situation
+        self._noise = PositionNoise()
         self._first_s = -math.inf
         """When the present jumps began."""
         self._last_s = -math.inf
@@ -92,8 +132,9 @@ class JumpWatch:
         track = self._situation.vehicle.track
         if track.latest is None or not is_plausible(event.state):
             return
-        jump_m = position_jump_m(track.latest, event.state)
+        jump_m = position_jump_m(track.latest, event.state, self._noise.sigma_m)
         if jump_m is None:
+            self._noise.add(track.latest, event.state)
             return
         before_s = track.latest.time_s
         self._situation.vehicle.shift(jump_m)

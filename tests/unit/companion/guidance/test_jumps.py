@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.domain import PositionEnu, VehicleState
+from companion.guidance.events import VehicleMoved
 from companion.guidance.jumps import (
     MAX_ACCELERATION_MPS2,
     MAX_GAP_S,
@@ -17,6 +19,7 @@ from companion.guidance.jumps import (
     yaw_jump_rad,
 )
 from companion.guidance.track import VehicleTrack
+from tests.unit.companion.guidance.scripted import ScriptedFlight
 
 
 def state(time_s: float, place: PositionEnu, speed: PositionEnu = (0.0, 0.0, 0.0)) -> VehicleState:
@@ -51,6 +54,29 @@ def test_no_flight_is_one_however_it_is_flown_and_however_rarely_it_is_told(
             )
             assert position_jump_m(last, now) is None
             last = now
+
+
+def watched(noise_m: float, step_m: float = 0.0) -> list[Mapping[str, object]]:
+    """Jumps found in a minute of standing still, told 20 times a second; it jumps after half."""
+    flight = ScriptedFlight().ready()
+    flight.has_position = flight.has_ranging = False
+    rng = np.random.default_rng(1)
+    for number in range(1200):
+        flight.fly(0.05)
+        east, north, up = (noise_m * rng.normal(size=3)).tolist()
+        place = (east + (step_m if number >= 600 else 0.0), north, 20.0 + up)
+        flight.give(VehicleMoved(flight.now_s, state(flight.now_s, place)))
+    return flight.records("own_jump")
+
+
+@pytest.mark.parametrize("noise_m", [0.0, 0.03, 0.1])
+def test_positions_that_are_noisy_all_the_time_do_not_jump(noise_m: float) -> None:
+    assert watched(noise_m) == []
+
+
+@pytest.mark.parametrize(("noise_m", "step_m"), [(0.0, 0.6), (0.03, 1.0), (0.1, 2.0)])
+def test_a_jump_is_found_in_the_noise(noise_m: float, step_m: float) -> None:
+    assert len(watched(noise_m, step_m)) == 1
 
 
 def test_after_a_long_gap_nothing_is_compared() -> None:
