@@ -141,20 +141,25 @@ def test_mavsdk_flies_offboard_by_position_and_velocity(flavour: str) -> None:
 
 
 def plan() -> MissionPlan:
+    """Three places; at the second it waits, turns gimbal and nose, and takes a photo."""
     places = ((0.0001, 0.0, 8.0), (0.0001, 0.0001, 10.0), (0.0, 0.0001, 8.0))
-    return MissionPlan(
-        [
-            MissionItem(
-                latitude_deg=HOME[0] + north,
-                longitude_deg=HOME[1] + east,
-                relative_altitude_m=height_m,
-                speed_m_s=6.0,
-                is_fly_through=True,
-                acceptance_radius_m=1.0,
-            )
-            for north, east, height_m in places
-        ]
-    )
+    items = [
+        MissionItem(
+            latitude_deg=HOME[0] + north,
+            longitude_deg=HOME[1] + east,
+            relative_altitude_m=height_m,
+            speed_m_s=6.0,
+            is_fly_through=True,
+            acceptance_radius_m=1.0,
+        )
+        for north, east, height_m in places
+    ]
+    items[1].is_fly_through = False
+    items[1].loiter_time_s = 2.0
+    items[1].yaw_deg = 90.0
+    items[1].gimbal_pitch_deg, items[1].gimbal_yaw_deg = -30.0, 20.0
+    items[1].camera_action = MissionItem.CameraAction.TAKE_PHOTO
+    return MissionPlan(items)
 
 
 async def fly_a_mission(client: Client) -> None:
@@ -162,7 +167,10 @@ async def fly_a_mission(client: Client) -> None:
     await mission.upload_mission(plan())
     stored = await mission.download_mission()
     assert [item.relative_altitude_m for item in stored.mission_items] == [8.0, 10.0, 8.0]
-    assert stored.mission_items[1].latitude_deg == pytest.approx(HOME[0] + 0.0001, abs=1e-7)
+    second = stored.mission_items[1]
+    assert second.latitude_deg == pytest.approx(HOME[0] + 0.0001, abs=1e-7)
+    assert (second.loiter_time_s, second.yaw_deg, second.gimbal_pitch_deg) == (2.0, 90.0, -30.0)
+    assert second.camera_action == MissionItem.CameraAction.TAKE_PHOTO
     await client.take_off()
     await mission.start_mission()
     await until(client.telemetry.subscribe_flight_mode(), lambda mode: mode == FlightMode.MISSION)
