@@ -8,8 +8,8 @@ from companion.mav.dialect import mavlink
 from sim_link.conformance.catalogue import all_rules
 from sim_link.conformance.frames import FrameSpec, build_raw
 from sim_link.conformance.rules import Flavour, Role
-from sim_link.conformance.runner import Verdict
-from tests.protocol.conformance_rigs import BY_ID, cases, simulator, try_on_vehicle
+from sim_link.conformance.runner import Verdict, try_rule
+from tests.protocol.conformance_rigs import BY_ID, cases, probe_of, simulator, try_on_vehicle
 from tests.protocol.tampered import (
     Deaf,
     DeafRecording,
@@ -202,6 +202,18 @@ def test_tampering_with_nothing_is_no_defect() -> None:
     for rule_id in {entry[0] for entry in DEFECTS.values() if entry[1] is PX4}:
         outcome = try_on_vehicle(BY_ID[rule_id], Tampered(simulator(PX4)))
         assert outcome.verdict is Verdict.PASS, f"{rule_id}: {outcome.detail}"
+
+
+@pytest.mark.parametrize("magic", [0xFD, 0xFE])
+@pytest.mark.parametrize("name", ["bad_crc", "wrong_crc_extra", "unknown_incompat_bit"])
+def test_a_dropped_frame_with_a_magic_byte_in_it_is_no_defect_on_a_byte_stream(
+    name: str, magic: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = mavlink.MAVLink_timesync_message(0, 7_000_000_000 + magic)
+    monkeypatch.setattr("sim_link.conformance.vehicle_rules.frames.question", lambda _: asked)
+    rule = BY_ID[f"frames.{name}_is_dropped"]
+    outcome = try_rule(rule, probe_of(simulator(PX4), is_datagram=False))
+    assert outcome.verdict is Verdict.PASS, outcome.detail
 
 
 LISTENS_ONLY = {

@@ -77,6 +77,7 @@ def require_silence(probe: VehicleProbe, spec: FrameSpec, problem: str) -> None:
     message = question(probe)
     if is_answered(probe, build_frame(message, spec), message.ts1, 0.5):
         raise Violation(problem)
+    push_through(probe)  # a byte of what was dropped may look like the beginning of a frame
     probe.require_hearing()
 
 
@@ -200,6 +201,7 @@ def wrong_crc_extra_is_dropped(probe: VehicleProbe) -> None:
     crc_extra = (type(message).crc_extra + 1) & 0xFF
     frame = build_raw(message.get_msgId(), payload, crc_extra, probe.spec())
     require(not is_answered(probe, frame, message.ts1, 0.5), "taken with a wrong CRC_EXTRA")
+    push_through(probe)
     probe.require_hearing()
 
 
