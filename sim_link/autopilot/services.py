@@ -94,6 +94,7 @@ class Services:
         self._handlers: dict[type[Message], Handler] = {
             mavlink.MAVLink_set_position_target_local_ned_message: self._take_local,
             mavlink.MAVLink_set_position_target_global_int_message: self._take_global,
+            mavlink.MAVLink_set_attitude_target_message: self._take_attitude,
             mavlink.MAVLink_command_long_message: self._take_command,
             mavlink.MAVLink_command_int_message: self._take_command,
             mavlink.MAVLink_set_mode_message: self._take_command,
@@ -178,6 +179,15 @@ class Services:
         now_s: float,
     ) -> list[Outgoing]:
         self._vehicle.flavour.take_global(message, now_s)
+        return []
+
+    def _take_attitude(
+        self,
+        message: mavlink.MAVLink_set_attitude_target_message,
+        partner: Partner,  # noqa: ARG002  whoever sends one
+        now_s: float,
+    ) -> list[Outgoing]:
+        self._vehicle.flavour.take_attitude(message, now_s)
         return []
 
     # Commands

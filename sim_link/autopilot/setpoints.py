@@ -14,6 +14,7 @@ from companion.mav.dialect import mavlink
 
 LocalTarget = mavlink.MAVLink_set_position_target_local_ned_message
 GlobalTarget = mavlink.MAVLink_set_position_target_global_int_message
+AttitudeTarget = mavlink.MAVLink_set_attitude_target_message
 
 MAX_LATITUDE_E7 = 900_000_000
 MAX_LONGITUDE_E7 = 1_800_000_000

@@ -109,6 +109,38 @@ def test_flies_an_acceleration_as_px4_does(station: GroundStation) -> None:
     assert station.mode is FlightMode.OFFBOARD
 
 
+def attitude_setpoint(
+    pitch_rad: float = 0.0, thrust: float = 0.5, yaw_rad: float = 0.0, mask: int = 0x07
+) -> Message:
+    cp, sp = math.cos(pitch_rad / 2.0), math.sin(pitch_rad / 2.0)
+    cy, sy = math.cos(yaw_rad / 2.0), math.sin(yaw_rad / 2.0)
+    q = [cp * cy, -sp * sy, sp * cy, cp * sy]
+    return mavlink.MAVLink_set_attitude_target_message(0, 1, 1, mask, q, 0.0, 0.0, 0.0, thrust)
+
+
+@pytest.mark.parametrize(
+    ("setpoint", "acceleration_mps2"),
+    [
+        (attitude_setpoint(), (0.0, 0.0, 0.0)),
+        (attitude_setpoint(thrust=0.55), (0.0, 0.0, -0.98)),
+        (attitude_setpoint(pitch_rad=-0.1), (0.98, 0.0, 0.05)),
+        (attitude_setpoint(pitch_rad=-0.1, yaw_rad=math.pi / 2.0), (0.0, 0.98, 0.05)),
+    ],
+    ids=["level", "more thrust", "nose down to the north", "nose down to the east"],
+)
+def test_flies_the_acceleration_of_an_attitude_and_its_thrust(
+    station: GroundStation, setpoint: Message, acceleration_mps2: tuple[float, float, float]
+) -> None:
+    station.stream = lambda: setpoint
+    station.run(1.5)
+    first = station.last(mavlink.MAVLink_local_position_ned_message)
+    station.run(1.0)
+    then = station.last(mavlink.MAVLink_local_position_ned_message)
+    gained_mps = (then.vx - first.vx, then.vy - first.vy, then.vz - first.vz)
+    assert gained_mps == pytest.approx(acceleration_mps2, abs=0.1)
+    assert station.mode is FlightMode.OFFBOARD
+
+
 def test_flies_a_velocity_along_the_nose_in_the_body_frame(station: GroundStation) -> None:
     station.stream = lambda: local_setpoint(yaw=1.5, mask=type_mask.POSITION_AND_YAW)
     station.run(4.0)
@@ -222,6 +254,11 @@ INVALID = {
     "offset frame": local_setpoint(frame=mavlink.MAV_FRAME_LOCAL_OFFSET_NED),
     "other system": local_setpoint(system=2),
     "other component": local_setpoint(component=191),
+    "attitude without thrust": attitude_setpoint(pitch_rad=-0.3, mask=0x47),
+    "body rates": attitude_setpoint(pitch_rad=-0.3, mask=0x80),
+    "attitude is NaN": attitude_setpoint(pitch_rad=NAN),
+    "thrust is NaN": attitude_setpoint(thrust=NAN),
+    "thrust is too much": attitude_setpoint(thrust=1.5),
     "altitude is NaN": global_setpoint((30.0, 20.0, 12.0), altitude_m=NAN),
     "no altitude above the terrain": global_setpoint(
         (30.0, 20.0, 12.0), mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT, NAN

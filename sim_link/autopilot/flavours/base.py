@@ -23,7 +23,13 @@ from sim_link.autopilot.protocols.parameter_store import ParameterStore
 from sim_link.autopilot.protocols.parameters import ParameterRules
 from sim_link.autopilot.protocols.plan_transfers import PlanRules
 from sim_link.autopilot.protocols.streams import StreamRules
-from sim_link.autopilot.setpoints import GlobalTarget, LocalTarget, Setpoint, SetpointMonitor
+from sim_link.autopilot.setpoints import (
+    AttitudeTarget,
+    GlobalTarget,
+    LocalTarget,
+    Setpoint,
+    SetpointMonitor,
+)
 
 
 class Identity(NamedTuple):
@@ -153,6 +159,10 @@ class Flavour(ABC):
     @abstractmethod
     def take_global(self, message: GlobalTarget, now_s: float) -> None:
         """SET_POSITION_TARGET_GLOBAL_INT arrived."""
+
+    @abstractmethod
+    def take_attitude(self, message: AttitudeTarget, now_s: float) -> None:
+        """SET_ATTITUDE_TARGET arrived."""
 
     @abstractmethod
     def echo(self) -> Echo | None:

@@ -31,7 +31,7 @@ from sim_link.autopilot.mission import LegKind
 from sim_link.autopilot.pilot import SpeedLimits, Task
 from sim_link.autopilot.protocols.commands import Command
 from sim_link.autopilot.protocols.parameter_store import ParameterStore
-from sim_link.autopilot.setpoints import GlobalTarget, LocalTarget, Setpoint
+from sim_link.autopilot.setpoints import AttitudeTarget, GlobalTarget, LocalTarget, Setpoint
 from sim_link.world.point_mass import stopping_point
 
 COPTER_VERSION = 0x0405_07FF
@@ -241,6 +241,9 @@ class ArduPilotFlavour(Flavour):
     def take_global(self, message: GlobalTarget, now_s: float) -> None:
         """SET_POSITION_TARGET_GLOBAL_INT arrived."""
         self._take(target_from_global(message, self.aircraft), now_s)
+
+    def take_attitude(self, message: AttitudeTarget, now_s: float) -> None:
+        """SET_ATTITUDE_TARGET arrived: GUIDED's angles are not simulated, and nothing moves."""
 
     def _take(self, target: Target, now_s: float) -> None:
         """Obeyed in GUIDED only, and never outside the fence: without a text, as the real one."""

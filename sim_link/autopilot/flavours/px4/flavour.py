@@ -15,6 +15,7 @@ from sim_link.autopilot.commands import ACCEPTED
 from sim_link.autopilot.echo import NOTHING, Axes, Echo
 from sim_link.autopilot.flavours.base import FenceState, Flavour, Identity, Shown
 from sim_link.autopilot.flavours.px4 import commands, heartbeat, parameters, setpoints
+from sim_link.autopilot.flavours.px4.attitude import setpoint_from_attitude
 from sim_link.autopilot.flavours.px4.failsafes import (
     MODE_OF_REACTION,
     Cause,
@@ -28,7 +29,7 @@ from sim_link.autopilot.mission import LegKind
 from sim_link.autopilot.pilot import STEP_S, Task
 from sim_link.autopilot.protocols.commands import Command
 from sim_link.autopilot.protocols.parameter_store import ParameterStore
-from sim_link.autopilot.setpoints import GlobalTarget, LocalTarget, Setpoint
+from sim_link.autopilot.setpoints import AttitudeTarget, GlobalTarget, LocalTarget, Setpoint
 
 PX4_VERSION = 0x010F_02FF
 """1.15.2, official release: the one whose behaviour is simulated."""
@@ -38,6 +39,7 @@ CAPABILITIES = (
     | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT
     | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
     | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
+    | mavlink.MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET
     | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
     | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_GLOBAL_INT
     | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
@@ -243,6 +245,10 @@ class Px4Flavour(Flavour):
     def take_global(self, message: GlobalTarget, now_s: float) -> None:
         """SET_POSITION_TARGET_GLOBAL_INT arrived."""
         self.setpoints.take(setpoints.setpoint_from_global(message, self.aircraft), now_s)
+
+    def take_attitude(self, message: AttitudeTarget, now_s: float) -> None:
+        """SET_ATTITUDE_TARGET arrived."""
+        self.setpoints.take(setpoint_from_attitude(message), now_s)
 
     def echo(self) -> Echo | None:
         """What the position controller works with; nothing in modes without one."""
