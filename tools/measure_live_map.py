@@ -199,6 +199,8 @@ def run(rounds: int, seconds: float, count: int, web_port: int) -> int:
                 without += measure(flight, seconds)
                 flight.has_map = True
                 with browsers(flight.settings.url, count):
+                    time.sleep(SETTLE_S)
+                    memory.append(flight.memory_mb())
                     with_all += measure(flight, seconds)
                     memory.append(flight.memory_mb())
         finally:
@@ -210,7 +212,10 @@ def run(rounds: int, seconds: float, count: int, web_port: int) -> int:
     print(line(f"{count} browsers, 1 stalled", with_all))
     print(f"p99 changes by {change_ms:+.2f} ms (at most {MOST_MS:g})")
     for name, column in (("flight", 0), ("page", 1)):
-        print(f"memory of the {name}, MB: {', '.join(f'{mb[column]:.1f}' for mb in memory)}")
+        values = [mb[column] for mb in memory]
+        turns = zip(values[::2], values[1::2], strict=True)
+        text = ", ".join(f"{began:.1f} to {ended:.1f}" for began, ended in turns)
+        print(f"memory of the {name} in each turn with browsers, MB: {text}")
     print(f"load of this machine: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
     return int(change_ms >= MOST_MS)
 
