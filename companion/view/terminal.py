@@ -86,7 +86,8 @@ class TerminalView:
         if wall_s < self._next_wall_s:
             return
         self._next_wall_s = wall_s + REFRESH_S
-        estimate = endpoint.session.estimate
+        params, estimate = endpoint.session.params, endpoint.session.estimate
+        self._time_to_go.aim(params.stop_radius_m, params.stop_confirm_s)
         r95_m = None if estimate is None else estimate.r95_m
         moment = moment_of(endpoint, now_s, self._time_to_go.observe(now_s, r95_m))
         with self._changed:

@@ -26,6 +26,10 @@ class TimeToGo:
         self._radii: deque[tuple[float, float]] = deque()
         self._under_since_s: float | None = None
 
+    def aim(self, stop_radius_m: float, confirm_s: float) -> None:
+        """Another end from now on: ground stations may change it."""
+        self._stop_radius_m, self._confirm_s = stop_radius_m, confirm_s
+
     def observe(self, now_s: float, r95_m: float | None) -> float | None:
         """The seconds to go, or None where nothing can be said.
 

@@ -71,7 +71,8 @@ class WebView:
         self._process.close()
 
     def _picture(self, endpoint: CompanionEndpoint, now_s: float) -> Json:
-        estimate = endpoint.session.estimate
+        params, estimate = endpoint.session.params, endpoint.session.estimate
+        self._time_to_go.aim(params.stop_radius_m, params.stop_confirm_s)
         r95_m = None if estimate is None else estimate.r95_m
         return {
             **picture_of(endpoint, now_s),

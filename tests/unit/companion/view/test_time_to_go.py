@@ -32,3 +32,10 @@ def test_the_confirmation_is_counted_down_and_begins_anew() -> None:
 @pytest.mark.parametrize("r95_m", [None, 0.0, math.nan])
 def test_no_radius_no_time(r95_m: float | None) -> None:
     assert TimeToGo(1.0, 10.0).observe(0.0, r95_m) is None
+
+
+def test_another_radius_counts_at_once() -> None:
+    rule = TimeToGo(1.0, 10.0)
+    assert rule.observe(0.0, 1.5) is None
+    rule.aim(2.0, 4.0)
+    assert rule.observe(1.0, 1.5) == 4.0
