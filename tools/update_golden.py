@@ -1,8 +1,11 @@
-"""Flies the golden flights anew, after a change that is meant to change what is flown.
+"""Renews what the golden flights come to, after a change that is meant to change it.
 
-    .venv/bin/python -m tools.update_golden [NAME ...]
+    .venv/bin/python -m tools.update_golden [--fly] [NAME ...]
 
-Each file that changes says so; commit them with the change that they show.
+Runs the recorded flights again and writes digests of their estimates and setpoints. A companion that
+flies elsewhere than the recorded vehicle did soon holds or yields, so after a larger change --fly
+flies them anew first, which costs the repository two megabytes. Each flight that changes says so:
+commit `tests/data/golden` with the change that it shows.
 """
 
 from __future__ import annotations
@@ -15,32 +18,42 @@ import argparse
 import tempfile
 from pathlib import Path
 
-from tests.loop.golden_flights import FOLDER, PLANS, SUFFIX, fly, load, save
+from tests.loop.golden_flights import (
+    COURSES,
+    FOLDER,
+    PLANS,
+    SUFFIX,
+    GoldenCourse,
+    fly,
+    load,
+    load_courses,
+    replayed,
+    save,
+    save_courses,
+)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", metavar="NAME", nargs="*", choices=[*PLANS, []], help="only these")
-    names = parser.parse_args().names or list(PLANS)
+    parser.add_argument("--fly", action="store_true", help="fly anew instead of running again")
+    arguments = parser.parse_args()
     FOLDER.mkdir(parents=True, exist_ok=True)
-    for name in names:
+    courses = load_courses() if COURSES.exists() else {}
+    for name in arguments.names or list(PLANS):
         path = FOLDER / f"{name}{SUFFIX}"
-        with tempfile.TemporaryDirectory() as directory:
-            golden = fly(PLANS[name], Path(directory))
-        before = load(path) if path.exists() else None
-        digests = (golden.estimates_digest, golden.setpoints_digest)
-        is_same = before is not None and digests == (
-            before.estimates_digest,
-            before.setpoints_digest,
-        )
-        if not is_same:
-            save(golden, path)
-        word = "as it was" if is_same else "new" if before is None else "CHANGED"
+        if arguments.fly or not path.exists():
+            with tempfile.TemporaryDirectory() as directory:
+                save(fly(PLANS[name], Path(directory)), path)
+        before, now = courses.get(name), GoldenCourse.of(replayed(load(path)))
+        word = "as it was" if now == before else "new" if before is None else "CHANGED"
+        courses[name] = now
         size_kb = path.stat().st_size / 1000.0
         print(
-            f"{name:<18} {word:<9} {golden.estimates:>4} estimates {golden.setpoints:>5} setpoints "
+            f"{name:<18} {word:<9} {now.estimates:>4} estimates {now.setpoints:>5} setpoints "
             f"{size_kb:6.1f} kB"
         )
+    save_courses({name: courses[name] for name in PLANS if name in courses})
 
 
 if __name__ == "__main__":

@@ -1,8 +1,9 @@
 """Twenty recorded flights of many kinds, and how they are flown anew.
 
-A golden flight is what an endpoint was told, how it was configured, and digests of every estimate
-and every setpoint that came of it. The flights are low and short, so that all of them together are
-small and are run again in seconds. `python -m tools.update_golden` flies them anew.
+A golden flight is what an endpoint was told and how it was configured; `courses.json` has digests
+of every estimate and every setpoint that came of each. The flights are low and short, so that all
+of them together are small and are run again in seconds. `python -m tools.update_golden` renews the
+digests, or flies anew.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import hashlib
 import json
 import lzma
 import platform
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -22,7 +23,7 @@ import numpy as np
 from companion.config.schema import CompanionConfig, LimitsConfig, PlannerConfig
 from companion.domain import FlightMode
 from companion.estimation.tracker_params import TrackerParams
-from companion.flight_facts import FlightFacts, write_facts
+from companion.flight_facts import FlightFacts, open_flight, write_facts
 from companion.guidance.emitters import QueueParams
 from companion.guidance.events import Wish
 from companion.guidance.session import SessionParams
@@ -36,7 +37,6 @@ from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk
 from companion.planning.latched_crossing import LatchedCrossingParams
 from companion.replay.flight import Course, rerun
-from companion.replay.recorded import open_recording
 from companion.run import build_endpoint
 from sim_link.autopilot.incidents import Incident, PilotMode
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
@@ -51,6 +51,7 @@ from sim_link.world.target import EmitterParams
 
 FOLDER = Path(__file__).parents[1] / "data" / "golden"
 SUFFIX = ".flight.xz"
+COURSES = FOLDER / "courses.json"
 ALTITUDE_M = 6.5
 DURATION_S = 24.0
 SAMPLE_EVERY = 10
@@ -77,23 +78,40 @@ class Plan:
 
 
 class Golden(msgspec.Struct, frozen=True):
-    """A golden flight on disk."""
+    """A golden flight on disk: what was told to whom."""
 
     facts: FlightFacts
     inputs: bytes
+
+
+class GoldenCourse(msgspec.Struct, frozen=True):
+    """What came of it."""
+
     estimates: int
     setpoints: int
     estimates_digest: str
     setpoints_digest: str
     samples: tuple[tuple[float, float, float, float], ...]
     """Time, east, north and R95 of every tenth estimate."""
+    numpy: str = np.__version__
     machine: str = platform.machine()
 
     @property
     def is_of_this_arithmetic(self) -> bool:
         """Whether its last digits must be ours: numpy's and the processor's are not all alike."""
         here = (platform.machine(), np.__version__.split(".")[0])
-        return here == (self.machine, self.facts.numpy.split(".")[0])
+        return here == (self.machine, self.numpy.split(".")[0])
+
+    @classmethod
+    def of(cls, course: Course) -> GoldenCourse:
+        """What is kept of a course."""
+        return cls(
+            estimates=len(course.estimates),
+            setpoints=len(course.setpoints),
+            estimates_digest=estimates_digest(course),
+            setpoints_digest=setpoints_digest(course),
+            samples=samples_of(course),
+        )
 
 
 def samples_of(course: Course) -> tuple[tuple[float, float, float, float], ...]:
@@ -122,6 +140,14 @@ def replayed(golden: Golden) -> Course:
 
 def load(path: Path) -> Golden:
     return msgspec.msgpack.decode(lzma.decompress(path.read_bytes()), type=Golden)
+
+
+def load_courses() -> dict[str, GoldenCourse]:
+    return msgspec.json.decode(COURSES.read_bytes(), type=dict[str, GoldenCourse])
+
+
+def save_courses(courses: Mapping[str, GoldenCourse]) -> None:
+    COURSES.write_bytes(msgspec.json.format(msgspec.json.encode(courses), indent=1) + b"\n")
 
 
 def save(golden: Golden, path: Path) -> None:
@@ -155,16 +181,7 @@ def fly(plan: Plan, directory: Path) -> Golden:
     for journal in journals:
         journal.close(timeout_s=30.0)
     folder = directory / str(len(journals) - 1)
-    recording = open_recording(folder)
-    return Golden(
-        facts=recording.facts,
-        inputs=(folder / INPUTS).read_bytes(),
-        estimates=len(recording.course.estimates),
-        setpoints=len(recording.course.setpoints),
-        estimates_digest=estimates_digest(recording.course),
-        setpoints_digest=setpoints_digest(recording.course),
-        samples=samples_of(recording.course),
-    )
+    return Golden(facts=open_flight(folder).facts, inputs=(folder / INPUTS).read_bytes())
 
 
 def ask(wish: Wish, flight: Flight) -> None:

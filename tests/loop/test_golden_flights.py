@@ -13,11 +13,10 @@ from tests.loop.golden_flights import (
     FOLDER,
     PLANS,
     SUFFIX,
-    estimates_digest,
+    GoldenCourse,
     load,
+    load_courses,
     replayed,
-    samples_of,
-    setpoints_digest,
 )
 
 HOW = "if the change is meant: python -m tools.update_golden"
@@ -27,15 +26,13 @@ APART_M = 0.05
 
 @pytest.mark.parametrize("name", PLANS)
 def test_a_golden_flight_is_run_again_bit_by_bit(name: str) -> None:
-    golden = load(FOLDER / f"{name}{SUFFIX}")
-    course = replayed(golden)
-    assert len(course.setpoints) == golden.setpoints, HOW
-    assert len(course.estimates) == golden.estimates, HOW
-    for was, now in zip(golden.samples, samples_of(course), strict=True):
-        assert math.dist(was, now) < APART_M, f"at {was[0]} s; {HOW}"
-    if golden.is_of_this_arithmetic and golden.facts.is_compiled == IS_COMPILED:
-        assert estimates_digest(course) == golden.estimates_digest, HOW
-        assert setpoints_digest(course) == golden.setpoints_digest, HOW
+    was, now = load_courses()[name], GoldenCourse.of(replayed(load(FOLDER / f"{name}{SUFFIX}")))
+    assert (now.estimates, now.setpoints) == (was.estimates, was.setpoints), HOW
+    for before, after in zip(was.samples, now.samples, strict=True):
+        assert math.dist(before, after) < APART_M, f"at {before[0]} s; {HOW}"
+    if was.is_of_this_arithmetic and not IS_COMPILED:
+        assert now.estimates_digest == was.estimates_digest, HOW
+        assert now.setpoints_digest == was.setpoints_digest, HOW
 
 
 def test_there_are_twenty_and_they_are_small() -> None:
@@ -49,5 +46,5 @@ def test_another_estimator_is_noticed() -> None:
     golden = load(FOLDER / f"px4{SUFFIX}")
     config = msgspec.structs.replace(golden.facts.config, estimation=TrackerParams(kind="ekf"))
     facts = msgspec.structs.replace(golden.facts, config=config)
-    course = replayed(msgspec.structs.replace(golden, facts=facts))
-    assert estimates_digest(course) != golden.estimates_digest
+    course = GoldenCourse.of(replayed(msgspec.structs.replace(golden, facts=facts)))
+    assert course.estimates_digest != load_courses()["px4"].estimates_digest
