@@ -2,10 +2,10 @@
 
     .venv/bin/python -m tools.update_golden [--fly] [NAME ...]
 
-Runs the recorded flights again and writes digests of their estimates and setpoints. A companion that
-flies elsewhere than the recorded vehicle did soon holds or yields, so after a larger change --fly
-flies them anew first, which costs the repository two megabytes. Each flight that changes says so:
-commit `tests/data/golden` with the change that it shows.
+Runs the recorded flights again and writes digests of their estimates and setpoints. A companion
+that flies elsewhere than the recorded vehicle did soon holds or yields, so after a larger change
+--fly flies them anew first, which costs the repository two megabytes. Each flight that changes says
+so: commit `tests/data/golden` with the change that it shows.
 """
 
 from __future__ import annotations

@@ -24,6 +24,8 @@ from companion.web.access import Access
 from companion.web.hub import Hub
 from companion.web.page import Page
 
+NICENESS = 10
+"""On a computer with too much to do the control tick comes first, and pages wait."""
 MAX_LINE = 4_000_000
 """A picture has some 20 kB."""
 REFUSED = "This page needs its token: open the address that the companion printed."
@@ -127,5 +129,6 @@ def _press(name: str) -> None:
 def main() -> None:
     """Run the child process; the terminal's Ctrl-C is for the companion."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.nice(NICENESS)
     logging.getLogger("nicegui").setLevel(logging.WARNING)
     asyncio.run(serve())
