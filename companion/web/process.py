@@ -79,17 +79,20 @@ class WebProcess:
         """Of the child."""
         return self._child.pid
 
-    def update(self, now_s: float, picture: Callable[[], Mapping[str, object]]) -> list[str]:
+    def update(
+        self, now_s: float, picture: Callable[[], Mapping[str, object]], *, may_send: bool = True
+    ) -> list[str]:
         """Send a picture if one is due and the pipe has room; the buttons pressed meanwhile.
 
         Args:
             now_s: The present.
             picture: Makes it; only called when it goes out.
+            may_send: Whether there is time for one now; otherwise it waits for the next call.
         """
         if self._is_over:
             return []
         self._flush()
-        if now_s >= self._next_s:
+        if may_send and now_s >= self._next_s:
             self._next_s = now_s + PICTURE_PERIOD_S
             if self._unsent:
                 self.dropped += 1

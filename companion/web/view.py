@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from companion.config.schema import CompanionConfig
 from companion.guidance.events import Wish
 from companion.link.endpoint import CompanionEndpoint
@@ -12,6 +14,9 @@ from companion.view.tee import TeeJournal
 from companion.view.time_to_go import TimeToGo
 from companion.web.process import WebProcess
 from companion.web.settings import WebSettings
+
+ROOM_S = 0.012
+"""Before the next control tick; nearer to it a picture, some milliseconds, could delay it."""
 
 
 class WebView:
@@ -53,7 +58,9 @@ class WebView:
             endpoint: The companion; buttons go to it.
             now_s: The present.
         """
-        for name in self._process.update(now_s, lambda: self._picture(endpoint, now_s)):
+        has_room = endpoint.next_timer_s() - now_s >= ROOM_S
+        make = partial(self._picture, endpoint, now_s)
+        for name in self._process.update(now_s, make, may_send=has_room):
             endpoint.ask(Wish(name), now_s)
 
     def show(self, endpoint: CompanionEndpoint, now_s: float, clock_s: float) -> None:
