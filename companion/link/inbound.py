@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 from companion.domain import FlightMode, LandedState, VehicleState
@@ -44,6 +45,10 @@ STAMPED = frozenset(
 UP_STATES = (mavlink.MAV_STATE_STANDBY, mavlink.MAV_STATE_ACTIVE)
 MAX_HOME_DISTANCE_M = 1e5
 """A home farther from the origin than this is a fault, in whatever field."""
+MAX_ALTITUDE_MM = 100_000_000
+"""Above sea level; an origin beyond it, as INT32_MAX is, is none."""
+MAX_YAW_RAD = 2.0 * math.pi
+"""Half a turn by the definition of ATTITUDE; what is more than a whole one is no heading."""
 CLOCK_TOLERANCE_S = 0.03
 MAX_LINK_DELAY_S = 0.5
 """A radio whose clock seems later than the autopilot's by up to this has a slow link."""
@@ -110,6 +115,8 @@ class VehicleInbound:
                 )
                 return self._with_restart(reading, VehicleMoved(now_s, state))
             case mavlink.MAVLink_attitude_message():
+                if not abs(message.yaw) <= MAX_YAW_RAD:
+                    return []
                 reading = self._read(message.time_boot_ms, now_s)
                 yaw = YawMeasured(now_s, reading.time_s, message.yaw)
                 return self._with_restart(reading, yaw)
@@ -195,7 +202,8 @@ class VehicleInbound:
     def _origin_set(
         self, message: mavlink.MAVLink_gps_global_origin_message, now_s: float
     ) -> list[Event]:
-        if not _is_on_earth(message.latitude, message.longitude):
+        is_somewhere = _is_on_earth(message.latitude, message.longitude)
+        if not is_somewhere or abs(message.altitude) > MAX_ALTITUDE_MM:
             return []
         self._origin = LocalOrigin(
             message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1000.0

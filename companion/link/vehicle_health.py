@@ -34,6 +34,8 @@ LEVELS: dict[int, BatteryLevel] = {
     mavlink.MAV_BATTERY_CHARGE_STATE_FAILED: BatteryLevel.CRITICAL,
 }
 FIRST_BATTERY = 0
+MAX_COORDINATE_M = 1e6
+"""A target farther from the origin is no place."""
 CENTRE_US, HALF_TRAVEL_US = 1500.0, 500.0
 PULSES_US = range(800, 2201)
 """Anything else is no position of a stick."""
@@ -86,6 +88,8 @@ def _echo(
         return None
     place = (message.x, message.y, message.z)
     is_position = not message.type_mask & type_mask.POSITION_IGNORE
+    if any(abs(v) > MAX_COORDINATE_M for v in place):
+        return None
     if is_position and all(map(math.isfinite, place)):
         return SetpointEchoed(now_s, enu_from_ned(place))
     return SetpointEchoed(now_s, None)
