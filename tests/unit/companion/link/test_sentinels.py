@@ -27,6 +27,8 @@ INTEGERS = {
     "uint32_t": (0, 2**32 - 1),
     "uint64_t": (0, 2**64 - 1),
 }
+STICKS = [1500] * 18 + [200]
+"""Pulses of all channels, and the signal strength."""
 CLOCK = frozenset({"time_boot_ms", "time_usec"})
 BEYOND = frozenset({"LOCAL_POSITION_NED", "ESTIMATOR_STATUS", "EKF_STATUS_REPORT"})
 """The vehicle's view judges positions; ratios of an estimator that fails have no upper end."""
@@ -52,7 +54,7 @@ def reports() -> dict[str, Message]:
         mavlink.MAVLink_position_target_local_ned_message(
             1000, 1, 0, 1.0, 2.0, -20.0, *([0.0] * 8)
         ),
-        mavlink.MAVLink_rc_channels_message(1000, 8, *([1500] * 18), 200),
+        mavlink.MAVLink_rc_channels_message(1000, 8, *STICKS),
     )
     return {message.get_type(): message for message in found}
 
