@@ -48,7 +48,7 @@ class Course:
     setpoints: list[bytes] = field(default_factory=list)
     """Frames, in order."""
     localised_s: float | None = None
-    """When the target was reported."""
+    """When a target was reported first."""
 
 
 class CourseJournal:
@@ -73,9 +73,10 @@ class CourseJournal:
         self.texts.append((now_s, severity, text))
 
     def result(self, report: ReportResult, now_s: float) -> None:
-        """Keep when the target was reported."""
+        """Keep when a target was reported first."""
         del report
-        self.course.localised_s = now_s
+        if self.course.localised_s is None:
+            self.course.localised_s = now_s
 
 
 def rerun(

@@ -84,6 +84,8 @@ def test_a_flight_with_several_emitters_replays_to_the_bit(tmp_path: Path) -> No
     replay = replay_flight(tmp_path, None, REMARKS.append)
     assert {e["emitter_id"] for e in replay.comparison.recorded.estimates} == {1, 2}
     assert replay.comparison.first_difference is None
+    both = (replay.comparison.recorded.localised_s, replay.comparison.replayed.localised_s)
+    assert both[0] == pytest.approx(both[1], abs=1e-3)  # of the first one
     handed_over = (tmp_path / "handoff.txt").read_text().splitlines()
     assert [line.split(":")[0] for line in handed_over] == ["emitter 1", "emitter 2"]
 
