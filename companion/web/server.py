@@ -24,7 +24,7 @@ from companion.web.access import Access
 from companion.web.hub import Hub
 from companion.web.page import Page
 
-NICENESS = 10
+NICENESS = 19
 """On a computer with too much to do the control tick comes first, and pages wait."""
 MAX_LINE = 4_000_000
 """A picture has some 20 kB."""
