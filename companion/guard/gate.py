@@ -151,10 +151,9 @@ class Guard:
     def use(self, limits: GuardLimits) -> None:
         """Other limits from now on, for example when the fence becomes known."""
         self.limits = limits
-        self._known: tuple[Fence, FreeSpace] | None = None
+        fence, clearance_m = limits.fence, limits.stopping.clearance_m
+        self._known = None if fence is None else (fence, fence.free_space(clearance_m))
         """The fence, and where the vehicle itself may be on its way to a setpoint."""
-        if limits.fence is not None:
-            self._known = limits.fence, limits.fence.free_space(limits.stopping.clearance_m)
 
     def here(self, motion: Motion) -> Guarded:
         """The setpoint "stay where you are", moved inside the limits if that is outside."""
@@ -217,7 +216,7 @@ class Guard:
             return GuardReason.OUTSIDE
         if math.dist(step.start, vehicle) > JUMP_STEPS * limits.envelope.step_m:
             return GuardReason.JUMPED
-        stop = limits.stopping.point(vehicle, step.motion.velocity_enu_mps[:2])
+        stop = limits.stopping.point(vehicle, _level(step.motion.velocity_enu_mps))
         if not ways.is_clear(vehicle, stop):
             return GuardReason.TOO_FAST
         may_go_on = fence.allows(step.start) and ways.is_clear(vehicle, step.start)
@@ -225,7 +224,7 @@ class Guard:
 
     def _begun_anew(self, why: GuardReason, step: _Step) -> Guarded:
         """At the vehicle; or where it was, if a vehicle that is too fast has passed that."""
-        ve, vn, _ = step.motion.velocity_enu_mps
+        ve, vn = _level(step.motion.velocity_enu_mps)
         passed = (step.vehicle[0] - step.start[0]) * ve + (step.vehicle[1] - step.start[1]) * vn
         if why is GuardReason.TOO_FAST and passed >= 0.0:
             return Guarded(step.previous.position_enu_m, (why,))
@@ -263,8 +262,9 @@ class Guard:
             battery_pct = step.motion.battery_pct
             near = leashed(step.start, goal, home, limits.reserve.reach_m(battery_pct))
             if near != goal:
-                is_unknown = battery_pct is None
-                why = GuardReason.BATTERY_UNKNOWN if is_unknown else GuardReason.BATTERY
+                why = (
+                    GuardReason.BATTERY if battery_pct is not None else GuardReason.BATTERY_UNKNOWN
+                )
                 step.reasons.append(why)
             goal = near
         if not fence.allows(goal):
@@ -274,7 +274,7 @@ class Guard:
     def _velocity(self, step: _Step, goal: Point, fence: Fence) -> Point:
         """Towards the goal, as fast as the envelope and the way to stop allow."""
         envelope, stopping = self.limits.envelope, self.limits.stopping
-        before, left_m = step.previous.velocity_enu_mps[:2], math.dist(step.start, goal)
+        before, left_m = _level(step.previous.velocity_enu_mps), math.dist(step.start, goal)
         if left_m == 0.0:
             return envelope.next_velocity(before, (0.0, 0.0), step.dt_s)
         east, north = (goal[0] - step.start[0]) / left_m, (goal[1] - step.start[1]) / left_m
@@ -287,7 +287,7 @@ class Guard:
         )
         lead = (step.start[0] - step.vehicle[0], step.start[1] - step.vehicle[1])
         if lead[0] * east + lead[1] * north > 0.0:
-            ve, vn, _ = step.motion.velocity_enu_mps
+            ve, vn = _level(step.motion.velocity_enu_mps)
             room_m = max(0.0, envelope.step_m - math.hypot(*lead))
             pace_mps = max(0.0, ve * east + vn * north) + stopping.speed_mps(room_m, step.dt_s)
             if pace_mps < speed_mps:
@@ -300,7 +300,7 @@ class Guard:
     ) -> bool:
         """Whether a setpoint may be the last one; see the theory of operation."""
         stopping = self.limits.stopping
-        arrival = ahead(step.vehicle, step.motion.velocity_enu_mps[:2], stopping.latency_s)
+        arrival = ahead(step.vehicle, _level(step.motion.velocity_enu_mps), stopping.latency_s)
         return (
             fence.allows(place)
             and ways.is_clear(place, stopping.point(place, velocity))
@@ -318,3 +318,7 @@ def _are_numbers(goal: Position, motion: Motion, dt_s: float, speed_cap_mps: flo
 
 def _near(coordinate_m: float) -> float:
     return min(max(coordinate_m, -FARTHEST_M), FARTHEST_M)
+
+
+def _level(velocity_enu_mps: Position) -> Point:
+    return velocity_enu_mps[0], velocity_enu_mps[1]

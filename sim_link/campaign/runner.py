@@ -6,8 +6,9 @@ import logging
 import multiprocessing
 import signal
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from contextlib import closing
 from dataclasses import dataclass, field
 
 from sim_link.campaign.parts import PARTS
@@ -74,18 +75,18 @@ def run_all(
         KeyboardInterrupt: With the tally so far as its argument.
     """
     tally = Tally()
-    outcomes = _outcomes(trials, jobs)
     try:
-        for outcome in outcomes:
-            tally.add(outcome)
-            if on_done is not None:
-                on_done(outcome)
+        with closing(_outcomes(trials, jobs)) as outcomes:
+            for outcome in outcomes:
+                tally.add(outcome)
+                if on_done is not None:
+                    on_done(outcome)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(tally) from None
     return tally
 
 
-def _outcomes(trials: Sequence[Trial], jobs: int) -> Iterator[Outcome]:
+def _outcomes(trials: Sequence[Trial], jobs: int) -> Generator[Outcome, None, None]:
     if jobs <= 1:
         yield from map(run_one, trials)
         return
@@ -101,12 +102,16 @@ def _outcomes(trials: Sequence[Trial], jobs: int) -> Iterator[Outcome]:
                     break
                 running.add(pool.submit(run_one, trial))
             if not running:
-                return
+                break
             done, running = wait(running, return_when=FIRST_COMPLETED)
             for future in done:
                 yield future.result()
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for worker in multiprocessing.active_children():  # a trial may have hours to go
+            worker.terminate()
+        raise
+    pool.shutdown()
 
 
 def _begin_worker() -> None:

@@ -115,6 +115,9 @@ class TestTheWayToAGoal:
         steps = flown((50.0, 0.0, 60.0), cap_mps=1.0)
         assert max(step.velocity_enu_mps[0] for step in steps) == pytest.approx(1.0)
         assert max(step.velocity_enu_mps[2] for step in steps) == pytest.approx(1.0)
+        for cap_mps in (0.0, 0.5):
+            capped = GUARD.towards((50.0, 0.0, 30.0), Guarded(START), motion(START), 0.1, cap_mps)
+            assert capped.reasons == ()
         stopped = flown((50.0, 0.0, 60.0), cap_mps=0.0)
         assert stopped[-1].position_enu_m == START
 
@@ -297,6 +300,18 @@ class TestTheLead:
         assert guarded.reasons == ()
         assert guarded.velocity_enu_mps == pytest.approx((5.0, 0.0, 0.0))
 
+    def test_a_short_step_makes_a_short_lead_one_to_wait_for(self) -> None:
+        guard = Guard(replace(LIMITS, envelope=replace(ENVELOPE, step_m=0.5)))
+        ahead = Guarded((0.4, 0.0, 30.0), (), (5.0, 0.0, 0.0))
+        guarded = guard.towards((50.0, 0.0, 30.0), ahead, motion(START), 0.1)
+        assert guarded.reasons == (GuardReason.LAGGING,)
+
+    def test_a_vehicle_that_keeps_up_exactly_does_not_lag(self) -> None:
+        pace_mps = STOPPING.speed_mps(4.0, 0.1)
+        ahead = Guarded((4.0, 0.0, 30.0))
+        guarded = GUARD.towards((50.0, 0.0, 30.0), ahead, motion(START), 0.1, pace_mps)
+        assert guarded.reasons == ()
+
     def test_it_may_come_back_to_a_vehicle_that_fell_behind(self) -> None:
         """Blown 15 m away, the setpoint still moves when that brings it nearer."""
         guarded = GUARD.towards((-50.0, 0.0, 30.0), Guarded(START), motion((-15.0, 0.0, 30.0)), 0.1)
@@ -430,6 +445,15 @@ class TestKeepOuts:
         moving = motion(place, (0.0, -4.0, 0.0))
         kept = self.GUARD.towards((40.0, 25.1, 30.0), last, moving, 0.1)
         assert kept.position_enu_m == (9.0, 25.1, 30.0)
+        assert GuardReason.CUT_OFF in kept.reasons
+
+    def test_and_from_where_it_is_now(self) -> None:
+        """At 4 m/s northwards it will be past the corner, but a frame may come early."""
+        last = Guarded((9.3, 25.1, 30.0))
+        kept = self.GUARD.towards(
+            (40.0, 25.1, 30.0), last, motion((6.5, 19.8, 30.0), (0.0, 4.0, 0.0)), 0.1
+        )
+        assert kept.position_enu_m == last.position_enu_m
         assert GuardReason.CUT_OFF in kept.reasons
 
 

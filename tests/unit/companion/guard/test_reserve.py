@@ -26,8 +26,9 @@ def test_an_unknown_battery_is_not_a_full_one(battery_pct: float | None) -> None
     assert RESERVE.reach_m(battery_pct) == 0.0
 
 
-def test_no_reserve_is_allowed() -> None:
+def test_no_reserve_is_allowed_and_nearly_everything_too() -> None:
     assert Reserve(0.0, 10.0).reach_m(1.0) == pytest.approx(100.0)
+    assert Reserve(99.5, 0.5).reach_m(100.0) == pytest.approx(1000.0)
 
 
 @pytest.mark.parametrize(
@@ -89,3 +90,10 @@ def test_no_way_leads_too_far_and_none_is_cut_too_soon(
         share = 1e-3 / math.dist(end, goal)
         beyond = (end[0] + share * (goal[0] - end[0]), end[1] + share * (goal[1] - end[1]))
         assert math.dist(beyond, home) >= most_m - 1e-6
+
+
+def test_a_way_along_the_border_of_the_reach_ends_where_it_begins() -> None:
+    """Rounding puts this start outside its own distance from home, by less than it can tell."""
+    start, home = (9.9, 8.1), (0.0, 0.0)
+    aside = (start[0] - 4.0 * start[1], start[1] + 4.0 * start[0])
+    assert leashed(start, aside, home, 1.0) == pytest.approx(start, abs=1e-6)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 from collections.abc import Sequence
 
 import pytest
@@ -125,3 +126,18 @@ def test_a_rate_of_false_losses_is_judged_over_hours() -> None:
     judge(often)
     assert rare.findings == []
     assert len(often.findings) == 1
+
+
+def test_an_interruption_does_not_wait_for_what_still_runs() -> None:
+    """What runs beside the first trial would take an hour."""
+    days = [Trial("soak", seed, 1000.0) for seed in range(3)]
+
+    def interrupt(_: Outcome) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt) as caught:
+        run_all([Trial("reaction", 1), *days], jobs=2, on_done=interrupt)
+    assert caught.value.args[0].trials == 1
+    for worker in multiprocessing.active_children():
+        worker.join(30.0)
+    assert multiprocessing.active_children() == []
