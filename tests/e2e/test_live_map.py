@@ -60,21 +60,28 @@ class LiveFlight:
     flight: Flight
     view: WebView
     journal: Journal
+    begun: threading.Event = field(default_factory=threading.Event)
     ended: threading.Event = field(default_factory=threading.Event)
 
     def fly(self) -> None:
         """Fly on at its speed until the test is over."""
-        started_s = time.monotonic()
+        self.step()  # the page wants a first picture
+        self.begun.wait()
+        started_s = time.monotonic() - self.flight.now_s / SPEED
         while not self.ended.is_set():
-            self.flight.run(STEP_S)
-            companion = self.flight.companion
-            if companion is not None:
-                self.view.update(companion, self.flight.now_s)
+            self.step()
             ahead_s = started_s + self.flight.now_s / SPEED - time.monotonic()
             if ahead_s > 0.0:
                 time.sleep(ahead_s)
             else:
                 started_s -= ahead_s
+
+    def step(self) -> None:
+        """Fly a little, and show it."""
+        self.flight.run(STEP_S)
+        companion = self.flight.companion
+        if companion is not None:
+            self.view.update(companion, self.flight.now_s)
 
     @property
     def vehicle_enu_m(self) -> tuple[float, float, float]:
@@ -83,7 +90,9 @@ class LiveFlight:
 
 
 @contextmanager
-def live_flight(folder: Path, settings: WebSettings | None = None) -> Iterator[LiveFlight]:
+def live_flight(
+    folder: Path, settings: WebSettings | None = None, *, begins: bool = True
+) -> Iterator[LiveFlight]:
     scenario = Scenario()
     settings = settings or web_settings(str(free_port()), is_control_on=True)
     truth = scenario.emitter.position_enu_m[:2]
@@ -93,10 +102,13 @@ def live_flight(folder: Path, settings: WebSettings | None = None) -> Iterator[L
     live = LiveFlight(settings, Flight(AUTO, scenario, 1, journal), view, journal)
     thread = threading.Thread(target=live.fly, daemon=True)
     thread.start()
+    if begins:
+        live.begun.set()
     try:
         yield live
     finally:
         live.ended.set()
+        live.begun.set()
         thread.join(10.0)
         view.close()
         log.close(5.0)
@@ -144,8 +156,9 @@ class Watched:
 def test_the_ellipse_shrinks_to_the_emitter_on_a_desk_and_on_a_phone(
     browser: Browser, tmp_path: Path
 ) -> None:
-    with live_flight(tmp_path) as live:
+    with live_flight(tmp_path, begins=False) as live:
         pages = [Watched(browser, live.settings.url, size) for size in (DESK, PHONE)]
+        live.begun.set()
         for watched in pages:
             expect(watched.page.locator("path.ellipse")).to_have_count(1, timeout=PATIENCE_MS)
         first_px, first_m = pages[0].ellipse_px(), pages[0].r95_m()

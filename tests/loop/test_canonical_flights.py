@@ -12,7 +12,7 @@ from companion.guidance.states import Phase
 from tests.loop.loop_helpers import Loop, outside
 
 SEEDS = range(20)
-FLIGHT_S = 180.0
+FLIGHT_S, AFTER_S = 180.0, 5.0
 FENCE_M, MARGIN_M = 150.0, 3.0
 FLOAT32_M = 1e-4
 """What single precision on the wire may add."""
@@ -32,7 +32,8 @@ class Flight:
 
 def fly(seed: int) -> Flight:
     loop = Loop(seed=seed)
-    loop.run(FLIGHT_S)
+    loop.run_until(lambda: bool(loop.notes.results), FLIGHT_S)
+    loop.run(AFTER_S)
     return Flight(
         seed,
         loop.phase,

@@ -97,3 +97,8 @@ def test_a_way_along_the_border_of_the_reach_ends_where_it_begins() -> None:
     start, home = (9.9, 8.1), (0.0, 0.0)
     aside = (start[0] - 4.0 * start[1], start[1] + 4.0 * start[0])
     assert leashed(start, aside, home, 1.0) == pytest.approx(start, abs=1e-6)
+
+
+def test_a_way_whose_square_is_nothing_is_no_way() -> None:
+    goal = (5e-169, 0.0)
+    assert leashed((0.0, 0.0), goal, (0.0, 0.0), 0.0) == goal
