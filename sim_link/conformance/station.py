@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
-from sim_link.conformance.frames import SIGNED, FrameSpec, build_frame, build_raw, sign
+from sim_link.conformance.frames import SIGNED, FrameSpec, build_frame, build_raw, cut, sign
 from sim_link.conformance.links import ProbeLink
 from sim_link.conformance.rules import Violation
 
@@ -80,7 +80,7 @@ class Station:
         self.component_id = component_id
         self.inbox: list[Heard] = []
         self.datagrams: list[tuple[float, bytes]] = []
-        """What arrived, as it arrived."""
+        """What arrived, as it arrived: on a byte stream in pieces of any length."""
         self.reader = MavCodec(system_id, component_id)
         self.signer: Signer | None = None
         self.on_message: Callable[[Message], None] | None = None
@@ -256,6 +256,10 @@ class Station:
     def mark(self) -> int:
         """The place in the inbox after which messages are new."""
         return len(self.inbox)
+
+    def frames_since(self, mark: int) -> list[bytes]:
+        """The frames in what arrived after so many pieces."""
+        return cut(b"".join(data for _, data in self.datagrams[mark:]))
 
     def _advance(self, until_s: float) -> None:
         due_s = min([until_s, *(task.due_s for task in self._tasks)])

@@ -73,7 +73,7 @@ def timesync_answer_names_the_asker(probe: VehicleProbe) -> None:
     mark = len(probe.datagrams)
     probe.send(mavlink.MAVLink_timesync_message(0, 987_654_324))
     probe.run(0.3)
-    for _, data in probe.datagrams[mark:]:
+    for data in probe.frames_since(mark):
         if data[7:10] == b"\x6f\x00\x00" and (987_654_324).to_bytes(4, "little") in data:
             target = tuple(data[10 + 16 : 10 + data[1]])
             require(target in ((probe.system_id, probe.component_id), ()), f"target {target}")

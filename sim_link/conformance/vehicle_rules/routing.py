@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from companion.mav.dialect import Message, mavlink
-from sim_link.conformance.frames import SIGNED, build_frame, build_raw, cut, sign
+from sim_link.conformance.frames import SIGNED, build_frame, build_raw, sign
 from sim_link.conformance.parameter_client import float_name, read, write
 from sim_link.conformance.rules import Effect, NotApplicable, Role, RuleBook, require
 from sim_link.conformance.station import Station, heartbeat
@@ -96,7 +96,7 @@ def acknowledgement_names_the_asker(probe: VehicleProbe) -> None:
 def frames_at(station: Station, mark: int) -> list[bytes]:
     """The frames that a second station got since `mark`."""
     station.run(SETTLE_S)
-    return cut(b"".join(data for _, data in station.datagrams[mark:]))
+    return station.frames_since(mark)
 
 
 def companion_of(probe: VehicleProbe) -> Station:
@@ -192,7 +192,7 @@ def own_message_never_returns(probe: VehicleProbe) -> None:
     mark = len(probe.datagrams)
     probe.send(mavlink.MAVLink_statustext_message(6, b"no echo please", 0, 0))
     probe.run(SETTLE_S)
-    back = [data for _, data in probe.datagrams[mark:] if b"no echo please" in data]
+    back = [data for data in probe.frames_since(mark) if b"no echo please" in data]
     require(not back, "it came back")
     probe.require_hearing()
 

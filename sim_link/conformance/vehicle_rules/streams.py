@@ -160,5 +160,5 @@ def ekf_status_comes_on_request(probe: VehicleProbe) -> None:
     result = probe.command(mavlink.MAV_CMD_REQUEST_MESSAGE, 193.0)
     require(result == ACCEPTED, f"result {result}")
     probe.run(0.5)
-    ids = {data[7] | data[8] << 8 | data[9] << 16 for _, data in probe.datagrams[mark:]}
+    ids = {data[7] | data[8] << 8 | data[9] << 16 for data in probe.frames_since(mark)}
     require(193 in ids, "it did not come")
