@@ -142,8 +142,11 @@ class Watched:
 
     def ellipse_px(self) -> float:
         """Size of the ellipse on the screen."""
-        box = self.page.locator("path.ellipse").first.bounding_box()
-        assert box is not None
+        give_up_s = time.monotonic() + PATIENCE_MS / 1000.0
+        box = None
+        while box is None:  # the map draws it anew with every picture
+            assert time.monotonic() < give_up_s, "no ellipse on the map"
+            box = self.page.locator("path.ellipse").first.bounding_box()
         return math.hypot(box["width"], box["height"])
 
     def r95_m(self) -> float:
