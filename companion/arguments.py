@@ -55,6 +55,20 @@ def argument_parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"companion {__version__}")
+    _add_links(parser)
+    _add_configuration(parser)
+    _add_security(parser)
+    _add_course(parser)
+    _add_web(parser)
+    commands = parser.add_subparsers(dest="command", metavar="{demo,replay,report,doctor}")
+    _add_demo(commands)
+    _add_replay(commands)
+    _add_report(commands)
+    _add_doctor(commands)
+    return parser
+
+
+def _add_links(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--connect", metavar="URL", help="link to the autopilot")
     parser.add_argument(
         "--ranging",
@@ -75,6 +89,9 @@ def argument_parser() -> argparse.ArgumentParser:
         metavar="HOST:PORT",
         help="send found emitters as Cursor on Target over UDP, for ATAK (239.2.3.1:6969)",
     )
+
+
+def _add_configuration(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--config", dest="fly_config", metavar="FILE", type=Path, help="configuration YAML"
     )
@@ -91,6 +108,9 @@ def argument_parser() -> argparse.ArgumentParser:
         type=Path,
         help="QGroundControl .plan or .kml with the fence, instead of the configuration's",
     )
+
+
+def _add_security(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--signing-key",
         metavar="FILE",
@@ -102,6 +122,9 @@ def argument_parser() -> argparse.ArgumentParser:
         action="store_true",
         help="listen beyond this machine even without a key: anyone may then command the vehicle",
     )
+
+
+def _add_course(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--fresh",
         action="store_true",
@@ -109,13 +132,6 @@ def argument_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--once", action="store_true", help="end after the target is reported")
     parser.add_argument("--quiet", action="store_true", help="only warnings and errors")
-    _add_web(parser)
-    commands = parser.add_subparsers(dest="command", metavar="{demo,replay,report,doctor}")
-    _add_demo(commands)
-    _add_replay(commands)
-    _add_report(commands)
-    _add_doctor(commands)
-    return parser
 
 
 def _add_web(parser: argparse.ArgumentParser) -> None:

@@ -108,11 +108,7 @@ def _set_up_logging(*, quiet: bool, stream: io.TextIOBase | None = None) -> None
 def _fly(arguments: argparse.Namespace) -> int:
     if arguments.connect is None:
         raise ConfigError("say where the autopilot is: --connect udp:127.0.0.1:14550, or try demo")
-    config = load_config(arguments.fly_config)
-    if arguments.fence is not None:
-        config = with_fence(config, arguments.fence)
-    if arguments.signing_key is not None:
-        config = with_signing_key(config, arguments.signing_key)
+    config = _flight_config(arguments)
     settings = _web_settings(arguments)
     urls = _link_urls(arguments)
     if not arguments.insecure:
@@ -126,6 +122,36 @@ def _fly(arguments: argparse.Namespace) -> int:
     links = [link_from_url(url) for url in urls[:first_gcs]]
     links += [shared_link_from_url(url) for url in urls[first_gcs:]]
     clock = Clock(arguments.fly_speed or 1.0)
+    endpoint = fly(
+        config,
+        links,
+        clock,
+        gcs_links=gcs_links,
+        once=arguments.once,
+        is_fresh=arguments.fresh,
+        views=_views(arguments, config, settings),
+        at_end=_report_flight,
+    )
+    if arguments.once and endpoint.session.result is None:
+        print("companion: ended before the target was localised", file=sys.stderr)
+        return EXIT_FAILED
+    return 0
+
+
+def _flight_config(arguments: argparse.Namespace) -> CompanionConfig:
+    """The file's configuration, with what the command line has instead."""
+    config = load_config(arguments.fly_config)
+    if arguments.fence is not None:
+        config = with_fence(config, arguments.fence)
+    if arguments.signing_key is not None:
+        config = with_signing_key(config, arguments.signing_key)
+    return config
+
+
+def _views(
+    arguments: argparse.Namespace, config: CompanionConfig, settings: WebSettings | None
+) -> list[FlightView]:
+    """Who watches the flight."""
     views: list[FlightView] = []
     if arguments.cot is not None:
         views.append(CotView(cot_address(arguments.cot)))
@@ -134,20 +160,7 @@ def _fly(arguments: argparse.Namespace) -> int:
         print(f"live map: {settings.url}", file=sys.stderr)
     if not arguments.quiet:
         views.append(_console_view(config))
-    endpoint = fly(
-        config,
-        links,
-        clock,
-        gcs_links=gcs_links,
-        once=arguments.once,
-        is_fresh=arguments.fresh,
-        views=views,
-        at_end=_report_flight,
-    )
-    if arguments.once and endpoint.session.result is None:
-        print("companion: ended before the target was localised", file=sys.stderr)
-        return EXIT_FAILED
-    return 0
+    return views
 
 
 def _console_view(config: CompanionConfig) -> FlightView:

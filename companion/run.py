@@ -235,53 +235,60 @@ class _Flight:
             lambda: open_journal(config, len(links), gcs_links, tunables.changed),
             is_restart=is_restart,
         )
-        listens: Journal = self._journal
-        for view in views:
-            listens = view.listen(listens)
-        self.endpoint = build_endpoint(
-            config,
-            listens,
-            len(links) - 1 - gcs_links,
-            tunables=tunables,
-            gcs_links=gcs_links,
-            signing=None if keeper is None else keeper.signing,
-            started_unix_s=time.time() - clock.now_s(),
-            recorder=self._journal.inputs,
-        )
         self._clock = clock
         self._keeper = keeper
         self._once = once
         self._parameters = parameters
+        self.endpoint = self._build_endpoint(tunables, len(links), gcs_links, views)
         self._restart = None
         if store is not None:
+            max_age_s, digests = config.process.resume_max_age_s, digests_of(config)
             self._restart = RestartKeeper(
-                self.endpoint,
-                store,
-                digests_of(config),
-                clock,
-                config.process.resume_max_age_s,
-                is_fresh=is_fresh,
+                self.endpoint, store, digests, clock, max_age_s, is_fresh=is_fresh
             )
         self._shell = Shell(self.endpoint, links, clock, self._after_wakeup)
         self._watch = LinkWatch(self._shell.links, self._journal)
         self._supervisor = Supervisor(os.environ)
+        self._chores = self._gather_chores(store, views)
+        self._hints = _Hints(self.endpoint, clock, self._shell.links[0].name)
+
+    def _build_endpoint(
+        self, tunables: Tunables, links: int, gcs_links: int, views: Sequence[FlightView]
+    ) -> CompanionEndpoint:
+        """The endpoint, with a journal that the views hear first."""
+        listens: Journal = self._journal
+        for view in views:
+            listens = view.listen(listens)
+        return build_endpoint(
+            tunables.file,
+            listens,
+            links - 1 - gcs_links,
+            tunables=tunables,
+            gcs_links=gcs_links,
+            signing=None if self._keeper is None else self._keeper.signing,
+            started_unix_s=time.time() - self._clock.now_s(),
+            recorder=self._journal.inputs,
+        )
+
+    def _gather_chores(self, store: CheckpointStore | None, views: Sequence[FlightView]) -> Chores:
+        """What is done at the end of each wake-up, in this order."""
         parts = (self._journal, self._shell.timing, self._shell.links, store)
         watchdog = Watchdog(self._supervisor, self.endpoint, *parts)
-        accounts = Accounts(self.endpoint, *parts, clock.speed)
-        self._chores = Chores(
+        accounts = Accounts(self.endpoint, *parts, self._clock.speed)
+        chores = {
+            f"view {number}": partial(view.update, self.endpoint)
+            for number, view in enumerate(views, start=1)
+        }
+        return Chores(
             self.endpoint,
             {
-                **{
-                    f"view {number}": partial(view.update, self.endpoint)
-                    for number, view in enumerate(views, start=1)
-                },
-                "parameters": parameters.run,
+                **chores,
+                "parameters": self._parameters.run,
                 "accounts": accounts.run,
                 "watchdog": lambda now_s: watchdog.run(now_s, time.monotonic()),
                 **({} if self._restart is None else {"checkpoints": self._restart.run}),
             },
         )
-        self._hints = _Hints(self.endpoint, clock, self._shell.links[0].name)
 
     @property
     def directory(self) -> Path | None:

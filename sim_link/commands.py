@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from typing import NoReturn
+from typing import NoReturn, Protocol
 
 from companion.errors import ConfigError
 from sim_link.faults import proxy_cli
@@ -37,36 +37,39 @@ def run_subcommand(argv: Sequence[str]) -> int:
     return code
 
 
+class _Subcommand(Protocol):
+    """A module that has a subcommand."""
+
+    DESCRIPTION: str
+    EPILOG: str
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Declare its arguments."""
+
+    def run(self, arguments: argparse.Namespace) -> int:
+        """Do it; the exit code."""
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="sim-link")
     commands = parser.add_subparsers(required=True, metavar="{mission,radio,proxy}")
     mission = commands.add_parser("mission", help="fly mission scripts")
     kinds = mission.add_subparsers(required=True, metavar="{run}")
-    run = kinds.add_parser(
-        "run",
-        help="fly scripts and tell pass or fail",
-        description=mission_cli.DESCRIPTION,
-        epilog=mission_cli.EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    mission_cli.add_arguments(run)
-    run.set_defaults(run=mission_cli.run)
-    radio = commands.add_parser(
-        "radio",
-        help="a radio payload for a vehicle that has none",
-        description=radio_cli.DESCRIPTION,
-        epilog=radio_cli.EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    radio_cli.add_arguments(radio)
-    radio.set_defaults(run=radio_cli.run)
-    proxy = commands.add_parser(
-        "proxy",
-        help="a bad link between a vehicle and a companion",
-        description=proxy_cli.DESCRIPTION,
-        epilog=proxy_cli.EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    proxy_cli.add_arguments(proxy)
-    proxy.set_defaults(run=proxy_cli.run)
+    _add(kinds, "run", "fly scripts and tell pass or fail", mission_cli)
+    _add(commands, "radio", "a radio payload for a vehicle that has none", radio_cli)
+    _add(commands, "proxy", "a bad link between a vehicle and a companion", proxy_cli)
     return parser
+
+
+def _add(
+    commands: argparse._SubParsersAction[_Parser], name: str, summary: str, module: _Subcommand
+) -> None:
+    parser = commands.add_parser(
+        name,
+        help=summary,
+        description=module.DESCRIPTION,
+        epilog=module.EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    module.add_arguments(parser)
+    parser.set_defaults(run=module.run)

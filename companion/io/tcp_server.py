@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import socket
+from collections.abc import Callable
 
 from companion.errors import LinkError
 from companion.io.link_base import Link, Received, bind_problem, logger
@@ -20,32 +21,65 @@ BACKLOG = 4
 NOWHERE: Address = ("", 0)
 
 
-async def listen(name: str, host: str, port: int) -> socket.socket:
-    """A bound, listening, non-blocking socket.
+class _Port:
+    """A listening socket that tells when somebody knocks.
 
-    Raises:
-        LinkError: The port is taken or the host is not ours.
+    Args:
+        link: Whose it is; named in problems, and counts those that went away again.
+        host: Where to listen.
+        port: Where to listen.
     """
-    address = await resolve(name, host, port)
-    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    try:
-        # For TCP this only skips the wait for old connections; a taken port still fails.
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.bind(address)
-        listener.listen(BACKLOG)
-    except OSError as error:
-        listener.close()
-        raise LinkError(bind_problem("tcp", host, port, error)) from error
-    listener.setblocking(False)
-    return listener
 
+    def __init__(self, link: Link, host: str, port: int) -> None:
+        self._link = link
+        self._host, self._port = host, port
+        self._listener: socket.socket | None = None
 
-def address_of(listener: socket.socket | None) -> Address:
-    """Host and port that an open socket has; `("", 0)` of none."""
-    if listener is None:
-        return NOWHERE
-    host, port = listener.getsockname()[:2]
-    return (str(host), int(port))
+    @property
+    def address(self) -> Address:
+        """Host and port that the open socket has; `("", 0)` while closed."""
+        if self._listener is None:
+            return NOWHERE
+        host, port = self._listener.getsockname()[:2]
+        return (str(host), int(port))
+
+    async def open(self, knocked: Callable[[], None]) -> None:
+        """Bind and listen; `knocked` is called for every client to `accept`.
+
+        Raises:
+            LinkError: The port is taken or the host is not ours.
+        """
+        address = await resolve(self._link.name, self._host, self._port)
+        listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        try:
+            # For TCP this only skips the wait for old connections; a taken port still fails.
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            listener.bind(address)
+            listener.listen(BACKLOG)
+        except OSError as error:
+            listener.close()
+            raise LinkError(bind_problem("tcp", self._host, self._port, error)) from error
+        listener.setblocking(False)
+        self._listener = listener
+        asyncio.get_running_loop().add_reader(listener, knocked)
+
+    def accept(self) -> tuple[socket.socket, Address] | None:
+        """Who knocked, and from where; None if nobody is there any more."""
+        if self._listener is None:
+            return None
+        try:
+            client, address = self._listener.accept()
+        except OSError:  # it went away again, or we are out of descriptors
+            self._link.counters.receive_errors += 1
+            return None
+        return client, (str(address[0]), int(address[1]))
+
+    def close(self) -> None:
+        """Close it, if it is open."""
+        if self._listener is not None:
+            asyncio.get_running_loop().remove_reader(self._listener)
+            self._listener.close()
+            self._listener = None
 
 
 class TcpServerLink(StreamLink):
@@ -53,13 +87,12 @@ class TcpServerLink(StreamLink):
 
     def __init__(self, host: str, port: int, index: int, received: Received) -> None:
         super().__init__(f"tcpin {host}:{port}", index, received)
-        self._host, self._port = host, port
-        self._listener: socket.socket | None = None
+        self._port = _Port(self, host, port)
 
     @property
     def local_address(self) -> Address:
         """Host and port that the open socket has; `("", 0)` while closed."""
-        return address_of(self._listener)
+        return self._port.address
 
     async def open(self) -> None:
         """Bind and listen.
@@ -67,17 +100,13 @@ class TcpServerLink(StreamLink):
         Raises:
             LinkError: The port is taken or the host is not ours.
         """
-        self._listener = await listen(self.name, self._host, self._port)
-        asyncio.get_running_loop().add_reader(self._listener, self._accept)
+        await self._port.open(self._accept)
 
     def _accept(self) -> None:
-        if self._listener is None:
+        accepted = self._port.accept()
+        if accepted is None:
             return
-        try:
-            client, peer = self._listener.accept()
-        except OSError:  # it went away again, or we are out of descriptors
-            self.counters.receive_errors += 1
-            return
+        client, peer = accepted
         if self._stream is not None:
             logger.info("%s: %s turned away, one client at a time", self.name, peer[0])
             client.close()
@@ -89,10 +118,7 @@ class TcpServerLink(StreamLink):
     def close(self) -> None:
         """Close the client and the port."""
         super().close()
-        if self._listener is not None:
-            asyncio.get_running_loop().remove_reader(self._listener)
-            self._listener.close()
-            self._listener = None
+        self._port.close()
 
 
 class TcpFanOutLink(Link):
@@ -103,14 +129,13 @@ class TcpFanOutLink(Link):
 
     def __init__(self, host: str, port: int, index: int, received: Received) -> None:
         super().__init__(f"tcpin {host}:{port}", index, received)
-        self._host, self._port = host, port
-        self._listener: socket.socket | None = None
+        self._port = _Port(self, host, port)
         self._clients: dict[Address, ByteStream] = {}
 
     @property
     def local_address(self) -> Address:
         """Host and port that the open socket has; `("", 0)` while closed."""
-        return address_of(self._listener)
+        return self._port.address
 
     @property
     def clients(self) -> tuple[Address, ...]:
@@ -123,8 +148,7 @@ class TcpFanOutLink(Link):
         Raises:
             LinkError: The port is taken or the host is not ours.
         """
-        self._listener = await listen(self.name, self._host, self._port)
-        asyncio.get_running_loop().add_reader(self._listener, self._accept)
+        await self._port.open(self._accept)
 
     def send(self, chunk: Chunk) -> None:
         """Send to the chunk's peer, or to all clients if it names none."""
@@ -140,10 +164,7 @@ class TcpFanOutLink(Link):
         for client in self._clients.values():
             client.close()
         self._clients.clear()
-        if self._listener is not None:
-            asyncio.get_running_loop().remove_reader(self._listener)
-            self._listener.close()
-            self._listener = None
+        self._port.close()
 
     def _write(self, client: ByteStream | None, data: bytes) -> None:
         if client is not None and client.write(data):
@@ -152,14 +173,10 @@ class TcpFanOutLink(Link):
             self.counters.dropped += 1
 
     def _accept(self) -> None:
-        if self._listener is None:
+        accepted = self._port.accept()
+        if accepted is None:
             return
-        try:
-            client, address = self._listener.accept()
-        except OSError:  # it went away again, or we are out of descriptors
-            self.counters.receive_errors += 1
-            return
-        peer: Address = (str(address[0]), int(address[1]))
+        client, peer = accepted
         if len(self._clients) >= MAX_CLIENTS:
             logger.info("%s: %s turned away, %d clients at most", self.name, peer[0], MAX_CLIENTS)
             client.close()

@@ -55,7 +55,7 @@ class RadioPayload:
         if now_s + DUE_TOLERANCE_S >= self._heartbeat_due_s:
             self._heartbeat_due_s = max(self._heartbeat_due_s, now_s - HEARTBEAT_PERIOD_S)
             self._heartbeat_due_s += HEARTBEAT_PERIOD_S
-            messages.append(_heartbeat())
+            messages.append(payload_heartbeat())
         if now_s + DUE_TOLERANCE_S >= self._measurement_due_s:
             self._measurement_due_s = max(self._measurement_due_s, now_s - self._period_s)
             self._measurement_due_s += self._period_s
@@ -91,7 +91,8 @@ def refusal(message: Message, system_id: int) -> Message | None:
     )
 
 
-def _heartbeat() -> Message:
+def payload_heartbeat() -> Message:
+    """The HEARTBEAT of a radio payload."""
     return mavlink.MAVLink_heartbeat_message(
         mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
         mavlink.MAV_AUTOPILOT_INVALID,

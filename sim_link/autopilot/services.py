@@ -63,7 +63,8 @@ class Services:
 
     def __init__(self, vehicle: SimVehicle, links: int) -> None:
         self._vehicle = vehicle
-        rules = self._rules = vehicle.flavour.rules
+        flavour = vehicle.flavour
+        rules = self._rules = flavour.rules
         self._texts = StatusTexts()
         self.addressing = Addressing(vehicle.system_id)
         self._clocks = Clocks(
@@ -71,7 +72,7 @@ class Services:
             names_targets=rules.names_timesync_target,
             answers_ping=rules.answers_ping,
         )
-        self._parameters = Parameters(vehicle.flavour.parameters, rules.parameters, self._texts)
+        self._parameters = Parameters(flavour.parameters, rules.parameters, self._texts)
         has_home_item = rules.first_mission_item == 1
         self._store = PlanStore(self._home_item if has_home_item else None)
         fly_to = self._fly_to if has_home_item else None
@@ -87,14 +88,18 @@ class Services:
             self.requests.open(Channel(link), 0.0)
         self._announcer = MissionAnnouncer()
         self._announcer.changed(mission_progress(vehicle))
-        self._seen = (0, 0, vehicle.flavour.changes)
+        self._seen = (0, 0, flavour.changes)
         self._clock_requests = ClockRequests(rules.timesync_period_s, rules.ping_period_s)
         self.wants_reboot = False
         """Whether a client asked for one."""
-        self._handlers: dict[type[Message], Handler] = {
-            mavlink.MAVLink_set_position_target_local_ned_message: self._take_local,
-            mavlink.MAVLink_set_position_target_global_int_message: self._take_global,
-            mavlink.MAVLink_set_attitude_target_message: self._take_attitude,
+        self._handlers = self._handlers_by_type()
+
+    def _handlers_by_type(self) -> dict[type[Message], Handler]:
+        flavour = self._vehicle.flavour
+        return {
+            mavlink.MAVLink_set_position_target_local_ned_message: _taking(flavour.take_local),
+            mavlink.MAVLink_set_position_target_global_int_message: _taking(flavour.take_global),
+            mavlink.MAVLink_set_attitude_target_message: _taking(flavour.take_attitude),
             mavlink.MAVLink_command_long_message: self._take_command,
             mavlink.MAVLink_command_int_message: self._take_command,
             mavlink.MAVLink_set_mode_message: self._take_command,
@@ -160,35 +165,6 @@ class Services:
         if seen[2] != old[2] and self._rules.tells_mode_at_once:
             messages.append(heartbeat(vehicle))
         return [message for message in messages if message is not None]
-
-    # Setpoints
-
-    def _take_local(
-        self,
-        message: mavlink.MAVLink_set_position_target_local_ned_message,
-        partner: Partner,  # noqa: ARG002  whoever sends one
-        now_s: float,
-    ) -> list[Outgoing]:
-        self._vehicle.flavour.take_local(message, now_s)
-        return []
-
-    def _take_global(
-        self,
-        message: mavlink.MAVLink_set_position_target_global_int_message,
-        partner: Partner,  # noqa: ARG002  whoever sends one
-        now_s: float,
-    ) -> list[Outgoing]:
-        self._vehicle.flavour.take_global(message, now_s)
-        return []
-
-    def _take_attitude(
-        self,
-        message: mavlink.MAVLink_set_attitude_target_message,
-        partner: Partner,  # noqa: ARG002  whoever sends one
-        now_s: float,
-    ) -> list[Outgoing]:
-        self._vehicle.flavour.take_attitude(message, now_s)
-        return []
 
     # Commands
 
@@ -331,3 +307,13 @@ class Services:
     ) -> list[Outgoing]:
         self.requests.obey_data_stream(message, partner, now_s)
         return []
+
+
+def _taking(take: Callable[[Any, float], None]) -> Handler:
+    """A handler of setpoints: whoever sends one, nothing is answered."""
+
+    def handler(message: Message, _: Partner, now_s: float) -> list[Outgoing]:
+        take(message, now_s)
+        return []
+
+    return handler

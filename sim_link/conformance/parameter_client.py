@@ -15,8 +15,6 @@ from sim_link.conformance.station import Heard
 from sim_link.conformance.vehicle_probe import VehicleProbe
 
 SERVICE = "MAVLink guide, Parameter Protocol"
-OBSERVED_PX4 = "PX4 1.15, observed in SITL"
-OBSERVED_ARDUPILOT = "ArduCopter 4.5, observed in SITL"
 STRICT = "(stricter than the real one)"
 INT32, REAL32 = 6, 9
 PX4_NAMES = (

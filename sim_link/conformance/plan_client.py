@@ -154,13 +154,18 @@ def require_upload(probe: VehicleProbe, items: Sequence[PlanItem], kind: int = M
     require(result == 0, f"an upload of {len(items)} items of type {kind} gave ACK {result}")
 
 
-def download(probe: VehicleProbe, kind: int = MISSION) -> list[PlanItem]:
-    """A whole download, with the client's ACK at its end."""
+def begin_download(probe: VehicleProbe, kind: int = MISSION) -> int:
+    """MISSION_REQUEST_LIST; how many items there are."""
     mark = probe.mark
     probe.send(mavlink.MAVLink_mission_request_list_message(*probe.target, kind))
-    count = probe.expect(
+    return probe.expect(
         Count, lambda m: m.mission_type == kind, mark=mark, within_s=STEP_TIMEOUT_S
     ).count
+
+
+def download(probe: VehicleProbe, kind: int = MISSION) -> list[PlanItem]:
+    """A whole download, with the client's ACK at its end."""
+    count = begin_download(probe, kind)
     items = [request_item(probe, sequence, kind) for sequence in range(count)]
     finish_download(probe, kind)
     return items

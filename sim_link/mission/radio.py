@@ -22,9 +22,8 @@ from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address, Chunk
 from companion.mav.modes import autopilot_of
 from companion.mav.ranging import message_from_ranging
-from sim_link.autopilot.payload import COMPONENT_ID
+from sim_link.autopilot.payload import COMPONENT_ID, payload_heartbeat
 from sim_link.autopilot.scenario import PayloadParams
-from sim_link.autopilot.status_messages import MAVLINK_VERSION
 from sim_link.world.environment import Environment
 from sim_link.world.radio_channel import ChannelParams, RadioChannel
 from sim_link.world.target import Emitter, EmitterParams
@@ -173,7 +172,7 @@ class RadioFollower:
         self._next_s = now_s + HEARTBEAT_S
         if self._system_id is None:
             return
-        self._send(_heartbeat(), self._link)
+        self._send(payload_heartbeat(), self._link)
         if now_s - self._asked_s < ASK_AGAIN_S:
             return
         self._asked_s = now_s
@@ -217,17 +216,6 @@ class RadioFollower:
     def is_finished(self) -> bool:
         """Whether it was asked to end."""
         return self._is_finished
-
-
-def _heartbeat() -> Message:
-    return mavlink.MAVLink_heartbeat_message(
-        mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
-        mavlink.MAV_AUTOPILOT_INVALID,
-        0,
-        0,
-        mavlink.MAV_STATE_ACTIVE,
-        MAVLINK_VERSION,
-    )
 
 
 def _is_autopilots(message: Message) -> bool:

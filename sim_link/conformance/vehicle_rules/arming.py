@@ -18,6 +18,7 @@ from sim_link.conformance.rules import (
     RuleBook,
     require,
 )
+from sim_link.conformance.sources import OBSERVED_ARDUPILOT, OBSERVED_PX4
 from sim_link.conformance.vehicle_probe import (
     ARM,
     FORCE,
@@ -30,8 +31,6 @@ book = RuleBook(Role.VEHICLE, "arming")
 SERVICE = "MAVLink guide, Command Protocol"
 MODE = "MAVLink common, MAV_CMD_DO_SET_MODE"
 STRICT = "(stricter than the real one, which accepts it)"
-OBSERVED_PX4 = "PX4 1.15, observed in SITL"
-OBSERVED_ARDUPILOT = "ArduCopter 4.5, observed in SITL"
 SET_MODE = mavlink.MAV_CMD_DO_SET_MODE
 
 

@@ -26,6 +26,7 @@ from sim_link.conformance.rules import (
     RuleBook,
     require,
 )
+from sim_link.conformance.sources import OBSERVED_ARDUPILOT, OBSERVED_PX4
 from sim_link.conformance.vehicle_probe import (
     ACK_S,
     NAN,
@@ -38,8 +39,6 @@ MESSAGES = "MAVLink common, MAV_CMD_REQUEST_MESSAGE"
 INTERVALS = "MAVLink common, MAV_CMD_SET_MESSAGE_INTERVAL"
 MODE = "MAVLink common, MAV_CMD_DO_SET_MODE"
 STRICT = "(stricter than the real one, which accepts it)"
-OBSERVED_PX4 = "PX4 1.15, observed in SITL"
-OBSERVED_ARDUPILOT = "ArduCopter 4.5, observed in SITL"
 UNKNOWN_COMMAND = 31_999
 COMMAND_CANCEL_CRC_EXTRA = 14
 REQUEST = mavlink.MAV_CMD_REQUEST_MESSAGE

@@ -22,11 +22,11 @@ from sim_link.conformance.rules import (
     RuleBook,
     require,
 )
+from sim_link.conformance.sources import OBSERVED_ARDUPILOT
 from sim_link.conformance.vehicle_probe import VehicleProbe
 from sim_link.conformance.vehicle_rules.offboard import begin
 
 book = RuleBook(Role.VEHICLE, "failsafes")
-OBSERVED_ARDUPILOT = "ArduCopter 4.5, observed in SITL"
 PX4_SAFETY = "PX4 user guide, Safety Configuration"
 PX4_OFFBOARD = "PX4 user guide, Offboard Mode, COM_OF_LOSS_T"
 FLIES = Effect.FLIES

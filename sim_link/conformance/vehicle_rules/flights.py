@@ -22,6 +22,7 @@ from sim_link.conformance.rules import (
     RuleBook,
     require,
 )
+from sim_link.conformance.sources import OBSERVED_ARDUPILOT, OBSERVED_PX4
 from sim_link.conformance.vehicle_probe import (
     ARM,
     NAN,
@@ -31,8 +32,6 @@ from sim_link.conformance.vehicle_probe import (
 book = RuleBook(Role.VEHICLE, "flights")
 SERVICE = "MAVLink guide, Command Protocol"
 STRICT = "(stricter than the real one, which accepts it)"
-OBSERVED_PX4 = "PX4 1.15, observed in SITL"
-OBSERVED_ARDUPILOT = "ArduCopter 4.5, observed in SITL"
 
 
 @book.rule(

@@ -15,6 +15,7 @@ from sim_link.conformance.rules import (
     RuleBook,
     require,
 )
+from sim_link.conformance.sources import OBSERVED_ARDUPILOT, OBSERVED_PX4
 from sim_link.conformance.station import brief
 from sim_link.conformance.vehicle_probe import (
     ACCEPTED,
@@ -29,8 +30,6 @@ book = RuleBook(Role.VEHICLE, "heartbeat")
 SERVICE = "MAVLink guide, Heartbeat/Connection Protocol"
 PX4_MODES = "PX4 px4_custom_mode.h; MAVSDK px4_custom_mode.h"
 ARDUPILOT_MODES = "ArduPilot ArduCopter/mode.h"
-OBSERVED_PX4 = "PX4 1.15, observed in SITL"
-OBSERVED_ARDUPILOT = "ArduCopter 4.5, observed in SITL"
 COPTERS = (
     mavlink.MAV_TYPE_QUADROTOR,
     mavlink.MAV_TYPE_HEXAROTOR,

@@ -22,12 +22,11 @@ from sim_link.conformance.rules import (
     RuleBook,
     require,
 )
+from sim_link.conformance.sources import OBSERVED_ARDUPILOT, OBSERVED_PX4
 from sim_link.conformance.vehicle_probe import ACCEPTED, ACK_S, NAN, VehicleProbe
 
 book = RuleBook(Role.VEHICLE, "missions")
 SERVICE = "MAVLink guide, Mission Protocol"
-OBSERVED_PX4 = "PX4 1.15, observed in SITL"
-OBSERVED_ARDUPILOT = "ArduCopter 4.5, observed in SITL"
 CHANGES = Effect.CHANGES
 MIN_LIFE_S = 0.5
 Reached = mavlink.MAVLink_mission_item_reached_message
@@ -122,9 +121,7 @@ def items_are_requested_in_order(probe: VehicleProbe) -> None:
 def legacy_request_gets_an_int_item(probe: VehicleProbe) -> None:
     """MISSION_REQUEST is answered by MISSION_ITEM_INT (or the legacy item)."""
     prepare(probe)
-    mark = probe.mark
-    probe.send(mavlink.MAVLink_mission_request_list_message(*probe.target, MISSION))
-    probe.expect(plans.Count, mark=mark)
+    plans.begin_download(probe)
     mark = probe.mark
     probe.send(mavlink.MAVLink_mission_request_message(*probe.target, 1, MISSION))
     answered = probe.run_until(
@@ -143,9 +140,7 @@ def legacy_request_gets_an_int_item(probe: VehicleProbe) -> None:
 def repeated_request_is_answered_again(probe: VehicleProbe) -> None:
     """An item requested twice, because it was lost, is sent twice."""
     prepare(probe)
-    mark = probe.mark
-    probe.send(mavlink.MAVLink_mission_request_list_message(*probe.target, MISSION))
-    probe.expect(plans.Count, mark=mark)
+    plans.begin_download(probe)
     first = plans.request_item(probe, 1, MISSION)
     second = plans.request_item(probe, 1, MISSION)
     plans.finish_download(probe, MISSION)
@@ -217,9 +212,7 @@ def empty_plan_has_count_zero(probe: VehicleProbe) -> None:
 def request_beyond_the_end_is_an_error(probe: VehicleProbe) -> None:
     """A request of an item that there is not is answered by an error, not by an item."""
     prepare(probe)
-    mark = probe.mark
-    probe.send(mavlink.MAVLink_mission_request_list_message(*probe.target, MISSION))
-    probe.expect(plans.Count, mark=mark)
+    plans.begin_download(probe)
     mark = probe.mark
     probe.send(mavlink.MAVLink_mission_request_int_message(*probe.target, 500, MISSION))
     result = plans.await_ack(probe, mark)

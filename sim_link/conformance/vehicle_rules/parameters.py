@@ -8,8 +8,12 @@ import struct
 from companion.mav.dialect import mavlink
 from sim_link.conformance.parameter_client import (
     ANSWER_S,
+    ARDUPILOT_NAMES,
     INT32,
+    PX4_NAMES,
     REAL32,
+    SERVICE,
+    STRICT,
     Error,
     Value,
     await_value,
@@ -29,22 +33,10 @@ from sim_link.conformance.rules import (
     RuleBook,
     require,
 )
+from sim_link.conformance.sources import OBSERVED_ARDUPILOT, OBSERVED_PX4
 from sim_link.conformance.vehicle_probe import NAN, VehicleProbe
 
 book = RuleBook(Role.VEHICLE, "parameters")
-SERVICE = "MAVLink guide, Parameter Protocol"
-OBSERVED_PX4 = "PX4 1.15, observed in SITL"
-OBSERVED_ARDUPILOT = "ArduCopter 4.5, observed in SITL"
-STRICT = "(stricter than the real one)"
-PX4_NAMES = (
-    "MIS_TAKEOFF_ALT",
-    "RTL_RETURN_ALT",
-    "COM_OF_LOSS_T",
-    "COM_OBL_RC_ACT",
-    "MPC_XY_VEL_MAX",
-    "SYS_AUTOSTART",
-)
-ARDUPILOT_NAMES = ("RTL_ALT", "FENCE_ENABLE", "FS_GCS_ENABLE", "GUID_TIMEOUT", "SYSID_MYGCS")
 
 
 @book.rule(SERVICE)

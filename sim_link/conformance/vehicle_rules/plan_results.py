@@ -20,11 +20,11 @@ from sim_link.conformance.rules import (
     RuleBook,
     require,
 )
+from sim_link.conformance.sources import OBSERVED_ARDUPILOT
 from sim_link.conformance.vehicle_probe import NAN, VehicleProbe
 
 book = RuleBook(Role.VEHICLE, "plan_results")
 SERVICE = "MAVLink guide, Mission Protocol"
-OBSERVED_ARDUPILOT = "ArduCopter 4.5, observed in SITL"
 CHANGES = Effect.CHANGES
 
 

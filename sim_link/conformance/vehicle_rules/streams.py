@@ -13,12 +13,11 @@ from sim_link.conformance.rules import (
     Violation,
     require,
 )
+from sim_link.conformance.sources import OBSERVED_ARDUPILOT, OBSERVED_PX4
 from sim_link.conformance.vehicle_probe import ACCEPTED, VehicleProbe
 
 book = RuleBook(Role.VEHICLE, "streams")
 INTERVALS = "MAVLink common, MAV_CMD_SET_MESSAGE_INTERVAL"
-OBSERVED_PX4 = "PX4 1.15, observed in SITL"
-OBSERVED_ARDUPILOT = "ArduCopter 4.5, observed in SITL"
 NEEDED_HZ = {
     "HEARTBEAT": 1.0,
     "SYS_STATUS": 1.0,

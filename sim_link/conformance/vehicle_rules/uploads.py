@@ -21,12 +21,11 @@ from sim_link.conformance.rules import (
     RuleBook,
     require,
 )
+from sim_link.conformance.sources import OBSERVED_ARDUPILOT, OBSERVED_PX4
 from sim_link.conformance.vehicle_probe import NAN, VehicleProbe
 
 book = RuleBook(Role.VEHICLE, "uploads")
 SERVICE = "MAVLink guide, Mission Protocol"
-OBSERVED_PX4 = "PX4 1.15, observed in SITL"
-OBSERVED_ARDUPILOT = "ArduCopter 4.5, observed in SITL"
 CHANGES = Effect.CHANGES
 
 
