@@ -92,9 +92,10 @@ def tests_of(target: Path) -> list[str]:
     folder = place if target.is_dir() else place.parent
     found = sorted(folder.glob("test_*.py"))
     if target.is_file():
-        own = folder / f"test_{target.stem}.py"
+        first = folder / f"test_{target.stem}.py"
+        own = [first, *sorted(folder.glob(f"test_{target.stem}_*.py"))]
         is_guard = target.parent.name == "guard"
-        found = [own, *(path for path in found if path != own)] if is_guard else [own]
+        found = [*own, *(path for path in found if path not in own)] if is_guard else own
     missing = [path for path in found if not path.is_file()]
     if not found or missing:
         raise ConfigError(f"{target.relative_to(ROOT)}: no tests in {folder.relative_to(ROOT)}")

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from tools.mutants import mutants_of
+from tools.mutate_guard import tests_of as chosen_tests
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -101,3 +102,23 @@ def test_a_path_without_a_module_is_refused(path: str) -> None:
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1
     assert "no module of this project" in done.stderr
+
+
+def chosen_names(module: str) -> list[str]:
+    return [Path(name).name for name in chosen_tests(ROOT / module)]
+
+
+def test_a_module_of_the_guard_meets_its_own_tests_first_and_then_the_others() -> None:
+    names = chosen_names("companion/guard/gate.py")
+    own = [name for name in names if name.startswith("test_gate")]
+    assert own[0] == "test_gate.py"
+    assert len(own) > 1
+    assert names[: len(own)] == own
+    assert {"test_fence.py", "test_stopping.py"} <= set(names[len(own) :])
+
+
+def test_another_module_meets_all_of_its_own_tests() -> None:
+    names = chosen_names("companion/mav/signing.py")
+    assert names[0] == "test_signing.py"
+    assert "test_signing_keys.py" in names
+    assert all(name.startswith("test_signing") for name in names)

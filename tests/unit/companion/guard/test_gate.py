@@ -11,54 +11,21 @@ from itertools import pairwise
 
 import pytest
 
-from companion.geometry.polygons import Point
-from companion.guard.envelope import Envelope
 from companion.guard.fence import Fence
-from companion.guard.gate import Guard, Guarded, GuardLimits, GuardReason, Motion, Position
-from companion.guard.reserve import Reserve
-from companion.guard.stopping import Stopping
-
-SQUARE = Fence(((-100.0, -100.0), (100.0, -100.0), (100.0, 100.0), (-100.0, 100.0)), 5.0)
-ENVELOPE = Envelope(
-    altitude_min_m=5.0,
-    altitude_max_m=60.0,
-    speed_mps=5.0,
-    climb_mps=2.0,
-    acceleration_mps2=2.0,
-    step_m=8.0,
+from companion.guard.gate import Guard, Guarded, GuardReason, Motion
+from tests.unit.companion.guard.gate_helpers import (
+    ENVELOPE,
+    GUARD,
+    HIGH_M,
+    HOME,
+    LIMITS,
+    LOW_M,
+    SQUARE,
+    START,
+    STOPPING,
+    flown,
+    motion,
 )
-STOPPING = Stopping(latency_s=0.5, deceleration_mps2=2.0, navigation_sigma_m=1.0)
-LIMITS = GuardLimits(SQUARE, ENVELOPE, STOPPING)
-GUARD = Guard(LIMITS)
-HOME = (0.0, 0.0, 10.0)
-LOW_M, HIGH_M = 18.0, 67.0
-"""The band above home, 3 sigma from both of its ends."""
-START = (0.0, 0.0, 30.0)
-
-
-def motion(
-    place: Position, velocity: Position = (0.0, 0.0, 0.0), battery_pct: float | None = None
-) -> Motion:
-    return Motion(place, velocity, HOME, battery_pct)
-
-
-def flown(
-    goal: Position,
-    *,
-    start: Position = START,
-    ticks: int = 1000,
-    dt_s: float = 0.1,
-    guard: Guard = GUARD,
-    battery_pct: float | None = None,
-    cap_mps: float = math.inf,
-) -> list[Guarded]:
-    """A vehicle that is always where its setpoint is, and moves like it."""
-    steps = [Guarded(start)]
-    for _ in range(ticks):
-        last = steps[-1]
-        now = Motion(last.position_enu_m, last.velocity_enu_mps, HOME, battery_pct)
-        steps.append(guard.towards(goal, last, now, dt_s, cap_mps))
-    return steps
 
 
 class TestTheWayToAGoal:
@@ -338,166 +305,6 @@ class TestHere:
         assert guarded.position_enu_m == pytest.approx((95.0, 0.0, LOW_M), abs=1e-5)
         assert set(guarded.reasons) == {GuardReason.OUTSIDE, GuardReason.ALTITUDE}
         assert guarded.velocity_enu_mps == (0.0, 0.0, 0.0)
-
-
-class TestAVehicleInTrouble:
-    @pytest.mark.parametrize("out_m", [1.0, 5.0, 15.0, 50.0, 900.0])
-    def test_outside_only_the_shortest_way_back_is_flown(self, out_m: float) -> None:
-        vehicle = motion((100.0 + out_m, 20.0, 30.0))
-        for goal in ((500.0, 20.0, 30.0), (0.0, 0.0, 30.0), (100.0, 90.0, 30.0)):
-            for last in (Guarded((95.0, 20.0, 30.0)), GUARD.here(vehicle), Guarded(START)):
-                guarded = GUARD.towards(goal, last, vehicle, 0.1)
-                assert guarded.position_enu_m == pytest.approx((95.0, 20.0, 30.0), abs=1e-5)
-                assert guarded.reasons == (GuardReason.OUTSIDE,)
-
-    def test_within_the_margin_it_is_inside_while_three_sigma_are_kept(self) -> None:
-        last = Guarded((95.0, 0.0, 30.0))
-        drifted = GUARD.towards((0.0, 0.0, 30.0), last, motion((97.0, 0.0, 30.0)), 0.1)
-        assert drifted.reasons == (GuardReason.LAGGING,)
-        pushed = GUARD.towards((0.0, 0.0, 30.0), last, motion((97.1, 0.0, 30.0)), 0.1)
-        assert pushed.reasons == (GuardReason.OUTSIDE,)
-
-    @pytest.mark.parametrize(("speed_mps", "is_too_fast"), [(3.9, False), (4.1, True)])
-    def test_too_fast_to_stop_it_brakes_where_it_is(
-        self, speed_mps: float, is_too_fast: bool
-    ) -> None:
-        """At 4 m/s it needs 2 + 4 + 3 m: from 91 m on it is too fast."""
-        last = Guarded((94.0, 0.0, 30.0), (), (1.0, 0.0, 0.0))
-        fast = motion((91.0, 0.0, 31.0), (speed_mps, 0.0, 0.0))
-        guarded = GUARD.towards((94.0, 0.0, 30.0), last, fast, 0.1)
-        if is_too_fast:
-            assert guarded == Guarded((91.0, 0.0, 31.0), (GuardReason.TOO_FAST,))
-        else:
-            assert GuardReason.TOO_FAST not in guarded.reasons
-
-    @pytest.mark.parametrize("turn", [0, 1, 2, 3])
-    def test_a_setpoint_that_a_fast_vehicle_has_passed_stays(self, turn: int) -> None:
-        """It brakes hardest towards what lies behind it."""
-
-        def turned(place: Point) -> Point:
-            for _ in range(turn):
-                place = (-place[1], place[0])
-            return place
-
-        fast = motion((*turned((91.0, 3.0)), 31.0), (*turned((8.0, 2.0)), 0.0))
-        behind = Guarded((*turned((90.0, 3.0)), 30.0), (), (1.0, 0.0, 0.0))
-        kept = GUARD.towards((0.0, 0.0, 30.0), behind, fast, 0.1)
-        assert kept == Guarded(behind.position_enu_m, (GuardReason.TOO_FAST,))
-        beside = Guarded((*turned((90.0, 7.0)), 30.0))
-        assert GUARD.towards((0.0, 0.0, 30.0), beside, fast, 0.1).position_enu_m == (
-            beside.position_enu_m
-        )
-        ahead = Guarded((*turned((90.0, 7.1)), 30.0))
-        anew = GUARD.towards((0.0, 0.0, 30.0), ahead, fast, 0.1)
-        assert anew == Guarded(fast.position_enu_m, (GuardReason.TOO_FAST,))
-
-    def test_only_a_vehicle_that_is_too_fast_leaves_its_setpoint_behind(self) -> None:
-        """A jump forwards is still a jump."""
-        away = motion((60.0, 0.0, 30.0), (1.0, 0.0, 0.0))
-        assert GUARD.towards(START, Guarded(START), away, 0.1).position_enu_m == (60.0, 0.0, 30.0)
-
-    def test_a_climb_takes_no_room_from_the_way_to_stop(self) -> None:
-        """4 m/s need 6 m of the 6.1 m to 3 sigma before the fence."""
-        place, climbing = (90.9, 0.0, 30.0), (4.0, 0.0, 2.0)
-        guarded = GUARD.towards((0.0, 0.0, 30.0), Guarded(place), motion(place, climbing), 0.1)
-        assert GuardReason.TOO_FAST not in guarded.reasons
-
-    def test_a_setpoint_that_a_new_fence_forbids_begins_anew_at_the_vehicle(self) -> None:
-        """It is in the margin, where the vehicle itself might be."""
-        place = (90.0, 0.0, 30.0)
-        anew = GUARD.towards((0.0, 0.0, 30.0), Guarded((96.0, 0.0, 30.0)), motion(place), 0.1)
-        assert anew == Guarded(place, (GuardReason.CUT_OFF,))
-
-
-HOUSE = ((10.0, -20.0), (20.0, -20.0), (20.0, 20.0), (10.0, 20.0))
-
-
-class TestKeepOuts:
-    GUARD = Guard(replace(LIMITS, fence=Fence(SQUARE.polygon_enu_m, 5.0, (HOUSE,))))
-
-    def test_the_straight_way_from_the_vehicle_must_be_free(self) -> None:
-        """Round the corner of a house the setpoint waits until the vehicle has turned it."""
-        last = Guarded((8.0, 25.1, 30.0))
-        goal = (40.0, 25.1, 30.0)
-        behind = self.GUARD.towards(goal, last, motion((5.0, 20.0, 30.0)), 0.1)
-        assert behind.position_enu_m[0] > 8.0
-        last = Guarded((9.3, 25.1, 30.0))
-        behind = self.GUARD.towards(goal, last, motion((6.5, 19.8, 30.0)), 0.1)
-        assert behind.position_enu_m == (9.3, 25.1, 30.0)
-        assert GuardReason.CUT_OFF in behind.reasons
-        turned = self.GUARD.towards(goal, last, motion((7.0, 25.1, 30.0)), 0.1)
-        assert turned.position_enu_m[0] > 9.3
-
-    def test_a_vehicle_pushed_behind_a_corner_starts_anew_where_it_is(self) -> None:
-        last = Guarded((15.0, 25.1, 30.0), (), (1.0, 0.0, 0.0))
-        pushed = motion((6.5, 18.0, 31.0))
-        anew = self.GUARD.towards((40.0, 25.1, 30.0), last, pushed, 0.1)
-        assert anew.position_enu_m == pytest.approx((5.0, 18.0, 31.0), abs=1e-5)
-        assert anew.reasons == (GuardReason.CUT_OFF,)
-        assert anew.velocity_enu_mps == (0.0, 0.0, 0.0)
-
-    def test_the_way_is_looked_at_from_where_the_setpoint_will_find_the_vehicle(self) -> None:
-        """At 4 m/s southwards the vehicle is 2 m farther behind the house after the latency."""
-        last = Guarded((9.0, 25.1, 30.0))
-        place = (6.5, 20.2, 30.0)
-        still = self.GUARD.towards((40.0, 25.1, 30.0), last, motion(place), 0.1)
-        assert still.position_enu_m[0] > 9.0
-        moving = motion(place, (0.0, -4.0, 0.0))
-        kept = self.GUARD.towards((40.0, 25.1, 30.0), last, moving, 0.1)
-        assert kept.position_enu_m == (9.0, 25.1, 30.0)
-        assert GuardReason.CUT_OFF in kept.reasons
-
-    def test_and_from_where_it_is_now(self) -> None:
-        """At 4 m/s northwards it will be past the corner, but a frame may come early."""
-        last = Guarded((9.3, 25.1, 30.0))
-        kept = self.GUARD.towards(
-            (40.0, 25.1, 30.0), last, motion((6.5, 19.8, 30.0), (0.0, 4.0, 0.0)), 0.1
-        )
-        assert kept.position_enu_m == last.position_enu_m
-        assert GuardReason.CUT_OFF in kept.reasons
-
-
-class TestTheWayHome:
-    def test_a_leash_is_not_left(self) -> None:
-        guard = Guard(replace(LIMITS, distance_home_m=40.0))
-        steps = flown((90.0, 0.0, 30.0), guard=guard)
-        assert steps[-1].position_enu_m == pytest.approx((40.0, 0.0, 30.0), abs=1e-6)
-        assert max(step.position_enu_m[0] for step in steps) <= 40.0 + 1e-9
-        assert steps[-1].reasons == (GuardReason.LEASH,)
-        assert flown((0.0, 40.0, 30.0), guard=guard)[-1].reasons == ()
-
-    @pytest.mark.parametrize("value", [0.0, -1.0, math.nan])
-    def test_a_leash_of_nothing_is_refused(self, value: float) -> None:
-        with pytest.raises(ValueError, match=r"^distance_home_m: must be above 0$"):
-            replace(LIMITS, distance_home_m=value)
-
-    def test_a_short_leash_is_one(self) -> None:
-        assert replace(LIMITS, distance_home_m=0.5).distance_home_m == 0.5
-
-    LOW = Guard(replace(LIMITS, reserve=Reserve(20.0, 100.0)))
-
-    def test_a_battery_that_reaches_no_farther_is_the_end_of_the_way_out(self) -> None:
-        steps = flown((90.0, 0.0, 30.0), guard=self.LOW, battery_pct=25.0)
-        assert steps[-1].position_enu_m == pytest.approx((50.0, 0.0, 30.0), abs=1e-6)
-        assert steps[-1].reasons == (GuardReason.BATTERY,)
-
-    def test_there_is_always_a_way_back(self) -> None:
-        steps = flown((0.0, 0.0, 30.0), start=(90.0, 0.0, 30.0), guard=self.LOW, battery_pct=5.0)
-        assert all(not step.reasons for step in steps)
-        assert steps[-1].position_enu_m == pytest.approx(START, abs=1e-6)
-
-    def test_an_unknown_battery_goes_no_farther_and_says_so(self) -> None:
-        last = flown((90.0, 0.0, 30.0), start=(10.0, 0.0, 30.0), guard=self.LOW, ticks=50)[-1]
-        assert last == Guarded((10.0, 0.0, 30.0), (GuardReason.BATTERY_UNKNOWN,))
-
-    def test_the_nearer_of_leash_and_battery_counts(self) -> None:
-        guard = Guard(replace(LIMITS, reserve=Reserve(20.0, 100.0), distance_home_m=40.0))
-        assert flown((90.0, 0.0, 30.0), guard=guard, battery_pct=90.0)[-1].reasons == (
-            GuardReason.LEASH,
-        )
-        both = flown((90.0, 0.0, 30.0), guard=guard, battery_pct=22.0)[-1]
-        assert both.reasons == (GuardReason.LEASH, GuardReason.BATTERY)
-        assert both.position_enu_m[0] == pytest.approx(20.0, abs=1e-6)
 
 
 class TestLimits:

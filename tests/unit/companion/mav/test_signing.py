@@ -2,83 +2,33 @@
 
 from __future__ import annotations
 
-import hashlib
-from types import SimpleNamespace
-from typing import Any
-
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pymavlink import mavutil
 
-from companion.errors import ConfigError, LocalProtocolError
+from companion.errors import LocalProtocolError
 from companion.mav.codec import CRC_EXTRA_BY_ID, MavCodec
-from companion.mav.dialect import Message, mavlink
-from companion.mav.framing import frame_crc, message_id, without_signature
+from companion.mav.dialect import mavlink
+from companion.mav.framing import without_signature
 from companion.mav.signing import (
-    EPOCH_UNIX_S,
-    MAX_BEHIND,
     MAX_HEARD,
-    MAX_STREAMS,
     MAX_TIMESTAMP,
-    ONE_LINK_EACH,
     LinkSigning,
     Signing,
-    SigningKey,
-    Stream,
     Verdict,
-    is_secret,
     is_signed,
-    setup_from,
     timestamp_at,
 )
-
-SECRET = bytes(range(1, 33))
-KEY = SigningKey(SECRET)
-OTHER_KEY = SigningKey(bytes(range(2, 34)))
-NOW = 37_000_000_000_000
-MAX_AHEAD = 6_000_000
-"""A minute."""
-
-
-def heartbeat(mark: int = 1) -> Message:
-    return mavlink.MAVLink_heartbeat_message(2, 12, 0, mark, 4, 3)
-
-
-def unsigned(mark: int = 1, system: int = 255, component: int = 190) -> bytes:
-    return MavCodec(system, component).encode(heartbeat(mark))
-
-
-def signed(
-    timestamp: int,
-    key: SigningKey = KEY,
-    *,
-    link_id: int = 3,
-    system: int = 255,
-    component: int = 190,
-    message: Message | None = None,
-) -> bytes:
-    """A frame that `key` signs with exactly this timestamp, by the letter of the guide."""
-    frame = bytearray(MavCodec(system, component).encode(message or heartbeat()))
-    frame[2] |= 1
-    crc = frame_crc(bytes(frame), CRC_EXTRA_BY_ID[message_id(bytes(frame))])
-    frame[-2:] = crc.to_bytes(2, "little")
-    frame += bytes((link_id,)) + timestamp.to_bytes(6, "little")
-    return bytes(frame) + hashlib.sha256(key.secret + bytes(frame)).digest()[:6]
-
-
-def receiver(timestamp: int = NOW) -> Signing:
-    return Signing(KEY, timestamp)
-
-
-def pymavlink_end(
-    secret: bytes = SECRET, timestamp: int = NOW, *, link_id: int = 0
-) -> mavlink.MAVLink:
-    mav = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
-    mavfile: Any = SimpleNamespace(mav=mav)
-    mavutil.mavfile.setup_signing(mavfile, secret, True, None, timestamp, link_id)  # type: ignore[no-untyped-call]
-    return mav
-
+from tests.unit.companion.mav.signing_helpers import (
+    KEY,
+    NOW,
+    OTHER_KEY,
+    heartbeat,
+    pymavlink_end,
+    receiver,
+    signed,
+    unsigned,
+)
 
 # What is accepted
 
@@ -109,148 +59,6 @@ def test_signing_sets_its_own_flag_and_leaves_the_others() -> None:
     frame[3] = 0x08
     ours = Signing(KEY, NOW).sign(bytes(frame), 3, CRC_EXTRA_BY_ID[0])
     assert (ours[2], ours[3]) == (0x01, 0x08)
-
-
-# Replay
-
-
-@settings(deadline=None)
-@given(steps=st.lists(st.integers(-50, 50), min_size=1, max_size=40))
-def test_a_stream_is_believed_only_while_its_timestamps_rise(steps: list[int]) -> None:
-    signing, timestamp, newest = receiver(), NOW, 0
-    for step in steps:
-        timestamp += step
-        verdict = signing.verify(signed(timestamp))
-        assert verdict is (Verdict.SIGNED if timestamp > newest else Verdict.REPLAYED)
-        newest = max(newest, timestamp)
-    assert signing.timestamp == max(NOW, newest)
-
-
-def test_a_recorded_frame_is_refused_the_second_time() -> None:
-    signing, frame = receiver(), signed(NOW)
-    assert [signing.verify(frame) for _ in range(2)] == [Verdict.SIGNED, Verdict.REPLAYED]
-
-
-@pytest.mark.parametrize(
-    ("link_id", "system", "component"), [(4, 255, 190), (3, 254, 190), (3, 255, 191)]
-)
-def test_a_stream_is_system_component_and_link(link_id: int, system: int, component: int) -> None:
-    signing = receiver()
-    signing.verify(signed(NOW + 9))
-    other = signed(NOW, link_id=link_id, system=system, component=component)
-    assert signing.verify(other) is Verdict.SIGNED
-
-
-@pytest.mark.parametrize(
-    ("behind", "verdict"),
-    [(0, Verdict.SIGNED), (MAX_BEHIND, Verdict.SIGNED), (MAX_BEHIND + 1, Verdict.TOO_OLD)],
-)
-def test_a_new_stream_may_be_a_minute_behind_and_no_more(behind: int, verdict: Verdict) -> None:
-    assert receiver().verify(signed(NOW - behind)) is verdict
-
-
-def test_a_stream_refused_as_too_old_leaves_no_trace() -> None:
-    signing = receiver()
-    signing.verify(signed(NOW - MAX_BEHIND - 1))
-    assert signing.verify(signed(NOW - MAX_BEHIND)) is Verdict.SIGNED
-
-
-def test_after_a_restart_the_stored_timestamp_keeps_old_frames_out() -> None:
-    frame = signed(NOW)
-    before = receiver()
-    before.verify(frame)
-    later = Signing(KEY, before.timestamp + MAX_BEHIND + 1)
-    assert later.verify(frame) is Verdict.TOO_OLD
-
-
-def test_no_frame_is_accepted_again_however_many_streams_there_are() -> None:
-    signing = receiver()
-    frames = [
-        signed(NOW, system=1 + n % 255, component=1 + n // 255 % 255)
-        for n in range(MAX_STREAMS + 3)
-    ]
-    first = [signing.verify(frame) for frame in frames]
-    assert first == [Verdict.SIGNED] * MAX_STREAMS + [Verdict.TOO_MANY_STREAMS] * 3
-    assert not any(signing.verify(frame).is_accepted for frame in frames)
-
-
-def test_there_is_room_for_sixteen_streams() -> None:
-    signing = receiver()
-    verdicts = [signing.verify(signed(NOW, link_id=n)) for n in range(17)]
-    assert verdicts == [Verdict.SIGNED] * 16 + [Verdict.TOO_MANY_STREAMS]
-
-
-def test_every_verdict_is_counted() -> None:
-    signing = receiver()
-    for frame in (signed(NOW), signed(NOW), signed(NOW, OTHER_KEY), unsigned(), unsigned()):
-        signing.verify(frame)
-    counted = {verdict: count for verdict, count in signing.verdicts.items() if count}
-    assert counted == {
-        Verdict.SIGNED: 1,
-        Verdict.REPLAYED: 1,
-        Verdict.BAD_SIGNATURE: 1,
-        Verdict.UNSIGNED: 2,
-    }
-
-
-# Stricter than the guide
-
-
-def companion(timestamp: int = NOW, streams: dict[Stream, int] | None = None) -> Signing:
-    return Signing(KEY, timestamp, streams, ONE_LINK_EACH)
-
-
-def test_a_frame_recorded_on_another_link_of_its_sender_is_a_replay() -> None:
-    recorded = signed(NOW - 100, link_id=1)
-    by_the_guide, strict = receiver(), companion()
-    for signing in (by_the_guide, strict):
-        assert signing.verify(signed(NOW, link_id=0)) is Verdict.SIGNED
-    assert by_the_guide.verify(recorded) is Verdict.SIGNED
-    assert strict.verify(recorded) is Verdict.REPLAYED
-    assert strict.verify(signed(NOW + 1, link_id=1)) is Verdict.SIGNED
-
-
-@pytest.mark.parametrize(
-    ("ahead", "verdict"),
-    [(MAX_AHEAD, Verdict.SIGNED), (MAX_AHEAD + 1, Verdict.TOO_FAR_AHEAD)],
-)
-def test_a_peer_may_be_a_minute_ahead_and_no_more(ahead: int, verdict: Verdict) -> None:
-    assert companion().verify(signed(NOW + ahead)) is verdict
-    assert receiver().verify(signed(NOW + ahead)) is Verdict.SIGNED
-
-
-def test_a_sender_far_ahead_moves_nothing_and_is_heard_again_once_it_is_right() -> None:
-    signing = companion()
-    signing.verify(signed(NOW))
-    assert signing.verify(signed(MAX_TIMESTAMP)) is Verdict.TOO_FAR_AHEAD
-    assert signing.timestamp == NOW
-    assert signing.verify(signed(NOW + 1)) is Verdict.SIGNED
-
-
-def test_peers_cannot_push_our_clock_ahead_minute_by_minute() -> None:
-    signing = companion()
-    assert signing.verify(signed(NOW + MAX_AHEAD)) is Verdict.SIGNED
-    assert signing.verify(signed(NOW + 2 * MAX_AHEAD)) is Verdict.TOO_FAR_AHEAD
-
-
-def test_ahead_is_ahead_of_the_clock_as_it_goes_on() -> None:
-    signing = companion(timestamp=0)
-    unix_s = EPOCH_UNIX_S + (NOW - 1000) / 1e5
-    assert signing.verify(signed(NOW)) is Verdict.TOO_FAR_AHEAD
-    signing.advance(unix_s)
-    assert signing.verify(signed(NOW)) is Verdict.SIGNED
-    signing.advance(0.0)
-    assert signing.verify(signed(NOW + 1)) is Verdict.SIGNED
-
-
-def test_streams_that_were_stored_keep_their_recorded_frames_out_after_a_restart() -> None:
-    before = companion()
-    recorded = [signed(NOW + n) for n in range(3)]
-    for frame in recorded:
-        assert before.verify(frame).is_accepted
-    after = companion(before.timestamp, dict(before.streams))
-    assert [after.verify(frame) for frame in recorded] == [Verdict.REPLAYED] * 3
-    assert after.verify(signed(NOW + 3)) is Verdict.SIGNED
 
 
 # Forged timestamps
@@ -419,49 +227,3 @@ def test_pymavlink_with_another_key_is_not_believed_either_way() -> None:
     assert ours.decode(bytes(heartbeat().pack(mav))) == []
     with pytest.raises(mavlink.MAVError):
         mav.decode(bytearray(ours.encode(heartbeat())))
-
-
-# Keys and their setting up
-
-
-def setup_message(system: int = 1, component: int = 1, secret: bytes = SECRET) -> Message:
-    message = mavlink.MAVLink_setup_signing_message(system, component, list(secret), NOW)
-    (decoded,) = MavCodec(1, 1).decode(MavCodec(255, 190).encode(message))
-    return decoded
-
-
-def test_a_key_is_taken_over_a_trusted_link() -> None:
-    setup = setup_from(setup_message(), 1, 1, is_trusted_link=True)
-    assert setup is not None
-    assert (setup.key, setup.initial_timestamp) == (KEY, NOW)
-
-
-def test_a_key_of_zeros_ends_signing() -> None:
-    setup = setup_from(setup_message(secret=bytes(32)), 1, 1, is_trusted_link=True)
-    assert setup is not None
-    assert (setup.key, setup.initial_timestamp) == (None, 0)
-
-
-@pytest.mark.parametrize(("system", "component"), [(0, 0), (1, 0), (0, 1), (2, 1), (1, 191)])
-def test_a_key_that_was_broadcast_or_is_for_another_is_ignored(system: int, component: int) -> None:
-    assert setup_from(setup_message(system, component), 1, 1, is_trusted_link=True) is None
-
-
-def test_a_key_over_an_open_link_is_ignored() -> None:
-    assert setup_from(setup_message(), 1, 1, is_trusted_link=False) is None
-
-
-def test_only_setup_signing_is_secret() -> None:
-    assert is_secret(MavCodec(255, 190).encode(setup_message()))
-    assert not is_secret(unsigned())
-
-
-def test_a_key_does_not_show_itself() -> None:
-    assert SECRET.hex() not in repr(KEY) + str(KEY)
-    assert repr(SECRET) not in repr(KEY)
-
-
-@pytest.mark.parametrize("secret", [b"", bytes(31), bytes(33), bytes(32)])
-def test_a_key_of_a_wrong_length_or_of_zeros_is_refused(secret: bytes) -> None:
-    with pytest.raises(ConfigError):
-        SigningKey(secret)

@@ -1,0 +1,19 @@
+"""Every filter, in every variant."""
+
+from __future__ import annotations
+
+import pytest
+
+from companion.estimation.filter_params import FilterParams
+from sim_link.evaluation.hostile import MakeFilter
+from tests.contract.filter_helpers import FILTERS, VARIANTS
+
+
+@pytest.fixture(params=VARIANTS)
+def params(request: pytest.FixtureRequest) -> FilterParams:
+    return VARIANTS[request.param]
+
+
+@pytest.fixture(params=FILTERS)
+def make(request: pytest.FixtureRequest) -> MakeFilter:
+    return FILTERS[request.param]

@@ -1,0 +1,132 @@
+"""What the tests of the shell share: an endpoint that echoes, and a world that waits for it."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+import socket
+from collections.abc import Awaitable, Callable
+
+from companion.io.clock import Clock
+from companion.io.links import (
+    LinkSpec,
+)
+from companion.io.shell import Shell
+from companion.io.tcp_server import TcpServerLink
+from companion.io.udp import UdpLink
+from companion.mav.codec import MavCodec
+from companion.mav.dialect import mavlink
+from companion.mav.endpoint import Chunk
+
+TIMEOUT_S = 10.0
+
+
+class EchoEndpoint:
+    """Understands messages per link, returns each to its sender, and ticks every 10 ms."""
+
+    def __init__(self, *, finishes: bool = True) -> None:
+        self.marks: list[int] = []
+        """custom_mode of every HEARTBEAT understood."""
+        self.ticks_s: list[float] = []
+        self.stops_s: list[float] = []
+        self.is_finished = False
+        self._finishes = finishes
+        self._codecs: dict[int, MavCodec] = {}
+        self._output: list[Chunk] = []
+        self._due_s = 0.0
+
+    def receive(self, chunk: Chunk, now_s: float) -> None:
+        assert now_s >= 0.0
+        codec = self._codecs.setdefault(chunk.link, MavCodec(1, 191))
+        for message in codec.decode(chunk.data, is_datagram=chunk.is_datagram):
+            if message.get_type() == "HEARTBEAT":
+                self.marks.append(int(message.to_dict()["custom_mode"]))
+            self._output.append(Chunk(chunk.link, codec.encode(message), chunk.peer))
+
+    def say(self, chunk: Chunk) -> None:
+        self._output.append(chunk)
+
+    def handle_timer(self, now_s: float) -> None:
+        self.ticks_s.append(now_s)
+        self._due_s = now_s + 0.01
+
+    def next_timer_s(self) -> float:
+        return self._due_s
+
+    def take_output(self) -> list[Chunk]:
+        output, self._output = self._output, []
+        return output
+
+    def request_stop(self, now_s: float) -> None:
+        self.stops_s.append(now_s)
+        self.is_finished = self._finishes
+
+
+def heartbeat(mark: int) -> bytes:
+    return MavCodec(2, 1).encode(mavlink.MAVLink_heartbeat_message(2, 12, 0, mark, 4, 3))
+
+
+def marks_in(data: bytes) -> list[int]:
+    messages = MavCodec(9, 9).decode(data, is_datagram=False)
+    return [int(message.to_dict()["custom_mode"]) for message in messages]
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    async with asyncio.timeout(TIMEOUT_S):
+        while not condition():
+            await asyncio.sleep(0.002)
+
+
+async def received(shell: Shell, count: int) -> None:
+    await until(lambda: shell.links[0].counters.received >= count)
+
+
+async def lost(shell: Shell, count: int) -> None:
+    await until(lambda: shell.links[0].counters.reconnects == count)
+
+
+async def understood(endpoint: EchoEndpoint, mark: int) -> None:
+    await until(lambda: mark in endpoint.marks)
+
+
+def drive(
+    endpoint: EchoEndpoint, links: list[LinkSpec], scene: Callable[[Shell], Awaitable[None]]
+) -> Shell:
+    """Run a shell while `scene` plays the rest of the world, then stop it."""
+
+    async def play() -> Shell:
+        shell = Shell(endpoint, links, Clock())
+        running = asyncio.create_task(shell.run())
+        try:
+            await until(lambda: bool(endpoint.ticks_s) or running.done())
+            await scene(shell)
+        finally:
+            shell.request_stop()
+            await running
+        return shell
+
+    return asyncio.run(play())
+
+
+def port_of(shell: Shell, index: int = 0) -> int:
+    link = shell.links[index]
+    assert isinstance(link, UdpLink | TcpServerLink)
+    return link.local_address[1]
+
+
+async def heard(peer: socket.socket) -> bytes:
+    async with asyncio.timeout(TIMEOUT_S):
+        return await asyncio.get_running_loop().sock_recv(peer, 65535)
+
+
+def garbage(rng: random.Random) -> bytes:
+    frame = heartbeat(rng.randrange(1 << 32))
+    match rng.randrange(4):
+        case 0:
+            return frame[: rng.randrange(1, len(frame))]
+        case 1:
+            return rng.choice((b"\xfd", b"\xfe")) + rng.randbytes(rng.randrange(40))
+        case 2:
+            at = rng.randrange(len(frame))
+            return frame[:at] + bytes((frame[at] ^ 1 << rng.randrange(8),)) + frame[at + 1 :]
+    return rng.randbytes(rng.randrange(300))

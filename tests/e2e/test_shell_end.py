@@ -1,0 +1,122 @@
+"""How a run of the shell ends: by itself, by signals, by a bug."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import threading
+import time
+
+import pytest
+
+from companion.io.clock import Clock
+from companion.io.links import (
+    UdpBind,
+)
+from companion.io.shell import Shell
+from tests.e2e.shell_helpers import TIMEOUT_S, EchoEndpoint
+
+
+def test_a_finished_endpoint_ends_the_run() -> None:
+    endpoint = EchoEndpoint()
+    wakeups: list[float] = []
+
+    def on_wakeup(now_s: float) -> None:
+        wakeups.append(now_s)
+        endpoint.is_finished = len(wakeups) == 5
+
+    Shell(endpoint, [], Clock(speed=10.0), on_wakeup).run_blocking()
+    assert wakeups == sorted(wakeups)
+    assert len(endpoint.ticks_s) == 5
+    assert endpoint.stops_s == []
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_asks_the_endpoint_to_stop(number: signal.Signals) -> None:
+    def own_handler(*_: object) -> None: ...
+
+    before = signal.signal(number, own_handler)
+    endpoint = EchoEndpoint()
+
+    def on_wakeup(_: float) -> None:
+        if len(endpoint.ticks_s) == 3 and not endpoint.stops_s:
+            os.kill(os.getpid(), number)
+
+    try:
+        Shell(endpoint, [], Clock(), on_wakeup).run_blocking()
+        assert signal.getsignal(number) is own_handler
+    finally:
+        signal.signal(number, before)
+    assert len(endpoint.stops_s) == 1
+
+
+@pytest.mark.parametrize(
+    ("again_s", "least_s", "most_s"),
+    [([0.05, 0.2], 1.4, 2.5), ([0.5], 0.4, 1.2), ([0.1, 0.5], 0.4, 1.2)],
+    ids=["at once", "later", "both"],
+)
+def test_a_second_signal_ends_at_once_if_it_is_not_the_echo_of_the_first(
+    again_s: list[float], least_s: float, most_s: float
+) -> None:
+    """timeout(1) signals the process, and then its group: within 0.3 s that is one wish."""
+    endpoint = EchoEndpoint(finishes=False)
+    signals_s = [0.0, *again_s]
+    started_s = time.monotonic()
+
+    def on_wakeup(_: float) -> None:
+        if signals_s and time.monotonic() - started_s >= signals_s[0]:
+            signals_s.pop(0)
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    Shell(endpoint, [], Clock(), on_wakeup).run_blocking()
+    assert least_s < time.monotonic() - started_s < most_s
+    assert len(endpoint.stops_s) == 1
+
+
+def test_an_endpoint_that_never_finishes_is_cut_off() -> None:
+    endpoint = EchoEndpoint(finishes=False)
+    shell = Shell(endpoint, [], Clock())
+    shell.request_stop()
+    started_s = time.monotonic()
+    asyncio.run(shell.run())
+    assert 1.4 < time.monotonic() - started_s < 2.5
+    assert len(endpoint.stops_s) == 1
+    assert len(endpoint.ticks_s) > 50
+
+
+def test_a_shell_runs_and_stops_outside_the_main_thread() -> None:
+    endpoint = EchoEndpoint()
+    shell = Shell(endpoint, [UdpBind("127.0.0.1", 0)], Clock())
+    thread = threading.Thread(target=lambda: asyncio.run(shell.run()))
+    thread.start()
+    while not endpoint.ticks_s:
+        time.sleep(0.002)
+    shell.request_stop()
+    thread.join(TIMEOUT_S)
+    assert not thread.is_alive()
+    assert len(endpoint.stops_s) == 1
+    shell.request_stop()
+
+
+def test_a_bug_in_the_endpoint_ends_the_run_with_its_exception() -> None:
+    class Broken(EchoEndpoint):
+        def handle_timer(self, now_s: float) -> None:
+            raise ZeroDivisionError(f"at {now_s >= 0}")
+
+    with pytest.raises(ZeroDivisionError):
+        Shell(Broken(), [UdpBind("127.0.0.1", 0)], Clock()).run_blocking()
+
+
+def test_an_endpoint_that_is_always_late_does_not_take_the_processor() -> None:
+    class Late(EchoEndpoint):
+        def next_timer_s(self) -> float:
+            return 0.0
+
+    endpoint = Late()
+
+    def on_wakeup(now_s: float) -> None:
+        endpoint.is_finished = now_s > 0.2
+
+    Shell(endpoint, [], Clock(), on_wakeup).run_blocking()
+    assert len(endpoint.ticks_s) <= 250

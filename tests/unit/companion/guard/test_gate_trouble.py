@@ -1,0 +1,78 @@
+"""The guard with a vehicle that is where it must not be."""
+
+from __future__ import annotations
+
+import pytest
+
+from companion.geometry.polygons import Point
+from companion.guard.gate import Guarded, GuardReason
+from tests.unit.companion.guard.gate_helpers import GUARD, START, motion
+
+
+class TestAVehicleInTrouble:
+    @pytest.mark.parametrize("out_m", [1.0, 5.0, 15.0, 50.0, 900.0])
+    def test_outside_only_the_shortest_way_back_is_flown(self, out_m: float) -> None:
+        vehicle = motion((100.0 + out_m, 20.0, 30.0))
+        for goal in ((500.0, 20.0, 30.0), (0.0, 0.0, 30.0), (100.0, 90.0, 30.0)):
+            for last in (Guarded((95.0, 20.0, 30.0)), GUARD.here(vehicle), Guarded(START)):
+                guarded = GUARD.towards(goal, last, vehicle, 0.1)
+                assert guarded.position_enu_m == pytest.approx((95.0, 20.0, 30.0), abs=1e-5)
+                assert guarded.reasons == (GuardReason.OUTSIDE,)
+
+    def test_within_the_margin_it_is_inside_while_three_sigma_are_kept(self) -> None:
+        last = Guarded((95.0, 0.0, 30.0))
+        drifted = GUARD.towards((0.0, 0.0, 30.0), last, motion((97.0, 0.0, 30.0)), 0.1)
+        assert drifted.reasons == (GuardReason.LAGGING,)
+        pushed = GUARD.towards((0.0, 0.0, 30.0), last, motion((97.1, 0.0, 30.0)), 0.1)
+        assert pushed.reasons == (GuardReason.OUTSIDE,)
+
+    @pytest.mark.parametrize(("speed_mps", "is_too_fast"), [(3.9, False), (4.1, True)])
+    def test_too_fast_to_stop_it_brakes_where_it_is(
+        self, speed_mps: float, is_too_fast: bool
+    ) -> None:
+        """At 4 m/s it needs 2 + 4 + 3 m: from 91 m on it is too fast."""
+        last = Guarded((94.0, 0.0, 30.0), (), (1.0, 0.0, 0.0))
+        fast = motion((91.0, 0.0, 31.0), (speed_mps, 0.0, 0.0))
+        guarded = GUARD.towards((94.0, 0.0, 30.0), last, fast, 0.1)
+        if is_too_fast:
+            assert guarded == Guarded((91.0, 0.0, 31.0), (GuardReason.TOO_FAST,))
+        else:
+            assert GuardReason.TOO_FAST not in guarded.reasons
+
+    @pytest.mark.parametrize("turn", [0, 1, 2, 3])
+    def test_a_setpoint_that_a_fast_vehicle_has_passed_stays(self, turn: int) -> None:
+        """It brakes hardest towards what lies behind it."""
+
+        def turned(place: Point) -> Point:
+            for _ in range(turn):
+                place = (-place[1], place[0])
+            return place
+
+        fast = motion((*turned((91.0, 3.0)), 31.0), (*turned((8.0, 2.0)), 0.0))
+        behind = Guarded((*turned((90.0, 3.0)), 30.0), (), (1.0, 0.0, 0.0))
+        kept = GUARD.towards((0.0, 0.0, 30.0), behind, fast, 0.1)
+        assert kept == Guarded(behind.position_enu_m, (GuardReason.TOO_FAST,))
+        beside = Guarded((*turned((90.0, 7.0)), 30.0))
+        assert GUARD.towards((0.0, 0.0, 30.0), beside, fast, 0.1).position_enu_m == (
+            beside.position_enu_m
+        )
+        ahead = Guarded((*turned((90.0, 7.1)), 30.0))
+        anew = GUARD.towards((0.0, 0.0, 30.0), ahead, fast, 0.1)
+        assert anew == Guarded(fast.position_enu_m, (GuardReason.TOO_FAST,))
+
+    def test_only_a_vehicle_that_is_too_fast_leaves_its_setpoint_behind(self) -> None:
+        """A jump forwards is still a jump."""
+        away = motion((60.0, 0.0, 30.0), (1.0, 0.0, 0.0))
+        assert GUARD.towards(START, Guarded(START), away, 0.1).position_enu_m == (60.0, 0.0, 30.0)
+
+    def test_a_climb_takes_no_room_from_the_way_to_stop(self) -> None:
+        """4 m/s need 6 m of the 6.1 m to 3 sigma before the fence."""
+        place, climbing = (90.9, 0.0, 30.0), (4.0, 0.0, 2.0)
+        guarded = GUARD.towards((0.0, 0.0, 30.0), Guarded(place), motion(place, climbing), 0.1)
+        assert GuardReason.TOO_FAST not in guarded.reasons
+
+    def test_a_setpoint_that_a_new_fence_forbids_begins_anew_at_the_vehicle(self) -> None:
+        """It is in the margin, where the vehicle itself might be."""
+        place = (90.0, 0.0, 30.0)
+        anew = GUARD.towards((0.0, 0.0, 30.0), Guarded((96.0, 0.0, 30.0)), motion(place), 0.1)
+        assert anew == Guarded(place, (GuardReason.CUT_OFF,))

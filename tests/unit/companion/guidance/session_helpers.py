@@ -1,0 +1,15 @@
+"""What the tests of the session share."""
+
+from __future__ import annotations
+
+from companion.domain import FlightMode
+from companion.guidance.commands import Arm, SendSetpoint, SetMode, TakeOff
+from tests.unit.companion.guidance.scripted import ScriptedFlight
+
+FOREIGN_MODES = [mode for mode in FlightMode if mode is not FlightMode.OFFBOARD]
+
+
+def silent_since(flight: ScriptedFlight, since_s: float) -> bool:
+    """Whether nothing that moves the vehicle was sent or asked for."""
+    kinds = (SendSetpoint, SetMode, Arm, TakeOff)
+    return not any(flight.sent(kind, since_s) for kind in kinds)
