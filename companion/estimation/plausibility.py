@@ -29,22 +29,24 @@ class AbsurdShare:
 
     def __init__(self) -> None:
         self._window: deque[tuple[float, bool]] = deque()
+        self._absurd_count = 0
 
     def clear(self) -> None:
         """Forget everything."""
         self._window.clear()
+        self._absurd_count = 0
 
     def add(self, time_s: float, *, is_absurd: bool) -> None:
         """Take in a value that arrived at a time."""
         self._window.append((time_s, is_absurd))
+        self._absurd_count += is_absurd
         while len(self._window) > ABSURD_COUNT and self._window[0][0] < time_s - ABSURD_S:
-            self._window.popleft()
+            self._absurd_count -= self._window.popleft()[1]
 
     @property
     def is_most(self) -> bool:
         """Whether it is more than a half."""
-        count = sum(is_absurd for _, is_absurd in self._window)
-        return len(self._window) >= ABSURD_COUNT and 2 * count > len(self._window)
+        return len(self._window) >= ABSURD_COUNT and 2 * self._absurd_count > len(self._window)
 
 
 @dataclass(frozen=True, slots=True)

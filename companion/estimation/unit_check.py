@@ -71,6 +71,22 @@ class _Window:
     """(n, 3)"""
 
 
+@dataclass(frozen=True, slots=True)
+class _Centred:
+    """Rows of lengths, as their means and what is left of them."""
+
+    middle: Vector
+    """(...)"""
+    about: Matrix
+    """(..., n)"""
+
+    @staticmethod
+    def of(lengths_m: Matrix) -> _Centred:
+        """Take the mean of each row, (..., n), out of it."""
+        middle = np.asarray(lengths_m.mean(axis=-1))
+        return _Centred(middle, lengths_m - middle[..., None])
+
+
 class UnitCheck:
     """Watches the ranges of one emitter.
 
@@ -169,20 +185,19 @@ class UnitCheck:
         It only lowers the ratio, so one below `limit` is not looked at any closer.
         """
         places = self._places_enu_m(window.sensor_enu_m)
-        distances_m = self._distances_m(places, window.sensor_enu_m)
-        count = _independent(window.range_m, distances_m)
-        costs = [
-            float(self._costs(window.range_m, distances_m, factor, count).min())
-            for factor in factors
-        ]
+        predicted = _Centred.of(self._distances_m(places, window.sensor_enu_m))
+        measured = _Centred.of(window.range_m)
+        count = _independent(measured.about, predicted.about)
+        costs = [float(self._costs(measured, predicted, each, count).min()) for each in factors]
         best = int(np.argmin(costs))
-        in_metres = self._costs(window.range_m, distances_m, 1.0, count)
+        in_metres = self._costs(measured, predicted, 1.0, count)
         log_ratio = float(in_metres.min()) - costs[best]
         if log_ratio < limit:
             return factors[best], log_ratio
         starts = places[np.argsort(in_metres)[:REFINED]]
-        refined = self._distances_m(self._refined(starts, window), window.sensor_enu_m)
-        best_in_metres = float(self._costs(window.range_m, refined, 1.0, count).min())
+        distances_m = self._distances_m(self._refined(starts, window), window.sensor_enu_m)
+        refined = _Centred.of(distances_m)
+        best_in_metres = float(self._costs(measured, refined, 1.0, count).min())
         return factors[best], min(log_ratio, best_in_metres - costs[best])
 
     def _places_enu_m(self, sensor_enu_m: Matrix) -> Matrix:
@@ -217,14 +232,13 @@ class UnitCheck:
                 place += step * min(1.0, limit_m / max(float(np.hypot(*step)), 1e-9))
         return refined
 
-    def _costs(self, z: Vector, distances_m: Matrix, factor: float, count: float) -> Vector:
+    def _costs(
+        self, measured: _Centred, predicted: _Centred, factor: float, count: float
+    ) -> Vector:
         """Minus the log-likelihood of a factor at each of the places."""
-        middle = distances_m.mean(axis=1)
-        off = distances_m - middle[:, None]
-        about = z - z.mean()
-        residual2 = np.mean((about - factor * off) ** 2, axis=1)
+        residual2 = np.mean((measured.about - factor * predicted.about) ** 2, axis=1)
         cost = 0.5 * count * np.log(residual2 + LEAST_NOISE_M**2)
-        cost += self._offset_cost(z.mean() / factor - middle)
+        cost += self._offset_cost(measured.middle / factor - predicted.middle)
         if factor != 1.0:
             cost[np.sqrt(residual2) / factor > MOST_NOISE_M] = math.inf
         costs: Vector = cost
@@ -257,16 +271,19 @@ def _clipped(range_m: Vector) -> Vector:
     return clipped
 
 
-def _independent(z: Vector, distances_m: Matrix) -> float:
-    """How many independent measurements the window is worth, about its best linear fit."""
-    about = z - z.mean()
-    off = distances_m - distances_m.mean(axis=1)[:, None]
+def _independent(about: Vector, off: Matrix) -> float:
+    """How many independent measurements the window is worth, about its best linear fit.
+
+    Args:
+        about: The ranges about their mean, (n,).
+        off: The distances about theirs, (places, n).
+    """
     spread = np.maximum(np.sum(off * off, axis=1), 1e-12)
     slope = off @ about / spread
     residual = about - slope[:, None] * off
     best = residual[int(np.argmin(np.sum(residual * residual, axis=1)))]
     total = float(best @ best)
     if total <= 0.0:
-        return float(len(z))
+        return float(len(about))
     rho = min(max(float(best[1:] @ best[:-1]) / total, 0.0), 0.95)
-    return len(z) * (1.0 - rho) / (1.0 + rho)
+    return len(about) * (1.0 - rho) / (1.0 + rho)

@@ -23,9 +23,11 @@ def contains(polygon: Polygon, point: Point) -> bool:
     """Whether `point` is inside, by the crossing number; the border itself may be either."""
     east, north = point
     inside = False
-    for (e0, n0), (e1, n1) in edges(polygon):
+    e0, n0 = polygon[-1]
+    for e1, n1 in polygon:
         if (n0 > north) != (n1 > north) and east < (e1 - e0) * (north - n0) / (n1 - n0) + e0:
             inside = not inside
+        e0, n0 = e1, n1
     return inside
 
 
@@ -36,13 +38,23 @@ def nearest_on_segment(start: Point, end: Point, point: Point) -> Point:
     if length2 == 0.0:
         return start
     t = ((point[0] - start[0]) * de + (point[1] - start[1]) * dn) / length2
-    t = min(1.0, max(0.0, t))
+    if not t > 0.0:
+        return start
+    if t > 1.0:
+        t = 1.0
     return (start[0] + t * de, start[1] + t * dn)
 
 
 def distance_to_border_m(polygon: Polygon, point: Point) -> float:
     """Distance to the nearest edge, metres, whether inside or outside."""
-    return min(math.dist(point, nearest_on_segment(a, b, point)) for a, b in edges(polygon))
+    least_m = math.inf
+    start = polygon[-1]
+    for end in polygon:
+        distance_m = math.dist(point, nearest_on_segment(start, end, point))
+        if distance_m < least_m:
+            least_m = distance_m
+        start = end
+    return least_m
 
 
 def depth_m(polygon: Polygon, point: Point) -> float:

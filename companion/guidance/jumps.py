@@ -48,14 +48,14 @@ def _unexplained_m(before: VehicleState, after: VehicleState) -> PositionEnu | N
     dt_s = after.time_s - before.time_s
     if not 0.0 < dt_s <= MAX_GAP_S:
         return None
-    (ae, an, au), (be, bn, bu) = (
-        tuple(
-            place + side * 0.5 * dt_s * speed
-            for place, speed in zip(state.position_enu_m, state.velocity_enu_mps, strict=True)
-        )
-        for state, side in ((after, -1.0), (before, 1.0))
+    half_s = 0.5 * dt_s
+    (ae, an, au), (be, bn, bu) = after.position_enu_m, before.position_enu_m
+    (ave, avn, avu), (bve, bvn, bvu) = after.velocity_enu_mps, before.velocity_enu_mps
+    return (
+        (ae - half_s * ave) - (be + half_s * bve),
+        (an - half_s * avn) - (bn + half_s * bvn),
+        (au - half_s * avu) - (bu + half_s * bvu),
     )
-    return (ae - be, an - bn, au - bu)
 
 
 def position_jump_m(

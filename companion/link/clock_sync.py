@@ -49,6 +49,7 @@ class ClockSync:
         self._open: deque[int] = deque(maxlen=MAX_OPEN)
         self._next_s = 0.0
         self._round_trips_s: deque[float] = deque(maxlen=BEST_OF)
+        self._best_s: float | None = None
         self._offset_s: float | None = None
         self._used = 0
         self._deviations = 0
@@ -64,7 +65,7 @@ class ClockSync:
     @property
     def round_trip_s(self) -> float | None:
         """The best of the last exchanges; None before the first."""
-        return min(self._round_trips_s, default=None)
+        return self._best_s
 
     def due(self, now_s: float, system_id: int, component_id: int) -> Message | None:
         """The question to send now, if any."""
@@ -87,7 +88,8 @@ class ClockSync:
         sent_s = message.ts1 / NS_PER_S
         self._note_time(sent_s, message.tc1, now_s)
         self._round_trips_s.append(max(0.0, now_s - sent_s))
-        if self._round_trips_s[-1] > min(self._round_trips_s) + SLOWER_S:
+        self._best_s = min(self._round_trips_s)
+        if self._round_trips_s[-1] > self._best_s + SLOWER_S:
             self.slow += 1
             return
         self._take((sent_s + now_s) / 2.0 - message.tc1 / NS_PER_S)
@@ -102,6 +104,7 @@ class ClockSync:
         self._newest, self._went_back = None, False
         self._open.clear()
         self._round_trips_s.clear()
+        self._best_s = None
         self._offset_s = None
         self._used = self._deviations = 0
         self._next_s = 0.0

@@ -20,6 +20,7 @@ from companion.link.rate_limit import RateLimit
 from companion.link.streams import StreamRequester, request_message
 from companion.mav.dialect import Message, mavlink
 
+SHORTEST_PATIENCE_S = min(patience_s for _, patience_s in PATIENCE_S.values())
 TEXTS_PER_S = 0.2
 """About streams."""
 
@@ -84,7 +85,7 @@ class Dialogues:
         stale = self.freshness.stale(now_s)
         stopped = [name for name in stale if name not in self._stale]
         heard_s = self._binding.heard_s
-        is_silent = heard_s is None or now_s - heard_s > min(p for _, p in PATIENCE_S.values())
+        is_silent = heard_s is None or now_s - heard_s > SHORTEST_PATIENCE_S
         if is_silent or not stopped:
             self._stale = tuple(name for name in self._stale if name in stale)
             return []

@@ -65,11 +65,15 @@ class SequenceMonitor:
 
     def loss(self, now_s: float) -> float | None:
         """Share of the last seconds' frames that did not come, 0 to 1; None if too few were due."""
-        recent = [b for b in self._buckets if b[0] > now_s - WINDOW_S]
-        expected = sum(b[1] for b in recent)
+        since_s = now_s - WINDOW_S
+        expected = came = 0
+        for began_s, numbers, frames in self._buckets:
+            if began_s > since_s:
+                expected += numbers
+                came += frames
         if expected < MIN_EXPECTED:
             return None
-        return min(max(0.0, 1.0 - sum(b[2] for b in recent) / expected), 1.0)
+        return min(max(0.0, 1.0 - came / expected), 1.0)
 
     def restart(self) -> None:
         """Begin anew, because the sender did; the totals stay."""

@@ -6,6 +6,7 @@ asks for all of it. Source: MAVLink common, MAV_CMD_SET_MESSAGE_INTERVAL and REQ
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from companion.domain import Autopilot
@@ -41,6 +42,8 @@ ONE_SHOT = (mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, mavlink.MAVLINK_MSG_ID_HOM
 
 FIRST_RETRY_S = 1.0
 LAST_RETRY_S = 16.0
+LOOK_PERIOD_S = 0.2
+"""While nothing is missing it is looked for less often than at every tick."""
 MISSED_PERIODS = 3.0
 """A stream that is silent for so many of its periods has stopped, and one that takes so many for
 each message is slow."""
@@ -87,12 +90,14 @@ class StreamRequester:
             _Want(number, interval_s) for number, interval_s in STREAM_INTERVAL_S.items()
         ]
         self._wants += [_Want(number, None) for number in ONE_SHOT]
+        self._next_look_s = -math.inf
 
     def restart(self) -> None:
         """Ask for everything again, because the autopilot forgot."""
         for want in self._wants:
             want.asked_s = None
             want.retry_s = FIRST_RETRY_S
+        self._next_look_s = -math.inf
 
     def due(
         self,
@@ -102,6 +107,8 @@ class StreamRequester:
         autopilot: Autopilot = Autopilot.OTHER,
     ) -> Message | None:
         """The next request to send, if any."""
+        if now_s < self._next_look_s:
+            return None
         for want in self._wants:
             if ONLY_FROM.get(want.message_id, autopilot) is not autopilot:
                 continue
@@ -110,6 +117,7 @@ class StreamRequester:
                     want.retry_s = min(2.0 * want.retry_s, LAST_RETRY_S)
                 want.asked_s = now_s
                 return _request(want, system_id, component_id)
+        self._next_look_s = now_s + LOOK_PERIOD_S
         return None
 
 

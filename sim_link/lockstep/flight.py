@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import heapq
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from functools import partial
 
 from companion.config.schema import CompanionConfig
@@ -30,7 +30,7 @@ from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.incidents import Incident, PilotMode, Reboot
 from sim_link.autopilot.scenario import Scenario
 from sim_link.lockstep.journal import WatchedJournal
-from sim_link.lockstep.observer import Frame, Observer, frames_in
+from sim_link.lockstep.observer import Frame, Observers, frames_in
 from sim_link.lockstep.wire import Lane, PerfectWire, Wire
 
 VEHICLE_PEER: Address = ("127.0.0.1", 14580)
@@ -81,7 +81,7 @@ class Flight:
         self.config = config
         self.scenario = scenario
         self.seed = seed
-        self.observers: list[Observer] = []
+        self.observers = Observers()
         self.journal: Journal = WatchedJournal(journal, self.observers)
         self.wire: Wire = PerfectWire() if wire is None else wire
         self.now_s = 0.0
@@ -132,14 +132,14 @@ class Flight:
         self._do_due()
         if self.sim.next_timer_s() <= now_s:
             self.sim.handle_timer(now_s)
-            for observer in self.observers:
-                observer.stepped(self.sim.vehicle, now_s)
+            for stepped in self.observers.of("stepped"):
+                stepped(self.sim.vehicle, now_s)
             self._measure()
         if self.is_companion_up and self._companion_due_s() <= now_s:
             self._wake_companion()
             self.companion.handle_timer(now_s)
-            for observer in self.observers:
-                observer.ticked(now_s)
+            for ticked in self.observers.of("ticked"):
+                ticked(now_s)
         self._do_due()
 
     def at(self, time_s: float, action: Callable[[], None]) -> None:
@@ -179,9 +179,7 @@ class Flight:
 
     def _arrive(self, data: bytes, lane: Lane, *, is_intact: bool) -> None:
         if lane is Lane.TO_VEHICLE:
-            for frame in self._observed(data, lane):
-                for observer in self.observers:
-                    observer.vehicle_heard(frame)
+            self._tell("vehicle_heard", data, lane)
             self.sim.receive(Chunk(0, data, None), self.now_s)
             return
         is_ranging = lane is Lane.RANGING
@@ -206,15 +204,16 @@ class Flight:
 
     def _give(self, chunk: Chunk, is_genuine: bool, is_intact: bool) -> None:
         lane = Lane.TO_COMPANION if chunk.link == 0 else Lane.RANGING
-        frames = self._observed(chunk.data, lane)
+        hearing, reading = self.observers.of("heard"), self.observers.of("read")
+        frames = self._frames(chunk.data, lane) if hearing or reading else ()
         for frame in frames:
             frame.is_genuine, frame.is_intact = is_genuine, is_intact
-            for observer in self.observers:
-                observer.heard(frame)
+            for heard in hearing:
+                heard(frame)
         self.companion.receive(chunk, self.now_s)
         for frame in frames:
-            for observer in self.observers:
-                observer.read(frame)
+            for read in reading:
+                read(frame)
 
     def _wake_companion(self) -> None:
         """What waited in the socket while the process was suspended."""
@@ -229,23 +228,25 @@ class Flight:
             is_payload = chunk.data[COMPONENT_BYTE] == payload.COMPONENT_ID
             if is_payload and (self._radio is not None or not self.is_ranging_up):
                 continue
-            for frame in self._observed(chunk.data, Lane.TO_COMPANION):
-                for observer in self.observers:
-                    observer.vehicle_sent(frame)
+            self._tell("vehicle_sent", chunk.data, Lane.TO_COMPANION)
             self.post(chunk.data, Lane.TO_COMPANION)
         if not self.is_companion_up:
             return
         for chunk in self.companion.take_output():
-            for frame in self._observed(chunk.data, Lane.TO_VEHICLE):
-                for observer in self.observers:
-                    observer.sent(frame)
+            self._tell("sent", chunk.data, Lane.TO_VEHICLE)
             self.post(chunk.data, Lane.TO_VEHICLE)
         if self.companion.is_finished:
             self._end_companion()
 
-    def _observed(self, data: bytes, lane: Lane) -> Iterable[Frame]:
-        if not self.observers:
-            return ()
+    def _tell(self, what: str, data: bytes, lane: Lane) -> None:
+        """Tell who looks at it of the frames in a datagram."""
+        tellers = self.observers.of(what)
+        if tellers:
+            for frame in self._frames(data, lane):
+                for tell in tellers:
+                    tell(frame)
+
+    def _frames(self, data: bytes, lane: Lane) -> list[Frame]:
         return [Frame(self.now_s, each, lane) for each in frames_in(data)]
 
     def _measure(self) -> None:
@@ -254,8 +255,8 @@ class Flight:
         self._radio_due_s = self.now_s + self._radio_period_s
         data = self._radio(self.sim, self.now_s)
         if data is not None and self.is_ranging_up:
-            for observer in self.observers:
-                observer.vehicle_sent(Frame(self.now_s, data, Lane.RANGING))
+            for vehicle_sent in self.observers.of("vehicle_sent"):
+                vehicle_sent(Frame(self.now_s, data, Lane.RANGING))
             self.post(data, Lane.RANGING)
 
     # The companion as a process

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from companion.domain import FlightMode
@@ -104,6 +104,31 @@ class Observer:
 
     def vehicle_rebooted(self, now_s: float) -> None:
         """The vehicle begins anew."""
+
+
+class Observers(list[Observer]):
+    """Who watches a flight; what happens a hundred times a second is told only to who looks at it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._told: list[Observer] = []
+        self._tellers: dict[str, list[Callable[..., None]]] = {}
+
+    def of(self, what: str) -> list[Callable[..., None]]:
+        """The methods to call when something happens, in the order of the observers.
+
+        Args:
+            what: The name of a method of `Observer`.
+        """
+        if self._told != self:
+            self._told = list(self)
+            self._tellers.clear()
+        tellers = self._tellers.get(what)
+        if tellers is None:
+            base = getattr(Observer, what)
+            looking = [each for each in self if getattr(type(each), what) is not base]
+            tellers = self._tellers[what] = [getattr(each, what) for each in looking]
+        return tellers
 
 
 def frames_in(data: bytes) -> list[bytes]:

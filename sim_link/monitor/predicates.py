@@ -29,7 +29,14 @@ def is_inside(corners: Corners, point: Point) -> bool:
 
 def border_distance_m(corners: Corners, point: Point) -> float:
     """How far a point is from a polygon's border."""
-    return min(_to_segment_m(a, b, point) for a, b in _edges(corners))
+    least_m = math.inf
+    start = corners[-1]
+    for end in corners:
+        distance_m = _to_segment_m(start, end, point)
+        if distance_m < least_m:
+            least_m = distance_m
+        start = end
+    return least_m
 
 
 def depth_m(fence: Corners, keep_outs: Sequence[Corners], point: Point) -> float:

@@ -141,7 +141,8 @@ class Failsafes:
     def _watch(self, finding: Finding) -> bool:
         cause = finding.cause
         if not finding.is_present or finding.reaction is None:
-            self._taken_over.discard(cause)
+            if self._taken_over:
+                self._taken_over.discard(cause)
             if finding.ends:
                 self._active.pop(cause, None)
             return False

@@ -78,6 +78,7 @@ class Px4Flavour(Flavour):
         self.modes = ModeLogic()
         self._failsafes = Failsafes()
         self._watcher = Watcher(aircraft, parameters)
+        self._limits_revision = -1
 
     # State
 
@@ -307,7 +308,9 @@ class Px4Flavour(Flavour):
 
     def _watch(self, now_s: float) -> None:
         self._watcher.warn_of_battery()
-        self.aircraft.pilot.limits = parameters.speed_limits(self.parameters)
+        if self.parameters.revision != self._limits_revision:
+            self._limits_revision = self.parameters.revision
+            self.aircraft.pilot.limits = parameters.speed_limits(self.parameters)
         if not self.is_armed:
             return
         sticks = self.aircraft.sticks.read(now_s)
