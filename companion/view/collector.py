@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from companion.guidance.commands import Severity
 
 TEXTS = 50
-MARKS = 40
-"""Rings and bearings that a map shows at once."""
+MARKS = 12
+"""Rings and bearings that a map shows at once; more of them hide the estimate."""
 CURVE_POINTS = 600
 CURVE_STEP_S = 0.5
 """Curves keep five minutes at this step; a longer flight keeps every second point, and so on."""

@@ -12,6 +12,7 @@ from companion.config.schema import CompanionConfig
 from companion.domain import EstimateState, TargetEstimate
 from companion.geometry.ellipse import ellipse_95
 from companion.geometry.frames import LocalOrigin
+from companion.guidance.fencing import Fencing
 from companion.guidance.states import PHASE_WORDS, Phase
 from companion.guidance.status import EmitterStatus, GuidanceStatus
 from companion.link.endpoint import CompanionEndpoint
@@ -32,11 +33,8 @@ def scene_of(config: CompanionConfig) -> Json:
     Args:
         config: Of the flight.
     """
-    limits, mission = config.limits, config.mission
+    mission = config.mission
     return {
-        "fence": limits.fence_enu_m,
-        "keep_out": limits.keep_out_enu_m,
-        "fence_margin_m": limits.fence_margin_m,
         "stop_radius_m": mission.stop_radius_m,
         "old_after_s": {
             "autopilot": 1.0,
@@ -60,9 +58,12 @@ def picture_of(endpoint: CompanionEndpoint, now_s: float) -> Json:
         "t_s": now_s,
         "phase": status.phase.value,
         "phase_text": _phase_text(status),
+        "phase_detail": status.detail,
         "mode": vehicle.name_of(status.mode),
         "is_armed": status.is_armed,
-        "is_link_lost": status.is_link_lost,
+        "is_link_lost": status.is_link_lost and endpoint.binding.heard_s is not None,
+        "battery_pct": status.battery_pct,
+        "fence": _fence(session.fencing),
         "origin": _origin(vehicle.origin),
         "vehicle": status.vehicle_enu_m,
         "height_m": status.height_m,
@@ -84,9 +85,19 @@ def picture_of(endpoint: CompanionEndpoint, now_s: float) -> Json:
 def _phase_text(status: GuidanceStatus) -> str:
     words = PHASE_WORDS.get(status.phase, status.phase.value)
     is_localised = status.estimate is not None and status.estimate.state is EstimateState.LOCALISED
-    if status.phase is Phase.NORMAL and is_localised:
-        words = "localised: confirming"
-    return f"{words}: {status.detail}" if status.detail else words
+    return "localised: confirming" if status.phase is Phase.NORMAL and is_localised else words
+
+
+def _fence(fencing: Fencing) -> Json:
+    """What the guard keeps now, which need not be what the configuration says."""
+    fence = fencing.guard.limits.fence
+    return {
+        "polygon": None if fence is None else fence.polygon_enu_m,
+        "keep_out": () if fence is None else fence.keep_out_enu_m,
+        "words": fencing.words,
+        "refusal": fencing.refusal,
+        "missing": fencing.missing,
+    }
 
 
 def _origin(origin: LocalOrigin | None) -> tuple[float, float] | None:

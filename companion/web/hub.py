@@ -25,7 +25,7 @@ class Hub:
         """Grows with every picture."""
         self.track: list[tuple[float, float]] = []
         self.track_version = 0
-        """Grows when old points of the track were thinned: pages draw it anew then."""
+        """Grows when the track does not merely go on: pages draw it anew then."""
         self.curve: list[dict[str, Any]] = []
         self._origin: object = None
 

@@ -8,44 +8,59 @@ from typing import Any
 
 from nicegui import ui
 
-GOOD, WARN, BAD, QUIET = "#2a9d3f", "#d97706", "#c0262d", "#475569"
+GOOD, WARN, BAD, QUIET, DONE = "#15803d", "#b45309", "#b91c1c", "#475569", "#1f4e79"
+"""Backgrounds that white text is read on."""
 PHASE_COLOURS = {
     "normal": GOOD,
     "degraded": WARN,
     "hold": WARN,
     "yield": BAD,
     "handback": WARN,
-    "finished": "#1f4e79",
+    "finished": DONE,
 }
-SEVERITY_COLOURS = {"error": BAD, "warning": WARN, "notice": "#1f4e79"}
-TEXTS_SHOWN = 12
+UNDER_WAY = frozenset({"normal", "degraded", "hold"})
+"""Phases with a next waypoint and a time to go."""
+SEVERITIES = frozenset({"error", "warning", "notice"})
+"""Those with a colour of their own."""
+TEXTS_SHOWN = 30
 
 Json = Mapping[str, Any]
+
+
+def _panel(title: str = "") -> ui.element:
+    """A framed part of the page."""
+    panel = ui.element("section").classes("panel")
+    if title:
+        with panel, ui.element("h2"):
+            ui.label(title)
+    return panel
 
 
 class PhaseBar:
     """What it is doing, in words, across the top."""
 
     def __init__(self) -> None:
-        with ui.row().classes("w-full items-center gap-2 rounded px-3 py-1") as self._bar:
-            self._phase = ui.label("waiting for the companion").classes("text-lg font-bold")
-            self._phase.props("id=phase")
-            ui.space()
+        bar = ui.row().classes("w-full items-center justify-between gap-x-4 gap-y-0 rounded")
+        with bar.classes("px-3 py-2") as self._bar:
+            with ui.row().classes("items-baseline gap-x-3 gap-y-0").props("id=phase"):
+                self._phase = ui.label("waiting for the companion").classes("text-lg font-bold")
+                self._detail = ui.label("")
             self._mode = ui.label("").props("id=mode")
         self._colour(QUIET)
 
     def show(self, picture: Json) -> None:
         """Show a moment."""
-        lost = "AUTOPILOT LOST  " if picture["is_link_lost"] else ""
-        self._phase.set_text(lost + str(picture["phase_text"]))
+        is_lost = picture["is_link_lost"]
+        self._phase.set_text(("AUTOPILOT LOST: " if is_lost else "") + picture["phase_text"])
+        self._detail.set_text(picture["phase_detail"])
         armed = "armed" if picture["is_armed"] else "disarmed"
         self._mode.set_text(f"{picture['mode']}, {armed}")
-        colour = PHASE_COLOURS.get(str(picture["phase"]), QUIET)
-        self._colour(BAD if picture["is_link_lost"] else colour)
+        self._colour(BAD if is_lost else PHASE_COLOURS.get(picture["phase"], QUIET))
 
     def silent(self, for_s: float) -> None:
         """Say that nothing comes from the companion any more."""
-        self._phase.set_text(f"COMPANION SILENT for {for_s:.0f} s: what you see is old")
+        self._phase.set_text(f"COMPANION SILENT for {for_s:.0f} s")
+        self._detail.set_text("what you see is old")
         self._colour(BAD)
 
     def _colour(self, colour: str) -> None:
@@ -53,46 +68,73 @@ class PhaseBar:
 
 
 class Numbers:
-    """The figures that decide.
+    """The figures that decide."""
 
-    Args:
-        scene: What does not change.
-    """
+    NAMES = ("time to go", "place", "offsets", "reflected", "vehicle", "battery", "next", "fence")
 
-    def __init__(self, scene: Json) -> None:
-        self._stop_radius_m = float(scene.get("stop_radius_m", 1.0))
-        with ui.card().classes("w-full gap-0 p-2"):
-            self._state = ui.label("nothing heard yet").classes("text-base font-bold")
-            self._state.props("id=estimate-state")
-            self._r95 = ui.label("R95 -").classes("text-3xl").props("id=r95")
-            self._togo = ui.label("").props("id=time-to-go")
-            self._where = ui.label("")
-            self._offsets = ui.label("")
-            self._vehicle = ui.label("")
-            self._plan = ui.label("").props("id=plan")
-            self._guard = ui.label("").props("id=guard").style(f"color: {WARN}")
+    def __init__(self) -> None:
+        with _panel("Estimate"):
+            with ui.row().classes("items-baseline gap-x-3 gap-y-0"):
+                self._r95 = ui.label("R95 -").classes("text-3xl numbers").props("id=r95")
+                self._state = ui.label("nothing heard yet").classes("text-base font-bold")
+                self._state.props("id=estimate-state")
+            self._values: dict[str, ui.label] = {}
+            with ui.element("div").classes("figures numbers"):
+                for name in self.NAMES:
+                    ui.label(name).classes("muted")
+                    self._values[name] = ui.label("-").props(f"id=value-{name.replace(' ', '-')}")
+            self._guard = ui.label("").props("id=guard").style("color: var(--warning)")
 
     def show(self, picture: Json) -> None:
         """Show a moment."""
+        values = {**_of_estimate(picture), **_of_vehicle(picture), **_of_plan(picture)}
+        for name, label in self._values.items():
+            label.set_text(values.get(name, "-"))
+        colour = "inherit" if picture["fence"]["refusal"] is None else "var(--error)"
+        self._values["fence"].style(f"color: {colour}")
         estimate = picture["estimate"]
         if estimate is not None:
             self._state.set_text(str(estimate["words"]))
             self._r95.set_text(f"R95 {estimate['r95_m']:.2f} m")
-            east, north = estimate["place"]
-            self._where.set_text(f"east {east:.1f} m, north {north:.1f} m")
-            self._offsets.set_text(
-                f"offsets: range {estimate['range_offset_m']:+.2f} m, "
-                f"bearing {math.degrees(estimate['bearing_offset_rad']):+.1f} deg; "
-                f"{100 * picture['nlos_share']:.0f} % reflected"
-            )
-        togo_s = picture.get("time_to_go_s")
-        self._togo.set_text("" if togo_s is None else f"about {togo_s:.0f} s to go")
-        height = "-" if picture["height_m"] is None else f"{picture['height_m']:.1f} m"
-        self._vehicle.set_text(f"height {height}, flown {picture['distance_m']:.0f} m")
-        waypoint = picture["waypoint"]
-        plan = "" if waypoint is None else f"next: {waypoint['reason']}, {waypoint['detail']}"
-        self._plan.set_text(plan)
-        self._guard.set_text("; ".join(picture["guard"]))
+        guard = "; ".join(picture["guard"])
+        self._guard.set_text(f"guard: {guard}" if guard else "")
+
+
+def _of_estimate(picture: Json) -> dict[str, str]:
+    estimate = picture["estimate"]
+    if estimate is None:
+        return {}
+    east, north = estimate["place"]
+    return {
+        "place": f"{east:.1f} m east, {north:.1f} m north",
+        "offsets": f"range {estimate['range_offset_m']:+.2f} m, "
+        f"bearing {math.degrees(estimate['bearing_offset_rad']):+.1f}°",
+        "reflected": f"{100 * picture['nlos_share']:.0f} % of the ranges",
+    }
+
+
+def _of_vehicle(picture: Json) -> dict[str, str]:
+    height_m, battery_pct = picture["height_m"], picture["battery_pct"]
+    height = "height unknown" if height_m is None else f"{height_m:.1f} m above home"
+    battery = "unknown" if battery_pct is None else f"{battery_pct:.0f} %"
+    return {"vehicle": f"{height}, {picture['distance_m']:.0f} m flown", "battery": battery}
+
+
+def _of_plan(picture: Json) -> dict[str, str]:
+    fence = picture["fence"]
+    values = {"fence": fence["words"]}
+    if fence["refusal"] is not None:
+        values["fence"] = fence["refusal"]
+    elif fence["missing"]:
+        values["fence"] = f"waiting for {' and '.join(fence['missing'])}"
+    if picture["phase"] not in UNDER_WAY:
+        return values
+    togo_s, waypoint = picture.get("time_to_go_s"), picture["waypoint"]
+    if togo_s is not None:
+        values["time to go"] = f"about {togo_s:.0f} s"
+    if waypoint is not None:
+        values["next"] = f"{waypoint['reason']}: {waypoint['detail']}"
+    return values
 
 
 class AgeBars:
@@ -105,30 +147,38 @@ class AgeBars:
     def __init__(self, scene: Json) -> None:
         self._old_after_s: Mapping[str, float] = scene.get("old_after_s", {})
         self._bars: dict[str, tuple[ui.linear_progress, ui.label]] = {}
-        with ui.card().classes("w-full gap-1 p-2"):
-            for name in self._old_after_s:
-                with ui.row().classes("w-full items-center no-wrap gap-2"):
-                    ui.label(name).classes("w-20")
-                    bar = ui.linear_progress(0.0, show_value=False).props(f"id=age-{name}")
-                    self._bars[name] = (bar, ui.label("-").classes("w-16"))
+        with _panel("Age of the inputs"):
+            for name, old_after_s in self._old_after_s.items():
+                with ui.row().classes("w-full items-center no-wrap gap-2 numbers"):
+                    ui.label(name).classes("w-20 shrink-0")
+                    bar = ui.linear_progress(0.0, show_value=False, size="8px")
+                    bar.props(f"id=age-{name} rounded")
+                    label = ui.label("-").classes("w-28 shrink-0 text-right whitespace-nowrap")
+                    label.tooltip(f"too old to be flown on from {old_after_s:g} s on")
+                    self._bars[name] = (bar, label)
 
     def show(self, picture: Json) -> None:
         """Show a moment."""
+        is_over = picture["phase"] == "finished"
         for name, (bar, label) in self._bars.items():
-            age_s = picture["ages_s"].get(name)
-            share = 1.0 if age_s is None else min(1.0, age_s / self._old_after_s[name])
+            age_s, limit_s = picture["ages_s"].get(name), self._old_after_s[name]
+            share = 0.0 if age_s is None else min(1.0, age_s / limit_s)
             colour = "negative" if share >= 1.0 else "warning" if share > 0.6 else "positive"
+            if is_over and name == "ranging":
+                colour = "grey"  # nothing is measured any more, and nothing flown on it
             bar.set_value(share)
             bar.props(f"color={colour}")
-            label.set_text("never" if age_s is None else f"{age_s:.1f} s")
+            label.set_text("not heard" if age_s is None else f"{age_s:.1f} of {limit_s:g} s")
 
 
 class EmitterList:
     """Every emitter heard, and how far it is located."""
 
     def __init__(self) -> None:
-        with ui.card().classes("w-full gap-0 p-2"):
+        self._panel = _panel("Emitters")
+        with self._panel:
             self._lines = ui.column().classes("gap-0").props("id=emitters")
+        self._panel.set_visibility(False)
         self._shown: list[str] = []
 
     def show(self, picture: Json) -> None:
@@ -137,24 +187,27 @@ class EmitterList:
         if lines == self._shown:
             return
         self._shown = lines
+        self._panel.set_visibility(bool(lines))
         self._lines.clear()
         with self._lines:
             for line in lines:
-                ui.label(line)
+                ui.label(line).classes("numbers")
 
 
 def _emitter_line(emitter: Json) -> str:
     r95_m = emitter.get("r95_m")
     known = "" if r95_m is None else f", R95 {r95_m:.1f} m"
-    return f"emitter {emitter['name']}: {emitter['state']}{known}"
+    return f"{emitter['name']}: {emitter['state']}{known}"
 
 
 class TextList:
     """What was said to the operator, newest first."""
 
     def __init__(self) -> None:
-        with ui.card().classes("w-full gap-0 p-2"):
-            self._lines = ui.column().classes("gap-0").props("id=texts")
+        self._panel = _panel("Messages").classes("grows")
+        with self._panel:
+            self._lines = ui.column().classes("gap-0 texts text-sm numbers").props("id=texts")
+        self._panel.set_visibility(False)
         self._shown: list[Any] = []
 
     def show(self, picture: Json) -> None:
@@ -163,8 +216,12 @@ class TextList:
         if texts == self._shown:
             return
         self._shown = texts
+        self._panel.set_visibility(bool(texts))
         self._lines.clear()
         with self._lines:
             for time_s, severity, text in reversed(texts):
-                label = ui.label(f"{time_s:6.1f} s  {text}").classes("text-sm")
-                label.style(f"color: {SEVERITY_COLOURS.get(severity, QUIET)}")
+                with ui.element("div").classes("row"):
+                    ui.label(f"{time_s:.1f} s")
+                    label = ui.label(text)
+                    if severity in SEVERITIES:
+                        label.style(f"color: var(--{severity})")

@@ -4,20 +4,33 @@ import { leaflet as L } from "nicegui-leaflet";
 import { loadResource } from "../../static/utils/resources.js";
 
 const METRES_PER_DEGREE = 111319.49;
-const COLOURS = {
-  vehicle: "#1f4e79", estimate: "#d1495b", second: "#8e44ad", waypoint: "#b8860b",
-  fence: "#2a9d3f", keepOut: "#7f1d1d", near: "#2a9d3f", far: "#d97706", truth: "#111111",
-  other: "#d1495b", reported: "#1f4e79",
+const ON_LIGHT = {
+  vehicle: "#1d4ed8", estimate: "#c81e4a", second: "#7e22ce", waypoint: "#a16207",
+  fence: "#15803d", keepOut: "#991b1b", near: "#15803d", far: "#c2570c", truth: "#111827",
+  reported: "#1d4ed8", grid: "#94a3b8",
 };
+const ON_DARK = {
+  vehicle: "#60a5fa", estimate: "#fb7185", second: "#c084fc", waypoint: "#facc15",
+  fence: "#4ade80", keepOut: "#f87171", near: "#4ade80", far: "#fb923c", truth: "#f8fafc",
+  reported: "#60a5fa", grid: "#64748b",
+};
+const RING_S = 6; // older rings are gone
+const MOST_OPAQUE = 0.65;
+const CLOSEST_M = 10; // half of the least that is shown when following
+const UNDER_WAY = ["normal", "degraded", "hold"]; // phases with a next waypoint
+const SITE = [[-50, -50], [50, 50]];
 
 export default {
   template: '<div class="search-map"></div>',
-  props: { scene: Object, hasTiles: Boolean, resourcePath: String },
+  props: { scene: Object, zooms: Array, resourcePath: String },
   async mounted() {
     await this.$nextTick();
     await loadResource(window.path_prefix + `${this.resourcePath}/leaflet/leaflet.css`);
+    this.hasTiles = this.zooms !== null;
     this.origin = null;
+    this.fence = {};
     this.isFollowing = true;
+    this.isZooming = false;
     this.map = L.map(this.$el, {
       crs: this.hasTiles ? L.CRS.EPSG3857 : L.CRS.Simple,
       minZoom: this.hasTiles ? 2 : -4, maxZoom: this.hasTiles ? 23 : 7,
@@ -25,26 +38,107 @@ export default {
     });
     this.map.setView([0, 0], this.hasTiles ? 17 : 2);
     if (this.hasTiles) {
-      L.tileLayer(window.path_prefix + "/tiles/{z}/{x}/{y}.png",
-        { maxZoom: 23, maxNativeZoom: 19 }).addTo(this.map);
+      const [minNativeZoom, maxNativeZoom] = this.zooms;
+      const address = `${window.path_prefix}/tiles/{z}/{x}/{y}.png${window.location.search}`;
+      this.tiles = L.tileLayer(address, { maxZoom: 23, minNativeZoom, maxNativeZoom });
+      this.$el.classList.add("on-tiles");
     }
     this.grid = L.layerGroup().addTo(this.map);
     this.still = L.layerGroup().addTo(this.map);
     this.moving = L.layerGroup().addTo(this.map);
     L.control.scale({ imperial: false }).addTo(this.map);
-    this.map.on("dragstart", () => { this.isFollowing = false; });
-    this.map.on("moveend zoomend", () => this.drawGrid());
-    new ResizeObserver(() => this.map && this.map.invalidateSize()).observe(this.$el);
+    this.addButtons();
+    this.addLegend();
+    this.useColours();
+    this.listen();
     this.isReady = true;
-    this.drawStill();
-    this.fit(this.scene.fence || [[-50, -50], [50, 50]]);
-    if (this.waiting) this.show(...this.waiting);
+    this.fit(SITE);
+    this.draw();
   },
   beforeUnmount() {
+    this.isReady = false;
     if (this.map) this.map.remove();
     this.map = null;
   },
   methods: {
+    listen() {
+      this.map.on("dragstart", () => this.follow(false));
+      for (const name of ["wheel", "dblclick"]) {
+        this.$el.addEventListener(name, () => this.follow(false), { passive: true });
+      }
+      this.$el.querySelector(".leaflet-control-zoom")
+        .addEventListener("click", () => this.follow(false));
+      this.map.on("zoomstart", () => { this.isZooming = true; });
+      this.map.on("zoomend", () => {
+        this.isZooming = false;
+        if (this.awaited) this.fit(this.awaited);
+        this.draw();
+      });
+      this.map.on("moveend zoomend", () => this.drawGrid());
+      new ResizeObserver(() => this.map && this.map.invalidateSize()).observe(this.$el);
+      window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+        if (!this.map) return;
+        this.useColours();
+        this.drawStill();
+        this.drawGrid();
+        this.draw();
+      });
+    },
+    useColours() {
+      const isDark = window.matchMedia("(prefers-color-scheme: dark)").matches;
+      this.colours = isDark && !this.hasTiles ? ON_DARK : ON_LIGHT;
+      for (const sign of this.$el.querySelectorAll(".legend [data-colour]")) {
+        sign.style.setProperty("--colour", this.colours[sign.dataset.colour]);
+      }
+    },
+    addButtons() {
+      const bar = L.DomUtil.create("div", "leaflet-bar map-buttons");
+      const add = (text, hint, act) => {
+        const button = L.DomUtil.create("button", "", bar);
+        button.type = "button";
+        button.textContent = text;
+        button.title = hint;
+        button.addEventListener("click", act);
+        return button;
+      };
+      this.followButton = add("Follow", "Keep vehicle and estimate in view",
+        () => this.follow(true));
+      add("Whole", "Show everything inside the fence", () => this.fitAll());
+      L.DomEvent.disableClickPropagation(bar);
+      const control = L.control({ position: "topright" });
+      control.onAdd = () => bar;
+      control.addTo(this.map);
+      this.follow(true);
+    },
+    addLegend() {
+      const box = L.DomUtil.create("details", "legend");
+      box.open = window.innerWidth >= 1024;
+      L.DomUtil.create("summary", "", box).textContent = "Legend";
+      const add = (sign, colour, text) => {
+        const row = L.DomUtil.create("div", "", box);
+        L.DomUtil.create("i", `sign-${sign}`, row).dataset.colour = colour;
+        L.DomUtil.create("span", "", row).textContent = text;
+      };
+      add("dot", "vehicle", "vehicle and its track");
+      add("area", "estimate", "estimate, 95 % ellipse");
+      add("dotted", "estimate", "R95");
+      add("dot", "second", "second possible place");
+      add("ring", "waypoint", "next waypoint");
+      add("ring", "near", "range, believed");
+      add("dashed", "far", "range, taken for reflected");
+      add("edge", "fence", "fence that is kept");
+      add("area", "keepOut", "keep-out");
+      if (this.scene.truth) add("ring", "truth", "true place (simulator)");
+      L.DomEvent.disableClickPropagation(box);
+      const control = L.control({ position: "bottomright" });
+      control.onAdd = () => box;
+      control.addTo(this.map);
+    },
+    follow(isOn) {
+      this.isFollowing = isOn;
+      this.followButton.classList.toggle("is-on", isOn);
+      if (isOn) this.draw();
+    },
     at(point) {
       const [east, north] = point;
       if (!this.hasTiles) return [north, east];
@@ -52,121 +146,173 @@ export default {
       const scale = METRES_PER_DEGREE * Math.cos((lat * Math.PI) / 180);
       return [lat + north / METRES_PER_DEGREE, lon + east / scale];
     },
-    line(points, style) { return L.polyline(points.map(this.at), { interactive: false, ...style }); },
-    area(points, style) { return L.polygon(points.map(this.at), { interactive: false, ...style }); },
+    line(points, style) {
+      return L.polyline(points.map(this.at), { interactive: false, smoothFactor: 0.5, ...style });
+    },
+    area(points, style) {
+      return L.polygon(points.map(this.at), { interactive: false, smoothFactor: 0, ...style });
+    },
     dot(point, radius, style) {
       return L.circleMarker(this.at(point), { radius, interactive: false, weight: 2, ...style });
     },
+    corners(centre, radiusM, count) {
+      return Array.from({ length: count }, (_, i) => {
+        const turn = (2 * Math.PI * i) / count;
+        return [centre[0] + radiusM * Math.cos(turn), centre[1] + radiusM * Math.sin(turn)];
+      });
+    },
     ring(centre, radiusM, style) {
-      const points = [];
-      for (let i = 0; i < 72; i += 1) {
-        const turn = (2 * Math.PI * i) / 72;
-        points.push([centre[0] + radiusM * Math.cos(turn), centre[1] + radiusM * Math.sin(turn)]);
-      }
-      return this.area(points, { fill: false, ...style });
+      return this.area(this.corners(centre, radiusM, 72), { fill: false, ...style });
     },
     fit(points) {
-      if (this.map && points.length) this.map.fitBounds(points.map(this.at), { padding: [24, 24] });
+      this.awaited = this.isZooming ? points : null; // Leaflet ignores what comes while it zooms
+      if (!this.isZooming) this.map.fitBounds(points.map(this.at), { padding: [24, 24] });
     },
     fitAll() {
-      this.isFollowing = true;
-      this.fit(this.scene.fence || [[-50, -50], [50, 50]]);
+      this.follow(false);
+      const { estimate, vehicle } = this.picture || {};
+      const points = [...(this.fence.polygon || SITE)];
+      if (vehicle) points.push(vehicle);
+      if (estimate) points.push(estimate.place);
+      this.fit(points);
+    },
+    keepInView(picture) {
+      const { estimate, vehicle, waypoint } = picture;
+      const points = [];
+      if (vehicle) points.push(...this.corners(vehicle, CLOSEST_M, 4));
+      if (waypoint && UNDER_WAY.includes(picture.phase)) points.push(waypoint.place);
+      if (estimate) points.push(...this.corners(estimate.place, Math.max(CLOSEST_M, estimate.r95_m), 4));
+      if (!points.length) return;
+      const wanted = L.latLngBounds(points.map(this.at));
+      const shown = this.map.getBounds();
+      const share = Math.max(
+        (wanted.getEast() - wanted.getWest()) / (shown.getEast() - shown.getWest()),
+        (wanted.getNorth() - wanted.getSouth()) / (shown.getNorth() - shown.getSouth()));
+      if (share < 0.35 || !shown.contains(wanted)) this.map.fitBounds(wanted.pad(0.25));
     },
     drawStill() {
       this.still.clearLayers();
-      const { fence, keep_out: keepOut, truth } = this.scene;
-      if (fence) {
-        this.still.addLayer(this.area(fence,
-          { color: COLOURS.fence, weight: 2, dashArray: "6 4", fill: false, className: "fence" }));
-      }
-      for (const polygon of keepOut || []) {
+      const { colours } = this;
+      const { polygon, keep_out: keepOut } = this.fence;
+      if (polygon) {
         this.still.addLayer(this.area(polygon,
-          { color: COLOURS.keepOut, weight: 1, fillOpacity: 0.25, className: "keep-out" }));
+          { color: colours.fence, weight: 2, dashArray: "6 4", fill: false, className: "fence" }));
       }
-      if (truth) {
-        this.still.addLayer(this.dot(truth, 5, { color: COLOURS.truth, className: "truth" }));
+      for (const corners of keepOut || []) {
+        this.still.addLayer(this.area(corners,
+          { color: colours.keepOut, weight: 1, fillOpacity: 0.25, className: "keep-out" }));
+      }
+      if (this.scene.truth) {
+        this.still.addLayer(this.dot(this.scene.truth, 9,
+          { color: colours.truth, weight: 1.5, fill: false, className: "truth" }));
       }
     },
     drawGrid() {
       if (!this.map || this.hasTiles) return;
       this.grid.clearLayers();
       const bounds = this.map.getBounds();
-      const width = bounds.getEast() - bounds.getWest();
-      let step = 1;
-      for (const factor of [5, 2, 5, 2, 2.5, 2, 2]) if (width / step > 12) step *= factor;
-      const style = { color: "#94a3b8", weight: 0.5, opacity: 0.7 };
       const [w, e, s, n] = [bounds.getWest(), bounds.getEast(), bounds.getSouth(), bounds.getNorth()];
+      const { x: width, y: height } = this.map.getSize();
+      const pixel = (e - w) / Math.max(1, width);
+      let step = 1;
+      for (const factor of [2, 2.5, 2, 2, 2.5, 2, 2, 2.5, 2]) if (step / pixel < 70) step *= factor;
+      const style = { color: this.colours.grid, weight: 0.5, opacity: 0.7 };
       for (let x = Math.ceil(w / step) * step; x <= e; x += step) {
         this.grid.addLayer(this.line([[x, s], [x, n]], style));
+        const isFree = (x - w) / pixel > 130 && (e - x) / pixel > 130;
+        if (isFree && width > 300) this.label([x, n], "below", `${Math.abs(x)} m ${x < 0 ? "W" : "E"}`);
       }
       for (let y = Math.ceil(s / step) * step; y <= n; y += step) {
         this.grid.addLayer(this.line([[w, y], [e, y]], style));
+        const isFree = (y - s) / pixel > 50 && (n - y) / pixel > 120;
+        if (isFree && height > 300) this.label([w, y], "beside", `${Math.abs(y)} m ${y < 0 ? "S" : "N"}`);
       }
     },
-    show(picture, track) {
-      if (!this.isReady || !this.map) { this.waiting = [picture, track]; return; }
-      if (this.hasTiles && picture.origin && `${picture.origin}` !== `${this.origin}`) {
-        this.origin = picture.origin;
+    label(point, where, text) {
+      const icon = L.divIcon({ className: `grid-label ${where}`, html: text, iconSize: null });
+      this.grid.addLayer(L.marker(this.at(point), { icon, interactive: false, keyboard: false }));
+    },
+    show(picture, points, isWhole) {
+      this.track = isWhole ? points : [...(this.track || []), ...points];
+      this.picture = picture;
+      this.draw();
+    },
+    draw() {
+      const { picture } = this;
+      if (!this.isReady || this.isZooming || !picture) return;
+      const isElsewhere = `${picture.origin}` !== `${this.origin}`;
+      if (isElsewhere) this.origin = picture.origin;
+      if (this.hasTiles && this.origin) this.tiles.addTo(this.map);
+      if (JSON.stringify(picture.fence) !== JSON.stringify(this.fence)
+        || (this.hasTiles && isElsewhere)) {
+        this.fence = picture.fence;
         this.drawStill();
-        this.fitAll();
+        if (this.isFollowing) this.fit(this.fence.polygon || SITE);
       }
+      if (this.isFollowing) this.keepInView(picture);
       this.moving.clearLayers();
       const add = (layer) => this.moving.addLayer(layer);
       for (const mark of picture.marks || []) this.drawMark(mark, picture, add);
-      if (track.length > 1) add(this.line(track, { color: COLOURS.vehicle, weight: 2, opacity: 0.7 }));
+      if (this.track.length > 1) {
+        add(this.line(this.track,
+          { color: this.colours.vehicle, weight: 2, opacity: 0.75, className: "track" }));
+      }
       this.drawOthers(picture.emitters || [], add);
       this.drawEstimate(picture.estimate, add);
       this.drawPlan(picture, add);
       if (picture.vehicle) {
         add(this.dot(picture.vehicle, 7, {
-          color: "#ffffff", fillColor: COLOURS.vehicle, fillOpacity: 1, className: "vehicle",
+          color: "#ffffff", fillColor: this.colours.vehicle, fillOpacity: 1, className: "vehicle",
         }));
       }
     },
     drawMark(mark, picture, add) {
-      const age = Math.max(0, picture.t_s - mark.t_s);
-      const opacity = Math.max(0.08, 0.5 - age / 20);
+      const freshness = 1 - (picture.t_s - mark.t_s) / RING_S;
+      if (freshness <= 0) return;
+      const { near, far } = this.colours;
       const weight = mark.range_weight === null ? 1 : mark.range_weight;
-      const color = weight > 0.9 ? COLOURS.near : COLOURS.far;
+      const style = weight > 0.9 ? { color: near, weight: 1.5 }
+        : { color: far, weight: 1, dashArray: "3 5" };
+      style.opacity = MOST_OPAQUE * Math.min(1, freshness) * (0.4 + 0.6 * weight);
       if (mark.range_m !== null) {
-        add(this.ring(mark.sensor_enu_m, mark.range_m, { color, weight: 1, opacity, className: "range" }));
+        add(this.ring(mark.sensor_enu_m, mark.range_m, { ...style, className: "range" }));
       }
       if (mark.bearing_enu_rad !== null) {
         const [east, north] = mark.sensor_enu_m;
         const reach = mark.range_m === null ? 100 : mark.range_m;
         const end = [east + reach * Math.cos(mark.bearing_enu_rad),
           north + reach * Math.sin(mark.bearing_enu_rad)];
-        add(this.line([[east, north], end], { color, weight: 1, opacity, className: "bearing" }));
+        add(this.line([[east, north], end], { ...style, className: "bearing" }));
       }
     },
     drawEstimate(estimate, add) {
       if (!estimate) return;
-      add(this.area(estimate.ellipse,
-        { color: COLOURS.estimate, weight: 2, fillOpacity: 0.25, className: "ellipse" }));
+      const color = this.colours.estimate;
+      add(this.area(estimate.ellipse, { color, weight: 2, fillOpacity: 0.25, className: "ellipse" }));
       add(this.ring(estimate.place, estimate.r95_m,
-        { color: COLOURS.estimate, weight: 1, dashArray: "2 4", className: "r95" }));
-      add(this.dot(estimate.place, 4,
-        { color: COLOURS.estimate, fillOpacity: 1, className: "estimate" }));
+        { color, weight: 1.5, dashArray: "2 4", className: "r95" }));
+      add(this.dot(estimate.place, 4, { color, fillOpacity: 1, className: "estimate" }));
       if (estimate.alternative) {
-        add(this.dot(estimate.alternative, 6, { color: COLOURS.second, className: "second" }));
+        add(this.dot(estimate.alternative, 6, { color: this.colours.second, className: "second" }));
       }
     },
     drawOthers(emitters, add) {
       for (const emitter of emitters) {
         if (emitter.is_current || !emitter.place) continue;
-        const color = emitter.is_reported ? COLOURS.reported : COLOURS.other;
+        const color = emitter.is_reported ? this.colours.reported : this.colours.estimate;
         add(this.ring(emitter.place, emitter.r95_m,
           { color, weight: 1, dashArray: "2 4", className: "other-r95" }));
         add(this.dot(emitter.place, 5, { color, fillOpacity: 0.6, className: "other-emitter" }));
       }
     },
     drawPlan(picture, add) {
-      if (!picture.waypoint) return;
+      if (!picture.waypoint || !UNDER_WAY.includes(picture.phase)) return;
+      const color = this.colours.waypoint;
       if (picture.vehicle) {
         add(this.line([picture.vehicle.slice(0, 2), picture.waypoint.place],
-          { color: COLOURS.waypoint, weight: 1, dashArray: "4 4" }));
+          { color, weight: 1.5, dashArray: "4 4" }));
       }
-      add(this.dot(picture.waypoint.place, 5, { color: COLOURS.waypoint, className: "waypoint" }));
+      add(this.dot(picture.waypoint.place, 6, { color, className: "waypoint" }));
     },
   },
 };

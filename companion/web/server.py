@@ -16,13 +16,13 @@ from typing import Any
 
 import uvicorn
 from fastapi import FastAPI, Request
-from fastapi.responses import PlainTextResponse
-from fastapi.staticfiles import StaticFiles
+from fastapi.responses import PlainTextResponse, Response
 from nicegui import ui
 
 from companion.web.access import Access
 from companion.web.hub import Hub
 from companion.web.page import Page
+from companion.web.tiles import tile, zooms_of
 
 NICENESS = 19
 """On a computer with too much to do the control tick comes first, and pages wait."""
@@ -77,6 +77,7 @@ def build_app(
     """
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
     app.add_middleware(HostCheck, access=access)
+    zooms = None if tiles is None else zooms_of(tiles)
 
     @ui.page("/", title="Companion")
     def page(request: Request, token: str | None = None) -> PlainTextResponse | None:
@@ -86,16 +87,27 @@ def build_app(
         may_press = access.may_control(client, token)
         Page(
             hub,
-            has_tiles=tiles is not None,
+            tile_zooms=zooms,
             press=press if may_press else None,
             wall_s=time.monotonic,
         )
         return None
 
     if tiles is not None:
-        app.mount("/tiles", StaticFiles(directory=tiles), name="tiles")
+        _add_tiles(app, access, tiles)
     ui.run_with(app, title="Companion", show_welcome_message=False, reconnect_timeout=10.0)
     return app
+
+
+def _add_tiles(app: FastAPI, access: Access, folder: Path) -> None:
+    """Serve map tiles, to those who may look: where a search is, is a part of it."""
+
+    @app.get("/tiles/{zoom}/{x}/{y}.png")
+    def one(request: Request, zoom: int, x: int, y: int, token: str | None = None) -> Response:
+        client = "" if request.client is None else request.client.host
+        if not access.may_view(client, token):
+            return PlainTextResponse(REFUSED, 403)
+        return Response(tile(folder, zoom, x, y), media_type="image/png")
 
 
 async def serve() -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from companion.errors import ConfigError
 from companion.web.access import Access, is_loopback
+from companion.web.tiles import zooms_of
 
 LOOPBACK = "127.0.0.1"
 MIN_TOKEN = 8
@@ -65,8 +66,20 @@ def web_settings(
         raise ConfigError(f"--web {address}: give a port, or HOST:PORT, for example 8080")
     if token is not None and len(token) < MIN_TOKEN:
         raise ConfigError(f"--web-token: needs at least {MIN_TOKEN} characters")
-    if tiles is not None and not tiles.is_dir():
-        raise ConfigError(f"--web-tiles {tiles}: is no folder; give one with z/x/y.png in it")
+    if tiles is not None:
+        _check_tiles(tiles)
     if token is None and not is_loopback(host):
         token = secrets.token_urlsafe(12)
     return WebSettings(host, int(port_text), token, is_control_on, is_view_open, tiles)
+
+
+def _check_tiles(folder: Path) -> None:
+    """Refuse a folder that the map would stay empty with."""
+    try:
+        has_tiles = zooms_of(folder) is not None
+    except OSError as error:
+        raise ConfigError(
+            f"--web-tiles {folder}: {error.strerror}; give a folder with z/x/y.png in it"
+        ) from error
+    if not has_tiles:
+        raise ConfigError(f"--web-tiles {folder}: there is no tile in it; tiles are z/x/y.png")

@@ -29,6 +29,7 @@ from companion.guidance.commands import Severity
 from companion.guidance.session import SessionParams
 from companion.io.journal import FlightJournal
 from companion.link.journal import Journal
+from companion.view.collector import MARKS
 from companion.web.settings import WebSettings, web_settings
 from companion.web.view import WebView
 from sim_link.autopilot.scenario import Scenario
@@ -124,6 +125,16 @@ def browser() -> Iterator[Browser]:
         chromium.close()
 
 
+def box_of(page: Page, what: str) -> tuple[float, float, float, float]:
+    """Left, top, width and height on the screen, pixels; the map draws anew with every picture."""
+    give_up_s = time.monotonic() + PATIENCE_MS / 1000.0
+    box = None
+    while box is None:
+        assert time.monotonic() < give_up_s, f"no {what} on the page"
+        box = page.locator(what).first.bounding_box()
+    return box["x"], box["y"], box["width"], box["height"]
+
+
 class Watched:
     """A page, and everything its console complained of."""
 
@@ -142,12 +153,7 @@ class Watched:
 
     def ellipse_px(self) -> float:
         """Size of the ellipse on the screen."""
-        give_up_s = time.monotonic() + PATIENCE_MS / 1000.0
-        box = None
-        while box is None:  # the map draws it anew with every picture
-            assert time.monotonic() < give_up_s, "no ellipse on the map"
-            box = self.page.locator("path.ellipse").first.bounding_box()
-        return math.hypot(box["width"], box["height"])
+        return math.hypot(*box_of(self.page, "path.ellipse")[2:])
 
     def r95_m(self) -> float:
         """As the page says it."""
@@ -161,8 +167,11 @@ def test_the_ellipse_shrinks_to_the_emitter_on_a_desk_and_on_a_phone(
 ) -> None:
     with live_flight(tmp_path, begins=False) as live:
         pages = [Watched(browser, live.settings.url, size) for size in (DESK, PHONE)]
+        for watched in pages:
+            assert_no_panel_is_empty(watched.page)
         live.begun.set()
         for watched in pages:
+            watched.page.get_by_role("button", name="Whole").click()
             expect(watched.page.locator("path.ellipse")).to_have_count(1, timeout=PATIENCE_MS)
         first_px, first_m = pages[0].ellipse_px(), pages[0].r95_m()
         for watched in pages:
@@ -172,15 +181,63 @@ def test_the_ellipse_shrinks_to_the_emitter_on_a_desk_and_on_a_phone(
             expect(state).to_have_text("localised", timeout=PATIENCE_MS)
         assert pages[0].r95_m() < 0.5 * first_m
         assert pages[0].ellipse_px() < 0.5 * first_px
-        estimate = pages[0].page.locator("path.estimate").bounding_box()
-        truth = pages[0].page.locator("path.truth").bounding_box()
-        assert estimate is not None
-        assert truth is not None
-        apart = math.hypot(estimate["x"] - truth["x"], estimate["y"] - truth["y"])
+        centres = [
+            (left + width / 2, top + height / 2)
+            for left, top, width, height in (
+                box_of(pages[0].page, name) for name in ("path.estimate", "path.truth")
+            )
+        ]
+        apart = math.dist(*centres)
         assert apart < 25.0
         width = pages[1].page.evaluate("document.documentElement.scrollWidth")
         assert width <= PHONE["width"]
+        for watched in pages:
+            assert_no_panel_is_empty(watched.page)
         assert [watched.complaints for watched in pages] == [[], []]
+
+
+def assert_no_panel_is_empty(page: Page) -> None:
+    """Every panel that is seen says something; charts draw on a canvas."""
+    texts = page.locator(".panel:visible:not(.chart)").all_inner_texts()
+    assert texts
+    assert all(text.strip() for text in texts)
+
+
+def pixels_per_metre(page: Page) -> float:
+    """The map's scale, as its scale bar has it."""
+    scale = page.locator(".leaflet-control-scale-line")
+    metres = float(scale.inner_text().removesuffix("m"))
+    return box_of(page, ".leaflet-control-scale-line")[2] / metres
+
+
+def test_it_follows_until_somebody_wants_the_whole_and_rings_stay_few(
+    browser: Browser, tmp_path: Path
+) -> None:
+    with live_flight(tmp_path) as live:
+        watched = Watched(browser, live.settings.url, PHONE)
+        page = watched.page
+        expect(page.locator("#value-next")).to_contain_text("crossing 1", timeout=PATIENCE_MS)
+        follow = page.get_by_role("button", name="Follow")
+        expect(follow).to_have_class("is-on")
+        page.get_by_role("button", name="Whole").click()
+        expect(follow).not_to_have_class("is-on")
+        page.wait_for_timeout(1500.0)
+        scale = pixels_per_metre(page)
+        fence, whole = box_of(page, "path.fence"), box_of(page, ".search-map")
+        assert whole[0] < fence[0]
+        assert fence[0] + fence[2] < whole[0] + whole[2]
+        for _ in range(20):
+            assert page.locator("path.range").count() <= MARKS
+            page.wait_for_timeout(100.0)
+        for button in page.get_by_role("button").all():
+            box = button.bounding_box()
+            assert box is None or box["height"] >= 40.0
+        follow.click()
+        give_up_s = time.monotonic() + PATIENCE_MS / 1000.0
+        while pixels_per_metre(page) < 1.5 * scale:
+            assert time.monotonic() < give_up_s, "the map does not follow"
+            page.wait_for_timeout(200.0)
+        assert watched.complaints == []
 
 
 def test_without_ranging_its_bar_turns_red_and_hold_holds(browser: Browser, tmp_path: Path) -> None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import pytest
 
@@ -14,6 +15,7 @@ from companion.geometry.polygons import depth_m
 from companion.guidance.session import SessionParams
 from companion.guidance.states import Phase
 from companion.mav.dialect import mavlink
+from companion.view.picture import picture_of
 from sim_link.autopilot.scenario import AutopilotParams, OriginParams, Scenario
 from sim_link.lockstep.checkpoints import Checkpointing
 from sim_link.world.target import EmitterParams
@@ -101,6 +103,30 @@ def test_the_autopilots_own_fence_is_flown_in(flavour: Flavour, faults: LinkFaul
     loop.run(120.0)
     assert loop.said("fence: 4 corners, 0 keep-outs, margin 3.6 m")
     assert_kept(loop)
+
+
+def shown_fence(loop: Loop) -> dict[str, Any]:
+    """The fence as views draw it now."""
+    picture: dict[str, Any] = picture_of(loop.companion, loop.flight.now_s)
+    fence: dict[str, Any] = picture["fence"]
+    return fence
+
+
+def test_views_show_the_fence_that_the_guard_keeps_and_why_there_is_none() -> None:
+    loop = Loop(with_limits(LimitsConfig(autopilot_fence="use")), scenario())
+    fence = shown_fence(loop)
+    assert (fence["polygon"], fence["refusal"]) == (None, None)
+    assert fence["missing"] == ["the autopilot's fence"]
+    loop.run(10.0)
+    assert shown_fence(loop)["refusal"] == "the autopilot has no fence to use"
+    upload(loop, (OUT, HOUSE), (IN, SITE))
+    loop.run_until(lambda: loop.phase is Phase.NORMAL, 60.0)
+    fence = shown_fence(loop)
+    assert (fence["refusal"], fence["missing"]) == (None, [])
+    assert fence["words"] == "4 corners, 1 keep-outs, margin 3.6 m"
+    assert [len(corners) for corners in fence["keep_out"]] == [4]
+    for shown, true in zip(sorted(fence["polygon"]), sorted(SITE), strict=True):
+        assert math.dist(shown, true) < 0.1
 
 
 @pytest.mark.parametrize("flavour", ["px4", "ardupilot"])

@@ -37,7 +37,18 @@ def test_a_short_token_is_refused() -> None:
         web_settings("8080", token="1234567")
 
 
-def test_tiles_must_be_a_folder(tmp_path: Path) -> None:
+def test_tiles_must_be_a_folder_with_tiles(tmp_path: Path) -> None:
+    for folder, why in (
+        (tmp_path / "nowhere", "No such file or directory"),
+        (tmp_path, "there is no tile in it"),
+    ):
+        with pytest.raises(ConfigError, match=why) as caught:
+            web_settings("8080", tiles=folder)
+        assert str(caught.value).startswith(f"--web-tiles {folder}: ")
+        assert "\n" not in str(caught.value)
+    picture = tmp_path / "15" / "3" / "4.png"
+    picture.parent.mkdir(parents=True)
+    picture.touch()
     assert web_settings("8080", tiles=tmp_path).tiles == tmp_path
-    with pytest.raises(ConfigError, match="no folder"):
-        web_settings("8080", tiles=tmp_path / "nowhere")
+    with pytest.raises(ConfigError, match="Not a directory"):
+        web_settings("8080", tiles=picture)

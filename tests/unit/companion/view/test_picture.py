@@ -1,0 +1,32 @@
+"""What views are told of a moment."""
+
+import json
+
+from companion.config.schema import CompanionConfig
+from companion.guidance.session import SessionParams
+from companion.io.files import plain
+from companion.view.picture import picture_of, scene_of
+from sim_link.autopilot.scenario import Scenario
+from sim_link.lockstep.flight import Flight
+from sim_link.lockstep.journal import Notes
+
+CONFIG = CompanionConfig(mission=SessionParams(engage="auto"))
+
+
+def test_an_autopilot_is_lost_only_if_it_was_heard() -> None:
+    flight = Flight(CONFIG, Scenario(), 1, Notes())
+    companion = flight.companion
+    assert companion is not None
+    assert picture_of(companion, 0.0)["is_link_lost"] is False
+    flight.run(2.0)
+    assert picture_of(companion, flight.now_s)["is_link_lost"] is False
+    assert picture_of(companion, flight.now_s + 10.0)["is_link_lost"] is True
+
+
+def test_a_picture_goes_into_json_and_stays_small() -> None:
+    flight = Flight(CONFIG, Scenario(), 1, Notes())
+    flight.run(20.0)
+    assert flight.companion is not None
+    picture = {**scene_of(CONFIG), **picture_of(flight.companion, flight.now_s)}
+    assert len(json.dumps(plain(picture), allow_nan=False)) < 8000
+    assert picture["phase_detail"] == "approach: crossing 1, 18.8 m beyond the estimate"
