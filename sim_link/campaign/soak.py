@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -32,6 +33,8 @@ SAMPLE_S = 300.0
 SETTLED_H = 1.0
 """The first hour may grow."""
 SLOPE_MB_PER_H = 0.1
+TOLD_FROM_H = 2.0
+"""A flight of more than so many hours tells of each, because it takes minutes."""
 LOG_CAP_BYTES = 20_000_000
 LOG_SLACK = 1.1
 """The file that is being written, and the names of the others."""
@@ -70,6 +73,9 @@ def _soaked(trial: Trial, directory: Path) -> Outcome:
         hours.append(flight.now_s / HOUR_S)
         memory_mb.append(resident_mb())
         descriptors.append(len(os.listdir("/proc/self/fd")))
+        if trial.size > TOLD_FROM_H and len(hours) % round(HOUR_S / SAMPLE_S) == 0:
+            told = f"  soak: {hours[-1]:.0f} of {trial.size:g} h, {memory_mb[-1]:.1f} MB"
+            print(told, file=sys.stderr, flush=True)
     written = sum(path.stat().st_size for path in directory.rglob("*") if path.is_file())
     journal.close()
     slope = slope_after(hours, memory_mb, min(SETTLED_H, 0.5 * trial.size))
