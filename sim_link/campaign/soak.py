@@ -74,8 +74,9 @@ def _soaked(trial: Trial, directory: Path) -> Outcome:
         memory_mb.append(resident_mb())
         descriptors.append(len(os.listdir("/proc/self/fd")))
         if trial.size > TOLD_FROM_H and len(hours) % round(HOUR_S / SAMPLE_S) == 0:
-            told = f"  soak: {hours[-1]:.0f} of {trial.size:g} h, {memory_mb[-1]:.1f} MB"
-            print(told, file=sys.stderr, flush=True)
+            told = f"  soak: {hours[-1]:.0f} of {trial.size:g} h, {memory_mb[-1]:.1f} MB\n"
+            sys.stderr.write(told)
+            sys.stderr.flush()
     written = sum(path.stat().st_size for path in directory.rglob("*") if path.is_file())
     journal.close()
     slope = slope_after(hours, memory_mb, min(SETTLED_H, 0.5 * trial.size))
