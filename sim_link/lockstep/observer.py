@@ -107,7 +107,7 @@ class Observer:
 
 
 class Observers(list[Observer]):
-    """Who watches a flight; what happens a hundred times a second is told only to who looks at it."""
+    """Who watches a flight; what happens often is told only to who looks at it."""
 
     def __init__(self) -> None:
         super().__init__()
