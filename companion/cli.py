@@ -156,8 +156,9 @@ def _views(
     if arguments.cot is not None:
         views.append(CotView(cot_address(arguments.cot)))
     if settings is not None:
-        views.append(WebView(settings, config))
-        print(f"live map: {settings.url}", file=sys.stderr)
+        page = WebView(settings, config)
+        views.append(page)
+        print(f"live map: {page.url}", file=sys.stderr)
     if not arguments.quiet:
         views.append(_console_view(config))
     return views

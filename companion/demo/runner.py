@@ -207,7 +207,7 @@ def _open_page(
         return None
     east, north = truth["emitter"]["enu_m"][:2]
     page = WebView(settings, config, (float(east), float(north)))
-    say(f"live map: {settings.url}")
+    say(f"live map: {page.url}")
     return page
 
 

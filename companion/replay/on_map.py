@@ -79,7 +79,7 @@ def replay_on_map(
     used = open_recording(path).facts.config if config is None else config
     view = WebView(settings, used)
     try:
-        say(f"live map: {settings.url}; Ctrl-C ends it")
+        say(f"live map: {view.url}; Ctrl-C ends it")
         page = MapOfReplay(view, speed)
         replay = replay_flight(path, config, say, page, view.listen)
         done(replay)

@@ -9,6 +9,8 @@ The listening socket is opened here, before the flight, so that a taken port is 
 
 from __future__ import annotations
 
+import errno
+import ipaddress
 import json
 import logging
 import os
@@ -17,6 +19,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import replace
 
 from companion.errors import CompanionError
 from companion.io.files import plain
@@ -29,6 +32,12 @@ PICTURE_PERIOD_S = 0.25
 MAX_LINE = 1_000_000
 """More than this without a line's end is no button."""
 END_S = 2.0
+FAR_AWAY = ("192.0.2.1", 9)
+"""An address that nobody has (RFC 5737): the way to it leaves by the network's own address."""
+HINTS = {
+    errno.EADDRINUSE: "is another program using the port?",
+    errno.EACCES: "ports below 1024 are not for everybody",
+}
 BUTTONS = frozenset({"hold", "resume", "return"})
 
 
@@ -154,11 +163,23 @@ def listening_socket(settings: WebSettings) -> socket.socket:
         listener.listen()
     except OSError as error:
         listener.close()
+        hint = HINTS.get(error.errno or 0, "is it an address of this computer?")
         raise CompanionError(
-            f"--web {settings.host}:{settings.port}: cannot be opened ({error.strerror}); "
-            "is another program using the port?"
+            f"--web {settings.host}:{settings.port}: cannot be opened ({error.strerror}); {hint}"
         ) from error
     return listener
+
+
+def url_to_tell(settings: WebSettings) -> str:
+    """What to type into a browser, also of another device where the network is served."""
+    try:
+        if not ipaddress.ip_address(settings.host).is_unspecified:
+            return settings.url
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.connect(FAR_AWAY)  # of a datagram socket: looks for the way, sends nothing
+            return replace(settings, host=probe.getsockname()[0]).url
+    except (OSError, ValueError):
+        return settings.url
 
 
 def _check_installed() -> None:

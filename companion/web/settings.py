@@ -34,7 +34,7 @@ class WebSettings:
 
     @property
     def url(self) -> str:
-        """What to type into a browser on this computer, or to read out for another."""
+        """What to type into a browser on this computer."""
         host = f"[{self.host}]" if ":" in self.host else self.host
         base = f"http://{host}:{self.port}/"
         return base if self.token is None else f"{base}?token={self.token}"

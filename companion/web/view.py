@@ -12,7 +12,7 @@ from companion.view.collector import Collector
 from companion.view.picture import Json, picture_of, scene_of
 from companion.view.tee import TeeJournal
 from companion.view.time_to_go import TimeToGo
-from companion.web.process import WebProcess
+from companion.web.process import WebProcess, url_to_tell
 from companion.web.settings import WebSettings
 
 ROOM_S = 0.012
@@ -37,10 +37,16 @@ class WebView:
         config: CompanionConfig,
         truth_enu_m: tuple[float, float] | None = None,
     ) -> None:
+        self._settings = settings
         self._collector = Collector()
         mission = config.mission
         self._time_to_go = TimeToGo(mission.stop_radius_m, mission.stop_confirm_s)
         self._process = WebProcess(settings, {**scene_of(config), "truth": truth_enu_m})
+
+    @property
+    def url(self) -> str:
+        """Where the page is, for people."""
+        return url_to_tell(self._settings)
 
     @property
     def process_id(self) -> int:

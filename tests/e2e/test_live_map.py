@@ -7,159 +7,39 @@ from __future__ import annotations
 
 import math
 import re
-import shutil
 import signal
-import socket
 import subprocess
 import sys
-import threading
 import time
-import urllib.error
-import urllib.request
 from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, Page, expect, sync_playwright
+from playwright.sync_api import Browser, Page, expect
 
-from companion.config.schema import CompanionConfig
 from companion.guidance.commands import Severity
-from companion.guidance.session import SessionParams
-from companion.io.journal import FlightJournal
-from companion.link.journal import Journal
 from companion.view.collector import MARKS
-from companion.web.settings import WebSettings, web_settings
-from companion.web.view import WebView
-from sim_link.autopilot.scenario import Scenario
-from sim_link.lockstep.flight import Flight
+from tests.e2e.live_map_rig import (
+    DESK,
+    PATIENCE_MS,
+    PHONE,
+    Watched,
+    box_of,
+    chromium,
+    free_port,
+    live_flight,
+    needs_chromium,
+    until_up,
+)
 from tests.loop.golden_flights import PLANS, fly
 
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium: apt install chromium")
-
-AUTO = CompanionConfig(mission=SessionParams(engage="auto"))
-SPEED = 4.0
-STEP_S = 0.05
-PATIENCE_MS = 60_000
-DESK, PHONE = {"width": 1280, "height": 900}, {"width": 390, "height": 844}
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
-
-
-@dataclass
-class LiveFlight:
-    """A flight that goes on in its own thread, and its page."""
-
-    settings: WebSettings
-    flight: Flight
-    view: WebView
-    journal: Journal
-    begun: threading.Event = field(default_factory=threading.Event)
-    ended: threading.Event = field(default_factory=threading.Event)
-
-    def fly(self) -> None:
-        """Fly on at its speed until the test is over."""
-        self.step()  # the page wants a first picture
-        self.begun.wait()
-        started_s = time.monotonic() - self.flight.now_s / SPEED
-        while not self.ended.is_set():
-            self.step()
-            ahead_s = started_s + self.flight.now_s / SPEED - time.monotonic()
-            if ahead_s > 0.0:
-                time.sleep(ahead_s)
-            else:
-                started_s -= ahead_s
-
-    def step(self) -> None:
-        """Fly a little, and show it."""
-        self.flight.run(STEP_S)
-        companion = self.flight.companion
-        if companion is not None:
-            self.view.update(companion, self.flight.now_s)
-
-    @property
-    def vehicle_enu_m(self) -> tuple[float, float, float]:
-        """Where the vehicle truly is."""
-        return self.flight.sim.vehicle.body.position_enu_m
-
-
-@contextmanager
-def live_flight(
-    folder: Path, settings: WebSettings | None = None, *, begins: bool = True
-) -> Iterator[LiveFlight]:
-    scenario = Scenario()
-    settings = settings or web_settings(str(free_port()), is_control_on=True)
-    truth = scenario.emitter.position_enu_m[:2]
-    view = WebView(settings, AUTO, (truth[0], truth[1]))
-    log = FlightJournal(folder, time.time())
-    journal = view.listen(log)
-    live = LiveFlight(settings, Flight(AUTO, scenario, 1, journal), view, journal)
-    thread = threading.Thread(target=live.fly, daemon=True)
-    thread.start()
-    if begins:
-        live.begun.set()
-    try:
-        yield live
-    finally:
-        live.ended.set()
-        live.begun.set()
-        thread.join(10.0)
-        view.close()
-        log.close(5.0)
+pytestmark = needs_chromium
 
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(
-            executable_path=CHROMIUM, args=["--no-sandbox"], timeout=PATIENCE_MS
-        )
-        yield chromium
-        chromium.close()
-
-
-def box_of(page: Page, what: str) -> tuple[float, float, float, float]:
-    """Left, top, width and height on the screen, pixels; the map draws anew with every picture."""
-    give_up_s = time.monotonic() + PATIENCE_MS / 1000.0
-    box = None
-    while box is None:
-        assert time.monotonic() < give_up_s, f"no {what} on the page"
-        box = page.locator(what).first.bounding_box()
-    return box["x"], box["y"], box["width"], box["height"]
-
-
-class Watched:
-    """A page, and everything its console complained of."""
-
-    def __init__(self, browser: Browser, url: str, size: dict[str, int]) -> None:
-        self.page: Page = browser.new_context(
-            viewport={"width": size["width"], "height": size["height"]}
-        ).new_page()
-        self.page.set_default_timeout(PATIENCE_MS)
-        self.complaints: list[str] = []
-        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
-        self.page.on(
-            "console",
-            lambda line: self.complaints.append(line.text) if line.type == "error" else None,
-        )
-        self.page.goto(url)
-
-    def ellipse_px(self) -> float:
-        """Size of the ellipse on the screen."""
-        return math.hypot(*box_of(self.page, "path.ellipse")[2:])
-
-    def r95_m(self) -> float:
-        """As the page says it."""
-        found = re.search(r"[\d.]+(?= m)", self.page.locator("#r95").inner_text())
-        assert found is not None
-        return float(found.group())
+    with chromium() as started:
+        yield started
 
 
 def test_the_ellipse_shrinks_to_the_emitter_on_a_desk_and_on_a_phone(
@@ -267,44 +147,6 @@ def test_hostile_texts_are_shown_as_texts(browser: Browser, tmp_path: Path) -> N
         expect(watched.page.locator("#texts")).to_contain_text(hostile, timeout=PATIENCE_MS)
         assert watched.page.locator("#texts img").count() == 0
         assert watched.page.title() == "Companion"
-
-
-def status(url: str, **headers: str) -> int:
-    """The HTTP status of a request."""
-    request = urllib.request.Request(url, headers=headers)
-    try:
-        with urllib.request.urlopen(request, timeout=20.0) as answer:
-            code: int = answer.status
-            return code
-    except urllib.error.HTTPError as error:
-        return error.code
-
-
-def until_up(url: str) -> None:
-    for _ in range(200):
-        try:
-            status(url)
-        except urllib.error.URLError:
-            time.sleep(0.1)
-        else:
-            return
-
-
-def test_beyond_loopback_there_is_nothing_without_the_token(tmp_path: Path) -> None:
-    settings = web_settings(f"0.0.0.0:{free_port()}", is_control_on=True)
-    with live_flight(tmp_path, settings):
-        base = f"http://127.0.0.1:{settings.port}/"
-        until_up(base)
-        assert status(base) == 403
-        assert status(f"{base}?token=wrong-token") == 403
-        assert status(f"{base}?token={settings.token}") == 200
-
-
-def test_a_name_that_a_stranger_points_at_us_is_refused(tmp_path: Path) -> None:
-    with live_flight(tmp_path) as live:
-        until_up(live.settings.url)
-        assert status(live.settings.url, Host="evil.example") == 421
-        assert status(live.settings.url) == 200
 
 
 def test_a_recorded_flight_is_shown_with_all_emitters_and_stays_until_it_is_ended(

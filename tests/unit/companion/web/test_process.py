@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import errno
 import socket
+import sys
+from unittest.mock import Mock
 
 import pytest
 
 from companion.errors import CompanionError
-from companion.web.process import listening_socket
+from companion.web.process import WebProcess, listening_socket, url_to_tell
 from companion.web.settings import web_settings
 
 
@@ -27,3 +30,40 @@ def test_a_taken_port_is_a_clear_error() -> None:
 def test_an_address_of_another_computer_is_refused() -> None:
     with pytest.raises(CompanionError, match=r"--web 192\.0\.2\.1:8080: cannot be opened"):
         listening_socket(web_settings("192.0.2.1:8080"))
+    with pytest.raises(CompanionError, match="is it an address of this computer"):
+        listening_socket(web_settings("192.0.2.1:8080"))
+
+
+def test_a_port_that_is_not_ours_to_open_is_said_to_be_that(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    refusal = Mock(side_effect=PermissionError(errno.EACCES, "Permission denied"))
+    monkeypatch.setattr(socket.socket, "bind", refusal)
+    with pytest.raises(CompanionError, match="ports below 1024"):
+        listening_socket(web_settings("80"))
+
+
+def test_without_the_extra_it_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "nicegui", None)
+    with pytest.raises(CompanionError, match=r"pip install 'companion-guidance\[web\]'"):
+        WebProcess(web_settings("8080"), {})
+
+
+def test_the_address_that_is_told_is_the_one_that_is_served() -> None:
+    for address in ("8080", "192.168.1.7:8080", "field-laptop:8080"):
+        settings = web_settings(address)
+        assert url_to_tell(settings) == settings.url
+
+
+def test_without_a_network_the_address_stays_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    refusal = Mock(side_effect=OSError(errno.ENETUNREACH, "Network is unreachable"))
+    monkeypatch.setattr(socket.socket, "connect", refusal)
+    settings = web_settings("0.0.0.0:8080")
+    assert url_to_tell(settings) == settings.url
+
+
+def test_beside_the_network_the_address_is_the_way_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(socket.socket, "connect", Mock())
+    monkeypatch.setattr(socket.socket, "getsockname", Mock(return_value=("192.168.1.7", 4)))
+    settings = web_settings("0.0.0.0:8080", token="12345678")
+    assert url_to_tell(settings) == "http://192.168.1.7:8080/?token=12345678"

@@ -1,0 +1,132 @@
+"""Who gets at the live map: with and without the token, from other sites, and at its tiles."""
+
+from __future__ import annotations
+
+import asyncio
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+from urllib.parse import urlencode
+
+import pytest
+from playwright.sync_api import Browser, expect
+from websockets.asyncio.client import connect
+from websockets.exceptions import WebSocketException
+
+from companion.web.settings import web_settings
+from companion.web.tiles import NO_TILE
+from tests.e2e.live_map_rig import (
+    DESK,
+    PATIENCE_MS,
+    Watched,
+    chromium,
+    free_port,
+    live_flight,
+    needs_chromium,
+    status,
+    until_up,
+)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with chromium() as started:
+        yield started
+
+
+def test_beyond_loopback_there_is_nothing_without_the_token(tmp_path: Path) -> None:
+    settings = web_settings(f"0.0.0.0:{free_port()}", is_control_on=True)
+    with live_flight(tmp_path, settings):
+        base = f"http://127.0.0.1:{settings.port}/"
+        until_up(base)
+        assert status(base) == 403
+        assert status(f"{base}?token=wrong-token") == 403
+        assert status(f"{base}?token={settings.token}") == 200
+
+
+def test_a_name_that_a_stranger_points_at_us_is_refused(tmp_path: Path) -> None:
+    with live_flight(tmp_path) as live:
+        until_up(live.settings.url)
+        assert status(live.settings.url, Host="evil.example") == 421
+        assert status(live.settings.url) == 200
+
+
+async def received(address: str) -> str:
+    """What a client gets that makes up a page's number and listens for two seconds."""
+    query = {
+        "EIO": 4,
+        "transport": "websocket",
+        "client_id": str(uuid.uuid4()),
+        "tab_id": str(uuid.uuid4()),
+        "document_id": str(uuid.uuid4()),
+        "next_message_id": 0,
+        "implicit_handshake": "true",
+    }
+    texts: list[str] = []
+    try:
+        async with asyncio.timeout(2.0), connect(f"{address}?{urlencode(query)}") as page:
+            texts.append(str(await page.recv()))
+            await page.send("40")
+            while True:
+                texts.append(str(await page.recv()))
+    except (TimeoutError, WebSocketException):
+        return "\n".join(texts)
+
+
+def test_a_socket_without_a_page_tells_nothing_of_the_flight(tmp_path: Path) -> None:
+    settings = web_settings(f"0.0.0.0:{free_port()}", is_control_on=True)
+    with live_flight(tmp_path, settings):
+        until_up(f"http://127.0.0.1:{settings.port}/")
+        address = f"ws://127.0.0.1:{settings.port}/_nicegui_ws/socket.io/"
+        told = asyncio.run(received(address))
+        assert "R95" not in told
+        assert "vehicle" not in told
+        assert len(told) < 1000
+
+
+def with_tile(folder: Path) -> Path:
+    """A folder with one tile."""
+    path = folder / "tiles" / "15" / "3" / "4.png"
+    path.parent.mkdir(parents=True)
+    path.write_bytes(NO_TILE)
+    return folder / "tiles"
+
+
+def test_tiles_are_for_those_who_may_look_and_nothing_beside_them_is_served(tmp_path: Path) -> None:
+    (tmp_path / "secret.png").write_bytes(NO_TILE)
+    settings = web_settings(f"0.0.0.0:{free_port()}", tiles=with_tile(tmp_path))
+    with live_flight(tmp_path, settings):
+        base = f"http://127.0.0.1:{settings.port}/"
+        until_up(base)
+        assert status(f"{base}tiles/15/3/4.png") == 403
+        assert status(f"{base}tiles/15/3/4.png?token={settings.token}") == 200
+        assert status(f"{base}tiles/15/3/5.png?token={settings.token}") == 200
+        outside = f"{base}tiles/15/..%2F..%2F..%2F/secret.png?token={settings.token}"
+        assert status(outside) in (404, 422)
+
+
+@needs_chromium
+def test_an_open_map_has_buttons_only_with_the_token_and_lays_it_on_tiles(
+    browser: Browser, tmp_path: Path
+) -> None:
+    settings = web_settings(
+        f"0.0.0.0:{free_port()}",
+        is_control_on=True,
+        is_view_open=True,
+        tiles=with_tile(tmp_path),
+    )
+    with live_flight(tmp_path, settings, begins=False) as live:
+        base = f"http://127.0.0.1:{settings.port}/"
+        until_up(base)
+        looking = Watched(browser, base, DESK)
+        pressing = Watched(browser, f"{base}?token={settings.token}", DESK)
+        live.begun.set()
+        for watched in (looking, pressing):
+            expect(watched.page.locator("#phase")).to_contain_text("searching", timeout=PATIENCE_MS)
+            assert watched.page.locator(".leaflet-tile").count() > 0
+        assert looking.page.locator("#button-hold").count() == 0
+        pressing.page.locator("#button-hold").click()
+        pressing.page.locator("#confirm-hold").click()
+        phase = looking.page.locator("#phase")
+        expect(phase).to_contain_text("the operator asked to hold", timeout=PATIENCE_MS)
+        assert [looking.complaints, pressing.complaints] == [[], []]
