@@ -30,6 +30,7 @@ class Hub:
         tick: Called every 0.1 s with the time; the mission.
         stop: Called when an end is asked for; the mission then calls `finish`.
         has_radio: Whether there is a radio beside the vehicle.
+        delivered: Told of every frame that goes to the companion, and when.
     """
 
     def __init__(
@@ -40,11 +41,13 @@ class Hub:
         stop: Callable[[float], None],
         *,
         has_radio: bool = False,
+        delivered: Callable[[bytes, float], None] | None = None,
     ) -> None:
         self._wire = wire
         self._watch = watch
         self._tick = tick
         self._stop = stop
+        self._delivered = delivered
         self._clients = (COMPANION, OPERATOR, RADIO) if has_radio else (COMPANION, OPERATOR)
         self._splitters = [MavCodec(0, 0) for _ in range(4)]
         self._peers: dict[int, Address] = {}
@@ -71,23 +74,25 @@ class Hub:
         elif source == COMPANION and target == VEHICLE:
             lane = Lane.TO_VEHICLE
         else:
-            self._send(target, frame)
+            self._send(target, frame, now_s)
             return
         for due_s, data in self._wire.carry(frame, lane, now_s):
             if due_s <= now_s:
-                self._send(target, data)
+                self._send(target, data, now_s)
             else:
                 self._count += 1
                 heapq.heappush(self._late, (due_s, self._count, target, data))
 
-    def _send(self, link: int, data: bytes) -> None:
+    def _send(self, link: int, data: bytes, now_s: float) -> None:
+        if link == COMPANION and self._delivered is not None:
+            self._delivered(data, now_s)
         self._output.append(Chunk(link, data, self._peers.get(link)))
 
     def handle_timer(self, now_s: float) -> None:
         """Deliver what was late, and look at the mission when that is due."""
         while self._late and self._late[0][0] <= now_s:
             _, _, link, data = heapq.heappop(self._late)
-            self._send(link, data)
+            self._send(link, data, now_s)
         if now_s >= self._due_s:
             self._due_s = max(self._due_s + PERIOD_S, now_s)
             self._tick(now_s)

@@ -35,6 +35,7 @@ from sim_link.mission.situation import Situation
 from sim_link.mission.steps import StepRunner
 from sim_link.mission.verdicts import Flown, true_places, verdicts_of
 from sim_link.monitor.monitor import Monitor
+from sim_link.monitor.scope import LOCKSTEP
 
 SLICE_S = 0.1
 TRACK_SLICES = 2
@@ -72,7 +73,7 @@ class _MissionFlight:
     """One flight with everybody around it."""
 
     def __init__(self, mission: Mission, seed: int, make_companion: MakeCompanion) -> None:
-        self.record = FlightRecord(autopilot=mission.autopilot.flavour, is_monitored=True)
+        self.record = FlightRecord(autopilot=mission.autopilot.flavour, scope=LOCKSTEP)
         self.situation = Situation()
         emitters = true_places(mission)
         self._reader = EventReader(

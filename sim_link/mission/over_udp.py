@@ -44,6 +44,7 @@ from sim_link.mission.situation import Situation
 from sim_link.mission.steps import StepRunner
 from sim_link.mission.telemetry import TelemetryReader
 from sim_link.mission.verdicts import Flown, true_places, verdicts_of
+from sim_link.mission.wire_watch import WireWatch
 
 START_S = 150.0
 """Real time that a process may take to start; the first one of all compiles."""
@@ -106,6 +107,7 @@ def fly_over_udp(
         finally:
             flight.close()
         flight.record.wall_s = time.perf_counter() - started
+        flight.judge()
     how = f"speed {speed:g}" if connect is None else f"{connect}"
     verdicts = verdicts_of(Flown(mission, flight.record, flight.situation))
     return MissionResult(mission, file, seed, how, flight.record, tuple(verdicts))
@@ -134,11 +136,21 @@ class _UdpFlight:
         self._vehicle = self._vehicle_child() if connect is None else None
         self._radio: Child | None = None
         self._operator = MavsdkOperator(self._ports.operator, folder / "mavsdk.log")
-        harness = ProcessHarness(mission, self._wire, self._vehicle, self._companion)
+        self._watched = watched = WireWatch(speed)
+        harness = ProcessHarness(
+            mission, self._wire, self._vehicle, self._companion, watched.recording
+        )
         self._harness = harness
         self._runner = StepRunner(mission, self.situation, self.record, self._operator, harness)
         has_radio = connect is not None
-        self._hub = Hub(self._wire, self._watch, self._look, self._interrupt, has_radio=has_radio)
+        self._hub = Hub(
+            self._wire,
+            self._watch,
+            self._look,
+            self._interrupt,
+            has_radio=has_radio,
+            delivered=watched.delivered,
+        )
         self._end_wall_s: float | None = None
         """When the end began."""
         self._is_companion_told = False
@@ -169,6 +181,12 @@ class _UdpFlight:
                 child.stop()
         self._take_events(self._clock.now_s())
         self._tlog.close()
+
+    def judge(self) -> None:
+        """Look for violations of the invariants in what was recorded."""
+        self._watched.date_events(self._offset_s)
+        self._watched.judge(flown_config(self._mission), self.record)
+        self.situation.companion.violations = len(self.record.violations)
 
     def _links(self) -> list[LinkSpec]:
         ports = self._ports
@@ -246,10 +264,13 @@ class _UdpFlight:
         if link in (VEHICLE, RADIO):
             self._heard_wall_s = time.monotonic()
             self._telemetry.take(frame, now_s)
+            self._watched.vehicle_sent(frame, now_s)
         elif link == COMPANION:
+            self._watched.sent(frame, now_s)
             self._telemetry.take_companion(frame)
 
     def _look(self, now_s: float) -> None:
+        self._watched.looked(now_s)
         self._take_events(now_s)
         self._reader.age(now_s)
         vehicle, operator = self.situation.vehicle, self._operator
@@ -300,6 +321,7 @@ class _UdpFlight:
         if self._harness.has_restarted_companion and self._tail.look_for_flight():
             self._harness.has_restarted_companion = False
             self._reader.restarted()
+            self._watched.date_events(self._offset_s)
             self._offset_s = None
         events = self._tail.take()
         if not events:
@@ -310,6 +332,7 @@ class _UdpFlight:
             self._offset_s = offset_s
         for event in events:
             time_s, kind = event.pop("t_s"), event.pop("kind")
+            self._watched.noted(kind, event, time_s)
             self._reader.take(kind, event, max(0.0, time_s + self._offset_s))
 
     def _check_children(self, now_s: float) -> None:

@@ -24,6 +24,7 @@ from sim_link.faults.kinds import (
     VehicleFault,
     Wind,
 )
+from sim_link.lockstep.observer import Observer
 from sim_link.mission.children import Child
 from sim_link.mission.script import Mission
 
@@ -36,15 +37,23 @@ class ProcessHarness:
         wire: Between vehicle and companion.
         vehicle: The simulator; None: the vehicle is not ours.
         companion: The companion.
+        watcher: Told when the companion's process stops and goes on.
     """
 
     def __init__(
-        self, mission: Mission, wire: FaultyLink, vehicle: Child | None, companion: Child
+        self,
+        mission: Mission,
+        wire: FaultyLink,
+        vehicle: Child | None,
+        companion: Child,
+        watcher: Observer | None = None,
     ) -> None:
         self._mission = mission
         self._wire = wire
         self._vehicle = vehicle
         self._companion = companion
+        self._watcher = Observer() if watcher is None else watcher
+        self._now_s = 0.0
         self._due: list[tuple[float, int, Callable[[], None]]] = []
         self._count = 0
         self.is_companion_down = False
@@ -60,7 +69,7 @@ class ProcessHarness:
                 self._at(start_s, self._kill)
                 self._at(start_s + down_s, self._restart)
             case CompanionStalled(duration_s=duration_s):
-                self._at(start_s, partial(self._companion.signal, signal.SIGSTOP))
+                self._at(start_s, partial(self._suspend, duration_s))
                 self._at(start_s + duration_s, partial(self._companion.signal, signal.SIGCONT))
             case CompanionTerminated():
                 self._at(start_s, self._terminate)
@@ -73,6 +82,7 @@ class ProcessHarness:
 
     def tick(self, now_s: float) -> None:
         """Do what is due."""
+        self._now_s = now_s
         while self._due and self._due[0][0] <= now_s:
             heapq.heappop(self._due)[2]()
 
@@ -80,17 +90,24 @@ class ProcessHarness:
         self._count += 1
         heapq.heappush(self._due, (time_s, self._count, action))
 
+    def _suspend(self, duration_s: float) -> None:
+        self._watcher.companion_suspended(self._now_s, self._now_s + duration_s)
+        self._companion.signal(signal.SIGSTOP)
+
     def _kill(self) -> None:
         self.is_companion_down = True
+        self._watcher.companion_ended(self._now_s)
         self._companion.signal(signal.SIGKILL)
 
     def _restart(self) -> None:
         self._companion.stop()
         self._companion.start()
+        self._watcher.companion_started(self._now_s)
         self.is_companion_down, self.has_restarted_companion = False, True
 
     def _terminate(self) -> None:
         self.is_companion_down = True
+        self._watcher.companion_ended(self._now_s)
         self._companion.signal(signal.SIGTERM)
 
     def _calm(self) -> None:

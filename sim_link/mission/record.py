@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from companion.domain import Point, PositionEnu
+from sim_link.monitor.scope import NOTHING, Scope
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,8 +102,10 @@ class FlightRecord:
     """What ended the mission, beside a step; empty: nothing."""
     autopilot: str = ""
     """Who was flown: px4, ardupilot or other."""
-    is_monitored: bool = False
-    """Whether the invariants were watched."""
+    scope: Scope = NOTHING
+    """Which invariants were judged, and why the others were not."""
+    slack_s: float = 0.0
+    """By how much limits of time were wider than in lockstep, in seconds of flight."""
     is_interrupted: bool = False
     """Somebody asked for the end."""
     wall_s: float = 0.0

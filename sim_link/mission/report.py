@@ -6,6 +6,7 @@ The page is complete in itself: no network, no scripts; it follows the reader's 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import dataclass
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -18,6 +19,7 @@ from sim_link.mission.record import EstimatePoint, FlightRecord
 from sim_link.mission.result import MissionResult, slug
 from sim_link.mission.script import Mission
 from sim_link.mission.verdicts import true_places
+from sim_link.monitor.scope import TITLES
 
 MAP_SIZE = 640.0
 CHART_SIZE = (640.0, 220.0)
@@ -34,6 +36,18 @@ class EventRow:
     time_s: float
     kind: str
     text: str
+
+
+@dataclass(frozen=True, slots=True)
+class InvariantRow:
+    """One line of the table of invariants."""
+
+    name: str
+    title: str
+    violations: int | None
+    """None: not judged."""
+    note: str
+    """How far it was judged, or why not."""
 
 
 def report_name(result: MissionResult) -> str:
@@ -60,6 +74,7 @@ def report_page(result: MissionResult) -> str:
         map=Markup(_map(result).svg()),
         charts=[(title, note, Markup(svg)) for title, note, svg in _charts(result)],
         events=events_of(record)[:MAX_EVENTS],
+        invariants=invariants_of(record),
         version=__version__,
     )
 
@@ -78,6 +93,21 @@ def events_of(record: FlightRecord) -> list[EventRow]:
     ]
     rows += [EventRow(v.time_s, "violation", f"{v.invariant}: {v.text}") for v in record.violations]
     return sorted(rows, key=lambda row: row.time_s)
+
+
+def invariants_of(record: FlightRecord) -> list[InvariantRow]:
+    """Every invariant: how often it did not hold, or why that was not judged."""
+    counts = Counter(violated.invariant for violated in record.violations)
+    scope = record.scope
+    return [
+        InvariantRow(
+            name,
+            title,
+            counts[name] if name in scope.judged else None,
+            scope.judged.get(name) or scope.unjudged.get(name, ""),
+        )
+        for name, title in TITLES.items()
+    ]
 
 
 def _phrase(kind: str, fields: object) -> str:

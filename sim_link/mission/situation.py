@@ -134,7 +134,9 @@ FIELDS: dict[str, FieldInfo] = {
     "companion.refused": _number("ranging measurements refused"),
     "companion.ranging_age_s": _number("since the last measurement that was used"),
     "companion.reported": _number("targets reported"),
-    "companion.violations": _number("of the invariants, so far"),
+    "companion.violations": _number(
+        "of the invariants, so far; with real processes 0 until the end"
+    ),
     "estimate.emitter": _number("id of the emitter that is looked for now"),
     "estimate.state": _word("how much is known", EstimateState),
     "estimate.r95_m": _number("radius that holds the target with 95 % probability"),

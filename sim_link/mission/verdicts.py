@@ -109,13 +109,17 @@ def _distance(bound: Bound, flown: Flown) -> tuple[bool, str]:
 
 
 def _violations(limit: Violations, flown: Flown) -> tuple[bool, str]:
-    if not flown.record.is_monitored:
-        return True, "not judged: invariants are watched in lockstep only"
+    unjudged = flown.record.scope.unjudged_of(limit.invariants)
+    if len(unjudged) == len(limit.invariants):
+        reasons = (f"{name} {flown.record.scope.unjudged[name]}" for name in unjudged)
+        return True, f"not judged: {'; '.join(reasons)}"
     counted = [v for v in flown.record.violations if v.invariant in limit.invariants]
     found = f"{len(counted)}, expected at most {limit.at_most}"
     if counted:
         first = counted[0]
         found += f"; first {first.invariant} at {first.time_s:.2f} s: {first.text}"
+    if unjudged:
+        found += f"; not judged: {', '.join(unjudged)}"
     return len(counted) <= limit.at_most, found
 
 

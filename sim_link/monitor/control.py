@@ -50,8 +50,7 @@ class OnlyWithAuthority(Invariant):
     def started(self) -> None:
         """A process that starts beside a vehicle in the air never takes it by itself."""
         self._was_ours, self._lost_s = False, None
-        vehicle = self.scene.vehicle
-        self._may_engage = not (vehicle.is_armed or not vehicle.body.is_on_ground)
+        self._may_engage = not self.scene.is_flying
 
     def mode_chosen(self, mode: FlightMode) -> None:
         """An autopilot that goes back to offboard by itself gives nobody control."""
@@ -66,7 +65,7 @@ class OnlyWithAuthority(Invariant):
             if message.command == mavlink.MAV_CMD_NAV_GUIDED_ENABLE and message.param1 == 1.0:
                 self._was_ours, self._lost_s, self._may_engage = False, None, True
             return
-        is_autopilot = frame.sender == (self.scene.vehicle.system_id, AUTOPILOT_COMPONENT)
+        is_autopilot = frame.sender == (self.scene.system_id, AUTOPILOT_COMPONENT)
         if is_autopilot and isinstance(message, mavlink.MAVLink_heartbeat_message):
             self._follow(message, self.scene.sent_at(frame))
 
@@ -118,14 +117,13 @@ class OnlyWithAuthority(Invariant):
 
     def _asks_offboard(self, message: Message) -> bool:
         main, number = float(PX4_OFFBOARD_MAIN), 4.0
-        is_px4 = self.scene.vehicle.scenario.autopilot.flavour == "px4"
-        return bool(getattr(message, "param2", 0.0) == (main if is_px4 else number))
+        return bool(getattr(message, "param2", 0.0) == (main if self.scene.is_px4 else number))
 
     def _is_late(self, what: str) -> bool:
         if self._lost_s is None:
             return False
         late_s = self.scene.now_s - self._lost_s
-        if late_s <= TICK_S + EPSILON_S:
+        if late_s <= self.scene.rules.answer_s + EPSILON_S:
             return False
         self.late += 1
         self.worst_late_s = max(self.worst_late_s, late_s)

@@ -9,7 +9,7 @@ its estimate) it is only held against it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 from companion.domain import FlightMode
 from companion.mav.signing import SigningKey
@@ -29,7 +29,7 @@ from sim_link.monitor.motions import FreshState, WithinEnvelope
 from sim_link.monitor.places import InsideFence, SafeToFreeze
 from sim_link.monitor.proof import Proof
 from sim_link.monitor.rules import Rules
-from sim_link.monitor.scene import Scene, Told
+from sim_link.monitor.scene import Scene, Told, TrueScene
 from sim_link.monitor.violation import Violation
 
 
@@ -37,8 +37,108 @@ def no_estimate() -> None:
     """Where nobody shows the companion's estimate."""
 
 
-class Monitor(Observer):
-    """Watches one flight.
+class FrameMonitor(Observer):
+    """Shows a flight to invariants, as far as frames, journal and the companion's process tell it.
+
+    Args:
+        scene: What the invariants share.
+        invariants: Who judges.
+        key: Of the link, where it is signed.
+    """
+
+    def __init__(
+        self, scene: Scene, invariants: Sequence[Invariant], key: SigningKey | None = None
+    ) -> None:
+        self._shared = scene
+        self.invariants = list(invariants)
+        self._proof = None if key is None else Proof(key)
+        self._hearing = self._looking_at("heard")
+        self._stepping = self._looking_at("stepped")
+        self._ticking = self._looking_at("ticked")
+        self._sending = self._looking_at("sent")
+        self._noting = self._looking_at("noted")
+
+    def _looking_at(self, what: str) -> list[Invariant]:
+        """Who wants to see something that happens a hundred times a second."""
+        base = getattr(Invariant, what)
+        return [each for each in self.invariants if getattr(type(each), what) is not base]
+
+    @property
+    def violations(self) -> list[Violation]:
+        """What did not hold, in the order of time; at most twenty of a kind."""
+        return self._shared.violations
+
+    # Observer
+
+    def sent(self, frame: Frame) -> None:
+        """The companion sent this."""
+        self._shared.now_s = frame.time_s
+        setpoint = self._shared.setpoint_of(frame)
+        if setpoint is None:
+            for invariant in self._sending:
+                invariant.sent(frame)
+            return
+        for invariant in self.invariants:
+            invariant.sent(frame)
+            invariant.setpoint(setpoint)
+
+    def heard(self, frame: Frame) -> None:
+        """This reaches the companion."""
+        scene = self._shared
+        scene.now_s = frame.time_s
+        scene.is_believable = frame.is_genuine and frame.is_readable
+        if self._proof is not None and frame.is_readable:
+            scene.is_believable = self._proof.accepts(frame.data)
+        if scene.is_believable:
+            scene.tell(frame)
+        for invariant in self._hearing:
+            invariant.heard(frame)
+
+    def vehicle_sent(self, frame: Frame) -> None:
+        """The vehicle sent this."""
+        self._shared.remember(frame)
+
+    def noted(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
+        """The companion wrote into its journal."""
+        self._shared.now_s = now_s
+        for invariant in self._noting:
+            invariant.noted(kind, fields)
+
+    def companion_started(self, now_s: float) -> None:
+        """The companion process began anew."""
+        scene = self._shared
+        scene.now_s, scene.tick_s = now_s, None
+        scene.is_companion_up, scene.is_restarted = True, True
+        scene.told = Told(began_s=now_s, origin_enu_m=scene.told.origin_enu_m)
+        for invariant in self.invariants:
+            invariant.started()
+
+    def companion_suspended(self, now_s: float, until_s: float) -> None:  # noqa: ARG002
+        """The companion process gets no time."""
+        self._shared.suspended_until_s = max(self._shared.suspended_until_s, until_s)
+
+    def companion_ended(self, now_s: float) -> None:  # noqa: ARG002
+        """The companion process ended."""
+        self._shared.is_companion_up = False
+
+    def mode_chosen(self, mode: FlightMode, now_s: float) -> None:
+        """A person switched the mode."""
+        self._shared.now_s = now_s
+        for invariant in self.invariants:
+            invariant.mode_chosen(mode)
+
+    def vehicle_rebooted(self, now_s: float) -> None:
+        """The vehicle begins anew; what it said before means nothing."""
+        scene = self._shared
+        scene.now_s = now_s
+        scene.told.position_boot_ms = -1
+        scene.told.mode_sent_at = (-1.0, 0)
+        for invariant in self.invariants:
+            invariant.rebooted()
+
+
+class Monitor(FrameMonitor):
+    """Watches one flight of which the truth is known.
 
     Args:
         rules: What must hold.
@@ -59,14 +159,13 @@ class Monitor(Observer):
         key: SigningKey | None = None,
         sizes: Callable[[], Mapping[str, tuple[int, int]]] | None = None,
     ) -> None:
-        self.scene = scene = Scene(rules, vehicle)
+        self.scene = scene = TrueScene(rules, vehicle=vehicle)
         self.fence = InsideFence(scene)
         self.authority = OnlyWithAuthority(scene)
         self.stream = KeepsStreaming(scene)
         self.repeat = Repeatable(scene)
         self._proved = None if snapshot is None else OnlyProvedFrames(scene, snapshot)
-        self._proof = None if key is None else Proof(key)
-        self.invariants: list[Invariant] = [
+        invariants: list[Invariant] = [
             self.fence,
             WithinEnvelope(scene),
             self.authority,
@@ -80,57 +179,15 @@ class Monitor(Observer):
             self.repeat,
         ]
         if self._proved is not None:
-            self.invariants.append(self._proved)
-        self._hearing = self._looking_at("heard")
-        self._stepping = self._looking_at("stepped")
-        self._ticking = self._looking_at("ticked")
-        self._sending = self._looking_at("sent")
-        self._noting = self._looking_at("noted")
-
-    def _looking_at(self, what: str) -> list[Invariant]:
-        """Who wants to see something that happens a hundred times a second."""
-        base = getattr(Invariant, what)
-        return [each for each in self.invariants if getattr(type(each), what) is not base]
-
-    @property
-    def violations(self) -> list[Violation]:
-        """What did not hold, in the order of time; at most twenty of a kind."""
-        return self.scene.violations
+            invariants.append(self._proved)
+        super().__init__(scene, invariants, key)
 
     # Observer
-
-    def sent(self, frame: Frame) -> None:
-        """The companion sent this."""
-        self.scene.now_s = frame.time_s
-        setpoint = self.scene.setpoint_of(frame)
-        if setpoint is None:
-            for invariant in self._sending:
-                invariant.sent(frame)
-            return
-        for invariant in self.invariants:
-            invariant.sent(frame)
-            invariant.setpoint(setpoint)
-
-    def heard(self, frame: Frame) -> None:
-        """This reaches the companion."""
-        scene = self.scene
-        scene.now_s = frame.time_s
-        scene.is_believable = frame.is_genuine and frame.is_readable
-        if self._proof is not None and frame.is_readable:
-            scene.is_believable = self._proof.accepts(frame.data)
-        if scene.is_believable:
-            scene.tell(frame)
-        for invariant in self._hearing:
-            invariant.heard(frame)
 
     def read(self, frame: Frame) -> None:
         """The companion has read it."""
         if self._proved is not None:
             self._proved.read(frame)
-
-    def vehicle_sent(self, frame: Frame) -> None:
-        """The vehicle sent this."""
-        self.scene.remember(frame)
 
     def stepped(self, vehicle: SimVehicle, now_s: float) -> None:
         """The vehicle moved."""
@@ -143,41 +200,3 @@ class Monitor(Observer):
         self.scene.now_s = self.scene.tick_s = now_s
         for invariant in self._ticking:
             invariant.ticked()
-
-    def noted(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
-        """The companion wrote into its journal."""
-        self.scene.now_s = now_s
-        for invariant in self._noting:
-            invariant.noted(kind, fields)
-
-    def companion_started(self, now_s: float) -> None:
-        """The companion process began anew."""
-        scene = self.scene
-        scene.now_s, scene.tick_s = now_s, None
-        scene.is_companion_up, scene.is_restarted = True, True
-        scene.told = Told(began_s=now_s, origin_enu_m=scene.told.origin_enu_m)
-        for invariant in self.invariants:
-            invariant.started()
-
-    def companion_suspended(self, now_s: float, until_s: float) -> None:  # noqa: ARG002
-        """The companion process gets no time."""
-        self.scene.suspended_until_s = max(self.scene.suspended_until_s, until_s)
-
-    def companion_ended(self, now_s: float) -> None:  # noqa: ARG002
-        """The companion process ended."""
-        self.scene.is_companion_up = False
-
-    def mode_chosen(self, mode: FlightMode, now_s: float) -> None:
-        """A person switched the mode."""
-        self.scene.now_s = now_s
-        for invariant in self.invariants:
-            invariant.mode_chosen(mode)
-
-    def vehicle_rebooted(self, now_s: float) -> None:
-        """The vehicle begins anew; what it said before means nothing."""
-        scene = self.scene
-        scene.now_s = now_s
-        scene.told.position_boot_ms = -1
-        scene.told.mode_sent_at = (-1.0, 0)
-        for invariant in self.invariants:
-            invariant.rebooted()

@@ -14,6 +14,8 @@ STREAM_BREAK_S = 0.35
 SHARE = 1.05
 TOLERANCE_M = 0.02
 """Rounding on the wire, and ticks that are not exactly a period apart."""
+LATE_TICK_S = 0.2
+"""A control tick that comes later moves the setpoint no farther than one after this time."""
 HERE_M = 1.5
 """How far from the vehicle's newest place "here" may be, beside what it moved meanwhile."""
 BORDER_M = 4.0
@@ -68,14 +70,19 @@ class WithinEnvelope(Invariant):
         if dt_s <= 0.0:
             return
         place, before = setpoint.place_enu_m, last.place_enu_m
-        velocity = ((place[0] - before[0]) / dt_s, (place[1] - before[1]) / dt_s)
+        moved_s = min(dt_s, LATE_TICK_S)
+        velocity = ((place[0] - before[0]) / moved_s, (place[1] - before[1]) / moved_s)
         last_velocity, self._velocity = self._velocity, velocity
         if last_velocity is None:
             return
         change = math.dist(velocity, last_velocity)
         most = SHARE * self.scene.rules.acceleration_mps2 * max(dt_s, TICK_S)
         most += 2.0 * TOLERANCE_M / dt_s
-        if change > most and math.hypot(*velocity) > math.hypot(*last_velocity):
+        if change <= most or math.hypot(*velocity) <= math.hypot(*last_velocity):
+            return
+        if dt_s > LATE_TICK_S and self._is_here(setpoint):  # so late that it began anew
+            self._velocity = None
+        else:
             self.report("setpoint accelerates too fast", change_mps=change, dt_s=dt_s)
 
     def _judge_begin(self, setpoint: Setpoint) -> None:

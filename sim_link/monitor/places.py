@@ -8,7 +8,7 @@ from companion.domain import FlightMode, PositionEnu
 from companion.mav.type_mask import POSITION_AND_YAW, POSITION_ONLY
 from sim_link.monitor.invariant import Invariant
 from sim_link.monitor.predicates import Point, depth_m, is_way_clear
-from sim_link.monitor.scene import Scene, Setpoint
+from sim_link.monitor.scene import Setpoint, TrueScene
 from sim_link.world.point_mass import PointMass, approach_velocity
 
 ROUNDING_M = 2e-3
@@ -27,22 +27,11 @@ SAFE_M = 1.0
 AT_REST_MPS, ARRIVED_M = 0.05, 0.2
 
 
-class InsideFence(Invariant):
-    """Setpoint, way to it and place to stop are inside the fence, and so is the true vehicle."""
+class SetpointsInside(Invariant):
+    """Setpoints and the ways to them are inside the fence."""
 
     name = "I1"
     title = "setpoints, the ways to them and the vehicle stay inside fence and altitude band"
-
-    def __init__(self, scene: Scene) -> None:
-        super().__init__(scene)
-        self.closest_m = math.inf
-        """Least true distance to a border while the companion answered for it."""
-        self.breaches = 0
-        """How often the true vehicle left the fence."""
-        self._is_out = False
-        self._in_control_s = -math.inf
-        self._known: tuple[Point, float] = ((0.0, 0.0), -math.inf)
-        """A place, and how deep inside it is."""
 
     def setpoint(self, setpoint: Setpoint) -> None:
         """Judge a setpoint by where the companion believed the vehicle to be."""
@@ -61,20 +50,37 @@ class InsideFence(Invariant):
         self._judge_height(setpoint.place_enu_m[2])
 
     def _judge_height(self, up_m: float) -> None:
-        rules, home_m = self.scene.rules, self.scene.vehicle.home_enu_m[2]
-        height = up_m - home_m
-        if height < rules.altitude_min_m - HEIGHT_ROUNDING_M - self._height_error_m:
+        rules, home_m = self.scene.rules, self.scene.home_up_m
+        if home_m is None:
+            return
+        height, error_m = up_m - home_m, self.scene.height_error_m
+        if height < rules.altitude_min_m - HEIGHT_ROUNDING_M - error_m:
             self.report("setpoint below the altitude band", height_m=height)
-        if height > rules.altitude_max_m + HEIGHT_ROUNDING_M + self._height_error_m:
+        if height > rules.altitude_max_m + HEIGHT_ROUNDING_M + error_m:
             self.report("setpoint above the altitude band", height_m=height)
 
-    @property
-    def _height_error_m(self) -> float:
-        return abs(self.scene.vehicle.estimator.bias_enu_m[2])
+    def _depth(self, place: Point) -> float:
+        return depth_m(self.scene.rules.fence_enu_m, self.scene.rules.keep_out_enu_m, place)
+
+
+class InsideFence(SetpointsInside):
+    """Setpoint, way to it and place to stop are inside the fence, and so is the true vehicle."""
+
+    def __init__(self, scene: TrueScene) -> None:
+        super().__init__(scene)
+        self._truth = scene
+        self.closest_m = math.inf
+        """Least true distance to a border while the companion answered for it."""
+        self.breaches = 0
+        """How often the true vehicle left the fence."""
+        self._is_out = False
+        self._in_control_s = -math.inf
+        self._known: tuple[Point, float] = ((0.0, 0.0), -math.inf)
+        """A place, and how deep inside it is."""
 
     def stepped(self) -> None:
         """Judge where the vehicle truly is and where it could stop."""
-        scene, body = self.scene, self.scene.vehicle.body
+        scene, body = self._truth, self._truth.vehicle.body
         is_ours = scene.told.is_ours and scene.is_companion_up
         if is_ours:
             self._in_control_s = scene.now_s
@@ -97,26 +103,32 @@ class InsideFence(Invariant):
             self.breaches += 1
             self.report("the vehicle left the fence", depth_m=depth)
 
-    def _depth(self, place: Point) -> float:
-        return depth_m(self.scene.rules.fence_enu_m, self.scene.rules.keep_out_enu_m, place)
 
-
-class SafeToFreeze(Invariant):
-    """Freezing any setpoint for 60 s is safe."""
+class PlacesOnly(Invariant):
+    """No setpoint moves by itself."""
 
     name = "I4"
     title = "every setpoint may be the last one"
 
-    def __init__(self, scene: Scene) -> None:
-        super().__init__(scene)
-        self._frozen_s = -math.inf
-
     def setpoint(self, setpoint: Setpoint) -> None:
-        """Fly on to it for a minute, every so often; and never send one that moves by itself."""
+        """Judge what it asks for."""
         mask = getattr(setpoint.message, "type_mask", None)
         if mask not in (POSITION_ONLY, POSITION_AND_YAW):
             self.report("a setpoint that is no place", mask=float(mask or 0))
-        scene = self.scene
+
+
+class SafeToFreeze(PlacesOnly):
+    """Freezing any setpoint for 60 s is safe."""
+
+    def __init__(self, scene: TrueScene) -> None:
+        super().__init__(scene)
+        self._truth = scene
+        self._frozen_s = -math.inf
+
+    def setpoint(self, setpoint: Setpoint) -> None:
+        """Fly on to it for a minute, every so often."""
+        super().setpoint(setpoint)
+        scene = self._truth
         if not scene.told.is_ours or scene.now_s - self._frozen_s < FREEZE_EVERY_S:
             return
         self._frozen_s = scene.now_s
@@ -127,8 +139,8 @@ class SafeToFreeze(Invariant):
             self.report("a setpoint that freezes leads out of the fence", depth_m=least)
 
     def _least_depth(self, goal: PositionEnu) -> float:
-        rules, truth = self.scene.rules, self.scene.vehicle.body
-        params = self.scene.vehicle.scenario.vehicle
+        rules, truth = self.scene.rules, self._truth.vehicle.body
+        params = self._truth.vehicle.scenario.vehicle
         body = PointMass(params, truth.wind, truth.position_enu_m, truth.ground_up_m)
         body.velocity_enu_mps = truth.velocity_enu_mps
         least, known, at = math.inf, -math.inf, (0.0, 0.0)

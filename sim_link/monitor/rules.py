@@ -27,6 +27,8 @@ class Rules(Params, frozen=True):
     navigation_sigma_m: NonNegative = 0.3
     state_age_s: Positive = 0.5
     """An own position older than this is not flown on."""
+    answer_s: Positive = TICK_S
+    """After a frame that ends control, this long a setpoint may still leave."""
     gap_s: Positive = 0.1
     """Longest silence of the setpoints while in control."""
     silence_s: Positive = 10.0

@@ -9,11 +9,13 @@ after a newer one takes nothing away and gives nothing back.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from companion.domain import PositionEnu
+from companion.geometry.frames import LocalOrigin
 from companion.mav.dialect import Message, mavlink
 from sim_link.autopilot.vehicle import SimVehicle
 from sim_link.lockstep.observer import Frame
@@ -77,16 +79,14 @@ class Setpoint:
 
 
 @dataclass(slots=True)
-class Scene:
-    """Shared by all invariants of one flight.
+class Scene(ABC):
+    """Shared by all invariants of one flight; subclasses know more or less of the vehicle.
 
     Args:
         rules: What must hold.
-        vehicle: The truth.
     """
 
     rules: Rules
-    vehicle: SimVehicle
     now_s: float = 0.0
     told: Told = field(default_factory=Told)
     is_companion_up: bool = True
@@ -126,7 +126,7 @@ class Scene:
 
     def tell(self, frame: Frame) -> None:
         """This reached the companion, which had to believe it."""
-        if frame.sender != (self.vehicle.system_id, AUTOPILOT_COMPONENT):
+        if frame.sender != (self.system_id, AUTOPILOT_COMPONENT):
             return
         told = self.told
         told.heard_s = frame.time_s
@@ -145,8 +145,8 @@ class Scene:
                 self._tell_position(message, frame.time_s)
             case mavlink.MAVLink_gps_global_origin_message():
                 place = (message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3)
-                if abs(place[0]) <= 90.0 and abs(place[1]) <= 180.0:
-                    world = self.vehicle.estimator.world_origin
+                world = self.world_origin
+                if world is not None and abs(place[0]) <= 90.0 and abs(place[1]) <= 180.0:
                     told.origin_enu_m = world.enu_from_geodetic(*place)
 
     def _tell_position(
@@ -176,14 +176,89 @@ class Scene:
             case mavlink.MAVLink_set_position_target_local_ned_message():
                 place = self.world_from_local((message.y, message.x, -message.z))
             case mavlink.MAVLink_set_position_target_global_int_message():
-                place = self.vehicle.estimator.world_origin.enu_from_geodetic(
+                world = self.world_origin
+                if world is None:
+                    return None
+                place = world.enu_from_geodetic(
                     message.lat_int / 1e7, message.lon_int / 1e7, message.alt
                 )
             case _:
                 return None
         return Setpoint(frame.time_s, place, message)
 
-    # The truth
+    # The vehicle
+
+    @property
+    @abstractmethod
+    def system_id(self) -> int | None:
+        """Of the vehicle; None: not known yet."""
+
+    @property
+    @abstractmethod
+    def world_origin(self) -> LocalOrigin | None:
+        """Zero of the world's frame; None: not known yet."""
+
+    @property
+    @abstractmethod
+    def home_up_m(self) -> float | None:
+        """Height of home in the world's frame; None: not known yet."""
+
+    @property
+    @abstractmethod
+    def height_error_m(self) -> float:
+        """How wrong the autopilot may be about its height."""
+
+    @property
+    @abstractmethod
+    def is_px4(self) -> bool:
+        """Whether modes are PX4's; ArduPilot's otherwise."""
+
+    @property
+    @abstractmethod
+    def is_flying(self) -> bool:
+        """Whether it is armed or in the air."""
+
+
+@dataclass(slots=True)
+class TrueScene(Scene):
+    """A scene in which the truth is known.
+
+    Args:
+        rules: What must hold.
+        vehicle: The truth.
+    """
+
+    vehicle: SimVehicle = field(kw_only=True)
+
+    @property
+    def system_id(self) -> int:
+        """Of the vehicle."""
+        return self.vehicle.system_id
+
+    @property
+    def world_origin(self) -> LocalOrigin:
+        """Zero of the world's frame."""
+        return self.vehicle.estimator.world_origin
+
+    @property
+    def home_up_m(self) -> float:
+        """Height of home in the world's frame."""
+        return self.vehicle.home_enu_m[2]
+
+    @property
+    def height_error_m(self) -> float:
+        """How wrong the autopilot is about its height."""
+        return abs(self.vehicle.estimator.bias_enu_m[2])
+
+    @property
+    def is_px4(self) -> bool:
+        """Whether modes are PX4's."""
+        return self.vehicle.scenario.autopilot.flavour == "px4"
+
+    @property
+    def is_flying(self) -> bool:
+        """Whether it is armed or in the air."""
+        return self.vehicle.is_armed or not self.vehicle.body.is_on_ground
 
     @property
     def bias_m(self) -> float:

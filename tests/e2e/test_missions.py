@@ -12,6 +12,7 @@ import pytest
 
 from sim_link.mission.over_udp import fly_over_udp
 from sim_link.mission.script_file import parse_mission
+from sim_link.monitor.scope import WIRE
 from tests.e2e.simulator_process import free_port
 
 SPEED = 5.0
@@ -49,6 +50,9 @@ def test_a_hop_with_faults_of_link_vehicle_and_process(tmp_path: Path) -> None:
         parse_mission(HOP % ("px4", faults), "hop"), 1, speed=SPEED, keep=tmp_path
     )
     assert result.failed == [], result.record.steps
+    assert [str(violated) for violated in result.record.violations] == []
+    assert result.record.scope is WIRE
+    assert result.record.slack_s >= 0.25 * SPEED
     assert result.record.track
     assert (tmp_path / "flight.tlog").stat().st_size > 10_000
     assert len(list(tmp_path.glob("flights/*/events.jsonl"))) == 2
@@ -75,6 +79,7 @@ def test_a_vehicle_of_others_gets_a_radio_beside_it(tmp_path: Path) -> None:
             vehicle.wait(timeout=5.0)
     assert result.failed == [], result.record.steps
     assert result.flavour == "ardupilot"
+    assert [str(violated) for violated in result.record.violations] == []
 
 
 @pytest.mark.parametrize("argument", ["nonsense.yaml", "broken.yaml"])

@@ -13,11 +13,12 @@ from companion.report.drawing import MAX_POINTS, Drawing, square_around, thinned
 from sim_link.mission.junit import junit_xml
 from sim_link.mission.progress import PlainProgress, progress_for
 from sim_link.mission.record import EstimatePoint, FlightRecord, Report, Said, StepOutcome, Violated
-from sim_link.mission.report import report_name, report_page
+from sim_link.mission.report import invariants_of, report_name, report_page
 from sim_link.mission.result import MissionResult
 from sim_link.mission.script_file import parse_mission
 from sim_link.mission.summary import Summary, campaign_lines, summary_of
 from sim_link.mission.verdicts import Verdict
+from sim_link.monitor.scope import WIRE
 
 HOSTILE = '<script>alert("x")</script> & \x07'
 
@@ -74,6 +75,21 @@ def test_the_page_is_complete_in_itself_and_escapes_what_strangers_say() -> None
     assert "script" not in page.tags
     assert page.tags.count("svg") == 5
     for words in ("two <rubble> heaps", "passed", "A & B", HOSTILE[:20], "✓"):
+        assert words in page.text
+
+
+def test_the_page_says_of_every_invariant_whether_it_was_kept_broken_or_not_judged() -> None:
+    result = result_of()
+    rows = {row.name: row for row in invariants_of(result.record)}
+    assert {row.violations for row in rows.values()} == {None}
+    result.record.scope, result.record.slack_s = WIRE, 1.25
+    rows = {row.name: row for row in invariants_of(result.record)}
+    assert list(rows) == [f"I{number}" for number in range(1, 13)]
+    assert (rows["I2"].violations, rows["I7"].violations) == (0, 1)
+    assert rows["I8"].violations is None
+    assert rows["I8"].note == WIRE.unjudged["I8"]
+    page = _Page(report_page(result))
+    for words in ("1 times broken", "kept", "not judged", WIRE.unjudged["I12"], "1.25 s"):
         assert words in page.text
 
 

@@ -16,6 +16,7 @@ from sim_link.mission.record import (
 from sim_link.mission.script_file import parse_mission
 from sim_link.mission.situation import Situation
 from sim_link.mission.verdicts import STEPS, Flown, Verdict, verdicts_of
+from sim_link.monitor.scope import NOTHING, WIRE
 
 
 def flown(expectation: str) -> Flown:
@@ -43,7 +44,7 @@ expectations: [{{name: it, {expectation}}}]
         engaged_s=10.0,
         ended_s=100.0,
         distance_m=250.0,
-        is_monitored=True,
+        scope=WIRE,
     )
     record.messages["companion", mavlink.MAVLINK_MSG_ID_HEARTBEAT] = 99
     situation = Situation()
@@ -109,10 +110,18 @@ def test_violations_tell_the_first_one() -> None:
 
 def test_invariants_that_nobody_watched_are_not_judged() -> None:
     unwatched = flown("violations: {}")
-    unwatched.record.is_monitored = False
+    unwatched.record.scope = NOTHING
     own = verdicts_of(unwatched)[1]
     assert own.is_met
     assert "not judged" in own.found
+
+
+def test_what_this_kind_of_flight_cannot_judge_is_named() -> None:
+    assert verdict("violations: {at_most: 2}").found.endswith("; not judged: I8, I10, I12")
+    only = verdict("violations: {invariants: [I8]}")
+    assert only.is_met
+    assert only.found == f"not judged: I8 {WIRE.unjudged['I8']}"
+    assert "not judged" not in verdict("violations: {invariants: [I1]}").found
 
 
 def test_a_failed_step_is_a_verdict_of_its_own() -> None:
