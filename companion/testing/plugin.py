@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast, get_args
 
 import pytest
 
@@ -16,8 +16,10 @@ if TYPE_CHECKING:
     from sim_link.faults.faulty_link import FaultyLink
     from sim_link.mission.children import Child
     from sim_link.mission.result import MissionResult
+    from sim_link.mission.script import Mission
 
 MARKER = "mission"
+FLIGHT = pytest.StashKey["MissionResult"]()
 StartCompanion = Callable[..., "Child"]
 
 
@@ -34,32 +36,77 @@ def mission_result(request: pytest.FixtureRequest) -> MissionResult:
     The script is looked for beside the test.
     """
     marker = request.node.get_closest_marker(MARKER)
-    if marker is None or not marker.args:
+    if marker is None:
         pytest.fail('mission_result needs @pytest.mark.mission("script.yaml")', pytrace=False)
-    from companion.errors import CompanionError
-    from sim_link.mission.campaign import with_autopilot
-    from sim_link.mission.in_memory import fly_in_memory
-    from sim_link.mission.script_file import load_mission
-
-    path = request.path.parent / str(marker.args[0])
-    try:
-        mission = load_mission(path)
-        if marker.kwargs.get("autopilot") is not None:
-            mission = with_autopilot(mission, marker.kwargs["autopilot"])
-        return fly_in_memory(mission, int(marker.kwargs.get("seed", 0)), str(path))
-    except CompanionError as error:
-        pytest.fail(str(error), pytrace=False)
+    result = request.node.stash[FLIGHT] = flown(marker, request.path.parent)
+    return result
 
 
 @pytest.fixture(autouse=True)
 def _marked_mission(request: pytest.FixtureRequest) -> None:
+    """A marked test flies, whether or not it wants to see the result."""
+    if request.node.get_closest_marker(MARKER) is not None:
+        request.getfixturevalue("mission_result")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_call(item: pytest.Item) -> None:
     """A marked test fails by the names of the expectations that were not met."""
-    if request.node.get_closest_marker(MARKER) is None:
-        return
-    result = request.getfixturevalue("mission_result")
-    lines = [f"{verdict.name}: {verdict.found}" for verdict in result.failed]
-    if lines:
+    result = item.stash.get(FLIGHT, None)
+    if result is not None and not result.is_passed:
+        lines = [f"{verdict.name}: {verdict.found}" for verdict in result.failed]
         pytest.fail("\n".join([result.title, *lines]), pytrace=False)
+
+
+def flown(marker: pytest.Mark, folder: Path) -> MissionResult:
+    """The flight that a marker asks for; a marker or script that is wrong fails the test.
+
+    Args:
+        marker: Of the test.
+        folder: Where its script is.
+    """
+    from companion.errors import CompanionError
+    from sim_link.mission.in_memory import fly_in_memory
+
+    problem = ""
+    try:
+        mission, seed, path = _wanted(marker, folder)
+    except (CompanionError, TypeError, ValueError) as error:
+        problem = str(error)
+    if problem:  # outside of `except`, so that pytest shows the one line only
+        pytest.fail(problem, pytrace=False)
+    return fly_in_memory(mission, seed, str(path))
+
+
+def _wanted(marker: pytest.Mark, folder: Path) -> tuple[Mission, int, Path]:
+    """Script, seed and place of the script that a marker names.
+
+    Raises:
+        CompanionError: The script is wrong.
+        TypeError: An argument is missing, or there is no such argument.
+        ValueError: An argument has no value that there could be.
+    """
+    from sim_link.autopilot.scenario import FlavourName
+    from sim_link.mission.campaign import check_flyable, with_autopilot
+    from sim_link.mission.script_file import load_mission
+
+    def mission(
+        script: str, seed: object = 0, autopilot: object = None
+    ) -> tuple[Mission, int, Path]:
+        if not isinstance(seed, int) or seed < 0:
+            raise ValueError(f"mission: seed {seed!r} is not a whole number from 0 up")
+        if autopilot not in (None, *get_args(FlavourName)):
+            known = " or ".join(get_args(FlavourName))
+            raise ValueError(f"mission: autopilot {autopilot!r} is not {known}")
+        path = folder / str(script)
+        loaded = load_mission(path)
+        if autopilot is not None:
+            loaded = with_autopilot(loaded, cast(FlavourName, autopilot))
+        check_flyable(loaded, str(path))
+        return loaded, seed, path
+
+    mission.__qualname__ = MARKER  # what Python calls it where arguments are missing
+    return mission(*marker.args, **marker.kwargs)
 
 
 @pytest.fixture

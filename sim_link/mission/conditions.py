@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import ast
 import difflib
+import math
 import operator
 import warnings
 from collections.abc import Callable
@@ -217,11 +218,21 @@ def _constant(node: ast.Constant) -> _Part:
     if isinstance(value, bool):
         return _Part(Kind.TRUTH, lambda _: value, node)
     if isinstance(value, int | float):
-        number = float(value)
+        number = _finite(value)
+        if number is None:
+            raise ConditionError("a number in it is too large")
         return _Part(Kind.NUMBER, lambda _: number, node)
     if isinstance(value, str):
         return _Part(Kind.WORD, lambda _: value, node, word=value)
     raise _problem(node, "is no number, word, true or false")
+
+
+def _finite(value: int | float) -> float | None:
+    try:
+        number = float(value)
+    except OverflowError:
+        return None
+    return number if math.isfinite(number) else None
 
 
 def _named(node: ast.Name | ast.Attribute) -> _Part:

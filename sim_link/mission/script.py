@@ -13,7 +13,7 @@ import msgspec
 from msgspec import UNSET, UnsetType
 
 from companion.config.schema import CompanionConfig
-from companion.params import NonNegative, Params, Positive
+from companion.params import Params, Positive
 from sim_link.autopilot.scenario import FlavourName, FlightAltitude, Scenario
 from sim_link.faults.kinds import Fault
 from sim_link.mission.expectations import Expectation
@@ -22,24 +22,27 @@ from sim_link.world.target import Coordinate
 PatternName = Literal["lawnmower", "expanding_square", "sector"]
 PilotMode = Literal["hold", "position", "altitude", "stabilized", "return", "land"]
 Corner = tuple[Coordinate, Coordinate]
+LONGEST_S = 86_400.0
+Limit = Annotated[float, msgspec.Meta(gt=0.0, le=LONGEST_S)]
+Duration = Annotated[float, msgspec.Meta(ge=0.0, le=LONGEST_S)]
 
 
 class ConnectStep(Params, frozen=True):
     """Wait until operator and companion hear the autopilot."""
 
-    limit_s: Positive = 30.0
+    limit_s: Limit = 30.0
 
 
 class WaitReadyStep(Params, frozen=True):
     """Wait until the autopilot can be armed and the companion stands by."""
 
-    limit_s: Positive = 120.0
+    limit_s: Limit = 120.0
 
 
 class ArmStep(Params, frozen=True):
     """The operator arms."""
 
-    limit_s: Positive = 15.0
+    limit_s: Limit = 15.0
 
 
 class TakeoffStep(Params, frozen=True):
@@ -47,19 +50,19 @@ class TakeoffStep(Params, frozen=True):
 
     altitude_m: FlightAltitude | None = None
     """Above home; null: the companion's search altitude."""
-    limit_s: Positive = 90.0
+    limit_s: Limit = 90.0
 
 
 class EngageStep(Params, frozen=True):
     """The operator gives control (PX4 OFFBOARD, ArduPilot GUIDED); over once it is taken."""
 
-    limit_s: Positive = 10.0
+    limit_s: Limit = 10.0
 
 
 class GrantStep(Params, frozen=True):
     """The operator lets a companion that yielded stand by again (MAV_CMD_NAV_GUIDED_ENABLE)."""
 
-    limit_s: Positive = 10.0
+    limit_s: Limit = 10.0
 
 
 class SearchStep(Params, frozen=True):
@@ -74,48 +77,48 @@ class SearchStep(Params, frozen=True):
     area_enu_m: tuple[Corner, ...] | None = None
     """Corners of what a lawnmower sweeps; null: the companion's own."""
     until: Literal["contact", "reported"] = "contact"
-    limit_s: Positive = 120.0
+    limit_s: Limit = 120.0
 
 
 class WaitUntilStep(Params, frozen=True, kw_only=True):
     """Wait until a condition holds."""
 
     condition: str
-    limit_s: Positive
-    for_s: NonNegative = 0.0
+    limit_s: Limit
+    for_s: Duration = 0.0
     """It must hold for this long without a break."""
 
 
 class WaitStep(Params, frozen=True, kw_only=True):
     """Let time pass."""
 
-    for_s: Positive
+    for_s: Limit
 
 
 class PilotOverrideStep(Params, frozen=True):
     """The pilot switches the mode; over once the vehicle is in it and the companion has yielded."""
 
     mode: PilotMode = "hold"
-    limit_s: Positive = 10.0
+    limit_s: Limit = 10.0
 
 
 class HoldStep(Params, frozen=True):
     """The operator has the vehicle hold its place, for a while."""
 
-    for_s: NonNegative = 0.0
-    limit_s: Positive = 15.0
+    for_s: Duration = 0.0
+    limit_s: Limit = 15.0
 
 
 class ReturnStep(Params, frozen=True):
     """The operator sends the vehicle home; over once it stands there, disarmed."""
 
-    limit_s: Positive = 240.0
+    limit_s: Limit = 240.0
 
 
 class LandStep(Params, frozen=True):
     """The operator lands; over once the vehicle stands, disarmed."""
 
-    limit_s: Positive = 120.0
+    limit_s: Limit = 120.0
 
 
 StepWord = Literal[
@@ -196,7 +199,7 @@ STEP_KINDS: dict[str, type[Params]] = {
 class Mission(Scenario, frozen=True, kw_only=True):
     """One flight from the first frame to the verdict; beside these all keys of a scenario."""
 
-    name: str
+    name: Annotated[str, msgspec.Meta(min_length=1)]
     about: str = ""
     """What it shows, in a sentence."""
     autopilots: tuple[FlavourName, ...] = ()

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import msgspec
@@ -20,10 +20,17 @@ from sim_link.faults.kinds import KINDS
 from sim_link.mission.conditions import ConditionError, parse_condition
 from sim_link.mission.expectations import EmitterBound, Expectation, TextSeen
 from sim_link.mission.messages import numbers_by_name
-from sim_link.mission.script import Mission, SearchStep, TakeoffStep, WaitUntilStep
+from sim_link.mission.script import (
+    STEP_KINDS,
+    Mission,
+    SearchStep,
+    TakeoffStep,
+    WaitUntilStep,
+)
 
 _TOKEN = re.compile(r"\.([^.\[\]]+)|\[(\d+)\]")
 _MESSAGE = re.compile(r"^(?P<path>\$[^:]*): (?P<problem>.*)$", re.DOTALL)
+_STEP = re.compile(r"^\$\.steps\[\d+\]$")
 _CHOICE = re.compile(r"^Invalid (?:enum )?value '(?P<value>.*)'$")
 
 MISSING = "required key is missing"
@@ -126,11 +133,22 @@ def _told_apart(message: str, name: str) -> list[Problem]:
 def _with_hint(path: str, problem: str) -> str:
     """The problem, and what may have been meant where a name is not known."""
     match = _CHOICE.match(problem)
-    if match is None or not path.endswith(".inject.kind"):
+    if match is None:
         return problem
-    close = difflib.get_close_matches(match["value"], KINDS, n=1)
-    known = f"did you mean {close[0]}?" if close else f"known are {', '.join(KINDS)}"
-    return f"there is no fault `{match['value']}`; {known}"
+    if path.endswith(".inject.kind"):
+        return _unknown("fault", match["value"], KINDS)
+    if _STEP.match(path):
+        steps = (*STEP_KINDS, "inject")
+        if match["value"] in steps:
+            return f"{match['value']} needs keys: `{match['value']}: {{...}}`"
+        return _unknown("step", match["value"], steps)
+    return problem
+
+
+def _unknown(what: str, name: str, known: Iterable[str]) -> str:
+    close = difflib.get_close_matches(name, known, n=1)
+    hint = f"did you mean {close[0]}?" if close else f"known are {', '.join(known)}"
+    return f"there is no {what} `{name}`; {hint}"
 
 
 def _with_companion_file(mission: Mission, text: str, name: str, folder: Path) -> Mission:

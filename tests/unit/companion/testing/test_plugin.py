@@ -7,6 +7,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
+from companion.testing.plugin import flown
+
 ROOT = Path(__file__).parents[4]
 SCRIPT = """\
 name: hop
@@ -61,6 +65,28 @@ def test_marked_tests_fly_and_fail_by_the_names_of_expectations(tmp_path: Path) 
         timeout=300.0,
         check=False,
     )
-    assert "2 passed, 2 errors" in done.stdout, done.stdout
+    assert "1 failed, 2 passed, 1 error" in done.stdout, done.stdout
+    assert "During handling" not in done.stdout
     assert "stays low: vehicle.height_m < 2 was false at" in done.stdout
     assert "broken.yaml:2: $.steps[0]" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        ('"hop.yaml", sead=3', "mission() got an unexpected keyword argument 'sead'"),
+        ('"hop.yaml", seed="x"', "mission: seed 'x' is not a whole number from 0 up"),
+        ('"hop.yaml", seed=-1', "mission: seed -1 is not a whole number from 0 up"),
+        ('"hop.yaml", autopilot="boeing"', "mission: autopilot 'boeing' is not px4 or ardupilot"),
+        ("", "mission() missing 1 required positional argument: 'script'"),
+        ('"none.yaml"', "none.yaml: no such file"),
+    ],
+)
+def test_a_wrong_marker_fails_in_one_line_before_anything_flies(
+    arguments: str, complaint: str
+) -> None:
+    mark = eval(f"pytest.mark.mission({arguments})").mark  # as a test of a user writes it
+    with pytest.raises(pytest.fail.Exception) as caught:
+        flown(mark, ROOT)
+    assert complaint in str(caught.value)
+    assert caught.value.__cause__ is caught.value.__context__ is None
