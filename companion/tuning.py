@@ -2,7 +2,8 @@
 
 A change goes through the configuration's own rules: the whole configuration with the new value is
 made and checked as if it came from a file. Speeds may be lowered from afar and raised again, but
-not beyond what the configuration's file allows.
+not beyond what the configuration's file allows; charges that are kept for the way home may be
+raised and lowered again, but not below the file's.
 """
 
 from __future__ import annotations
@@ -32,6 +33,8 @@ class Tunable:
     when: When = When.ANY_TIME
     is_ceiling: bool = False
     """What the file says is the most."""
+    is_floor: bool = False
+    """What the file says is the least."""
     words: tuple[str, ...] = ()
     """The values of a choice, by number; nothing for a real number."""
 
@@ -45,6 +48,9 @@ class Tunable:
 _CROSSING = "planner.latched_crossing"
 TUNABLES = (
     Tunable("CMP_ALTITUDE", "mission.altitude_m"),
+    Tunable("CMP_BAT_CRIT", "mission.battery_critical_pct", is_floor=True),
+    Tunable("CMP_BAT_LOW", "mission.battery_low_pct", is_floor=True),
+    Tunable("CMP_BAT_RESERVE", "limits.battery_reserve_pct", is_floor=True),
     Tunable("CMP_CLIMB", "limits.climb_mps", is_ceiling=True),
     Tunable("CMP_FENCE_MARGIN", "limits.fence_margin_m", When.NEVER),
     Tunable(
@@ -96,6 +102,8 @@ class Tunables:
             value = of_file
         if tunable.is_ceiling and value > of_file:
             raise ConfigError(f"{value:g} is above the configuration's {of_file:g}")
+        if tunable.is_floor and value < of_file:
+            raise ConfigError(f"{value:g} is below the configuration's {of_file:g}")
         self.config = _with_value(self.config, tunable, value)
         self.changed[tunable.name] = value
         if value == of_file:
@@ -114,18 +122,25 @@ class Tunables:
         Args:
             values: By name, as `changed` had them.
         """
-        index = {tunable.name: number for number, tunable in enumerate(TUNABLES)}
-        problems: list[str] = []
-        for name, value in values.items():
-            number = index.get(name)
-            if number is None or TUNABLES[number].when is When.NEVER:
-                problems.append(f"{name} is no parameter that can be changed")
-                continue
-            try:
-                self.change(number, value)
-            except ConfigError as error:
-                problems.append(f"{name}: {error}")
-        return problems
+        problems: dict[str, str] = {}
+        pending = dict(values)
+        while pending:
+            problems = {name: why for name in pending if (why := self._objection(name, values))}
+            if len(problems) == len(pending):
+                break
+            pending = {name: values[name] for name in problems}  # one may have waited for another
+        return [f"{name}{why}" for name, why in problems.items()]
+
+    def _objection(self, name: str, values: Mapping[str, float]) -> str:
+        """Change a value to what it was; why that cannot be, empty if it can."""
+        index = next((n for n, tunable in enumerate(TUNABLES) if tunable.name == name), None)
+        if index is None or TUNABLES[index].when is When.NEVER:
+            return " is no parameter that can be changed"
+        try:
+            self.change(index, values[name])
+        except ConfigError as error:
+            return f": {error}"
+        return ""
 
 
 def _value(tunable: Tunable, config: CompanionConfig) -> float:

@@ -38,6 +38,11 @@ class BatteryWatch:
         self._was_handed_back = False
         self._has_ended_mission = False
 
+    def aim(self, low_pct: float, critical_pct: float) -> None:
+        """Other charges from the next reports on; two of them must agree again."""
+        self._low_pct, self._critical_pct = low_pct, critical_pct
+        self._agreed = 0
+
     @property
     def is_low(self) -> bool:
         """Whether it is low, or worse."""

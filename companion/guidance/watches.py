@@ -10,6 +10,7 @@ from companion.guidance.events import (
     AutopilotRestarted,
     BatteryReported,
     Event,
+    Retuned,
     SetpointEchoed,
     SticksReported,
 )
@@ -52,6 +53,9 @@ class Watches:
             case BatteryReported():
                 if self.battery.reported(event):
                     self._tell_battery()
+            case Retuned(tuning=tuning):
+                params = tuning.params
+                self.battery.aim(params.battery_low_pct, params.battery_critical_pct)
             case AutopilotRestarted():
                 self._health.forget()
                 self.battery.forget()

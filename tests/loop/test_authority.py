@@ -12,7 +12,9 @@ from companion.domain import Autopilot, FlightMode
 from companion.guidance.findings import Reason
 from companion.guidance.session import SessionParams
 from companion.guidance.states import IN_CONTROL, Phase
+from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
+from companion.mav.endpoint import Chunk
 from companion.mav.modes import autopilot_of, mode_of
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.faults.injector import Injector
@@ -28,6 +30,7 @@ from sim_link.faults.kinds import (
     VehicleFault,
     VehicleReboot,
 )
+from sim_link.lockstep.flight import VEHICLE_PEER
 from sim_link.lockstep.observer import Frame, Observer
 from tests.loop.loop_helpers import LinkFaults, Loop
 
@@ -247,6 +250,20 @@ def test_a_low_battery_ends_the_search_in_good_order(flavour: FlavourName) -> No
     assert loop.said("battery low, 18 %")
     assert loop.said("SEARCH ENDED, battery low:")
     assert loop.mode is FlightMode.RETURN
+
+
+def test_a_low_charge_that_is_raised_in_flight_ends_the_search() -> None:
+    loop = flying("px4")
+    inject(loop, Battery(share=0.48))
+    loop.run(3.0)
+    assert loop.phase is Phase.NORMAL
+    change = mavlink.MAVLink_param_set_message(1, 191, b"CMP_BAT_LOW", 50.0, 9)
+    loop.companion.receive(
+        Chunk(0, MavCodec(255, 190).encode(change), VEHICLE_PEER), loop.flight.now_s
+    )
+    loop.run_until(lambda: bool(loop.notes.results), 25.0)
+    assert loop.said("parameter CMP_BAT_LOW: 20 -> 50")
+    assert loop.said("SEARCH ENDED, battery low:")
 
 
 @pytest.mark.parametrize("flavour", FLAVOURS)

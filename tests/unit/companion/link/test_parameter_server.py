@@ -134,6 +134,13 @@ def test_every_part_of_the_session_takes_a_change() -> None:
         ("CMP_ALTITUDE", -1.0),
         ("CMP_OVER_MIN", 25.0),
         ("CMP_STOP_RADIUS", 1e-3),
+        ("CMP_BAT_LOW", 19.5),
+        ("CMP_BAT_LOW", 101.0),
+        ("CMP_BAT_LOW", float("nan")),
+        ("CMP_BAT_CRIT", 9.0),
+        ("CMP_BAT_CRIT", 21.0),
+        ("CMP_BAT_RESERVE", 15.0),
+        ("CMP_BAT_RESERVE", 100.0),
     ],
 )
 def test_what_the_configuration_would_refuse_is_refused(name: str, value: float) -> None:
@@ -150,6 +157,26 @@ def test_a_limit_is_raised_again_as_far_as_the_file_has_it() -> None:
     ask(wire, param_set("CMP_SPEED", 1.0))
     assert values(ask(wire, param_set("CMP_SPEED", 5.0))) == {"CMP_SPEED": 5.0}
     assert wire.endpoint.session.situation.guard.limits.envelope.speed_mps == 5.0
+
+
+def test_charge_for_the_way_home_is_raised_and_lowered_again_as_far_as_the_file_has_it() -> None:
+    wire = Wire(CompanionConfig()).bound()
+    session = wire.endpoint.session
+    for low_pct, critical_pct, reserve_pct in ((40.0, 30.0, 50.0), (20.0, 20.0, 20.0)):
+        for name, value in (
+            ("CMP_BAT_LOW", low_pct),
+            ("CMP_BAT_CRIT", critical_pct),
+            ("CMP_BAT_RESERVE", reserve_pct),
+        ):
+            if (name, value) == ("CMP_BAT_LOW", 20.0):  # not below what is critical
+                assert values(ask(wire, param_set(name, value))) == {name: 40.0}
+                ask(wire, param_set("CMP_BAT_CRIT", 20.0))
+            assert values(ask(wire, param_set(name, value))) == {name: value}
+        assert session.params.battery_low_pct == low_pct
+        assert session.params.battery_critical_pct == critical_pct
+        reserve = session.situation.guard.limits.reserve
+        assert reserve is not None
+        assert reserve.reserve_pct == reserve_pct
 
 
 def test_the_fence_is_read_only() -> None:

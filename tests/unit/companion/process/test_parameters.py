@@ -59,6 +59,15 @@ def test_a_file_with_a_lower_limit_wins(tmp_path: Path, caplog: pytest.LogCaptur
     assert "CMP_SPEED: 4 is above the configuration's 2" in caplog.text
 
 
+def test_changes_that_need_each_other_are_taken_up_in_any_order(tmp_path: Path) -> None:
+    path = tmp_path / "vehicle.parameters.json"
+    path.write_text('{"CMP_BAT_CRIT": 30.0, "CMP_OVER_MIN": 25.0, "CMP_BAT_LOW": 40.0}')
+    second = tunables()
+    assert second.restore({"CMP_BAT_CRIT": 50.0}) != []
+    ParameterKeeper(second, path)
+    assert second.changed == {"CMP_BAT_CRIT": 30.0, "CMP_BAT_LOW": 40.0}
+
+
 @pytest.mark.parametrize("content", [b"", b"[1]", b'{"CMP_SPEED": "fast"}', b"\xff\xfe", b"{"])
 def test_a_spoilt_file_means_nothing(
     tmp_path: Path, content: bytes, caplog: pytest.LogCaptureFixture
