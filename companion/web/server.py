@@ -115,7 +115,10 @@ async def serve() -> None:
     reader = asyncio.StreamReader(limit=MAX_LINE)
     loop = asyncio.get_running_loop()
     await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
-    first: Mapping[str, Any] = json.loads(await reader.readline())
+    line = await reader.readline()
+    if not line.endswith(b"\n"):
+        return
+    first: Mapping[str, Any] = json.loads(line)
     hub = Hub(first["scene"])
     access = Access(first["host"], first["token"], first["is_control_on"], first["is_view_open"])
     tiles = None if first["tiles"] is None else Path(first["tiles"])
@@ -127,7 +130,7 @@ async def serve() -> None:
         )
     )
     serving = asyncio.create_task(server.serve(sockets=[listener]))
-    while line := await reader.readline():
+    while (line := await reader.readline()).endswith(b"\n"):  # the last one may be cut off
         hub.take(json.loads(line))
     server.should_exit = True
     await serving

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import socket
+import subprocess
 import sys
 from unittest.mock import Mock
 
@@ -12,6 +13,12 @@ import pytest
 from companion.errors import CompanionError
 from companion.web.process import WebProcess, listening_socket, url_to_tell
 from companion.web.settings import web_settings
+
+WHOLE = (
+    '{"fd": FD, "host": "127.0.0.1", "token": null, "is_control_on": false, '
+    '"is_view_open": false, "tiles": null, "scene": {}}\n'
+)
+"""What the page's process is told first."""
 
 
 def test_a_taken_port_is_a_clear_error() -> None:
@@ -67,3 +74,19 @@ def test_beside_the_network_the_address_is_the_way_out(monkeypatch: pytest.Monke
     monkeypatch.setattr(socket.socket, "getsockname", Mock(return_value=("192.168.1.7", 4)))
     settings = web_settings("0.0.0.0:8080", token="12345678")
     assert url_to_tell(settings) == "http://192.168.1.7:8080/?token=12345678"
+
+
+@pytest.mark.parametrize("words", ["", '{"fd": 3, "ho', WHOLE, WHOLE + '{"t_s": 1.0, "ve'])
+def test_a_flight_that_ends_in_the_middle_of_a_picture_ends_the_page_in_silence(words: str) -> None:
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        listener.listen()
+        page = subprocess.run(
+            [sys.executable, "-m", "companion.web"],
+            input=words.replace("FD", str(listener.fileno())),
+            capture_output=True,
+            text=True,
+            pass_fds=(listener.fileno(),),
+            timeout=60.0,
+        )
+    assert (page.returncode, page.stdout, page.stderr) == (0, "", "")
