@@ -160,7 +160,7 @@ def _charts(result: MissionResult) -> list[tuple[str, str, str]]:
     record = result.record
     charts = []
     if record.estimates:
-        note = "metres over seconds: true error (line) and R95 (shaded line), logarithmic"
+        note = "metres over seconds, logarithmic. Green: true error; orange: R95"
         charts.append(("Error and R95", note, _accuracy(result).svg()))
     ranges = [(p.time_s, p.range_innovation_m) for p in record.estimates]
     known = [(t, v) for t, v in ranges if v is not None]

@@ -125,12 +125,16 @@ def _violations(limit: Violations, flown: Flown) -> tuple[bool, str]:
 
 def _appears(wanted: Appears, flown: Flown) -> tuple[bool, str]:
     count, when = _seen(wanted, flown.record)
-    return count >= wanted.at_least, f"seen {count} times{when}, expected {wanted.at_least}"
+    return count >= wanted.at_least, f"seen {_times(count)}{when}, expected {wanted.at_least}"
 
 
 def _never(unwanted: TextSeen, flown: Flown) -> tuple[bool, str]:
     count, when = _seen(unwanted, flown.record)
-    return count == 0, f"seen {count} times{when}, expected never"
+    return count == 0, f"seen {_times(count)}{when}, expected never"
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count} times"
 
 
 def _seen(wanted: TextSeen, record: FlightRecord) -> tuple[int, str]:

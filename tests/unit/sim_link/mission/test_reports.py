@@ -89,7 +89,7 @@ def test_the_page_says_of_every_invariant_whether_it_was_kept_broken_or_not_judg
     assert rows["I8"].violations is None
     assert rows["I8"].note == WIRE.unjudged["I8"]
     page = _Page(report_page(result))
-    for words in ("1 times broken", "kept", "not judged", WIRE.unjudged["I12"], "1.25 s"):
+    for words in ("broken once", "kept", "not judged", WIRE.unjudged["I12"], "1.25 s"):
         assert words in page.text
 
 
