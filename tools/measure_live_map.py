@@ -51,7 +51,7 @@ from companion.io.shell import Shell, TimerStatistics
 from companion.run import build_endpoint
 from companion.web.settings import web_settings
 from companion.web.view import WebView
-from sim_link.autopilot.scenario import Scenario
+from sim_link.autopilot.scenario import BatteryParams, Scenario
 from sim_link.lockstep.flight import Flight
 
 MOST_MS = 5.0
@@ -69,6 +69,7 @@ CONFIG = CompanionConfig(
     limits=LimitsConfig(battery_pct_per_km=None),
 )
 """The flight never ends by itself."""
+ENDLESS = Scenario(battery=BatteryParams(endurance_s=1e6))
 
 
 class Lateness(TimerStatistics):
@@ -271,7 +272,7 @@ def measure_memory(minutes: float, count: int, web_port: int) -> list[Memory]:
     view = WebView(settings, CONFIG)
     with tempfile.TemporaryDirectory() as directory:
         journal = FlightJournal(Path(directory), time.time())
-        flight = Flight(CONFIG, Scenario(), 1, view.listen(journal))
+        flight = Flight(CONFIG, ENDLESS, 1, view.listen(journal))
 
         def fly_to(until_s: float) -> None:
             while flight.now_s < until_s:

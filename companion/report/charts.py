@@ -14,10 +14,12 @@ from companion.report.drawing import Drawing, square_around
 from companion.report.story import EstimatePoint, Story
 
 MAP_SIZE = 640.0
-CHART_SIZE = (640.0, 220.0)
+CHART_SIZE = (560.0, 220.0)
 BINS = 50
-ELLIPSES = 12
-"""Shown on the map, evenly over the flight."""
+ELLIPSES = 8
+"""Shown on the map, evenly over the flight; the newer, the stronger."""
+ELLIPSE_CORNERS = 90
+FAINTEST = 0.2
 LEAST_M = 1e-3
 """A logarithmic axis has no zero."""
 
@@ -38,21 +40,29 @@ def flight_map(story: Story, config: CompanionConfig) -> str:
     points += [place for _, place, _ in story.waypoints]
     west, east, south, north = square_around(points or limits.fence_enu_m, 10.0)
     drawing = Drawing(MAP_SIZE, MAP_SIZE - 16.0, (west, east), (south, north), "Map of the flight")
-    drawing.area(limits.fence_enu_m, "fence")
+    if limits.is_fence_local:  # else the configuration has only a default in its place
+        drawing.area(limits.fence_enu_m, "fence")
     for polygon in limits.keep_out_enu_m:
         drawing.area(polygon, "obstacle")
+    _ellipses(drawing, story, east - west)
     drawing.line(story.track_enu_m, "track")
     drawing.dots([place for _, place, _ in story.waypoints], "waypoint", 3.0)
-    for point in _spread(story.estimates):
-        if point.covariance_m2 is not None:
-            drawing.area(
-                ellipse_95(point.place_enu_m, point.covariance_m2).corners_enu_m(), "ellipse"
-            )
     last = story.last
     if last is not None:
         drawing.circle(last.place_enu_m, last.r95_m, "radius", f"R95 {last.r95_m:.2f} m")
         drawing.cross(last.place_enu_m, "place", "estimate")
     return drawing.svg()
+
+
+def _ellipses(drawing: Drawing, story: Story, width_m: float) -> None:
+    """How the estimate shrank; an ellipse that is larger than the map would only tint it."""
+    spread = _spread([p for p in story.estimates if p.covariance_m2 is not None])
+    for number, point in enumerate(spread):
+        if point.covariance_m2 is None or 2.0 * point.r95_m > width_m:
+            continue
+        corners = ellipse_95(point.place_enu_m, point.covariance_m2).corners_enu_m(ELLIPSE_CORNERS)
+        strength = FAINTEST + (1.0 - FAINTEST) * number / max(1, len(spread) - 1)
+        drawing.area(corners, "ellipse", strength)
 
 
 def charts(story: Story, config: CompanionConfig) -> list[Chart]:

@@ -81,9 +81,10 @@ class Drawing:
         """A curve through points."""
         self._parts.append(f'<polyline class="{style}" points="{self._places(points)}"/>')
 
-    def area(self, corners: Iterable[Point], style: str) -> None:
+    def area(self, corners: Iterable[Point], style: str, opacity: float = 1.0) -> None:
         """A polygon."""
-        self._parts.append(f'<polygon class="{style}" points="{self._places(corners)}"/>')
+        faint = "" if opacity == 1.0 else f' opacity="{opacity:.2f}"'
+        self._parts.append(f'<polygon class="{style}"{faint} points="{self._places(corners)}"/>')
 
     def dots(self, points: Iterable[Point], style: str, radius: float = 1.6) -> None:
         """A dot at every point, as one path so that thousands stay light."""

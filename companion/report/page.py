@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -19,6 +20,28 @@ MAX_TOLD = 500
 """Lines of the table of events; the event log has all."""
 QUICK_BYTES = 3_000_000
 """An event log up to this, a quarter of an hour, is a report in well under a second."""
+
+LINK_WORDS = {
+    "loss": "share of frames lost",
+    "received": "frames received",
+    "lost": "frames lost",
+    "late": "frames late",
+    "duplicates": "frames received twice",
+    "overtaken": "frames overtaken by newer ones",
+    "tick_s": "control tick, s",
+    "missed_ticks": "control ticks missed",
+    "stalls": "times that the computer stood still",
+    "undecodable": "frames that could not be read",
+    "strangers": "frames of strangers",
+    "moves": "times that the autopilot's address changed",
+    "echoes": "own frames that came back",
+    "setpoints": "setpoints sent",
+    "setpoint_rate_hz": "setpoints a second, at the end",
+    "accepted": "measurements accepted",
+    "refused": "measurements refused",
+    "restarts": "restarts of the autopilot",
+}
+"""What the counters of the event log mean; one that is new has its own name."""
 
 
 def report_page(story: Story, facts: FlightFacts, name: str) -> str:
@@ -105,6 +128,11 @@ def _link_rows(link: Line) -> list[tuple[str, str]]:
     for name, value in link.items():
         if name in ("t_s", "kind", "links"):
             continue
-        shown = f"{value:.3g}" if isinstance(value, float) else str(value)
-        rows.append((name.replace("_", " "), shown))
+        rows.append((LINK_WORDS.get(name, name.replace("_", " ")), _shown(value)))
     return rows
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name}: {_shown(count)}" for name, count in value.items()) or "none"
+    return f"{value:.3g}" if isinstance(value, float) else str(value)

@@ -7,11 +7,13 @@ from typing import Any
 
 from nicegui import ui
 
+from companion.geometry.ellipse import CHI2_95_TWO
+
 CURVES = (
     ("r95_m", "R95, m", "log"),
     ("range_innovation", "Range residual, m", "value"),
     ("range_offset_m", "Range offset, m", "value"),
-    ("nis", "NIS (about 1 if the model fits)", "value"),
+    ("nis", "NIS, expected: 95 % below 6", "value"),
 )
 LEAST_OF_GOAL = 0.1
 """Where the logarithmic axis of R95 begins, as a share of the radius that is wanted."""
@@ -36,8 +38,10 @@ class Charts:
         with ui.row().classes("w-full gap-2"):
             for name, title, axis in CURVES:
                 options = _options(title, axis)
+                if name == "nis":
+                    options["series"][0]["markLine"] = _level(CHI2_95_TWO, "")
                 if name == "r95_m":
-                    options["series"][0]["markLine"] = _goal(goal_m)
+                    options["series"][0]["markLine"] = _level(goal_m, "goal")
                     options["yAxis"]["min"] = self._least_m
                 self._charts[name] = ui.echart(options).classes("panel chart")
 
@@ -99,17 +103,17 @@ def _options(title: str, axis: str) -> dict[str, Any]:
     }
 
 
-def _goal(radius_m: float) -> dict[str, Any]:
-    """The radius at which the target counts as found."""
+def _level(value: float, name: str) -> dict[str, Any]:
+    """A line across a chart, with a name."""
     return {
         "silent": True,
         "symbol": "none",
         "lineStyle": {"color": "#c2570c"},
         "label": {
-            "formatter": "goal",
+            "formatter": name,
             "position": "insideEndTop",
             "fontSize": 10,
             "color": "#c2570c",
         },
-        "data": [{"yAxis": radius_m}],
+        "data": [{"yAxis": value}],
     }

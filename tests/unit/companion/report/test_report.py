@@ -8,9 +8,10 @@ from html.parser import HTMLParser
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
+import msgspec
 import pytest
 
-from companion.config.schema import CompanionConfig
+from companion.config.schema import CompanionConfig, LimitsConfig
 from companion.errors import ConfigError
 from companion.flight_facts import FlightFacts, write_facts
 from companion.io.flight_files import EVENTS
@@ -65,8 +66,11 @@ class Tags(HTMLParser):
         self.loads += [value or "" for name, value in attrs if name in ("src", "href")]
 
 
-def page_of(lines: list[Line]) -> str:
-    return report_page(story_of(lines), FACTS, "2026-11-21T10-00-00Z")
+def page_of(lines: list[Line], limits: LimitsConfig | None = None) -> str:
+    facts = FACTS
+    if limits is not None:
+        facts = msgspec.structs.replace(FACTS, config=CompanionConfig(limits=limits))
+    return report_page(story_of(lines), facts, "2026-11-21T10-00-00Z")
 
 
 def test_the_page_loads_nothing_and_runs_nothing() -> None:
@@ -80,6 +84,31 @@ def test_the_page_loads_nothing_and_runs_nothing() -> None:
 def test_every_drawing_is_well_formed() -> None:
     for svg in re.findall(r"<svg.*?</svg>", page_of(FLIGHT), flags=re.DOTALL):
         assert ET.fromstring(svg).tag == "svg"
+
+
+def test_a_fence_that_the_configuration_does_not_know_is_not_drawn() -> None:
+    assert '<polygon class="fence"' in page_of(FLIGHT)
+    page = page_of(FLIGHT, LimitsConfig(autopilot_fence="use"))
+    assert '<polygon class="fence"' not in page
+    assert "dashed green" not in page
+
+
+def test_ellipses_that_would_cover_the_map_are_left_out_and_newer_ones_are_stronger() -> None:
+    page = page_of([estimate(float(n), 500.0 / (1 + n)) for n in range(60)])
+    ellipses = re.findall('<polygon class="ellipse"( opacity="([0-9.]+)")?', page)
+    strengths = [float(opacity or 1.0) for _, opacity in ellipses]
+    assert 1 <= len(strengths) < 8
+    assert strengths == sorted(strengths)
+    assert strengths[-1] == 1.0
+
+
+def test_counters_of_the_link_are_told_in_words() -> None:
+    link: Line = {"t_s": 1.0, "kind": "link", "lost": 3, "refused": {}, "new_one": {"late": 2}}
+    page = page_of([*FLIGHT, link])
+    rows = dict(re.findall("<div><dt>([^<]*)</dt><dd>([^<]*)</dd></div>", page))
+    assert rows["frames lost"] == "3"
+    assert rows["measurements refused"] == "none"
+    assert rows["new one"] == "late: 2"
 
 
 def test_the_verdict_is_what_the_flight_came_to() -> None:
