@@ -84,4 +84,5 @@ class LinkCounters:
             "accepted": emitters.accepted,
             "refused": {reason.value: count for reason, count in emitters.refusals.items()},
             "restarts": emitters.restarts,
+            "walks": emitters.walks,
         }
