@@ -136,21 +136,10 @@ class _UdpFlight:
         self._vehicle = self._vehicle_child() if connect is None else None
         self._radio: Child | None = None
         self._operator = MavsdkOperator(self._ports.operator, folder / "mavsdk.log")
-        self._watched = watched = WireWatch(speed)
-        harness = ProcessHarness(
-            mission, self._wire, self._vehicle, self._companion, watched.recording
-        )
-        self._harness = harness
+        self._watched = WireWatch(speed)
+        self._harness = harness = self._build_harness()
         self._runner = StepRunner(mission, self.situation, self.record, self._operator, harness)
-        has_radio = connect is not None
-        self._hub = Hub(
-            self._wire,
-            self._watch,
-            self._look,
-            self._interrupt,
-            has_radio=has_radio,
-            delivered=watched.delivered,
-        )
+        self._hub = self._build_hub()
         self._end_wall_s: float | None = None
         """When the end began."""
         self._is_companion_told = False
@@ -160,6 +149,20 @@ class _UdpFlight:
         self._tlog = TlogWriter(folder / "flight.tlog")
         self._heard_wall_s = time.monotonic()
         self._progress: Progress | None = None
+
+    def _build_harness(self) -> ProcessHarness:
+        recording = self._watched.recording
+        return ProcessHarness(self._mission, self._wire, self._vehicle, self._companion, recording)
+
+    def _build_hub(self) -> Hub:
+        return Hub(
+            self._wire,
+            self._watch,
+            self._look,
+            self._interrupt,
+            has_radio=self._connect is not None,
+            delivered=self._watched.delivered,
+        )
 
     async def fly(self, progress: Progress | None) -> None:
         """From starting the processes to the last step."""
