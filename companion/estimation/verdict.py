@@ -10,7 +10,6 @@ import numpy as np
 from companion.domain import EstimateState, TargetEstimate
 from companion.estimation.consistency import r95_of_covariance_m, r95_of_mixture_m
 from companion.estimation.hypotheses import Hypothesis, probabilities
-from companion.estimation.motion import Motion
 from companion.geometry.arrays import Matrix, Vector
 from companion.models.ranging_model import BEARING_OFFSET, RANGE_OFFSET, RangingModel
 
@@ -28,7 +27,6 @@ def estimate_of(
     now_s: float,
     *,
     is_diverged: bool,
-    motion: Motion | None = None,
 ) -> TargetEstimate:
     """What the hypotheses add up to.
 
@@ -39,15 +37,9 @@ def estimate_of(
         measurements: Accepted so far.
         now_s: The present.
         is_diverged: Whether the filter was started anew a short while ago.
-        motion: How the target walks although it is believed to lie still; None: it does.
     """
     weights, best = probabilities(hypotheses), hypotheses[0]
     covariances = [position_covariance_m2(h, model.own_sigma_m) for h in hypotheses]
-    if motion is not None:
-        covariances = [
-            c + motion.spread_m2(h.state.mean[:2], now_s)
-            for c, h in zip(covariances, hypotheses, strict=True)
-        ]
     r95_m = _r95_m(hypotheses, weights, covariances)
     state = EstimateState.DIVERGED if is_diverged else _state(weights, r95_m, localised_r95_m)
     is_ambiguous = state is EstimateState.AMBIGUOUS

@@ -118,11 +118,6 @@ class EmitterQueue:
         """Filters that were started anew."""
         return sum(tracker.restarts for tracker in self.trackers)
 
-    @property
-    def walks(self) -> int:
-        """How often a target began to walk that is believed to lie still."""
-        return sum(tracker.watch.walks for tracker in self.trackers)
-
     def is_current(self, emitter_id: int) -> bool:
         """Whether a measurement of this emitter is of the one that is looked for."""
         return self._current.emitter_id in (None, emitter_id)

@@ -53,10 +53,8 @@ def waiting_record(emitter_id: int, estimate: TargetEstimate) -> Record:
 def health_fields(tracker: TargetTracker, now_s: float) -> dict[str, object]:
     """How far the estimate can be trusted, as live values."""
     objection, contact = tracker.objection(now_s), tracker.contact
-    motion = tracker.watch.motion
     return {
         **asdict(tracker.health),
-        "walking_mps": None if motion is None else motion.speed_mps,
         "objection": None if objection is None else objection.value,
         "range_age_s": contact.range_age_s(now_s),
         "bearing_age_s": contact.bearing_age_s(now_s),

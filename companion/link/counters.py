@@ -84,5 +84,4 @@ class LinkCounters:
             "accepted": emitters.accepted,
             "refused": {reason.value: count for reason, count in emitters.refusals.items()},
             "restarts": emitters.restarts,
-            "walks": emitters.walks,
         }
