@@ -53,6 +53,8 @@ class ControlTick:
         self._tick_s: float | None = None
         self._next_heartbeat_s = -math.inf
         self._sent_s = -math.inf
+        self._is_silent = True
+        """Whether silence was due at the last tick."""
 
     def run(self, now_s: float) -> None:
         """Decide and send."""
@@ -66,9 +68,10 @@ class ControlTick:
         if now_s >= self._next_heartbeat_s:
             self._next_heartbeat_s = now_s + HEARTBEAT_PERIOD_S
             situation.commands.append(SendHeartbeat())
-        if now_s - self._sent_s > SILENCE_S:
+        if now_s - self._sent_s > SILENCE_S and self._may_begin_anew(now_s):
             situation.steering.forget_setpoint()
         setpoint = self._setpoint(now_s, dt_s)
+        self._is_silent = setpoint is None
         if setpoint is None:
             return
         self._sent_s = now_s
@@ -76,6 +79,10 @@ class ControlTick:
             self._tell_reasons(situation.steering.reasons, now_s)
         situation.commands.append(SendSetpoint(setpoint))
         self._watches.sent(setpoint.position_enu_m, now_s)
+
+    def _may_begin_anew(self, now_s: float) -> bool:
+        """Not after a mere pause on a stale position: what was sent last is safer than that."""
+        return self._is_silent or self._situation.vehicle.is_position_fresh(now_s)
 
     def _tell_reasons(self, reasons: tuple[GuardReason, ...], now_s: float) -> None:
         """Why the setpoint is not where the planner wants it."""

@@ -29,8 +29,9 @@ from sim_link.monitor.motions import FreshState, WithinEnvelope
 from sim_link.monitor.places import InsideFence, SafeToFreeze
 from sim_link.monitor.proof import Proof
 from sim_link.monitor.rules import Rules
-from sim_link.monitor.scene import Scene, Told, TrueScene
+from sim_link.monitor.scene import AUTOPILOT_COMPONENT, Scene, Told, TrueScene
 from sim_link.monitor.violation import Violation
+from sim_link.monitor.whose import Whose
 
 
 def no_estimate() -> None:
@@ -52,6 +53,7 @@ class FrameMonitor(Observer):
         self._shared = scene
         self.invariants = list(invariants)
         self._proof = None if key is None else Proof(key)
+        self._whose = Whose()
         self._hearing = self._looking_at("heard")
         self._stepping = self._looking_at("stepped")
         self._ticking = self._looking_at("ticked")
@@ -86,13 +88,18 @@ class FrameMonitor(Observer):
         """This reaches the companion."""
         scene = self._shared
         scene.now_s = frame.time_s
-        scene.is_believable = frame.is_genuine and frame.is_readable
-        if self._proof is not None and frame.is_readable:
-            scene.is_believable = self._proof.accepts(frame.data)
+        scene.is_believable = frame.is_readable and self._is_believed(frame)
         if scene.is_believable:
             scene.tell(frame)
         for invariant in self._hearing:
             invariant.heard(frame)
+
+    def _is_believed(self, frame: Frame) -> bool:
+        if self._proof is not None:
+            return self._proof.accepts(frame.data)
+        if frame.sender == (self._shared.system_id, AUTOPILOT_COMPONENT):
+            return self._whose.believes(frame)
+        return frame.is_genuine
 
     def vehicle_sent(self, frame: Frame) -> None:
         """The vehicle sent this."""
@@ -109,6 +116,7 @@ class FrameMonitor(Observer):
         scene = self._shared
         scene.now_s, scene.tick_s = now_s, None
         scene.is_companion_up, scene.is_restarted = True, True
+        self._whose.restart()
         scene.told = Told(began_s=now_s, origin_enu_m=scene.told.origin_enu_m)
         for invariant in self.invariants:
             invariant.started()
@@ -188,6 +196,10 @@ class Monitor(FrameMonitor):
         """The companion has read it."""
         if self._proved is not None:
             self._proved.read(frame)
+
+    def vehicle_heard(self, frame: Frame) -> None:
+        """A frame of the companion reached the vehicle."""
+        self.fence.reached(frame)
 
     def stepped(self, vehicle: SimVehicle, now_s: float) -> None:
         """The vehicle moved."""

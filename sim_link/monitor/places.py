@@ -5,12 +5,20 @@ from __future__ import annotations
 import math
 
 from companion.domain import FlightMode, PositionEnu
+from companion.mav.dialect import mavlink
 from companion.mav.type_mask import POSITION_AND_YAW, POSITION_ONLY
+from sim_link.lockstep.observer import Frame
 from sim_link.monitor.invariant import Invariant
 from sim_link.monitor.predicates import Point, depth_m, is_way_clear
 from sim_link.monitor.scene import Setpoint, TrueScene
 from sim_link.world.point_mass import PointMass, approach_velocity
 
+SETPOINTS = frozenset(
+    {
+        mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED,
+        mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT,
+    }
+)
 ROUNDING_M = 2e-3
 """Single precision on the wire, and degrees in steps of a centimetre."""
 HEIGHT_ROUNDING_M = 0.05
@@ -75,8 +83,33 @@ class InsideFence(SetpointsInside):
         """How often the true vehicle left the fence."""
         self._is_out = False
         self._in_control_s = -math.inf
+        self._reached = 0
+        """How many of our setpoints reached the vehicle since the last step."""
+        self._taken = 0
+        """How many it took from anybody, since it was switched on."""
+        self._is_dragged = False
+        """Whether it flies to a setpoint of somebody else."""
+        self._dragged_s = -math.inf
         self._known: tuple[Point, float] = ((0.0, 0.0), -math.inf)
         """A place, and how deep inside it is."""
+
+    def reached(self, frame: Frame) -> None:
+        """A frame of ours reached the vehicle."""
+        self._reached += frame.number in SETPOINTS and frame.is_readable
+
+    def _watch_others(self, taken: int) -> None:
+        """Whose setpoint the vehicle took last; one of somebody else counts until some time after.
+
+        Where it went for another sender is not the companion's doing; nor that it has to come back.
+        """
+        new, self._taken = taken - self._taken, taken
+        ours, self._reached = self._reached, 0
+        if new > ours:
+            self._is_dragged = True
+        elif new > 0:
+            self._is_dragged = False
+        if self._is_dragged:
+            self._dragged_s = self._truth.now_s
 
     def stepped(self) -> None:
         """Judge where the vehicle truly is and where it could stop."""
@@ -84,7 +117,9 @@ class InsideFence(SetpointsInside):
         is_ours = scene.told.is_ours and scene.is_companion_up
         if is_ours:
             self._in_control_s = scene.now_s
+        self._watch_others(scene.vehicle.offboard.received)
         is_flown_by_others = scene.vehicle.modes.mode not in OUR_MOTION
+        is_flown_by_others |= scene.now_s - self._dragged_s < CONTROL_FADES_S
         has_faded = scene.now_s - self._in_control_s > CONTROL_FADES_S
         if body.is_on_ground or is_flown_by_others or has_faded:
             self._is_out = False

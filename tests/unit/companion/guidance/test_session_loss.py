@@ -143,3 +143,16 @@ def test_after_a_pause_the_stream_begins_where_the_vehicle_is(missed: int, is_an
     flight.skip(missed)
     flight.fly(TICK_S)
     assert (math.dist(flight.setpoints[-1], flight.place) < 0.5) is is_anew
+
+
+def test_a_pause_on_a_stale_position_leaves_the_setpoint_where_it_is() -> None:
+    """Where the vehicle was a second ago is no better place than the one it was sent to."""
+    flight = ScriptedFlight().in_control()
+    flight.fly(4.0)
+    flight.has_position = False
+    flight.fly(1.0)
+    last = flight.setpoints[-1]
+    assert math.dist(last, flight.place) > 1.0
+    flight.skip(7)
+    flight.fly(TICK_S)
+    assert flight.setpoints[-1] == last

@@ -1,0 +1,40 @@
+"""Whose frames an unsigned companion must believe: one address's, until that was silent for long.
+
+Without a key an address is all that tells two senders of the same ids apart. The autopilot may come
+back from another one, when a router begins anew, so a companion has to follow after a silence; and
+then whoever speaks first is the autopilot, an attacker included. What it does from then on follows
+from what it had to believe. Only a key prevents that.
+"""
+
+from __future__ import annotations
+
+from companion.mav.dialect import mavlink
+from sim_link.lockstep.observer import Frame
+
+SILENCE_S = 3.0
+"""How long one address is silent before the other one is believed."""
+
+
+class Whose:
+    """Follows one of two senders: the vehicle itself, or somebody with the vehicle's ids."""
+
+    def __init__(self) -> None:
+        self._is_genuine: bool | None = None
+        """Whether the vehicle itself is followed; None: nobody is yet."""
+        self._heard_s = 0.0
+
+    def restart(self) -> None:
+        """A companion that starts anew follows the first that it hears."""
+        self._is_genuine = None
+
+    def believes(self, frame: Frame) -> bool:
+        """Whether a readable frame with the autopilot's ids had to be believed."""
+        is_new = self._is_genuine is None
+        if is_new and frame.number != mavlink.MAVLINK_MSG_ID_HEARTBEAT:
+            return frame.is_genuine
+        if is_new or frame.time_s - self._heard_s >= SILENCE_S:
+            self._is_genuine = frame.is_genuine
+        if frame.is_genuine is not self._is_genuine:
+            return False
+        self._heard_s = frame.time_s
+        return True

@@ -1,0 +1,95 @@
+"""What another sender does, to the vehicle or with its ids, is not the companion's doing."""
+
+from __future__ import annotations
+
+import pytest
+
+from companion.config.schema import CompanionConfig
+from companion.guidance.session import SessionParams
+from companion.mav.codec import MavCodec
+from companion.mav.dialect import Message, mavlink
+from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
+from sim_link.campaign.flights import Monitored, monitored, rules_of
+from sim_link.faults.kinds import LinkBlackout, SecondSender, UnsignedFrames
+from sim_link.faults.schedule import Schedule
+from sim_link.lockstep.observer import Frame
+from sim_link.lockstep.wire import Lane
+from sim_link.monitor.predicates import depth_m
+from sim_link.monitor.whose import SILENCE_S, Whose
+
+AUTO = CompanionConfig(mission=SessionParams(engage="auto"))
+HEARTBEAT = mavlink.MAVLink_heartbeat_message(2, 12, 81, 0, 4, 3)
+ATTITUDE = mavlink.MAVLink_attitude_message(1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def in_flight(flavour: FlavourName) -> Monitored:
+    around = monitored(AUTO, Scenario(autopilot=AutopilotParams(flavour=flavour)), 1)
+    around.flight.run(18.0)
+    return around
+
+
+def true_depth_m(around: Monitored) -> float:
+    place = around.flight.sim.vehicle.body.position_enu_m
+    return depth_m(rules_of(AUTO).fence_enu_m, rules_of(AUTO).keep_out_enu_m, place[:2])
+
+
+@pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
+def test_somebody_else_who_flies_it_out_of_the_fence_is_no_breach(flavour: FlavourName) -> None:
+    around = in_flight(flavour)
+    away = SecondSender(rate_hz=15.0, east_m=-200.0, north_m=-200.0, duration_s=40.0)
+    around.injector.inject(Schedule(faults=(away,)))
+    around.flight.run(60.0)
+    assert true_depth_m(around) < -5.0
+    assert around.notes.said("giving way")
+    assert around.monitor.fence.breaches == 0
+    assert around.monitor.violations == []
+
+
+def test_its_own_way_out_of_the_fence_is_one() -> None:
+    around = in_flight("ardupilot")
+    body = around.flight.sim.vehicle.body
+    body.position_enu_m = (-200.0, -200.0, body.position_enu_m[2])
+    around.flight.run(1.0)
+    assert around.monitor.fence.breaches == 1
+
+
+def test_without_a_key_whoever_speaks_after_a_silence_is_believed() -> None:
+    around = in_flight("ardupilot")
+    silence = LinkBlackout(start_s=1.0, duration_s=12.0, direction="to_companion")
+    stranger = UnsignedFrames(start_s=6.0, duration_s=4.0, rate_hz=130.0)
+    around.injector.inject(Schedule(faults=(silence, stranger)))
+    around.flight.run(30.0)
+    assert around.notes.said("from another address")
+    assert [v for v in around.monitor.violations if v.invariant == "I10"] == []
+
+
+def frame(time_s: float, message: Message = ATTITUDE, *, is_genuine: bool = True) -> Frame:
+    data = MavCodec(1, 1).encode(message)
+    return Frame(time_s, data, Lane.TO_COMPANION, is_genuine=is_genuine)
+
+
+def followed() -> Whose:
+    whose = Whose()
+    assert whose.believes(frame(0.0, HEARTBEAT))
+    return whose
+
+
+def test_a_stranger_is_not_believed_beside_the_vehicle() -> None:
+    whose = followed()
+    assert not whose.believes(frame(SILENCE_S - 0.1, is_genuine=False))
+    assert whose.believes(frame(SILENCE_S - 0.05))
+
+
+def test_a_stranger_is_followed_after_a_silence_and_the_vehicle_after_another() -> None:
+    whose = followed()
+    assert whose.believes(frame(SILENCE_S, is_genuine=False))
+    assert not whose.believes(frame(SILENCE_S + 0.1))
+    assert whose.believes(frame(2.0 * SILENCE_S + 0.1))
+
+
+def test_before_a_heartbeat_and_after_a_restart_nobody_is_followed_yet() -> None:
+    whose = followed()
+    whose.restart()
+    assert not whose.believes(frame(1.0, is_genuine=False))
+    assert whose.believes(frame(1.1, HEARTBEAT, is_genuine=False))
+    assert not whose.believes(frame(1.2))
