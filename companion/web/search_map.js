@@ -36,6 +36,9 @@ export default {
       minZoom: this.hasTiles ? 2 : -4, maxZoom: this.hasTiles ? 23 : 7,
       zoomSnap: 0.25, attributionControl: false, preferCanvas: false,
     });
+    // Leaflet draws on whole pixels, which makes a slim ellipse of few corners bumpy.
+    this.map.latLngToLayerPoint = (place) =>
+      this.map.project(L.latLng(place)).subtract(this.map.getPixelOrigin());
     this.map.setView([0, 0], this.hasTiles ? 17 : 2);
     if (this.hasTiles) {
       const [minNativeZoom, maxNativeZoom] = this.zooms;
