@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 from companion.domain import RangingMeasurement
 from companion.estimation.base import Inflation, ModalityReport, UpdateReport
+from companion.estimation.refusal import Refusal
 
 GATE_SIGMAS = 6.0
 """Recorded Wi-Fi and UWB walks and flights in the shadow of buildings stay within it."""
@@ -75,6 +76,11 @@ class Gate:
             self.agrees_in_range or other.agrees_in_range,
             self.agrees_in_bearing or other.agrees_in_bearing,
         )
+
+    @property
+    def refusal(self) -> Refusal:
+        """What a measurement that does not pass is counted as."""
+        return Refusal.BEARING_OUTLIER if self.passes_range else Refusal.RANGE_OUTLIER
 
     def passed(self, measurement: RangingMeasurement) -> RangingMeasurement | None:
         """What of a measurement is fused; None: nothing."""

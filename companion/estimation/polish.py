@@ -99,6 +99,11 @@ class Polisher:
         self.noise = None
         self._due_at = self._fresh_at = 0
 
+    @property
+    def map(self) -> WindowMap:
+        """What solves the window."""
+        return self._map
+
     def retune(self, filter_params: FilterParams) -> None:
         """Believe in other noise and thresholds, for what was measured already, too."""
         self._filter_params = filter_params

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass
 
 from companion.domain import PositionEnu, RangingMeasurement, TargetEstimate
 from companion.estimation.bank import BankUpdate, updated
@@ -21,6 +20,7 @@ from companion.estimation.contact import Contact
 from companion.estimation.contradiction import CONTRADICTION_COUNT
 from companion.estimation.filter_params import FilterParams
 from companion.estimation.filters import filter_of
+from companion.estimation.fusion_report import FusionReport as FusionReport
 from companion.estimation.gate import Gate
 from companion.estimation.hypotheses import (
     Hypothesis,
@@ -28,6 +28,7 @@ from companion.estimation.hypotheses import (
     first_hypotheses,
 )
 from companion.estimation.innovation_noise import InnovationNoise, TrackerHealth
+from companion.estimation.motion import MotionWatch
 from companion.estimation.moving import moved, state_step
 from companion.estimation.noise_learner import NoiseLearner
 from companion.estimation.objections import Objection
@@ -44,23 +45,6 @@ from companion.models.ranging_model import target_height_m
 DUPLICATE_MEMORY = 256
 Row = tuple[PositionEnu, Vector, Vector]
 """Where a measurement was made, its values (3,) and their sigmas (3,)."""
-
-
-@dataclass(frozen=True, slots=True)
-class FusionReport:
-    """What became of one measurement."""
-
-    refusal: Refusal | None
-    update: UpdateReport | None = None
-    """The best hypothesis' update; None for a refusal and for the first measurement."""
-    restarted: bool = False
-    """The filter lost its covariance or contradicted its measurements, and was started anew."""
-    agrees: bool = True
-    """Whether all that was measured agrees with the estimate."""
-    measurement: RangingMeasurement | None = None
-    """What was measured, its bearing in the local frame, where the log is to tell it."""
-    sensor_enu_m: PositionEnu | None = None
-    """Where it was measured."""
 
 
 class TargetTracker:
@@ -89,6 +73,7 @@ class TargetTracker:
         self._noise = self._fresh_noise()
         self._learner = self._fresh_learner()
         self._latest: deque[Row] = deque(maxlen=CONTRADICTION_COUNT)
+        self._watch = MotionWatch(params.filter, params.localised_r95_m)
         self._diverged_until = 0
         self._is_borne_from_heading = False
         """Whether the newest bearing came relative to the vehicle's heading."""
@@ -119,6 +104,7 @@ class TargetTracker:
             self._learn(report.update)
         if self._hypotheses and self._polisher.is_due(self.accepted):
             self.polish()
+        self._look_for_motion(measurement.measured_at_s)
         return report
 
     def refuse(self, reason: Refusal) -> FusionReport:
@@ -145,6 +131,7 @@ class TargetTracker:
         step = state_step(self._filter.params, shift_enu_m, turn_rad)
         self._hypotheses = tuple(moved(h, step) for h in self._hypotheses)
         self._polisher.move(shift_enu_m, step)
+        self._watch.move(shift_enu_m, step, self._filter.params)
         self._latest.clear()
         self._plausibility.jumped()
 
@@ -153,6 +140,7 @@ class TargetTracker:
         self._noise = self._fresh_noise()
         self._standing.forget()
         self._latest.clear()
+        self._watch.clear()
         self._polisher.clear()
 
     @property
@@ -253,6 +241,11 @@ class TargetTracker:
         return self._noise.health(self.inflation, self.observability)
 
     @property
+    def watch(self) -> MotionWatch:
+        """Whether the target seems to walk although it is believed to lie still."""
+        return self._watch
+
+    @property
     def nlos_share(self) -> float:
         """Share of recent ranges on the linear branch of the loss: taken for reflections."""
         return self._noise.nlos_share
@@ -313,14 +306,14 @@ class TargetTracker:
 
     def _fused(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> FusionReport:
         if not self._hypotheses:
-            self._latest.append(self._row(measurement, sensor_enu_m))
+            self._note(measurement, sensor_enu_m)
             self._add_to_window(self._latest[-1])
             self._start(measurement, sensor_enu_m)
             self._standing.began(measurement)
             return FusionReport(None)
         bank = self._updated(measurement, sensor_enu_m)
         gate = bank.gate if self._standing.is_proven else bank.gate.unarmed()
-        self._latest.append(self._row(measurement, sensor_enu_m))
+        self._note(measurement, sensor_enu_m)
         if bank.best is None or self._standing.note(
             measurement, bank.best, gate, self._shown_inflation
         ):
@@ -329,7 +322,7 @@ class TargetTracker:
         if not gate.is_open:
             self._count_outliers(gate, passed)
             if passed is None:
-                return FusionReport(_outlier(gate))
+                return FusionReport(gate.refusal)
             bank = self._updated(passed, sensor_enu_m)
         if passed is None or bank.best is None:
             return self._restart(measurement, sensor_enu_m)
@@ -347,10 +340,21 @@ class TargetTracker:
     def _count_outliers(self, gate: Gate, passed: RangingMeasurement | None) -> None:
         """Count what was not fused of a measurement; one that is refused as a whole is one."""
         if passed is not None:
-            self.refusals[_outlier(gate)] += 1
+            self.refusals[gate.refusal] += 1
 
     def _row(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> Row:
         return (sensor_enu_m, *self._filter.params.seen(measurement))
+
+    def _note(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> None:
+        row = self._row(measurement, sensor_enu_m)
+        self._latest.append(row)
+        self._watch.add(measurement.measured_at_s, *row)
+
+    def _look_for_motion(self, now_s: float) -> None:
+        """Look whether it walks although it is believed to lie still; the estimate stays."""
+        estimate = self.estimate(now_s) if self._watch.is_due(now_s) else None
+        if estimate is not None and self._watch.is_worth(estimate.r95_m):
+            self._watch.look(self._polisher.map, self._hypotheses[0].state.mean)
 
     def _add_to_window(self, row: Row) -> None:
         self._polisher.add(*row, self._hypotheses, is_white=self.is_white)
@@ -388,7 +392,3 @@ class TargetTracker:
         self._polisher.begin_with(self._latest)
         self._start(measurement, sensor_enu_m)
         return FusionReport(None, None, restarted=True)
-
-
-def _outlier(gate: Gate) -> Refusal:
-    return Refusal.BEARING_OUTLIER if gate.passes_range else Refusal.RANGE_OUTLIER

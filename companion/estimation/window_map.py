@@ -129,6 +129,16 @@ class WindowMap:
         self._model = self._model._replace(bearing_inflation=inflation[BEARING])
 
     @property
+    def bounds(self) -> Matrix:
+        """Lower and upper bounds of the state, (2, k)."""
+        return self._bounds
+
+    @property
+    def prior(self) -> tuple[Matrix, Vector]:
+        """Information (k, k) of the state's Gaussian prior, and its pull, (k,)."""
+        return self._information, self._pull
+
+    @property
     def size(self) -> int:
         """Components of the state."""
         return len(self._pull)

@@ -9,6 +9,7 @@ from companion.estimation.tracker import FusionReport
 from companion.guidance.commands import Severity
 from companion.guidance.inputs import InputWatch
 from companion.guidance.listener import RangingListener
+from companion.guidance.motion_news import MotionNews
 from companion.guidance.records import estimate_record, waiting_record
 from companion.guidance.refusal_news import RefusalNews
 from companion.guidance.situation import Situation
@@ -30,6 +31,7 @@ class Measuring:
         self._inputs = inputs
         self._turns = turns
         self._news = RefusalNews()
+        self._motion_news = MotionNews()
         self._listener = RangingListener(situation.emitters, situation.vehicle.track)
 
     def receive(self, measurement: RangingMeasurement, now_s: float) -> None:
@@ -66,7 +68,14 @@ class Measuring:
                 situation.flight_plan.forget()
             elif report.agrees:
                 self._inputs.accepted()
+            self._tell_motion()
             self._replan(report, now_s)
+
+    def _tell_motion(self) -> None:
+        situation, tracker = self._situation, self._situation.tracker
+        if tracker.emitter_id is not None:
+            for news in self._motion_news.told(tracker.emitter_id, tracker.watch.motion):
+                situation.announce(news.severity, news.text)
 
     def _note_waiting(self, emitter_id: int, now_s: float) -> None:
         """Something was learnt of an emitter whose turn it is not."""

@@ -1,0 +1,329 @@
+"""Notices that a target walks although it is believed to lie still.
+
+Theory of operation. A walk makes residuals larger, and the noise that the run has shown grows along
+with them, so that every test of their size stays in its band. But it also gives them an order. The
+measurements of the last seconds are fitted twice: by a target that lies still, and by one that
+walks evenly, whose partials by the velocity are those by the place times the age. The velocity v
+is judged by the sandwich covariance of the second fit, in which whatever the walk explains is no
+noise any more:
+
+    v^T C^-1 v  ~  chi-square with 2 degrees of freedom, if the target lies still.
+
+The more careful of the white and the correlated covariance counts, because a reflection that comes
+and goes with the place is correlated; and the fall of the cost must say the same, because a fit
+that ended in another valley does not lower it.
+
+The estimate stays as it is, and the operator is told. A reflection that changes with the place of
+the vehicle, behind a building for example, looks the same from one side: no threshold parts the two
+(flights behind the block of `obstacle.yaml` reach 188, walks of 0.3 m/s 120 to 140), and a target
+that lies still must be reported.
+
+Source: P. J. Huber, Robust Statistics (1981), chapter 6, for the sandwich; the statistic is Wald's.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.domain import PositionEnu
+from companion.estimation.filter_params import FilterParams
+from companion.estimation.map_kernels import SEQUENCE, hold_at_bounds
+from companion.estimation.moving import moved_rows
+from companion.estimation.sandwich import (
+    Scores,
+    correlated_variability,
+    covariance_of,
+    curvature,
+    pooled_variability,
+)
+from companion.estimation.window_map import WindowMap
+from companion.geometry.arrays import Matrix, Vector
+
+SPANS_S = (10.0, 20.0, 40.0)
+"""What is looked at: a short span for whoever turns soon, a long one for whoever walks slowly."""
+LEAST_SPAN_S = 8.0
+"""Less than this tells nothing."""
+MIN_COUNT, MAX_COUNT = 20, 512
+"""Fewer measurements tell nothing; more are not kept."""
+EVERY_S = 1.0
+NEAR = 3.0
+"""A place is asked for while R95 is at most so many times what counts as localised."""
+SIGNIFICANT = 60.0
+"""Ten times what a statistic of this law reaches by chance once in 20: errors that repeat
+themselves for half a minute, or change with the place, reach 55 now and then."""
+IN_A_ROW = 2
+"""It must be so often in a row."""
+CALM = 18.4
+"""Below this, 1 in 1e4, nothing speaks for a walk any more."""
+CALM_COUNT = 10
+"""It must be so often in a row."""
+WORTH_A_LOOK = 9.2
+"""Where a first step says less than this, 1 in 100, nobody walks."""
+MAX_SPEED_MPS = 3.0
+"""Standard deviation of each component of the velocity before anything is measured."""
+MAX_ITERATIONS = 12
+MAX_HALVINGS = 6
+STEP_TOLERANCE_M = 5e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """A target that walks evenly, as the last seconds have it."""
+
+    time_s: float
+    span_s: float
+    """Of the measurements."""
+    velocity_mps: Vector
+    """(2,)"""
+    significance: float
+    """Chi-square with 2 degrees of freedom, if the target lies still."""
+
+    @property
+    def speed_mps(self) -> float:
+        """How fast it walks."""
+        return math.hypot(*self.velocity_mps.tolist())
+
+
+class MotionWatch:
+    """Keeps the measurements of the last seconds, and asks them now and then.
+
+    Args:
+        filter_params: Whether the target is believed to lie still at all.
+        localised_r95_m: A place much vaguer than this is not worth asking for.
+    """
+
+    def __init__(self, filter_params: FilterParams, localised_r95_m: float) -> None:
+        self._is_wanted = filter_params.process_noise_m_per_sqrt_s == 0.0
+        self._near_m = NEAR * localised_r95_m
+        self._rows: deque[Vector] = deque(maxlen=MAX_COUNT)
+        self._due_s = -math.inf
+        self._significant = 0
+        self._calm = 0
+        self._is_seen = False
+        self.walks = 0
+        """How often it began to walk."""
+        self.suspected: Motion | None = None
+        """How the target seems to walk, since the first look that says so; None: it lies still."""
+
+    @property
+    def motion(self) -> Motion | None:
+        """How the target walks, once that was seen twice in a row; None: it lies still."""
+        return self.suspected if self._is_seen else None
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self._rows.clear()
+        self._acquit()
+
+    def _acquit(self) -> None:
+        self._significant = self._calm = 0
+        self._is_seen = False
+        self.suspected = None
+
+    def add(self, time_s: float, sensor_enu_m: PositionEnu, z: Vector, sigma: Vector) -> None:
+        """Take in a measurement.
+
+        Args:
+            time_s: When it was made.
+            sensor_enu_m: Where.
+            z: (3,) range, bearing, elevation; NaN where not measured.
+            sigma: (3,) thermal noise.
+        """
+        if self._is_wanted:
+            self._rows.append(np.array([*sensor_enu_m, *z, *sigma, time_s]))
+
+    def move(self, shift_enu_m: PositionEnu, step: Vector, params: FilterParams) -> None:
+        """Move all along with the vehicle's navigation, which jumped; see `moving`."""
+        if self._rows:
+            rows = moved_rows(np.array(self._rows), shift_enu_m, step, params)
+            self._rows = deque(rows, maxlen=MAX_COUNT)
+
+    def is_due(self, now_s: float) -> bool:
+        """Whether it is time to look again."""
+        if not self._rows or now_s < self._due_s <= now_s + EVERY_S:
+            return False
+        self._due_s = now_s + EVERY_S
+        return True
+
+    def is_worth(self, r95_m: float) -> bool:
+        """Whether it matters: of a target that may be anywhere nothing false is told."""
+        return self.suspected is not None or r95_m <= self._near_m
+
+    def look(self, window_map: WindowMap, mean: Vector) -> None:
+        """Look whether the target walks.
+
+        Args:
+            window_map: Noise, thresholds, priors and bounds.
+            mean: (k,) what is believed of a target that lies still.
+        """
+        found = self._found(window_map, mean)
+        if found is not None and found.significance >= SIGNIFICANT:
+            self.suspected = found
+            self._significant += 1
+            self._calm = 0
+            if self._significant >= IN_A_ROW and not self._is_seen:
+                self._is_seen = True
+                self.walks += 1
+            return
+        is_calm = found is None or found.significance < CALM
+        self._calm = self._calm + 1 if is_calm else 0
+        self._significant = 0
+        if not self._is_seen or self._calm >= CALM_COUNT:
+            self._acquit()
+
+    def _of_last(self, span_s: float) -> Matrix:
+        """The measurements of the last seconds, (n, 10), in order of time."""
+        rows = np.array(self._rows)
+        rows = rows[np.argsort(rows[:, SEQUENCE], kind="stable")]
+        recent: Matrix = rows[rows[:, SEQUENCE] >= rows[-1, SEQUENCE] - span_s]
+        return recent
+
+    def _found(self, window_map: WindowMap, mean: Vector) -> Motion | None:
+        """The motion of the shortest span in which it is significant, or else the most significant.
+
+        None: nothing says that the target walks.
+        """
+        best: Motion | None = None
+        for span_s in SPANS_S:
+            rows = self._of_last(span_s)
+            length_s = float(np.ptp(rows[:, SEQUENCE]))
+            if len(rows) < MIN_COUNT or length_s < LEAST_SPAN_S:
+                continue
+            motion = motion_of(window_map, rows, mean)
+            if motion is None:
+                continue
+            if best is None or motion.significance > best.significance:
+                best = motion
+            if best.significance >= SIGNIFICANT:
+                break
+        return best
+
+
+def motion_of(window_map: WindowMap, rows: Matrix, mean: Vector) -> Motion | None:
+    """How a target walks that is believed to lie at `mean`, (k,); None: nothing says that it does.
+
+    Args:
+        window_map: Noise, thresholds, priors and bounds.
+        rows: (n, 10), see `map_kernels`, the time in place of the sequence number.
+        mean: (k,) where to start from.
+    """
+    problem = _Walk(window_map, rows)
+    start = np.concatenate([mean, np.zeros(2)])
+    try:
+        with np.errstate(all="ignore"):
+            return problem.motion(start)
+    except np.linalg.LinAlgError:
+        return None
+
+
+class _Walk:
+    """The window's problem for states [..., east velocity, north velocity], place at the end."""
+
+    def __init__(self, window_map: WindowMap, rows: Matrix) -> None:
+        self._map = window_map
+        self._rows = rows
+        self.time_s = float(rows[:, SEQUENCE].max())
+        self._age_s = rows[:, SEQUENCE] - self.time_s
+        information, pull = window_map.prior
+        size = len(pull)
+        self._information = np.diag(np.full(size + 2, MAX_SPEED_MPS**-2))
+        self._information[:size, :size] = information
+        self._pull = np.concatenate([pull, np.zeros(2)])
+        free = np.array([[-np.inf, -np.inf], [np.inf, np.inf]])
+        self._bounds = np.hstack([window_map.bounds, free])
+
+    def motion(self, start: Vector) -> Motion | None:
+        """What the fit of a target that walks says beside that of one that lies still."""
+        still = self.minimum(start, may_walk=False)
+        if not self.may_be_walking(still):
+            return None
+        walking = self.minimum(still, may_walk=True)
+        covariance, inflation = self.covariance(walking)
+        velocity = walking[-2:]
+        significance = float(velocity @ np.linalg.solve(covariance[-2:, -2:], velocity))
+        fall = 2.0 * (self.cost(still) - self.cost(walking)) / inflation
+        if not math.isfinite(fall + significance):
+            return None
+        return Motion(
+            time_s=self.time_s,
+            span_s=-float(self._age_s.min()),
+            velocity_mps=velocity,
+            significance=min(fall, significance),
+        )
+
+    def scores(self, state: Vector) -> Scores:
+        """The problem linearised at a state: seen from a target that walks, the sensor does."""
+        rows = np.array(self._rows)
+        rows[:, :2] -= self._age_s[:, None] * state[-2:]
+        scores = self._map.scores(rows, state[:-2])
+        by_velocity = scores.H[:, :2] * np.tile(self._age_s, 3)[:, None]
+        H = np.hstack([scores.H, by_velocity])
+        return Scores(scores.u, scores.psi, H, scores.is_measured, scores.thermal)
+
+    def cost(self, state: Vector) -> float:
+        """The objective at a state."""
+        return self._cost(self.scores(state), state)
+
+    def _cost(self, scores: Scores, state: Vector) -> float:
+        losses = float(np.sum(scores.psi * (scores.u - 0.5 * scores.psi)))
+        return losses + float(state @ (0.5 * self._information @ state - self._pull))
+
+    def minimum(self, state: Vector, *, may_walk: bool) -> Vector:
+        """Where damped re-weighted Gauss-Newton steps lead."""
+        scores, damping = self.scores(state), 1e-3
+        for _ in range(MAX_ITERATIONS):
+            A, descent = self._system(scores, state)
+            hold_at_bounds(A, descent, state, self._bounds)
+            if not may_walk:
+                A, descent = A[:-2, :-2], descent[:-2]
+            scale, cost = np.diag(np.diag(A) + 1e-9), self._cost(scores, state)
+            for _ in range(MAX_HALVINGS):
+                step = np.zeros(len(state))
+                step[: len(descent)] = np.linalg.solve(A + damping * scale, descent)
+                moved = np.clip(state + step, *self._bounds)
+                after = self.scores(moved)
+                if self._cost(after, moved) < cost:
+                    break
+                damping *= 8.0
+            else:
+                break
+            step_m = math.dist(moved[:2], state[:2])
+            state, scores, damping = moved, after, max(damping / 4.0, 1e-9)
+            if step_m < STEP_TOLERANCE_M:
+                break
+        return state
+
+    def _system(self, scores: Scores, state: Vector) -> tuple[Matrix, Vector]:
+        u, psi = scores.u.reshape(-1), scores.psi.reshape(-1)
+        weight = np.where(u == psi, 1.0, psi / np.where(u == psi, 1.0, u))
+        A = (scores.H.T * weight) @ scores.H + self._information
+        return A, scores.H.T @ psi + self._pull - self._information @ state
+
+    def may_be_walking(self, still: Vector) -> bool:
+        """Whether the first step away from a target that lies still is worth the others.
+
+        Noise counts as white here, and the walk as noise: this spares the second fit while nothing
+        happens.
+        """
+        scores = self.scores(still)
+        A = curvature(scores) + self._information
+        A_inverse = np.asarray(np.linalg.inv(A))
+        pooled = pooled_variability(scores, A_inverse, np.ones(3)) + self._information
+        velocity = (A_inverse @ self._system(scores, still)[1])[-2:]
+        covariance = covariance_of(A, pooled)[-2:, -2:]
+        return float(velocity @ np.linalg.solve(covariance, velocity)) >= WORTH_A_LOOK
+
+    def covariance(self, state: Vector) -> tuple[Matrix, float]:
+        """Of the state, (k + 2, k + 2), and how much less is measured than thermal noise says."""
+        scores = self.scores(state)
+        A = curvature(scores) + self._information
+        A_inverse = np.asarray(np.linalg.inv(A))
+        pooled = pooled_variability(scores, A_inverse, scores.repetition) + self._information
+        correlated = correlated_variability(scores) + self._information
+        inflation = max(1.0, float(np.trace(pooled @ A_inverse)) / len(state))
+        pairs = [covariance_of(A, B) for B in (pooled, correlated)]
+        return max(pairs, key=lambda pair: float(np.trace(pair[-2:, -2:]))), inflation

@@ -1,0 +1,29 @@
+from __future__ import annotations
+
+import numpy as np
+
+from companion.estimation.motion import Motion
+from companion.guidance.commands import Severity
+from companion.guidance.motion_news import MotionNews
+
+WALKING = Motion(10.0, 10.0, np.array([0.6, 0.8]), 99.0)
+
+
+def test_a_walk_is_told_once_and_so_is_its_end() -> None:
+    news = MotionNews()
+    assert news.told(1, None) == []
+    (began,) = news.told(1, WALKING)
+    assert began.severity is Severity.WARNING
+    assert "walk at 1.0 m/s" in began.text
+    assert news.told(1, WALKING) == []
+    (ended,) = news.told(1, None)
+    assert ended.severity is Severity.INFO
+    assert news.told(1, None) == []
+
+
+def test_each_emitter_has_news_of_its_own() -> None:
+    news = MotionNews()
+    news.told(1, WALKING)
+    assert len(news.told(2, WALKING)) == 1
+    assert len(news.told(1, None)) == 1
+    assert news.told(2, WALKING) == []
