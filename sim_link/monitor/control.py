@@ -63,7 +63,8 @@ class OnlyWithAuthority(Invariant):
         message = frame.message
         if isinstance(message, mavlink.MAVLink_command_long_message):
             if message.command == mavlink.MAV_CMD_NAV_GUIDED_ENABLE and message.param1 == 1.0:
-                self._was_ours, self._lost_s, self._may_engage = False, None, True
+                self._was_ours &= self._lost_s is None  # a grant takes nothing away
+                self._lost_s, self._may_engage = None, True
             return
         is_autopilot = frame.sender == (self.scene.system_id, AUTOPILOT_COMPONENT)
         if is_autopilot and isinstance(message, mavlink.MAVLink_heartbeat_message):

@@ -7,10 +7,15 @@ import pytest
 from companion.config.schema import CompanionConfig
 from companion.domain import FlightMode
 from companion.guidance.session import SessionParams
+from companion.guidance.states import Phase
+from companion.mav.dialect import mavlink
+from companion.mav.framing import message_id
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from sim_link.campaign.flights import Monitored, monitored
 from sim_link.faults.planted import KeepsFlying, maker
+from sim_link.lockstep.wire import Delivery, Lane
 
+HEARTBEAT = mavlink.MAVLINK_MSG_ID_HEARTBEAT
 COPTER = Scenario(autopilot=AutopilotParams(flavour="ardupilot"))
 AUTO = CompanionConfig(mission=SessionParams(engage="auto", stop_confirm_s=1e6))
 
@@ -52,3 +57,24 @@ def test_a_mode_that_nobody_gave_back_gives_no_right_to_fly() -> None:
     around.flight.sim.vehicle.flavour.pilot_chooses(FlightMode.OFFBOARD, mode_s)
     around.flight.run(3.0)
     assert around.monitor.authority.late > before
+
+
+class WithoutHeartbeats:
+    """A wire that loses all of the vehicle's heartbeats."""
+
+    def carry(self, data: bytes, lane: Lane, now_s: float) -> list[Delivery]:
+        is_lost = lane is Lane.TO_COMPANION and message_id(data) == HEARTBEAT
+        return [] if is_lost else [(now_s, data)]
+
+
+def test_a_grant_takes_nothing_away_from_who_could_not_know_of_the_take_over() -> None:
+    around = monitored(AUTO, COPTER, 1)
+    around.flight.run(16.0)
+    around.flight.wire = WithoutHeartbeats()
+    around.operator.choose(FlightMode.HOLD)
+    around.flight.run(1.5)
+    around.operator.grant()
+    around.flight.run(0.5)
+    assert around.flight.mode is FlightMode.HOLD
+    assert around.flight.phase in (Phase.NORMAL, Phase.HOLD)
+    assert around.monitor.violations == []
