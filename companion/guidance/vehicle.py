@@ -29,6 +29,8 @@ COUNTED_STEP_M = 0.05
 """Shorter moves are noise, not distance flown."""
 MODE_UNKNOWN_AFTER_S = 10.0
 """Without a HEARTBEAT for this long anyone may fly: stop sending, let its own failsafe act."""
+FARTHEST_HOME_M = 1e5
+"""A home farther from the origin than this is a fault of one of the two."""
 ORIGIN_STEP_M = 1.0
 """An origin that moves farther than this has taken the local frame with it."""
 
@@ -122,12 +124,18 @@ class VehicleView:
         return math.hypot(*self.frame.enu_from_geodetic(*place))
 
     def move_frame(self, origin: LocalOrigin) -> None:
-        """Drop every local position but home, which is turned into the frame of a new origin."""
+        """Drop every local position but home, which is turned into the frame of a new origin.
+
+        From an origin that is nowhere near, home is dropped, too: there is no height above it.
+        """
         home, kept, before = self.reported_home_enu_m, self.home_enu_m, self.origin
         self.forget_frame()
-        if before is not None and home is not None and kept is not None:
+        if before is None or home is None or kept is None:
+            return
+        turned = origin.enu_from_geodetic(*before.geodetic_from_enu(kept))
+        if all(abs(value) <= FARTHEST_HOME_M for value in turned):
             self.reported_home_enu_m = origin.enu_from_geodetic(*before.geodetic_from_enu(home))
-            self.home_enu_m = origin.enu_from_geodetic(*before.geodetic_from_enu(kept))
+            self.home_enu_m = turned
 
     @property
     def position_enu_m(self) -> PositionEnu | None:

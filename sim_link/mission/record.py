@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -114,9 +115,15 @@ class FlightRecord:
     """Processor time that it took, where it was flown in one process; neither."""
 
     def last_estimate(self, emitter: int) -> EstimatePoint | None:
-        """The last one of an emitter; whatever has no id is of every emitter."""
+        """The last one of an emitter while it was looked for, which ends when it is reported.
+
+        On its way home a vehicle goes on measuring, low and behind whatever stands there. Whatever
+        has no id is of every emitter.
+        """
+        report = self.report_of(emitter)
+        until_s = math.inf if report is None else report.time_s
         for point in reversed(self.estimates):
-            if point.emitter in (emitter, None):
+            if point.emitter in (emitter, None) and point.time_s <= until_s:
                 return point
         return None
 

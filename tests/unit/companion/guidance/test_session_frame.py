@@ -99,3 +99,15 @@ def test_a_position_of_the_old_frame_is_not_flown_in_the_new_one() -> None:
     flight.has_position = True
     flight.fly(0.1)
     assert len(flight.sent(SendSetpoint, since_s)) == 2
+
+
+def test_from_an_origin_that_is_nowhere_near_nothing_is_sent_that_stands_on_home() -> None:
+    flight = ScriptedFlight().in_control()
+    flight.give(OriginSet(flight.now_s, LocalOrigin(-ORIGIN.latitude_deg, 90.0, 0.0)))
+    moved_s = flight.now_s
+    flight.fly(2.0)
+    assert flight.session.vehicle.home_enu_m is None
+    assert flight.sent(SendSetpoint, moved_s) == []
+    flight.locate()
+    flight.fly(1.0)
+    assert all(abs(value) < 1e3 for value in flight.setpoints[-1])

@@ -52,6 +52,18 @@ expectations: [{{name: it, {expectation}}}]
     return Flown(parse_mission(text, "m"), record, situation)
 
 
+def test_what_is_measured_after_the_report_is_no_longer_looked_for() -> None:
+    record = flown("final_error_m: {at_most: 1}").record
+    record.estimates.append(EstimatePoint(60.0, 1, "diverged", (20.0, 20.0), 15.0))
+    reported = record.last_estimate(1)
+    assert reported is not None
+    assert reported.time_s == 30.0
+    record.reports.clear()
+    last = record.last_estimate(1)
+    assert last is not None
+    assert last.time_s == 60.0
+
+
 def verdict(expectation: str) -> Verdict:
     steps, own = verdicts_of(flown(expectation))
     assert steps.is_met
