@@ -20,6 +20,8 @@ from sim_link.monitor.scene import (
 
 EPSILON_S = 1e-6
 HERE_M = 2.0
+GRANT_S = 3.0
+"""A grant is of the time after a mode whose loss shows only this long after it."""
 RAISES = (
     mavlink.MAV_CMD_DO_SET_MODE,
     mavlink.MAV_CMD_COMPONENT_ARM_DISARM,
@@ -46,6 +48,7 @@ class OnlyWithAuthority(Invariant):
         self._given_s = -1.0
         """When a person gave the mode since it was lost."""
         self._may_engage = True
+        self._granted_s = -math.inf
 
     def started(self) -> None:
         """A process that starts beside a vehicle in the air never takes it by itself."""
@@ -65,6 +68,7 @@ class OnlyWithAuthority(Invariant):
             if message.command == mavlink.MAV_CMD_NAV_GUIDED_ENABLE and message.param1 == 1.0:
                 self._was_ours &= self._lost_s is None  # a grant takes nothing away
                 self._lost_s, self._may_engage = None, True
+                self._granted_s = self.scene.now_s
             return
         is_autopilot = frame.sender == (self.scene.system_id, AUTOPILOT_COMPONENT)
         if is_autopilot and isinstance(message, mavlink.MAVLink_heartbeat_message):
@@ -86,6 +90,8 @@ class OnlyWithAuthority(Invariant):
             return
         if not is_armed:  # the flight is over, and the next one is a new one
             self._was_ours, self._lost_s, self._may_engage = False, None, True
+        elif now_s - self._granted_s < GRANT_S:  # of a mode that was lost before the grant
+            self._was_ours = False
         elif self._was_ours and self._lost_s is None:
             self._lost_s = now_s
 

@@ -121,20 +121,21 @@ class InsideFence(SetpointsInside):
         is_flown_by_others = scene.vehicle.modes.mode not in OUR_MOTION
         is_flown_by_others |= scene.now_s - self._dragged_s < CONTROL_FADES_S
         has_faded = scene.now_s - self._in_control_s > CONTROL_FADES_S
-        if body.is_on_ground or is_flown_by_others or has_faded:
-            self._is_out = False
-            return
         place = body.position_enu_m[:2]
+        if body.is_on_ground or is_flown_by_others or has_faded:
+            is_up = not body.is_on_ground
+            self._is_out = is_up and self._depth(place) + scene.bias_m < 0.0  # by somebody else
+            return
         at, known = self._known
         if known - math.dist(place, at) > max(0.0, self.closest_m):
             return  # it cannot have come nearer than it was
         depth = self._depth(place) + scene.bias_m
         self._known = (place, depth)
+        if self._is_out and depth < 0.0:
+            return
         self.closest_m = min(self.closest_m, depth)
-        if depth >= 0.0:
-            self._is_out = False
-        elif not self._is_out:
-            self._is_out = True
+        self._is_out = depth < 0.0
+        if self._is_out:
             self.breaches += 1
             self.report("the vehicle left the fence", depth_m=depth)
 

@@ -78,3 +78,13 @@ def test_a_grant_takes_nothing_away_from_who_could_not_know_of_the_take_over() -
     assert around.flight.mode is FlightMode.HOLD
     assert around.flight.phase in (Phase.NORMAL, Phase.HOLD)
     assert around.monitor.violations == []
+
+
+def test_a_mode_that_ends_shortly_after_a_grant_was_given_back_before_it() -> None:
+    around = monitored(AUTO, COPTER, 1)
+    around.flight.run(16.0)
+    around.operator.grant()
+    around.flight.run(0.2)
+    around.operator.choose(FlightMode.HOLD)
+    around.flight.run(3.0)
+    assert around.monitor.violations == []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from companion.config.schema import CompanionConfig
+from companion.domain import FlightMode
 from companion.guidance.session import SessionParams
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
@@ -43,6 +44,19 @@ def test_somebody_else_who_flies_it_out_of_the_fence_is_no_breach(flavour: Flavo
     assert around.notes.said("giving way")
     assert around.monitor.fence.breaches == 0
     assert around.monitor.violations == []
+
+
+def test_a_vehicle_that_its_own_return_took_out_is_not_out_by_the_companion() -> None:
+    around = in_flight("ardupilot")
+    around.operator.choose(FlightMode.RETURN)
+    around.flight.run(0.1)
+    body = around.flight.sim.vehicle.body
+    body.position_enu_m = (-200.0, -200.0, body.position_enu_m[2])
+    around.flight.run(0.1)
+    around.operator.choose(FlightMode.HOLD)
+    around.flight.run(1.0)
+    assert true_depth_m(around) < -5.0
+    assert around.monitor.fence.breaches == 0
 
 
 def test_its_own_way_out_of_the_fence_is_one() -> None:
