@@ -1,19 +1,22 @@
-"""Twenty recorded flights, run again: every estimate and every setpoint bit by bit as it was."""
+"""Twenty flights, as recorded and flown here, run again: every estimate and setpoint bit by bit."""
 
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import msgspec
 import pytest
 
 from companion.estimation.tracker_params import TrackerParams
 from companion.kernel import IS_COMPILED
+from companion.replay.command import replay_flight
 from tests.loop.golden_flights import (
     FOLDER,
     PLANS,
     SUFFIX,
     GoldenCourse,
+    fly,
     load,
     load_courses,
     replayed,
@@ -33,6 +36,18 @@ def test_a_golden_flight_is_run_again_bit_by_bit(name: str) -> None:
     if was.is_of_this_arithmetic and not IS_COMPILED:
         assert now.estimates_digest == was.estimates_digest, HOW
         assert now.setpoints_digest == was.setpoints_digest, HOW
+
+
+@pytest.mark.parametrize("name", PLANS)
+def test_a_flight_of_each_kind_that_is_flown_here_replays_to_the_bit(
+    name: str, tmp_path: Path
+) -> None:
+    """On every machine, however it rounds."""
+    fly(PLANS[name], tmp_path)
+    replay = replay_flight(max(tmp_path.iterdir()), None, lambda _: None)
+    assert len(replay.comparison.recorded.estimates) > 50
+    assert replay.comparison.first_difference is None
+    assert replay.verdict.startswith("IDENTICAL")
 
 
 def test_there_are_twenty_and_they_are_small() -> None:
