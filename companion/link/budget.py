@@ -5,7 +5,9 @@ far above what an autopilot sends; everyone else shares a much smaller one, with
 source, so that strangers are dropped first and none of them crowds the others out. Bytes are
 counted before they are cut into frames, frames before they are proved, messages before anyone acts
 on them. What is over budget is dropped and counted, and the budgets begin anew with each control
-tick. Of the sources a tick remembers only so many.
+tick. Of the sources a tick remembers only so many. A link that held everything back delivers more
+at once than a tick reads, and the newest mode last: so HEARTBEATs of the autopilot's address have
+a budget of their own.
 
 PX4 1.15 sends 405 frames a second on its busiest link: 20 between two ticks. The bytes are what
 the worst of them, all magic, can be cut up in less than a tick (1.3 us each).
@@ -38,6 +40,8 @@ KNOWN: Amounts = (32_768, 2_000, 500)
 STRANGERS: Amounts = (16_384, 400, 100)
 """All of them together."""
 ONE_STRANGER: Amounts = (4_096, 100, 50)
+HEARTBEATS = 32
+"""Of the autopilot's address, whatever else it sent: they alone tell who flies."""
 
 
 class FloodBudget:
@@ -49,12 +53,19 @@ class FloodBudget:
         self._known = [0, 0, 0]
         self._strangers = [0, 0, 0]
         self._by_source: dict[Address | None, list[int]] = {}
+        self._heartbeats = 0
 
     def renew(self) -> None:
         """A control tick has passed."""
         self._known = [0, 0, 0]
         self._strangers = [0, 0, 0]
         self._by_source.clear()
+        self._heartbeats = 0
+
+    def admits_heartbeat(self) -> bool:
+        """Whether one more HEARTBEAT of the autopilot's address may come beside all budgets."""
+        self._heartbeats += 1
+        return self._heartbeats <= HEARTBEATS
 
     def admits(
         self, resource: Resource, amount: int, peer: Address | None, *, is_known: bool
