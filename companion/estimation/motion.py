@@ -74,9 +74,6 @@ STEP_TOLERANCE_M = 5e-3
 class Motion:
     """A target that walks evenly, as the last seconds have it."""
 
-    time_s: float
-    span_s: float
-    """Of the measurements."""
     velocity_mps: Vector
     """(2,)"""
     significance: float
@@ -104,8 +101,6 @@ class MotionWatch:
         self._significant = 0
         self._calm = 0
         self._is_seen = False
-        self.walks = 0
-        """How often it began to walk."""
         self.suspected: Motion | None = None
         """How the target seems to walk, since the first look that says so; None: it lies still."""
 
@@ -165,9 +160,7 @@ class MotionWatch:
             self.suspected = found
             self._significant += 1
             self._calm = 0
-            if self._significant >= IN_A_ROW and not self._is_seen:
-                self._is_seen = True
-                self.walks += 1
+            self._is_seen = self._is_seen or self._significant >= IN_A_ROW
             return
         is_calm = found is None or found.significance < CALM
         self._calm = self._calm + 1 if is_calm else 0
@@ -226,8 +219,7 @@ class _Walk:
     def __init__(self, window_map: WindowMap, rows: Matrix) -> None:
         self._map = window_map
         self._rows = rows
-        self.time_s = float(rows[:, SEQUENCE].max())
-        self._age_s = rows[:, SEQUENCE] - self.time_s
+        self._age_s = rows[:, SEQUENCE] - rows[:, SEQUENCE].max()
         information, pull = window_map.prior
         size = len(pull)
         self._information = np.diag(np.full(size + 2, MAX_SPEED_MPS**-2))
@@ -249,8 +241,6 @@ class _Walk:
         if not math.isfinite(fall + significance):
             return None
         return Motion(
-            time_s=self.time_s,
-            span_s=-float(self._age_s.min()),
             velocity_mps=velocity,
             significance=min(fall, significance),
         )

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 from companion.domain import FlightMode
 from companion.mav.codec import CRC_EXTRA_BY_ID, MavCodec
@@ -106,6 +107,15 @@ class Observer:
         """The vehicle begins anew."""
 
 
+T = TypeVar("T")
+
+
+def overriding(objects: Iterable[T], base: type[T], what: str) -> list[T]:
+    """Those objects whose class has a method of its own in place of the base's."""
+    inherited = getattr(base, what)
+    return [each for each in objects if getattr(type(each), what) is not inherited]
+
+
 class Observers(list[Observer]):
     """Who watches a flight; what happens often is told only to who looks at it."""
 
@@ -125,8 +135,7 @@ class Observers(list[Observer]):
             self._tellers.clear()
         tellers = self._tellers.get(what)
         if tellers is None:
-            base = getattr(Observer, what)
-            looking = [each for each in self if getattr(type(each), what) is not base]
+            looking = overriding(self, Observer, what)
             tellers = self._tellers[what] = [getattr(each, what) for each in looking]
         return tellers
 

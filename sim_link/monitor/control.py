@@ -80,6 +80,8 @@ class OnlyWithAuthority(Invariant):
         now_s = self.scene.now_s
         is_armed = bool(heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
         if is_armed and is_offboard(heartbeat):
+            if sent_at[0] >= self._granted_s:
+                self._granted_s = -math.inf  # taken up
             if self._lost_s is None:
                 self._was_ours = True
                 self._ours_sent_at = max(self._ours_sent_at, sent_at)

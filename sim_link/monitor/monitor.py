@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from companion.domain import FlightMode
 from companion.mav.signing import SigningKey
 from sim_link.autopilot.vehicle import SimVehicle
-from sim_link.lockstep.observer import Frame, Observer
+from sim_link.lockstep.observer import Frame, Observer, overriding
 from sim_link.monitor.beliefs import (
     Estimate,
     HonestCovariance,
@@ -62,8 +62,7 @@ class FrameMonitor(Observer):
 
     def _looking_at(self, what: str) -> list[Invariant]:
         """Who wants to see something that happens a hundred times a second."""
-        base = getattr(Invariant, what)
-        return [each for each in self.invariants if getattr(type(each), what) is not base]
+        return overriding(self.invariants, Invariant, what)
 
     @property
     def violations(self) -> list[Violation]:

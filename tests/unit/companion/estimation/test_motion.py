@@ -142,7 +142,6 @@ def test_it_is_believed_when_it_is_seen_twice_in_a_row() -> None:
     assert watch.motion is None
     watched(watch, rows[at : at + step])
     assert watch.motion is not None
-    assert watch.walks == 1
 
 
 def test_it_is_over_when_nothing_has_spoken_for_it_for_a_while() -> None:
@@ -155,7 +154,6 @@ def test_it_is_over_when_nothing_has_spoken_for_it_for_a_while() -> None:
     seen = watched(watch, still, truth() + np.array([20.0, 0.0, 0.0, 0.0]))
     assert seen[-1] is None
     assert sum(motion is None for motion in seen) < len(seen) - CALM_COUNT
-    assert watch.walks == 1
 
 
 def test_what_was_measured_moves_along_with_the_navigation() -> None:

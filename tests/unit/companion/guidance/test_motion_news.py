@@ -6,7 +6,7 @@ from companion.estimation.motion import Motion
 from companion.guidance.commands import Severity
 from companion.guidance.motion_news import MotionNews
 
-WALKING = Motion(10.0, 10.0, np.array([0.6, 0.8]), 99.0)
+WALKING = Motion(np.array([0.6, 0.8]), 99.0)
 
 
 def test_a_walk_is_told_once_and_so_is_its_end() -> None:
