@@ -7,7 +7,6 @@ and locks of companions that are started go to a place of their own, which is re
 
 from __future__ import annotations
 
-import atexit
 import os
 import shutil
 import tempfile
@@ -16,4 +15,8 @@ os.environ.setdefault("NUMBA_DISABLE_JIT", "1")
 
 _STATE = tempfile.mkdtemp(prefix="companion-tests-")
 os.environ["XDG_STATE_HOME"] = _STATE
-atexit.register(shutil.rmtree, _STATE, ignore_errors=True)
+
+
+def pytest_unconfigure() -> None:
+    """Remove that place, in every worker, too; they end without running what `atexit` keeps."""
+    shutil.rmtree(_STATE, ignore_errors=True)
