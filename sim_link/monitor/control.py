@@ -9,6 +9,7 @@ from companion.domain import FlightMode
 from companion.mav.dialect import Message, mavlink
 from sim_link.lockstep.observer import Frame
 from sim_link.monitor.invariant import Invariant
+from sim_link.monitor.predicates import is_moved_inwards
 from sim_link.monitor.rules import TICK_S
 from sim_link.monitor.scene import (
     AUTOPILOT_COMPONENT,
@@ -103,9 +104,13 @@ class OnlyWithAuthority(Invariant):
             return
         if self._was_ours:
             return
-        told = self.scene.told.position_enu_m
-        away = math.inf if told is None else math.dist(setpoint.place_enu_m[:2], told[:2])
-        if away > HERE_M + self.scene.rules.clearance_m:
+        told, rules = self.scene.told.position_enu_m, self.scene.rules
+        place = setpoint.place_enu_m[:2]
+        away = math.inf if told is None else math.dist(place, told[:2])
+        if away <= HERE_M + rules.clearance_m:
+            return
+        fence, keep_outs = rules.fence_enu_m, rules.keep_out_enu_m
+        if told is None or not is_moved_inwards(fence, keep_outs, told[:2], place):
             self.report("a setpoint that moves before control was given", away_m=away)
 
     def sent(self, frame: Frame) -> None:

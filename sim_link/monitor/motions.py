@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from sim_link.monitor.invariant import Invariant
-from sim_link.monitor.predicates import Point, depth_m
+from sim_link.monitor.predicates import Point, is_moved_inwards
 from sim_link.monitor.rules import TICK_S
 from sim_link.monitor.scene import Scene, Setpoint
 
@@ -18,8 +18,6 @@ LATE_TICK_S = 0.2
 """A control tick that comes later moves the setpoint no farther than one after this time."""
 HERE_M = 1.5
 """How far from the vehicle's newest place "here" may be, beside what it moved meanwhile."""
-BORDER_M = 4.0
-"""Nearer to a border than this, "here" may be moved inwards by the margin."""
 STILL_M = 0.02
 
 
@@ -36,6 +34,8 @@ class WithinEnvelope(Invariant):
         """Another frame begins another stream."""
         self._velocity: Point | None = None
         """Of the setpoint, once there were two."""
+        self._vehicle: Point | None = None
+        """Where the vehicle was told to be when the setpoint before was sent."""
 
     def started(self) -> None:
         """A new process begins a new stream."""
@@ -44,6 +44,8 @@ class WithinEnvelope(Invariant):
     def setpoint(self, setpoint: Setpoint) -> None:
         """Judge a setpoint by the one before."""
         last, self._last = self._last, setpoint
+        vehicle, told = self._vehicle, self.scene.told.position_enu_m
+        self._vehicle = None if told is None else told[:2]
         origin_enu_m = self.scene.told.origin_enu_m
         is_new = last is None or setpoint.time_s - last.time_s > STREAM_BREAK_S
         is_new |= origin_enu_m != self._origin_enu_m
@@ -63,10 +65,23 @@ class WithinEnvelope(Invariant):
         climbed = abs(setpoint.place_enu_m[2] - last.place_enu_m[2])
         if climbed > SHARE * rules.climb_mps * dt_s + TOLERANCE_M and not self._is_here(setpoint):
             self.report("setpoint climbs or sinks too fast", step_m=climbed, dt_s=dt_s)
-        self._judge_change(setpoint, last, dt_s)
+        along_m = self._moved_since(vehicle) if self._is_moved_inwards(setpoint) else 0.0
+        self._judge_change(setpoint, last, dt_s, is_moved_along=moved <= along_m + TOLERANCE_M)
 
-    def _judge_change(self, setpoint: Setpoint, last: Setpoint, dt_s: float) -> None:
-        """Faster by no more than the acceleration; stopping is allowed at once."""
+    def _moved_since(self, vehicle: Point | None) -> float:
+        """How far the vehicle was told to have moved since the setpoint before."""
+        if vehicle is None or self._vehicle is None:
+            return 0.0
+        return math.dist(vehicle, self._vehicle)
+
+    def _judge_change(
+        self, setpoint: Setpoint, last: Setpoint, dt_s: float, *, is_moved_along: bool
+    ) -> None:
+        """Faster by no more than the acceleration; stopping is allowed at once.
+
+        So is moving along with a vehicle at a border, no farther than that did: the place nearest
+        to it that is allowed.
+        """
         if dt_s <= 0.0:
             return
         place, before = setpoint.place_enu_m, last.place_enu_m
@@ -78,7 +93,8 @@ class WithinEnvelope(Invariant):
         change = math.dist(velocity, last_velocity)
         most = SHARE * self.scene.rules.acceleration_mps2 * max(dt_s, TICK_S)
         most += 2.0 * TOLERANCE_M / dt_s
-        if change <= most or math.hypot(*velocity) <= math.hypot(*last_velocity):
+        is_slower = math.hypot(*velocity) <= math.hypot(*last_velocity)
+        if change <= most or is_slower or is_moved_along:
             return
         if dt_s > LATE_TICK_S and self._is_here(setpoint):  # so late that it began anew
             self._velocity = None
@@ -100,11 +116,14 @@ class WithinEnvelope(Invariant):
         speed_mps = math.hypot(*told.velocity_enu_mps[:2])
         near_m = HERE_M + rules.clearance_m + speed_mps * (age_s + rules.latency_s)
         away = math.dist(setpoint.place_enu_m[:2], told.position_enu_m[:2])
-        return away <= near_m or self._is_at_border(told.position_enu_m[:2])
+        return away <= near_m or self._is_moved_inwards(setpoint)
 
-    def _is_at_border(self, place: Point) -> bool:
-        rules = self.scene.rules
-        return depth_m(rules.fence_enu_m, rules.keep_out_enu_m, place) < BORDER_M
+    def _is_moved_inwards(self, setpoint: Setpoint) -> bool:
+        told, rules = self.scene.told.position_enu_m, self.scene.rules
+        if told is None:
+            return False
+        place = setpoint.place_enu_m[:2]
+        return is_moved_inwards(rules.fence_enu_m, rules.keep_out_enu_m, told[:2], place)
 
 
 class FreshState(Invariant):

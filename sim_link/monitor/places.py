@@ -90,6 +90,9 @@ class InsideFence(SetpointsInside):
         self._is_dragged = False
         """Whether it flies to a setpoint of somebody else."""
         self._dragged_s = -math.inf
+        self._mode = FlightMode.OFFBOARD
+        self._is_taken_on = False
+        """Whether it left the mode, too, that it was in first after it was ours."""
         self._known: tuple[Point, float] = ((0.0, 0.0), -math.inf)
         """A place, and how deep inside it is."""
 
@@ -111,6 +114,15 @@ class InsideFence(SetpointsInside):
         if self._is_dragged:
             self._dragged_s = self._truth.now_s
 
+    def _watch_mode(self) -> None:
+        """Which mode flies: the first after ours brakes what we began, others begin anew."""
+        mode, before = self._truth.vehicle.modes.mode, self._mode
+        if mode is FlightMode.OFFBOARD and self._truth.told.is_ours:
+            self._is_taken_on = False
+        elif mode is not before and before is not FlightMode.OFFBOARD:
+            self._is_taken_on = True
+        self._mode = mode
+
     def stepped(self) -> None:
         """Judge where the vehicle truly is and where it could stop."""
         scene, body = self._truth, self._truth.vehicle.body
@@ -118,7 +130,8 @@ class InsideFence(SetpointsInside):
         if is_ours:
             self._in_control_s = scene.now_s
         self._watch_others(scene.vehicle.offboard.received)
-        is_flown_by_others = scene.vehicle.modes.mode not in OUR_MOTION
+        self._watch_mode()
+        is_flown_by_others = self._mode not in OUR_MOTION or self._is_taken_on
         is_flown_by_others |= scene.now_s - self._dragged_s < CONTROL_FADES_S
         has_faded = scene.now_s - self._in_control_s > CONTROL_FADES_S
         place = body.position_enu_m[:2]

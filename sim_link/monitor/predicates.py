@@ -12,6 +12,11 @@ from collections.abc import Sequence
 Point = tuple[float, float]
 Corners = Sequence[Point]
 
+BORDER_M = 4.0
+"""Nearer to a border than this, "here" may be moved inwards by the margin."""
+INWARDS_M = 2.0 * BORDER_M
+"""A place in a corner, or in the notch of one, may be moved by more than the margin."""
+
 
 def is_inside(corners: Corners, point: Point) -> bool:
     """Whether a point is inside a polygon, by its winding number; so is its border."""
@@ -47,6 +52,14 @@ def depth_m(fence: Corners, keep_outs: Sequence[Corners], point: Point) -> float
         away = border_distance_m(keep_out, point)
         depth = min(depth, -away if is_inside(keep_out, point) else away)
     return depth
+
+
+def is_moved_inwards(
+    fence: Corners, keep_outs: Sequence[Corners], vehicle: Point, place: Point
+) -> bool:
+    """Whether `place` may be where a vehicle at a border, or beyond it, is to stay."""
+    depth = depth_m(fence, keep_outs, vehicle)
+    return depth < BORDER_M and math.dist(vehicle, place) <= INWARDS_M + max(0.0, -depth)
 
 
 def is_way_clear(fence: Corners, keep_outs: Sequence[Corners], start: Point, end: Point) -> bool:
