@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 from companion.mav.dialect import Message, mavlink
 from sim_link.conformance.rules import Violation, require
-from sim_link.conformance.vehicle_probe import NAN, VehicleProbe
+from sim_link.conformance.vehicle_probe import VehicleProbe
+from sim_link.conformance.vehicle_station import NAN
 
 MISSION = mavlink.MAV_MISSION_TYPE_MISSION
 FENCE = mavlink.MAV_MISSION_TYPE_FENCE

@@ -238,7 +238,8 @@ LISTENS_ONLY = {
 def test_a_deaf_vehicle_breaks_every_rule_about_what_it_hears(
     flavour: Flavour, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sim_link.conformance.vehicle_probe.READY_S", 5.0)
+    for module in ("vehicle_station", "vehicle_probe"):
+        monkeypatch.setattr(f"sim_link.conformance.{module}.READY_S", 5.0)
     monkeypatch.setattr("sim_link.conformance.parameter_client.LIST_S", 5.0)
     recording = DeafRecording(simulator(flavour))
     kept = {

@@ -19,13 +19,8 @@ from sim_link.conformance.rules import (
     require,
 )
 from sim_link.conformance.sources import OBSERVED_ARDUPILOT, OBSERVED_PX4
-from sim_link.conformance.vehicle_probe import (
-    ARM,
-    FORCE,
-    NAN,
-    PREARM,
-    VehicleProbe,
-)
+from sim_link.conformance.vehicle_probe import ARM, FORCE, PREARM, VehicleProbe
+from sim_link.conformance.vehicle_station import NAN
 
 book = RuleBook(Role.VEHICLE, "arming")
 SERVICE = "MAVLink guide, Command Protocol"

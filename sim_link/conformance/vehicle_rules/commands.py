@@ -27,11 +27,8 @@ from sim_link.conformance.rules import (
     require,
 )
 from sim_link.conformance.sources import OBSERVED_ARDUPILOT, OBSERVED_PX4
-from sim_link.conformance.vehicle_probe import (
-    ACK_S,
-    NAN,
-    VehicleProbe,
-)
+from sim_link.conformance.vehicle_probe import VehicleProbe
+from sim_link.conformance.vehicle_station import ACK_S, NAN
 
 book = RuleBook(Role.VEHICLE, "commands")
 SERVICE = "MAVLink guide, Command Protocol"

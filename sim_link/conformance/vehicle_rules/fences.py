@@ -15,7 +15,8 @@ from sim_link.conformance.rules import (
     RuleBook,
     require,
 )
-from sim_link.conformance.vehicle_probe import ACK_S, NAN, VehicleProbe
+from sim_link.conformance.vehicle_probe import VehicleProbe
+from sim_link.conformance.vehicle_station import ACK_S, NAN
 
 book = RuleBook(Role.VEHICLE, "fences")
 SERVICE = "MAVLink guide, Mission Protocol"

@@ -23,11 +23,8 @@ from sim_link.conformance.rules import (
     require,
 )
 from sim_link.conformance.sources import OBSERVED_ARDUPILOT, OBSERVED_PX4
-from sim_link.conformance.vehicle_probe import (
-    ARM,
-    NAN,
-    VehicleProbe,
-)
+from sim_link.conformance.vehicle_probe import ARM, VehicleProbe
+from sim_link.conformance.vehicle_station import NAN
 
 book = RuleBook(Role.VEHICLE, "flights")
 SERVICE = "MAVLink guide, Command Protocol"

@@ -18,7 +18,8 @@ from sim_link.conformance.frames import (
 )
 from sim_link.conformance.rules import Role, RuleBook, Violation, require
 from sim_link.conformance.station import heartbeat
-from sim_link.conformance.vehicle_probe import ACK_S, VehicleProbe
+from sim_link.conformance.vehicle_probe import VehicleProbe
+from sim_link.conformance.vehicle_station import ACK_S
 
 book = RuleBook(Role.VEHICLE, "frames")
 SERIALIZATION = "MAVLink guide, Packet Serialization"

@@ -19,14 +19,10 @@ from sim_link.conformance.setpoints import (
     LocalSetpoint,
     moved_e7,
 )
-from sim_link.conformance.vehicle_probe import (
-    ACCEPTED,
-    NAN,
-    VehicleProbe,
-    nothing_moved,
-)
+from sim_link.conformance.vehicle_probe import VehicleProbe, nothing_moved
 from sim_link.conformance.vehicle_rules.fences import disable_fence, enable_fence
 from sim_link.conformance.vehicle_rules.offboard import fly, require_place
+from sim_link.conformance.vehicle_station import ACCEPTED, NAN
 
 book = RuleBook(Role.VEHICLE, "guided")
 PAGE = "ArduPilot wiki, Copter Commands in Guided Mode"

@@ -17,14 +17,8 @@ from sim_link.conformance.rules import (
 )
 from sim_link.conformance.sources import OBSERVED_ARDUPILOT, OBSERVED_PX4
 from sim_link.conformance.station import brief
-from sim_link.conformance.vehicle_probe import (
-    ACCEPTED,
-    ARM,
-    ARMED,
-    FORCE,
-    PREARM,
-    VehicleProbe,
-)
+from sim_link.conformance.vehicle_probe import ARM, FORCE, PREARM, VehicleProbe
+from sim_link.conformance.vehicle_station import ACCEPTED, ARMED
 
 book = RuleBook(Role.VEHICLE, "heartbeat")
 SERVICE = "MAVLink guide, Heartbeat/Connection Protocol"

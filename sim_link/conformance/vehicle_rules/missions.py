@@ -23,7 +23,8 @@ from sim_link.conformance.rules import (
     require,
 )
 from sim_link.conformance.sources import OBSERVED_ARDUPILOT, OBSERVED_PX4
-from sim_link.conformance.vehicle_probe import ACCEPTED, ACK_S, NAN, VehicleProbe
+from sim_link.conformance.vehicle_probe import VehicleProbe
+from sim_link.conformance.vehicle_station import ACCEPTED, ACK_S, NAN
 
 book = RuleBook(Role.VEHICLE, "missions")
 SERVICE = "MAVLink guide, Mission Protocol"

@@ -20,12 +20,8 @@ from sim_link.conformance.setpoints import (
     LocalSetpoint,
     moved_e7,
 )
-from sim_link.conformance.vehicle_probe import (
-    ACCEPTED,
-    NAN,
-    VehicleProbe,
-    nothing_moved,
-)
+from sim_link.conformance.vehicle_probe import VehicleProbe, nothing_moved
+from sim_link.conformance.vehicle_station import ACCEPTED, NAN
 
 book = RuleBook(Role.VEHICLE, "offboard")
 PX4_PAGE = "PX4 user guide, Offboard Mode"

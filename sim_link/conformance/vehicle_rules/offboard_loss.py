@@ -9,16 +9,10 @@ from sim_link.conformance.setpoints import (
     POSITION,
     LocalSetpoint,
 )
-from sim_link.conformance.vehicle_probe import (
-    ACCEPTED,
-    ARM,
-    VehicleProbe,
-    nothing_moved,
-)
-from sim_link.conformance.vehicle_probe import (
-    FORCE as FORCE_DISARM,
-)
+from sim_link.conformance.vehicle_probe import ARM, VehicleProbe, nothing_moved
+from sim_link.conformance.vehicle_probe import FORCE as FORCE_DISARM
 from sim_link.conformance.vehicle_rules.offboard import begin, fly, follow, here, invalid_setpoints
+from sim_link.conformance.vehicle_station import ACCEPTED
 
 book = RuleBook(Role.VEHICLE, "offboard_loss")
 PX4_PAGE = "PX4 user guide, Offboard Mode"

@@ -21,7 +21,8 @@ from sim_link.conformance.rules import (
     require,
 )
 from sim_link.conformance.sources import OBSERVED_ARDUPILOT
-from sim_link.conformance.vehicle_probe import NAN, VehicleProbe
+from sim_link.conformance.vehicle_probe import VehicleProbe
+from sim_link.conformance.vehicle_station import NAN
 
 book = RuleBook(Role.VEHICLE, "plan_results")
 SERVICE = "MAVLink guide, Mission Protocol"

@@ -14,7 +14,8 @@ from sim_link.conformance.rules import (
     require,
 )
 from sim_link.conformance.sources import OBSERVED_ARDUPILOT, OBSERVED_PX4
-from sim_link.conformance.vehicle_probe import ACCEPTED, VehicleProbe
+from sim_link.conformance.vehicle_probe import VehicleProbe
+from sim_link.conformance.vehicle_station import ACCEPTED
 
 book = RuleBook(Role.VEHICLE, "streams")
 INTERVALS = "MAVLink common, MAV_CMD_SET_MESSAGE_INTERVAL"

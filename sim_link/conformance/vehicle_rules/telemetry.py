@@ -13,7 +13,8 @@ from sim_link.conformance.rules import (
     require,
 )
 from sim_link.conformance.station import brief
-from sim_link.conformance.vehicle_probe import ACCEPTED, PREARM, VehicleProbe
+from sim_link.conformance.vehicle_probe import PREARM, VehicleProbe
+from sim_link.conformance.vehicle_station import ACCEPTED
 
 book = RuleBook(Role.VEHICLE, "telemetry")
 COMMON = "MAVLink common"

@@ -22,7 +22,8 @@ from sim_link.conformance.rules import (
     require,
 )
 from sim_link.conformance.sources import OBSERVED_ARDUPILOT, OBSERVED_PX4
-from sim_link.conformance.vehicle_probe import NAN, VehicleProbe
+from sim_link.conformance.vehicle_probe import VehicleProbe
+from sim_link.conformance.vehicle_station import NAN
 
 book = RuleBook(Role.VEHICLE, "uploads")
 SERVICE = "MAVLink guide, Mission Protocol"

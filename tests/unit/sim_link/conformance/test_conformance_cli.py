@@ -46,7 +46,7 @@ def test_bad_input_is_one_line_and_exit_code_2(
 def test_a_silent_peer_is_exit_code_2(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sim_link.conformance.vehicle_probe.FIRST_HEARTBEAT_S", 0.2)
+    monkeypatch.setattr("sim_link.conformance.vehicle_station.FIRST_HEARTBEAT_S", 0.2)
     assert main(["--url", f"udpin:127.0.0.1:{free_port()}"]) == 2
     assert "no autopilot heard" in capsys.readouterr().err
 
