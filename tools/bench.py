@@ -19,6 +19,7 @@ from sim_link.evaluation.planner_bench import PlannerBench, StepCost, bench_plan
 
 
 def main() -> int:
+    """Measure, print, and write the figures; the exit code."""
     arguments = parsed()
     bench: FilterBench | PlannerBench
     try:
@@ -42,6 +43,7 @@ def main() -> int:
 
 
 def parsed() -> argparse.Namespace:
+    """What the command line says."""
     parser = OneLineParser(description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     subjects = {
@@ -56,6 +58,7 @@ def parsed() -> argparse.Namespace:
 
 
 def filter_table(bench: FilterBench) -> str:
+    """All times of the filters, and what each must be."""
     lines = [
         versions(bench),
         f"medians over {bench.rounds} rounds of {bench.updates} updates, microseconds",
@@ -70,6 +73,7 @@ def filter_table(bench: FilterBench) -> str:
 
 
 def line(ratio: Ratio) -> str:
+    """A cost beside its peer's, and the limit."""
     verdict = "met" if ratio.is_met else "NOT MET"
     return (
         f"{ratio.name}: {ratio.cost_us:.2f} us, {ratio.ratio:.3f} x {ratio.reference} "
@@ -78,6 +82,7 @@ def line(ratio: Ratio) -> str:
 
 
 def planner_table(bench: PlannerBench) -> str:
+    """All times of the planners, and what each must be."""
     ratio = bench.fim_over_reactive
     return "\n".join(
         [
@@ -95,6 +100,7 @@ def planner_table(bench: PlannerBench) -> str:
 
 
 def cost_line(cost: StepCost) -> str:
+    """What a system's step costs."""
     decision = "-" if cost.decision_ms is None else f"{cost.decision_ms:.5f}"
     paper = "-" if cost.paper_ms is None else f"{cost.paper_ms:.3f}"
     return (
@@ -104,11 +110,13 @@ def cost_line(cost: StepCost) -> str:
 
 
 def limit_line(cost: StepCost) -> str:
+    """What a system's step may cost."""
     verdict = "met" if cost.is_met else "NOT MET"
     return f"{cost.system} step: {cost.step_ms:.5f} ms; limit {cost.limit_ms:g} ms: {verdict}"
 
 
 def versions(bench: FilterBench | PlannerBench) -> str:
+    """What was measured with."""
     numba = "no numba: plain Python only" if bench.numba is None else f"numba {bench.numba}"
     return f"Python {bench.python}, numpy {bench.numpy}, {numba}"
 

@@ -182,6 +182,7 @@ class Crowd:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
+    """Fly the fleets, print what they cost; the exit code."""
     parser = OneLineParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--vehicles", metavar="N", type=positive, default=50, help="(default 50)")
     parser.add_argument("--seconds", metavar="S", type=positive, default=15, help="(default 15)")

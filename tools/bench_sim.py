@@ -92,6 +92,7 @@ def setpoint(system_id: int) -> Message:
 
 
 def main() -> None:
+    """Fly a fleet of each flavour, and print the share of a core."""
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 50
     flavours: tuple[FlavourName, ...] = ("px4", "ardupilot")
     for flavour in flavours:

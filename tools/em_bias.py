@@ -24,6 +24,7 @@ HEADER = (
 
 
 def main() -> None:
+    """Print a row for each case."""
     parser = OneLineParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=10, help="draws per case")
     parser.add_argument("--samples", type=int, default=1000, help="residuals per draw")
@@ -40,6 +41,7 @@ def main() -> None:
 
 
 def row(case: BiasComparison) -> str:
+    """What the printed equations find of a case, beside the corrected ones."""
     truth, found = case.truth, case.corrected
     return (
         f"{truth.mean_bias_m:8.1f}{truth.sigma_m:7.1f}{truth.nlos_share:6.1f} |"

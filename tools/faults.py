@@ -30,6 +30,7 @@ INTERRUPTED = 130
 
 
 def main(argv: Sequence[str] | None = None) -> int:
+    """Run a campaign, or one of its trials again; the exit code."""
     parser = OneLineParser(description=(__doc__ or "").splitlines()[0], epilog=_epilog())
     parser.add_argument("--campaign", choices=list(AMOUNTS), default="ci", help="how much of it")
     parser.add_argument("--only", action="append", default=[], metavar="PART", help="this part")
@@ -54,6 +55,7 @@ def _epilog() -> str:
 
 
 def campaign(trials: list[Trial], jobs: int, facts: dict[str, object], path: Path | None) -> int:
+    """Run all trials, print and write the figures; the exit code."""
     started_s = time.monotonic()
     code = 0
     try:
@@ -78,6 +80,7 @@ def campaign(trials: list[Trial], jobs: int, facts: dict[str, object], path: Pat
 
 
 def replay(trial: Trial) -> int:
+    """Run one trial again and tell its story; the exit code."""
     outcome = run_one(trial)
     print(*outcome.story, sep="\n")
     for what in outcome.findings:

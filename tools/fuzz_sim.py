@@ -29,6 +29,7 @@ PAGE_BYTES = 4096
 
 
 def main(argv: Sequence[str] | None = None) -> int:
+    """Fuzz each flavour; the exit code."""
     parser = OneLineParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--frames", type=int, default=1_000_000, help="frames (default 1000000)")
     parser.add_argument("--seed", type=int, default=1, help="seed of the frames (default 1)")
@@ -47,6 +48,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def fuzz(flavour: Flavour, frames: int, seed: int) -> bool:
+    """Send so many frames to one simulator; whether it stayed well."""
     scenario = Scenario(autopilot=AutopilotParams(flavour=flavour.value))
     campaign = FuzzCampaign(lambda: SimEndpoint(scenario, seed), np.random.default_rng(seed))
     started_s = time.monotonic()
@@ -65,6 +67,7 @@ def fuzz(flavour: Flavour, frames: int, seed: int) -> bool:
 
 
 def tell(flavour: Flavour, campaign: FuzzCampaign, frames: int, elapsed_s: float) -> None:
+    """A line of progress."""
     resident_mb, _ = memory()
     print(
         f"{flavour.value}: {campaign.frames} of {frames} frames, {campaign.answers} answers, "
@@ -75,6 +78,7 @@ def tell(flavour: Flavour, campaign: FuzzCampaign, frames: int, elapsed_s: float
 
 
 def is_flat(flavour: Flavour, settled: tuple[float, int]) -> bool:
+    """Whether memory stayed where it was when the first fifth was through."""
     resident_mb, objects = memory()
     grown_mb, grown = resident_mb - settled[0], objects - settled[1]
     flat = grown_mb <= MAX_GROWTH_MB and grown <= MAX_OBJECT_GROWTH

@@ -13,6 +13,7 @@ CHUNKS = 20
 
 
 def main() -> int:
+    """Run all sequences, print what was found; the exit code."""
     parser = OneLineParser(description=__doc__)
     parser.add_argument("--sequences", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=1)

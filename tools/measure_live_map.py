@@ -210,6 +210,7 @@ class Turn:
 
 
 def turn_of(late_ms: list[float]) -> Turn:
+    """A turn's figures from how late each tick was."""
     p50, p99 = np.percentile(late_ms, [50, 99])
     return Turn(len(late_ms), float(p50), float(p99), max(late_ms))
 
@@ -338,6 +339,7 @@ def tell_memory(samples: list[Memory]) -> bool:
 
 
 def run(arguments: argparse.Namespace) -> int:
+    """Take all turns and the long flight; the exit code."""
     count = arguments.browsers
     result: dict[str, object] = {"browsers": count, "cores": os.cpu_count()}
     is_good = True
@@ -360,6 +362,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def main() -> int:
+    """Read the command line and run; the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rounds", metavar="N", type=int, default=6, help="0: leaves them out")
     parser.add_argument("--seconds", metavar="S", type=float, default=10.0, help="of each turn")

@@ -205,6 +205,7 @@ def modules(paths: Sequence[Path]) -> list[Path]:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
+    """Try every mutant, print who survived; the exit code."""
     parser = OneLineParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("paths", nargs="*", type=Path, default=[ROOT / "companion" / "guard"])
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures there")

@@ -42,6 +42,7 @@ STUDIES = Path(__file__).resolve().parent.parent / "configs" / "studies"
 
 
 def main() -> int:
+    """Run a study, or go on with it, and write its folder; the exit code."""
     arguments = parsed()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
@@ -64,6 +65,7 @@ def main() -> int:
 
 
 def parsed() -> argparse.Namespace:
+    """What the command line says."""
     parser = OneLineParser(description=__doc__)
     parser.add_argument("study", metavar="STUDY", help="a name in configs/studies, or a YAML file")
     parser.add_argument("--runs", type=positive, help="of every cell, instead of the study's")
@@ -108,6 +110,7 @@ def written(studies: list[PlannedStudy], work: Work, store: Store, seed: int, ou
 
 
 def say(text: str) -> None:
+    """A line of progress."""
     print(text, file=sys.stderr, flush=True)
 
 

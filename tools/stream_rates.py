@@ -62,6 +62,7 @@ class Rate:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
+    """Count the messages of a simulator; the exit code."""
     parser = OneLineParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument(
         "--autopilot", choices=[flavour.value for flavour in Flavour], default="px4"

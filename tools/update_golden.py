@@ -34,6 +34,7 @@ from tests.loop.golden_flights import (
 
 
 def main() -> None:
+    """Run the flights again, or fly them anew, and write their digests."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", metavar="NAME", nargs="*", choices=[*PLANS, []], help="only these")
     parser.add_argument("--fly", action="store_true", help="fly anew instead of running again")

@@ -17,6 +17,7 @@ from sim_link.evaluation.verification import PARTS, Figure, verified
 
 
 def main() -> int:
+    """Take all figures, print and write them; the exit code."""
     arguments = parsed()
     try:
         if arguments.json is not None:
@@ -37,6 +38,7 @@ def main() -> int:
 
 
 def parsed() -> argparse.Namespace:
+    """What the command line says."""
     parser = OneLineParser(description=__doc__)
     parser.add_argument("--only", choices=PARTS, action="append", help="may be given twice")
     parser.add_argument("--runs", type=positive, default=200, help="of every system")
@@ -47,12 +49,14 @@ def parsed() -> argparse.Namespace:
 
 
 def show_progress(done: int, total: int) -> None:
+    """Progress, where somebody looks."""
     if sys.stderr.isatty():
         end = "\n" if done == total else ""
         print(f"\r{done} of {total} blocks of runs", end=end, file=sys.stderr, flush=True)
 
 
 def line(figure: Figure) -> str:
+    """A figure and what it must be."""
     verdict = {True: "met", False: "MISSED", None: ""}[figure.is_met]
     limit = f"  (must be {figure.limit}: {verdict})" if figure.limit else ""
     note = f"  [{figure.note}]" if figure.note else ""
