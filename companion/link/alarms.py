@@ -29,6 +29,7 @@ class LinkAlarms:
         self._intakes = intakes
         self._strangers = 0
         self._moves = 0
+        self._others = 0
         self._dropped = 0
         self._may_tell_strangers = RateLimit(PER_S)
         self._may_tell_moves = RateLimit(PER_S)
@@ -38,6 +39,12 @@ class LinkAlarms:
         """What is news."""
         binding, texts = self._binding, []
         dropped = sum(sum(intake.budget.dropped) for intake in self._intakes)
+        for other in binding.others[self._others :]:
+            texts.append(
+                f"another autopilot is on this link, system {other}; ours is {binding.system_id} "
+                "(vehicle.system_id chooses)"
+            )
+        self._others = len(binding.others)
         if binding.moves > self._moves and self._may_tell_moves.allows(now_s):
             self._moves = binding.moves
             texts.append(f"the autopilot is heard from another address now: {_place(binding)}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from companion.domain import Autopilot
 from companion.mav.dialect import Message, mavlink
@@ -11,6 +11,8 @@ from companion.mav.modes import autopilot_of
 
 PEER_SILENCE_S = 3.0
 """The autopilot must be silent this long before the same ids are believed from a new address."""
+MOST_OTHERS = 3
+"""Other autopilots than this many are not remembered: a stranger can invent any number."""
 KEYED_SILENCE_S = 0.5
 """The same where every frame is proved: so long that two ways to one autopilot do not alternate."""
 
@@ -35,6 +37,8 @@ class AutopilotBinding:
     """Frames that carried the autopilot's ids from another address."""
     moves: int = 0
     """How often the autopilot's address changed."""
+    others: list[int] = field(default_factory=list)
+    """Other autopilots that were heard, while none was asked for: their systems."""
 
     @property
     def is_bound(self) -> bool:
@@ -70,7 +74,10 @@ class AutopilotBinding:
     ) -> None:
         autopilot = autopilot_of(heartbeat)
         system_id = heartbeat.get_srcSystem()
-        if self.is_bound or autopilot is None or system_id == 0:
+        if autopilot is None or system_id == 0:
+            return
+        if self.is_bound:
+            self._note_other(system_id)
             return
         if self.wanted_system_id not in (None, system_id):
             return
@@ -78,3 +85,9 @@ class AutopilotBinding:
         self.component_id = heartbeat.get_srcComponent()
         self.autopilot = autopilot
         self.peer = peer
+
+    def _note_other(self, system_id: int) -> None:
+        if self.wanted_system_id is not None or len(self.others) >= MOST_OTHERS:
+            return
+        if system_id != self.system_id and system_id not in self.others:
+            self.others.append(system_id)

@@ -6,8 +6,11 @@ import time
 
 import pytest
 
+from companion.config.schema import CompanionConfig
 from companion.guidance.states import Phase
+from companion.link.binding import MOST_OTHERS
 from companion.link.command_desk import COMMANDS_PER_S, REQUEST_CAPABILITIES
+from companion.link.params import VehicleParams
 from companion.link.receiver import TEXT_BURST
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message, Message, mavlink
@@ -131,6 +134,35 @@ def test_strangers_with_the_autopilots_ids_are_told_rarely() -> None:
         wire.wait(0.05)
     said = [text for text in wire.journal.texts if "from elsewhere were ignored" in text]
     assert said == ["1 frames with the autopilot's ids from elsewhere were ignored"]
+
+
+def test_another_autopilot_on_the_link_is_ignored_and_told_once() -> None:
+    wire = Wire().ready()
+    for _ in range(50):
+        for system in (2, 3):
+            wire.say(heartbeat(), sender=MavCodec(system, 1))
+        wire.say(wire.position())
+        wire.wait(0.05)
+    assert wire.endpoint.binding.system_id == 1
+    assert [text for text in wire.journal.texts if "another autopilot" in text] == [
+        f"another autopilot is on this link, system {system}; ours is 1 (vehicle.system_id chooses)"
+        for system in (2, 3)
+    ]
+
+
+def test_a_stranger_who_is_every_autopilot_makes_few_texts() -> None:
+    wire = Wire().ready()
+    for system in range(2, 250):
+        wire.say(heartbeat(), sender=MavCodec(system, 1))
+        wire.wait(0.05)
+    assert sum("another autopilot" in text for text in wire.journal.texts) == MOST_OTHERS
+
+
+def test_whoever_asked_for_a_system_is_told_of_no_other() -> None:
+    wire = Wire(CompanionConfig(vehicle=VehicleParams(system_id=1))).ready()
+    wire.say(heartbeat(), sender=MavCodec(2, 1))
+    wire.wait(0.1)
+    assert not [text for text in wire.journal.texts if "another autopilot" in text]
 
 
 def test_a_restarted_router_is_followed_after_silence_and_told() -> None:
