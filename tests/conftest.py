@@ -3,20 +3,48 @@
 Kernels run as the vehicle runs them, as plain Python: what is compiled is the same source
 (`tests/oracle/test_kernels_compiled.py` compares the two in processes of their own). Checkpoints
 and locks of companions that are started go to a place of their own, which is removed at the end.
+Modules that wait for real processes are spread among those that calculate, and a worker more than
+there are cores fills the time of their waiting.
 """
 
 from __future__ import annotations
 
+import itertools
 import os
 import shutil
 import tempfile
+from pathlib import Path
+
+import pytest
 
 os.environ.setdefault("NUMBA_DISABLE_JIT", "1")
 
 _STATE = tempfile.mkdtemp(prefix="companion-tests-")
 os.environ["XDG_STATE_HOME"] = _STATE
+_WAITING = Path(__file__).parent / "e2e"
 
 
 def pytest_unconfigure() -> None:
     """Remove that place, in every worker, too; they end without running what `atexit` keeps."""
     shutil.rmtree(_STATE, ignore_errors=True)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int:
+    """How many workers `-n auto` starts."""
+    return (os.cpu_count() or 1) + 1
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Spread the modules that wait: workers get tests in long pieces, one would get all of them."""
+    modules = [list(module) for _, module in itertools.groupby(items, lambda item: item.path)]
+    waiting = [module for module in modules if module[0].path.is_relative_to(_WAITING)]
+    others = [module for module in modules if not module[0].path.is_relative_to(_WAITING)]
+    every = max(1, len(others) // (len(waiting) + 1))
+    order: list[list[pytest.Item]] = []
+    for number, module in enumerate(others, start=1):
+        order.append(module)
+        if number % every == 0 and waiting:
+            order.append(waiting.pop(0))
+    items[:] = itertools.chain.from_iterable(order + waiting)
