@@ -8,12 +8,13 @@ the vehicle flies by: a direction finder that is quiet beside its own noise meas
 from __future__ import annotations
 
 import math
+import statistics
 from collections import deque
 from collections.abc import Sequence
-
-import numpy as np
+from itertools import pairwise
 
 from companion.domain import PositionEnu
+from companion.geometry.frames import wrap_pi
 
 QUIET_S, RANDOM_S = 2.5, 4.0
 """How far back is looked for either."""
@@ -79,22 +80,26 @@ class BearingCheck:
         self._judge_quiet(time_s)
 
     def _looks_random(self) -> bool:
-        turns = np.diff([bearing for _, bearing, _, _ in self._samples])
-        return len(turns) >= RANDOM_COUNT and float(np.cos(turns).mean()) < RANDOM_COSINE
+        bearings = [bearing for _, bearing, _, _ in self._samples]
+        if len(bearings) <= RANDOM_COUNT:
+            return False
+        cosines = [math.cos(after - before) for before, after in pairwise(bearings)]
+        return statistics.fmean(cosines) < RANDOM_COSINE
 
     def _judge_quiet(self, now_s: float) -> None:
         recent = [sample for sample in self._samples if sample[0] >= now_s - QUIET_S]
         if len(recent) < MIN_COUNT:
             recent = list(self._samples)[-MIN_COUNT:]
-        bearings = np.array([bearing for _, bearing, _, _ in recent])
-        sigma_rad = float(np.median([sigma for _, _, sigma, _ in recent]))
-        middle = math.atan2(float(np.sin(bearings).sum()), float(np.cos(bearings).sum()))
-        low, high = np.quantile(np.angle(np.exp(1j * (bearings - middle))), [0.1, 0.9])
-        if float(high - low) >= QUIET_SIGMAS * sigma_rad:
+        bearings = [bearing for _, bearing, _, _ in recent]
+        sigma_rad = statistics.median([sigma for _, _, sigma, _ in recent])
+        middle = math.atan2(math.fsum(map(math.sin, bearings)), math.fsum(map(math.cos, bearings)))
+        off = [wrap_pi(bearing - middle) for bearing in bearings]
+        low, *_, high = statistics.quantiles(off, n=10, method="inclusive")
+        if high - low >= QUIET_SIGMAS * sigma_rad:
             self.is_quiet = False
         elif _path_m([place for _, _, _, place in recent]) >= MIN_PATH_M:
             self.is_quiet = True
 
 
 def _path_m(places: Sequence[PositionEnu]) -> float:
-    return float(np.sum(np.linalg.norm(np.diff(np.array(places), axis=0), axis=1)))
+    return sum(math.dist(before, after) for before, after in pairwise(places))

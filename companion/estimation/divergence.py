@@ -34,12 +34,15 @@ class NisWindow:
 
     def __init__(self) -> None:
         self._values: deque[tuple[float, float, int]] = deque()
+        self._dof = 0
+        """Degrees of freedom of all of them."""
         self._above_since_s: float | None = None
         self._above_count = 0
 
     def clear(self) -> None:
         """Forget everything, because the estimate is another one."""
         self._values.clear()
+        self._dof = 0
         self._above_since_s = None
         self._above_count = 0
 
@@ -56,8 +59,9 @@ class NisWindow:
         if not shares:
             return False
         self._values.append((time_s, statistics.fmean(shares), len(shares)))
+        self._dof += len(shares)
         while len(self._values) > WINDOW_COUNT and self._values[0][0] < time_s - WINDOW_S:
-            self._values.popleft()
+            self._dof -= self._values.popleft()[2]
         band = self._band()
         if self._median(len(self._values)) <= band:
             self._above_since_s = None
@@ -79,7 +83,7 @@ class NisWindow:
         count = len(self._values)
         if count < WINDOW_COUNT:
             return math.inf
-        dof = statistics.fmean(dof for _, _, dof in self._values)
+        dof = self._dof / count
         return mean_band(dof, count)[1] / dof
 
 

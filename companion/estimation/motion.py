@@ -168,12 +168,20 @@ class MotionWatch:
         if not self._is_seen or self._calm >= CALM_COUNT:
             self._acquit()
 
-    def _of_last(self, span_s: float) -> Matrix:
-        """The measurements of the last seconds, (n, 10), in order of time."""
+    def _spans(self) -> list[Matrix]:
+        """The measurements of the spans, (n, 10) each, in order of time.
+
+        A span is left out that holds too little, or no more than the one before.
+        """
         rows = np.array(self._rows)
         rows = rows[np.argsort(rows[:, SEQUENCE], kind="stable")]
-        recent: Matrix = rows[rows[:, SEQUENCE] >= rows[-1, SEQUENCE] - span_s]
-        return recent
+        times_s = rows[:, SEQUENCE]
+        begins = np.searchsorted(times_s, times_s[-1] - np.array(SPANS_S)).tolist()
+        return [
+            rows[begin:]
+            for begin in sorted(set(begins), reverse=True)
+            if len(rows) - begin >= MIN_COUNT and times_s[-1] - times_s[begin] >= LEAST_SPAN_S
+        ]
 
     def _found(self, window_map: WindowMap, mean: Vector) -> Motion | None:
         """The motion of the shortest span in which it is significant, or else the most significant.
@@ -181,11 +189,7 @@ class MotionWatch:
         None: nothing says that the target walks.
         """
         best: Motion | None = None
-        for span_s in SPANS_S:
-            rows = self._of_last(span_s)
-            length_s = float(np.ptp(rows[:, SEQUENCE]))
-            if len(rows) < MIN_COUNT or length_s < LEAST_SPAN_S:
-                continue
+        for rows in self._spans():
             motion = motion_of(window_map, rows, mean)
             if motion is None:
                 continue
@@ -204,55 +208,40 @@ def motion_of(window_map: WindowMap, rows: Matrix, mean: Vector) -> Motion | Non
         rows: (n, 10), see `map_kernels`, the time in place of the sequence number.
         mean: (k,) where to start from.
     """
-    problem = _Walk(window_map, rows)
-    start = np.concatenate([mean, np.zeros(2)])
     try:
         with np.errstate(all="ignore"):
-            return problem.motion(start)
+            return _motion(_Still(window_map, rows), _Walk(window_map, rows), mean)
     except np.linalg.LinAlgError:
         return None
 
 
-class _Walk:
-    """The window's problem for states [..., east velocity, north velocity], place at the end."""
+def _motion(still: _Still, walk: _Walk, mean: Vector) -> Motion | None:
+    """What the fit of a target that walks says beside that of one that lies still."""
+    place = np.concatenate([still.minimum(mean), np.zeros(2)])
+    if not walk.may_begin(place):
+        return None
+    walking = walk.minimum(place)
+    covariance, inflation = walk.covariance(walking)
+    velocity = walking[-2:]
+    significance = float(velocity @ np.linalg.solve(covariance[-2:, -2:], velocity))
+    fall = 2.0 * (walk.cost(place) - walk.cost(walking)) / inflation
+    if not math.isfinite(fall + significance):
+        return None
+    return Motion(velocity_mps=velocity, significance=min(fall, significance))
+
+
+class _Still:
+    """The window's problem for states of a target that lies still."""
 
     def __init__(self, window_map: WindowMap, rows: Matrix) -> None:
         self._map = window_map
         self._rows = rows
-        self._age_s = rows[:, SEQUENCE] - rows[:, SEQUENCE].max()
-        information, pull = window_map.prior
-        size = len(pull)
-        self._information = np.diag(np.full(size + 2, MAX_SPEED_MPS**-2))
-        self._information[:size, :size] = information
-        self._pull = np.concatenate([pull, np.zeros(2)])
-        free = np.array([[-np.inf, -np.inf], [np.inf, np.inf]])
-        self._bounds = np.hstack([window_map.bounds, free])
-
-    def motion(self, start: Vector) -> Motion | None:
-        """What the fit of a target that walks says beside that of one that lies still."""
-        still = self.minimum(start, may_walk=False)
-        if not self.may_be_walking(still):
-            return None
-        walking = self.minimum(still, may_walk=True)
-        covariance, inflation = self.covariance(walking)
-        velocity = walking[-2:]
-        significance = float(velocity @ np.linalg.solve(covariance[-2:, -2:], velocity))
-        fall = 2.0 * (self.cost(still) - self.cost(walking)) / inflation
-        if not math.isfinite(fall + significance):
-            return None
-        return Motion(
-            velocity_mps=velocity,
-            significance=min(fall, significance),
-        )
+        self._information, self._pull = window_map.prior
+        self._bounds = window_map.bounds
 
     def scores(self, state: Vector) -> Scores:
-        """The problem linearised at a state: seen from a target that walks, the sensor does."""
-        rows = np.array(self._rows)
-        rows[:, :2] -= self._age_s[:, None] * state[-2:]
-        scores = self._map.scores(rows, state[:-2])
-        by_velocity = scores.H[:, :2] * np.tile(self._age_s, 3)[:, None]
-        H = np.hstack([scores.H, by_velocity])
-        return Scores(scores.u, scores.psi, H, scores.is_measured, scores.thermal)
+        """The problem linearised at a state."""
+        return self._map.scores(self._rows, state)
 
     def cost(self, state: Vector) -> float:
         """The objective at a state."""
@@ -262,27 +251,27 @@ class _Walk:
         losses = float(np.sum(scores.psi * (scores.u - 0.5 * scores.psi)))
         return losses + float(state @ (0.5 * self._information @ state - self._pull))
 
-    def minimum(self, state: Vector, *, may_walk: bool) -> Vector:
+    def minimum(self, state: Vector) -> Vector:
         """Where damped re-weighted Gauss-Newton steps lead."""
         scores, damping = self.scores(state), 1e-3
+        cost = self._cost(scores, state)
         for _ in range(MAX_ITERATIONS):
             A, descent = self._system(scores, state)
             hold_at_bounds(A, descent, state, self._bounds)
-            if not may_walk:
-                A, descent = A[:-2, :-2], descent[:-2]
-            scale, cost = np.diag(np.diag(A) + 1e-9), self._cost(scores, state)
+            scale = np.diag(np.diag(A) + 1e-9)
             for _ in range(MAX_HALVINGS):
-                step = np.zeros(len(state))
-                step[: len(descent)] = np.linalg.solve(A + damping * scale, descent)
-                moved = np.clip(state + step, *self._bounds)
+                step = np.linalg.solve(A + damping * scale, descent)
+                moved = np.minimum(np.maximum(state + step, self._bounds[0]), self._bounds[1])
                 after = self.scores(moved)
-                if self._cost(after, moved) < cost:
+                moved_cost = self._cost(after, moved)
+                if moved_cost < cost:
                     break
                 damping *= 8.0
             else:
                 break
             step_m = math.dist(moved[:2], state[:2])
-            state, scores, damping = moved, after, max(damping / 4.0, 1e-9)
+            state, scores, cost = moved, after, moved_cost
+            damping = max(damping / 4.0, 1e-9)
             if step_m < STEP_TOLERANCE_M:
                 break
         return state
@@ -293,7 +282,31 @@ class _Walk:
         A = (scores.H.T * weight) @ scores.H + self._information
         return A, scores.H.T @ psi + self._pull - self._information @ state
 
-    def may_be_walking(self, still: Vector) -> bool:
+
+class _Walk(_Still):
+    """The same for states [..., east velocity, north velocity], with the place at the end."""
+
+    def __init__(self, window_map: WindowMap, rows: Matrix) -> None:
+        super().__init__(window_map, rows)
+        self._age_s = rows[:, SEQUENCE] - rows[:, SEQUENCE].max()
+        information, pull = window_map.prior
+        size = len(pull)
+        self._information = np.diag(np.full(size + 2, MAX_SPEED_MPS**-2))
+        self._information[:size, :size] = information
+        self._pull = np.concatenate([pull, np.zeros(2)])
+        free = np.array([[-np.inf, -np.inf], [np.inf, np.inf]])
+        self._bounds = np.hstack([window_map.bounds, free])
+
+    def scores(self, state: Vector) -> Scores:
+        """The problem linearised at a state: seen from a target that walks, the sensor does."""
+        rows = np.array(self._rows)
+        rows[:, :2] -= self._age_s[:, None] * state[-2:]
+        scores = self._map.scores(rows, state[:-2])
+        by_velocity = scores.H[:, :2] * np.tile(self._age_s, 3)[:, None]
+        H = np.concatenate([scores.H, by_velocity], axis=1)
+        return Scores(scores.u, scores.psi, H, scores.is_measured, scores.thermal)
+
+    def may_begin(self, still: Vector) -> bool:
         """Whether the first step away from a target that lies still is worth the others.
 
         Noise counts as white here, and the walk as noise: this spares the second fit while nothing

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -43,7 +44,7 @@ DEFINITE_SHARE = 1e-3
 """Share of the thermal covariance added, so that a covariance is positive definite."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Scores:
     """The linearised problem at an estimate, modality by modality."""
 
@@ -58,24 +59,38 @@ class Scores:
     thermal: tuple[float, ...] = (1.0, 1.0, 1.0)
     """Second moment of each modality's influence under thermal noise alone."""
 
+    @cached_property
+    def counts(self) -> tuple[int, ...]:
+        """How many measurements there are of each modality, (3,)."""
+        counts: list[int] = np.count_nonzero(self.is_measured, axis=1).tolist()
+        return tuple(counts)
+
+    @cached_property
+    def slopes(self) -> tuple[float, ...]:
+        """Share of each modality's measurements on the quadratic part, (3,)."""
+        quadratic = np.count_nonzero((self.u == self.psi) & self.is_measured, axis=1).tolist()
+        return tuple(
+            max(part / n, MIN_SLOPE) if n else 1.0
+            for part, n in zip(quadratic, self.counts, strict=True)
+        )
+
+    @property
+    def measured(self) -> list[int]:
+        """The modalities of which there is any measurement: the others' rows are zero."""
+        return [modality for modality, n in enumerate(self.counts) if n]
+
     def part(self, modality: int) -> Matrix:
         """(n, k) partials of one modality."""
         n = self.u.shape[1]
         rows: Matrix = self.H[modality * n : (modality + 1) * n]
         return rows
 
-    def slope(self, modality: int) -> float:
-        """Share of the modality's measurements on the quadratic part."""
-        seen = self.is_measured[modality]
-        share = float(np.mean((self.u == self.psi)[modality][seen])) if seen.any() else 1.0
-        return max(share, MIN_SLOPE)
-
     def moment(self, modality: int, parameters: int) -> float:
         """Pooled second moment of the influence, not below thermal noise by more than chance.
 
         Residuals much smaller than thermal noise promise nothing.
         """
-        n = int(self.is_measured[modality].sum())
+        n = self.counts[modality]
         thermal = self.thermal[modality]
         total = float(np.sum(self.psi[modality] ** 2))
         pooled = (
@@ -92,8 +107,7 @@ class Scores:
         Student's t with the degrees of freedom that match the variance of the estimated ratio
         moment / slope^2 (Satterthwaite), over the normal quantile (Cornish-Fisher).
         """
-        n = int(self.is_measured[modality].sum())
-        slope = self.slope(modality)
+        n, slope = self.counts[modality], self.slopes[modality]
         variance = (1.0 + 4.0 * (1.0 - slope) / slope) / (n + PRIOR_COUNT)
         dof = max(2.0 / variance, 2.0)
         z2 = 1.96**2
@@ -105,8 +119,7 @@ class Scores:
         K = 1 + p / n Var[psi'] / E[psi']^2, eq. (6.5) of chapter 7 in Huber (1981), with p the
         parameters that this modality determines.
         """
-        n = max(int(self.is_measured[modality].sum()), 1)
-        slope = self.slope(modality)
+        n, slope = max(self.counts[modality], 1), self.slopes[modality]
         return 1.0 + parameters / n * (1.0 - slope) / slope
 
     def inflation(self, modality: int, parameters: int) -> float:
@@ -116,19 +129,19 @@ class Scores:
         weights = np.where(u == psi, 1.0, psi / np.where(u == psi, 1.0, u))
         mean_weight = (float(weights.sum()) + PRIOR_COUNT) / (len(u) + PRIOR_COUNT)
         moment = self.moment(modality, parameters) * self.quantile_ratio(modality) ** 2
-        return mean_weight * moment / self.slope(modality) ** 2
+        return mean_weight * moment / self.slopes[modality] ** 2
 
     def unclipped_moment(self, modality: int) -> float:
         """Pooled second moment of the residuals themselves."""
-        n = int(self.is_measured[modality].sum())
+        n = self.counts[modality]
         u = np.clip(self.u[modality], -MAX_RESIDUAL, MAX_RESIDUAL)
         return (float(np.sum(u**2)) + PRIOR_COUNT) / (n + PRIOR_COUNT)
 
     def correlation(self, modality: int) -> float:
         """Lag-1 correlation of the influences in time order, 0 where it may be chance."""
-        psi = self.psi[modality][self.is_measured[modality]]
-        if len(psi) < MIN_CORRELATED:
+        if self.counts[modality] < MIN_CORRELATED:
             return 0.0
+        psi = self.psi[modality][self.is_measured[modality]]
         psi = psi - psi.mean()
         variance = float(np.mean(psi**2))
         if variance <= 0.0:
@@ -160,8 +173,11 @@ def thermal_moment(k_long: float, k_short: float) -> float:
 
 def curvature(scores: Scores) -> Matrix:
     """A = sum psi' H H^T with pooled slopes, (k, k)."""
-    parts = [(scores.slope(m), scores.part(m)) for m in range(3)]
-    A: Matrix = sum(slope * (H.T @ H) for slope, H in parts)  # type: ignore[assignment]
+    k = scores.H.shape[1]
+    A: Matrix = np.zeros((k, k))
+    for m in scores.measured:
+        H = scores.part(m)
+        A += scores.slopes[m] * (H.T @ H)
     return A
 
 
@@ -176,9 +192,9 @@ def pooled_variability(scores: Scores, A_inverse: Matrix, repetition: Vector) ->
     """
     k = scores.H.shape[1]
     B = np.zeros((k, k))
-    for m in range(3):
+    for m in scores.measured:
         H = scores.part(m)
-        slope, moment = scores.slope(m), scores.moment(m, k)
+        slope, moment = scores.slopes[m], scores.moment(m, k)
         leverage = np.minimum(slope * np.sum((H @ A_inverse) * H, axis=1), 1.0)
         unclipped = max(slope**2 * scores.unclipped_moment(m), moment)
         spread = scores.quantile_ratio(m) * scores.finite_sample_ratio(m, float(leverage.sum()))
@@ -189,8 +205,10 @@ def pooled_variability(scores: Scores, A_inverse: Matrix, repetition: Vector) ->
 
 def correlated_variability(scores: Scores) -> Matrix:
     """B as the long-run variance of the scores in time order, (k, k), critical value included."""
-    steps = sum(scores.part(m) * scores.psi[m][:, None] for m in range(3))
-    return CRITICAL_RATIO**2 * long_run_variance(np.asarray(steps))
+    steps = np.zeros((scores.u.shape[1], scores.H.shape[1]))
+    for m in scores.measured:
+        steps += scores.part(m) * scores.psi[m][:, None]
+    return CRITICAL_RATIO**2 * long_run_variance(steps)
 
 
 def covariance_of(A: Matrix, B: Matrix) -> Matrix:

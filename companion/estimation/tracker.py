@@ -68,7 +68,8 @@ class TargetTracker:
         self._filter = filter_of(params.kind, self._believed)
         self._thresholds = self._filter.params.thresholds
         self._polisher = Polisher(self._filter.params, params.window)
-        self._recent: deque[Hashable] = deque(maxlen=DUPLICATE_MEMORY)
+        self._recent: dict[Hashable, None] = {}
+        """What the last accepted measurements were, oldest first."""
         self._hypotheses: tuple[Hypothesis, ...] = ()
         self._noise = self._fresh_noise()
         self._learner = self._fresh_learner()
@@ -94,7 +95,9 @@ class TargetTracker:
             return self.refuse(refusal or Refusal.NO_POSITION)
         if self.emitter_id is None:
             self.emitter_id = measurement.emitter_id
-        self._recent.append(identity_of(measurement))
+        self._recent[identity_of(measurement)] = None
+        if len(self._recent) > DUPLICATE_MEMORY:
+            del self._recent[next(iter(self._recent))]
         report = self._judged(measurement, sensor_enu_m, now_s)
         if report.refusal is not None:
             return self.refuse(report.refusal)

@@ -25,6 +25,7 @@ from __future__ import annotations
 import math
 import statistics
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,19 +73,55 @@ class _Window:
 
 
 @dataclass(frozen=True, slots=True)
-class _Centred:
-    """Rows of lengths, as their means and what is left of them."""
+class _Moments:
+    """Ranges beside the distances to places, which is all that a factor's cost depends on."""
 
-    middle: Vector
-    """(...)"""
-    about: Matrix
-    """(..., n)"""
+    count: int
+    """n."""
+    range_m: float
+    """Mean of the ranges, as the radio has them."""
+    distance_m: Vector
+    """Means of the distances, (places,)."""
+    range_about_m: Vector
+    """The ranges about their mean, (n,)."""
+    distance_about_m: Matrix
+    """The distances about theirs, (places, n)."""
+    range2: float
+    """Sum of squares of the ranges about their mean."""
+    distance2: Vector
+    """The same of the distances, (places,)."""
+    product: Vector
+    """Sums of the products of the two, (places,)."""
 
     @staticmethod
-    def of(lengths_m: Matrix) -> _Centred:
-        """Take the mean of each row, (..., n), out of it."""
-        middle = np.asarray(lengths_m.mean(axis=-1))
-        return _Centred(middle, lengths_m - middle[..., None])
+    def of(range_m: Vector, distances_m: Matrix) -> _Moments:
+        """Of ranges, (n,), and distances, (places, n)."""
+        ranged, far = float(range_m.mean()), np.asarray(distances_m.mean(axis=1))
+        about, off = range_m - ranged, distances_m - far[:, None]
+        distance2 = np.einsum("ij,ij->i", off, off)
+        return _Moments(
+            len(range_m), ranged, far, about, off, float(about @ about), distance2, off @ about
+        )
+
+    def residual2(self, factor: float | Vector) -> Vector:
+        """Sum of squares that a factor on the distances leaves at each of the places, (places,).
+
+        Rounding of the sums is a millionth of `LEAST_NOISE_M` squared.
+        """
+        left = self.range2 + factor * (factor * self.distance2 - 2.0 * self.product)
+        return np.asarray(np.maximum(left, 0.0))
+
+    @property
+    def independent(self) -> float:
+        """How many independent measurements the window is worth, about its best linear fit."""
+        slope = self.product / np.maximum(self.distance2, 1e-12)
+        best = int(np.argmin(self.residual2(slope)))
+        residual = self.range_about_m - slope[best] * self.distance_about_m[best]
+        total = float(residual @ residual)
+        if total <= 0.0:
+            return float(self.count)
+        rho = min(max(float(residual[1:] @ residual[:-1]) / total, 0.0), 0.95)
+        return self.count * (1.0 - rho) / (1.0 + rho)
 
 
 class UnitCheck:
@@ -97,7 +134,7 @@ class UnitCheck:
 
     def __init__(self, params: FilterParams, max_range_m: float) -> None:
         self._params = params
-        self._rings_m = np.geomspace(NEAREST_M, max_range_m, RINGS)
+        self._around_m = _rings_m(max_range_m)
         self._samples: deque[tuple[float, float, PositionEnu]] = deque(maxlen=MAX_COUNT)
         self._since = 0
         self._condemned_s = 0.0
@@ -153,18 +190,21 @@ class UnitCheck:
                 self._samples.popleft()
 
     def _judge(self, now_s: float) -> None:
-        raw_m = np.array([range_m for _, range_m, _ in self._samples])
-        window = _Window(_clipped(raw_m), np.array([place for _, _, place in self._samples]))
+        raw_m = [range_m for _, range_m, _ in self._samples]
+        middle_m = statistics.median(raw_m)
+        window = _Window(
+            _clipped(raw_m, middle_m), np.array([place for _, _, place in self._samples])
+        )
         if not self.is_condemned:
-            self._suspect(window, float(np.median(raw_m)), now_s)
+            self._suspect(window, middle_m, now_s)
         elif self._samples[0][0] > self._condemned_s:
-            self._reconsider(window, float(np.median(raw_m)))
+            self._reconsider(window, middle_m)
 
     def _suspect(self, window: _Window, middle_m: float, now_s: float) -> None:
         factor, log_ratio = self._likeliest(window, FACTORS, CONDEMNED_LOG_RATIO)
         if log_ratio >= CONDEMNED_LOG_RATIO:
             self.factor = factor
-        self.is_wild = _spread_m(window) > MAX_SPREAD_M
+        self.is_wild = _is_wild(window)
         self._condemned_s, self._condemned_m = now_s, middle_m
 
     def _reconsider(self, window: _Window, middle_m: float) -> None:
@@ -174,7 +214,7 @@ class UnitCheck:
             if log_ratio <= ACQUITTED_LOG_RATIO:
                 self.factor = None
         if self.is_wild and middle_m < self._condemned_m / CHANGED_RATIO:
-            self.is_wild = _spread_m(window) > MAX_SPREAD_M
+            self.is_wild = _is_wild(window)
 
     def _likeliest(
         self, window: _Window, factors: tuple[float, ...], limit: float
@@ -185,28 +225,24 @@ class UnitCheck:
         It only lowers the ratio, so one below `limit` is not looked at any closer.
         """
         places = self._places_enu_m(window.sensor_enu_m)
-        predicted = _Centred.of(self._distances_m(places, window.sensor_enu_m))
-        measured = _Centred.of(window.range_m)
-        count = _independent(measured.about, predicted.about)
-        costs = [float(self._costs(measured, predicted, each, count).min()) for each in factors]
+        tried = _Moments.of(window.range_m, self._distances_m(places, window.sensor_enu_m))
+        count = tried.independent
+        costs = [float(self._costs(tried, each, count).min()) for each in factors]
         best = int(np.argmin(costs))
-        in_metres = self._costs(measured, predicted, 1.0, count)
+        in_metres = self._costs(tried, 1.0, count)
         log_ratio = float(in_metres.min()) - costs[best]
         if log_ratio < limit:
             return factors[best], log_ratio
         starts = places[np.argsort(in_metres)[:REFINED]]
         distances_m = self._distances_m(self._refined(starts, window), window.sensor_enu_m)
-        refined = _Centred.of(distances_m)
-        best_in_metres = float(self._costs(measured, refined, 1.0, count).min())
+        refined = _Moments.of(window.range_m, distances_m)
+        best_in_metres = float(self._costs(refined, 1.0, count).min())
         return factors[best], min(log_ratio, best_in_metres - costs[best])
 
     def _places_enu_m(self, sensor_enu_m: Matrix) -> Matrix:
         """Places that are considered, (places, 2): all around, near and far."""
-        angles = 2.0 * math.pi * np.arange(DIRECTIONS) / DIRECTIONS
-        around = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-        places = self._rings_m[:, None, None] * around + sensor_enu_m[:, :2].mean(axis=0)
-        flat: Matrix = places.reshape(-1, 2)
-        return flat
+        places: Matrix = self._around_m + sensor_enu_m[:, :2].mean(axis=0)
+        return places
 
     def _distances_m(self, places_enu_m: Matrix, sensor_enu_m: Matrix) -> Matrix:
         """Distances of places from where ranges were made, (places, n)."""
@@ -232,13 +268,11 @@ class UnitCheck:
                 place += step * min(1.0, limit_m / max(float(np.hypot(*step)), 1e-9))
         return refined
 
-    def _costs(
-        self, measured: _Centred, predicted: _Centred, factor: float, count: float
-    ) -> Vector:
+    def _costs(self, tried: _Moments, factor: float, count: float) -> Vector:
         """Minus the log-likelihood of a factor at each of the places."""
-        residual2 = np.mean((measured.about - factor * predicted.about) ** 2, axis=1)
+        residual2 = tried.residual2(factor) / tried.count
         cost = 0.5 * count * np.log(residual2 + LEAST_NOISE_M**2)
-        cost += self._offset_cost(measured.middle / factor - predicted.middle)
+        cost += self._offset_cost(tried.range_m / factor - tried.distance_m)
         if factor != 1.0:
             cost[np.sqrt(residual2) / factor > MOST_NOISE_M] = math.inf
         costs: Vector = cost
@@ -256,34 +290,26 @@ class UnitCheck:
         return cost
 
 
-def _spread_m(window: _Window) -> float:
-    """Distance between the quartiles of the ranges, beyond what own motion can explain."""
+def _rings_m(max_range_m: float) -> Matrix:
+    """Where places are looked for around the vehicle, (places, 2), relative to it."""
+    angles = 2.0 * math.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    around = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    rings = np.geomspace(NEAREST_M, max_range_m, RINGS)[:, None, None] * around
+    flat: Matrix = rings.reshape(-1, 2)
+    return flat
+
+
+def _is_wild(window: _Window) -> bool:
+    """Whether the quartiles of the ranges are farther apart than own motion can explain."""
+    if float(np.ptp(window.range_m)) <= MAX_SPREAD_M:
+        return False
     low_m, high_m = np.quantile(window.range_m, [0.25, 0.75])
     path_m = float(np.sum(np.linalg.norm(np.diff(window.sensor_enu_m, axis=0), axis=1)))
-    return float(high_m - low_m) - path_m
+    return float(high_m - low_m) - path_m > MAX_SPREAD_M
 
 
-def _clipped(range_m: Vector) -> Vector:
-    """The ranges without gross excess."""
-    middle = float(np.median(range_m))
-    deviation = float(np.median(np.abs(range_m - middle)))
-    clipped: Vector = np.minimum(range_m, middle + OUTLIER_DEVIATIONS * deviation)
+def _clipped(range_m: Sequence[float], middle_m: float) -> Vector:
+    """The ranges without gross excess over their median, (n,)."""
+    deviation_m = statistics.median([abs(each - middle_m) for each in range_m])
+    clipped: Vector = np.minimum(np.array(range_m), middle_m + OUTLIER_DEVIATIONS * deviation_m)
     return clipped
-
-
-def _independent(about: Vector, off: Matrix) -> float:
-    """How many independent measurements the window is worth, about its best linear fit.
-
-    Args:
-        about: The ranges about their mean, (n,).
-        off: The distances about theirs, (places, n).
-    """
-    spread = np.maximum(np.sum(off * off, axis=1), 1e-12)
-    slope = off @ about / spread
-    residual = about - slope[:, None] * off
-    best = residual[int(np.argmin(np.sum(residual * residual, axis=1)))]
-    total = float(best @ best)
-    if total <= 0.0:
-        return float(len(about))
-    rho = min(max(float(best[1:] @ best[:-1]) / total, 0.0), 0.95)
-    return len(about) * (1.0 - rho) / (1.0 + rho)

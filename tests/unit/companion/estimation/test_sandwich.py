@@ -44,9 +44,9 @@ def _scores(u: Matrix, H: Matrix | None = None) -> Scores:
 
 def test_the_slope_is_the_share_on_the_quadratic_part() -> None:
     scores = _scores(np.array([[0.0, 1.0, -1.4, 9.0], [9.0, np.nan, np.nan, -9.0]]))
-    assert scores.slope(0) == 0.75
-    assert scores.slope(1) == MIN_SLOPE
-    assert scores.slope(2) == 1.0
+    assert scores.slopes[0] == 0.75
+    assert scores.slopes[1] == MIN_SLOPE
+    assert scores.slopes[2] == 1.0
 
 
 def test_the_moment_is_pooled_with_thermal_noise() -> None:
