@@ -34,7 +34,7 @@ from companion.link.counters import LinkCounters
 from companion.link.dialogues import Dialogues
 from companion.link.executor import SessionExecutor
 from companion.link.health import LinkHealth
-from companion.link.inbound import RangingInbound
+from companion.link.inbound import RangingInbound, RangingMessage
 from companion.link.inputs import InputRecorder, NoRecorder
 from companion.link.intake import Intake
 from companion.link.journal import Journal
@@ -228,22 +228,25 @@ class CompanionEndpoint:
     # Inbound
 
     def _receive_message(self, message: Message, chunk: Chunk, now_s: float) -> None:
-        self._recorder.frame(bytes(message.get_msgbuf()), chunk.link, chunk.peer, now_s)
+        frame = bytes(message.get_msgbuf())
+        self._recorder.frame(frame, chunk.link, chunk.peer, now_s)
         if (message.get_srcSystem(), message.get_srcComponent()) == self._outlet.own_ids:
-            self._outlet.came_back(bytes(message.get_msgbuf()), now_s)
+            self._outlet.came_back(frame, now_s)
             return
         if chunk.link == VEHICLE_LINK:
-            self._receive_on_vehicle_link(message, chunk, now_s)
+            self._receive_on_vehicle_link(message, frame, chunk, now_s)
         elif chunk.link in self._gcs_links:
-            self._journal.frame(bytes(message.get_msgbuf()), now_s)
+            self._journal.frame(frame, now_s)
             self._receive_of_station(message, now_s, may_grant=False)
         else:
-            self._journal.frame(bytes(message.get_msgbuf()), now_s)
+            self._journal.frame(frame, now_s)
             self._receive_ranging(message, chunk.link, now_s)
 
-    def _receive_on_vehicle_link(self, message: Message, chunk: Chunk, now_s: float) -> None:
+    def _receive_on_vehicle_link(
+        self, message: Message, frame: bytes, chunk: Chunk, now_s: float
+    ) -> None:
         """The log has room for the vehicle and whoever has the key, not for every stranger."""
-        binding, frame = self.binding, bytes(message.get_msgbuf())
+        binding = self.binding
         if binding.is_keyed or not binding.is_bound or chunk.peer == binding.peer:
             self._journal.frame(frame, now_s)
         if not self.authenticity.is_proved(frame):
@@ -265,6 +268,8 @@ class CompanionEndpoint:
             self._commands.receive(message, now_s, may_grant=may_grant)
 
     def _receive_ranging(self, message: Message, link: int, now_s: float) -> None:
+        if not isinstance(message, RangingMessage):
+            return
         offset_s = self._receiver.clock_offset_s
         for event in self._ranging.events(message, link, now_s, offset_s):
             self.executor.handle(event, now_s)

@@ -56,7 +56,10 @@ class StreamFreshness:
 
     def heard(self, message: Message, now_s: float) -> bool:
         """Take in a message of the autopilot; whether its stream made progress."""
-        stream = self._streams.setdefault(message.get_msgId(), Stream())
+        number = message.get_msgId()
+        stream = self._streams.get(number)
+        if stream is None:
+            stream = self._streams[number] = Stream()
         return stream.take(_stamp_of(message), now_s)
 
     def stream(self, message_id: int) -> Stream:
@@ -65,8 +68,8 @@ class StreamFreshness:
 
     def age_s(self, message_id: int, now_s: float) -> float | None:
         """How long ago a kind of message made progress; None if it never did."""
-        heard_s = self.stream(message_id).heard_s
-        return None if heard_s is None else now_s - heard_s
+        stream = self._streams.get(message_id)
+        return None if stream is None or stream.heard_s is None else now_s - stream.heard_s
 
     def stale(self, now_s: float) -> tuple[str, ...]:
         """What is flown on and did not come for too long, by name; what never came is not told."""
@@ -84,8 +87,5 @@ class StreamFreshness:
 
 def _stamp_of(message: Message) -> int | None:
     """The time in a message, in whatever unit; None without one."""
-    for field in ("time_boot_ms", "time_usec"):
-        stamp = getattr(message, field, None)
-        if stamp:  # 0 stands for unknown
-            return int(stamp)
-    return None
+    stamp = getattr(message, "time_boot_ms", None) or getattr(message, "time_usec", None)
+    return int(stamp) if stamp else None  # 0 stands for unknown

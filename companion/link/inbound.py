@@ -54,6 +54,11 @@ MAX_LINK_DELAY_S = 0.5
 """A radio whose clock seems later than the autopilot's by up to this has a slow link."""
 MAX_SENDERS = 16
 """Clocks of ranging senders that are kept."""
+RangingMessage = (
+    MAVLink_radio_ranging_message
+    | mavlink.MAVLink_landing_target_message
+    | mavlink.MAVLink_ranging_beacon_message
+)
 
 
 class VehicleInbound:
@@ -162,7 +167,7 @@ class VehicleInbound:
         best_s, by_arrival_s = self.clock_offset_s, self._clock.offset_s
         if reading.is_reboot or best_s is None or by_arrival_s is None:
             return reading
-        return replace(reading, time_s=reading.time_s + best_s - by_arrival_s)
+        return StampReading(reading.time_s + best_s - by_arrival_s, is_reboot=False)
 
     def _with_restart(self, reading: StampReading, event: Event) -> list[Event]:
         if self._clock.is_wild:
@@ -252,12 +257,7 @@ class RangingInbound:
             now_s: When it came.
             vehicle_offset_s: Local time minus the autopilot's, if that is known.
         """
-        if not isinstance(
-            message,
-            MAVLink_radio_ranging_message
-            | mavlink.MAVLink_landing_target_message
-            | mavlink.MAVLink_ranging_beacon_message,
-        ):
+        if not isinstance(message, RangingMessage):
             return []
         key = (link, message.get_srcSystem(), message.get_srcComponent())
         if key not in self._clocks:

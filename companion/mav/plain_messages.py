@@ -104,7 +104,7 @@ def unpack_plain(frame: bytes) -> Message | None:
     message._msgbuf = bytearray(frame)
     message._payload = message._msgbuf[6:-CRC_LENGTH]  # as pymavlink has it
     message._crc = crc
-    message._header = mavlink.MAVLink_header(
-        number, 0, compat_flags, length, sequence, system_id, component_id
-    )
+    header = message._header  # the constructor made it, with the number in it
+    header.mlen, header.compat_flags, header.seq = length, compat_flags, sequence
+    header.srcSystem, header.srcComponent = system_id, component_id
     return message

@@ -20,15 +20,20 @@ INWARDS_M = 2.0 * BORDER_M
 
 def is_inside(corners: Corners, point: Point) -> bool:
     """Whether a point is inside a polygon, by its winding number; so is its border."""
-    if border_distance_m(corners, point) == 0.0:
-        return True
+    return border_distance_m(corners, point) == 0.0 or _is_wound_around(corners, point)
+
+
+def _is_wound_around(corners: Corners, point: Point) -> bool:
     winding = 0
-    for a, b in _edges(corners):
-        if a[1] <= point[1]:
-            if b[1] > point[1] and _side(a, b, point) > 0.0:
+    north = point[1]
+    a = corners[-1]
+    for b in corners:
+        if a[1] <= north:
+            if b[1] > north and _side(a, b, point) > 0.0:
                 winding += 1
-        elif b[1] <= point[1] and _side(a, b, point) < 0.0:
+        elif b[1] <= north and _side(a, b, point) < 0.0:
             winding -= 1
+        a = b
     return winding != 0
 
 
@@ -46,12 +51,16 @@ def border_distance_m(corners: Corners, point: Point) -> float:
 
 def depth_m(fence: Corners, keep_outs: Sequence[Corners], point: Point) -> float:
     """How far inside the fence and outside of all keep-outs a point is; negative: it is not."""
-    inside = border_distance_m(fence, point)
-    depth = inside if is_inside(fence, point) else -inside
+    depth = _inside_m(fence, point)
     for keep_out in keep_outs:
-        away = border_distance_m(keep_out, point)
-        depth = min(depth, -away if is_inside(keep_out, point) else away)
+        depth = min(depth, -_inside_m(keep_out, point))
     return depth
+
+
+def _inside_m(corners: Corners, point: Point) -> float:
+    """How far from its border a point is inside a polygon; negative: outside."""
+    away_m = border_distance_m(corners, point)
+    return away_m if _is_wound_around(corners, point) else -away_m
 
 
 def is_moved_inwards(

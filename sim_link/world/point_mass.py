@@ -213,7 +213,9 @@ def approach_velocity(
     position_enu_m: PositionEnu, goal_enu_m: PositionEnu, params: VehicleParams
 ) -> PositionEnu:
     """The velocity command that flies to a goal and stops there, within the limits."""
-    e, n, u = (goal - own for goal, own in zip(goal_enu_m, position_enu_m, strict=True))
+    e = goal_enu_m[0] - position_enu_m[0]
+    n = goal_enu_m[1] - position_enu_m[1]
+    u = goal_enu_m[2] - position_enu_m[2]
     distance = math.hypot(e, n)
     scale = 0.0
     if distance > 0.0:

@@ -122,6 +122,8 @@ class Failsafes:
                 0.0 < value[f"BATT_{level}_MAH"] >= left_mah
             )
             name = f"Battery 1 is {word}"
+            if is_under == (name in self.active):
+                continue  # nothing to say
             text = f"{name} {volts:.2f}V used {battery.consumed_mah} mAh"
             number = int(value[f"BATT_FS_{level}_ACT"])
             event = Event(text, BATTERY_MODES.get(number), stops_motors=number == TERMINATE)
