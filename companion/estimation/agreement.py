@@ -13,20 +13,28 @@ LOST_SHARE, FOUND_SHARE = 0.2, 0.5
 """With less of the window agreeing than the first there is no agreement, until it is the second."""
 
 
+HOPELESS_S, HOPELESS_COUNT = 5.0, 20
+"""Without agreement for so long and so many measurements, the target is no longer where it was."""
+
+
 class Agreement:
     """Counts which of the last measurements agreed."""
 
     def __init__(self) -> None:
         self._window: deque[tuple[float, bool]] = deque()
         self._agreed = 0
+        self._lost_s = 0.0
+        self._since_lost = 0
         self.is_lost = False
         """Whether next to nothing that is measured agrees with the estimate."""
+        self.is_hopeless = False
+        """Whether that has lasted so long that the estimate should be given up."""
 
     def clear(self) -> None:
         """Forget everything, because the estimate is another one."""
         self._window.clear()
         self._agreed = 0
-        self.is_lost = False
+        self.is_lost = self.is_hopeless = False
 
     @property
     def is_proven(self) -> bool:
@@ -42,4 +50,14 @@ class Agreement:
         if len(self._window) < WINDOW_COUNT:
             return
         share = sum(agreed for _, agreed in self._window) / len(self._window)
-        self.is_lost = share < (FOUND_SHARE if self.is_lost else LOST_SHARE)
+        was_lost, self.is_lost = self.is_lost, share < self._least_share
+        if not was_lost:
+            self._lost_s, self._since_lost = time_s, 0
+        self._since_lost += 1
+        has_lasted = time_s - self._lost_s >= HOPELESS_S and self._since_lost >= HOPELESS_COUNT
+        self.is_hopeless = self.is_lost and has_lasted
+
+    @property
+    def _least_share(self) -> float:
+        """Of the window must agree, lest there be no agreement."""
+        return FOUND_SHARE if self.is_lost else LOST_SHARE

@@ -338,7 +338,8 @@ class TargetTracker:
     def _updated(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> BankUpdate:
         shown = self._shown_inflation
         told = shown if self.params.adapt_inflation else NO_INFLATION
-        return updated(self._hypotheses, self._filter, measurement, sensor_enu_m, told, shown)
+        judging = self._standing.judging(shown)
+        return updated(self._hypotheses, self._filter, measurement, sensor_enu_m, told, judging)
 
     def _count_outliers(self, gate: Gate, passed: RangingMeasurement | None) -> None:
         """Count what was not fused of a measurement; one that is refused as a whole is one."""

@@ -1,4 +1,7 @@
-"""A target that walks although it is believed to lie still, through nine reflections in ten."""
+"""A target that walks, or leaves the fence, although it is believed to lie still within it.
+
+Nine ranges of ten are reflected.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +11,16 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from companion.config.limits import LimitsConfig
+from companion.config.schema import CompanionConfig
 from companion.domain import Point
+from companion.guidance.session import SessionParams
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from companion.mav.ranging import message_from_ranging
 from sim_link.autopilot.endpoint import SimEndpoint
+from sim_link.campaign.flights import rules_of
+from sim_link.monitor.monitor import Monitor
 from sim_link.world.radio_channel import ChannelParams, RadioChannel
 from sim_link.world.target import Emitter, EmitterParams
 from tests.loop.loop_helpers import Loop
@@ -66,3 +74,47 @@ def test_a_target_that_lies_still_is_found_and_nothing_is_told_of_a_walk() -> No
     loop.run_until(lambda: bool(loop.notes.results), 120.0)
     assert loop.error_m <= 1.5
     assert not loop.notes.said("the target seems to walk")
+
+
+def away(time_s: float) -> Point:
+    """Out of the fence to the east at a walker's pace, and on."""
+    return (45.0 + 1.5 * time_s, 40.0)
+
+
+def along_the_border(time_s: float) -> Point:
+    """To and fro across the north-east corner of the fence."""
+    return (60.0 + 25.0 * math.sin(0.05 * time_s), 60.0 + 25.0 * math.cos(0.05 * time_s))
+
+
+def elsewhere(time_s: float) -> Point:
+    """Inside for half a minute, far outside for the next."""
+    return (40.0, 40.0) if time_s % 60.0 < 30.0 else (160.0, -90.0)
+
+
+@pytest.mark.parametrize("walk", [away, along_the_border, elsewhere])
+def test_a_target_that_leaves_the_fence_is_told_of_and_never_followed(walk: Walk) -> None:
+    half_m = 65.0
+    fence = ((-half_m, -half_m), (half_m, -half_m), (half_m, half_m), (-half_m, half_m))
+    limits = LimitsConfig(fence_enu_m=fence)
+    mission = SessionParams(engage="auto", stop_confirm_s=1e6)
+    config = CompanionConfig(mission=mission, limits=limits)
+    loop = Loop(config, seed=5, payload_source=WalkingRadio(walk, seed=5))
+    monitor = Monitor(rules_of(config), loop.flight.sim.vehicle)
+    loop.flight.observers.append(monitor)
+    loop.run(150.0)
+    assert loop.notes.said("outside the fence")
+    assert monitor.violations == []
+    assert 0.0 < monitor.fence.closest_m < 50.0
+
+
+def test_an_estimate_that_nothing_agrees_with_any_more_is_given_up_within_seconds() -> None:
+    mission = SessionParams(engage="auto", stop_confirm_s=1e6)
+    radio = WalkingRadio(elsewhere, seed=5)
+    loop = Loop(CompanionConfig(mission=mission), seed=5, payload_source=radio)
+    for end_s, most_m in ((30.0, 1.0), (40.0, 60.0)):
+        loop.run(end_s - loop.now_s)
+        estimate = loop.companion.session.estimate
+        assert estimate is not None
+        assert estimate.r95_m <= most_m
+        assert math.dist(estimate.position_enu_m, elsewhere(end_s - 0.1)) <= estimate.r95_m
+    assert loop.notes.said("measurements do not agree")

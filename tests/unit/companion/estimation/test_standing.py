@@ -15,8 +15,8 @@ STATE = FilterState.of(0.0, np.zeros(4), np.eye(4))
 
 
 def _noted(standing: Standing, time_s: float, u: float) -> bool:
-    """A range with this innovation, in sigma."""
-    row = ModalityReport(u, 1.0, 1.0, u, 1.0, 0.0)
+    """A range with this innovation, in sigma; a long one is taken for a reflection."""
+    row = ModalityReport(u, 1.0, 1.0, u, 1.0 if u < 1.0 else 1.0 / u, 0.0)
     report = UpdateReport(STATE, row, None, None, u * u, True)
     measurement = RangingMeasurement(1, time_s, range_m=50.0)
     return standing.note(measurement, report, Gate.of(report, NO_INFLATION), NO_INFLATION)
@@ -46,6 +46,32 @@ def test_a_run_of_ranges_that_are_too_short_ends_it() -> None:
     standing.given_up(14.0)
     assert standing.objection(14.0) is None
     assert not standing.is_proven
+
+
+def test_what_nothing_agrees_with_for_seconds_is_given_up() -> None:
+    standing = Standing()
+    _flown(standing, 100, 0.0, 0.5)
+    given_up = _flown(standing, 100, 10.0, 40.0)  # longer than any reflection
+    assert 5.0 <= 0.1 * given_up.index(True) <= 8.0
+
+
+def test_a_burst_that_nothing_agrees_with_is_survived() -> None:
+    standing = Standing()
+    _flown(standing, 100, 0.0, 0.5)
+    assert not any(_flown(standing, 40, 10.0, 40.0))
+    assert standing.objection(14.0) is Objection.CONTRADICTED
+    assert not any(_flown(standing, 40, 14.0, 0.5))
+    assert standing.objection(18.0) is None
+
+
+def test_disagreement_does_not_excuse_itself_by_the_noise_that_it_shows() -> None:
+    standing, inflated = Standing(), (900.0, 1.0, 1.0)
+    _flown(standing, 100, 0.0, 0.5)
+    assert standing.judging(inflated) == inflated
+    _flown(standing, 40, 10.0, 40.0)
+    assert standing.judging(inflated) == NO_INFLATION
+    _flown(standing, 40, 14.0, 0.5)
+    assert standing.judging(inflated) == inflated
 
 
 def test_giving_up_twice_within_a_minute_is_told() -> None:
