@@ -13,7 +13,6 @@ from companion.estimation.gate import OPEN, Gate
 from companion.estimation.hypotheses import Hypothesis
 from companion.estimation.losses import asymmetric_huber_loss
 from companion.estimation.recursive_filter import RecursiveFilter
-from companion.geometry.arrays import Matrix
 
 LIKELY_LOG_RATIO = math.log(0.05)
 """A hypothesis at least this probable beside the best one has a say at the gate."""
@@ -55,7 +54,7 @@ def updated(
         shown: That the run has shown, which the gate goes by.
     """
     before, survivors, reports = [], [], []
-    thresholds = target_filter.params.thresholds
+    thresholds = target_filter.params.thresholds.tolist()
     for hypothesis in hypotheses:
         state = target_filter.predict(hypothesis.state, measurement.measured_at_s)
         report = target_filter.update(state, measurement, sensor_enu_m, inflation)
@@ -81,8 +80,16 @@ def _gate(
     return functools.reduce(Gate.joined, judged) if judged else OPEN
 
 
-def log_likelihood(report: UpdateReport, thresholds: Matrix, inflation: Sequence[float]) -> float:
-    """Robust log-likelihood of all innovations of an update, tempered by the inflation."""
+def log_likelihood(
+    report: UpdateReport, thresholds: Sequence[Sequence[float]], inflation: Sequence[float]
+) -> float:
+    """Robust log-likelihood of all innovations of an update, tempered by the inflation.
+
+    Args:
+        report: Of the update.
+        thresholds: Long and short one of range, bearing and elevation.
+        inflation: Of their variances.
+    """
     total = 0.0
     for row, (k_long, k_short), c in zip(report.modalities, thresholds, inflation, strict=True):
         if row is None:

@@ -135,15 +135,26 @@ class FilterParams(Params, frozen=True):
         """A measurement as the kernels take it: values and standard deviations, each (3,)."""
         m = measurement
         values = (m.range_m, m.bearing_enu_rad, m.elevation_rad if self.use_elevation else None)
-        reported = (m.range_sigma_m, m.bearing_sigma_rad, m.elevation_sigma_rad)
+        z = np.array([math.nan if v is None else v for v in values])
+        return z, np.array(self.seen_sigmas(m))
+
+    def seen_sigmas(self, measurement: RangingMeasurement) -> tuple[float, float, float]:
+        """Standard deviations of range, bearing and elevation, as they are believed."""
+        m = measurement
         believed = (
             self.range_sigma_m,
             math.radians(self.bearing_sigma_deg),
             math.radians(self.elevation_sigma_deg),
         )
-        if self.use_reported_sigma:
-            believed = tuple(  # type: ignore[assignment]
-                own if told is None else min(max(told, MIN_SIGMA), MAX_SIGMA)
-                for own, told in zip(believed, reported, strict=True)
-            )
-        return np.array([math.nan if v is None else v for v in values]), np.array(believed)
+        if not self.use_reported_sigma:
+            return believed
+        return (
+            _trusted(m.range_sigma_m, believed[0]),
+            _trusted(m.bearing_sigma_rad, believed[1]),
+            _trusted(m.elevation_sigma_rad, believed[2]),
+        )
+
+
+def _trusted(told: float | None, own: float) -> float:
+    """A standard deviation that the radio told, within reason; our own, if it told none."""
+    return own if told is None else min(max(told, MIN_SIGMA), MAX_SIGMA)

@@ -148,6 +148,6 @@ class Plausibility:
             return Refusal.FROZEN
         height_m = abs(sensor_enu_m[2] - self._params.target_height_m)
         if m.range_m is None or m.range_m > STEEP_RATIO * height_m:
-            _, (_, sigma_rad, _) = self._params.seen(m)
-            self._bearings.add(m.measured_at_s, raw_rad, float(sigma_rad), sensor_enu_m)
+            _, sigma_rad, _ = self._params.seen_sigmas(m)
+            self._bearings.add(m.measured_at_s, raw_rad, sigma_rad, sensor_enu_m)
         return Refusal.WRONG_UNIT if self._bearings.is_condemned else None

@@ -62,11 +62,10 @@ def refusal_of(
     if all(value is None for value in values):
         return Refusal.NOTHING_MEASURED
     sigmas = (m.range_sigma_m, m.bearing_sigma_rad, m.elevation_sigma_rad)
-    numbers = (*values, m.elevation_rad, *sigmas, m.measured_at_s)
-    if any(number is not None and not math.isfinite(number) for number in numbers):
+    measured = [v for v in (*values, m.elevation_rad, *sigmas) if v is not None]
+    if not all(map(math.isfinite, (*measured, m.measured_at_s))):
         return Refusal.NOT_FINITE
-    measured = (*values, m.elevation_rad, *sigmas)
-    if any(number is not None and 0.0 < abs(number) < LEAST_NORMAL for number in measured):
+    if any(0.0 < abs(number) < LEAST_NORMAL for number in measured):
         return Refusal.DENORMAL
     if m.range_m is not None and m.range_m <= 0.0:
         return Refusal.RANGE_NOT_POSITIVE

@@ -309,14 +309,13 @@ class TargetTracker:
 
     def _fused(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> FusionReport:
         if not self._hypotheses:
-            self._note(measurement, sensor_enu_m)
-            self._add_to_window(self._latest[-1])
+            self._add_to_window(self._note(measurement, sensor_enu_m))
             self._start(measurement, sensor_enu_m)
             self._standing.began(measurement)
             return FusionReport(None)
         bank = self._updated(measurement, sensor_enu_m)
         gate = bank.gate if self._standing.is_proven else bank.gate.unarmed()
-        self._note(measurement, sensor_enu_m)
+        row = self._note(measurement, sensor_enu_m)
         if bank.best is None or self._standing.note(
             measurement, bank.best, gate, self._shown_inflation
         ):
@@ -329,7 +328,7 @@ class TargetTracker:
             bank = self._updated(passed, sensor_enu_m)
         if passed is None or bank.best is None:
             return self._restart(measurement, sensor_enu_m)
-        self._add_to_window(self._row(passed, sensor_enu_m))
+        self._add_to_window(row if gate.is_open else self._row(passed, sensor_enu_m))
         several = len(bank.hypotheses) > 1
         self._hypotheses = consolidated(bank.hypotheses) if several else bank.hypotheses
         self._noise = self._noise.after(bank.best, self._thresholds)
@@ -349,10 +348,11 @@ class TargetTracker:
     def _row(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> Row:
         return (sensor_enu_m, *self._filter.params.seen(measurement))
 
-    def _note(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> None:
+    def _note(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> Row:
         row = self._row(measurement, sensor_enu_m)
         self._latest.append(row)
         self._watch.add(measurement.measured_at_s, *row)
+        return row
 
     def _look_for_motion(self, now_s: float) -> None:
         """Look whether it walks although it is believed to lie still; the estimate stays."""

@@ -69,7 +69,7 @@ def position_covariance_m2(hypothesis: Hypothesis, own_sigma_m: float) -> Matrix
     """
     covariance = hypothesis.state.covariance[:2, :2]
     least = hypothesis.least_covariance_m2
-    if least is not None and np.trace(least) > np.trace(covariance):
+    if least is not None and least[0, 0] + least[1, 1] > covariance[0, 0] + covariance[1, 1]:
         covariance = least
     total: Matrix = covariance + own_sigma_m * own_sigma_m * np.eye(2)
     return total
@@ -88,7 +88,7 @@ def _r95_m(
 
 
 def _state(weights: Vector, r95_m: float, localised_r95_m: float) -> EstimateState:
-    likely = int(np.sum(weights >= AMBIGUOUS_PROBABILITY))
+    likely = sum(weight >= AMBIGUOUS_PROBABILITY for weight in weights.tolist())
     if 1 < likely <= MAX_AMBIGUOUS:
         return EstimateState.AMBIGUOUS
     if likely == 1 and r95_m <= localised_r95_m:
