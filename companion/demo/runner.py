@@ -35,7 +35,8 @@ OBSTACLE_CLEARANCE_M = 5.0
 PICTURE_SUFFIXES = (".png", ".svg", ".pdf")
 SILENCE_LIMIT_S = 10.0
 """Real seconds after which a simulator that is not heard is given up."""
-HIGH_SPEED = 8.0
+LATE_S = 0.5
+"""Of the flight: a control tick later than this can cost the autopilot's mode."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,8 +185,8 @@ def _fly(
         shell.run_blocking()
     result = endpoint.session.result
     reason, now_s = ended[0] if ended else ("interrupted", latest[0])
-    if endpoint.session.phase is Phase.YIELD and options.speed > HIGH_SPEED:
-        reason += f"; at --speed {options.speed:g} a busy computer is too late for it"
+    if endpoint.session.phase is Phase.YIELD:
+        reason += busy_hint(options.speed, shell.timing.worst_late_s)
     return DemoResult(
         is_localised=result is not None,
         estimate=endpoint.session.estimate if result is None else result.estimate,
@@ -193,6 +194,20 @@ def _fly(
         time_s=now_s if result is None else result.estimate.time_s,
         wall_s=time.monotonic() - started,
     )
+
+
+def busy_hint(speed: float, worst_late_s: float) -> str:
+    """What to do about a mode that was lost, where the computer was too busy; or nothing.
+
+    Args:
+        speed: How much faster than real time the flight was.
+        worst_late_s: How late a control tick came at most, in real seconds.
+    """
+    late_s = worst_late_s * speed
+    if speed <= 1.0 or late_s <= LATE_S:
+        return ""
+    late = f"a control tick came {late_s:.1f} s late"
+    return f"; this computer is too busy for --speed {speed:g} ({late}): try --speed 1"
 
 
 def _open_page(

@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from companion.config.schema import CompanionConfig
-from companion.demo.runner import _demo_config
+from companion.demo.runner import _demo_config, busy_hint
 from companion.errors import ConfigError
 
 BLOCK = [[30.0, 30.0], [45.0, 30.0], [45.0, 60.0], [30.0, 60.0]]
@@ -42,3 +42,19 @@ def test_the_keep_outs_of_the_configuration_stay() -> None:
 def test_a_scenario_without_room_to_fly_is_refused() -> None:
     with pytest.raises(ConfigError, match="scenario test"):
         _demo_config(CompanionConfig(), truth(EVERYWHERE, None))
+
+
+@pytest.mark.parametrize(
+    ("speed", "late_s", "hint"),
+    [
+        (4.0, 0.3, "; this computer is too busy for --speed 4 (a control tick came 1.2 s late)"),
+        (4.0, 0.1, ""),
+        (1.0, 2.0, ""),
+    ],
+)
+def test_a_mode_that_a_busy_computer_lost_comes_with_what_to_do(
+    speed: float, late_s: float, hint: str
+) -> None:
+    said = busy_hint(speed, late_s)
+    assert said.startswith(hint)
+    assert said.endswith("try --speed 1" if hint else "")
