@@ -9,7 +9,7 @@ from companion.guard.gate import GuardReason
 from companion.guidance.commands import SendHeartbeat, SendSetpoint, Severity
 from companion.guidance.conditions import is_silence_due
 from companion.guidance.findings import Verdict
-from companion.guidance.guard_news import GuardNews
+from companion.guidance.guard_news import FenceNews, GuardNews
 from companion.guidance.handover import Handover
 from companion.guidance.launch import Launch, LaunchView
 from companion.guidance.launch_permit import LaunchPermit
@@ -50,6 +50,7 @@ class ControlTick:
         self._permit = LaunchPermit(situation)
         self._waiting = WaitingReason(situation.vehicle, situation.authority, situation.fencing)
         self._guard_news = GuardNews()
+        self._fence_news = FenceNews()
         self._tick_s: float | None = None
         self._next_heartbeat_s = -math.inf
         self._sent_s = -math.inf
@@ -63,6 +64,9 @@ class ControlTick:
         self._tick_s = now_s
         self._watches.tick(now_s)
         self._advance_phase(now_s)
+        fence = self._fence_news.record(situation.guard.limits.fence)
+        if fence is not None:
+            situation.record("fence", **fence)
         if situation.phase in FLYING and situation.flight_plan.is_due(now_s):
             situation.plan_now(now_s)
         if now_s >= self._next_heartbeat_s:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from companion.guard.fence import Fence
 from companion.guard.gate import GuardReason
 
 SAID_EVERY_S = 30.0
@@ -37,3 +38,21 @@ class GuardNews:
             return None
         self._logged, self._logged_s = reasons, now_s
         return [reason.name.lower() for reason in reasons]
+
+
+class FenceNews:
+    """Remembers which fence the log has."""
+
+    def __init__(self) -> None:
+        self._logged: Fence | None = None
+
+    def record(self, fence: Fence | None) -> dict[str, object] | None:
+        """The fence for the log if it is another one, null for none; None: it is the same."""
+        if fence is self._logged or fence == self._logged:
+            return None
+        self._logged = fence
+        return {
+            "polygon_enu_m": None if fence is None else fence.polygon_enu_m,
+            "keep_out_enu_m": () if fence is None else fence.keep_out_enu_m,
+            "margin_m": None if fence is None else fence.margin_m,
+        }

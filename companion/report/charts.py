@@ -38,11 +38,12 @@ def flight_map(story: Story, config: CompanionConfig) -> str:
     limits = config.limits
     points = [*story.track_enu_m, *(point.place_enu_m for point in story.estimates)]
     points += [place for _, place, _ in story.waypoints]
-    west, east, south, north = square_around(points or limits.fence_enu_m, 10.0)
+    fence, keep_outs = fence_of(story, config)
+    west, east, south, north = square_around(points or fence or limits.fence_enu_m, 10.0)
     drawing = Drawing(MAP_SIZE, MAP_SIZE - 16.0, (west, east), (south, north), "Map of the flight")
-    if limits.is_fence_local:  # else the configuration has only a default in its place
-        drawing.area(limits.fence_enu_m, "fence")
-    for polygon in limits.keep_out_enu_m:
+    if fence:
+        drawing.area(fence, "fence")
+    for polygon in keep_outs:
         drawing.area(polygon, "obstacle")
     _ellipses(drawing, story, east - west)
     drawing.line(story.track_enu_m, "track")
@@ -52,6 +53,20 @@ def flight_map(story: Story, config: CompanionConfig) -> str:
         drawing.circle(last.place_enu_m, last.r95_m, "radius", f"R95 {last.r95_m:.2f} m")
         drawing.cross(last.place_enu_m, "place", "estimate")
     return drawing.svg()
+
+
+def fence_of(
+    story: Story, config: CompanionConfig
+) -> tuple[Sequence[Point], Sequence[Sequence[Point]]]:
+    """The fence that the guard kept, and its keep-outs; empty where nobody knows.
+
+    A log without it is of a flight that never knew one, or of an earlier version: then the
+    configuration's counts, which has only a default where the fence comes from elsewhere.
+    """
+    limits = config.limits
+    if story.fence is not None:
+        return story.fence
+    return limits.fence_enu_m if limits.is_fence_local else (), limits.keep_out_enu_m
 
 
 def _ellipses(drawing: Drawing, story: Story, width_m: float) -> None:

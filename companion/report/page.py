@@ -13,7 +13,7 @@ from companion.flight_facts import FlightFacts, open_flight
 from companion.io.event_lines import event_lines
 from companion.io.files import write_text_atomic
 from companion.io.flight_files import EVENTS, REPORT
-from companion.report.charts import charts, flight_map
+from companion.report.charts import charts, fence_of, flight_map
 from companion.report.story import Line, Story, story_of
 
 MAX_TOLD = 500
@@ -59,6 +59,7 @@ def report_page(story: Story, facts: FlightFacts, name: str) -> str:
         lstrip_blocks=True,
         undefined=StrictUndefined,
     )
+    fence, keep_outs = fence_of(story, facts.config)
     return environment.get_template("flight.html.j2").render(
         name=name,
         story=story,
@@ -66,6 +67,8 @@ def report_page(story: Story, facts: FlightFacts, name: str) -> str:
         verdict=verdict_of(story),
         link=story.links[-1] if story.links else None,
         link_rows=_link_rows(story.links[-1]) if story.links else [],
+        has_fence=bool(fence),
+        has_keep_outs=bool(keep_outs),
         map=Markup(flight_map(story, facts.config)),
         charts=[
             (chart.title, chart.note, Markup(chart.svg)) for chart in charts(story, facts.config)

@@ -7,11 +7,15 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from companion.domain import Point
+from companion.guard.gate import GuardReason
 
 TOLD = ("text", "phase", "answer", "autopilot_text", "bound", "result")
 """Kinds of events that people read."""
 
 Line = Mapping[str, object]
+Polygons = tuple[list[Point], list[list[Point]]]
+LEAST_CORNERS = 3
+GUARD_WORDS = {reason.name.lower(): reason.value for reason in GuardReason}
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +52,8 @@ class Story:
     waypoints: list[tuple[float, Point, str]] = field(default_factory=list)
     """(time_s, place, why)"""
     told: list[Told] = field(default_factory=list)
+    fence: Polygons | None = None
+    """The fence that the guard kept last, and its keep-outs, local east and north."""
     guard: Counter[str] = field(default_factory=Counter)
     """Interventions of the guard, by reason."""
     links: list[Line] = field(default_factory=list)
@@ -74,7 +80,9 @@ def story_of(lines: Iterable[Line]) -> Story:
         elif kind == "waypoint" and (place := _point(line.get("position_enu_m"))) is not None:
             story.waypoints.append((time_s, place, f"{line.get('reason')}: {line.get('detail')}"))
         elif kind == "guard":
-            story.guard.update([str(line.get("reason"))])
+            story.guard.update(_guard_words(line.get("reasons")))
+        elif kind == "fence":
+            story.fence = _fence(line) or story.fence
         elif kind == "link":
             story.links.append(line)
         elif kind == "result" and line.get("emitter_id") not in _reported(story):
@@ -124,6 +132,24 @@ def _phrase(kind: str, line: Line) -> str:
 def _of(line: Line) -> str:
     emitter_id = line.get("emitter_id")
     return "" if emitter_id is None else f"emitter {emitter_id}, "
+
+
+def _guard_words(reasons: object) -> list[str]:
+    names = reasons if isinstance(reasons, list) else []
+    return [GUARD_WORDS.get(str(name), str(name)) for name in names]
+
+
+def _fence(line: Line) -> Polygons | None:
+    polygon, keep_outs = _corners(line.get("polygon_enu_m")), line.get("keep_out_enu_m")
+    if len(polygon) < LEAST_CORNERS:
+        return None
+    found = [_corners(corners) for corners in keep_outs] if isinstance(keep_outs, list) else []
+    return polygon, [corners for corners in found if len(corners) >= LEAST_CORNERS]
+
+
+def _corners(value: object) -> list[Point]:
+    points = [_point(corner) for corner in value] if isinstance(value, list) else []
+    return [point for point in points if point is not None]
 
 
 def _number(value: object) -> float | None:

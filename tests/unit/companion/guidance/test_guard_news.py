@@ -3,10 +3,11 @@ from __future__ import annotations
 import math
 
 from companion.domain import BatteryLevel, FlightMode
+from companion.guard.fence import Fence
 from companion.guard.gate import GuardReason
 from companion.guidance.commands import Record
 from companion.guidance.events import BatteryReported
-from companion.guidance.guard_news import GuardNews
+from companion.guidance.guard_news import FenceNews, GuardNews
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 
 FENCE, LAGGING, JUMPED = GuardReason.FENCE, GuardReason.LAGGING, GuardReason.JUMPED
@@ -77,3 +78,21 @@ def test_a_low_battery_reaches_as_far_as_it_brings_back() -> None:
     flight = _engaged(20.15)
     assert 9.0 < _farthest_m(flight) <= 10.001
     assert "guard: battery is too low to go farther from home" in flight.texts
+
+
+def test_a_fence_is_logged_when_it_is_another_one() -> None:
+    news, corners = FenceNews(), ((0.0, 0.0), (60.0, 0.0), (0.0, 60.0))
+    assert news.record(None) is None
+    first = news.record(Fence(corners, 3.0))
+    assert first == {"polygon_enu_m": corners, "keep_out_enu_m": (), "margin_m": 3.0}
+    assert news.record(Fence(corners, 3.0)) is None
+    assert news.record(Fence(corners, 4.0)) is not None
+    gone = news.record(None)
+    assert gone is not None
+    assert gone["polygon_enu_m"] is None
+
+
+def test_a_flight_logs_its_fence_once() -> None:
+    flight = _engaged(100.0)
+    kinds = [command.kind for _, command in flight.log if isinstance(command, Record)]
+    assert kinds.count("fence") == 1

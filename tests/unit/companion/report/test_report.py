@@ -14,6 +14,9 @@ import pytest
 from companion.config.schema import CompanionConfig, LimitsConfig
 from companion.errors import ConfigError
 from companion.flight_facts import FlightFacts, write_facts
+from companion.guard.fence import Fence
+from companion.guard.gate import GuardReason
+from companion.guidance.guard_news import FenceNews, GuardNews
 from companion.io.flight_files import EVENTS
 from companion.report.page import is_quick, report_page, verdict_of, write_report
 from companion.report.story import story_of
@@ -118,10 +121,34 @@ def test_the_verdict_is_what_the_flight_came_to() -> None:
 
 
 def test_guard_interventions_are_counted() -> None:
-    fence: Line = {"t_s": 1.0, "kind": "guard", "reason": "goal is outside the fence"}
-    story = story_of([fence, fence, {**fence, "reason": "too fast"}])
-    assert story.guard.most_common(1) == [("goal is outside the fence", 2)]
-    assert "goal is outside the fence" in page_of([fence])
+    fence: Line = {"t_s": 1.0, "kind": "guard", "reasons": ["fence", "lagging"]}
+    over: Line = {"t_s": 2.0, "kind": "guard", "reasons": []}
+    story = story_of([fence, over, fence, {**fence, "reasons": ["fence"]}, over])
+    assert story.guard.most_common(1) == [(GuardReason.FENCE.value, 3)]
+    assert GuardReason.FENCE.value in page_of([fence])
+
+
+def test_the_guards_own_records_are_understood() -> None:
+    names = GuardNews().record((GuardReason.TOO_FAST, GuardReason.CUT_OFF), 1.0)
+    assert story_of([{"t_s": 1.0, "kind": "guard", "reasons": names}]).guard == {
+        GuardReason.TOO_FAST.value: 1,
+        GuardReason.CUT_OFF.value: 1,
+    }
+
+
+def test_the_fence_that_the_guard_kept_is_drawn_wherever_it_came_from() -> None:
+    limits = LimitsConfig(autopilot_fence="use")
+    kept = Fence(
+        ((0.0, 0.0), (90.0, 0.0), (0.0, 90.0)), 3.0, (((20.0, 20.0), (25.0, 20.0), (20.0, 25.0)),)
+    )
+    record = json.loads(json.dumps(FenceNews().record(kept)))
+    gone: Line = {"polygon_enu_m": None, "keep_out_enu_m": [], "margin_m": None}
+    lines = [{"t_s": 0.5, "kind": "fence", **record}, {"t_s": 9.0, "kind": "fence", **gone}]
+    page = page_of([*lines, *FLIGHT], limits)
+    assert page.count('<polygon class="fence"') == 1
+    assert page.count('<polygon class="obstacle"') == 1
+    assert "dashed green" in page
+    assert "red areas" in page
 
 
 def test_hostile_texts_are_escaped() -> None:
