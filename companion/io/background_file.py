@@ -26,6 +26,9 @@ logger = logging.getLogger("companion.io")
 
 MAX_QUEUED = 10_000
 MAX_BATCH = 256
+GATHER_S = 0.05
+"""Records are written so much later, many at a time: a thread that wakes for each of them takes the
+interpreter from the control tick a hundred times a second."""
 SYNC_PERIOD_S = 1.0
 CLOSE_TIMEOUT_S = 1.0
 _FLAGS = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC
@@ -67,6 +70,7 @@ class BackgroundFile:
         self._failed = 0
         self._has_warned = False
         self._is_closed = False
+        self._is_ending = threading.Event()
         self._busy_since_s: float | None = None
         self._older_bytes = 0
         try:
@@ -113,6 +117,7 @@ class BackgroundFile:
         if self._is_closed:
             return
         self._is_closed = True
+        self._is_ending.set()
         while True:
             try:
                 self._queue.put_nowait(None)
@@ -148,6 +153,8 @@ class BackgroundFile:
         """At least one record, waiting for it, and whether the file is to be closed after it."""
         batch: list[bytes] = []
         item = self._queue.get()
+        if self._queue.qsize() < MAX_BATCH:
+            self._is_ending.wait(GATHER_S)
         while item is not None:
             batch.append(item)
             if len(batch) == MAX_BATCH:
