@@ -13,6 +13,7 @@ import threading
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
 
@@ -25,6 +26,9 @@ PATIENCE_S = 60.0
 
 class Companion:
     """One companion process; what it says is read by a thread, so that it can be waited for."""
+
+    started: ClassVar[list[Companion]] = []
+    """Not closed yet."""
 
     def __init__(
         self,
@@ -51,6 +55,7 @@ class Companion:
         self.lines: list[str] = []
         self._reader = threading.Thread(target=self._read)
         self._reader.start()
+        self.started.append(self)
 
     def _read(self) -> None:
         assert self.process.stderr is not None
@@ -77,6 +82,7 @@ class Companion:
         return took_s
 
     def close(self) -> None:
+        self.started.remove(self)
         self.process.kill()
         self.process.wait()
         self._reader.join()
@@ -86,6 +92,14 @@ class Companion:
     def events(self, directory: Path) -> list[dict[str, object]]:
         newest = max(directory.glob("flights/*/events.jsonl"))
         return [json.loads(line) for line in newest.read_text().splitlines()]
+
+
+@pytest.fixture(autouse=True)
+def nobody_is_left() -> Iterator[None]:
+    """A test that fails half-way leaves no process behind, and nobody who waits for one."""
+    yield
+    for companion in list(Companion.started):
+        companion.close()
 
 
 @pytest.fixture
