@@ -104,6 +104,12 @@ class GuidanceSession:
         if isinstance(event, MODE_EVENTS) and self.authority.is_overtaken(event):
             self.situation.record("overtaken", what=type(event).__name__)
             return self.situation.take_commands()
+        self._note(event)
+        self._react(event)
+        return self.situation.take_commands()
+
+    def _note(self, event: Event) -> None:
+        """What is known of the vehicle and its surroundings after an event."""
         if isinstance(event, OriginSet):
             if self.handover.check_frame(event):
                 self._watches.frame_moved(event.time_s)
@@ -117,6 +123,9 @@ class GuidanceSession:
             self._jumps.turned(event)
         self.vehicle.handle(event)
         self._watches.handle(event)
+
+    def _react(self, event: Event) -> None:
+        """What an event is the occasion for."""
         match event:
             case OriginSet() | AutopilotFenceRead():
                 self.handover.fence(event)
@@ -151,7 +160,6 @@ class GuidanceSession:
                 self._recollection.advance(event.time_s)
                 self._measuring.fuse_due(event.time_s)
                 self._control.run(event.time_s)
-        return self.situation.take_commands()
 
     @property
     def params(self) -> SessionParams:
