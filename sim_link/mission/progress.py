@@ -57,6 +57,8 @@ class PlainProgress:
         self.say(flight_line(summary, self._done, self._total))
         for verdict in summary.failed:
             self.say(f"     {verdict.name}: {verdict.found}")
+        if summary.doubt:
+            self.say(f"     {summary.doubt}")
 
     def say(self, line: str) -> None:
         """Print a line, as long as somebody reads."""

@@ -107,6 +107,8 @@ class FlightRecord:
     """Which invariants were judged, and why the others were not."""
     slack_s: float = 0.0
     """By how much limits of time were wider than in lockstep, in seconds of flight."""
+    late_s: float = 0.0
+    """How late the hub's turn came at most, in seconds of flight: how busy the machine was."""
     is_interrupted: bool = False
     """Somebody asked for the end."""
     wall_s: float = 0.0

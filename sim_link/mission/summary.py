@@ -8,6 +8,9 @@ from dataclasses import dataclass, replace
 from sim_link.mission.result import MissionResult
 from sim_link.mission.verdicts import Verdict
 
+BUSY_S = 0.2
+"""Processes that wait so long for their turn cost setpoints and positions."""
+
 
 @dataclass(frozen=True, slots=True)
 class Summary:
@@ -27,6 +30,8 @@ class Summary:
     wall_s: float
     cpu_s: float = 0.0
     """Processor time; 0 where several processes flew."""
+    late_s: float = 0.0
+    """How late a turn came at most, in seconds of flight, where several processes flew."""
     is_interrupted: bool = False
     report: str = ""
     """Where the report is; empty: there is none."""
@@ -52,6 +57,16 @@ class Summary:
         if self.final_error_m is None or self.r95_m is None:
             return None
         return self.final_error_m <= self.r95_m
+
+    @property
+    def doubt(self) -> str:
+        """Why a failure may be the machine's, and what to do; empty: nothing says so."""
+        if self.is_passed or self.late_s <= BUSY_S:
+            return ""
+        return (
+            f"this computer was too busy: a turn came {self.late_s:.1f} s of flight late; "
+            "try a lower --speed, or lockstep"
+        )
 
     @property
     def times_real_time(self) -> float:
@@ -81,6 +96,7 @@ def summary_of(result: MissionResult) -> Summary:
         closest_approach_m=record.closest_approach_m,
         wall_s=record.wall_s,
         cpu_s=record.cpu_s,
+        late_s=record.late_s,
         is_interrupted=record.is_interrupted,
     )
 

@@ -77,6 +77,6 @@ class WireWatch:
         """Say in the record what was found, and what was judged."""
         monitor = WireMonitor(rules_of(config), self.slack_s)
         self.recording.play(monitor)
-        record.scope, record.slack_s = WIRE, self.slack_s
+        record.scope, record.slack_s, record.late_s = WIRE, self.slack_s, self._late_s
         for found in monitor.violations:
             record.violations.append(Violated(found.time_s, found.invariant, found.what))

@@ -167,6 +167,21 @@ def test_plain_progress_tells_steps_of_one_flight_and_results_of_many() -> None:
     assert lines[2].strip().startswith("close: ")
 
 
+@pytest.mark.parametrize(("late_s", "is_told"), [(0.9, True), (0.1, False)])
+def test_a_failure_on_a_busy_computer_comes_with_what_to_do(late_s: float, is_told: bool) -> None:
+    result = result_of(is_met=False)
+    result.record.late_s = late_s
+    output = io.StringIO()
+    PlainProgress(1, output, is_detailed=True).finished(summary_of(result))
+    assert ("too busy" in output.getvalue()) is is_told
+
+
+def test_a_busy_computer_is_no_news_where_the_mission_passed() -> None:
+    result = result_of()
+    result.record.late_s = 0.9
+    assert summary_of(result).doubt == ""
+
+
 def test_a_reader_who_goes_away_does_not_end_the_flights() -> None:
     class Closed(io.StringIO):
         def write(self, text: str) -> int:

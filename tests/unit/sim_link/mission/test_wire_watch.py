@@ -41,6 +41,9 @@ def test_limits_are_wider_by_what_the_machine_was_late() -> None:
     for now_s in (0.0, 0.1, 0.2, 0.8, 0.9):
         watch.looked(now_s)
     assert watch.slack_s == pytest.approx(4.0 * MACHINE_S + 0.5)
+    record = FlightRecord()
+    watch.judge(CompanionConfig(), record)
+    assert record.late_s == pytest.approx(0.5)
 
 
 def test_a_setting_of_a_parameter_is_found_in_the_record() -> None:
