@@ -29,6 +29,8 @@ class LinkHealth:
     def tick(self, now_s: float) -> float | None:
         """Judge the line once more; how long the control tick stood still, if that is a stall."""
         stalled_s = self.ticks.tick(self.pacing.period_s, now_s)
+        if stalled_s is not None:
+            self.sequence.skip()  # the socket kept the oldest of what came meanwhile
         self.pacing.observe(self.sequence.loss(now_s), now_s)
         return stalled_s
 

@@ -2,9 +2,9 @@
 
 Theory of operation. A sender counts its frames modulo 256. Unwrapped to the nearest value, the
 count tells which of two frames was sent first and how many never came; both are right as long as
-no frame is late by 128 others or more. After a silence a count that seems to have gone back went
-ahead instead. The loss is taken over the last seconds: how many numbers the count advanced, and how
-many of these numbers came.
+no frame is late by 128 others or more. After a silence, or where nobody read for a while, a count
+that seems to have gone back went ahead instead. The loss is taken over the last seconds: how many
+numbers the count advanced, and how many of these numbers came.
 
 Source: MAVLink developer guide, "Packet Loss"; PX4 1.15 sends 405 frames a second, so 128 of them
 are 0.3 s.
@@ -12,6 +12,7 @@ are 0.3 s.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 MODULUS = 256
@@ -74,6 +75,10 @@ class SequenceMonitor:
         if expected < MIN_EXPECTED:
             return None
         return min(max(0.0, 1.0 - came / expected), 1.0)
+
+    def skip(self) -> None:
+        """What comes next is ahead, however far: much of what was sent last may never come."""
+        self._heard_s = -math.inf
 
     def restart(self) -> None:
         """Begin anew, because the sender did; the totals stay."""

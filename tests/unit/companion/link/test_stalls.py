@@ -79,6 +79,22 @@ def test_the_first_setpoint_after_a_stall_is_where_the_vehicle_is_then() -> None
     assert (first.x, first.y, first.z) == pytest.approx((30.0, 40.0, -25.0))
 
 
+@pytest.mark.parametrize("lost", [0, 100, 150, 250, 255, 400])
+def test_a_mode_that_comes_after_what_the_socket_could_not_keep_is_new(lost: int) -> None:
+    wire = in_control()
+    offboard = heartbeat(custom_mode=OFFBOARD, is_armed=True, status=4)
+    kept = [wire.autopilot.encode(message) for message in (wire.position(), offboard)]
+    for _ in range(lost):
+        wire.autopilot.encode(wire.position())
+    wire.now_s += 5.0
+    for data in kept:
+        wire.bytes(data)
+    assert setpoints(wire.wait(0.05)) == []
+    wire.say(wire.position())
+    wire.say(offboard)
+    assert len(setpoints(wire.wait(0.05))) == 1
+
+
 def test_what_piled_up_during_the_stall_is_not_the_present() -> None:
     wire = in_control()
     backlog = [
