@@ -102,7 +102,7 @@ class OnlyWithAuthority(Invariant):
         """Judge whether it may be sent at all."""
         if self._is_late("a setpoint after the mode was lost"):
             return
-        if self._was_ours:
+        if self._was_ours or self.scene.is_lied_to:
             return
         told, rules = self.scene.told.position_enu_m, self.scene.rules
         place = setpoint.place_enu_m[:2]

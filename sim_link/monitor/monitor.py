@@ -88,6 +88,7 @@ class FrameMonitor(Observer):
         scene = self._shared
         scene.now_s = frame.time_s
         scene.is_believable = frame.is_readable and self._is_believed(frame)
+        scene.is_lied_to = self._proof is None and self._whose.is_a_stranger
         if scene.is_believable:
             scene.tell(frame)
         for invariant in self._hearing:

@@ -47,7 +47,7 @@ class SetpointsInside(Invariant):
         place = setpoint.place_enu_m[:2]
         depth = self._depth(place)
         least = rules.clearance_m - ROUNDING_M
-        vehicle = told.position_enu_m
+        vehicle = None if self.scene.is_lied_to else told.position_enu_m
         own_depth = math.inf if vehicle is None else self._depth(vehicle[:2])
         if depth < least and depth < min(own_depth, rules.clearance_m) + ROUNDING_M:
             self.report("setpoint too near to a border or beyond it", depth_m=depth)

@@ -23,6 +23,11 @@ class Whose:
         """Whether the vehicle itself is followed; None: nobody is yet."""
         self._heard_s = 0.0
 
+    @property
+    def is_a_stranger(self) -> bool:
+        """Whether somebody else than the vehicle is followed."""
+        return self._is_genuine is False
+
     def restart(self) -> None:
         """A companion that starts anew follows the first that it hears."""
         self._is_genuine = None

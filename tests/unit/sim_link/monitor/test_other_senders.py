@@ -11,7 +11,7 @@ from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.campaign.flights import Monitored, monitored, rules_of
-from sim_link.faults.kinds import LinkBlackout, SecondSender, UnsignedFrames
+from sim_link.faults.kinds import ForgedFrames, LinkBlackout, SecondSender, UnsignedFrames
 from sim_link.faults.schedule import Schedule
 from sim_link.lockstep.observer import Frame
 from sim_link.lockstep.wire import Lane
@@ -75,6 +75,18 @@ def test_without_a_key_whoever_speaks_after_a_silence_is_believed() -> None:
     around.flight.run(30.0)
     assert around.notes.said("from another address")
     assert [v for v in around.monitor.violations if v.invariant == "I10"] == []
+
+
+def test_places_in_a_flood_of_a_stranger_who_is_believed_are_no_measure() -> None:
+    around = in_flight("px4")
+    hold = LinkBlackout(start_s=1.0, duration_s=12.0, direction="to_companion")
+    liar = ForgedFrames(start_s=5.0, duration_s=7.0, rate_hz=400.0)
+    around.injector.inject(Schedule(faults=(hold, liar)))
+    around.flight.run(9.0)
+    assert around.monitor.scene.is_lied_to
+    around.flight.run(25.0)
+    assert not around.monitor.scene.is_lied_to
+    assert around.monitor.violations == []
 
 
 def frame(time_s: float, message: Message = ATTITUDE, *, is_genuine: bool = True) -> Frame:
