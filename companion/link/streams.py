@@ -47,6 +47,14 @@ LOOK_PERIOD_S = 0.2
 MISSED_PERIODS = 3.0
 """A stream that is silent for so many of its periods has stopped, and one that takes so many for
 each message is slow."""
+HEARTBEAT_LATE_S = 3.0
+"""Its period is a second in every autopilot, and most do not change it: a late one is asked for by
+itself."""
+HEARTBEAT_AGAIN_S = 0.25
+"""So often: where every other frame is lost, one in four questions is answered, and ten seconds
+after the last heartbeat nobody knows who flies."""
+HEARTBEAT_GIVEN_UP_S, HEARTBEAT_SELDOM_S = 12.0, 5.0
+"""Who did not answer for so long does not know the question, and is asked seldom."""
 
 
 @dataclass(slots=True)
@@ -90,6 +98,7 @@ class StreamRequester:
             _Want(number, interval_s) for number, interval_s in STREAM_INTERVAL_S.items()
         ]
         self._wants += [_Want(number, None) for number in ONE_SHOT]
+        self._heartbeat_asked_s = -math.inf
         self._next_look_s = -math.inf
 
     def restart(self) -> None:
@@ -109,6 +118,9 @@ class StreamRequester:
         """The next request to send, if any."""
         if now_s < self._next_look_s:
             return None
+        if self._is_heartbeat_due(now_s):
+            self._heartbeat_asked_s = now_s
+            return request_message(mavlink.MAVLINK_MSG_ID_HEARTBEAT, system_id, component_id)
         for want in self._wants:
             if ONLY_FROM.get(want.message_id, autopilot) is not autopilot:
                 continue
@@ -119,6 +131,14 @@ class StreamRequester:
                 return _request(want, system_id, component_id)
         self._next_look_s = now_s + LOOK_PERIOD_S
         return None
+
+    def _is_heartbeat_due(self, now_s: float) -> bool:
+        age_s = self._freshness.age_s(mavlink.MAVLINK_MSG_ID_HEARTBEAT, now_s)
+        if age_s is None or age_s < HEARTBEAT_LATE_S:
+            return False
+        is_given_up = age_s > HEARTBEAT_GIVEN_UP_S
+        again_s = HEARTBEAT_SELDOM_S if is_given_up else HEARTBEAT_AGAIN_S
+        return now_s - self._heartbeat_asked_s >= again_s
 
 
 def request_message(message_id: int, system_id: int, component_id: int) -> Message:

@@ -9,7 +9,7 @@ from companion.link.outbound import arm
 from companion.link.requests import CommandMessage, RequestClient
 from companion.link.streams import ONE_SHOT, ONLY_FROM, STREAM_INTERVAL_S, StreamRequester
 from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, mavlink
-from tests.unit.companion.link.wire import local_position
+from tests.unit.companion.link.wire import heartbeat, local_position
 
 ARM = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
 ACCEPTED, DENIED, IN_PROGRESS = 0, 2, 5
@@ -220,3 +220,34 @@ def test_after_a_restart_everything_is_asked_for_again() -> None:
     asking.requester.restart()
     asking.wait(0.9)
     assert len(asking.asked) == len(FROM_PX4) + len(ONE_SHOT)
+
+
+def heartbeats_asked(asking: Asking) -> list[float]:
+    number = mavlink.MAVLINK_MSG_ID_HEARTBEAT
+    return [at for at, command, n in asking.asked if (command, n) == (512, number)]
+
+
+def test_a_heartbeat_that_does_not_come_is_asked_for_often_before_the_mode_is_unknown() -> None:
+    asking = Asking()
+    asking.freshness.heard(heartbeat(), 0.0)
+    asking.wait(10.0)
+    asked = heartbeats_asked(asking)
+    assert asked[0] == pytest.approx(3.0, abs=0.2)
+    assert len(asked) > 20
+
+
+def test_one_that_comes_once_a_second_is_not_asked_for_nor_one_that_never_came() -> None:
+    asking = Asking()
+    asking.wait(20.0)
+    for _ in range(20):
+        asking.freshness.heard(heartbeat(), asking.now_s)
+        asking.wait(1.0)
+    assert heartbeats_asked(asking) == []
+
+
+def test_who_does_not_know_the_question_is_asked_seldom() -> None:
+    asking = Asking()
+    asking.freshness.heard(heartbeat(), 0.0)
+    asking.wait(112.0)
+    late = [at for at in heartbeats_asked(asking) if at > 13.0]
+    assert len(late) == pytest.approx(20, abs=1)
