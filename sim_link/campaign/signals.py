@@ -166,7 +166,7 @@ def _stopped(trial: Trial, flight: _Flight, companion: subprocess.Popen[bytes]) 
         hold_s = took_s if answered_s is None else (answered_s - asked_s) / SPEED
         if answered_s is None or hold_s > HOLD_S:
             findings.append(f"hold not confirmed within {HOLD_S:g} s of SIGTERM")
-        if modes[-1] != "hold":
+        if modes and modes[-1] != "hold":  # none: it was asked to hold before it left its hold
             findings.append(f"stopped in control, and the vehicle is in {modes[-1]}")
     return Outcome(
         trial,
