@@ -226,6 +226,7 @@ def _replay(arguments: argparse.Namespace) -> int:
         return _replay_walk(arguments, config or CompanionConfig())
 
     def tell(replay: FlightReplay) -> None:
+        """Print how exact it was, and write the figures if asked to."""
         print(replay.comparison.table())
         print(replay.verdict, flush=True)
         if arguments.json is not None:
@@ -245,6 +246,7 @@ def _replay(arguments: argparse.Namespace) -> int:
 
 def _replay_walk(arguments: argparse.Namespace, config: CompanionConfig) -> int:
     def progress(rows: int) -> None:
+        """How far it is, where somebody looks."""
         if sys.stderr.isatty():
             print(f"\r{rows} rows", end="", file=sys.stderr, flush=True)
 

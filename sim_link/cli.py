@@ -66,6 +66,7 @@ class _Voice:
         self._is_heard = True
 
     def say(self, line: str) -> None:
+        """Print a line, as long as somebody reads."""
         if not self._is_heard:
             return
         try:
@@ -214,6 +215,7 @@ def _run(arguments: argparse.Namespace) -> int:
     orders: queue.SimpleQueue[bytes] = queue.SimpleQueue()
 
     def on_wakeup(now_s: float) -> None:
+        """Do what is due, and tell what happened."""
         files.keep(now_s)
         _happen(endpoints[0], orders, now_s)
         for endpoint in endpoints:

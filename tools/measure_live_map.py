@@ -221,10 +221,12 @@ def take_turns(
     """Rounds of a while without the map and a while with it; every other one turned round."""
 
     def without() -> Turn:
+        """A turn without the map."""
         flight.has_map = False
         return turn_of(measure(flight, seconds))
 
     def watched() -> Turn:
+        """A turn with browsers that look at it."""
         flight.has_map = True
         with browsers(flight.settings.url, count):
             return turn_of(measure(flight, seconds))
@@ -276,6 +278,7 @@ def measure_memory(minutes: float, count: int, web_port: int) -> list[Memory]:
         flight = Flight(CONFIG, ENDLESS, 1, view.listen(journal))
 
         def fly_to(until_s: float) -> None:
+            """Fly on, and show it."""
             while flight.now_s < until_s:
                 flight.run(STEP_S)
                 view.update(flight.companion, flight.now_s)

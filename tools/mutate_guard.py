@@ -54,12 +54,14 @@ class _Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
     def find_spec(
         self, fullname: str, path: object = None, target: object = None
     ) -> importlib.machinery.ModuleSpec | None:
+        """Take over the import of the one module."""
         del path, target
         if fullname != self._module:
             return None
         return importlib.machinery.ModuleSpec(fullname, self)
 
     def exec_module(self, module: ModuleType) -> None:
+        """Run the mutant in its place."""
         exec(self._code, module.__dict__)
 
 
@@ -143,6 +145,7 @@ def run(targets: Sequence[Path], jobs: int, only: str) -> Verdicts:
     verdicts, running = Verdicts([]), dict[int, Mutant]()
 
     def reap() -> None:
+        """Wait for one that ended, and note its verdict."""
         pid, status = os.wait()
         verdicts.take(running.pop(pid), status)
 

@@ -168,6 +168,7 @@ def _fly(
     latest = [0.0]
 
     def on_wakeup(now_s: float) -> None:
+        """Show the flight, and end it once there is a reason."""
         view(endpoint, journal, now_s)
         if page is not None:
             page.update(endpoint, now_s)

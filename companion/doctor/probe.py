@@ -57,6 +57,7 @@ class _Question:
 
     @property
     def is_open(self) -> bool:
+        """Whether to ask for it once more."""
         return self.value is None and self.tries < PARAMETER_TRIES
 
 

@@ -11,8 +11,6 @@ PROVEN_COUNT = 40
 """An estimate that agreed with so many measurements has a say in which are outliers."""
 LOST_SHARE, FOUND_SHARE = 0.2, 0.5
 """With less of the window agreeing than the first there is no agreement, until it is the second."""
-
-
 HOPELESS_S, HOPELESS_COUNT = 5.0, 20
 """Without agreement for so long and so many measurements, the target is no longer where it was."""
 
@@ -50,14 +48,10 @@ class Agreement:
         if len(self._window) < WINDOW_COUNT:
             return
         share = sum(agreed for _, agreed in self._window) / len(self._window)
-        was_lost, self.is_lost = self.is_lost, share < self._least_share
+        was_lost = self.is_lost
+        self.is_lost = share < (FOUND_SHARE if was_lost else LOST_SHARE)
         if not was_lost:
             self._lost_s, self._since_lost = time_s, 0
         self._since_lost += 1
         has_lasted = time_s - self._lost_s >= HOPELESS_S and self._since_lost >= HOPELESS_COUNT
         self.is_hopeless = self.is_lost and has_lasted
-
-    @property
-    def _least_share(self) -> float:
-        """Of the window must agree, lest there be no agreement."""
-        return FOUND_SHARE if self.is_lost else LOST_SHARE

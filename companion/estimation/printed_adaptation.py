@@ -88,6 +88,7 @@ def printed_fixed_point_m(noise: RangeNoise) -> float:
     """
 
     def mean_map_bias_m(threshold: float) -> float:
+        """Bias that the estimate has with a threshold."""
         return noise.sigma_m * float(mean_map_bias(threshold, noise.k, noise.nlos_share))
 
     return _settled_m(

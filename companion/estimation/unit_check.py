@@ -106,7 +106,8 @@ class _Moments:
     def residual2(self, factor: float | Vector) -> Vector:
         """Sum of squares that a factor on the distances leaves at each of the places, (places,).
 
-        Rounding of the sums is a millionth of `LEAST_NOISE_M` squared.
+        Rounding of the sums is a millionth of `LEAST_NOISE_M` squared where ranges spread by up to
+        `MAX_SPREAD_M`; wider ones are not flown on anyhow.
         """
         left = self.range2 + factor * (factor * self.distance2 - 2.0 * self.product)
         return np.asarray(np.maximum(left, 0.0))

@@ -67,6 +67,7 @@ def segments_cross(a0: Point, a1: Point, b0: Point, b1: Point) -> bool:
     """Whether two segments share a point in the inside of both (touching ends do not count)."""
 
     def side(p: Point, q: Point, r: Point) -> float:
+        """On which side of p q the point r is: positive on the left."""
         return (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0])
 
     return side(a0, a1, b0) * side(a0, a1, b1) < 0.0 and side(b0, b1, a0) * side(b0, b1, a1) < 0.0

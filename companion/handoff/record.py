@@ -57,6 +57,7 @@ def handoff_of(
     height_m = estimate.height_m
 
     def degrees(point: tuple[float, float]) -> Degrees:
+        """A local point on the globe."""
         latitude_deg, longitude_deg, _ = origin.geodetic_from_enu((*point, height_m))
         return (latitude_deg, longitude_deg)
 

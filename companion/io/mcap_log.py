@@ -201,10 +201,12 @@ def _open(path: Path, flight_json: str) -> tuple[Callable[[Message], None], Call
         )
 
     def write(message: Message) -> None:
+        """Add a message to the topic it belongs to."""
         topic, data, stamp_ns = message
         writer.add_message(numbers[topic], stamp_ns, data, stamp_ns)
 
     def finish() -> None:
+        """Write the index and close."""
         writer.finish()  # type: ignore[no-untyped-call]
         file.close()
 

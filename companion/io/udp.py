@@ -284,10 +284,12 @@ async def resolve(name: str, host: str, port: int) -> Address:
     answer: asyncio.Future[str | None] = loop.create_future()
 
     def settle(address: str | None) -> None:
+        """Give the answer, unless nobody waits any more."""
         if not answer.done():
             answer.set_result(address)
 
     def look_up() -> None:
+        """Ask the resolver, which may take long."""
         try:
             address = socket.gethostbyname(host)
         except (OSError, UnicodeError):

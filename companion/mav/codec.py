@@ -55,6 +55,7 @@ class MavCodec:
 
     @system_id.setter
     def system_id(self, value: int) -> None:
+        """Send as another system from now on."""
         self._mav.srcSystem = value
 
     @property

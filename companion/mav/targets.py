@@ -52,6 +52,7 @@ def targets_of_frame(frame: bytes) -> tuple[int, int]:
     start, length = HEADER_LENGTH[frame[0]], frame[1]
 
     def byte(offset: int | None) -> int:
+        """A byte of the payload; 0 where it was cut or is not there."""
         # zeros at the end of a payload are cut in MAVLink 2
         return 0 if offset is None or offset >= length else frame[start + offset]
 

@@ -93,6 +93,7 @@ def _wanted(marker: pytest.Mark, folder: Path) -> tuple[Mission, int, Path]:
     def mission(
         script: str, seed: object = 0, autopilot: object = None
     ) -> tuple[Mission, int, Path]:
+        """The arguments of the marker, checked."""
         if not isinstance(seed, int) or seed < 0:
             raise ValueError(f"mission: seed {seed!r} is not a whole number from 0 up")
         if autopilot not in (None, *get_args(FlavourName)):
@@ -144,6 +145,7 @@ def companion_process(tmp_path: Path) -> Iterator[StartCompanion]:
     started: list[Child] = []
 
     def start(*arguments: str) -> Child:
+        """Start one more companion with these arguments."""
         log = tmp_path / f"companion{len(started) or ''}.log"
         child = Child("companion", ["-m", "sim_link.mission.leashed", *arguments], log)
         child.start()

@@ -101,6 +101,7 @@ def _confirmation(
         with ui.row():
 
             def do() -> None:
+                """Close the question and do what was asked for."""
                 dialog.close()
                 confirmed()
 

@@ -81,6 +81,7 @@ def build_app(
 
     @ui.page("/", title="Companion")
     def page(request: Request, token: str | None = None) -> PlainTextResponse | None:
+        """The live map, for those who may look."""
         client = "" if request.client is None else request.client.host
         if not access.may_view(client, token):
             return PlainTextResponse(REFUSED, 403)
@@ -104,6 +105,7 @@ def _add_tiles(app: FastAPI, access: Access, folder: Path) -> None:
 
     @app.get("/tiles/{zoom}/{x}/{y}.png")
     def one(request: Request, zoom: int, x: int, y: int, token: str | None = None) -> Response:
+        """A map tile, for those who may look."""
         client = "" if request.client is None else request.client.host
         if not access.may_view(client, token):
             return PlainTextResponse(REFUSED, 403)

@@ -195,6 +195,7 @@ class Aircraft:
         origin = self.estimator.world_origin
 
         def enu_from_e7(latitude_e7: int, longitude_e7: int) -> tuple[float, float]:
+            """A place in 1e-7 degrees, local east and north."""
             place = origin.enu_from_geodetic(
                 latitude_e7 / 1e7, longitude_e7 / 1e7, origin.altitude_m
             )

@@ -313,6 +313,7 @@ def _taking(take: Callable[[Any, float], None]) -> Handler:
     """A handler of setpoints: whoever sends one, nothing is answered."""
 
     def handler(message: Message, _: Partner, now_s: float) -> list[Outgoing]:
+        """Take the message in and answer nothing."""
         take(message, now_s)
         return []
 

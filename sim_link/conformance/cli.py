@@ -135,6 +135,7 @@ def _try_all(
     is_vehicle = arguments.role == Role.VEHICLE.value
 
     def make_probe() -> VehicleProbe | CompanionProbe:
+        """A fresh probe of the same role."""
         link.close_others()
         probe = VehicleProbe(link, key) if is_vehicle else CompanionProbe(link, flavour)
         probe.attach()

@@ -112,6 +112,7 @@ def read_all(probe: VehicleProbe) -> list[Parameter]:
     cursor = mark
 
     def is_complete() -> bool:
+        """Whether every index was told."""
         nonlocal cursor
         for entry in probe.inbox[cursor:]:
             cursor += 1

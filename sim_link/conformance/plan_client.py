@@ -90,6 +90,7 @@ def await_request(
     found: list[Message] = []
 
     def is_there() -> bool:
+        """Whether a message of the transfer came."""
         for entry in probe.inbox[mark + len(found) :]:
             found.append(entry.message)
             if isinstance(entry.message, (*REQUESTS, Ack)):
@@ -136,6 +137,7 @@ def next_step(probe: VehicleProbe, mark: int) -> Request | Ack:
     found: list[Request | Ack] = []
 
     def is_there() -> bool:
+        """Whether a message of the transfer came."""
         nonlocal cursor
         while cursor < len(probe.inbox) and not found:
             message = probe.inbox[cursor].message

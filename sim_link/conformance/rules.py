@@ -118,6 +118,7 @@ class RuleBook:
         deviations = {flavour: text for flavour, text in told.items() if text}
 
         def register(probe: Probe) -> Probe:
+            """Add the probe as a rule of its group."""
             name = probe.__name__
             statement = (probe.__doc__ or "").strip().partition("\n")[0]
             self.rules.append(

@@ -137,6 +137,7 @@ class Station:
         self._tasks.append(task)
 
         def stop() -> None:
+            """Send no more of it."""
             if task in self._tasks:
                 self._tasks.remove(task)
 
@@ -219,6 +220,7 @@ class Station:
         cursor = len(self.inbox) if mark is None else mark
 
         def is_there() -> bool:
+            """Whether one came that is looked for."""
             nonlocal cursor
             while cursor < len(self.inbox) and not found:
                 message = self.inbox[cursor].message

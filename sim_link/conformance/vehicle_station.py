@@ -49,6 +49,7 @@ class VehicleStation(Station):
         found: list[mavlink.MAVLink_heartbeat_message] = []
 
         def is_there() -> bool:
+            """Whether an autopilot was heard."""
             found.extend(
                 m
                 for m in self.heard(mavlink.MAVLink_heartbeat_message)

@@ -117,6 +117,7 @@ def _residual_of(rows: Rows) -> Callable[[Vector, Vector], Vector]:
     """Measured minus predicted, the bearing's wrapped."""
 
     def residual(z: Vector, expected: Vector) -> Vector:
+        """The innovation, its bearing wrapped."""
         y = z - expected
         if BEARING in rows:
             index = rows.index(BEARING)

@@ -67,9 +67,11 @@ def hostile_params(rng: np.random.Generator) -> FilterParams:
     """Any filter: plane or space, with or without scale, thresholds, bounds and random walk."""
 
     def either(*values: float | None) -> float | None:
+        """One of some values, perhaps none."""
         return values[int(rng.integers(len(values)))]
 
     def one_of(*values: float) -> float:
+        """One of some values."""
         return values[int(rng.integers(len(values)))]
 
     return FilterParams(
@@ -112,6 +114,7 @@ def hostile_steps(
     for _ in range(steps):
 
         def step(state: FilterState) -> HostileStep:
+            """The next step, or the first one again."""
             nonlocal once
             if once is None or not repeats:
                 once = _step(state, params, rng)

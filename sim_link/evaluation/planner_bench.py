@@ -157,21 +157,25 @@ def contenders(run: RecordedRun) -> list[Contender]:
     )
 
     def run_seconds() -> dict[str, float]:
+        """Of a whole run, per step."""
         begun = process_time()
         run_trial(walk.case, run.system, SEED)
         return {step_of(label): (process_time() - begun) / walk.case.steps}
 
     def step_seconds() -> dict[str, float]:
+        """Of the steps alone, per step."""
         begun = process_time()
         retraced(track_enu_m, walk.z, run.picks, walk.belief, steering)
         return {step_of(label): (process_time() - begun) / steps}
 
     def decision_seconds() -> dict[str, float]:
+        """Of the decisions alone, each."""
         begun = process_time()
         decided(track_enu_m, run.beliefs, run.picks, walk.belief, steering, DECISION_PASSES)
         return {decision_of(label): (process_time() - begun) / (DECISION_PASSES * steps)}
 
     def update_seconds() -> dict[str, float]:
+        """Of the update of filterpy."""
         return {filterpy_of(label): filterpy_seconds(beginning)[FILTERPY_UPDATE]}
 
     if run.system.filter not in KINDS:

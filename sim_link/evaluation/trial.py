@@ -131,6 +131,7 @@ def _compiled_flight(case: Case, system: System) -> Flight:
     window = window_of_system(case, system)
 
     def fly(draws: Matrix, picks: Vector, truth: Truth, start_enu_m: Vector) -> TrialResult:
+        """Fly one draw."""
         record = walked(draws, picks, track, start_enu_m, truth, scene, belief, window, steering)
         return TrialResult(truth, record)
 
@@ -141,6 +142,7 @@ def _object_flight(case: Case, system: System) -> Flight:
     """Flies runs over estimator and planner objects."""
 
     def fly(draws: Matrix, picks: Vector, truth: Truth, start_enu_m: Vector) -> TrialResult:
+        """Fly one draw."""
         del picks
         return flown_trial(case, system, draws, truth, start_enu_m)
 

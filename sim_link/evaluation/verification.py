@@ -117,6 +117,7 @@ def lawnmower_plan(runs: int, seed: int) -> Plan:
     campaigns = [Campaign(Case(), System(name, "passive"), seed, runs) for name in filters]
 
     def figures(tallies: Sequence[Tally]) -> list[Figure]:
+        """What the tallies come to."""
         ours_m, huber_m = (float(tally.rmse_m[-1]) for tally in tallies[:2])
         offset_m = float(tallies[0].range_offset_m[-1] / runs)
         found = [rmse_figure(c, tally) for c, tally in zip(campaigns, tallies, strict=True)]
@@ -170,6 +171,7 @@ def bound_plan(runs: int, seed: int) -> Plan:
     ]
 
     def figures(tallies: Sequence[Tally]) -> list[Figure]:
+        """What the tallies come to."""
         return [bound_figure(c, tally) for c, tally in zip(campaigns, tallies, strict=True)]
 
     return Plan(campaigns, figures)
@@ -200,6 +202,7 @@ def honesty_plan(runs: int, seed: int) -> Plan:
     ]
 
     def figures(tallies: Sequence[Tally]) -> list[Figure]:
+        """What the tallies come to."""
         found: list[Figure] = []
         for campaign, tally in zip(campaigns, tallies, strict=True):
             found += honesty_figures(campaign, tally)

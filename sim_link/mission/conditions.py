@@ -99,6 +99,7 @@ def _lifted(function: Callable[..., Value], *parts: _Part) -> Getter:
     getters = tuple(part.get for part in parts)
 
     def get(situation: Situation) -> Value:
+        """The value now; None: not known."""
         values: list[Any] = [getter(situation) for getter in getters]
         return None if None in values else function(*values)
 
@@ -145,6 +146,7 @@ def _logic(node: ast.BoolOp) -> _Part:
     decisive = isinstance(node.op, ast.Or)
 
     def get(situation: Situation) -> Value:
+        """The value now; None: not known."""
         is_unknown = False
         for getter in getters:
             value = getter(situation)
@@ -165,6 +167,7 @@ def _comparison(node: ast.Compare) -> _Part:
         return _Part(Kind.TRUTH, getters[0], node)
 
     def get(situation: Situation) -> Value:
+        """The value now; None: not known."""
         values = [getter(situation) for getter in getters]
         if False in values:
             return False

@@ -179,6 +179,7 @@ def _accuracy(result: MissionResult) -> Drawing:
     points = result.record.estimates
 
     def error_m(point: EstimatePoint) -> float:
+        """How far an estimate is from its emitter; never 0, for a logarithmic axis."""
         emitter = point.emitter if point.emitter in truth else result.mission.emitter.emitter_id
         return max(math.dist(point.position_enu_m, truth[emitter or 0]), 1e-3)
 

@@ -65,8 +65,8 @@ class WithinEnvelope(Invariant):
         climbed = abs(setpoint.place_enu_m[2] - last.place_enu_m[2])
         if climbed > SHARE * rules.climb_mps * dt_s + TOLERANCE_M and not self._is_here(setpoint):
             self.report("setpoint climbs or sinks too fast", step_m=climbed, dt_s=dt_s)
-        along_m = self._moved_since(vehicle) if self._is_moved_inwards(setpoint) else 0.0
-        self._judge_change(setpoint, last, dt_s, is_moved_along=moved <= along_m + TOLERANCE_M)
+        is_slow_enough = moved <= self._moved_since(vehicle) + TOLERANCE_M
+        self._judge_change(setpoint, last, dt_s, may_be_moved_along=is_slow_enough)
 
     def _moved_since(self, vehicle: Point | None) -> float:
         """How far the vehicle was told to have moved since the setpoint before."""
@@ -75,7 +75,7 @@ class WithinEnvelope(Invariant):
         return math.dist(vehicle, self._vehicle)
 
     def _judge_change(
-        self, setpoint: Setpoint, last: Setpoint, dt_s: float, *, is_moved_along: bool
+        self, setpoint: Setpoint, last: Setpoint, dt_s: float, *, may_be_moved_along: bool
     ) -> None:
         """Faster by no more than the acceleration; stopping is allowed at once.
 
@@ -94,7 +94,9 @@ class WithinEnvelope(Invariant):
         most = SHARE * self.scene.rules.acceleration_mps2 * max(dt_s, TICK_S)
         most += 2.0 * TOLERANCE_M / dt_s
         is_slower = math.hypot(*velocity) <= math.hypot(*last_velocity)
-        if change <= most or is_slower or is_moved_along:
+        if change <= most or is_slower:
+            return
+        if may_be_moved_along and self._is_moved_inwards(setpoint):
             return
         if dt_s > LATE_TICK_S and self._is_here(setpoint):  # so late that it began anew
             self._velocity = None

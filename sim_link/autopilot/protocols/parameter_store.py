@@ -88,6 +88,7 @@ def spec_of(kind: ParamType) -> SpecOf:
         *,
         is_read_only: bool = False,
     ) -> ParamSpec:
+        """A parameter with its bounds."""
         return ParamSpec(name, kind, default, minimum, maximum, unit, is_read_only)
 
     return make

@@ -50,6 +50,7 @@ class _Stream:
 
     @property
     def due_s(self) -> float:
+        """When the next message is due."""
         return self.started_s + self.sent * self.interval_s
 
 

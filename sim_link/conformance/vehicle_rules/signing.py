@@ -127,6 +127,7 @@ def wrong_signature_is_dropped(probe: VehicleProbe) -> None:
     stamp = signer.timestamp + 100
 
     def broken(frame: bytes) -> bytes:
+        """The frame with a signature that is wrong by a bit."""
         done = sign(frame, signer.key, signer.link_id, stamp)
         return done[:-1] + bytes((done[-1] ^ 1,))
 
