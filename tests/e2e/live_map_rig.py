@@ -31,8 +31,14 @@ CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))
 needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="no chromium: apt install chromium")
 
 AUTO = CompanionConfig(mission=SessionParams(engage="auto"))
+ENDLESS = CompanionConfig(mission=SessionParams(engage="auto", stop_confirm_s=3600.0))
+"""Is never content with what it found: a browser may take its time to press a button."""
 SPEED = 4.0
+SLOWLY = 0.2
+"""For what must be seen before the flight goes on."""
 STEP_S = 0.05
+FLYING = re.compile("searching|confirming")
+"""The phase on the page while the companion flies the vehicle."""
 PATIENCE_MS = 60_000
 DESK, PHONE = {"width": 1280, "height": 900}, {"width": 390, "height": 844}
 
@@ -52,6 +58,7 @@ class LiveFlight:
     flight: Flight
     view: WebView
     journal: Journal
+    speed: float = SPEED
     begun: threading.Event = field(default_factory=threading.Event)
     ended: threading.Event = field(default_factory=threading.Event)
 
@@ -59,14 +66,11 @@ class LiveFlight:
         """Fly on at its speed until the test is over."""
         self.step()  # the page wants a first picture
         self.begun.wait()
-        started_s = time.monotonic() - self.flight.now_s / SPEED
+        due_s = time.monotonic()
         while not self.ended.is_set():
             self.step()
-            ahead_s = started_s + self.flight.now_s / SPEED - time.monotonic()
-            if ahead_s > 0.0:
-                time.sleep(ahead_s)
-            else:
-                started_s -= ahead_s
+            due_s = max(due_s + STEP_S / self.speed, time.monotonic())
+            time.sleep(max(0.0, due_s - time.monotonic()))
 
     def step(self) -> None:
         """Fly a little, and show it."""
@@ -76,6 +80,12 @@ class LiveFlight:
             self.view.update(companion, self.flight.now_s)
 
     @property
+    def has_estimate(self) -> bool:
+        """Whether the companion has an idea where the emitter is."""
+        companion = self.flight.companion
+        return companion is not None and companion.session.estimate is not None
+
+    @property
     def vehicle_enu_m(self) -> tuple[float, float, float]:
         """Where the vehicle truly is."""
         return self.flight.sim.vehicle.body.position_enu_m
@@ -83,15 +93,19 @@ class LiveFlight:
 
 @contextmanager
 def live_flight(
-    folder: Path, settings: WebSettings | None = None, *, begins: bool = True
+    folder: Path,
+    settings: WebSettings | None = None,
+    *,
+    begins: bool = True,
+    config: CompanionConfig = AUTO,
 ) -> Iterator[LiveFlight]:
     scenario = Scenario()
     settings = settings or web_settings(str(free_port()), is_control_on=True)
     truth = scenario.emitter.position_enu_m[:2]
-    view = WebView(settings, AUTO, (truth[0], truth[1]))
+    view = WebView(settings, config, (truth[0], truth[1]))
     log = FlightJournal(folder, time.time())
     journal = view.listen(log)
-    live = LiveFlight(settings, Flight(AUTO, scenario, 1, journal), view, journal)
+    live = LiveFlight(settings, Flight(config, scenario, 1, journal), view, journal)
     thread = threading.Thread(target=live.fly, daemon=True)
     thread.start()
     if begins:

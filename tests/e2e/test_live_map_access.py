@@ -17,6 +17,8 @@ from companion.web.settings import web_settings
 from companion.web.tiles import NO_TILE
 from tests.e2e.live_map_rig import (
     DESK,
+    ENDLESS,
+    FLYING,
     PATIENCE_MS,
     Watched,
     chromium,
@@ -115,14 +117,14 @@ def test_an_open_map_has_buttons_only_with_the_token_and_lays_it_on_tiles(
         is_view_open=True,
         tiles=with_tile(tmp_path),
     )
-    with live_flight(tmp_path, settings, begins=False) as live:
+    with live_flight(tmp_path, settings, begins=False, config=ENDLESS) as live:
         base = f"http://127.0.0.1:{settings.port}/"
         until_up(base)
         looking = Watched(browser, base, DESK)
         pressing = Watched(browser, f"{base}?token={settings.token}", DESK)
         live.begun.set()
         for watched in (looking, pressing):
-            expect(watched.page.locator("#phase")).to_contain_text("searching", timeout=PATIENCE_MS)
+            expect(watched.page.locator("#phase")).to_contain_text(FLYING, timeout=PATIENCE_MS)
             assert watched.page.locator(".leaflet-tile").count() > 0
         assert looking.page.locator("#button-hold").count() == 0
         pressing.page.locator("#button-hold").click()
