@@ -46,7 +46,6 @@ example:
 
 more:
   sim-link mission run FILE...   fly mission scripts and tell pass or fail
-  sim-link proxy --fault MAPPING  a bad link between a vehicle and a companion
   sim-link radio --follow URL    a radio payload for a vehicle that has none
   sim-link proxy --fault MAPPING  a bad link between a vehicle and a companion"""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import concurrent.futures
 import importlib.util
 import multiprocessing
+import shutil
 import signal
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -22,7 +23,7 @@ from sim_link.lockstep.journal import Notes
 from sim_link.mission.in_memory import Progress, fly_in_memory
 from sim_link.mission.mavsdk_operator import check_installed
 from sim_link.mission.process_faults import check_faults
-from sim_link.mission.result import MissionResult, slug
+from sim_link.mission.result import MissionResult, flight_name, how_flown
 from sim_link.mission.script import Mission
 from sim_link.mission.script_file import flown_config, load_mission
 from sim_link.mission.summary import Summary, summary_of
@@ -41,6 +42,13 @@ class FlightTask:
     """Times real time, with real processes; None: lockstep."""
     connect: str | None = None
     """The link to a vehicle that is there already."""
+
+    @property
+    def flight_name(self) -> str:
+        """What its folder is called while it is flown, when nobody knows yet who answers."""
+        flavour = self.mission.autopilot.flavour if self.connect is None else "vehicle"
+        how = how_flown(self.speed, self.connect)
+        return flight_name(self.mission.name, flavour, how, self.seed)
 
 
 def check_reports() -> None:
@@ -80,7 +88,7 @@ class Campaign:
                 check_faults(mission, str(path), is_our_vehicle=self.connect is None)
         if self.speed is not None:
             check_installed()
-        return [
+        tasks = [
             FlightTask(
                 mission=mission,
                 file=str(path),
@@ -92,15 +100,48 @@ class Campaign:
             for path, mission in loaded
             for seed in self.seeds
         ]
+        if self.reports is not None:
+            _check_names(tasks)
+        return tasks
 
     def _load(self, path: Path) -> list[Mission]:
         """The script, once for every autopilot that it is to be flown on."""
         mission = load_mission(path)
+        flavours = flavours_of(mission, str(path))
         if self.connect is not None:
             return [mission]
-        own = mission.autopilots or (mission.autopilot.flavour,)
-        flavours = own if self.autopilot is None else (self.autopilot,)
-        return [with_autopilot(mission, flavour) for flavour in flavours]
+        wanted = flavours if self.autopilot is None else (self.autopilot,)
+        return [with_autopilot(mission, flavour) for flavour in wanted]
+
+
+def flavours_of(mission: Mission, name: str) -> tuple[FlavourName, ...]:
+    """The autopilots that a script is to be flown on.
+
+    Raises:
+        ConfigError: It lists one twice.
+    """
+    flavours = tuple(mission.autopilots or (mission.autopilot.flavour,))
+    for flavour in set(flavours):
+        if flavours.count(flavour) > 1:
+            raise ConfigError(f"{name}: $.autopilots: {flavour} is listed more than once")
+    return flavours
+
+
+def _check_names(tasks: Sequence[FlightTask]) -> None:
+    """Make sure that no flight writes over the report of another.
+
+    Raises:
+        ConfigError: Two of them have one name.
+    """
+    files: dict[str, str] = {}
+    for task in tasks:
+        name = task.flight_name
+        if name in files:
+            raise ConfigError(
+                f"{task.file}: $.name: its report would be {name}, which is that of "
+                f"{files[name]}; give one of them another name, or fly them with two --report"
+            )
+        files[name] = task.file
 
 
 def with_autopilot(mission: Mission, flavour: FlavourName) -> Mission:
@@ -185,16 +226,36 @@ def _fly(task: FlightTask, progress: Progress | None) -> MissionResult:
         return fly_in_memory(task.mission, task.seed, task.file, progress)
     from sim_link.mission.over_udp import fly_over_udp
 
-    name = f"{slug(task.mission.name)}-{task.mission.autopilot.flavour}-seed{task.seed}"
-    return fly_over_udp(
+    keep = None if task.reports is None else Path(task.reports) / task.flight_name
+    result = fly_over_udp(
         task.mission,
         task.seed,
         task.file,
         speed=task.speed,
         connect=task.connect,
-        keep=None if task.reports is None else Path(task.reports) / name,
+        keep=keep,
         progress=progress,
     )
+    if keep is not None:
+        _rename_folder(keep, result.flight_name)
+    return result
+
+
+def _rename_folder(folder: Path, name: str) -> None:
+    """Give a flight's folder the name of its report, in place of an earlier one of that name.
+
+    Raises:
+        CompanionError: That cannot be done.
+    """
+    target = folder.with_name(name)
+    if target == folder:
+        return
+    try:
+        if target.exists():
+            shutil.rmtree(target)
+        folder.rename(target)
+    except OSError as error:
+        raise CompanionError(f"{target}: cannot be replaced ({error.strerror})") from error
 
 
 def write_report(folder: Path, result: MissionResult) -> str:
@@ -203,9 +264,9 @@ def write_report(folder: Path, result: MissionResult) -> str:
     Raises:
         CompanionError: A file cannot be written.
     """
-    from sim_link.mission.report import report_name, report_page
+    from sim_link.mission.report import report_page
 
-    name = report_name(result)
+    name = result.flight_name
     path = folder / f"{name}.html"
     if result.record.frames:
         write_bytes_atomic(folder / f"{name}.tlog", result.tlog)

@@ -28,7 +28,7 @@ from sim_link.lockstep.operator import Operator as Station
 from sim_link.mission.journal import EventReader
 from sim_link.mission.operator import Action, Arm, Grant, SwitchMode, TakeOff
 from sim_link.mission.record import FlightRecord, Said, Violated
-from sim_link.mission.result import MissionResult
+from sim_link.mission.result import MissionResult, how_flown
 from sim_link.mission.script import Mission
 from sim_link.mission.script_file import flown_config
 from sim_link.mission.situation import Situation
@@ -66,7 +66,7 @@ def fly_in_memory(
     record.wall_s = time.perf_counter() - started
     record.cpu_s = time.process_time() - started_cpu
     verdicts = verdicts_of(Flown(mission, record, flight.situation))
-    return MissionResult(mission, file, seed, "lockstep", record, tuple(verdicts))
+    return MissionResult(mission, file, seed, how_flown(None, None), record, tuple(verdicts))
 
 
 class _MissionFlight:

@@ -37,7 +37,7 @@ from sim_link.mission.mavsdk_operator import MavsdkOperator
 from sim_link.mission.operator import SwitchMode
 from sim_link.mission.process_faults import ProcessHarness
 from sim_link.mission.record import FlightRecord
-from sim_link.mission.result import MissionResult
+from sim_link.mission.result import MissionResult, how_flown
 from sim_link.mission.script import Mission
 from sim_link.mission.script_file import flown_config
 from sim_link.mission.situation import Situation
@@ -108,7 +108,7 @@ def fly_over_udp(
             flight.close()
         flight.record.wall_s = time.perf_counter() - started
         flight.judge()
-    how = f"speed {speed:g}" if connect is None else f"{connect}"
+    how = how_flown(speed, connect)
     verdicts = verdicts_of(Flown(mission, flight.record, flight.situation))
     return MissionResult(mission, file, seed, how, flight.record, tuple(verdicts))
 

@@ -16,7 +16,7 @@ from companion import __version__
 from companion.domain import Point
 from companion.report.drawing import Drawing, square_around
 from sim_link.mission.record import EstimatePoint, FlightRecord
-from sim_link.mission.result import MissionResult, slug
+from sim_link.mission.result import MissionResult
 from sim_link.mission.script import Mission
 from sim_link.mission.verdicts import true_places
 from sim_link.monitor.scope import TITLES
@@ -48,12 +48,6 @@ class InvariantRow:
     """None: not judged."""
     note: str
     """How far it was judged, or why not."""
-
-
-def report_name(result: MissionResult) -> str:
-    """The report's file name without its ending."""
-    name, how = slug(result.mission.name), slug(result.how)
-    return f"{name}-{result.flavour}-{how}-seed{result.seed}"
 
 
 def report_page(result: MissionResult) -> str:

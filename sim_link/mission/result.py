@@ -17,9 +17,30 @@ EPOCH_S = 946_684_800.0
 """2000-01-01 in Unix time: an invented clock has no date, and readers of tlogs want one."""
 
 
+MAX_SLUG = 80
+"""Characters; a file name has two of these and may have 255 in all."""
+
+
 def slug(name: str) -> str:
-    """A mission's name as part of a file name."""
-    return re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-") or "mission"
+    """A mission's name as part of a file name, cut to `MAX_SLUG`."""
+    return re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-")[:MAX_SLUG].strip("-") or "mission"
+
+
+def flight_name(mission: str, flavour: str, how: str, seed: int) -> str:
+    """What the files and the folder of a flight are called, without an ending."""
+    return f"{slug(mission)}-{flavour}-{slug(how)}-seed{seed}"
+
+
+def how_flown(speed: float | None, connect: str | None) -> str:
+    """`lockstep`, `speed 4`, or the link to a vehicle that is not ours.
+
+    Args:
+        speed: Times real time, with real processes; None: lockstep.
+        connect: The vehicle's link; None: it is a simulated one.
+    """
+    if connect is not None:
+        return connect
+    return "lockstep" if speed is None else f"speed {speed:g}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +51,7 @@ class MissionResult:
     file: str
     seed: int
     how: str
-    """`lockstep`, `speed 4`, or the link to a vehicle that is not ours."""
+    """See `how_flown`."""
     record: FlightRecord
     verdicts: tuple[Verdict, ...]
 
@@ -48,6 +69,11 @@ class MissionResult:
     def title(self) -> str:
         """What reports call it."""
         return f"{self.mission.name} ({self.flavour}), seed {self.seed}"
+
+    @property
+    def flight_name(self) -> str:
+        """What its files are called, without an ending."""
+        return flight_name(self.mission.name, self.flavour, self.how, self.seed)
 
     @property
     def flavour(self) -> str:

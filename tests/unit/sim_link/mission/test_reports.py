@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import io
 import json
+from dataclasses import replace
 from html.parser import HTMLParser
 from xml.etree import ElementTree
 
+import msgspec
 import pytest
 
 from companion.report.drawing import MAX_POINTS, Drawing, square_around, thinned
 from sim_link.mission.junit import junit_xml
 from sim_link.mission.progress import PlainProgress, progress_for
 from sim_link.mission.record import EstimatePoint, FlightRecord, Report, Said, StepOutcome, Violated
-from sim_link.mission.report import invariants_of, report_name, report_page
+from sim_link.mission.report import invariants_of, report_page
 from sim_link.mission.result import MissionResult
 from sim_link.mission.script_file import parse_mission
 from sim_link.mission.summary import Summary, campaign_lines, summary_of
@@ -111,7 +113,11 @@ def test_the_page_of_a_flight_that_saw_nothing_has_no_charts() -> None:
 
 
 def test_a_reports_name_is_a_file_name() -> None:
-    assert report_name(result_of()) == "two-rubble-heaps-px4-lockstep-seed3"
+    result = result_of()
+    assert result.flight_name == "two-rubble-heaps-px4-lockstep-seed3"
+    long = msgspec.structs.replace(result.mission, name="x" * 400)
+    link = replace(result, mission=long, how="udpin:127.0.0.1:14550")
+    assert link.flight_name == f"{'x' * 80}-px4-udpin-127.0.0.1-14550-seed3"
 
 
 def test_junit_counts_cases_and_names_failures() -> None:
