@@ -1,8 +1,8 @@
 """YAML text to frozen parameter records, with errors that name the file and the place.
 
-msgspec checks types, bounds and unknown keys against the record. Three things it does not see are
-checked here: keys given twice (YAML keeps the last one silently), numbers that are not finite, and
-`1e-3` without a point, which YAML 1.1 reads as text.
+msgspec checks types, bounds and unknown keys against the record. What it does not see is checked
+here: keys given twice (YAML keeps the last one silently), numbers that are not finite, texts that
+cannot be shown, and two things of YAML 1.1: `1e-3` without a point is text, and `2:00` is 120.
 
 msgspec stops at the first problem. Here what is wrong is taken out and the rest is looked at again,
 so that one run names every problem of a file, a line for each.
@@ -29,8 +29,17 @@ SMALLEST = 1e-12
 MAX_PROBLEMS = 20
 """More lines than this help nobody."""
 
+SHOWN = 20
+"""Characters of a value that an error repeats."""
+
 MAX_BYTES = 1_000_000
 """No file of ours comes near; one beyond it is something else, or meant to keep us busy."""
+
+UNSHOWN = "has characters that cannot be shown"
+_UNSHOWN = re.compile(
+    r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff]"
+)
+"""Control characters, those that turn the direction of a line, and halves of a character."""
 
 _PATH_PART = re.compile(r"\.(?P<key>[^.\[]+)|\[(?P<index>\d+)\]")
 _MSGSPEC_PATH = re.compile(r"^(?P<problem>.*) - at `(?P<path>\$.*)`$", re.DOTALL)
@@ -40,7 +49,7 @@ _MISSING_KEY = re.compile(r"^Object missing required field `(?P<key>.*)`$")
 
 
 class _Loader(yaml.SafeLoader):
-    """The safe loader that also refuses a key given twice and reads `1e-3` as a number."""
+    """The safe loader, without what surprises people; see above."""
 
     def construct_mapping(
         self, node: yaml.MappingNode, deep: bool = False
@@ -62,7 +71,30 @@ class _Loader(yaml.SafeLoader):
             seen.add(name)
         return super().construct_mapping(node, deep)
 
+    def construct_number(self, node: yaml.ScalarNode) -> int | float:
+        """The number of a node, as the safe loader makes it.
 
+        Raises:
+            ConstructorError: It is in base sixty, or has too many digits.
+        """
+        problem = "is too large"
+        try:
+            if ":" not in node.value:
+                is_whole = node.tag == "tag:yaml.org,2002:int"
+                make = self.construct_yaml_int if is_whole else self.construct_yaml_float
+                number: int | float = make(node)
+                return number
+            problem = "would be read in base sixty; give one number, or a text in quotes"
+        except ValueError:
+            pass
+        shown = node.value if len(node.value) <= SHOWN else f"{node.value[:SHOWN]}..."
+        raise yaml.constructor.ConstructorError(
+            None, None, f"the number `{shown}` {problem}", node.start_mark
+        )
+
+
+for _tag in ("int", "float"):
+    _Loader.add_constructor(f"tag:yaml.org,2002:{_tag}", _Loader.construct_number)
 _Loader.add_implicit_resolver(
     "tag:yaml.org,2002:float",
     re.compile(r"^[-+]?[0-9][0-9_]*[eE][-+]?[0-9]+$"),
@@ -192,6 +224,9 @@ def _parse(text: str, name: str) -> object:
         where = f" line {mark.line + 1}, column {mark.column + 1}:" if mark else ""
         problem = _one_line(error.problem or error.context or "not YAML")
         raise ConfigError(f"{name}:{where} {problem}") from None
+    except yaml.reader.ReaderError as error:
+        line = text.count("\n", 0, error.position) + 1
+        raise ConfigError(f"{name}: line {line}: {UNSHOWN}") from None
     except RecursionError:
         raise ConfigError(f"{name}: nested too deeply") from None
     except (yaml.YAMLError, ValueError, OverflowError) as error:
@@ -217,7 +252,9 @@ def _located(text: str) -> _Problem:
 
 
 def _strange_values(value: object, path: str, seen: set[int]) -> list[_Problem]:
-    """NaN, infinity, underflow and keys that are no text; aliased nodes are visited once."""
+    """NaN, infinity, underflow, control characters, keys that are no text; aliases only once."""
+    if isinstance(value, str) and _UNSHOWN.search(value):
+        return [_Problem(path, UNSHOWN)]
     if isinstance(value, float) and not math.isfinite(value):
         return [_Problem(path, "must be a finite number")]
     if isinstance(value, float) and 0.0 < abs(value) < SMALLEST:

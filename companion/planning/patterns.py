@@ -26,6 +26,8 @@ from companion.planning.tracks import (
     sector_search,
 )
 
+MOST_LEGS = 2000
+"""More cannot be flown, and planning them would cost the flight its ticks."""
 HeadingDeg = Annotated[float, msgspec.Meta(ge=0.0, le=360.0)]
 Corner = Literal["nearest", "south_west", "south_east", "north_west", "north_east"]
 
@@ -49,6 +51,14 @@ class LawnmowerParams(SearchParams, frozen=True):
             raise ValueError("area_enu_m needs at least 3 corners, all finite")
         if not is_simple(area) or area_m2(area) < 1.0:
             raise ValueError("area_enu_m must enclose an area, without edges that cross")
+        if math.dist(*_extent(area)) > MOST_LEGS * self.spacing_m:
+            raise ValueError(f"area_enu_m would take more than {MOST_LEGS} lanes at this spacing_m")
+
+
+def _extent(area: Polygon) -> tuple[Point, Point]:
+    """The south-western and the north-eastern corner of the box around an area."""
+    east, north = zip(*area, strict=True)
+    return (min(east), min(north)), (max(east), max(north))
 
 
 class DatumSearchParams(SearchParams, frozen=True):
@@ -70,6 +80,8 @@ class ExpandingSquareParams(DatumSearchParams, frozen=True):
         """Refuse a square without a ring."""
         if self.radius_m < self.spacing_m:
             raise ValueError("radius_m must not be less than spacing_m")
+        if 4.0 * self.radius_m > MOST_LEGS * self.spacing_m:
+            raise ValueError(f"radius_m would take more than {MOST_LEGS} legs at this spacing_m")
 
 
 class SectorParams(DatumSearchParams, frozen=True):

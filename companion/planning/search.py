@@ -28,10 +28,14 @@ TRANSITIONS_AT_ONCE = 4
 """Leg ends that one request may pass; more are not reached at one place by any real track."""
 
 
+Spacing = Annotated[float, msgspec.Meta(ge=1.0)]
+"""Metres between neighbouring legs."""
+
+
 class SearchParams(Params, frozen=True):
     """What every pattern has."""
 
-    spacing_m: Annotated[float, msgspec.Meta(ge=1.0)] = 20.0
+    spacing_m: Spacing = 20.0
     """Distance between neighbouring legs: not more than twice what the radio surely hears."""
     arrival_radius_m: Positive = 1.5
     """The end of a leg counts as reached within this distance."""

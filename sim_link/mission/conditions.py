@@ -90,7 +90,10 @@ def parse_condition(text: str) -> Condition:
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         column = getattr(error, "offset", None) or 1
         raise ConditionError(f"`{text}`: not a condition (column {column})") from None
-    part = _truth_of(tree.body)
+    try:
+        part = _truth_of(tree.body)
+    except RecursionError:
+        raise ConditionError("nested too deeply") from None
     return Condition(text.strip(), part.get)
 
 

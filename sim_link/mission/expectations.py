@@ -12,18 +12,23 @@ from sim_link.world.target import EmitterId
 
 Source = Literal["companion", "autopilot"]
 INVARIANTS = tuple(f"I{number}" for number in range(1, 13))
+NEVER_JUDGED = {"I10", "I12"}
+"""What no flight alone can show: see missions.md."""
+NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
 
 
 class Bound(Params, frozen=True):
-    """A number's limits; one of them at least."""
+    """Limits of a number that is never negative; one of them at least."""
 
-    at_most: float | None = None
-    at_least: float | None = None
+    at_most: NotNegative | None = None
+    at_least: NotNegative | None = None
 
     def __post_init__(self) -> None:
-        """Refuse a bound that bounds nothing."""
+        """Refuse a bound that bounds nothing, and one that nothing can keep."""
         if self.at_most is None and self.at_least is None:
             raise ValueError("give at_most, at_least or both")
+        if self.at_most is not None and self.at_least is not None and self.at_least > self.at_most:
+            raise ValueError("nothing is at least at_least and at most at_most: they are swapped")
 
     def holds(self, value: float) -> bool:
         """Whether a value is inside."""
@@ -81,6 +86,8 @@ class Violations(Params, frozen=True):
         for name in self.invariants:
             if name not in INVARIANTS:
                 raise ValueError(f"there is no invariant {name}: I1 to I12 are")
+        if not set(self.invariants) - NEVER_JUDGED:
+            raise ValueError("invariants: none that a flight can judge; leave the list out")
 
 
 class Expectation(Params, frozen=True, kw_only=True):

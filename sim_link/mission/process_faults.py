@@ -8,10 +8,11 @@ import math
 import signal
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 
 import msgspec
 
-from companion.errors import ConfigError
+from companion.config.load import read_text
 from sim_link.autopilot.incidents import Incident, WindChange
 from sim_link.faults.faulty_link import FaultyLink
 from sim_link.faults.injector import incident_of
@@ -27,6 +28,7 @@ from sim_link.faults.kinds import (
 from sim_link.lockstep.observer import Observer
 from sim_link.mission.children import Child
 from sim_link.mission.script import Mission
+from sim_link.mission.script_file import located
 
 
 class ProcessHarness:
@@ -134,14 +136,15 @@ def check_faults(mission: Mission, name: str, *, is_our_vehicle: bool) -> None:
         ConfigError: One cannot.
     """
     for number, (_, step) in enumerate(mission.named_steps):
-        where = f"{name}: $.steps[{number}].inject"
-        if isinstance(step, VehicleFault):
-            if not is_our_vehicle:
-                raise ConfigError(f"{where}: a vehicle that is not ours cannot be broken")
-            if not _is_incident(step):
-                raise ConfigError(f"{where}: only possible in lockstep")
+        problem = None
         if isinstance(step, SecurityFault):
-            raise ConfigError(f"{where}: only possible in lockstep")
+            problem = "only possible in lockstep"
+        elif isinstance(step, VehicleFault) and not is_our_vehicle:
+            problem = "a vehicle that is not ours cannot be broken"
+        elif isinstance(step, VehicleFault) and not _is_incident(step):
+            problem = "only possible in lockstep"
+        if problem is not None:
+            raise located(read_text(Path(name)), name, f"$.steps[{number}].inject", problem)
 
 
 def _is_incident(fault: VehicleFault) -> bool:

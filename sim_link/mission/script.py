@@ -13,7 +13,8 @@ import msgspec
 from msgspec import UNSET, UnsetType
 
 from companion.config.schema import CompanionConfig
-from companion.params import Params, Positive
+from companion.params import Params
+from companion.planning.search import Spacing
 from sim_link.autopilot.scenario import FlavourName, FlightAltitude, Scenario
 from sim_link.faults.kinds import Fault
 from sim_link.mission.expectations import Expectation
@@ -72,7 +73,7 @@ class SearchStep(Params, frozen=True):
     """
 
     pattern: PatternName = "lawnmower"
-    spacing_m: Positive | None = None
+    spacing_m: Spacing | None = None
     """Between lanes or legs; null: the companion's own."""
     area_enu_m: tuple[Corner, ...] | None = None
     """Corners of what a lawnmower sweeps; null: the companion's own."""
@@ -199,7 +200,7 @@ STEP_KINDS: dict[str, type[Params]] = {
 class Mission(Scenario, frozen=True, kw_only=True):
     """One flight from the first frame to the verdict; beside these all keys of a scenario."""
 
-    name: Annotated[str, msgspec.Meta(min_length=1)]
+    name: Annotated[str, msgspec.Meta(min_length=1, max_length=100)]
     about: str = ""
     """What it shows, in a sentence."""
     autopilots: tuple[FlavourName, ...] = ()

@@ -31,8 +31,11 @@ from sim_link.mission.script import (
 _TOKEN = re.compile(r"\.([^.\[\]]+)|\[(\d+)\]")
 _MESSAGE = re.compile(r"^(?P<path>\$[^:]*): (?P<problem>.*)$", re.DOTALL)
 _STEP = re.compile(r"^\$\.steps\[\d+\]$")
+_UNKNOWN_STEP = re.compile(r"^\$\.steps\[\d+\]\.(?P<name>[^.\[\]]+)$")
 _CHOICE = re.compile(r"^Invalid (?:enum )?value '(?P<value>.*)'$")
 
+STEPS = (*STEP_KINDS, "inject")
+ONE_LINE = "must be one line"
 MISSING = "required key is missing"
 Problem = tuple[str, str]
 """A path in the script, and what is wrong there."""
@@ -64,12 +67,12 @@ def parse_mission(text: str, name: str, folder: Path = Path()) -> Mission:
         problems = _told_apart(str(error), name)
         if not problems:
             raise
-        lines = [str(_located(text, name, path, _with_hint(path, what))) for path, what in problems]
+        lines = [str(located(text, name, path, _with_hint(path, what))) for path, what in problems]
         raise ConfigError("\n".join(lines)) from None
     if isinstance(mission.companion, str):
         mission = _with_companion_file(mission, text, name, folder)
     for where, problem in _problems(mission):
-        raise _located(text, name, where, problem)
+        raise located(text, name, where, problem)
     return mission
 
 
@@ -110,7 +113,15 @@ def line_of(text: str, path: str) -> int | None:
     return None if line is None else line + 1
 
 
-def _located(text: str, name: str, path: str, problem: str) -> ConfigError:
+def located(text: str, name: str, path: str, problem: str) -> ConfigError:
+    """The error at a path of a script, with its line.
+
+    Args:
+        text: The script.
+        name: What to call it, usually its file.
+        path: Like `$.steps[3].limit_s`.
+        problem: What is wrong there.
+    """
     line = line_of(text, path)
     where = name if line is None else f"{name}:{line}"
     return ConfigError(f"{where}: {path}: {problem}")
@@ -132,16 +143,18 @@ def _told_apart(message: str, name: str) -> list[Problem]:
 
 def _with_hint(path: str, problem: str) -> str:
     """The problem, and what may have been meant where a name is not known."""
+    misspelt = _UNKNOWN_STEP.match(path)
+    if misspelt is not None and problem.startswith("unknown key"):
+        return _unknown("step", misspelt["name"], STEPS)
     match = _CHOICE.match(problem)
     if match is None:
         return problem
     if path.endswith(".inject.kind"):
         return _unknown("fault", match["value"], KINDS)
     if _STEP.match(path):
-        steps = (*STEP_KINDS, "inject")
-        if match["value"] in steps:
+        if match["value"] in STEPS:
             return f"{match['value']} needs keys: `{match['value']}: {{...}}`"
-        return _unknown("step", match["value"], steps)
+        return _unknown("step", match["value"], STEPS)
     return problem
 
 
@@ -156,12 +169,14 @@ def _with_companion_file(mission: Mission, text: str, name: str, folder: Path) -
     try:
         config = load_config(path)
     except ConfigError as error:
-        raise _located(text, name, "$.companion", str(error)) from None
+        raise located(text, name, "$.companion", str(error)) from None
     return msgspec.structs.replace(mission, companion=config)
 
 
 def _problems(mission: Mission) -> Iterator[Problem]:
     """What no single record can see."""
+    if len(mission.name.splitlines()) > 1:
+        yield "$.name", ONE_LINE
     contradiction = inconsistency(mission.config)
     if contradiction is not None:
         path, _, problem = contradiction.partition(": ")
@@ -170,6 +185,13 @@ def _problems(mission: Mission) -> Iterator[Problem]:
     for number, emitter_id in enumerate(ids[1:]):
         if emitter_id in ids[: number + 1]:
             yield f"$.emitters[{number}].emitter_id", f"{emitter_id} is given twice"
+    for emitter_id in mission.config.emitters.listed:
+        if emitter_id not in ids:
+            known = ", ".join(str(each) for each in ids)
+            yield (
+                "$.companion.emitters.listed",
+                f"there is no emitter {emitter_id}, only {known}",
+            )
     yield from _step_problems(mission)
     yield from _expectation_problems(mission, ids)
     contradiction = inconsistency(flown_config(mission))
@@ -192,6 +214,10 @@ def _step_problems(mission: Mission) -> Iterator[Problem]:
                     yield f"{path}.area_enu_m", "only a lawnmower has an area"
                 if mission.config.planner.kind in ("lawnmower", "expanding_square", "sector"):
                     yield path, "the companion's planner.kind is a search already"
+                try:
+                    flown_config(mission)
+                except ValueError as error:
+                    yield path, str(error)
             case TakeoffStep(altitude_m=float(height_m)):
                 highest_m = mission.config.limits.altitude_max_m
                 if height_m > highest_m:
@@ -205,6 +231,8 @@ def _expectation_problems(mission: Mission, emitter_ids: list[int]) -> Iterator[
         path = f"$.expectations[{number}]"
         if expectation.name in seen:
             yield f"{path}.name", f"`{expectation.name}` is given twice"
+        if len(expectation.name.splitlines()) > 1:
+            yield f"{path}.name", ONE_LINE
         seen.add(expectation.name)
         yield from _one_expectation(path, expectation, emitter_ids)
 

@@ -144,6 +144,7 @@ class RadioChannel:
             range_sigma_m=character.range_sigma_m,
             bearing_enu_rad=wrap_pi(bearing_rad),
             bearing_sigma_rad=character.bearing_sigma_rad,
+            quality=emitter.quality,
         )
 
     def _character(self, emitter: Emitter) -> _Character:

@@ -24,6 +24,8 @@ class EmitterParams(Params, frozen=True):
     height_m: Coordinate = 0.0
     channel: ChannelParams | None = None
     """How it is heard, what is left out being canonical; None: over the scenario's `channel`."""
+    quality: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] | None = None
+    """What the radio says of its signal; None: nothing."""
 
 
 class Emitter:
@@ -36,6 +38,7 @@ class Emitter:
     def __init__(self, params: EmitterParams) -> None:
         self.emitter_id = params.emitter_id
         self.channel = params.channel
+        self.quality = params.quality
         self.position_enu_m: PositionEnu = (*params.position_enu_m, params.height_m)
 
     def slant_range_m(self, sensor_enu_m: PositionEnu) -> float:

@@ -10,12 +10,15 @@ import pytest
 from companion.config.schema import CompanionConfig, PlannerConfig
 from companion.domain import FlightMode, RangingMeasurement
 from companion.geometry.frames import bearing_ned_from_enu, wrap_pi
+from companion.guidance.emitters import Order, QueueParams
 from companion.guidance.session import SessionParams
 from companion.link.params import VehicleParams
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.ranging import message_from_ranging
 from sim_link.autopilot.endpoint import SimEndpoint
+from sim_link.autopilot.scenario import Scenario
+from sim_link.world.target import EmitterParams
 from tests.loop.loop_helpers import AUTO, Loop
 
 EMITTER = (50.0, 50.0, 0.0)
@@ -79,6 +82,19 @@ def test_any_ranging_message_on_a_second_link_finds_the_emitter(form: str) -> No
     loop = Loop(payload_source=Radio(form))
     loop.run_until(lambda: bool(loop.notes.results), 150.0)
     assert loop.error_m <= 1.5
+
+
+@pytest.mark.parametrize(("order", "turns"), [("nearest", [1, 2]), ("strongest", [2, 1])])
+def test_emitters_have_their_turns_by_nearness_or_by_what_the_radio_says(
+    order: Order, turns: list[int]
+) -> None:
+    near = EmitterParams(emitter_id=1, position_enu_m=(30.0, 25.0), quality=0.2)
+    loud = EmitterParams(emitter_id=2, position_enu_m=(60.0, 55.0), quality=0.9)
+    mission = SessionParams(engage="auto", stop_radius_m=1.9, stop_confirm_s=2.0)
+    config = CompanionConfig(mission=mission, emitters=QueueParams(order=order))
+    loop = Loop(config, Scenario(emitter=near, emitters=(loud,)))
+    loop.run_until(lambda: len(loop.notes.results) == 2, 240.0)
+    assert [report.emitter_id for _, report in loop.notes.results] == turns
 
 
 @pytest.mark.parametrize("clock_s", [UNIX_S, -1.0], ids=["unix time", "no clock"])

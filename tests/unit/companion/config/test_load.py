@@ -130,6 +130,32 @@ def test_broken_yaml_is_a_config_error_in_one_line(text: str) -> None:
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        (
+            "filter:\n  window: 2:00",
+            "line 2, column 11: the number `2:00` would be read in base six",
+        ),
+        (
+            "filter:\n  window: 1:2.5",
+            "line 2, column 11: the number `1:2.5` would be read in base s",
+        ),
+        ("\nfilter: {window: 1" + "0" * 5000 + "}", "line 2, column 18: the number `1000000000000"),
+        ("filter:\n  name: a\0b", "line 2: has characters that cannot be shown"),
+        ('name: "a\\e[31mb"', "$.name: has characters that cannot be shown"),
+        ('name: "a\\uD800b"', "$.name: has characters that cannot be shown"),
+        ('name: "a\\u202Eb"', "$.name: has characters that cannot be shown"),
+    ],
+)
+def test_what_yaml_reads_otherwise_than_people_is_refused_with_its_place(
+    text: str, problem: str
+) -> None:
+    with pytest.raises(ConfigError) as caught:
+        parse_yaml(text, Settings, "a.yaml")
+    assert str(caught.value).startswith(f"a.yaml: {problem}")
+
+
 def test_a_syntax_error_tells_line_and_column() -> None:
     with pytest.raises(ConfigError, match=r"^a\.yaml: line 2, column \d+: "):
         parse_yaml("name: a\nfilter: }", Settings, "a.yaml")

@@ -11,9 +11,12 @@ from companion.errors import ConfigError
 from sim_link.autopilot.scenario import Scenario
 from sim_link.faults.kinds import LinkLoss
 from sim_link.mission.expectations import Expectation
+from sim_link.mission.process_faults import check_faults
 from sim_link.mission.script import STEP_KINDS, ArmStep, ReturnStep, TakeoffStep
 from sim_link.mission.script_file import flown_config, line_of, load_mission, parse_mission
 
+BOW_TIE = [[0, 0], [10, 10], [10, 0], [0, 10]]
+VAST = [[0, 0], [90_000, 0], [0, 90_000]]
 FAR = [[900, 900], [910, 900], [910, 910]]
 """A place outside of the fence."""
 SCRIPT = """\
@@ -76,7 +79,23 @@ def test_the_search_of_a_script_is_the_companions_search() -> None:
     ("old", "new", "complaint"),
     [
         ("limit_s: 60", "limit_s: -3", "m.yaml:18: $.steps[3].wait_until.limit_s: Expected"),
-        ("  - arm:", "  - arms:", "m.yaml:14: $.steps[1].arms: unknown key"),
+        ("  - arm:", "  - arms:", "m.yaml:14: $.steps[1].arms: there is no step `arms`; did you m"),
+        ("spacing_m: 15", "spacing_m: 0.5", "m.yaml:20: $.steps[5].search.spacing_m: Expected"),
+        ("spacing_m: 15", "area_enu_m: [[0, 0], [1, 1]]", "m.yaml:20: $.steps[5].search: area"),
+        ("spacing_m: 15", f"area_enu_m: {BOW_TIE}", "$.steps[5].search: area_enu_m must enclose"),
+        ("spacing_m: 15", f"spacing_m: 1, area_enu_m: {VAST}", "more than 2000 lanes"),
+        ("lawnmower, spacing_m: 15", "expanding_square, spacing_m: 500", "radius_m must not be le"),
+        (
+            "companion:",
+            "companion:\n  emitters: {order: listed, listed: [9]}",
+            "there is no emitter 9, only 7, 8",
+        ),
+        ("name: two steps", 'name: "two\\nsteps"', "m.yaml:1: $.name: must be one line"),
+        ("name: quiet", 'name: "qu\\niet"', "$.expectations[1].name: must be one line"),
+        ("name: two steps", 'name: "\\uD800"', "m.yaml:1: $.name: has characters that cannot"),
+        ("estimate.r95_m <", "-" * 900 + "1 <", "$.steps[3].wait_until.condition: nested too dee"),
+        ("at_most: 1,", "at_most: -1,", "$.expectations[0].final_error_m.at_most: Expected"),
+        ("at_most: 1,", "at_most: 1, at_least: 2,", "they are swapped"),
         ("  - connect", "  - conect", "m.yaml:13: $.steps[0]: there is no step `conect`;"),
         ("  - connect", "  - conect", "did you mean connect?"),
         ("  - connect", "  - fly", "known are connect, wait_ready, arm,"),
@@ -135,6 +154,34 @@ def test_an_error_in_any_expectation_is_refused_with_its_line(kind: str) -> None
     text = f"name: x\nsteps: [connect]\nexpectations:\n  - {{name: a, {kind}: [wrong]}}\n"
     with pytest.raises(ConfigError, match=rf"^m\.yaml:4: \$\.expectations\[0\]\.{kind}"):
         parse_mission(text, "m.yaml")
+
+
+@pytest.mark.parametrize("invariants", [[], ["I12"], ["I10", "I12"]])
+def test_invariants_that_no_flight_can_judge_are_no_expectation(invariants: list[str]) -> None:
+    expectation = f"{{name: a, violations: {{invariants: {invariants}}}}}"
+    with pytest.raises(ConfigError, match=r"violations\.invariants: none that a flight can judge"):
+        parse_mission(f"name: x\nsteps: [connect]\nexpectations: [{expectation}]", "m.yaml")
+    parse_mission(
+        "name: x\nsteps: [connect]\nexpectations: [{name: a, violations: {invariants: [I1, I12]}}]",
+        "m.yaml",
+    )
+
+
+@pytest.mark.parametrize(
+    ("kind", "is_our_vehicle", "complaint"),
+    [
+        ("forged_frames", True, "only possible in lockstep"),
+        ("battery", False, "a vehicle that is not ours cannot be broken"),
+    ],
+)
+def test_a_fault_that_cannot_be_injected_is_told_with_its_line(
+    kind: str, is_our_vehicle: bool, complaint: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "m.yaml"
+    path.write_text(f"name: x\nsteps:\n  - connect\n  - inject: {{kind: {kind}}}\n")
+    mission = load_mission(path)
+    with pytest.raises(ConfigError, match=rf"m\.yaml:4: \$\.steps\[1\]\.inject: {complaint}"):
+        check_faults(mission, str(path), is_our_vehicle=is_our_vehicle)
 
 
 def test_a_companions_file_is_found_beside_the_script(tmp_path: Path) -> None:
