@@ -23,10 +23,12 @@ from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.incidents import Incident
 from sim_link.config import Scenario, load_scenario
 from sim_link.fleet import Fleet
+from sim_link.interrupts import is_interrupt
 from sim_link.vehicles import Files, Wishes, has_ended, link_specs, make_vehicles
 
 DEFAULT_LISTEN = "127.0.0.1:14580"
 DEFAULT_SEND_TO = ("127.0.0.1:14550", "127.0.0.1:14540")
+EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
 SUBCOMMANDS = ("mission", "radio", "proxy")
 MAX_SPEED = 1000.0
@@ -82,7 +84,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: Arguments without the program's name; None takes the process's.
 
     Returns:
-        0 after a stop, 2 for bad input or a port that is taken; of a subcommand, its own.
+        0 after a stop, 1 after an interrupt before the start, 2 for bad input or a port that
+        is taken; of a subcommand, its own.
     """
     given = sys.argv[1:] if argv is None else list(argv)
     try:
@@ -94,6 +97,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     except CompanionError as error:
         print(f"sim-link: {error}", file=sys.stderr)
         return EXIT_BAD_INPUT
+    except (KeyboardInterrupt, SystemError) as problem:  # before what has an end of its own
+        if not is_interrupt(problem):
+            raise
+        print("sim-link: interrupted", file=sys.stderr)
+        return EXIT_FAILED
 
 
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:

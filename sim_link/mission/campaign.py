@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import asyncio
 import concurrent.futures
 import importlib.util
 import multiprocessing
 import shutil
 import signal
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from multiprocessing.synchronize import Event
 from pathlib import Path
 
 import msgspec
@@ -16,6 +19,8 @@ import msgspec
 from companion.config.schema import CompanionConfig
 from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_bytes_atomic, write_text_atomic
+from companion.io.links import TcpClient, link_from_url, make_link
+from companion.io.urls import parse_link_url
 from companion.run import build_endpoint, prepare
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import FlavourName
@@ -51,15 +56,29 @@ class FlightTask:
         return flight_name(self.mission.name, flavour, how, self.seed)
 
 
-def check_reports() -> None:
-    """Make sure, before any flight, that reports can be made.
+Done = Callable[[int, Summary], None]
+"""Takes the position of a task and the summary of its flight."""
+
+
+def check_reports(folder: Path) -> None:
+    """Make sure, before any flight, that reports can be made and written.
+
+    Args:
+        folder: Where to; made if it is not there.
 
     Raises:
         ConfigError: A package is missing; the message says how to get it.
+        CompanionError: Nothing can be written there.
     """
     if importlib.util.find_spec("jinja2") is None:
         text = "reports need jinja2: pip install 'companion-guidance[mission]'"
         raise ConfigError(f"--report: {text}")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=folder):  # only trying tells, root may do anything
+            pass
+    except OSError as error:
+        raise CompanionError(f"--report {folder}: cannot be written ({error.strerror})") from error
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +99,7 @@ class Campaign:
 
         Raises:
             ConfigError: A script is wrong; nothing was started.
+            LinkError: The vehicle's link cannot be opened.
         """
         loaded = [(path, mission) for path in self.files for mission in self._load(path)]
         for path, mission in loaded:
@@ -88,6 +108,8 @@ class Campaign:
                 check_faults(mission, str(path), is_our_vehicle=self.connect is None)
         if self.speed is not None:
             check_installed()
+        if self.connect is not None:
+            asyncio.run(_check_link(self.connect))
         tasks = [
             FlightTask(
                 mission=mission,
@@ -144,6 +166,21 @@ def _check_names(tasks: Sequence[FlightTask]) -> None:
         files[name] = task.file
 
 
+async def _check_link(text: str) -> None:
+    """Open the vehicle's link and close it again, before any process is started.
+
+    Raises:
+        ConfigError: It is no link.
+        LinkError: It cannot be opened.
+    """
+    spec = link_from_url(parse_link_url(text))
+    if isinstance(spec, TcpClient):
+        return  # waited for as long as it is not there, and a vehicle may serve one client only
+    link = make_link(spec, 0, lambda _: None)
+    await link.open()
+    link.close()
+
+
 def with_autopilot(mission: Mission, flavour: FlavourName) -> Mission:
     """The mission on another autopilot."""
     autopilot = msgspec.structs.replace(mission.autopilot, flavour=flavour)
@@ -174,51 +211,118 @@ def warm_up(tasks: Sequence[FlightTask]) -> None:
 
 
 def fly_all(
-    tasks: Sequence[FlightTask], jobs: int, progress: Progress | None = None
-) -> Iterator[tuple[int, Summary]]:
-    """Fly them; the summaries with the positions of their tasks, as they come.
+    tasks: Sequence[FlightTask], jobs: int, done: Done, progress: Progress | None = None
+) -> None:
+    """Fly them.
 
     Args:
         tasks: What to fly.
         jobs: How many at once; 1: in this process.
+        done: Told the position of a task and its summary, as they come.
         progress: Told of every slice where there is one job.
 
     Raises:
-        CompanionError: A process ended by force, or a report cannot be written.
+        KeyboardInterrupt: Of those that were not over by then nothing is told.
     """
-    if jobs <= 1 or len(tasks) <= 1:
-        for position, task in enumerate(tasks):
-            yield position, fly_task(task, progress)
+    if jobs > 1 and len(tasks) > 1:
+        _fly_in_processes(tasks, jobs, done)
         return
+    for position, task in enumerate(tasks):
+        _tell(done, position, fly_task(task, progress))
+
+
+def _tell(done: Done, position: int, summary: Summary) -> None:
+    done(position, summary)
+    if summary.is_interrupted:
+        raise KeyboardInterrupt
+
+
+def _fly_in_processes(tasks: Sequence[FlightTask], jobs: int, done: Done) -> None:
     context = multiprocessing.get_context("spawn")
+    is_over = context.Event()
     pool = concurrent.futures.ProcessPoolExecutor(
-        min(jobs, len(tasks)), mp_context=context, initializer=_leave_interrupts_to_the_parent
+        min(jobs, len(tasks)), mp_context=context, initializer=_begin_worker, initargs=(is_over,)
     )
+    waiting = {pool.submit(_fly_in_worker, task): n for n, task in enumerate(tasks)}
     try:
-        waiting = {pool.submit(fly_task, task): n for n, task in enumerate(tasks)}
-        for future in concurrent.futures.as_completed(waiting):
-            yield waiting[future], future.result()
-    except concurrent.futures.BrokenExecutor as error:
-        raise CompanionError("a process ended by force; try fewer --jobs") from error
+        for future in concurrent.futures.as_completed(list(waiting)):
+            position = waiting[future]
+            _tell(done, position, _summary_of_worker(future, tasks[position]))
+            del waiting[future]
+    except KeyboardInterrupt:
+        is_over.set()
+        pool.shutdown(wait=True, cancel_futures=True)
+        for future, position in waiting.items():
+            if not future.cancelled() and future.exception() is None:
+                done(position, future.result())
+        raise
     finally:
+        is_over.set()
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _leave_interrupts_to_the_parent() -> None:
+def _summary_of_worker(future: concurrent.futures.Future[Summary], task: FlightTask) -> Summary:
+    try:
+        return future.result()
+    except concurrent.futures.BrokenExecutor:
+        return unflown(task, "a process ended by force; try fewer --jobs")
+
+
+_told_to_stop: list[Event] = []
+"""In a worker: set once the campaign is over."""
+
+
+def _begin_worker(is_over: Event) -> None:
+    """Leave interrupts to the parent, who tells of them."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _told_to_stop.append(is_over)
+
+
+def _fly_in_worker(task: FlightTask) -> Summary:
+    _stop_where_told()
+    return fly_task(task, lambda _runner, _situation: _stop_where_told())
+
+
+def _stop_where_told() -> None:
+    if any(is_over.is_set() for is_over in _told_to_stop):
+        raise KeyboardInterrupt
 
 
 def fly_task(task: FlightTask, progress: Progress | None = None) -> Summary:
-    """Fly one, and write its report.
-
-    Raises:
-        CompanionError: A process does not start, or the report cannot be written.
-    """
-    result = _fly(task, progress)
+    """Fly one, and write its report; what goes wrong with that is the summary's error."""
+    try:
+        result = _fly(task, progress)
+    except (CompanionError, OSError) as error:
+        return unflown(task, str(error))
     summary = summary_of(result)
     if task.reports is None:
         return summary
-    return summary.with_report(write_report(Path(task.reports), result))
+    folder = Path(task.reports)
+    try:
+        if task.speed is not None:
+            _rename_folder(folder / task.flight_name, result.flight_name)
+        return replace(summary, report=write_report(folder, result))
+    except CompanionError as error:
+        return replace(summary, error=str(error))
+
+
+def unflown(task: FlightTask, error: str) -> Summary:
+    """What is told of a flight that did not come to an end, and why."""
+    return Summary(
+        name=task.mission.name,
+        flavour=task.mission.autopilot.flavour,
+        file=task.file,
+        seed=task.seed,
+        how=how_flown(task.speed, task.connect),
+        verdicts=(),
+        time_s=0.0,
+        distance_m=0.0,
+        final_error_m=None,
+        r95_m=None,
+        closest_approach_m=None,
+        wall_s=0.0,
+        error=error,
+    )
 
 
 def _fly(task: FlightTask, progress: Progress | None) -> MissionResult:
@@ -227,7 +331,7 @@ def _fly(task: FlightTask, progress: Progress | None) -> MissionResult:
     from sim_link.mission.over_udp import fly_over_udp
 
     keep = None if task.reports is None else Path(task.reports) / task.flight_name
-    result = fly_over_udp(
+    return fly_over_udp(
         task.mission,
         task.seed,
         task.file,
@@ -236,9 +340,6 @@ def _fly(task: FlightTask, progress: Progress | None) -> MissionResult:
         keep=keep,
         progress=progress,
     )
-    if keep is not None:
-        _rename_folder(keep, result.flight_name)
-    return result
 
 
 def _rename_folder(folder: Path, name: str) -> None:

@@ -7,10 +7,18 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from companion.errors import CompanionError, ConfigError
+from companion.errors import ConfigError
 from companion.io.files import check_writable, write_text_atomic
 from companion.kernel import IS_COMPILED
-from sim_link.mission.campaign import Campaign, FlightTask, check_reports, fly_all, warm_up
+from sim_link.interrupts import is_interrupt
+from sim_link.mission.campaign import (
+    Campaign,
+    FlightTask,
+    check_reports,
+    fly_all,
+    unflown,
+    warm_up,
+)
 from sim_link.mission.junit import junit_xml
 from sim_link.mission.progress import PlainProgress, progress_for
 from sim_link.mission.summary import Summary, campaign_lines
@@ -32,8 +40,8 @@ examples:
   sim-link mission run configs/missions/canonical.yaml --speed 4 --report reports
   sim-link mission run configs/missions/canonical.yaml --connect udpin:127.0.0.1:14550
 
-exit code: 0 every expectation is met, 1 one is not, 2 a script or an argument is wrong (then
-nothing was started)"""
+exit code: 0 every expectation is met, 1 one is not, or a flight came to no end or has no report,
+2 a script or an argument is wrong (then nothing was started)"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -69,45 +77,60 @@ def run(arguments: argparse.Namespace) -> int:
 
     Raises:
         ConfigError: A script or an argument is wrong; nothing was started.
-        CompanionError: A flight could not be flown at all.
+        CompanionError: A file cannot be written or a link not be opened; nothing was started.
     """
     campaign = _campaign(arguments)
+    if campaign.reports is not None:
+        check_reports(campaign.reports)
     if arguments.junit is not None:
         check_writable(arguments.junit)
-    if campaign.reports is not None:
-        check_reports()
-        _make_folder(campaign.reports)
     tasks = campaign.tasks()
-    if IS_COMPILED and sys.stdout.isatty():
-        print("compiling kernels: half a minute the first time")
-    warm_up(tasks)
+    progress = progress_for(len(tasks), campaign.jobs)
     summaries: dict[int, Summary] = {}
     try:
-        with progress_for(len(tasks), campaign.jobs) as progress:
-            _fly(tasks, campaign.jobs, progress, summaries)
-    except KeyboardInterrupt:
-        print("sim-link: interrupted", file=sys.stderr)
-        return EXIT_FAILED
+        if _is_flown(tasks, campaign.jobs, progress, summaries):
+            for line in campaign_lines(_in_order(tasks, summaries)):
+                progress.say(line)
+        else:
+            done = sum(not summary.is_interrupted for summary in summaries.values())
+            print(f"sim-link: interrupted after {done} of {len(tasks)} flights", file=sys.stderr)
     finally:
-        ordered = [summaries[position] for position in sorted(summaries)]
+        ordered = _in_order(tasks, summaries)
         if arguments.junit is not None:
             write_text_atomic(arguments.junit, junit_xml(ordered))
-    for line in campaign_lines(ordered):
-        print(line)
     return EXIT_PASSED if all(summary.is_passed for summary in ordered) else EXIT_FAILED
 
 
-def _fly(
+def _is_flown(
     tasks: Sequence[FlightTask],
     jobs: int,
     progress: PlainProgress,
     summaries: dict[int, Summary],
-) -> None:
-    for position, summary in fly_all(tasks, jobs, progress.moved):
+) -> bool:
+    """Fly everything into `summaries`; whether nobody interrupted that."""
+
+    def done(position: int, summary: Summary) -> None:
+        """A flight is over."""
         summaries[position] = summary
         progress.finished(summary)
-        if summary.is_interrupted:
-            raise KeyboardInterrupt
+
+    try:
+        if IS_COMPILED and sys.stdout.isatty():
+            print("compiling kernels: half a minute the first time")
+        warm_up(tasks)
+        with progress:
+            fly_all(tasks, jobs, done, progress.moved)
+    except (KeyboardInterrupt, SystemError) as error:
+        if not is_interrupt(error):
+            raise
+        return False
+    return True
+
+
+def _in_order(tasks: Sequence[FlightTask], summaries: dict[int, Summary]) -> list[Summary]:
+    """One for every task, also for those that were not over when the campaign ended."""
+    reason = "interrupted: the campaign ended before this flight was over"
+    return [summaries.get(n) or unflown(task, reason) for n, task in enumerate(tasks)]
 
 
 def _campaign(arguments: argparse.Namespace) -> Campaign:
@@ -144,10 +167,3 @@ def _speed(arguments: argparse.Namespace) -> float | None:
     if not 0.0 < speed <= MAX_SPEED:
         raise ConfigError(f"--speed {arguments.speed}: give lockstep, or 0 to {MAX_SPEED:g}")
     return speed
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise CompanionError(f"--report {folder}: cannot be made ({error.strerror})") from error

@@ -10,6 +10,7 @@ Everything starts before the first frame is passed on, so the mission's time is 
 from __future__ import annotations
 
 import asyncio
+import shutil
 import signal
 import tempfile
 import time
@@ -146,6 +147,7 @@ class _UdpFlight:
         self._clock = Clock(speed)
         self._started_unix_s = time.time()
         (folder / "flight.tlog").unlink(missing_ok=True)  # an earlier mission's; it is appended to
+        shutil.rmtree(folder / "state", ignore_errors=True)
         self._tlog = TlogWriter(folder / "flight.tlog")
         self._heard_wall_s = time.monotonic()
         self._progress: Progress | None = None

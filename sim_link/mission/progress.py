@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from types import TracebackType
@@ -29,6 +30,7 @@ class PlainProgress:
         self._is_detailed = is_detailed
         self._done = 0
         self._step = 0
+        self._is_heard = True
 
     def __enter__(self) -> PlainProgress:
         """Begin."""
@@ -57,16 +59,22 @@ class PlainProgress:
         self.say(flight_line(summary, self._done, self._total))
         for verdict in summary.failed:
             self.say(f"     {verdict.name}: {verdict.found}")
+        if summary.error:
+            self.say(f"     {summary.error}")
         if summary.doubt:
             self.say(f"     {summary.doubt}")
 
     def say(self, line: str) -> None:
         """Print a line, as long as somebody reads."""
+        if not self._is_heard:
+            return
         try:
             self._output.write(f"{line}\n")
             self._output.flush()
         except BrokenPipeError:
-            pass
+            self._is_heard = False
+            if self._output is sys.stdout:  # what it still holds is not to be tried at the exit
+                sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115  stays open
 
 
 class LiveProgress(PlainProgress):
@@ -150,6 +158,8 @@ def state_line(runner: StepRunner, situation: Situation) -> str:
 def flight_line(summary: Summary, number: int, total: int) -> str:
     """How a flight ended, in a line."""
     verdict = "PASS" if summary.is_passed else "FAIL"
+    if not summary.is_flown:
+        return f"{verdict} [{number}/{total}] {summary.title}: not flown to its end"
     line = f"{verdict} [{number}/{total}] {summary.title}: {summary.time_s:.1f} s"
     if summary.final_error_m is not None and summary.r95_m is not None:
         line += f", error {summary.final_error_m:.2f} m, R95 {summary.r95_m:.2f} m"

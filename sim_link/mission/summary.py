@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from sim_link.mission.result import MissionResult
 from sim_link.mission.verdicts import Verdict
@@ -35,6 +35,8 @@ class Summary:
     is_interrupted: bool = False
     report: str = ""
     """Where the report is; empty: there is none."""
+    error: str = ""
+    """Why it did not come to an end, or has no report; empty: nothing went wrong."""
 
     @property
     def title(self) -> str:
@@ -48,8 +50,13 @@ class Summary:
 
     @property
     def is_passed(self) -> bool:
-        """Whether all are met."""
-        return not self.failed
+        """Whether all are met, and nothing went wrong."""
+        return not self.failed and not self.error
+
+    @property
+    def is_flown(self) -> bool:
+        """Whether it came to an end."""
+        return bool(self.verdicts)
 
     @property
     def is_inside_r95(self) -> bool | None:
@@ -72,10 +79,6 @@ class Summary:
     def times_real_time(self) -> float:
         """Simulated seconds per second."""
         return self.time_s / self.wall_s if self.wall_s > 0.0 else math.inf
-
-    def with_report(self, path: str) -> Summary:
-        """The same, with the place of its report."""
-        return replace(self, report=path)
 
 
 def summary_of(result: MissionResult) -> Summary:
@@ -126,5 +129,7 @@ def _mission_line(runs: list[Summary]) -> str:
     if errors:
         line += f", error at most {max(errors):.2f} m, {sum(inside)}/{len(inside)} inside R95"
     flown_s, cpu_s = sum(run.time_s for run in runs), sum(run.cpu_s for run in runs)
-    line += f", {flown_s / sum(run.wall_s for run in runs):.0f}x"
+    wall_s = sum(run.wall_s for run in runs)
+    if wall_s > 0.0:
+        line += f", {flown_s / wall_s:.0f}x"
     return f"{line} ({flown_s / cpu_s:.0f}x by processor time)" if cpu_s > 0.0 else line

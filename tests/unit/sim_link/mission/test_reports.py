@@ -132,6 +132,30 @@ def test_junit_counts_cases_and_names_failures() -> None:
     assert root[1].get("name") == "two <rubble> heaps (px4), seed 4"
 
 
+def test_a_flight_that_came_to_no_end_is_an_error_and_no_pass() -> None:
+    whole = summary_of(result_of())
+    unwritten = replace(whole, error="disk full")
+    unflown = replace(whole, error="port taken", verdicts=(), time_s=0.0, wall_s=0.0)
+    assert whole.is_passed
+    assert not unwritten.is_passed
+    assert not unflown.is_passed
+    root = ElementTree.fromstring(junit_xml([whole, unwritten, unflown]))
+    assert [root.get(name) for name in ("tests", "failures", "errors")] == ["6", "0", "2"]
+    assert [suite.get("errors") for suite in root] == ["0", "1", "1"]
+    assert [error.get("message") for error in root.iter("error")] == ["disk full", "port taken"]
+    output = io.StringIO()
+    progress = PlainProgress(2, output, is_detailed=False)
+    for summary in (unwritten, unflown):
+        progress.finished(summary)
+    first, reason, second, other = output.getvalue().splitlines()
+    assert first.startswith("FAIL [1/2]")
+    assert second == "FAIL [2/2] two <rubble> heaps (px4), seed 3: not flown to its end"
+    assert (reason.strip(), other.strip()) == ("disk full", "port taken")
+    assert campaign_lines([unflown])[0] == (
+        "two <rubble> heaps (px4): 0/1 passed, error at most 0.10 m, 1/1 inside R95"
+    )
+
+
 def test_the_event_log_is_json_lines_with_the_verdicts_last() -> None:
     lines = [json.loads(line) for line in result_of().event_log.splitlines()]
     assert lines[0] == {
@@ -197,8 +221,8 @@ def test_a_reader_who_goes_away_does_not_end_the_flights() -> None:
 
 
 def test_a_summary_knows_its_report_and_its_speed() -> None:
-    summary: Summary = summary_of(result_of()).with_report("a.html")
-    assert summary.report == "a.html"
+    summary: Summary = replace(summary_of(result_of()), report="a.html")
+    assert 'value="a.html"' in junit_xml([summary])
     assert summary.times_real_time == pytest.approx(240.0)
 
 
