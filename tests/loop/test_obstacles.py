@@ -17,8 +17,8 @@ from sim_link.world.sight import is_blocked_in_space
 from tests.loop.loop_helpers import AUTO, Loop
 
 SCENARIO = Path(__file__).parents[2] / "configs" / "scenarios" / "obstacle.yaml"
-SEEDS = range(4)
-FLIGHT_S = 120.0
+SEEDS = range(3)
+FLIGHT_S, AFTER_S = 120.0, 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,8 @@ def fly(seed: int) -> Flight:
     block = scenario.obstacles[0].corners_enu_m
     limits = msgspec.structs.replace(AUTO.limits, keep_out_enu_m=(block,))
     loop = Loop(config=msgspec.structs.replace(AUTO, limits=limits), scenario=scenario, seed=seed)
-    loop.run(FLIGHT_S)
+    loop.run_until(lambda: bool(loop.notes.results), FLIGHT_S)
+    loop.run(AFTER_S)
     assert scenario.environment is not None
     edges, target = scenario.environment.edges, (*scenario.emitter.position_enu_m, 0.0)
     flown = [place for place in loop.true_positions if place[2] > 3.0][::25]

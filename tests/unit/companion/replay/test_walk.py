@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from companion.estimation.tracker_params import TrackerParams
 from companion.estimation.window_map import WindowParams
 from companion.replay.walk import TargetResult, read_walk, replay_walk
 
+RADIOS = ["AP1", "AP6", "AP8"]
 ROOT = Path(__file__).parents[4]
 MALL = ROOT / "tests/data/rtt_mall_w9_p1.csv"
 WIFI = ROOT / "configs/companion/wifi_rtt.yaml"
@@ -26,24 +28,30 @@ def errors_m(results: list[TargetResult]) -> list[float]:
     return [result.error_m for result in results if result.error_m is not None]
 
 
-def test_recorded_wifi_walk_is_localised_within_its_claimed_radius_by_the_window() -> None:
+def test_recorded_wifi_walk_is_localised_within_its_claimed_radius_by_the_window(
+    tmp_path: Path,
+) -> None:
+    """Half of the radios that were recorded there; all six are one `companion replay` away."""
+    walk = tmp_path / "walk.csv"
+    with MALL.open(newline="") as file:
+        write_walk(walk, [row for row in csv.DictReader(file) if row["target_id"] in RADIOS])
     params = load_config(WIFI).estimation
-    results = replay_walk(MALL, params)
-    assert [r.target_id for r in results] == ["AP1", "AP2", "AP5", "AP6", "AP7", "AP8"]
-    assert sum(r.rows for r in results) == 7872
+    results = replay_walk(walk, params)
+    assert [r.target_id for r in results] == RADIOS
+    assert sum(r.rows for r in results) == 3928
     assert float(np.median(errors_m(results))) <= 0.8
     assert max(errors_m(results)) <= 2.1
     covered = [
         r.error_m is not None and r.estimate is not None and r.error_m <= r.estimate.r95_m
         for r in results
     ]
-    assert sum(covered) >= 5
+    assert all(covered)
     without = TrackerParams(filter=params.filter, window=WindowParams(enabled=False))
-    alone = errors_m(replay_walk(MALL, without))
+    alone = errors_m(replay_walk(walk, without))
     assert float(np.median(errors_m(results))) < 0.7 * float(np.median(alone))
 
 
-def write_walk(path: Path, rows: list[dict[str, object]]) -> Path:
+def write_walk(path: Path, rows: Sequence[Mapping[str, object]]) -> Path:
     with path.open("w", newline="") as file:
         writer = csv.DictWriter(file, fieldnames=list(rows[0]))
         writer.writeheader()
