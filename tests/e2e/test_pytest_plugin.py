@@ -10,7 +10,10 @@ from pathlib import Path
 TESTS = """\
 import time
 
+import pytest
 
+
+@pytest.mark.sim_vehicle(autopilot="ardupilot", seed=3, speed=2)
 def test_a_companion_meets_a_vehicle(sim_vehicle, companion_process, tmp_path):
     companion = companion_process("--connect", sim_vehicle)
     deadline_s = time.monotonic() + 60.0
@@ -18,6 +21,16 @@ def test_a_companion_meets_a_vehicle(sim_vehicle, companion_process, tmp_path):
         assert companion.is_alive
         assert time.monotonic() < deadline_s
         time.sleep(0.05)
+    assert (tmp_path / "sim-link.log").read_text().startswith("sim-link: ardupilot, ")
+    assert len(list(tmp_path.glob("flights/*/events.jsonl"))) == 1
+
+
+@pytest.mark.sim_vehicle(scenario="none.yaml")
+def test_a_vehicle_without_a_scenario(sim_vehicle): ...
+
+
+@pytest.mark.sim_vehicle(sead=1)
+def test_a_vehicle_that_is_spelt_wrong(sim_vehicle): ...
 
 
 def test_a_link_that_breaks(faulty_link):
@@ -46,5 +59,8 @@ def test_processes_and_links_are_there_for_tests_of_ones_own(tmp_path: Path) -> 
     )
     said = done.stdout + done.stderr
     assert "PASSED test_own.py::test_a_companion_meets_a_vehicle" in said, said
+    assert "none.yaml: no such file" in said, said
+    assert "sim_vehicle() got an unexpected keyword argument 'sead'" in said, said
+    assert not (tmp_path / "flights").exists()
     assert "PASSED test_own.py::test_a_link_that_breaks" in said, said
     assert "mission_result needs @pytest.mark.mission" in said, said

@@ -36,6 +36,22 @@ def test_broken():
     pass
 
 
+@pytest.mark.mission("listed.yaml")
+def test_listed(request, mission_result):
+    assert mission_result.flavour == request.node.callspec.id
+
+
+@pytest.mark.mission("ardupilot.yaml")
+def test_only(mission_result):
+    assert mission_result.flavour == "ardupilot"
+
+
+@pytest.mark.mission("hop.yaml")
+@pytest.mark.mission("ardupilot.yaml")
+def test_two():
+    pass
+
+
 def test_others_are_left_alone(faulty_link):
     assert faulty_link.carry(b"x", next(iter(faulty_link._acting)), 0.0) == [(0.0, b"x")]
 """
@@ -47,13 +63,15 @@ def test_marked_tests_fly_and_fail_by_the_names_of_expectations(tmp_path: Path) 
     (tmp_path / "broken.yaml").write_text(
         SCRIPT.replace("- name", "").replace("[connect,", "[fly,")
     )
+    (tmp_path / "listed.yaml").write_text(SCRIPT + "autopilots: [px4, ardupilot]\n")
+    (tmp_path / "ardupilot.yaml").write_text(SCRIPT + "autopilots: [ardupilot]\n")
     (tmp_path / "test_mine.py").write_text(TESTS)
     done = subprocess.run(
         [
             sys.executable,
             "-m",
             "pytest",
-            "-q",
+            "-rA",
             "-p",
             "companion.testing.plugin",
             "--strict-markers",
@@ -65,7 +83,10 @@ def test_marked_tests_fly_and_fail_by_the_names_of_expectations(tmp_path: Path) 
         timeout=300.0,
         check=False,
     )
-    assert "1 failed, 2 passed, 1 error" in done.stdout, done.stdout
+    assert "1 failed, 5 passed, 2 errors" in done.stdout, done.stdout
+    assert "test_listed[px4]" in done.stdout
+    assert "test_listed[ardupilot]" in done.stdout
+    assert "mission: a test flies one script" in done.stdout
     assert "During handling" not in done.stdout
     assert "stays low: vehicle.height_m < 2 was false at" in done.stdout
     assert "broken.yaml:2: $.steps[0]" in done.stdout
@@ -76,6 +97,7 @@ def test_marked_tests_fly_and_fail_by_the_names_of_expectations(tmp_path: Path) 
     [
         ('"hop.yaml", sead=3', "mission() got an unexpected keyword argument 'sead'"),
         ('"hop.yaml", seed="x"', "mission: seed 'x' is not a whole number from 0 up"),
+        ('"hop.yaml", seed=True', "mission: seed True is not a whole number from 0 up"),
         ('"hop.yaml", seed=-1', "mission: seed -1 is not a whole number from 0 up"),
         ('"hop.yaml", autopilot="boeing"', "mission: autopilot 'boeing' is not px4 or ardupilot"),
         ("", "mission() missing 1 required positional argument: 'script'"),
