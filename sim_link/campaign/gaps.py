@@ -63,6 +63,13 @@ class Gaps(Observer):
             self.false_losses += 1
 
 
+def pauses_of(gaps: Gaps, share: float) -> list[str]:
+    """What is wrong with the stream at such a loss: that it paused for too long."""
+    if gaps.worst_s <= MOST_GAP_S[share]:
+        return []
+    return [f"gap of {gaps.worst_s:.3f} s at {share:.0%} loss"]
+
+
 class GapHours:
     """The part of the campaign that flies for hours."""
 
@@ -85,9 +92,7 @@ class GapHours:
         share = LOSSES[trial.seed % len(LOSSES)]
         around, gaps = flown(trial.seed, share, trial.size * HOUR_S)
         name = f"{share:.0%}".replace("%", "_pct")
-        findings = []
-        if gaps.worst_s > MOST_GAP_S[share]:
-            findings.append(f"gap of {gaps.worst_s:.3f} s at {share:.0%} loss")
+        findings = pauses_of(gaps, share)
         if not math.isfinite(around.monitor.fence.closest_m):
             findings.append("the companion never was in control")
         return Outcome(

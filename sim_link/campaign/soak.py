@@ -11,6 +11,7 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -63,35 +64,61 @@ class Soak:
             shutil.rmtree(directory, ignore_errors=True)
 
 
+@dataclass(slots=True)
+class Usage:
+    """What a process took of the machine, sample by sample."""
+
+    hours: list[float] = field(default_factory=list)
+    memory_mb: list[float] = field(default_factory=list)
+    descriptors: list[int] = field(default_factory=list)
+    log_bytes: int = 0
+
+    def sample(self, now_s: float) -> None:
+        """Look at this process."""
+        self.hours.append(now_s / HOUR_S)
+        self.memory_mb.append(resident_mb())
+        self.descriptors.append(len(os.listdir("/proc/self/fd")))
+
+    @property
+    def slope_mb_per_h(self) -> float:
+        """How memory grew once it had settled."""
+        settled_h = min(SETTLED_H, 0.5 * self.hours[-1])
+        return slope_after(self.hours, self.memory_mb, settled_h)
+
+    def findings(self) -> list[str]:
+        """What grew; memory is judged where there are enough hours to tell."""
+        findings = []
+        if self.slope_mb_per_h > SLOPE_MB_PER_H and self.hours[-1] > 2.0 * SETTLED_H:
+            findings.append(f"memory grows by {self.slope_mb_per_h:.3f} MB/h")
+        if self.descriptors[-1] != self.descriptors[0]:
+            findings.append(f"{self.descriptors[0]} descriptors became {self.descriptors[-1]}")
+        if self.log_bytes > LOG_SLACK * LOG_CAP_BYTES:
+            findings.append(f"the log has {self.log_bytes} bytes, its cap is {LOG_CAP_BYTES}")
+        return findings
+
+
 def _soaked(trial: Trial, directory: Path) -> Outcome:
     flight, monitor, journal = _flight(trial.seed, directory)
-    hours: list[float] = []
-    memory_mb: list[float] = []
-    descriptors: list[int] = []
+    usage = Usage()
     while flight.now_s < trial.size * HOUR_S:
         flight.run(min(SAMPLE_S, trial.size * HOUR_S - flight.now_s))
-        hours.append(flight.now_s / HOUR_S)
-        memory_mb.append(resident_mb())
-        descriptors.append(len(os.listdir("/proc/self/fd")))
-        if trial.size > TOLD_FROM_H and len(hours) % round(HOUR_S / SAMPLE_S) == 0:
-            told = f"  soak: {hours[-1]:.0f} of {trial.size:g} h, {memory_mb[-1]:.1f} MB\n"
+        usage.sample(flight.now_s)
+        if trial.size > TOLD_FROM_H and len(usage.hours) % round(HOUR_S / SAMPLE_S) == 0:
+            hours, memory_mb = usage.hours[-1], usage.memory_mb[-1]
+            told = f"  soak: {hours:.0f} of {trial.size:g} h, {memory_mb:.1f} MB\n"
             sys.stderr.write(told)
             sys.stderr.flush()
-    written = sum(path.stat().st_size for path in directory.rglob("*") if path.is_file())
+    files = (path for path in directory.rglob("*") if path.is_file())
+    usage.log_bytes = sum(path.stat().st_size for path in files)
     journal.close()
-    slope = slope_after(hours, memory_mb, min(SETTLED_H, 0.5 * trial.size))
-    findings = list(findings_of(monitor.violations))
-    if slope > SLOPE_MB_PER_H and trial.size > 2.0 * SETTLED_H:
-        findings.append(f"memory grows by {slope:.3f} MB/h")
-    if descriptors[-1] != descriptors[0]:
-        findings.append(f"{descriptors[0]} descriptors became {descriptors[-1]}")
-    if written > LOG_SLACK * LOG_CAP_BYTES:
-        findings.append(f"the log has {written} bytes, its cap is {LOG_CAP_BYTES}")
     return Outcome(
         trial,
-        tuple(findings),
+        (*findings_of(monitor.violations), *usage.findings()),
         sums={"soak_hours": trial.size},
-        most={"soak_slope_mb_per_h": slope, "soak_log_bytes": float(written)},
+        most={
+            "soak_slope_mb_per_h": usage.slope_mb_per_h,
+            "soak_log_bytes": float(usage.log_bytes),
+        },
     )
 
 

@@ -6,16 +6,19 @@ import numpy as np
 import pytest
 
 from companion.mav.codec import MavCodec
+from companion.mav.dialect import mavlink
 from sim_link.campaign.fuzz import FrameMaker, resident_mb
-from sim_link.campaign.gaps import Gaps
+from sim_link.campaign.gaps import Gaps, pauses_of
 from sim_link.campaign.kills import damages
 from sim_link.campaign.mission_case import MOST_FAULTS, mission_case
 from sim_link.campaign.parts import PARTS
 from sim_link.campaign.runner import run_one
-from sim_link.campaign.soak import slope_after
+from sim_link.campaign.soak import Usage, slope_after
 from sim_link.campaign.trial import Trial
 from sim_link.faults.kinds import KINDS
 from sim_link.lockstep.checkpoints import MemoryStore
+from sim_link.lockstep.observer import Frame
+from sim_link.lockstep.wire import Lane
 
 SMALL = {"gaps": 0.003, "signal": 0.2, "forged": 0.1, "fuzz": 0.05, "soak": 0.01}
 MEASURES = {
@@ -81,6 +84,45 @@ def test_a_slope_is_told_from_after_the_settling() -> None:
     assert slope_after(hours, values, 1.0) == pytest.approx(0.3)
     assert slope_after([0.1], [5.0], 0.0) == 0.0
     assert resident_mb() > 10.0
+
+
+DAY_H = [0.25 * i for i in range(1, 97)]
+
+
+@pytest.mark.parametrize(
+    ("growth_mb_per_h", "descriptors", "log_bytes", "findings"),
+    [
+        (0.05, 9, 20_000_000, []),
+        (0.15, 9, 20_000_000, ["memory grows by 0.150 MB/h"]),
+        (0.0, 10, 20_000_000, ["9 descriptors became 10"]),
+        (0.0, 9, 23_000_000, ["the log has 23000000 bytes, its cap is 20000000"]),
+    ],
+)
+def test_a_day_that_takes_more_and_more_of_the_machine_is_found(
+    growth_mb_per_h: float, descriptors: int, log_bytes: int, findings: list[str]
+) -> None:
+    memory_mb = [130.0 + 5.0 * min(h, 1.0) + growth_mb_per_h * h for h in DAY_H]
+    usage = Usage(DAY_H, memory_mb, [9] * (len(DAY_H) - 1) + [descriptors], log_bytes)
+    assert usage.findings() == findings
+
+
+def test_a_pause_of_the_setpoints_is_a_finding() -> None:
+    gaps = Gaps()
+    gaps.is_counting = True
+    setpoint = MavCodec(1, 191).encode(
+        mavlink.MAVLink_set_position_target_local_ned_message(*[0] * 16)
+    )
+    for time_s in (1.0, 1.3, 1.85):
+        gaps.vehicle_heard(Frame(time_s, setpoint, Lane.TO_VEHICLE, is_intact=True))
+    assert gaps.worst_s == pytest.approx(0.55)
+    assert gaps.over_half_s == 1
+    assert [pauses_of(gaps, share) for share in (0.1, 0.5)] == [
+        ["gap of 0.550 s at 10% loss"],
+        ["gap of 0.550 s at 50% loss"],
+    ]
+    gaps.worst_s = 0.45
+    assert pauses_of(gaps, 0.5) == []
+    assert pauses_of(gaps, 0.3) == ["gap of 0.450 s at 30% loss"]
 
 
 def test_a_link_that_was_lost_is_counted() -> None:
