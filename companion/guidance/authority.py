@@ -6,13 +6,15 @@ import math
 
 from companion.domain import FlightMode
 from companion.guidance.events import HeartbeatReceived, LandedStateChanged
-from companion.guidance.states import IN_CONTROL, Phase, Trigger, next_phase
+from companion.guidance.states import IN_CONTROL, OUT_OF_CONTROL, Phase, Trigger, next_phase
 
 REGAIN_QUIET_S = 2.0
 """Offboard seen sooner than this after a yield comes from our own setpoints still in flight, or
 from a mode that flaps: it must have been left for as long."""
 LATE_S = 1.0
 """A frame from before control was given may come this much later, and ends nothing."""
+TWIN_S = 10.0
+"""A twin that was heard may be silent as long: over a bad link half of its HEARTBEATs get lost."""
 NOT_LEFT = frozenset({Trigger.HANDED_BACK, Trigger.GIVE_WAY, Trigger.LANDED, Trigger.LAUNCH_FAILED})
 """They end control while the mode may still be offboard, which nobody gave again then."""
 
@@ -35,6 +37,7 @@ class Authority:
         self._given_s = -math.inf
         """When control was given last."""
         self._newest: HeartbeatReceived | None = None
+        self._twin_s = -math.inf
 
     def enter(self, trigger: Trigger, now_s: float) -> Phase | None:
         """Apply a trigger; the phase that was left, or None if nothing changed."""
@@ -92,6 +95,17 @@ class Authority:
             )
         elif not is_offboard and not heartbeat.is_failsafe:
             self._must_leave_offboard = False
+
+    def twin_heard(self, now_s: float) -> None:
+        """Somebody sends under our ids: offboard, seen while we do not fly, is that one's."""
+        self._twin_s = now_s
+        is_offboard = self._newest is not None and self._newest.mode is FlightMode.OFFBOARD
+        if is_offboard and self.phase in (*OUT_OF_CONTROL, Phase.STANDBY):
+            self._must_leave_offboard = True
+
+    def has_twin(self, now_s: float) -> bool:
+        """Whether somebody else sends under our ids: of two that are given control, both fly."""
+        return now_s - self._twin_s <= TWIN_S
 
     def disarmed_in(self, mode: FlightMode) -> None:
         """The flight ended; offboard left over from it does not count for the next one."""

@@ -124,8 +124,9 @@ class ControlTick:
         reason = self._waiting.news(now_s)
         if reason is not None:
             situation.announce(Severity.WARNING, reason)
+        authority = situation.authority
         is_ready = situation.vehicle.is_usable(now_s) and situation.fencing.is_ready
-        if is_ready and situation.authority.may_begin:
+        if is_ready and authority.may_begin and not authority.has_twin(now_s):
             situation.enter(Trigger.READY, now_s)
             guided = f"ready: switch to {situation.vehicle.guided_name} to give control"
             text = "ready: launching by itself" if self._permit.is_wanted else guided

@@ -255,6 +255,13 @@ class MemoryRecalled:
     age_s: float
 
 
+@dataclass(frozen=True, slots=True)
+class TwinHeard:
+    """Somebody else, such as a second companion, sends under our own system and component id."""
+
+    time_s: float
+
+
 Event = (
     HeartbeatReceived
     | VehicleMoved
@@ -279,4 +286,5 @@ Event = (
     | StopRequested
     | EarlierRunFound
     | MemoryRecalled
+    | TwinHeard
 )

@@ -102,10 +102,13 @@ class Handover:
             situation.announce(Severity.WARNING, text)
         if not (situation.authority.may_take and situation.vehicle.obeys_setpoints):
             return
+        is_launched = situation.phase is Phase.LAUNCHING
+        if situation.authority.has_twin(now_s) and not is_launched:
+            return  # it may have been given to that one
         if not situation.fencing.is_ready:
             return
         is_climbing = situation.launch is not None and not situation.launch.is_at_offboard
-        if situation.phase is Phase.LAUNCHING and is_climbing:
+        if is_launched and is_climbing:
             return
         if situation.enter(Trigger.MODE_GIVEN, now_s):
             self._has_flown = situation.vehicle.landed is LandedState.IN_AIR
@@ -114,6 +117,11 @@ class Handover:
             situation.find(CHECKING, now_s)
             text = f"in control: autopilot is in {situation.vehicle.guided_name}"
             situation.announce(Severity.NOTICE, text)
+
+    def twin_heard(self, now_s: float) -> None:
+        """Somebody else sends under our ids: what we do not fly yet is not offered."""
+        self._situation.authority.twin_heard(now_s)
+        self._situation.enter(Trigger.TWIN_HEARD, now_s)
 
     def answered(self, event: RequestAnswered) -> None:
         """The autopilot answered a request, or did not."""

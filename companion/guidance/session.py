@@ -36,6 +36,7 @@ from companion.guidance.events import (
     Retuned,
     StopRequested,
     TimerFired,
+    TwinHeard,
     VehicleMoved,
     YawMeasured,
 )
@@ -150,6 +151,8 @@ class GuidanceSession:
                 self._recollection.forget()
             case ControlStalled():
                 self.handover.stalled(event)
+            case TwinHeard():
+                self.handover.twin_heard(event.time_s)
             case StopRequested():
                 self.handover.stop(event.time_s)
             case EarlierRunFound():

@@ -3,7 +3,8 @@
 Theory of operation. The companion commands only while the autopilot is in offboard mode *and* the
 operator gave it that mode; everything else is either getting there or staying out of the way.
 
-    WAITING    no autopilot, or no usable position, home or fence yet. Silent.
+    WAITING    no autopilot, or no usable position, home or fence yet, or a second companion sends
+               under our ids. Silent.
     STANDBY    ready; streams "stay here" so that the mode can be entered (PX4 refuses offboard
                without a stream). The operator switches the mode, or in auto the launch begins.
     LAUNCHING  auto only, once: arm, take off, ask for offboard.
@@ -68,6 +69,7 @@ class Trigger(Enum):
 
     READY = "autopilot, position, home and fence are known"
     FENCE_LOST = "the fence is not known any more, or refused"
+    TWIN_HEARD = "somebody else sends under our ids"
     LAUNCH = "automatic launch begins"
     LAUNCH_FAILED = "automatic launch gave up"
     MODE_GIVEN = "offboard and armed"
@@ -111,6 +113,7 @@ OUT_OF_CONTROL = frozenset({Phase.WAITING, Phase.YIELD, Phase.STOPPED})
 TRANSITIONS: dict[tuple[Phase, Trigger], Phase] = {
     (Phase.WAITING, Trigger.READY): Phase.STANDBY,
     (Phase.STANDBY, Trigger.FENCE_LOST): Phase.WAITING,
+    (Phase.STANDBY, Trigger.TWIN_HEARD): Phase.WAITING,
     (Phase.STANDBY, Trigger.LAUNCH): Phase.LAUNCHING,
     (Phase.STANDBY, Trigger.MODE_GIVEN): Phase.HOLD,
     (Phase.LAUNCHING, Trigger.MODE_GIVEN): Phase.HOLD,

@@ -35,6 +35,8 @@ class WaitingReason:
         return text
 
     def _text(self, now_s: float) -> str | None:
+        if self._authority.has_twin(now_s):
+            return "not offered: someone else sends under our ids; stop one of the two"
         missing = self._vehicle.missing(now_s)
         missing += [part for part in self._fencing.missing if part not in missing]
         if self._vehicle.heartbeat is None or not missing:

@@ -22,6 +22,7 @@ from companion.guidance.events import (
     OperatorAsked,
     StopRequested,
     TimerFired,
+    TwinHeard,
     Wish,
 )
 from companion.guidance.memory import SessionMemory
@@ -231,7 +232,9 @@ class CompanionEndpoint:
         frame = bytes(message.get_msgbuf())
         self._recorder.frame(frame, chunk.link, chunk.peer, now_s)
         if (message.get_srcSystem(), message.get_srcComponent()) == self._outlet.own_ids:
-            self._outlet.came_back(frame, now_s)
+            is_twin = self.authenticity.is_proved(frame) and self._outlet.came_back(frame, now_s)
+            if is_twin:
+                self.executor.handle(TwinHeard(now_s), now_s)
             return
         if chunk.link == VEHICLE_LINK:
             self._receive_on_vehicle_link(message, frame, chunk, now_s)

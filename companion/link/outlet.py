@@ -112,12 +112,17 @@ class Outlet:
                 t for t in self._setpoint_times_s if t > now_s - RATE_WINDOW_S
             ]
 
-    def came_back(self, frame: bytes, now_s: float) -> None:
-        """Take note of a frame that carries our own ids."""
-        if self.own_frames.came_back(frame) and self._binding.is_bound:
+    def came_back(self, frame: bytes, now_s: float) -> bool:
+        """Take note of a frame that carries our own ids; whether a twin of ours sent it."""
+        if not self._binding.is_bound:
+            return False  # under which system id we speak is not known yet
+        if not self.own_frames.came_back(frame, now_s):
+            return False
+        if self.own_frames.is_news():
             system_id, component_id = self.own_ids
             text = f"someone else sends as {system_id}/{component_id}: two companions, one vehicle?"
             self.announce(Announce(Severity.ERROR, text), now_s)
+        return True
 
     def announce(self, text: Announce, now_s: float) -> None:
         """Tell the operator: to the journal, and as STATUSTEXT if there is an autopilot."""

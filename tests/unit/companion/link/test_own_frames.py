@@ -1,8 +1,11 @@
 from __future__ import annotations
 
+from companion.guidance.authority import TWIN_S
+from companion.guidance.states import IN_CONTROL, Phase
 from companion.link.own_frames import FOREIGN_FRAMES, KEPT, OwnFrames
 from companion.mav.codec import MavCodec
-from tests.unit.companion.link.wire import Wire, heartbeat
+from companion.mav.dialect import mavlink
+from tests.unit.companion.link.wire import HOLD, OFFBOARD, Wire, heartbeat
 
 
 def frame(number: int) -> bytes:
@@ -12,14 +15,21 @@ def frame(number: int) -> bytes:
 def test_what_we_sent_is_an_echo_however_often_it_comes() -> None:
     own = OwnFrames()
     own.sent(frame(1))
-    assert not any(own.came_back(frame(1)) for _ in range(10))
+    assert not any(own.came_back(frame(1), float(n)) for n in range(10))
     assert (own.echoes, own.foreign) == (10, 0)
 
 
-def test_what_we_did_not_send_raises_one_alarm() -> None:
+def test_what_we_did_not_send_over_a_while_is_a_twins() -> None:
     own = OwnFrames()
-    raised = [own.came_back(frame(n)) for n in range(10)]
-    assert raised == [n == FOREIGN_FRAMES - 1 for n in range(10)]
+    heard = [own.came_back(frame(n), float(n)) for n in range(10)]
+    assert heard == [n >= FOREIGN_FRAMES - 1 for n in range(10)]
+
+
+def test_a_handful_at_once_or_one_now_and_then_is_no_twins() -> None:
+    own = OwnFrames()
+    assert not any(own.came_back(frame(n), 0.05 * n) for n in range(20))
+    own = OwnFrames()
+    assert not any(own.came_back(frame(n), 1.1 * TWIN_S * n) for n in range(20))
 
 
 def test_only_the_last_frames_are_remembered() -> None:
@@ -28,10 +38,10 @@ def test_only_the_last_frames_are_remembered() -> None:
         own.sent(frame(number))
         own.sent(frame(1))
     assert len(own._sent) <= KEPT
-    own.came_back(frame(1))
-    own.came_back(frame(3 * KEPT - 1))
+    own.came_back(frame(1), 0.0)
+    own.came_back(frame(3 * KEPT - 1), 0.0)
     assert (own.echoes, own.foreign) == (2, 0)
-    own.came_back(frame(2))
+    own.came_back(frame(2), 0.0)
     assert own.foreign == 1
 
 
@@ -55,3 +65,88 @@ def test_a_second_companion_on_the_vehicle_is_told_once() -> None:
     wire = flown_beside_another_companion(is_router_loop=False)
     said = [text for text in wire.journal.texts if "someone else sends as 1/191" in text]
     assert len(said) == 1
+
+
+class Twin:
+    """A companion that sends under our ids and shows itself once a second, as every one does."""
+
+    def __init__(self, wire: Wire) -> None:
+        self.codec = MavCodec(1, 191)
+        self.wire = wire
+
+    def beside(self, duration_s: float, *, custom_mode: int = HOLD, is_heard: bool = True) -> None:
+        """Time passes on a vehicle in the air."""
+        wire, ticks = self.wire, round(duration_s / 0.05)
+        for tick in range(ticks):
+            wire.wait(0.05)
+            wire.say(wire.position())
+            if tick % 20 == 0:
+                wire.say(heartbeat(custom_mode=custom_mode, is_armed=True, status=4))
+                if is_heard:
+                    wire.bytes(self.codec.encode(heartbeat(autopilot=8)))
+
+
+def phase_of(wire: Wire) -> Phase:
+    return wire.endpoint.session.phase
+
+
+def test_control_is_not_offered_while_a_twin_is_heard() -> None:
+    wire = Wire().ready()
+    twin = Twin(wire)
+    twin.beside(4.0)
+    assert phase_of(wire) is Phase.WAITING
+    assert any("stop one of the two" in text for text in wire.journal.texts)
+    wire.sent.clear()
+    twin.beside(4.0)
+    assert wire.of(mavlink.MAVLink_set_position_target_local_ned_message) == []
+    twin.beside(3.0, custom_mode=OFFBOARD)
+    assert phase_of(wire) is Phase.WAITING
+
+
+def test_control_is_offered_again_once_the_twin_is_silent() -> None:
+    wire = Wire().ready()
+    twin = Twin(wire)
+    twin.beside(4.0)
+    twin.beside(8.0, is_heard=False)
+    assert phase_of(wire) is Phase.WAITING
+    twin.beside(4.0, is_heard=False)
+    assert phase_of(wire) is Phase.STANDBY
+
+
+def test_a_vehicle_that_a_twin_flew_is_not_taken_when_that_one_dies() -> None:
+    wire = Wire().ready()
+    twin = Twin(wire)
+    twin.beside(4.0)
+    twin.beside(4.0, custom_mode=OFFBOARD)
+    twin.beside(12.0, custom_mode=OFFBOARD, is_heard=False)
+    assert phase_of(wire) is Phase.WAITING
+    twin.beside(2.0, is_heard=False)
+    assert phase_of(wire) is Phase.STANDBY
+
+
+def test_whoever_flies_goes_on_beside_a_twin_that_was_started_later() -> None:
+    wire = Wire().ready(OFFBOARD)
+    twin = Twin(wire)
+    assert phase_of(wire) in IN_CONTROL
+    twin.beside(8.0, custom_mode=OFFBOARD)
+    assert phase_of(wire) in IN_CONTROL
+
+
+def test_after_a_yield_the_mode_gives_no_control_beside_a_twin() -> None:
+    wire = Wire().ready(OFFBOARD)
+    twin = Twin(wire)
+    twin.beside(4.0)
+    assert phase_of(wire) is Phase.YIELD
+    twin.beside(4.0, custom_mode=OFFBOARD)
+    assert phase_of(wire) is Phase.YIELD
+
+
+def test_frames_left_over_from_the_run_before_do_not_delay_anything() -> None:
+    wire = Wire().bound()
+    before = MavCodec(1, 191)
+    for _ in range(12):
+        wire.wait(0.05)
+        wire.bytes(before.encode(heartbeat(autopilot=8)))
+    wire.ready()
+    wire.wait(0.05)
+    assert phase_of(wire) is Phase.STANDBY
