@@ -44,6 +44,8 @@ class _Slot(msgspec.Struct, frozen=True):
     """Nothing was heard or signed after it."""
     timestamp: int
     streams: list[tuple[tuple[int, ...], int]]
+    clock: int | None = None
+    """Our own, which no peer moved."""
 
 
 class SigningStore:
@@ -69,7 +71,7 @@ class SigningStore:
             return Signing(key, rules=rules)
         margin = 0 if last.is_end else round(CRASH_MARGIN_S * TICKS_PER_S)
         streams = {name: timestamp + margin for name, timestamp in last.streams}
-        return Signing(key, last.timestamp + margin, streams, rules)
+        return Signing(key, last.timestamp + margin, streams, rules, stored_clock=last.clock)
 
     def next_content(self, signing: Signing, *, is_end: bool) -> tuple[Path, bytes]:
         """Which slot to replace now, and by what.
@@ -86,6 +88,7 @@ class SigningStore:
             is_end,
             signing.timestamp,
             list(signing.streams.items()),
+            signing.clock,
         )
         body = msgspec.json.encode(self._last)
         return self.paths[generation % SLOTS], body + f" {zlib.crc32(body):08x}\n".encode()

@@ -13,6 +13,8 @@ and lets its callback accept badly signed frames; that is why frames are verifie
 frame recorded on another link of the same component is there the first of a stream of its own, so
 the guide lets it in for a minute; with one stream per component it is a replay. And a sender whose
 clock is far ahead, though it has the key, would push ours ahead for good; it is refused instead.
+A new stream is then compared with our own clock and not with the newest timestamp, which peers
+move: one sender that is almost a minute ahead would make another, whose clock is right, too old.
 
 An unsigned frame, MAVLink 1 among them, is a downgrade: with a key it is refused unless its
 message is on the short list of those that cannot be signed (RADIO_STATUS, which radios inject) or
@@ -141,6 +143,7 @@ class Signing:
         stored_timestamp: The newest one that an earlier run stored; 0 if there is none.
         streams: The last timestamp of each stream, as an earlier run stored them.
         rules: How strict the receiver is.
+        stored_clock: The earlier run's `clock`; None: only its timestamp is known.
     """
 
     def __init__(
@@ -149,12 +152,13 @@ class Signing:
         stored_timestamp: int = 0,
         streams: Mapping[Stream, int] | None = None,
         rules: SigningRules = AS_THE_GUIDE,
+        *,
+        stored_clock: int | None = None,
     ) -> None:
         self._key = key
         self._rules = rules
         self._timestamp = min(max(0, stored_timestamp), MAX_HEARD)
-        self._clock = self._timestamp
-        """Our own idea of the time, which no peer moves."""
+        self._clock = self._timestamp if stored_clock is None else max(0, stored_clock)
         self._streams: dict[Stream, int] = dict(streams or {})
         self.verdicts: dict[Verdict, int] = dict.fromkeys(Verdict, 0)
         """How many frames got which verdict."""
@@ -163,6 +167,16 @@ class Signing:
     def timestamp(self) -> int:
         """The newest timestamp used or believed; to be stored at least once a minute."""
         return self._timestamp
+
+    @property
+    def clock(self) -> int:
+        """Our own idea of the time, which no peer moves; to be stored with `timestamp`."""
+        return self._clock
+
+    @property
+    def _present(self) -> int:
+        """What a new stream may not be far behind: our clock, where peers must agree with it."""
+        return self._timestamp if self._rules.max_ahead is None else self._clock
 
     @property
     def streams(self) -> Mapping[Stream, int]:
@@ -208,7 +222,7 @@ class Signing:
         if last is not None:
             if timestamp <= last:
                 return Verdict.REPLAYED
-        elif timestamp + MAX_BEHIND < self._timestamp:
+        elif timestamp + MAX_BEHIND < self._present:
             return Verdict.TOO_OLD
         elif len(self._streams) >= MAX_STREAMS:
             return Verdict.TOO_MANY_STREAMS

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import time
+import zlib
 from pathlib import Path
 
 import pytest
@@ -23,6 +25,7 @@ from companion.mav.signing import (
 
 KEY = SigningKey(bytes(range(1, 33)))
 NOW = 37_000_000_000_000
+MINUTE = 60 * TICKS_PER_S
 MARGIN = round(CRASH_MARGIN_S * TICKS_PER_S)
 
 
@@ -76,6 +79,32 @@ def test_timestamps_of_our_own_go_on_from_the_stored_one(tmp_path: Path) -> None
     fly(tmp_path, frames(5))
     signing, _ = opened(tmp_path)
     assert signing.timestamp == NOW + 4
+
+
+def test_a_station_ahead_moves_our_clock_over_no_restart(tmp_path: Path) -> None:
+    fly(tmp_path, frames(1, NOW + MINUTE))
+    assert fly(tmp_path, frames(1, NOW + 2 * MINUTE)) == [Verdict.TOO_FAR_AHEAD]
+
+
+def test_without_a_real_time_clock_the_stored_clock_goes_on(tmp_path: Path) -> None:
+    fly(tmp_path, [])
+    store = SigningStore(tmp_path / "signing.key", KEY)
+    signing = store.signing(KEY, ONE_LINK_EACH)
+    signing.advance(0.0)
+    assert signing.verify(frames(1, NOW - MINUTE - 1)[0]) is Verdict.TOO_OLD
+    assert signing.verify(frames(1, NOW + MINUTE)[0]) is Verdict.SIGNED
+
+
+def test_a_memory_without_a_clock_begins_from_its_timestamp(tmp_path: Path) -> None:
+    fly(tmp_path, frames(5))
+    for path in slots(tmp_path):
+        body = path.read_bytes().rpartition(b" ")[0]
+        fields = json.loads(body)
+        del fields["clock"]
+        body = json.dumps(fields).encode()
+        path.write_bytes(body + f" {zlib.crc32(body):08x}\n".encode())
+    signing = SigningStore(tmp_path / "signing.key", KEY).signing(KEY, ONE_LINK_EACH)
+    assert (signing.timestamp, signing.clock) == (NOW + 4, NOW + 4)
 
 
 def test_after_a_crash_the_unstored_end_cannot_come_back_either(tmp_path: Path) -> None:

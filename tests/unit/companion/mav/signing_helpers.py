@@ -65,5 +65,7 @@ def pymavlink_end(
     return mav
 
 
-def companion(timestamp: int = NOW, streams: dict[Stream, int] | None = None) -> Signing:
-    return Signing(KEY, timestamp, streams, ONE_LINK_EACH)
+def companion(
+    timestamp: int = NOW, streams: dict[Stream, int] | None = None, *, clock: int | None = None
+) -> Signing:
+    return Signing(KEY, timestamp, streams, ONE_LINK_EACH, stored_clock=clock)

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from companion.mav.codec import CRC_EXTRA_BY_ID
 from companion.mav.signing import (
     EPOCH_UNIX_S,
     MAX_BEHIND,
@@ -141,6 +142,47 @@ def test_peers_cannot_push_our_clock_ahead_minute_by_minute() -> None:
     signing = companion()
     assert signing.verify(signed(NOW + MAX_AHEAD)) is Verdict.SIGNED
     assert signing.verify(signed(NOW + 2 * MAX_AHEAD)) is Verdict.TOO_FAR_AHEAD
+
+
+@pytest.mark.parametrize("ahead", [0, MAX_AHEAD // 2, MAX_AHEAD])
+@pytest.mark.parametrize("behind", [0, 200_000, MAX_BEHIND])
+def test_a_station_ahead_does_not_lock_out_an_autopilot_behind(ahead: int, behind: int) -> None:
+    signing = companion()
+    assert signing.verify(signed(NOW + ahead)) is Verdict.SIGNED
+    assert signing.verify(signed(NOW - behind, system=1, component=1)) is Verdict.SIGNED
+
+
+def test_a_companion_refuses_a_new_stream_more_than_a_minute_behind_its_own_clock() -> None:
+    signing = companion()
+    signing.verify(signed(NOW + MAX_AHEAD))
+    late = signed(NOW - MAX_BEHIND - 1, system=1, component=1)
+    assert signing.verify(late) is Verdict.TOO_OLD
+
+
+def test_a_station_ever_farther_ahead_does_not_move_our_clock_over_restarts() -> None:
+    signing = companion()
+    verdicts = []
+    for restart in range(5):
+        verdicts.append(signing.verify(signed(NOW + (restart + 1) * MAX_AHEAD)))
+        signing = companion(signing.timestamp, dict(signing.streams), clock=signing.clock)
+    assert verdicts == [Verdict.SIGNED] + [Verdict.TOO_FAR_AHEAD] * 4
+    assert signing.verify(signed(NOW, system=1, component=1)) is Verdict.SIGNED
+
+
+def test_after_a_restart_we_sign_later_than_whatever_we_signed_before() -> None:
+    before = companion()
+    before.verify(signed(NOW + MAX_AHEAD))
+    after = companion(before.timestamp, dict(before.streams), clock=before.clock)
+    frame = after.sign(unsigned(), 0, CRC_EXTRA_BY_ID[0])
+    assert int.from_bytes(frame[-12:-6], "little") == NOW + MAX_AHEAD + 1
+
+
+def test_without_a_real_time_clock_the_stored_one_keeps_old_recordings_out() -> None:
+    before = companion()
+    after = companion(before.timestamp, clock=before.clock)
+    after.advance(0.0)
+    assert after.verify(signed(NOW - MAX_BEHIND - 1)) is Verdict.TOO_OLD
+    assert after.verify(signed(NOW)) is Verdict.SIGNED
 
 
 def test_ahead_is_ahead_of_the_clock_as_it_goes_on() -> None:
