@@ -31,7 +31,7 @@ class Authority:
         self._must_leave_offboard = False
         self._has_heartbeat = False
         self._left_s = -math.inf
-        """When another mode was first shown after offboard ..."""
+        """When another mode was first shown after offboard, or a yield began ..."""
         self._away_s = math.inf
         """... and for how long, when offboard came back."""
         self._given_s = -math.inf
@@ -53,6 +53,8 @@ class Authority:
         self.since_s = now_s
         if trigger is Trigger.MODE_GIVEN:
             self._given_s = now_s
+        if phase is Phase.YIELD:  # what was on its way by now is nobody's gift
+            self._left_s, self._away_s = now_s, 0.0
         if phase is Phase.FINISHED:
             self.has_let_go = trigger is Trigger.REPORT_RECALLED
         return left

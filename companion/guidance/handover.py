@@ -56,7 +56,7 @@ class Handover:
             if launch is None or objection is not None or event.is_terminated:
                 self._flight_over(event)
         elif objection is not None:
-            situation.enter(Trigger.MODE_LOST, now_s)
+            situation.enter(Trigger.LAUNCH_FAILED, now_s)
             situation.announce(Severity.WARNING, f"launch ended: {objection}")
         elif event.mode is FlightMode.OFFBOARD:
             self._offboard(now_s)

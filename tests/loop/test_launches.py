@@ -1,0 +1,66 @@
+"""What goes wrong while the companion launches by itself, and who has the vehicle then."""
+
+from __future__ import annotations
+
+import pytest
+
+from companion.config.schema import CompanionConfig
+from companion.domain import FlightMode
+from companion.guidance.session import SessionParams
+from companion.guidance.states import Phase
+from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
+from sim_link.faults.kinds import Battery
+from tests.loop.loop_helpers import Loop
+from tests.loop.test_authority import ENDLESS, SET_MODE, inject
+
+FRUGAL = CompanionConfig(
+    mission=SessionParams(
+        engage="auto", stop_radius_m=0.3, battery_low_pct=5.0, battery_critical_pct=3.0
+    )
+)
+"""A charge that is a failsafe to the autopilot is nothing to the companion."""
+
+
+def climbing(flavour: FlavourName, config: CompanionConfig = ENDLESS) -> Loop:
+    """Launched by itself, and half way up."""
+    loop = Loop(config, Scenario(autopilot=AutopilotParams(flavour=flavour)), 1)
+    loop.run(6.5)
+    assert 8.0 < loop.true_positions[-1][2] < 12.0
+    assert loop.phase is Phase.LAUNCHING
+    return loop
+
+
+def assert_left_alone(loop: Loop, since_s: float) -> None:
+    """Nothing that moves the vehicle was sent, nor asked for, since a time."""
+    assert loop.setpoints_since(since_s) == []
+    assert [n for time_s, n in loop.commands if n == SET_MODE and time_s > since_s] == []
+
+
+@pytest.mark.parametrize(
+    ("flavour", "share", "config"),
+    [("px4", 0.05, ENDLESS), ("ardupilot", 0.05, ENDLESS), ("ardupilot", 0.09, FRUGAL)],
+)
+def test_a_vehicle_whose_launch_a_failsafe_ended_is_not_taken(
+    flavour: FlavourName, share: float, config: CompanionConfig
+) -> None:
+    loop = climbing(flavour, config)
+    inject(loop, Battery(share=share))
+    loop.run_until(lambda: loop.phase is Phase.YIELD, 3.0)
+    assert loop.said("launch ended: failsafe")
+    ended_s = loop.now_s
+    loop.run(15.0)
+    assert_left_alone(loop, ended_s)
+    assert not loop.said("in control")
+
+
+def test_whoever_gives_guided_after_a_failed_launch_is_obeyed() -> None:
+    loop = climbing("ardupilot", FRUGAL)
+    inject(loop, Battery(share=0.09), Battery(start_s=3.0, share=0.8))
+    loop.run_until(lambda: loop.phase is Phase.YIELD, 3.0)
+    loop.run(12.0)
+    loop.operator.choose(FlightMode.HOLD)
+    loop.run(4.0)
+    assert loop.phase is Phase.YIELD
+    loop.operator.choose(FlightMode.OFFBOARD)
+    loop.run(3.0)
+    assert loop.phase in (Phase.NORMAL, Phase.HOLD)
