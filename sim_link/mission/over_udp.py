@@ -93,7 +93,7 @@ def fly_over_udp(
         speed: Seconds of the flight per second.
         connect: The vehicle's link; None: a simulated one is started.
         keep: A folder for `.tlog`, event log and output of the processes; None: nothing is kept.
-        progress: Told after every look.
+        progress: Told after every look, and while processes start.
 
     Raises:
         CompanionError: A process does not start, or a link cannot be opened.
@@ -241,6 +241,7 @@ class _UdpFlight:
         """
         deadline = time.monotonic() + START_S
         while not self._tail.look_for_flight():
+            self._tell_progress()
             if not self._companion.is_alive or time.monotonic() > deadline:
                 words = self._companion.last_words.removeprefix("companion: ")
                 raise CompanionError(f"the companion did not start: {words}")
@@ -258,6 +259,7 @@ class _UdpFlight:
         child.start()
         deadline = time.monotonic() + START_S
         while not child.first_words:
+            self._tell_progress()
             if not child.is_alive or time.monotonic() > deadline:
                 raise CompanionError(f"{child.name} did not start: {child.last_words}")
             await asyncio.sleep(0.02)
@@ -291,10 +293,13 @@ class _UdpFlight:
             return
         self._check_children(now_s)
         self._runner.tick(now_s)
-        if self._progress is not None:
-            self._progress(self._runner, self.situation)
+        self._tell_progress()
         if self._runner.is_over:
             self._begin_end(now_s)
+
+    def _tell_progress(self) -> None:
+        if self._progress is not None:
+            self._progress(self._runner, self.situation)
 
     def _interrupt(self, now_s: float) -> None:
         """A signal: leave the vehicle to its own hold, by way of the companion."""

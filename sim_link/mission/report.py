@@ -65,6 +65,7 @@ def report_page(result: MissionResult) -> str:
         record=record,
         mission=result.mission,
         last=record.last_estimate(result.mission.emitter.emitter_id),
+        whose=f" of emitter {result.mission.emitter.emitter_id}" if result.mission.emitters else "",
         map=Markup(_map(result).svg()),
         charts=[(title, note, Markup(svg)) for title, note, svg in _charts(result)],
         events=events_of(record)[:MAX_EVENTS],

@@ -48,7 +48,7 @@ def test_two_flights_of_one_name_are_refused_where_reports_are_wanted(
 
 
 def test_names_that_differ_only_beyond_the_cut_are_refused_too(tmp_path: Path) -> None:
-    texts = [SCRIPT.replace("same", "x" * 100 + end) for end in "ab"]
+    texts = [SCRIPT.replace("same", "x" * 90 + end) for end in "ab"]
     files = [script(tmp_path, f"{n}.yaml", text) for n, text in enumerate(texts)]
     with pytest.raises(ConfigError, match=r"1\.yaml: .*0\.yaml"):
         Campaign(files, reports=tmp_path).tasks()

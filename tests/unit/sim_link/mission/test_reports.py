@@ -95,6 +95,15 @@ def test_the_page_says_of_every_invariant_whether_it_was_kept_broken_or_not_judg
         assert words in page.text
 
 
+def test_the_page_says_whose_error_it_is_where_there_are_several_emitters() -> None:
+    result = result_of()
+    assert "of emitter 1" not in _Page(report_page(result)).text
+    several = msgspec.structs.replace(result.mission, emitters=(result.mission.emitter,))
+    text = _Page(report_page(replace(result, mission=several))).text
+    assert "Final error of emitter 1" in text
+    assert "R95 of emitter 1" in text
+
+
 def test_the_page_of_a_failed_flight_says_what_failed() -> None:
     page = _Page(report_page(result_of(is_met=False)))
     assert "failed" in page.text
