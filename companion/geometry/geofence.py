@@ -22,6 +22,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from companion.geometry.frames import LocalOrigin
+from companion.geometry.obstacles import MAX_CORNERS
 from companion.geometry.polygons import Point, area_m2, edges, is_simple, nearest_on_segment
 
 LatLon = tuple[float, float]
@@ -29,8 +30,6 @@ LatLon = tuple[float, float]
 Corners = tuple[Point, ...]
 
 MAX_LATITUDE_DEG = 85.0
-MAX_CORNERS = 200
-"""Of all areas together: the guard looks at every edge in every tick."""
 MAX_REACH_M = 20_000.0
 """Farther from the origin a flat local frame is no place for a fence."""
 MIN_RADIUS_M = 1.0

@@ -3,7 +3,9 @@
 Theory of operation. What is closer to an edge than the margin is a capsule: the edge, widened to
 both sides and rounded at its ends. A capsule is convex, so a straight leg meets it in one interval,
 and what is free of a leg follows exactly, without sampling. The way back into free space ends on an
-edge moved by the margin, on the circle about a corner, or where two of these meet.
+edge moved by the margin or on the circle about a corner, as far as these are not too close to
+another edge. That is the shore of free space; it is found once, and then the way back is a look at
+each of its parts.
 
 Standard library only, because the guard stands on it. Points are (east, north) in metres.
 """
@@ -11,8 +13,10 @@ Standard library only, because the guard stands on it. Points are (east, north) 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from itertools import combinations, pairwise
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
 
 from companion.geometry.polygons import (
     Point,
@@ -25,6 +29,8 @@ from companion.geometry.polygons import (
     signed_area_m2,
 )
 
+MAX_CORNERS = 200
+"""Of a fence and its keep-outs together: the guard looks at every edge in every tick."""
 ROUNDING_M = 1e-6
 """How much farther in than the margin a point is put, so that rounding cannot undo it."""
 GRAZE_M = 1e-9
@@ -73,38 +79,118 @@ class FreeSpace:
         reach_m = max(self.margin_m - GRAZE_M, GRAZE_M)
         return not any(_is_within(reach_m, start, end, *edge) for edge in self._edges)
 
-    def pieces(self, start: Point, end: Point) -> list[Segment]:
-        """What is free of a straight leg, as legs in its direction."""
-        radius_m = self.margin_m + GRAZE_M
-        shares = [share_in_capsule(start, end, edge, radius_m) for edge in self._edges]
+    def pieces(self, start: Point, end: Point) -> Iterator[Segment]:
+        """What is free of a straight leg, as legs in its direction, the first one first."""
         cuts = {0.0, 1.0}
-        cuts.update(min(max(t, 0.0), 1.0) for share in shares if share is not None for t in share)
-        free: list[tuple[float, float]] = []
-        for low, high in pairwise(sorted(cuts)):
-            if not self.allows(between(start, end, 0.5 * (low + high))):
-                continue
-            if free and free[-1][1] == low:
-                low = free.pop()[0]
-            free.append((low, high))
-        return [(between(start, end, low), between(start, end, high)) for low, high in free]
+        for share in self._shares(start, end, self.margin_m + GRAZE_M):
+            cuts.update(min(max(t, 0.0), 1.0) for t in share)
+        for low, high in _runs(sorted(cuts), lambda t: self.allows(between(start, end, t))):
+            yield between(start, end, low), between(start, end, high)
 
     def nearest_allowed(self, point: Point) -> Point | None:
         """`point` if it is allowed, otherwise the nearest allowed one; None if there is none."""
         if self.allows(point):
             return point
-        inset_m = self.margin_m + ROUNDING_M
-        moved = [moved_left(a, b, inset_m) for a, b in self._edges]
-        corners = [a for a, _ in self._edges]
-        simple = [nearest_on_segment(a, b, point) for a, b in moved]
-        simple += [_on_circle(corner, inset_m, point) for corner in corners]
-        nearest = self._nearest_of(simple, point)
-        reach_m = math.inf if nearest is None else math.dist(nearest, point)
-        meetings = list(_meetings(moved, corners, inset_m, point, reach_m))
-        return self._nearest_of([*meetings, *([] if nearest is None else [nearest])], point)
+        legs, arcs = self.shore
+        ashore = [nearest_on_segment(*leg, point) for leg in legs]
+        ashore += [arc.nearest(point) for arc in arcs]
+        ashore.sort(key=lambda place: math.dist(place, point))
+        return next((place for place in ashore if self.allows(place)), None)
 
-    def _nearest_of(self, candidates: Sequence[Point], point: Point) -> Point | None:
-        ordered = sorted(candidates, key=lambda candidate: math.dist(candidate, point))
-        return next((candidate for candidate in ordered if self.allows(candidate)), None)
+    @cached_property
+    def shore(self) -> tuple[tuple[Segment, ...], tuple[Arc, ...]]:
+        """Where free space ends, a little farther in than the margin; empty if nothing is free."""
+        return tuple(self._moved_edges()), tuple(self._arcs())
+
+    def _moved_edges(self) -> Iterator[Segment]:
+        """Of every edge, moved by the margin, what is not too close to another one."""
+        keep_m = self.margin_m + 0.5 * ROUNDING_M
+        for edge in self._edges:
+            start, end = moved_left(*edge, self.margin_m + ROUNDING_M)
+            clear = 0.0
+            for low, high in [*sorted(self._shares(start, end, keep_m)), (1.0, 1.0)]:
+                free_to = min(low, 1.0)
+                if free_to > clear and self.allows(between(start, end, 0.5 * (clear + free_to))):
+                    yield between(start, end, clear), between(start, end, free_to)
+                clear = max(clear, high)
+
+    def _arcs(self) -> Iterator[Arc]:
+        """Of the circles about corners that stick out, what is not too close to another edge."""
+        for border in self.borders:
+            for index, corner in enumerate(border):
+                before, after = border[index - 1], border[(index + 1) % len(border)]
+                whole = _around(before, corner, after, self.margin_m + ROUNDING_M)
+                if whole.turn_rad > 0.0:
+                    yield from self._free_of(whole)
+
+    def _free_of(self, arc: Arc) -> Iterator[Arc]:
+        cuts = {0.0, arc.turn_rad, *self._cuts(arc)}
+        for low, high in _runs(sorted(cuts), lambda turn_rad: self._is_ashore(arc.at(turn_rad))):
+            yield Arc(arc.centre, arc.radius_m, arc.first_rad + low, high - low)
+
+    def _is_ashore(self, place: Point) -> bool:
+        """As `allows`, but soon known where most are not: a single edge that is near will do."""
+        is_near = (
+            math.dist(nearest_on_segment(*edge, place), place) < self.margin_m
+            for edge in self._edges
+        )
+        return not any(is_near) and self.allows(place)
+
+    def _cuts(self, arc: Arc) -> Iterator[float]:
+        """Where an arc comes too close to an edge, or leaves it, in turns along the arc."""
+        keep_m = self.margin_m + 0.5 * ROUNDING_M
+        for edge in self._edges:
+            away_m = math.dist(nearest_on_segment(*edge, arc.centre), arc.centre)
+            if away_m <= arc.radius_m + keep_m:
+                for direction_rad in _directions(arc, edge, keep_m):
+                    turn_rad = (direction_rad - arc.first_rad) % math.tau
+                    if turn_rad < arc.turn_rad:
+                        yield turn_rad
+
+    def _shares(self, start: Point, end: Point, radius_m: float) -> Iterator[tuple[float, float]]:
+        """The parts of a leg that are closer to an edge than a radius, as `share_in_capsule`."""
+        for edge in self._edges:
+            if not _are_apart(radius_m, start, end, *edge):
+                share = share_in_capsule(start, end, edge, radius_m)
+                if share is not None:
+                    yield share
+
+
+@dataclass(frozen=True, slots=True)
+class Arc:
+    """A part of a circle, counter-clockwise."""
+
+    centre: Point
+    radius_m: float
+    first_rad: float
+    """Where it begins, counter-clockwise from east."""
+    turn_rad: float
+    """How far it goes from there, less than a whole turn."""
+
+    def at(self, turn_rad: float) -> Point:
+        """The point that a turn from the beginning leads to."""
+        direction_rad = self.first_rad + turn_rad
+        return (
+            self.centre[0] + self.radius_m * math.cos(direction_rad),
+            self.centre[1] + self.radius_m * math.sin(direction_rad),
+        )
+
+    def nearest(self, point: Point) -> Point:
+        """The point of the arc that is nearest to `point`."""
+        direction_rad = math.atan2(point[1] - self.centre[1], point[0] - self.centre[0])
+        turn_rad = (direction_rad - self.first_rad) % math.tau
+        if turn_rad <= self.turn_rad:
+            return self.at(turn_rad)
+        ends = self.at(0.0), self.at(self.turn_rad)
+        return min(ends, key=lambda end: math.dist(end, point))
+
+
+def corners_problem(polygons: Iterable[Polygon]) -> str | None:
+    """Why polygons are too much to look at in every tick, or None."""
+    count = sum(map(len, polygons))
+    if count <= MAX_CORNERS:
+        return None
+    return f"{count} corners in all; at most {MAX_CORNERS} are looked at in time"
 
 
 def between(a: Point, b: Point, share: float) -> Point:
@@ -185,15 +271,19 @@ def _share_in_circle(
     return ((-b - root) / a, (-b + root) / a)
 
 
+def _are_apart(reach_m: float, a0: Point, a1: Point, b0: Point, b1: Point) -> bool:
+    """Whether two segments are surely not closer than a distance: their boxes are not."""
+    return (
+        min(a0[0], a1[0]) - reach_m > max(b0[0], b1[0])
+        or max(a0[0], a1[0]) + reach_m < min(b0[0], b1[0])
+        or min(a0[1], a1[1]) - reach_m > max(b0[1], b1[1])
+        or max(a0[1], a1[1]) + reach_m < min(b0[1], b1[1])
+    )
+
+
 def _is_within(reach_m: float, a0: Point, a1: Point, b0: Point, b1: Point) -> bool:
     """Whether two segments come closer to each other than a distance."""
-    if min(a0[0], a1[0]) - reach_m > max(b0[0], b1[0]):
-        return False
-    if max(a0[0], a1[0]) + reach_m < min(b0[0], b1[0]):
-        return False
-    if min(a0[1], a1[1]) - reach_m > max(b0[1], b1[1]):
-        return False
-    if max(a0[1], a1[1]) + reach_m < min(b0[1], b1[1]):
+    if _are_apart(reach_m, a0, a1, b0, b1):
         return False
     if segments_cross(a0, a1, b0, b1):
         return True
@@ -211,47 +301,44 @@ def _with_free_left(polygon: Polygon, side: float) -> tuple[Point, ...]:
     return corners if side * signed_area_m2(corners) >= 0.0 else corners[::-1]
 
 
-def _on_circle(centre: Point, radius_m: float, point: Point) -> Point:
-    """The point of a circle that is nearest to `point`."""
-    distance = math.dist(centre, point)
-    return centre if distance == 0.0 else between(centre, point, radius_m / distance)
+def _runs(cuts: Sequence[float], is_free: Callable[[float], bool]) -> Iterator[tuple[float, float]]:
+    """Where something is free that changes at cuts only: asked between any two of them."""
+    begun: float | None = None
+    for low, high in pairwise(cuts):
+        if not is_free(0.5 * (low + high)):
+            if begun is not None:
+                yield begun, low
+            begun = None
+        elif begun is None:
+            begun = low
+    if begun is not None:
+        yield begun, cuts[-1]
 
 
-def _meetings(
-    lines: Sequence[Segment],
-    centres: Sequence[Point],
-    radius_m: float,
-    point: Point,
-    reach_m: float,
-) -> Iterator[Point]:
-    """Where moved edges and circles about corners meet each other, of those within reach.
-
-    The allowed space may end there in a nook, and only there be nearest to `point`.
-    """
-    near = [s for s in lines if math.dist(nearest_on_segment(*s, point), point) < reach_m]
-    round_ = [c for c in centres if math.dist(_on_circle(c, radius_m, point), point) < reach_m]
-    yield from (m for pair in combinations(near, 2) if (m := _crossing(*pair)) is not None)
-    for centre in round_:
-        for a, b in near:
-            offset = (a[0] - centre[0], a[1] - centre[1])
-            share = _share_in_circle(*offset, b[0] - a[0], b[1] - a[1], radius_m)
-            if share is not None:
-                yield from (between(a, b, t) for t in share)
-    for one, other in combinations(round_, 2):
-        distance = math.dist(one, other)
-        if 0.0 < distance <= 2.0 * radius_m:
-            middle, half = between(one, other, 0.5), 0.5 * distance
-            aside = math.sqrt(radius_m * radius_m - half * half) / distance
-            east, north = aside * (one[1] - other[1]), aside * (other[0] - one[0])
-            yield (middle[0] + east, middle[1] + north)
-            yield (middle[0] - east, middle[1] - north)
+def _around(before: Point, corner: Point, after: Point, radius_m: float) -> Arc:
+    """The arc about a corner between its edges, on their left; none where that is convex."""
+    incoming = (corner[0] - before[0], corner[1] - before[1])
+    outgoing = (after[0] - corner[0], after[1] - corner[1])
+    cross = incoming[0] * outgoing[1] - incoming[1] * outgoing[0]
+    dot = incoming[0] * outgoing[0] + incoming[1] * outgoing[1]
+    turn_rad = max(0.0, -math.atan2(cross or -0.0, dot))  # a tip without width is a half turn
+    return Arc(corner, radius_m, math.atan2(outgoing[0], -outgoing[1]), turn_rad)
 
 
-def _crossing(first: Segment, second: Segment) -> Point | None:
-    """Where the straight lines through two segments meet, or None if they are parallel."""
-    (a, b), (c, d) = first, second
-    cross = (b[0] - a[0]) * (d[1] - c[1]) - (b[1] - a[1]) * (d[0] - c[0])
-    if cross == 0.0:
-        return None
-    along = (c[0] - a[0]) * (d[1] - c[1]) - (c[1] - a[1]) * (d[0] - c[0])
-    return between(a, b, along / cross)
+def _directions(arc: Arc, edge: Segment, keep_m: float) -> Iterator[float]:
+    """In which directions from its centre a circle may enter or leave the capsule of an edge."""
+    (ae, an), (be, bn) = edge
+    for corner in edge:
+        east, north = corner[0] - arc.centre[0], corner[1] - arc.centre[1]
+        away_m = math.hypot(east, north)
+        if abs(arc.radius_m - keep_m) <= away_m <= arc.radius_m + keep_m and away_m > 0.0:
+            part = (arc.radius_m**2 + away_m**2 - keep_m**2) / (2.0 * arc.radius_m * away_m)
+            half_rad, middle_rad = math.acos(min(part, 1.0)), math.atan2(north, east)
+            yield from (middle_rad - half_rad, middle_rad + half_rad)
+    along_rad = math.atan2(bn - an, be - ae)
+    se, sn = arc.centre[0] - ae, arc.centre[1] - an
+    aside_m = sn * math.cos(along_rad) - se * math.sin(along_rad)
+    for line_m in (-keep_m, keep_m):
+        part = (line_m - aside_m) / arc.radius_m
+        if abs(part) <= 1.0:
+            yield from (along_rad + math.asin(part), along_rad + math.pi - math.asin(part))

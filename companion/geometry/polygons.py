@@ -83,6 +83,17 @@ def is_simple(polygon: Polygon) -> bool:
     )
 
 
+def polygon_problem(polygon: Polygon, least_m2: float) -> str | None:
+    """Why a polygon does not enclose at least an area, or None; what follows its name."""
+    if len(polygon) < 3:
+        return "needs at least 3 corners"
+    if not all(math.isfinite(value) for corner in polygon for value in corner):
+        return "has a corner that is not a finite number"
+    if not is_simple(polygon):
+        return "has two edges that cross each other"
+    return None if area_m2(polygon) >= least_m2 else "encloses no area"
+
+
 def signed_area_m2(polygon: Polygon) -> float:
     """Enclosed area, square metres, positive if counter-clockwise (shoelace formula)."""
     return sum(a[0] * b[1] - b[0] * a[1] for a, b in edges(polygon)) / 2.0

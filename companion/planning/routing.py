@@ -96,8 +96,7 @@ def pushed_beyond(point: Point, heading: Point, request: PlanRequest) -> Point:
         point[0] + FARTHEST_BEYOND_M * heading[0],
         point[1] + FARTHEST_BEYOND_M * heading[1],
     )
-    pieces = finder.space.pieces(point, end)
-    return pieces[0][0] if pieces else point
+    return next((first for first, _ in finder.space.pieces(point, end)), point)
 
 
 def is_reachable(point: Point, request: PlanRequest) -> bool:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import pytest
@@ -87,6 +88,18 @@ def test_a_file_beside_the_configuration_is_the_fence(tmp_path: Path) -> None:
     assert plan.site is not None
     assert len(plan.site.inclusion.corners_deg) == 4
     assert len(plan.keep_out_enu_m) == 1
+
+
+def test_more_corners_than_are_looked_at_in_time_are_refused(tmp_path: Path) -> None:
+    ring = [[round(99 * math.cos(k / 30), 3), round(99 * math.sin(k / 30), 3)] for k in range(188)]
+    config = tmp_path / "site.yaml"
+    config.write_text(f"limits: {{fence_enu_m: {ring + ring[:13]}}}")
+    with pytest.raises(ConfigError, match="fence_enu_m: the fence has 201 corners in all; at most"):
+        load_config(config)
+    plan_file(tmp_path)
+    config.write_text(f"limits: {{fence_file: site.plan, keep_out_enu_m: [{ring}, {ring[:9]}]}}")
+    with pytest.raises(ConfigError, match=r"site\.plan: with limits\.keep_out_enu_m 201 corners"):
+        load_config(config)
 
 
 def test_a_fence_that_its_margin_closes_is_refused_by_its_file(tmp_path: Path) -> None:

@@ -50,8 +50,9 @@ def fences(draw: st.DrawFn) -> Fence:
         (((0.0, 0.0), (40.0, 40.0), (40.0, 0.0), (0.0, 40.0)), 0.0, "cross each other"),
         (((0.0, 0.0), (40.0, 0.0), (80.0, 0.0)), 0.0, "encloses no area"),
         (((0.0, 0.0), (0.9, 0.0), (0.9, 0.9), (0.0, 0.9)), 0.0, "encloses no area"),
-        (SQUARE, -0.1, "must not be negative"),
-        (SQUARE, math.nan, "must not be negative"),
+        (tuple((math.cos(k / 32), math.sin(k / 32)) for k in range(201)), 0.0, "has 201 corners"),
+        (SQUARE, -0.1, "must be 0 or more"),
+        (SQUARE, math.nan, "must be 0 or more"),
         (SQUARE, 20.0, "margin of 20 m leaves nothing"),
         (SQUARE, depth_m(SQUARE, deepest_point(SQUARE)), "leaves nothing"),
         (SQUARE, math.inf, "leaves nothing"),
@@ -62,6 +63,13 @@ def test_a_fence_that_encloses_nothing_usable_is_refused(
 ) -> None:
     with pytest.raises(ValueError, match=problem):
         Fence(polygon, margin_m)
+
+
+def test_a_fence_may_have_two_hundred_corners_with_those_of_its_keep_outs() -> None:
+    ring = tuple((20.0 + math.cos(k / 32), 20.0 + math.sin(k / 32)) for k in range(196))
+    assert not Fence(SQUARE, 1.0, (ring,)).allows((20.0, 20.0))
+    with pytest.raises(ValueError, match="has 201 corners in all; at most 200"):
+        Fence((*SQUARE, (0.0, 20.0)), 1.0, (ring,))
 
 
 @pytest.mark.parametrize("side_m", [1.0, 1.1])
@@ -193,8 +201,8 @@ HOUSE = ((10.0, 10.0), (20.0, 10.0), (20.0, 20.0), (10.0, 20.0))
     ("keep_out", "problem"),
     [
         (HOUSE[:2], "keep-out needs at least 3 corners"),
-        ((*HOUSE[:3], (math.nan, 0.0)), "keep-out corner is not a finite number"),
-        ((HOUSE[0], HOUSE[2], HOUSE[1], HOUSE[3]), "edges of the keep-out cross"),
+        ((*HOUSE[:3], (math.nan, 0.0)), "keep-out has a corner that is not a finite number"),
+        ((HOUSE[0], HOUSE[2], HOUSE[1], HOUSE[3]), "keep-out has two edges that cross each other"),
         (((0.0, 0.0), (9.0, 0.0), (4.0, 0.0)), "keep-out encloses no area"),
         (((-9.0, -9.0), (60.0, -9.0), (60.0, 60.0), (-9.0, 60.0)), "keep-outs leave nothing"),
     ],
