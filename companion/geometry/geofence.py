@@ -128,7 +128,7 @@ def area_problem(area: GeoArea) -> str | None:
     if reach_m > 2.0 * MAX_REACH_M:
         return f"is {reach_m / 1000.0:.0f} km wide"
     if not is_simple(polygon):
-        return "two of its edges cross each other"
+        return "two of its edges touch or cross each other"
     return None if area_m2(polygon) >= MIN_AREA_M2 else "encloses no area"
 
 

@@ -21,11 +21,12 @@ from itertools import pairwise
 from companion.geometry.polygons import (
     Point,
     Polygon,
+    are_apart,
+    are_within,
     contains,
     depth_m,
     edges,
     nearest_on_segment,
-    segments_cross,
     signed_area_m2,
 )
 
@@ -77,7 +78,7 @@ class FreeSpace:
         if any(contains(polygon, start) for polygon in self.keep_out_enu_m):
             return False
         reach_m = max(self.margin_m - GRAZE_M, GRAZE_M)
-        return not any(_is_within(reach_m, start, end, *edge) for edge in self._edges)
+        return not any(are_within(reach_m, start, end, *edge) for edge in self._edges)
 
     def pieces(self, start: Point, end: Point) -> Iterator[Segment]:
         """What is free of a straight leg, as legs in its direction, the first one first."""
@@ -150,7 +151,7 @@ class FreeSpace:
     def _shares(self, start: Point, end: Point, radius_m: float) -> Iterator[tuple[float, float]]:
         """The parts of a leg that are closer to an edge than a radius, as `share_in_capsule`."""
         for edge in self._edges:
-            if not _are_apart(radius_m, start, end, *edge):
+            if not are_apart(radius_m, start, end, *edge):
                 share = share_in_capsule(start, end, edge, radius_m)
                 if share is not None:
                     yield share
@@ -269,30 +270,6 @@ def _share_in_circle(
         return None
     root = math.sqrt(discriminant)
     return ((-b - root) / a, (-b + root) / a)
-
-
-def _are_apart(reach_m: float, a0: Point, a1: Point, b0: Point, b1: Point) -> bool:
-    """Whether two segments are surely not closer than a distance: their boxes are not."""
-    return (
-        min(a0[0], a1[0]) - reach_m > max(b0[0], b1[0])
-        or max(a0[0], a1[0]) + reach_m < min(b0[0], b1[0])
-        or min(a0[1], a1[1]) - reach_m > max(b0[1], b1[1])
-        or max(a0[1], a1[1]) + reach_m < min(b0[1], b1[1])
-    )
-
-
-def _is_within(reach_m: float, a0: Point, a1: Point, b0: Point, b1: Point) -> bool:
-    """Whether two segments come closer to each other than a distance."""
-    if _are_apart(reach_m, a0, a1, b0, b1):
-        return False
-    if segments_cross(a0, a1, b0, b1):
-        return True
-    return (
-        math.dist(a0, nearest_on_segment(b0, b1, a0)) < reach_m
-        or math.dist(a1, nearest_on_segment(b0, b1, a1)) < reach_m
-        or math.dist(b0, nearest_on_segment(a0, a1, b0)) < reach_m
-        or math.dist(b1, nearest_on_segment(a0, a1, b1)) < reach_m
-    )
 
 
 def _with_free_left(polygon: Polygon, side: float) -> tuple[Point, ...]:

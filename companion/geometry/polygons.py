@@ -12,6 +12,11 @@ from collections.abc import Iterator, Sequence
 Point = tuple[float, float]
 Polygon = Sequence[Point]
 
+FARTHEST_M = 1e6
+"""Farther from the origin a local frame means nothing."""
+TOUCH_M = 1e-3
+"""Edges of one polygon that come closer touch: no file and no autopilot tells places as finely."""
+
 
 def edges(polygon: Polygon) -> Iterator[tuple[Point, Point]]:
     """Every edge as (start, end), the closing one included."""
@@ -73,13 +78,56 @@ def segments_cross(a0: Point, a1: Point, b0: Point, b1: Point) -> bool:
     return side(a0, a1, b0) * side(a0, a1, b1) < 0.0 and side(b0, b1, a0) * side(b0, b1, a1) < 0.0
 
 
+def are_apart(reach_m: float, a0: Point, a1: Point, b0: Point, b1: Point) -> bool:
+    """Whether two segments are surely not closer than a distance: their boxes are not."""
+    return (
+        min(a0[0], a1[0]) - reach_m > max(b0[0], b1[0])
+        or max(a0[0], a1[0]) + reach_m < min(b0[0], b1[0])
+        or min(a0[1], a1[1]) - reach_m > max(b0[1], b1[1])
+        or max(a0[1], a1[1]) + reach_m < min(b0[1], b1[1])
+    )
+
+
+def are_within(reach_m: float, a0: Point, a1: Point, b0: Point, b1: Point) -> bool:
+    """Whether two segments come closer to each other than a distance."""
+    if are_apart(reach_m, a0, a1, b0, b1):
+        return False
+    if segments_cross(a0, a1, b0, b1):
+        return True
+    return (
+        math.dist(a0, nearest_on_segment(b0, b1, a0)) < reach_m
+        or math.dist(a1, nearest_on_segment(b0, b1, a1)) < reach_m
+        or math.dist(b0, nearest_on_segment(a0, a1, b0)) < reach_m
+        or math.dist(b1, nearest_on_segment(a0, a1, b1)) < reach_m
+    )
+
+
 def is_simple(polygon: Polygon) -> bool:
-    """Whether no two edges cross each other."""
-    sides = list(edges(polygon))
+    """Whether no edge crosses or touches another one, but the next one at their corner.
+
+    A corner that is given again at once is none. Where edges touch otherwise, crossings and turns
+    no longer tell the inside: a ring that is given twice has none.
+    """
+    corners = [a for a, b in edges(polygon) if math.dist(a, b) > TOUCH_M]
+    if len(corners) <= 3:
+        return True  # whether they enclose anything is told by their area
+    sides = list(edges(corners))
+    last = len(sides) - 1
     return not any(
-        segments_cross(*sides[i], *sides[j])
-        for i in range(len(sides))
-        for j in range(i + 1, len(sides))
+        _is_folded(*sides[i], *sides[j])
+        if j == i + 1 or (i, j) == (0, last)
+        else are_within(TOUCH_M, *sides[i], *sides[j])
+        for i in range(last)
+        for j in range(i + 1, last + 1)
+    )
+
+
+def _is_folded(a0: Point, a1: Point, b0: Point, b1: Point) -> bool:
+    """Whether neighbouring edges touch beyond the corner that they share."""
+    far_a, far_b = (a0, b1) if a1 == b0 else (a1, b0)
+    return (
+        math.dist(far_b, nearest_on_segment(a0, a1, far_b)) < TOUCH_M
+        or math.dist(far_a, nearest_on_segment(b0, b1, far_a)) < TOUCH_M
     )
 
 
@@ -89,8 +137,10 @@ def polygon_problem(polygon: Polygon, least_m2: float) -> str | None:
         return "needs at least 3 corners"
     if not all(math.isfinite(value) for corner in polygon for value in corner):
         return "has a corner that is not a finite number"
+    if not all(abs(value) <= FARTHEST_M for corner in polygon for value in corner):
+        return f"has a corner farther than {FARTHEST_M / 1000.0:g} km from the origin"
     if not is_simple(polygon):
-        return "has two edges that cross each other"
+        return "has two edges that touch or cross each other"
     return None if area_m2(polygon) >= least_m2 else "encloses no area"
 
 

@@ -50,7 +50,7 @@ class LawnmowerParams(SearchParams, frozen=True):
         if len(area) < 3 or not all(math.isfinite(v) for corner in area for v in corner):
             raise ValueError("area_enu_m needs at least 3 corners, all finite")
         if not is_simple(area) or area_m2(area) < 1.0:
-            raise ValueError("area_enu_m must enclose an area, without edges that cross")
+            raise ValueError("area_enu_m must enclose an area, without edges that touch or cross")
         if math.dist(*_extent(area)) > MOST_LEGS * self.spacing_m:
             raise ValueError(f"area_enu_m would take more than {MOST_LEGS} lanes at this spacing_m")
 

@@ -103,7 +103,7 @@ class FenceParams(Params, frozen=True):
         if len(self.corners_enu_m) < 3:
             raise ValueError("a fence needs at least 3 corners")
         if not is_simple(self.corners_enu_m):
-            raise ValueError("two edges of the fence cross each other")
+            raise ValueError("two edges of the fence touch or cross each other")
         if area_m2(self.corners_enu_m) < 1.0:
             raise ValueError("the fence encloses no area")
 

@@ -59,7 +59,7 @@ class ObstacleParams(Params, frozen=True):
         if not all(math.isfinite(value) for corner in self.corners_enu_m for value in corner):
             raise ValueError(f"a corner of `{self.name}` is not a finite number")
         if not is_simple(self.corners_enu_m):
-            raise ValueError(f"two edges of `{self.name}` cross each other")
+            raise ValueError(f"two edges of `{self.name}` touch or cross each other")
         if area_m2(self.corners_enu_m) < LEAST_OBSTACLE_M2:
             raise ValueError(f"`{self.name}` encloses no area")
 

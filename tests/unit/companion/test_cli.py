@@ -76,7 +76,10 @@ def test_a_fence_that_is_none_is_refused(
     assert line == f"companion: {path}: no such file"
     path.write_text(BOW_TIE)
     line = complaint(capsys, "--connect", OPEN, "--fence", str(path), "--quiet")
-    assert line == f"companion: {path}: geoFence.polygons[0]: two of its edges cross each other"
+    assert (
+        line
+        == f"companion: {path}: geoFence.polygons[0]: two of its edges touch or cross each other"
+    )
     config = tmp_path / "site.yaml"
     config.write_text("limits: {fence_file: site.plan}")
     again = complaint(capsys, "--connect", OPEN, "--config", str(config), "--quiet")

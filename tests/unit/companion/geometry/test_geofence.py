@@ -118,7 +118,7 @@ class TestAreasThatMakeNoFence:
         [
             (GeoArea(()), "has 0 corners"),
             (on_globe(SQUARE[:2]), "has 2 corners"),
-            (on_globe(BOW_TIE), "two of its edges cross"),
+            (on_globe(BOW_TIE), "two of its edges touch or cross"),
             (on_globe(((0.0, 0.0), (50.0, 0.0), (100.0, 0.0))), "encloses no area"),
             (on_globe(ring(201)), "has 201 corners"),
             (on_globe(((0.0, 0.0), (60e3, 0.0), (0.0, 60e3))), "km wide"),

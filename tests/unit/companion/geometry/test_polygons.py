@@ -16,6 +16,7 @@ from companion.geometry.polygons import (
     edges,
     is_simple,
     nearest_on_segment,
+    polygon_problem,
     segments_cross,
 )
 
@@ -97,6 +98,67 @@ def test_simple_and_self_crossing_polygons() -> None:
     assert is_simple(SQUARE)
     assert is_simple(HOOK)
     assert not is_simple(BOW_TIE)
+
+
+BOW_THROUGH_A_CORNER = [(0.0, 0.0), (120.0, 120.0), (100.0, 0.0), (50.0, 50.0), (0.0, 100.0)]
+PINCH = [(0.0, 0.0), (50.0, 50.0), (100.0, 0.0), (100.0, 100.0), (50.0, 50.0), (0.0, 100.0)]
+SPIKE = [(0.0, 0.0), (9.0, 0.0), (9.0, 9.0), (5.0, 9.0), (5.0, 20.0), (5.0, 9.0), (0.0, 9.0)]
+BACK_AND_FORTH = [(0.0, 0.0), (9.0, 0.0), (5.0, 0.0), (9.0, 9.0), (0.0, 9.0)]
+RING_TWICE = SQUARE + SQUARE
+CLOSED_RING_TWICE = [*SQUARE, SQUARE[0], *SQUARE, SQUARE[0]]
+NEEDLE = [(0.0, 0.0), (10.0, 0.0), (10.0, 10.0), (5.0, 0.0005), (0.0, 10.0)]
+
+
+@pytest.mark.parametrize(
+    "polygon",
+    [BOW_THROUGH_A_CORNER, PINCH, SPIKE, BACK_AND_FORTH, RING_TWICE, CLOSED_RING_TWICE, NEEDLE],
+)
+def test_a_border_that_touches_itself_is_not_simple(polygon: list[Point]) -> None:
+    """Whichever corner is given first, in either direction."""
+    for first in range(len(polygon)):
+        turned = polygon[first:] + polygon[:first]
+        assert not is_simple(turned)
+        assert not is_simple(turned[::-1])
+
+
+@pytest.mark.parametrize(
+    "polygon",
+    [
+        [*SQUARE, SQUARE[0]],
+        [SQUARE[0], *SQUARE, (0.0, 10.0)],
+        [*SQUARE, (0.0, 0.0005)],
+        [*SQUARE[:3], (5.0, 10.0), (0.0, 10.0)],
+        [(0.0, 0.0), (10.0, 0.0), (10.0, 10.0), (5.0, 0.0015), (0.0, 10.0)],
+    ],
+)
+def test_a_corner_given_again_and_one_on_an_edge_are_harmless(polygon: list[Point]) -> None:
+    for first in range(len(polygon)):
+        turned = polygon[first:] + polygon[:first]
+        assert is_simple(turned)
+        assert is_simple(turned[::-1])
+
+
+@pytest.mark.parametrize(
+    ("polygon", "problem"),
+    [
+        (SQUARE, None),
+        (SQUARE[:2], "at least 3 corners"),
+        ([*SQUARE[:3], (math.nan, 5.0)], "not a finite number"),
+        ([*SQUARE[:3], (0.0, -math.inf)], "not a finite number"),
+        ([*SQUARE[:3], (-1e6, 10.0)], None),
+        ([*SQUARE[:3], (0.0, 1.000001e6)], "farther than 1000 km from the origin"),
+        ([*SQUARE[:3], (-1e300, 10.0)], "farther than 1000 km from the origin"),
+        (RING_TWICE, "touch or cross"),
+        ([(0.0, 0.0), (40.0, 0.0), (80.0, 0.0)], "encloses no area"),
+        ([(0.0, 0.0), (20.0, 0.0), (0.0, 10.0)], None),
+        ([(0.0, 0.0), (19.9, 0.0), (0.0, 10.0)], "encloses no area"),
+    ],
+)
+def test_what_is_wrong_with_a_polygon_of_at_least_a_hundred_square_metres(
+    polygon: list[Point], problem: str | None
+) -> None:
+    found = polygon_problem(polygon, 100.0)
+    assert (found is None) if problem is None else (found is not None and problem in found)
 
 
 @given(star_shaped(), _points)

@@ -51,6 +51,8 @@ def fences(draw: st.DrawFn) -> Fence:
         (((0.0, 0.0), (40.0, 0.0), (80.0, 0.0)), 0.0, "encloses no area"),
         (((0.0, 0.0), (0.9, 0.0), (0.9, 0.9), (0.0, 0.9)), 0.0, "encloses no area"),
         (tuple((math.cos(k / 32), math.sin(k / 32)) for k in range(201)), 0.0, "has 201 corners"),
+        ((*SQUARE, *SQUARE), 0.0, "touch or cross"),
+        ((*SQUARE[:3], (0.0, 1e7)), 0.0, "farther than 1000 km"),
         (SQUARE, -0.1, "must be 0 or more"),
         (SQUARE, math.nan, "must be 0 or more"),
         (SQUARE, 20.0, "margin of 20 m leaves nothing"),
@@ -202,8 +204,12 @@ HOUSE = ((10.0, 10.0), (20.0, 10.0), (20.0, 20.0), (10.0, 20.0))
     [
         (HOUSE[:2], "keep-out needs at least 3 corners"),
         ((*HOUSE[:3], (math.nan, 0.0)), "keep-out has a corner that is not a finite number"),
-        ((HOUSE[0], HOUSE[2], HOUSE[1], HOUSE[3]), "keep-out has two edges that cross each other"),
+        (
+            (HOUSE[0], HOUSE[2], HOUSE[1], HOUSE[3]),
+            "keep-out has two edges that touch or cross each other",
+        ),
         (((0.0, 0.0), (9.0, 0.0), (4.0, 0.0)), "keep-out encloses no area"),
+        (HOUSE + HOUSE, "keep-out has two edges that touch or cross"),
         (((-9.0, -9.0), (60.0, -9.0), (60.0, 60.0), (-9.0, 60.0)), "keep-outs leave nothing"),
     ],
 )
