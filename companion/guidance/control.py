@@ -138,7 +138,10 @@ class ControlTick:
         heartbeat, height_m, home = vehicle.heartbeat, vehicle.height_m, vehicle.home_enu_m
         if launch is None:
             return
-        if heartbeat is None or height_m is None or home is None or not vehicle.is_usable(now_s):
+        finding = self._watches.launch_finding(now_s)
+        if finding is not None:
+            launch.trouble(finding.text, now_s)
+        elif heartbeat is None or height_m is None or home is None or not vehicle.is_usable(now_s):
             launch.wait(now_s)
         else:
             has_origin = vehicle.origin is not None

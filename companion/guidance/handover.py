@@ -51,7 +51,7 @@ class Handover:
         if situation.authority.has_let_go and not had_let_go:
             situation.withdraw()
         launch = situation.launch if situation.phase is Phase.LAUNCHING else None
-        objection = None if launch is None else launch.observe(event)
+        objection = None if launch is None else launch.observe(event, situation.vehicle.height_m)
         if event.is_terminated or not event.is_armed:
             if launch is None or objection is not None or event.is_terminated:
                 self._flight_over(event)

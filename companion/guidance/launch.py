@@ -3,6 +3,9 @@
 PX4: arm in hold, NAV_TAKEOFF, climb, more than a second of setpoints, then OFFBOARD (PX4 user
 guide, offboard mode). ArduPilot: GUIDED first, arm, NAV_TAKEOFF; position targets take over after
 the climb.
+
+PX4 goes to hold by itself where its takeoff ends, and nowhere below: hold down there is a pilot's
+wish, and ends the launch. In the last metre the two look the same.
 """
 
 from __future__ import annotations
@@ -32,6 +35,8 @@ MODE_TIMEOUT_S = 5.0
 BLIND_S = 10.0
 """Without mode, position or link for so long it is nobody's to launch."""
 CLIMBED_SHARE = 0.9
+TOP_M = 1.0
+"""So far below its altitude PX4's takeoff may end (NAV_MC_ALT_RAD, 0.8 m, and noise)."""
 LIFTED_M, LIFT_S = 1.0, 8.0
 """So high it is within so long, if a take-off that was refused when repeated has begun."""
 
@@ -84,6 +89,8 @@ class Launch:
         self._was_armed = False
         self._refused: str | None = None
         """A repeated take-off was refused: ArduPilot does so when the first one has begun."""
+        self._takeoff: RequestAnswered | HeartbeatReceived | None = None
+        """What showed last that the takeoff has begun."""
         self._offboard_accepted: RequestAnswered | None = None
         self._needs_prestream = True
 
@@ -102,8 +109,13 @@ class Launch:
         """Whether the vehicle may be armed by now, shown or not."""
         return self.stage in (Stage.TAKE_OFF, Stage.CLIMB, Stage.PRESTREAM, Stage.OFFBOARD)
 
-    def observe(self, heartbeat: HeartbeatReceived) -> str | None:
-        """Why a heartbeat ends the launch, or None: someone else took the vehicle."""
+    def observe(self, heartbeat: HeartbeatReceived, height_m: float | None) -> str | None:
+        """Why a heartbeat ends the launch, or None: someone else took the vehicle.
+
+        Args:
+            heartbeat: The newest.
+            height_m: Above home; None: unknown.
+        """
         if not self.has_asked:
             return None
         if not heartbeat.is_armed:
@@ -112,17 +124,20 @@ class Launch:
         if heartbeat.is_failsafe:
             return "failsafe"
         is_offboard = self.is_at_offboard and heartbeat.mode is FlightMode.OFFBOARD
-        is_on_the_way = heartbeat.mode in self._modes and not self._is_after_offboard(heartbeat)
-        is_expected = is_offboard or is_on_the_way
-        name = mode_name(heartbeat.mode, heartbeat.autopilot)
-        return None if is_expected else f"mode is {name}"
+        if is_offboard or self._is_on_the_way(heartbeat, height_m):
+            return None
+        return f"mode is {mode_name(heartbeat.mode, heartbeat.autopilot)}"
 
-    def _is_after_offboard(self, heartbeat: HeartbeatReceived) -> bool:
-        """Whether it was sent after the autopilot accepted offboard: then that is what it shows."""
-        accepted = self._offboard_accepted
-        if accepted is None or accepted.order is None or heartbeat.order is None:
+    def _is_on_the_way(self, heartbeat: HeartbeatReceived, height_m: float | None) -> bool:
+        """Whether the launch itself leads through the mode that is shown."""
+        if heartbeat.mode not in self._modes or _is_after(heartbeat, self._offboard_accepted):
             return False
-        return heartbeat.order > accepted.order
+        if heartbeat.mode is FlightMode.TAKEOFF:
+            self._takeoff = heartbeat
+        if heartbeat.mode in (FlightMode.TAKEOFF, FlightMode.OFFBOARD):
+            return True
+        is_at_top = height_m is not None and height_m >= self.altitude_m - TOP_M
+        return is_at_top or not _is_after(heartbeat, self._takeoff)
 
     @property
     def wants_stream(self) -> bool:
@@ -146,6 +161,12 @@ class Launch:
                 return self._ask(view)
         return []
 
+    def trouble(self, what: str, now_s: float) -> None:
+        """Something is wrong: it is waited for on the ground, and later ends the launch."""
+        self._seen_s = now_s
+        if self.has_asked or now_s - self._since_s > READY_TIMEOUT_S:
+            self.failure = what
+
     def wait(self, now_s: float) -> None:
         """Nothing is asked while the vehicle is not seen, and not for ever."""
         if now_s - self._seen_s > BLIND_S:
@@ -164,6 +185,8 @@ class Launch:
         if event.outcome is Outcome.ACCEPTED:
             if self.stage is Stage.OFFBOARD:
                 self._offboard_accepted = event
+            if self.stage is Stage.TAKE_OFF:
+                self._takeoff = event
             following = {
                 Stage.MODE: Stage.ARM,
                 Stage.ARM: Stage.TAKE_OFF,
@@ -256,6 +279,17 @@ class Launch:
             self.failure = self._refused
         elif view.now_s - self._since_s > CLIMB_TIMEOUT_S:
             self.failure = "the vehicle did not climb to its altitude"
+
+
+def _is_after(
+    heartbeat: HeartbeatReceived, earlier: RequestAnswered | HeartbeatReceived | None
+) -> bool:
+    """Whether a heartbeat was sent after something else; a mode is, if no order is known."""
+    if earlier is None:
+        return False
+    if earlier.order is None or heartbeat.order is None:
+        return isinstance(earlier, HeartbeatReceived)
+    return heartbeat.order > earlier.order
 
 
 def _modes_on_the_way(autopilot: Autopilot) -> frozenset[FlightMode]:

@@ -39,7 +39,7 @@ class Watches:
         self._echo = EchoWatch()
         self._sticks = StickWatch(params.on_sticks)
         self._health = HealthWatch()
-        self._was_in_control = False
+        self._was_in_control = self._was_launching = False
         self._is_battery_told = False
 
     def handle(self, event: Event) -> None:
@@ -75,9 +75,11 @@ class Watches:
             self._begin(now_s)
         elif self._was_in_control and not is_in_control:
             self._echo.end()
+        if phase is Phase.LAUNCHING and not self._was_launching:
+            self._sticks.begin(now_s)
         if phase is Phase.WAITING:
             self.battery.flight_over()
-        self._was_in_control = is_in_control
+        self._was_in_control, self._was_launching = is_in_control, phase is Phase.LAUNCHING
 
     def handed_back(self, finding: Finding) -> None:
         """The vehicle was handed back for this."""
@@ -90,17 +92,25 @@ class Watches:
 
     def finding(self, now_s: float) -> Finding | None:
         """The worst that is wrong at a tick in control."""
-        health = self._health.findings(now_s, is_battery_low=self.battery.is_low)
         return worst(
             (
                 self._echo.finding(now_s),
                 self.wishes.finding(),
+                self.launch_finding(now_s),
+                self._situation.passing_finding(now_s),
+                self.inputs.finding(now_s),
+            )
+        )
+
+    def launch_finding(self, now_s: float) -> Finding | None:
+        """The worst that is wrong, in control or not, of what no vehicle is launched with."""
+        health = self._health.findings(now_s, is_battery_low=self.battery.is_low)
+        return worst(
+            (
                 self._sticks.finding(now_s),
                 self.battery.finding(),
                 self._situation.containment.finding(now_s),
                 *health,
-                self._situation.passing_finding(now_s),
-                self.inputs.finding(now_s),
             )
         )
 

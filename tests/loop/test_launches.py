@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from companion.config.schema import CompanionConfig
 from companion.domain import FlightMode
 from companion.guidance.session import SessionParams
 from companion.guidance.states import Phase
+from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
-from sim_link.faults.kinds import Battery
+from sim_link.faults.kinds import Battery, EkfPoor, PilotSticks, VehicleFault
 from tests.loop.loop_helpers import Loop
-from tests.loop.test_authority import ENDLESS, SET_MODE, inject
+from tests.loop.test_authority import ENDLESS, SET_MODE, TICK_S, inject
 
 FRUGAL = CompanionConfig(
     mission=SessionParams(
@@ -64,3 +67,53 @@ def test_whoever_gives_guided_after_a_failed_launch_is_obeyed() -> None:
     loop.operator.choose(FlightMode.OFFBOARD)
     loop.run(3.0)
     assert loop.phase in (Phase.NORMAL, Phase.HOLD)
+
+
+@pytest.mark.parametrize("climbed_s", [6.5, 9.0, 9.8])
+def test_a_pilot_who_holds_a_px4_during_its_climb_keeps_it(climbed_s: float) -> None:
+    """Also if the vehicle then comes to where its takeoff would have ended."""
+    loop = Loop(ENDLESS, Scenario(), 1)
+    loop.run(climbed_s)
+    assert loop.mode is FlightMode.TAKEOFF
+    loop.operator.choose(FlightMode.HOLD, is_told_at_once=True)
+    loop.run(2 * TICK_S)
+    assert loop.phase is Phase.YIELD
+    assert loop.said("launch ended: mode is hold")
+    held_s = loop.now_s
+    loop.run(2.0)
+    reposition(loop, 19.5)
+    loop.run(10.0)
+    assert loop.true_positions[-1][2] > 18.5
+    assert_left_alone(loop, held_s)
+
+
+def reposition(loop: Loop, height_m: float) -> None:
+    """The operator moves a vehicle that holds."""
+    origin = loop.flight.scenario.origin
+    frame, number = mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_CMD_DO_REPOSITION
+    north, east = round(origin.latitude_deg * 1e7), round(origin.longitude_deg * 1e7)
+    up_m = origin.altitude_m + height_m
+    loop.tell_vehicle(
+        mavlink.MAVLink_command_int_message(
+            1, 1, frame, number, 0, 0, -1.0, 1.0, 0.0, math.nan, north, east, up_m
+        )
+    )
+
+
+@pytest.mark.parametrize(
+    ("flavour", "fault", "words"),
+    [
+        ("px4", EkfPoor(duration_s=30.0), "the autopilot doubts its own position"),
+        ("ardupilot", PilotSticks(forward=0.8, duration_s=6.0), "the pilot moves the sticks"),
+    ],
+)
+def test_what_is_wrong_during_the_climb_ends_the_launch(
+    flavour: FlavourName, fault: VehicleFault, words: str
+) -> None:
+    loop = climbing(flavour)
+    inject(loop, fault)
+    loop.run_until(lambda: loop.phase is Phase.YIELD, 2.0)
+    assert loop.said(f"launch gave up: {words}")
+    ended_s = loop.now_s
+    loop.run(10.0)
+    assert_left_alone(loop, ended_s)

@@ -7,7 +7,6 @@ import pytest
 from companion.domain import Autopilot, FlightMode, LandedState
 from companion.guidance.commands import Arm, Command, SendSetpoint, SetMode, TakeOff
 from companion.guidance.events import (
-    ControlStalled,
     HeartbeatReceived,
     Outcome,
     RequestAnswered,
@@ -19,7 +18,6 @@ from companion.guidance.mode_names import mode_name
 from companion.guidance.session import SessionParams
 from companion.guidance.states import Phase
 from tests.unit.companion.guidance.scripted import ScriptedFlight
-from tests.unit.companion.guidance.session_helpers import silent_since
 
 AUTO = SessionParams(engage="auto", altitude_m=20.0)
 TICK_S = 0.05
@@ -317,53 +315,6 @@ def test_braking_an_ardupilot_during_its_climb_is_taking_over() -> None:
     flight = launching(Autopilot.ARDUPILOT)
     flight.show(FlightMode.HOLD)
     assert flight.is_in(Phase.YIELD)
-
-
-@pytest.mark.parametrize("autopilot", [Autopilot.PX4, Autopilot.ARDUPILOT])
-def test_a_failsafe_during_the_launch_ends_it_until_the_mode_is_given(autopilot: Autopilot) -> None:
-    flight = launching(autopilot)
-    flight.show(flight.mode, is_failsafe=True)
-    assert flight.is_in(Phase.YIELD)
-    ended_s = flight.now_s
-    flight.place = (0.0, 0.0, 20.0)
-    flight.report_landed(LandedState.IN_AIR)
-    flight.fly(5.0)
-    flight.is_failsafe = False
-    flight.fly(5.0)
-    assert flight.is_in(Phase.YIELD)
-    assert silent_since(flight, ended_s)
-    flight.show(FlightMode.POSITION)
-    flight.fly(3.0)
-    flight.show(FlightMode.OFFBOARD)
-    assert flight.is_in(Phase.HOLD)
-
-
-def test_offboard_that_others_enter_during_the_climb_is_not_ours() -> None:
-    """PX4 enters it in the air only if somebody else streams setpoints."""
-    flight = launching()
-    flight.show(FlightMode.OFFBOARD)
-    assert flight.is_in(Phase.YIELD)
-    ended_s = flight.now_s
-    flight.fly(10.0)
-    assert silent_since(flight, ended_s)
-
-
-@pytest.mark.parametrize("order", ["pilot first", "stall first"])
-def test_offboard_that_was_asked_for_before_the_launch_ended_was_not_given(order: str) -> None:
-    """The request was on its way already, and the autopilot obeys it after the pilot."""
-    flight = ScriptedFlight(AUTO).asking_for_offboard()
-    if order == "pilot first":
-        flight.show(FlightMode.POSITION)
-    else:
-        flight.give(ControlStalled(flight.now_s, 1.0))
-        flight.show(FlightMode.TAKEOFF)
-    assert flight.is_in(Phase.YIELD)
-    ended_s = flight.now_s
-    flight.fly(0.6)
-    flight.show(FlightMode.OFFBOARD)
-    flight.fly(10.0)
-    assert flight.is_in(Phase.YIELD)
-    assert silent_since(flight, ended_s)
 
 
 def test_a_vehicle_that_disarms_during_the_launch_is_not_launched_again() -> None:
