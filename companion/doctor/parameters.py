@@ -12,6 +12,12 @@ from collections.abc import Callable, Iterator, Mapping
 
 from companion.config.schema import CompanionConfig
 from companion.doctor.facts import AutopilotFacts
+from companion.doctor.own_limits import (
+    ARDUPILOT_LIMITS,
+    PX4_LIMITS,
+    ardupilot_limits,
+    px4_limits,
+)
 from companion.doctor.verdicts import Finding, fail, ok, warn
 from companion.domain import Autopilot
 
@@ -95,11 +101,13 @@ def _ardupilot_target_timeout(
     values: Values, facts: AutopilotFacts, config: CompanionConfig
 ) -> Iterator[Finding]:
     del facts, config
-    timeout_s = values["GUID_TIMEOUT"]
-    yield ok(
-        "GUID_TIMEOUT",
-        f"{timeout_s:g} s, for velocities only: without a companion it stays at its last position",
-    )
+    name, timeout_s = "GUID_TIMEOUT", values["GUID_TIMEOUT"]
+    if timeout_s < LONGEST_GAP_S:
+        text = f"{timeout_s:g} s: a few lost packets stop whoever steers by velocities"
+        yield warn(name, text, "set GUID_TIMEOUT to 3.0")
+    else:
+        text = "for velocities only: without a companion it stays at its last position"
+        yield ok(name, f"{timeout_s:g} s, {text}")
 
 
 def _ardupilot_station(
@@ -162,6 +170,7 @@ RULES: Mapping[Autopilot, tuple[tuple[tuple[str, ...], Rule], ...]] = {
         (("COM_OBL_RC_ACT",), _px4_loss_action),
         (("COM_RC_OVERRIDE",), _px4_sticks),
         (("GF_ACTION",), _px4_fence),
+        (("GF_ACTION", *PX4_LIMITS), px4_limits),
         (("MPC_XY_VEL_MAX",), _px4_speed),
     ),
     Autopilot.ARDUPILOT: (
@@ -169,6 +178,7 @@ RULES: Mapping[Autopilot, tuple[tuple[tuple[str, ...], Rule], ...]] = {
         (("SYSID_MYGCS", "FS_GCS_ENABLE", "FS_GCS_TIMEOUT"), _ardupilot_station),
         (("FS_THR_ENABLE",), _ardupilot_throttle),
         (("FENCE_ENABLE", "FENCE_ACTION"), _ardupilot_fence),
+        (("FENCE_ENABLE", "FENCE_ACTION", "FENCE_TYPE", *ARDUPILOT_LIMITS), ardupilot_limits),
         (("WPNAV_SPEED",), _ardupilot_speed),
     ),
 }
@@ -177,16 +187,19 @@ RULES: Mapping[Autopilot, tuple[tuple[tuple[str, ...], Rule], ...]] = {
 
 def needed_parameters(autopilot: Autopilot) -> tuple[str, ...]:
     """What to ask an autopilot for."""
-    return tuple(name for names, _ in RULES.get(autopilot, ()) for name in names)
+    names = (name for names, _ in RULES.get(autopilot, ()) for name in names)
+    return tuple(dict.fromkeys(names))
 
 
 def check_parameters(facts: AutopilotFacts, config: CompanionConfig) -> Iterator[Finding]:
     """What the parameters mean; one that the autopilot does not tell is a finding, too."""
+    untold: set[str] = set()
     for names, rule in RULES.get(facts.autopilot, ()):
         values = {name: facts.parameters.get(name) for name in names}
         known = {name: value for name, value in values.items() if value is not None}
         for name in names:
-            if name not in known:
+            if name not in known and name not in untold:
+                untold.add(name)
                 text = "the autopilot does not tell"
                 yield warn(name, text, f"look {name} up with a ground station")
         if len(known) == len(names):

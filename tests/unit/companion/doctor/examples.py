@@ -30,6 +30,8 @@ PX4_PARAMETERS: dict[str, float | None] = {
     "COM_OBL_RC_ACT": 5,
     "COM_RC_OVERRIDE": 1,
     "GF_ACTION": 2,
+    "GF_MAX_HOR_DIST": 0.0,
+    "GF_MAX_VER_DIST": 0.0,
     "MPC_XY_VEL_MAX": 12.0,
 }
 ARDUPILOT_PARAMETERS: dict[str, float | None] = {
@@ -40,6 +42,9 @@ ARDUPILOT_PARAMETERS: dict[str, float | None] = {
     "FS_THR_ENABLE": 1,
     "FENCE_ENABLE": 1,
     "FENCE_ACTION": 1,
+    "FENCE_TYPE": 7,
+    "FENCE_RADIUS": 300.0,
+    "FENCE_ALT_MAX": 100.0,
     "WPNAV_SPEED": 1000.0,
 }
 HOST = HostFacts(

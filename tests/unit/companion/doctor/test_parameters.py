@@ -48,6 +48,10 @@ def test_good_parameters_need_no_mending(facts: AutopilotFacts) -> None:
         ("COM_RC_OVERRIDE", 3, True, Level.OK, "sticks take over"),
         ("COM_RC_OVERRIDE", 1, True, Level.OK, "sticks do not"),
         ("GF_ACTION", 0, True, Level.WARN, "does nothing"),
+        ("GF_MAX_HOR_DIST", 20.0, True, Level.WARN, "20 m around home, but"),
+        ("GF_MAX_HOR_DIST", 300.0, True, Level.OK, "300 m around home"),
+        ("GF_MAX_VER_DIST", 10.0, True, Level.WARN, "limits.altitude_max_m is 60"),
+        ("GF_MAX_VER_DIST", 60.0, True, Level.OK, "60 m above home"),
         ("MPC_XY_VEL_MAX", 3.0, True, Level.WARN, "slower than limits.speed_mps (5)"),
         ("MPC_XY_VEL_MAX", None, True, Level.WARN, "does not tell"),
     ],
@@ -64,6 +68,9 @@ def test_px4(name: str, value: float | None, has_rc: bool | None, level: Level, 
     ("name", "value", "level", "text"),
     [
         ("GUID_TIMEOUT", 3.0, Level.OK, "for velocities only"),
+        ("GUID_TIMEOUT", 0.1, Level.WARN, "a few lost packets"),
+        ("FENCE_RADIUS", 30.0, Level.WARN, "30 m around home, but the companion may fly"),
+        ("FENCE_ALT_MAX", 10.0, Level.WARN, "10 m above home, but limits.altitude_max_m is 60"),
         ("SYSID_MYGCS", 1, Level.FAIL, "would count as the ground station"),
         ("FS_GCS_ENABLE", 0, Level.WARN, "a lost ground station does nothing"),
         ("FS_THR_ENABLE", 0, Level.WARN, "a lost transmitter does nothing"),
@@ -77,6 +84,29 @@ def test_ardupilot(name: str, value: float | None, level: Level, text: str) -> N
     (finding,) = findings_about(name, with_value(ARDUPILOT, name, value))
     assert finding.level is level
     assert text in finding.text
+    assert bool(finding.fix) is (level is not Level.OK)
+
+
+@pytest.mark.parametrize("off", [("FENCE_ENABLE", 0), ("FENCE_ACTION", 0), ("FENCE_TYPE", 4)])
+def test_a_small_circle_that_does_not_act_is_no_finding(off: tuple[str, float]) -> None:
+    facts = with_value(with_value(ARDUPILOT, "FENCE_RADIUS", 30.0), *off)
+    assert findings_about("FENCE_RADIUS", facts) == []
+
+
+@pytest.mark.parametrize("action", [0, 1])
+def test_a_low_ceiling_that_only_warns_is_no_finding(action: int) -> None:
+    facts = with_value(with_value(PX4, "GF_MAX_VER_DIST", 10.0), "GF_ACTION", action)
+    assert findings_about("GF_MAX_VER_DIST", facts) == []
+
+
+def test_a_small_circle_is_fine_for_a_companion_that_stays_near() -> None:
+    config = CompanionConfig(limits=LimitsConfig(distance_home_m=25.0))
+    facts = with_value(ARDUPILOT, "FENCE_RADIUS", 30.0)
+    assert all(finding.level is Level.OK for finding in check_parameters(facts, config))
+
+
+def test_a_parameter_that_several_rules_need_is_missed_once() -> None:
+    assert len(findings_about("GF_ACTION", with_value(PX4, "GF_ACTION", None))) == 1
 
 
 def test_without_a_transmitter_its_failsafe_does_not_matter() -> None:
