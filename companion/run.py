@@ -26,7 +26,7 @@ from companion.io.journal import BlackBox, FlightJournal, MissingJournal
 from companion.io.key_file import load_signing_key
 from companion.io.link_watch import LinkWatch
 from companion.io.links import LinkSpec, make_link
-from companion.io.lock import VehicleLock, lock_name
+from companion.io.lock import VehicleLock, lock_name, place_of
 from companion.io.mcap_log import McapLog
 from companion.io.shell import Shell
 from companion.io.signing_store import SigningKeeper, open_signing_keeper
@@ -168,7 +168,7 @@ def fly(
     keeper = open_signing(config)
     state = state_directory(config.process.state_directory, os.environ)
     name = link_name(links[0])
-    lock = VehicleLock(state, name, config.vehicle.system_id)
+    lock = VehicleLock(state, name, config.vehicle.system_id, place_of(links[0]))
     try:
         prepare(config)
         store = CheckpointStore(state, lock_name(name)) if config.process.checkpoint else None

@@ -4,6 +4,11 @@
 stale lock cannot exist, and the file itself may stay. A companion bound to one system id shares the
 link's lock with those bound to others (several vehicles behind one router) and holds its id's lock
 alone; one that takes the first vehicle it hears holds the link's lock alone.
+
+The lock is named after what the address means, so that another spelling of a host or a device is
+the same link. It is not kept at a place that all users share: there anybody could take it, or leave
+a file that keeps everyone from flying. Companions of two users, state directories or computers are
+known by their frames alone, see `link.own_frames`.
 """
 
 from __future__ import annotations
@@ -13,11 +18,16 @@ import hashlib
 import logging
 import os
 import re
+import socket
+import threading
 from contextlib import suppress
 from pathlib import Path
 
 from companion.errors import LinkError
+from companion.io.links import LinkSpec, Pty, SerialPort
 
+LOOK_UP_S = 2.0
+"""How long a name server may take."""
 logger = logging.getLogger("companion.io")
 
 
@@ -28,14 +38,17 @@ class VehicleLock:
         directory: Where locks are kept; made if it is missing.
         link: The vehicle link's address in its canonical spelling.
         system_id: The vehicle's; None: whichever is heard first.
+        place: What the link's address means, see `place_of`; None: its spelling says it.
 
     Raises:
         LinkError: Another companion has the vehicle.
     """
 
-    def __init__(self, directory: Path, link: str, system_id: int | None) -> None:
+    def __init__(
+        self, directory: Path, link: str, system_id: int | None, place: str | None = None
+    ) -> None:
         self._descriptors: list[int] = []
-        name = lock_name(link)
+        name = lock_name(place or link)
         try:
             directory.mkdir(parents=True, exist_ok=True)
             is_shared = system_id is not None
@@ -73,6 +86,35 @@ class VehicleLock:
         with suppress(OSError):  # only for the message of whoever comes next
             os.ftruncate(descriptor, 0)
             os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
+
+
+def place_of(link: LinkSpec) -> str:
+    """What a link's address means, the same for every spelling: its host's number, its device.
+
+    A name that nobody can look up soon stands for itself.
+    """
+    kind = type(link).__name__
+    match link:
+        case SerialPort():
+            return f"{kind} {os.path.realpath(link.device)}"
+        case Pty():
+            folder, name = os.path.split(link.path)  # the name itself is a link that we make
+            return f"{kind} {os.path.join(os.path.realpath(folder), name)}"
+    return f"{kind} {_number_of(link.host)}:{link.port}"
+
+
+def _number_of(host: str) -> str:
+    """A host's address; its name server may be slow, and the thread is not waited for then."""
+    found = [host]
+
+    def look_up() -> None:
+        with suppress(OSError, UnicodeError):
+            found.append(socket.gethostbyname(host))
+
+    thread = threading.Thread(target=look_up, name="place of a link", daemon=True)
+    thread.start()
+    thread.join(LOOK_UP_S)
+    return found[-1]
 
 
 def lock_name(link: str) -> str:

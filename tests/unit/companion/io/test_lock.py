@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from companion.errors import LinkError
-from companion.io.lock import VehicleLock, lock_name
+from companion.io.links import Pty, SerialPort, UdpBind, UdpConnect
+from companion.io.lock import VehicleLock, lock_name, place_of
 
 UDP = "udpin:127.0.0.1:14550"
 HOLD = """
@@ -41,6 +42,40 @@ def test_another_link_is_another_vehicle(tmp_path: Path) -> None:
     locks = [VehicleLock(tmp_path, link, None) for link in (UDP, "tcp:10.0.0.1:5760", "/dev/ttyS0")]
     for lock in locks:
         lock.release()
+
+
+def test_another_spelling_of_a_host_is_the_same_vehicle(tmp_path: Path) -> None:
+    links = [UdpConnect(host, 14580) for host in ("127.0.0.1", "localhost")]
+    first = VehicleLock(tmp_path, "udpout 127.0.0.1:14580", None, place_of(links[0]))
+    with pytest.raises(LinkError, match="udpout localhost:14580: another companion"):
+        VehicleLock(tmp_path, "udpout localhost:14580", None, place_of(links[1]))
+    first.release()
+
+
+def test_another_name_or_speed_of_a_serial_port_is_the_same_vehicle(tmp_path: Path) -> None:
+    device, by_id = tmp_path / "ttyACM0", tmp_path / "usb-autopilot"
+    device.touch()
+    by_id.symlink_to(device)
+    links = (SerialPort(str(device), 57_600), SerialPort(str(by_id), 921_600))
+    assert place_of(links[0]) == place_of(links[1])
+
+
+def test_a_pseudo_terminal_is_known_by_its_name_whether_it_is_open_or_not(tmp_path: Path) -> None:
+    link = Pty(str(tmp_path / "vehicle"))
+    before = place_of(link)
+    (tmp_path / "vehicle").symlink_to("/dev/pts/0")
+    assert place_of(link) == before
+
+
+def test_other_ports_hosts_and_kinds_are_other_vehicles() -> None:
+    links = (
+        UdpConnect("127.0.0.1", 14580),
+        UdpConnect("127.0.0.1", 14581),
+        UdpConnect("127.0.0.2", 14580),
+        UdpBind("127.0.0.1", 14580),
+        UdpConnect("nobody.invalid", 14580),
+    )
+    assert len({place_of(link) for link in links}) == len(links)
 
 
 def test_vehicles_behind_one_router_are_told_apart_by_their_ids(tmp_path: Path) -> None:
