@@ -9,6 +9,9 @@ says how much of what we send arrives.
 - An echo beside the whole way is somebody else's setpoint. One alone may be a frame that just
   moved; several over a while are a second source. We stay in place for a second, and if it goes
   on meanwhile, we are the ones who give way: two streams would tear the vehicle to and fro.
+  Ours follows each of its setpoints within a tick, so of a slow source only one in many is ever
+  echoed. What is far beside our way is therefore remembered for half a minute; what is just
+  beside it may be the autopilot's rounding, and is soon forgotten.
 - An echo that is on the way, but where it was seconds ago, means that nothing of ours arrives any
   more, and so may no echo at all where there was one.
 
@@ -34,9 +37,12 @@ GRACE_S = 2.0
 MAX_LAG_S = 2.0
 """How old the newest setpoint may be that is known to have arrived."""
 FOREIGN_ECHOES = 3
-FOREIGN_WINDOW_S = 4.0
 FOREIGN_SPAN_S = 0.6
-"""So many foreign echoes in the window, over no less than the span, are a second source."""
+"""So many foreign echoes, over no less than the span, are a second source."""
+NEAR_S = 4.0
+FAR_S = 30.0
+FAR_M = 10.0
+"""How long one is remembered that is just beside our way, and one that is so far from it."""
 HOLD_S = 1.0
 """How long it is held before giving way ..."""
 GOES_ON_S = 0.4
@@ -52,7 +58,8 @@ class EchoWatch:
         self._control_s: float | None = None
         self._echo_s: float | None = None
         self._lag_s = 0.0
-        self._foreign_s: deque[float] = deque()
+        self._foreign_s: list[tuple[float, float]] = []
+        """When a foreign one came, and until when it is remembered."""
         self._disputed_s: float | None = None
 
     def begin(self, now_s: float) -> None:
@@ -87,20 +94,20 @@ class EchoWatch:
         if self._control_s is None or now_s - self._control_s < GRACE_S or not self._way:
             return
         self._echo_s = now_s
-        on_way_s = self._last_on_way_s(event.position_enu_m)
+        on_way_s, off_m = self._last_on_way_s(event.position_enu_m)
         if on_way_s is None:
-            self._foreign_s.append(now_s)
+            share = min(1.0, max(0.0, (off_m - TOLERANCE_M) / (FAR_M - TOLERANCE_M)))
+            self._foreign_s.append((now_s, now_s + NEAR_S + share * (FAR_S - NEAR_S)))
         else:
             self._lag_s = now_s - on_way_s
 
     def finding(self, now_s: float) -> Finding | None:
         """What the echoes say at a tick in control."""
-        while self._foreign_s and self._foreign_s[0] < now_s - FOREIGN_WINDOW_S:
-            self._foreign_s.popleft()
-        if self._is_disputed():
+        self._foreign_s = [echo for echo in self._foreign_s if echo[1] >= now_s]
+        if self._is_disputed(now_s):
             if self._disputed_s is None:
                 self._disputed_s = now_s
-            went_on = self._foreign_s[-1] - self._disputed_s >= GOES_ON_S
+            went_on = self._foreign_s[-1][0] - self._disputed_s >= GOES_ON_S
             is_over = now_s - self._disputed_s >= HOLD_S
             verdict = Verdict.GIVE_WAY if went_on and is_over else Verdict.HOLD
             return Finding(verdict, Reason.SECOND_SOURCE, "somebody else sends setpoints")
@@ -115,26 +122,33 @@ class EchoWatch:
             return Finding(Verdict.HOLD, Reason.SETPOINTS_LOST, text)
         return None
 
-    def _is_disputed(self) -> bool:
-        times_s = self._foreign_s
-        return len(times_s) >= FOREIGN_ECHOES and times_s[-1] - times_s[0] >= FOREIGN_SPAN_S
+    def _is_disputed(self, now_s: float) -> bool:
+        """Whether there is a second source, silent for no longer than it took to be noticed."""
+        if len(self._foreign_s) < FOREIGN_ECHOES:
+            return False
+        span_s = self._foreign_s[-1][0] - self._foreign_s[0][0]
+        silent_s = now_s - self._foreign_s[-1][0]
+        return span_s >= FOREIGN_SPAN_S and silent_s <= max(NEAR_S, span_s)
 
     def _forget_echoes(self) -> None:
         self._echo_s = self._disputed_s = None
         self._lag_s = 0.0
         self._foreign_s.clear()
 
-    def _last_on_way_s(self, place_enu_m: PositionEnu | None) -> float | None:
-        """When our way was last at a place; None if it never was."""
+    def _last_on_way_s(self, place_enu_m: PositionEnu | None) -> tuple[float | None, float]:
+        """When our way was last at a place, None if it never was; and how far it stayed away."""
         if place_enu_m is None:
-            return None
+            return None, 0.0
         following: PositionEnu | None = None
+        least_m = math.inf
         for _, until_s, place in reversed(self._way):
             end = place if following is None else following
-            if _distance_m(place_enu_m, place, end) <= TOLERANCE_M:
-                return until_s
+            distance_m = _distance_m(place_enu_m, place, end)
+            if distance_m <= TOLERANCE_M:
+                return until_s, distance_m
+            least_m = min(least_m, distance_m)
             following = place
-        return None
+        return None, least_m
 
 
 def _distance_m(point: PositionEnu, start: PositionEnu, end: PositionEnu) -> float:

@@ -197,6 +197,21 @@ def test_a_second_sender_is_given_way_to(
 
 
 @pytest.mark.parametrize("flavour", FLAVOURS)
+@pytest.mark.parametrize(
+    ("rate_hz", "limit_s"), [(1.0, 9.0), (2.0, 5.0), (5.0, 2.0), (10.0, 2.0), (20.0, 2.0)]
+)
+def test_a_second_sender_in_step_with_us_is_given_way_to(
+    flavour: FlavourName, rate_hz: float, limit_s: float
+) -> None:
+    """Its setpoints always stand for half of our period, so the same few echoes show them."""
+    loop = flying(flavour, after_s=6.0 + 0.5 * TICK_S)
+    inject(loop, SecondSender(rate_hz=rate_hz, east_m=60.0, north_m=-40.0, duration_s=30.0))
+    loop.run_until(lambda: loop.phase is Phase.HOLD, limit_s)
+    loop.run_until(lambda: loop.phase is Phase.YIELD, 5.0)
+    assert loop.said("giving way: somebody else sends setpoints")
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
 @pytest.mark.parametrize("faults", [BAD, WORSE], ids=["0.2 s late", "0.5 s late"])
 @pytest.mark.parametrize("seed", range(2))
 def test_a_bad_link_raises_no_alarm(flavour: FlavourName, faults: LinkFaults, seed: int) -> None:

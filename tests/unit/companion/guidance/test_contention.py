@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from companion.domain import PositionEnu
-from companion.guidance.contention import EchoWatch
+from companion.guidance.contention import TOLERANCE_M, EchoWatch
 from companion.guidance.events import SetpointEchoed
 from companion.guidance.findings import Finding, Reason, Verdict
 
@@ -26,6 +26,8 @@ class Line:
         self.watch = EchoWatch()
         self.now_s = 0.0
         self.intruder_hz = 0.0
+        self.intruder_share = 1.0
+        """How much of a tick its setpoint stands before ours replaces it."""
         self.is_uplink_up = self.is_echo_up = True
         self.is_moving = True
         self.findings: list[tuple[float, Finding]] = []
@@ -63,13 +65,17 @@ class Line:
         while self._up and self._up[0][0] <= self.now_s:
             self._target = self._up.popleft()[1]
         is_intruded = self.intruder_hz * TICK_S > self._rng.random()
-        if is_intruded:
+        if is_intruded and (self.intruder_share == 1.0 or self._stands()):
             self._target = FOREIGN
         is_due = self.is_echo_up and self._ticks % round(ECHO_S / TICK_S) == 0
         if is_due and self._target is not None and self._rng.random() >= self._loss:
             self._down.append((self.now_s + self._latency_s, self._target))
         while self._down and self._down[0][0] <= self.now_s:
             self.watch.echoed(SetpointEchoed(self.now_s, self._down.popleft()[1]))
+
+    def _stands(self) -> bool:
+        """Whether an echo at any time in the tick would show the intruder's setpoint."""
+        return self._rng.random() < self.intruder_share
 
     @property
     def reasons(self) -> set[Reason]:
@@ -116,6 +122,42 @@ def test_a_second_source_that_stops_is_forgotten() -> None:
     line.run(6.0)
     assert line.first(Verdict.GIVE_WAY) == math.inf
     assert line.watch.finding(line.now_s) is None
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("intruder_hz", [1.0, 2.0])
+def test_a_slow_source_of_which_few_echoes_tell_is_given_way_to(
+    intruder_hz: float, seed: int
+) -> None:
+    line = Line(seed=seed)
+    line.run(10.0)
+    line.intruder_share, line.intruder_hz = 0.5, intruder_hz
+    began_s = line.now_s
+    line.run(45.0)
+    assert line.reasons == {Reason.SECOND_SOURCE}
+    assert line.first(Verdict.HOLD) - began_s <= 30.0 / intruder_hz
+    assert line.first(Verdict.GIVE_WAY) - began_s <= 40.0 / intruder_hz
+
+
+def test_echoes_just_beside_our_way_now_and_then_are_no_source() -> None:
+    line = Line()
+    for _ in range(40):
+        line.run(2.5)
+        beside = (line._place()[0], line._place()[1], 20.0 + 1.1 * TOLERANCE_M)
+        line.watch.echoed(SetpointEchoed(line.now_s, beside))
+    assert line.findings == []
+
+
+def test_a_slow_source_that_stops_is_not_held_on_for_longer_than_it_was_there() -> None:
+    line = Line()
+    line.run(10.0)
+    for _ in range(3):
+        line.watch.echoed(SetpointEchoed(line.now_s, FOREIGN))
+        line.run(4.0)
+    assert line.watch.finding(line.now_s) is not None
+    line.run(5.0)
+    assert line.watch.finding(line.now_s) is None
+    assert line.first(Verdict.GIVE_WAY) == math.inf
 
 
 def test_one_foreign_echo_is_no_source() -> None:
