@@ -23,11 +23,12 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 
+from companion.geometry.leash import leashed
 from companion.geometry.obstacles import FreeSpace
 from companion.geometry.polygons import Point
 from companion.guard.envelope import MAX_TICK_S, Envelope
 from companion.guard.fence import Fence
-from companion.guard.reserve import Reserve, leashed
+from companion.guard.reserve import Reserve
 from companion.guard.stopping import Stopping, ahead
 
 Position = tuple[float, float, float]
@@ -166,6 +167,10 @@ class Guard:
             place = fence.nearest_allowed(place)
             reasons.append(GuardReason.OUTSIDE)
         return Guarded((*place, up), tuple(reasons))
+
+    def stand(self, place_enu_m: Position) -> Guarded:
+        """The setpoint "do not move", even outside: for while nobody knows where that is."""
+        return Guarded(place_enu_m)
 
     def hold(self, previous: Guarded, motion: Motion, dt_s: float) -> Guarded:
         """The setpoint before, at rest: stopping is allowed at once."""

@@ -194,5 +194,7 @@ class ControlTick:
                 cap_mps = limit_mps * self._watches.inputs.speed_share(now_s)
                 return steering.follow(situation.flight_plan.waypoint, motion, dt_s, cap_mps)
             case Phase.HOLD | Phase.FINISHED | Phase.HANDBACK:
+                if self._watches.jumps.is_in_doubt or not vehicle.is_position_fresh(now_s):
+                    return steering.stand(motion)
                 return steering.stay(motion, dt_s)
         return None

@@ -8,6 +8,12 @@ as much: then the old measurements agree with the new ones, and it does not matt
 positions was the right one. The vehicle stays until its navigation was steady for a while, and what
 is measured until then is not fused. Navigation that keeps jumping is handed back.
 
+For fence and ground it does matter which one was right. Until it is steady nothing moves, wherever
+the vehicle seems to be; and if it then seems to be so far outside that coming back could lead out
+on the other side, or so much higher that the ground may be where the floor seems to be, it is not
+flown but handed back. What may be flown is the less of the jump and of the way back inside, as much
+as the margin makes up for.
+
 Source: PX4 user guide, "ECL/EKF", resets; `ardupilot/libraries/AP_NavEKF3`, reset of the position.
 """
 
@@ -17,11 +23,12 @@ import math
 
 from companion.domain import PositionEnu, VehicleState
 from companion.geometry.frames import wrap_pi
+from companion.guard.gate import GuardLimits, Motion
 from companion.guidance.commands import Severity
 from companion.guidance.events import VehicleMoved, YawMeasured
 from companion.guidance.findings import Finding, Reason, Verdict
 from companion.guidance.situation import Situation
-from companion.guidance.states import Trigger
+from companion.guidance.states import HAS_VEHICLE, Trigger
 from companion.guidance.track import is_plausible
 
 LEAST_STEP_M = 0.5
@@ -113,6 +120,27 @@ def yaw_jump_rad(before: tuple[float, float], after: tuple[float, float]) -> flo
     return turn_rad if abs(turn_rad) > LEAST_TURN_RAD + MAX_TURN_RADPS * dt_s else None
 
 
+def may_lead_out(limits: GuardLimits, motion: Motion, jump_enu_m: PositionEnu) -> bool:
+    """Whether flying on could lead out, or down, should the position before a jump be right.
+
+    Args:
+        limits: With the fence and the altitude band.
+        motion: Of the vehicle, after the jump.
+        jump_enu_m: How far it jumped.
+    """
+    if jump_enu_m[2] > limits.envelope.altitude_min_m:
+        return True
+    fence, place = limits.fence, motion.position_enu_m[:2]
+    if fence is not None:
+        way_m = math.dist(place, fence.nearest_allowed(place))
+        if min(way_m, math.hypot(*jump_enu_m[:2])) > fence.margin_m:
+            return True
+    height_m = motion.position_enu_m[2] - motion.home_enu_m[2]
+    low_m, high_m = limits.altitude_m
+    climb_m = max(low_m - height_m, height_m - high_m)
+    return min(climb_m, abs(jump_enu_m[2])) > limits.stopping.clearance_m
+
+
 class JumpWatch:
     """Watches position and heading as they are reported.
 
@@ -126,6 +154,33 @@ class JumpWatch:
         self._first_s = -math.inf
         """When the present jumps began."""
         self._last_s = -math.inf
+        self._jumped_m: PositionEnu | None = None
+        """All that the position jumped by since it was steady; None: nobody doubts it."""
+
+    @property
+    def is_in_doubt(self) -> bool:
+        """Whether the position jumped, and nothing may be flown by it yet."""
+        return self._jumped_m is not None
+
+    def tick(self, now_s: float) -> None:
+        """Whoever gives us a vehicle that does not jump any more knows where it is."""
+        if self._is_steady(now_s) and self._situation.phase not in HAS_VEHICLE:
+            self._jumped_m = None
+
+    def finding(self, now_s: float) -> Finding | None:
+        """What jumps that are over mean for the way back inside."""
+        motion = self._situation.vehicle.motion
+        if self._jumped_m is None or motion is None or not self._is_steady(now_s):
+            return None
+        if not may_lead_out(self._situation.guard.limits, motion, self._jumped_m):
+            self._jumped_m = None
+            return None
+        jump_m = math.hypot(*self._jumped_m)
+        text = f"own position jumped by {jump_m:.0f} m: flying by it may lead out"
+        return Finding(Verdict.HAND_BACK, Reason.OWN_JUMP, text)
+
+    def _is_steady(self, now_s: float) -> bool:
+        return now_s - self._last_s >= STEADY_S
 
     def moved(self, event: VehicleMoved) -> None:
         """A position is reported; to be called before the vehicle takes it in."""
@@ -140,6 +195,8 @@ class JumpWatch:
         self._situation.vehicle.shift(jump_m)
         self._move_targets(jump_m, 0.0)
         self._situation.steering.forget_setpoint()
+        (e, n, u), (de, dn, du) = self._jumped_m or (0.0, 0.0, 0.0), jump_m
+        self._jumped_m = (e + de, n + dn, u + du)
         text = f"own position jumped by {math.hypot(*jump_m):.1f} m"
         self._hold(text, before_s, event.time_s)
 

@@ -43,7 +43,6 @@ from companion.guidance.events import (
 from companion.guidance.fencing import FencePlan, Fencing
 from companion.guidance.flight_plan import FlightPlan
 from companion.guidance.handover import Handover
-from companion.guidance.jumps import JumpWatch
 from companion.guidance.measuring import Measuring
 from companion.guidance.memory import SessionMemory
 from companion.guidance.params import SessionParams as SessionParams
@@ -98,7 +97,6 @@ class GuidanceSession:
         self._measuring = Measuring(self.situation, self._watches.inputs, turns)
         self._control = ControlTick(self.situation, self._watches, self.handover, turns)
         self._recollection = Recollection(self.situation)
-        self._jumps = JumpWatch(self.situation)
 
     def handle(self, event: Event) -> list[Command]:
         """What is to be done about an event."""
@@ -119,9 +117,9 @@ class GuidanceSession:
         if isinstance(event, HomeSet):
             self.handover.check_home(event)
         if isinstance(event, VehicleMoved):
-            self._jumps.moved(event)
+            self._watches.jumps.moved(event)
         if isinstance(event, YawMeasured):
-            self._jumps.turned(event)
+            self._watches.jumps.turned(event)
         self.vehicle.handle(event)
         self._watches.handle(event)
 

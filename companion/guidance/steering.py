@@ -46,6 +46,12 @@ class Steering:
         """Hold at the vehicle's present place, following it while someone else flies it."""
         return self._sent(self._guard.here(motion))
 
+    def stand(self, motion: Motion) -> PositionSetpoint:
+        """Move nothing, not even back inside: where the vehicle is may be wrong."""
+        last = self._last
+        place = motion.position_enu_m if last is None else last.position_enu_m
+        return self._sent(self._guard.stand(place))
+
     def stay(self, motion: Motion, dt_s: float) -> PositionSetpoint:
         """Hold at the place where holding began."""
         if self._last is None:

@@ -17,6 +17,7 @@ from companion.guidance.events import (
 from companion.guidance.findings import Finding, Reason, worst
 from companion.guidance.health import HealthWatch
 from companion.guidance.inputs import InputWatch
+from companion.guidance.jumps import JumpWatch
 from companion.guidance.situation import Situation
 from companion.guidance.states import IN_CONTROL, Phase
 from companion.guidance.sticks import StickWatch
@@ -35,6 +36,7 @@ class Watches:
         self.inputs = InputWatch(situation)
         self.battery = BatteryWatch(params.battery_low_pct, params.battery_critical_pct)
         self.wishes = WishWatch(situation)
+        self.jumps = JumpWatch(situation)
         self._situation = situation
         self._echo = EchoWatch()
         self._sticks = StickWatch(params.on_sticks)
@@ -69,6 +71,7 @@ class Watches:
         """Take note of what is there, and of control that begins or ends."""
         self.inputs.tick(now_s)
         self.wishes.tick()
+        self.jumps.tick(now_s)
         phase = self._situation.phase
         is_in_control = phase in IN_CONTROL
         if is_in_control and not self._was_in_control:
@@ -97,6 +100,7 @@ class Watches:
                 self._echo.finding(now_s),
                 self.wishes.finding(),
                 self.launch_finding(now_s),
+                self.jumps.finding(now_s),
                 self._situation.passing_finding(now_s),
                 self.inputs.finding(now_s),
             )

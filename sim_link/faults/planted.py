@@ -13,6 +13,7 @@ from typing import Any
 
 from companion.config.schema import CompanionConfig
 from companion.domain import Autopilot, FlightMode, TargetEstimate
+from companion.guidance.findings import Reason
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.journal import Journal
 from companion.mav.codec import MavCodec
@@ -117,6 +118,20 @@ class Jumps(Planted):
 
     def _change(self, message: Any) -> None:
         message.x += 6.0
+
+
+class ChasesJumps(Planted):
+    """It flies inside at once by a position that jumped, as if that were right."""
+
+    invariant = "I1"
+
+    def _spoil(self, frame: bytes) -> list[bytes]:
+        finding = self.session.situation.finding
+        is_held = finding is not None and finding.reason is Reason.OWN_JUMP
+        return [rewritten(frame, self._change, None)] if is_held and self._is_flying else [frame]
+
+    def _change(self, message: Any) -> None:
+        message.x = message.y = 0.0
 
 
 class KeepsFlying(Planted):

@@ -9,8 +9,9 @@ from companion.mav.dialect import mavlink
 from companion.mav.type_mask import POSITION_AND_YAW, POSITION_ONLY
 from sim_link.lockstep.observer import Frame
 from sim_link.monitor.invariant import Invariant
+from sim_link.monitor.own_jumps import OwnJumps
 from sim_link.monitor.predicates import Point, depth_m, is_way_clear
-from sim_link.monitor.scene import Setpoint, TrueScene
+from sim_link.monitor.scene import Scene, Setpoint, TrueScene
 from sim_link.world.point_mass import PointMass, approach_velocity
 
 SETPOINTS = frozenset(
@@ -41,6 +42,10 @@ class SetpointsInside(Invariant):
     name = "I1"
     title = "setpoints, the ways to them and the vehicle stay inside fence and altitude band"
 
+    def __init__(self, scene: Scene) -> None:
+        super().__init__(scene)
+        self._last: Point | None = None
+
     def setpoint(self, setpoint: Setpoint) -> None:
         """Judge a setpoint by where the companion believed the vehicle to be."""
         rules, told = self.scene.rules, self.scene.told
@@ -49,7 +54,10 @@ class SetpointsInside(Invariant):
         least = rules.clearance_m - ROUNDING_M
         vehicle = None if self.scene.is_lied_to else told.position_enu_m
         own_depth = math.inf if vehicle is None else self._depth(vehicle[:2])
-        if depth < least and depth < min(own_depth, rules.clearance_m) + ROUNDING_M:
+        last, self._last = self._last, place
+        is_still = last is not None and math.dist(place, last) <= ROUNDING_M
+        is_no_farther = depth >= min(own_depth, rules.clearance_m) - ROUNDING_M
+        if depth < least and not is_no_farther and not (is_still and own_depth < 0.0):
             self.report("setpoint too near to a border or beyond it", depth_m=depth)
         if vehicle is not None and own_depth > 0.0 and depth > 0.0:
             fence, keep_outs = rules.fence_enu_m, rules.keep_out_enu_m
@@ -77,6 +85,7 @@ class InsideFence(SetpointsInside):
     def __init__(self, scene: TrueScene) -> None:
         super().__init__(scene)
         self._truth = scene
+        self._jumps = OwnJumps(scene)
         self.closest_m = math.inf
         """Least true distance to a border while the companion answered for it."""
         self.breaches = 0
@@ -95,6 +104,13 @@ class InsideFence(SetpointsInside):
         """Whether it left the mode, too, that it was in first after it was ours."""
         self._known: tuple[Point, float] = ((0.0, 0.0), -math.inf)
         """A place, and how deep inside it is."""
+
+    def setpoint(self, setpoint: Setpoint) -> None:
+        """Judge it by what is true, too."""
+        super().setpoint(setpoint)
+        chased_m = self._jumps.chased_m(setpoint)
+        if chased_m is not None:
+            self.report("a setpoint flies by a position that jumped", away_m=chased_m)
 
     def reached(self, frame: Frame) -> None:
         """A frame of ours reached the vehicle."""
@@ -125,6 +141,7 @@ class InsideFence(SetpointsInside):
 
     def stepped(self) -> None:
         """Judge where the vehicle truly is and where it could stop."""
+        self._jumps.stepped()
         scene, body = self._truth, self._truth.vehicle.body
         is_ours = scene.told.is_ours and scene.is_companion_up
         if is_ours:

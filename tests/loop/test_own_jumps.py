@@ -6,13 +6,40 @@ import math
 
 import pytest
 
-from companion.domain import PositionEnu
+from companion.config.limits import LimitsConfig
+from companion.config.schema import CompanionConfig
+from companion.domain import FlightMode, PositionEnu
 from companion.estimation.refusal import Refusal
+from companion.guidance.session import SessionParams
 from companion.guidance.states import FLYING, Phase
+from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.campaign.flights import monitored
 from tests.loop.loop_helpers import AUTO, Loop, outside
 
-JUMPS: list[PositionEnu] = [(1.0, 0.0, 0.0), (-5.0, 5.0, 0.0), (30.0, -40.0, 0.0)]
+JUMPS: list[PositionEnu] = [
+    (1.0, 0.0, 0.0),
+    (-5.0, 5.0, 0.0),
+    (30.0, -40.0, 0.0),
+    (0.0, 0.0, 4.0),
+    (0.0, 0.0, -7.0),
+]
+OUT_OF_BOUNDS: list[PositionEnu] = [
+    (50.0, 0.0, 0.0),
+    (-50.0, 0.0, 0.0),
+    (40.0, 60.0, 0.0),
+    (0.0, 0.0, 50.0),
+    (0.0, 0.0, 20.0),
+    (0.0, 0.0, -30.0),
+]
+"""From anywhere in the small fence, at the search altitude; 20 m is as far as the ground."""
+BRAKING_M = 4.0
+"""It flew at no more than 5 m/s."""
+SQUARE = ((-25.0, -25.0), (25.0, -25.0), (25.0, 25.0), (-25.0, 25.0))
+SMALL = CompanionConfig(
+    mission=SessionParams(engage="auto", stop_radius_m=0.3),
+    limits=LimitsConfig(fence_enu_m=SQUARE),
+)
+"""A search that does not end in a small fence."""
 
 
 def flying(after_s: float = 8.0) -> Loop:
@@ -46,7 +73,7 @@ def test_it_holds_until_the_position_is_steady_and_the_estimate_moves_along(
     assert target_seen_m(loop, shift_enu_m) <= before_m + 0.3
     loop.run(1.4)
     assert loop.phase is Phase.HOLD
-    assert math.dist(loop.true_positions[-1][:2], place[:2]) <= 5.0  # it stops, it flies to nowhere
+    assert math.dist(loop.true_positions[-1], place) <= BRAKING_M  # it stops, it flies to nowhere
     assert loop.companion.session.tracker.refusals[Refusal.OWN_JUMP] >= 10
     assert loop.said("own position jumped by")
     loop.run_until(lambda: loop.phase in FLYING, 4.0)
@@ -55,6 +82,56 @@ def test_it_holds_until_the_position_is_steady_and_the_estimate_moves_along(
     loop.run_until(lambda: bool(loop.notes.results), 90.0)
     assert target_seen_m(loop, shift_enu_m) <= 1.0
     assert outside(loop.true_positions, 150.0) == []
+
+
+def searching(flavour: FlavourName = "px4") -> Loop:
+    """In control and searching in the small fence."""
+    loop = Loop(SMALL, Scenario(autopilot=AutopilotParams(flavour=flavour)))
+    loop.run_until(lambda: loop.phase is Phase.NORMAL, 60.0)
+    loop.run(6.0)
+    return loop
+
+
+@pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
+@pytest.mark.parametrize("shift_enu_m", OUT_OF_BOUNDS)
+def test_a_jump_out_of_bounds_moves_nothing_and_is_handed_back(
+    shift_enu_m: PositionEnu, flavour: FlavourName
+) -> None:
+    """Nobody knows which of the two positions was right: the way back may be the way out."""
+    loop = searching(flavour)
+    loop.sim.vehicle.estimator.jump(shift_enu_m, 0.0)
+    jumped_s, before = loop.now_s, len(loop.true_positions)
+    loop.run_until(lambda: loop.phase is Phase.YIELD, 4.0)
+    assert loop.now_s - jumped_s >= 2.0
+    assert loop.said("handing back: own position jumped by")
+    loop.run(10.0)
+    place = loop.true_positions[before]
+    assert all(math.dist(true, place) <= BRAKING_M for true in loop.true_positions[before:])
+
+
+def test_a_position_that_jumps_out_and_back_is_flown_on_by() -> None:
+    loop = searching()
+    before = len(loop.true_positions)
+    for east_m in (50.0, -50.0):
+        loop.sim.vehicle.estimator.jump((east_m, 0.0, 0.0), 0.0)
+        loop.run(1.0)
+    place = loop.true_positions[before]
+    assert all(math.dist(true, place) <= BRAKING_M for true in loop.true_positions[before:])
+    loop.run_until(lambda: loop.phase in FLYING, 4.0)
+
+
+def test_a_small_jump_does_not_keep_a_vehicle_outside_that_was_flown_there() -> None:
+    beside = tuple((east - 40.0, north) for east, north in SQUARE)
+    loop = Loop(CompanionConfig(limits=LimitsConfig(fence_enu_m=beside)))
+    loop.take_off(20.0)
+    loop.choose(FlightMode.OFFBOARD)
+    loop.run_until(lambda: loop.phase is Phase.NORMAL, 20.0)
+    loop.sim.vehicle.estimator.jump((1.0, 0.0, 0.0), 0.0)
+    loop.run(0.3)
+    assert loop.phase is Phase.HOLD
+    loop.run(20.0)
+    assert loop.phase in FLYING
+    assert loop.true_positions[-1][0] < -15.0
 
 
 def test_a_heading_that_jumps_is_held_on_too() -> None:

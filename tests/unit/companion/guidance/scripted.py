@@ -250,7 +250,9 @@ class ScriptedFlight:
         self.fly(0.1)
         self.answer(RequestKind.TAKE_OFF)
         self.report_landed(LandedState.IN_AIR)
-        self.place = (0.0, 0.0, 20.0)
+        for tick in range(1, 51):  # it climbs, it does not jump there
+            self.place = (0.0, 0.0, 0.4 * tick)
+            self.fly(TICK_S)
         self.fly(2.0)
         assert FlightMode.OFFBOARD in self.asked_modes()
         return self

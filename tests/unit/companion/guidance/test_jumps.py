@@ -11,14 +11,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.domain import PositionEnu, VehicleState
+from companion.guard.gate import Motion
 from companion.guidance.events import VehicleMoved
 from companion.guidance.jumps import (
     MAX_ACCELERATION_MPS2,
     MAX_GAP_S,
+    may_lead_out,
     position_jump_m,
     yaw_jump_rad,
 )
 from companion.guidance.track import VehicleTrack
+from tests.unit.companion.guard.gate_helpers import HOME, LIMITS
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 
 
@@ -118,3 +121,26 @@ def test_the_past_moves_along_and_the_time_about_the_jump_is_not_trusted() -> No
     assert not track.is_trusted_at(10.05)
     track.distrust(20.0, 22.0)
     assert track.is_trusted_at(12.5)
+
+
+@pytest.mark.parametrize(
+    ("place", "jump_m", "leads_out"),
+    [
+        ((90.0, 0.0, 30.0), (80.0, 0.0, 0.0), False),
+        ((101.0, 0.0, 30.0), (80.0, 0.0, 0.0), True),
+        ((99.0, 0.0, 30.0), (80.0, 0.0, 0.0), False),
+        ((150.0, 0.0, 30.0), (4.9, 0.0, 4.0), False),
+        ((150.0, 0.0, 30.0), (3.0, 4.1, 0.0), True),
+        ((0.0, 0.0, 30.0), (0.0, 0.0, 5.0), False),
+        ((0.0, 0.0, 30.0), (0.0, 0.0, 5.1), True),
+        ((0.0, 0.0, 70.0), (0.0, 0.0, 5.0), False),
+        ((0.0, 0.0, 70.1), (0.0, 0.0, 5.0), True),
+        ((0.0, 0.0, 90.0), (9.0, 0.0, -2.9), False),
+        ((0.0, 0.0, 14.5), (0.0, 0.0, -3.1), True),
+    ],
+)
+def test_what_may_be_flown_by_a_position_that_jumped(
+    place: PositionEnu, jump_m: PositionEnu, *, leads_out: bool
+) -> None:
+    """Back inside the margin (5 m), or 3 sigma in height (3 m); no lower than the floor (5 m)."""
+    assert may_lead_out(LIMITS, Motion(place, (0.0, 0.0, 0.0), HOME), jump_m) is leads_out

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import pytest
 
+from companion.config.limits import LimitsConfig
 from companion.config.schema import CompanionConfig
 from companion.domain import FlightMode
 from companion.guidance.session import SessionParams
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from sim_link.campaign.flights import Monitored, monitored, rules_of
-from sim_link.faults.kinds import ForgedFrames, LinkBlackout, PilotMode, UnsignedFrames
-from sim_link.faults.planted import DEFECTS, HasMoods, Planted, maker, twisted
+from sim_link.faults.kinds import EkfJump, ForgedFrames, LinkBlackout, PilotMode, UnsignedFrames
+from sim_link.faults.planted import DEFECTS, ChasesJumps, HasMoods, Planted, maker, twisted
 from sim_link.faults.schedule import Schedule
 from sim_link.monitor.monitor import Monitor
 
@@ -67,3 +68,28 @@ def test_a_covariance_that_is_not_positive_is_found() -> None:
     flight.run(25.0)
     assert {v.invariant for v in monitor.violations} == {"I9"}
     assert around.monitor.violations == []
+
+
+def jumped_out(defect: type[Planted] | None, **jump_m: float) -> set[str]:
+    """What is broken after a jump in flight that ends outside a small fence, or its band."""
+    square = ((-25.0, -25.0), (25.0, -25.0), (25.0, 25.0), (-25.0, 25.0))
+    config = CompanionConfig(mission=AUTO.mission, limits=LimitsConfig(fence_enu_m=square))
+    make = None if defect is None else maker(defect)
+    around = monitored(config, Scenario(), 1, make_companion=make)
+    around.flight.run(18.0)
+    around.injector.add(EkfJump(duration_s=30.0, **jump_m))
+    around.flight.run(8.0)
+    return {violation.invariant for violation in around.monitor.violations}
+
+
+JUMPS = [{"east_m": 50.0}, {"north_m": -60.0}, {"up_m": 50.0}, {"up_m": -30.0}]
+
+
+@pytest.mark.parametrize("jump_m", JUMPS)
+def test_who_chases_a_position_that_jumped_is_found(jump_m: dict[str, float]) -> None:
+    assert jumped_out(ChasesJumps, **jump_m) == {"I1", "I2"}
+
+
+@pytest.mark.parametrize("jump_m", JUMPS)
+def test_who_stays_is_not(jump_m: dict[str, float]) -> None:
+    assert jumped_out(None, **jump_m) == set()
