@@ -12,7 +12,7 @@ import msgspec
 from companion.config.fence_source import read_fence
 from companion.errors import ConfigError
 from companion.geometry.geofence import GeoFence
-from companion.geometry.obstacles import corners_problem
+from companion.geometry.obstacles import check_corners
 from companion.guard.envelope import Envelope
 from companion.guard.fence import Corners, Fence
 from companion.guard.gate import GuardLimits
@@ -103,10 +103,8 @@ class LimitsConfig(Params, frozen=True):
         site = read_fence(path)
         local = site.local(site.centre)
         keep_outs = (*local.keep_out_enu_m, *self.keep_out_enu_m)
-        problem = corners_problem((local.polygon_enu_m, *keep_outs))
-        if problem is not None:
-            raise ConfigError(f"{path}: with limits.keep_out_enu_m {problem}")
         try:
+            check_corners((local.polygon_enu_m, *keep_outs))
             Fence(local.polygon_enu_m, self.fence_margin_m, local.keep_out_enu_m)
         except ValueError as error:
             raise ConfigError(f"{path}: {error}") from None

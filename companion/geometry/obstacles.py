@@ -186,12 +186,18 @@ class Arc:
         return min(ends, key=lambda end: math.dist(end, point))
 
 
-def corners_problem(polygons: Iterable[Polygon]) -> str | None:
-    """Why polygons are too much to look at in every tick, or None."""
+def check_corners(polygons: Iterable[Polygon]) -> None:
+    """Refuse polygons that are too much to look at in every tick.
+
+    Raises:
+        ValueError: They have more than `MAX_CORNERS` in all.
+    """
     count = sum(map(len, polygons))
-    if count <= MAX_CORNERS:
-        return None
-    return f"{count} corners in all; at most {MAX_CORNERS} are looked at in time"
+    if count > MAX_CORNERS:
+        raise ValueError(
+            f"{count} corners in all, with those of keep_out_enu_m; at most {MAX_CORNERS} are "
+            "looked at in time"
+        )
 
 
 def between(a: Point, b: Point, share: float) -> Point:

@@ -144,6 +144,17 @@ def polygon_problem(polygon: Polygon, least_m2: float) -> str | None:
     return None if area_m2(polygon) >= least_m2 else "encloses no area"
 
 
+def check_polygon(name: str, polygon: Polygon, least_m2: float) -> None:
+    """Refuse a polygon that does not enclose at least an area; the text calls it `name`.
+
+    Raises:
+        ValueError: It has a `polygon_problem`.
+    """
+    problem = polygon_problem(polygon, least_m2)
+    if problem is not None:
+        raise ValueError(f"a {name} {problem}")
+
+
 def signed_area_m2(polygon: Polygon) -> float:
     """Enclosed area, square metres, positive if counter-clockwise (shoelace formula)."""
     return sum(a[0] * b[1] - b[0] * a[1] for a, b in edges(polygon)) / 2.0

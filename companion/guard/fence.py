@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from companion.geometry.obstacles import ROUNDING_M, FreeSpace, corners_problem
-from companion.geometry.polygons import Point, deepest_point, depth_m, polygon_problem
+from companion.geometry.obstacles import ROUNDING_M, FreeSpace, check_corners
+from companion.geometry.polygons import Point, check_polygon, deepest_point, depth_m
 
 Corners = tuple[Point, ...]
 
@@ -32,12 +32,10 @@ class Fence:
 
     def __post_init__(self) -> None:
         """Refuse polygons that enclose nothing, and a fence that leaves nothing usable."""
-        problem = corners_problem((self.polygon_enu_m, *self.keep_out_enu_m))
-        if problem is not None:
-            raise ValueError(f"the fence has {problem}")
-        _check_polygon("fence", self.polygon_enu_m, LEAST_FENCE_M2)
+        check_corners((self.polygon_enu_m, *self.keep_out_enu_m))
+        check_polygon("fence", self.polygon_enu_m, LEAST_FENCE_M2)
         for polygon in self.keep_out_enu_m:
-            _check_polygon("keep-out", polygon, LEAST_KEEP_OUT_M2)
+            check_polygon("keep-out", polygon, LEAST_KEEP_OUT_M2)
         if not self.margin_m >= 0.0:
             raise ValueError("the margin of a fence must be 0 or more")
         middle = deepest_point(self.polygon_enu_m)
@@ -74,9 +72,3 @@ class Fence:
         nearest = self.space.nearest_allowed(point)
         assert nearest is not None  # there is a shore, checked when the fence was made
         return nearest
-
-
-def _check_polygon(name: str, polygon: Corners, least_m2: float) -> None:
-    problem = polygon_problem(polygon, least_m2)
-    if problem is not None:
-        raise ValueError(f"a {name} {problem}")

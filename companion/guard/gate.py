@@ -25,7 +25,7 @@ from enum import Enum
 
 from companion.geometry.leash import leashed
 from companion.geometry.obstacles import FreeSpace
-from companion.geometry.polygons import Point
+from companion.geometry.polygons import FARTHEST_M, Point
 from companion.guard.envelope import MAX_TICK_S, Envelope
 from companion.guard.fence import Fence
 from companion.guard.reserve import Reserve
@@ -36,8 +36,6 @@ Position = tuple[float, float, float]
 AT_REST = (0.0, 0.0, 0.0)
 JUMP_STEPS = 2.0
 """A vehicle farther from its setpoint than this many steps did not lag: its position jumped."""
-FARTHEST_M = 1e6
-"""Farther from the origin a local frame means nothing."""
 
 
 class GuardReason(Enum):
@@ -157,7 +155,13 @@ class Guard:
         """The fence, and where the vehicle itself may be on its way to a setpoint."""
 
     def here(self, motion: Motion) -> Guarded:
-        """The setpoint "stay where you are", moved inside the limits if that is outside."""
+        """The setpoint "stay where you are", moved inside the limits if that is outside.
+
+        Raises:
+            ValueError: Vehicle or home is nowhere, so that no setpoint is known to be safe.
+        """
+        if not _are_finite(motion.position_enu_m, motion.home_enu_m):
+            raise ValueError("the place of the vehicle or of home is not a number")
         reasons: list[GuardReason] = []
         up = self._in_band(motion.position_enu_m[2], motion, reasons)
         place, fence = motion.position_enu_m[:2], self.limits.fence
@@ -193,7 +197,12 @@ class Guard:
             motion: Of the vehicle.
             dt_s: Time since the setpoint before.
             speed_cap_mps: No faster than this, where that is less than the limits.
+
+        Raises:
+            ValueError: Neither the setpoint before nor the vehicle is a place.
         """
+        if not _are_finite(previous.position_enu_m, previous.velocity_enu_mps):
+            return Guarded(self.here(motion).position_enu_m, (GuardReason.NOT_FINITE,))
         if self._known is None:
             return Guarded(previous.position_enu_m, (GuardReason.NO_FENCE,))
         if not _are_numbers(goal_enu_m, motion, dt_s, speed_cap_mps):
@@ -319,6 +328,10 @@ def _are_numbers(goal: Position, motion: Motion, dt_s: float, speed_cap_mps: flo
     values = (*motion.position_enu_m, *motion.velocity_enu_mps, *motion.home_enu_m)
     are_near = all(abs(value) <= FARTHEST_M for value in values)
     return are_near and all(map(math.isfinite, (*goal, dt_s))) and speed_cap_mps >= 0.0
+
+
+def _are_finite(*vectors: Position) -> bool:
+    return all(math.isfinite(value) for vector in vectors for value in vector)
 
 
 def _near(coordinate_m: float) -> float:

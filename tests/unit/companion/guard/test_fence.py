@@ -50,7 +50,11 @@ def fences(draw: st.DrawFn) -> Fence:
         (((0.0, 0.0), (40.0, 40.0), (40.0, 0.0), (0.0, 40.0)), 0.0, "cross each other"),
         (((0.0, 0.0), (40.0, 0.0), (80.0, 0.0)), 0.0, "encloses no area"),
         (((0.0, 0.0), (0.9, 0.0), (0.9, 0.9), (0.0, 0.9)), 0.0, "encloses no area"),
-        (tuple((math.cos(k / 32), math.sin(k / 32)) for k in range(201)), 0.0, "has 201 corners"),
+        (
+            tuple((math.cos(k / 32), math.sin(k / 32)) for k in range(201)),
+            0.0,
+            "201 corners in all",
+        ),
         ((*SQUARE, *SQUARE), 0.0, "touch or cross"),
         ((*SQUARE[:3], (0.0, 1e7)), 0.0, "farther than 1000 km"),
         (SQUARE, -0.1, "must be 0 or more"),
@@ -70,7 +74,9 @@ def test_a_fence_that_encloses_nothing_usable_is_refused(
 def test_a_fence_may_have_two_hundred_corners_with_those_of_its_keep_outs() -> None:
     ring = tuple((20.0 + math.cos(k / 32), 20.0 + math.sin(k / 32)) for k in range(196))
     assert not Fence(SQUARE, 1.0, (ring,)).allows((20.0, 20.0))
-    with pytest.raises(ValueError, match="has 201 corners in all; at most 200"):
+    with pytest.raises(
+        ValueError, match="201 corners in all, with those of keep_out_enu_m; at most 200"
+    ):
         Fence((*SQUARE, (0.0, 20.0)), 1.0, (ring,))
 
 

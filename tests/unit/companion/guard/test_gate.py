@@ -222,6 +222,32 @@ class TestWhatIsNoNumber:
         ):
             assert GUARD.towards((50.0, 0.0, 30.0), self.FAST, strange, 0.1) == self.KEPT
 
+    @pytest.mark.parametrize("axis", [0, 1, 2])
+    @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+    def test_nobody_stays_at_a_place_that_is_none(self, axis: int, value: float) -> None:
+        odd = list(START)
+        odd[axis] = value
+        place = (odd[0], odd[1], odd[2])
+        for guard in (GUARD, Guard(replace(LIMITS, fence=None))):
+            for nowhere in (motion(place), Motion(START, (0.0, 0.0, 0.0), place)):
+                with pytest.raises(ValueError, match="place of the vehicle or of home is not a nu"):
+                    guard.here(nowhere)
+                with pytest.raises(ValueError, match="place of the vehicle or of home is not a nu"):
+                    guard.towards((9.0, 0.0, 30.0), Guarded(place), nowhere, 0.1)
+
+    @pytest.mark.parametrize("axis", [0, 1, 2])
+    @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+    def test_after_a_setpoint_that_was_none_it_begins_anew(self, axis: int, value: float) -> None:
+        odd = list(START)
+        odd[axis] = value
+        place = (odd[0], odd[1], odd[2])
+        at_the_vehicle = Guarded((4.0, 5.0, 30.0), (GuardReason.NOT_FINITE,))
+        for guard in (GUARD, Guard(replace(LIMITS, fence=None))):
+            for last in (Guarded(place), Guarded(START, (), place)):
+                now = motion((4.0, 5.0, 30.0), (1.0, 0.0, 0.0))
+                assert guard.towards((9.0, 0.0, 30.0), last, now, 0.1) == at_the_vehicle
+                assert guard.hold(Guarded(place), now, 0.1) == at_the_vehicle
+
     def test_a_home_far_away_is_still_a_place(self) -> None:
         far = Motion(START, (0.0, 0.0, 0.0), (-1e6, 1e6, 10.0))
         guarded = GUARD.towards((50.0, 0.0, 30.0), Guarded(START), far, 0.1)
