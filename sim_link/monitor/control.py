@@ -29,6 +29,7 @@ RAISES = (
     mavlink.MAV_CMD_NAV_TAKEOFF,
 )
 """Commands that take control, or change who has it."""
+FAILSAFE = mavlink.MAV_STATE_CRITICAL
 HEARD = frozenset({mavlink.MAVLINK_MSG_ID_HEARTBEAT, mavlink.MAVLINK_MSG_ID_COMMAND_LONG})
 
 
@@ -50,11 +51,25 @@ class OnlyWithAuthority(Invariant):
         """When a person gave the mode since it was lost."""
         self._may_engage = True
         self._granted_s = -math.inf
+        self._is_launching = False
 
     def started(self) -> None:
         """A process that starts beside a vehicle in the air never takes it by itself."""
         self._was_ours, self._lost_s = False, None
         self._may_engage = not self.scene.is_flying
+        self._is_launching = False
+
+    def noted(self, kind: str, fields: Mapping[str, object]) -> None:
+        """What it gave up is lost although the mode is still its own: nobody gives that again."""
+        if kind != "phase":
+            return
+        self._is_launching = fields.get("new") == "launching"
+        if fields.get("new") == "yield" and self.scene.told.is_ours:
+            self._lose()
+
+    def _lose(self) -> None:
+        if self._lost_s is None:
+            self._lost_s, self._given_s = self.scene.now_s, -1.0
 
     def mode_chosen(self, mode: FlightMode) -> None:
         """An autopilot that goes back to offboard by itself gives nobody control."""
@@ -80,6 +95,8 @@ class OnlyWithAuthority(Invariant):
     ) -> None:
         now_s = self.scene.now_s
         is_armed = bool(heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+        if is_armed and self._is_launching and heartbeat.system_status == FAILSAFE:
+            self._lose()
         if is_armed and is_offboard(heartbeat):
             if sent_at[0] >= self._granted_s:
                 self._granted_s = -math.inf  # taken up

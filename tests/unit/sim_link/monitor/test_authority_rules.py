@@ -6,12 +6,14 @@ import pytest
 
 from companion.config.schema import CompanionConfig
 from companion.domain import FlightMode
+from companion.guidance.authority import Authority
 from companion.guidance.session import SessionParams
 from companion.guidance.states import Phase
 from companion.mav.dialect import mavlink
 from companion.mav.framing import message_id
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from sim_link.campaign.flights import Monitored, monitored
+from sim_link.faults.kinds import Battery
 from sim_link.faults.planted import KeepsFlying, maker
 from sim_link.lockstep.wire import Delivery, Lane
 
@@ -88,3 +90,19 @@ def test_a_mode_that_ends_shortly_after_a_grant_was_given_back_before_it() -> No
     around.operator.choose(FlightMode.HOLD)
     around.flight.run(3.0)
     assert around.monitor.violations == []
+
+
+@pytest.mark.parametrize("keeps_latch", [True, False])
+def test_guided_that_a_failed_launch_left_behind_gives_no_right_to_fly(
+    monkeypatch: pytest.MonkeyPatch, *, keeps_latch: bool
+) -> None:
+    if not keeps_latch:
+        monkeypatch.setattr(Authority, "may_take", property(lambda _: True))
+    around = monitored(AUTO, COPTER, 1)
+    around.flight.run(6.5)
+    around.injector.add(Battery(share=0.05))
+    around.flight.run(2.0)
+    assert around.flight.mode is FlightMode.OFFBOARD
+    around.flight.run(6.0)
+    found = {violation.invariant for violation in around.monitor.violations}
+    assert found == (set() if keeps_latch else {"I3"})
