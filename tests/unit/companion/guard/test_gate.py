@@ -122,6 +122,10 @@ class TestHolding:
         assert held.position_enu_m == pytest.approx((0.0, 0.0, 10.02))
         assert held.reasons == (GuardReason.ALTITUDE,)
 
+    def test_standing_moves_nothing_even_outside_of_fence_and_band(self) -> None:
+        for place in (START, (150.0, 0.0, 30.0), (0.0, 0.0, 90.0), (0.0, 0.0, 3.0)):
+            assert GUARD.stand(place) == Guarded(place)
+
 
 class TestTheFence:
     def test_a_goal_outside_ends_at_the_margin(self) -> None:
