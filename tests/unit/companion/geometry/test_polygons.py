@@ -77,6 +77,17 @@ def test_edges_close_the_polygon() -> None:
     assert list(edges(SQUARE))[-1] == (SQUARE[3], SQUARE[0])
 
 
+@pytest.mark.parametrize("first", range(4))
+@pytest.mark.parametrize("point", [(5.0, 1.0), (9.0, 5.0), (5.0, 9.0), (1.0, 5.0)])
+def test_every_edge_counts_whichever_corner_is_the_first(point: Point, first: int) -> None:
+    """The closing edge is a border like any other."""
+    turned = SQUARE[first:] + SQUARE[:first]
+    for polygon in (turned, turned[::-1]):
+        assert distance_to_border_m(polygon, point) == pytest.approx(1.0)
+        assert depth_m(polygon, point) == pytest.approx(1.0)
+        assert contains(polygon, point)
+
+
 def test_areas() -> None:
     assert area_m2(SQUARE) == pytest.approx(100.0)
     assert area_m2(HOOK) == pytest.approx(500.0)
