@@ -173,7 +173,13 @@ class Guard:
         return Guarded((*place, up), tuple(reasons))
 
     def stand(self, place_enu_m: Position) -> Guarded:
-        """The setpoint "do not move", even outside: for while nobody knows where that is."""
+        """The setpoint "do not move", even outside: for while nobody knows where that is.
+
+        Raises:
+            ValueError: The place is nowhere.
+        """
+        if not _are_finite(place_enu_m):
+            raise ValueError("the place to stand at is not a number")
         return Guarded(place_enu_m)
 
     def hold(self, previous: Guarded, motion: Motion, dt_s: float) -> Guarded:
