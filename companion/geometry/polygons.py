@@ -114,20 +114,10 @@ def is_simple(polygon: Polygon) -> bool:
     sides = list(edges(corners))
     last = len(sides) - 1
     return not any(
-        _is_folded(*sides[i], *sides[j])
-        if j == i + 1 or (i, j) == (0, last)
-        else are_within(TOUCH_M, *sides[i], *sides[j])
+        are_within(TOUCH_M, *sides[i], *sides[j])
         for i in range(last)
-        for j in range(i + 1, last + 1)
-    )
-
-
-def _is_folded(a0: Point, a1: Point, b0: Point, b1: Point) -> bool:
-    """Whether neighbouring edges touch beyond the corner that they share."""
-    far_a, far_b = (a0, b1) if a1 == b0 else (a1, b0)
-    return (
-        math.dist(far_b, nearest_on_segment(a0, a1, far_b)) < TOUCH_M
-        or math.dist(far_a, nearest_on_segment(b0, b1, far_a)) < TOUCH_M
+        for j in range(i + 2, last + 1)
+        if (i, j) != (0, last)  # neighbours; one that folds back meets the one after the next
     )
 
 
