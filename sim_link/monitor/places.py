@@ -31,6 +31,8 @@ OUR_MOTION = frozenset({FlightMode.OFFBOARD, FlightMode.HOLD, FlightMode.LAND})
 FREEZE_EVERY_S = 2.0
 FREEZE_FOR_S = 60.0
 FREEZE_STEP_S = 0.1
+KEPT_S = 2.5
+"""After a jump of the own position nothing moves for two seconds, wherever the setpoint is then."""
 SAFE_M = 1.0
 """Farther inside than this need not be known exactly."""
 AT_REST_MPS, ARRIVED_M = 0.05, 0.2
@@ -45,6 +47,8 @@ class SetpointsInside(Invariant):
     def __init__(self, scene: Scene) -> None:
         super().__init__(scene)
         self._last: Point | None = None
+        self._near_s = -math.inf
+        """When the vehicle was told to be beyond the border, or nearly there."""
 
     def setpoint(self, setpoint: Setpoint) -> None:
         """Judge a setpoint by where the companion believed the vehicle to be."""
@@ -57,7 +61,10 @@ class SetpointsInside(Invariant):
         last, self._last = self._last, place
         is_still = last is not None and math.dist(place, last) <= ROUNDING_M
         is_no_farther = depth >= min(own_depth, rules.clearance_m) - ROUNDING_M
-        if depth < least and not is_no_farther and not (is_still and own_depth < 0.0):
+        if own_depth < rules.clearance_m:
+            self._near_s = setpoint.time_s
+        is_kept = is_still and setpoint.time_s - self._near_s <= KEPT_S
+        if depth < least and not is_no_farther and not is_kept:
             self.report("setpoint too near to a border or beyond it", depth_m=depth)
         if vehicle is not None and own_depth > 0.0 and depth > 0.0:
             fence, keep_outs = rules.fence_enu_m, rules.keep_out_enu_m

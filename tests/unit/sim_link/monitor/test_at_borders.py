@@ -10,6 +10,7 @@ from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from sim_link.campaign.flights import Monitored, monitored
 from sim_link.monitor.control import OnlyWithAuthority
 from sim_link.monitor.motions import WithinEnvelope
+from sim_link.monitor.places import SetpointsInside
 from sim_link.monitor.predicates import Point, is_moved_inwards
 from sim_link.monitor.scene import Setpoint
 from tests.loop.loop_helpers import AUTO
@@ -26,7 +27,7 @@ SETPOINT = mavlink.MAVLink_set_position_target_local_ned_message(
 
 
 def sent_beside(
-    invariant_type: type[WithinEnvelope | OnlyWithAuthority],
+    invariant_type: type[WithinEnvelope | OnlyWithAuthority | SetpointsInside],
     vehicles: list[Point],
     setpoints: list[Point],
     *,
@@ -97,6 +98,30 @@ def test_in_standby_a_vehicle_beside_a_border_is_told_the_nearest_place_inside()
     assert sent_beside(OnlyWithAuthority, [vehicle], [inside], is_ours=False) == []
     found = sent_beside(OnlyWithAuthority, [vehicle], [far], is_ours=False)
     assert found == ["a setpoint that moves before control was given"]
+
+
+STANDING = [(10.0, BORDER_NORTH_M + 0.5)] * 3
+
+
+@pytest.mark.parametrize("north_m", [-0.5, 0.8, 1.4])
+def test_what_stands_in_the_margin_may_stand_while_the_vehicle_is_pushed_about_there(
+    north_m: float,
+) -> None:
+    vehicles = [*line(BORDER_NORTH_M + 0.5, [0.0, 0.1]), (10.2, BORDER_NORTH_M + north_m)]
+    assert sent_beside(SetpointsInside, vehicles, STANDING, is_ours=True) == []
+
+
+def test_what_moves_farther_into_the_margin_than_the_vehicle_may_not() -> None:
+    vehicles = line(BORDER_NORTH_M + 0.5, [0.0, 0.1, 0.1])
+    setpoints = [*STANDING[:2], (10.0, BORDER_NORTH_M + 0.4)]
+    found = sent_beside(SetpointsInside, vehicles, setpoints, is_ours=True)
+    assert found == ["setpoint too near to a border or beyond it"]
+
+
+def test_what_stands_in_the_margin_is_no_place_for_a_vehicle_that_is_well_inside() -> None:
+    vehicles = [(10.0, BORDER_NORTH_M + 30.0)] * 3
+    found = sent_beside(SetpointsInside, vehicles, STANDING, is_ours=True)
+    assert found == ["setpoint too near to a border or beyond it"] * 3
 
 
 def taken_over(*modes: FlightMode) -> Monitored:
