@@ -12,12 +12,14 @@ from __future__ import annotations
 import itertools
 import os
 import shutil
+import signal
 import tempfile
 from pathlib import Path
 
 import pytest
 
 os.environ.setdefault("NUMBA_DISABLE_JIT", "1")
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
 
 _STATE = tempfile.mkdtemp(prefix="companion-tests-")
 os.environ["XDG_STATE_HOME"] = _STATE

@@ -198,7 +198,7 @@ def test_what_was_flown_before_an_interrupt_is_kept(tmp_path: Path) -> None:
     assert told == [0, 1]
 
 
-LONG = "name: long\nsteps: [connect, {wait: {for_s: 50000}}]\ntime_limit_s: 100000\n"
+LONG = "name: long\nsteps: [connect, {wait: {for_s: 5000}}]\ntime_limit_s: 10000\n"
 
 
 def test_an_interrupt_of_several_at_once_keeps_what_is_flown_and_ends_the_rest(
