@@ -61,7 +61,7 @@ class EngageStep(Params, frozen=True):
 
 
 class GrantStep(Params, frozen=True):
-    """The operator lets a companion that yielded stand by again (MAV_CMD_NAV_GUIDED_ENABLE)."""
+    """The operator lets a companion that yielded stand by, or fly, again (NAV_GUIDED_ENABLE)."""
 
     limit_s: Limit = 10.0
 

@@ -209,7 +209,7 @@ def _rule_of(step: Step, mission: Mission) -> Rule:
             action = SwitchMode(FlightMode.OFFBOARD)
             return Rule("the companion in control", _is_in_control, step.limit_s, action)
         case script.GrantStep():
-            return Rule("the companion in standby", _is_standby, step.limit_s, Grant())
+            return Rule("the companion granted control", _is_granted, step.limit_s, Grant())
         case script.SearchStep():
             is_met = _is_reported if step.until == "reported" else _has_contact
             return Rule(f"{step.until} in the {step.pattern}", is_met, step.limit_s)
@@ -263,7 +263,7 @@ def _is_connected(s: Situation) -> bool:
 
 
 def _is_ready(s: Situation) -> bool:
-    return bool(s.vehicle.is_ready) and (_is_standby(s) or _is_in_control(s))
+    return bool(s.vehicle.is_ready) and _is_granted(s)
 
 
 def _is_armed(s: Situation) -> bool:
@@ -276,6 +276,11 @@ def _is_in_control(s: Situation) -> bool:
 
 def _is_standby(s: Situation) -> bool:
     return s.companion.phase == "standby"
+
+
+def _is_granted(s: Situation) -> bool:
+    """Stands by; or flies, where a PX4 that lost its setpoints returns to them by itself."""
+    return _is_standby(s) or _is_in_control(s)
 
 
 def _is_reported(s: Situation) -> bool:

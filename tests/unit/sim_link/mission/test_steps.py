@@ -155,6 +155,18 @@ def test_a_pilots_override_is_over_when_the_companion_has_yielded() -> None:
     assert flown.done == ["pilot_override", "grant"]
 
 
+def test_a_grant_is_over_though_the_autopilot_gave_the_mode_back_at_once() -> None:
+    flown = Flown("[grant]")
+    companion = flown.situation.companion
+    companion.is_in_control, companion.phase = False, "yield"
+    flown.tick(0.0)
+    assert flown.crew.asked == [Grant()]
+    assert flown.done == []
+    companion.is_in_control, companion.phase = True, "normal"
+    flown.tick(0.1)
+    assert flown.done == ["grant"]
+
+
 def test_a_search_is_over_with_contact_or_with_the_report() -> None:
     for until, contact_is_enough in (("contact", True), ("reported", False)):
         flown = Flown(f"[{{search: {{until: {until}}}}}]")
