@@ -73,19 +73,22 @@ def _radius(
     reach_m = farthest_m(facts, config)
     if reach_m is None:
         return
-    if radius_m < reach_m:
-        text = f"{radius_m:g} m around home, but the companion may fly {reach_m:.0f} m away"
-        fix = f"set {name} to {math.ceil(reach_m)} or more, or make our fence smaller"
-        yield warn(name, f"{text}: that ends in the autopilot's failsafe", fix)
-    else:
-        yield ok(name, f"{radius_m:g} m around home, the companion stays within {reach_m:.0f} m")
+    ours = f"the companion may fly {reach_m:.0f} m away"
+    yield _compared(name, radius_m, reach_m, "around home", ours, "make our fence smaller")
 
 
 def _ceiling(name: str, height_m: float, config: CompanionConfig) -> Iterator[Finding]:
     wanted_m = config.limits.altitude_max_m
-    if height_m < wanted_m:
-        text = f"{height_m:g} m above home, but limits.altitude_max_m is {wanted_m:g}"
-        fix = f"set {name} to {math.ceil(wanted_m)} or more, or lower limits.altitude_max_m"
-        yield warn(name, f"{text}: that ends in the autopilot's failsafe", fix)
-    else:
-        yield ok(name, f"{height_m:g} m above home, limits.altitude_max_m is {wanted_m:g}")
+    ours = f"limits.altitude_max_m is {wanted_m:g}"
+    yield _compared(name, height_m, wanted_m, "above home", ours, "lower limits.altitude_max_m")
+
+
+def _compared(
+    name: str, limit_m: float, wanted_m: float, where: str, ours: str, instead: str
+) -> Finding:
+    """A limit of the autopilot's beside how far the companion may go."""
+    if limit_m >= wanted_m:
+        return ok(name, f"{limit_m:g} m {where}, {ours}")
+    fix = f"set {name} to {math.ceil(wanted_m)} or more, or {instead}"
+    text = f"{limit_m:g} m {where}, but {ours}: that ends in the autopilot's failsafe"
+    return warn(name, text, fix)
