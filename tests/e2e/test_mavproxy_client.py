@@ -217,6 +217,27 @@ def station_on(port: int) -> Any:
     return station
 
 
+def hear_text(station: Any, wanted: str) -> None:
+    """Read what the station has been sent, up to a STATUSTEXT with these words."""
+    until_s = time.monotonic() + PATIENCE_S
+    while time.monotonic() < until_s:
+        told = station.recv_match(type="STATUSTEXT", blocking=True, timeout=PATIENCE_S)
+        if told is not None and wanted in told.text:
+            return
+    raise AssertionError(f"nobody told the station: {wanted}")
+
+
+def listed_parameters(station: Any) -> dict[str, float]:
+    """Ask the companion for its list and read all of it."""
+    station.mav.param_request_list_send(1, 191)
+    values: dict[str, float] = {}
+    while len(values) < len(TUNABLES):
+        told = station.recv_match(type="PARAM_VALUE", blocking=True, timeout=PATIENCE_S)
+        assert told is not None
+        values[told.param_id] = told.param_value
+    return values
+
+
 def test_mavproxy_and_pymavlink_list_and_set_the_companions_parameters(tmp_path: Path) -> None:
     vehicle, own = free_port(), free_port()
     links = ("--connect", f"udpout:127.0.0.1:{vehicle}", "--gcs", f"udpout:127.0.0.1:{own}")
@@ -227,15 +248,8 @@ def test_mavproxy_and_pymavlink_list_and_set_the_companions_parameters(tmp_path:
         mavproxy.ask("param set CMP_SPEED 3", "AP: parameter CMP_SPEED: 5 -> 3")
         mavproxy.ask("param fetch CMP_SPEED", r"CMP_SPEED = 3\.0")
         mavproxy.ask("param set CMP_SPEED 30", "CMP_SPEED: 30 is above the configuration's 5")
-        told = station.recv_match(type="STATUSTEXT", blocking=True, timeout=PATIENCE_S)
-        assert told is not None
-        station.mav.param_request_list_send(1, 191)
-        names: dict[str, float] = {}
-        while len(names) < len(TUNABLES):
-            value = station.recv_match(type="PARAM_VALUE", blocking=True, timeout=PATIENCE_S)
-            assert value is not None
-            names[value.param_id] = value.param_value
-        assert names["CMP_SPEED"] == 3.0
+        hear_text(station, "CMP_SPEED: 30 is above")  # what was sent before is read by now
+        assert listed_parameters(station)["CMP_SPEED"] == 3.0
         station.mav.param_set_send(1, 191, b"CMP_ALTITUDE", 25.0, 9)
         mavproxy.expect("AP: parameter CMP_ALTITUDE: 20 -> 25")
         station.close()
