@@ -20,7 +20,7 @@ from pathlib import Path
 import msgspec
 import yaml
 
-from companion.demo.simulator import HOST, free_udp_port
+from companion.demo.simulator import HOST, free_udp_ports
 from companion.domain import FlightMode
 from companion.errors import CompanionError
 from companion.io.clock import Clock
@@ -71,7 +71,7 @@ class Ports:
     @classmethod
     def free(cls) -> Ports:
         """Five that nobody has now."""
-        return cls(*(free_udp_port() for _ in range(5)))
+        return cls(*free_udp_ports(5))
 
 
 def fly_over_udp(
