@@ -4,7 +4,8 @@ Kernels run as the vehicle runs them, as plain Python: what is compiled is the s
 (`tests/oracle/test_kernels_compiled.py` compares the two in processes of their own). Checkpoints
 and locks of companions that are started go to a place of their own, which is removed at the end.
 Modules that wait for real processes are spread among those that calculate, and a worker more than
-there are cores fills the time of their waiting.
+there are cores fills the time of their waiting. An example of hypothesis may take as long as a busy
+machine makes it.
 """
 
 from __future__ import annotations
@@ -17,9 +18,15 @@ import tempfile
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 os.environ.setdefault("NUMBA_DISABLE_JIT", "1")
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
+
+settings.register_profile(
+    "busy machine", deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile("busy machine")
 
 _STATE = tempfile.mkdtemp(prefix="companion-tests-")
 os.environ["XDG_STATE_HOME"] = _STATE

@@ -81,7 +81,7 @@ def start(tests: Sequence[str], module: str = "", tree: ast.Module | None = None
         import pytest
         from hypothesis import Phase, settings
 
-        settings.register_profile(PROFILE, phases=(Phase.explicit, Phase.generate))
+        settings.register_profile(PROFILE, phases=(Phase.explicit, Phase.generate), deadline=None)
         code = int(pytest.main([*PYTEST, *tests]))
     except BaseException:
         code = 1

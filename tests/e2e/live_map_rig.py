@@ -5,18 +5,18 @@ from __future__ import annotations
 import math
 import re
 import shutil
-import socket
 import threading
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from queue import SimpleQueue
 
 import pytest
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from companion.config.schema import CompanionConfig
 from companion.guidance.session import SessionParams
@@ -26,6 +26,7 @@ from companion.web.settings import WebSettings, web_settings
 from companion.web.view import WebView
 from sim_link.autopilot.scenario import Scenario
 from sim_link.lockstep.flight import Flight
+from tests.ports import free_port
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
 needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="no chromium: apt install chromium")
@@ -40,14 +41,8 @@ STEP_S = 0.05
 FLYING = re.compile("searching|confirming")
 """The phase on the page while the companion flies the vehicle."""
 PATIENCE_MS = 60_000
+expect.set_options(timeout=PATIENCE_MS)
 DESK, PHONE = {"width": 1280, "height": 900}, {"width": 390, "height": 844}
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
 
 
 @dataclass
@@ -61,6 +56,8 @@ class LiveFlight:
     speed: float = SPEED
     begun: threading.Event = field(default_factory=threading.Event)
     ended: threading.Event = field(default_factory=threading.Event)
+    wishes: SimpleQueue[Callable[[], None]] = field(default_factory=SimpleQueue)
+    """What a test wants done; by the flight's thread, since its parts are for one thread only."""
 
     def fly(self) -> None:
         """Fly on at its speed until the test is over."""
@@ -74,6 +71,8 @@ class LiveFlight:
 
     def step(self) -> None:
         """Fly a little, and show it."""
+        while not self.wishes.empty():
+            self.wishes.get()()
         self.flight.run(STEP_S)
         companion = self.flight.companion
         if companion is not None:
@@ -162,7 +161,9 @@ class Watched:
 
     def r95_m(self) -> float:
         """As the page says it."""
-        found = re.search(r"[\d.]+(?= m)", self.page.locator("#r95").inner_text())
+        line = self.page.locator("#r95")
+        expect(line).to_contain_text(re.compile(r"\d m"))
+        found = re.search(r"[\d.]+(?= m)", line.inner_text())
         assert found is not None
         return float(found.group())
 
@@ -171,18 +172,30 @@ def status(url: str, **headers: str) -> int:
     """The HTTP status of a request."""
     request = urllib.request.Request(url, headers=headers)
     try:
-        with urllib.request.urlopen(request, timeout=20.0) as answer:
+        with urllib.request.urlopen(request, timeout=PATIENCE_MS / 1000.0) as answer:
             code: int = answer.status
             return code
     except urllib.error.HTTPError as error:
         return error.code
 
 
+def until(condition: Callable[[], bool], otherwise: str) -> None:
+    """Wait for something on the page, which takes its time where the machine is busy."""
+    give_up_s = time.monotonic() + PATIENCE_MS / 1000.0
+    while not condition():
+        assert time.monotonic() < give_up_s, otherwise
+        time.sleep(0.05)
+
+
 def until_up(url: str) -> None:
-    for _ in range(200):
-        try:
-            status(url)
-        except urllib.error.URLError:
-            time.sleep(0.1)
-        else:
-            return
+    """Wait until somebody answers there."""
+    until(lambda: is_up(url), f"nobody answers at {url}")
+
+
+def is_up(url: str) -> bool:
+    """Whether somebody answers."""
+    try:
+        status(url)
+    except urllib.error.URLError:
+        return False
+    return True

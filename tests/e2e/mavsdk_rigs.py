@@ -13,10 +13,9 @@ from mavsdk.asyncio.plugins.offboard import OffboardAsync
 from mavsdk.asyncio.plugins.param import ParamAsync
 from mavsdk.asyncio.plugins.telemetry import LandedState, TelemetryAsync
 
-from tests.e2e.simulator_process import running_simulator
+from tests.e2e.simulator_process import PATIENCE_S, running_simulator
 
 SPEED = 6.0
-PATIENCE_S = 20.0
 
 
 class Client:
@@ -67,6 +66,42 @@ def is_in_air(state: Any) -> bool:
     return bool(state == LandedState.IN_AIR)
 
 
+class Heard:
+    """What a subscription has told since it began, read in order."""
+
+    def __init__(self) -> None:
+        self._told: asyncio.Queue[Any] = asyncio.Queue()
+
+    async def listen(self, updates: AsyncGenerator[Any, None]) -> None:
+        """Keep every update."""
+        async with aclosing(updates):
+            async for update in updates:
+                self._told.put_nowait(update)
+
+    async def until(self, condition: Callable[[Any], bool]) -> Any:
+        """The next update that meets a condition."""
+        async with asyncio.timeout(PATIENCE_S):
+            while not condition(update := await self._told.get()):
+                pass
+        return update
+
+
+@asynccontextmanager
+async def heard_from_now(updates: AsyncGenerator[Any, None]) -> AsyncIterator[Heard]:
+    """Listen from here on: what lasts a moment may be over before somebody asks for it.
+
+    A generator of MAVSDK subscribes when it is first read.
+    """
+    heard = Heard()
+    listening = asyncio.create_task(heard.listen(updates))
+    await asyncio.sleep(0)  # the task runs up to its first wait, and has subscribed then
+    try:
+        yield heard
+    finally:
+        listening.cancel()
+        await asyncio.gather(listening, return_exceptions=True)
+
+
 async def until(updates: AsyncGenerator[Any, None], condition: Callable[[Any], bool]) -> Any:
     """The first update that meets a condition."""
     async with asyncio.timeout(PATIENCE_S), aclosing(updates):
@@ -82,7 +117,7 @@ async def connected(port: int, flavour: str) -> AsyncIterator[Client]:
     configuration = Configuration.create_with_component_type(ComponentType.GROUND_STATION)
     async with Mavsdk(configuration) as mavsdk:
         await mavsdk.add_any_connection(f"udpin://127.0.0.1:{port}")
-        system = await mavsdk.first_autopilot(timeout_s=10.0)
+        system = await mavsdk.first_autopilot(timeout_s=PATIENCE_S)
         assert system is not None
         yield Client(system, flavour)
 
@@ -94,5 +129,5 @@ def fly(flavour: str, flight: Callable[[Client], Any]) -> None:
         async with connected(port, flavour) as client:
             await flight(client)
 
-    with running_simulator(flavour, SPEED) as port:
+    with running_simulator(flavour, SPEED, is_patient=True) as port:
         asyncio.run(run(port))

@@ -3,36 +3,55 @@
 from __future__ import annotations
 
 import signal
-import socket
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
+
+from tests.ports import free_port
+
+PATIENCE_S = 60.0
+"""For what must happen, on a slow machine where others calculate, too."""
+PATIENT = {
+    "px4": "{offboard_loss_timeout_s: 60, parameters: {COM_DISARM_PRFLT: 60}}",
+    "ardupilot": "{flavour: ardupilot, parameters: {DISARM_DELAY: 120, GUID_TIMEOUT: 5}}",
+}
+"""Autopilots that bear with a client which the machine keeps waiting: faster than real time, its
+second of silence is over within a moment."""
 
 
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+def patient_scenario(flavour: str, directory: Path) -> Path:
+    """A file with the canonical scenario, flown by a patient autopilot."""
+    path = directory / f"patient-{flavour}.yaml"
+    path.write_text(f"autopilot: {PATIENT[flavour]}\n", encoding="utf-8")
+    return path
 
 
 @contextmanager
-def running_simulator(flavour: str, speed: float, listen_port: int | None = None) -> Iterator[int]:
+def running_simulator(
+    flavour: str,
+    speed: float,
+    listen_port: int | None = None,
+    *options: str,
+    is_patient: bool = False,
+) -> Iterator[int]:
     """A simulator that is stopped at the end; the UDP port that it sends to."""
     port = free_port()
     command = [sys.executable, "-m", "sim_link", "--autopilot", flavour, "--speed", str(speed)]
-    command += [
-        "--listen",
-        f"127.0.0.1:{listen_port or free_port()}",
-        "--send-to",
-        f"127.0.0.1:{port}",
-    ]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        assert "scenario canonical" in process.stdout.readline()
-        try:
-            yield port
-            process.send_signal(signal.SIGTERM)
-            assert process.wait(timeout=5.0) == 0
-        finally:
-            process.kill()
+    command += ["--listen", f"127.0.0.1:{listen_port or free_port()}"]
+    command += ["--send-to", f"127.0.0.1:{port}", *options]
+    with tempfile.TemporaryDirectory() as directory:
+        if is_patient:
+            command += ["--scenario", str(patient_scenario(flavour, Path(directory)))]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None
+            try:
+                assert "scenario canonical" in process.stdout.readline()
+                yield port
+                process.send_signal(signal.SIGTERM)
+                assert process.wait(timeout=PATIENCE_S) == 0
+                assert "stopped after" in process.stdout.read()
+            finally:
+                process.kill()

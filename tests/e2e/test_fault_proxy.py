@@ -9,7 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.e2e.test_flight import Commands, compiled_kernels, free_port, wait_for_text
+from tests.e2e.simulator_process import PATIENCE_S, patient_scenario
+from tests.e2e.test_flight import Commands, compiled_kernels, wait_for_text
+from tests.ports import free_port
 
 __all__ = ["compiled_kernels"]
 
@@ -42,13 +44,14 @@ def test_a_search_is_flown_and_ended_over_a_bad_link(commands: Commands) -> None
     companion = commands.companion(port, "--speed", SPEED)
     wait_for_text(companion, "waiting for an autopilot")
     addresses = ("--send-to", f"127.0.0.1:{middle}", "--listen", f"127.0.0.1:{free_port()}")
-    commands.start("sim-link", "--speed", SPEED, *addresses)
-    wait_for_text(companion, "flying the plan", 60.0)
+    scenario = ("--scenario", str(patient_scenario("px4", commands.directory)))
+    commands.start("sim-link", "--speed", SPEED, *addresses, *scenario)
+    wait_for_text(companion, "flying the plan")
     companion.send_signal(signal.SIGTERM)
-    _, errors = companion.communicate(timeout=10)
+    _, errors = companion.communicate(timeout=PATIENCE_S)
     assert companion.returncode == 0, errors
     proxy.send_signal(signal.SIGTERM)
-    output, _ = proxy.communicate(timeout=10)
+    output, _ = proxy.communicate(timeout=PATIENCE_S)
     assert proxy.returncode == 0
     counted = {name: int(value) for name, value in re.findall(r"(\w+)=(\d+)", output)}
     passed = counted["to_companion"] + counted["to_vehicle"]

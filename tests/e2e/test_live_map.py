@@ -11,7 +11,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -30,12 +30,14 @@ from tests.e2e.live_map_rig import (
     Watched,
     box_of,
     chromium,
-    free_port,
     live_flight,
     needs_chromium,
+    until,
     until_up,
 )
+from tests.e2e.simulator_process import PATIENCE_S
 from tests.loop.golden_flights import PLANS, fly
+from tests.ports import free_port
 
 pytestmark = needs_chromium
 
@@ -67,20 +69,20 @@ def test_the_ellipse_shrinks_to_the_emitter_on_a_desk_and_on_a_phone(
             state = watched.page.locator("#estimate-state")
             expect(state).to_have_text("localised", timeout=PATIENCE_MS)
         assert pages[0].r95_m() < 0.5 * first_m
-        assert pages[0].ellipse_px() < 0.5 * first_px
-        centres = [
-            (left + width / 2, top + height / 2)
-            for left, top, width, height in (
-                box_of(pages[0].page, name) for name in ("path.estimate", "path.truth")
-            )
-        ]
-        apart = math.dist(*centres)
-        assert apart < 25.0
+        until(lambda: pages[0].ellipse_px() < 0.5 * first_px, "the ellipse does not shrink")
+        until(lambda: miss_px(pages[0].page) < 25.0, "the estimate is not at the emitter")
         width = pages[1].page.evaluate("document.documentElement.scrollWidth")
         assert width <= PHONE["width"]
         for watched in pages:
             assert_no_panel_is_empty(watched.page)
         assert [watched.complaints for watched in pages] == [[], []]
+
+
+def miss_px(page: Page) -> float:
+    """Distance from the estimate to the truth on the screen."""
+    boxes = (box_of(page, name) for name in ("path.estimate", "path.truth"))
+    centres = [(left + width / 2, top + height / 2) for left, top, width, height in boxes]
+    return math.dist(*centres)
 
 
 def assert_no_panel_is_empty(page: Page) -> None:
@@ -97,18 +99,19 @@ def pixels_per_metre(page: Page) -> float:
     return box_of(page, ".leaflet-control-scale-line")[2] / metres
 
 
+def settled_scale(page: Page) -> float:
+    """The map's scale once it changes no more."""
+    seen = [0.0, pixels_per_metre(page)]
+    while seen[-1] != seen[-2]:
+        page.wait_for_timeout(500.0)
+        seen.append(pixels_per_metre(page))
+    return seen[-1]
+
+
 def is_whole_fence_seen(page: Page) -> bool:
     """Whether the fence is within the map from left to right."""
     fence, seen = box_of(page, "path.fence"), box_of(page, ".search-map")
     return seen[0] < fence[0] and fence[0] + fence[2] < seen[0] + seen[2]
-
-
-def until(condition: Callable[[], bool], otherwise: str) -> None:
-    """Wait for something on the page, which takes its time where the machine is busy."""
-    give_up_s = time.monotonic() + PATIENCE_MS / 1000.0
-    while not condition():
-        assert time.monotonic() < give_up_s, otherwise
-        time.sleep(0.05)
 
 
 def test_it_follows_until_somebody_wants_the_whole_and_rings_stay_few(
@@ -124,8 +127,7 @@ def test_it_follows_until_somebody_wants_the_whole_and_rings_stay_few(
         page.get_by_role("button", name="Whole").click()
         expect(follow).not_to_have_class("is-on")
         until(lambda: is_whole_fence_seen(page), "the whole fence is not seen")
-        page.wait_for_timeout(500.0)
-        scale = pixels_per_metre(page)
+        scale = settled_scale(page)
         for _ in range(20):
             assert page.locator("path.range").count() <= MARKS
             page.wait_for_timeout(100.0)
@@ -161,7 +163,7 @@ def test_hostile_texts_are_shown_as_texts(browser: Browser, tmp_path: Path) -> N
     with live_flight(tmp_path) as live:
         watched = Watched(browser, live.settings.url, DESK)
         hostile = "<img src=x onerror=\"document.title='taken'\">"
-        live.journal.text(Severity.WARNING, hostile, live.flight.now_s)
+        live.wishes.put(lambda: live.journal.text(Severity.WARNING, hostile, live.flight.now_s))
         expect(watched.page.locator("#texts")).to_contain_text(hostile, timeout=PATIENCE_MS)
         assert watched.page.locator("#texts img").count() == 0
         assert watched.page.title() == "Companion"
@@ -190,6 +192,6 @@ def test_a_recorded_flight_is_shown_with_all_emitters_and_stays_until_it_is_ende
             expect(watched.page.locator("#phase")).not_to_contain_text("SILENT")
             assert watched.complaints == []
             replay.send_signal(signal.SIGINT)
-            assert replay.wait(timeout=15.0) == 0
+            assert replay.wait(timeout=PATIENCE_S) == 0
         finally:
             replay.kill()

@@ -22,12 +22,12 @@ from tests.e2e.live_map_rig import (
     PATIENCE_MS,
     Watched,
     chromium,
-    free_port,
     live_flight,
     needs_chromium,
     status,
     until_up,
 )
+from tests.ports import free_port
 
 
 @pytest.fixture(scope="module")
@@ -125,7 +125,7 @@ def test_an_open_map_has_buttons_only_with_the_token_and_lays_it_on_tiles(
         live.begun.set()
         for watched in (looking, pressing):
             expect(watched.page.locator("#phase")).to_contain_text(FLYING, timeout=PATIENCE_MS)
-            assert watched.page.locator(".leaflet-tile").count() > 0
+            expect(watched.page.locator(".leaflet-tile")).not_to_have_count(0)
         assert looking.page.locator("#button-hold").count() == 0
         pressing.page.locator("#button-hold").click()
         pressing.page.locator("#confirm-hold").click()

@@ -17,7 +17,7 @@ def test_mavlogdump_reads_every_frame_of_a_flight(tmp_path: Path) -> None:
     log = tmp_path / "0" / "flight.tlog"
     script = Path(sys.executable).with_name("mavlogdump.py")
     command = [sys.executable, "-W", "ignore", str(script), "--format", "json", str(log)]
-    run = subprocess.run(command, capture_output=True, text=True, timeout=120.0)
+    run = subprocess.run(command, capture_output=True, text=True, timeout=300.0)
     assert run.returncode == 0, run.stderr
     messages = [json.loads(line) for line in run.stdout.splitlines()]
     kinds = Counter(message["meta"]["type"] for message in messages)

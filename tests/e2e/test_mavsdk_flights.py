@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import asyncio
+import itertools
 import math
-import time
-from contextlib import aclosing
+import statistics
 from typing import Any
 
 import pytest
@@ -23,7 +22,7 @@ from mavsdk.asyncio.plugins.offboard import PositionNedYaw, VelocityNedYaw
 from mavsdk.asyncio.plugins.param import ParamError
 from mavsdk.asyncio.plugins.telemetry import FlightMode
 
-from tests.e2e.mavsdk_rigs import SPEED, Client, fly, until
+from tests.e2e.mavsdk_rigs import Client, fly, heard_from_now, until
 
 BOTH = pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
 HOME = (47.397832, 8.545727)
@@ -68,18 +67,13 @@ def test_mavsdk_reads_and_sets_parameters_of_an_ardupilot() -> None:
 
 
 async def measure_a_rate(client: Client) -> None:
+    """By the vehicle's own clock: when this process hears of it is the machine's affair."""
     await client.get_ready()
-    await client.telemetry.set_rate_position_velocity_ned(RATE_HZ)
-    await asyncio.sleep(0.5)
-    async with aclosing(client.telemetry.subscribe_position_velocity_ned()) as updates:
-        await anext(updates)
-        started_s, count = time.monotonic(), 0
-        async for _ in updates:
-            count += 1
-            if count == 120:
-                break
-    measured_hz = count / (time.monotonic() - started_s) / SPEED
-    assert measured_hz == pytest.approx(RATE_HZ, rel=0.1)
+    await client.telemetry.set_rate_attitude_euler(RATE_HZ)
+    async with heard_from_now(client.telemetry.subscribe_attitude_euler()) as attitudes:
+        times_us = [(await attitudes.until(lambda _: True)).timestamp_us for _ in range(120)]
+    period_s = statistics.median(b - a for a, b in itertools.pairwise(times_us)) / 1e6
+    assert period_s == pytest.approx(1.0 / RATE_HZ, rel=0.1)
 
 
 @BOTH
@@ -172,11 +166,13 @@ async def fly_a_mission(client: Client) -> None:
     assert (second.loiter_time_s, second.yaw_deg, second.gimbal_pitch_deg) == (2.0, 90.0, -30.0)
     assert second.camera_action == MissionItem.CameraAction.TAKE_PHOTO
     await client.take_off()
-    await mission.start_mission()
-    await until(client.telemetry.subscribe_flight_mode(), lambda mode: mode == FlightMode.MISSION)
-    progress = await until(
-        mission.subscribe_mission_progress(), lambda done: done.current == done.total
-    )
+    async with (
+        heard_from_now(client.telemetry.subscribe_flight_mode()) as modes,
+        heard_from_now(mission.subscribe_mission_progress()) as told,
+    ):
+        await mission.start_mission()
+        await modes.until(lambda mode: mode == FlightMode.MISSION)
+        progress = await told.until(lambda done: done.current == done.total)
     assert progress.total == 3
     assert await mission.is_mission_finished()
     await mission.clear_mission()
@@ -217,9 +213,13 @@ async def fly_a_raw_mission(client: Client) -> None:
     stored = await mission.download_mission()
     assert [item.z for item in stored[1:]] == [8.0, 10.0]
     await client.take_off()
-    await mission.start_mission()
-    await until(client.telemetry.subscribe_flight_mode(), lambda mode: mode == FlightMode.MISSION)
-    await until(mission.subscribe_mission_progress(), lambda done: done.current >= done.total - 1)
+    async with (
+        heard_from_now(client.telemetry.subscribe_flight_mode()) as modes,
+        heard_from_now(mission.subscribe_mission_progress()) as told,
+    ):
+        await mission.start_mission()
+        await modes.until(lambda mode: mode == FlightMode.MISSION)
+        await told.until(lambda done: done.current >= done.total - 1)
     await mission.clear_mission()
     await client.action.land()
     await client.await_ground()

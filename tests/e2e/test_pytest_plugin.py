@@ -16,7 +16,7 @@ import pytest
 @pytest.mark.sim_vehicle(autopilot="ardupilot", seed=3, speed=2)
 def test_a_companion_meets_a_vehicle(sim_vehicle, companion_process, tmp_path):
     companion = companion_process("--connect", sim_vehicle)
-    deadline_s = time.monotonic() + 60.0
+    deadline_s = time.monotonic() + 120.0
     while "ready: switch to" not in (tmp_path / "companion.log").read_text():
         assert companion.is_alive
         assert time.monotonic() < deadline_s
@@ -54,7 +54,7 @@ def test_processes_and_links_are_there_for_tests_of_ones_own(tmp_path: Path) -> 
         env=os.environ | {"XDG_STATE_HOME": str(tmp_path / "state")},
         capture_output=True,
         text=True,
-        timeout=120.0,
+        timeout=300.0,
         check=False,
     )
     said = done.stdout + done.stderr

@@ -31,8 +31,9 @@ sweeps:
 """
 BLOCKS = 2 * (3 * 2 + 1)
 """Two cases with three systems of two blocks, and a check of the EKF."""
-HALF_WAY = 5
-LIMIT_S = 120.0
+BEGUN = 2
+"""Blocks after which a run is stopped: most are left, however late somebody looks."""
+LIMIT_S = 300.0
 
 Process = subprocess.Popen[str]
 
@@ -124,7 +125,7 @@ def test_a_stopped_run_goes_on(
     how: signal.Signals, study: Path, expected: bytes, tmp_path: Path
 ) -> None:
     with _started(_command(study, tmp_path, "--jobs", "2")) as process:
-        _until(lambda: _kept(tmp_path) >= HALF_WAY, process)
+        _until(lambda: _kept(tmp_path) >= BEGUN, process)
         process.send_signal(how)
         _, errors = process.communicate(timeout=LIMIT_S)
     if how != signal.SIGKILL:
@@ -134,12 +135,21 @@ def test_a_stopped_run_goes_on(
         ]
         assert "Traceback" not in errors
     kept = _kept(tmp_path)
-    assert HALF_WAY <= kept < BLOCKS
+    assert BEGUN <= kept < BLOCKS
     assert not (tmp_path / "results.csv").exists()
     done = _run(study, tmp_path, "--jobs", "2")
     assert done.returncode == 0, done.stderr
     assert f"{BLOCKS} blocks of runs, {kept} of them done before" in done.stderr
     assert (tmp_path / "results.csv").read_bytes() == expected
+
+
+def _address(place: Path) -> str | None:
+    """Where a scheduler serves, once its file is there and whole."""
+    try:
+        address: str = json.loads(place.read_text())["address"]
+    except (OSError, json.JSONDecodeError):
+        return None
+    return address.removeprefix("tcp://")
 
 
 def test_a_cluster_makes_the_same_bytes_though_a_worker_is_killed(
@@ -151,11 +161,11 @@ def test_a_cluster_makes_the_same_bytes_though_a_worker_is_killed(
     serve = [*dask, "scheduler", *where, "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
     work = [*dask, "worker", *where, "--nthreads", "1", "--no-nanny", "--no-dashboard"]
     with _started(serve) as scheduler:
-        _until(place.exists, scheduler)
-        address = json.loads(place.read_text())["address"].removeprefix("tcp://")
+        _until(lambda: _address(place) is not None, scheduler)
+        address = _address(place)
         command = _command(study, out, "--backend", f"dask://{address}")
         with _started(work) as one, _started(work) as other, _started(command) as process:
-            _until(lambda: _kept(out) >= HALF_WAY, process)
+            _until(lambda: _kept(out) >= BEGUN, process)
             one.kill()
             assert _kept(out) < BLOCKS
             _, errors = process.communicate(timeout=LIMIT_S)

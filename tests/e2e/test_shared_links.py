@@ -6,8 +6,8 @@ import asyncio
 import os
 import socket
 import tty
-from collections.abc import Awaitable, Callable, Sequence
-from contextlib import ExitStack
+from collections.abc import Awaitable, Callable
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import pytest
@@ -22,12 +22,12 @@ from companion.io.udp import UdpLink
 from companion.io.urls import parse_link_url
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
-from companion.mav.endpoint import Address, Chunk, Endpoint
+from companion.mav.endpoint import Address, Chunk
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.protocols.channels import FrameReceivers
 from sim_link.config import Scenario
+from tests.e2e.shell_helpers import TIMEOUT_S, drive, until
 
-TIMEOUT_S = 10.0
 HOST = "127.0.0.1"
 
 
@@ -63,33 +63,6 @@ class Echo:
 
     def request_stop(self, now_s: float) -> None:  # noqa: ARG002
         self.is_finished = True
-
-
-Scene = Callable[[Shell], Awaitable[None]]
-
-
-def drive(endpoint: Endpoint, links: Sequence[LinkSpec], scene: Scene) -> Shell:
-    """Run a shell while `scene` plays the rest of the world, then stop it."""
-
-    async def play() -> Shell:
-        shell = Shell(endpoint, links, Clock())
-        running = asyncio.create_task(shell.run())
-        try:
-            await asyncio.sleep(0.02)
-            if not running.done():
-                await scene(shell)
-        finally:
-            shell.request_stop()
-            await running
-        return shell
-
-    return asyncio.run(play())
-
-
-async def until(condition: Callable[[], bool]) -> None:
-    async with asyncio.timeout(TIMEOUT_S):
-        while not condition():
-            await asyncio.sleep(0.002)
 
 
 def tcp_port(shell: Shell, index: int = 0) -> int:
@@ -289,7 +262,10 @@ def test_one_vehicle_is_on_udp_tcp_and_a_serial_port_at_once(tmp_path: Path) -> 
             loop = asyncio.get_running_loop()
 
             async def from_serial() -> bytes:
-                return await serial_read(fd, 1) + os.read(fd, 4096)
+                with suppress(BlockingIOError):
+                    return os.read(fd, 4096)
+                await asyncio.sleep(0.002)
+                return b""
 
             async def from_udp() -> bytes:
                 return await loop.sock_recv(station, 65_535)
@@ -315,11 +291,7 @@ async def finds_both(read_some: Callable[[], Awaitable[bytes]], mark: int) -> No
     codec, has_answer, has_heartbeat = MavCodec(255, 190), False, False
     async with asyncio.timeout(TIMEOUT_S):
         while not (has_answer and has_heartbeat):
-            try:
-                data = await read_some()
-            except BlockingIOError:
-                continue
-            for message in codec.decode(data, is_datagram=False):
+            for message in codec.decode(await read_some(), is_datagram=False):
                 has_answer |= is_answer(message, mark)
                 has_heartbeat |= isinstance(message, mavlink.MAVLink_heartbeat_message)
 

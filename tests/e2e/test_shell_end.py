@@ -15,7 +15,7 @@ from companion.io.links import (
     UdpBind,
 )
 from companion.io.shell import Shell
-from tests.e2e.shell_helpers import TIMEOUT_S, EchoEndpoint
+from tests.e2e.shell_helpers import TIMEOUT_S, EchoEndpoint, TimeOfOurs
 
 
 def test_a_finished_endpoint_ends_the_run() -> None:
@@ -51,38 +51,45 @@ def test_a_signal_asks_the_endpoint_to_stop(number: signal.Signals) -> None:
     assert len(endpoint.stops_s) == 1
 
 
+@pytest.fixture
+def time_of_ours(monkeypatch: pytest.MonkeyPatch) -> TimeOfOurs:
+    """For the shell and its clock."""
+    ours = TimeOfOurs()
+    monkeypatch.setattr("companion.io.shell.time", ours)
+    monkeypatch.setattr("companion.io.clock.time", ours)
+    return ours
+
+
 @pytest.mark.parametrize(
-    ("again_s", "least_s", "most_s"),
-    [([0.05, 0.2], 1.4, 2.5), ([0.5], 0.4, 1.2), ([0.1, 0.5], 0.4, 1.2)],
+    ("again_s", "ends_s"),
+    [([0.05, 0.2], 1.5), ([0.5], 0.5), ([0.1, 0.5], 0.5)],
     ids=["at once", "later", "both"],
 )
 def test_a_second_signal_ends_at_once_if_it_is_not_the_echo_of_the_first(
-    again_s: list[float], least_s: float, most_s: float
+    again_s: list[float], ends_s: float, time_of_ours: TimeOfOurs
 ) -> None:
     """timeout(1) signals the process, and then its group: within 0.3 s that is one wish."""
     endpoint = EchoEndpoint(finishes=False)
     signals_s = [0.0, *again_s]
-    started_s = time.monotonic()
 
-    def on_wakeup(_: float) -> None:
-        if signals_s and time.monotonic() - started_s >= signals_s[0]:
+    def on_wakeup(now_s: float) -> None:
+        if signals_s and now_s >= signals_s[0]:
             signals_s.pop(0)
             os.kill(os.getpid(), signal.SIGTERM)
 
-    Shell(endpoint, [], Clock(), on_wakeup).run_blocking()
-    assert least_s < time.monotonic() - started_s < most_s
+    took_s = time_of_ours.run(Shell(endpoint, [], Clock(), on_wakeup))
+    assert took_s == pytest.approx(ends_s, abs=0.05)
+    assert signals_s == []
     assert len(endpoint.stops_s) == 1
 
 
-def test_an_endpoint_that_never_finishes_is_cut_off() -> None:
+def test_an_endpoint_that_never_finishes_is_cut_off(time_of_ours: TimeOfOurs) -> None:
     endpoint = EchoEndpoint(finishes=False)
     shell = Shell(endpoint, [], Clock())
     shell.request_stop()
-    started_s = time.monotonic()
-    asyncio.run(shell.run())
-    assert 1.4 < time.monotonic() - started_s < 2.5
+    assert time_of_ours.run(shell) == pytest.approx(1.5, abs=0.01)
     assert len(endpoint.stops_s) == 1
-    assert len(endpoint.ticks_s) > 50
+    assert len(endpoint.ticks_s) > 140
 
 
 def test_a_shell_runs_and_stops_outside_the_main_thread() -> None:

@@ -4,23 +4,39 @@ from __future__ import annotations
 
 import socket
 import threading
-import time
 from collections.abc import Callable
 
+import pytest
+
+from companion.io.clock import Clock
 from companion.io.links import (
     UdpBind,
 )
 from companion.io.shell import Shell
-from tests.e2e.shell_helpers import EchoEndpoint, drive, heartbeat, port_of, until
+from tests.e2e.shell_helpers import TIMEOUT_S, EchoEndpoint, drive, heartbeat, port_of, until
+
+SLEEP_S = 100.0
+"""No machine is so busy that it stalls for half as long by itself."""
+
+
+class SteppedClock(Clock):
+    """Goes on like any other, and may step ahead."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.ahead_s = 0.0
+
+    def now_s(self) -> float:
+        return super().now_s() + self.ahead_s
 
 
 class Dozing(EchoEndpoint):
     """Falls asleep once, in a tick, while the world goes on."""
 
-    def __init__(self, meanwhile: Callable[[], None], sleep_s: float) -> None:
+    def __init__(self, meanwhile: Callable[[], None], clock: SteppedClock) -> None:
         super().__init__()
         self._meanwhile = meanwhile
-        self._sleep_s = sleep_s
+        self._clock = clock
         self.heard_before_next_tick: int | None = None
         self.slept_until_s = 0.0
 
@@ -28,27 +44,33 @@ class Dozing(EchoEndpoint):
         super().handle_timer(now_s)
         if len(self.ticks_s) == 5:
             self._meanwhile()
-            time.sleep(self._sleep_s)
-            self.slept_until_s = now_s + self._sleep_s
+            self._clock.ahead_s += SLEEP_S
+            self.slept_until_s = self._clock.now_s()
         elif len(self.ticks_s) == 6:
             self.heard_before_next_tick = len(self.marks)
 
 
-def test_after_a_stall_the_past_is_taken_in_before_the_first_tick(peer: socket.socket) -> None:
+def test_after_a_stall_the_past_is_taken_in_before_the_first_tick(
+    peer: socket.socket, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("companion.io.shell.STALL_S", 0.5 * SLEEP_S)
+    monkeypatch.setattr("companion.io.shell.CATCH_UP_S", TIMEOUT_S)  # the next test is about it
+
     def meanwhile() -> None:
         for number in range(150):
             peer.sendto(heartbeat(number), ("127.0.0.1", port_of(shells[0])))
 
-    endpoint, shells = Dozing(meanwhile, 0.3), list[Shell]()
+    clock = SteppedClock()
+    endpoint, shells = Dozing(meanwhile, clock), list[Shell]()
 
     async def scene(shell: Shell) -> None:
         shells.append(shell)
         await until(lambda: endpoint.heard_before_next_tick is not None)
 
-    shell = drive(endpoint, [UdpBind("127.0.0.1", 0)], scene)
+    shell = drive(endpoint, [UdpBind("127.0.0.1", 0)], scene, clock)
     assert endpoint.heard_before_next_tick == 150
     assert shell.timing.stalls == 1
-    assert shell.timing.worst_late_s >= 0.28
+    assert shell.timing.worst_late_s >= SLEEP_S - 0.02
     assert shell.timing.late >= 1
 
 
@@ -66,16 +88,19 @@ def test_after_a_stall_a_flood_puts_the_first_tick_off_for_a_moment_only() -> No
         threads.append(threading.Thread(target=flood))
         threads[0].start()
 
-    endpoint, shells = Dozing(meanwhile, 0.3), list[Shell]()
+    clock = SteppedClock()
+    endpoint, shells = Dozing(meanwhile, clock), list[Shell]()
 
     async def scene(shell: Shell) -> None:
         shells.append(shell)
-        await until(lambda: endpoint.heard_before_next_tick is not None)
-        stopped.set()
-        threads[0].join()
+        try:
+            await until(lambda: endpoint.heard_before_next_tick is not None)
+        finally:  # the flood went on until then
+            stopped.set()
+            threads[0].join()
 
-    shell = drive(endpoint, [UdpBind("127.0.0.1", 0)], scene)
-    assert endpoint.ticks_s[5] - endpoint.slept_until_s < 1.0
+    shell = drive(endpoint, [UdpBind("127.0.0.1", 0)], scene, clock)
+    assert endpoint.ticks_s[5] - endpoint.slept_until_s < 0.5 * TIMEOUT_S
     assert shell.timing.stalls >= 1
 
 

@@ -33,6 +33,7 @@ from tests.e2e.shell_helpers import (
     understood,
     until,
 )
+from tests.ports import free_port
 
 
 def test_a_stream_of_garbage_over_tcp_does_no_harm() -> None:
@@ -78,10 +79,7 @@ def test_a_tcp_server_serves_one_client_at_a_time_and_the_next_after_it() -> Non
 
 def test_a_tcp_client_connects_late_and_again(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("companion.io.streams.BACKOFF_MIN_S", 0.02)
-    endpoint = EchoEndpoint()
-    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as reserved:
-        reserved.bind(("127.0.0.1", 0))
-        port = reserved.getsockname()[1]
+    endpoint, port = EchoEndpoint(), free_port()
 
     async def scene(shell: Shell) -> None:
         endpoint.say(Chunk(0, b"nobody is there"))

@@ -34,6 +34,7 @@ from tests.e2e.shell_helpers import (
     understood,
     until,
 )
+from tests.ports import free_port
 
 
 def test_a_datagram_is_answered_to_its_sender(peer: socket.socket) -> None:
@@ -69,9 +70,7 @@ def test_a_taken_port_is_a_link_error_that_says_what_to_do() -> None:
 
 
 def test_the_links_opened_before_a_failing_one_are_closed() -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-        free.bind(("127.0.0.1", 0))
-        first = free.getsockname()[1]
+    first = free_port()
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
@@ -148,10 +147,7 @@ def test_a_connecting_link_speaks_first_and_hears_only_its_remote(peer: socket.s
 
 
 def test_a_refusing_remote_is_counted_and_never_raised() -> None:
-    endpoint = EchoEndpoint()
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as gone:
-        gone.bind(("127.0.0.1", 0))
-        port = gone.getsockname()[1]
+    endpoint, port = EchoEndpoint(), free_port()
 
     async def scene(shell: Shell) -> None:
         def refused() -> bool:
@@ -210,9 +206,9 @@ def test_a_socket_whose_network_is_gone_is_opened_again_on_its_port(
                 raise OSError(errno.EADDRNOTAVAIL, "Cannot assign requested address")
             super().bind(address)
 
+    endpoint, address, port_of_ours = EchoEndpoint(), peer.getsockname(), free_port()
     monkeypatch.setattr("companion.io.udp.socket.socket", Interface)
-    endpoint, address = EchoEndpoint(), peer.getsockname()
-    spec = UdpBind("127.0.0.1", 0) if is_bound else UdpConnect(*address)
+    spec = UdpBind("127.0.0.1", port_of_ours) if is_bound else UdpConnect(*address)
 
     async def scene(shell: Shell) -> None:
         port = port_of(shell)

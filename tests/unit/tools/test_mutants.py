@@ -89,7 +89,7 @@ def test_a_mutant_is_run_and_its_verdict_written(tmp_path: Path) -> None:
     report = tmp_path / "mutants.json"
     command = [sys.executable, "-m", "tools.mutate_guard", "companion/guard/envelope.py"]
     one = ["--only", "next_velocity | size > most => size <= most", "--json", str(report)]
-    done = subprocess.run([*command, *one], cwd=ROOT, capture_output=True, text=True, timeout=100)
+    done = subprocess.run([*command, *one], cwd=ROOT, capture_output=True, text=True, timeout=300)
     assert done.stdout.startswith("1 mutants: 1 killed, 0 killed by time, 0 equivalent, 0 survived")
     assert done.returncode == 0
     assert json.loads(report.read_text())["killed"] == 1
@@ -98,7 +98,7 @@ def test_a_mutant_is_run_and_its_verdict_written(tmp_path: Path) -> None:
 @pytest.mark.parametrize("path", ["companion/none.py", "/etc", "companion/guard/__pycache__"])
 def test_a_path_without_a_module_is_refused(path: str) -> None:
     command = [sys.executable, "-m", "tools.mutate_guard", path]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=100)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1
     assert "no module of this project" in done.stderr

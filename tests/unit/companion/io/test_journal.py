@@ -28,6 +28,10 @@ FOUND = TargetEstimate(
 )
 
 
+PATIENCE_S = 30.0
+"""For a writer that a busy machine keeps waiting; half of what a disk hangs."""
+
+
 def a_heartbeat() -> bytes:
     return MavCodec(1, 1).encode(mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 4, 3))
 
@@ -37,7 +41,7 @@ def test_frames_events_texts_and_the_result_are_kept(tmp_path: Path) -> None:
     journal.frame(a_heartbeat(), 1.0)
     journal.text(Severity.NOTICE, "in control", 2.0)
     journal.result(ReportResult(FOUND, 47.0, 8.0), 60.0)
-    journal.close()
+    journal.close(PATIENCE_S)
     assert (tmp_path / "flight.tlog").read_bytes()[8:] == a_heartbeat()
     lines = (tmp_path / "events.jsonl").read_text().splitlines()
     assert [json.loads(line)["kind"] for line in lines] == ["text", "result"]
@@ -54,7 +58,7 @@ def test_a_flight_stays_within_its_cap(tmp_path: Path) -> None:
         journal.inputs.tick(0.01 * number)
         if number % 500 == 0:
             time.sleep(0.01)
-    journal.close()
+    journal.close(PATIENCE_S)
     sizes = {path.name: path.stat().st_size for path in tmp_path.iterdir()}
     assert set(sizes) == {
         *("flight.tlog", "flight.old.tlog"),
@@ -74,13 +78,13 @@ def test_a_disk_that_hangs_holds_up_neither_the_flight_nor_its_end(
     real_fsync = os.fsync
 
     def hang(fd: int) -> None:
-        released.wait(10.0)
+        released.wait(60.0)
         real_fsync(fd)
 
     real_write = os.write
 
     def hang_write(fd: int, data: bytes) -> int:
-        released.wait(10.0)
+        released.wait(60.0)
         return real_write(fd, data)
 
     monkeypatch.setattr(os, "fsync", hang)
@@ -90,8 +94,9 @@ def test_a_disk_that_hangs_holds_up_neither_the_flight_nor_its_end(
     for number in range(1000):
         journal.frame(a_heartbeat(), 0.01 * number)
     journal.result(ReportResult(FOUND, None, None), 60.0)
-    assert time.monotonic() - started_s < 1.0
+    assert time.monotonic() - started_s < PATIENCE_S
     journal.close(timeout_s=0.2)
-    assert time.monotonic() - started_s < 1.5
+    assert time.monotonic() - started_s < PATIENCE_S
     assert journal.health.silent_s > 0.1
     released.set()
+    journal.close(PATIENCE_S)

@@ -50,7 +50,7 @@ def fly(folder: Path, heard: list[bytes], *, is_killed: bool = False) -> list[Ve
     verdicts = [signing.verify(frame) for frame in heard]
     keeper.keep(10.0)
     if is_killed:
-        deadline_s = time.monotonic() + 5.0
+        deadline_s = time.monotonic() + 30.0
         while keeper._replacer.written == 0 and time.monotonic() < deadline_s:
             time.sleep(0.001)  # the writer is a thread of its own
     else:

@@ -103,7 +103,7 @@ def test_a_terminal_that_hangs_does_not_hold_up_the_flight(flown: Loop) -> None:
             with suppress(BlockingIOError):
                 os.read(reader, 1_000_000)
     os.close(reader)
-    assert took_s < 1.0
+    assert took_s < 10.0
 
 
 def test_a_flight_that_never_began_leaves_the_terminal_alone() -> None:

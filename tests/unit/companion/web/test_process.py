@@ -87,6 +87,6 @@ def test_a_flight_that_ends_in_the_middle_of_a_picture_ends_the_page_in_silence(
             capture_output=True,
             text=True,
             pass_fds=(listener.fileno(),),
-            timeout=60.0,
+            timeout=180.0,
         )
     assert (page.returncode, page.stdout, page.stderr) == (0, "", "")

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from sim_link.conformance.cli import main
-from tests.e2e.simulator_process import free_port, running_simulator
+from tests.e2e.simulator_process import running_simulator
+from tests.ports import free_port
 
 
 def test_list_tells_every_rule_with_its_source(capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,6 +11,9 @@ from companion.errors import ConfigError, LinkError
 from companion.mav.endpoint import Chunk
 from sim_link.conformance.memory import MemoryHub
 from sim_link.conformance.wire import open_link
+from tests.ports import free_port
+
+PATIENCE_S = 30.0
 
 
 class Clock:
@@ -72,7 +75,7 @@ def test_a_client_on_another_link_of_the_endpoint_hears_only_that_link() -> None
 def peer() -> Iterator[socket.socket]:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as opened:
         opened.bind(("127.0.0.1", 0))
-        opened.settimeout(2.0)
+        opened.settimeout(PATIENCE_S)
         yield opened
 
 
@@ -83,7 +86,7 @@ def test_a_udp_link_sends_and_hears(peer: socket.socket) -> None:
         data, address = peer.recvfrom(100)
         assert data == b"question"
         peer.sendto(b"answer", address)
-        assert link.poll(link.now_s + 2.0) == [b"answer"]
+        assert link.poll(link.now_s + PATIENCE_S) == [b"answer"]
 
 
 def test_a_silent_link_is_waited_for(peer: socket.socket) -> None:
@@ -106,13 +109,11 @@ def test_a_second_client_has_an_address_of_its_own(peer: socket.socket) -> None:
 def test_a_listening_link_answers_its_first_peer_and_has_room_for_one(
     peer: socket.socket,
 ) -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     with open_link(f"udpin:127.0.0.1:{port}") as link:
         assert link.another() is None
         peer.sendto(b"here", ("127.0.0.1", port))
-        assert link.poll(link.now_s + 2.0) == [b"here"]
+        assert link.poll(link.now_s + PATIENCE_S) == [b"here"]
         link.send(b"there")
         assert peer.recv(100) == b"there"
 
@@ -132,14 +133,14 @@ def test_a_wrong_address_is_told() -> None:
 
 def test_further_clients_of_a_server_leave_it_when_they_are_closed() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
-        server.settimeout(2.0)
+        server.settimeout(PATIENCE_S)
         with open_link(f"tcp:127.0.0.1:{server.getsockname()[1]}") as link:
             first, _ = server.accept()
             assert link.another() is not None
             second, _ = server.accept()
             with first, second:
                 link.close_others()
-                second.settimeout(2.0)
+                second.settimeout(PATIENCE_S)
                 assert second.recv(10) == b""
                 link.send(b"still there")
                 assert first.recv(20) == b"still there"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 
@@ -17,6 +18,7 @@ from sim_link.faults.proxy import FaultProxy
 from sim_link.faults.schedule import Schedule
 
 HOST = "127.0.0.1"
+PATIENCE_S = 30.0
 
 
 @contextmanager
@@ -28,7 +30,7 @@ def ends(*faults: Fault) -> Iterator[tuple[socket.socket, FaultProxy, socket.soc
     ):
         for each in (vehicle, companion):
             each.bind((HOST, 0))
-            each.settimeout(0.2)
+            each.settimeout(PATIENCE_S)
         address = companion.getsockname()
         with FaultProxy((HOST, 0), (HOST, address[1]), Schedule(faults=faults), 1) as proxy:
             yield vehicle, proxy, companion
@@ -42,6 +44,15 @@ def arrived(end: socket.socket) -> list[bytes]:
             found.append(end.recv(2048))
         except BlockingIOError:
             return found
+
+
+def carried(proxy: FaultProxy, end: socket.socket) -> list[bytes]:
+    """What arrives first, however long the proxy is kept from running."""
+    deadline_s = time.monotonic() + PATIENCE_S
+    while not (found := arrived(end)):
+        assert time.monotonic() < deadline_s, "nothing arrives"
+        proxy.run(0.02)
+    return found
 
 
 def test_both_directions_pass() -> None:
@@ -67,21 +78,19 @@ def test_loss_takes_its_share_and_counts_it() -> None:
 
 def test_a_late_datagram_waits() -> None:
     with ends(LinkDelay(delay_s=0.2)) as (vehicle, proxy, companion):
+        sent_s = time.monotonic()
         vehicle.sendto(b"late", proxy.vehicle_side)
-        proxy.run(0.1)
-        assert arrived(companion) == []
-        proxy.run(0.2)
-        assert arrived(companion) == [b"late"]
+        assert carried(proxy, companion) == [b"late"]
+        assert time.monotonic() - sent_s >= 0.2
 
 
 def test_a_fault_may_be_added_on_the_run() -> None:
     with ends() as (vehicle, proxy, companion):
-        proxy.add(LinkBlackout(duration_s=0.1))
+        proxy.add(LinkBlackout(duration_s=1.0))
         vehicle.sendto(b"lost", proxy.vehicle_side)
-        proxy.run(0.15)
+        proxy.run(1.1)
         vehicle.sendto(b"found", proxy.vehicle_side)
-        proxy.run(0.05)
-        assert arrived(companion) == [b"found"]
+        assert carried(proxy, companion) == [b"found"]
 
 
 def test_an_attacker_has_an_address_of_its_own() -> None:
@@ -90,8 +99,9 @@ def test_an_attacker_has_an_address_of_its_own() -> None:
         vehicle.sendto(frame, proxy.vehicle_side)
         proxy.run(0.3)
         assert proxy.counters.attacks > 20
-        assert companion.recvfrom(2048)[1] == proxy.companion_side
-        assert companion.recvfrom(2048)[1] != proxy.companion_side
+        senders = {companion.recvfrom(2048)[1] for _ in range(20)}
+        assert proxy.companion_side in senders
+        assert len(senders) == 2
 
 
 def test_nobody_else_reaches_the_vehicle() -> None:

@@ -228,4 +228,4 @@ def test_nobody_minds_a_reader_who_goes_away(tmp_path: Path) -> None:
         assert runner.stderr is not None
         runner.stdout.close()
         assert runner.stderr.read() == b""
-        assert runner.wait(timeout=60.0) == 0
+        assert runner.wait(timeout=180.0) == 0
