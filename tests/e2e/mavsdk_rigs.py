@@ -129,5 +129,5 @@ def fly(flavour: str, flight: Callable[[Client], Any]) -> None:
         async with connected(port, flavour) as client:
             await flight(client)
 
-    with running_simulator(flavour, SPEED, is_patient=True) as port:
+    with running_simulator(flavour, SPEED, bears_s=60.0) as port:
         asyncio.run(run(port))

@@ -12,20 +12,21 @@ from pathlib import Path
 
 from tests.ports import free_port
 
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0
 """For what must happen, on a slow machine where others calculate, too."""
 PATIENT = {
-    "px4": "{offboard_loss_timeout_s: 60, parameters: {COM_DISARM_PRFLT: 60}}",
-    "ardupilot": "{flavour: ardupilot, parameters: {DISARM_DELAY: 120, GUID_TIMEOUT: 5}}",
+    "px4": "offboard_loss_timeout_s: %g, parameters: {COM_DISARM_PRFLT: 60}",
+    "ardupilot": "flavour: ardupilot, offboard_loss_timeout_s: %g, parameters: {DISARM_DELAY: 120, "
+    "GUID_TIMEOUT: 5}",
 }
 """Autopilots that bear with a client which the machine keeps waiting: faster than real time, its
 second of silence is over within a moment."""
 
 
-def patient_scenario(flavour: str, directory: Path) -> Path:
-    """A file with the canonical scenario, flown by a patient autopilot."""
+def patient_scenario(flavour: str, directory: Path, bears_s: float = 60.0) -> Path:
+    """A file with the canonical scenario; its PX4 bears so many of its seconds of silence."""
     path = directory / f"patient-{flavour}.yaml"
-    path.write_text(f"autopilot: {PATIENT[flavour]}\n", encoding="utf-8")
+    path.write_text(f"autopilot: {{{PATIENT[flavour] % bears_s}}}\n", encoding="utf-8")
     return path
 
 
@@ -35,7 +36,7 @@ def running_simulator(
     speed: float,
     listen_port: int | None = None,
     *options: str,
-    is_patient: bool = False,
+    bears_s: float | None = None,
 ) -> Iterator[int]:
     """A simulator that is stopped at the end; the UDP port that it sends to."""
     port = free_port()
@@ -43,8 +44,8 @@ def running_simulator(
     command += ["--listen", f"127.0.0.1:{listen_port or free_port()}"]
     command += ["--send-to", f"127.0.0.1:{port}", *options]
     with tempfile.TemporaryDirectory() as directory:
-        if is_patient:
-            command += ["--scenario", str(patient_scenario(flavour, Path(directory)))]
+        if bears_s is not None:
+            command += ["--scenario", str(patient_scenario(flavour, Path(directory), bears_s))]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
             assert process.stdout is not None
             try:

@@ -123,7 +123,7 @@ class MavProxy:
 @contextmanager
 def connected(flavour: str, directory: Path, listen_port: int | None = None) -> Iterator[MavProxy]:
     """MAVProxy on a running simulator, with all parameters read."""
-    simulator = running_simulator(flavour, SPEED[flavour], listen_port, is_patient=True)
+    simulator = running_simulator(flavour, SPEED[flavour], listen_port, bears_s=60.0)
     with simulator as port, MavProxy(port, directory) as mavproxy:
         mavproxy.expect("Detected vehicle 1:1")
         mavproxy.expect(r"Received \d+ parameters")

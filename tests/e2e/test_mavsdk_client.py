@@ -33,7 +33,7 @@ def report(tmp_path: Path) -> Path:
 def client_port(report: Path) -> Iterator[int]:
     """A running simulator; the UDP port that it sends to."""
     options = ("--report", str(report))
-    with running_simulator("px4", SPEED, None, *options, is_patient=True) as port:
+    with running_simulator("px4", SPEED, None, *options, bears_s=60.0) as port:
         yield port
 
 
