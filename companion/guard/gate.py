@@ -12,15 +12,16 @@ stop before whatever ends its way. Of every setpoint that moves it is known that
 - it is no farther from home than the leash and the battery allow, or nearer than it was.
 
 One that fails stays where it was, which was safe. Each is therefore safe to be the last one that is
-ever sent. The stream begins anew at the place nearest to the vehicle that is allowed, at rest, when
-the vehicle is where its setpoint cannot be flown to from: it is outside, its position jumped, it is
-too fast to stop before a border, or it was pushed to where the straight way is not free.
+ever sent. The stream begins anew where the vehicle is, at rest, at a height in the band, when its
+setpoint cannot be flown to from there: its position jumped, it is too fast to stop before a border,
+or the straight way is not free. From outside, or the margin, it is walked in by the shortest way,
+within the envelope, and is never farther out than the vehicle.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 from companion.geometry.leash import leashed
@@ -36,6 +37,8 @@ Position = tuple[float, float, float]
 AT_REST = (0.0, 0.0, 0.0)
 JUMP_STEPS = 2.0
 """A vehicle farther from its setpoint than this many steps did not lag: its position jumped."""
+ASIDE_M = 2.0
+"""A setpoint farther than this beside the vehicle's way back inside is not on it."""
 
 
 class GuardReason(Enum):
@@ -45,6 +48,7 @@ class GuardReason(Enum):
     NOT_FINITE = "goal, vehicle, home or time is not a number to fly by"
     FENCE = "goal is outside the fence or in a keep-out"
     OUTSIDE = "vehicle is outside the fence or in a keep-out: only back inside"
+    MARGIN = "nearer to the fence or a keep-out than the margin: only back inside"
     ALTITUDE = "goal is outside the altitude band"
     LEASH = "goal is too far from home"
     BATTERY = "battery is too low to go farther from home"
@@ -128,12 +132,10 @@ class _Step:
 
     @property
     def start(self) -> Point:
-        """Where the setpoint was."""
         return self.previous.position_enu_m[:2]
 
     @property
     def vehicle(self) -> Point:
-        """Where the vehicle was measured."""
         return self.motion.position_enu_m[:2]
 
 
@@ -155,22 +157,18 @@ class Guard:
         """The fence, and where the vehicle itself may be on its way to a setpoint."""
 
     def here(self, motion: Motion) -> Guarded:
-        """The setpoint "stay where you are", moved inside the limits if that is outside.
+        """The setpoint "stay where you are", in the band; one from outside is then walked in.
 
         Raises:
             ValueError: Vehicle or home is nowhere, so that no setpoint is known to be safe.
         """
         if not _are_finite(motion.position_enu_m, motion.home_enu_m):
             raise ValueError("the place of the vehicle or of home is not a number")
-        reasons: list[GuardReason] = []
-        up = self._in_band(motion.position_enu_m[2], motion, reasons)
-        place, fence = motion.position_enu_m[:2], self.limits.fence
-        if fence is None:
-            reasons.append(GuardReason.NO_FENCE)
-        elif not fence.allows(place):
-            place = fence.nearest_allowed(place)
+        reasons = [GuardReason.NO_FENCE] if self._known is None else []
+        up_m = self._in_band(motion.position_enu_m[2], motion, reasons)
+        if self._known is not None and not self._known[1].allows(motion.position_enu_m[:2]):
             reasons.append(GuardReason.OUTSIDE)
-        return Guarded((*place, up), tuple(reasons))
+        return Guarded((*motion.position_enu_m[:2], up_m), tuple(reasons))
 
     def stand(self, place_enu_m: Position) -> Guarded:
         """The setpoint "do not move", even outside: for while nobody knows where that is.
@@ -183,9 +181,12 @@ class Guard:
         return Guarded(place_enu_m)
 
     def hold(self, previous: Guarded, motion: Motion, dt_s: float) -> Guarded:
-        """The setpoint before, at rest: stopping is allowed at once."""
-        at_rest = Guarded(previous.position_enu_m)
-        return self.towards(previous.position_enu_m, at_rest, motion, dt_s)
+        """The setpoint before, at rest: stopping is allowed at once. One outside comes in."""
+        at = previous.position_enu_m
+        is_inside = self._known is None or self._known[0].allows(at[:2])
+        if is_inside and self._in_band(at[2], motion, []) == at[2]:
+            previous = Guarded(at)
+        return self.towards(at, previous, motion, dt_s)
 
     def towards(
         self,
@@ -217,6 +218,8 @@ class Guard:
         dt_s = min(max(dt_s, 0.0), MAX_TICK_S)
         step = _Step(goal_enu_m, previous, motion, dt_s, speed_cap_mps, [])
         trouble = self._trouble(step, fence, ways)
+        if trouble is GuardReason.OUTSIDE or trouble is GuardReason.MARGIN:
+            return self._walked_in(trouble, step, fence)
         if trouble is not None:
             return self._begun_anew(trouble, step)
         up_m, climb_mps = self._climbed(step)
@@ -239,8 +242,9 @@ class Guard:
         stop = limits.stopping.point(vehicle, _level(step.motion.velocity_enu_mps))
         if not ways.is_clear(vehicle, stop):
             return GuardReason.TOO_FAST
-        may_go_on = fence.allows(step.start) and ways.is_clear(vehicle, step.start)
-        return None if may_go_on else GuardReason.CUT_OFF
+        if not ways.is_clear(vehicle, step.start):
+            return GuardReason.CUT_OFF
+        return None if fence.allows(step.start) else GuardReason.MARGIN
 
     def _begun_anew(self, why: GuardReason, step: _Step) -> Guarded:
         """At the vehicle; or where it was, if a vehicle that is too fast has passed that."""
@@ -249,6 +253,22 @@ class Guard:
         if why is GuardReason.TOO_FAST and passed >= 0.0:
             return Guarded(step.previous.position_enu_m, (why,))
         return Guarded(self.here(step.motion).position_enu_m, (why,))
+
+    def _walked_in(self, why: GuardReason, step: _Step, fence: Fence) -> Guarded:
+        """The next one on the shortest way back; from the vehicle, if the last is not on it."""
+        goal = fence.nearest_allowed(step.start)
+        step = replace(step, goal_enu_m=step.previous.position_enu_m, speed_cap_mps=math.inf)
+        left_m, lead_m = math.dist(step.start, goal), math.dist(step.start, step.vehicle)
+        gained_m = math.dist(step.vehicle, fence.nearest_allowed(step.vehicle)) - left_m
+        most_m = min(gained_m + ASIDE_M, JUMP_STEPS * self.limits.envelope.step_m)
+        velocity = self._velocity(step, goal, fence)
+        place = ahead(step.start, velocity, step.dt_s)
+        if math.dist(step.start, place) >= left_m:
+            place, velocity = goal, (0.0, 0.0)
+        if gained_m < 0.0 or lead_m > most_m or math.dist(place, goal) > left_m:
+            return Guarded(self.here(step.motion).position_enu_m, (why,))
+        up_m, climb_mps = self._climbed(step)
+        return Guarded((*place, up_m), (why,), (*velocity, climb_mps))
 
     # The next setpoint
 
@@ -274,7 +294,8 @@ class Guard:
     def _permitted(self, step: _Step, fence: Fence) -> Point:
         """Where the straight way to the goal ends, as far as it may be flown."""
         limits, home = self.limits, step.motion.home_enu_m[:2]
-        wanted = (_near(step.goal_enu_m[0]), _near(step.goal_enu_m[1]))
+        east, north = (min(max(at, -FARTHEST_M), FARTHEST_M) for at in step.goal_enu_m[:2])
+        wanted = (east, north)
         goal = leashed(step.start, wanted, home, limits.distance_home_m)
         if goal != wanted:
             step.reasons.append(GuardReason.LEASH)
@@ -282,10 +303,10 @@ class Guard:
             battery_pct = step.motion.battery_pct
             near = leashed(step.start, goal, home, limits.reserve.reach_m(battery_pct))
             if near != goal:
-                why = (
-                    GuardReason.BATTERY if battery_pct is not None else GuardReason.BATTERY_UNKNOWN
+                is_known = battery_pct is not None
+                step.reasons.append(
+                    GuardReason.BATTERY if is_known else GuardReason.BATTERY_UNKNOWN
                 )
-                step.reasons.append(why)
             goal = near
         if not fence.allows(goal):
             step.reasons.append(GuardReason.FENCE)
@@ -338,10 +359,6 @@ def _are_numbers(goal: Position, motion: Motion, dt_s: float, speed_cap_mps: flo
 
 def _are_finite(*vectors: Position) -> bool:
     return all(math.isfinite(value) for vector in vectors for value in vector)
-
-
-def _near(coordinate_m: float) -> float:
-    return min(max(coordinate_m, -FARTHEST_M), FARTHEST_M)
 
 
 def _level(velocity_enu_mps: Position) -> Point:

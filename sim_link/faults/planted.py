@@ -13,6 +13,7 @@ from typing import Any
 
 from companion.config.schema import CompanionConfig
 from companion.domain import Autopilot, FlightMode, TargetEstimate
+from companion.guard.gate import GuardReason
 from companion.guidance.findings import Reason
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.journal import Journal
@@ -30,6 +31,7 @@ SETPOINT = mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
 HEARTBEAT = mavlink.MAVLINK_MSG_ID_HEARTBEAT
 FAR_M = 500.0
 SPOILT_EVERY = 40
+INSIDE_WEST_M = 54.0
 
 
 class Planted(CompanionEndpoint):
@@ -132,6 +134,20 @@ class ChasesJumps(Planted):
 
     def _change(self, message: Any) -> None:
         message.x = message.y = 0.0
+
+
+class RushesIn(Planted):
+    """From outside it wants to be inside at once, however far that is."""
+
+    invariant = "I2"
+
+    def _spoil(self, frame: bytes) -> list[bytes]:
+        reasons = self.session.situation.steering.reasons
+        is_outside = GuardReason.OUTSIDE in reasons and self._is_flying
+        return [rewritten(frame, self._change, None)] if is_outside else [frame]
+
+    def _change(self, message: Any) -> None:
+        message.y = -INSIDE_WEST_M
 
 
 class KeepsFlying(Planted):

@@ -207,9 +207,21 @@ class SafeToFreeze(PlacesOnly):
         self._frozen_s = scene.now_s
         bias = scene.vehicle.estimator.bias_enu_m
         east, north, up = setpoint.place_enu_m
-        least = self._least_depth((east - bias[0], north - bias[1], up - bias[2]))
+        goal = (east - bias[0], north - bias[1], up - bias[2])
+        body, rules = scene.vehicle.body, scene.rules
+        own = self._depth(body.position_enu_m[:2]) + scene.bias_m
+        if own < 0.0:  # on its way back: the place itself must not lie farther out
+            depth, moved_m = self._depth(goal[:2]), math.hypot(*body.velocity_enu_mps[:2])
+            least_m = own - rules.clearance_m - moved_m * rules.latency_s
+            if depth + scene.bias_m < least_m:
+                self.report("a setpoint that freezes leads farther out", depth_m=depth)
+            return
+        least = self._least_depth(goal)
         if least + scene.bias_m < 0.0:
             self.report("a setpoint that freezes leads out of the fence", depth_m=least)
+
+    def _depth(self, place: Point) -> float:
+        return depth_m(self.scene.rules.fence_enu_m, self.scene.rules.keep_out_enu_m, place)
 
     def _least_depth(self, goal: PositionEnu) -> float:
         rules, truth = self.scene.rules, self._truth.vehicle.body

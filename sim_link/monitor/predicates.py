@@ -68,7 +68,7 @@ def is_moved_inwards(
 ) -> bool:
     """Whether `place` may be where a vehicle at a border, or beyond it, is to stay."""
     depth = depth_m(fence, keep_outs, vehicle)
-    return depth < BORDER_M and math.dist(vehicle, place) <= INWARDS_M + max(0.0, -depth)
+    return depth < BORDER_M and math.dist(vehicle, place) <= INWARDS_M
 
 
 def is_way_clear(fence: Corners, keep_outs: Sequence[Corners], start: Point, end: Point) -> bool:

@@ -5,13 +5,15 @@ The geometry is judged by shapely, which shares no line with the guard's own. A 
 - went on from the one before: by elapsed time no faster, and no faster changed, than the limits
   allow, or it stayed exactly where it was; and if it moved, it may be the last one: inside by the
   margin, its stop and the straight ways to it three sigma from every border; or
-- begins anew at the allowed place nearest to the vehicle.
+- comes in from outside or the margin, no farther out than the vehicle, by the same limits; or
+- begins anew where the vehicle is.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -27,7 +29,8 @@ from companion.guard.stopping import Stopping
 
 HOME_UP_M = 10.0
 ROUNDING_M = 1e-6
-ANEW = (GuardReason.OUTSIDE, GuardReason.JUMPED, GuardReason.TOO_FAST, GuardReason.CUT_OFF)
+WAY_IN = (GuardReason.OUTSIDE, GuardReason.MARGIN)
+ANEW = (*WAY_IN, GuardReason.JUMPED, GuardReason.TOO_FAST, GuardReason.CUT_OFF)
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,6 +144,25 @@ def assert_may_be_last(guard: Guard, oracle: Oracle, setpoint: Guarded, motion: 
     assert oracle.clearance_m(arrival, place) >= three_sigma_m
 
 
+def out_m(guard: Guard, place: Position) -> float:
+    """How far a place is from what is allowed."""
+    assert guard.limits.fence is not None
+    return math.dist(place[:2], guard.limits.fence.nearest_allowed(place[:2]))
+
+
+def assert_comes_in(guard: Guard, before: Guarded, after: Guarded, tick: Tick) -> None:
+    """By the limits of speed, climb and acceleration, without a detour."""
+    envelope, dt_s = guard.limits.envelope, min(max(tick.dt_s, 0.0), MAX_TICK_S)
+    moved_m = math.dist(before.position_enu_m[:2], after.position_enu_m[:2])
+    was_mps = math.hypot(*before.velocity_enu_mps[:2])
+    most_mps = min(max(envelope.speed_mps, was_mps), was_mps + envelope.acceleration_mps2 * dt_s)
+    assert moved_m <= most_mps * dt_s + ROUNDING_M
+    climbed_m = abs(after.position_enu_m[2] - before.position_enu_m[2])
+    most_mps = max(envelope.climb_mps, abs(before.velocity_enu_mps[2]))
+    assert climbed_m <= most_mps * dt_s + ROUNDING_M
+    assert out_m(guard, after.position_enu_m) <= out_m(guard, before.position_enu_m) + ROUNDING_M
+
+
 def assert_within_envelope(guard: Guard, before: Guarded, after: Guarded, tick: Tick) -> None:
     envelope, dt_s = guard.limits.envelope, min(max(tick.dt_s, 0.0), MAX_TICK_S)
     speed_mps = math.hypot(*after.velocity_enu_mps[:2])
@@ -190,13 +212,19 @@ def test_every_setpoint_may_be_the_last(guard: Guard, place: Position, flown: li
         place = (east, north, place[2])
         motion = Motion(place, tick.velocity_enu_mps, home, tick.battery_pct)
         after = guard.towards(tick.goal_enu_m, before, motion, tick.dt_s, tick.cap_mps)
-        assert oracle.clearance_m(after.position_enu_m[:2]) >= fence.margin_m - ROUNDING_M
+        if after.position_enu_m[:2] not in (before.position_enu_m[:2], place[:2]):
+            is_inside = oracle.clearance_m(after.position_enu_m[:2]) >= fence.margin_m - ROUNDING_M
+            out = out_m(guard, after.position_enu_m)
+            assert is_inside or out <= out_m(guard, place) + ROUNDING_M
         assert low_m - ROUNDING_M <= after.position_enu_m[2] <= high_m + ROUNDING_M
+        comes_in = bool(set(after.reasons) & set(WAY_IN))
         is_anew = after.position_enu_m == guard.here(motion).position_enu_m
-        if not (is_anew and set(after.reasons) & set(ANEW)):
+        if comes_in and not is_anew:
+            assert_comes_in(guard, before, after, tick)
+        elif not (is_anew and set(after.reasons) & set(ANEW)):
             assert_within_envelope(guard, before, after, tick)
             assert_is_near_enough(guard, before, after, motion)
-        if after.velocity_enu_mps[:2] != (0.0, 0.0) and tick.dt_s > 0.0:
+        if after.velocity_enu_mps[:2] != (0.0, 0.0) and tick.dt_s > 0.0 and not comes_in:
             assert_may_be_last(guard, oracle, after, motion)
         if not all(math.isfinite(v) for v in tick.goal_enu_m):
             assert after == Guarded(before.position_enu_m, (GuardReason.NOT_FINITE,))
@@ -208,13 +236,16 @@ def test_every_setpoint_may_be_the_last(guard: Guard, place: Position, flown: li
 def test_a_setpoint_from_elsewhere_comes_inside_and_stays(
     guard: Guard, previous: Position, goal: Position
 ) -> None:
-    """One that the guard did not make may be anywhere; the next one is inside already."""
-    last = Guarded(previous)
-    for _ in range(3):
+    """One that the guard did not make may be anywhere; it comes in, and never stands still."""
+    last, outs = Guarded(previous), [out_m(guard, previous)]
+    assert guard.limits.fence is not None
+    for _ in range(40):
         motion = Motion(last.position_enu_m, last.velocity_enu_mps, (0.0, 0.0, HOME_UP_M))
         last = guard.towards(goal, last, motion, 0.1)
-        assert guard.limits.fence is not None
-        assert guard.limits.fence.allows(last.position_enu_m[:2])
+        outs.append(out_m(guard, last.position_enu_m))
+    for before, after in pairwise(outs):
+        assert after <= before + ROUNDING_M
+        assert after < before or guard.limits.fence.allows(last.position_enu_m[:2])
 
 
 @settings(max_examples=60, deadline=None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import pytest
 
@@ -199,16 +200,19 @@ def test_setpoints_stay_inside_fence_and_band_wherever_the_target_is() -> None:
 
 
 @pytest.mark.parametrize("place", [(200.0, 0.0, 20.0), (0.0, -900.0, 0.0), (-300.0, 300.0, 500.0)])
-def test_a_vehicle_outside_is_only_called_inside(place: tuple[float, float, float]) -> None:
+def test_a_vehicle_outside_is_walked_in_from_where_it_is(place: tuple[float, float, float]) -> None:
     flight = ScriptedFlight()
     flight.place = place
     flight.ready()
     flight.show(FlightMode.OFFBOARD)
     flight.fly(5.0)
     assert flight.setpoints
-    for east, north, up in flight.setpoints:
-        assert max(abs(east), abs(north)) <= 147.0 + 1e-6
-        assert 5.0 <= up <= 60.0
+    assert flight.setpoints[0] == pytest.approx((*place[:2], min(max(place[2], 5.9), 59.1)))
+    for before, (east, north, up) in pairwise(flight.setpoints):
+        assert max(abs(east), abs(north)) <= max(abs(before[0]), abs(before[1])) + 1e-6
+        assert math.dist(before[:2], (east, north)) <= 5.0 * 0.05 + 1e-6
+        assert up == before[2]
+    assert math.dist(flight.setpoints[-1][:2], place[:2]) > 4.0
 
 
 def test_parked_on_the_reported_target_it_learns_nothing_more() -> None:

@@ -58,7 +58,8 @@ def line(north_m: float, steps_m: list[float]) -> list[Point]:
     ("vehicle", "place", "is_moved"),
     [
         ((50.0, 1.0), (50.0, 6.0), True),
-        ((50.0, -7.0), (50.0, 4.0), True),
+        ((50.0, -3.0), (50.0, 4.0), True),
+        ((50.0, -7.0), (50.0, 4.0), False),
         ((50.0, 1.0), (50.0, 12.0), False),
         ((50.0, 20.0), (50.0, 24.0), False),
     ],

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from companion.config.limits import LimitsConfig
@@ -11,7 +13,15 @@ from companion.guidance.session import SessionParams
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from sim_link.campaign.flights import Monitored, monitored, rules_of
 from sim_link.faults.kinds import EkfJump, ForgedFrames, LinkBlackout, PilotMode, UnsignedFrames
-from sim_link.faults.planted import DEFECTS, ChasesJumps, HasMoods, Planted, maker, twisted
+from sim_link.faults.planted import (
+    DEFECTS,
+    ChasesJumps,
+    HasMoods,
+    Planted,
+    RushesIn,
+    maker,
+    twisted,
+)
 from sim_link.faults.schedule import Schedule
 from sim_link.monitor.monitor import Monitor
 
@@ -93,3 +103,32 @@ def test_who_chases_a_position_that_jumped_is_found(jump_m: dict[str, float]) ->
 @pytest.mark.parametrize("jump_m", JUMPS)
 def test_who_stays_is_not(jump_m: dict[str, float]) -> None:
     assert jumped_out(None, **jump_m) == set()
+
+
+def begun_outside(defect: type[Planted] | None) -> tuple[set[str], float]:
+    """What is broken by a vehicle that begins 50 m outside; and how far east it is in the end."""
+    field = ((-120.0, -40.0), (-50.0, -40.0), (-50.0, 40.0), (-120.0, 40.0))
+    config = CompanionConfig(mission=AUTO.mission, limits=LimitsConfig(fence_enu_m=field))
+    make = None if defect is None else maker(defect)
+    around = monitored(config, Scenario(), 1, make_companion=make)
+    around.flight.run(40.0)
+    east_m = around.flight.sim.vehicle.body.position_enu_m[0]
+    return {violation.invariant for violation in around.monitor.violations}, east_m
+
+
+def test_who_rushes_in_from_outside_is_found() -> None:
+    assert begun_outside(RushesIn)[0] == {"I2"}
+
+
+def test_who_goes_farther_out_is_found_by_what_freezing_that_would_come_to() -> None:
+    class GoesOut(RushesIn):
+        def _change(self, message: Any) -> None:
+            message.y = 20.0
+
+    assert begun_outside(GoesOut)[0] == {"I1", "I2", "I4"}
+
+
+def test_who_is_walked_in_is_not() -> None:
+    found, east_m = begun_outside(None)
+    assert found == set()
+    assert east_m < -50.0
