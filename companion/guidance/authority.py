@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from companion.domain import FlightMode
+from companion.domain import Autopilot, FlightMode
 from companion.guidance.events import HeartbeatReceived, LandedStateChanged
 from companion.guidance.states import IN_CONTROL, OUT_OF_CONTROL, Phase, Trigger, next_phase
 
@@ -79,12 +79,17 @@ class Authority:
 
         A vehicle found flying in offboard, or in a failsafe, may be someone else's, or may have
         been left by a companion that died: streaming would take over without anyone having asked
-        (PX4 re-enters offboard by itself when setpoints return).
+        (PX4 re-enters offboard by itself when setpoints return). It does so, too, when ours reach
+        it that a link had kept, however long after we fell silent: offboard that a failsafe ended
+        is nobody's gift, but an ArduPilot's, which never goes back to GUIDED by itself.
         """
         is_offboard = heartbeat.mode is FlightMode.OFFBOARD
         was_offboard = self._newest is not None and self._newest.mode is FlightMode.OFFBOARD
         if was_offboard and not is_offboard:
             self._left_s = heartbeat.time_s
+            returns_by_itself = heartbeat.autopilot is not Autopilot.ARDUPILOT
+            if heartbeat.is_failsafe and heartbeat.is_armed and returns_by_itself:
+                self._must_leave_offboard = True
         elif is_offboard and not was_offboard:
             self._away_s = heartbeat.time_s - self._left_s
         self._newest = heartbeat
@@ -135,3 +140,8 @@ class Authority:
         """Whether offboard, seen now after a yield, would have been given a little later."""
         is_yield = self.phase is Phase.YIELD and not self._must_leave_offboard
         return is_yield and self._away_s < REGAIN_QUIET_S
+
+    @property
+    def came_by_itself(self) -> bool:
+        """Whether offboard, seen now after a yield, is what a failsafe ended."""
+        return self.phase is Phase.YIELD and self._must_leave_offboard and self._away_s > 0.0

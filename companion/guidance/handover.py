@@ -41,7 +41,7 @@ class Handover:
         self._situation = situation
         self._has_flown = False
         """Whether it was in the air since control began."""
-        self._was_told_too_soon = False
+        self._was_told = False
 
     def heartbeat(self, event: HeartbeatReceived) -> None:
         """The autopilot shows its mode."""
@@ -79,7 +79,7 @@ class Handover:
         situation, left = self._situation, self._situation.phase
         if not situation.enter(Trigger.MODE_LOST, event.time_s):
             return
-        self._was_told_too_soon = False
+        self._was_told = False
         name = situation.vehicle.name_of(event.mode)
         if left is Phase.HANDBACK:
             situation.announce(Severity.NOTICE, f"handed back: autopilot is in {name}")
@@ -95,11 +95,7 @@ class Handover:
 
     def _offboard(self, now_s: float) -> None:
         situation = self._situation
-        if situation.authority.came_too_soon and not self._was_told_too_soon:
-            self._was_told_too_soon = True
-            name = situation.vehicle.guided_name
-            text = f"{name} came too soon: leave it for {REGAIN_QUIET_S:g} s, or grant control"
-            situation.announce(Severity.WARNING, text)
+        self._tell_why_it_does_not_count()
         if not (situation.authority.may_take and situation.vehicle.obeys_setpoints):
             return
         is_launched = situation.phase is Phase.LAUNCHING
@@ -117,6 +113,17 @@ class Handover:
             situation.find(CHECKING, now_s)
             text = f"in control: autopilot is in {situation.vehicle.guided_name}"
             situation.announce(Severity.NOTICE, text)
+
+    def _tell_why_it_does_not_count(self) -> None:
+        situation = self._situation
+        authority, name = situation.authority, situation.vehicle.guided_name
+        if self._was_told or not (authority.came_too_soon or authority.came_by_itself):
+            return
+        self._was_told = True
+        text = f"{name} came too soon: leave it for {REGAIN_QUIET_S:g} s, or grant control"
+        if authority.came_by_itself:
+            text = f"{name} is back after a failsafe: change the mode, or grant control"
+        situation.announce(Severity.WARNING, text)
 
     def twin_heard(self, now_s: float) -> None:
         """Somebody else sends under our ids: what we do not fly yet is not offered."""

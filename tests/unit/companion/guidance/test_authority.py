@@ -52,6 +52,45 @@ def numbered(flight: ScriptedFlight, mode: FlightMode, order: int) -> None:
 # Modes that come and go
 
 
+@pytest.mark.parametrize("away_s", [2.5, 10.0, 60.0])
+def test_a_px4_that_a_failsafe_took_gives_nothing_back_by_itself(away_s: float) -> None:
+    """It goes back to offboard with the first setpoints that a link had kept."""
+    flight = flying()
+    flight.show(FlightMode.HOLD, is_failsafe=True)
+    lost_s = flight.now_s
+    flight.fly(away_s)
+    flight.show(FlightMode.OFFBOARD)
+    flight.fly(5.0)
+    assert flight.phase is Phase.YIELD
+    assert acts(flight, lost_s) == 0
+    told = [text for text in flight.texts if "back after a failsafe" in text]
+    assert told == ["offboard mode is back after a failsafe: change the mode, or grant control"]
+
+
+def test_what_a_failsafe_took_is_given_by_another_mode_first_or_by_a_grant() -> None:
+    for is_granted in (False, True):
+        flight = flying()
+        flight.show(FlightMode.HOLD, is_failsafe=True)
+        flight.fly(5.0)
+        if is_granted:
+            flight.give(ControlGranted(flight.now_s))
+        else:
+            flight.show(FlightMode.HOLD)
+        flight.fly(3.0)
+        flight.show(FlightMode.OFFBOARD)
+        flight.fly(1.0)
+        assert flight.phase is Phase.NORMAL
+
+
+def test_an_ardupilot_in_guided_after_a_failsafe_was_put_there_by_somebody() -> None:
+    flight = flying(Autopilot.ARDUPILOT)
+    flight.show(FlightMode.RETURN, is_failsafe=True)
+    flight.fly(5.0)
+    flight.show(FlightMode.OFFBOARD)
+    flight.fly(1.0)
+    assert flight.phase is Phase.NORMAL
+
+
 @pytest.mark.parametrize("autopilot", AUTOPILOTS)
 @pytest.mark.parametrize("period_s", [0.2, 0.5, 1.0, 1.9])
 def test_a_mode_that_flaps_is_left_alone(autopilot: Autopilot, period_s: float) -> None:
