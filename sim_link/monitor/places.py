@@ -126,7 +126,8 @@ class InsideFence(SetpointsInside):
     def _watch_others(self, taken: int) -> None:
         """Whose setpoint the vehicle took last; one of somebody else counts until some time after.
 
-        Where it went for another sender is not the companion's doing; nor that it has to come back.
+        Where it went for another sender is not the companion's doing; nor that it has to come back;
+        nor where the wind takes one that does not know its place any more.
         """
         new, self._taken = taken - self._taken, taken
         ours, self._reached = self._reached, 0
@@ -134,7 +135,7 @@ class InsideFence(SetpointsInside):
             self._is_dragged = True
         elif new > 0:
             self._is_dragged = False
-        if self._is_dragged:
+        if self._is_dragged or not self._truth.vehicle.estimator.is_position_valid:
             self._dragged_s = self._truth.now_s
 
     def _watch_mode(self) -> None:

@@ -12,7 +12,15 @@ from companion.domain import FlightMode
 from companion.guidance.session import SessionParams
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from sim_link.campaign.flights import Monitored, monitored, rules_of
-from sim_link.faults.kinds import EkfJump, ForgedFrames, LinkBlackout, PilotMode, UnsignedFrames
+from sim_link.faults.kinds import (
+    EkfJump,
+    ForgedFrames,
+    GpsLoss,
+    LinkBlackout,
+    PilotMode,
+    UnsignedFrames,
+    Wind,
+)
 from sim_link.faults.planted import (
     DEFECTS,
     ChasesJumps,
@@ -132,3 +140,18 @@ def test_who_is_walked_in_is_not() -> None:
     found, east_m = begun_outside(None)
     assert found == set()
     assert east_m < -50.0
+
+
+def test_where_the_wind_takes_one_without_any_position_is_nobodys_doing() -> None:
+    """Its autopilot lands it with the wind; the companion has handed it back."""
+    field = ((-40.0, -40.0), (40.0, -40.0), (40.0, 24.0), (-40.0, 24.0))
+    limits = LimitsConfig(fence_enu_m=field, fence_margin_m=1.0)
+    around = monitored(CompanionConfig(mission=AUTO.mission, limits=limits), COPTER, 2)
+    flight = around.flight
+    flight.run(18.0)
+    around.injector.add(Wind(duration_s=60.0, north_mps=12.0))
+    around.injector.add(GpsLoss(duration_s=60.0))
+    flight.run(12.0)
+    vehicle = flight.sim.vehicle
+    assert vehicle.body.position_enu_m[0] - abs(vehicle.estimator.bias_enu_m[0]) > 41.0
+    assert around.monitor.violations == []
