@@ -241,8 +241,9 @@ class Handover:
         situation.steering.forget_setpoint()
         if situation.phase is not Phase.HANDBACK:
             situation.withdraw()
-        situation.enter(Trigger.LAUNCH_FAILED, event.time_s)
         text = f"the computer stood still for {event.stalled_s:.1f} s: looking where we are"
+        if situation.enter(Trigger.LAUNCH_FAILED, event.time_s):
+            text += f"; launch ended: give {situation.vehicle.guided_name} again, or grant control"
         situation.announce(Severity.WARNING, text)
 
     def stop(self, now_s: float) -> None:

@@ -72,6 +72,7 @@ def test_offboard_that_was_asked_for_before_the_launch_ended_was_not_given(order
         flight.show(FlightMode.POSITION)
     else:
         flight.give(ControlStalled(flight.now_s, 1.0))
+        assert flight.texts[-1].endswith("launch ended: give offboard mode again, or grant control")
         flight.show(FlightMode.TAKEOFF)
     assert flight.is_in(Phase.YIELD)
     ended_s = flight.now_s
