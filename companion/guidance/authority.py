@@ -81,17 +81,17 @@ class Authority:
         been left by a companion that died: streaming would take over without anyone having asked
         (PX4 re-enters offboard by itself when setpoints return). It does so, too, when ours reach
         it that a link had kept, however long after we fell silent: offboard that a failsafe ended
-        is nobody's gift, but an ArduPilot's, which never goes back to GUIDED by itself.
+        is nobody's gift, but an ArduPilot's, which never goes back to GUIDED by itself. A failsafe
+        may be told a HEARTBEAT later than its mode.
         """
         is_offboard = heartbeat.mode is FlightMode.OFFBOARD
         was_offboard = self._newest is not None and self._newest.mode is FlightMode.OFFBOARD
         if was_offboard and not is_offboard:
             self._left_s = heartbeat.time_s
-            returns_by_itself = heartbeat.autopilot is not Autopilot.ARDUPILOT
-            if heartbeat.is_failsafe and heartbeat.is_armed and returns_by_itself:
-                self._must_leave_offboard = True
-        elif is_offboard and not was_offboard:
+        elif is_offboard and not was_offboard and self._newest is not None:
             self._away_s = heartbeat.time_s - self._left_s
+        if (was_offboard or self.phase is Phase.YIELD) and _may_return_by_itself(heartbeat):
+            self._must_leave_offboard = True
         self._newest = heartbeat
         if self.phase is Phase.FINISHED and not (heartbeat.is_armed and is_offboard):
             self.has_let_go = True
@@ -145,3 +145,9 @@ class Authority:
     def came_by_itself(self) -> bool:
         """Whether offboard, seen now after a yield, is what a failsafe ended."""
         return self.phase is Phase.YIELD and self._must_leave_offboard and self._away_s > 0.0
+
+
+def _may_return_by_itself(heartbeat: HeartbeatReceived) -> bool:
+    """Whether a failsafe keeps a flying vehicle out of offboard for only as long as it lasts."""
+    is_away = heartbeat.is_armed and heartbeat.mode is not FlightMode.OFFBOARD
+    return is_away and heartbeat.is_failsafe and heartbeat.autopilot is not Autopilot.ARDUPILOT

@@ -122,7 +122,8 @@ class Handover:
         self._was_told = True
         text = f"{name} came too soon: leave it for {REGAIN_QUIET_S:g} s, or grant control"
         if authority.came_by_itself:
-            text = f"{name} is back after a failsafe: change the mode, or grant control"
+            how = "first choose a mode without one, or grant control"
+            text = f"{name} is back after a failsafe: {how}"
         situation.announce(Severity.WARNING, text)
 
     def twin_heard(self, now_s: float) -> None:

@@ -64,7 +64,35 @@ def test_a_px4_that_a_failsafe_took_gives_nothing_back_by_itself(away_s: float) 
     assert flight.phase is Phase.YIELD
     assert acts(flight, lost_s) == 0
     told = [text for text in flight.texts if "back after a failsafe" in text]
-    assert told == ["offboard mode is back after a failsafe: change the mode, or grant control"]
+    assert told == [
+        "offboard mode is back after a failsafe: first choose a mode without one, or grant control"
+    ]
+
+
+@pytest.mark.parametrize("autopilot", [Autopilot.PX4, Autopilot.OTHER])
+def test_a_failsafe_that_is_told_a_beat_after_its_mode_gives_nothing_back_either(
+    autopilot: Autopilot,
+) -> None:
+    flight = flying(autopilot)
+    flight.show(FlightMode.HOLD)
+    lost_s = flight.now_s
+    flight.fly(1.0)
+    flight.show(FlightMode.HOLD, is_failsafe=True)
+    flight.fly(3.0)
+    flight.show(FlightMode.OFFBOARD)
+    flight.fly(1.0)
+    assert flight.phase is Phase.YIELD
+    assert acts(flight, lost_s) == 0
+
+
+def test_a_failsafe_in_standby_takes_nothing_that_is_chosen_then() -> None:
+    """A pilot who lost the transmitter gives the vehicle to a companion that is ready."""
+    flight = ScriptedFlight().ready()
+    flight.show(FlightMode.POSITION)
+    flight.show(FlightMode.RETURN, is_failsafe=True)
+    flight.fly(1.0)
+    flight.show(FlightMode.OFFBOARD)
+    assert flight.phase is Phase.HOLD
 
 
 def test_what_a_failsafe_took_is_given_by_another_mode_first_or_by_a_grant() -> None:

@@ -112,6 +112,16 @@ def test_who_had_yielded_stays_silent() -> None:
     assert flight.session.estimate is not None
 
 
+def test_who_had_yielded_does_not_blame_a_failsafe_that_nobody_showed() -> None:
+    flight = ScriptedFlight()
+    recall(flight, replace(memory_of_a_flight(), phase=Phase.YIELD))
+    flight.fly(0.5)
+    flight.show(FlightMode.OFFBOARD)
+    flight.fly(2.0)
+    assert flight.phase is Phase.YIELD
+    assert not any("after a failsafe" in text for text in flight.texts)
+
+
 def test_a_yield_ends_with_the_flight() -> None:
     flight = ScriptedFlight()
     recall(flight, replace(memory_of_a_flight(), phase=Phase.YIELD))
