@@ -182,10 +182,10 @@ class Guard:
 
     def hold(self, previous: Guarded, motion: Motion, dt_s: float) -> Guarded:
         """The setpoint before, at rest: stopping is allowed at once. One outside comes in."""
-        at = previous.position_enu_m
-        is_inside = self._known is None or self._known[0].allows(at[:2])
-        if is_inside and self._in_band(at[2], motion, []) == at[2]:
-            previous = Guarded(at)
+        at, climb_mps = previous.position_enu_m, previous.velocity_enu_mps[2]
+        if self._known is None or self._known[0].allows(at[:2]):
+            is_in_band = self._in_band(at[2], motion, []) == at[2]
+            previous = Guarded(at, (), (0.0, 0.0, 0.0 if is_in_band else climb_mps))
         return self.towards(at, previous, motion, dt_s)
 
     def towards(
@@ -259,13 +259,16 @@ class Guard:
         goal = fence.nearest_allowed(step.start)
         step = replace(step, goal_enu_m=step.previous.position_enu_m, speed_cap_mps=math.inf)
         left_m, lead_m = math.dist(step.start, goal), math.dist(step.start, step.vehicle)
-        gained_m = math.dist(step.vehicle, fence.nearest_allowed(step.vehicle)) - left_m
-        most_m = min(gained_m + ASIDE_M, JUMP_STEPS * self.limits.envelope.step_m)
+        gained_m = math.dist(step.vehicle, inside := fence.nearest_allowed(step.vehicle)) - left_m
+        if gained_m < 0.0 or lead_m > gained_m + ASIDE_M:  # from rest a wind would keep it there
+            last = replace(step.previous, position_enu_m=(*step.vehicle, step.goal_enu_m[2]))
+            step, goal, left_m = replace(step, previous=last), inside, left_m + gained_m
         velocity = self._velocity(step, goal, fence)
         place = ahead(step.start, velocity, step.dt_s)
         if math.dist(step.start, place) >= left_m:
             place, velocity = goal, (0.0, 0.0)
-        if gained_m < 0.0 or lead_m > most_m or math.dist(place, goal) > left_m:
+        most_m = JUMP_STEPS * self.limits.envelope.step_m
+        if lead_m > most_m or math.dist(place, goal) > left_m:
             return Guarded(self.here(step.motion).position_enu_m, (why,))
         up_m, climb_mps = self._climbed(step)
         return Guarded((*place, up_m), (why,), (*velocity, climb_mps))
@@ -293,20 +296,17 @@ class Guard:
 
     def _permitted(self, step: _Step, fence: Fence) -> Point:
         """Where the straight way to the goal ends, as far as it may be flown."""
-        limits, home = self.limits, step.motion.home_enu_m[:2]
+        limits, home, charge_pct = self.limits, step.motion.home_enu_m[:2], step.motion.battery_pct
         east, north = (min(max(at, -FARTHEST_M), FARTHEST_M) for at in step.goal_enu_m[:2])
         wanted = (east, north)
         goal = leashed(step.start, wanted, home, limits.distance_home_m)
         if goal != wanted:
             step.reasons.append(GuardReason.LEASH)
         if limits.reserve is not None:
-            battery_pct = step.motion.battery_pct
-            near = leashed(step.start, goal, home, limits.reserve.reach_m(battery_pct))
+            near = leashed(step.start, goal, home, limits.reserve.reach_m(charge_pct))
             if near != goal:
-                is_known = battery_pct is not None
-                step.reasons.append(
-                    GuardReason.BATTERY if is_known else GuardReason.BATTERY_UNKNOWN
-                )
+                why = GuardReason.BATTERY_UNKNOWN if charge_pct is None else GuardReason.BATTERY
+                step.reasons.append(why)
             goal = near
         if not fence.allows(goal):
             step.reasons.append(GuardReason.FENCE)

@@ -28,14 +28,20 @@ OUT = (110.0, 20.0, 30.0)
 
 
 def come_in(
-    place: Position, *, guard: Guard = GUARD, follow_s: float = 1.0, ticks: int = 600
+    place: Position,
+    *,
+    guard: Guard = GUARD,
+    follow_s: float = 1.0,
+    ticks: int = 600,
+    drift: Position = AT_REST,
 ) -> tuple[list[Guarded], list[Position]]:
-    """Held, a vehicle that is drawn to its setpoint, and lags behind it by this time."""
+    """Held, a vehicle that is drawn to its setpoint, lags by this time, and drifts in a wind."""
     vehicles, steps = [place], [guard.here(motion(place))]
     for _ in range(ticks):
         last = vehicles[-1]
         rates = [
-            (to - at) / follow_s for at, to in zip(last, steps[-1].position_enu_m, strict=True)
+            (to - at) / follow_s + blown
+            for at, to, blown in zip(last, steps[-1].position_enu_m, drift, strict=True)
         ]
         e, n, u = (at + rate * DT_S for at, rate in zip(last, rates, strict=True))
         vehicles.append((e, n, u))
@@ -118,7 +124,35 @@ class TestFromOutside:
     ) -> None:
         """Never one farther out than the vehicle, nor more than 2 m of a detour."""
         guarded = GUARD.towards(GOAL, Guarded((*place, 30.0)), motion(OUT), DT_S)
-        assert (guarded == Guarded(OUT, (GuardReason.OUTSIDE,))) is not is_on_it
+        from_vehicle = pytest.approx((109.98, 20.0, 30.0))
+        assert (guarded.position_enu_m == from_vehicle) is not is_on_it
+
+    @pytest.mark.parametrize("drift_mps", [0.001, 0.01, 0.1, 0.5, 1.0, 1.5])
+    def test_a_wind_from_behind_keeps_nobody_out(self, drift_mps: float) -> None:
+        """It blows the vehicle past a setpoint that has only begun to move."""
+        steps, vehicles = come_in((130.0, 20.0, 30.0), drift=(-drift_mps, 0.0, 0.0))
+        still, _ = come_in((130.0, 20.0, 30.0))
+        assert steps[110].position_enu_m[0] <= still[110].position_enu_m[0] + 0.01
+        assert vehicles[110][0] < 97.0
+        for step, vehicle in zip(steps, vehicles, strict=True):
+            assert step.position_enu_m[0] <= vehicle[0] + 1e-9 or vehicle[0] < 95.0
+
+    @pytest.mark.parametrize("drift_mps", [-1.0, 1.0])
+    def test_nor_does_one_that_carries_it_along_the_border(self, drift_mps: float) -> None:
+        steps, vehicles = come_in((130.0, 20.0, 30.0), drift=(0.0, 4.0 * drift_mps, 0.0))
+        assert vehicles[150][0] < 97.0
+        assert abs(vehicles[-1][1] - 20.0) < 40.0
+        assert steps[-1].reasons == ()
+
+    def test_who_overtakes_a_setpoint_is_led_on_from_where_it_is_at_the_height_before(self) -> None:
+        last = Guarded((110.3, 20.0, 40.0), (), (-2.0, 0.0, 0.0))
+        guarded = GUARD.towards(GOAL, last, motion(OUT), DT_S)
+        assert guarded.position_enu_m == pytest.approx((109.78, 20.0, 40.0))
+        assert guarded.velocity_enu_mps == pytest.approx((-2.2, 0.0, 0.0))
+        aside = Guarded((109.9, 22.2, 40.0), (), (-2.0, 0.0, 0.0))
+        assert GUARD.towards(GOAL, aside, motion(OUT), DT_S) == guarded
+        wrong = Guarded((110.3, 20.0, 40.0), (), (1.0, 0.0, 0.0))
+        assert GUARD.towards(GOAL, wrong, motion(OUT), DT_S).position_enu_m == OUT
 
     def test_nor_one_farther_ahead_than_two_steps(self) -> None:
         vehicle = motion((120.0, 20.0, 30.0))
@@ -171,6 +205,17 @@ class TestFromAboveOrBelow:
         outs = [abs(up - end_m) for up in ups]
         assert all(after <= before for before, after in pairwise(outs))
         assert outs[-1] == pytest.approx(0.0, abs=0.01)
+
+    @pytest.mark.parametrize("up_m", [3.0, 99.0])
+    def test_hold_stops_over_the_ground_at_once_and_still_climbs_into_the_band(
+        self, up_m: float
+    ) -> None:
+        place = (0.0, 0.0, up_m)
+        climb_mps = math.copysign(1.0, HIGH_M - up_m)
+        last = Guarded(place, (), (5.0, 0.0, climb_mps))
+        held = GUARD.hold(last, motion(place), DT_S)
+        assert held.position_enu_m[:2] == place[:2]
+        assert held.velocity_enu_mps == pytest.approx((0.0, 0.0, 1.2 * climb_mps))
 
     def test_in_the_band_a_way_in_stays_at_its_height(self) -> None:
         climbing = Guarded(OUT, (), (0.0, 0.0, 1.0))
