@@ -239,11 +239,11 @@ class Guard:
             return GuardReason.OUTSIDE
         if math.dist(step.start, vehicle) > JUMP_STEPS * limits.envelope.step_m:
             return GuardReason.JUMPED
+        if not ways.is_clear(vehicle, step.start):
+            return GuardReason.CUT_OFF
         stop = limits.stopping.point(vehicle, _level(step.motion.velocity_enu_mps))
         if not ways.is_clear(vehicle, stop):
             return GuardReason.TOO_FAST
-        if not ways.is_clear(vehicle, step.start):
-            return GuardReason.CUT_OFF
         return None if fence.allows(step.start) else GuardReason.MARGIN
 
     def _begun_anew(self, why: GuardReason, step: _Step) -> Guarded:

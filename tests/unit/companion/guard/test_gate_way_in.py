@@ -179,6 +179,17 @@ class TestFromOutside:
         end_m = 5.0 if place[0] < 15.0 else 25.0
         assert vehicles[-1] == pytest.approx((end_m, place[1], 30.0), abs=0.01)
 
+    def test_who_shot_through_a_keep_out_is_not_called_back_through_it(self) -> None:
+        """It is too fast to stop before the next one, and its setpoint is on the far side."""
+        north, south = ((0.0, 10.0), (30.0, 11.0)), ((0.0, -30.0), (30.0, -29.0))
+        walls = tuple(((w, s), (e, s), (e, n), (w, n)) for (w, s), (e, n) in (north, south))
+        guard = Guard(replace(LIMITS, fence=Fence(SQUARE.polygon_enu_m, 5.0, walls)))
+        far, near = (15.0, 11.5, 30.0), (15.0, -2.0, 30.0)
+        fast = Motion(near, (0.0, -14.0, 0.0), HOME)
+        assert guard.hold(Guarded(far), fast, DT_S) == Guarded(near, (GuardReason.CUT_OFF,))
+        aside = (15.0, 1.0, 30.0)
+        assert guard.hold(Guarded(aside), fast, DT_S) == Guarded(aside, (GuardReason.TOO_FAST,))
+
 
 class TestFromAboveOrBelow:
     @pytest.mark.parametrize(("up_m", "end_m"), [(3.0, LOW_M), (99.0, HIGH_M)])
