@@ -150,17 +150,22 @@ def out_m(guard: Guard, place: Position) -> float:
     return math.dist(place[:2], guard.limits.fence.nearest_allowed(place[:2]))
 
 
-def assert_comes_in(guard: Guard, before: Guarded, after: Guarded, tick: Tick) -> None:
-    """By the limits of speed, climb and acceleration, without a detour."""
+def assert_comes_in(
+    guard: Guard, before: Guarded, after: Guarded, tick: Tick, vehicle: Position
+) -> None:
+    """By the limits of speed, climb and acceleration, without a detour; or from the vehicle."""
     envelope, dt_s = guard.limits.envelope, min(max(tick.dt_s, 0.0), MAX_TICK_S)
-    moved_m = math.dist(before.position_enu_m[:2], after.position_enu_m[:2])
+    at = after.position_enu_m[:2]
+    moved_m = min(math.dist(before.position_enu_m[:2], at), math.dist(vehicle[:2], at))
     was_mps = math.hypot(*before.velocity_enu_mps[:2])
     most_mps = min(max(envelope.speed_mps, was_mps), was_mps + envelope.acceleration_mps2 * dt_s)
     assert moved_m <= most_mps * dt_s + ROUNDING_M
+    assert math.hypot(*after.velocity_enu_mps[:2]) <= most_mps + ROUNDING_M
     climbed_m = abs(after.position_enu_m[2] - before.position_enu_m[2])
     most_mps = max(envelope.climb_mps, abs(before.velocity_enu_mps[2]))
     assert climbed_m <= most_mps * dt_s + ROUNDING_M
-    assert out_m(guard, after.position_enu_m) <= out_m(guard, before.position_enu_m) + ROUNDING_M
+    outs = [out_m(guard, place) for place in (before.position_enu_m, vehicle)]
+    assert out_m(guard, after.position_enu_m) <= max(outs) + ROUNDING_M
 
 
 def assert_within_envelope(guard: Guard, before: Guarded, after: Guarded, tick: Tick) -> None:
@@ -220,7 +225,7 @@ def test_every_setpoint_may_be_the_last(guard: Guard, place: Position, flown: li
         comes_in = bool(set(after.reasons) & set(WAY_IN))
         is_anew = after.position_enu_m == guard.here(motion).position_enu_m
         if comes_in and not is_anew:
-            assert_comes_in(guard, before, after, tick)
+            assert_comes_in(guard, before, after, tick, place)
         elif not (is_anew and set(after.reasons) & set(ANEW)):
             assert_within_envelope(guard, before, after, tick)
             assert_is_near_enough(guard, before, after, motion)
