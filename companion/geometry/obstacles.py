@@ -66,10 +66,11 @@ class FreeSpace:
         )
 
     def allows(self, point: Point) -> bool:
-        """Whether a point is on the allowed side of every border, by at least the margin."""
-        if self.fence_enu_m is not None and not depth_m(self.fence_enu_m, point) >= self.margin_m:
+        """Whether a point is on the allowed side of every border, by the margin; never on one."""
+        least_m = max(self.margin_m, GRAZE_M)
+        if self.fence_enu_m is not None and not depth_m(self.fence_enu_m, point) >= least_m:
             return False
-        return all(-depth_m(polygon, point) >= self.margin_m for polygon in self.keep_out_enu_m)
+        return all(-depth_m(polygon, point) >= least_m for polygon in self.keep_out_enu_m)
 
     def is_clear(self, start: Point, end: Point) -> bool:
         """Whether the whole straight leg keeps the margin, its ends included."""
