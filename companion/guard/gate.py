@@ -12,10 +12,9 @@ stop before whatever ends its way. Of every setpoint that moves it is known that
 - it is no farther from home than the leash and the battery allow, or nearer than it was.
 
 One that fails stays where it was, which was safe. Each is therefore safe to be the last one that is
-ever sent. The stream begins anew where the vehicle is, at rest, at a height in the band, when its
-setpoint cannot be flown to from there: its position jumped, it is too fast to stop before a border,
-or the straight way is not free. From outside, or the margin, it is walked in by the shortest way,
-within the envelope, and is never farther out than the vehicle.
+ever sent. The stream begins anew where the vehicle is, at rest, in the band, when its setpoint
+cannot be flown to: its position jumped, it is too fast to stop at a border, or the way is not free.
+From outside, or the margin, it is walked in the shortest way, no farther out than the vehicle.
 """
 
 from __future__ import annotations
@@ -132,10 +131,12 @@ class _Step:
 
     @property
     def start(self) -> Point:
+        """Where the setpoint was."""
         return self.previous.position_enu_m[:2]
 
     @property
     def vehicle(self) -> Point:
+        """Where the vehicle was measured."""
         return self.motion.position_enu_m[:2]
 
 
@@ -267,8 +268,7 @@ class Guard:
         place = ahead(step.start, velocity, step.dt_s)
         if math.dist(step.start, place) >= left_m:
             place, velocity = goal, (0.0, 0.0)
-        most_m = JUMP_STEPS * self.limits.envelope.step_m
-        if lead_m > most_m or math.dist(place, goal) > left_m:
+        if lead_m > JUMP_STEPS * self.limits.envelope.step_m or math.dist(place, goal) > left_m:
             return Guarded(self.here(step.motion).position_enu_m, (why,))
         up_m, climb_mps = self._climbed(step)
         return Guarded((*place, up_m), (why,), (*velocity, climb_mps))
