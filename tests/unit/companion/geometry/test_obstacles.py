@@ -63,6 +63,17 @@ def test_free_is_inside_and_outside_by_the_margin(point: Point, allowed: bool) -
     assert FreeSpace(SQUARE[::-1], [HOUSE[::-1]], 2.0).allows(point) is allowed
 
 
+@pytest.mark.parametrize("point", [HOUSE[0], HOUSE[2], (15.0, 10.0), (0.0, 20.0), SQUARE[1]])
+def test_without_a_margin_nobody_is_allowed_on_a_border(point: Point) -> None:
+    """A leg that begins there is not clear, so that nothing could be flown from it."""
+    space = FreeSpace(SQUARE, [HOUSE], 0.0)
+    assert not space.allows(point)
+    assert not space.is_clear(point, point)
+    nearest = space.nearest_allowed(point)
+    assert nearest is not None
+    assert space.is_clear(nearest, nearest)
+
+
 def test_without_a_fence_everything_else_is_free() -> None:
     space = FreeSpace(None, [HOUSE], 1.0)
     assert space.allows((1e6, 1e6))
