@@ -238,7 +238,7 @@ class Handover:
         handing back is the exception.
         """
         situation = self._situation
-        situation.vehicle.distrust(event.time_s)
+        situation.vehicle.distrust()
         situation.steering.forget_setpoint()
         if situation.phase is not Phase.HANDBACK:
             situation.withdraw()

@@ -29,6 +29,8 @@ COUNTED_STEP_M = 0.05
 """Shorter moves are noise, not distance flown."""
 MODE_UNKNOWN_AFTER_S = 10.0
 """Without a HEARTBEAT for this long anyone may fly: stop sending, let its own failsafe act."""
+MODE_OF_THE_PAST_S = 1.0
+"""A mode that was shown earlier than this gives nobody control again who did not know it."""
 FARTHEST_HOME_M = 1e5
 """A home farther from the origin than this is a fault of one of the two."""
 ORIGIN_STEP_M = 1.0
@@ -54,8 +56,8 @@ class VehicleView:
         """Flown so far while armed, climbs included."""
         self._counted_at: PositionEnu | None = None
         self._needs_origin = needs_origin
-        self._distrusted_s = -math.inf
-        """A mode heard before this counts no more."""
+        self._is_mode_in_doubt = False
+        """Nobody knew who flies, and no HEARTBEAT since then was surely of the present."""
         self._keeps_home = False
 
     def handle(self, event: Event) -> None:
@@ -63,6 +65,7 @@ class VehicleView:
         match event:
             case HeartbeatReceived():
                 self.heartbeat = event
+                self._is_mode_in_doubt &= not self._is_of_the_present(event)
             case VehicleMoved():
                 self._move(event)
             case YawMeasured() if math.isfinite(event.yaw_ned_rad):
@@ -78,6 +81,7 @@ class VehicleView:
                 self.landed = event.landed
             case TimerFired():
                 self.heard_s = event.heard_s
+                self._is_mode_in_doubt |= self._is_mode_old(event.time_s)
 
     def forget(self) -> None:
         """Drop what a restart of the autopilot makes worthless."""
@@ -87,9 +91,9 @@ class VehicleView:
         self.landed = LandedState.UNKNOWN
         self.battery_pct = None
 
-    def distrust(self, now_s: float) -> None:
+    def distrust(self) -> None:
         """Wait for a new mode and position, because what was heard so far is of the past."""
-        self._distrusted_s = now_s
+        self._is_mode_in_doubt = True
         self.track.clear()
 
     def forget_frame(self) -> None:
@@ -217,9 +221,8 @@ class VehicleView:
 
     def is_mode_known(self, now_s: float) -> bool:
         """Whether the mode last shown still says who flies."""
-        if self.heartbeat is None or self.heartbeat.time_s <= self._distrusted_s:
-            return False
-        return now_s - self.heartbeat.time_s <= MODE_UNKNOWN_AFTER_S
+        is_told = self.heartbeat is not None and not self._is_mode_old(now_s)
+        return is_told and not self._is_mode_in_doubt
 
     def is_usable(self, now_s: float) -> bool:
         """Whether it can be guided at all: heard, positioned, with a home."""
@@ -247,6 +250,18 @@ class VehicleView:
         if latest is None or now_s - latest.time_s > LINK_LOST_S + STALE_STATE_S:
             return "a local position"
         return f"a local position that is not {STALE_STATE_S:g} s late (is the link slow?)"
+
+    def _is_mode_old(self, now_s: float) -> bool:
+        shown = self.heartbeat
+        return shown is not None and now_s - shown.time_s > MODE_UNKNOWN_AFTER_S
+
+    def _is_of_the_present(self, heartbeat: HeartbeatReceived) -> bool:
+        """Whether a HEARTBEAT, which carries no time, came after a position of the present.
+
+        What a link or a socket kept comes oldest first, and its modes may be over.
+        """
+        latest = self.track.latest
+        return latest is not None and heartbeat.time_s - latest.time_s <= MODE_OF_THE_PAST_S
 
     def _move(self, event: VehicleMoved) -> None:
         if not is_plausible(event.state):

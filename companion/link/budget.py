@@ -40,8 +40,9 @@ KNOWN: Amounts = (32_768, 2_000, 500)
 STRANGERS: Amounts = (16_384, 400, 100)
 """All of them together."""
 ONE_STRANGER: Amounts = (4_096, 100, 50)
-HEARTBEATS = 32
-"""Of the autopilot's address, whatever else it sent: they alone tell who flies."""
+HEARTBEATS = 200
+"""Of the autopilot's address, whatever else it sent: they alone tell who flies. One a second, and
+those that are asked for after a silence, of more than two minutes."""
 
 
 class FloodBudget:

@@ -31,6 +31,9 @@ RAISES = (
 """Commands that take control, or change who has it."""
 FAILSAFE = mavlink.MAV_STATE_CRITICAL
 HEARD = frozenset({mavlink.MAVLINK_MSG_ID_HEARTBEAT, mavlink.MAVLINK_MSG_ID_COMMAND_LONG})
+DATED = frozenset({mavlink.MAVLINK_MSG_ID_HEARTBEAT, mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED})
+PRESENT_S = 0.5
+"""Mode and place that arrive within this time of their sending are surely of the present."""
 
 
 class OnlyWithAuthority(Invariant):
@@ -175,6 +178,10 @@ class KeepsStreaming(Invariant):
         self._is_in_control = False
         self._since_s = 0.0
         self._last_s: float | None = None
+        self._is_mode_in_doubt = False
+        """It was suspended, or heard no mode for long: it looks first who flies now."""
+        self._placed_s = math.inf
+        """When a place of the present arrived, since the mode is in doubt."""
 
     def noted(self, kind: str, fields: Mapping[str, object]) -> None:
         """Follow what the companion claims to be."""
@@ -185,6 +192,19 @@ class KeepsStreaming(Invariant):
     def started(self) -> None:
         """A new process claims nothing yet."""
         self._is_in_control, self._last_s = False, None
+
+    def heard(self, frame: Frame) -> None:
+        """A mode is of the present beyond doubt after a place that is."""
+        if not self._is_mode_in_doubt or frame.number not in DATED:
+            return
+        scene = self.scene
+        now_s, place_s = scene.now_s, scene.told.position_s
+        if not scene.is_believable or now_s - scene.sent_at(frame)[0] > PRESENT_S:
+            return
+        if frame.number == mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED:
+            self._placed_s = min(self._placed_s, now_s)
+        elif place_s is not None and now_s - place_s <= PRESENT_S:
+            self._is_mode_in_doubt = now_s - self._placed_s < TICK_S
 
     def setpoint(self, setpoint: Setpoint) -> None:
         """Remember it; judge the gap before it."""
@@ -205,8 +225,9 @@ class KeepsStreaming(Invariant):
         if self._last_s is None:
             self._last_s = now_s
         is_mode_unknown = now_s - heartbeat_s >= scene.rules.silence_s - TICK_S
-        is_mode_unknown |= heartbeat_s <= scene.suspended_until_s  # it looks first who flies
         if scene.suspended_until_s >= now_s or is_mode_unknown:
+            self._is_mode_in_doubt, self._placed_s = True, math.inf
+        if self._is_mode_in_doubt:
             self._last_s = now_s
             return
         gap_s = now_s - max(self._last_s, self._since_s, scene.suspended_until_s)

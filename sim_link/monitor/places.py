@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 from companion.domain import FlightMode, PositionEnu
 from companion.mav.dialect import mavlink
@@ -109,6 +110,8 @@ class InsideFence(SetpointsInside):
         self._mode = FlightMode.OFFBOARD
         self._is_taken_on = False
         """Whether it left the mode, too, that it was in first after it was ours."""
+        self._has_yielded = False
+        """It says that somebody else flies, whatever mode is shown; I3 holds it to that."""
         self._known: tuple[Point, float] = ((0.0, 0.0), -math.inf)
         """A place, and how deep inside it is."""
 
@@ -118,6 +121,15 @@ class InsideFence(SetpointsInside):
         chased_m = self._jumps.chased_m(setpoint)
         if chased_m is not None:
             self.report("a setpoint flies by a position that jumped", away_m=chased_m)
+
+    def noted(self, kind: str, fields: Mapping[str, object]) -> None:
+        """Follow whether it claims control."""
+        if kind == "phase":
+            self._has_yielded = fields.get("new") == "yield"
+
+    def started(self) -> None:
+        """A new process has yielded nothing yet."""
+        self._has_yielded = False
 
     def reached(self, frame: Frame) -> None:
         """A frame of ours reached the vehicle."""
@@ -141,18 +153,21 @@ class InsideFence(SetpointsInside):
     def _watch_mode(self) -> None:
         """Which mode flies: the first after ours brakes what we began, others begin anew."""
         mode, before = self._truth.vehicle.modes.mode, self._mode
-        if mode is FlightMode.OFFBOARD and self._truth.told.is_ours:
+        if mode is FlightMode.OFFBOARD and self._is_ours:
             self._is_taken_on = False
         elif mode is not before and before is not FlightMode.OFFBOARD:
             self._is_taken_on = True
         self._mode = mode
 
+    @property
+    def _is_ours(self) -> bool:
+        return self._truth.told.is_ours and not self._has_yielded
+
     def stepped(self) -> None:
         """Judge where the vehicle truly is and where it could stop."""
         self._jumps.stepped()
         scene, body = self._truth, self._truth.vehicle.body
-        is_ours = scene.told.is_ours and scene.is_companion_up
-        if is_ours:
+        if self._is_ours and scene.is_companion_up:
             self._in_control_s = scene.now_s
         self._watch_others(scene.vehicle.offboard.received)
         self._watch_mode()

@@ -155,6 +155,11 @@ class ScriptedFlight:
         """Let ticks pass that nobody gives the session."""
         self._ticks += ticks
 
+    def move(self, measured_at_s: float) -> None:
+        """Tell the vehicle's place, where it rests."""
+        state = VehicleState(measured_at_s, self.place, (0.0, 0.0, 0.0))
+        self.give(VehicleMoved(self.now_s, state))
+
     def measure(self) -> None:
         """One range and bearing of each target, with a metre and two degrees of noise."""
         for emitter_id, target in self.targets.items():
@@ -176,8 +181,7 @@ class ScriptedFlight:
         if self.follows and self.setpoints:
             self.place = self.setpoints[-1]
         if self.has_position:
-            state = VehicleState(self.now_s, self.place, (0.0, 0.0, 0.0))
-            self.give(VehicleMoved(self.now_s, state))
+            self.move(self.now_s)
 
     # What it answered
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from companion.domain import Autopilot, BatteryLevel, FlightMode, LandedState
-from companion.guidance.commands import Arm
+from companion.guidance.commands import Arm, SendSetpoint
 from companion.guidance.events import (
     BatteryReported,
     ControlStalled,
@@ -18,6 +18,7 @@ from companion.guidance.events import (
     RequestAnswered,
     RequestKind,
     SticksReported,
+    StopRequested,
 )
 from companion.guidance.launch import Launch, LaunchView
 from companion.guidance.session import TICK_S
@@ -81,6 +82,20 @@ def test_offboard_that_was_asked_for_before_the_launch_ended_was_not_given(order
     flight.fly(10.0)
     assert flight.is_in(Phase.YIELD)
     assert silent_since(flight, ended_s)
+
+
+@pytest.mark.parametrize("is_fresh", [True, False])
+def test_a_stop_during_the_climb_sends_no_place_of_the_past(is_fresh: bool) -> None:
+    """The takeoff obeys no setpoints, and nobody knows where it has got to."""
+    flight = launching()
+    flight.has_position = is_fresh
+    flight.fly(0.8)
+    flight.give(StopRequested(flight.now_s))
+    stopped_s = flight.now_s
+    flight.fly(0.5)
+    assert flight.is_in(Phase.HANDBACK)
+    assert flight.asked_modes(stopped_s - TICK_S) == [FlightMode.HOLD]
+    assert bool(flight.sent(SendSetpoint, stopped_s)) is is_fresh
 
 
 # Hold during the climb

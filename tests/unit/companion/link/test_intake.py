@@ -50,6 +50,12 @@ def test_the_heartbeat_behind_a_backlog_is_read(behind: Link) -> None:
     assert behind.sent(ATTITUDE) == []
 
 
+def test_every_mode_of_a_minutes_backlog_is_read(behind: Link) -> None:
+    """One a second, and four more that were asked for; who flew in between may be a pilot."""
+    asked_s, kept_s = 9.0, 60.0
+    assert all(behind.sent(HEARTBEAT) for _ in range(round(kept_s + 4.0 * asked_s)))
+
+
 def test_of_heartbeats_alone_no_flood_is_made(behind: Link) -> None:
     taken = sum(len(behind.sent(HEARTBEAT)) for _ in range(10 * HEARTBEATS))
     assert taken == HEARTBEATS

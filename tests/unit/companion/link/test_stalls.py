@@ -69,6 +69,20 @@ def test_after_a_stall_nothing_is_sent_before_mode_and_position_were_heard_anew(
     assert len(setpoints(wire.wait(0.05))) == 1
 
 
+def test_the_mode_that_a_socket_kept_from_a_stall_is_not_the_mode_now() -> None:
+    wire = in_control()
+    began_s = wire.now_s
+    stall(wire, 5.0)
+    wire.now_s += 0.01
+    wire.say(local_position(round(1e3 * began_s) + 50, 0.0, 0.0, -20.0, 0.0, 0.0, 0.0))
+    wire.say(heartbeat(custom_mode=OFFBOARD, is_armed=True, status=4))
+    assert setpoints(wire.wait(0.05)) == []
+    wire.say(local_position(round(1e3 * wire.now_s), 0.0, 0.0, -20.0, 0.0, 0.0, 0.0))
+    assert setpoints(wire.wait(0.05)) == []
+    wire.say(heartbeat(custom_mode=OFFBOARD, is_armed=True, status=4))
+    assert len(setpoints(wire.wait(0.05))) == 1
+
+
 def test_the_first_setpoint_after_a_stall_is_where_the_vehicle_is_then() -> None:
     wire = in_control()
     stall(wire, 5.0)

@@ -7,6 +7,7 @@ import pytest
 from companion.config.schema import CompanionConfig
 from companion.domain import FlightMode
 from companion.guidance.session import SessionParams
+from companion.guidance.states import Phase
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
@@ -56,6 +57,19 @@ def test_a_vehicle_that_its_own_return_took_out_is_not_out_by_the_companion() ->
     around.operator.choose(FlightMode.HOLD)
     around.flight.run(1.0)
     assert true_depth_m(around) < -5.0
+    assert around.monitor.fence.breaches == 0
+
+
+def test_who_yielded_answers_for_nothing_where_the_mode_flaps_back() -> None:
+    around = in_flight("ardupilot")
+    around.operator.choose(FlightMode.HOLD)
+    around.flight.run(1.2)
+    around.operator.choose(FlightMode.OFFBOARD)
+    around.flight.run(1.2)
+    assert around.flight.phase is Phase.YIELD
+    body = around.flight.sim.vehicle.body
+    body.position_enu_m = (-200.0, -200.0, body.position_enu_m[2])
+    around.flight.run(0.5)
     assert around.monitor.fence.breaches == 0
 
 

@@ -25,6 +25,7 @@ from sim_link.faults.planted import (
     DEFECTS,
     ChasesJumps,
     HasMoods,
+    Pauses,
     Planted,
     RushesIn,
     maker,
@@ -53,6 +54,22 @@ def flown(defect: type[Planted] | None, seed: int = 1) -> Monitored:
     around.injector.inject(SCHEDULE)
     around.flight.run(18.0)
     return around
+
+
+@pytest.mark.parametrize("blind_s", [3.0, 12.0])
+def test_a_stream_that_pauses_is_found_after_a_blind_time_too(blind_s: float) -> None:
+    """What may be silent until it knows who flies may not be so for ever."""
+    around = monitored(AUTO, COPTER, 1, make_companion=maker(Pauses))
+    around.flight.run(18.0)
+    if blind_s < around.monitor.scene.rules.silence_s:
+        around.flight.suspend_companion(blind_s)
+    else:
+        blackout = LinkBlackout(duration_s=blind_s, direction="to_companion")
+        around.injector.inject(Schedule(faults=(blackout,)))
+    around.flight.run(blind_s + 2.0)
+    before = around.monitor.scene.counts["I7", "the stream paused while in control"]
+    around.flight.run(10.0)
+    assert around.monitor.scene.counts["I7", "the stream paused while in control"] > before
 
 
 def test_the_genuine_companion_breaks_no_invariant() -> None:
