@@ -57,6 +57,11 @@ class LinkCounters:
         codecs = [intake.codec for intake in self._intakes]
         return sum(codec.counters.bad_crc + codec.undecodable for codec in codecs)
 
+    @property
+    def dropped_unread(self) -> int:
+        """Datagrams, frames and messages that were over a budget, on all links."""
+        return sum(sum(intake.budget.dropped) for intake in self._intakes)
+
     def report(self, now_s: float) -> None:
         """Write to the event log what is due."""
         if now_s < self._next_record_s:

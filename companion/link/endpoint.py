@@ -218,6 +218,11 @@ class CompanionEndpoint:
         return self._counters.bad_frames
 
     @property
+    def dropped_unread(self) -> int:
+        """Datagrams, frames and messages that were over a budget, on all links."""
+        return self._counters.dropped_unread
+
+    @property
     def setpoints_sent(self) -> int:
         """Setpoints sent so far."""
         return self._outlet.setpoints_sent

@@ -76,6 +76,8 @@ class VehicleInbound:
         self._is_prearm_good = True
         self._newest: dict[int, int] = {}
         """Place in the order of sending, of the newest message of each kind."""
+        self._frame_number: int | None = None
+        """Where in that order the origin moved last, and every local position with it."""
         self._health = VehicleHealthInbound()
         self.overtaken = 0
         """Messages that came after a newer one of their kind."""
@@ -98,7 +100,8 @@ class VehicleInbound:
     def events(self, message: Message, now_s: float, number: int = 0) -> list[Event]:
         """What a message of the autopilot says; nothing, if a newer one of its kind came before.
 
-        Positions and attitudes are put in order by their stamps, by whoever keeps them.
+        Positions and attitudes are put in order by their stamps, by whoever keeps them; but a
+        position that was sent before the origin moved is of another frame.
 
         Args:
             message: Of the autopilot.
@@ -132,7 +135,7 @@ class VehicleInbound:
                 health = message.onboard_control_sensors_health & PREARM_BIT
                 self._is_prearm_good = not present or bool(health)
             case mavlink.MAVLink_gps_global_origin_message():
-                return self._origin_set(message, now_s)
+                return self._origin_set(message, now_s, number)
             case mavlink.MAVLink_home_position_message():
                 self._home = message
                 return self._home_set(now_s)
@@ -148,6 +151,8 @@ class VehicleInbound:
         what could give us control, never if it takes control away.
         """
         kind = message.get_msgId()
+        if kind == mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED and self._frame_number is not None:
+            return number < self._frame_number
         if kind in STAMPED:
             return False
         if number >= self._newest.get(kind, number):
@@ -177,6 +182,7 @@ class VehicleInbound:
     def _restarted(self, now_s: float) -> AutopilotRestarted:
         """Forget what was before."""
         self._newest.clear()
+        self._frame_number = None
         self._health.restart()
         self._origin = None
         self._home = None
@@ -205,14 +211,17 @@ class VehicleInbound:
         return [event]
 
     def _origin_set(
-        self, message: mavlink.MAVLink_gps_global_origin_message, now_s: float
+        self, message: mavlink.MAVLink_gps_global_origin_message, now_s: float, number: int
     ) -> list[Event]:
         is_somewhere = _is_on_earth(message.latitude, message.longitude)
         if not is_somewhere or abs(message.altitude) > MAX_ALTITUDE_MM:
             return []
-        self._origin = LocalOrigin(
+        origin = LocalOrigin(
             message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1000.0
         )
+        if self._origin is not None and origin != self._origin:
+            self._frame_number = number
+        self._origin = origin
         return [OriginSet(now_s, self._origin), *self._home_set(now_s)]
 
     def _home_set(self, now_s: float) -> list[Event]:

@@ -107,6 +107,7 @@ def monitored(
         estimate=lambda: flight.companion.session.estimate,
         snapshot=lambda: snapshot_of(flight),
         key=key,
+        dropped=lambda: flight.companion.dropped_unread,
     )
     flight.observers.append(monitor)
     injector = Injector(

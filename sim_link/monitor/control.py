@@ -227,7 +227,7 @@ class KeepsStreaming(Invariant):
         is_mode_unknown = now_s - heartbeat_s >= scene.rules.silence_s - TICK_S
         if scene.suspended_until_s >= now_s or is_mode_unknown:
             self._is_mode_in_doubt, self._placed_s = True, math.inf
-        if self._is_mode_in_doubt:
+        if self._is_mode_in_doubt or scene.told.position_s is None:  # in a frame that just moved
             self._last_s = now_s
             return
         gap_s = now_s - max(self._last_s, self._since_s, scene.suspended_until_s)

@@ -155,6 +155,7 @@ class Monitor(FrameMonitor):
         snapshot: The companion's state, for I10; None: I10 is not judged.
         key: Of the link, where it is signed.
         sizes: The companion's queues, for I11.
+        dropped: How many frames the companion has dropped unread so far.
     """
 
     def __init__(
@@ -166,12 +167,14 @@ class Monitor(FrameMonitor):
         snapshot: Snapshot | None = None,
         key: SigningKey | None = None,
         sizes: Callable[[], Mapping[str, tuple[int, int]]] | None = None,
+        dropped: Callable[[], int] = lambda: 0,
     ) -> None:
         self.scene = scene = TrueScene(rules, vehicle=vehicle)
         self.fence = InsideFence(scene)
         self.authority = OnlyWithAuthority(scene)
         self.stream = KeepsStreaming(scene)
         self.repeat = Repeatable(scene)
+        self._dropped, self._dropped_before = dropped, 0
         self._proved = None if snapshot is None else OnlyProvedFrames(scene, snapshot)
         invariants: list[Invariant] = [
             self.fence,
@@ -192,8 +195,15 @@ class Monitor(FrameMonitor):
 
     # Observer
 
+    def heard(self, frame: Frame) -> None:
+        """This reaches the companion."""
+        self._dropped_before = self._dropped()
+        super().heard(frame)
+
     def read(self, frame: Frame) -> None:
-        """The companion has read it."""
+        """The companion has read it, or dropped it."""
+        if self._proof is not None and self._dropped() > self._dropped_before:
+            self._proof.dropped()
         if self._proved is not None:
             self._proved.read(frame)
 

@@ -21,8 +21,6 @@ SETPOINTS = frozenset(
         mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT,
     }
 )
-ROUNDING_M = 2e-3
-"""Single precision on the wire, and degrees in steps of a centimetre."""
 HEIGHT_ROUNDING_M = 0.05
 """Home and height are told in millimetres and by a noisy estimate."""
 CONTROL_FADES_S = 5.0
@@ -56,12 +54,12 @@ class SetpointsInside(Invariant):
         rules, told = self.scene.rules, self.scene.told
         place = setpoint.place_enu_m[:2]
         depth = self._depth(place)
-        least = rules.clearance_m - ROUNDING_M
+        least = rules.clearance_m - setpoint.rounding_m
         vehicle = None if self.scene.is_lied_to else told.position_enu_m
         own_depth = math.inf if vehicle is None else self._depth(vehicle[:2])
         last, self._last = self._last, place
-        is_still = last is not None and math.dist(place, last) <= ROUNDING_M
-        is_no_farther = depth >= min(own_depth, rules.clearance_m) - ROUNDING_M
+        is_still = last is not None and math.dist(place, last) <= setpoint.rounding_m
+        is_no_farther = depth >= min(own_depth, rules.clearance_m) - setpoint.rounding_m
         if own_depth < rules.clearance_m:
             self._near_s = setpoint.time_s
         is_kept = is_still and setpoint.time_s - self._near_s <= KEPT_S

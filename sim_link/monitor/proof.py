@@ -14,7 +14,9 @@ MAGIC_V2, SIGNED_FLAG = 0xFD, 0x01
 
 
 class Proof:
-    """Follows the newest timestamp of every component.
+    """Follows the newest timestamp of every component, of those that were read.
+
+    A frame that was dropped unread is as new as before, whoever sends a copy of it.
 
     Args:
         key: Of the link.
@@ -23,9 +25,12 @@ class Proof:
     def __init__(self, key: SigningKey) -> None:
         self._secret = key.secret
         self._newest: dict[tuple[int, int], int] = {}
+        self._before: tuple[tuple[int, int], int] | None = None
+        """Sender of the frame that was accepted last, and what was its newest before that."""
 
     def accepts(self, frame: bytes) -> bool:
         """Whether it is signed with the key and newer than all before of its sender."""
+        self._before = None
         if frame[0] != MAGIC_V2 or not frame[2] & SIGNED_FLAG:
             return False
         tag = hashlib.sha256(self._secret + frame[:-TAG]).digest()[:TAG]
@@ -33,7 +38,15 @@ class Proof:
             return False
         sender = (frame[5], frame[6])
         stamp = int.from_bytes(frame[-TAG - STAMP : -TAG], "little")
-        if stamp <= self._newest.get(sender, -1):
+        newest = self._newest.get(sender, -1)
+        if stamp <= newest:
             return False
+        self._before = (sender, newest)
         self._newest[sender] = stamp
         return True
+
+    def dropped(self) -> None:
+        """The frame that came last was not read."""
+        if self._before is not None:
+            sender, newest = self._before
+            self._newest[sender] = newest

@@ -9,6 +9,7 @@ after a newer one takes nothing away and gives nothing back.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections import OrderedDict
 from collections.abc import Mapping
@@ -34,6 +35,13 @@ TOLD = frozenset(
 REMEMBERED = 6000
 """Frames of the vehicle whose time of sending is known."""
 PX4_OFFBOARD_MAIN, ARDUPILOT_GUIDED = 6, 4
+FRAME_STEP_M = 1.0
+"""An origin that moves farther has taken the local frame with it."""
+METRES_ROUNDING_M = 2e-3
+"""Single precision, some kilometres from the origin."""
+DEGREES_ROUNDING_M = 9e-3
+"""Half a step of 1e-7 degrees is 5.6 mm, to the north and to the east, and what it is compared
+with is rounded, too."""
 MOST_OF_A_KIND = 20
 """Violations of one kind that are kept; more are counted."""
 
@@ -64,6 +72,8 @@ class Told:
     position_s: float | None = None
     """When the newest position arrived."""
     position_boot_ms: int = -1
+    frame_sent_at: tuple[float, int] = (-1.0, 0)
+    """When the vehicle told that its origin moved; places from before are of another frame."""
     origin_enu_m: PositionEnu = (0.0, 0.0, 0.0)
     """Zero of the local frame, as it was told last."""
 
@@ -76,6 +86,12 @@ class Setpoint:
     place_enu_m: PositionEnu
     """In the world's frame, as far as the companion can know."""
     message: Message
+
+    @property
+    def rounding_m(self) -> float:
+        """How far the wire moves a place over the ground."""
+        is_global = isinstance(self.message, mavlink.MAVLink_set_position_target_global_int_message)
+        return DEGREES_ROUNDING_M if is_global else METRES_ROUNDING_M
 
 
 @dataclass(slots=True)
@@ -144,17 +160,29 @@ class Scene(ABC):
                     told.is_armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
                     told.is_ours = told.is_armed and is_offboard(message)
             case mavlink.MAVLink_local_position_ned_message():
-                self._tell_position(message, frame.time_s)
+                self._tell_position(message, frame.time_s, self.sent_at(frame))
             case mavlink.MAVLink_gps_global_origin_message():
                 place = (message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3)
                 world = self.world_origin
                 if world is not None and abs(place[0]) <= 90.0 and abs(place[1]) <= 180.0:
-                    told.origin_enu_m = world.enu_from_geodetic(*place)
+                    self._tell_origin(world.enu_from_geodetic(*place), self.sent_at(frame))
+
+    def _tell_origin(self, origin_enu_m: PositionEnu, sent_at: tuple[float, int]) -> None:
+        told = self.told
+        if math.dist(origin_enu_m, told.origin_enu_m) > FRAME_STEP_M:
+            told.position_enu_m = told.position_s = None
+            told.frame_sent_at = sent_at
+        told.origin_enu_m = origin_enu_m
 
     def _tell_position(
-        self, message: mavlink.MAVLink_local_position_ned_message, now_s: float
+        self,
+        message: mavlink.MAVLink_local_position_ned_message,
+        now_s: float,
+        sent_at: tuple[float, int],
     ) -> None:
         told = self.told
+        if sent_at < told.frame_sent_at:
+            return
         values = (message.x, message.y, message.z, message.vx, message.vy, message.vz)
         if not all(abs(value) < 1e5 for value in values):
             return

@@ -260,6 +260,18 @@ def test_a_state_that_was_overtaken_is_no_news() -> None:
     assert inbound.events(LANDED, 1.3, 11)
 
 
+def test_a_position_from_before_the_origin_moved_is_not_one_in_the_new_frame() -> None:
+    inbound = VehicleInbound()
+    inbound.events(origin(), 10.0, number=1)
+    assert inbound.events(local_position(1000), 10.0, number=2)
+    inbound.events(origin(), 10.1, number=4)
+    assert inbound.events(local_position(1050), 10.1, number=3)
+    inbound.events(origin(48 * E7), 10.2, number=6)
+    assert inbound.events(local_position(1100), 10.2, number=5) == []
+    assert inbound.overtaken == 1
+    assert inbound.events(local_position(1150), 10.3, number=7)
+
+
 def test_kinds_overtake_each_other_freely() -> None:
     inbound = VehicleInbound()
     assert inbound.events(FLYING, 1.0, 10)
