@@ -199,7 +199,9 @@ class KeepsStreaming(Invariant):
             return
         scene = self.scene
         now_s, place_s = scene.now_s, scene.told.position_s
-        if not scene.is_believable or now_s - scene.sent_at(frame)[0] > PRESENT_S:
+        is_autopilot = frame.sender == (scene.system_id, AUTOPILOT_COMPONENT)
+        is_late = now_s - scene.sent_at(frame)[0] > PRESENT_S
+        if is_late or not (is_autopilot and scene.is_believable):
             return
         if frame.number == mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED:
             self._placed_s = min(self._placed_s, now_s)
