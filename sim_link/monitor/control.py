@@ -51,14 +51,14 @@ class OnlyWithAuthority(Invariant):
         self._ours_sent_at = (-1.0, 0)
         self._lost_s: float | None = None
         self._given_s = -1.0
-        """When a person gave the mode since it was lost."""
+        """When a person gave the mode since it was lost, or since the process began."""
         self._may_engage = True
         self._granted_s = -math.inf
         self._is_launching = False
 
     def started(self) -> None:
         """A process that starts beside a vehicle in the air never takes it by itself."""
-        self._was_ours, self._lost_s = False, None
+        self._was_ours, self._lost_s, self._given_s = False, None, -1.0
         self._may_engage = not self.scene.is_flying
         self._is_launching = False
 
@@ -103,10 +103,11 @@ class OnlyWithAuthority(Invariant):
         if is_armed and is_offboard(heartbeat):
             if sent_at[0] >= self._granted_s:
                 self._granted_s = -math.inf  # taken up
-            if self._lost_s is None:
+            is_given = sent_at[0] >= self._given_s >= 0.0
+            if self._lost_s is None and (self._may_engage or is_given):
                 self._was_ours = True
                 self._ours_sent_at = max(self._ours_sent_at, sent_at)
-            elif sent_at[0] >= self._given_s >= 0.0:
+            elif is_given:
                 self._was_ours, self._lost_s, self._ours_sent_at = True, None, sent_at
             return
         if sent_at <= self._ours_sent_at:

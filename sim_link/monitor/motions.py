@@ -66,7 +66,8 @@ class WithinEnvelope(Invariant):
         if climbed > SHARE * rules.climb_mps * dt_s + TOLERANCE_M and not self._is_here(setpoint):
             self.report("setpoint climbs or sinks too fast", step_m=climbed, dt_s=dt_s)
         is_slow_enough = moved <= self._moved_since(vehicle) + TOLERANCE_M
-        self._judge_change(setpoint, last, dt_s, may_be_moved_along=is_slow_enough)
+        is_anew = self._is_at(self._vehicle, setpoint) and not self._is_at(vehicle, last)
+        self._judge_change(setpoint, last, dt_s, may_be_moved_along=is_slow_enough, is_anew=is_anew)
 
     def _moved_since(self, vehicle: Point | None) -> float:
         """How far the vehicle was told to have moved since the setpoint before."""
@@ -75,12 +76,18 @@ class WithinEnvelope(Invariant):
         return math.dist(vehicle, self._vehicle)
 
     def _judge_change(
-        self, setpoint: Setpoint, last: Setpoint, dt_s: float, *, may_be_moved_along: bool
+        self,
+        setpoint: Setpoint,
+        last: Setpoint,
+        dt_s: float,
+        *,
+        may_be_moved_along: bool,
+        is_anew: bool,
     ) -> None:
         """Faster by no more than the acceleration; stopping is allowed at once.
 
-        So is moving along with a vehicle at a border, no farther than that did: the place nearest
-        to it that is allowed.
+        So is a new beginning at the very place of the vehicle, and moving along with one at a
+        border, no farther than that did: the place nearest to it that is allowed.
         """
         if dt_s <= 0.0:
             return
@@ -97,6 +104,9 @@ class WithinEnvelope(Invariant):
         if change <= most or is_slower:
             return
         if may_be_moved_along and self._is_moved_inwards(setpoint):
+            return
+        if is_anew:  # at rest
+            self._velocity = (0.0, 0.0)
             return
         if dt_s > LATE_TICK_S and self._is_here(setpoint):  # so late that it began anew
             self._velocity = None
@@ -121,6 +131,9 @@ class WithinEnvelope(Invariant):
         near_m = HERE_M + rules.clearance_m + speed_mps * (age_s + rules.latency_s)
         away = math.dist(setpoint.place_enu_m[:2], told.position_enu_m[:2])
         return away <= near_m or self._is_moved_inwards(setpoint)
+
+    def _is_at(self, vehicle: Point | None, setpoint: Setpoint) -> bool:
+        return vehicle is not None and math.dist(setpoint.place_enu_m[:2], vehicle) <= STILL_M
 
     def _is_moved_inwards(self, setpoint: Setpoint) -> bool:
         told, rules = self.scene.told.position_enu_m, self.scene.rules

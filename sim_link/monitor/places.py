@@ -167,6 +167,8 @@ class InsideFence(SetpointsInside):
         scene, body = self._truth, self._truth.vehicle.body
         if self._is_ours and scene.is_companion_up:
             self._in_control_s = scene.now_s
+        if not scene.vehicle.is_armed:  # it falls, and nobody can do anything about it
+            self._in_control_s = -math.inf
         self._watch_others(scene.vehicle.offboard.received)
         self._watch_mode()
         is_flown_by_others = self._mode not in OUR_MOTION or self._is_taken_on

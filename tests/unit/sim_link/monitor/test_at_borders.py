@@ -92,6 +92,15 @@ def test_so_is_what_moves_along_with_a_vehicle_in_the_open() -> None:
     assert found == ["setpoint accelerates too fast"]
 
 
+def test_a_setpoint_may_begin_anew_where_the_vehicle_is() -> None:
+    vehicles = line(30.0, [0.0, 0.0, 0.0, 0.0])
+    aside = [(10.07, 30.0), (10.07, 30.0)]
+    assert sent_beside(WithinEnvelope, vehicles, [*aside, *vehicles[:2]], is_ours=True) == []
+    elsewhere = [(9.96, 30.0), (9.96, 30.0)]
+    found = sent_beside(WithinEnvelope, vehicles, [*aside, *elsewhere], is_ours=True)
+    assert found == ["setpoint accelerates too fast"]
+
+
 def test_in_standby_a_vehicle_beside_a_border_is_told_the_nearest_place_inside() -> None:
     north_m = BORDER_NORTH_M + 0.5
     inside, far = (10.0, north_m + 4.0), (10.0, north_m + 12.0)

@@ -13,8 +13,9 @@ from companion.mav.dialect import mavlink
 from companion.mav.framing import message_id
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from sim_link.campaign.flights import Monitored, monitored
-from sim_link.faults.kinds import Battery
+from sim_link.faults.kinds import Battery, CompanionKilled
 from sim_link.faults.planted import KeepsFlying, maker
+from sim_link.faults.schedule import Schedule
 from sim_link.lockstep.wire import Delivery, Lane
 
 HEARTBEAT = mavlink.MAVLINK_MSG_ID_HEARTBEAT
@@ -106,3 +107,22 @@ def test_guided_that_a_failed_launch_left_behind_gives_no_right_to_fly(
     around.flight.run(6.0)
     found = {violation.invariant for violation in around.monitor.violations}
     assert found == (set() if keeps_latch else {"I3"})
+
+
+@pytest.mark.parametrize("is_too_bold", [False, True])
+def test_a_companion_that_begins_anew_in_the_air_has_nothing_to_lose(
+    monkeypatch: pytest.MonkeyPatch, *, is_too_bold: bool
+) -> None:
+    """What it saw of the offboard mode was its predecessor's; the pilot's next mode frees it."""
+    around = monitored(AUTO, Scenario(autopilot=AutopilotParams(flavour="px4")), 1)
+    around.flight.run(16.3)
+    if is_too_bold:
+        monkeypatch.setattr(Authority, "may_begin", True)
+        monkeypatch.setattr(Authority, "may_take", True)
+    around.injector.inject(Schedule(faults=(CompanionKilled(down_s=0.1),)))
+    around.flight.run(6.0)
+    around.operator.choose(FlightMode.RETURN)
+    around.flight.run(4.0)
+    assert around.flight.phase is (Phase.YIELD if is_too_bold else Phase.STANDBY)
+    found = {violation.invariant for violation in around.monitor.violations}
+    assert ("I3" in found) is is_too_bold

@@ -12,7 +12,7 @@ from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.campaign.flights import Monitored, monitored, rules_of
-from sim_link.faults.kinds import ForgedFrames, LinkBlackout, SecondSender, UnsignedFrames
+from sim_link.faults.kinds import Disarm, ForgedFrames, LinkBlackout, SecondSender, UnsignedFrames
 from sim_link.faults.schedule import Schedule
 from sim_link.lockstep.observer import Frame
 from sim_link.lockstep.wire import Lane
@@ -70,6 +70,17 @@ def test_who_yielded_answers_for_nothing_where_the_mode_flaps_back() -> None:
     body = around.flight.sim.vehicle.body
     body.position_enu_m = (-200.0, -200.0, body.position_enu_m[2])
     around.flight.run(0.5)
+    assert around.monitor.fence.breaches == 0
+
+
+def test_a_vehicle_without_motors_falls_wherever_it_falls() -> None:
+    around = in_flight("ardupilot")
+    around.injector.inject(Schedule(faults=(Disarm(),)))
+    around.flight.run(0.3)
+    body = around.flight.sim.vehicle.body
+    body.position_enu_m = (-200.0, -200.0, body.position_enu_m[2])
+    around.flight.run(0.3)
+    assert not body.is_on_ground
     assert around.monitor.fence.breaches == 0
 
 
