@@ -46,8 +46,6 @@ def is_silence_due(
         return not (vehicle.wants_prestream and vehicle.is_position_fresh(now_s))
     if phase is Phase.LAUNCHING:
         return launch is None or not launch.wants_stream
-    if phase is Phase.HANDBACK and not vehicle.is_ours:  # a launch: the takeoff needs no setpoint
-        return not vehicle.is_position_fresh(now_s)
     return False
 
 

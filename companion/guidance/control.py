@@ -116,6 +116,8 @@ class ControlTick:
             case Phase.HANDBACK if now_s - situation.authority.since_s > HAND_BACK_S:
                 situation.announce(Severity.ERROR, "hand-back: not confirmed in time")
                 situation.enter(Trigger.HANDED_BACK, now_s)
+            case Phase.HANDBACK:
+                self._handover.ask_what_waited(now_s)
         self._reporting.tick(now_s)
         self._turns.tell()
 
@@ -154,6 +156,8 @@ class ControlTick:
     def _judge(self, now_s: float) -> None:
         """Fly the plan, fly it slower, stay, or let go, by the worst that is wrong now."""
         situation, finding = self._situation, self._watches.finding(now_s)
+        if finding is not None and finding.verdict is Verdict.HAND_BACK:
+            finding = self._handover.unless_in_doubt(finding, now_s)
         is_news = situation.find(finding, now_s)
         if finding is None:
             if situation.enter(Trigger.INPUT_BACK, now_s):
@@ -186,15 +190,20 @@ class ControlTick:
             return None
         if is_silence_due(situation.authority, vehicle, situation.launch, now_s):
             return None
+        is_fresh = vehicle.is_position_fresh(now_s)
         match situation.phase:
+            case Phase.STANDBY if vehicle.is_ours:  # granted while the mode was still to be left
+                return steering.stay(motion, dt_s)
             case Phase.STANDBY | Phase.LAUNCHING:
                 return steering.stay_with(motion)
+            case Phase.HANDBACK if steering.setpoint_enu_m is None and not is_fresh:
+                return None  # of a launch: nothing was flown to, and the takeoff needs no setpoint
             case Phase.NORMAL | Phase.DEGRADED:
                 limit_mps = situation.guard.limits.envelope.speed_mps
                 cap_mps = limit_mps * self._watches.inputs.speed_share(now_s)
                 return steering.follow(situation.flight_plan.waypoint, motion, dt_s, cap_mps)
             case Phase.HOLD | Phase.FINISHED | Phase.HANDBACK:
-                if self._watches.jumps.is_in_doubt or not vehicle.is_position_fresh(now_s):
+                if self._watches.jumps.is_in_doubt or not is_fresh:
                     return steering.stand(motion)
                 return steering.stay(motion, dt_s)
         return None

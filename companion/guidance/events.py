@@ -43,6 +43,8 @@ class VehicleMoved:
 
     time_s: float
     state: VehicleState
+    order: int | None = None
+    """As of HeartbeatReceived."""
 
 
 @dataclass(frozen=True, slots=True)

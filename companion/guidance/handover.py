@@ -42,6 +42,8 @@ class Handover:
         self._has_flown = False
         """Whether it was in the air since control began."""
         self._was_told = False
+        self._waiting_mode: FlightMode | None = None
+        """To be asked for before the end, once it is known who flies."""
 
     def heartbeat(self, event: HeartbeatReceived) -> None:
         """The autopilot shows its mode."""
@@ -96,6 +98,8 @@ class Handover:
     def _offboard(self, now_s: float) -> None:
         situation = self._situation
         self._tell_why_it_does_not_count()
+        if not situation.vehicle.is_mode_known(now_s):
+            return  # it may be over
         if not (situation.authority.may_take and situation.vehicle.obeys_setpoints):
             return
         is_launched = situation.phase is Phase.LAUNCHING
@@ -215,9 +219,16 @@ class Handover:
         text = "autopilot restarted: holding until the operator engages"
         situation.announce(Severity.WARNING, text)
 
+    def unless_in_doubt(self, finding: Finding, now_s: float) -> Finding:
+        """What asks the autopilot for a mode waits until it is known who flies: perhaps a pilot."""
+        if self._situation.vehicle.is_mode_known(now_s):
+            return finding
+        return Finding(Verdict.HOLD, Reason.MODE_UNKNOWN, Reason.MODE_UNKNOWN.value)
+
     def hand_back(self, finding: Finding, now_s: float) -> None:
         """What is wrong does not pass: the autopilot shall fly by itself."""
         situation = self._situation
+        self._waiting_mode = None
         if not situation.enter(Trigger.GIVE_UP, now_s):
             return
         name = situation.vehicle.name_of(finding.mode)
@@ -258,6 +269,16 @@ class Handover:
         if mode is None:
             situation.enter(Trigger.HANDED_BACK, now_s)
             return
+        self._waiting_mode = mode
         name = situation.vehicle.name_of(mode)
-        situation.announce(Severity.NOTICE, f"stopping: asking the autopilot to {name}")
-        situation.ask_mode(mode)
+        is_known = situation.vehicle.is_mode_known(now_s)
+        asking = "asking the autopilot" if is_known else "looking who flies, before asking"
+        situation.announce(Severity.NOTICE, f"stopping: {asking} to {name}")
+        self.ask_what_waited(now_s)
+
+    def ask_what_waited(self, now_s: float) -> None:
+        """Ask for the mode to stop in, as soon as it is known that nobody else flies."""
+        situation, mode = self._situation, self._waiting_mode
+        if mode is not None and situation.vehicle.is_mode_known(now_s):
+            self._waiting_mode = None
+            situation.ask_mode(mode)

@@ -56,6 +56,8 @@ class VehicleView:
         """Flown so far while armed, climbs included."""
         self._counted_at: PositionEnu | None = None
         self._needs_origin = needs_origin
+        self._placed_order: int | None = None
+        """Place of the newest position in the order of sending."""
         self._is_mode_in_doubt = False
         """Nobody knew who flies, and no HEARTBEAT since then was surely of the present."""
         self._keeps_home = False
@@ -90,6 +92,7 @@ class VehicleView:
         self.origin = None
         self.landed = LandedState.UNKNOWN
         self.battery_pct = None
+        self._placed_order = None
 
     def distrust(self) -> None:
         """Wait for a new mode and position, because what was heard so far is of the past."""
@@ -260,13 +263,20 @@ class VehicleView:
 
         What a link or a socket kept comes oldest first, and its modes may be over.
         """
-        latest = self.track.latest
-        return latest is not None and heartbeat.time_s - latest.time_s <= MODE_OF_THE_PAST_S
+        latest, order, placed = self.track.latest, heartbeat.order, self._placed_order
+        if latest is None or (order is not None and placed is not None and order < placed):
+            return False
+        return heartbeat.time_s - latest.time_s <= MODE_OF_THE_PAST_S
+
+    def wants_mode(self, now_s: float) -> bool:
+        """Whether a HEARTBEAT, asked for now, would say who flies."""
+        return self._is_mode_in_doubt and self.is_position_fresh(now_s)
 
     def _move(self, event: VehicleMoved) -> None:
         if not is_plausible(event.state):
             return
         self.track.add(event.state)
+        self._placed_order = event.order
         place = event.state.position_enu_m
         if self._counted_at is None or not self.is_armed:
             self._counted_at = place

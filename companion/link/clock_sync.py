@@ -16,6 +16,7 @@ Source: MAVLink guide, "Time Synchronization"; PX4 `Timesync.hpp` for filtering 
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 from companion.mav.dialect import Message, mavlink
@@ -32,6 +33,10 @@ SLOWER_S = 0.010
 DEVIATION_S = 0.1
 RESET_AFTER = 5
 GAIN = 0.1
+PROMPT_S = 1.0
+"""An answer that came sooner shows that the link is not slow ..."""
+PROMPT_WITHIN_S = 3.0
+"""... for so long; where half of the questions, and of the answers, get lost, one of six comes."""
 MAX_OPEN = 32
 """Questions that may still be answered: those of three seconds, also while they are quick."""
 NS_PER_S = 1e9
@@ -56,6 +61,8 @@ class ClockSync:
         self._newest: tuple[float, int] | None = None
         """When the latest question that was answered was sent, and the autopilot's time then."""
         self._went_back = False
+        self._prompt_s = -math.inf
+        """When a question was answered promptly last."""
 
     @property
     def offset_s(self) -> float | None:
@@ -87,12 +94,18 @@ class ClockSync:
         self.answered += 1
         sent_s = message.ts1 / NS_PER_S
         self._note_time(sent_s, message.tc1, now_s)
+        if now_s - sent_s <= PROMPT_S:
+            self._prompt_s = now_s
         self._round_trips_s.append(max(0.0, now_s - sent_s))
         self._best_s = min(self._round_trips_s)
         if self._round_trips_s[-1] > self._best_s + SLOWER_S:
             self.slow += 1
             return
         self._take((sent_s + now_s) / 2.0 - message.tc1 / NS_PER_S)
+
+    def is_late(self, now_s: float) -> bool:
+        """Whether one that has answered before answers slowly now, or not at all."""
+        return self.answered > 0 and now_s - self._prompt_s > PROMPT_WITHIN_S
 
     def take_restart(self) -> bool:
         """Whether the clock went back since this was asked last."""

@@ -7,7 +7,7 @@ from collections import deque
 from companion.mav.timebase import StampReading, Timebase
 
 MAX_LATE_S = 5.0
-"""No link delivers later than this for long; what looks like it is a clock that started anew."""
+"""Few links deliver later than this for long; what looks like it is a clock that started anew."""
 LATE_CONFIRM_S = 1.0
 """A burst of delayed frames is shorter than this."""
 RUN_WINDOW_S = 2.0
@@ -24,7 +24,7 @@ class SenderClock:
 
     `Timebase` knows a restart by a stamp that goes back. After a silence longer than the sender's
     former uptime the stamps of the new clock are ahead of the old ones, and every reading would
-    be late, for good: that is a restart too.
+    be late, for good: that is a restart too, unless the link itself is as late.
     """
 
     def __init__(self) -> None:
@@ -43,15 +43,21 @@ class SenderClock:
         """Whether it runs so fast that its stamps say nothing about the present."""
         return sum(gain_s for _, gain_s in self._gains) > MAX_GAIN_S
 
-    def read(self, remote_s: float, now_s: float) -> StampReading:
-        """Local time of a remote stamp that arrived at `now_s`, both in seconds."""
+    def read(self, remote_s: float, now_s: float, *, is_link_slow: bool = False) -> StampReading:
+        """Local time of a remote stamp that arrived at `now_s`, both in seconds.
+
+        Args:
+            remote_s: The stamp.
+            now_s: The present.
+            is_link_slow: Whether what comes may be late for good, and is no new clock's.
+        """
         before_s = self._timebase.offset_s
         reading = self._timebase.read(remote_s, now_s)
         if reading.is_reboot:
             self._gains.clear()
         else:
             self._note_gain(before_s, now_s)
-        if now_s - reading.time_s <= MAX_LATE_S:
+        if is_link_slow or now_s - reading.time_s <= MAX_LATE_S:
             self._late_since_s = None
             return reading
         if self._late_since_s is None:

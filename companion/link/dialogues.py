@@ -62,14 +62,21 @@ class Dialogues:
         """The news that it does not tell its fence."""
         return self._fence.gave_up(now_s)
 
-    def due(self, now_s: float) -> list[Message]:
-        """The questions to ask now."""
+    def due(self, now_s: float, *, is_mode_wanted: bool = False) -> list[Message]:
+        """The questions to ask now.
+
+        Args:
+            now_s: The present.
+            is_mode_wanted: Whether a HEARTBEAT is asked for until one comes that ends a doubt.
+        """
         binding = self._binding
         if binding.system_id is None:
             return []
         ids = (binding.system_id, binding.component_id)
         request = self._fence.due(now_s, ids, is_wanted=self._fencing.wants_reading)
-        request = request or self._streams.due(now_s, *ids, binding.autopilot)
+        request = request or self._streams.due(
+            now_s, *ids, binding.autopilot, is_mode_wanted=is_mode_wanted
+        )
         request = request or self._px4_check.due(now_s, binding.autopilot, *ids)
         mode = request_message(mavlink.MAVLINK_MSG_ID_HEARTBEAT, *ids) if self._asks_mode else None
         self._asks_mode = False

@@ -166,7 +166,8 @@ class CompanionEndpoint:
         given_up = self._dialogues.fence_given_up(now_s)
         if given_up is not None:
             self.executor.handle(given_up, now_s)
-        for question in self._dialogues.due(now_s):
+        is_mode_wanted = self.session.vehicle.wants_mode(now_s)
+        for question in self._dialogues.due(now_s, is_mode_wanted=is_mode_wanted):
             self._outlet.send(question, now_s, can_be_spared=True)
         self.executor.handle(TimerFired(now_s, self.binding.heard_s), now_s)
         self._parameters.tick(now_s)

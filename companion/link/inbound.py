@@ -18,6 +18,7 @@ from companion.guidance.events import (
     VehicleMoved,
     YawMeasured,
 )
+from companion.guidance.vehicle import ORIGIN_STEP_M
 from companion.link.clock_sync import ClockSync
 from companion.link.clocks import SenderClock
 from companion.link.vehicle_health import VehicleHealthInbound
@@ -47,6 +48,8 @@ MAX_HOME_DISTANCE_M = 1e5
 """A home farther from the origin than this is a fault, in whatever field."""
 MAX_ALTITUDE_MM = 100_000_000
 """Above sea level; an origin beyond it, as INT32_MAX is, is none."""
+FRAME_SETTLES_S = 1.0
+"""After it no position of the frame before is on its way any more."""
 MAX_YAW_RAD = 2.0 * math.pi
 """Half a turn by the definition of ATTITUDE; what is more than a whole one is no heading."""
 CLOCK_TOLERANCE_S = 0.03
@@ -76,8 +79,10 @@ class VehicleInbound:
         self._is_prearm_good = True
         self._newest: dict[int, int] = {}
         """Place in the order of sending, of the newest message of each kind."""
-        self._frame_number: int | None = None
-        """Where in that order the origin moved last, and every local position with it."""
+        self._frame: LocalOrigin | None = None
+        """The origin when it moved last, and every local position with it ..."""
+        self._frame_begun: tuple[int, float] | None = None
+        """... and where in that order, and when, that was told."""
         self._health = VehicleHealthInbound()
         self.overtaken = 0
         """Messages that came after a newer one of their kind."""
@@ -108,7 +113,7 @@ class VehicleInbound:
             now_s: When it came.
             number: Its place in the order of sending, from the sequence numbers.
         """
-        if self._is_overtaken(message, number):
+        if self._is_overtaken(message, number, now_s):
             self.overtaken += 1
             return []
         match message:
@@ -121,7 +126,7 @@ class VehicleInbound:
                     enu_from_ned((message.x, message.y, message.z)),
                     enu_from_ned((message.vx, message.vy, message.vz)),
                 )
-                return self._with_restart(reading, VehicleMoved(now_s, state))
+                return self._with_restart(reading, VehicleMoved(now_s, state, number))
             case mavlink.MAVLink_attitude_message():
                 if not abs(message.yaw) <= MAX_YAW_RAD:
                     return []
@@ -144,15 +149,16 @@ class VehicleInbound:
                 return [self._restarted(now_s)]
         return self._health.events(message, now_s)
 
-    def _is_overtaken(self, message: Message, number: int) -> bool:
+    def _is_overtaken(self, message: Message, number: int, now_s: float) -> bool:
         """Whether a message is older than one of its kind that was taken in.
 
         After a long delay a sequence number may lie. So a HEARTBEAT is withheld only if it shows
         what could give us control, never if it takes control away.
         """
         kind = message.get_msgId()
-        if kind == mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED and self._frame_number is not None:
-            return number < self._frame_number
+        begun = self._frame_begun
+        if kind == mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED and begun is not None:
+            return number < begun[0] and now_s - begun[1] <= FRAME_SETTLES_S
         if kind in STAMPED:
             return False
         if number >= self._newest.get(kind, number):
@@ -168,7 +174,8 @@ class VehicleInbound:
         return True
 
     def _read(self, stamp_ms: int, now_s: float) -> StampReading:
-        reading = self._clock.read(stamp_ms / 1000.0, now_s)
+        is_link_slow = self._sync.is_late(now_s)
+        reading = self._clock.read(stamp_ms / 1000.0, now_s, is_link_slow=is_link_slow)
         best_s, by_arrival_s = self.clock_offset_s, self._clock.offset_s
         if reading.is_reboot or best_s is None or by_arrival_s is None:
             return reading
@@ -182,7 +189,7 @@ class VehicleInbound:
     def _restarted(self, now_s: float) -> AutopilotRestarted:
         """Forget what was before."""
         self._newest.clear()
-        self._frame_number = None
+        self._frame = self._frame_begun = None
         self._health.restart()
         self._origin = None
         self._home = None
@@ -219,10 +226,17 @@ class VehicleInbound:
         origin = LocalOrigin(
             message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1000.0
         )
-        if self._origin is not None and origin != self._origin:
-            self._frame_number = number
+        self._note_frame(origin, number, now_s)
         self._origin = origin
         return [OriginSet(now_s, self._origin), *self._home_set(now_s)]
+
+    def _note_frame(self, origin: LocalOrigin, number: int, now_s: float) -> None:
+        """Remember when the frame moved; an origin that creeps takes nothing with it."""
+        frame = self._frame or origin
+        place = (origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
+        if math.hypot(*frame.enu_from_geodetic(*place)) > ORIGIN_STEP_M:
+            frame, self._frame_begun = origin, (number, now_s)
+        self._frame = frame
 
     def _home_set(self, now_s: float) -> list[Event]:
         """Home in the local frame; by latitude and longitude where the origin is known.

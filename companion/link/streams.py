@@ -114,11 +114,13 @@ class StreamRequester:
         system_id: int,
         component_id: int,
         autopilot: Autopilot = Autopilot.OTHER,
+        *,
+        is_mode_wanted: bool = False,
     ) -> Message | None:
-        """The next request to send, if any."""
-        if now_s < self._next_look_s:
+        """The next request to send, if any; one for a HEARTBEAT first, if the mode is in doubt."""
+        if now_s < self._next_look_s and not is_mode_wanted:
             return None
-        if self._is_heartbeat_due(now_s):
+        if self._is_heartbeat_due(now_s, is_wanted=is_mode_wanted):
             self._heartbeat_asked_s = now_s
             return request_message(mavlink.MAVLINK_MSG_ID_HEARTBEAT, system_id, component_id)
         for want in self._wants:
@@ -132,9 +134,9 @@ class StreamRequester:
         self._next_look_s = now_s + LOOK_PERIOD_S
         return None
 
-    def _is_heartbeat_due(self, now_s: float) -> bool:
+    def _is_heartbeat_due(self, now_s: float, *, is_wanted: bool) -> bool:
         age_s = self._freshness.age_s(mavlink.MAVLINK_MSG_ID_HEARTBEAT, now_s)
-        if age_s is None or age_s < HEARTBEAT_LATE_S:
+        if age_s is None or (age_s < HEARTBEAT_LATE_S and not is_wanted):
             return False
         is_given_up = age_s > HEARTBEAT_GIVEN_UP_S
         again_s = HEARTBEAT_SELDOM_S if is_given_up else HEARTBEAT_AGAIN_S

@@ -210,8 +210,9 @@ class KeepsStreaming(Invariant):
             self._is_mode_in_doubt = now_s - self._placed_s < TICK_S
 
     def setpoint(self, setpoint: Setpoint) -> None:
-        """Remember it; judge the gap before it."""
+        """Remember it; judge the gap before it. Who sends has no doubt any more."""
         self._judge(setpoint.time_s)
+        self._is_mode_in_doubt = False
         self._last_s = setpoint.time_s
 
     def stepped(self) -> None:

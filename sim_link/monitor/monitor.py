@@ -87,6 +87,8 @@ class FrameMonitor(Observer):
         """This reaches the companion."""
         scene = self._shared
         scene.now_s = frame.time_s
+        if self._proof is not None and not frame.is_readable:
+            self._proof.unreadable()
         scene.is_believable = frame.is_readable and self._is_believed(frame)
         scene.is_lied_to = self._proof is None and self._whose.is_a_stranger
         if scene.is_believable:
@@ -97,7 +99,7 @@ class FrameMonitor(Observer):
     def _is_believed(self, frame: Frame) -> bool:
         if self._proof is not None:
             return self._proof.accepts(frame.data)
-        if frame.sender == (self._shared.system_id, AUTOPILOT_COMPONENT):
+        if frame.sender[1] == AUTOPILOT_COMPONENT:
             return self._whose.believes(frame)
         return frame.is_genuine
 

@@ -45,7 +45,8 @@ class SetpointsInside(Invariant):
 
     def __init__(self, scene: Scene) -> None:
         super().__init__(scene)
-        self._last: Point | None = None
+        self._anchor: Point | None = None
+        """Where the setpoint stands, or stood last."""
         self._near_s = -math.inf
         """When the vehicle was told to be beyond the border, or nearly there."""
 
@@ -57,8 +58,9 @@ class SetpointsInside(Invariant):
         least = rules.clearance_m - setpoint.rounding_m
         vehicle = None if self.scene.is_lied_to else told.position_enu_m
         own_depth = math.inf if vehicle is None else self._depth(vehicle[:2])
-        last, self._last = self._last, place
-        is_still = last is not None and math.dist(place, last) <= setpoint.rounding_m
+        anchor = self._anchor
+        is_still = anchor is not None and math.dist(place, anchor) <= setpoint.rounding_m
+        self._anchor = anchor if is_still else place
         is_no_farther = depth >= min(own_depth, rules.clearance_m) - setpoint.rounding_m
         if own_depth < rules.clearance_m:
             self._near_s = setpoint.time_s
@@ -109,7 +111,9 @@ class InsideFence(SetpointsInside):
         self._is_taken_on = False
         """Whether it left the mode, too, that it was in first after it was ours."""
         self._has_yielded = False
-        """It says that somebody else flies, whatever mode is shown; I3 holds it to that."""
+        """It says that somebody else flies, whatever mode is shown; I3 holds it to that ..."""
+        self._has_left = False
+        """... and the vehicle has left the mode since: until then it flies our last setpoint."""
         self._known: tuple[Point, float] = ((0.0, 0.0), -math.inf)
         """A place, and how deep inside it is."""
 
@@ -123,11 +127,11 @@ class InsideFence(SetpointsInside):
     def noted(self, kind: str, fields: Mapping[str, object]) -> None:
         """Follow whether it claims control."""
         if kind == "phase":
-            self._has_yielded = fields.get("new") == "yield"
+            self._has_yielded, self._has_left = fields.get("new") == "yield", False
 
     def started(self) -> None:
         """A new process has yielded nothing yet."""
-        self._has_yielded = False
+        self._has_yielded = self._has_left = False
 
     def reached(self, frame: Frame) -> None:
         """A frame of ours reached the vehicle."""
@@ -151,6 +155,7 @@ class InsideFence(SetpointsInside):
     def _watch_mode(self) -> None:
         """Which mode flies: the first after ours brakes what we began, others begin anew."""
         mode, before = self._truth.vehicle.modes.mode, self._mode
+        self._has_left |= self._has_yielded and mode is not FlightMode.OFFBOARD
         if mode is FlightMode.OFFBOARD and self._is_ours:
             self._is_taken_on = False
         elif mode is not before and before is not FlightMode.OFFBOARD:
@@ -159,7 +164,7 @@ class InsideFence(SetpointsInside):
 
     @property
     def _is_ours(self) -> bool:
-        return self._truth.told.is_ours and not self._has_yielded
+        return self._truth.told.is_ours and not self._has_left
 
     def stepped(self) -> None:
         """Judge where the vehicle truly is and where it could stop."""
@@ -215,7 +220,10 @@ class SafeToFreeze(PlacesOnly):
         self._frozen_s = -math.inf
 
     def setpoint(self, setpoint: Setpoint) -> None:
-        """Fly on to it for a minute, every so often."""
+        """Fly on to it for a minute, every so often.
+
+        One that was given beyond the clearance may be taken out by a gust wherever it is held.
+        """
         super().setpoint(setpoint)
         scene = self._truth
         if not scene.told.is_ours or scene.now_s - self._frozen_s < FREEZE_EVERY_S:
@@ -226,7 +234,7 @@ class SafeToFreeze(PlacesOnly):
         goal = (east - bias[0], north - bias[1], up - bias[2])
         body, rules = scene.vehicle.body, scene.rules
         own = self._depth(body.position_enu_m[:2]) + scene.bias_m
-        if own < 0.0:  # on its way back: the place itself must not lie farther out
+        if own < rules.clearance_m:  # on its way back: the place itself must not lie farther out
             depth, moved_m = self._depth(goal[:2]), math.hypot(*body.velocity_enu_mps[:2])
             least_m = own - rules.clearance_m - moved_m * rules.latency_s
             if depth + scene.bias_m < least_m:

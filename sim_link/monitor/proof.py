@@ -45,8 +45,13 @@ class Proof:
         self._newest[sender] = stamp
         return True
 
+    def unreadable(self) -> None:
+        """A frame came that nobody can read."""
+        self._before = None
+
     def dropped(self) -> None:
         """The frame that came last was not read."""
         if self._before is not None:
             sender, newest = self._before
             self._newest[sender] = newest
+            self._before = None

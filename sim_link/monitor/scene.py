@@ -72,6 +72,7 @@ class Told:
     position_s: float | None = None
     """When the newest position arrived."""
     position_boot_ms: int = -1
+    origin_sent_at: tuple[float, int] = (-1.0, 0)
     frame_sent_at: tuple[float, int] = (-1.0, 0)
     """When the vehicle told that its origin moved; places from before are of another frame."""
     origin_enu_m: PositionEnu = (0.0, 0.0, 0.0)
@@ -169,6 +170,9 @@ class Scene(ABC):
 
     def _tell_origin(self, origin_enu_m: PositionEnu, sent_at: tuple[float, int]) -> None:
         told = self.told
+        if sent_at < told.origin_sent_at:
+            return
+        told.origin_sent_at = sent_at
         if math.dist(origin_enu_m, told.origin_enu_m) > FRAME_STEP_M:
             told.position_enu_m = told.position_s = None
             told.frame_sent_at = sent_at

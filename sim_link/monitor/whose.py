@@ -1,5 +1,8 @@
 """Whose frames an unsigned companion must believe: one address's, until that was silent for long.
 
+The first autopilot that is heard is it, whatever its ids; a companion that was not told which one
+to follow, and begins anew beside two, follows for good the one that speaks first.
+
 Without a key an address is all that tells two senders of the same ids apart. The autopilot may come
 back from another one, when a router begins anew, so a companion has to follow after a silence; and
 then whoever speaks first is the autopilot, an attacker included. What it does from then on follows
@@ -16,11 +19,13 @@ SILENCE_S = 3.0
 
 
 class Whose:
-    """Follows one of two senders: the vehicle itself, or somebody with the vehicle's ids."""
+    """Follows one of several senders: the vehicle itself, somebody with its ids, or another one."""
 
     def __init__(self) -> None:
+        self._ids: tuple[int, int] | None = None
+        """Of the autopilot that is followed; None: nobody is yet."""
         self._is_genuine: bool | None = None
-        """Whether the vehicle itself is followed; None: nobody is yet."""
+        """Whether the vehicle itself is followed."""
         self._heard_s = 0.0
 
     @property
@@ -30,13 +35,16 @@ class Whose:
 
     def restart(self) -> None:
         """A companion that starts anew follows the first that it hears."""
-        self._is_genuine = None
+        self._ids = self._is_genuine = None
 
     def believes(self, frame: Frame) -> bool:
-        """Whether a readable frame with the autopilot's ids had to be believed."""
-        is_new = self._is_genuine is None
+        """Whether a readable frame of an autopilot had to be believed."""
+        is_new = self._ids is None
         if is_new and frame.number != mavlink.MAVLINK_MSG_ID_HEARTBEAT:
             return frame.is_genuine
+        self._ids = self._ids or frame.sender
+        if frame.sender != self._ids:
+            return False
         if is_new or frame.time_s - self._heard_s >= SILENCE_S:
             self._is_genuine = frame.is_genuine
         if frame.is_genuine is not self._is_genuine:

@@ -84,10 +84,13 @@ def test_offboard_that_was_asked_for_before_the_launch_ended_was_not_given(order
     assert silent_since(flight, ended_s)
 
 
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
 @pytest.mark.parametrize("is_fresh", [True, False])
-def test_a_stop_during_the_climb_sends_no_place_of_the_past(is_fresh: bool) -> None:
-    """The takeoff obeys no setpoints, and nobody knows where it has got to."""
-    flight = launching()
+def test_a_stop_during_the_climb_sends_no_place_of_the_past(
+    autopilot: Autopilot, is_fresh: bool
+) -> None:
+    """The takeoff needs no setpoints, and nobody knows where it has got to."""
+    flight = launching(autopilot)
     flight.has_position = is_fresh
     flight.fly(0.8)
     flight.give(StopRequested(flight.now_s))

@@ -7,11 +7,12 @@ import pytest
 from companion.domain import FlightMode
 from companion.guidance.commands import SendSetpoint
 from companion.guidance.events import (
+    ControlGranted,
     Outcome,
     RequestKind,
     StopRequested,
 )
-from companion.guidance.session import SessionParams
+from companion.guidance.session import TICK_S, SessionParams
 from companion.guidance.states import Phase
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 from tests.unit.companion.guidance.session_helpers import silent_since
@@ -120,3 +121,22 @@ def test_a_refused_follow_up_is_told() -> None:
     flight.fly_until_reported()
     flight.answer(RequestKind.SET_MODE, Outcome.REJECTED)
     assert flight.texts[-1] == "set mode: rejected"
+
+
+def test_granted_before_the_mode_was_left_the_setpoint_stays_where_it_is() -> None:
+    """As long as offboard is shown it is obeyed, and one that follows the vehicle holds nothing."""
+    flight = ScriptedFlight()
+    flight.follows = True
+    flight.in_control()
+    flight.fly_until_reported()
+    flight.follows = False
+    east_m, north_m, up_m = flight.place
+    flight.give(ControlGranted(flight.now_s))
+    granted_s = flight.now_s
+    assert flight.is_in(Phase.STANDBY)
+    for tick in range(10):
+        flight.place = (east_m + 0.2 * tick, north_m, up_m)
+        flight.fly(TICK_S)
+    sent = [c.setpoint.position_enu_m for c in flight.sent(SendSetpoint, granted_s)]
+    assert len(sent) == 10
+    assert len(set(sent)) == 1

@@ -156,29 +156,3 @@ def test_a_pause_on_a_stale_position_leaves_the_setpoint_where_it_is() -> None:
     flight.skip(7)
     flight.fly(TICK_S)
     assert flight.setpoints[-1] == last
-
-
-@pytest.mark.parametrize("behind_s", [1.5, 11.0])
-def test_after_long_silence_a_mode_of_the_past_is_no_reason_to_send(behind_s: float) -> None:
-    """A link that held everything back brings the oldest first."""
-    flight = ScriptedFlight().in_control()
-    flight.has_link = False
-    flight.fly(12.0)
-    back_s = flight.now_s
-    flight.move(measured_at_s=back_s - behind_s)
-    flight.show(FlightMode.OFFBOARD)
-    flight.fly(3.0)
-    assert silent_since(flight, back_s)
-    flight.move(measured_at_s=flight.now_s)
-    flight.show(FlightMode.OFFBOARD)
-    flight.fly(TICK_S)
-    assert not silent_since(flight, back_s)
-
-
-def test_a_short_silence_leaves_the_mode_as_it_was() -> None:
-    flight = ScriptedFlight().in_control()
-    flight.has_link = False
-    flight.fly(9.0)
-    lost_s = flight.now_s
-    flight.fly(0.5)
-    assert len(flight.sent(SendSetpoint, lost_s)) == 10

@@ -199,3 +199,18 @@ def test_a_line_with_long_ways_is_synchronised_too(way_s: float) -> None:
     autopilot = Autopilot(constant(way_s, way_s))
     autopilot.run(5.0)
     assert abs(autopilot.error_s) < 0.05
+
+
+def test_a_line_that_answers_late_or_no_more_is_late() -> None:
+    line = Autopilot(constant(0.1, 0.1))
+    assert not line.sync.is_late(line.now_s)  # one that never answers tells nothing
+    line.run(5.0)
+    assert not line.sync.is_late(line.now_s)
+    line.delay = constant(0.1, 6.0)
+    line.run(5.0)
+    assert line.sync.is_late(line.now_s)
+    line.run(10.0)
+    assert line.sync.is_late(line.now_s)
+    line.delay = constant(0.1, 0.1)
+    line.run(1.0)
+    assert not line.sync.is_late(line.now_s)

@@ -64,3 +64,16 @@ def test_what_a_line_held_back_later_changes_nothing() -> None:
     for step in range(100):
         clock.read(2.0 + 0.05 * step, 7.0 + 0.0001 * step)
     assert not clock.is_wild
+
+
+@pytest.mark.parametrize("is_link_slow", [False, True])
+def test_stamps_that_are_late_for_good_are_a_new_clock_unless_the_link_is_slow(
+    *, is_link_slow: bool
+) -> None:
+    clock, _ = run(1.0, 10.0)
+    readings = [
+        clock.read(now_s - 12.0, now_s, is_link_slow=is_link_slow)
+        for now_s in (30.0 + 0.05 * step for step in range(40))
+    ]
+    assert any(reading.is_reboot for reading in readings) is not is_link_slow
+    assert (40.0 - readings[-1].time_s > 12.0) is is_link_slow

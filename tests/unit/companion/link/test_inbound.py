@@ -270,6 +270,16 @@ def test_a_position_from_before_the_origin_moved_is_not_one_in_the_new_frame() -
     assert inbound.events(local_position(1100), 10.2, number=5) == []
     assert inbound.overtaken == 1
     assert inbound.events(local_position(1150), 10.3, number=7)
+    assert inbound.events(local_position(2300), 11.4, number=5)
+
+
+def test_an_origin_that_creeps_takes_no_position_with_it() -> None:
+    inbound = VehicleInbound()
+    for step in range(5):
+        inbound.events(origin(47 * E7 + 50 * step), 10.0, number=10 * step)  # half a metre each
+        is_moved = step in (2, 4)
+        taken = inbound.events(local_position(1000 + 50 * step), 10.0, number=10 * step - 1)
+        assert bool(taken) is not is_moved
 
 
 def test_kinds_overtake_each_other_freely() -> None:

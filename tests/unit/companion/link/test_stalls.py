@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import pytest
 
 from companion.domain import FlightMode
@@ -38,6 +40,12 @@ def stall(wire: Wire, seconds: float) -> list[Message]:
     wire.now_s += seconds
     wire.endpoint.handle_timer(wire.now_s)
     return wire._collect()
+
+
+def is_mode_question(message: Message) -> bool:
+    if not isinstance(message, Command) or message.command != mavlink.MAV_CMD_REQUEST_MESSAGE:
+        return False
+    return bool(message.param1 == mavlink.MAVLINK_MSG_ID_HEARTBEAT)
 
 
 def setpoints(sent: list[Message]) -> list[Setpoint]:
@@ -81,6 +89,25 @@ def test_the_mode_that_a_socket_kept_from_a_stall_is_not_the_mode_now() -> None:
     assert setpoints(wire.wait(0.05)) == []
     wire.say(heartbeat(custom_mode=OFFBOARD, is_armed=True, status=4))
     assert len(setpoints(wire.wait(0.05))) == 1
+
+
+def test_after_a_stall_the_mode_is_asked_for_until_it_is_told() -> None:
+    """The first answer may come before a position, and says nothing then."""
+    wire = in_control()
+    stall(wire, 2.0)
+    wire.say(heartbeat(custom_mode=OFFBOARD, is_armed=True, status=4))
+    asked: list[float] = []
+    for _ in range(20):
+        wire.say(wire.position())
+        sent = wire.wait(0.05)
+        assert setpoints(sent) == []
+        asked += [wire.now_s for m in sent if is_mode_question(m)]
+    assert len(asked) == pytest.approx(4, abs=1)
+    assert min(b - a for a, b in itertools.pairwise(asked)) >= 0.25 - 1e-6
+    wire.say(heartbeat(custom_mode=OFFBOARD, is_armed=True, status=4))
+    sent = wire.wait(0.5)
+    assert setpoints(sent)
+    assert not any(map(is_mode_question, sent))
 
 
 def test_the_first_setpoint_after_a_stall_is_where_the_vehicle_is_then() -> None:

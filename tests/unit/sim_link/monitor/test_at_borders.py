@@ -153,3 +153,12 @@ def test_what_the_first_mode_after_ours_has_to_brake_is_our_doing() -> None:
 
 def test_where_it_drifts_to_in_the_modes_after_that_is_not() -> None:
     assert taken_over(FlightMode.HOLD, FlightMode.LAND).monitor.fence.breaches == 0
+
+
+def test_what_creeps_through_the_margin_does_not_stand_there() -> None:
+    vehicles = line(BORDER_NORTH_M + 0.5, [0.0] * 12)
+    setpoints = [(10.0, BORDER_NORTH_M + 0.8 - 0.0015 * tick) for tick in range(12)]
+    assert sent_beside(SetpointsInside, vehicles[:2], setpoints[:2], is_ours=True) == []
+    deep = line(BORDER_NORTH_M + 2.0, [0.0] * 12)
+    found = sent_beside(SetpointsInside, [*vehicles[:1], *deep[1:]], setpoints, is_ours=True)
+    assert "setpoint too near to a border or beyond it" in found

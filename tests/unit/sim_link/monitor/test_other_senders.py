@@ -144,3 +144,26 @@ def test_before_a_heartbeat_and_after_a_restart_nobody_is_followed_yet() -> None
     assert not whose.believes(frame(1.0, is_genuine=False))
     assert whose.believes(frame(1.1, HEARTBEAT, is_genuine=False))
     assert not whose.believes(frame(1.2))
+
+
+def test_of_two_autopilots_the_first_that_is_heard_is_followed_for_good() -> None:
+    whose = Whose()
+    other = MavCodec(77, 1).encode(HEARTBEAT)
+    assert whose.believes(Frame(1.0, other, Lane.TO_COMPANION, is_genuine=False))
+    assert whose.is_a_stranger
+    assert not whose.believes(frame(1.1, HEARTBEAT))
+    assert not whose.believes(frame(1.0 + 2.0 * SILENCE_S, HEARTBEAT))
+    whose.restart()
+    assert whose.believes(frame(9.0, HEARTBEAT))
+    assert not whose.believes(Frame(20.0, other, Lane.TO_COMPANION, is_genuine=False))
+
+
+def test_who_yields_answers_for_its_last_setpoint_while_that_is_flown() -> None:
+    """An ArduPilot that was left in GUIDED flies to it, however long nobody sends."""
+    around = in_flight("ardupilot")
+    around.monitor.noted("phase", {"new": "yield"}, around.flight.now_s)
+    around.flight.run(6.0)
+    body = around.flight.sim.vehicle.body
+    body.position_enu_m = (-200.0, -200.0, body.position_enu_m[2])
+    around.flight.run(0.1)
+    assert around.monitor.fence.breaches == 1

@@ -17,6 +17,7 @@ from sim_link.faults.kinds import (
     ForgedFrames,
     GpsLoss,
     LinkBlackout,
+    LinkDelay,
     PilotMode,
     UnsignedFrames,
     Wind,
@@ -56,11 +57,16 @@ def flown(defect: type[Planted] | None, seed: int = 1) -> Monitored:
     return around
 
 
-@pytest.mark.parametrize("blind_s", [3.0, 12.0])
-def test_a_stream_that_pauses_is_found_after_a_blind_time_too(blind_s: float) -> None:
+@pytest.mark.parametrize(("blind_s", "delay_s"), [(3.0, 0.0), (3.0, 0.6), (12.0, 0.0)])
+def test_a_stream_that_pauses_is_found_after_a_blind_time_too(
+    blind_s: float, delay_s: float
+) -> None:
     """What may be silent until it knows who flies may not be so for ever."""
     around = monitored(AUTO, COPTER, 1, make_companion=maker(Pauses))
     around.flight.run(18.0)
+    slow = LinkDelay(delay_s=delay_s, direction="to_companion")
+    around.injector.inject(Schedule(faults=(slow,)))
+    around.flight.run(1.0)
     if blind_s < around.monitor.scene.rules.silence_s:
         around.flight.suspend_companion(blind_s)
     else:

@@ -29,3 +29,11 @@ def test_a_copy_of_a_frame_that_was_dropped_unread_is_the_first_of_its_kind() ->
     assert not proof.accepts(signed(NOW))
     proof.dropped()  # one that was refused leaves nothing to take back
     assert not proof.accepts(signed(NOW + 1))
+
+
+def test_what_nobody_can_read_takes_back_nothing() -> None:
+    proof = Proof(KEY)
+    assert proof.accepts(signed(NOW))
+    proof.unreadable()
+    proof.dropped()
+    assert not proof.accepts(signed(NOW))
