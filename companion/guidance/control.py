@@ -25,8 +25,6 @@ TICK_S = 0.05
 HEARTBEAT_PERIOD_S = 1.0
 SILENCE_S = 0.3
 """After a longer one the vehicle may be anywhere: the first setpoint is where it is."""
-HAND_BACK_S = 1.4
-"""How long the autopilot may take to confirm its hold mode: we end within 1.5 s of the request."""
 
 
 class ControlTick:
@@ -113,11 +111,8 @@ class ControlTick:
                 self._advance_launch(now_s)
             case Phase.NORMAL | Phase.DEGRADED | Phase.HOLD:
                 self._judge(now_s)
-            case Phase.HANDBACK if now_s - situation.authority.since_s > HAND_BACK_S:
-                situation.announce(Severity.ERROR, "hand-back: not confirmed in time")
-                situation.enter(Trigger.HANDED_BACK, now_s)
             case Phase.HANDBACK:
-                self._handover.ask_what_waited(now_s)
+                self._handover.go_on_handing_back(now_s)
         self._reporting.tick(now_s)
         self._turns.tell()
 
@@ -196,13 +191,13 @@ class ControlTick:
                 return steering.stay(motion, dt_s)
             case Phase.STANDBY | Phase.LAUNCHING:
                 return steering.stay_with(motion)
-            case Phase.HANDBACK if steering.setpoint_enu_m is None and not is_fresh:
-                return None  # of a launch: nothing was flown to, and the takeoff needs no setpoint
             case Phase.NORMAL | Phase.DEGRADED:
                 limit_mps = situation.guard.limits.envelope.speed_mps
                 cap_mps = limit_mps * self._watches.inputs.speed_share(now_s)
                 return steering.follow(situation.flight_plan.waypoint, motion, dt_s, cap_mps)
             case Phase.HOLD | Phase.FINISHED | Phase.HANDBACK:
+                if steering.setpoint_enu_m is None and not is_fresh:
+                    return None  # there is nothing to stay at but a place of the past
                 if self._watches.jumps.is_in_doubt or not is_fresh:
                     return steering.stand(motion)
                 return steering.stay(motion, dt_s)

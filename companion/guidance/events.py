@@ -54,6 +54,8 @@ class YawMeasured:
     time_s: float
     measured_at_s: float
     yaw_ned_rad: float
+    order: int | None = None
+    """As of HeartbeatReceived."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,6 +27,10 @@ from companion.guidance.vehicle import ORIGIN_STEP_M
 
 SETTLE_S = 2.0
 """How long a frame or a home that moved must be stable."""
+HAND_BACK_S = 1.4
+"""How long the autopilot may take to confirm its mode: we end within 1.5 s of the request ..."""
+LONGEST_HAND_BACK_S = 1.9
+"""... and of the wish within 2 s, where it had to be found out first who flies."""
 CHECKING = Finding(Verdict.HOLD, Reason.CHECKING, "checking its inputs")
 
 
@@ -42,8 +46,10 @@ class Handover:
         self._has_flown = False
         """Whether it was in the air since control began."""
         self._was_told = False
-        self._waiting_mode: FlightMode | None = None
-        """To be asked for before the end, once it is known who flies."""
+        self._hand_back_mode = FlightMode.HOLD
+        """What the autopilot is asked for before it is let go ..."""
+        self._asked_s: float | None = None
+        """... and when it was; None: not yet, because it is not known who flies."""
 
     def heartbeat(self, event: HeartbeatReceived) -> None:
         """The autopilot shows its mode."""
@@ -97,9 +103,9 @@ class Handover:
 
     def _offboard(self, now_s: float) -> None:
         situation = self._situation
-        self._tell_why_it_does_not_count()
-        if not situation.vehicle.is_mode_known(now_s):
+        if not situation.vehicle.mode_watch.is_of_the_present:
             return  # it may be over
+        self._tell_why_it_does_not_count()
         if not (situation.authority.may_take and situation.vehicle.obeys_setpoints):
             return
         is_launched = situation.phase is Phase.LAUNCHING
@@ -221,16 +227,16 @@ class Handover:
 
     def unless_in_doubt(self, finding: Finding, now_s: float) -> Finding:
         """What asks the autopilot for a mode waits until it is known who flies: perhaps a pilot."""
-        if self._situation.vehicle.is_mode_known(now_s):
+        if self._situation.vehicle.mode_watch.may_be_asked(now_s):
             return finding
         return Finding(Verdict.HOLD, Reason.MODE_UNKNOWN, Reason.MODE_UNKNOWN.value)
 
     def hand_back(self, finding: Finding, now_s: float) -> None:
         """What is wrong does not pass: the autopilot shall fly by itself."""
         situation = self._situation
-        self._waiting_mode = None
         if not situation.enter(Trigger.GIVE_UP, now_s):
             return
+        self._hand_back_mode, self._asked_s = finding.mode, now_s
         name = situation.vehicle.name_of(finding.mode)
         text = f"handing back: {finding.text}; asking the autopilot to {name}"
         situation.announce(Severity.ERROR, text)
@@ -245,14 +251,14 @@ class Handover:
     def stalled(self, event: ControlStalled) -> None:
         """The tick stood still: nothing is sent until mode and position were heard anew.
 
-        What was asked before is not asked again, because whoever flies may have changed since;
-        handing back is the exception.
+        What was asked before is not asked again, because whoever flies may have changed since; to
+        hand back, it is once that is known.
         """
         situation = self._situation
-        situation.vehicle.distrust()
+        situation.vehicle.distrust(event.time_s)
         situation.steering.forget_setpoint()
-        if situation.phase is not Phase.HANDBACK:
-            situation.withdraw()
+        situation.withdraw()
+        self._asked_s = None
         text = f"the computer stood still for {event.stalled_s:.1f} s: looking where we are"
         if situation.enter(Trigger.LAUNCH_FAILED, event.time_s):
             text += f"; launch ended: give {situation.vehicle.guided_name} again, or grant control"
@@ -269,16 +275,21 @@ class Handover:
         if mode is None:
             situation.enter(Trigger.HANDED_BACK, now_s)
             return
-        self._waiting_mode = mode
+        self._hand_back_mode, self._asked_s = mode, None
         name = situation.vehicle.name_of(mode)
-        is_known = situation.vehicle.is_mode_known(now_s)
+        is_known = situation.vehicle.mode_watch.may_be_asked(now_s)
         asking = "asking the autopilot" if is_known else "looking who flies, before asking"
         situation.announce(Severity.NOTICE, f"stopping: {asking} to {name}")
-        self.ask_what_waited(now_s)
+        self.go_on_handing_back(now_s)
 
-    def ask_what_waited(self, now_s: float) -> None:
-        """Ask for the mode to stop in, as soon as it is known that nobody else flies."""
-        situation, mode = self._situation, self._waiting_mode
-        if mode is not None and situation.vehicle.is_mode_known(now_s):
-            self._waiting_mode = None
-            situation.ask_mode(mode)
+    def go_on_handing_back(self, now_s: float) -> None:
+        """Ask for the mode to hand back in, once it is known who flies; do not wait for ever."""
+        situation, since_s = self._situation, self._situation.authority.since_s
+        may_be_asked = situation.vehicle.mode_watch.may_be_asked(now_s)
+        if self._asked_s is None and may_be_asked and now_s - since_s <= HAND_BACK_S:
+            self._asked_s = now_s
+            situation.ask_mode(self._hand_back_mode)
+        asked_s = since_s if self._asked_s is None else self._asked_s
+        if now_s > min(asked_s + HAND_BACK_S, since_s + LONGEST_HAND_BACK_S):
+            situation.announce(Severity.ERROR, "hand-back: not confirmed in time")
+            situation.enter(Trigger.HANDED_BACK, now_s)

@@ -65,7 +65,7 @@ class Reporting:
         if situation.phase not in IN_CONTROL or not self._battery.ends_mission:
             self._leg = None
             return False
-        if not situation.vehicle.is_mode_known(now_s):
+        if not situation.vehicle.mode_watch.may_be_asked(now_s):
             return False  # a pilot may have it, from whom the return would take it
         waypoint, vehicle = situation.flight_plan.waypoint, situation.vehicle.position_enu_m
         goal = None if waypoint is None else (*waypoint.position_enu_m, 0.0)

@@ -19,6 +19,7 @@ from companion.guidance.events import (
     YawMeasured,
 )
 from companion.guidance.mode_names import mode_name
+from companion.guidance.mode_watch import ModeWatch
 from companion.guidance.track import VehicleTrack, is_plausible
 
 STALE_STATE_S = 0.5
@@ -27,10 +28,6 @@ LINK_LOST_S = 1.0
 """Without any valid frame of the autopilot for this long the link counts as lost."""
 COUNTED_STEP_M = 0.05
 """Shorter moves are noise, not distance flown."""
-MODE_UNKNOWN_AFTER_S = 10.0
-"""Without a HEARTBEAT for this long anyone may fly: stop sending, let its own failsafe act."""
-MODE_OF_THE_PAST_S = 1.0
-"""A mode that was shown earlier than this gives nobody control again who did not know it."""
 FARTHEST_HOME_M = 1e5
 """A home farther from the origin than this is a fault of one of the two."""
 ORIGIN_STEP_M = 1.0
@@ -42,6 +39,7 @@ class VehicleView:
 
     def __init__(self, *, needs_origin: bool = False) -> None:
         self.track = VehicleTrack()
+        self.mode_watch = ModeWatch()
         self.heartbeat: HeartbeatReceived | None = None
         self.origin: LocalOrigin | None = None
         self.frame: LocalOrigin | None = None
@@ -56,10 +54,6 @@ class VehicleView:
         """Flown so far while armed, climbs included."""
         self._counted_at: PositionEnu | None = None
         self._needs_origin = needs_origin
-        self._placed_order: int | None = None
-        """Place of the newest position in the order of sending."""
-        self._is_mode_in_doubt = False
-        """Nobody knew who flies, and no HEARTBEAT since then was surely of the present."""
         self._keeps_home = False
 
     def handle(self, event: Event) -> None:
@@ -67,11 +61,12 @@ class VehicleView:
         match event:
             case HeartbeatReceived():
                 self.heartbeat = event
-                self._is_mode_in_doubt &= not self._is_of_the_present(event)
+                self.mode_watch.shown(event)
             case VehicleMoved():
                 self._move(event)
             case YawMeasured() if math.isfinite(event.yaw_ned_rad):
                 self.track.add_yaw(event.measured_at_s, event.yaw_ned_rad)
+                self.mode_watch.stamped(event.measured_at_s, event.order)
             case OriginSet():
                 self.origin = event.origin
                 self.frame = self.frame or event.origin
@@ -83,7 +78,7 @@ class VehicleView:
                 self.landed = event.landed
             case TimerFired():
                 self.heard_s = event.heard_s
-                self._is_mode_in_doubt |= self._is_mode_old(event.time_s)
+                self.mode_watch.tick(event.time_s)
 
     def forget(self) -> None:
         """Drop what a restart of the autopilot makes worthless."""
@@ -92,11 +87,11 @@ class VehicleView:
         self.origin = None
         self.landed = LandedState.UNKNOWN
         self.battery_pct = None
-        self._placed_order = None
+        self.mode_watch.forget()
 
-    def distrust(self) -> None:
+    def distrust(self, now_s: float) -> None:
         """Wait for a new mode and position, because what was heard so far is of the past."""
-        self._is_mode_in_doubt = True
+        self.mode_watch.distrust(now_s)
         self.track.clear()
 
     def forget_frame(self) -> None:
@@ -224,8 +219,11 @@ class VehicleView:
 
     def is_mode_known(self, now_s: float) -> bool:
         """Whether the mode last shown still says who flies."""
-        is_told = self.heartbeat is not None and not self._is_mode_old(now_s)
-        return is_told and not self._is_mode_in_doubt
+        return self.mode_watch.is_known(now_s)
+
+    def wants_mode(self, now_s: float) -> bool:
+        """Whether to ask for a HEARTBEAT now instead of waiting for the next one."""
+        return self.mode_watch.is_in_doubt and not self.is_link_lost(now_s)
 
     def is_usable(self, now_s: float) -> bool:
         """Whether it can be guided at all: heard, positioned, with a home."""
@@ -254,29 +252,11 @@ class VehicleView:
             return "a local position"
         return f"a local position that is not {STALE_STATE_S:g} s late (is the link slow?)"
 
-    def _is_mode_old(self, now_s: float) -> bool:
-        shown = self.heartbeat
-        return shown is not None and now_s - shown.time_s > MODE_UNKNOWN_AFTER_S
-
-    def _is_of_the_present(self, heartbeat: HeartbeatReceived) -> bool:
-        """Whether a HEARTBEAT, which carries no time, came after a position of the present.
-
-        What a link or a socket kept comes oldest first, and its modes may be over.
-        """
-        latest, order, placed = self.track.latest, heartbeat.order, self._placed_order
-        if latest is None or (order is not None and placed is not None and order < placed):
-            return False
-        return heartbeat.time_s - latest.time_s <= MODE_OF_THE_PAST_S
-
-    def wants_mode(self, now_s: float) -> bool:
-        """Whether a HEARTBEAT, asked for now, would say who flies."""
-        return self._is_mode_in_doubt and self.is_position_fresh(now_s)
-
     def _move(self, event: VehicleMoved) -> None:
         if not is_plausible(event.state):
             return
         self.track.add(event.state)
-        self._placed_order = event.order
+        self.mode_watch.stamped(event.state.time_s, event.order)
         place = event.state.position_enu_m
         if self._counted_at is None or not self.is_armed:
             self._counted_at = place

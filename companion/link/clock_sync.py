@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from enum import Enum
 
 from companion.mav.dialect import Message, mavlink
 from companion.mav.timebase import REBOOT_BACKWARD_S
@@ -36,10 +37,20 @@ GAIN = 0.1
 PROMPT_S = 1.0
 """An answer that came sooner shows that the link is not slow ..."""
 PROMPT_WITHIN_S = 3.0
-"""... for so long; where half of the questions, and of the answers, get lost, one of six comes."""
+"""... for so long; where half of questions and of answers get lost, one in six times none comes."""
+SLOW_WITHIN_S = 15.0
+"""A late one shows for so long that it is, if none comes promptly."""
 MAX_OPEN = 32
 """Questions that may still be answered: those of three seconds, also while they are quick."""
 NS_PER_S = 1e9
+
+
+class Lateness(Enum):
+    """How late what comes over the link may be."""
+
+    NONE = "answers come promptly, or never came"
+    UNKNOWN = "answers came, and come no more"
+    SLOW = "answers come late"
 
 
 class ClockSync:
@@ -62,7 +73,8 @@ class ClockSync:
         """When the latest question that was answered was sent, and the autopilot's time then."""
         self._went_back = False
         self._prompt_s = -math.inf
-        """When a question was answered promptly last."""
+        """When a question was answered promptly last, and when late."""
+        self._slow_s = -math.inf
 
     @property
     def offset_s(self) -> float | None:
@@ -96,6 +108,8 @@ class ClockSync:
         self._note_time(sent_s, message.tc1, now_s)
         if now_s - sent_s <= PROMPT_S:
             self._prompt_s = now_s
+        else:
+            self._slow_s = now_s
         self._round_trips_s.append(max(0.0, now_s - sent_s))
         self._best_s = min(self._round_trips_s)
         if self._round_trips_s[-1] > self._best_s + SLOWER_S:
@@ -103,9 +117,11 @@ class ClockSync:
             return
         self._take((sent_s + now_s) / 2.0 - message.tc1 / NS_PER_S)
 
-    def is_late(self, now_s: float) -> bool:
-        """Whether one that has answered before answers slowly now, or not at all."""
-        return self.answered > 0 and now_s - self._prompt_s > PROMPT_WITHIN_S
+    def lateness(self, now_s: float) -> Lateness:
+        """What the answers of the last seconds say about the link."""
+        if self.answered == 0 or now_s - self._prompt_s <= PROMPT_WITHIN_S:
+            return Lateness.NONE
+        return Lateness.SLOW if now_s - self._slow_s <= SLOW_WITHIN_S else Lateness.UNKNOWN
 
     def take_restart(self) -> bool:
         """Whether the clock went back since this was asked last."""

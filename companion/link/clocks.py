@@ -43,13 +43,15 @@ class SenderClock:
         """Whether it runs so fast that its stamps say nothing about the present."""
         return sum(gain_s for _, gain_s in self._gains) > MAX_GAIN_S
 
-    def read(self, remote_s: float, now_s: float, *, is_link_slow: bool = False) -> StampReading:
+    def read(
+        self, remote_s: float, now_s: float, *, late_confirm_s: float = LATE_CONFIRM_S
+    ) -> StampReading:
         """Local time of a remote stamp that arrived at `now_s`, both in seconds.
 
         Args:
             remote_s: The stamp.
             now_s: The present.
-            is_link_slow: Whether what comes may be late for good, and is no new clock's.
+            late_confirm_s: How long stamps must be late before they are those of a new clock.
         """
         before_s = self._timebase.offset_s
         reading = self._timebase.read(remote_s, now_s)
@@ -57,12 +59,12 @@ class SenderClock:
             self._gains.clear()
         else:
             self._note_gain(before_s, now_s)
-        if is_link_slow or now_s - reading.time_s <= MAX_LATE_S:
+        if now_s - reading.time_s <= MAX_LATE_S:
             self._late_since_s = None
             return reading
         if self._late_since_s is None:
             self._late_since_s = now_s
-        if now_s - self._late_since_s < LATE_CONFIRM_S:
+        if now_s - self._late_since_s < late_confirm_s:
             return reading
         self._late_since_s = None
         self._timebase = Timebase()

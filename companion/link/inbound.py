@@ -19,8 +19,8 @@ from companion.guidance.events import (
     YawMeasured,
 )
 from companion.guidance.vehicle import ORIGIN_STEP_M
-from companion.link.clock_sync import ClockSync
-from companion.link.clocks import SenderClock
+from companion.link.clock_sync import ClockSync, Lateness
+from companion.link.clocks import LATE_CONFIRM_S, SenderClock
 from companion.link.vehicle_health import VehicleHealthInbound
 from companion.mav.dialect import MAVLink_radio_ranging_message, Message, mavlink
 from companion.mav.modes import autopilot_of, mode_of
@@ -48,6 +48,8 @@ MAX_HOME_DISTANCE_M = 1e5
 """A home farther from the origin than this is a fault, in whatever field."""
 MAX_ALTITUDE_MM = 100_000_000
 """Above sea level; an origin beyond it, as INT32_MAX is, is none."""
+LATE_CONFIRM_S_OF = {Lateness.NONE: LATE_CONFIRM_S, Lateness.UNKNOWN: 10.0, Lateness.SLOW: 60.0}
+"""How long stamps that are late are a slow link's before they are a restarted autopilot's."""
 FRAME_SETTLES_S = 1.0
 """After it no position of the frame before is on its way any more."""
 MAX_YAW_RAD = 2.0 * math.pi
@@ -131,7 +133,7 @@ class VehicleInbound:
                 if not abs(message.yaw) <= MAX_YAW_RAD:
                     return []
                 reading = self._read(message.time_boot_ms, now_s)
-                yaw = YawMeasured(now_s, reading.time_s, message.yaw)
+                yaw = YawMeasured(now_s, reading.time_s, message.yaw, number)
                 return self._with_restart(reading, yaw)
             case mavlink.MAVLink_extended_sys_state_message():
                 return [LandedStateChanged(now_s, _landed_state(message.landed_state), number)]
@@ -174,8 +176,8 @@ class VehicleInbound:
         return True
 
     def _read(self, stamp_ms: int, now_s: float) -> StampReading:
-        is_link_slow = self._sync.is_late(now_s)
-        reading = self._clock.read(stamp_ms / 1000.0, now_s, is_link_slow=is_link_slow)
+        late_confirm_s = LATE_CONFIRM_S_OF[self._sync.lateness(now_s)]
+        reading = self._clock.read(stamp_ms / 1000.0, now_s, late_confirm_s=late_confirm_s)
         best_s, by_arrival_s = self.clock_offset_s, self._clock.offset_s
         if reading.is_reboot or best_s is None or by_arrival_s is None:
             return reading

@@ -138,7 +138,7 @@ class StreamRequester:
         age_s = self._freshness.age_s(mavlink.MAVLINK_MSG_ID_HEARTBEAT, now_s)
         if age_s is None or (age_s < HEARTBEAT_LATE_S and not is_wanted):
             return False
-        is_given_up = age_s > HEARTBEAT_GIVEN_UP_S
+        is_given_up = age_s > HEARTBEAT_GIVEN_UP_S and not is_wanted
         again_s = HEARTBEAT_SELDOM_S if is_given_up else HEARTBEAT_AGAIN_S
         return now_s - self._heartbeat_asked_s >= again_s
 

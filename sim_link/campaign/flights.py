@@ -25,6 +25,7 @@ def rules_of(config: CompanionConfig) -> Rules:
     limits = config.limits
     return Rules(
         fence_enu_m=limits.fence_enu_m,
+        system_id=config.vehicle.system_id,
         keep_out_enu_m=limits.keep_out_enu_m,
         altitude_min_m=limits.altitude_min_m,
         altitude_max_m=limits.altitude_max_m,

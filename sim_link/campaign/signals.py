@@ -159,7 +159,7 @@ def _stopped(trial: Trial, flight: _Flight, companion: subprocess.Popen[bytes]) 
     findings = [] if took_s <= EXIT_S else [f"gone {took_s:.2f} s after SIGTERM"]
     if companion.returncode != 0:
         findings.append(f"exit code {companion.returncode} after SIGTERM")
-    asked_s = _time_of(events, "phase", new="handback")
+    asked_s = _asked_s(events)
     hold_s = 0.0
     if asked_s is not None:
         answered_s = _time_of(events, "answer", outcome="accepted", since_s=asked_s)
@@ -213,6 +213,12 @@ def _time_of(
         if event["kind"] == kind and event["t_s"] >= since_s and is_it:
             return float(event["t_s"])
     return None
+
+
+def _asked_s(events: Sequence[dict[str, Any]]) -> float | None:
+    """When it began to hand the vehicle back; before that is armed there is nothing to ask for."""
+    is_asked = any(e["kind"] == "text" and e["text"].startswith("stopping: ") for e in events)
+    return _time_of(events, "phase", new="handback") if is_asked else None
 
 
 def _story(events: Sequence[dict[str, Any]]) -> tuple[str, ...]:

@@ -179,6 +179,8 @@ class KeepsStreaming(Invariant):
         self._is_in_control = False
         self._since_s = 0.0
         self._last_s: float | None = None
+        self._has_setpoint = False
+        """It has something to stay at, whatever becomes of its position."""
         self._is_mode_in_doubt = False
         """It was suspended, or heard no mode for long: it looks first who flies now."""
         self._placed_s = math.inf
@@ -187,7 +189,9 @@ class KeepsStreaming(Invariant):
     def noted(self, kind: str, fields: Mapping[str, object]) -> None:
         """Follow what the companion claims to be."""
         if kind == "phase":
+            was_in_control = self._is_in_control
             self._is_in_control = fields.get("new") in self.PHASES
+            self._has_setpoint &= was_in_control
             self._since_s = self.scene.now_s
 
     def started(self) -> None:
@@ -212,7 +216,7 @@ class KeepsStreaming(Invariant):
     def setpoint(self, setpoint: Setpoint) -> None:
         """Remember it; judge the gap before it. Who sends has no doubt any more."""
         self._judge(setpoint.time_s)
-        self._is_mode_in_doubt = False
+        self._is_mode_in_doubt, self._has_setpoint = False, True
         self._last_s = setpoint.time_s
 
     def stepped(self) -> None:
@@ -231,7 +235,11 @@ class KeepsStreaming(Invariant):
         is_mode_unknown = now_s - heartbeat_s >= scene.rules.silence_s - TICK_S
         if scene.suspended_until_s >= now_s or is_mode_unknown:
             self._is_mode_in_doubt, self._placed_s = True, math.inf
-        if self._is_mode_in_doubt or scene.told.position_s is None:  # in a frame that just moved
+        has_place = scene.told.position_s is not None  # none: of a frame that just moved
+        self._has_setpoint &= has_place and not self._is_mode_in_doubt
+        age_s = now_s - scene.told.position_sent_s
+        is_blind = not self._has_setpoint and age_s > scene.rules.state_age_s - TICK_S
+        if self._is_mode_in_doubt or not has_place or is_blind:
             self._last_s = now_s
             return
         gap_s = now_s - max(self._last_s, self._since_s, scene.suspended_until_s)

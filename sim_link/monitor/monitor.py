@@ -53,7 +53,7 @@ class FrameMonitor(Observer):
         self._shared = scene
         self.invariants = list(invariants)
         self._proof = None if key is None else Proof(key)
-        self._whose = Whose()
+        self._whose = Whose(scene.rules.system_id)
         self._hearing = self._looking_at("heard")
         self._stepping = self._looking_at("stepped")
         self._ticking = self._looking_at("ticked")

@@ -222,7 +222,7 @@ class SafeToFreeze(PlacesOnly):
     def setpoint(self, setpoint: Setpoint) -> None:
         """Fly on to it for a minute, every so often.
 
-        One that was given beyond the clearance may be taken out by a gust wherever it is held.
+        One that was given within the clearance may be taken out by a gust wherever it is held.
         """
         super().setpoint(setpoint)
         scene = self._truth
@@ -234,7 +234,11 @@ class SafeToFreeze(PlacesOnly):
         goal = (east - bias[0], north - bias[1], up - bias[2])
         body, rules = scene.vehicle.body, scene.rules
         own = self._depth(body.position_enu_m[:2]) + scene.bias_m
-        if own < rules.clearance_m:  # on its way back: the place itself must not lie farther out
+        if 0.0 <= own < rules.clearance_m:
+            if self._depth(goal[:2]) + scene.bias_m < -setpoint.rounding_m:
+                self.report("a setpoint that freezes leads out of the fence", depth_m=own)
+            return
+        if own < 0.0:  # on its way back: the place itself must not lie farther out
             depth, moved_m = self._depth(goal[:2]), math.hypot(*body.velocity_enu_mps[:2])
             least_m = own - rules.clearance_m - moved_m * rules.latency_s
             if depth + scene.bias_m < least_m:

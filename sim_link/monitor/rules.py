@@ -14,6 +14,8 @@ class Rules(Params, frozen=True):
     """What must hold; positions in the world's frame, east and north about the first origin."""
 
     fence_enu_m: Corners
+    system_id: int | None = None
+    """The vehicle that the companion was told to follow; None: the first that it hears."""
     keep_out_enu_m: tuple[Corners, ...] = ()
     altitude_min_m: Positive = 5.0
     """Above home."""

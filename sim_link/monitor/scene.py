@@ -71,6 +71,8 @@ class Told:
     velocity_enu_mps: PositionEnu = (0.0, 0.0, 0.0)
     position_s: float | None = None
     """When the newest position arrived."""
+    position_sent_s: float = -math.inf
+    """When the vehicle sent it."""
     position_boot_ms: int = -1
     origin_sent_at: tuple[float, int] = (-1.0, 0)
     frame_sent_at: tuple[float, int] = (-1.0, 0)
@@ -194,7 +196,7 @@ class Scene(ABC):
         if message.time_boot_ms < told.position_boot_ms and not has_rebooted:
             return
         told.position_boot_ms = message.time_boot_ms
-        told.position_s = now_s
+        told.position_s, told.position_sent_s = now_s, sent_at[0]
         told.position_enu_m = self.world_from_local((message.y, message.x, -message.z))
         told.velocity_enu_mps = (message.vy, message.vx, -message.vz)
 

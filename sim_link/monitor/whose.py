@@ -14,14 +14,20 @@ from __future__ import annotations
 from companion.mav.dialect import mavlink
 from sim_link.lockstep.observer import Frame
 
+FOLLOWED = (mavlink.MAV_AUTOPILOT_PX4, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA)
 SILENCE_S = 3.0
 """How long one address is silent before the other one is believed."""
 
 
 class Whose:
-    """Follows one of several senders: the vehicle itself, somebody with its ids, or another one."""
+    """Follows one of several senders: the vehicle itself, somebody with its ids, or another one.
 
-    def __init__(self) -> None:
+    Args:
+        wanted_system_id: The only one that is followed; None: any.
+    """
+
+    def __init__(self, wanted_system_id: int | None = None) -> None:
+        self._wanted_system_id = wanted_system_id
         self._ids: tuple[int, int] | None = None
         """Of the autopilot that is followed; None: nobody is yet."""
         self._is_genuine: bool | None = None
@@ -33,6 +39,13 @@ class Whose:
         """Whether somebody else than the vehicle is followed."""
         return self._is_genuine is False
 
+    def _may_follow(self, frame: Frame) -> bool:
+        message = frame.message
+        if not isinstance(message, mavlink.MAVLink_heartbeat_message):
+            return False
+        is_wanted = self._wanted_system_id in (None, frame.sender[0])
+        return is_wanted and message.autopilot in FOLLOWED
+
     def restart(self) -> None:
         """A companion that starts anew follows the first that it hears."""
         self._ids = self._is_genuine = None
@@ -40,7 +53,7 @@ class Whose:
     def believes(self, frame: Frame) -> bool:
         """Whether a readable frame of an autopilot had to be believed."""
         is_new = self._ids is None
-        if is_new and frame.number != mavlink.MAVLINK_MSG_ID_HEARTBEAT:
+        if is_new and not self._may_follow(frame):
             return frame.is_genuine
         self._ids = self._ids or frame.sender
         if frame.sender != self._ids:

@@ -12,6 +12,7 @@ from companion.guidance.events import (
     HeartbeatReceived,
     StopRequested,
     VehicleMoved,
+    YawMeasured,
 )
 from companion.guidance.session import TICK_S
 from companion.guidance.states import Phase
@@ -56,27 +57,70 @@ def test_a_short_silence_leaves_the_mode_as_it_was() -> None:
     assert len(flight.sent(SendSetpoint, lost_s)) == 10
 
 
-@pytest.mark.parametrize(("ahead", "ends"), [(-10, False), (10, True)])
-def test_a_mode_that_was_shown_before_the_position_was_measured_ends_no_doubt(
-    ahead: int, *, ends: bool
-) -> None:
-    flight = in_doubt(ScriptedFlight().in_control())
-    flight.has_link = False
-    now_s, order = flight.now_s, 1000
-    state = VehicleState(now_s, flight.place, (0.0, 0.0, 0.0))
-    flight.give(VehicleMoved(now_s, state, order))
+def shown(flight: ScriptedFlight, order: int) -> bool:
+    """Whether the mode is known after a HEARTBEAT of this place in the order of sending."""
     flight.give(
         HeartbeatReceived(
-            now_s,
+            flight.now_s,
             Autopilot.PX4,
             FlightMode.OFFBOARD,
             is_armed=True,
             is_ready=True,
             is_failsafe=False,
-            order=order + ahead,
+            order=order,
         )
     )
-    assert flight.session.vehicle.is_mode_known(now_s) is ends
+    return flight.session.vehicle.is_mode_known(flight.now_s)
+
+
+def place(flight: ScriptedFlight, order: int, behind_s: float = 0.0) -> VehicleMoved:
+    state = VehicleState(flight.now_s - behind_s, flight.place, (0.0, 0.0, 0.0))
+    return VehicleMoved(flight.now_s, state, order)
+
+
+@pytest.mark.parametrize(("ahead", "ends"), [(-10, False), (10, True)])
+def test_a_mode_that_was_shown_before_the_position_was_measured_ends_no_doubt(
+    ahead: int, *, ends: bool
+) -> None:
+    flight = in_doubt(ScriptedFlight().in_control())
+    flight.give(place(flight, 1000))
+    assert shown(flight, 1000 + ahead) is ends
+
+
+def test_nor_does_one_behind_a_position_that_came_late() -> None:
+    """Over two ways, one of which is late."""
+    flight = in_doubt(ScriptedFlight().in_control())
+    flight.give(place(flight, 1000))
+    flight.give(place(flight, 900, behind_s=2.0))
+    assert not shown(flight, 910)
+
+
+def test_without_a_position_an_attitude_tells_what_is_of_the_present() -> None:
+    """Autopilots send no local position while their estimator has none."""
+    flight = in_doubt(ScriptedFlight().in_control())
+    flight.has_position = False
+    flight.fly(2.0)
+    assert not shown(flight, 2000)
+    flight.give(YawMeasured(flight.now_s, flight.now_s, 0.0, order=2001))
+    assert shown(flight, 2002)
+
+
+@pytest.mark.parametrize("wish", ["battery", "stop"])
+def test_who_shows_for_seconds_that_he_obeys_may_be_asked_though_nothing_is_stamped(
+    wish: str,
+) -> None:
+    flight = in_doubt(ScriptedFlight().in_control())
+    flight.has_position, flight.has_heartbeat = False, True
+    flight.fly(3.0)
+    if wish == "battery":
+        for _ in range(80):
+            flight.give(BatteryReported(flight.now_s, 5.0, BatteryLevel.CRITICAL))
+            flight.fly(TICK_S)
+        assert flight.asked_modes() == [FlightMode.RETURN]
+    else:
+        flight.fly(3.0)
+        flight.give(StopRequested(flight.now_s))
+        assert flight.asked_modes() == [FlightMode.HOLD]
 
 
 @pytest.mark.parametrize(
@@ -131,6 +175,33 @@ def test_a_stop_ends_in_time_where_nobody_tells_who_flies() -> None:
     flight.fly(1.5)
     assert flight.is_in(Phase.STOPPED)
     assert silent_since(flight, stopped_s)
+
+
+def test_a_stop_that_learns_late_who_flies_has_time_for_more_than_one_request() -> None:
+    flight = in_doubt(ScriptedFlight().in_control())
+    flight.give(StopRequested(flight.now_s))
+    flight.fly(1.3)
+    flight.show(FlightMode.OFFBOARD)
+    flight.fly(0.5)
+    assert flight.asked_modes() == [FlightMode.HOLD]
+    assert flight.is_in(Phase.HANDBACK)
+    flight.fly(0.15)
+    assert flight.is_in(Phase.STOPPED)
+
+
+def test_after_a_stall_nothing_is_sent_for_a_place_of_the_past() -> None:
+    flight = in_doubt(ScriptedFlight().in_control())
+    flight.has_position = False
+    doubt_s = flight.now_s
+    flight.fly(0.6)
+    flight.move(measured_at_s=flight.now_s - 0.7)
+    flight.show(FlightMode.OFFBOARD)
+    assert flight.session.vehicle.is_mode_known(flight.now_s)
+    flight.fly(1.0)
+    assert silent_since(flight, doubt_s)
+    flight.has_position = True
+    flight.fly(TICK_S)
+    assert not silent_since(flight, doubt_s)
 
 
 def test_offboard_of_the_past_gives_nobody_control() -> None:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
-from companion.link.clock_sync import BEST_OF, MAX_OPEN, PERIOD_S, ClockSync
+from companion.link.clock_sync import BEST_OF, MAX_OPEN, PERIOD_S, ClockSync, Lateness
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.timesync import TargetedTimesync, targets_of
@@ -203,14 +203,14 @@ def test_a_line_with_long_ways_is_synchronised_too(way_s: float) -> None:
 
 def test_a_line_that_answers_late_or_no_more_is_late() -> None:
     line = Autopilot(constant(0.1, 0.1))
-    assert not line.sync.is_late(line.now_s)  # one that never answers tells nothing
+    assert line.sync.lateness(line.now_s) is Lateness.NONE  # who never answers tells nothing
     line.run(5.0)
-    assert not line.sync.is_late(line.now_s)
+    assert line.sync.lateness(line.now_s) is Lateness.NONE
     line.delay = constant(0.1, 6.0)
     line.run(5.0)
-    assert line.sync.is_late(line.now_s)
+    assert line.sync.lateness(line.now_s) is Lateness.UNKNOWN
     line.run(10.0)
-    assert line.sync.is_late(line.now_s)
+    assert line.sync.lateness(line.now_s) is Lateness.SLOW
     line.delay = constant(0.1, 0.1)
     line.run(1.0)
-    assert not line.sync.is_late(line.now_s)
+    assert line.sync.lateness(line.now_s) is Lateness.NONE

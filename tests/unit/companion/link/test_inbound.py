@@ -63,7 +63,7 @@ def test_a_late_position_is_dated_back() -> None:
 def test_yaw_keeps_its_sense() -> None:
     message = mavlink.MAVLink_attitude_message(0, 0.1, 0.2, 1.5, 0, 0, 0)
     event = only(VehicleInbound().events(message, 1.0))
-    assert event == YawMeasured(1.0, 1.0, 1.5)
+    assert event == YawMeasured(1.0, 1.0, 1.5, order=0)
 
 
 @pytest.mark.parametrize(("status", "is_ready", "is_failsafe"), [

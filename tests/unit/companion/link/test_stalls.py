@@ -91,10 +91,11 @@ def test_the_mode_that_a_socket_kept_from_a_stall_is_not_the_mode_now() -> None:
     assert len(setpoints(wire.wait(0.05))) == 1
 
 
-def test_after_a_stall_the_mode_is_asked_for_until_it_is_told() -> None:
-    """The first answer may come before a position, and says nothing then."""
+@pytest.mark.parametrize("seconds", [2.0, 13.0])
+def test_after_a_stall_the_mode_is_asked_for_until_it_is_told(seconds: float) -> None:
+    """The first answer may come before anything stamped, and says nothing then."""
     wire = in_control()
-    stall(wire, 2.0)
+    stall(wire, seconds)
     wire.say(heartbeat(custom_mode=OFFBOARD, is_armed=True, status=4))
     asked: list[float] = []
     for _ in range(20):
@@ -185,11 +186,15 @@ def test_what_was_asked_before_a_stall_is_not_asked_again() -> None:
     assert len(mode_requests(wire)) == 1
 
 
-def test_a_hand_back_is_asked_again_all_the_same() -> None:
+def test_a_hand_back_is_asked_again_once_it_is_known_who_flies() -> None:
     wire = in_control()
     wire.endpoint.request_stop(wire.now_s)
     wire.wait(0.05)
+    assert len(mode_requests(wire)) == 1
     stall(wire, 0.8)
+    wire.wait(0.1)
+    assert len(mode_requests(wire)) == 1
+    speak(wire, 0.1)
     assert len(mode_requests(wire)) == 2
 
 

@@ -158,6 +158,16 @@ def test_of_two_autopilots_the_first_that_is_heard_is_followed_for_good() -> Non
     assert not whose.believes(Frame(20.0, other, Lane.TO_COMPANION, is_genuine=False))
 
 
+def test_a_station_and_a_vehicle_that_is_not_wanted_are_not_followed() -> None:
+    station = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
+    other = Frame(1.0, MavCodec(77, 1).encode(HEARTBEAT), Lane.TO_COMPANION, is_genuine=False)
+    whose = Whose(wanted_system_id=1)
+    assert not whose.believes(frame(0.5, station, is_genuine=False))
+    assert not whose.believes(other)
+    assert whose.believes(frame(1.5, HEARTBEAT))
+    assert not whose.is_a_stranger
+
+
 def test_who_yields_answers_for_its_last_setpoint_while_that_is_flown() -> None:
     """An ArduPilot that was left in GUIDED flies to it, however long nobody sends."""
     around = in_flight("ardupilot")

@@ -1,0 +1,89 @@
+"""Whether the mode that was shown last is of the present: is it known who flies.
+
+Theory of operation. A HEARTBEAT carries no time, and what a link or a socket held back comes oldest
+first. After a stall of the control tick, or a long silence, the mode is in doubt: perhaps a pilot
+has the vehicle. The doubt ends with a HEARTBEAT that the autopilot sent after a message whose stamp
+is of the present, a position or an attitude. Until then no setpoint leaves, no mode counts as
+given, and nothing is asked of the autopilot; but a vehicle that shows for seconds that it still
+flies by our setpoints, while nothing stamped comes, may be asked to fly by itself.
+"""
+
+from __future__ import annotations
+
+import math
+
+from companion.domain import FlightMode
+from companion.guidance.events import HeartbeatReceived
+
+MODE_UNKNOWN_AFTER_S = 10.0
+"""Without a HEARTBEAT for this long anyone may fly: stop sending, let its own failsafe act."""
+PAST_S = 1.0
+"""A mode that was shown earlier than this is of the past."""
+ASKED_ANYWAY_S = 5.0
+"""So long after the doubt began a vehicle that still shows our mode may be asked for another."""
+LATE_S = 3.0
+"""A HEARTBEAT that comes every second and was not heard for so long is missing."""
+
+
+class ModeWatch:
+    """Follows the modes that are shown, and how old they may be."""
+
+    def __init__(self) -> None:
+        self.is_in_doubt = False
+        self.is_of_the_present = False
+        """Whether the newest HEARTBEAT was surely sent just before it came."""
+        self._since_s = -math.inf
+        """When the doubt began."""
+        self._shown: HeartbeatReceived | None = None
+        self._stamped: tuple[float, int | None] | None = None
+        """Time, and place in the order of sending, of the newest stamped message."""
+
+    def stamped(self, measured_at_s: float, order: int | None) -> None:
+        """A message came that tells when it was sent."""
+        if self._stamped is None or measured_at_s >= self._stamped[0]:
+            self._stamped = (measured_at_s, order)
+
+    def shown(self, heartbeat: HeartbeatReceived) -> None:
+        """A HEARTBEAT came."""
+        self._shown = heartbeat
+        self.is_of_the_present = self._is_recent(heartbeat)
+        self.is_in_doubt &= not self.is_of_the_present
+
+    def tick(self, now_s: float) -> None:
+        """Time passes."""
+        if self._is_silent(now_s) and not self.is_in_doubt:
+            self.distrust(now_s)
+
+    def distrust(self, now_s: float) -> None:
+        """What was heard so far is of the past."""
+        self.is_in_doubt, self._since_s = True, now_s
+
+    def forget(self) -> None:
+        """The autopilot restarted: nothing was shown yet."""
+        self._shown = self._stamped = None
+        self.is_of_the_present = False
+
+    def is_known(self, now_s: float) -> bool:
+        """Whether the mode shown last still says who flies."""
+        return self._shown is not None and not (self._is_silent(now_s) or self.is_in_doubt)
+
+    def may_be_asked(self, now_s: float) -> bool:
+        """Whether a request for a mode takes the vehicle from nobody, as far as one can know."""
+        if self.is_known(now_s):
+            return True
+        shown = self._shown
+        if shown is None or not (shown.is_armed and shown.mode is FlightMode.OFFBOARD):
+            return False
+        is_heard = shown.time_s > self._since_s and now_s - shown.time_s <= LATE_S
+        return is_heard and now_s - self._since_s >= ASKED_ANYWAY_S
+
+    def _is_silent(self, now_s: float) -> bool:
+        return self._shown is not None and now_s - self._shown.time_s > MODE_UNKNOWN_AFTER_S
+
+    def _is_recent(self, heartbeat: HeartbeatReceived) -> bool:
+        if self._stamped is None:
+            return False
+        stamped_s, place = self._stamped
+        if heartbeat.order is not None and place is not None and heartbeat.order < place:
+            return False
+        return heartbeat.time_s - stamped_s <= PAST_S
