@@ -103,7 +103,7 @@ class Handover:
 
     def _offboard(self, now_s: float) -> None:
         situation = self._situation
-        if not situation.vehicle.mode_watch.is_of_the_present:
+        if not situation.vehicle.is_mode_known(now_s):
             return  # it may be over
         self._tell_why_it_does_not_count()
         if not (situation.authority.may_take and situation.vehicle.obeys_setpoints):

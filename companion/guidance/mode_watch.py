@@ -11,6 +11,7 @@ flies by our setpoints, while nothing stamped comes, may be asked to fly by itse
 from __future__ import annotations
 
 import math
+from collections import deque
 
 from companion.domain import FlightMode
 from companion.guidance.events import HeartbeatReceived
@@ -21,6 +22,8 @@ PAST_S = 1.0
 """A mode that was shown earlier than this is of the past."""
 ASKED_ANYWAY_S = 5.0
 """So long after the doubt began a vehicle that still shows our mode may be asked for another."""
+MOST_STAMPED = 256
+"""Two seconds of a busy link."""
 LATE_S = 3.0
 """A HEARTBEAT that comes every second and was not heard for so long is missing."""
 
@@ -35,13 +38,12 @@ class ModeWatch:
         self._since_s = -math.inf
         """When the doubt began."""
         self._shown: HeartbeatReceived | None = None
-        self._stamped: tuple[float, int | None] | None = None
-        """Time, and place in the order of sending, of the newest stamped message."""
+        self._stamped: deque[tuple[float, int | None]] = deque(maxlen=MOST_STAMPED)
+        """Time, and place in the order of sending, of the last stamped messages."""
 
     def stamped(self, measured_at_s: float, order: int | None) -> None:
         """A message came that tells when it was sent."""
-        if self._stamped is None or measured_at_s >= self._stamped[0]:
-            self._stamped = (measured_at_s, order)
+        self._stamped.append((measured_at_s, order))
 
     def shown(self, heartbeat: HeartbeatReceived) -> None:
         """A HEARTBEAT came."""
@@ -60,7 +62,8 @@ class ModeWatch:
 
     def forget(self) -> None:
         """The autopilot restarted: nothing was shown yet."""
-        self._shown = self._stamped = None
+        self._shown = None
+        self._stamped.clear()
         self.is_of_the_present = False
 
     def is_known(self, now_s: float) -> bool:
@@ -81,9 +84,10 @@ class ModeWatch:
         return self._shown is not None and now_s - self._shown.time_s > MODE_UNKNOWN_AFTER_S
 
     def _is_recent(self, heartbeat: HeartbeatReceived) -> bool:
-        if self._stamped is None:
-            return False
-        stamped_s, place = self._stamped
-        if heartbeat.order is not None and place is not None and heartbeat.order < place:
-            return False
-        return heartbeat.time_s - stamped_s <= PAST_S
+        """Whether one that was sent before it is: what overtook it on the way says nothing."""
+        order = heartbeat.order
+        return any(
+            heartbeat.time_s - stamped_s <= PAST_S
+            and (order is None or place is None or place <= order)
+            for stamped_s, place in self._stamped
+        )

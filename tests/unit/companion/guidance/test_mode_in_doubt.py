@@ -87,6 +87,13 @@ def test_a_mode_that_was_shown_before_the_position_was_measured_ends_no_doubt(
     assert shown(flight, 1000 + ahead) is ends
 
 
+def test_one_that_was_overtaken_on_the_way_is_dated_by_what_was_sent_before_it() -> None:
+    flight = in_doubt(ScriptedFlight().in_control())
+    flight.give(place(flight, 1000))
+    flight.give(place(flight, 1020))
+    assert shown(flight, 1010)
+
+
 def test_nor_does_one_behind_a_position_that_came_late() -> None:
     """Over two ways, one of which is late."""
     flight = in_doubt(ScriptedFlight().in_control())
