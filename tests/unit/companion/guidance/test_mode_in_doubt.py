@@ -83,12 +83,16 @@ def test_a_mode_that_was_shown_before_the_position_was_measured_ends_no_doubt(
     ahead: int, *, ends: bool
 ) -> None:
     flight = in_doubt(ScriptedFlight().in_control())
+    flight.has_position = False
+    flight.fly(1.5)
     flight.give(place(flight, 1000))
     assert shown(flight, 1000 + ahead) is ends
 
 
 def test_one_that_was_overtaken_on_the_way_is_dated_by_what_was_sent_before_it() -> None:
     flight = in_doubt(ScriptedFlight().in_control())
+    flight.has_position = False
+    flight.fly(1.5)
     flight.give(place(flight, 1000))
     flight.give(place(flight, 1020))
     assert shown(flight, 1010)
@@ -97,6 +101,8 @@ def test_one_that_was_overtaken_on_the_way_is_dated_by_what_was_sent_before_it()
 def test_nor_does_one_behind_a_position_that_came_late() -> None:
     """Over two ways, one of which is late."""
     flight = in_doubt(ScriptedFlight().in_control())
+    flight.has_position = False
+    flight.fly(1.5)
     flight.give(place(flight, 1000))
     flight.give(place(flight, 900, behind_s=2.0))
     assert not shown(flight, 910)
