@@ -236,11 +236,11 @@ class Handover:
         situation = self._situation
         if not situation.enter(Trigger.GIVE_UP, now_s):
             return
-        self._hand_back_mode, self._asked_s = finding.mode, now_s
+        self._hand_back_mode, self._asked_s = finding.mode, None
         name = situation.vehicle.name_of(finding.mode)
         text = f"handing back: {finding.text}; asking the autopilot to {name}"
         situation.announce(Severity.ERROR, text)
-        situation.ask_mode(finding.mode)
+        self.go_on_handing_back(now_s)
 
     def give_way(self, finding: Finding, now_s: float) -> None:
         """Somebody else commands: silence."""

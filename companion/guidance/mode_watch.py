@@ -33,8 +33,6 @@ class ModeWatch:
 
     def __init__(self) -> None:
         self.is_in_doubt = False
-        self.is_of_the_present = False
-        """Whether the newest HEARTBEAT was surely sent just before it came."""
         self._since_s = -math.inf
         """When the doubt began."""
         self._shown: HeartbeatReceived | None = None
@@ -48,8 +46,7 @@ class ModeWatch:
     def shown(self, heartbeat: HeartbeatReceived) -> None:
         """A HEARTBEAT came."""
         self._shown = heartbeat
-        self.is_of_the_present = self._is_recent(heartbeat)
-        self.is_in_doubt &= not self.is_of_the_present
+        self.is_in_doubt &= not self._is_recent(heartbeat)
 
     def tick(self, now_s: float) -> None:
         """Time passes."""
@@ -64,7 +61,6 @@ class ModeWatch:
         """The autopilot restarted: nothing was shown yet."""
         self._shown = None
         self._stamped.clear()
-        self.is_of_the_present = False
 
     def is_known(self, now_s: float) -> bool:
         """Whether the mode shown last still says who flies."""

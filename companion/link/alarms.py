@@ -38,7 +38,7 @@ class LinkAlarms:
     def tick(self, now_s: float) -> list[Announce]:
         """What is news."""
         binding, texts = self._binding, []
-        dropped = sum(sum(intake.budget.dropped) for intake in self._intakes)
+        dropped = sum(intake.budget.dropped_unread for intake in self._intakes)
         for other in binding.others[self._others :]:
             texts.append(
                 f"another autopilot is on this link, system {other}; ours is {binding.system_id} "

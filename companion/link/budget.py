@@ -63,6 +63,11 @@ class FloodBudget:
         self._by_source.clear()
         self._heartbeats = 0
 
+    @property
+    def dropped_unread(self) -> int:
+        """Refusals so far: chunks, frames and messages."""
+        return sum(self.dropped)
+
     def admits_heartbeat(self) -> bool:
         """Whether one more HEARTBEAT of the autopilot's address may come beside all budgets."""
         self._heartbeats += 1

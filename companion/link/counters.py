@@ -60,7 +60,7 @@ class LinkCounters:
     @property
     def dropped_unread(self) -> int:
         """Datagrams, frames and messages that were over a budget, on all links."""
-        return sum(sum(intake.budget.dropped) for intake in self._intakes)
+        return sum(intake.budget.dropped_unread for intake in self._intakes)
 
     def report(self, now_s: float) -> None:
         """Write to the event log what is due."""

@@ -35,7 +35,7 @@ class FloodShield:
 
     def tick(self, now_s: float) -> None:
         """Note whether anything was over budget."""
-        dropped = sum(self._intake.budget.dropped)
+        dropped = self._intake.budget.dropped_unread
         if dropped > self._dropped:
             self._dropped = dropped
             self._flooded_s = now_s

@@ -197,6 +197,7 @@ class KeepsStreaming(Invariant):
     def started(self) -> None:
         """A new process claims nothing yet."""
         self._is_in_control, self._last_s = False, None
+        self._has_setpoint = self._is_mode_in_doubt = False
 
     def heard(self, frame: Frame) -> None:
         """A mode is of the present beyond doubt after a place that is."""
