@@ -127,7 +127,8 @@ class OnlyWithAuthority(Invariant):
             return
         told, rules = self.scene.told.position_enu_m, self.scene.rules
         place = setpoint.place_enu_m[:2]
-        away = math.inf if told is None else math.dist(place, told[:2])
+        seen = [seen_enu_m[:2] for seen_enu_m, _ in self.scene.seen_at]
+        away = min((math.dist(place, there) for there in seen), default=math.inf)
         if away <= HERE_M + rules.clearance_m:
             return
         fence, keep_outs = rules.fence_enu_m, rules.keep_out_enu_m

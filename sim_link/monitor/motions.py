@@ -7,7 +7,7 @@ import math
 from sim_link.monitor.invariant import Invariant
 from sim_link.monitor.predicates import Point, is_moved_inwards
 from sim_link.monitor.rules import TICK_S
-from sim_link.monitor.scene import Scene, Setpoint
+from sim_link.monitor.scene import FRAME_STEP_M, Scene, Setpoint
 
 STREAM_BREAK_S = 0.35
 """A longer pause begins a new stream, which starts where the vehicle is."""
@@ -48,7 +48,8 @@ class WithinEnvelope(Invariant):
         self._vehicle = None if told is None else told[:2]
         origin_enu_m = self.scene.told.origin_enu_m
         is_new = last is None or setpoint.time_s - last.time_s > STREAM_BREAK_S
-        is_new |= origin_enu_m != self._origin_enu_m
+        crept_m = math.dist(origin_enu_m, self._origin_enu_m)
+        is_new |= crept_m > FRAME_STEP_M
         self._origin_enu_m = origin_enu_m
         if last is None or is_new or not self.scene.told.is_ours:
             self._velocity = None
@@ -57,14 +58,18 @@ class WithinEnvelope(Invariant):
         dt_s = setpoint.time_s - last.time_s
         moved = math.dist(setpoint.place_enu_m[:2], last.place_enu_m[:2])
         rules = self.scene.rules
-        if moved > SHARE * rules.speed_mps * dt_s + TOLERANCE_M:
+        if moved > SHARE * rules.speed_mps * dt_s + TOLERANCE_M + crept_m:
             self._velocity = None
             if not self._is_here(setpoint):
                 self.report("setpoint too fast", step_m=moved, dt_s=dt_s)
             return
         climbed = abs(setpoint.place_enu_m[2] - last.place_enu_m[2])
-        if climbed > SHARE * rules.climb_mps * dt_s + TOLERANCE_M and not self._is_here(setpoint):
+        most_m = SHARE * rules.climb_mps * dt_s + TOLERANCE_M + crept_m
+        if climbed > most_m and not self._is_here(setpoint):
             self.report("setpoint climbs or sinks too fast", step_m=climbed, dt_s=dt_s)
+        if crept_m > 0.0:
+            self._velocity = None
+            return
         is_slow_enough = moved <= self._moved_since(vehicle) + TOLERANCE_M
         is_anew = self._is_at(self._vehicle, setpoint) and not self._is_at(vehicle, last)
         self._judge_change(setpoint, last, dt_s, may_be_moved_along=is_slow_enough, is_anew=is_anew)
@@ -121,16 +126,16 @@ class WithinEnvelope(Invariant):
 
     def _is_here(self, setpoint: Setpoint) -> bool:
         """Where the vehicle is, or, for one at a border, what is allowed next to that."""
-        told, rules = self.scene.told, self.scene.rules
         if self.scene.is_lied_to:
             return True
-        if told.position_enu_m is None or told.position_s is None:
-            return False
-        age_s = self.scene.now_s - told.position_s
-        speed_mps = math.hypot(*told.velocity_enu_mps[:2])
-        near_m = HERE_M + rules.clearance_m + speed_mps * (age_s + rules.latency_s)
-        away = math.dist(setpoint.place_enu_m[:2], told.position_enu_m[:2])
-        return away <= near_m or self._is_moved_inwards(setpoint)
+        rules, place = self.scene.rules, setpoint.place_enu_m[:2]
+        speed_mps = math.hypot(*self.scene.told.velocity_enu_mps[:2])
+        for seen_enu_m, seen_s in self.scene.seen_at:
+            age_s = self.scene.now_s - seen_s
+            near_m = HERE_M + rules.clearance_m + speed_mps * (age_s + rules.latency_s)
+            if math.dist(place, seen_enu_m[:2]) <= near_m:
+                return True
+        return self._is_moved_inwards(setpoint)
 
     def _is_at(self, vehicle: Point | None, setpoint: Setpoint) -> bool:
         return vehicle is not None and math.dist(setpoint.place_enu_m[:2], vehicle) <= STILL_M

@@ -20,7 +20,7 @@ from companion.geometry.frames import LocalOrigin
 from companion.mav.dialect import Message, mavlink
 from sim_link.autopilot.vehicle import SimVehicle
 from sim_link.lockstep.observer import Frame
-from sim_link.monitor.rules import Rules
+from sim_link.monitor.rules import TICK_S, Rules
 from sim_link.monitor.violation import Violation
 
 AUTOPILOT_COMPONENT = 1
@@ -74,6 +74,8 @@ class Told:
     position_sent_s: float = -math.inf
     """When the vehicle sent it."""
     position_boot_ms: int = -1
+    before_restart: tuple[PositionEnu, float] | None = None
+    """The last place before the vehicle's stamps went back, and when it arrived."""
     origin_sent_at: tuple[float, int] = (-1.0, 0)
     frame_sent_at: tuple[float, int] = (-1.0, 0)
     """When the vehicle told that its origin moved; places from before are of another frame."""
@@ -195,10 +197,26 @@ class Scene(ABC):
         has_rebooted = message.time_boot_ms < told.position_boot_ms - 5000
         if message.time_boot_ms < told.position_boot_ms and not has_rebooted:
             return
+        if has_rebooted and told.position_enu_m is not None and told.position_s is not None:
+            told.before_restart = (told.position_enu_m, told.position_s)
         told.position_boot_ms = message.time_boot_ms
         told.position_s, told.position_sent_s = now_s, sent_at[0]
         told.position_enu_m = self.world_from_local((message.y, message.x, -message.z))
         told.velocity_enu_mps = (message.vy, message.vx, -message.vz)
+
+    @property
+    def seen_at(self) -> tuple[tuple[PositionEnu, float], ...]:
+        """Places where the companion may take the vehicle to be, each with when it arrived.
+
+        That is the newest; and, while it would not be stale, the last one before the stamps went
+        back, because some such stamps are no proof yet that the vehicle restarted.
+        """
+        told, oldest_s = self.told, self.now_s - self.rules.state_age_s - TICK_S
+        newest, before = (told.position_enu_m, told.position_s), told.before_restart
+        places = [] if newest[0] is None or newest[1] is None else [(newest[0], newest[1])]
+        if before is not None and before[1] >= oldest_s:
+            places.append(before)
+        return tuple(places)
 
     def world_from_local(self, enu_m: PositionEnu) -> PositionEnu:
         """By the origin that the companion was told last."""
