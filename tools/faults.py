@@ -70,8 +70,9 @@ def campaign(trials: list[Trial], jobs: int, facts: dict[str, object], path: Pat
     if path is not None:
         write_json_atomic(path, summary)
     for name, value in summary.items():
-        if name != "findings":
-            print(f"{name:32s} {value}")
+        if name not in ("findings", "reached_in"):
+            trial = tally.reached_in.get(name)
+            print(f"{name:32s} {value}" + (f"   in {trial}" if trial else ""))
     for finding in tally.findings[:SHOWN_FINDINGS]:
         print(f"FOUND {finding.what}\n      {REPLAY} {finding.trial}", file=sys.stderr)
     if len(tally.findings) > SHOWN_FINDINGS:
@@ -80,9 +81,11 @@ def campaign(trials: list[Trial], jobs: int, facts: dict[str, object], path: Pat
 
 
 def replay(trial: Trial) -> int:
-    """Run one trial again and tell its story; the exit code."""
+    """Run one trial again, tell its story and what it measured; the exit code."""
     outcome = run_one(trial)
     print(*outcome.story, sep="\n")
+    for name, value in sorted({**outcome.most, **outcome.least}.items()):
+        print(f"{name:32s} {value:.6g}")
     for what in outcome.findings:
         print(f"FOUND {what}")
     return 1 if outcome.findings else 0

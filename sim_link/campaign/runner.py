@@ -27,6 +27,8 @@ class Tally:
     sums: dict[str, float] = field(default_factory=dict)
     most: dict[str, float] = field(default_factory=dict)
     least: dict[str, float] = field(default_factory=dict)
+    reached_in: dict[str, str] = field(default_factory=dict)
+    """The trial of each greatest and least figure; of equals the first by name."""
 
     def add(self, outcome: Outcome) -> None:
         """One more trial."""
@@ -36,9 +38,16 @@ class Tally:
         for key, value in outcome.sums.items():
             self.sums[key] = self.sums.get(key, 0.0) + value
         for key, value in outcome.most.items():
-            self.most[key] = max(self.most.get(key, value), value)
+            self._reach(self.most, -1.0, key, value, name)
         for key, value in outcome.least.items():
-            self.least[key] = min(self.least.get(key, value), value)
+            self._reach(self.least, 1.0, key, value, name)
+
+    def _reach(
+        self, figures: dict[str, float], sign: float, key: str, value: float, name: str
+    ) -> None:
+        rank = (sign * value, name)
+        if key not in figures or rank < (sign * figures[key], self.reached_in[key]):
+            figures[key], self.reached_in[key] = value, name
 
     def figures(self) -> Mapping[str, float]:
         """All figures, and the number of findings as `violations`."""

@@ -49,4 +49,6 @@ def report(tally: Tally, facts: Mapping[str, object], command: str) -> dict[str,
         {"trial": each.trial, "what": each.what, "replay": f"{command} {each.trial}"}
         for each in tally.findings
     ]
-    return {**facts, **dict.fromkeys(PROMISED), **figures, "findings": findings}
+    reached_in = dict(sorted(tally.reached_in.items()))
+    figures_of_all = {**facts, **dict.fromkeys(PROMISED), **figures}
+    return {**figures_of_all, "reached_in": reached_in, "findings": findings}

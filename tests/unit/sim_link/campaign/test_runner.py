@@ -59,6 +59,19 @@ def test_figures_are_added_up_and_findings_name_their_trial(dice: Dice) -> None:
     ]
 
 
+@pytest.mark.parametrize("order", [1, -1])
+def test_an_extreme_names_its_trial_and_of_equals_the_first(order: int) -> None:
+    tally = Tally()
+    values_m = [0.5, 0.2, 0.2]
+    for seed, value in list(enumerate(values_m, start=1))[::order]:
+        tally.add(
+            Outcome(Trial("dice", seed), most={"gap_s": value}, least={"closest_approach_m": value})
+        )
+    summary = report(tally, {}, "replay")
+    assert (summary["closest_approach_m"], summary["gap_s"]) == (0.2, 0.5)
+    assert summary["reached_in"] == {"closest_approach_m": "dice:2", "gap_s": "dice:1"}
+
+
 def test_an_exception_is_a_finding_with_its_place() -> None:
     outcome = run_one(Trial("dice", 7))
     assert outcome.findings == ("ZeroDivisionError: seven",)
