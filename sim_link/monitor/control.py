@@ -186,6 +186,10 @@ class KeepsStreaming(Invariant):
         """It was suspended, or heard no mode for long: it looks first who flies now."""
         self._placed_s = math.inf
         """When a place of the present arrived, since the mode is in doubt."""
+        self._frame_sent_at = scene.told.frame_sent_at
+        self._frame_moved_s = -math.inf
+        """When it was told that the local frame moved: which places are of the new one, an order
+        of sending that was upset does not say at once."""
 
     def noted(self, kind: str, fields: Mapping[str, object]) -> None:
         """Follow what the companion claims to be."""
@@ -208,6 +212,7 @@ class KeepsStreaming(Invariant):
         now_s, place_s = scene.now_s, scene.told.position_s
         is_autopilot = frame.sender == (scene.system_id, AUTOPILOT_COMPONENT)
         is_late = now_s - scene.sent_at(frame)[0] > PRESENT_S
+        is_late |= now_s <= scene.suspended_until_s + TICK_S  # the socket kept it from the stall
         if is_late or not (is_autopilot and scene.is_believable):
             return
         if frame.number == mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED:
@@ -228,6 +233,8 @@ class KeepsStreaming(Invariant):
     def _judge(self, now_s: float) -> None:
         scene = self.scene
         heartbeat_s = scene.told.heartbeat_s
+        if scene.suspended_until_s >= now_s:
+            self._is_mode_in_doubt, self._placed_s = True, math.inf
         is_in_control = self._is_in_control and scene.is_companion_up and scene.told.is_ours
         if not is_in_control or heartbeat_s is None:
             self._last_s = None
@@ -235,12 +242,17 @@ class KeepsStreaming(Invariant):
         if self._last_s is None:
             self._last_s = now_s
         is_mode_unknown = now_s - heartbeat_s >= scene.rules.silence_s - TICK_S
-        if scene.suspended_until_s >= now_s or is_mode_unknown:
+        if is_mode_unknown:
             self._is_mode_in_doubt, self._placed_s = True, math.inf
         has_place = scene.told.position_s is not None  # none: of a frame that just moved
+        if scene.told.frame_sent_at != self._frame_sent_at:
+            self._frame_sent_at, self._frame_moved_s = scene.told.frame_sent_at, now_s
+            self._has_setpoint = False
         self._has_setpoint &= has_place and not self._is_mode_in_doubt
-        age_s = now_s - scene.told.position_sent_s
-        is_blind = not self._has_setpoint and age_s > scene.rules.state_age_s - TICK_S
+        age_s, most_s = now_s - scene.told.position_sent_s, scene.rules.state_age_s
+        is_blind = not self._has_setpoint and age_s > most_s - TICK_S
+        is_blind |= now_s - self._frame_moved_s <= most_s
+        is_blind |= scene.is_lied_to  # how old its places say they are, only the companion read
         if self._is_mode_in_doubt or not has_place or is_blind:
             self._last_s = now_s
             return

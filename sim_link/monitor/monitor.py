@@ -182,7 +182,7 @@ class Monitor(FrameMonitor):
             self.fence,
             WithinEnvelope(scene),
             self.authority,
-            SafeToFreeze(scene),
+            SafeToFreeze(scene, lambda: self.fence.is_dragged),
             FreshState(scene),
             KnownFrames(scene),
             self.stream,

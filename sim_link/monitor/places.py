@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from companion.domain import FlightMode, PositionEnu
 from companion.mav.dialect import mavlink
@@ -51,7 +51,12 @@ class SetpointsInside(Invariant):
         """When the vehicle was told to be beyond the border, or nearly there."""
 
     def setpoint(self, setpoint: Setpoint) -> None:
-        """Judge a setpoint by where the companion believed the vehicle to be."""
+        """Judge a setpoint by where the companion believed the vehicle to be.
+
+        What it says without control, at the place that a stranger gave, says nothing of its own.
+        """
+        if self.scene.is_lied_to and not self.scene.told.is_ours:
+            return
         rules, told = self.scene.rules, self.scene.told
         place = setpoint.place_enu_m[:2]
         depth = self._depth(place)
@@ -152,6 +157,11 @@ class InsideFence(SetpointsInside):
         if self._is_dragged or not self._truth.vehicle.estimator.is_position_valid:
             self._dragged_s = self._truth.now_s
 
+    @property
+    def is_dragged(self) -> bool:
+        """Whether somebody else moved the vehicle shortly before, or the wind alone."""
+        return self._truth.now_s - self._dragged_s < CONTROL_FADES_S
+
     def _watch_mode(self) -> None:
         """Which mode flies: the first after ours brakes what we began, others begin anew."""
         mode, before = self._truth.vehicle.modes.mode, self._mode
@@ -177,7 +187,7 @@ class InsideFence(SetpointsInside):
         self._watch_others(scene.vehicle.offboard.received)
         self._watch_mode()
         is_flown_by_others = self._mode not in OUR_MOTION or self._is_taken_on
-        is_flown_by_others |= scene.now_s - self._dragged_s < CONTROL_FADES_S
+        is_flown_by_others |= self.is_dragged
         has_faded = scene.now_s - self._in_control_s > CONTROL_FADES_S
         place = body.position_enu_m[:2]
         if body.is_on_ground or is_flown_by_others or has_faded:
@@ -212,10 +222,16 @@ class PlacesOnly(Invariant):
 
 
 class SafeToFreeze(PlacesOnly):
-    """Freezing any setpoint for 60 s is safe."""
+    """Freezing any setpoint for 60 s is safe.
 
-    def __init__(self, scene: TrueScene) -> None:
+    Args:
+        scene: With the truth.
+        is_dragged: Whether somebody else moved the vehicle: then stopping it is all one can do.
+    """
+
+    def __init__(self, scene: TrueScene, is_dragged: Callable[[], bool] = lambda: False) -> None:
         super().__init__(scene)
+        self._is_dragged = is_dragged
         self._truth = scene
         self._frozen_s = -math.inf
 
@@ -245,8 +261,12 @@ class SafeToFreeze(PlacesOnly):
                 self.report("a setpoint that freezes leads farther out", depth_m=depth)
             return
         least = self._least_depth(goal)
-        if least + scene.bias_m < 0.0:
-            self.report("a setpoint that freezes leads out of the fence", depth_m=least)
+        if least + scene.bias_m >= 0.0:
+            return
+        stopped = self._least_depth(body.position_enu_m)
+        if self._is_dragged() and least >= stopped - setpoint.rounding_m:
+            return  # no farther than stopping at once does
+        self.report("a setpoint that freezes leads out of the fence", depth_m=least)
 
     def _depth(self, place: Point) -> float:
         return depth_m(self.scene.rules.fence_enu_m, self.scene.rules.keep_out_enu_m, place)

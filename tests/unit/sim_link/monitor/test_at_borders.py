@@ -10,7 +10,7 @@ from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from sim_link.campaign.flights import Monitored, monitored
 from sim_link.monitor.control import OnlyWithAuthority
 from sim_link.monitor.motions import WithinEnvelope
-from sim_link.monitor.places import SetpointsInside
+from sim_link.monitor.places import SafeToFreeze, SetpointsInside
 from sim_link.monitor.predicates import Point, is_moved_inwards
 from sim_link.monitor.scene import Setpoint
 from tests.loop.loop_helpers import AUTO
@@ -22,7 +22,7 @@ TICK_S = 0.05
 
 
 SETPOINT = mavlink.MAVLink_set_position_target_local_ned_message(
-    0, 1, 1, 1, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    0, 1, 1, 1, 0xDF8, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
 )
 
 
@@ -32,11 +32,12 @@ def sent_beside(
     setpoints: list[Point],
     *,
     is_ours: bool,
+    is_lied_to: bool = False,
 ) -> list[str]:
     """What is reported of setpoints, tick by tick, while the vehicle is told to be there."""
     around = monitored(AUTO, Scenario(), 1)
     scene = around.monitor.scene
-    scene.told.is_ours = is_ours
+    scene.told.is_ours, scene.is_lied_to = is_ours, is_lied_to
     invariant = invariant_type(scene)
     for tick, (vehicle, place) in enumerate(zip(vehicles, setpoints, strict=True)):
         scene.now_s = tick * TICK_S
@@ -132,6 +133,36 @@ def test_what_stands_in_the_margin_is_no_place_for_a_vehicle_that_is_well_inside
     vehicles = [(10.0, BORDER_NORTH_M + 30.0)] * 3
     found = sent_beside(SetpointsInside, vehicles, STANDING, is_ours=True)
     assert found == ["setpoint too near to a border or beyond it"] * 3
+
+
+@pytest.mark.parametrize("is_ours", [False, True])
+def test_where_a_stranger_says_that_the_vehicle_is_counts_only_without_control(
+    *, is_ours: bool
+) -> None:
+    outside = [(10.0, BORDER_NORTH_M - 6.0)] * 3
+    found = sent_beside(SetpointsInside, outside, outside, is_ours=is_ours, is_lied_to=True)
+    assert found == ["setpoint too near to a border or beyond it"] * (3 if is_ours else 0)
+
+
+@pytest.mark.parametrize(
+    ("is_dragged", "ahead_m", "found"),
+    [
+        (True, 0.0, []),
+        (False, 0.0, ["a setpoint that freezes leads out of the fence"]),
+        (True, -20.0, ["a setpoint that freezes leads out of the fence"]),
+    ],
+)
+def test_a_vehicle_that_somebody_else_made_too_fast_can_only_be_stopped(
+    found: list[str], ahead_m: float, *, is_dragged: bool
+) -> None:
+    around = monitored(AUTO, Scenario(), 1)
+    scene, place = around.monitor.scene, (10.0, BORDER_NORTH_M + 2.0, 15.0)
+    scene.told.is_ours = True
+    body = scene.vehicle.body
+    body.position_enu_m, body.velocity_enu_mps = place, (0.0, -8.0, 0.0)
+    invariant = SafeToFreeze(scene, lambda: is_dragged)
+    invariant.setpoint(Setpoint(0.0, (10.0, place[1] + ahead_m, 15.0), SETPOINT))
+    assert [violation.what for violation in around.monitor.violations] == found
 
 
 def taken_over(*modes: FlightMode) -> Monitored:
