@@ -25,6 +25,7 @@ from typing import Annotated
 
 import msgspec
 import numpy as np
+import numpy.ma  # the first np.median would load it: 30 ms that a flight must not wait
 
 from companion.estimation.base import Inflation
 from companion.estimation.filter_params import FilterParams

@@ -6,6 +6,7 @@ come from the autopilot's own ids and address, because nobody else is listened t
 
 from __future__ import annotations
 
+import gc
 import os
 import time
 from collections.abc import Sequence
@@ -127,7 +128,19 @@ class Fuzzing:
         return 5.0 * trial.size
 
     def run(self, trial: Trial) -> Outcome:
-        """Feed a companion that begins anew every so often, so that it is in every phase."""
+        """Feed a companion that begins anew every so often, so that it is in every phase.
+
+        What the process has loaded is put aside from garbage collection, as the companion's own
+        process does before it flies.
+        """
+        gc.collect()
+        gc.freeze()
+        try:
+            return self._run(trial)
+        finally:
+            gc.unfreeze()
+
+    def _run(self, trial: Trial) -> Outcome:
         rng = np.random.default_rng((trial.seed, 0xF022))
         is_signed = bool(trial.seed % 2)
         signing = Signing(KEY, timestamp_at(STARTED_UNIX_S)) if is_signed else None
