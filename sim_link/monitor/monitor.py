@@ -101,7 +101,7 @@ class FrameMonitor(Observer):
             return self._proof.accepts(frame.data)
         if frame.sender[1] == AUTOPILOT_COMPONENT:
             return self._whose.believes(frame)
-        return frame.is_genuine
+        return frame.is_genuine or self._whose.is_beside_a_stranger(frame)
 
     def vehicle_sent(self, frame: Frame) -> None:
         """The vehicle sent this."""

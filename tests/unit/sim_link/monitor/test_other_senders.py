@@ -131,6 +131,16 @@ def test_a_stranger_is_not_believed_beside_the_vehicle() -> None:
     assert whose.believes(frame(SILENCE_S - 0.05))
 
 
+def test_the_payload_of_a_stranger_is_believed_while_that_is_followed() -> None:
+    whose = followed()
+    payload = Frame(0.1, MavCodec(1, 158).encode(ATTITUDE), Lane.TO_COMPANION, is_genuine=False)
+    of_another = Frame(0.1, MavCodec(77, 158).encode(ATTITUDE), Lane.TO_COMPANION, is_genuine=False)
+    assert not whose.is_beside_a_stranger(payload)
+    assert whose.believes(frame(SILENCE_S, is_genuine=False))
+    assert whose.is_beside_a_stranger(payload)
+    assert not whose.is_beside_a_stranger(of_another)
+
+
 def test_a_stranger_is_followed_after_a_silence_and_the_vehicle_after_another() -> None:
     whose = followed()
     assert whose.believes(frame(SILENCE_S, is_genuine=False))
