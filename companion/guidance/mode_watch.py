@@ -46,7 +46,7 @@ class ModeWatch:
     def shown(self, heartbeat: HeartbeatReceived) -> None:
         """A HEARTBEAT came."""
         self._shown = heartbeat
-        self.is_in_doubt &= not self._is_recent(heartbeat)
+        self.is_in_doubt = self.is_in_doubt and not self._is_recent(heartbeat)
 
     def tick(self, now_s: float) -> None:
         """Time passes."""
@@ -85,5 +85,5 @@ class ModeWatch:
         return any(
             heartbeat.time_s - stamped_s <= PAST_S
             and (order is None or place is None or place <= order)
-            for stamped_s, place in self._stamped
+            for stamped_s, place in reversed(self._stamped)  # the newest says it soonest
         )

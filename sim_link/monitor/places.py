@@ -53,10 +53,13 @@ class SetpointsInside(Invariant):
     def setpoint(self, setpoint: Setpoint) -> None:
         """Judge a setpoint by where the companion believed the vehicle to be.
 
-        What it says without control, at the place that a stranger gave, says nothing of its own.
+        Without control it repeats the vehicle's place, and for that of a stranger only he answers.
         """
-        if self.scene.is_lied_to and not self.scene.told.is_ours:
-            return
+        self._judge_height(setpoint.place_enu_m[2])
+        if not self.scene.is_lied_to or self.scene.told.is_ours:
+            self._judge_borders(setpoint)
+
+    def _judge_borders(self, setpoint: Setpoint) -> None:
         rules, told = self.scene.rules, self.scene.told
         place = setpoint.place_enu_m[:2]
         depth = self._depth(place)
@@ -76,7 +79,6 @@ class SetpointsInside(Invariant):
             fence, keep_outs = rules.fence_enu_m, rules.keep_out_enu_m
             if not is_way_clear(fence, keep_outs, vehicle[:2], place):
                 self.report("the way to a setpoint leaves the fence", depth_m=depth)
-        self._judge_height(setpoint.place_enu_m[2])
 
     def _judge_height(self, up_m: float) -> None:
         rules, home_m = self.scene.rules, self.scene.home_up_m
@@ -263,9 +265,10 @@ class SafeToFreeze(PlacesOnly):
         least = self._least_depth(goal)
         if least + scene.bias_m >= 0.0:
             return
-        stopped = self._least_depth(body.position_enu_m)
-        if self._is_dragged() and least >= stopped - setpoint.rounding_m:
-            return  # no farther than stopping at once does
+        if self._is_dragged():
+            stopped = self._least_depth(body.position_enu_m)
+            if least >= stopped - setpoint.rounding_m:
+                return  # no farther than stopping at once does
         self.report("a setpoint that freezes leads out of the fence", depth_m=least)
 
     def _depth(self, place: Point) -> float:

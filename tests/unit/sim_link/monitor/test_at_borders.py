@@ -33,6 +33,7 @@ def sent_beside(
     *,
     is_ours: bool,
     is_lied_to: bool = False,
+    up_m: float = 15.0,
 ) -> list[str]:
     """What is reported of setpoints, tick by tick, while the vehicle is told to be there."""
     around = monitored(AUTO, Scenario(), 1)
@@ -41,8 +42,8 @@ def sent_beside(
     invariant = invariant_type(scene)
     for tick, (vehicle, place) in enumerate(zip(vehicles, setpoints, strict=True)):
         scene.now_s = tick * TICK_S
-        scene.told.position_enu_m, scene.told.position_s = (*vehicle, 15.0), scene.now_s
-        invariant.setpoint(Setpoint(scene.now_s, (*place, 15.0), SETPOINT))
+        scene.told.position_enu_m, scene.told.position_s = (*vehicle, up_m), scene.now_s
+        invariant.setpoint(Setpoint(scene.now_s, (*place, up_m), SETPOINT))
     return [violation.what for violation in around.monitor.violations]
 
 
@@ -142,6 +143,15 @@ def test_where_a_stranger_says_that_the_vehicle_is_counts_only_without_control(
     outside = [(10.0, BORDER_NORTH_M - 6.0)] * 3
     found = sent_beside(SetpointsInside, outside, outside, is_ours=is_ours, is_lied_to=True)
     assert found == ["setpoint too near to a border or beyond it"] * (3 if is_ours else 0)
+
+
+@pytest.mark.parametrize("is_ours", [False, True])
+def test_the_altitude_band_holds_whoever_is_believed(*, is_ours: bool) -> None:
+    inside = [(10.0, 30.0)]
+    found = sent_beside(
+        SetpointsInside, inside, inside, is_ours=is_ours, is_lied_to=True, up_m=500.0
+    )
+    assert found == ["setpoint above the altitude band"]
 
 
 @pytest.mark.parametrize(
