@@ -14,20 +14,17 @@ from pathlib import Path
 from companion.arguments import argument_parser, check_place_of_options
 from companion.config.schema import CompanionConfig, load_config, with_fence, with_signing_key
 from companion.errors import CompanionError, ConfigError
-from companion.io.clock import Clock
-from companion.io.console import ConsoleHandler
-from companion.io.exposure import check_exposure
 from companion.io.files import check_writable, write_json_atomic
-from companion.io.links import link_from_url, shared_link_from_url
-from companion.io.urls import LinkUrl, parse_link_url
-from companion.replay.command import FlightReplay, Pace, replay_flight
-from companion.replay.on_map import replay_on_map
-from companion.replay.walk import replay_walk, table
+from companion.io.links.specs import link_from_url, shared_link_from_url
+from companion.io.links.urls import LinkUrl, check_exposure, parse_link_url
+from companion.io.shell import Clock
+from companion.replay.flight_replay import FlightReplay, Pace, replay_flight, replay_on_map
+from companion.replay.walk_replay import replay_walk, table
 from companion.run import FlightView, fly
+from companion.view.console import ConsoleHandler, PlainView
 from companion.view.cot import CotView, cot_address
-from companion.view.plain import PlainView
+from companion.web.live_map import WebView
 from companion.web.settings import WebSettings, web_settings
-from companion.web.view import WebView
 
 EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
@@ -277,9 +274,8 @@ def _demo(arguments: argparse.Namespace) -> int:
 
 
 def _doctor(arguments: argparse.Namespace) -> int:
-    from companion.doctor.checks import exit_code
-    from companion.doctor.report import as_json, as_lines
-    from companion.doctor.run import run_doctor
+    from companion.doctor.examination import exit_code, run_doctor
+    from companion.doctor.findings import as_json, as_lines
 
     config = load_config(arguments.config)
     if arguments.key is not None:

@@ -3,12 +3,27 @@
 Units are in the names. Positions are local east-north-up metres about the autopilot's EKF origin;
 `bearing_enu_rad` is counter-clockwise from east; time is float seconds on the companion's
 monotonic axis. What was not measured is `None`, never NaN.
+
+Parameter records are frozen too: every package declares its own as a subclass of `Params`;
+`companion.config` composes them and reads them from YAML, so defaults and bounds live in one
+place, beside the code that uses them.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum, IntEnum
+from typing import Annotated
+
+import msgspec
+
+Positive = Annotated[float, msgspec.Meta(gt=0.0)]
+NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
+
+
+class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A frozen parameter record that refuses keys it does not know."""
+
 
 Point = tuple[float, float]
 """East and north, metres."""

@@ -1,4 +1,4 @@
-"""The `kernel` decorator: compiled where numba is installed, the plain function otherwise.
+"""The `kernel` decorator, compiled where numba is installed, and the arrays that kernels take.
 
 The inner arithmetic of the filters is written once, over floats and small float64 arrays. With
 the `fast` extra it is compiled by `numba.njit(cache=True)`; on a vehicle without numba the very
@@ -18,6 +18,9 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
+
+import numpy as np
+from numpy.typing import NDArray
 
 numba: Any = None  # typed by nobody to the same effect in every version
 with contextlib.suppress(ImportError):
@@ -72,3 +75,13 @@ def kernel(function: F) -> F:
     if numba is None:
         return function
     return cast(F, numba.njit(cache=True)(function))
+
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+
+def frozen(array: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The same array, made read-only before it is stored in a value."""
+    array.setflags(write=False)
+    return array

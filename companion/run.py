@@ -1,4 +1,9 @@
-"""The composition root of a flight: endpoint, shell, logs, and the chores beside them."""
+"""The composition root of a flight: endpoint, shell, logs, and the periodic tasks beside them.
+
+Periodic tasks are done at the end of every wake-up, and must never end a flight. Flying comes
+first: a task that raises is a bug of ours, is told once and not done again. It is not retried,
+because what failed at 20 Hz fails again, and its log would fill the disk.
+"""
 
 from __future__ import annotations
 
@@ -11,39 +16,64 @@ from functools import partial
 from pathlib import Path
 from typing import Protocol
 
-from companion.build import build_endpoint as build_endpoint
-from companion.build import build_planner as build_planner
-from companion.build import build_session as build_session
 from companion.config.schema import CompanionConfig
+from companion.config.tunables import Tunables
 from companion.errors import CompanionError, LinkError
-from companion.flight_facts import FlightFacts, facts_as_json, write_facts
-from companion.guidance.states import Phase
-from companion.io.checkpoint_store import CheckpointStore
-from companion.io.clock import Clock
-from companion.io.files import delete_old_flights, new_flight_directory
-from companion.io.flight_files import MCAP
-from companion.io.journal import BlackBox, FlightJournal, MissingJournal
-from companion.io.key_file import load_signing_key
-from companion.io.link_watch import LinkWatch
-from companion.io.links import LinkSpec, make_link
-from companion.io.lock import VehicleLock, lock_name, place_of
-from companion.io.mcap_log import McapLog
-from companion.io.shell import Shell
-from companion.io.signing_store import SigningKeeper, open_signing_keeper
-from companion.io.state_directory import state_directory
-from companion.io.supervisor import Supervisor
+from companion.flight_setup import (
+    FlightFacts,
+    build_endpoint,
+    build_planner,
+    facts_as_json,
+    write_facts,
+)
+from companion.guidance.authority.state_machine import Phase
+from companion.guidance.commands import Announce, Severity
+from companion.io.files import MCAP, delete_old_flights, new_flight_directory
+from companion.io.links.specs import LinkSpec, make_link
+from companion.io.logs.flight_recorder import BlackBox, FlightJournal, MissingJournal
+from companion.io.logs.mcap_file import McapLog
+from companion.io.shell import Clock, Shell
+from companion.io.state.checkpoints import CheckpointStore
+from companion.io.state.signing_keys import SigningKeeper, load_signing_key, open_signing_keeper
+from companion.io.state.vehicle_lock import VehicleLock, lock_name, place_of, state_directory
 from companion.kernel import IS_COMPILED
-from companion.link.endpoint import CompanionEndpoint, Journal
+from companion.link.endpoint import CompanionEndpoint
+from companion.link.recorders import Journal
 from companion.mav.signing import ONE_LINK_EACH
-from companion.process.accounts import Accounts
-from companion.process.chores import Chores
-from companion.process.parameters import ParameterKeeper
-from companion.process.restart import RestartKeeper, digests_of
-from companion.process.watchdog import Watchdog
-from companion.tuning import Tunables
+from companion.process.diagnostics import LinkWatch, ProcessDiagnostics
+from companion.process.persistence import ParameterKeeper, RestartKeeper, digests_of
+from companion.process.watchdog import Supervisor, Watchdog
 from companion.warm_up import warm_up
 
 log = logging.getLogger("companion.run")
+
+PeriodicTask = Callable[[float], None]
+"""Called with the session's time."""
+
+
+class PeriodicTasks:
+    """Does them in order.
+
+    Args:
+        endpoint: Whose operator is told of a chore that failed.
+        chores: By the names that the operator reads.
+    """
+
+    def __init__(self, endpoint: CompanionEndpoint, chores: dict[str, PeriodicTask]) -> None:
+        self._endpoint = endpoint
+        self._chores = dict(chores)
+
+    def run(self, now_s: float) -> None:
+        """Do what is left of them."""
+        for name, chore in list(self._chores.items()):
+            try:
+                chore(now_s)
+            except Exception:
+                del self._chores[name]
+                log.exception("%s: failed", name)
+                text = f"internal error: {name} ended; flying on"
+                self._endpoint.executor.execute(Announce(Severity.ERROR, text), now_s)
+
 
 CLOSE_S = 0.25
 """What the disk may take for the last checkpoint, and again for the last of the log."""
@@ -270,16 +300,18 @@ class _Flight:
             recorder=self._journal.inputs,
         )
 
-    def _gather_chores(self, store: CheckpointStore | None, views: Sequence[FlightView]) -> Chores:
+    def _gather_chores(
+        self, store: CheckpointStore | None, views: Sequence[FlightView]
+    ) -> PeriodicTasks:
         """What is done at the end of each wake-up, in this order."""
         parts = (self._journal, self._shell.timing, self._shell.links, store)
         watchdog = Watchdog(self._supervisor, self.endpoint, *parts)
-        accounts = Accounts(self.endpoint, *parts, self._clock.speed)
+        accounts = ProcessDiagnostics(self.endpoint, *parts, self._clock.speed)
         chores = {
             f"view {number}": partial(view.update, self.endpoint)
             for number, view in enumerate(views, start=1)
         }
-        return Chores(
+        return PeriodicTasks(
             self.endpoint,
             {
                 **chores,

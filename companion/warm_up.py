@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 
 from companion.domain import RangingMeasurement
-from companion.estimation.tracker import TargetTracker
-from companion.estimation.tracker_params import TrackerParams
+from companion.estimation.tracker import TargetTracker, TrackerParams
 from companion.kernel import IS_COMPILED
-from companion.planning.base import Planner, PlanRequest
+from companion.planning.planner import Planner, PlanRequest
 
 TARGET_M = (12.0, 9.0)
 RADIUS_M = 20.0

@@ -15,16 +15,21 @@ import msgspec
 
 from companion import __version__
 from companion.errors import CompanionError, ConfigError
-from companion.io.clock import Clock
-from companion.io.shell import Shell
-from companion.io.urls import parse_link_url
+from companion.io.links.urls import parse_link_url
+from companion.io.shell import Clock, Shell
 from companion.mav.endpoint import Address, Endpoint
 from sim_link.autopilot.endpoint import SimEndpoint
-from sim_link.autopilot.incidents import Incident
-from sim_link.config import Scenario, load_scenario
-from sim_link.fleet import Fleet
+from sim_link.autopilot.scenario import Incident, Scenario
+from sim_link.fleet.scenario_io import load_scenario
+from sim_link.fleet.vehicles import (
+    Fleet,
+    FleetFiles,
+    FleetOptions,
+    has_signing_ended,
+    link_specs,
+    make_vehicles,
+)
 from sim_link.interrupts import is_interrupt
-from sim_link.vehicles import Files, Wishes, has_ended, link_specs, make_vehicles
 
 DEFAULT_LISTEN = "127.0.0.1:14580"
 DEFAULT_SEND_TO = ("127.0.0.1:14550", "127.0.0.1:14540")
@@ -60,7 +65,7 @@ class _Parser(argparse.ArgumentParser):
         raise ConfigError(f"{message} (sim-link --help shows how)")
 
 
-class _Voice:
+class _LinePrinter:
     """Lines on standard output, until nobody reads them any more."""
 
     def __init__(self) -> None:
@@ -90,7 +95,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     given = sys.argv[1:] if argv is None else list(argv)
     try:
         if given and given[0] in SUBCOMMANDS:
-            from sim_link.commands import run_subcommand  # slow to import, and rarely needed
+            from sim_link.lab.subcommands import run_subcommand  # slow to import, and rarely needed
 
             return run_subcommand(given)
         return _run(_arguments(given))
@@ -213,10 +218,10 @@ def _add_files(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    wishes = _wishes(arguments)
+    wishes = _fleet_options(arguments)
     endpoints = make_vehicles(wishes)
     specs = [link_specs(wishes, number) for number in range(len(endpoints))]
-    voice, files = _Voice(), Files(wishes, endpoints)
+    voice, files = _LinePrinter(), FleetFiles(wishes, endpoints)
     files.begin()
 
     orders: queue.SimpleQueue[bytes] = queue.SimpleQueue()
@@ -224,7 +229,7 @@ def _run(arguments: argparse.Namespace) -> int:
     def on_wakeup(now_s: float) -> None:
         """Do what is due, and tell what happened."""
         files.keep(now_s)
-        _happen(endpoints[0], orders, now_s)
+        _apply_incidents(endpoints[0], orders, now_s)
         for endpoint in endpoints:
             who = f"{endpoint.vehicle.system_id:3d}  " if len(endpoints) > 1 else ""
             for occurrence in endpoint.take_occurrences():
@@ -239,7 +244,7 @@ def _run(arguments: argparse.Namespace) -> int:
     try:
         shell = Shell(fleet, links, Clock(wishes.speed), on_wakeup)
         if arguments.stop_on_eof:
-            threading.Thread(target=_obey_input, args=(shell, orders), daemon=True).start()
+            threading.Thread(target=_read_input, args=(shell, orders), daemon=True).start()
         shell.run_blocking()
     finally:
         files.end()
@@ -248,12 +253,12 @@ def _run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _wishes(arguments: argparse.Namespace) -> Wishes:
+def _fleet_options(arguments: argparse.Namespace) -> FleetOptions:
     seed, speed = _seed(arguments.seed), _speed(arguments.speed)
     report: Path | None = arguments.report
     if report is not None and not report.name:
         raise ConfigError(f"--report {report}: give the name of a file")
-    return Wishes(
+    return FleetOptions(
         scenario=_scenario(arguments),
         seed=seed,
         speed=speed,
@@ -284,7 +289,7 @@ def _scenario(arguments: argparse.Namespace) -> Scenario:
     return scenario
 
 
-def _obey_input(shell: Shell, orders: queue.SimpleQueue[bytes]) -> None:
+def _read_input(shell: Shell, orders: queue.SimpleQueue[bytes]) -> None:
     """Hand over what is read, line by line, and stop when that ends."""
     rest = b""
     while data := os.read(sys.stdin.fileno(), 4096):
@@ -294,7 +299,7 @@ def _obey_input(shell: Shell, orders: queue.SimpleQueue[bytes]) -> None:
     shell.request_stop()
 
 
-def _happen(endpoint: SimEndpoint, orders: queue.SimpleQueue[bytes], now_s: float) -> None:
+def _apply_incidents(endpoint: SimEndpoint, orders: queue.SimpleQueue[bytes], now_s: float) -> None:
     """Let incidents happen that were ordered, JSON as in a scenario; anything else is refused."""
     while not orders.empty():
         line = orders.get()
@@ -325,7 +330,7 @@ def _address(option: str, text: str) -> Address:
     return (url.host, url.port)
 
 
-def _start_line(wishes: Wishes) -> str:
+def _start_line(wishes: FleetOptions) -> str:
     scenario, listen = wishes.scenario, wishes.listen
     targets = ", ".join(f"{host}:{port}" for host, port in wishes.send_to)
     count = f"{scenario.vehicles} vehicles, " if scenario.vehicles > 1 else ""
@@ -337,14 +342,14 @@ def _start_line(wishes: Wishes) -> str:
     )
 
 
-def _notes(wishes: Wishes) -> list[str]:
+def _notes(wishes: FleetOptions) -> list[str]:
     """What a user may have meant otherwise."""
     notes = []
     if wishes.parameters is not None and not wishes.parameters.exists():
         notes.append(
             f"sim-link: {wishes.parameters} is not there yet; changes will be stored there"
         )
-    if wishes.signing_key is not None and has_ended(wishes.signing_key):
+    if wishes.signing_key is not None and has_signing_ended(wishes.signing_key):
         notes.append(f"sim-link: signing is off, a client ended it ({wishes.signing_key})")
     return notes
 

@@ -16,7 +16,7 @@ from companion.mav.endpoint import Chunk
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.pilot import STEP_S
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
-from sim_link.fleet import Fleet
+from sim_link.fleet.vehicles import Fleet
 
 SECONDS = 10
 WARM_UP_S = 12

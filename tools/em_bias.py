@@ -6,9 +6,9 @@ import itertools
 
 import numpy as np
 
-from companion.estimation.adaptation import RangeNoise
-from companion.estimation.printed_adaptation import BiasComparison, compare_mean_bias
+from companion.estimation.noise.adaptation import RangeNoise
 from sim_link.evaluation.arguments import OneLineParser
+from tools.printed_adaptation import BiasComparison, compare_mean_bias
 
 MEAN_BIASES_M = (2.0, 5.0, 8.0, 15.0)
 SIGMAS_M = (0.5, 1.5, 2.5)

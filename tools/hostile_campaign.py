@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import sys
 
-from companion.estimation.filters import KINDS
+from companion.estimation.filters.kalman import KINDS
 from sim_link.evaluation.arguments import OneLineParser
 from sim_link.evaluation.hostile import MakeFilter, Outcome, run_campaign
 

@@ -42,15 +42,14 @@ from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed
 
 from companion.config.schema import CompanionConfig, LimitsConfig
-from companion.demo.simulator import free_udp_port
-from companion.guidance.session import SessionParams
-from companion.io.clock import Clock
-from companion.io.journal import FlightJournal
-from companion.io.links import UdpBind
-from companion.io.shell import Shell, TimerStatistics
-from companion.run import build_endpoint
+from companion.demo.simulator_process import free_udp_port
+from companion.flight_setup import build_endpoint
+from companion.guidance.session_params import SessionParams
+from companion.io.links.specs import UdpBind
+from companion.io.logs.flight_recorder import FlightJournal
+from companion.io.shell import Clock, Shell, TimerStatistics
+from companion.web.live_map import WebView
 from companion.web.settings import web_settings
-from companion.web.view import WebView
 from sim_link.autopilot.scenario import BatteryParams, Scenario
 from sim_link.lockstep.flight import Flight
 

@@ -1,1 +1,1 @@
-"""Configuration files to parameter records."""
+"""Configuration files to parameter records, and the parameters that ground stations change."""

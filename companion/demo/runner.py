@@ -12,22 +12,20 @@ from typing import Any
 import msgspec
 
 from companion.config.schema import CompanionConfig, load_config
-from companion.demo.recording import RecordingJournal
-from companion.demo.screens import LiveScreen, PlainLines, best_screen, say
-from companion.demo.simulator import HOST, SimulatorProcess, free_udp_port
+from companion.demo.screens import LiveScreen, PlainLines, RecordingJournal, best_screen, say
+from companion.demo.simulator_process import HOST, SimulatorProcess, free_udp_port
 from companion.domain import TargetEstimate
 from companion.errors import CompanionError, ConfigError
-from companion.flight_facts import FlightFacts, write_facts
-from companion.guidance.states import Phase
-from companion.io.clock import Clock
+from companion.flight_setup import FlightFacts, build_endpoint, write_facts
+from companion.guidance.authority.state_machine import Phase
 from companion.io.files import check_writable, new_flight_directory, write_json_atomic
-from companion.io.links import UdpBind
-from companion.io.shell import Shell
+from companion.io.links.specs import UdpBind
+from companion.io.shell import Clock, Shell
 from companion.kernel import IS_COMPILED
 from companion.link.endpoint import CompanionEndpoint
-from companion.run import build_endpoint, is_handed_over, prepare
+from companion.run import is_handed_over, prepare
+from companion.web.live_map import WebView
 from companion.web.settings import WebSettings
-from companion.web.view import WebView
 
 FENCE_AROUND_AREA_M = 10.0
 OBSTACLE_CLEARANCE_M = 5.0
@@ -307,11 +305,11 @@ def _draw(
     report: dict[str, Any],
 ) -> None:
     try:
-        from companion.demo.plot import Flight, Obstacle, draw
+        from companion.demo.track_plot import Obstacle, PlottedFlight, draw
     except ImportError:
         say("no picture: pip install 'companion-guidance[demo]' brings matplotlib")
         return
-    flight = Flight(
+    flight = PlottedFlight(
         track_enu_m=[(point[1], point[2]) for point in report["track"]],
         estimates_enu_m=[(e, n) for _, e, n, _ in journal.estimates],
         r95=[(t, r95_m) for t, _, _, r95_m in journal.estimates],

@@ -12,26 +12,25 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 
-from companion.doctor.facts import AutopilotFacts, LinkFacts, StreamRate
-from companion.doctor.parameters import needed_parameters
+from companion.doctor.autopilot_settings import needed_parameters
+from companion.doctor.findings import AutopilotFacts, LinkFacts, StreamRate
 from companion.domain import Autopilot
-from companion.geometry.frames import LocalOrigin
+from companion.geometry.coordinates import LocalOrigin
 from companion.guidance.events import AutopilotFenceRead
-from companion.guidance.mode_names import mode_name
+from companion.guidance.flight.vehicle import mode_name
 from companion.link import outbound
-from companion.link.authenticity import Authenticity
+from companion.link.autopilot_queries import STREAM_INTERVAL_S, StreamFreshness, StreamRequester
 from companion.link.binding import AutopilotBinding
 from companion.link.clock_sync import ClockSync
-from companion.link.fence_fetch import FenceFetch
-from companion.link.freshness import StreamFreshness
+from companion.link.fence_download import FenceDownload
+from companion.link.intake import Authenticity
 from companion.link.outlet import COMPONENT_ID, VEHICLE_LINK
-from companion.link.sequence import SequenceMonitor
-from companion.link.streams import STREAM_INTERVAL_S, StreamRequester
+from companion.link.quality import SequenceMonitor
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Chunk
-from companion.mav.modes import autopilot_of, mode_of
-from companion.mav.parameters import ParamEncoding, ParamType, raw_of, value_from_raw
+from companion.mav.flight_modes import autopilot_of, mode_of
+from companion.mav.param_encoding import ParamEncoding, ParamType, raw_of, value_from_raw
 
 TICK_S = 0.05
 HEARTBEAT_PERIOD_S = 1.0
@@ -85,7 +84,7 @@ class DoctorProbe:
         self._clock = ClockSync()
         self._sequence = SequenceMonitor()
         self._questions: list[_Question] = []
-        self._fence_fetch = FenceFetch()
+        self._fence_fetch = FenceDownload()
         self._fence: AutopilotFenceRead | None = None
         self._counts: Counter[str] = Counter()
         self._newest: dict[str, Message] = {}

@@ -1,1 +1,1 @@
-"""Filters, losses and the estimate's honesty."""
+"""The estimate of one target: filters, window, screening, integrity, noise, and the tracker."""

@@ -17,12 +17,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.estimation.base import FilterState
-from companion.estimation.filter_params import FilterParams
+from companion.estimation.filters.target_filter import FilterParams, FilterState
 from companion.estimation.hypotheses import Hypothesis
-from companion.estimation.older_evidence import OlderEvidence
-from companion.geometry.arrays import Matrix
-from companion.models.ranging_model import BEARING_OFFSET, RANGE_OFFSET
+from companion.estimation.measurement_model import BEARING_OFFSET, RANGE_OFFSET
+from companion.estimation.window.measurement_window import OlderEvidence
+from companion.kernel import Matrix
 
 DOUBT = 2.0
 """Factor on every variance of a belief that comes back."""
@@ -70,7 +69,7 @@ class Belief:
         return next((problem for problem in problems if problem is not None), None)
 
 
-def believed(
+def belief_of(
     hypotheses: Sequence[Hypothesis], emitter_id: int | None, measurements: int
 ) -> Belief | None:
     """The belief in some hypotheses, best first; None without any."""
@@ -88,7 +87,7 @@ def believed(
     return Belief(emitter_id, measurements, places)
 
 
-def doubted(
+def hypotheses_of(
     belief: Belief, age_s: float, now_s: float, params: FilterParams
 ) -> tuple[Hypothesis, ...]:
     """The hypotheses of a belief that nobody renewed for a while.

@@ -1,9 +1,15 @@
-"""First hypotheses, and what becomes of them.
+"""The places a target may be: first hypotheses, and what becomes of them, jumps included.
 
 One range alone puts the target on a ring, one bearing alone on a ray. Both are covered by a small
 bank of Gaussians, each run by the same filter and weighted by its (tempered) likelihood. A
 walk along a line leaves two of them, mirror images of each other: then the state is ambiguous, and
 both are kept. A range with a bearing needs only one.
+
+When the vehicle's own navigation jumps, hypotheses and measurements move along. All that was
+measured is relative to the vehicle, so the target, and every place that it was seen from, move by
+as much as the reported position; bearings that are measured from the heading turn against it, and
+so does their offset. A known height of the target stays: it does not depend on where the vehicle
+believes to be.
 """
 
 from __future__ import annotations
@@ -14,11 +20,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from companion.domain import Point, PositionEnu, RangingMeasurement
-from companion.estimation.base import FilterState
-from companion.estimation.filter_params import FilterParams
-from companion.geometry.arrays import Matrix, Vector
-from companion.params import Params, Positive
+from companion.domain import Params, Point, PositionEnu, Positive, RangingMeasurement
+from companion.estimation.filters.target_filter import FilterParams, FilterState
+from companion.estimation.measurement_model import BEARING, BEARING_OFFSET, EAST, NORTH
+from companion.estimation.window.map_kernels import VALUES
+from companion.geometry.coordinates import wrap_pi
+from companion.kernel import Matrix, Vector
 
 RING_SIZE = 24
 RAY_SIZE = 8
@@ -192,3 +199,62 @@ def _distance2(a: FilterState, b: FilterState) -> float:
     difference = a.mean[:2] - b.mean[:2]
     spread = a.covariance[:2, :2] + b.covariance[:2, :2]
     return float(difference @ np.linalg.solve(spread, difference))
+
+
+JUMP_SIGMA_M = 0.2
+JUMP_SIGMA_RAD = math.radians(2.0)
+"""How well a jump is known."""
+
+
+def state_step(params: FilterParams, shift_enu_m: PositionEnu, turn_rad: float) -> Vector:
+    """By how much each component of a state moves, (n,).
+
+    Args:
+        params: Layout of the state.
+        shift_enu_m: By how much the vehicle's reported position jumped.
+        turn_rad: By how much bearings turned, counter-clockwise.
+    """
+    step = np.zeros(len(params.prior[0]))
+    step[EAST], step[NORTH], step[BEARING_OFFSET] = *shift_enu_m[:2], turn_rad
+    height = params.model.height_index
+    if height >= 0:
+        step[height] = shift_enu_m[2]
+    return step
+
+
+def shift_hypothesis(hypothesis: Hypothesis, step: Vector) -> Hypothesis:
+    """The hypothesis after a jump.
+
+    Args:
+        hypothesis: Before it.
+        step: (n,), see `state_step`.
+    """
+    state = hypothesis.state
+    mean = state.mean + step
+    mean[BEARING_OFFSET] = wrap_pi(float(mean[BEARING_OFFSET]))
+    doubt = np.where(step == 0.0, 0.0, JUMP_SIGMA_M**2)
+    if step[BEARING_OFFSET] != 0.0:
+        doubt[BEARING_OFFSET] = JUMP_SIGMA_RAD**2
+    covariance = state.covariance + np.diag(doubt)
+    return replace(hypothesis, state=FilterState.of(state.time_s, mean, covariance))
+
+
+def shift_rows(
+    rows: Matrix, shift_enu_m: PositionEnu, step: Vector, params: FilterParams
+) -> Matrix:
+    """Measurements as they would have been made after a jump, (n, 10).
+
+    Args:
+        rows: (n, 10), see `map_kernels`.
+        shift_enu_m: By how much the vehicle's reported position jumped.
+        step: (n,), see `state_step`.
+        params: Layout of the state.
+    """
+    east_m, north_m, up_m = shift_enu_m
+    after = np.array(rows)
+    after[:, 0] += east_m
+    after[:, 1] += north_m
+    if params.model.height_index >= 0:
+        after[:, 2] += up_m
+    after[:, VALUES + BEARING] += step[BEARING_OFFSET]
+    return after

@@ -11,36 +11,97 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
 
-from companion.domain import PositionEnu, RangingMeasurement, TargetEstimate
-from companion.estimation.bank import BankUpdate, updated
-from companion.estimation.base import NO_INFLATION, Inflation, UpdateReport
-from companion.estimation.belief import Belief, believed, doubted
-from companion.estimation.contact import Contact
-from companion.estimation.contradiction import CONTRADICTION_COUNT
-from companion.estimation.filter_params import FilterParams
-from companion.estimation.filters import filter_of
-from companion.estimation.fusion_report import FusionReport as FusionReport
-from companion.estimation.gate import Gate
+import msgspec
+
+from companion.domain import Params, PositionEnu, Positive, RangingMeasurement, TargetEstimate
+from companion.estimation.belief import Belief, belief_of, hypotheses_of
+from companion.estimation.filter_bank import BankUpdate, estimate_of, update_hypotheses
+from companion.estimation.filters.kalman import FilterKind, filter_of
+from companion.estimation.filters.target_filter import (
+    NO_INFLATION,
+    FilterParams,
+    Inflation,
+    UpdateReport,
+)
 from companion.estimation.hypotheses import (
     Hypothesis,
+    HypothesisParams,
     consolidated,
     first_hypotheses,
+    shift_hypothesis,
+    state_step,
 )
-from companion.estimation.innovation_noise import InnovationNoise, TrackerHealth
-from companion.estimation.motion import MotionWatch
-from companion.estimation.moving import moved, state_step
-from companion.estimation.noise_learner import NoiseLearner
-from companion.estimation.objections import Objection
-from companion.estimation.observability import Observability
-from companion.estimation.plausibility import Plausibility
-from companion.estimation.polish import Polisher
-from companion.estimation.refusal import Refusal, identity_of, refusal_of
-from companion.estimation.standing import Standing
-from companion.estimation.tracker_params import TrackerParams
-from companion.estimation.verdict import estimate_of
-from companion.geometry.arrays import Vector
-from companion.models.ranging_model import target_height_m
+from companion.estimation.integrity.target_motion import MotionWatch
+from companion.estimation.integrity.track_integrity import (
+    CONTRADICTION_COUNT,
+    Contact,
+    TrackIntegrity,
+)
+from companion.estimation.measurement_model import target_height_m
+from companion.estimation.noise.adaptation import AdaptationParams
+from companion.estimation.noise.innovations import InnovationNoise, NoiseLearner, TrackerHealth
+from companion.estimation.screening.plausibility import Plausibility
+from companion.estimation.screening.validation import (
+    AcceptanceParams,
+    Gate,
+    Objection,
+    RejectReason,
+    identity_of,
+    reject_reason_of,
+)
+from companion.estimation.window.optimizer import WindowOptimizer
+from companion.estimation.window.sandwich import Observability
+from companion.estimation.window.window_map import WindowParams
+from companion.kernel import Vector
+
+
+class TrackerParams(Params, frozen=True):
+    """Everything about the estimate of one target."""
+
+    kind: FilterKind = "asymmetric_huber"
+    """The recursive filter; the others are baselines."""
+    filter: FilterParams = FilterParams()
+    acceptance: AcceptanceParams = AcceptanceParams()
+    hypotheses: HypothesisParams = HypothesisParams()
+    window: WindowParams = WindowParams()
+    localised_r95_m: Positive = 2.0
+    """The state is `localised` while R95 is at most this."""
+    initial_inflation: Positive = 4.0
+    """Variance inflation taken for granted until the run has shown its own."""
+    adaptation: AdaptationParams | None = None
+    """Whether and how noise and thresholds are learnt on the run; null: they stay as configured."""
+    range_gross_k: Positive | None = 6.0
+    """Ranges shorter than expected by more than this many sigma count linearly even where
+    `filter.range_k_short` is null: no noise makes them; null: quadratic at any size."""
+    adapt_inflation: bool = True
+    """Whether the inflation is measured; false keeps it at 1, as the paper's filter has it."""
+
+    @property
+    def believed(self) -> FilterParams:
+        """What the tracker's filter believes: `filter`, ranges bounded on the short side."""
+        if self.range_gross_k is None or self.filter.range_k_short is not None:
+            return self.filter
+        return msgspec.structs.replace(self.filter, range_k_short=self.range_gross_k)
+
+
+@dataclass(frozen=True, slots=True)
+class FusionReport:
+    """What became of one measurement."""
+
+    refusal: RejectReason | None
+    update: UpdateReport | None = None
+    """The best hypothesis' update; None for a refusal and for the first measurement."""
+    restarted: bool = False
+    """The filter lost its covariance or contradicted its measurements, and was started anew."""
+    agrees: bool = True
+    """Whether all that was measured agrees with the estimate."""
+    measurement: RangingMeasurement | None = None
+    """What was measured, its bearing in the local frame, where the log is to tell it."""
+    sensor_enu_m: PositionEnu | None = None
+    """Where it was measured."""
+
 
 DUPLICATE_MEMORY = 256
 Row = tuple[PositionEnu, Vector, Vector]
@@ -58,16 +119,16 @@ class TargetTracker:
     def __init__(self, params: TrackerParams, emitter_id: int | None = None) -> None:
         self.params = params
         self.emitter_id = emitter_id
-        self.refusals: Counter[Refusal] = Counter()
+        self.refusals: Counter[RejectReason] = Counter()
         self.accepted = 0
         self.restarts = 0
         self.last_accepted_s: float | None = None
-        self._standing = Standing()
+        self._standing = TrackIntegrity()
         self._plausibility = Plausibility(params.filter, params.acceptance.max_range_m)
         self._believed = params.believed
         self._filter = filter_of(params.kind, self._believed)
         self._thresholds = self._filter.params.thresholds
-        self._polisher = Polisher(self._filter.params, params.window)
+        self._polisher = WindowOptimizer(self._filter.params, params.window)
         self._recent: dict[Hashable, None] = {}
         """What the last accepted measurements were, oldest first."""
         self._hypotheses: tuple[Hypothesis, ...] = ()
@@ -91,8 +152,8 @@ class TargetTracker:
         """
         refusal = self._refusal_of(measurement, sensor_enu_m, now_s)
         if refusal is not None or sensor_enu_m is None:
-            self._plausibility.refused(refusal or Refusal.NO_POSITION, now_s)
-            return self.refuse(refusal or Refusal.NO_POSITION)
+            self._plausibility.refused(refusal or RejectReason.NO_POSITION, now_s)
+            return self.refuse(refusal or RejectReason.NO_POSITION)
         if self.emitter_id is None:
             self.emitter_id = measurement.emitter_id
         self._recent[identity_of(measurement)] = None
@@ -110,7 +171,7 @@ class TargetTracker:
         self._look_for_motion(measurement.measured_at_s)
         return report
 
-    def refuse(self, reason: Refusal) -> FusionReport:
+    def refuse(self, reason: RejectReason) -> FusionReport:
         """Count a measurement that the caller could not even offer."""
         self.refusals[reason] += 1
         return FusionReport(reason)
@@ -132,7 +193,7 @@ class TargetTracker:
         """
         turn_rad = turn_rad if self._is_borne_from_heading else 0.0
         step = state_step(self._filter.params, shift_enu_m, turn_rad)
-        self._hypotheses = tuple(moved(h, step) for h in self._hypotheses)
+        self._hypotheses = tuple(shift_hypothesis(h, step) for h in self._hypotheses)
         self._polisher.move(shift_enu_m, step)
         self._watch.move(shift_enu_m, step, self._filter.params)
         self._latest.clear()
@@ -149,7 +210,7 @@ class TargetTracker:
     @property
     def belief(self) -> Belief | None:
         """What would be worth knowing after a restart; None before the first measurement."""
-        return believed(self._hypotheses, self.emitter_id, self.accepted)
+        return belief_of(self._hypotheses, self.emitter_id, self.accepted)
 
     def resume(self, belief: Belief, age_s: float, now_s: float) -> str | None:
         """Begin again from what was believed `age_s` ago, with doubt; see `belief`.
@@ -164,7 +225,7 @@ class TargetTracker:
             return "another emitter"
         self.restart()
         self.emitter_id = belief.emitter_id
-        self._hypotheses = doubted(belief, age_s, now_s, self._filter.params)
+        self._hypotheses = hypotheses_of(belief, age_s, now_s, self._filter.params)
         if len(self._hypotheses) == 1:
             self._polisher.begin_from(self._hypotheses[0])
         return None
@@ -255,18 +316,18 @@ class TargetTracker:
 
     def _refusal_of(
         self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu | None, now_s: float
-    ) -> Refusal | None:
+    ) -> RejectReason | None:
         if self.emitter_id is not None and measurement.emitter_id != self.emitter_id:
-            return Refusal.OTHER_EMITTER
-        refusal = refusal_of(measurement, now_s, self.params.acceptance)
+            return RejectReason.OTHER_EMITTER
+        refusal = reject_reason_of(measurement, now_s, self.params.acceptance)
         if refusal is not None:
             return refusal
         if identity_of(measurement) in self._recent:
-            return Refusal.DUPLICATE
+            return RejectReason.DUPLICATE
         if sensor_enu_m is None or not all(math.isfinite(v) for v in sensor_enu_m):
-            return Refusal.NO_POSITION
+            return RejectReason.NO_POSITION
         if measurement.range_m is None and measurement.bearing_enu_rad is None:
-            return Refusal.NO_YAW
+            return RejectReason.NO_YAW
         return None
 
     def _fresh_noise(self) -> InnovationNoise:
@@ -338,7 +399,9 @@ class TargetTracker:
         shown = self._shown_inflation
         told = shown if self.params.adapt_inflation else NO_INFLATION
         judging = self._standing.judging(shown)
-        return updated(self._hypotheses, self._filter, measurement, sensor_enu_m, told, judging)
+        return update_hypotheses(
+            self._hypotheses, self._filter, measurement, sensor_enu_m, told, judging
+        )
 
     def _count_outliers(self, gate: Gate, passed: RangingMeasurement | None) -> None:
         """Count what was not fused of a measurement; one that is refused as a whole is one."""

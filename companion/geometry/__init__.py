@@ -1,1 +1,1 @@
-"""Frames, plane vectors and polygons; pure functions."""
+"""Coordinates, polygons, free space and ways through it; pure functions."""

@@ -21,7 +21,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from companion.geometry.frames import LocalOrigin
+from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.obstacles import MAX_CORNERS
 from companion.geometry.polygons import Point, area_m2, edges, is_simple, nearest_on_segment
 

@@ -1,6 +1,17 @@
-"""How a setpoint may move: speed, climb, acceleration, lead and height. Standard library only.
+"""The flight envelope: how a setpoint may move, how far a vehicle still goes, how far from home.
 
-Everything is by elapsed time, and a tick that comes late moves no farther than a slow one.
+Standard library only.
+
+Motion. Everything is by elapsed time, and a tick that comes late moves no farther than a slow one.
+
+Stopping. A vehicle that is told to stop flies on for the latency of the link, then
+brakes, and is not exactly where it believes to be: v t + v^2 / 2a + 3 sigma. The first two are in
+the direction it moves in; the last is a distance to keep to all sides.
+
+Reserve. The way home costs charge in proportion to its length, and the reserve is not
+to be touched, so what is left beyond the reserve is a distance. Who is farther than that is not
+pulled back (that is for the pilot, or for the autopilot's own failsafe) but goes no farther. A
+battery that nobody knows is not a full one: its distance is nothing.
 """
 
 from __future__ import annotations
@@ -47,3 +58,91 @@ class Envelope:
         size, most = math.hypot(*change), self.acceleration_mps2 * dt_s
         share = most / size if size > most else 1.0
         return (velocity[0] + share * change[0], velocity[1] + share * change[1])
+
+
+SIGMAS = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class Stopping:
+    """What a vehicle needs to stop.
+
+    Raises:
+        ValueError: A latency or sigma that is negative, a deceleration that is not positive, or
+            one that is not finite; the text begins with the name of the limit.
+    """
+
+    latency_s: float
+    """From a motion that is measured to a setpoint that is obeyed."""
+    deceleration_mps2: float
+    """What the vehicle surely brakes with."""
+    navigation_sigma_m: float
+    """Standard deviation of its position, per axis."""
+
+    def __post_init__(self) -> None:
+        """Refuse what is not a number or stops nothing."""
+        if not 0.0 <= self.latency_s < math.inf:
+            raise ValueError("latency_s: must be a finite number and not negative")
+        if not 0.0 < self.deceleration_mps2 < math.inf:
+            raise ValueError("acceleration_mps2: must be a finite number above 0")
+        if not 0.0 <= self.navigation_sigma_m < math.inf:
+            raise ValueError("navigation_sigma_m: must be a finite number and not negative")
+
+    @property
+    def clearance_m(self) -> float:
+        """Distance to keep from every border, moving or not."""
+        return SIGMAS * self.navigation_sigma_m
+
+    def point(self, place: Point, velocity_mps: Point) -> Point:
+        """Where something that moves like this stops, at the farthest."""
+        speed_mps = math.hypot(*velocity_mps)
+        time_s = self.latency_s + 0.5 * speed_mps / self.deceleration_mps2
+        return ahead(place, velocity_mps, time_s)
+
+    def speed_mps(self, room_m: float, wait_s: float) -> float:
+        """The greatest speed from which `room_m` is enough: v wait + v^2 / 2a = room.
+
+        Args:
+            room_m: Not negative.
+            wait_s: How long the speed is kept before braking.
+        """
+        waiting_mps = self.deceleration_mps2 * wait_s
+        squared = waiting_mps * waiting_mps + 2.0 * self.deceleration_mps2 * room_m
+        return math.sqrt(squared) - waiting_mps
+
+
+def ahead(place: Point, velocity_mps: Point, time_s: float) -> Point:
+    """Where something is after a time, if it goes on like this."""
+    return (place[0] + velocity_mps[0] * time_s, place[1] + velocity_mps[1] * time_s)
+
+
+M_PER_KM = 1000.0
+FULL_PCT = 100.0
+
+
+@dataclass(frozen=True, slots=True)
+class Reserve:
+    """What it takes to come back.
+
+    Raises:
+        ValueError: A reserve that is no share of a battery, or a cost that is not positive; the
+            text begins with the name of the limit.
+    """
+
+    reserve_pct: float
+    """Charge that is kept for landing."""
+    cost_pct_per_km: float
+    """Charge that a kilometre of the way home takes, into the wind."""
+
+    def __post_init__(self) -> None:
+        """Refuse what is not a number or reserves nothing."""
+        if not 0.0 <= self.reserve_pct < FULL_PCT:
+            raise ValueError("battery_reserve_pct: must be from 0 to below 100")
+        if not 0.0 < self.cost_pct_per_km < math.inf:
+            raise ValueError("battery_pct_per_km: must be a finite number above 0")
+
+    def reach_m(self, battery_pct: float | None) -> float:
+        """How far from home there is charge to come back; 0 if nobody knows the charge."""
+        if battery_pct is None:
+            return 0.0
+        return max(0.0, battery_pct - self.reserve_pct) / self.cost_pct_per_km * M_PER_KM

@@ -23,13 +23,10 @@ import math
 from dataclasses import dataclass, replace
 from enum import Enum
 
-from companion.geometry.leash import leashed
-from companion.geometry.obstacles import FreeSpace
+from companion.geometry.obstacles import FreeSpace, leashed
 from companion.geometry.polygons import FARTHEST_M, Point
-from companion.guard.envelope import MAX_TICK_S, Envelope
+from companion.guard.envelope import MAX_TICK_S, Envelope, Reserve, Stopping, ahead
 from companion.guard.fence import Fence
-from companion.guard.reserve import Reserve
-from companion.guard.stopping import Stopping, ahead
 
 Position = tuple[float, float, float]
 

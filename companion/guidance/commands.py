@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from companion.domain import FlightMode, PositionSetpoint, TargetEstimate
-from companion.geometry.frames import LocalOrigin
+from companion.geometry.coordinates import LocalOrigin
 
 
 class Severity(Enum):

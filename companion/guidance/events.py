@@ -1,7 +1,11 @@
-"""What the session is told; every input, time included, is one of these values."""
+"""What the session is told; every input, time included, is one of these values.
+
+Among them is what an earlier session knew, as a value that outlives its process.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 
@@ -14,10 +18,47 @@ from companion.domain import (
     RangingMeasurement,
     VehicleState,
 )
-from companion.geometry.frames import LocalOrigin
+from companion.estimation.belief import Belief
+from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.geofence import GeoFence
-from companion.guidance.memory import SessionMemory
-from companion.guidance.tuning import Tuning
+from companion.guidance.authority.state_machine import Phase
+from companion.guidance.commands import ReportResult
+from companion.guidance.session_params import Tuning
+
+
+@dataclass(frozen=True, slots=True)
+class SessionMemory:
+    """What a session knew at a moment."""
+
+    phase: Phase
+    origin: LocalOrigin | None
+    """Of the frame that the rest is in."""
+    belief: Belief | None
+    report: ReportResult | None
+    """What was reported last, if anything was."""
+    fence_anchor: LocalOrigin | None = None
+    """The origin that a fence in local metres is about; see `Fencing`."""
+    others: tuple[Belief, ...] = ()
+    """Of the emitters whose turn it was not."""
+    earlier: tuple[ReportResult, ...] = ()
+    """What was reported of other emitters, the newest last."""
+
+    @property
+    def problem(self) -> str | None:
+        """Why it cannot be what a session knew, in words, or None."""
+        problems = (_problem(self.origin), _problem(self.fence_anchor))
+        return next((problem for problem in problems if problem is not None), None)
+
+
+def _problem(origin: LocalOrigin | None) -> str | None:
+    if origin is None:
+        return None
+    values = (origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
+    if not all(math.isfinite(value) for value in values):
+        return "an origin that is no place"
+    if abs(origin.latitude_deg) > 90.0 or abs(origin.longitude_deg) > 180.0:
+        return "an origin beyond the poles"
+    return None
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,7 +236,7 @@ class ControlGranted:
     time_s: float
 
 
-class Wish(Enum):
+class OperatorCommand(Enum):
     """What the operator may ask for beside the mode switch."""
 
     HOLD = "hold"
@@ -208,7 +249,7 @@ class OperatorAsked:
     """A button of the live map was pressed and confirmed."""
 
     time_s: float
-    wish: Wish
+    wish: OperatorCommand
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,7 +301,7 @@ class MemoryRecalled:
 
 
 @dataclass(frozen=True, slots=True)
-class TwinHeard:
+class IdConflictHeard:
     """Somebody else, such as a second companion, sends under our own system and component id."""
 
     time_s: float
@@ -290,5 +331,5 @@ Event = (
     | StopRequested
     | EarlierRunFound
     | MemoryRecalled
-    | TwinHeard
+    | IdConflictHeard
 )

@@ -1,23 +1,29 @@
-"""The guidance session: events in, commands out, no clock and no socket.
+"""The guidance session: events in, commands out, no clock and no socket; and its status.
 
 It hands each event to the side that knows it: measurements to `Measuring`, what the autopilot and
-the operator say to `Handover`, time to `ControlTick`. They share one `Situation`, and the
-transition table of `states` says whether anything may be sent.
+the operator say to `Handover`, time to `ControlTick`. They share one `SessionContext`, and
+the transition table of `state_machine` says whether anything may be sent.
+
+The status is a snapshot of the session for views and logs.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from typing import Any
 
-from companion.domain import TargetEstimate
+from companion.domain import FlightMode, PositionEnu, TargetEstimate, Waypoint
+from companion.estimation.noise.innovations import TrackerHealth
 from companion.estimation.tracker import TargetTracker
 from companion.guard.gate import Guard
-from companion.guidance.authority import Authority
+from companion.guidance.authority.control_authority import Authority
+from companion.guidance.authority.handover import Handover
+from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import Command, ReportResult
+from companion.guidance.context import SessionContext
 from companion.guidance.control import TICK_S as TICK_S
 from companion.guidance.control import ControlTick
-from companion.guidance.emitters import EmitterQueue
 from companion.guidance.events import (
     AutopilotFenceRead,
     AutopilotRestarted,
@@ -27,6 +33,7 @@ from companion.guidance.events import (
     Event,
     HeartbeatReceived,
     HomeSet,
+    IdConflictHeard,
     LandedStateChanged,
     MemoryRecalled,
     OperatorAsked,
@@ -34,33 +41,138 @@ from companion.guidance.events import (
     RangingReceived,
     RequestAnswered,
     Retuned,
+    SessionMemory,
     StopRequested,
     TimerFired,
-    TwinHeard,
     VehicleMoved,
     YawMeasured,
 )
-from companion.guidance.fencing import FencePlan, Fencing
-from companion.guidance.flight_plan import FlightPlan
-from companion.guidance.handover import Handover
-from companion.guidance.measuring import Measuring
-from companion.guidance.memory import SessionMemory
-from companion.guidance.params import SessionParams as SessionParams
-from companion.guidance.recollection import Recollection, remembered
-from companion.guidance.situation import Situation
-from companion.guidance.states import Phase
-from companion.guidance.status import (
-    EmitterStatus,
-    GuidanceStatus,
-    emitter_statuses,
-    snapshot,
-)
-from companion.guidance.steering import Steering
-from companion.guidance.tuning import When, objection_to_change
-from companion.guidance.turns import Turns
-from companion.guidance.vehicle import VehicleView
-from companion.guidance.watches import Watches
-from companion.planning.base import Planner
+from companion.guidance.flight.fencing import FencePlan, Fencing
+from companion.guidance.flight.navigation import FlightPlan, Steering
+from companion.guidance.flight.vehicle import VehicleView
+from companion.guidance.health.watches import Watches
+from companion.guidance.recovery import Recollection, remembered
+from companion.guidance.session_params import SessionParams, When, objection_to_change
+from companion.guidance.tracking.emitters import EmitterQueue
+from companion.guidance.tracking.measurements import EmitterScheduler, Measuring
+from companion.planning.planner import Planner
+
+
+@dataclass(frozen=True, slots=True)
+class EmitterStatus:
+    """What is known of one emitter."""
+
+    emitter_id: int
+    estimate: TargetEstimate | None
+    is_current: bool
+    """Whether it is looked for now."""
+    is_reported: bool
+
+
+@dataclass(frozen=True, slots=True)
+class GuidanceStatus:
+    """Everything an operator may want to see, as of `time_s`."""
+
+    time_s: float
+    phase: Phase
+    detail: str
+    """Why it holds or waits, in words."""
+    mode: FlightMode
+    is_armed: bool
+    is_link_lost: bool
+    vehicle_enu_m: PositionEnu | None
+    height_m: float | None
+    distance_m: float
+    estimate: TargetEstimate | None
+    """Of the emitter that is looked for now."""
+    emitters: tuple[EmitterStatus, ...]
+    """All that were heard or listed."""
+    waypoint: Waypoint | None
+    setpoint_enu_m: PositionEnu | None
+    guard: tuple[str, ...]
+    """Why the setpoint is not where the planner wanted it."""
+    is_target_outside: bool
+    """Whether the target is believed to be where the vehicle may not go."""
+    health: TrackerHealth
+    """How far the estimate can be trusted."""
+    objection: str | None
+    """Why the estimate must not be flown on, in words."""
+    range_age_s: float | None
+    """How old the newest range is that agrees with the estimate; None: there was none yet."""
+    bearing_age_s: float | None
+    """The same of bearings."""
+    accepted: int
+    refused: Mapping[str, int]
+    reasons: Mapping[str, int]
+    """How often each reason kept it from flying the plan at full speed, or at all."""
+    internal_errors: Mapping[str, int]
+    """Errors of the companion's own parts, which were contained."""
+    battery_pct: float | None
+    """0 to 100; None: unknown."""
+
+
+def snapshot(now_s: float, situation: SessionContext) -> GuidanceStatus:
+    """The status that the parts of a session add up to."""
+    vehicle, steering, tracker = situation.vehicle, situation.steering, situation.tracker
+    objection = tracker.objection(now_s)
+    return GuidanceStatus(
+        time_s=now_s,
+        phase=situation.phase,
+        detail=_detail(situation),
+        mode=vehicle.mode,
+        is_armed=vehicle.is_armed,
+        is_link_lost=vehicle.is_link_lost(now_s),
+        vehicle_enu_m=vehicle.position_enu_m,
+        height_m=vehicle.height_m,
+        distance_m=vehicle.distance_m,
+        estimate=situation.estimate,
+        emitters=emitter_statuses(situation, now_s),
+        waypoint=situation.flight_plan.waypoint,
+        setpoint_enu_m=steering.setpoint_enu_m,
+        guard=tuple(reason.value for reason in steering.reasons),
+        is_target_outside=situation.flight_plan.is_target_outside,
+        health=tracker.health,
+        objection=None if objection is None else objection.value,
+        range_age_s=tracker.contact.range_age_s(now_s),
+        bearing_age_s=tracker.contact.bearing_age_s(now_s),
+        accepted=situation.emitters.accepted,
+        refused={reason.value: count for reason, count in situation.emitters.refusals.items()},
+        internal_errors=dict(situation.containment.errors),
+        battery_pct=vehicle.battery_pct,
+        reasons={reason.value: count for reason, count in situation.reasons.items()},
+    )
+
+
+def emitter_statuses(situation: SessionContext, now_s: float) -> tuple[EmitterStatus, ...]:
+    """What is known of every emitter that was heard or listed."""
+    current = situation.tracker
+    return tuple(
+        EmitterStatus(
+            tracker.emitter_id,
+            situation.estimate if tracker is current else tracker.estimate(now_s),
+            is_current=tracker is current,
+            is_reported=tracker.emitter_id in situation.reports,
+        )
+        for tracker in situation.emitters.trackers
+        if tracker.emitter_id is not None
+    )
+
+
+def _detail(situation: SessionContext) -> str:
+    """Why it waits or holds, how far the launch is, or what it flies at."""
+    phase, launch = situation.phase, situation.launch
+    waypoint = situation.flight_plan.waypoint
+    if phase is Phase.WAITING and not situation.authority.may_begin:
+        guided_name = situation.vehicle.guided_name
+        return f"found in {guided_name} or in a failsafe: change its mode, or grant control"
+    if phase in (Phase.DEGRADED, Phase.HOLD) and situation.finding is not None:
+        return situation.finding.text
+    if phase is Phase.LAUNCHING and launch is not None:
+        return launch.stage.value
+    if phase is Phase.NORMAL and waypoint is not None:
+        return f"{waypoint.reason.value}: {waypoint.detail}"
+    return ""
+
 
 MODE_EVENTS = (HeartbeatReceived, LandedStateChanged)
 
@@ -88,12 +200,12 @@ class GuidanceSession:
         fence_plan: FencePlan | None = None,
     ) -> None:
         fencing = Fencing(guard, fence_plan)
-        self.situation = Situation(
+        self.situation = SessionContext(
             params, emitters, planner, guard, fencing, needs_origin=needs_origin
         )
         self.handover = Handover(self.situation)
         self._watches = Watches(self.situation)
-        turns = Turns(self.situation, self._watches.inputs)
+        turns = EmitterScheduler(self.situation, self._watches.inputs)
         self._measuring = Measuring(self.situation, self._watches.inputs, turns)
         self._control = ControlTick(self.situation, self._watches, self.handover, turns)
         self._recollection = Recollection(self.situation)
@@ -149,7 +261,7 @@ class GuidanceSession:
                 self._recollection.forget()
             case ControlStalled():
                 self.handover.stalled(event)
-            case TwinHeard():
+            case IdConflictHeard():
                 self.handover.twin_heard(event.time_s)
             case StopRequested():
                 self.handover.stop(event.time_s)

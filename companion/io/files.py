@@ -1,4 +1,4 @@
-"""Whole files and flight directories."""
+"""Whole files, written atomically, and flight directories with the names of their files."""
 
 from __future__ import annotations
 
@@ -162,3 +162,7 @@ def _sync_directory(directory: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+TLOG, MCAP, EVENTS, INPUTS = "flight.tlog", "flight.mcap", "events.jsonl", "flight.inputs"
+FLIGHT, RESULT, REPORT = "flight.json", "result.json", "report.html"

@@ -1,4 +1,4 @@
-"""The one loop that drives any endpoint: links, one timer, signals.
+"""The one loop that drives any endpoint: its clock, links, one timer, signals.
 
 Theory of operation. The loop wakes when a link has data or the endpoint's timer is due. A wake-up
 stamps the time once, hands over what arrived (64 reads of one link at most), fires the timer if it
@@ -28,9 +28,35 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
-from companion.io.clock import Clock
-from companion.io.links import Link, LinkSpec, make_link
+from companion.io.links.link import Link
+from companion.io.links.specs import LinkSpec, make_link
 from companion.mav.endpoint import Chunk, Endpoint
+
+
+class Clock:
+    """Monotonic seconds since construction, times `speed`.
+
+    Args:
+        speed: Seconds of this clock per wall second.
+
+    Raises:
+        ValueError: The speed is not a positive finite number.
+    """
+
+    def __init__(self, speed: float = 1.0) -> None:
+        if not (math.isfinite(speed) and speed > 0.0):
+            raise ValueError(f"speed must be positive and finite, not {speed}")
+        self.speed = speed
+        self._started_s = time.monotonic()
+
+    def now_s(self) -> float:
+        """Seconds of this clock since it was made; never goes back."""
+        return (time.monotonic() - self._started_s) * self.speed
+
+    def delay_s(self, until_s: float) -> float:
+        """Wall seconds until this clock shows `until_s`; 0 if it already does."""
+        return max(0.0, (until_s - self.now_s()) / self.speed)
+
 
 STOP_DEADLINE_S = 1.5
 """Wall seconds from the first stop request to the end, whatever the endpoint says; closing the logs

@@ -1,13 +1,49 @@
-"""Which autopilot we talk to, and at which address."""
+"""Which autopilot we talk to, at which address, and the parameters of vehicle and link."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Annotated, Literal
 
-from companion.domain import Autopilot
+import msgspec
+
+from companion.domain import Autopilot, Params
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address
-from companion.mav.modes import autopilot_of
+from companion.mav.flight_modes import autopilot_of
+
+
+class VehicleParams(Params, frozen=True):
+    """Which autopilot, and how it is commanded."""
+
+    system_id: Annotated[int, msgspec.Meta(ge=1, le=255)] | None = None
+    """The autopilot's system id; null: the first one heard."""
+    setpoint: Literal["local_ned", "global_int"] = "local_ned"
+    """SET_POSITION_TARGET_LOCAL_NED, or _GLOBAL_INT in frame 5 (AMSL)."""
+
+
+class LinkParams(Params, frozen=True):
+    """How the companion uses its links."""
+
+    rate_hz: Annotated[float, msgspec.Meta(ge=20.0, le=50.0)] = 20.0
+    """Control ticks, and so setpoints, per second."""
+    lossy_rate_hz: Annotated[float, msgspec.Meta(ge=20.0, le=50.0)] = 50.0
+    """The same where frames get lost."""
+    lossy_share: Annotated[float, msgspec.Meta(gt=0.0, lt=1.0)] = 0.2
+    """A line that loses more than this share of the autopilot's frames is lossy."""
+    signing_key_file: str | None = None
+    """MAVLink 2 signing with the key in this file; null: no signing. `--signing-key` goes first."""
+    unsigned_ranging: bool = False
+    """With a key: whether ranging links may bring unsigned frames, of a radio that cannot sign."""
+
+    gcs_icon: bool = False
+    """Whether ground stations on `--gcs` links get the estimate as an ADSB_VEHICLE, an icon."""
+
+    def __post_init__(self) -> None:
+        """Refuse a rate that goes down where it should go up."""
+        if self.lossy_rate_hz < self.rate_hz:
+            raise ValueError("lossy_rate_hz must not be below rate_hz")
+
 
 PEER_SILENCE_S = 3.0
 """The autopilot must be silent this long before the same ids are believed from a new address."""

@@ -2,13 +2,13 @@
 
 Link 0 leads to the autopilot; the next ones carry only ranging, because a real autopilot does not
 forward our message, and the last ones lead to ground stations. The endpoint only joins its parts:
-`receiver` sorts what the vehicle link brings, `executor` tells the session and does what it wants,
-`dialogues` ask for streams and parameters, `parameter_server` and `command_desk` answer ground
-stations, `outlet` is the one way out, `counters` keep the books. What happened goes to a journal,
-which a shell writes to disk.
+`executor` sorts what the vehicle link brings, tells the session and does what it wants,
+`autopilot_queries` ask for streams and parameters, `gcs_services` answer ground stations, `outlet`
+is the one way out, `quality` keeps the books. What happened goes to a journal, which a shell writes
+to disk.
 
-On the way in, `intake` keeps to a budget and lets `authenticity` prove what it can before anything
-is decoded; `alarms` tell the operator what was refused.
+On the way in, `intake` keeps to a budget, has proved what can be proved before anything is decoded,
+and tells the operator what was refused.
 """
 
 from __future__ import annotations
@@ -18,33 +18,31 @@ import math
 from companion.guidance.events import (
     ControlStalled,
     EarlierRunFound,
+    IdConflictHeard,
     MemoryRecalled,
     OperatorAsked,
+    OperatorCommand,
+    SessionMemory,
     StopRequested,
     TimerFired,
-    TwinHeard,
-    Wish,
 )
-from companion.guidance.memory import SessionMemory
 from companion.guidance.session import GuidanceSession
-from companion.link.alarms import LinkAlarms
-from companion.link.authenticity import Authenticity
-from companion.link.binding import AutopilotBinding
-from companion.link.command_desk import AddressedCommand, CommandDesk
-from companion.link.counters import LinkCounters
-from companion.link.dialogues import Dialogues
-from companion.link.executor import SessionExecutor
-from companion.link.health import LinkHealth
+from companion.link.autopilot_queries import AutopilotQueries
+from companion.link.binding import AutopilotBinding, LinkParams, VehicleParams
+from companion.link.executor import SessionExecutor, VehicleReceiver
+from companion.link.gcs_services import (
+    AddressedCommand,
+    CommandHandler,
+    ParameterServer,
+    ParamRequest,
+    TunableBook,
+)
 from companion.link.inbound import RangingInbound, RangingMessage
-from companion.link.inputs import InputRecorder, NoRecorder
-from companion.link.intake import Intake
-from companion.link.journal import Journal
+from companion.link.intake import Authenticity, FloodShield, Intake, LinkAlarms
 from companion.link.outlet import COMPONENT_ID, VEHICLE_LINK, Outlet
-from companion.link.parameter_server import ParameterServer, ParamRequest, TunableBook
-from companion.link.params import LinkParams, VehicleParams
 from companion.link.presence import Presence
-from companion.link.receiver import VehicleReceiver
-from companion.link.shield import FloodShield
+from companion.link.quality import LinkCounters, LinkHealth
+from companion.link.recorders import InputRecorder, Journal, NoRecorder
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message
 from companion.mav.endpoint import Address, Chunk
@@ -95,7 +93,7 @@ class CompanionEndpoint:
         codecs = [intake.codec for intake in self._intakes]
         self._gcs_links = range(links - gcs_links, links)
         self._outlet = Outlet(codecs, self.binding, journal, self._gcs_links)
-        self._dialogues = Dialogues(self.binding, session.fencing)
+        self._dialogues = AutopilotQueries(self.binding, session.fencing)
         self._health = LinkHealth(link_params)
         self.executor = SessionExecutor(
             session, params, self.binding, self._outlet, self._dialogues, self._health, journal
@@ -104,7 +102,7 @@ class CompanionEndpoint:
             tunables, session, self.binding, self.executor, self._outlet, journal
         )
         self._presence = Presence(session, self._outlet, has_icon=link_params.gcs_icon)
-        self._commands = CommandDesk(self.executor, self._parameters, self._outlet)
+        self._commands = CommandHandler(self.executor, self._parameters, self._outlet)
         self._receiver = VehicleReceiver(
             self.binding,
             self.executor,
@@ -191,7 +189,7 @@ class CompanionEndpoint:
         self._recorder.stop(now_s)
         self.executor.handle(StopRequested(now_s), now_s)
 
-    def ask(self, wish: Wish, now_s: float) -> None:
+    def ask(self, wish: OperatorCommand, now_s: float) -> None:
         """Take in what the operator asks for beside the mode switch."""
         self._recorder.wish(wish, now_s)
         self.executor.handle(OperatorAsked(now_s, wish), now_s)
@@ -240,7 +238,7 @@ class CompanionEndpoint:
         if (message.get_srcSystem(), message.get_srcComponent()) == self._outlet.own_ids:
             is_twin = self.authenticity.is_proved(frame) and self._outlet.came_back(frame, now_s)
             if is_twin:
-                self.executor.handle(TwinHeard(now_s), now_s)
+                self.executor.handle(IdConflictHeard(now_s), now_s)
             return
         if chunk.link == VEHICLE_LINK:
             self._receive_on_vehicle_link(message, frame, chunk, now_s)

@@ -17,15 +17,19 @@ from __future__ import annotations
 import math
 
 from companion.domain import EstimateState, TargetEstimate
-from companion.geometry.frames import LocalOrigin
+from companion.geometry.coordinates import LocalOrigin
+from companion.guidance.authority.state_machine import PHASE_WORDS
 from companion.guidance.commands import Announce, Severity
-from companion.guidance.session import GuidanceSession
-from companion.guidance.states import PHASE_WORDS
-from companion.guidance.status import EmitterStatus
+from companion.guidance.session import EmitterStatus, GuidanceSession
 from companion.link.outbound import time_boot_ms
 from companion.link.outlet import Outlet
-from companion.mav.dialect import MAVLink_target_estimate_message, Message, mavlink
-from companion.mav.target_estimate import INT32_UNKNOWN, TargetState
+from companion.mav.dialect import (
+    INT32_UNKNOWN,
+    MAVLink_target_estimate_message,
+    Message,
+    TargetState,
+    mavlink,
+)
 
 PERIOD_S = 1.0
 ICAO_BASE = 0xF00000

@@ -11,9 +11,8 @@ from __future__ import annotations
 import math
 
 from companion.domain import RangingMeasurement
-from companion.geometry.frames import bearing_enu_from_ned, bearing_ned_from_enu
-from companion.mav.dialect import MAVLink_radio_ranging_message, Message, mavlink
-from companion.mav.radio_ranging import RangingFlag
+from companion.geometry.coordinates import bearing_enu_from_ned, bearing_ned_from_enu
+from companion.mav.dialect import MAVLink_radio_ranging_message, Message, RangingFlag, mavlink
 
 UINT8_MAX = 0xFF
 UINT32_MAX = 0xFFFFFFFF

@@ -26,13 +26,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.domain import Point, TargetEstimate, Waypoint, WaypointReason
-from companion.geometry.arrays import Matrix, frozen
-from companion.geometry.frames import bearing_ned_from_enu
-from companion.kernel import kernel
-from companion.params import Params, Positive
-from companion.planning.base import Plan, PlanRequest
-from companion.planning.routing import held, routed, way_finder
+from companion.domain import Params, Point, Positive, TargetEstimate, Waypoint, WaypointReason
+from companion.geometry.coordinates import bearing_ned_from_enu
+from companion.kernel import Matrix, frozen, kernel
+from companion.planning.planner import Plan, PlanRequest, hold_position, route_to, way_finder
 
 HEADINGS = 16
 """Directions of the candidates, where nothing else is said."""
@@ -192,7 +189,7 @@ class FimPlanner:
     def plan(self, request: PlanRequest, memory: None) -> Plan[None]:
         """The best candidate about the vehicle."""
         if request.estimate is None:
-            return Plan(held(request, "no estimate yet"), memory)
+            return Plan(hold_position(request, "no estimate yet"), memory)
         vehicle, target = request.vehicle_enu_m, request.estimate.position_enu_m
         index = best_candidate(
             self._covariance(request, request.estimate),
@@ -206,13 +203,13 @@ class FimPlanner:
             self.params.near_target_terms,
         )
         if index == STAY:
-            return Plan(held(request, "staying is expected to tell most"), memory)
+            return Plan(hold_position(request, "staying is expected to tell most"), memory)
         turn_rad = 2.0 * math.pi * index / self.params.headings
         heading_deg = math.degrees(bearing_ned_from_enu(turn_rad))
         heading_deg %= 360.0
         detail = f"heading {heading_deg:03.0f} is expected to tell most"
         waypoint = Waypoint(self._candidate(vehicle, index), WaypointReason.INFORMATION, detail)
-        return Plan(routed(request, waypoint), memory)
+        return Plan(route_to(request, waypoint), memory)
 
     def _covariance(self, request: PlanRequest, estimate: TargetEstimate) -> Matrix:
         """Of position and offsets, as the filter tells it or as it is known before the flight."""

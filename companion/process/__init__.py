@@ -1,1 +1,1 @@
-"""What the process does beside flying: accounts, alarms, the watchdog, and surviving a restart."""
+"""What the process does beside flying: diagnostics, the watchdog, and surviving a restart."""

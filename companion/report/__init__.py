@@ -1,1 +1,1 @@
-"""The flight report: one self-contained HTML page made of a flight's event log."""
+"""The report of a flight: its page, its drawings, and the summary of its event log."""

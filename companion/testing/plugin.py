@@ -181,7 +181,7 @@ def sim_vehicle(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]
     `@pytest.mark.sim_vehicle(scenario="calm.yaml", seed=3, autopilot="ardupilot", speed=4)` says
     what it flies; the scenario is looked for beside the test.
     """
-    from companion.demo.simulator import HOST, free_udp_port
+    from companion.demo.simulator_process import HOST, free_udp_port
     from sim_link.mission.children import Child
 
     port = free_udp_port()

@@ -1,1 +1,1 @@
-"""What operators are shown, as plain values: the web page, the terminal and recordings share it."""
+"""What operators are shown: snapshots as plain values, the terminal, log lines and Cursor on Target."""

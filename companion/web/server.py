@@ -1,28 +1,230 @@
-"""The child process: pictures from standard input, buttons to standard output, pages between."""
+"""The child process that serves the page: pictures from standard input, buttons to output.
+
+The page has the map, phase, numbers, ages, emitters, texts, curves and buttons; what the map draws
+is in `search_map.js`. What the page knows (`Hub`) is bounded for any flight.
+
+Everything shown comes from outside sooner or later (an autopilot's text, an emitter's name), so
+texts go into labels, which escape, and never into HTML.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import json
 import logging
+import math
 import os
 import signal
 import socket
 import sys
 import time
 from collections.abc import Awaitable, Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import nicegui
 import uvicorn
 from fastapi import FastAPI, Request
 from fastapi.responses import PlainTextResponse, Response
 from nicegui import ui
+from nicegui.element import Element
 
-from companion.web.access import Access
-from companion.web.hub import Hub
-from companion.web.page import Page
-from companion.web.tiles import tile, zooms_of
+from companion.web.panels import AgeBars, Charts, EmitterList, Numbers, PhaseBar, TextList
+from companion.web.settings import Access, tile, zooms_of
+
+TRACK_POINTS = 1000
+TRACK_STEP_M = 0.5
+CURVE_POINTS = 600
+
+
+class Hub:
+    """Takes pictures in; pages read it.
+
+    Args:
+        scene: What does not change.
+    """
+
+    def __init__(self, scene: Mapping[str, Any]) -> None:
+        self.scene = scene
+        self.picture: dict[str, Any] = {}
+        self.version = 0
+        """Grows with every picture."""
+        self.track: list[tuple[float, float]] = []
+        self.track_version = 0
+        """Grows when the track does not merely go on: pages draw it anew then."""
+        self.curve: list[dict[str, Any]] = []
+        self._origin: object = None
+
+    def take(self, picture: dict[str, Any]) -> None:
+        """Take in a picture."""
+        if picture.get("t_s", 0.0) < self.picture.get("t_s", 0.0):
+            self._forget()  # the companion was started anew
+        if picture.get("origin") != self._origin:
+            self._origin = picture.get("origin")
+            self.track, self.track_version = [], self.track_version + 1
+        self._extend_track(picture.get("vehicle"))
+        self.curve += picture.pop("curve", [])
+        if len(self.curve) > CURVE_POINTS:
+            self.curve = self.curve[::2]
+        self.picture = picture
+        self.version += 1
+
+    def _forget(self) -> None:
+        self.curve, self.track = [], []
+        self.track_version += 1
+
+    def _extend_track(self, place: object) -> None:
+        if not isinstance(place, list) or len(place) < 2:
+            return
+        point = (float(place[0]), float(place[1]))
+        if self.track and math.dist(point, self.track[-1]) < TRACK_STEP_M:
+            return
+        self.track.append(point)
+        if len(self.track) > TRACK_POINTS:
+            self.track = self.track[::2]
+            self.track_version += 1
+
+
+LEAFLET = Path(nicegui.__file__).parent / "elements" / "leaflet" / "dist"
+WHOLE_EVERY = 40
+"""Pictures after which the whole track goes out again, should a part have been lost."""
+
+
+class SearchMap(Element, component="search_map.js", esm={"nicegui-leaflet": str(LEAFLET)}):
+    """Leaflet on a grid in metres, or on tiles from a folder.
+
+    Args:
+        scene: What does not change during the flight.
+        tile_zooms: The least and the most zoom that there are tiles of; None: no tiles.
+    """
+
+    def __init__(self, scene: Mapping[str, Any], tile_zooms: tuple[int, int] | None) -> None:
+        super().__init__()
+        self.add_resource(LEAFLET)
+        self._props["scene"] = dict(scene)
+        self._props["zooms"] = tile_zooms
+        self._sent = TrackSent()
+
+    def show(self, hub: Hub) -> None:
+        """Draw the latest moment.
+
+        Args:
+            hub: Has the picture, see `companion.view.picture`, and where the vehicle was.
+        """
+        points, is_whole = self._sent.next_part(hub)
+        self.run_method("show", hub.picture, points, is_whole)
+
+
+class TrackSent:
+    """How much of the track a browser has: a flight long, it is more than all the rest."""
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._version = -1
+        self._parts = 0
+
+    def next_part(self, hub: Hub) -> tuple[list[tuple[float, float]], bool]:
+        """What it lacks, and whether that is the whole track and not the end of it."""
+        is_whole = hub.track_version != self._version or self._parts % WHOLE_EVERY == 0
+        first = 0 if is_whole else self._count
+        self._parts += 1
+        self._count, self._version = len(hub.track), hub.track_version
+        return hub.track[first:], is_whole
+
+
+REFRESH_S = 0.3
+STALE_S = 2.0
+"""Seconds without a picture after which the page says that the companion is silent."""
+STYLE = Path(__file__).with_name("style.css")
+BUTTONS = (
+    ("hold", "HOLD", "#b45309", "Hold in place until RESUME?"),
+    ("resume", "RESUME", "#15803d", "Fly the search again?"),
+    ("return", "RETURN", "#b91c1c", "Return to home? The companion gives the vehicle up."),
+)
+
+Press = Callable[[str], None]
+
+
+class Page:
+    """One browser's page.
+
+    Args:
+        hub: What is known.
+        tile_zooms: The least and the most zoom of the map tiles; None: there are none.
+        press: Sends a button's name to the companion; None: no buttons.
+        wall_s: The present, for noticing that pictures stopped.
+    """
+
+    def __init__(
+        self,
+        hub: Hub,
+        *,
+        tile_zooms: tuple[int, int] | None,
+        press: Press | None,
+        wall_s: Callable[[], float],
+    ) -> None:
+        self._hub = hub
+        self._wall_s = wall_s
+        self._shown, self._shown_at_s = -1, wall_s()
+        ui.dark_mode(None)
+        ui.add_css(STYLE)
+        self._phase = PhaseBar()
+        with ui.row().classes("w-full no-wrap max-lg:flex-wrap gap-2"):
+            with ui.column().classes("w-full lg:w-2/3 gap-1"):
+                self._map = SearchMap(hub.scene, tile_zooms)
+                if press is not None:
+                    _buttons(press)
+            with ui.column().classes("w-full lg:w-1/3 gap-2 side"):
+                self._numbers = Numbers()
+                self._ages = AgeBars(hub.scene)
+                self._emitters = EmitterList()
+                self._texts = TextList()
+        self._charts = Charts(hub.scene)
+        ui.timer(REFRESH_S, self._refresh)
+
+    def _refresh(self) -> None:
+        hub, now_s = self._hub, self._wall_s()
+        if hub.version == self._shown:
+            if now_s - self._shown_at_s > STALE_S:
+                self._phase.silent(now_s - self._shown_at_s)
+            return
+        self._shown, self._shown_at_s = hub.version, now_s
+        picture: dict[str, Any] = hub.picture
+        self._phase.show(picture)
+        self._map.show(hub)
+        self._numbers.show(picture)
+        self._ages.show(picture)
+        self._emitters.show(picture)
+        self._texts.show(picture)
+        self._charts.show(hub.curve)
+
+
+def _buttons(press: Press) -> None:
+    with ui.row().classes("w-full items-center justify-end gap-2 buttons"):
+        for name, label, colour, question in BUTTONS:
+            dialog = _confirmation(question, label, colour, partial(press, name))
+            button = ui.button(label, color=colour, on_click=dialog.open)
+            button.props(f"id=button-{name} unelevated text-color=white").classes("press")
+
+
+def _confirmation(
+    question: str, label: str, colour: str, confirmed: Callable[[], None]
+) -> ui.dialog:
+    with ui.dialog() as dialog, ui.card():
+        ui.label(question)
+        with ui.row():
+
+            def do() -> None:
+                """Close the question and do what was asked for."""
+                dialog.close()
+                confirmed()
+
+            sure = ui.button(label, color=colour, on_click=do).classes("press")
+            sure.props(f"id=confirm-{label.lower()} unelevated text-color=white")
+            ui.button("Cancel", on_click=dialog.close).props("flat").classes("press")
+    return dialog
+
 
 NICENESS = 19
 """On a computer with too much to do the control tick comes first, and pages wait."""

@@ -1,14 +1,117 @@
-"""Where the page is served and for whom, as the command line says it."""
+"""Where the page is served and for whom: the command line, access rules, map tiles.
+
+Who may see the page, and who may press its buttons. On a loopback address everybody on this
+computer may look. Beyond loopback a token is needed even to look, unless the operator opens the
+page for viewing. Buttons exist only where control was switched on, and beyond loopback they need
+the token always. A request must name a host that is ours, so that a foreign page in the operator's
+own browser cannot reach the page (DNS rebinding), and a WebSocket must come from a page of ours
+(cross-site WebSocket hijacking).
+"""
 
 from __future__ import annotations
 
+import hmac
+import ipaddress
 import secrets
 from dataclasses import dataclass
 from pathlib import Path
+from urllib.parse import urlsplit
 
 from companion.errors import ConfigError
-from companion.web.access import Access, is_loopback
-from companion.web.tiles import zooms_of
+
+LOCAL_NAMES = frozenset({"localhost", "127.0.0.1", "[::1]", "::1"})
+
+
+def is_loopback(host: str) -> bool:
+    """Whether a bound host is only reached from this computer."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return False
+
+
+@dataclass(frozen=True, slots=True)
+class Access:
+    """The rules of one page."""
+
+    host: str
+    """What it is bound to."""
+    token: str | None
+    is_control_on: bool = False
+    is_view_open: bool = False
+    """Whether those without the token may look, beyond loopback."""
+
+    def has_token(self, given: str | None) -> bool:
+        """Whether this is the token; takes the same time for every wrong one."""
+        if self.token is None or given is None:
+            return False
+        return hmac.compare_digest(self.token.encode(), given.encode())
+
+    def may_view(self, client_host: str, given: str | None) -> bool:
+        """Whether a client may see the page and its data."""
+        if is_loopback(self.host) and is_loopback(client_host):
+            return True
+        return self.is_view_open or self.has_token(given)
+
+    def may_control(self, client_host: str, given: str | None) -> bool:
+        """Whether a client may press HOLD, RESUME and RETURN."""
+        if not self.is_control_on:
+            return False
+        if self.token is None:
+            return is_loopback(self.host) and is_loopback(client_host)
+        return self.has_token(given)
+
+    def is_host_ours(self, host_header: str) -> bool:
+        """Whether a request's Host names this page.
+
+        On loopback only local names count; beyond, any address does, because a name that
+        somebody else points at us still lacks the token.
+        """
+        if not is_loopback(self.host):
+            return True
+        return urlsplit(f"//{host_header}").hostname in {name.strip("[]") for name in LOCAL_NAMES}
+
+    def is_origin_ours(self, origin: str | None, host_header: str) -> bool:
+        """Whether a WebSocket comes from a page of the same host; without an Origin it does.
+
+        Browsers always send one (RFC 6455 section 10.2), other clients need not.
+        """
+        return origin is None or urlsplit(origin).netloc == host_header
+
+
+NO_TILE = bytes.fromhex(
+    "89504e470d0a1a0a0000000d49484452000000010000000108060000001f15c489"
+    "0000000b49444154789c6360000200000500017a5eab3f0000000049454e44ae426082"
+)
+"""One transparent pixel as PNG: what the map shows where there is no tile."""
+
+
+def zooms_of(folder: Path) -> tuple[int, int] | None:
+    """The least and the most zoom that there is a tile of; None: no tile at all.
+
+    Args:
+        folder: With `z/x/y.png` in it, z, x and y being numbers.
+    """
+    folders = [path for path in folder.iterdir() if path.name.isdecimal()]
+    zooms = [int(path.name) for path in folders if _has_tile(path)]
+    return (min(zooms), max(zooms)) if zooms else None
+
+
+def _has_tile(zoom: Path) -> bool:
+    return any(
+        tile.stem.isdecimal() and tile.parent.name.isdecimal() for tile in zoom.glob("*/*.png")
+    )
+
+
+def tile(folder: Path, zoom: int, x: int, y: int) -> bytes:
+    """A tile as PNG, a transparent one where there is none."""
+    try:
+        return (folder / str(zoom) / str(x) / f"{y}.png").read_bytes()
+    except OSError:
+        return NO_TILE
+
 
 LOOPBACK = "127.0.0.1"
 MIN_TOKEN = 8

@@ -2,28 +2,170 @@
 
 A flavour decides what is flown and who may; it works on this. Positions are in the world's frame,
 local east-north-up about the scenario's origin; time is seconds since boot.
+
+The battery is a four-cell pack that only flying empties. The geofence says what is inside, and how
+far it is to its border. Source: MAVLink common, MAV_CMD_NAV_FENCE_* (5000 to 5004).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from companion.domain import FlightMode, LandedState, PositionEnu
-from companion.geometry.frames import LocalOrigin, wrap_pi
+from companion.domain import FlightMode, LandedState, Point, PositionEnu
+from companion.geometry.coordinates import LocalOrigin, wrap_pi
+from companion.geometry.polygons import depth_m
 from companion.mav.dialect import mavlink
-from sim_link.autopilot.battery import Battery
+from sim_link.autopilot.control_inputs import StickInput
 from sim_link.autopilot.estimator import Estimator
-from sim_link.autopilot.fence import Area, Fence, areas_from_items
-from sim_link.autopilot.mission import MissionRun
+from sim_link.autopilot.mission_executor import MissionRun
 from sim_link.autopilot.pilot import STEP_S, Pilot
 from sim_link.autopilot.protocols.plan_items import PlanItem
-from sim_link.autopilot.scenario import Scenario
-from sim_link.autopilot.sticks import StickInput
+from sim_link.autopilot.scenario import BatteryParams, Scenario
 from sim_link.world.point_mass import PointMass
+
+FULL_CELL_MV, EMPTY_CELL_MV, CELLS = 4200, 3500, 4
+HOVER_CURRENT_CA = 1800
+IDLE_CURRENT_CA = 50
+
+
+class Battery:
+    """Charge, voltage and current.
+
+    Args:
+        params: Endurance, and charge at the start.
+    """
+
+    def __init__(self, params: BatteryParams) -> None:
+        self._params = params
+        self.share = params.start_share
+        """Charge that is left, 0 to 1."""
+        self.is_known = True
+        """Whether the reports tell the charge."""
+        self.current_ca = IDLE_CURRENT_CA
+        """Hundredths of an ampere."""
+
+    def step(self, is_flying: bool, dt_s: float) -> None:
+        """Draw for `dt_s` seconds."""
+        self.current_ca = HOVER_CURRENT_CA if is_flying else IDLE_CURRENT_CA
+        if is_flying:
+            self.share = max(0.0, self.share - dt_s / self._params.endurance_s)
+
+    def set_charge(self, share: float | None) -> None:
+        """Another charge, 0 to 1; None: nobody knows it any more."""
+        self.is_known = share is not None
+        if share is not None:
+            self.share = share
+
+    @property
+    def percent(self) -> int:
+        """Charge that is left, 0 to 100."""
+        return max(0, round(100.0 * self.share))
+
+    @property
+    def cell_mv(self) -> int:
+        """Voltage of one cell, millivolts."""
+        return round(EMPTY_CELL_MV + self.percent / 100.0 * (FULL_CELL_MV - EMPTY_CELL_MV))
+
+    @property
+    def consumed_mah(self) -> int:
+        """Charge drawn since a full pack."""
+        capacity_mah = HOVER_CURRENT_CA / 100.0 * self._params.endurance_s / 3.6
+        return round((1.0 - self.share) * capacity_mah)
+
+    @property
+    def remaining_s(self) -> int:
+        """Hovering time that is left."""
+        return round(self.share * self._params.endurance_s)
+
+
+POLYGON_IN = mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION
+POLYGON_OUT = mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION
+CIRCLE_IN = mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION
+CIRCLE_OUT = mavlink.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION
+
+
+@dataclass(frozen=True, slots=True)
+class Area:
+    """A polygon, or a circle if it has a radius."""
+
+    corners_enu_m: tuple[Point, ...]
+    """Of the polygon, or only the centre of a circle."""
+    is_inclusion: bool
+    radius_m: float | None = None
+
+    def depth_m(self, place: Point) -> float:
+        """How far inside the area, negative outside."""
+        if self.radius_m is None:
+            return depth_m(self.corners_enu_m, place)
+        return self.radius_m - math.dist(place, self.corners_enu_m[0])
+
+
+class Fence:
+    """Areas that must or must not be flown in.
+
+    Several inclusions together are one: inside any of them is inside (PX4 and ArduPilot alike).
+
+    Args:
+        areas: Their shapes.
+    """
+
+    def __init__(self, areas: Sequence[Area] = ()) -> None:
+        self._inclusions = [area for area in areas if area.is_inclusion]
+        self._exclusions = [area for area in areas if not area.is_inclusion]
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is nothing to keep to."""
+        return not (self._inclusions or self._exclusions)
+
+    def margin_m(self, place: PositionEnu) -> float:
+        """Distance to the nearest breach, negative in one; infinite without a fence."""
+        point = place[:2]
+        margin = math.inf
+        if self._inclusions:
+            margin = max(area.depth_m(point) for area in self._inclusions)
+        return min([margin, *(-area.depth_m(point) for area in self._exclusions)])
+
+
+def areas_from_items(
+    items: Sequence[PlanItem], enu_from_e7: Callable[[int, int], Point]
+) -> list[Area]:
+    """The areas of an uploaded fence.
+
+    Args:
+        items: In order of upload; a return point (5000) is passed over.
+        enu_from_e7: Converts latitude and longitude in 1e-7 degrees.
+
+    Raises:
+        ValueError: A polygon has fewer vertices than it says, or a circle no radius.
+    """
+    areas: list[Area] = []
+    index = 0
+    while index < len(items):
+        item = items[index]
+        if item.command in (CIRCLE_IN, CIRCLE_OUT):
+            if not item.params[0] > 0.0:
+                raise ValueError("a fence circle needs a radius above 0")
+            centre = (enu_from_e7(item.x, item.y),)
+            areas.append(Area(centre, item.command == CIRCLE_IN, float(item.params[0])))
+            index += 1
+        elif item.command in (POLYGON_IN, POLYGON_OUT):
+            count = int(item.params[0]) if math.isfinite(item.params[0]) else 0
+            vertices = items[index : index + count]
+            is_whole = len(vertices) == count >= 3
+            if not is_whole or any(v.command != item.command for v in vertices):
+                raise ValueError("a fence polygon needs as many vertices as it says, 3 or more")
+            corners = tuple(enu_from_e7(v.x, v.y) for v in vertices)
+            areas.append(Area(corners, item.command == POLYGON_IN))
+            index += count
+        else:
+            index += 1
+    return areas
+
 
 AMSL_FRAMES = (mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT)
 RELATIVE_FRAMES = (

@@ -23,18 +23,17 @@ from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Chunk
 from companion.mav.framing import MAGIC_V1
 from companion.mav.signing import Signing
-from sim_link.autopilot import payload
-from sim_link.autopilot.incidents import Incident, Reboot
-from sim_link.autopilot.protocols.base import Channel, Outgoing
+from sim_link.autopilot import radio_payload
+from sim_link.autopilot.aircraft import Occurrence
+from sim_link.autopilot.pilot import STEP_S
+from sim_link.autopilot.protocols.addressing import Channel, Outgoing
 from sim_link.autopilot.protocols.link_layer import LinkLayer
-from sim_link.autopilot.recorder import FlightRecorder
-from sim_link.autopilot.scenario import Scenario
-from sim_link.autopilot.script import Script, apply
+from sim_link.autopilot.scenario import Incident, Reboot, Scenario
 from sim_link.autopilot.services import Services
 from sim_link.autopilot.telemetry import Telemetry
-from sim_link.autopilot.vehicle import STEP_S, Occurrence, SimVehicle
+from sim_link.autopilot.vehicle import FlightRecorder, IncidentSchedule, SimVehicle, apply_incident
+from sim_link.world.environment import Emitter
 from sim_link.world.point_mass import PointMass
-from sim_link.world.target import Emitter
 
 AUTOPILOT_COMPONENT_ID = mavlink.MAV_COMP_ID_AUTOPILOT1
 MAX_CATCH_UP_S = 0.5
@@ -82,13 +81,13 @@ class SimEndpoint:
         self._unix_minus_local_s = started_unix_s - started_s
         self._is_finished = False
         self._output: list[Chunk] = []
-        components = (AUTOPILOT_COMPONENT_ID, payload.COMPONENT_ID)
+        components = (AUTOPILOT_COMPONENT_ID, radio_payload.COMPONENT_ID)
         self.links = LinkLayer(
             scenario.system_id, components, links, signing, trusted_links, setup_links
         )
         self.recorder = FlightRecorder()
         self._began_s = started_s
-        self._script = Script(scenario.incidents)
+        self._script = IncidentSchedule(scenario.incidents)
         self._boot(started_s, parameters, parameters_name)
 
     def _boot(
@@ -104,7 +103,7 @@ class SimEndpoint:
         self._telemetry = Telemetry(self.vehicle)
         self._services = Services(self.vehicle, self._link_count)
         self.links.keep_apart(self._services.requests.channels)
-        self._payload = payload.RadioPayload(
+        self._payload = radio_payload.RadioPayload(
             scenario.payload,
             scenario.channel,
             [Emitter(params) for params in (scenario.emitter, *scenario.emitters)],
@@ -131,7 +130,7 @@ class SimEndpoint:
         if isinstance(incident, Reboot):
             self._reboot(now_s, incident.down_s)
         elif now_s >= self._started_s:
-            apply(incident, self.vehicle, now_s - self._started_s)
+            apply_incident(incident, self.vehicle, now_s - self._started_s)
 
     def _reboot(self, now_s: float, down_s: float) -> None:
         """Restart where it is, motors off, deaf and silent for `down_s` seconds."""
@@ -201,9 +200,9 @@ class SimEndpoint:
         answers = services.handle(message, channel, boot_s)
         self.links.keep_apart(services.requests.channels)
         self._send_all(answers)
-        refused = payload.refusal(message, self._scenario.system_id)
+        refused = radio_payload.reject_command(message, self._scenario.system_id)
         if refused is not None:
-            self._output += self.links.send(Outgoing(refused, channel), payload.COMPONENT_ID)
+            self._output += self.links.send(Outgoing(refused, channel), radio_payload.COMPONENT_ID)
 
     def _step(self, boot_s: float) -> None:
         self.vehicle.step(boot_s)
@@ -217,7 +216,7 @@ class SimEndpoint:
             if message is not None:
                 self._output += self.links.send(Outgoing(message, channel))
         for message in self._payload.messages(self.vehicle.body, boot_s):
-            self._output += self.links.send(Outgoing(message), payload.COMPONENT_ID)
+            self._output += self.links.send(Outgoing(message), radio_payload.COMPONENT_ID)
 
     def _send_all(self, outgoing: list[Outgoing]) -> None:
         for item in outgoing:

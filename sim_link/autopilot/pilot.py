@@ -11,10 +11,9 @@ from dataclasses import dataclass
 from enum import Enum
 
 from companion.domain import Point, PositionEnu
-from companion.geometry.frames import wrap_pi
-from sim_link.autopilot.mission import Leg, LegKind
-from sim_link.autopilot.setpoints import Setpoint, turned
-from sim_link.autopilot.sticks import Sticks
+from companion.geometry.coordinates import wrap_pi
+from sim_link.autopilot.control_inputs import Setpoint, Sticks, turned
+from sim_link.autopilot.mission_executor import Leg, LegKind
 from sim_link.world.point_mass import (
     PointMass,
     VehicleParams,

@@ -3,6 +3,12 @@
 Theory of operation. Every service is a small state machine of `protocols`, which knows nothing of
 physics; this joins them to the vehicle. A message that is addressed elsewhere never gets here past
 `is_for_us`. Answers name the link they go to; what everyone must hear names none.
+
+Services that the vehicle does not have (files, logs) are refused at once instead of by a silence.
+There is nothing to calibrate, but it takes its time and tells of it.
+
+Source: MAVLink developer guide, "File Transfer Protocol (FTP)" and "Long Running Commands"; MAVLink
+common, LOG_REQUEST_LIST and MAV_CMD_PREFLIGHT_CALIBRATION.
 """
 
 from __future__ import annotations
@@ -12,42 +18,124 @@ from collections.abc import Callable
 from typing import Any
 
 from companion.mav.dialect import MAVLink_command_cancel_message, Message, mavlink
-from sim_link.autopilot import calibration
-from sim_link.autopilot.calibration import Calibration
-from sim_link.autopilot.commands import (
+from sim_link.autopilot.control_inputs import Sticks, is_on_earth, sticks_from
+from sim_link.autopilot.flavours.base import (
     ACCEPTED,
     DENIED,
     TEMPORARILY_REJECTED,
     UNSUPPORTED,
     whole,
 )
-from sim_link.autopilot.protocols.absent import refusal
-from sim_link.autopilot.protocols.base import Addressing, Channel, Outgoing, Partner, partner_of
-from sim_link.autopilot.protocols.clocks import ClockRequests, Clocks
-from sim_link.autopilot.protocols.commands import (
+from sim_link.autopilot.protocols.addressing import (
+    Addressing,
+    Channel,
+    Outgoing,
+    Partner,
+    StatusTexts,
+    partner_of,
+)
+from sim_link.autopilot.protocols.clock_protocols import ClockRequests, Clocks
+from sim_link.autopilot.protocols.command_protocol import (
     UNKNOWN_PROGRESS,
     Cancel,
     Command,
     CommandResult,
     Commands,
 )
-from sim_link.autopilot.protocols.message_requests import MessageRequests
-from sim_link.autopilot.protocols.mission_progress import MissionAnnouncer, mission_item_reached
-from sim_link.autopilot.protocols.parameters import Parameters
-from sim_link.autopilot.protocols.plan_items import PlanItem, PlanResult, PlanType
-from sim_link.autopilot.protocols.plan_store import CurrentChosen, PlanChanged, PlanStore
-from sim_link.autopilot.protocols.plans import Plans
-from sim_link.autopilot.protocols.statustext import StatusTexts
-from sim_link.autopilot.setpoints import is_on_earth
-from sim_link.autopilot.status_messages import (
+from sim_link.autopilot.protocols.message_streams import MessageRequests
+from sim_link.autopilot.protocols.mission_protocol import Plans
+from sim_link.autopilot.protocols.parameter_protocol import Parameters
+from sim_link.autopilot.protocols.plan_items import (
+    CurrentChosen,
+    MissionAnnouncer,
+    PlanChanged,
+    PlanItem,
+    PlanResult,
+    PlanStore,
+    PlanType,
+    mission_item_reached,
+)
+from sim_link.autopilot.telemetry import (
+    Telemetry,
     gps_global_origin,
     heartbeat,
     home_position,
     mission_progress,
 )
-from sim_link.autopilot.sticks import Sticks, sticks_from
-from sim_link.autopilot.telemetry import Telemetry
 from sim_link.autopilot.vehicle import SimVehicle
+
+FTP_HEADER_LENGTH, FTP_PAYLOAD_LENGTH = 12, 251
+FTP_ACK, FTP_NAK = 128, 129
+FTP_ENDS_SESSIONS = (0, 1, 2)
+"""None, TerminateSession and ResetSessions, which have nothing to do and succeed."""
+FTP_FILE_NOT_FOUND = 10
+
+
+def reject_unsupported_service(message: Message, partner: Partner) -> list[Outgoing]:
+    """What is answered to a request of files or logs that is for us; any other gets no answer."""
+    match message:
+        case mavlink.MAVLink_file_transfer_protocol_message():
+            answer = _no_such_file(bytes(message.payload), partner)
+        case mavlink.MAVLink_log_request_list_message():
+            answer = mavlink.MAVLink_log_entry_message(0, 0, 0, 0, 0)
+        case _:
+            return []
+    return [] if answer is None else [Outgoing(answer, partner.channel)]
+
+
+def _no_such_file(request: bytes, partner: Partner) -> Message | None:
+    """The NAK of an FTP request; None for what is a reply itself."""
+    opcode = request[3]
+    if opcode >= FTP_ACK:
+        return None
+    sequence = (int.from_bytes(request[:2], "little") + 1) & 0xFFFF
+    is_done = opcode in FTP_ENDS_SESSIONS
+    error = b"" if is_done else bytes((FTP_FILE_NOT_FOUND,))
+    head = sequence.to_bytes(2, "little")
+    head += bytes((request[2], FTP_ACK if is_done else FTP_NAK, len(error), opcode))
+    payload = (head.ljust(FTP_HEADER_LENGTH, b"\0") + error).ljust(FTP_PAYLOAD_LENGTH, b"\0")
+    return mavlink.MAVLink_file_transfer_protocol_message(
+        0, partner.system_id, partner.component_id, list(payload)
+    )
+
+
+CALIBRATION_COMMAND = mavlink.MAV_CMD_PREFLIGHT_CALIBRATION
+CALIBRATION_S = 3.0
+CALIBRATION_REPORT_S = 0.5
+
+
+class Calibration:
+    """At most one at a time.
+
+    Args:
+        commands: Keeps it open and answers.
+    """
+
+    def __init__(self, commands: Commands) -> None:
+        self._commands = commands
+        self._started_s = 0.0
+        self._report_s = 0.0
+
+    def begin(self, command: Command, now_s: float, *, is_armed: bool) -> CommandResult:
+        """Start it; refused while armed, and if it names no sensor."""
+        if is_armed:
+            return CommandResult.TEMPORARILY_REJECTED
+        if not any(value > 0.0 for value in command.params):
+            return CommandResult.DENIED
+        self._started_s = now_s
+        self._report_s = now_s + CALIBRATION_REPORT_S
+        return CommandResult.IN_PROGRESS
+
+    def step(self, now_s: float) -> list[Outgoing]:
+        """Progress, and the end."""
+        if now_s < self._report_s or not self._commands.is_running(CALIBRATION_COMMAND):
+            return []
+        self._report_s = now_s + CALIBRATION_REPORT_S
+        share = (now_s - self._started_s) / CALIBRATION_S
+        if share >= 1.0:
+            return self._commands.finish(CALIBRATION_COMMAND, CommandResult.ACCEPTED, now_s)
+        return self._commands.report(CALIBRATION_COMMAND, round(100.0 * share), now_s)
+
 
 NEUTRAL_US, RANGE_US = 1500.0, 500.0
 Handler = Callable[[Any, Partner, float], list[Outgoing]]
@@ -124,7 +212,7 @@ class Services:
         outgoing = self._parameters.handle(message, partner, now_s)
         outgoing += self._plans.handle(message, partner, now_s)
         self._take_plan_events()
-        return outgoing + refusal(message, partner) + self.news()
+        return outgoing + reject_unsupported_service(message, partner) + self.news()
 
     def step(self, now_s: float) -> list[Outgoing]:
         """What is due by itself at a physics step."""
@@ -182,7 +270,7 @@ class Services:
         return [*outgoing, *replies, acknowledgement]
 
     def _command(self, command: Command, now_s: float) -> int:
-        if command.number == calibration.NUMBER:
+        if command.number == CALIBRATION_COMMAND:
             return self._calibration.begin(command, now_s, is_armed=self._vehicle.is_armed)
         if command.number == mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN:
             return self._reboot(command)

@@ -1,22 +1,65 @@
-"""The simulated vehicle: an aircraft and the autopilot that flies it, without the wire."""
+"""The simulated vehicle: an aircraft and the autopilot that flies it, without the wire.
+
+With it what makes the flavour that a scenario names, lets incidents happen, each at its time or at
+once, and records the true track and the mode changes for the flight report.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
+
+import msgspec
 import numpy as np
 
-from companion.domain import LandedState, PositionEnu
-from companion.geometry.frames import LocalOrigin
-from sim_link.autopilot.aircraft import Aircraft, Occurrence
-from sim_link.autopilot.battery import Battery
-from sim_link.autopilot.estimator import Estimator
+from companion.domain import FlightMode, LandedState, PositionEnu
+from companion.geometry.coordinates import LocalOrigin
+from sim_link.autopilot.aircraft import Aircraft, Battery, Occurrence
+from sim_link.autopilot.control_inputs import SetpointMonitor, StickInput, Sticks
+from sim_link.autopilot.estimator import Estimator, GeodeticReports
+from sim_link.autopilot.flavours.ardupilot.firmware_profile import ardupilot_parameters
+from sim_link.autopilot.flavours.ardupilot.flavour import ArduPilotFlavour
 from sim_link.autopilot.flavours.base import Flavour
-from sim_link.autopilot.flavours.registry import make_flavour
-from sim_link.autopilot.geodetic import GeodeticReports
+from sim_link.autopilot.flavours.px4.firmware_profile import px4_parameters
+from sim_link.autopilot.flavours.px4.flavour import Px4Flavour
 from sim_link.autopilot.pilot import STEP_S, Pilot
-from sim_link.autopilot.scenario import Scenario
-from sim_link.autopilot.setpoints import SetpointMonitor
-from sim_link.autopilot.sticks import StickInput
+from sim_link.autopilot.scenario import (
+    BatteryCharge,
+    EkfJump,
+    EkfPoor,
+    GpsLoss,
+    Incident,
+    OriginShift,
+    PilotMode,
+    PilotSticks,
+    RcLoss,
+    Reboot,
+    Scenario,
+    WindChange,
+)
 from sim_link.world.point_mass import PointMass
+
+
+def make_flavour(
+    scenario: Scenario, noise_rng: np.random.Generator, body: PointMass | None = None
+) -> Flavour:
+    """The scenario's autopilot, on an aircraft of its own.
+
+    Args:
+        scenario: Place, limits and configuration.
+        noise_rng: Generator of noise, drift and gusts.
+        body: What restarts where it is; None: a new one, at the scenario's start.
+
+    Raises:
+        ConfigError: The scenario sets a parameter that does not exist, or to what may not be.
+    """
+    if scenario.autopilot.flavour == "ardupilot":
+        first = ArduPilotFlavour.rules.first_mission_item
+        return ArduPilotFlavour(
+            Aircraft(scenario, noise_rng, first, body), ardupilot_parameters(scenario)
+        )
+    return Px4Flavour(Aircraft(scenario, noise_rng, body=body), px4_parameters(scenario))
+
 
 __all__ = ["STEP_S", "Occurrence", "SimVehicle"]
 
@@ -166,3 +209,99 @@ class SimVehicle:
             lat, lon, alt = self.estimator.world_origin.geodetic_from_enu(self.home_enu_m)
             self._home_e7 = (round(lat * 1e7), round(lon * 1e7), round(alt * 1e3))
         return self._home_e7
+
+
+class IncidentSchedule:
+    """The incidents that are still to come.
+
+    Args:
+        incidents: In any order.
+    """
+
+    def __init__(self, incidents: Iterable[Incident]) -> None:
+        self._coming = sorted(incidents, key=lambda incident: incident.time_s, reverse=True)
+
+    def take_due(self, now_s: float) -> list[Incident]:
+        """Those whose time has come, `now_s` seconds since the simulator began."""
+        due = []
+        while self._coming and self._coming[-1].time_s <= now_s + 0.5 * STEP_S:
+            due.append(self._coming.pop())
+        return due
+
+
+def apply_incident(incident: Incident, vehicle: SimVehicle, now_s: float) -> None:
+    """Let an incident happen to a vehicle now; a reboot is its endpoint's business.
+
+    Args:
+        incident: What; its `time_s` means nothing here.
+        vehicle: To whom.
+        now_s: Seconds since the vehicle's boot.
+    """
+    aircraft, estimator = vehicle.aircraft, vehicle.aircraft.estimator
+    match incident:
+        case PilotMode():
+            vehicle.flavour.pilot_chooses(incident.mode, now_s)
+        case PilotSticks():
+            sticks = Sticks(incident.forward, incident.right, incident.up, incident.yaw)
+            aircraft.sticks.move(sticks, now_s + incident.for_s)
+        case RcLoss():
+            aircraft.sticks.lose(now_s + incident.for_s)
+        case GpsLoss():
+            estimator.lose_fix(now_s + incident.for_s)
+        case EkfPoor():
+            estimator.spoil(incident.ratio, now_s + incident.for_s)
+        case EkfJump():
+            offset = (incident.east_m, incident.north_m, incident.up_m)
+            estimator.jump(offset, math.radians(incident.yaw_deg))
+        case OriginShift():
+            aircraft.shift_origin((incident.east_m, incident.north_m, incident.up_m))
+        case BatteryCharge():
+            aircraft.battery.set_charge(incident.share)
+        case WindChange():
+            wind = msgspec.structs.replace(
+                aircraft.body.wind, east_mps=incident.east_mps, north_mps=incident.north_mps
+            )
+            aircraft.body.set_wind(wind)
+        case Reboot():
+            return
+    vehicle.flavour.note(now_s, f"incident: {incident.__struct_config__.tag}")
+
+
+TRACK_PERIOD_S = 0.5
+MAX_OCCURRENCES = 10_000
+"""A report of a flight that flaps for days stays readable, and the memory bounded."""
+MAX_TRACK_POINTS = 7_200
+"""An hour at first; beyond it every other point is dropped, and half as many follow."""
+
+
+class FlightRecorder:
+    """Collects while the vehicle is stepped."""
+
+    def __init__(self) -> None:
+        self.track: list[tuple[float, float, float, float]] = []
+        """Seconds since boot and true east, north and up, metres, of the whole flight."""
+        self.mode_changes: list[Occurrence] = []
+        self._mode = FlightMode.HOLD
+        self._track_due_s = 0.0
+        self._period_s = TRACK_PERIOD_S
+        self._fresh: list[Occurrence] = []
+
+    def take(self, vehicle: SimVehicle) -> None:
+        """Take over what happened up to the vehicle's present step."""
+        if vehicle.time_s + 0.5 * STEP_S >= self._track_due_s:
+            self.track.append((vehicle.time_s, *vehicle.body.position_enu_m))
+            if len(self.track) > MAX_TRACK_POINTS:
+                self.track = self.track[::2]
+                self._period_s *= 2.0
+            self._track_due_s = max(self._track_due_s, vehicle.time_s) + self._period_s
+        for occurrence in vehicle.occurrences:
+            self._fresh = [*self._fresh[-MAX_OCCURRENCES:], occurrence]
+            if occurrence.mode is not self._mode and len(self.mode_changes) < MAX_OCCURRENCES:
+                self.mode_changes.append(occurrence)
+            self._mode = occurrence.mode
+        vehicle.occurrences.clear()
+
+    def take_occurrences(self) -> list[Occurrence]:
+        """The occurrences since the last call."""
+        fresh, self._fresh = self._fresh, []
+        return fresh

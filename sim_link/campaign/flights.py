@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from companion.config.schema import CompanionConfig
-from companion.run import build_endpoint
+from companion.flight_setup import build_endpoint
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import Scenario
 from sim_link.campaign.signed import KEY, STARTED_UNIX_S, SignedPair

@@ -6,12 +6,13 @@ import time
 from collections.abc import Sequence
 
 from companion.config.schema import CompanionConfig
-from companion.guidance.session import SessionParams
+from companion.guidance.session_params import SessionParams
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.campaign.flights import Monitored, monitored
 from sim_link.campaign.trial import Outcome, Trial, findings_of, trial_seed
-from sim_link.faults.kinds import Fault, ForgedFrames, ReplayedFrames, UnsignedFrames
+from sim_link.faults.host_kinds import ForgedFrames, ReplayedFrames, UnsignedFrames
+from sim_link.faults.kinds import Fault
 from sim_link.faults.schedule import Schedule
 from sim_link.lockstep.observer import Frame, Observer
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from companion.config.schema import CompanionConfig
-from companion.guidance.session import SessionParams
+from companion.guidance.session_params import SessionParams
 from companion.mav.codec import CRC_EXTRA_BY_ID
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Chunk

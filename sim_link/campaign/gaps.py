@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from companion.config.schema import CompanionConfig
-from companion.guidance.session import SessionParams
+from companion.guidance.session_params import SessionParams
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import (
     AutopilotParams,
@@ -21,7 +21,7 @@ from sim_link.autopilot.scenario import (
 )
 from sim_link.campaign.flights import Monitored, monitored
 from sim_link.campaign.trial import Outcome, Trial, trial_seed
-from sim_link.faults.kinds import LinkLoss
+from sim_link.faults.link_kinds import LinkLoss
 from sim_link.faults.schedule import Schedule
 from sim_link.lockstep.observer import Frame, Observer
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from companion.config.schema import CompanionConfig
 from companion.domain import FlightMode
-from companion.guidance.session import SessionParams
+from companion.guidance.session_params import SessionParams
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.campaign.draws import Dice

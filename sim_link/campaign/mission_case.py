@@ -15,15 +15,16 @@ from companion.config.schema import (
     PatternKind,
     PlannerConfig,
 )
-from companion.guidance.session import SessionParams
-from companion.link.params import VehicleParams as CompanionVehicle
+from companion.guidance.session_params import SessionParams
+from companion.link.binding import VehicleParams as CompanionVehicle
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.campaign.draws import Dice, random_fault
 from sim_link.campaign.places import PLACES, Place, emitter_of
-from sim_link.faults.kinds import Fault, LinkDelay
+from sim_link.faults.kinds import Fault
+from sim_link.faults.link_kinds import LinkDelay
 from sim_link.faults.schedule import Schedule
+from sim_link.world.environment import EmitterParams
 from sim_link.world.point_mass import VehicleParams, WindParams
-from sim_link.world.target import EmitterParams
 
 MOST_FAULTS = 4
 LATENCY_S = 0.5

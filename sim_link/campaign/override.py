@@ -8,13 +8,15 @@ import numpy as np
 
 from companion.config.schema import CompanionConfig
 from companion.domain import FlightMode
-from companion.guidance.session import SessionParams
+from companion.guidance.session_params import SessionParams
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.campaign.draws import Dice
 from sim_link.campaign.flights import Monitored, monitored
 from sim_link.campaign.trial import Outcome, Trial, findings_of, trial_seed
-from sim_link.faults.kinds import Fault, LinkJitter, LinkLoss, PilotMode
+from sim_link.faults.kinds import Fault
+from sim_link.faults.link_kinds import LinkJitter, LinkLoss
 from sim_link.faults.schedule import Schedule
+from sim_link.faults.vehicle_kinds import PilotMode
 
 LOSSES = (0.0, 0.1, 0.3)
 MODES = (FlightMode.HOLD, FlightMode.RETURN, FlightMode.LAND)

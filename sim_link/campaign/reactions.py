@@ -8,13 +8,14 @@ import numpy as np
 
 from companion.config.schema import CompanionConfig
 from companion.domain import PositionEnu
-from companion.guidance.session import SessionParams
+from companion.guidance.session_params import SessionParams
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.campaign.draws import Dice
 from sim_link.campaign.flights import monitored
 from sim_link.campaign.trial import Outcome, Trial, findings_of, trial_seed
-from sim_link.faults.kinds import LinkBlackout, StreamMute
+from sim_link.faults.content_kinds import StreamMute
+from sim_link.faults.link_kinds import LinkBlackout
 from sim_link.faults.schedule import Schedule
 from sim_link.lockstep.observer import Frame, Observer
 

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from companion.demo.simulator import free_udp_port
+from companion.demo.simulator_process import free_udp_port
 from companion.errors import CompanionError
 from sim_link.autopilot.scenario import FlavourName
 from sim_link.campaign.draws import Dice

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from companion.config.schema import CompanionConfig
+from companion.flight_setup import build_endpoint
 from companion.link.endpoint import CompanionEndpoint
-from companion.link.journal import Journal
+from companion.link.recorders import Journal
 from companion.mav.signing import ONE_LINK_EACH, LinkSigning, Signing, SigningKey, timestamp_at
-from companion.run import build_endpoint
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import Scenario
 

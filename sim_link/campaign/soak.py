@@ -17,14 +17,14 @@ from pathlib import Path
 import numpy as np
 
 from companion.config.schema import CompanionConfig
-from companion.guidance.session import SessionParams
-from companion.io.journal import FlightJournal
+from companion.guidance.session_params import SessionParams
+from companion.io.logs.flight_recorder import FlightJournal
 from sim_link.autopilot.scenario import AutopilotParams, BatteryParams, Scenario
 from sim_link.campaign.flights import rules_of
 from sim_link.campaign.fuzz import resident_mb
 from sim_link.campaign.trial import Outcome, Trial, findings_of, trial_seed
 from sim_link.faults.faulty_link import FaultyLink
-from sim_link.faults.kinds import LinkBursts, LinkJitter, LinkLoss
+from sim_link.faults.link_kinds import LinkBursts, LinkJitter, LinkLoss
 from sim_link.faults.schedule import Schedule
 from sim_link.lockstep.flight import Flight
 from sim_link.monitor.monitor import Monitor

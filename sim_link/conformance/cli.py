@@ -11,7 +11,7 @@ from typing import NoReturn
 from companion import __version__
 from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_json_atomic
-from companion.io.key_file import load_signing_key
+from companion.io.state.signing_keys import load_signing_key
 from sim_link.conformance.catalogue import all_rules
 from sim_link.conformance.puppet import CompanionProbe
 from sim_link.conformance.report import line, listing, record, summary

@@ -11,8 +11,8 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from companion.io.links import (
-    Link,
+from companion.io.links.link import Link
+from companion.io.links.specs import (
     LinkSpec,
     SerialPort,
     TcpClient,
@@ -21,7 +21,7 @@ from companion.io.links import (
     link_from_url,
     make_link,
 )
-from companion.io.urls import parse_link_url
+from companion.io.links.urls import parse_link_url
 from companion.mav.endpoint import Address, Chunk
 
 CONNECT_GRACE_S = 0.3

@@ -31,11 +31,10 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
 from companion.domain import RangingMeasurement
-from companion.estimation.base import FilterState
-from companion.estimation.map_kernels import COLUMNS, DAMPING_START, map_minimum, map_step
-from companion.estimation.robust_update import robust_update
-from companion.geometry.arrays import Matrix, Vector
-from companion.kernel import kernel
+from companion.estimation.filters.robust_update import robust_update
+from companion.estimation.filters.target_filter import FilterState
+from companion.estimation.window.map_kernels import COLUMNS, DAMPING_START, map_minimum, map_step
+from companion.kernel import Matrix, Vector, kernel
 from sim_link.evaluation.case import Case
 from sim_link.evaluation.noise import CHANNEL, TRUTH, drawn, measured, stream, truth_of
 from sim_link.evaluation.systems import System, belief_of, recursive_filter_of, track_of

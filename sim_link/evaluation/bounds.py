@@ -8,8 +8,7 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
-from companion.geometry.arrays import Matrix, Vector
-from companion.kernel import kernel
+from companion.kernel import Matrix, Vector, kernel
 from sim_link.evaluation.case import Case
 from sim_link.evaluation.cramer_rao import (
     ChannelInformation,
@@ -18,9 +17,8 @@ from sim_link.evaluation.cramer_rao import (
 )
 from sim_link.evaluation.noise import scene_of
 from sim_link.evaluation.trial import TrialResult
-from sim_link.world.environment import ShadowParams
-from sim_link.world.radio_channel import ChannelParams
-from sim_link.world.sight import Surroundings, is_blocked_in_space
+from sim_link.world.environment import ChannelParams, ShadowParams
+from sim_link.world.line_of_sight import Surroundings, is_blocked_in_space
 
 
 def bounds_m2(case: Case, trials: Sequence[TrialResult]) -> list[Vector]:

@@ -12,7 +12,7 @@ from functools import reduce
 
 import numpy as np
 
-from companion.geometry.arrays import Vector
+from companion.kernel import Vector
 from sim_link.evaluation.backends import LocalBackend
 from sim_link.evaluation.bounds import bounds_m2
 from sim_link.evaluation.case import Case

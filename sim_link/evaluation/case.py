@@ -22,13 +22,11 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from companion.domain import Point
-from companion.estimation.filter_params import FilterParams
-from companion.params import NonNegative, Params, Positive
+from companion.domain import NonNegative, Params, Point, Positive
+from companion.estimation.filters.target_filter import FilterParams
+from companion.planning.crossing import LatchedCrossingParams
 from companion.planning.fim import HEADINGS
-from companion.planning.latched_crossing import LatchedCrossingParams
-from sim_link.world.environment import STUDY_SHADOW, ObstacleParams, ShadowParams
-from sim_link.world.radio_channel import ChannelParams
+from sim_link.world.environment import STUDY_SHADOW, ChannelParams, ObstacleParams, ShadowParams
 
 FirstEstimate = Literal["measured", "uniform"]
 Offsets = Literal["fixed", "prior"]

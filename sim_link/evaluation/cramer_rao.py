@@ -31,9 +31,8 @@ from functools import lru_cache
 import numpy as np
 from scipy.special import log_ndtr
 
-from companion.geometry.arrays import Matrix, Vector
-from companion.kernel import kernel
-from sim_link.world.radio_channel import ChannelParams
+from companion.kernel import Matrix, Vector, kernel
+from sim_link.world.environment import ChannelParams
 
 TAIL_SIGMAS = 9.0
 """Gaussian tails are cut here."""

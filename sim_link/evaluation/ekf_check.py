@@ -15,9 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from companion.domain import RangingMeasurement
-from companion.estimation.base import FilterState
-from companion.geometry.arrays import Matrix, Vector
-from companion.kernel import kernel
+from companion.estimation.filters.target_filter import FilterState
+from companion.kernel import Matrix, Vector, kernel
 from sim_link.evaluation.case import Case
 from sim_link.evaluation.filterpy_ekf import FilterpyEkf
 from sim_link.evaluation.noise import (

@@ -15,18 +15,21 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
 from companion.domain import PositionEnu, RangingMeasurement
-from companion.estimation.base import (
+from companion.estimation.filters.robust_update import (
+    is_positive_definite,
+    lateness_variance,
+    settled,
+    wrapped,
+)
+from companion.estimation.filters.target_filter import (
     NO_INFLATION,
+    FilterParams,
     FilterState,
     Inflation,
     ModalityReport,
     UpdateReport,
 )
-from companion.estimation.filter_params import FilterParams
-from companion.estimation.joseph import is_positive_definite
-from companion.estimation.robust_update import lateness_variance, settled, wrapped
-from companion.geometry.arrays import Vector
-from companion.models.ranging_model import (
+from companion.estimation.measurement_model import (
     BEARING,
     EAST,
     MODALITIES,
@@ -35,6 +38,7 @@ from companion.models.ranging_model import (
     predicted,
     variances,
 )
+from companion.kernel import Vector
 
 Rows = list[int]
 """Which modalities were measured, in their order."""

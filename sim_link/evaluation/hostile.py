@@ -16,9 +16,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.domain import PositionEnu, RangingMeasurement
-from companion.estimation.base import FilterState, Inflation, TargetFilter, UpdateReport
-from companion.estimation.filter_params import FilterParams
-from companion.geometry.arrays import Matrix
+from companion.estimation.filters.target_filter import (
+    FilterParams,
+    FilterState,
+    Inflation,
+    TargetFilter,
+    UpdateReport,
+)
+from companion.kernel import Matrix
 
 MakeFilter = Callable[[FilterParams], TargetFilter]
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
-from companion.estimation.consistency import MIN_AXIS_RATIO, r95_of_covariance_m
-from companion.geometry.arrays import Matrix, Vector
+from companion.estimation.integrity.consistency import MIN_AXIS_RATIO, r95_of_covariance_m
+from companion.kernel import Matrix, Vector
 
 SETTLED_M = 2.5
 """Paper: Time-to-Threshold."""

@@ -13,9 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from companion.estimation.robust_update import wrapped
-from companion.geometry.arrays import Matrix, Vector
-from companion.kernel import kernel
+from companion.estimation.filters.robust_update import wrapped
+from companion.kernel import Matrix, Vector, kernel
 from sim_link.evaluation.case import Case
 from sim_link.world.environment import (
     Environment,
@@ -24,8 +23,8 @@ from sim_link.world.environment import (
     ShadowMemory,
     obstruction,
 )
+from sim_link.world.line_of_sight import Surroundings
 from sim_link.world.radio_channel import MIN_RANGE_M
-from sim_link.world.sight import Surroundings
 
 OBSTRUCTED, EXCESS, BEND, RANGE_NOISE, BEARING_NOISE, BENT = range(6)
 """Columns of what is drawn: a uniform, a standard exponential, three standard normals, and the

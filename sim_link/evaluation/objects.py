@@ -17,12 +17,11 @@ from companion.domain import (
     RangingMeasurement,
     TargetEstimate,
 )
-from companion.estimation.base import FilterState, TargetFilter
-from companion.estimation.filter_params import FilterParams
+from companion.estimation.filters.target_filter import FilterParams, FilterState, TargetFilter
 from companion.estimation.hypotheses import HypothesisParams, first_hypotheses
 from companion.estimation.tracker import TargetTracker
-from companion.geometry.arrays import Matrix, Vector
-from companion.planning.base import Planner, PlanRequest
+from companion.kernel import Matrix, Vector
+from companion.planning.planner import Planner, PlanRequest
 from sim_link.evaluation.metrics import r95_m
 from sim_link.evaluation.noise import Scene, Truth, measured_in
 from sim_link.evaluation.tracks import stepped

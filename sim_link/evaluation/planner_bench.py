@@ -27,7 +27,7 @@ from time import process_time
 
 import numpy as np
 
-from companion.estimation.filters import KINDS
+from companion.estimation.filters.kalman import KINDS
 from companion.kernel import IS_COMPILED
 from sim_link.evaluation.bench import (
     FILTERPY_UPDATE,

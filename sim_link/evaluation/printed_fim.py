@@ -23,8 +23,7 @@ import math
 
 import numpy as np
 
-from companion.geometry.arrays import Matrix, Vector
-from companion.kernel import kernel
+from companion.kernel import Matrix, Vector, kernel
 from companion.planning.fim import MIN_DISTANCE_M, STAY
 
 FLAT_SHARE = 1e-9

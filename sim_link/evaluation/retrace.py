@@ -11,9 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from companion.geometry.arrays import Matrix, Vector
-from companion.kernel import kernel
-from companion.planning.latch import LATCH_SIZE
+from companion.kernel import Matrix, Vector, kernel
+from companion.planning.crossing_kernels import LATCH_SIZE
 from sim_link.evaluation.bench import SEED, Walk
 from sim_link.evaluation.case import Case
 from sim_link.evaluation.noise import PLANNER, channel_draws, measured, stream

@@ -28,7 +28,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from companion.geometry.arrays import Matrix, Vector
+from companion.kernel import Matrix, Vector
 from sim_link.evaluation.campaign import Tally
 from sim_link.evaluation.metrics import diverged_count, nees_band, steps_to_settle
 from sim_link.evaluation.results import ResultRow, StudyResult

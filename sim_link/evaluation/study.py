@@ -15,8 +15,8 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
+from companion.domain import Params
 from companion.errors import ConfigError
-from companion.params import Params
 from sim_link.evaluation.case import Case
 from sim_link.evaluation.systems import FILTER_LABELS, FilterName, PlannerName, System, system_named
 

@@ -11,7 +11,7 @@ from dataclasses import astuple, fields
 from pathlib import Path
 from typing import get_args
 
-from companion.config.load import load_yaml
+from companion.config.loader import load_yaml
 from companion.errors import CompanionError, ConfigError
 from sim_link.evaluation.results import ResultRow
 from sim_link.evaluation.study import FigureName, Metric, Study, Sweep, SystemGrid, cells_of, hint

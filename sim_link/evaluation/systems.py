@@ -11,18 +11,14 @@ import numpy as np
 
 from companion.domain import RangingMeasurement
 from companion.errors import ConfigError
-from companion.estimation.admm_ekf import AdmmEkf
-from companion.estimation.base import TargetFilter
-from companion.estimation.filters import KINDS, filter_of
-from companion.estimation.recursive_filter import RecursiveFilter
-from companion.estimation.tracker import TargetTracker
-from companion.estimation.tracker_params import TrackerParams
-from companion.geometry.arrays import Matrix, Vector
-from companion.models.ranging_model import MODALITIES
-from companion.planning.base import Planner
+from companion.estimation.filters.kalman import KINDS, AdmmEkf, RecursiveFilter, filter_of
+from companion.estimation.filters.target_filter import TargetFilter
+from companion.estimation.measurement_model import MODALITIES
+from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.kernel import Matrix, Vector
+from companion.planning.crossing import LatchedCrossing, ReactiveCrossing, ReactiveCrossingParams
 from companion.planning.fim import FimParams, FimPlanner, candidate_ring_m
-from companion.planning.latched_crossing import LatchedCrossing
-from companion.planning.reactive_crossing import ReactiveCrossing, ReactiveCrossingParams
+from companion.planning.planner import Planner
 from sim_link.evaluation.case import Case
 from sim_link.evaluation.objects import (
     Estimator,

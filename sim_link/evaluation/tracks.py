@@ -8,8 +8,7 @@ import math
 import numpy as np
 
 from companion.domain import Point
-from companion.geometry.arrays import Matrix
-from companion.kernel import kernel
+from companion.kernel import Matrix, kernel
 
 LANE_SLACK = 1e-9
 """Share of a spacing by which the last lane may lie outside through rounding."""

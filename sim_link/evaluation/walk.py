@@ -12,14 +12,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.estimation.admm_ekf import admm_update
-from companion.estimation.robust_update import robust_update
-from companion.geometry.arrays import Matrix, Vector
-from companion.kernel import kernel
-from companion.models.ranging_model import RangingModel
+from companion.estimation.filters.kalman import admm_update
+from companion.estimation.filters.robust_update import robust_update
+from companion.estimation.measurement_model import RangingModel
+from companion.kernel import Matrix, Vector, kernel
+from companion.planning.crossing import reactive_step
+from companion.planning.crossing_kernels import LATCH_SIZE, LatchRule, latched_step, overshoot_m
 from companion.planning.fim import STAY, best_candidate
-from companion.planning.latch import LATCH_SIZE, LatchRule, latched_step, overshoot_m
-from companion.planning.reactive_crossing import reactive_step
 from sim_link.evaluation.noise import Scene, Truth, measured_in
 from sim_link.evaluation.printed_fim import printed_candidate, printed_criteria
 from sim_link.evaluation.tracks import stepped

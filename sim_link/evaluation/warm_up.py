@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from companion.kernel import IS_COMPILED
-from companion.planning.latch import LATCH_SIZE
+from companion.planning.crossing_kernels import LATCH_SIZE
 from sim_link.evaluation.backends import Backend
 from sim_link.evaluation.campaign import Campaign, tally_of
 from sim_link.evaluation.case import Case

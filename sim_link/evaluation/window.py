@@ -21,7 +21,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from companion.estimation.map_kernels import (
+from companion.estimation.filters.robust_update import wrapped
+from companion.estimation.measurement_model import RANGE_OFFSET
+from companion.estimation.window.map_kernels import (
     DAMPING_MAX,
     DAMPING_START,
     MAX_ITERATIONS,
@@ -29,10 +31,7 @@ from companion.estimation.map_kernels import (
     STEP_TOLERANCE_M,
     hold_at_bounds,
 )
-from companion.estimation.robust_update import wrapped
-from companion.geometry.arrays import Matrix, Vector
-from companion.kernel import kernel
-from companion.models.ranging_model import RANGE_OFFSET
+from companion.kernel import Matrix, Vector, kernel
 
 EAST, NORTH, RANGE, BEARING = range(4)
 """Columns of a history: the sensor's place, and what it measured there."""

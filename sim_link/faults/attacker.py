@@ -15,7 +15,7 @@ from companion.mav.codec import CRC_EXTRA_BY_ID
 from companion.mav.dialect import mavlink
 from companion.mav.framing import frame_crc, message_id, without_signature
 from companion.mav.signing import MAX_HEARD, Signing, SigningKey
-from sim_link.faults.kinds import (
+from sim_link.faults.host_kinds import (
     ForeignFrames,
     ForgedFrames,
     ReplayedFrames,

@@ -12,9 +12,7 @@ from companion.mav.dialect import MAVLink_radio_ranging_message as RadioRanging
 from companion.mav.dialect import mavlink
 from companion.mav.framing import HEADER_LENGTH, MAGIC_V2, message_id
 from companion.mav.signing import SigningKey
-from sim_link.faults.effect import Effect
-from sim_link.faults.kinds import (
-    FaultRecord,
+from sim_link.faults.content_kinds import (
     RangingDropout,
     RangingFreeze,
     RangingNan,
@@ -26,6 +24,8 @@ from sim_link.faults.kinds import (
     StreamMute,
     TelemetryNonsense,
 )
+from sim_link.faults.effect import Effect
+from sim_link.faults.record import FaultRecord
 from sim_link.faults.rewriting import rewritten
 from sim_link.lockstep.wire import Delivery
 

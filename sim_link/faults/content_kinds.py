@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from companion.params import Positive
+from companion.domain import Positive
 from sim_link.faults.record import FaultRecord, Length, Share
 
 RangingField = Literal["range", "bearing", "both"]

@@ -16,10 +16,10 @@ import numpy as np
 
 from companion.mav.signing import SigningKey
 from sim_link.faults.content_effects import content_effect
+from sim_link.faults.content_kinds import ContentFault
 from sim_link.faults.effect import Effect
-from sim_link.faults.kinds import (
-    ContentFault,
-    FaultRecord,
+from sim_link.faults.link_effects import link_effect
+from sim_link.faults.link_kinds import (
     LinkBitFlips,
     LinkBlackout,
     LinkBursts,
@@ -33,7 +33,7 @@ from sim_link.faults.kinds import (
     LinkRateCap,
     LinkTruncation,
 )
-from sim_link.faults.link_effects import link_effect
+from sim_link.faults.record import FaultRecord
 from sim_link.faults.schedule import Schedule
 from sim_link.lockstep.wire import Delivery, Lane
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from companion.params import NonNegative, Positive
+from companion.domain import NonNegative, Positive
 from sim_link.faults.record import FaultRecord, Rate
 
 

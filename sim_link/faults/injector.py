@@ -15,35 +15,36 @@ import numpy as np
 
 from companion.domain import FlightMode
 from companion.mav.codec import MavCodec
-from companion.mav.dialect import mavlink
+from companion.mav.dialect import POSITION_ONLY, mavlink
 from companion.mav.endpoint import Address, Chunk
-from companion.mav.type_mask import POSITION_ONLY
-from sim_link.autopilot import incidents
+from sim_link.autopilot import scenario
 from sim_link.faults.attacker import Attacker
 from sim_link.faults.faulty_link import FaultyLink
-from sim_link.faults.kinds import (
-    Battery,
+from sim_link.faults.host_kinds import (
     CompanionKilled,
     CompanionStalled,
     CompanionTerminated,
+    ProcessFault,
+    SecurityFault,
+)
+from sim_link.faults.record import FaultRecord
+from sim_link.faults.schedule import Schedule
+from sim_link.faults.vehicle_kinds import (
+    Battery,
     Disarm,
     EkfJump,
     EkfPoor,
     Failsafe,
-    FaultRecord,
     GpsLoss,
     ModeFlap,
     OriginShift,
     PilotMode,
     PilotSticks,
-    ProcessFault,
     SecondSender,
-    SecurityFault,
     VehicleFault,
     VehicleReboot,
     Wind,
 )
-from sim_link.faults.schedule import Schedule
 from sim_link.lockstep.flight import VEHICLE_PEER, Flight
 from sim_link.lockstep.observer import Frame, Observer
 from sim_link.lockstep.operator import Operator
@@ -113,7 +114,7 @@ class Injector(Observer):
                     partial(self._send_other, fault),
                 )
             case Wind():
-                wind = incidents.WindChange(east_mps=fault.east_mps, north_mps=fault.north_mps)
+                wind = scenario.WindChange(east_mps=fault.east_mps, north_mps=fault.north_mps)
                 flight.happen(wind)
                 self._calm(fault)
             case _:
@@ -123,14 +124,14 @@ class Injector(Observer):
         if not math.isfinite(fault.duration_s):
             return
         wind = self._flight.scenario.wind
-        before = incidents.WindChange(east_mps=wind.east_mps, north_mps=wind.north_mps)
+        before = scenario.WindChange(east_mps=wind.east_mps, north_mps=wind.north_mps)
         end_s = self._flight.now_s + fault.duration_s
         self._flight.at(end_s, partial(self._flight.happen, before))
 
     def _flap(self, fault: ModeFlap, end_s: float, *, is_ours: bool) -> None:
         now_s = self._flight.now_s
         mode = fault.mode if is_ours else FlightMode.OFFBOARD
-        self._flight.happen(incidents.PilotMode(mode=mode))
+        self._flight.happen(scenario.PilotMode(mode=mode))
         if now_s < end_s or is_ours:
             next_s = now_s + 0.5 * fault.period_s
             self._flight.at(next_s, partial(self._flap, fault, end_s, is_ours=not is_ours))
@@ -185,7 +186,7 @@ class Injector(Observer):
             self._flight.at(next_s, partial(self._repeat, period_s, end_s, action))
 
 
-def incident_of(fault: VehicleFault) -> incidents.Incident:
+def incident_of(fault: VehicleFault) -> scenario.Incident:
     """The simulator's incident for a fault that is one.
 
     Raises:
@@ -194,21 +195,21 @@ def incident_of(fault: VehicleFault) -> incidents.Incident:
     for_s = fault.duration_s
     match fault:
         case VehicleReboot(down_s=down_s):
-            return incidents.Reboot(down_s=down_s)
+            return scenario.Reboot(down_s=down_s)
         case EkfJump():
-            return incidents.EkfJump(
+            return scenario.EkfJump(
                 east_m=fault.east_m, north_m=fault.north_m, up_m=fault.up_m, yaw_deg=fault.yaw_deg
             )
         case EkfPoor(ratio=ratio):
-            return incidents.EkfPoor(ratio=ratio, for_s=for_s)
+            return scenario.EkfPoor(ratio=ratio, for_s=for_s)
         case GpsLoss():
-            return incidents.GpsLoss(for_s=for_s)
+            return scenario.GpsLoss(for_s=for_s)
         case Battery(share=share):
-            return incidents.BatteryCharge(share=share)
+            return scenario.BatteryCharge(share=share)
         case OriginShift(east_m=east_m, north_m=north_m):
-            return incidents.OriginShift(east_m=east_m, north_m=north_m)
+            return scenario.OriginShift(east_m=east_m, north_m=north_m)
         case PilotMode(mode=mode) | Failsafe(mode=mode):
-            return incidents.PilotMode(mode=mode)
+            return scenario.PilotMode(mode=mode)
         case PilotSticks(forward=forward, right=right):
-            return incidents.PilotSticks(forward=forward, right=right, for_s=for_s)
+            return scenario.PilotSticks(forward=forward, right=right, for_s=for_s)
     raise ValueError(f"{type(fault).__name__} is no incident")

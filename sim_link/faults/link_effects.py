@@ -8,8 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from sim_link.faults.effect import Effect
-from sim_link.faults.kinds import (
-    FaultRecord,
+from sim_link.faults.link_kinds import (
     LinkBitFlips,
     LinkBlackout,
     LinkBursts,
@@ -22,6 +21,7 @@ from sim_link.faults.kinds import (
     LinkRateCap,
     LinkTruncation,
 )
+from sim_link.faults.record import FaultRecord
 from sim_link.lockstep.wire import Delivery
 
 NO_MAGIC = bytes(set(range(256)) - {0xFD, 0xFE})

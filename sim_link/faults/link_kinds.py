@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from companion.params import NonNegative, Positive
+from companion.domain import NonNegative, Positive
 from sim_link.faults.record import Count, FaultRecord, Share
 
 Direction = Literal["both", "to_companion", "to_vehicle"]

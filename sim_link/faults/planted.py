@@ -12,18 +12,18 @@ from dataclasses import replace
 from typing import Any
 
 from companion.config.schema import CompanionConfig
+from companion.config.tunables import Tunables
 from companion.domain import Autopilot, FlightMode, TargetEstimate
+from companion.flight_setup import build_planner, build_session
 from companion.guard.gate import GuardReason
-from companion.guidance.findings import Reason
+from companion.guidance.health.findings import Reason
 from companion.link.endpoint import CompanionEndpoint
-from companion.link.journal import Journal
+from companion.link.recorders import Journal
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Chunk
+from companion.mav.flight_modes import set_mode_params
 from companion.mav.framing import message_id
-from companion.mav.modes import set_mode_params
-from companion.run import build_planner, build_session
-from companion.tuning import Tunables
 from sim_link.faults.rewriting import rewritten
 from sim_link.lockstep.flight import MakeCompanion
 

@@ -24,7 +24,8 @@ from companion.errors import LinkError
 from companion.mav.endpoint import Address
 from sim_link.faults.attacker import Attacker
 from sim_link.faults.faulty_link import FaultyLink
-from sim_link.faults.kinds import FaultRecord, SecurityFault
+from sim_link.faults.host_kinds import SecurityFault
+from sim_link.faults.record import FaultRecord
 from sim_link.faults.schedule import Schedule
 from sim_link.lockstep.wire import Lane
 

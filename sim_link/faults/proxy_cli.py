@@ -10,11 +10,13 @@ from pathlib import Path
 import msgspec
 import yaml
 
-from companion.config.load import load_yaml
+from companion.config.loader import load_yaml
 from companion.errors import ConfigError
 from companion.mav.endpoint import Address
 from sim_link.faults.content_kinds import ContentFault
-from sim_link.faults.kinds import Fault, LinkFault, SecurityFault
+from sim_link.faults.host_kinds import SecurityFault
+from sim_link.faults.kinds import Fault
+from sim_link.faults.link_kinds import LinkFault
 from sim_link.faults.proxy import FaultProxy
 from sim_link.faults.schedule import Schedule, fault_from
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import msgspec
 
-from companion.params import NonNegative, Params, Positive
+from companion.domain import NonNegative, Params, Positive
 
 Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 Count = Annotated[int, msgspec.Meta(ge=1, le=1000)]

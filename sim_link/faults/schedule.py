@@ -6,8 +6,9 @@ import math
 
 import msgspec
 
-from companion.params import Params
-from sim_link.faults.kinds import Fault, FaultRecord
+from companion.domain import Params
+from sim_link.faults.kinds import Fault
+from sim_link.faults.record import FaultRecord
 
 
 class Schedule(Params, frozen=True):

@@ -6,8 +6,7 @@ from typing import Annotated
 
 import msgspec
 
-from companion.domain import FlightMode
-from companion.params import NonNegative, Positive
+from companion.domain import FlightMode, NonNegative, Positive
 from sim_link.faults.record import FaultRecord, Length, Rate, Share
 
 Angle = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]

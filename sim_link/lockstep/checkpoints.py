@@ -6,15 +6,15 @@ the next start.
 
 from __future__ import annotations
 
-from companion.io.checkpoint import (
+from companion.io.state.checkpoints import (
     Checkpoint,
     CheckpointError,
     Moment,
+    StoredCheckpoints,
     decode_checkpoint,
     encode_checkpoint,
 )
-from companion.io.checkpoint_store import Found
-from companion.process.restart import RestartKeeper, digests_of
+from companion.process.persistence import RestartKeeper, digests_of
 from sim_link.lockstep.flight import Flight
 from sim_link.lockstep.observer import Observer
 
@@ -27,7 +27,7 @@ class MemoryStore:
     def __init__(self) -> None:
         self.slots: dict[int, bytes] = {}
 
-    def load(self) -> Found:
+    def load(self) -> StoredCheckpoints:
         """What is there."""
         whole, problems = [], []
         for number, data in self.slots.items():
@@ -36,7 +36,7 @@ class MemoryStore:
             except CheckpointError as error:
                 problems.append(f"slot {number}: {error}")
         newest = max(whole, key=lambda checkpoint: checkpoint.sequence, default=None)
-        return Found(bool(self.slots), newest, tuple(problems))
+        return StoredCheckpoints(bool(self.slots), newest, tuple(problems))
 
     def save(self, checkpoint: Checkpoint) -> None:
         """Keep a checkpoint in place of the older one."""

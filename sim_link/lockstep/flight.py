@@ -21,14 +21,14 @@ from functools import partial
 
 from companion.config.schema import CompanionConfig
 from companion.domain import Autopilot, FlightMode
-from companion.guidance.states import Phase
-from companion.link.endpoint import CompanionEndpoint, Journal
+from companion.flight_setup import build_endpoint
+from companion.guidance.authority.state_machine import Phase
+from companion.link.endpoint import CompanionEndpoint
+from companion.link.recorders import Journal
 from companion.mav.endpoint import Address, Chunk
-from companion.run import build_endpoint
-from sim_link.autopilot import payload
+from sim_link.autopilot import radio_payload
 from sim_link.autopilot.endpoint import SimEndpoint
-from sim_link.autopilot.incidents import Incident, PilotMode, Reboot
-from sim_link.autopilot.scenario import Scenario
+from sim_link.autopilot.scenario import Incident, PilotMode, Reboot, Scenario
 from sim_link.lockstep.journal import WatchedJournal
 from sim_link.lockstep.observer import Frame, Observers, frames_in
 from sim_link.lockstep.wire import Lane, PerfectWire, Wire
@@ -225,7 +225,7 @@ class Flight:
         for chunk in self.sim.take_output():
             if COMPANION_PEER in chunk.except_peers or chunk.peer not in (None, COMPANION_PEER):
                 continue  # forwarded to someone else
-            is_payload = chunk.data[COMPONENT_BYTE] == payload.COMPONENT_ID
+            is_payload = chunk.data[COMPONENT_BYTE] == radio_payload.COMPONENT_ID
             if is_payload and (self._radio is not None or not self.is_ranging_up):
                 continue
             self._tell("vehicle_sent", chunk.data, Lane.TO_COMPANION)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from companion.guidance.commands import ReportResult, Severity
-from companion.link.journal import Journal
+from companion.link.recorders import Journal
 from sim_link.lockstep.observer import Observer
 
 

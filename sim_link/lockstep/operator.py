@@ -8,7 +8,7 @@ from companion.domain import FlightMode
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address, Chunk
-from companion.mav.modes import set_mode_params
+from companion.mav.flight_modes import set_mode_params
 from companion.mav.signing import LinkSigning
 from sim_link.lockstep.flight import Flight
 from sim_link.lockstep.wire import Lane

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from companion.domain import PositionEnu
-from companion.geometry.frames import enu_from_ned
+from companion.geometry.coordinates import enu_from_ned
 from companion.mav.dialect import Message, mavlink
 from sim_link.autopilot.vehicle import SimVehicle
 from sim_link.lockstep.observer import Frame, Observer

@@ -18,10 +18,11 @@ import msgspec
 
 from companion.config.schema import CompanionConfig
 from companion.errors import CompanionError, ConfigError
+from companion.flight_setup import build_endpoint
 from companion.io.files import write_bytes_atomic, write_text_atomic
-from companion.io.links import TcpClient, link_from_url, make_link
-from companion.io.urls import parse_link_url
-from companion.run import build_endpoint, prepare
+from companion.io.links.specs import TcpClient, link_from_url, make_link
+from companion.io.links.urls import parse_link_url
+from companion.run import prepare
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import FlavourName
 from sim_link.lockstep.journal import Notes

@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import UNSET, UnsetType
 
-from companion.params import Params
-from sim_link.world.target import EmitterId
+from companion.domain import Params
+from sim_link.world.environment import EmitterId
 
 Source = Literal["companion", "autopilot"]
 INVARIANTS = tuple(f"I{number}" for number in range(1, 13))

@@ -14,8 +14,8 @@ from collections.abc import Callable
 import msgspec
 
 from companion.domain import FlightMode
+from companion.flight_setup import build_endpoint
 from companion.mav.dialect import mavlink
-from companion.run import build_endpoint
 from sim_link.autopilot.scenario import Scenario
 from sim_link.campaign.flights import rules_of
 from sim_link.faults.faulty_link import FaultyLink

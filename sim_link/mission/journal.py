@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from companion.domain import Point
+from companion.guidance.authority.state_machine import IN_CONTROL
 from companion.guidance.commands import ReportResult, Severity
-from companion.guidance.states import IN_CONTROL
 from sim_link.mission.record import EstimatePoint, FlightRecord, Report, Said
 from sim_link.mission.situation import Situation
 

@@ -11,9 +11,9 @@ from typing import Any
 
 from companion.domain import Autopilot, FlightMode
 from companion.errors import CompanionError, ConfigError
-from companion.link.streams import STREAM_INTERVAL_S
+from companion.link.autopilot_queries import STREAM_INTERVAL_S
 from companion.mav.dialect import mavlink
-from companion.mav.modes import set_mode_params
+from companion.mav.flight_modes import set_mode_params
 from sim_link.mission.operator import Action, Arm, Grant, SwitchMode, TakeOff
 
 SEARCH_S = 30.0

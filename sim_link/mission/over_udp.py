@@ -20,14 +20,13 @@ from pathlib import Path
 import msgspec
 import yaml
 
-from companion.demo.simulator import HOST, free_udp_ports
+from companion.demo.simulator_process import HOST, free_udp_ports
 from companion.domain import FlightMode
 from companion.errors import CompanionError
-from companion.io.clock import Clock
-from companion.io.links import LinkSpec, UdpBind, UdpConnect, link_from_url
-from companion.io.shell import Shell
-from companion.io.tlog import TlogWriter
-from companion.io.urls import parse_link_url
+from companion.io.links.specs import LinkSpec, UdpBind, UdpConnect, link_from_url
+from companion.io.links.urls import parse_link_url
+from companion.io.logs.log_files import TlogWriter
+from companion.io.shell import Clock, Shell
 from sim_link.faults.faulty_link import FaultyLink
 from sim_link.faults.schedule import Schedule
 from sim_link.mission.children import Child, EventTail

@@ -12,19 +12,18 @@ from pathlib import Path
 
 import msgspec
 
-from companion.config.load import read_text
-from sim_link.autopilot.incidents import Incident, WindChange
+from companion.config.loader import read_text
+from sim_link.autopilot.scenario import Incident, WindChange
 from sim_link.faults.faulty_link import FaultyLink
-from sim_link.faults.injector import incident_of
-from sim_link.faults.kinds import (
+from sim_link.faults.host_kinds import (
     CompanionKilled,
     CompanionStalled,
     CompanionTerminated,
-    Fault,
     SecurityFault,
-    VehicleFault,
-    Wind,
 )
+from sim_link.faults.injector import incident_of
+from sim_link.faults.kinds import Fault
+from sim_link.faults.vehicle_kinds import VehicleFault, Wind
 from sim_link.lockstep.observer import Observer
 from sim_link.mission.children import Child
 from sim_link.mission.script import Mission

@@ -16,17 +16,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.domain import PositionEnu
-from companion.geometry.frames import LocalOrigin, enu_from_ned
+from companion.geometry.coordinates import LocalOrigin, enu_from_ned
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address, Chunk
-from companion.mav.modes import autopilot_of
+from companion.mav.flight_modes import autopilot_of
 from companion.mav.ranging import message_from_ranging
-from sim_link.autopilot.payload import COMPONENT_ID, payload_heartbeat
+from sim_link.autopilot.radio_payload import COMPONENT_ID, payload_heartbeat
 from sim_link.autopilot.scenario import PayloadParams
-from sim_link.world.environment import Environment
-from sim_link.world.radio_channel import ChannelParams, RadioChannel
-from sim_link.world.target import Emitter, EmitterParams
+from sim_link.world.environment import ChannelParams, Emitter, EmitterParams, Environment
+from sim_link.world.radio_channel import RadioChannel
 
 FOLLOW, SEND = 0, 1
 """Links: where the vehicle is heard, and where measurements go to if that is another one."""

@@ -13,14 +13,13 @@ import msgspec
 import numpy as np
 
 from companion.errors import ConfigError
-from companion.io.clock import Clock
-from companion.io.links import LinkSpec, UdpConnect, link_from_url
-from companion.io.shell import Shell
-from companion.io.urls import parse_link_url
+from companion.io.links.specs import LinkSpec, UdpConnect, link_from_url
+from companion.io.links.urls import parse_link_url
+from companion.io.shell import Clock, Shell
 from sim_link.autopilot.scenario import Scenario
-from sim_link.config import load_scenario
+from sim_link.fleet.scenario_io import load_scenario
 from sim_link.mission.radio import GeodeticEmitter, RadioFollower
-from sim_link.world.target import Emitter
+from sim_link.world.environment import Emitter
 
 SILENCE_S = 10.0
 """Seconds without a vehicle after which somebody is told."""

@@ -14,7 +14,7 @@ from markupsafe import Markup
 
 from companion import __version__
 from companion.domain import Point
-from companion.report.drawing import Drawing, square_around
+from companion.report.svg import Drawing, square_around
 from sim_link.mission.record import EstimatePoint, FlightRecord
 from sim_link.mission.result import MissionResult
 from sim_link.mission.script import Mission

@@ -8,7 +8,7 @@ import re
 from dataclasses import dataclass
 
 from companion.io.files import plain
-from companion.io.tlog import tlog_record
+from companion.io.logs.log_files import tlog_record
 from sim_link.mission.record import FlightRecord
 from sim_link.mission.script import Mission
 from sim_link.mission.verdicts import Verdict, true_places

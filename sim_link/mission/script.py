@@ -13,12 +13,12 @@ import msgspec
 from msgspec import UNSET, UnsetType
 
 from companion.config.schema import CompanionConfig
-from companion.params import Params
+from companion.domain import Params
 from companion.planning.search import Spacing
 from sim_link.autopilot.scenario import FlavourName, FlightAltitude, Scenario
 from sim_link.faults.kinds import Fault
 from sim_link.mission.expectations import Expectation
-from sim_link.world.target import Coordinate
+from sim_link.world.environment import Coordinate
 
 PatternName = Literal["lawnmower", "expanding_square", "sector"]
 PilotMode = Literal["hold", "position", "altitude", "stabilized", "return", "land"]

@@ -13,7 +13,7 @@ from pathlib import Path
 import msgspec
 import yaml
 
-from companion.config.load import parse_yaml, read_text
+from companion.config.loader import parse_yaml, read_text
 from companion.config.schema import CompanionConfig, inconsistency, load_config
 from companion.errors import ConfigError
 from sim_link.faults.kinds import KINDS

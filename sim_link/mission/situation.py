@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from companion.domain import EstimateState, FlightMode, LandedState, WaypointReason
-from companion.guidance.states import Phase
+from companion.guidance.authority.state_machine import Phase
 
 
 @dataclass(slots=True)

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from companion.domain import FlightMode
-from sim_link.faults.kinds import FaultRecord
+from sim_link.faults.record import FaultRecord
 from sim_link.mission import script
 from sim_link.mission.conditions import parse_condition
 from sim_link.mission.operator import Action, Arm, Grant, Harness, Operator, SwitchMode, TakeOff

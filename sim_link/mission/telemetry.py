@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from companion.domain import PositionEnu
-from companion.geometry.frames import LocalOrigin
+from companion.geometry.coordinates import LocalOrigin
 from companion.guidance.events import (
     HeartbeatReceived,
     HomeSet,
@@ -16,7 +16,7 @@ from companion.guidance.events import (
 from companion.link.inbound import VehicleInbound
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
-from companion.mav.modes import autopilot_of
+from companion.mav.flight_modes import autopilot_of
 from sim_link.mission.record import FlightRecord, Said
 from sim_link.mission.situation import Situation
 

@@ -6,8 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 
 from companion.domain import FlightMode, PositionEnu
-from companion.mav.dialect import mavlink
-from companion.mav.type_mask import POSITION_AND_YAW, POSITION_ONLY
+from companion.mav.dialect import POSITION_AND_YAW, POSITION_ONLY, mavlink
 from sim_link.lockstep.observer import Frame
 from sim_link.monitor.invariant import Invariant
 from sim_link.monitor.own_jumps import OwnJumps

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from companion.params import NonNegative, Params, Positive
+from companion.domain import NonNegative, Params, Positive
 
 Corners = tuple[tuple[float, float], ...]
 

@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from companion.domain import PositionEnu
-from companion.geometry.frames import LocalOrigin
+from companion.geometry.coordinates import LocalOrigin
 from companion.mav.dialect import Message, mavlink
 from sim_link.autopilot.vehicle import SimVehicle
 from sim_link.lockstep.observer import Frame

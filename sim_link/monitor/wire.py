@@ -17,7 +17,7 @@ from typing import Any
 import msgspec
 
 from companion.domain import EstimateState, FlightMode, PositionEnu, TargetEstimate
-from companion.geometry.frames import LocalOrigin
+from companion.geometry.coordinates import LocalOrigin
 from companion.mav.dialect import Message, mavlink
 from sim_link.lockstep.observer import Frame
 from sim_link.monitor.beliefs import HonestCovariance

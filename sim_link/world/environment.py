@@ -1,4 +1,4 @@
-"""Obstacles, and what a radio path suffers in the open and in their shadow.
+"""The emitter, obstacles, and what a radio path suffers in the open and in their shadow.
 
 Theory of operation. In the open one draw decides for a whole measurement whether the path is
 obstructed, as the paper has it: then the range has an exponential excess and the bearing a normal
@@ -7,11 +7,11 @@ bend. In the shadow of an obstacle every path is obstructed, and both have two p
     excess = detour_share * (shortest detour - straight path) + extra,  extra exponential
     bend   = pull_share * (direction of the detour - direction of the emitter) + bias,  bias normal
 
-The first part follows from the place alone (`sight`). The second is correlated over the way that
-the sensor moves from one shadowed measurement to the next: correlation exp(-distance / L)
-(M. Gudmundson, "Correlation model for shadow fading in mobile radio systems", Electronics Letters
-27, 1991), a first-order Gauss-Markov process. An exponential variable is half the squared length of
-a pair of standard normals, and the uniform and the exponential number of a draw are such a pair in
+The first part follows from the place alone (`line_of_sight`). The second is correlated over the way
+that the sensor moves from one shadowed measurement to the next: correlation exp(-distance / L) (M.
+Gudmundson, "Correlation model for shadow fading in mobile radio systems", Electronics Letters 27,
+1991), a first-order Gauss-Markov process. An exponential variable is half the squared length of a
+pair of standard normals, and the uniform and the exponential number of a draw are such a pair in
 polar coordinates (G. E. P. Box, M. E. Muller, 1958). So the pair is the process, with twice the
 correlation length, because squaring halves it; nothing more is drawn, and with L = 0 the extra is
 the drawn exponential itself.
@@ -28,13 +28,69 @@ from typing import Annotated, NamedTuple
 import msgspec
 import numpy as np
 
-from companion.domain import PositionEnu
+from companion.domain import NonNegative, Params, PositionEnu, Positive
 from companion.geometry.polygons import area_m2, is_simple
 from companion.kernel import kernel
-from companion.params import NonNegative, Params, Positive
-from sim_link.world import sight
-from sim_link.world.sight import Surroundings, detour, is_blocked_in_space
-from sim_link.world.target import Coordinate
+from sim_link.world import line_of_sight
+from sim_link.world.line_of_sight import Surroundings, detour, is_blocked_in_space
+
+Probability = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
+
+
+class ChannelParams(Params, frozen=True):
+    """Offsets, obstruction and noise of the radio. Paper: "Simulation Setup"."""
+
+    range_offset_m: float = 1.5
+    bearing_offset_deg: float = -3.0
+    """Counter-clockwise positive, as the paper's angles are."""
+    p_nlos: Probability = 0.9
+    """In the open: outside of every obstacle's shadow."""
+    range_bias_mean_m: NonNegative = 8.0
+    bearing_bias_sigma_deg: NonNegative = 5.0
+    range_sigma_m: NonNegative = 1.5
+    bearing_sigma_deg: NonNegative = 2.0
+
+
+EmitterId = Annotated[int, msgspec.Meta(ge=0, le=0xFFFF)]
+Coordinate = Annotated[float, msgspec.Meta(ge=-1e5, le=1e5)]
+"""Local metres; beyond 100 km a flat local frame means nothing."""
+
+
+class EmitterParams(Params, frozen=True):
+    """The emitter's identity and place, local east-north-up metres about the origin."""
+
+    emitter_id: EmitterId = 1
+    position_enu_m: tuple[Coordinate, Coordinate] = (50.0, 50.0)
+    height_m: Coordinate = 0.0
+    channel: ChannelParams | None = None
+    """How it is heard, what is left out being canonical; None: over the scenario's `channel`."""
+    quality: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] | None = None
+    """What the radio says of its signal; None: nothing."""
+
+
+class Emitter:
+    """A radio that does not move.
+
+    Args:
+        params: Its identity and place.
+    """
+
+    def __init__(self, params: EmitterParams) -> None:
+        self.emitter_id = params.emitter_id
+        self.channel = params.channel
+        self.quality = params.quality
+        self.position_enu_m: PositionEnu = (*params.position_enu_m, params.height_m)
+
+    def slant_range_m(self, sensor_enu_m: PositionEnu) -> float:
+        """True distance from the sensor, metres. Paper: h of eq. (1) for ranges."""
+        return math.dist(self.position_enu_m, sensor_enu_m)
+
+    def bearing_enu_rad(self, sensor_enu_m: PositionEnu) -> float:
+        """True azimuth from the sensor, counter-clockwise from east. Paper: h for bearings."""
+        return math.atan2(
+            self.position_enu_m[1] - sensor_enu_m[1], self.position_enu_m[0] - sensor_enu_m[0]
+        )
+
 
 LEAST_OBSTACLE_M2 = 1e-3
 """A mast is an obstacle too."""
@@ -262,11 +318,11 @@ class Environment:
         corners: list[tuple[float, float]] = []
         for owner, obstacle in enumerate(obstacles):
             top_m = math.inf if obstacle.height_m is None else obstacle.height_m
-            rows += sight.walls(obstacle.corners_enu_m, top_m, owner)
-            corners += sight.turning_corners(obstacle.corners_enu_m)
-        self.edges = np.array(rows, dtype=np.float64).reshape(-1, sight.COLUMNS)
+            rows += line_of_sight.walls(obstacle.corners_enu_m, top_m, owner)
+            corners += line_of_sight.turning_corners(obstacle.corners_enu_m)
+        self.edges = np.array(rows, dtype=np.float64).reshape(-1, line_of_sight.COLUMNS)
         self._corners = np.array(corners, dtype=np.float64).reshape(-1, 2)
 
     def around(self, emitter_enu_m: PositionEnu) -> Surroundings:
         """An emitter in it; finds the ways from all corners to it, so keep what it returns."""
-        return sight.surroundings_of(emitter_enu_m, self.edges, self._corners)
+        return line_of_sight.surroundings_of(emitter_enu_m, self.edges, self._corners)

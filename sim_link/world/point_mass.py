@@ -16,9 +16,8 @@ from typing import Annotated
 
 import msgspec
 
-from companion.domain import PositionEnu
-from companion.geometry.frames import wrap_pi
-from companion.params import Params, Positive
+from companion.domain import Params, PositionEnu, Positive
+from companion.geometry.coordinates import wrap_pi
 
 GRAVITY_MPS2 = 9.80665
 GROUND_CONTACT_M = 1e-3

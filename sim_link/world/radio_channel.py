@@ -16,18 +16,18 @@ from typing import NamedTuple
 import numpy as np
 
 from companion.domain import PositionEnu, RangingMeasurement
-from companion.geometry.frames import wrap_pi
-from sim_link.world.channel_params import ChannelParams as ChannelParams
+from companion.geometry.coordinates import wrap_pi
 from sim_link.world.environment import (
     NO_MEMORY,
+    ChannelParams,
+    Emitter,
     Environment,
     OpenPath,
     ShadowMemory,
     obstruction,
     open_obstruction,
 )
-from sim_link.world.sight import Surroundings
-from sim_link.world.target import Emitter
+from sim_link.world.line_of_sight import Surroundings
 
 MIN_RANGE_M = 0.01
 """Measured ranges stay positive, as the paper has it."""

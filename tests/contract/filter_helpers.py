@@ -14,14 +14,10 @@ import numpy as np
 import pytest
 
 from companion.domain import PositionEnu, RangingMeasurement
-from companion.estimation.admm_ekf import AdmmEkf
-from companion.estimation.asymmetric_huber_ekf import AsymmetricHuberEkf
-from companion.estimation.base import FilterState, UpdateReport
-from companion.estimation.ekf import Ekf
-from companion.estimation.filter_params import FilterParams
-from companion.estimation.huber_ekf import HuberEkf
-from companion.geometry.arrays import Vector
-from companion.models.ranging_model import predicted
+from companion.estimation.filters.kalman import AdmmEkf, AsymmetricHuberEkf, Ekf, HuberEkf
+from companion.estimation.filters.target_filter import FilterParams, FilterState, UpdateReport
+from companion.estimation.measurement_model import predicted
+from companion.kernel import Vector
 from sim_link.evaluation.hostile import MakeFilter, fault_of
 
 FILTERPY = "sim_link.evaluation.filterpy_ekf"

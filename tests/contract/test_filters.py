@@ -9,9 +9,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.estimation.base import FilterState
-from companion.estimation.filter_params import FilterParams
-from companion.models.ranging_model import jacobian, predicted
+from companion.estimation.filters.target_filter import FilterParams, FilterState
+from companion.estimation.measurement_model import jacobian, predicted
 from sim_link.evaluation.hostile import MakeFilter, fault_of, hostile_params, run_sequence
 from tests.contract.filter_helpers import (
     OF_FILTERPY,

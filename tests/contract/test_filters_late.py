@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.estimation.filter_params import FilterParams
+from companion.estimation.filters.target_filter import FilterParams
 from sim_link.evaluation.hostile import MakeFilter
 from tests.contract.filter_helpers import assert_same, seen_at, state_of
 

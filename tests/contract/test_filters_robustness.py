@@ -8,11 +8,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.estimation.admm_ekf import AdmmEkf, AdmmParams
-from companion.estimation.asymmetric_huber_ekf import AsymmetricHuberEkf
-from companion.estimation.ekf import Ekf
-from companion.estimation.filter_params import FilterParams
-from companion.estimation.huber_ekf import HuberEkf
+from companion.estimation.filters.kalman import (
+    AdmmEkf,
+    AdmmParams,
+    AsymmetricHuberEkf,
+    Ekf,
+    HuberEkf,
+)
+from companion.estimation.filters.target_filter import FilterParams
 from tests.contract.filter_helpers import (
     FILTERS,
     ONE_SIDED,

@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 
 from companion.domain import PositionEnu, RangingMeasurement
-from companion.estimation.asymmetric_huber_ekf import AsymmetricHuberEkf
-from companion.estimation.base import FilterState
-from companion.estimation.filter_params import FilterParams
-from companion.estimation.joseph import joseph_row
-from companion.estimation.losses import asymmetric_huber_weight, threshold
-from companion.geometry.arrays import Vector
-from companion.models.ranging_model import predicted
+from companion.estimation.filters.kalman import AsymmetricHuberEkf
+from companion.estimation.filters.losses import asymmetric_huber_weight, threshold
+from companion.estimation.filters.robust_update import joseph_row
+from companion.estimation.filters.target_filter import FilterParams, FilterState
+from companion.estimation.measurement_model import predicted
+from companion.kernel import Vector
 from sim_link.evaluation.hostile import MakeFilter
 from tests.contract.filter_helpers import BOUNDED, assert_same, seen_at, state_of, surprises
 

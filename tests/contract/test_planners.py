@@ -13,24 +13,27 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.domain import EstimateState, Point, TargetEstimate, Waypoint, WaypointReason
-from companion.geometry.arrays import frozen
 from companion.geometry.obstacles import FreeSpace, between
 from companion.geometry.polygons import deepest_point, depth_m
-from companion.planning.base import Planner, PlanRequest
+from companion.kernel import frozen
+from companion.planning.crossing import (
+    LatchedCrossing,
+    LatchedCrossingParams,
+    ReactiveCrossing,
+    ReactiveCrossingParams,
+)
 from companion.planning.fim import FimParams, FimPlanner
-from companion.planning.latched_crossing import LatchedCrossing, LatchedCrossingParams
-from companion.planning.patterns import (
+from companion.planning.planner import NO_ROOM, START_TOLERANCE_M, Planner, PlanRequest
+from companion.planning.search import (
     ExpandingSquare,
     ExpandingSquareParams,
     Lawnmower,
     LawnmowerParams,
+    SearchPlanner,
+    SearchThenCross,
     SectorParams,
     SectorSearch,
 )
-from companion.planning.reactive_crossing import ReactiveCrossing, ReactiveCrossingParams
-from companion.planning.routing import NO_ROOM, START_TOLERANCE_M
-from companion.planning.search import SearchPlanner
-from companion.planning.search_then_cross import SearchThenCross
 
 HOOK = ((-40.0, -40.0), (40.0, -40.0), (40.0, 0.0), (0.0, 0.0), (0.0, 40.0), (-40.0, 40.0))
 

@@ -19,11 +19,11 @@ import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from companion.config.schema import CompanionConfig
-from companion.guidance.session import SessionParams
-from companion.io.journal import FlightJournal
-from companion.link.journal import Journal
+from companion.guidance.session_params import SessionParams
+from companion.io.logs.flight_recorder import FlightJournal
+from companion.link.recorders import Journal
+from companion.web.live_map import WebView
 from companion.web.settings import WebSettings, web_settings
-from companion.web.view import WebView
 from sim_link.autopilot.scenario import Scenario
 from sim_link.lockstep.flight import Flight
 from tests.ports import free_port

@@ -9,13 +9,10 @@ import socket
 from collections.abc import Awaitable, Callable, Sequence
 from typing import Any
 
-from companion.io.clock import Clock
-from companion.io.links import (
-    LinkSpec,
-)
-from companion.io.shell import Shell
-from companion.io.tcp_server import TcpServerLink
-from companion.io.udp import UdpLink
+from companion.io.links.specs import LinkSpec
+from companion.io.links.tcp import TcpServerLink
+from companion.io.links.udp import UdpLink
+from companion.io.shell import Clock, Shell
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk, Endpoint

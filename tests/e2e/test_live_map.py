@@ -18,7 +18,7 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from companion.guidance.commands import Severity
-from companion.view.collector import MARKS
+from companion.web.live_map import MARKS
 from tests.e2e.live_map_rig import (
     DESK,
     ENDLESS,

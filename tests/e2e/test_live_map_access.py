@@ -13,8 +13,7 @@ from playwright.sync_api import Browser, expect
 from websockets.asyncio.client import connect
 from websockets.exceptions import WebSocketException
 
-from companion.web.settings import web_settings
-from companion.web.tiles import NO_TILE
+from companion.web.settings import NO_TILE, web_settings
 from tests.e2e.live_map_rig import (
     DESK,
     ENDLESS,

@@ -19,7 +19,7 @@ from typing import Any
 import pytest
 from pymavlink import mavutil
 
-from companion.tuning import TUNABLES
+from companion.config.tunables import TUNABLES
 from tests.e2e.simulator_process import PATIENCE_S, running_simulator
 from tests.ports import free_port
 

@@ -18,8 +18,8 @@ from typing import ClassVar
 
 import pytest
 
-from companion.guidance.states import Phase
-from companion.io.checkpoint import CheckpointError, decode_checkpoint
+from companion.guidance.authority.state_machine import Phase
+from companion.io.state.checkpoints import CheckpointError, decode_checkpoint
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from tests.e2e.simulator_process import PATIENCE_S, running_simulator

@@ -13,19 +13,18 @@ from pathlib import Path
 import pytest
 
 from companion.errors import LinkError
-from companion.io.clock import Clock
-from companion.io.links import LinkSpec, Pty, TcpFanOut, UdpFanOut, shared_link_from_url
-from companion.io.pty import PtyLink
-from companion.io.shell import Shell
-from companion.io.tcp_server import MAX_CLIENTS, TcpFanOutLink
-from companion.io.udp import UdpLink
-from companion.io.urls import parse_link_url
+from companion.io.links.byte_streams import PtyLink
+from companion.io.links.specs import LinkSpec, Pty, TcpFanOut, UdpFanOut, shared_link_from_url
+from companion.io.links.tcp import MAX_CLIENTS, TcpFanOutLink
+from companion.io.links.udp import UdpLink
+from companion.io.links.urls import parse_link_url
+from companion.io.shell import Clock, Shell
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address, Chunk
 from sim_link.autopilot.endpoint import SimEndpoint
-from sim_link.autopilot.protocols.channels import FrameReceivers
-from sim_link.config import Scenario
+from sim_link.autopilot.protocols.link_layer import FrameReceivers
+from sim_link.autopilot.scenario import Scenario
 from tests.e2e.shell_helpers import TIMEOUT_S, drive, until
 
 HOST = "127.0.0.1"

@@ -10,11 +10,8 @@ import time
 
 import pytest
 
-from companion.io.clock import Clock
-from companion.io.links import (
-    UdpBind,
-)
-from companion.io.shell import Shell
+from companion.io.links.specs import UdpBind
+from companion.io.shell import Clock, Shell
 from tests.e2e.shell_helpers import TIMEOUT_S, EchoEndpoint, TimeOfOurs
 
 
@@ -56,7 +53,7 @@ def time_of_ours(monkeypatch: pytest.MonkeyPatch) -> TimeOfOurs:
     """For the shell and its clock."""
     ours = TimeOfOurs()
     monkeypatch.setattr("companion.io.shell.time", ours)
-    monkeypatch.setattr("companion.io.clock.time", ours)
+    monkeypatch.setattr("companion.io.shell.time", ours)
     return ours
 
 

@@ -8,11 +8,8 @@ from collections.abc import Callable
 
 import pytest
 
-from companion.io.clock import Clock
-from companion.io.links import (
-    UdpBind,
-)
-from companion.io.shell import Shell
+from companion.io.links.specs import UdpBind
+from companion.io.shell import Clock, Shell
 from tests.e2e.shell_helpers import TIMEOUT_S, EchoEndpoint, drive, heartbeat, port_of, until
 
 SLEEP_S = 100.0

@@ -13,13 +13,8 @@ from pathlib import Path
 import pytest
 
 from companion.errors import LinkError
-from companion.io.clock import Clock
-from companion.io.links import (
-    SerialPort,
-    TcpClient,
-    TcpServer,
-)
-from companion.io.shell import Shell
+from companion.io.links.specs import SerialPort, TcpClient, TcpServer
+from companion.io.shell import Clock, Shell
 from companion.mav.endpoint import Chunk
 from tests.e2e.shell_helpers import (
     TIMEOUT_S,
@@ -78,7 +73,7 @@ def test_a_tcp_server_serves_one_client_at_a_time_and_the_next_after_it() -> Non
 
 
 def test_a_tcp_client_connects_late_and_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("companion.io.streams.BACKOFF_MIN_S", 0.02)
+    monkeypatch.setattr("companion.io.links.byte_streams.BACKOFF_MIN_S", 0.02)
     endpoint, port = EchoEndpoint(), free_port()
 
     async def scene(shell: Shell) -> None:
@@ -126,7 +121,7 @@ def test_a_client_that_does_not_read_costs_chunks_and_not_memory() -> None:
 def test_a_serial_line_is_read_through_garbage_and_reopened(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("companion.io.streams.BACKOFF_MIN_S", 0.02)
+    monkeypatch.setattr("companion.io.links.byte_streams.BACKOFF_MIN_S", 0.02)
     endpoint, rng = EchoEndpoint(), random.Random(5)
     device = tmp_path / "ttyACM0"
 

@@ -11,15 +11,8 @@ import threading
 import pytest
 
 from companion.errors import LinkError
-from companion.io.clock import Clock
-from companion.io.links import (
-    LinkSpec,
-    TcpServer,
-    UdpBind,
-    UdpConnect,
-    UdpFanOut,
-)
-from companion.io.shell import Shell
+from companion.io.links.specs import LinkSpec, TcpServer, UdpBind, UdpConnect, UdpFanOut
+from companion.io.shell import Clock, Shell
 from companion.mav.endpoint import Chunk
 from tests.e2e.shell_helpers import (
     TIMEOUT_S,
@@ -167,7 +160,7 @@ def test_a_send_that_the_system_refuses_is_counted(
         def sendto(self, *_: object) -> int:
             raise OSError(errno.ENOBUFS, "No buffer space available")
 
-    monkeypatch.setattr("companion.io.udp.socket.socket", Full)
+    monkeypatch.setattr("companion.io.links.udp.socket.socket", Full)
     endpoint = EchoEndpoint()
 
     async def scene(shell: Shell) -> None:
@@ -207,7 +200,7 @@ def test_a_socket_whose_network_is_gone_is_opened_again_on_its_port(
             super().bind(address)
 
     endpoint, address, port_of_ours = EchoEndpoint(), peer.getsockname(), free_port()
-    monkeypatch.setattr("companion.io.udp.socket.socket", Interface)
+    monkeypatch.setattr("companion.io.links.udp.socket.socket", Interface)
     spec = UdpBind("127.0.0.1", port_of_ours) if is_bound else UdpConnect(*address)
 
     async def scene(shell: Shell) -> None:

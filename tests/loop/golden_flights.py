@@ -22,32 +22,32 @@ import numpy as np
 
 from companion.config.schema import CompanionConfig, LimitsConfig, PlannerConfig
 from companion.domain import FlightMode
-from companion.estimation.tracker_params import TrackerParams
-from companion.flight_facts import FlightFacts, open_flight, write_facts
-from companion.guidance.emitters import QueueParams
-from companion.guidance.events import Wish
-from companion.guidance.session import SessionParams
-from companion.io.flight_files import INPUTS
-from companion.io.inputs import parse_inputs
-from companion.io.journal import FlightJournal
-from companion.link.endpoint import CompanionEndpoint, Journal
-from companion.link.params import VehicleParams
+from companion.estimation.tracker import TrackerParams
+from companion.flight_setup import FlightFacts, build_endpoint, open_flight, write_facts
+from companion.guidance.events import OperatorCommand
+from companion.guidance.session_params import SessionParams
+from companion.guidance.tracking.emitters import QueueParams
+from companion.io.files import INPUTS
+from companion.io.logs.flight_recorder import FlightJournal
+from companion.io.logs.log_files import parse_inputs
+from companion.link.binding import VehicleParams
+from companion.link.endpoint import CompanionEndpoint
+from companion.link.recorders import Journal
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk
-from companion.planning.latched_crossing import LatchedCrossingParams
-from companion.replay.flight import Course, rerun
-from companion.run import build_endpoint
-from sim_link.autopilot.incidents import Incident, PilotMode
-from sim_link.autopilot.scenario import AutopilotParams, Scenario
+from companion.planning.crossing import LatchedCrossingParams
+from companion.replay.recorded_flight import Course, rerun
+from sim_link.autopilot.scenario import AutopilotParams, Incident, PilotMode, Scenario
 from sim_link.faults.faulty_link import FaultyLink
-from sim_link.faults.kinds import Fault, LinkDelay, LinkJitter, LinkLoss
+from sim_link.faults.kinds import Fault
+from sim_link.faults.link_kinds import LinkDelay, LinkJitter, LinkLoss
 from sim_link.faults.schedule import Schedule
 from sim_link.lockstep.checkpoints import Checkpointing
 from sim_link.lockstep.flight import VEHICLE_PEER, Flight
 from sim_link.lockstep.journal import Notes
 from sim_link.lockstep.operator import Operator
-from sim_link.world.target import EmitterParams
+from sim_link.world.environment import EmitterParams
 
 FOLDER = Path(__file__).parents[1] / "data" / "golden"
 SUFFIX = ".flight.xz"
@@ -208,7 +208,7 @@ def fly(plan: Plan, directory: Path) -> Golden:
     return Golden(facts=open_flight(folder).facts, inputs=(folder / INPUTS).read_bytes())
 
 
-def ask(wish: Wish, flight: Flight) -> None:
+def ask(wish: OperatorCommand, flight: Flight) -> None:
     flight.companion.ask(wish, flight.now_s)
 
 
@@ -281,7 +281,12 @@ PLANS: dict[str, Plan] = {
     "ranging_cut": Plan(
         happenings=((13.0, partial(cut_ranging, False)), (20.0, partial(cut_ranging, True)))
     ),
-    "wishes": Plan(happenings=((14.0, partial(ask, Wish.HOLD)), (18.0, partial(ask, Wish.RESUME)))),
+    "wishes": Plan(
+        happenings=(
+            (14.0, partial(ask, OperatorCommand.HOLD)),
+            (18.0, partial(ask, OperatorCommand.RESUME)),
+        )
+    ),
     "parameters": Plan(
         happenings=(
             (13.0, partial(set_parameter, b"CMP_SPEED", 2.0)),

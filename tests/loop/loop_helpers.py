@@ -8,15 +8,16 @@ from dataclasses import dataclass
 
 from companion.config.schema import CompanionConfig
 from companion.domain import FlightMode, Point, PositionEnu
-from companion.guidance.session import SessionParams
-from companion.guidance.states import Phase
+from companion.flight_setup import build_endpoint
+from companion.guidance.authority.state_machine import Phase
+from companion.guidance.session_params import SessionParams
 from companion.link.endpoint import CompanionEndpoint
 from companion.mav.dialect import Message
-from companion.run import build_endpoint
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import Scenario
 from sim_link.faults.faulty_link import FaultyLink
-from sim_link.faults.kinds import Fault, LinkDelay, LinkJitter, LinkLoss
+from sim_link.faults.kinds import Fault
+from sim_link.faults.link_kinds import LinkDelay, LinkJitter, LinkLoss
 from sim_link.faults.schedule import Schedule
 from sim_link.lockstep.flight import Flight, MakeCompanion, Radio
 from sim_link.lockstep.journal import Notes

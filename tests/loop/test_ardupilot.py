@@ -8,7 +8,7 @@ import pytest
 
 from companion.config.schema import CompanionConfig
 from companion.domain import FlightMode
-from companion.guidance.states import Phase
+from companion.guidance.authority.state_machine import Phase
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from tests.loop.loop_helpers import AUTO, LinkFaults, Loop

@@ -9,20 +9,20 @@ import pytest
 
 from companion.config.schema import CompanionConfig
 from companion.domain import Autopilot, FlightMode
-from companion.guidance.findings import Reason
-from companion.guidance.session import SessionParams
-from companion.guidance.states import IN_CONTROL, Phase
+from companion.guidance.authority.state_machine import IN_CONTROL, Phase
+from companion.guidance.health.findings import Reason
+from companion.guidance.session_params import SessionParams
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk
-from companion.mav.modes import autopilot_of, mode_of
+from companion.mav.flight_modes import autopilot_of, mode_of
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.faults.injector import Injector
-from sim_link.faults.kinds import (
+from sim_link.faults.link_kinds import LinkBlackout
+from sim_link.faults.vehicle_kinds import (
     Battery,
     EkfPoor,
     GpsLoss,
-    LinkBlackout,
     ModeFlap,
     OriginShift,
     PilotSticks,

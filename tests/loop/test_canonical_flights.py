@@ -8,7 +8,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 
 from companion.domain import FlightMode
-from companion.guidance.states import Phase
+from companion.guidance.authority.state_machine import Phase
 from tests.loop.loop_helpers import Loop, outside
 
 SEEDS = range(8)

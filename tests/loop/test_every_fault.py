@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 from companion.config.schema import CompanionConfig
-from companion.guidance.session import SessionParams
+from companion.guidance.session_params import SessionParams
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, RcParams, Scenario
 from sim_link.campaign.flights import Monitored, monitored
 from sim_link.campaign.missions import Missions

@@ -8,11 +8,11 @@ import pytest
 
 from companion.config.schema import CompanionConfig, LimitsConfig, PlannerConfig
 from companion.domain import FlightMode
-from companion.guidance.session import SessionParams
-from companion.guidance.states import Phase
+from companion.guidance.authority.state_machine import Phase
+from companion.guidance.session_params import SessionParams
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import Scenario
-from sim_link.world.target import EmitterParams
+from sim_link.world.environment import EmitterParams
 from tests.loop.loop_helpers import AUTO, LinkFaults, Loop, outside
 
 SET_MODE = mavlink.MAV_CMD_DO_SET_MODE

@@ -12,13 +12,13 @@ import pytest
 from companion.config.schema import CompanionConfig, LimitsConfig, with_fence
 from companion.domain import FlightMode, Point
 from companion.geometry.polygons import depth_m
-from companion.guidance.session import SessionParams
-from companion.guidance.states import Phase
+from companion.guidance.authority.state_machine import Phase
+from companion.guidance.session_params import SessionParams
 from companion.mav.dialect import mavlink
-from companion.view.picture import picture_of
+from companion.view.snapshot import picture_of
 from sim_link.autopilot.scenario import AutopilotParams, OriginParams, Scenario
 from sim_link.lockstep.checkpoints import Checkpointing
-from sim_link.world.target import EmitterParams
+from sim_link.world.environment import EmitterParams
 from tests.loop.loop_helpers import LinkFaults, Loop
 
 FENCE = mavlink.MAV_MISSION_TYPE_FENCE

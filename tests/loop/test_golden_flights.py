@@ -8,9 +8,9 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from companion.estimation.tracker_params import TrackerParams
+from companion.estimation.tracker import TrackerParams
 from companion.kernel import IS_COMPILED
-from companion.replay.command import replay_flight
+from companion.replay.flight_replay import replay_flight
 from tests.loop.golden_flights import (
     FOLDER,
     PLANS,

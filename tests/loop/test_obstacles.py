@@ -11,9 +11,9 @@ from pathlib import Path
 import msgspec
 
 from companion.geometry.polygons import depth_m
-from companion.guidance.states import Phase
-from sim_link.config import load_scenario
-from sim_link.world.sight import is_blocked_in_space
+from companion.guidance.authority.state_machine import Phase
+from sim_link.fleet.scenario_io import load_scenario
+from sim_link.world.line_of_sight import is_blocked_in_space
 from tests.loop.loop_helpers import AUTO, Loop
 
 SCENARIO = Path(__file__).parents[2] / "configs" / "scenarios" / "obstacle.yaml"

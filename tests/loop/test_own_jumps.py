@@ -6,12 +6,11 @@ import math
 
 import pytest
 
-from companion.config.limits import LimitsConfig
-from companion.config.schema import CompanionConfig
+from companion.config.schema import CompanionConfig, LimitsConfig
 from companion.domain import FlightMode, PositionEnu
-from companion.estimation.refusal import Refusal
-from companion.guidance.session import SessionParams
-from companion.guidance.states import FLYING, Phase
+from companion.estimation.screening.validation import RejectReason
+from companion.guidance.authority.state_machine import FLYING, Phase
+from companion.guidance.session_params import SessionParams
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.campaign.flights import monitored
 from tests.loop.loop_helpers import AUTO, Loop, outside
@@ -74,7 +73,7 @@ def test_it_holds_until_the_position_is_steady_and_the_estimate_moves_along(
     loop.run(1.4)
     assert loop.phase is Phase.HOLD
     assert math.dist(loop.true_positions[-1], place) <= BRAKING_M  # it stops, it flies to nowhere
-    assert loop.companion.session.tracker.refusals[Refusal.OWN_JUMP] >= 10
+    assert loop.companion.session.tracker.refusals[RejectReason.OWN_JUMP] >= 10
     assert loop.said("own position jumped by")
     loop.run_until(lambda: loop.phase in FLYING, 4.0)
     assert loop.now_s - jumped_s >= 2.0
@@ -157,4 +156,4 @@ def test_a_position_that_keeps_jumping_is_handed_back() -> None:
 def test_a_flight_without_jumps_sees_none() -> None:
     around = monitored(AUTO, Loop().flight.scenario, 3)
     around.flight.run(60.0)
-    assert around.flight.companion.session.tracker.refusals[Refusal.OWN_JUMP] == 0
+    assert around.flight.companion.session.tracker.refusals[RejectReason.OWN_JUMP] == 0

@@ -9,11 +9,9 @@ from collections.abc import Callable
 import pytest
 
 from companion.domain import EstimateState
-from companion.estimation.objections import Objection
-from companion.estimation.refusal import Refusal
-from companion.guidance.states import FLYING, Phase
-from sim_link.faults.kinds import (
-    FaultRecord,
+from companion.estimation.screening.validation import Objection, RejectReason
+from companion.guidance.authority.state_machine import FLYING, Phase
+from sim_link.faults.content_kinds import (
     RangingDropout,
     RangingFreeze,
     RangingNan,
@@ -24,6 +22,7 @@ from sim_link.faults.kinds import (
     RangingWrongUnit,
 )
 from sim_link.faults.link_kinds import LinkHold
+from sim_link.faults.record import FaultRecord
 from tests.loop.loop_helpers import Loop, outside
 
 FACTORS = (0.001, 0.01, 57.3, 100.0, 1000.0)
@@ -54,7 +53,7 @@ def last_flown_s(seen: list[tuple[float, Phase]]) -> float:
     return max((time_s for time_s, phase in seen if phase in FLYING), default=0.0)
 
 
-def refused(loop: Loop) -> dict[Refusal, int]:
+def refused(loop: Loop) -> dict[RejectReason, int]:
     return dict(loop.companion.session.tracker.refusals)
 
 
@@ -103,7 +102,7 @@ def test_a_frozen_radio_is_a_dropout() -> None:
     loop = flying(RangingFreeze(duration_s=10.0), 4.0)
     seen = phases(loop, 10.0)
     counts = refused(loop)
-    assert counts[Refusal.FROZEN] > 20
+    assert counts[RejectReason.FROZEN] > 20
     assert Phase.HOLD in {phase for time_s, phase in seen if time_s > 7.0}
     assert last_flown_s(seen) <= 6.6  # a second to notice, five of patience
     loop.run_until(lambda: bool(loop.notes.results), 90.0)
@@ -148,12 +147,12 @@ def test_outliers_are_flown_through(share: float) -> None:
     assert outside(loop.true_positions, 150.0) == []
 
 
-FAULTS: dict[str, tuple[Callable[[], FaultRecord], Refusal | None]] = {
-    "no numbers": (lambda: RangingNan(share=0.5), Refusal.NOT_FINITE),
+FAULTS: dict[str, tuple[Callable[[], FaultRecord], RejectReason | None]] = {
+    "no numbers": (lambda: RangingNan(share=0.5), RejectReason.NOT_FINITE),
     "late": (lambda: RangingStale(age_s=0.8), None),
-    "too late by turns": (lambda: RangingOutOfOrder(window_s=1.4), Refusal.STALE),
+    "too late by turns": (lambda: RangingOutOfOrder(window_s=1.4), RejectReason.STALE),
     "out of order": (lambda: RangingOutOfOrder(window_s=0.9), None),
-    "another emitter": (lambda: RangingSecondEmitter(emitter_id=0), Refusal.OTHER_EMITTER),
+    "another emitter": (lambda: RangingSecondEmitter(emitter_id=0), RejectReason.OTHER_EMITTER),
 }
 
 

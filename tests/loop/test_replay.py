@@ -9,26 +9,32 @@ import msgspec
 import pytest
 
 from companion.config.schema import CompanionConfig
-from companion.estimation.tracker_params import TrackerParams
-from companion.flight_facts import FlightFacts, facts_as_json, write_facts
-from companion.guidance.emitters import QueueParams
-from companion.guidance.session import SessionParams
-from companion.io.event_lines import event_lines
-from companion.io.flight_files import EVENTS, FLIGHT, INPUTS, MCAP, TLOG
-from companion.io.journal import FlightJournal
-from companion.io.mcap_log import McapLog
-from companion.link.endpoint import CompanionEndpoint, Journal
+from companion.config.tunables import Tunables
+from companion.estimation.tracker import TrackerParams
+from companion.flight_setup import (
+    FlightFacts,
+    build_endpoint,
+    build_planner,
+    facts_as_json,
+    write_facts,
+)
+from companion.guidance.session_params import SessionParams
+from companion.guidance.tracking.emitters import QueueParams
+from companion.io.files import EVENTS, FLIGHT, INPUTS, MCAP, TLOG
+from companion.io.logs.flight_recorder import FlightJournal
+from companion.io.logs.log_files import event_lines
+from companion.io.logs.mcap_file import McapLog
+from companion.link.endpoint import CompanionEndpoint
+from companion.link.recorders import Journal
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk
-from companion.replay.command import replay_flight
-from companion.run import build_endpoint, build_planner
-from companion.tuning import Tunables
+from companion.replay.flight_replay import replay_flight
 from sim_link.autopilot.scenario import Scenario
 from sim_link.lockstep.checkpoints import Checkpointing
 from sim_link.lockstep.flight import VEHICLE_PEER, Flight
 from sim_link.lockstep.journal import Notes
-from sim_link.world.target import EmitterParams
+from sim_link.world.environment import EmitterParams
 
 AUTO = CompanionConfig(mission=SessionParams(engage="auto"))
 FLOWN_S = 60.0

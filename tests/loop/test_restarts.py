@@ -8,8 +8,8 @@ import pytest
 
 from companion.config.schema import CompanionConfig, LimitsConfig
 from companion.domain import EstimateState, FlightMode
-from companion.guidance.session import SessionParams
-from companion.guidance.states import Phase
+from companion.guidance.authority.state_machine import Phase
+from companion.guidance.session_params import SessionParams
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from sim_link.lockstep.checkpoints import Checkpointing

@@ -10,12 +10,12 @@ from companion.config.schema import CompanionConfig, LimitsConfig, PatternKind, 
 from companion.domain import Point
 from companion.geometry.polygons import depth_m
 from companion.guard.fence import Fence
-from companion.guidance.session import SessionParams
-from companion.guidance.states import Phase
-from companion.planning.latched_crossing import LatchedCrossingParams
-from companion.planning.patterns import ExpandingSquareParams, LawnmowerParams, SectorParams
+from companion.guidance.authority.state_machine import Phase
+from companion.guidance.session_params import SessionParams
+from companion.planning.crossing import LatchedCrossingParams
+from companion.planning.search import ExpandingSquareParams, LawnmowerParams, SectorParams
 from sim_link.autopilot.scenario import PayloadParams, Scenario
-from sim_link.world.target import EmitterParams
+from sim_link.world.environment import EmitterParams
 from tests.loop.loop_helpers import Loop
 
 AUTO = SessionParams(engage="auto")

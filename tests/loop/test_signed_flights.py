@@ -7,11 +7,12 @@ from functools import partial
 import pytest
 
 from companion.config.schema import CompanionConfig
-from companion.guidance.states import Phase
-from companion.link.endpoint import CompanionEndpoint, Journal
+from companion.flight_setup import build_endpoint
+from companion.guidance.authority.state_machine import Phase
+from companion.link.endpoint import CompanionEndpoint
+from companion.link.recorders import Journal
 from companion.mav.endpoint import Chunk
 from companion.mav.signing import ONE_LINK_EACH, Signing, SigningKey, is_signed
-from companion.run import build_endpoint
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import Scenario
 from sim_link.lockstep.flight import VEHICLE_PEER, Flight

@@ -9,16 +9,16 @@ import pytest
 
 from companion.config.schema import CompanionConfig, PlannerConfig
 from companion.domain import FlightMode, RangingMeasurement
-from companion.geometry.frames import bearing_ned_from_enu, wrap_pi
-from companion.guidance.emitters import Order, QueueParams
-from companion.guidance.session import SessionParams
-from companion.link.params import VehicleParams
+from companion.geometry.coordinates import bearing_ned_from_enu, wrap_pi
+from companion.guidance.session_params import SessionParams
+from companion.guidance.tracking.emitters import Order, QueueParams
+from companion.link.binding import VehicleParams
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.ranging import message_from_ranging
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import Scenario
-from sim_link.world.target import EmitterParams
+from sim_link.world.environment import EmitterParams
 from tests.loop.loop_helpers import AUTO, Loop
 
 EMITTER = (50.0, 50.0, 0.0)

@@ -19,26 +19,26 @@ import numpy as np
 import pytest
 
 from companion.config.schema import CompanionConfig, CrossingKind, PlannerConfig
+from companion.config.tunables import Tunables
 from companion.domain import (
     Point,
     PositionEnu,
     RangingMeasurement,
     WaypointReason,
 )
-from companion.estimation.tracker import FusionReport, TargetTracker
-from companion.estimation.tracker_params import TrackerParams
-from companion.estimation.window_map import WindowParams
+from companion.estimation.tracker import FusionReport, TargetTracker, TrackerParams
+from companion.estimation.window.window_map import WindowParams
+from companion.flight_setup import build_planner
 from companion.guard.gate import Guard
-from companion.guidance.emitters import EmitterQueue
-from companion.guidance.session import GuidanceSession, SessionParams
+from companion.guidance.session import GuidanceSession
+from companion.guidance.session_params import SessionParams
+from companion.guidance.tracking.emitters import EmitterQueue
 from companion.link.endpoint import CompanionEndpoint
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from companion.mav.ranging import message_from_ranging
-from companion.planning.base import Plan, Planner, PlanRequest
-from companion.planning.latch import LATCH_SIZE
-from companion.run import build_planner
-from companion.tuning import Tunables
+from companion.planning.crossing_kernels import LATCH_SIZE
+from companion.planning.planner import Plan, Planner, PlanRequest
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import Scenario
 from sim_link.evaluation.case import Case
@@ -48,7 +48,7 @@ from sim_link.evaluation.systems import PlannerName, System, belief_of, pilot_of
 from sim_link.evaluation.tracks import stepped
 from sim_link.evaluation.trial import TrialResult, flown_trial, run_trial, start_of
 from sim_link.evaluation.walk import next_place
-from sim_link.world.target import EmitterParams
+from sim_link.world.environment import EmitterParams
 from tests.loop.loop_helpers import Loop
 
 STEPS = 150

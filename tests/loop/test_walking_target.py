@@ -11,18 +11,17 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from companion.config.limits import LimitsConfig
-from companion.config.schema import CompanionConfig
+from companion.config.schema import CompanionConfig, LimitsConfig
 from companion.domain import Point
-from companion.guidance.session import SessionParams
+from companion.guidance.session_params import SessionParams
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from companion.mav.ranging import message_from_ranging
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.campaign.flights import rules_of
 from sim_link.monitor.monitor import Monitor
-from sim_link.world.radio_channel import ChannelParams, RadioChannel
-from sim_link.world.target import Emitter, EmitterParams
+from sim_link.world.environment import ChannelParams, Emitter, EmitterParams
+from sim_link.world.radio_channel import RadioChannel
 from tests.loop.loop_helpers import Loop
 
 HEARD_FROM_M = 3.0

@@ -9,15 +9,24 @@ from pathlib import Path
 
 import numpy as np
 
-from companion.estimation.admm_ekf import admm_update
-from companion.estimation.filter_params import FilterParams
-from companion.estimation.joseph import is_positive_definite, joseph_row, within_bounds
-from companion.estimation.losses import (
+from companion.estimation.filters.kalman import admm_update
+from companion.estimation.filters.losses import (
     asymmetric_huber_influence,
     asymmetric_huber_loss,
     asymmetric_huber_weight,
 )
-from companion.estimation.map_kernels import (
+from companion.estimation.filters.robust_update import (
+    innovations,
+    is_positive_definite,
+    joseph_row,
+    robust_update,
+    settled,
+    within_bounds,
+    wrapped,
+)
+from companion.estimation.filters.target_filter import FilterParams
+from companion.estimation.measurement_model import jacobian, predicted, variances
+from companion.estimation.window.map_kernels import (
     clipped,
     map_cost,
     map_minimum,
@@ -27,9 +36,7 @@ from companion.estimation.map_kernels import (
     row_residuals,
     row_sigmas,
 )
-from companion.estimation.robust_update import innovations, robust_update, settled, wrapped
-from companion.geometry.arrays import Matrix, Vector
-from companion.models.ranging_model import jacobian, predicted, variances
+from companion.kernel import Matrix, Vector
 from sim_link.world.environment import (
     NO_MEMORY,
     Environment,
@@ -39,7 +46,7 @@ from sim_link.world.environment import (
     obstruction,
     shadow_of,
 )
-from sim_link.world.sight import detour, is_blocked, ways_to
+from sim_link.world.line_of_sight import detour, is_blocked, ways_to
 
 LAYOUTS = {
     "plane": FilterParams(range_offset_min_m=0.0, range_offset_max_m=3.0),

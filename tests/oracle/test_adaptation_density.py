@@ -12,8 +12,13 @@ from scipy.optimize import minimize
 from scipy.special import log_ndtr
 from scipy.stats import exponnorm, norm
 
-from companion.estimation.adaptation import AdaptationParams, RangeNoise, fit_range_noise, log_prior
-from companion.estimation.noise_mixtures import (
+from companion.estimation.noise.adaptation import (
+    AdaptationParams,
+    RangeNoise,
+    fit_range_noise,
+    log_prior,
+)
+from companion.estimation.noise.mixtures import (
     TAIL,
     bearing_expectations,
     huber_variance,
@@ -25,7 +30,7 @@ from companion.estimation.noise_mixtures import (
     summed_range_expectations,
     truncated_normal,
 )
-from companion.geometry.arrays import Vector
+from companion.kernel import Vector
 
 ARGUMENTS = [
     *(-np.logspace(8.0, -3.0, 45)),

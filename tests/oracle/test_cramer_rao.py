@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import exponnorm, norm
 
-from companion.geometry.arrays import Matrix, Vector
+from companion.kernel import Matrix, Vector
 from sim_link.evaluation.case import Case
 from sim_link.evaluation.cramer_rao import (
     ChannelInformation,
@@ -19,7 +19,7 @@ from sim_link.evaluation.cramer_rao import (
 )
 from sim_link.evaluation.noise import CHANNEL, TRUTH, drawn, measured, stream, truth_of
 from sim_link.evaluation.systems import track_of
-from sim_link.world.radio_channel import ChannelParams
+from sim_link.world.environment import ChannelParams
 
 PAPER = ChannelParams()
 TARGET = np.array([50.0, 50.0])

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from companion.domain import RangingMeasurement
-from companion.estimation.tracker import TargetTracker
-from companion.estimation.tracker_params import TrackerParams
-from companion.estimation.window_map import WindowParams
+from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.estimation.window.window_map import WindowParams
 from sim_link.evaluation.case import Case
 from sim_link.evaluation.noise import channel_draws, measured, run_seeds
 from sim_link.evaluation.systems import PlannerName, System

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from companion.domain import PositionEnu, RangingMeasurement
-from companion.estimation.base import FilterState
-from companion.estimation.ekf import Ekf
-from companion.estimation.filter_params import FilterParams
-from companion.geometry.arrays import Vector
+from companion.estimation.filters.kalman import Ekf
+from companion.estimation.filters.target_filter import FilterParams, FilterState
+from companion.kernel import Vector
 from sim_link.evaluation.filterpy_ekf import FilterpyEkf
 
 PLANE = FilterParams(own_position_sigma_m=0.0)

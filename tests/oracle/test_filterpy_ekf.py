@@ -16,11 +16,9 @@ import pytest
 from filterpy.kalman import ExtendedKalmanFilter
 
 from companion.domain import PositionEnu, RangingMeasurement
-from companion.estimation.asymmetric_huber_ekf import AsymmetricHuberEkf
-from companion.estimation.base import FilterState
-from companion.estimation.ekf import Ekf
-from companion.estimation.filter_params import FilterParams
-from companion.geometry.arrays import Matrix, Vector
+from companion.estimation.filters.kalman import AsymmetricHuberEkf, Ekf
+from companion.estimation.filters.target_filter import FilterParams, FilterState
+from companion.kernel import Matrix, Vector
 
 RANGE_SIGMA_M = 1.5
 BEARING_SIGMA_RAD = math.radians(2.0)

@@ -7,7 +7,7 @@ import math
 import pytest
 from geographiclib.geodesic import Geodesic
 
-from companion.geometry.frames import LocalOrigin, wrap_pi
+from companion.geometry.coordinates import LocalOrigin, wrap_pi
 
 EARTH_RADIUS_M = 6_371_000.0
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from companion.geometry.arrays import Matrix
+from companion.kernel import Matrix
 from tests.oracle.kernel_runs import IS_COMPILED
 
 pytest.importorskip("numba", reason="kernels are compiled only with the extra `fast`")

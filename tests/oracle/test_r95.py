@@ -9,12 +9,12 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import chi2, norm
 
-from companion.estimation.consistency import (
+from companion.estimation.integrity.consistency import (
     R95_OF_EQUAL_AXES,
     r95_of_covariance_m,
     r95_of_mixture_m,
 )
-from companion.geometry.arrays import Matrix, Vector
+from companion.kernel import Matrix, Vector
 
 Component = tuple[float, Vector, Matrix]
 

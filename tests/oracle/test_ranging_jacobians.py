@@ -8,10 +8,15 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.estimation.filter_params import FilterParams
-from companion.estimation.map_kernels import MIN_DISTANCE_M, row_partials, row_residuals, row_sigmas
-from companion.geometry.arrays import Matrix, Vector
-from companion.models.ranging_model import RangingModel, jacobian, predicted, variances
+from companion.estimation.filters.target_filter import FilterParams
+from companion.estimation.measurement_model import RangingModel, jacobian, predicted, variances
+from companion.estimation.window.map_kernels import (
+    MIN_DISTANCE_M,
+    row_partials,
+    row_residuals,
+    row_sigmas,
+)
+from companion.kernel import Matrix, Vector
 
 STEP = 1e-5
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from companion.geometry.arrays import Matrix
+from companion.kernel import Matrix
 from sim_link.evaluation.case import Case
 from sim_link.evaluation.noise import run_seeds
 from sim_link.evaluation.systems import system_named

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from companion.domain import PositionEnu, RangingMeasurement
-from companion.estimation.filter_params import FilterParams
-from companion.estimation.tracker import TargetTracker
-from companion.estimation.tracker_params import TrackerParams
+from companion.estimation.filters.target_filter import FilterParams
+from companion.estimation.tracker import TargetTracker, TrackerParams
 
 SEQUENCES, LENGTH = 20, 40
 STEPS_S = (0.0, 1e-9, 0.05, 0.2, 1.0, 30.0, 86_400.0, 1e7, -0.05, -0.9, -5.0, -1e6)

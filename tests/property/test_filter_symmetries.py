@@ -10,12 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.domain import PositionEnu, RangingMeasurement
-from companion.estimation.base import FilterState, UpdateReport
-from companion.estimation.filter_params import FilterParams
-from companion.estimation.filters import KINDS, FilterKind, filter_of
-from companion.estimation.window_map import WindowMap
-from companion.geometry.arrays import Matrix, Vector
-from companion.models.ranging_model import jacobian
+from companion.estimation.filters.kalman import KINDS, FilterKind, filter_of
+from companion.estimation.filters.target_filter import FilterParams, FilterState, UpdateReport
+from companion.estimation.measurement_model import jacobian
+from companion.estimation.window.window_map import WindowMap
+from companion.kernel import Matrix, Vector
 
 PARAMS = {
     "plane": FilterParams(),

@@ -13,7 +13,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
-from companion.estimation.losses import (
+from companion.estimation.filters.losses import (
     RobustLoss,
     asymmetric_huber,
     asymmetric_huber_influence,
@@ -26,11 +26,7 @@ from companion.estimation.losses import (
     symmetric_huber,
     threshold_k_from_lambda,
 )
-from companion.estimation.yardstick_losses import (
-    asymmetric_cauchy,
-    asymmetric_tukey,
-    smoothed_quantile,
-)
+from tests.property.yardstick_losses import asymmetric_cauchy, asymmetric_tukey, smoothed_quantile
 
 residuals = st.floats(-1e4, 1e4)
 near_residuals = st.floats(-50.0, 50.0)

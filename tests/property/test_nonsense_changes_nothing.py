@@ -10,9 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.domain import PositionEnu, RangingMeasurement
-from companion.estimation.refusal import Refusal
-from companion.estimation.tracker import TargetTracker
-from companion.estimation.tracker_params import TrackerParams
+from companion.estimation.screening.validation import RejectReason
+from companion.estimation.tracker import TargetTracker, TrackerParams
 
 PLACE: PositionEnu = (10.0, 5.0, 20.0)
 NOW_S = 100.0
@@ -78,5 +77,5 @@ def test_a_measurement_that_means_nothing_has_a_reason_and_no_effect(
     measurement: RangingMeasurement,
 ) -> None:
     report = TRACKER.fuse(measurement, PLACE, NOW_S)
-    assert isinstance(report.refusal, Refusal)
+    assert isinstance(report.refusal, RejectReason)
     assert _bits(TRACKER) == BEFORE

@@ -6,24 +6,34 @@ import random
 
 import pytest
 
+from companion.mav.addressing import targets_of_frame
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_command_cancel_message, Message, mavlink
 from companion.mav.framing import frame_crc
-from companion.mav.targets import targets_of_frame
-from sim_link.autopilot.protocols import parameters, plan_transfers
-from sim_link.autopilot.protocols.ardupilot_parameters import ARDUPILOT_PARAMETERS
-from sim_link.autopilot.protocols.base import Addressing, Channel, Outgoing, Partner, partner_of
-from sim_link.autopilot.protocols.clocks import Clocks
-from sim_link.autopilot.protocols.commands import Command, CommandForms, CommandResult, Commands
-from sim_link.autopilot.protocols.message_requests import PX4_REQUESTS, MessageRequests
+from sim_link.autopilot.flavours.ardupilot.firmware_profile import ARDUPILOT_PARAMETERS
+from sim_link.autopilot.flavours.px4.firmware_profile import PX4_PARAMETERS
+from sim_link.autopilot.protocols import parameter_protocol
+from sim_link.autopilot.protocols import plan_rules as plan_transfers
+from sim_link.autopilot.protocols.addressing import (
+    Addressing,
+    Channel,
+    Outgoing,
+    Partner,
+    StatusTexts,
+    partner_of,
+)
+from sim_link.autopilot.protocols.clock_protocols import Clocks
+from sim_link.autopilot.protocols.command_protocol import (
+    Command,
+    CommandForms,
+    CommandResult,
+    Commands,
+)
+from sim_link.autopilot.protocols.link_layer import Router
+from sim_link.autopilot.protocols.message_streams import PX4_REQUESTS, MessageRequests, StreamRules
+from sim_link.autopilot.protocols.mission_protocol import Plans
 from sim_link.autopilot.protocols.parameter_store import ParameterStore
-from sim_link.autopilot.protocols.plan_items import PlanType
-from sim_link.autopilot.protocols.plan_store import PlanStore
-from sim_link.autopilot.protocols.plans import Plans
-from sim_link.autopilot.protocols.px4_parameters import PX4_PARAMETERS
-from sim_link.autopilot.protocols.routing import Router
-from sim_link.autopilot.protocols.statustext import StatusTexts
-from sim_link.autopilot.protocols.streams import StreamRules
+from sim_link.autopilot.protocols.plan_items import PlanStore, PlanType
 
 KINDS: tuple[type[Message], ...] = (
     mavlink.MAVLink_command_long_message,
@@ -61,10 +71,10 @@ class Services:
     def __init__(self, *, is_ardupilot: bool) -> None:
         texts = StatusTexts()
         table = ARDUPILOT_PARAMETERS if is_ardupilot else PX4_PARAMETERS
-        rules = parameters.ARDUPILOT_RULES if is_ardupilot else parameters.PX4_RULES
+        rules = parameter_protocol.ARDUPILOT_RULES if is_ardupilot else parameter_protocol.PX4_RULES
         plan_rules = plan_transfers.ARDUPILOT_RULES if is_ardupilot else plan_transfers.PX4_RULES
         self.store = ParameterStore(table)
-        self.parameters = parameters.Parameters(self.store, rules, texts)
+        self.parameters = parameter_protocol.Parameters(self.store, rules, texts)
         self.plan_store = PlanStore()
         self.plans = Plans(self.plan_store, plan_rules, texts)
         self.commands = Commands(CommandForms())

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from companion.config.schema import CompanionConfig
-from companion.guidance.session import SessionParams
+from companion.flight_setup import build_endpoint
+from companion.guidance.session_params import SessionParams
 from companion.mav.endpoint import Endpoint
 from companion.mav.signing import Signing, SigningKey
-from companion.run import build_endpoint
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from sim_link.conformance.catalogue import all_rules
@@ -15,7 +15,7 @@ from sim_link.conformance.puppet import CompanionProbe, stay_silent
 from sim_link.conformance.rules import Flavour, Role, Rule
 from sim_link.conformance.runner import Outcome, try_rule
 from sim_link.conformance.vehicle_probe import VehicleProbe
-from tests.loop.loop_helpers import Notes
+from sim_link.lockstep.journal import Notes
 
 SEED = 1
 KEY = bytes(range(7, 39))

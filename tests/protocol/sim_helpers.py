@@ -7,11 +7,11 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from companion.domain import Autopilot, FlightMode
-from companion.mav import type_mask
+from companion.mav import dialect
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Chunk
-from companion.mav.modes import mode_of, set_mode_params
+from companion.mav.flight_modes import mode_of, set_mode_params
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import Scenario
 
@@ -41,7 +41,7 @@ def local_setpoint(
     vz: float = 0.0,
     yaw: float = 0.0,
     yaw_rate: float = 0.0,
-    mask: int = type_mask.POSITION_ONLY,
+    mask: int = dialect.POSITION_ONLY,
     frame: int = mavlink.MAV_FRAME_LOCAL_NED,
     system: int = 1,
     component: int = 1,

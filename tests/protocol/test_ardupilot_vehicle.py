@@ -6,10 +6,9 @@ import math
 
 import pytest
 
-from companion.mav import type_mask
+from companion.mav import dialect
 from companion.mav.dialect import MAVLink_ekf_status_report_message, mavlink
-from sim_link.autopilot.incidents import GpsLoss
-from sim_link.autopilot.scenario import AutopilotParams, FenceParams, Scenario
+from sim_link.autopilot.scenario import AutopilotParams, FenceParams, GpsLoss, Scenario
 from tests.protocol.sim_helpers import (
     ACCEPTED,
     ARM,
@@ -171,7 +170,7 @@ def test_without_satellites_it_lands_and_the_ekf_report_says_why() -> None:
 
 def test_a_target_under_the_ground_lands_and_disarms() -> None:
     station = flying()
-    station.send(local_setpoint(10.0, 10.0, 2.0, mask=type_mask.POSITION_ONLY))
+    station.send(local_setpoint(10.0, 10.0, 2.0, mask=dialect.POSITION_ONLY))
     station.run_until(lambda: not station.is_armed, 40.0)
     assert station.sim.vehicle.body.is_on_ground
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 
 from companion.config.schema import CompanionConfig
-from companion.run import build_endpoint
+from companion.flight_setup import build_endpoint
 from sim_link.conformance.memory import MemoryHub
 from sim_link.conformance.puppet import CompanionProbe, accept
 from sim_link.conformance.rules import Flavour
-from tests.loop.loop_helpers import Notes
+from sim_link.lockstep.journal import Notes
 
 
 @pytest.mark.parametrize("system_id", [1, 7, 254])

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from companion.domain import FlightMode
-from companion.mav import type_mask
+from companion.mav import dialect
 from companion.mav.dialect import Message, mavlink
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from tests.protocol.sim_helpers import ACCEPTED, ARM, FAILED, TAKEOFF, GroundStation, local_setpoint
@@ -55,7 +55,7 @@ def test_px4_tells_the_place_and_the_velocity_that_follows_from_it(px4: GroundSt
 
 def test_px4_tells_a_velocity_with_no_place_and_nan_for_it(px4: GroundStation) -> None:
     told = fly(px4, local_setpoint(vx=1.0, vy=-2.0, mask=VELOCITY_ONLY))
-    assert told.type_mask == type_mask.POSITION_IGNORE
+    assert told.type_mask == dialect.POSITION_IGNORE
     assert (told.vx, told.vy, told.vz) == pytest.approx((1.0, -2.0, 0.0))
     assert all(math.isnan(value) for value in (told.x, told.y, told.z))
 
@@ -91,8 +91,8 @@ def test_px4_tells_where_it_holds_and_nothing_once_disarmed(px4: GroundStation) 
 @pytest.mark.parametrize(
     ("setpoint", "ignored"),
     [
-        (local_setpoint(20.0, 10.0, -10.0), ~type_mask.POSITION_IGNORE & 0xDFF),
-        (local_setpoint(vx=1.0, mask=VELOCITY_ONLY), type_mask.POSITION_IGNORE | 0xC00),
+        (local_setpoint(20.0, 10.0, -10.0), ~dialect.POSITION_IGNORE & 0xDFF),
+        (local_setpoint(vx=1.0, mask=VELOCITY_ONLY), dialect.POSITION_IGNORE | 0xC00),
         (local_setpoint(20.0, 10.0, -10.0, vx=1.0, mask=0xDC0), 0xC00),
         (local_setpoint(mask=ACCELERATION_ONLY), 0xC3F),
     ],
@@ -102,7 +102,7 @@ def test_arducopter_tells_what_it_was_sent_and_zeros(
 ) -> None:
     told = fly(copter, setpoint)
     assert told.type_mask == ignored
-    if not ignored & type_mask.POSITION_IGNORE:
+    if not ignored & dialect.POSITION_IGNORE:
         assert (told.x, told.y, told.z) == pytest.approx((20.0, 10.0, -10.0))
     else:
         assert (told.x, told.y, told.z) == (0.0, 0.0, 0.0)
@@ -115,7 +115,7 @@ def test_arducopter_tells_a_velocity_of_zero_after_its_timeout(copter: GroundSta
     copter.run(3.2)
     assert copter.command(mavlink.MAV_CMD_REQUEST_MESSAGE, LOCAL) == ACCEPTED
     told = copter.last(LocalEcho)
-    assert (told.type_mask, told.vx) == (type_mask.POSITION_IGNORE | 0xC00, 0.0)
+    assert (told.type_mask, told.vx) == (dialect.POSITION_IGNORE | 0xC00, 0.0)
 
 
 def test_arducopter_tells_a_global_target_only_where_there_is_a_place(

@@ -8,11 +8,10 @@ from collections.abc import Callable
 import pytest
 
 from companion.domain import FlightMode
-from companion.mav import type_mask
+from companion.mav import dialect
 from companion.mav.dialect import MAVLink_ekf_status_report_message, mavlink
-from sim_link.autopilot import incidents
-from sim_link.autopilot.incidents import Incident
-from sim_link.autopilot.scenario import AutopilotParams, RcParams, Scenario
+from sim_link.autopilot import scenario as incidents
+from sim_link.autopilot.scenario import AutopilotParams, Incident, RcParams, Scenario
 from tests.protocol.sim_helpers import ACCEPTED, ARM, DENIED, TAKEOFF, GroundStation, local_setpoint
 
 STABILIZE, GUIDED, LOITER, RTL, LAND, ALT_HOLD = 0, 4, 5, 6, 9, 2
@@ -128,7 +127,7 @@ def test_a_poor_estimate_shows_in_estimator_status_and_ends() -> None:
 
 def test_a_jump_of_the_heading_shows_in_the_reports_and_turns_the_vehicle_back() -> None:
     station = px4()
-    station.stream = lambda: local_setpoint(yaw=0.0, mask=type_mask.POSITION_AND_YAW)
+    station.stream = lambda: local_setpoint(yaw=0.0, mask=dialect.POSITION_AND_YAW)
     station.run(0.5)
     assert station.set_mode(FlightMode.OFFBOARD) == ACCEPTED
     happen(station, incidents.EkfJump(yaw_deg=30.0))

@@ -6,12 +6,14 @@ import pytest
 
 from companion.domain import FlightMode
 from companion.mav.dialect import mavlink
-from sim_link.autopilot.incidents import EkfJump, GpsLoss, RcLoss
 from sim_link.autopilot.scenario import (
     AutopilotParams,
     BatteryParams,
+    EkfJump,
     FenceParams,
+    GpsLoss,
     GpsParams,
+    RcLoss,
     RcParams,
     Scenario,
 )

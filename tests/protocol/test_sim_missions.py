@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import pytest
 
 from companion.domain import FlightMode
-from companion.geometry.frames import LocalOrigin
+from companion.geometry.coordinates import LocalOrigin
 from companion.mav.dialect import Message, mavlink
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from tests.protocol.sim_helpers import ACCEPTED, ARM, FAILED, NAN, SET_MODE, GroundStation

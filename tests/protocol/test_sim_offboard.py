@@ -7,8 +7,8 @@ import math
 import pytest
 
 from companion.domain import FlightMode
-from companion.geometry.frames import LocalOrigin
-from companion.mav import type_mask
+from companion.geometry.coordinates import LocalOrigin
+from companion.mav import dialect
 from companion.mav.dialect import Message, mavlink
 from sim_link.autopilot.scenario import AutopilotParams, LossAction, Scenario
 from tests.protocol.sim_helpers import (
@@ -35,7 +35,7 @@ def global_setpoint(
         1,
         1,
         frame,
-        type_mask.POSITION_ONLY,
+        dialect.POSITION_ONLY,
         round(lat * 1e7),
         round(lon * 1e7),
         alt if altitude_m is None else altitude_m,
@@ -60,7 +60,7 @@ def test_flies_to_a_local_position_without_much_overshoot(station: GroundStation
 
 
 def test_yaw_follows_when_it_is_not_masked(station: GroundStation) -> None:
-    station.stream = lambda: local_setpoint(yaw=-1.5, mask=type_mask.POSITION_AND_YAW)
+    station.stream = lambda: local_setpoint(yaw=-1.5, mask=dialect.POSITION_AND_YAW)
     station.run(5.0)
     assert station.last(mavlink.MAVLink_attitude_message).yaw == pytest.approx(-1.5, abs=0.01)
     station.stream = local_setpoint
@@ -142,7 +142,7 @@ def test_flies_the_acceleration_of_an_attitude_and_its_thrust(
 
 
 def test_flies_a_velocity_along_the_nose_in_the_body_frame(station: GroundStation) -> None:
-    station.stream = lambda: local_setpoint(yaw=1.5, mask=type_mask.POSITION_AND_YAW)
+    station.stream = lambda: local_setpoint(yaw=1.5, mask=dialect.POSITION_AND_YAW)
     station.run(4.0)
     frame = mavlink.MAV_FRAME_BODY_NED
     station.stream = lambda: local_setpoint(vx=2.0, mask=VELOCITY_ONLY, frame=frame)
@@ -244,11 +244,11 @@ def test_gaps_in_the_stream(station: GroundStation, gap_s: float, holds: bool) -
 INVALID = {
     "x is NaN": local_setpoint(x=NAN),
     "z is infinite": local_setpoint(z=-math.inf),
-    "yaw is NaN": local_setpoint(yaw=NAN, mask=type_mask.POSITION_AND_YAW),
+    "yaw is NaN": local_setpoint(yaw=NAN, mask=dialect.POSITION_AND_YAW),
     "velocity is NaN": local_setpoint(vx=NAN, mask=VELOCITY_ONLY),
     "all masked": local_setpoint(mask=0xFDFF),
     "everything masked": local_setpoint(mask=0xFFFF),
-    "force bit": local_setpoint(mask=type_mask.POSITION_ONLY | type_mask.FORCE_SET),
+    "force bit": local_setpoint(mask=dialect.POSITION_ONLY | dialect.FORCE_SET),
     "global frame": local_setpoint(frame=mavlink.MAV_FRAME_GLOBAL),
     "body frame": local_setpoint(frame=mavlink.MAV_FRAME_BODY_NED),
     "offset frame": local_setpoint(frame=mavlink.MAV_FRAME_LOCAL_OFFSET_NED),
@@ -265,7 +265,7 @@ INVALID = {
     ),
     "not an INT frame": global_setpoint((30.0, 20.0, 12.0), mavlink.MAV_FRAME_GLOBAL),
     "no latitude": mavlink.MAVLink_set_position_target_global_int_message(
-        0, 1, 1, 5, type_mask.POSITION_ONLY, 2**31 - 1, 0, 500.0, *[0.0] * 8
+        0, 1, 1, 5, dialect.POSITION_ONLY, 2**31 - 1, 0, 500.0, *[0.0] * 8
     ),
 }
 
@@ -282,7 +282,7 @@ def test_an_invalid_setpoint_is_no_proof_of_life_and_moves_nothing(
     assert station.place == pytest.approx(before, abs=0.3)
 
 
-@pytest.mark.parametrize("mask", [type_mask.POSITION_ONLY | 4, type_mask.POSITION_ONLY | 1])
+@pytest.mark.parametrize("mask", [dialect.POSITION_ONLY | 4, dialect.POSITION_ONLY | 1])
 def test_a_setpoint_without_all_axes_keeps_offboard_and_stays_in_place(
     station: GroundStation, mask: int
 ) -> None:
@@ -293,7 +293,7 @@ def test_a_setpoint_without_all_axes_keeps_offboard_and_stays_in_place(
     assert station.place == pytest.approx(before, abs=0.3)
 
 
-@pytest.mark.parametrize("axis", [type_mask.X_IGNORE, type_mask.Y_IGNORE, type_mask.Z_IGNORE])
+@pytest.mark.parametrize("axis", [dialect.X_IGNORE, dialect.Y_IGNORE, dialect.Z_IGNORE])
 def test_a_global_setpoint_without_all_axes_gives_no_position(
     station: GroundStation, axis: int
 ) -> None:

@@ -6,7 +6,7 @@ from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address, Chunk
 from sim_link.autopilot.endpoint import SimEndpoint
-from sim_link.config import Scenario
+from sim_link.autopilot.scenario import Scenario
 
 COMPANION: Address = ("127.0.0.1", 14550)
 STATION: Address = ("127.0.0.1", 14540)

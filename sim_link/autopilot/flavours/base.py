@@ -4,32 +4,129 @@ Theory of operation. A flavour owns the mode, the arming and the setpoints of on
 it watches its time-outs and failsafes, settles what changed (the pilot is told of a new task, an
 occurrence is noted), flies, and looks at the ground. Commands and setpoints arrive between steps
 and settle at once, so that an answer and the state agree.
+
+It has what both autopilots share in reading a command, too.
 """
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from companion.domain import FlightMode, LandedState, PositionEnu
+from companion.mav.dialect import mavlink
 from sim_link.autopilot.aircraft import Aircraft, Occurrence
-from sim_link.autopilot.echo import Echo
-from sim_link.autopilot.mission import Leg, LegKind
-from sim_link.autopilot.pilot import Task
-from sim_link.autopilot.protocols.commands import Command, CommandForms
-from sim_link.autopilot.protocols.message_requests import RequestRules
-from sim_link.autopilot.protocols.mission_progress import MissionState
-from sim_link.autopilot.protocols.parameter_store import ParameterStore
-from sim_link.autopilot.protocols.parameters import ParameterRules
-from sim_link.autopilot.protocols.plan_transfers import PlanRules
-from sim_link.autopilot.protocols.streams import StreamRules
-from sim_link.autopilot.setpoints import (
+from sim_link.autopilot.control_inputs import (
     AttitudeTarget,
+    Echo,
     GlobalTarget,
     LocalTarget,
     Setpoint,
     SetpointMonitor,
 )
+from sim_link.autopilot.mission_executor import Leg, LegKind
+from sim_link.autopilot.pilot import Task
+from sim_link.autopilot.protocols.command_protocol import (
+    DEGREE,
+    Command,
+    CommandForms,
+    CommandResult,
+)
+from sim_link.autopilot.protocols.message_streams import RequestRules, StreamRules
+from sim_link.autopilot.protocols.parameter_protocol import ParameterRules
+from sim_link.autopilot.protocols.parameter_store import ParameterStore
+from sim_link.autopilot.protocols.plan_items import MissionState
+from sim_link.autopilot.protocols.plan_rules import PlanRules
+
+if TYPE_CHECKING:
+    from sim_link.autopilot.aircraft import Aircraft
+
+ACCEPTED = CommandResult.ACCEPTED
+TEMPORARILY_REJECTED = CommandResult.TEMPORARILY_REJECTED
+DENIED = CommandResult.DENIED
+UNSUPPORTED = CommandResult.UNSUPPORTED
+FAILED = CommandResult.FAILED
+UNSUPPORTED_MAV_FRAME = CommandResult.UNSUPPORTED_MAV_FRAME
+
+MAX_ALTITUDE_M = 83_000.0
+"""ArduPilot's limit of a stored altitude, LOCATION_ALT_MAX_M."""
+MAX_DISTANCE_M = 1e5
+MAX_HEIGHT_M = 1000.0
+"""Above home, of a take-off or a place to go to."""
+CHANGE_MODE_FLAG = 1
+"""MAV_DO_REPOSITION_FLAGS_CHANGE_MODE."""
+FORCE_ARMING = 21196
+"""Magic number of MAV_CMD_COMPONENT_ARM_DISARM's second parameter."""
+
+
+def place_e7(command: Command) -> tuple[int, int] | None:
+    """Latitude and longitude of a command, 1e-7 degrees; None if it leaves them open."""
+    latitude_deg, longitude_deg = command.latitude_deg, command.longitude_deg
+    if latitude_deg is None or longitude_deg is None:
+        return None
+    if not (math.isfinite(latitude_deg) and math.isfinite(longitude_deg)):
+        return None
+    return (round(latitude_deg * DEGREE), round(longitude_deg * DEGREE))
+
+
+def is_place(place: tuple[int, int]) -> bool:
+    """Whether latitude and longitude are somewhere; 0/0 means that nobody knows."""
+    return place != (0, 0) and abs(place[0]) <= 90 * DEGREE and abs(place[1]) <= 180 * DEGREE
+
+
+def is_altitude(altitude_m: float) -> bool:
+    """Whether an altitude is a number that something may be at."""
+    return abs(altitude_m) <= MAX_ALTITUDE_M
+
+
+def is_near(place_enu_m: PositionEnu) -> bool:
+    """Whether a flat local frame still means anything there."""
+    return all(abs(value) <= MAX_DISTANCE_M for value in place_enu_m)
+
+
+def whole(value: float) -> int | None:
+    """The integer that a float parameter holds, or None (NaN, infinite, 0.4)."""
+    return int(value) if math.isfinite(value) and value == int(value) else None
+
+
+def is_force(value: float) -> bool | None:
+    """Whether ARM_DISARM's second parameter forces; None if it is nonsense."""
+    if math.isnan(value) or value == 0.0:
+        return False
+    return True if value == FORCE_ARMING else None
+
+
+def may_change_mode(command: Command) -> bool:
+    """Whether DO_REPOSITION may choose the mode that goes there."""
+    return bool((whole(command.params[1]) or 0) & CHANGE_MODE_FLAG)
+
+
+def set_home(
+    aircraft: Aircraft, command: Command, refused: CommandResult, *, lasts: bool
+) -> CommandResult:
+    """MAV_CMD_DO_SET_HOME: here, or at a place of any frame that the aircraft knows.
+
+    Args:
+        aircraft: Whose home.
+        command: The first parameter is 1 for the present place.
+        refused: What this autopilot answers to a place that is none.
+        lasts: Whether arming leaves a given home where it is.
+    """
+    if command.params[0] == 1.0:
+        aircraft.set_home(aircraft.body.position_enu_m, is_given=False)
+        return ACCEPTED
+    frame = mavlink.MAV_FRAME_GLOBAL if command.frame is None else command.frame
+    place, altitude_m = place_e7(command), command.params[6]
+    if place is None or not is_place(place) or not is_altitude(altitude_m):
+        return refused
+    home = aircraft.place_from(*place, altitude_m, frame)
+    if home is None:
+        return UNSUPPORTED_MAV_FRAME
+    if not is_near(home):
+        return refused
+    aircraft.set_home(home, is_given=lasts)
+    return ACCEPTED
 
 
 class Identity(NamedTuple):
@@ -63,7 +160,7 @@ class ProtocolRules(NamedTuple):
     """1 where item 0 is home."""
 
 
-class Shown(NamedTuple):
+class HeartbeatState(NamedTuple):
     """What HEARTBEAT shows."""
 
     base_mode: int
@@ -141,7 +238,7 @@ class Flavour(ABC):
         """Whether there is a fence, and whether a place is in breach of it."""
 
     @abstractmethod
-    def shown(self, now_s: float) -> Shown:
+    def shown(self, now_s: float) -> HeartbeatState:
         """What HEARTBEAT shows."""
 
     @abstractmethod

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from companion.errors import ConfigError, LocalProtocolError
-from companion.mav.parameters import (
+from companion.mav.param_encoding import (
     NAME_LENGTH,
     ParamEncoding,
     ParamType,

@@ -1,16 +1,20 @@
-"""The items of missions, fences and rally points, and the messages that carry them.
+"""Missions, fences and rally points: their items, the store, and the progress of a mission.
 
-Source: MAVLink developer guide, "Mission Protocol".
+MISSION_CURRENT's opaque plan ids are extensions that the dialect does not have; left out, they read
+as 0, "not supported".
+
+Source: MAVLink developer guide, "Mission Protocol"; MAVLink common, MISSION_CURRENT.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
 from companion.mav.dialect import Message, mavlink
-from sim_link.autopilot.protocols.base import Outgoing, Partner
+from sim_link.autopilot.protocols.addressing import Outgoing, Partner
 
 DEGREE = 1e7
 LOCAL_METRE = 1e4
@@ -156,3 +160,145 @@ def ack(partner: Partner, result: PlanResult, mission_type: int) -> Outgoing:
         partner.system_id, partner.component_id, result, mission_type
     )
     return Outgoing(message, partner.channel)
+
+
+@dataclass(frozen=True, slots=True)
+class PlanChanged:
+    """A plan was replaced, changed in part or cleared."""
+
+    plan_type: PlanType
+
+
+@dataclass(frozen=True, slots=True)
+class CurrentChosen:
+    """Somebody wants the mission to go on from another item."""
+
+    seq: int
+
+
+PlanEvent = PlanChanged | CurrentChosen
+
+
+class PlanStore:
+    """What a vehicle has been given to fly and to keep to.
+
+    Args:
+        home: Item 0 of a mission as ArduPilot shows it, whatever was uploaded there; None for
+            an autopilot whose missions begin with item 0.
+    """
+
+    def __init__(self, home: Callable[[], PlanItem] | None = None) -> None:
+        self._home = home
+        self._plans: dict[PlanType, tuple[PlanItem, ...]] = dict.fromkeys(PlanType, ())
+        self._current = 0
+        self._events: list[PlanEvent] = []
+
+    def items(self, plan_type: PlanType) -> tuple[PlanItem, ...]:
+        """The items of a plan, in order."""
+        return self._plans[plan_type]
+
+    def is_home(self, plan_type: PlanType, seq: int) -> bool:
+        """Whether an item is the vehicle's home and not the client's to choose."""
+        return self._home is not None and plan_type is PlanType.MISSION and seq == 0
+
+    def home_item(self) -> PlanItem | None:
+        """Item 0 as it is now, where it is home."""
+        return None if self._home is None else self._home()
+
+    @property
+    def current(self) -> int:
+        """The mission item that is flown to, or would be first."""
+        return self._current
+
+    def advance(self, seq: int) -> None:
+        """The vehicle itself went on to another item."""
+        self._current = seq
+
+    def choose(self, seq: int) -> bool:
+        """Go on from an item because somebody asked; False if there is no such item."""
+        if not 0 <= seq < len(self._plans[PlanType.MISSION]):
+            return False
+        self._current = seq
+        self._events.append(CurrentChosen(seq))
+        return True
+
+    def replace(self, plan_type: PlanType, items: Sequence[PlanItem], current: int = 0) -> None:
+        """Replace a plan as a whole.
+
+        Args:
+            plan_type: Which.
+            items: None for a plan that is cleared.
+            current: Where a mission begins.
+        """
+        self._plans[plan_type] = tuple(items)
+        if plan_type is PlanType.MISSION:
+            self._current = current
+        self._events.append(PlanChanged(plan_type))
+
+    def patch(self, plan_type: PlanType, seq: int, item: PlanItem) -> None:
+        """Put one item in its place, or at the end, as ArduPilot does during an upload."""
+        items = self._plans[plan_type]
+        self._plans[plan_type] = (*items[:seq], item, *items[seq + 1 :])
+
+    def truncate(self, plan_type: PlanType, count: int) -> None:
+        """Drop what is beyond `count` items, as ArduPilot does before an upload."""
+        self.replace(plan_type, self._plans[plan_type][:count])
+
+    def take_events(self) -> list[PlanEvent]:
+        """What the vehicle must know, since the last call."""
+        events, self._events = self._events, []
+        return events
+
+
+NO_MISSION_TOTAL = 0xFFFF
+
+
+class MissionState(IntEnum):
+    """MISSION_STATE."""
+
+    UNKNOWN = 0
+    NO_MISSION = 1
+    NOT_STARTED = 2
+    ACTIVE = 3
+    PAUSED = 4
+    COMPLETE = 5
+
+
+@dataclass(frozen=True, slots=True)
+class MissionProgress:
+    """How far a mission is."""
+
+    seq: int
+    """The item that is flown to, or would be first."""
+    count: int
+    """Items stored, ArduPilot's home among them."""
+    state: MissionState
+    is_in_mission_mode: bool
+    has_home: bool = False
+    """Whether item 0 is home, which the total leaves out."""
+
+
+def mission_current(progress: MissionProgress) -> Message:
+    """MISSION_CURRENT."""
+    total = max(0, progress.count - progress.has_home) if progress.count else NO_MISSION_TOTAL
+    mode = 1 if progress.is_in_mission_mode else 2
+    return mavlink.MAVLink_mission_current_message(progress.seq, total, progress.state, mode)
+
+
+def mission_item_reached(seq: int) -> Message:
+    """MISSION_ITEM_REACHED, to be sent once for each item."""
+    return mavlink.MAVLink_mission_item_reached_message(seq)
+
+
+class MissionAnnouncer:
+    """Tells everyone of a change at once; the steady 1 Hz belongs to the streams."""
+
+    def __init__(self) -> None:
+        self._told: MissionProgress | None = None
+
+    def changed(self, progress: MissionProgress) -> Message | None:
+        """MISSION_CURRENT if anything in it is new."""
+        if progress == self._told:
+            return None
+        self._told = progress
+        return mission_current(progress)

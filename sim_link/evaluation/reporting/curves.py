@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from companion.estimation.losses import (
+from companion.estimation.filters.losses import (
     RobustLoss,
     asymmetric_huber,
     one_sided_huber,

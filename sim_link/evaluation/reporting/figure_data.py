@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.domain import Point
-from companion.geometry.arrays import Matrix, Vector
+from companion.kernel import Matrix, Vector
 from sim_link.evaluation.case import Case
 from sim_link.evaluation.noise import run_seeds
 from sim_link.evaluation.results import CellResult, ResultRow, StudyResult

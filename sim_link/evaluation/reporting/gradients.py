@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 
 from companion.domain import Point, TargetEstimate
-from companion.geometry.arrays import Matrix, Vector
+from companion.kernel import Matrix, Vector
 from companion.planning.fim import candidate_ring_m, worst_variance_m2
 from sim_link.evaluation.case import Case
 from sim_link.evaluation.noise import (
@@ -33,7 +33,7 @@ from sim_link.evaluation.objects import FixedPilot, flown
 from sim_link.evaluation.printed_fim import information_gradient, printed_criteria
 from sim_link.evaluation.systems import System, estimator_of
 from sim_link.evaluation.trial import run_trial, start_of
-from sim_link.world.sight import is_blocked
+from sim_link.world.line_of_sight import is_blocked
 
 WATCHED: tuple[System, ...] = (
     System("asymmetric_huber", "fim"),

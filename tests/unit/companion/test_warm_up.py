@@ -8,11 +8,10 @@ from typing import Any
 import pytest
 
 from companion import warm_up as module
-from companion.estimation.tracker import TargetTracker
-from companion.estimation.tracker_params import TrackerParams
-from companion.estimation.window_map import WindowParams
-from companion.planning.base import Plan, PlanRequest
-from companion.planning.latched_crossing import LatchedCrossing, LatchedCrossingParams
+from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.estimation.window.window_map import WindowParams
+from companion.planning.crossing import LatchedCrossing, LatchedCrossingParams
+from companion.planning.planner import Plan, PlanRequest
 from companion.warm_up import warm_up
 
 SMALL = TrackerParams(window=WindowParams(size=64))

@@ -8,26 +8,25 @@ import numpy as np
 import pytest
 
 from companion.errors import ConfigError
-from companion.io.links import TcpFanOut, UdpFanOut
-from companion.io.urls import parse_link_url
+from companion.io.links.specs import TcpFanOut, UdpFanOut
+from companion.io.links.urls import parse_link_url
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message, mavlink
 from companion.mav.endpoint import Chunk
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import Scenario
-from sim_link.fleet import Fleet
-from sim_link.vehicles import Wishes, link_specs, make_vehicles, numbered
+from sim_link.fleet.vehicles import Fleet, FleetOptions, link_specs, make_vehicles, numbered_path
+from sim_link.world.environment import EmitterParams
 from sim_link.world.point_mass import PointMass, VehicleParams, WindParams
-from sim_link.world.target import EmitterParams
 from tests.protocol.sim_helpers import GroundStation
 
 SEND_TO = (("127.0.0.1", 14550), ("127.0.0.1", 14540))
 
 
-def wishes(vehicles: int = 3, *links: str) -> Wishes:
+def wishes(vehicles: int = 3, *links: str) -> FleetOptions:
     urls = tuple(parse_link_url(link) for link in links)
     scenario = Scenario(vehicles=vehicles)
-    return Wishes(scenario, 1, 1.0, ("127.0.0.1", 14580), SEND_TO, urls)
+    return FleetOptions(scenario, 1, 1.0, ("127.0.0.1", 14580), SEND_TO, urls)
 
 
 def test_ids_and_ports_count_up_but_the_ground_stations() -> None:
@@ -45,7 +44,7 @@ def test_a_line_serves_one_vehicle_only() -> None:
 
 
 def test_files_are_numbered_from_the_second_vehicle_on() -> None:
-    assert [str(numbered(Path("a/r.json"), n)) for n in (0, 1)] == ["a/r.json", "a/r-2.json"]
+    assert [str(numbered_path(Path("a/r.json"), n)) for n in (0, 1)] == ["a/r.json", "a/r-2.json"]
 
 
 def test_each_vehicle_has_its_own_links() -> None:

@@ -7,9 +7,10 @@ from pathlib import Path
 import pytest
 
 from companion.errors import ConfigError
-from sim_link.config import Scenario, load_scenario
+from sim_link.autopilot.scenario import Scenario
+from sim_link.fleet.scenario_io import load_scenario
 from sim_link.world.environment import ShadowParams
-from sim_link.world.sight import is_blocked_in_space
+from sim_link.world.line_of_sight import is_blocked_in_space
 
 SCENARIOS = Path(__file__).parents[3] / "configs" / "scenarios"
 CANONICAL = SCENARIOS / "canonical.yaml"

@@ -7,23 +7,23 @@ from pathlib import Path
 import pytest
 
 from companion.errors import ConfigError
-from companion.io.key_file import load_signing_key, store_signing_key
-from companion.io.urls import parse_link_url
+from companion.io.links.urls import parse_link_url
+from companion.io.state.signing_keys import load_signing_key, store_signing_key
+from companion.mav.addressing import source_of
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk
 from companion.mav.signing import SigningKey
-from companion.mav.targets import source_of
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import Scenario
-from sim_link.vehicles import Files, Wishes, make_vehicles
+from sim_link.fleet.vehicles import FleetFiles, FleetOptions, make_vehicles
 
 OLD, NEW = bytes(range(1, 33)), bytes(range(33, 65))
 UDP, LINE = 0, 1
 
 
-def wishes(signing_key: Path | None) -> Wishes:
-    return Wishes(
+def wishes(signing_key: Path | None) -> FleetOptions:
+    return FleetOptions(
         Scenario(),
         seed=1,
         speed=1.0,
@@ -34,10 +34,10 @@ def wishes(signing_key: Path | None) -> Wishes:
     )
 
 
-def set_up(wanted: Wishes, key: bytes, link: int) -> None:
+def set_up(wanted: FleetOptions, key: bytes, link: int) -> None:
     """A client sets up a key over a link, and the files are kept."""
     (endpoint,) = make_vehicles(wanted)
-    files = Files(wanted, [endpoint])
+    files = FleetFiles(wanted, [endpoint])
     message = mavlink.MAVLink_setup_signing_message(1, 1, list(key), 0)
     frame = MavCodec(255, 190).encode(message)
     endpoint.receive(Chunk(link, frame, is_datagram=link == UDP), 0.0)

@@ -13,25 +13,37 @@ from dataclasses import replace
 from companion.domain import FlightMode, PositionEnu
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.aircraft import Aircraft
-from sim_link.autopilot.commands import ACCEPTED, FAILED
-from sim_link.autopilot.echo import Echo
-from sim_link.autopilot.flavours.ardupilot import commands, fence_rules, modes
-from sim_link.autopilot.flavours.ardupilot.failsafes import Event, Failsafes
-from sim_link.autopilot.flavours.ardupilot.guided import Guided, GuidedState
-from sim_link.autopilot.flavours.ardupilot.modes import ARMED_FLAG, CopterMode
-from sim_link.autopilot.flavours.ardupilot.protocols import RULES
-from sim_link.autopilot.flavours.ardupilot.setpoints import (
+from sim_link.autopilot.control_inputs import (
+    AttitudeTarget,
+    Echo,
+    GlobalTarget,
+    LocalTarget,
+    Setpoint,
+)
+from sim_link.autopilot.flavours.ardupilot import failsafes, flight_modes
+from sim_link.autopilot.flavours.ardupilot.failsafes import FailsafeEvent, Failsafes
+from sim_link.autopilot.flavours.ardupilot.firmware_profile import RULES
+from sim_link.autopilot.flavours.ardupilot.flight_modes import ARMED_FLAG, CopterMode
+from sim_link.autopilot.flavours.ardupilot.guided import (
+    Guided,
+    GuidedState,
     Target,
     TargetKind,
     target_from_global,
     target_from_local,
 )
-from sim_link.autopilot.flavours.base import FenceState, Flavour, Identity, Shown
-from sim_link.autopilot.mission import LegKind
+from sim_link.autopilot.flavours.base import (
+    ACCEPTED,
+    FAILED,
+    FenceState,
+    Flavour,
+    HeartbeatState,
+    Identity,
+)
+from sim_link.autopilot.mission_executor import LegKind
 from sim_link.autopilot.pilot import SpeedLimits, Task
-from sim_link.autopilot.protocols.commands import Command
+from sim_link.autopilot.protocols.command_protocol import Command
 from sim_link.autopilot.protocols.parameter_store import ParameterStore
-from sim_link.autopilot.setpoints import AttitudeTarget, GlobalTarget, LocalTarget, Setpoint
 from sim_link.world.point_mass import stopping_point
 
 COPTER_VERSION = 0x0405_07FF
@@ -63,7 +75,7 @@ class ArduPilotFlavour(Flavour):
     def __init__(self, aircraft: Aircraft, parameters: ParameterStore) -> None:
         super().__init__(aircraft, parameters)
         self.guided = Guided()
-        self.copter_mode: CopterMode = modes.STABILIZE
+        self.copter_mode: CopterMode = flight_modes.STABILIZE
         self._commanded_mps: dict[int, float] = {}
         """By SPEED_TYPE, until the mode changes."""
         self._failsafes = Failsafes(aircraft, parameters)
@@ -91,9 +103,9 @@ class ArduPilotFlavour(Flavour):
         mode = self.copter_mode
         if not self.aircraft.estimator.is_position_valid and mode.task is not Task.OBEY_STICKS:
             return Task.DESCEND
-        if mode is modes.GUIDED:
+        if mode is flight_modes.GUIDED:
             return self.guided.task
-        if mode is modes.AUTO:
+        if mode is flight_modes.AUTO:
             is_returning = self.leg is not None and self.leg.kind is LegKind.RETURN
             return Task.RETURN if is_returning else Task.FLY_MISSION
         return mode.task
@@ -121,13 +133,13 @@ class ArduPilotFlavour(Flavour):
 
     def fence_margin_m(self, place: PositionEnu) -> float:
         """Distance from a place to the nearest breach of the fence, negative in one."""
-        return fence_rules.margin_m(place, self.aircraft, self.parameters)
+        return failsafes.fence_margin_m(place, self.aircraft, self.parameters)
 
     def fence_state(self, place: PositionEnu) -> FenceState:
         """FENCE_TYPE says which parts there are, FENCE_ENABLE whether they are heeded."""
         parts = int(self.parameters["FENCE_TYPE"])
-        has_areas = bool(parts & fence_rules.POLYGON) and not self.aircraft.fence.is_empty
-        is_present = has_areas or bool(parts & ~fence_rules.POLYGON)
+        has_areas = bool(parts & failsafes.POLYGON) and not self.aircraft.fence.is_empty
+        is_present = has_areas or bool(parts & ~failsafes.POLYGON)
         is_enabled = is_present and bool(self.parameters["FENCE_ENABLE"])
         return FenceState(is_present, is_enabled, self.fence_margin_m(place) < 0.0)
 
@@ -135,7 +147,7 @@ class ArduPilotFlavour(Flavour):
 
     def command(self, command: Command, now_s: float) -> int:
         """Obey a command; a MAV_RESULT."""
-        result = commands.obey(self, command, now_s)
+        result = flight_modes.handle_command(self, command, now_s)
         self.settle(now_s, "commanded")
         return result
 
@@ -154,7 +166,7 @@ class ArduPilotFlavour(Flavour):
 
     def pilot_chooses(self, mode: FlightMode, now_s: float) -> None:
         """The pilot turns the mode switch; what ArduPilot has no mode for changes nothing."""
-        wanted = modes.BY_WHAT_IT_DOES.get(mode)
+        wanted = flight_modes.BY_WHAT_IT_DOES.get(mode)
         if wanted is not None:
             self.choose(wanted, now_s)
             self.settle(now_s, "pilot")
@@ -166,7 +178,7 @@ class ArduPilotFlavour(Flavour):
         if mode.needs_position and not self.has_position(now_s):
             return "requires position"
         mission = self.aircraft.mission
-        if mode is modes.AUTO:
+        if mode is flight_modes.AUTO:
             if not mission.has_items:
                 return "init failed"
             first = mission.items[max(mission.current, 1)].command
@@ -219,7 +231,10 @@ class ArduPilotFlavour(Flavour):
 
     def change_speed(self, kind: float, speed_mps: float) -> bool:
         """DO_CHANGE_SPEED of a SPEED_TYPE; whether the mode has such a speed."""
-        if self.copter_mode not in (modes.GUIDED, modes.AUTO, modes.RTL) or not speed_mps > 0.0:
+        if (
+            self.copter_mode not in (flight_modes.GUIDED, flight_modes.AUTO, flight_modes.RTL)
+            or not speed_mps > 0.0
+        ):
             return False
         key = DESCENT if kind > CLIMB else CLIMB if kind > HORIZONTAL else HORIZONTAL
         self._commanded_mps[key] = speed_mps
@@ -249,7 +264,7 @@ class ArduPilotFlavour(Flavour):
         """Obeyed in GUIDED only, and never outside the fence: without a text, as the real one."""
         is_refused = target.kind is TargetKind.STOP
         self.setpoints.take(None if is_refused else target.setpoint, now_s)
-        if self.copter_mode is not modes.GUIDED or not self.is_armed:
+        if self.copter_mode is not flight_modes.GUIDED or not self.is_armed:
             return
         if target.text:
             self.aircraft.say(WARNING, target.text)
@@ -262,7 +277,7 @@ class ArduPilotFlavour(Flavour):
 
     def echo(self) -> Echo | None:
         """The target of GUIDED, and nothing in any other mode."""
-        if self.copter_mode is not modes.GUIDED:
+        if self.copter_mode is not flight_modes.GUIDED:
             return None
         return self.guided.echo(self.aircraft.pilot.goal_enu_m)
 
@@ -275,10 +290,12 @@ class ArduPilotFlavour(Flavour):
         """A second after LAND and RTL, DISARM_DELAY otherwise; never while it takes off."""
         if self.task is Task.TAKE_OFF:
             return None
-        is_landing = self.copter_mode in (modes.LAND, modes.RTL) or self._is_mission_over
-        if is_landing or (self.copter_mode is modes.AUTO and self.task is Task.RETURN):
+        is_landing = (
+            self.copter_mode in (flight_modes.LAND, flight_modes.RTL) or self._is_mission_over
+        )
+        if is_landing or (self.copter_mode is flight_modes.AUTO and self.task is Task.RETURN):
             return LANDED_DELAY_S
-        if self.copter_mode is modes.AUTO:
+        if self.copter_mode is flight_modes.AUTO:
             return None
         delay_s = self.parameters["DISARM_DELAY"]
         return delay_s + IDLE_DETECTION_S if delay_s > 0.0 else None
@@ -319,7 +336,7 @@ class ArduPilotFlavour(Flavour):
         for event in self._failsafes.watch(self.copter_mode, self.fence_margin_m, now_s):
             self._react(event, now_s)
 
-    def _react(self, event: Event, now_s: float) -> None:
+    def _react(self, event: FailsafeEvent, now_s: float) -> None:
         """Say what happened; on entering a failsafe, change the mode once."""
         self.aircraft.say(CRITICAL, event.text)
         if event.stops_motors:
@@ -327,7 +344,7 @@ class ArduPilotFlavour(Flavour):
         if event.reaction is None or self.aircraft.body.is_on_ground:
             return
         if self.choose(event.reaction, now_s) != ACCEPTED:
-            self.choose(modes.LAND, now_s)
+            self.choose(flight_modes.LAND, now_s)
         if event.tells_mode:
             self.aircraft.say(CRITICAL, f"{event.text}: changed to {self.copter_mode.name} Mode")
 
@@ -359,7 +376,7 @@ class ArduPilotFlavour(Flavour):
 
     # HEARTBEAT
 
-    def shown(self, now_s: float) -> Shown:  # noqa: ARG002  the base gives the time
+    def shown(self, now_s: float) -> HeartbeatState:  # noqa: ARG002  the base gives the time
         """What HEARTBEAT shows: on the ground STANDBY, also when armed."""
         base_mode = self.copter_mode.flags | (ARMED_FLAG if self.is_armed else 0)
         status = mavlink.MAV_STATE_STANDBY
@@ -367,4 +384,4 @@ class ArduPilotFlavour(Flavour):
             status = mavlink.MAV_STATE_CRITICAL
         elif self.is_armed and not self.aircraft.body.is_on_ground:
             status = mavlink.MAV_STATE_ACTIVE
-        return Shown(base_mode, self.copter_mode.number, status)
+        return HeartbeatState(base_mode, self.copter_mode.number, status)

@@ -1,17 +1,177 @@
-"""GUIDED: take-off first, positions latched for ever, motions that time out without a word.
+"""GUIDED of ArduCopter: what each target message asks for, and what becomes of it.
 
-Source: ArduCopter 4.5 as observed in SITL; parameter GUID_TIMEOUT.
+Take-off comes first, positions are latched for ever, motions time out without a word.
+
+One ignored axis ignores its whole group. Accepted are position, velocity, acceleration, position
+with velocity (and acceleration), velocity with acceleration, each with or without yaw or yaw rate;
+anything else stops the vehicle, and so does a frame that is not known. The real one flies to 0/0,
+descends without terrain data into the ground and may end on a NaN position: here these are refused,
+and a text says so.
+
+Source: ArduPilot documentation, "Copter Commands in Guided Mode"; ArduCopter 4.5 as observed in
+SITL; parameter GUID_TIMEOUT.
 """
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
 from enum import Enum
 
-from companion.domain import PositionEnu
-from sim_link.autopilot.echo import NOTHING, Axes, Echo
-from sim_link.autopilot.flavours.ardupilot.setpoints import Target, TargetKind
+from companion.domain import Point, PositionEnu
+from companion.geometry.coordinates import enu_from_ned, wrap_pi
+from companion.mav import dialect
+from companion.mav.dialect import mavlink
+from sim_link.autopilot.aircraft import AMSL_FRAMES, RELATIVE_FRAMES, Aircraft
+from sim_link.autopilot.control_inputs import (
+    NOTHING,
+    Axes,
+    Echo,
+    GlobalTarget,
+    LocalTarget,
+    Setpoint,
+    is_on_earth,
+    turned,
+)
 from sim_link.autopilot.pilot import Task
-from sim_link.autopilot.setpoints import Setpoint
+
+LOCAL_NED = mavlink.MAV_FRAME_LOCAL_NED
+LOCAL_OFFSET_NED = mavlink.MAV_FRAME_LOCAL_OFFSET_NED
+BODY_NED = mavlink.MAV_FRAME_BODY_NED
+BODY_OFFSET_NED = mavlink.MAV_FRAME_BODY_OFFSET_NED
+LOCAL_FRAMES = (LOCAL_NED, LOCAL_OFFSET_NED, BODY_NED, BODY_OFFSET_NED)
+BODY_FRAMES = (BODY_NED, BODY_OFFSET_NED)
+TERRAIN_FRAMES = (
+    mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT,
+    mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT,
+)
+
+
+NO_SETPOINT = Setpoint()
+
+
+class TargetKind(Enum):
+    """What becomes of a target."""
+
+    POSITION = "position"
+    """Latched: flown to and held for ever."""
+    MOTION = "motion"
+    """Velocity or acceleration, alone or with a position: times out after GUID_TIMEOUT."""
+    STOP = "stop"
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """A target as understood."""
+
+    kind: TargetKind
+    setpoint: Setpoint = NO_SETPOINT
+    text: str = ""
+    """What to tell the operators about a refusal."""
+
+
+def target_from_local(message: LocalTarget, aircraft: Aircraft) -> Target:
+    """What SET_POSITION_TARGET_LOCAL_NED asks for."""
+    frame = message.coordinate_frame
+    if frame not in LOCAL_FRAMES:
+        return Target(TargetKind.STOP, text=f"Guided: frame {frame} not supported, stopping")
+    has_position = not message.type_mask & dialect.POSITION_IGNORE
+    place: PositionEnu | None = None
+    if has_position:
+        if not _are_finite(message.x, message.y, message.z):
+            return Target(TargetKind.STOP, text="Guided: position is not finite, stopping")
+        place = _local_place(message, aircraft)
+    return _target(message, place, aircraft.heading_ned_rad if frame in BODY_FRAMES else None)
+
+
+def _local_place(message: LocalTarget, aircraft: Aircraft) -> PositionEnu:
+    """Offsets are about the vehicle; BODY_NED positions are about the origin, north and east."""
+    if message.coordinate_frame in (LOCAL_NED, BODY_NED):
+        return aircraft.estimator.world_from_local(enu_from_ned((message.x, message.y, message.z)))
+    own_east, own_north, own_up = aircraft.body.position_enu_m
+    east, north = float(message.y), float(message.x)
+    if message.coordinate_frame == BODY_OFFSET_NED:
+        east, north = turned(message.x, message.y, aircraft.heading_ned_rad)
+    return (own_east + east, own_north + north, own_up - message.z)
+
+
+def target_from_global(message: GlobalTarget, aircraft: Aircraft) -> Target:
+    """What SET_POSITION_TARGET_GLOBAL_INT asks for."""
+    frame = message.coordinate_frame
+    if message.type_mask & dialect.POSITION_IGNORE:
+        return _target(message, None, None)
+    if frame in TERRAIN_FRAMES:
+        return Target(TargetKind.STOP, text="Guided: no terrain data, stopping")
+    if frame not in AMSL_FRAMES + RELATIVE_FRAMES:
+        return Target(TargetKind.STOP, text=f"Guided: frame {frame} not supported, stopping")
+    is_place = is_on_earth(message.lat_int, message.lon_int)
+    if not is_place or (message.lat_int == 0 and message.lon_int == 0):
+        return Target(TargetKind.STOP, text="Guided: latitude or longitude invalid, stopping")
+    if not math.isfinite(message.alt):
+        return Target(TargetKind.STOP, text="Guided: altitude is not finite, stopping")
+    place = aircraft.place_from(message.lat_int, message.lon_int, message.alt, frame)
+    return _target(message, place, None)
+
+
+def _target(
+    message: LocalTarget | GlobalTarget, place: PositionEnu | None, body_yaw_rad: float | None
+) -> Target:
+    """The target of a message whose position is understood.
+
+    Args:
+        message: The message.
+        place: Its position in the world's frame, None if it gives none.
+        body_yaw_rad: The heading that its vectors and yaw are about; None: north.
+    """
+    mask = message.type_mask
+    has_velocity = not mask & dialect.VELOCITY_IGNORE
+    has_acceleration = not mask & dialect.ACCELERATION_IGNORE and not mask & dialect.FORCE_SET
+    velocity = (message.vx, message.vy, message.vz)
+    acceleration = (message.afx, message.afy, message.afz)
+    is_understood = has_velocity or (place is not None) is not has_acceleration
+    is_finite = (not has_velocity or _are_finite(*velocity)) and (
+        not has_acceleration or _are_finite(*acceleration)
+    )
+    yaw, yaw_rate, is_yaw_finite = _yaw(message, body_yaw_rad)
+    if not (is_understood and is_finite and is_yaw_finite):
+        return Target(TargetKind.STOP)
+    setpoint = Setpoint(
+        position_en_m=None if place is None else place[:2],
+        up_m=None if place is None else place[2],
+        velocity_en_mps=_en(velocity, body_yaw_rad) if has_velocity else None,
+        climb_mps=-message.vz if has_velocity else None,
+        acceleration_enu_mps2=(
+            (*_en(acceleration, body_yaw_rad), -message.afz) if has_acceleration else None
+        ),
+        yaw_ned_rad=yaw,
+        yaw_rate_ned_radps=yaw_rate,
+    )
+    times_out = has_velocity or has_acceleration or yaw_rate is not None
+    return Target(TargetKind.MOTION if times_out else TargetKind.POSITION, setpoint)
+
+
+def _yaw(
+    message: LocalTarget | GlobalTarget, body_yaw_rad: float | None
+) -> tuple[float | None, float | None, bool]:
+    """Heading, yaw rate, and whether both are finite where they are given."""
+    mask = message.type_mask
+    yaw = None if mask & dialect.YAW_IGNORE else float(message.yaw)
+    yaw_rate = None if mask & dialect.YAW_RATE_IGNORE else float(message.yaw_rate)
+    if not all(math.isfinite(value) for value in (yaw or 0.0, yaw_rate or 0.0)):
+        return (None, None, False)
+    if yaw is not None:
+        yaw = wrap_pi(yaw if body_yaw_rad is None else yaw + body_yaw_rad)
+    return (yaw, yaw_rate, True)
+
+
+def _en(vector: tuple[float, float, float], body_yaw_rad: float | None) -> Point:
+    x, y, _ = vector
+    return (y, x) if body_yaw_rad is None else turned(x, y, body_yaw_rad)
+
+
+def _are_finite(*values: float) -> bool:
+    return all(math.isfinite(value) for value in values)
+
 
 STILL: PositionEnu = (0.0, 0.0, 0.0)
 

@@ -12,16 +12,19 @@ takes over from all of them: a cause that was taken over acts again only after i
 gone and come back.
 
 Source: PX4 1.15, `commander/failsafe/framework.cpp` and `failsafe.cpp`; user guide, "Safety
-Configuration".
+Configuration"; Parameter Reference, COM_*, NAV_*, BAT_*, GF_*.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 from companion.domain import FlightMode
+from companion.mav.dialect import mavlink
+from sim_link.autopilot.aircraft import Aircraft
+from sim_link.autopilot.protocols.parameter_store import ParameterStore
 
 
 class Cause(Enum):
@@ -91,7 +94,7 @@ FENCE_REACTION = {
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class FailsafeCondition:
     """One cause, whether its condition holds now, and the reaction to it."""
 
     cause: Cause
@@ -116,7 +119,7 @@ class Failsafes:
         """By how much the next such hold is shorter than COM_FAIL_ACT_T."""
 
     def watch(
-        self, findings: Iterable[Finding], dt_s: float, delay_s: float, *, can_hold: bool
+        self, findings: Iterable[FailsafeCondition], dt_s: float, delay_s: float, *, can_hold: bool
     ) -> list[Cause]:
         """Take in what is wrong; the causes that became active just now.
 
@@ -138,7 +141,7 @@ class Failsafes:
         self._spent_s = min(delay_s, max(0.0, self._spent_s + change_s))
         return [each.cause for each in fresh]
 
-    def _watch(self, finding: Finding) -> bool:
+    def _watch(self, finding: FailsafeCondition) -> bool:
         cause = finding.cause
         if not finding.is_present or finding.reaction is None:
             if self._taken_over:
@@ -183,3 +186,119 @@ class Failsafes:
             return None
         waits = self._delay_s > 0.0 and worst[1] not in (Reaction.WARN, Reaction.DISARM)
         return Reaction.HOLD if waits else worst[1]
+
+
+EXCEPT_MISSION, EXCEPT_HOLD, EXCEPT_OFFBOARD = 1, 2, 4
+"""Bits of COM_RCL_EXCEPT."""
+EXCEPTION_OF = {
+    FlightMode.MISSION: EXCEPT_MISSION,
+    FlightMode.HOLD: EXCEPT_HOLD,
+    FlightMode.OFFBOARD: EXCEPT_OFFBOARD,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class _FailsafeRules:
+    """What the parameters say of failsafes."""
+
+    findings: tuple[FailsafeCondition, ...]
+    """Every cause that is watched, as if it were not there."""
+    excepted: int
+    station_loss_s: float
+    critical_share: float
+    emergency_share: float
+
+
+def _failsafe_rules(value: ParameterStore) -> _FailsafeRules:
+    action = int(value["COM_LOW_BAT_ACT"])
+    critical = {2: Reaction.LAND, 3: Reaction.RETURN}.get(action, Reaction.WARN)
+    emergency = Reaction.WARN if action == 0 else Reaction.LAND
+    setpoints = OFFBOARD_LOSS_REACTION.get(int(value["COM_OBL_RC_ACT"]), Reaction.POSITION)
+    findings = (
+        FailsafeCondition(Cause.NO_SETPOINTS, False, setpoints, waits=False, ends=True),
+        FailsafeCondition(
+            Cause.NO_STICKS, False, LINK_LOSS_REACTION.get(int(value["NAV_RCL_ACT"]))
+        ),
+        FailsafeCondition(
+            Cause.NO_STATION, False, LINK_LOSS_REACTION.get(int(value["NAV_DLL_ACT"]))
+        ),
+        FailsafeCondition(Cause.NO_POSITION, False, Reaction.LAND),
+        FailsafeCondition(Cause.FENCE, False, FENCE_REACTION.get(int(value["GF_ACTION"]))),
+        FailsafeCondition(Cause.BATTERY_CRITICAL, False, critical, ends=True),
+        FailsafeCondition(Cause.BATTERY_EMERGENCY, False, emergency, ends=True),
+    )
+    return _FailsafeRules(
+        findings,
+        int(value["COM_RCL_EXCEPT"]),
+        value["COM_DL_LOSS_T"],
+        value["BAT_CRIT_THR"],
+        value["BAT_EMERGEN_THR"],
+    )
+
+
+class FailsafeMonitor:
+    """Looks at one aircraft.
+
+    Args:
+        aircraft: Which.
+        parameters: What is done about a finding.
+    """
+
+    def __init__(self, aircraft: Aircraft, parameters: ParameterStore) -> None:
+        self._aircraft = aircraft
+        self._parameters = parameters
+        self._revision = parameters.revision
+        self._rules = _failsafe_rules(parameters)
+        self._present: tuple[bool, ...] | None = None
+        """Which causes were there at the last look, in the order of the rules' findings."""
+        self._found: list[FailsafeCondition] = []
+        self._had_sticks = False
+        self._has_warned = False
+
+    def findings(
+        self, intention: FlightMode, fence_margin_m: float, now_s: float, *, is_stream_alive: bool
+    ) -> list[FailsafeCondition]:
+        """Every cause that is watched, whether it is there or not; the vehicle is armed.
+
+        Args:
+            intention: The mode that the operator chose.
+            fence_margin_m: Distance from a breach, negative in one.
+            now_s: Seconds since boot.
+            is_stream_alive: Whether setpoints come.
+        """
+        rules, aircraft = self._current_rules(), self._aircraft
+        has_sticks = aircraft.sticks.read(now_s) is not None
+        self._had_sticks = self._had_sticks or has_sticks
+        is_excepted = bool(rules.excepted & EXCEPTION_OF.get(intention, 0))
+        heard_s, share = aircraft.station_heard_s, aircraft.battery.share
+        present = (
+            intention is FlightMode.OFFBOARD and not is_stream_alive,
+            self._had_sticks and not has_sticks and not is_excepted,
+            heard_s is not None and now_s - heard_s > rules.station_loss_s,
+            not aircraft.estimator.is_position_valid,
+            fence_margin_m < 0.0,
+            share <= rules.critical_share,
+            share <= rules.emergency_share,
+        )
+        if present != self._present:
+            self._present = present
+            self._found = [
+                replace(each, is_present=is_present)
+                for each, is_present in zip(rules.findings, present, strict=True)
+            ]
+        return self._found
+
+    def _current_rules(self) -> _FailsafeRules:
+        """What the parameters say, read anew where one has changed."""
+        revision = self._parameters.revision
+        if revision != self._revision:
+            self._revision, self._rules = revision, _failsafe_rules(self._parameters)
+            self._present = None
+        return self._rules
+
+    def warn_of_battery(self) -> None:
+        """A text when the charge falls under BAT_LOW_THR."""
+        is_low = self._aircraft.battery.share <= self._parameters["BAT_LOW_THR"]
+        if is_low and not self._has_warned:
+            self._aircraft.say(mavlink.MAV_SEVERITY_WARNING, "Low battery level")
+        self._has_warned = is_low

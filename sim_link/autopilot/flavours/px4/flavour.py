@@ -11,25 +11,36 @@ import math
 from companion.domain import FlightMode, PositionEnu
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.aircraft import Aircraft
-from sim_link.autopilot.commands import ACCEPTED
-from sim_link.autopilot.echo import NOTHING, Axes, Echo
-from sim_link.autopilot.flavours.base import FenceState, Flavour, Identity, Shown
-from sim_link.autopilot.flavours.px4 import commands, heartbeat, parameters, setpoints
-from sim_link.autopilot.flavours.px4.attitude import setpoint_from_attitude
+from sim_link.autopilot.control_inputs import (
+    NOTHING,
+    AttitudeTarget,
+    Axes,
+    Echo,
+    GlobalTarget,
+    LocalTarget,
+    Setpoint,
+)
+from sim_link.autopilot.flavours.base import ACCEPTED, FenceState, Flavour, HeartbeatState, Identity
+from sim_link.autopilot.flavours.px4 import firmware_profile, flight_modes, offboard
 from sim_link.autopilot.flavours.px4.failsafes import (
     MODE_OF_REACTION,
     Cause,
+    FailsafeMonitor,
     Failsafes,
     Reaction,
 )
-from sim_link.autopilot.flavours.px4.modes import MODE_NAMES, STICK_MODES, ModeLogic, Situation
-from sim_link.autopilot.flavours.px4.protocols import CUSTOM_RULES, RULES
-from sim_link.autopilot.flavours.px4.watcher import Watcher
-from sim_link.autopilot.mission import LegKind
+from sim_link.autopilot.flavours.px4.firmware_profile import CUSTOM_RULES, RULES
+from sim_link.autopilot.flavours.px4.flight_modes import (
+    MODE_NAMES,
+    STICK_MODES,
+    ModeLogic,
+    Situation,
+)
+from sim_link.autopilot.flavours.px4.offboard import setpoint_from_attitude
+from sim_link.autopilot.mission_executor import LegKind
 from sim_link.autopilot.pilot import STEP_S, Task
-from sim_link.autopilot.protocols.commands import Command
+from sim_link.autopilot.protocols.command_protocol import Command
 from sim_link.autopilot.protocols.parameter_store import ParameterStore
-from sim_link.autopilot.setpoints import AttitudeTarget, GlobalTarget, LocalTarget, Setpoint
 
 PX4_VERSION = 0x010F_02FF
 """1.15.2, official release: the one whose behaviour is simulated."""
@@ -77,7 +88,7 @@ class Px4Flavour(Flavour):
             self.rules = CUSTOM_RULES
         self.modes = ModeLogic()
         self._failsafes = Failsafes()
-        self._watcher = Watcher(aircraft, parameters)
+        self._watcher = FailsafeMonitor(aircraft, parameters)
         self._limits_revision = -1
 
     # State
@@ -169,7 +180,7 @@ class Px4Flavour(Flavour):
 
     def command(self, command: Command, now_s: float) -> int:
         """Obey a command; a MAV_RESULT."""
-        result = commands.obey(self, command, now_s)
+        result = flight_modes.handle_command(self, command, now_s)
         self.settle(now_s, "commanded")
         return result
 
@@ -241,11 +252,11 @@ class Px4Flavour(Flavour):
 
     def take_local(self, message: LocalTarget, now_s: float) -> None:
         """SET_POSITION_TARGET_LOCAL_NED arrived."""
-        self.setpoints.take(setpoints.setpoint_from_local(message, self.aircraft), now_s)
+        self.setpoints.take(offboard.setpoint_from_local(message, self.aircraft), now_s)
 
     def take_global(self, message: GlobalTarget, now_s: float) -> None:
         """SET_POSITION_TARGET_GLOBAL_INT arrived."""
-        self.setpoints.take(setpoints.setpoint_from_global(message, self.aircraft), now_s)
+        self.setpoints.take(offboard.setpoint_from_global(message, self.aircraft), now_s)
 
     def take_attitude(self, message: AttitudeTarget, now_s: float) -> None:
         """SET_ATTITUDE_TARGET arrived."""
@@ -310,7 +321,7 @@ class Px4Flavour(Flavour):
         self._watcher.warn_of_battery()
         if self.parameters.revision != self._limits_revision:
             self._limits_revision = self.parameters.revision
-            self.aircraft.pilot.limits = parameters.speed_limits(self.parameters)
+            self.aircraft.pilot.limits = firmware_profile.speed_limits(self.parameters)
         if not self.is_armed:
             return
         sticks = self.aircraft.sticks.read(now_s)
@@ -360,9 +371,9 @@ class Px4Flavour(Flavour):
 
     # HEARTBEAT
 
-    def shown(self, now_s: float) -> Shown:
+    def shown(self, now_s: float) -> HeartbeatState:
         """What HEARTBEAT shows."""
-        return heartbeat.shown(
+        return flight_modes.heartbeat_state(
             self.mode,
             is_armed=self.is_armed,
             is_failsafe=self.is_failsafe,

@@ -6,9 +6,9 @@ from typing import Annotated
 import msgspec
 import pytest
 
-from companion.config.load import load_yaml, parse_yaml
+from companion.config.loader import load_yaml, parse_yaml
+from companion.domain import Params, Positive
 from companion.errors import ConfigError
-from companion.params import Params, Positive
 
 
 class FilterParams(Params, frozen=True):

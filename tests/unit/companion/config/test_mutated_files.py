@@ -10,8 +10,8 @@ import pytest
 
 from companion import cli
 from companion.config.schema import CompanionConfig
-from companion.io.links import LinkSpec
-from companion.run import build_session
+from companion.flight_setup import build_session
+from companion.io.links.specs import LinkSpec
 from tests.unit.companion.config.mutations import mutants
 
 FILES = 500

@@ -6,16 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from companion.config.load import load_yaml, parse_yaml
+from companion.config.loader import load_yaml, parse_yaml
 from companion.config.schema import CompanionConfig, inconsistency, load_config
 from companion.errors import ConfigError
-from companion.link.params import LinkParams
+from companion.flight_setup import build_planner, build_session
+from companion.link.binding import LinkParams
+from companion.planning.crossing import LatchedCrossing, ReactiveCrossing
 from companion.planning.fim import FimPlanner
-from companion.planning.latched_crossing import LatchedCrossing
-from companion.planning.reactive_crossing import ReactiveCrossing
-from companion.planning.search import SearchPlanner
-from companion.planning.search_then_cross import SearchThenCross
-from companion.run import build_planner, build_session
+from companion.planning.search import SearchPlanner, SearchThenCross
 
 ROOT = Path(__file__).parents[4]
 PRESETS = sorted((ROOT / "configs/companion").glob("*.yaml"))

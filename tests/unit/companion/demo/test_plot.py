@@ -8,7 +8,7 @@ from companion.domain import EstimateState, TargetEstimate
 
 pytest.importorskip("matplotlib", reason="pictures are drawn with the extra `demo`")
 
-from companion.demo.plot import Flight, Obstacle, draw
+from companion.demo.track_plot import Obstacle, PlottedFlight, draw
 
 FINAL = TargetEstimate(
     time_s=40.0,
@@ -23,8 +23,8 @@ FINAL = TargetEstimate(
 BLOCK = Obstacle("block", ((30.0, 30.0), (45.0, 30.0), (45.0, 60.0)), 30.0)
 
 
-def flight(*obstacles: Obstacle) -> Flight:
-    return Flight(
+def flight(*obstacles: Obstacle) -> PlottedFlight:
+    return PlottedFlight(
         track_enu_m=[(10.0, 10.0), (50.0, 40.0)],
         estimates_enu_m=[(40.0, 40.0), (50.0, 50.0)],
         r95=[(1.0, 20.0), (40.0, 0.3)],

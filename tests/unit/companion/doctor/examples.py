@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from companion.config.limits import DEFAULT_FENCE
-from companion.doctor.facts import (
+from companion.config.schema import DEFAULT_FENCE
+from companion.doctor.findings import (
     AutopilotFacts,
     Facts,
     HostFacts,
@@ -12,7 +12,7 @@ from companion.doctor.facts import (
     StreamRate,
 )
 from companion.domain import Autopilot
-from companion.geometry.frames import LocalOrigin
+from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.geofence import Corners, GeoArea, GeoFence
 from companion.guidance.events import AutopilotFenceRead
 

@@ -7,13 +7,11 @@ from typing import Any
 
 import pytest
 
-from companion.config.process import LogConfig
-from companion.config.schema import CompanionConfig
-from companion.doctor.checks import examine, exit_code
-from companion.doctor.facts import Facts, PlaceFacts, StreamRate
-from companion.doctor.verdicts import Finding, Level
+from companion.config.schema import CompanionConfig, LogConfig
+from companion.doctor.examination import examine, exit_code
+from companion.doctor.findings import Facts, Finding, Level, PlaceFacts, StreamRate
 from companion.domain import Autopilot
-from companion.link.params import VehicleParams
+from companion.link.binding import VehicleParams
 from tests.unit.companion.doctor.examples import FIT, HOST, LINK, PX4
 
 CONFIG = CompanionConfig()

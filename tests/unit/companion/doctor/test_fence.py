@@ -6,11 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from companion.config.limits import DEFAULT_FENCE, LimitsConfig
-from companion.config.schema import CompanionConfig
-from companion.doctor.checks import examine, exit_code
-from companion.doctor.facts import AutopilotFacts, Facts
-from companion.doctor.verdicts import Finding, Level
+from companion.config.schema import DEFAULT_FENCE, CompanionConfig, LimitsConfig
+from companion.doctor.examination import examine, exit_code
+from companion.doctor.findings import AutopilotFacts, Facts, Finding, Level
 from companion.guidance.events import AutopilotFenceRead
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from companion.doctor.host import look_at_host, look_at_place
+from companion.doctor.examination import look_at_host, look_at_place
 
 
 def test_a_place_is_written_to_and_left_as_it_was(tmp_path: Path) -> None:

@@ -7,9 +7,8 @@ from dataclasses import replace
 import pytest
 
 from companion.config.schema import CompanionConfig, LimitsConfig
-from companion.doctor.facts import AutopilotFacts
-from companion.doctor.parameters import check_parameters, needed_parameters
-from companion.doctor.verdicts import Finding, Level
+from companion.doctor.autopilot_settings import check_parameters, needed_parameters
+from companion.doctor.findings import AutopilotFacts, Finding, Level
 from companion.domain import Autopilot
 from tests.unit.companion.doctor.examples import ARDUPILOT_PARAMETERS, PX4, PX4_PARAMETERS
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 import pytest
 
 from companion.config.schema import CompanionConfig
-from companion.doctor.checks import examine
-from companion.doctor.facts import Facts, LinkFacts
+from companion.doctor.examination import examine
+from companion.doctor.findings import Facts, Level, LinkFacts
 from companion.doctor.probe import PATIENCE_S, DoctorProbe
-from companion.doctor.verdicts import Level
 from companion.domain import Autopilot
-from companion.link.authenticity import Authenticity
+from companion.link.intake import Authenticity
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Chunk

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 
-from companion.doctor.report import as_json, as_lines
-from companion.doctor.verdicts import fail, ok, warn
+from companion.doctor.findings import as_json, as_lines, fail, ok, warn
 
 FINDINGS = [
     ok("autopilot", "PX4, system 1"),

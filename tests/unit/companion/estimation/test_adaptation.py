@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.estimation.adaptation import (
+from companion.estimation.noise.adaptation import (
     DEFAULTS,
     AdaptationParams,
     AdaptiveBearingNoise,
@@ -22,15 +22,15 @@ from companion.estimation.adaptation import (
     fit_range_noise,
     thresholds_of,
 )
-from companion.estimation.noise_mixtures import range_expectations
-from companion.estimation.printed_adaptation import (
+from companion.estimation.noise.mixtures import range_expectations
+from companion.kernel import Matrix, Vector
+from tools.printed_adaptation import (
     PrintedMeanBias,
     compare_mean_bias,
     drawn_residuals_m,
     printed_fixed_point_m,
     printed_mean_bias_m,
 )
-from companion.geometry.arrays import Matrix, Vector
 
 START = RangeNoise(sigma_m=1.5, mean_bias_m=5.0, nlos_share=0.5)
 BEARING_START = BearingNoise(math.radians(2.0), math.radians(15.0), 0.2)

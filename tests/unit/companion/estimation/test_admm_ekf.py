@@ -10,12 +10,16 @@ import pytest
 from scipy.optimize import minimize, minimize_scalar
 
 from companion.domain import RangingMeasurement
-from companion.estimation.admm_ekf import AdmmEkf, AdmmParams, proximal_residual, split
-from companion.estimation.asymmetric_huber_ekf import AsymmetricHuberEkf
-from companion.estimation.base import FilterState
-from companion.estimation.filter_params import FilterParams
-from companion.estimation.losses import asymmetric_huber_influence, asymmetric_huber_loss
-from companion.geometry.arrays import Matrix, Vector
+from companion.estimation.filters.kalman import (
+    AdmmEkf,
+    AdmmParams,
+    AsymmetricHuberEkf,
+    proximal_residual,
+    split,
+)
+from companion.estimation.filters.losses import asymmetric_huber_influence, asymmetric_huber_loss
+from companion.estimation.filters.target_filter import FilterParams, FilterState
+from companion.kernel import Matrix, Vector
 
 THRESHOLDS = {
     "one-sided": np.array([[1.5, math.inf], [1.5, 1.5], [1.5, 1.5]]),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from companion.estimation.agreement import PROVEN_COUNT, Agreement
+from companion.estimation.integrity.track_integrity import PROVEN_COUNT, Agreement
 
 
 def _fed(agreement: Agreement, count: int, start_s: float, *, agrees: bool) -> list[float]:

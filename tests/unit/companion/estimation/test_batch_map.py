@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from companion.domain import PositionEnu, RangingMeasurement
-from companion.estimation.batch_map import batch_map, rows_of
-from companion.estimation.window_map import MIN_MEASUREMENTS
-from companion.geometry.arrays import Matrix
+from companion.estimation.window.window_map import MIN_MEASUREMENTS
+from companion.kernel import Matrix
+from tests.unit.companion.estimation.batch_map import batch_map, rows_of
 from tests.unit.companion.estimation.walks import (
     OFFSET_M,
     TARGET,

@@ -10,9 +10,8 @@ import pytest
 
 from companion.domain import EstimateState
 from companion.estimation.belief import DOUBT, Belief, BelievedPlace
-from companion.estimation.tracker import TargetTracker
-from companion.estimation.tracker_params import TrackerParams
-from companion.geometry.arrays import Matrix
+from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.kernel import Matrix
 from tests.unit.companion.estimation.walks import TARGET, measurement_of, params, reflected, walk
 
 PARAMS = TrackerParams(filter=params(range_sigma_m=0.5, bearing_sigma_deg=1.7))

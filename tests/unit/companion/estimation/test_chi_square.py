@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from companion.estimation.base import FilterState, ModalityReport, UpdateReport
-from companion.estimation.chi_square import NisMonitor, mean_band, nees
+from companion.estimation.filters.target_filter import FilterState, ModalityReport, UpdateReport
+from companion.estimation.integrity.consistency import NisMonitor, mean_band, nees
 
 STATE = FilterState.of(0.0, np.zeros(4), np.eye(4))
 ROW = ModalityReport(1.0, 1.0, 1.0, 1.0, 1.0, 0.1)

@@ -7,14 +7,14 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 
-from companion.estimation.base import (
+from companion.estimation.filters.target_filter import (
     NO_INFLATION,
     FilterState,
     Inflation,
     ModalityReport,
     UpdateReport,
 )
-from companion.estimation.contradiction import (
+from companion.estimation.integrity.track_integrity import (
     CONTRADICTION_COUNT,
     CONTRADICTION_U,
     Contradiction,

@@ -7,8 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from companion.estimation.base import NO_INFLATION, FilterState, ModalityReport, UpdateReport
-from companion.estimation.divergence import (
+from companion.estimation.filters.target_filter import (
+    NO_INFLATION,
+    FilterState,
+    ModalityReport,
+    UpdateReport,
+)
+from companion.estimation.integrity.consistency import (
     RESTART_MEMORY_S,
     WINDOW_COUNT,
     NisWindow,

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from companion.domain import RangingMeasurement
-from companion.estimation.filter_params import MAX_SIGMA, MIN_SIGMA, FilterParams
-from companion.models.ranging_model import ABSENT
+from companion.estimation.filters.target_filter import MAX_SIGMA, MIN_SIGMA, FilterParams
+from companion.estimation.measurement_model import ABSENT
 
 EVERYTHING = RangingMeasurement(
     emitter_id=1,

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from companion.estimation.frozen import FROZEN_COUNT, FROZEN_M, FROZEN_S, FrozenValue
+from companion.estimation.screening.plausibility import (
+    FROZEN_COUNT,
+    FROZEN_M,
+    FROZEN_S,
+    FrozenValue,
+)
 
 
 def _fed(

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from companion.estimation.joseph import (
+from companion.estimation.filters.robust_update import (
     DEFINITE_MARGIN,
     is_positive_definite,
     joseph_row,
     within_bounds,
 )
-from companion.geometry.arrays import Matrix, Vector
+from companion.kernel import Matrix, Vector
 
 SIZES = [4, 5, 6]
 UNITS = np.array([30.0, 30.0, 5.0, 0.09, 0.05, 4.0])

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from companion.estimation.filter_params import FilterParams
-from companion.estimation.losses import asymmetric_huber_loss
-from companion.estimation.map_kernels import (
+from companion.estimation.filters.losses import asymmetric_huber_loss
+from companion.estimation.filters.target_filter import FilterParams
+from companion.estimation.window.map_kernels import (
     map_cost,
     map_minimum,
     map_step,
@@ -18,7 +18,7 @@ from companion.estimation.map_kernels import (
     row_residuals,
     row_sigmas,
 )
-from companion.geometry.arrays import Matrix, Vector
+from companion.kernel import Matrix, Vector
 from tests.unit.companion.estimation.walks import START, params, reflected, truth, walk
 
 CASES: dict[str, FilterParams] = {

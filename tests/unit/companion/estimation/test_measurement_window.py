@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from companion.domain import PositionEnu
-from companion.estimation.map_kernels import COLUMNS, SEQUENCE
-from companion.estimation.measurement_window import (
+from companion.estimation.window.map_kernels import COLUMNS, SEQUENCE
+from companion.estimation.window.measurement_window import (
     KEPT_SHARE,
     MeasurementWindow,
     kept_by_thinning,
 )
-from companion.geometry.arrays import Matrix
+from companion.kernel import Matrix
 
 SIGMA = np.array([1.0, 0.1, 0.2])
 ORIGIN = (0.0, 0.0)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from companion.estimation.motion import (
+from companion.estimation.integrity.target_motion import (
     CALM_COUNT,
     EVERY_S,
     IN_A_ROW,
@@ -17,10 +17,9 @@ from companion.estimation.motion import (
     MotionWatch,
     motion_of,
 )
-from companion.estimation.tracker import TargetTracker
-from companion.estimation.tracker_params import TrackerParams
-from companion.estimation.window_map import WindowMap
-from companion.geometry.arrays import Matrix, Vector
+from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.estimation.window.window_map import WindowMap
+from companion.kernel import Matrix, Vector
 from tests.unit.companion.estimation.walks import (
     BEARING_SIGMA_RAD,
     RANGE_SIGMA_M,

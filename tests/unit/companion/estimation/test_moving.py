@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 from companion.domain import PositionEnu
-from companion.estimation.moving import JUMP_SIGMA_M
-from companion.estimation.tracker import TargetTracker
-from companion.estimation.tracker_params import TrackerParams
-from companion.geometry.arrays import Matrix
+from companion.estimation.hypotheses import JUMP_SIGMA_M
+from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.kernel import Matrix
 from tests.unit.companion.estimation.walks import measurement_of, params, walk
 
 SHIFT = (12.0, -7.0, 3.0)

@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 
 from companion.domain import RangingMeasurement
-from companion.estimation.adaptation import AdaptationParams
-from companion.estimation.base import FilterState, ModalityReport, UpdateReport
-from companion.estimation.filter_params import FilterParams
-from companion.estimation.noise_learner import RETUNE_EVERY, NoiseLearner
-from companion.estimation.tracker import TargetTracker
-from companion.estimation.tracker_params import TrackerParams
+from companion.estimation.filters.target_filter import (
+    FilterParams,
+    FilterState,
+    ModalityReport,
+    UpdateReport,
+)
+from companion.estimation.noise.adaptation import AdaptationParams
+from companion.estimation.noise.innovations import RETUNE_EVERY, NoiseLearner
+from companion.estimation.tracker import TargetTracker, TrackerParams
 
 STATE = FilterState.of(0.0, np.zeros(4), np.eye(4))
 BELIEVED = FilterParams(range_sigma_m=1.5, bearing_sigma_deg=2.0)

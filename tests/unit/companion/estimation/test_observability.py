@@ -7,15 +7,15 @@ import math
 import numpy as np
 import pytest
 
-from companion.estimation.filter_params import FilterParams
-from companion.estimation.observability import (
+from companion.estimation.filters.target_filter import FilterParams
+from companion.estimation.window.sandwich import (
     COLLINEAR_RATIO,
     mirrored,
     observability_of,
     track_line,
 )
-from companion.estimation.window_map import WindowMap
-from companion.geometry.arrays import Matrix, Vector
+from companion.estimation.window.window_map import WindowMap
+from companion.kernel import Matrix, Vector
 from tests.unit.companion.estimation.walks import params, reflected, truth, walk
 
 PLANE = params(range_k_long=1.5)

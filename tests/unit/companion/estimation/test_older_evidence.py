@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from companion.estimation.filter_params import FilterParams
-from companion.estimation.measurement_window import MeasurementWindow
-from companion.estimation.older_evidence import OlderEvidence
-from companion.estimation.window_map import Optimum, WindowMap
-from companion.geometry.arrays import Matrix, Vector
+from companion.estimation.filters.target_filter import FilterParams
+from companion.estimation.window.measurement_window import MeasurementWindow, OlderEvidence
+from companion.estimation.window.window_map import Optimum, WindowMap
+from companion.kernel import Matrix, Vector
 from tests.unit.companion.estimation.walks import START, TARGET, params, reflected, truth, walk
 
 QUADRATIC = params(range_k_long=None, bearing_k=None)

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from companion.domain import PositionEnu, RangingMeasurement
-from companion.estimation.filter_params import FilterParams
-from companion.estimation.objections import Objection
-from companion.estimation.plausibility import AbsurdShare, Plausibility
-from companion.estimation.refusal import Refusal
+from companion.estimation.filters.target_filter import FilterParams
+from companion.estimation.screening.plausibility import AbsurdShare, Plausibility
+from companion.estimation.screening.validation import Objection, RejectReason
 
 TARGET = (60.0, 20.0, 0.0)
 
@@ -41,7 +40,7 @@ class Radio:
             bearing_enu_rad=math.atan2(north, east) + float(self._rng.normal(0.0, 0.05)),
         )
 
-    def judged(self, seen: RangingMeasurement) -> tuple[bool, bool, Refusal | None]:
+    def judged(self, seen: RangingMeasurement) -> tuple[bool, bool, RejectReason | None]:
         """Whether range and bearing may be used, and why not both."""
         judgement = self.plausibility.judge(seen, self.place, self.now_s)
         self.step += 1
@@ -74,7 +73,7 @@ def test_what_is_frozen_is_as_good_as_none(frozen: str) -> None:
         )
         has_range, has_bearing, reason = radio.judged(seen)
     assert (has_range, has_bearing) == (frozen == "bearing", frozen == "range")
-    assert reason is Refusal.FROZEN
+    assert reason is RejectReason.FROZEN
     assert radio.plausibility.objection is None
 
 
@@ -86,7 +85,7 @@ def test_a_frozen_bearing_in_the_body_frame_is_told_although_the_vehicle_turns()
         )
         _, has_bearing, reason = radio.judged(turned)
     assert not has_bearing
-    assert reason is Refusal.FROZEN
+    assert reason is RejectReason.FROZEN
 
 
 def test_a_wrong_unit_of_ranges_leaves_the_bearing_but_speaks_against_flying() -> None:
@@ -98,7 +97,7 @@ def test_a_wrong_unit_of_ranges_leaves_the_bearing_but_speaks_against_flying() -
             1, radio.now_s, range_m=0.01 * seen.range_m, bearing_enu_rad=seen.bearing_enu_rad
         )
         has_range, has_bearing, reason = radio.judged(scaled)
-    assert (has_range, has_bearing, reason) == (False, True, Refusal.WRONG_UNIT)
+    assert (has_range, has_bearing, reason) == (False, True, RejectReason.WRONG_UNIT)
     assert radio.plausibility.objection is Objection.RANGE_UNIT
     radio.plausibility.clear()
     assert radio.plausibility.objection is None
@@ -107,13 +106,13 @@ def test_a_wrong_unit_of_ranges_leaves_the_bearing_but_speaks_against_flying() -
 @pytest.mark.parametrize(
     ("reason", "objection"),
     [
-        (Refusal.RANGE_ABSURD, Objection.RANGE_UNIT),
-        (Refusal.BEARING_ABSURD, Objection.BEARING_UNIT),
-        (Refusal.STALE, None),
+        (RejectReason.RANGE_ABSURD, Objection.RANGE_UNIT),
+        (RejectReason.BEARING_ABSURD, Objection.BEARING_UNIT),
+        (RejectReason.STALE, None),
     ],
 )
 def test_mostly_absurd_values_speak_against_flying(
-    reason: Refusal, objection: Objection | None
+    reason: RejectReason, objection: Objection | None
 ) -> None:
     radio = Radio()
     for _ in range(30):

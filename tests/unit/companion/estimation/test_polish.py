@@ -8,19 +8,17 @@ import numpy as np
 import pytest
 
 from companion.domain import EstimateState
-from companion.estimation.base import NO_INFLATION, FilterState
-from companion.estimation.filter_params import FilterParams
+from companion.estimation.filters.target_filter import NO_INFLATION, FilterParams, FilterState
 from companion.estimation.hypotheses import Hypothesis
-from companion.estimation.polish import Polisher
-from companion.estimation.tracker import TargetTracker
-from companion.estimation.tracker_params import TrackerParams
-from companion.estimation.window_map import (
+from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.estimation.window.optimizer import WindowOptimizer
+from companion.estimation.window.window_map import (
     MAX_POSITION_SIGMA_M,
     MIN_MEASUREMENTS,
     WindowMap,
     WindowParams,
 )
-from companion.geometry.arrays import Matrix
+from companion.kernel import Matrix
 from tests.unit.companion.estimation.walks import (
     OFFSET_M,
     START,
@@ -54,8 +52,8 @@ def _fed(
     size: int = 512,
     *,
     is_white: bool = True,
-) -> Polisher:
-    polisher = Polisher(p, WindowParams(size=size))
+) -> WindowOptimizer:
+    polisher = WindowOptimizer(p, WindowParams(size=size))
     for row in rows:
         place = (float(row[0]), float(row[1]), float(row[2]))
         polisher.add(place, row[3:6], row[6:9], hypotheses, is_white=is_white)
@@ -63,7 +61,7 @@ def _fed(
 
 
 def _polished(
-    polisher: Polisher,
+    polisher: WindowOptimizer,
     hypotheses: tuple[Hypothesis, ...] = (NEAR,),
     fresh: int | None = 0,
     *,
@@ -76,7 +74,7 @@ def _polished(
 
 
 def test_it_is_solved_often_at_first_and_steadily_later() -> None:
-    polisher = Polisher(P, WindowParams(every=25))
+    polisher = WindowOptimizer(P, WindowParams(every=25))
     due = [accepted for accepted in range(1, 601) if polisher.is_due(accepted)]
     assert due[0] == MIN_MEASUREMENTS
     gaps = np.diff(due)
@@ -86,7 +84,7 @@ def test_it_is_solved_often_at_first_and_steadily_later() -> None:
 
 
 def test_it_can_be_switched_off() -> None:
-    polisher = Polisher(P, WindowParams(enabled=False))
+    polisher = WindowOptimizer(P, WindowParams(enabled=False))
     assert not any(polisher.is_due(accepted) for accepted in range(1000))
 
 

@@ -5,9 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from companion.estimation.map_kernels import map_cost, map_minimum, normal_equations
-from companion.estimation.profile import MIN_RISE_SHARE, STRETCHES, Cost, stretched
-from companion.geometry.arrays import Vector
+from companion.estimation.window.map_kernels import map_cost, map_minimum, normal_equations
+from companion.estimation.window.window_map import (
+    MIN_RISE_SHARE,
+    STRETCHES,
+    Cost,
+    stretch_covariance,
+)
+from companion.kernel import Vector
 from tests.unit.companion.estimation.walks import params
 
 A = np.diag([1.0 / 9.0, 1.0, 4.0, 100.0])
@@ -31,12 +36,12 @@ def _plain(x: Vector) -> float:
 
 @pytest.mark.parametrize("share", [1.0, 3.0, 1.01 * MIN_RISE_SHARE])
 def test_where_the_cost_keeps_its_promise_nothing_changes(share: float) -> None:
-    assert stretched(COVARIANCE, A, MEAN, _quadratic(share)) is COVARIANCE
+    assert stretch_covariance(COVARIANCE, A, MEAN, _quadratic(share)) is COVARIANCE
 
 
 @pytest.mark.parametrize("share", [0.4, 0.1, 0.05])
 def test_where_it_is_flatter_the_longest_axis_is_longer(share: float) -> None:
-    wider = stretched(COVARIANCE, A, MEAN, _quadratic(share))
+    wider = stretch_covariance(COVARIANCE, A, MEAN, _quadratic(share))
     ratio = float(np.sqrt(wider[0, 0] / COVARIANCE[0, 0]))
     needed = float(np.sqrt(MIN_RISE_SHARE / share))
     assert needed * (1.0 - 1e-9) <= ratio <= 1.5 * needed
@@ -49,18 +54,18 @@ def test_one_flat_side_is_enough() -> None:
     def cost(x: Vector) -> float:
         return _quadratic(1.0 if x[0] < MEAN[0] else 0.1)(x)
 
-    assert stretched(COVARIANCE, A, MEAN, cost)[0, 0] > COVARIANCE[0, 0]
+    assert stretch_covariance(COVARIANCE, A, MEAN, cost)[0, 0] > COVARIANCE[0, 0]
 
 
 def test_a_plain_without_end_is_stretched_as_far_as_it_goes() -> None:
-    wider = stretched(COVARIANCE, A, MEAN, _plain)
+    wider = stretch_covariance(COVARIANCE, A, MEAN, _plain)
     assert np.sqrt(wider[0, 0] / COVARIANCE[0, 0]) == pytest.approx(STRETCHES[-1])
 
 
 def test_correlated_components_follow() -> None:
     P = np.array(COVARIANCE)
     P[0, 2] = P[2, 0] = 1.2
-    wider = stretched(P, np.asarray(np.linalg.inv(P)), MEAN, _plain)
+    wider = stretch_covariance(P, np.asarray(np.linalg.inv(P)), MEAN, _plain)
     assert wider[0, 2] / wider[0, 0] == pytest.approx(P[0, 2] / P[0, 0])
     assert np.linalg.eigvalsh(wider)[0] > 0.0
     assert np.array_equal(wider, wider.T)
@@ -68,7 +73,7 @@ def test_correlated_components_follow() -> None:
 
 def test_without_uncertainty_there_is_nothing_to_stretch() -> None:
     nothing = np.zeros((4, 4))
-    assert stretched(nothing, A, MEAN, _plain) is nothing
+    assert stretch_covariance(nothing, A, MEAN, _plain) is nothing
 
 
 def test_bearings_from_far_away_do_not_end_where_the_curvature_says() -> None:
@@ -84,7 +89,7 @@ def test_bearings_from_far_away_do_not_end_where_the_curvature_says() -> None:
     mean, _ = map_minimum(rows, np.array([3.0, 60.0, 0.0, 0.0]), p.thresholds, p.bounds, *prior)
     curvature, _, _ = normal_equations(rows, mean, sigmas, p.thresholds, *prior)
     covariance = np.asarray(np.linalg.inv(curvature))
-    wider = stretched(
+    wider = stretch_covariance(
         covariance,
         curvature,
         mean,

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from companion.domain import PositionEnu, RangingMeasurement
-from companion.estimation.refusal import FUTURE_TOLERANCE_S, Refusal
-from companion.estimation.tracker import TargetTracker
-from companion.estimation.tracker_params import TrackerParams
+from companion.estimation.screening.validation import FUTURE_TOLERANCE_S, RejectReason
+from companion.estimation.tracker import TargetTracker, TrackerParams
 
 PLACE: PositionEnu = (10.0, 5.0, 20.0)
 NOW_S = 100.0
@@ -56,57 +55,63 @@ def _snapshot(tracker: TargetTracker) -> list[object]:
 
 
 REFUSED = {
-    "other emitter": (replace(GOOD, emitter_id=8), Refusal.OTHER_EMITTER),
-    "nothing": (replace(GOOD, range_m=None, bearing_enu_rad=None), Refusal.NOTHING_MEASURED),
-    "range NaN": (replace(GOOD, range_m=math.nan), Refusal.NOT_FINITE),
-    "range inf": (replace(GOOD, range_m=math.inf), Refusal.NOT_FINITE),
-    "range -inf": (replace(GOOD, range_m=-math.inf), Refusal.NOT_FINITE),
-    "bearing NaN": (replace(GOOD, bearing_enu_rad=math.nan), Refusal.NOT_FINITE),
-    "bearing inf": (replace(GOOD, bearing_enu_rad=math.inf), Refusal.NOT_FINITE),
-    "body bearing NaN": (replace(GOOD, bearing_body_rad=math.nan), Refusal.NOT_FINITE),
-    "sigma NaN": (replace(GOOD, range_sigma_m=math.nan), Refusal.NOT_FINITE),
-    "bearing sigma inf": (replace(GOOD, bearing_sigma_rad=math.inf), Refusal.NOT_FINITE),
-    "time NaN": (replace(GOOD, measured_at_s=math.nan), Refusal.NOT_FINITE),
-    "range negative": (replace(GOOD, range_m=-1.0), Refusal.RANGE_NOT_POSITIVE),
-    "range zero": (replace(GOOD, range_m=0.0), Refusal.RANGE_NOT_POSITIVE),
-    "range absurd": (replace(GOOD, range_m=2000.1), Refusal.RANGE_ABSURD),
-    "bearing in degrees": (replace(GOOD, bearing_enu_rad=90.0), Refusal.BEARING_ABSURD),
-    "body bearing in degrees": (replace(GOOD, bearing_body_rad=-7.0), Refusal.BEARING_ABSURD),
-    "bearing past half a turn": (replace(GOOD, bearing_enu_rad=3.15), Refusal.BEARING_ABSURD),
+    "other emitter": (replace(GOOD, emitter_id=8), RejectReason.OTHER_EMITTER),
+    "nothing": (replace(GOOD, range_m=None, bearing_enu_rad=None), RejectReason.NOTHING_MEASURED),
+    "range NaN": (replace(GOOD, range_m=math.nan), RejectReason.NOT_FINITE),
+    "range inf": (replace(GOOD, range_m=math.inf), RejectReason.NOT_FINITE),
+    "range -inf": (replace(GOOD, range_m=-math.inf), RejectReason.NOT_FINITE),
+    "bearing NaN": (replace(GOOD, bearing_enu_rad=math.nan), RejectReason.NOT_FINITE),
+    "bearing inf": (replace(GOOD, bearing_enu_rad=math.inf), RejectReason.NOT_FINITE),
+    "body bearing NaN": (replace(GOOD, bearing_body_rad=math.nan), RejectReason.NOT_FINITE),
+    "sigma NaN": (replace(GOOD, range_sigma_m=math.nan), RejectReason.NOT_FINITE),
+    "bearing sigma inf": (replace(GOOD, bearing_sigma_rad=math.inf), RejectReason.NOT_FINITE),
+    "time NaN": (replace(GOOD, measured_at_s=math.nan), RejectReason.NOT_FINITE),
+    "range negative": (replace(GOOD, range_m=-1.0), RejectReason.RANGE_NOT_POSITIVE),
+    "range zero": (replace(GOOD, range_m=0.0), RejectReason.RANGE_NOT_POSITIVE),
+    "range absurd": (replace(GOOD, range_m=2000.1), RejectReason.RANGE_ABSURD),
+    "bearing in degrees": (replace(GOOD, bearing_enu_rad=90.0), RejectReason.BEARING_ABSURD),
+    "body bearing in degrees": (replace(GOOD, bearing_body_rad=-7.0), RejectReason.BEARING_ABSURD),
+    "bearing past half a turn": (replace(GOOD, bearing_enu_rad=3.15), RejectReason.BEARING_ABSURD),
     "body bearing past half a turn": (
         replace(GOOD, bearing_body_rad=-3.15),
-        Refusal.BEARING_ABSURD,
+        RejectReason.BEARING_ABSURD,
     ),
-    "range denormal": (replace(GOOD, range_m=1e-40), Refusal.DENORMAL),
-    "range the least of 64 bits": (replace(GOOD, range_m=5e-324), Refusal.DENORMAL),
-    "bearing denormal": (replace(GOOD, bearing_enu_rad=-1e-39), Refusal.DENORMAL),
-    "sigma denormal": (replace(GOOD, range_sigma_m=1e-300), Refusal.DENORMAL),
-    "elevation NaN": (replace(GOOD, elevation_rad=math.nan), Refusal.NOT_FINITE),
-    "elevation inf": (replace(GOOD, elevation_rad=math.inf), Refusal.NOT_FINITE),
-    "elevation sigma NaN": (replace(GOOD, elevation_sigma_rad=math.nan), Refusal.NOT_FINITE),
-    "elevation in degrees": (replace(GOOD, elevation_rad=45.0), Refusal.ELEVATION_ABSURD),
-    "elevation past the zenith": (replace(GOOD, elevation_rad=1.6), Refusal.ELEVATION_ABSURD),
+    "range denormal": (replace(GOOD, range_m=1e-40), RejectReason.DENORMAL),
+    "range the least of 64 bits": (replace(GOOD, range_m=5e-324), RejectReason.DENORMAL),
+    "bearing denormal": (replace(GOOD, bearing_enu_rad=-1e-39), RejectReason.DENORMAL),
+    "sigma denormal": (replace(GOOD, range_sigma_m=1e-300), RejectReason.DENORMAL),
+    "elevation NaN": (replace(GOOD, elevation_rad=math.nan), RejectReason.NOT_FINITE),
+    "elevation inf": (replace(GOOD, elevation_rad=math.inf), RejectReason.NOT_FINITE),
+    "elevation sigma NaN": (replace(GOOD, elevation_sigma_rad=math.nan), RejectReason.NOT_FINITE),
+    "elevation in degrees": (replace(GOOD, elevation_rad=45.0), RejectReason.ELEVATION_ABSURD),
+    "elevation past the zenith": (replace(GOOD, elevation_rad=1.6), RejectReason.ELEVATION_ABSURD),
     "elevation alone": (
         replace(GOOD, range_m=None, bearing_enu_rad=None, elevation_rad=0.3),
-        Refusal.NOTHING_MEASURED,
+        RejectReason.NOTHING_MEASURED,
     ),
-    "sigma zero": (replace(GOOD, range_sigma_m=0.0), Refusal.SIGMA_NOT_POSITIVE),
-    "elevation sigma zero": (replace(GOOD, elevation_sigma_rad=0.0), Refusal.SIGMA_NOT_POSITIVE),
-    "bearing sigma negative": (replace(GOOD, bearing_sigma_rad=-0.1), Refusal.SIGMA_NOT_POSITIVE),
+    "sigma zero": (replace(GOOD, range_sigma_m=0.0), RejectReason.SIGMA_NOT_POSITIVE),
+    "elevation sigma zero": (
+        replace(GOOD, elevation_sigma_rad=0.0),
+        RejectReason.SIGMA_NOT_POSITIVE,
+    ),
+    "bearing sigma negative": (
+        replace(GOOD, bearing_sigma_rad=-0.1),
+        RejectReason.SIGMA_NOT_POSITIVE,
+    ),
     "future": (
         replace(GOOD, measured_at_s=NOW_S + FUTURE_TOLERANCE_S + 0.01),
-        Refusal.FROM_THE_FUTURE,
+        RejectReason.FROM_THE_FUTURE,
     ),
-    "stale": (replace(GOOD, measured_at_s=NOW_S - 1.01), Refusal.STALE),
-    "duplicate": (replace(GOOD, stamp_us=997), Refusal.DUPLICATE),
-    "duplicate without a stamp": (UNSTAMPED, Refusal.DUPLICATE),
+    "stale": (replace(GOOD, measured_at_s=NOW_S - 1.01), RejectReason.STALE),
+    "duplicate": (replace(GOOD, stamp_us=997), RejectReason.DUPLICATE),
+    "duplicate without a stamp": (UNSTAMPED, RejectReason.DUPLICATE),
     "no yaw for the bearing of an elevation": (
         replace(GOOD, range_m=None, bearing_enu_rad=None, bearing_body_rad=0.1, elevation_rad=-0.3),
-        Refusal.NO_YAW,
+        RejectReason.NO_YAW,
     ),
     "no yaw": (
         replace(GOOD, range_m=None, bearing_enu_rad=None, bearing_body_rad=0.1),
-        Refusal.NO_YAW,
+        RejectReason.NO_YAW,
     ),
 }
 
@@ -128,8 +133,8 @@ def test_what_is_refused_is_counted_and_changes_nothing(name: str) -> None:
 def test_without_an_own_position_it_is_refused(place: PositionEnu | None) -> None:
     tracker = _tracker()
     before = _snapshot(tracker)
-    assert tracker.fuse(GOOD, place, NOW_S).refusal is Refusal.NO_POSITION
-    assert tracker.refusals == {Refusal.NO_POSITION: 1}
+    assert tracker.fuse(GOOD, place, NOW_S).refusal is RejectReason.NO_POSITION
+    assert tracker.refusals == {RejectReason.NO_POSITION: 1}
     assert _snapshot(tracker) == before
 
 
@@ -145,16 +150,16 @@ def test_what_was_refused_leaves_no_trace_in_what_follows(name: str) -> None:
 
 
 def test_every_reason_is_covered_here() -> None:
-    covered = {reason for _, reason in REFUSED.values()} | {Refusal.NO_POSITION}
+    covered = {reason for _, reason in REFUSED.values()} | {RejectReason.NO_POSITION}
     judged_beside_others = {
-        Refusal.RANGE_OUTLIER,
-        Refusal.BEARING_OUTLIER,
-        Refusal.TOO_MANY,
-        Refusal.FROZEN,
-        Refusal.WRONG_UNIT,
-        Refusal.OWN_JUMP,
+        RejectReason.RANGE_OUTLIER,
+        RejectReason.BEARING_OUTLIER,
+        RejectReason.TOO_MANY,
+        RejectReason.FROZEN,
+        RejectReason.WRONG_UNIT,
+        RejectReason.OWN_JUMP,
     }
-    assert covered == set(Refusal) - judged_beside_others
+    assert covered == set(RejectReason) - judged_beside_others
 
 
 @pytest.mark.parametrize(
@@ -186,15 +191,15 @@ def test_without_stamps_the_time_of_measurement_tells_a_duplicate() -> None:
     unstamped = replace(GOOD, stamp_us=None)
     later = replace(unstamped, measured_at_s=NOW_S + 0.01)
     assert tracker.fuse(unstamped, PLACE, NOW_S).refusal is None
-    assert tracker.fuse(unstamped, PLACE, NOW_S).refusal is Refusal.DUPLICATE
+    assert tracker.fuse(unstamped, PLACE, NOW_S).refusal is RejectReason.DUPLICATE
     assert tracker.fuse(later, PLACE, NOW_S).refusal is None
-    assert tracker.fuse(unstamped, PLACE, NOW_S).refusal is Refusal.DUPLICATE
+    assert tracker.fuse(unstamped, PLACE, NOW_S).refusal is RejectReason.DUPLICATE
 
 
 def test_an_elevation_whose_bearing_lacks_a_yaw_starts_nothing() -> None:
     tracker = TargetTracker(TrackerParams())
     seen = RangingMeasurement(1, NOW_S, bearing_body_rad=0.1, elevation_rad=-0.3)
-    assert tracker.fuse(seen, PLACE, NOW_S).refusal is Refusal.NO_YAW
+    assert tracker.fuse(seen, PLACE, NOW_S).refusal is RejectReason.NO_YAW
     assert tracker.estimate(NOW_S) is None
 
 
@@ -213,7 +218,7 @@ def test_range_and_bearing_of_one_moment_are_no_duplicates_of_each_other() -> No
     assert tracker.fuse(replace(both, bearing_enu_rad=None), PLACE, NOW_S).refusal is None
     assert tracker.fuse(replace(both, range_m=None), PLACE, NOW_S).refusal is None
     again = tracker.fuse(replace(both, range_m=None, measured_at_s=NOW_S - 0.01), PLACE, NOW_S)
-    assert again.refusal is Refusal.DUPLICATE
+    assert again.refusal is RejectReason.DUPLICATE
 
 
 @pytest.mark.parametrize("bound", [None, 0, 7])
@@ -235,9 +240,9 @@ def test_one_emitter_is_bound_and_all_others_are_ignored_and_counted(bound: int 
             assert tracker.fuse(seen, place, time_s).refusal is None
         for other in {0, 7, 8, 65_535} - {ours}:
             stranger = replace(seen, emitter_id=other, range_m=5.0, bearing_enu_rad=-2.0)
-            assert mixed.fuse(stranger, place, time_s).refusal is Refusal.OTHER_EMITTER
+            assert mixed.fuse(stranger, place, time_s).refusal is RejectReason.OTHER_EMITTER
     assert mixed.emitter_id == ours
-    assert mixed.refusals == {Refusal.OTHER_EMITTER: 90}
+    assert mixed.refusals == {RejectReason.OTHER_EMITTER: 90}
     assert _snapshot(mixed) == _snapshot(alone)
 
 
@@ -245,6 +250,6 @@ def test_an_id_that_changes_in_flight_is_a_dropout() -> None:
     tracker = _tracker()
     for step in range(40):
         seen = replace(GOOD, emitter_id=9, measured_at_s=NOW_S + 0.1 * step, stamp_us=2_000 + step)
-        assert tracker.fuse(seen, PLACE, NOW_S + 0.1 * step).refusal is Refusal.OTHER_EMITTER
+        assert tracker.fuse(seen, PLACE, NOW_S + 0.1 * step).refusal is RejectReason.OTHER_EMITTER
     assert tracker.emitter_id == 7
     assert tracker.contact.is_interrupted(NOW_S + 4.0)

@@ -7,9 +7,14 @@ import math
 import numpy as np
 import pytest
 
-from companion.estimation.rivals import IMPROBABLE_LOG_RATIO, log_erfc, log_ratio, weighted
-from companion.estimation.window_map import Optimum, WindowMap
-from companion.geometry.arrays import Matrix
+from companion.estimation.window.optimizer import (
+    IMPROBABLE_LOG_RATIO,
+    log_erfc,
+    log_ratio,
+    weigh_optima,
+)
+from companion.estimation.window.window_map import Optimum, WindowMap
+from companion.kernel import Matrix
 from tests.unit.companion.estimation.walks import START, params, reflected, walk
 
 N = 100
@@ -31,14 +36,14 @@ def _optimum(
 
 
 def test_without_rivals_there_is_nothing_to_weigh() -> None:
-    assert weighted([]) == []
+    assert weigh_optima([]) == []
     alone = _optimum(0.0, 100.0)
-    assert weighted([alone]) == [(0.0, alone)]
+    assert weigh_optima([alone]) == [(0.0, alone)]
 
 
 def test_of_two_alike_neither_is_more_probable() -> None:
     one, other = _optimum(0.0, 100.0), _optimum(50.0, 100.0)
-    assert [log for log, _ in weighted([one, other])] == [0.0, 0.0]
+    assert [log for log, _ in weigh_optima([one, other])] == [0.0, 0.0]
 
 
 def test_a_difference_of_costs_is_a_log_ratio() -> None:
@@ -51,15 +56,15 @@ def test_inflation_keeps_a_rival_alive_that_white_noise_would_rule_out() -> None
     def rivals(inflation: float) -> list[Optimum]:
         return [_optimum(0.0, 100.0, inflation=inflation), _optimum(9.0, 120.0)]
 
-    assert len(weighted(rivals(1.0))) == 1
-    assert len(weighted(rivals(10.0))) == 2
-    assert weighted(rivals(10.0))[1][0] == pytest.approx(-2.0)
+    assert len(weigh_optima(rivals(1.0))) == 1
+    assert len(weigh_optima(rivals(10.0))) == 2
+    assert weigh_optima(rivals(10.0))[1][0] == pytest.approx(-2.0)
 
 
 def test_a_wrong_place_does_not_excuse_itself_by_its_own_systematic_residuals() -> None:
     place = _optimum(0.0, 1880.0, inflation=4.0)
     far = _optimum(80.0, 2160.0, sigma_m=28.0, inflation=45.0)
-    assert [o for _, o in weighted([far, place])] == [place]
+    assert [o for _, o in weigh_optima([far, place])] == [place]
 
 
 def test_what_a_few_noises_made_may_be_chance() -> None:
@@ -81,7 +86,7 @@ def test_what_all_measurements_agree_on_is_no_chance() -> None:
 
 def test_the_best_one_comes_first_and_the_improbable_not_at_all() -> None:
     optima = [_optimum(float(i), cost) for i, cost in enumerate((130.0, 104.0, 100.0, 101.0))]
-    kept = weighted(optima)
+    kept = weigh_optima(optima)
     assert {o.cost for _, o in kept} == {100.0, 101.0, 104.0}
     assert max(kept, key=lambda pair: pair[0])[1].cost == 100.0
     assert all(IMPROBABLE_LOG_RATIO < log <= 0.0 for log, _ in kept)

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from companion.estimation.filter_params import FilterParams
-from companion.estimation.sandwich import (
+from companion.estimation.filters.target_filter import FilterParams
+from companion.estimation.window.sandwich import (
     MAX_CORRELATION,
     MIN_CORRELATED,
     MIN_SLOPE,
@@ -21,8 +21,8 @@ from companion.estimation.sandwich import (
     pooled_variability,
     thermal_moment,
 )
-from companion.estimation.window_map import WindowMap
-from companion.geometry.arrays import Matrix, Vector
+from companion.estimation.window.window_map import WindowMap
+from companion.kernel import Matrix, Vector
 from tests.unit.companion.estimation.walks import START, TARGET, params, reflected, repeating, walk
 
 K = 1.5

@@ -10,16 +10,14 @@ import numpy as np
 import pytest
 
 from companion.domain import EstimateState, Point, PositionEnu, RangingMeasurement, TargetEstimate
-from companion.estimation.contradiction import CONTRADICTION_COUNT
-from companion.estimation.filter_params import FilterParams
-from companion.estimation.filters import KINDS, FilterKind, filter_of
-from companion.estimation.objections import Objection
-from companion.estimation.refusal import Refusal
-from companion.estimation.tracker import TargetTracker
-from companion.estimation.tracker_params import TrackerParams
-from companion.estimation.window_map import WindowParams
-from companion.planning.base import PlanRequest
-from companion.planning.latched_crossing import Latch, LatchedCrossing, LatchedCrossingParams
+from companion.estimation.filters.kalman import KINDS, FilterKind, filter_of
+from companion.estimation.filters.target_filter import FilterParams
+from companion.estimation.integrity.track_integrity import CONTRADICTION_COUNT
+from companion.estimation.screening.validation import Objection, RejectReason
+from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.estimation.window.window_map import WindowParams
+from companion.planning.crossing import Latch, LatchedCrossing, LatchedCrossingParams
+from companion.planning.planner import PlanRequest
 from tests.unit.companion.estimation.tracker_helpers import (
     HEIGHT_M,
     bearing_to,
@@ -404,4 +402,4 @@ def test_ranges_that_no_place_and_no_offset_explains_in_metres_are_not_used() ->
         short = measured(float(step), 8.0 + 0.1 * (step % 7))
         tracker.fuse(short, place, float(step))
     assert tracker.objection(240.0) is Objection.RANGE_UNIT
-    assert tracker.refusals[Refusal.WRONG_UNIT] > 100
+    assert tracker.refusals[RejectReason.WRONG_UNIT] > 100

@@ -8,10 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from companion.estimation.filter_params import FilterParams
-from companion.estimation.refusal import Refusal
-from companion.estimation.tracker import TargetTracker
-from companion.estimation.tracker_params import TrackerParams
+from companion.estimation.filters.target_filter import FilterParams
+from companion.estimation.screening.validation import RejectReason
+from companion.estimation.tracker import TargetTracker, TrackerParams
 from tests.unit.companion.estimation.tracker_helpers import (
     HEIGHT_M,
     bearing_to,
@@ -38,11 +37,11 @@ def test_a_duplicate_changes_nothing_however_often_it_comes(has_stamp: bool) -> 
         for again_s in (0.0, 0.2, 0.9):
             copy = replace(seen, measured_at_s=seen.measured_at_s + 0.01) if has_stamp else seen
             report = often.fuse(copy, place, float(step) + again_s)
-            assert report.refusal is Refusal.DUPLICATE
+            assert report.refusal is RejectReason.DUPLICATE
             assert report.update is None
     assert known_by(often) == known_by(once)
     assert often.accepted == once.accepted == 60
-    assert often.refusals[Refusal.DUPLICATE] == 180
+    assert often.refusals[RejectReason.DUPLICATE] == 180
 
 
 def test_the_same_reading_at_another_time_is_no_duplicate() -> None:
@@ -88,6 +87,6 @@ def test_what_is_older_than_a_second_is_refused() -> None:
     tracker = walk_about(corner_walk(), (30.0, 40.0), True, True)
     before = known_by(tracker)
     stale = measured(500.0, range_to((0.0, 0.0, HEIGHT_M), (30.0, 40.0)))
-    assert tracker.fuse(stale, (0.0, 0.0, HEIGHT_M), 501.01).refusal is Refusal.STALE
+    assert tracker.fuse(stale, (0.0, 0.0, HEIGHT_M), 501.01).refusal is RejectReason.STALE
     assert known_by(tracker) == before
     assert tracker.fuse(stale, (0.0, 0.0, HEIGHT_M), 500.99).refusal is None

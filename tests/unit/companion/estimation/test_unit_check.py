@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from companion.domain import PositionEnu
-from companion.estimation.filter_params import FilterParams
-from companion.estimation.unit_check import UnitCheck
+from companion.estimation.filters.target_filter import FilterParams
+from companion.estimation.screening.unit_check import UnitCheck
 
 MAX_RANGE_M = 2000.0
 RATE_HZ = 10.0

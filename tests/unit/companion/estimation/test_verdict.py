@@ -8,16 +8,15 @@ import numpy as np
 import pytest
 
 from companion.domain import EstimateState, TargetEstimate
-from companion.estimation.base import FilterState
-from companion.estimation.consistency import R95_OF_EQUAL_AXES
-from companion.estimation.filter_params import FilterParams
-from companion.estimation.hypotheses import Hypothesis
-from companion.estimation.verdict import (
+from companion.estimation.filter_bank import (
     AMBIGUOUS_PROBABILITY,
     MAX_AMBIGUOUS,
     estimate_of,
     position_covariance_m2,
 )
+from companion.estimation.filters.target_filter import FilterParams, FilterState
+from companion.estimation.hypotheses import Hypothesis
+from companion.estimation.integrity.consistency import R95_OF_EQUAL_AXES
 
 PLANE = FilterParams(own_position_sigma_m=0.3, target_height_m=2.0)
 

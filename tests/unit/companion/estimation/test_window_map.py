@@ -7,14 +7,14 @@ import math
 import numpy as np
 import pytest
 
-from companion.estimation.consistency import r95_of_covariance_m
-from companion.estimation.filter_params import FilterParams
-from companion.estimation.map_kernels import map_cost, row_sigmas
-from companion.estimation.observability import mirrored
-from companion.estimation.older_evidence import OlderEvidence
-from companion.estimation.rivals import weighted
-from companion.estimation.window_map import MAX_POSITION_SIGMA_M, SAME_PLACE_M, WindowMap
-from companion.geometry.arrays import Matrix, Vector
+from companion.estimation.filters.target_filter import FilterParams
+from companion.estimation.integrity.consistency import r95_of_covariance_m
+from companion.estimation.window.map_kernels import map_cost, row_sigmas
+from companion.estimation.window.measurement_window import OlderEvidence
+from companion.estimation.window.optimizer import weigh_optima
+from companion.estimation.window.sandwich import mirrored
+from companion.estimation.window.window_map import MAX_POSITION_SIGMA_M, SAME_PLACE_M, WindowMap
+from companion.kernel import Matrix, Vector
 from tests.unit.companion.estimation.walks import (
     OFFSET_M,
     START,
@@ -110,7 +110,7 @@ def test_straight_walk_with_ranges_only_has_two_mirror_optima() -> None:
     solver = WindowMap(params())
     starts = [solver.start_around(rows, 2.0 * math.pi * i / 12, i) for i in range(12)]
     optima = solver.optima(rows, starts)
-    assert len(weighted(optima)) == 2
+    assert len(weigh_optima(optima)) == 2
     norths = sorted(float(o.mean[1]) for o in optima[:2])
     assert norths[1] == pytest.approx(-norths[0], abs=0.05)
     assert optima[0].cost == pytest.approx(optima[1].cost, abs=1e-3)

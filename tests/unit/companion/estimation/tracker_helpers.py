@@ -8,8 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from companion.domain import Point, PositionEnu, RangingMeasurement, TargetEstimate
-from companion.estimation.tracker import TargetTracker
-from companion.estimation.tracker_params import TrackerParams
+from companion.estimation.tracker import TargetTracker, TrackerParams
 
 HEIGHT_M = 20.0
 

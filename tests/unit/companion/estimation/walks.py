@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from companion.domain import PositionEnu, RangingMeasurement
-from companion.estimation.filter_params import FilterParams
-from companion.geometry.arrays import Matrix, Vector
+from companion.estimation.filters.target_filter import FilterParams
+from companion.kernel import Matrix, Vector
 
 TARGET = (40.0, 25.0)
 OFFSET_M = 2.0

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from companion.geometry.ellipse import Covariance, ellipse_95
+from companion.geometry.polygons import Covariance, ellipse_95
 
 
 def as_tuples(covariance: np.ndarray) -> Covariance:

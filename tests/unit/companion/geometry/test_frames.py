@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.geometry.frames import (
+from companion.geometry.coordinates import (
     LocalOrigin,
     bearing_enu_from_ned,
     bearing_ned_from_enu,

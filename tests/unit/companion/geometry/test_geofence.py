@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from companion.geometry.frames import LocalOrigin
+from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.geofence import (
     CIRCLE_CORNERS,
     DISTORTION,

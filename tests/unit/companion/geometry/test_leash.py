@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.geometry.leash import leashed
+from companion.geometry.obstacles import leashed
 from companion.geometry.polygons import Point
 
 HOME = (10.0, 0.0)

@@ -17,7 +17,9 @@ from companion.domain import (
     RangingMeasurement,
     VehicleState,
 )
-from companion.geometry.frames import LocalOrigin
+from companion.flight_setup import build_session
+from companion.geometry.coordinates import LocalOrigin
+from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import (
     Announce,
     Command,
@@ -27,7 +29,7 @@ from companion.guidance.commands import (
     SetMode,
     WithdrawRequest,
 )
-from companion.guidance.emitters import QueueParams
+from companion.guidance.control import TICK_S
 from companion.guidance.events import (
     AutopilotFenceRead,
     BatteryReported,
@@ -43,9 +45,8 @@ from companion.guidance.events import (
     TimerFired,
     VehicleMoved,
 )
-from companion.guidance.session import TICK_S, SessionParams
-from companion.guidance.states import Phase
-from companion.run import build_session
+from companion.guidance.session_params import SessionParams
+from companion.guidance.tracking.emitters import QueueParams
 
 C = TypeVar("C", bound=Command)
 ORIGIN = LocalOrigin(47.4, 8.5, 488.0)

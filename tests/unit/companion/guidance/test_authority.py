@@ -7,7 +7,9 @@ import math
 import pytest
 
 from companion.domain import Autopilot, FlightMode, LandedState
+from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import Arm, SendSetpoint, SetMode, TakeOff
+from companion.guidance.control import TICK_S
 from companion.guidance.events import (
     AutopilotRestarted,
     ControlGranted,
@@ -18,9 +20,8 @@ from companion.guidance.events import (
     RequestKind,
     StopRequested,
 )
-from companion.guidance.findings import Finding, Reason, Verdict
-from companion.guidance.session import TICK_S, SessionParams
-from companion.guidance.states import Phase
+from companion.guidance.health.findings import Finding, Reason, Verdict
+from companion.guidance.session_params import SessionParams
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 
 AUTOPILOTS = [Autopilot.PX4, Autopilot.ARDUPILOT]

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from companion.domain import BatteryLevel, FlightMode
-from companion.guidance.battery import BatteryWatch
 from companion.guidance.events import BatteryReported
-from companion.guidance.findings import Verdict
+from companion.guidance.health.autopilot_health import BatteryWatch
+from companion.guidance.health.findings import Verdict
 
 
 def watch_at(

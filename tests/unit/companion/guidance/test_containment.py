@@ -9,9 +9,9 @@ from typing import Any, NoReturn
 import pytest
 
 from companion.domain import FlightMode
+from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import SendSetpoint
-from companion.guidance.session import TICK_S
-from companion.guidance.states import Phase
+from companion.guidance.control import TICK_S
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 
 PARTS = ["tracker", "planner"]

@@ -2,10 +2,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from companion.guidance.events import OperatorAsked, Wish
-from companion.guidance.finding_news import GONE_S, TOLD_AGAIN_S, FindingNews
-from companion.guidance.findings import Finding, Reason, Verdict
-from companion.guidance.session import TICK_S
+from companion.guidance.control import TICK_S
+from companion.guidance.events import OperatorAsked, OperatorCommand
+from companion.guidance.health.findings import Finding, Reason, Verdict
+from companion.guidance.messages import GONE_S, TOLD_AGAIN_S, FindingMessages
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 
 STALE = Finding(Verdict.HOLD, Reason.POSITION_STALE, "")
@@ -13,39 +13,41 @@ NO_LINK = Finding(Verdict.HOLD, Reason.NO_LINK, "")
 AGES = Finding(Verdict.SLOW, Reason.RANGING_AGES, "")
 
 
-def told(news: FindingNews, findings: Sequence[Finding | None], since_s: float = 0.0) -> list[int]:
+def told(
+    news: FindingMessages, findings: Sequence[Finding | None], since_s: float = 0.0
+) -> list[int]:
     """Which of some findings, one a tick, are told."""
     return [i for i, each in enumerate(findings) if news.is_due(each, since_s + i * TICK_S)]
 
 
 def test_a_reason_is_told_at_once_and_once() -> None:
-    assert told(FindingNews(), [STALE] * 100) == [0]
+    assert told(FindingMessages(), [STALE] * 100) == [0]
 
 
 def test_that_nothing_is_wrong_is_no_news_at_first_and_news_after_something_was() -> None:
-    assert told(FindingNews(), [None] * 30) == []
-    assert told(FindingNews(), [STALE] * 30 + [None] * 30) == [0, 30]
+    assert told(FindingMessages(), [None] * 30) == []
+    assert told(FindingMessages(), [STALE] * 30 + [None] * 30) == [0, 30]
 
 
 def test_two_reasons_that_take_turns_are_told_once_each() -> None:
     ticks = round(0.9 * TOLD_AGAIN_S / TICK_S)
-    assert told(FindingNews(), [STALE, NO_LINK] * (ticks // 2)) == [0, 1]
+    assert told(FindingMessages(), [STALE, NO_LINK] * (ticks // 2)) == [0, 1]
 
 
 def test_what_lasts_is_told_a_moment_after_it_began() -> None:
     flicker: list[Finding | None] = [STALE, NO_LINK] * 10
     moment = round(GONE_S / TICK_S)
-    assert told(FindingNews(), flicker + [STALE] * 100) == [0, 1, len(flicker) - 1 + moment]
+    assert told(FindingMessages(), flicker + [STALE] * 100) == [0, 1, len(flicker) - 1 + moment]
 
 
 def test_what_is_worse_does_not_wait() -> None:
-    news = FindingNews()
+    news = FindingMessages()
     assert told(news, [STALE] * 20 + [AGES] * 40) == [0, 20]
     assert told(news, [STALE, AGES] * 20, 3.0) == [0]
 
 
 def test_a_lost_link_never_waits() -> None:
-    news = FindingNews()
+    news = FindingMessages()
     outage = [STALE] * 10 + [NO_LINK] * 20 + [None] * 20
     assert told(news, [*outage, *outage]) == [0, 10, 30, 50, 60, 99]
 
@@ -57,9 +59,9 @@ def test_reasons_that_take_turns_in_flight_are_told_calmly() -> None:
     flight.fly(6.0)
     since = len(flight.texts)
     for _ in range(60):
-        flight.give(OperatorAsked(flight.now_s, Wish.HOLD))
+        flight.give(OperatorAsked(flight.now_s, OperatorCommand.HOLD))
         flight.fly(TICK_S)
-        flight.give(OperatorAsked(flight.now_s, Wish.RESUME))
+        flight.give(OperatorAsked(flight.now_s, OperatorCommand.RESUME))
         flight.fly(TICK_S)
     assert flight.texts[since:] == ["hold: the operator asked to hold"]
     assert len(flight.records("finding")) < 10

@@ -9,11 +9,11 @@ import pytest
 from companion.config.schema import LimitsConfig, PlannerConfig
 from companion.domain import FlightMode, WaypointReason
 from companion.geometry.polygons import depth_m
+from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import Record
-from companion.guidance.flight_plan import PLAN_PERIOD_S
-from companion.guidance.session import SessionParams
-from companion.guidance.states import Phase
-from companion.planning.latched_crossing import LatchedCrossingParams
+from companion.guidance.flight.navigation import PLAN_PERIOD_S
+from companion.guidance.session_params import SessionParams
+from companion.planning.crossing import LatchedCrossingParams
 from tests.unit.companion.guidance.scripted import TARGET, ScriptedFlight
 
 SEARCH = PlannerConfig(search="lawnmower", lost_after_s=12.0)

@@ -7,14 +7,14 @@ from companion.guard.fence import Fence
 from companion.guard.gate import GuardReason
 from companion.guidance.commands import Record
 from companion.guidance.events import BatteryReported
-from companion.guidance.guard_news import FenceNews, GuardNews
+from companion.guidance.messages import FenceMessages, GuardMessages
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 
 FENCE, LAGGING, JUMPED = GuardReason.FENCE, GuardReason.LAGGING, GuardReason.JUMPED
 
 
 def test_a_reason_is_told_once_and_again_after_a_while() -> None:
-    news = GuardNews()
+    news = GuardMessages()
     assert news.texts((FENCE,), 0.0) == ["guard: goal is outside the fence or in a keep-out"]
     assert news.texts((FENCE,), 0.05) == []
     assert news.texts((), 10.0) == []
@@ -24,17 +24,17 @@ def test_a_reason_is_told_once_and_again_after_a_while() -> None:
 
 
 def test_every_reason_has_a_time_of_its_own() -> None:
-    news = GuardNews()
+    news = GuardMessages()
     assert len(news.texts((FENCE,), 0.0)) == 1
     assert news.texts((FENCE, JUMPED), 1.0) == [f"guard: {JUMPED.value}"]
 
 
 def test_what_every_corner_brings_is_not_told() -> None:
-    assert GuardNews().texts((LAGGING, GuardReason.CUT_OFF), 0.0) == []
+    assert GuardMessages().texts((LAGGING, GuardReason.CUT_OFF), 0.0) == []
 
 
 def test_the_log_has_every_change_but_not_every_flicker() -> None:
-    news = GuardNews()
+    news = GuardMessages()
     assert news.record((), 0.0) is None
     assert news.record((LAGGING,), 0.0) == ["lagging"]
     assert news.record((LAGGING,), 0.05) is None
@@ -81,7 +81,7 @@ def test_a_low_battery_reaches_as_far_as_it_brings_back() -> None:
 
 
 def test_a_fence_is_logged_when_it_is_another_one() -> None:
-    news, corners = FenceNews(), ((0.0, 0.0), (60.0, 0.0), (0.0, 60.0))
+    news, corners = FenceMessages(), ((0.0, 0.0), (60.0, 0.0), (0.0, 60.0))
     assert news.record(None) is None
     first = news.record(Fence(corners, 3.0))
     assert first == {"polygon_enu_m": corners, "keep_out_enu_m": (), "margin_m": 3.0}

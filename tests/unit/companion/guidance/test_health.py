@@ -6,8 +6,8 @@ import pytest
 
 from companion.domain import Autopilot, FlightMode
 from companion.guidance.events import EstimatorRated, FixReported, HeartbeatReceived
-from companion.guidance.findings import Finding, Reason, Verdict
-from companion.guidance.health import HealthWatch
+from companion.guidance.health.autopilot_health import HealthWatch
+from companion.guidance.health.findings import Finding, Reason, Verdict
 
 STEP_S = 0.2
 

@@ -13,14 +13,14 @@ from hypothesis import strategies as st
 from companion.domain import PositionEnu, VehicleState
 from companion.guard.gate import Motion
 from companion.guidance.events import VehicleMoved
-from companion.guidance.jumps import (
+from companion.guidance.health.position_jumps import (
     MAX_ACCELERATION_MPS2,
     MAX_GAP_S,
     may_lead_out,
     position_jump_m,
     yaw_jump_rad,
 )
-from companion.guidance.track import VehicleTrack
+from companion.guidance.tracking.vehicle_track import VehicleTrack
 from tests.unit.companion.guard.gate_helpers import HOME, LIMITS
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import pytest
 
 from companion.domain import Autopilot, FlightMode, LandedState
+from companion.guidance.authority.launch import Launch, LaunchView, Stage
+from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import Arm, Command, SendSetpoint, SetMode, TakeOff
 from companion.guidance.events import (
     HeartbeatReceived,
@@ -13,10 +15,8 @@ from companion.guidance.events import (
     RequestKind,
     StopRequested,
 )
-from companion.guidance.launch import Launch, LaunchView, Stage
-from companion.guidance.mode_names import mode_name
-from companion.guidance.session import SessionParams
-from companion.guidance.states import Phase
+from companion.guidance.flight.vehicle import mode_name
+from companion.guidance.session_params import SessionParams
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 
 AUTO = SessionParams(engage="auto", altitude_m=20.0)

@@ -7,7 +7,10 @@ from collections.abc import Callable
 import pytest
 
 from companion.domain import Autopilot, BatteryLevel, FlightMode, LandedState
+from companion.guidance.authority.launch import Launch, LaunchView
+from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import Arm, SendSetpoint
+from companion.guidance.control import TICK_S
 from companion.guidance.events import (
     BatteryReported,
     ControlStalled,
@@ -20,9 +23,6 @@ from companion.guidance.events import (
     SticksReported,
     StopRequested,
 )
-from companion.guidance.launch import Launch, LaunchView
-from companion.guidance.session import TICK_S
-from companion.guidance.states import Phase
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 from tests.unit.companion.guidance.session_helpers import silent_since
 from tests.unit.companion.guidance.test_launch import AUTO, launching

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from companion.domain import Autopilot, FlightMode, LandedState
+from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import Arm, SetMode, TakeOff
-from companion.guidance.session import SessionParams
-from companion.guidance.states import Phase
+from companion.guidance.session_params import SessionParams
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 
 AUTO = SessionParams(engage="auto")

@@ -6,11 +6,10 @@ from dataclasses import replace
 import pytest
 
 from companion.domain import PositionEnu, RangingMeasurement, VehicleState
-from companion.estimation.refusal import Refusal
-from companion.estimation.tracker import TargetTracker
-from companion.estimation.tracker_params import TrackerParams
-from companion.guidance.listener import MAX_WAITING, RangingListener
-from companion.guidance.track import VehicleTrack
+from companion.estimation.screening.validation import RejectReason
+from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.guidance.tracking.measurements import MAX_WAITING, RangingListener
+from companion.guidance.tracking.vehicle_track import VehicleTrack
 
 AT_10_S = RangingMeasurement(emitter_id=7, measured_at_s=10.0, range_m=50.0)
 
@@ -29,7 +28,7 @@ class Flight:
             self.track.add(VehicleState(time_s, position, (5.0, 0.0, 0.0)))
 
     @property
-    def refusals(self) -> dict[Refusal, int]:
+    def refusals(self) -> dict[RejectReason, int]:
         return dict(self.tracker.refusals)
 
     def first_fix(self) -> tuple[float, float]:
@@ -74,23 +73,23 @@ def test_one_that_waited_long_enough_is_fused_where_the_velocity_leads(flight: F
 def test_one_that_waited_in_vain_is_refused(flight: Flight, known_s: tuple[float, ...]) -> None:
     flight.moved(*known_s)
     flight.listener.receive(AT_10_S)
-    assert [r.refusal for r in flight.listener.fuse_due(10.3)] == [Refusal.NO_POSITION]
-    assert flight.refusals == {Refusal.NO_POSITION: 1}
+    assert [r.refusal for r in flight.listener.fuse_due(10.3)] == [RejectReason.NO_POSITION]
+    assert flight.refusals == {RejectReason.NO_POSITION: 1}
     assert flight.listener.fuse_due(10.4) == []
 
 
 @pytest.mark.parametrize(
     ("measured_at_s", "refusal"),
     [
-        (1e9, Refusal.FROM_THE_FUTURE),
-        (10.3, Refusal.FROM_THE_FUTURE),
-        (-1e9, Refusal.STALE),
-        (math.nan, Refusal.NOT_FINITE),
-        (math.inf, Refusal.NOT_FINITE),
+        (1e9, RejectReason.FROM_THE_FUTURE),
+        (10.3, RejectReason.FROM_THE_FUTURE),
+        (-1e9, RejectReason.STALE),
+        (math.nan, RejectReason.NOT_FINITE),
+        (math.inf, RejectReason.NOT_FINITE),
     ],
 )
 def test_one_from_a_time_that_will_not_come_does_not_wait(
-    flight: Flight, measured_at_s: float, refusal: Refusal
+    flight: Flight, measured_at_s: float, refusal: RejectReason
 ) -> None:
     flight.moved(9.9, 10.0)
     flight.listener.receive(replace(AT_10_S, measured_at_s=measured_at_s))
@@ -114,11 +113,11 @@ def test_the_oldest_gives_way_when_too_many_wait(flight: Flight, backwards: bool
     reports = []
     for time_s in reversed(times_s) if backwards else times_s:
         reports += flight.listener.receive(replace(AT_10_S, measured_at_s=time_s))
-    assert [report.refusal for report in reports] == [Refusal.TOO_MANY]
+    assert [report.refusal for report in reports] == [RejectReason.TOO_MANY]
     flight.moved(10.0, 10.2)
     assert len(flight.listener.fuse_due(10.2)) == MAX_WAITING
     assert flight.tracker.accepted == MAX_WAITING
-    assert flight.refusals == {Refusal.TOO_MANY: 1}
+    assert flight.refusals == {RejectReason.TOO_MANY: 1}
 
 
 def test_a_burst_of_three_seconds_leaves_what_is_fresh(flight: Flight) -> None:
@@ -133,7 +132,7 @@ def test_a_burst_of_three_seconds_leaves_what_is_fresh(flight: Flight) -> None:
     assert len(reports) == MAX_WAITING
     fused = [report for report in reports if report.refusal is None]
     assert len(fused) == flight.tracker.accepted == 50  # not older than a second
-    assert set(flight.refusals) == {Refusal.TOO_MANY, Refusal.STALE}
+    assert set(flight.refusals) == {RejectReason.TOO_MANY, RejectReason.STALE}
 
 
 def test_copies_of_one_that_waits_do_not_crowd_out_others(flight: Flight) -> None:
@@ -144,7 +143,7 @@ def test_copies_of_one_that_waits_do_not_crowd_out_others(flight: Flight) -> Non
             flight.listener.receive(seen)
     flight.moved(10.2)
     assert [r.refusal for r in flight.listener.fuse_due(10.2)] == [None] * 20
-    assert flight.refusals == {Refusal.DUPLICATE: 80}
+    assert flight.refusals == {RejectReason.DUPLICATE: 80}
 
 
 @pytest.mark.parametrize(
@@ -184,7 +183,7 @@ def test_the_yaw_is_that_of_the_measurements_time(flight: Flight) -> None:
 def test_a_body_bearing_alone_needs_the_yaw(flight: Flight) -> None:
     flight.moved(9.9, 10.1)
     flight.listener.receive(replace(AT_10_S, range_m=None, bearing_body_rad=0.3))
-    assert [r.refusal for r in flight.listener.fuse_due(10.1)] == [Refusal.NO_YAW]
+    assert [r.refusal for r in flight.listener.fuse_due(10.1)] == [RejectReason.NO_YAW]
 
 
 def test_without_the_yaw_the_range_still_counts(flight: Flight) -> None:
@@ -211,14 +210,14 @@ def test_a_body_bearing_that_is_no_number_is_refused(flight: Flight, body_rad: f
     flight.moved(9.9, 10.1)
     flight.track.add_yaw(10.0, 0.0)
     flight.listener.receive(replace(AT_10_S, bearing_body_rad=body_rad))
-    assert [r.refusal for r in flight.listener.fuse_due(10.1)] == [Refusal.NOT_FINITE]
+    assert [r.refusal for r in flight.listener.fuse_due(10.1)] == [RejectReason.NOT_FINITE]
 
 
 def test_a_body_bearing_in_degrees_is_refused(flight: Flight) -> None:
     flight.moved(9.9, 10.1)
     flight.track.add_yaw(10.0, 0.0)
     flight.listener.receive(replace(AT_10_S, bearing_body_rad=90.0))
-    assert [r.refusal for r in flight.listener.fuse_due(10.1)] == [Refusal.BEARING_ABSURD]
+    assert [r.refusal for r in flight.listener.fuse_due(10.1)] == [RejectReason.BEARING_ABSURD]
 
 
 @pytest.mark.parametrize("copies", range(2, 6))
@@ -252,5 +251,5 @@ def test_nothing_is_measured_from_a_position_that_jumped(flight: Flight) -> None
     flight.moved(9.9, 10.1)
     flight.track.distrust(9.95, 12.0)
     flight.listener.receive(AT_10_S)
-    assert [r.refusal for r in flight.listener.fuse_due(10.1)] == [Refusal.OWN_JUMP]
-    assert flight.refusals == {Refusal.OWN_JUMP: 1}
+    assert [r.refusal for r in flight.listener.fuse_due(10.1)] == [RejectReason.OWN_JUMP]
+    assert flight.refusals == {RejectReason.OWN_JUMP: 1}

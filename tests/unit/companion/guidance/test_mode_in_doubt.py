@@ -5,7 +5,9 @@ from __future__ import annotations
 import pytest
 
 from companion.domain import Autopilot, BatteryLevel, FlightMode, VehicleState
+from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import SendSetpoint
+from companion.guidance.control import TICK_S
 from companion.guidance.events import (
     BatteryReported,
     ControlStalled,
@@ -14,8 +16,6 @@ from companion.guidance.events import (
     VehicleMoved,
     YawMeasured,
 )
-from companion.guidance.session import TICK_S
-from companion.guidance.states import Phase
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 from tests.unit.companion.guidance.session_helpers import silent_since
 

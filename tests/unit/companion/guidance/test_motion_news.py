@@ -2,15 +2,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from companion.estimation.motion import Motion
+from companion.estimation.integrity.target_motion import Motion
 from companion.guidance.commands import Severity
-from companion.guidance.motion_news import MotionNews
+from companion.guidance.messages import MotionMessages
 
 WALKING = Motion(np.array([0.6, 0.8]), 99.0)
 
 
 def test_a_walk_is_told_once_and_so_is_its_end() -> None:
-    news = MotionNews()
+    news = MotionMessages()
     assert news.told(1, None) == []
     (began,) = news.told(1, WALKING)
     assert began.severity is Severity.WARNING
@@ -22,7 +22,7 @@ def test_a_walk_is_told_once_and_so_is_its_end() -> None:
 
 
 def test_each_emitter_has_news_of_its_own() -> None:
-    news = MotionNews()
+    news = MotionMessages()
     news.told(1, WALKING)
     assert len(news.told(2, WALKING)) == 1
     assert len(news.told(1, None)) == 1

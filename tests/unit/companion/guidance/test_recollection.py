@@ -8,13 +8,17 @@ from dataclasses import replace
 import pytest
 
 from companion.domain import Autopilot, EstimateState, FlightMode, WaypointReason
-from companion.geometry.frames import LocalOrigin
+from companion.geometry.coordinates import LocalOrigin
+from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import Arm, SendSetpoint, TakeOff
-from companion.guidance.events import AutopilotRestarted, EarlierRunFound, MemoryRecalled
-from companion.guidance.memory import SessionMemory
-from companion.guidance.recollection import ORIGIN_PATIENCE_S
-from companion.guidance.session import SessionParams
-from companion.guidance.states import Phase
+from companion.guidance.events import (
+    AutopilotRestarted,
+    EarlierRunFound,
+    MemoryRecalled,
+    SessionMemory,
+)
+from companion.guidance.recovery import ORIGIN_PATIENCE_S
+from companion.guidance.session_params import SessionParams
 from tests.unit.companion.guidance.scripted import ORIGIN, TARGET, ScriptedFlight
 
 AUTO = SessionParams(engage="auto")

@@ -2,7 +2,7 @@
 
 from companion.domain import EstimateState, RangingMeasurement, TargetEstimate
 from companion.estimation.tracker import FusionReport
-from companion.guidance.records import estimate_record
+from companion.guidance.messages import estimate_record
 
 ESTIMATE = TargetEstimate(
     time_s=1.0,

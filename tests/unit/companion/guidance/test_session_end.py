@@ -5,15 +5,16 @@ from __future__ import annotations
 import pytest
 
 from companion.domain import FlightMode
+from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import SendSetpoint
+from companion.guidance.control import TICK_S
 from companion.guidance.events import (
     ControlGranted,
     Outcome,
     RequestKind,
     StopRequested,
 )
-from companion.guidance.session import TICK_S, SessionParams
-from companion.guidance.states import Phase
+from companion.guidance.session_params import SessionParams
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 from tests.unit.companion.guidance.session_helpers import silent_since
 

@@ -5,15 +5,15 @@ from __future__ import annotations
 import pytest
 
 from companion.domain import FlightMode
-from companion.geometry.frames import LocalOrigin
+from companion.geometry.coordinates import LocalOrigin
+from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import Arm, SendSetpoint
 from companion.guidance.events import (
     AutopilotFenceRead,
     AutopilotRestarted,
     OriginSet,
 )
-from companion.guidance.session import SessionParams
-from companion.guidance.states import Phase
+from companion.guidance.session_params import SessionParams
 from tests.unit.companion.guidance.scripted import ORIGIN, ScriptedFlight
 from tests.unit.companion.guidance.session_helpers import silent_since
 

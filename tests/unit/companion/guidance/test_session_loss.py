@@ -7,12 +7,12 @@ import math
 import pytest
 
 from companion.domain import FlightMode
+from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import SendSetpoint
+from companion.guidance.control import TICK_S
 from companion.guidance.events import (
     ControlGranted,
 )
-from companion.guidance.session import TICK_S
-from companion.guidance.states import Phase
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 from tests.unit.companion.guidance.session_helpers import FOREIGN_MODES, silent_since
 

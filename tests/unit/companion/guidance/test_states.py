@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from companion.guidance.states import (
+from companion.guidance.authority.state_machine import (
     IN_CONTROL,
     OUT_OF_CONTROL,
     STREAMING,

@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 
 from companion.guidance.events import SticksReported
-from companion.guidance.findings import Verdict
-from companion.guidance.sticks import StickReaction, StickWatch
+from companion.guidance.health.contention import StickWatch
+from companion.guidance.health.findings import Verdict
+from companion.guidance.session_params import StickReaction
 
 REST = (0.0, 0.0, -1.0, 0.0)
 """Roll, pitch, throttle without a spring, yaw."""

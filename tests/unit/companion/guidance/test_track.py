@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.domain import PositionEnu, VehicleState
-from companion.guidance.track import (
+from companion.guidance.tracking.vehicle_track import (
     HISTORY_S,
     MAX_EXTRAPOLATION_S,
     MAX_GAP_S,

@@ -9,12 +9,16 @@ from functools import cache
 import pytest
 
 from companion.domain import BatteryLevel, FlightMode, PositionEnu
+from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import Record
-from companion.guidance.emitters import QueueParams
-from companion.guidance.events import BatteryReported, EarlierRunFound, MemoryRecalled
-from companion.guidance.memory import SessionMemory
-from companion.guidance.session import SessionParams
-from companion.guidance.states import Phase
+from companion.guidance.events import (
+    BatteryReported,
+    EarlierRunFound,
+    MemoryRecalled,
+    SessionMemory,
+)
+from companion.guidance.session_params import SessionParams
+from companion.guidance.tracking.emitters import QueueParams
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 
 NEAR, FAR = (25.0, 20.0, 0.0), (60.0, 30.0, 0.0)

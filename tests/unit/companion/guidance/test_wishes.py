@@ -1,9 +1,9 @@
 """HOLD, RESUME and RETURN, beside the mode switch."""
 
 from companion.domain import FlightMode
+from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import SendSetpoint
-from companion.guidance.events import OperatorAsked, Wish
-from companion.guidance.states import Phase
+from companion.guidance.events import OperatorAsked, OperatorCommand
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 
 
@@ -14,13 +14,13 @@ def flying() -> ScriptedFlight:
     return flight
 
 
-def ask(flight: ScriptedFlight, wish: Wish) -> None:
+def ask(flight: ScriptedFlight, wish: OperatorCommand) -> None:
     flight.give(OperatorAsked(flight.now_s, wish))
 
 
 def test_hold_holds_at_the_next_tick_until_resume() -> None:
     flight = flying()
-    ask(flight, Wish.HOLD)
+    ask(flight, OperatorCommand.HOLD)
     flight.fly(0.1)
     assert flight.is_in(Phase.HOLD)
     since_s = flight.now_s
@@ -28,7 +28,7 @@ def test_hold_holds_at_the_next_tick_until_resume() -> None:
     assert flight.is_in(Phase.HOLD)
     places = {c.setpoint.position_enu_m for c in flight.sent(SendSetpoint, since_s + 2.0)}
     assert len(places) == 1
-    ask(flight, Wish.RESUME)
+    ask(flight, OperatorCommand.RESUME)
     flight.fly(0.1)
     assert flight.is_in(Phase.NORMAL)
 
@@ -36,7 +36,7 @@ def test_hold_holds_at_the_next_tick_until_resume() -> None:
 def test_return_asks_for_the_mode_once_and_gives_the_vehicle_up() -> None:
     flight = flying()
     since_s = flight.now_s
-    ask(flight, Wish.RETURN)
+    ask(flight, OperatorCommand.RETURN)
     flight.fly(0.1)
     assert flight.is_in(Phase.HANDBACK)
     assert flight.asked_modes(since_s) == [FlightMode.RETURN]
@@ -48,7 +48,7 @@ def test_return_asks_for_the_mode_once_and_gives_the_vehicle_up() -> None:
 
 def test_without_control_a_wish_means_nothing() -> None:
     flight = ScriptedFlight().ready()
-    for wish in Wish:
+    for wish in OperatorCommand:
         ask(flight, wish)
         flight.fly(1.0)
         assert flight.is_in(Phase.STANDBY)
@@ -57,7 +57,7 @@ def test_without_control_a_wish_means_nothing() -> None:
 
 def test_a_hold_ends_with_the_control_it_was_made_under() -> None:
     flight = flying()
-    ask(flight, Wish.HOLD)
+    ask(flight, OperatorCommand.HOLD)
     flight.fly(0.5)
     flight.show(FlightMode.POSITION)
     flight.fly(5.0)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from companion.domain import EstimateState, Point, TargetEstimate
-from companion.geometry.frames import LocalOrigin
-from companion.handoff.record import Handoff, handoff_of
+from companion.geometry.coordinates import LocalOrigin
+from companion.handoff import Handoff, handoff_of
 
 ORIGIN = LocalOrigin(47.4, 8.54, 488.0)
 PLACE_ENU_M = (10.0, 20.0)

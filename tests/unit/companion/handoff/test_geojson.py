@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from companion.handoff.geojson import geojson
+from companion.handoff import geojson
 from tests.unit.companion.handoff.handoff_helpers import HOSTILE, handoff
 
 

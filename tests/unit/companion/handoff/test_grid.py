@@ -2,7 +2,7 @@
 
 import pytest
 
-from companion.handoff.grid import mgrs_text
+from companion.handoff import mgrs_text
 
 
 def test_the_square_of_the_zero_point() -> None:

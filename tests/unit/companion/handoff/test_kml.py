@@ -4,7 +4,7 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
-from companion.handoff.kml import NAMESPACE, kml
+from companion.handoff import NAMESPACE, kml
 from tests.unit.companion.handoff.handoff_helpers import HOSTILE, handoff
 
 KML = f"{{{NAMESPACE}}}"

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from companion.io import accounting
-from companion.io.accounting import process_use
+from companion.process import diagnostics
+from companion.process.diagnostics import process_use
 
 
 def test_descriptors_and_threads_are_counted() -> None:
@@ -37,7 +37,7 @@ def test_memory_that_is_used_is_seen() -> None:
 
 
 def test_a_system_without_proc_tells_the_peak(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(accounting, "_STATM", Path("/nowhere/statm"))
+    monkeypatch.setattr(diagnostics, "_STATM", Path("/nowhere/statm"))
     use = process_use()
     assert use.descriptors is None
     assert use.resident_mb > 10.0

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from companion.errors import CompanionError
-from companion.io import background_file
-from companion.io.background_file import BackgroundFile
+from companion.io import background_files
+from companion.io.background_files import BackgroundFile
 
 PATIENCE_S = 30.0
 """For a writer that a busy machine keeps waiting; half of what a disk hangs."""
@@ -77,11 +77,11 @@ def test_a_hanging_disk_never_holds_up_the_caller(
         return real_write(fd, data)
 
     monkeypatch.setattr(os, "write", hang)
-    monkeypatch.setattr(background_file, "MAX_QUEUED", 5)
+    monkeypatch.setattr(background_files, "MAX_QUEUED", 5)
     file = BackgroundFile(tmp_path / "log")
     for _ in range(1000):
         file.append(b"x")
-    assert file.dropped >= 1000 - 5 - background_file.MAX_BATCH
+    assert file.dropped >= 1000 - 5 - background_files.MAX_BATCH
     file.close(0.05)
     assert file.health.is_alive
     released.set()
@@ -181,7 +181,7 @@ def test_the_end_of_a_full_queue_costs_a_record_and_not_the_end(
         return real_write(fd, data)
 
     monkeypatch.setattr(os, "write", hang)
-    monkeypatch.setattr(background_file, "MAX_QUEUED", 3)
+    monkeypatch.setattr(background_files, "MAX_QUEUED", 3)
     file = BackgroundFile(tmp_path / "log")
     file.append(b"0")
     assert began.wait(PATIENCE_S)

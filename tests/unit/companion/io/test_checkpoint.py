@@ -13,11 +13,11 @@ import pytest
 
 from companion.domain import Autopilot, EstimateState, TargetEstimate
 from companion.estimation.belief import Belief, BelievedPlace
-from companion.geometry.frames import LocalOrigin
+from companion.geometry.coordinates import LocalOrigin
+from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import ReportResult
-from companion.guidance.memory import SessionMemory
-from companion.guidance.states import Phase
-from companion.io.checkpoint import (
+from companion.guidance.events import SessionMemory
+from companion.io.state.checkpoints import (
     MAX_BYTES,
     Checkpoint,
     CheckpointError,

@@ -6,9 +6,8 @@ import os
 import stat
 from pathlib import Path
 
-from companion.io.checkpoint import encode_checkpoint
-from companion.io.checkpoint_store import CheckpointStore, present_moment
 from companion.io.files import write_bytes_atomic
+from companion.io.state.checkpoints import CheckpointStore, encode_checkpoint, present_moment
 from tests.unit.companion.io.test_checkpoint import a_checkpoint
 
 

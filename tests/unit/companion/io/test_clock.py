@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from companion.io.clock import Clock
+from companion.io.shell import Clock
 
 
 @pytest.fixture

@@ -9,8 +9,8 @@ import time
 
 import pytest
 
-from companion.io import console
-from companion.io.console import ConsoleHandler
+from companion.view import console
+from companion.view.console import ConsoleHandler
 
 
 @pytest.fixture(autouse=True)

@@ -3,8 +3,7 @@ from __future__ import annotations
 import pytest
 
 from companion.errors import ConfigError
-from companion.io.exposure import check_exposure
-from companion.io.urls import parse_link_url
+from companion.io.links.urls import check_exposure, parse_link_url
 
 OWN, OPEN, SERIAL = "udp:127.0.0.1:14540", "udp:0.0.0.0:14540", "serial:/dev/ttyAMA0"
 

@@ -11,13 +11,13 @@ import pytest
 
 from companion.domain import FlightMode
 from companion.errors import CompanionError
-from companion.io.events import EventLog
 from companion.io.files import (
     delete_old_flights,
     new_flight_directory,
     plain,
     write_json_atomic,
 )
+from companion.io.logs.log_files import EventLog
 
 
 @dataclass(frozen=True, slots=True)

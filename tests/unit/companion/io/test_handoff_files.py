@@ -5,7 +5,7 @@ from xml.etree import ElementTree as ET
 
 from companion.domain import EstimateState, TargetEstimate
 from companion.guidance.commands import ReportResult
-from companion.io.handoff_files import GEOJSON, KML, TEXT, HandoffFiles
+from companion.handoff import GEOJSON, KML, TEXT, HandoffFiles
 from tests.unit.companion.handoff.handoff_helpers import ORIGIN, PLACE_ENU_M
 
 

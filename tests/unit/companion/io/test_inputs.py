@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from companion.errors import ConfigError
-from companion.io.inputs import Input, InputKind, InputLog, read_inputs
+from companion.io.logs.log_files import Input, InputKind, InputLog, read_inputs
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 

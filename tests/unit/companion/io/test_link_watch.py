@@ -1,9 +1,9 @@
 from __future__ import annotations
 
-from companion.io.link_base import Link
-from companion.io.link_watch import LinkWatch
-from companion.io.streams import TcpClientLink
-from companion.io.udp import UdpLink
+from companion.io.links.byte_streams import TcpClientLink
+from companion.io.links.link import Link
+from companion.io.links.udp import UdpLink
+from companion.process.diagnostics import LinkWatch
 from tests.unit.companion.link.wire import Journal
 
 

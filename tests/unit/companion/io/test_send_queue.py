@@ -3,7 +3,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.io.send_queue import SPARE_SHARE, SendQueue
+from companion.io.links.link import SPARE_SHARE, SendQueue
 
 LIMIT = 400
 

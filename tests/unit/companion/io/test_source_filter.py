@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from companion.io.source_filter import hear_all, hear_only
+from companion.io.links.udp import attach_source_filter, detach_source_filter
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="socket filters are Linux's")
 
@@ -41,20 +41,20 @@ def test_only_one_address_and_port_gets_through_until_all_do() -> None:
                 for name, sender in senders.items():
                     sender.sendto(name, ours.getsockname())
 
-            assert hear_only(ours, ("127.0.0.1", port))
+            assert attach_source_filter(ours, ("127.0.0.1", port))
             all_send()
             assert received(ours) == [b"friend"]
-            assert hear_only(ours, ("127.0.0.2", port))
+            assert attach_source_filter(ours, ("127.0.0.2", port))
             all_send()
             assert received(ours) == [b"namesake"]
-            hear_all(ours)
+            detach_source_filter(ours)
             all_send()
             assert set(received(ours)) == set(senders)
-            hear_all(ours)
+            detach_source_filter(ours)
 
 
 def test_a_socket_that_cannot_be_filtered_is_left_alone() -> None:
     with bound() as ours:
         ours.close()
-        assert not hear_only(ours, ("127.0.0.1", 1))
-        hear_all(ours)
+        assert not attach_source_filter(ours, ("127.0.0.1", 1))
+        detach_source_filter(ours)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from companion.io.supervisor import Supervisor
+from companion.process.watchdog import Supervisor
 
 
 @contextmanager

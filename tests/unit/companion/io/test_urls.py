@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from companion.errors import ConfigError
-from companion.io.links import (
+from companion.io.links.specs import (
     LinkSpec,
     Pty,
     SerialPort,
@@ -13,7 +13,7 @@ from companion.io.links import (
     UdpConnect,
     link_from_url,
 )
-from companion.io.urls import DEFAULT_BAUD, parse_link_url
+from companion.io.links.urls import DEFAULT_BAUD, parse_link_url
 
 
 @pytest.mark.parametrize(

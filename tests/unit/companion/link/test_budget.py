@@ -2,11 +2,11 @@ from __future__ import annotations
 
 import pytest
 
-from companion.link.budget import (
+from companion.link.intake import (
     KNOWN,
     MAX_SOURCES,
-    ONE_STRANGER,
-    STRANGERS,
+    ONE_UNKNOWN_PEER,
+    UNKNOWN_PEERS,
     FloodBudget,
     Resource,
 )
@@ -28,16 +28,16 @@ def test_the_autopilot_has_a_large_budget_and_a_stranger_a_small_one(resource: R
     budget = FloodBudget()
     attempts = KNOWN[resource] + 10
     assert passed(budget, resource, attempts, source(0), is_known=True) == KNOWN[resource]
-    assert passed(budget, resource, attempts, source(1)) == ONE_STRANGER[resource]
-    assert budget.dropped[resource] == 10 + attempts - ONE_STRANGER[resource]
+    assert passed(budget, resource, attempts, source(1)) == ONE_UNKNOWN_PEER[resource]
+    assert budget.dropped[resource] == 10 + attempts - ONE_UNKNOWN_PEER[resource]
 
 
 @pytest.mark.parametrize("resource", Resource)
 def test_strangers_share_and_never_touch_what_is_the_autopilots(resource: Resource) -> None:
     budget = FloodBudget()
-    each = ONE_STRANGER[resource]
+    each = ONE_UNKNOWN_PEER[resource]
     total = sum(passed(budget, resource, each, source(n)) for n in range(1, 20))
-    assert total == STRANGERS[resource]
+    assert total == UNKNOWN_PEERS[resource]
     assert passed(budget, resource, KNOWN[resource], source(0), is_known=True) == KNOWN[resource]
 
 
@@ -56,7 +56,7 @@ def test_of_a_thousand_sources_only_so_many_are_remembered() -> None:
 
 def test_a_datagram_is_taken_whole_or_not_at_all() -> None:
     budget = FloodBudget()
-    limit = ONE_STRANGER[Resource.BYTES]
+    limit = ONE_UNKNOWN_PEER[Resource.BYTES]
     assert not budget.admits(Resource.BYTES, limit + 1, source(1), is_known=False)
     assert budget.admits(Resource.BYTES, limit, source(1), is_known=False)
     assert not budget.admits(Resource.BYTES, 1, source(1), is_known=False)
@@ -65,7 +65,7 @@ def test_a_datagram_is_taken_whole_or_not_at_all() -> None:
 def test_every_tick_renews_all_of_it() -> None:
     budget = FloodBudget()
     for _ in range(3):
-        assert passed(budget, Resource.FRAMES, 1000, source(1)) == ONE_STRANGER[Resource.FRAMES]
+        assert passed(budget, Resource.FRAMES, 1000, source(1)) == ONE_UNKNOWN_PEER[Resource.FRAMES]
         used = passed(budget, Resource.FRAMES, 9000, source(0), is_known=True)
         assert used == KNOWN[Resource.FRAMES]
         budget.renew()

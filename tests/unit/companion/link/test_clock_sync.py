@@ -8,9 +8,9 @@ from collections.abc import Callable
 import pytest
 
 from companion.link.clock_sync import BEST_OF, MAX_OPEN, PERIOD_S, ClockSync, Lateness
+from companion.mav.addressing import TargetedTimesync, targets_of
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
-from companion.mav.timesync import TargetedTimesync, targets_of
 
 Delay = Callable[[], tuple[float, float]]
 OFFSET_S = 1234.5

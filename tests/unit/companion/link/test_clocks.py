@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from companion.link.clocks import MAX_GAIN_S, SenderClock
+from companion.link.clock_sync import MAX_GAIN_S, SenderClock
 
 
 def run(speed: float, seconds: float, delay_s: float = 0.0) -> tuple[SenderClock, float]:

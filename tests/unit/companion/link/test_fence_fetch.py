@@ -7,13 +7,13 @@ import pytest
 
 from companion.geometry.geofence import GeoArea, GeoFence
 from companion.guidance.events import AutopilotFenceRead
-from companion.link.fence_fetch import (
+from companion.link.fence_download import (
     LAST_REST_S,
     MAX_ITEMS,
     RESEND_S,
     REST_S,
     TRIES,
-    FenceFetch,
+    FenceDownload,
     Item,
     fence_of_items,
 )
@@ -63,7 +63,7 @@ class Autopilot:
 
     def __init__(self, items: list[Item]) -> None:
         self.items = items
-        self.fetch = FenceFetch()
+        self.fetch = FenceDownload()
         self.now_s = 0.0
         self.asked: list[Message] = []
         self.deaf = 0
@@ -150,7 +150,7 @@ class TestTheTransfer:
         assert len(autopilot.run(REST_S)) == 1
 
     def test_a_refusal_is_tried_again_and_then_told(self) -> None:
-        fetch, told, now_s = FenceFetch(), None, 0.0
+        fetch, told, now_s = FenceDownload(), None, 0.0
         while told is None and now_s < 10.0:
             now_s += 0.05
             told = fetch.gave_up(now_s)
@@ -161,7 +161,7 @@ class TestTheTransfer:
         assert not told.is_unusable
 
     def test_an_unknown_refusal_is_told_by_its_number(self) -> None:
-        fetch = FenceFetch()
+        fetch = FenceDownload()
         for step in range(200):
             fetch.due(0.05 * step, AUTOPILOT, is_wanted=True)
             fetch.heard(ack(99), 0.05 * step, OWN)
@@ -190,12 +190,12 @@ class TestTheTransfer:
         assert told.fence == GEO
 
     def test_a_broadcast_answer_is(self) -> None:
-        fetch = FenceFetch()
+        fetch = FenceDownload()
         fetch.due(0.0, AUTOPILOT, is_wanted=True)
         assert fetch.heard(count(0, target=(0, 0)), 0.1, OWN) == AutopilotFenceRead(0.1)
 
     def test_items_out_of_turn_and_a_second_count_are_passed_over(self) -> None:
-        fetch = FenceFetch()
+        fetch = FenceDownload()
         fetch.due(0.0, AUTOPILOT, is_wanted=True)
         assert fetch.heard(TRIANGLE[0], 0.0, OWN) is None  # before any count
         for message in (count(3), count(1), TRIANGLE[1], TRIANGLE[0], TRIANGLE[0], TRIANGLE[2]):
@@ -206,10 +206,10 @@ class TestTheTransfer:
         assert told.fence == GEO
 
     def test_nothing_is_heard_that_was_not_asked_for(self) -> None:
-        assert FenceFetch().heard(count(0), 0.0, OWN) is None
+        assert FenceDownload().heard(count(0), 0.0, OWN) is None
 
     def test_too_many_items_are_not_even_read(self) -> None:
-        fetch = FenceFetch()
+        fetch = FenceDownload()
         fetch.due(0.0, AUTOPILOT, is_wanted=True)
         told = fetch.heard(count(MAX_ITEMS + 1), 0.1, OWN)
         assert told is not None

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
-from companion.link.freshness import StreamFreshness
+from companion.link.autopilot_queries import StreamFreshness
 from companion.mav.dialect import Message, mavlink
 from tests.unit.companion.link.wire import OFFBOARD, Wire, heartbeat, home_position, local_position
 

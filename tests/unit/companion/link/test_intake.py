@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from companion.link.binding import AutopilotBinding
-from companion.link.budget import HEARTBEATS, KNOWN, Resource
-from companion.link.intake import Intake
+from companion.link.intake import HEARTBEATS, KNOWN, Intake, Resource
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address, Chunk

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from companion.domain import Autopilot, FlightMode, PositionEnu, PositionSetpoint
 from companion.errors import LocalProtocolError
-from companion.geometry.frames import LocalOrigin
+from companion.geometry.coordinates import LocalOrigin
 from companion.link import outbound
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink

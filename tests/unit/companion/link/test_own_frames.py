@@ -1,8 +1,8 @@
 from __future__ import annotations
 
-from companion.guidance.authority import TWIN_S
-from companion.guidance.states import IN_CONTROL, Phase
-from companion.link.own_frames import FOREIGN_FRAMES, KEPT, OwnFrames
+from companion.guidance.authority.control_authority import ID_CONFLICT_S
+from companion.guidance.authority.state_machine import IN_CONTROL, Phase
+from companion.link.outlet import FOREIGN_FRAMES, KEPT, OwnFrames
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from tests.unit.companion.link.wire import HOLD, OFFBOARD, Wire, heartbeat
@@ -29,7 +29,7 @@ def test_a_handful_at_once_or_one_now_and_then_is_no_twins() -> None:
     own = OwnFrames()
     assert not any(own.came_back(frame(n), 0.05 * n) for n in range(20))
     own = OwnFrames()
-    assert not any(own.came_back(frame(n), 1.1 * TWIN_S * n) for n in range(20))
+    assert not any(own.came_back(frame(n), 1.1 * ID_CONFLICT_S * n) for n in range(20))
 
 
 def test_only_the_last_frames_are_remembered() -> None:

@@ -7,12 +7,12 @@ import struct
 import pytest
 
 from companion.config.schema import CompanionConfig
-from companion.guidance.states import Phase
+from companion.config.tunables import TUNABLES
+from companion.guidance.authority.state_machine import Phase
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
-from companion.mav.parameters import ParamEncoding, ParamType, raw_of, value_from_raw
-from companion.planning.latched_crossing import LatchedCrossing
-from companion.tuning import TUNABLES
+from companion.mav.param_encoding import ParamEncoding, ParamType, raw_of, value_from_raw
+from companion.planning.crossing import LatchedCrossing
 from tests.unit.companion.link.wire import ARDUPILOT, OFFBOARD, STRANGER, Wire, heartbeat
 
 Value = mavlink.MAVLink_param_value_message

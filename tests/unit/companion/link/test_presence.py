@@ -9,9 +9,9 @@ import pytest
 
 from companion.config.schema import CompanionConfig
 from companion.domain import EstimateState, TargetEstimate
-from companion.geometry.frames import LocalOrigin
-from companion.guidance.states import Trigger
-from companion.link.params import LinkParams
+from companion.geometry.coordinates import LocalOrigin
+from companion.guidance.authority.state_machine import Trigger
+from companion.link.binding import LinkParams
 from companion.link.presence import estimate_message, icon_message, named_values
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import (

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from companion.link.rate_limit import RateLimit
+from companion.link.intake import RateLimit
 
 
 def test_a_burst_passes_and_then_so_many_a_second() -> None:

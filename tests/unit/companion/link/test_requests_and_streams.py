@@ -4,10 +4,14 @@ import pytest
 
 from companion.domain import Autopilot
 from companion.guidance.events import Outcome, RequestAnswered, RequestKind
-from companion.link.freshness import StreamFreshness
-from companion.link.outbound import arm
-from companion.link.requests import CommandMessage, RequestClient
-from companion.link.streams import ONE_SHOT, ONLY_FROM, STREAM_INTERVAL_S, StreamRequester
+from companion.link.autopilot_queries import (
+    ONE_SHOT,
+    ONLY_FROM,
+    STREAM_INTERVAL_S,
+    StreamFreshness,
+    StreamRequester,
+)
+from companion.link.outbound import CommandMessage, RequestClient, arm
 from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, mavlink
 from tests.unit.companion.link.wire import heartbeat, local_position
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.link.sequence import MIN_EXPECTED, SequenceMonitor
+from companion.link.quality import MIN_EXPECTED, SequenceMonitor
 
 PERIOD_S = 0.02
 

@@ -15,7 +15,7 @@ from companion.guidance.events import (
     SetpointEchoed,
     SticksReported,
 )
-from companion.link.vehicle_health import VehicleHealthInbound
+from companion.link.inbound import VehicleHealthInbound
 from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, mavlink
 
 NAN, INF = math.nan, math.inf

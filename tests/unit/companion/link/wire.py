@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from typing import TypeVar
 
 from companion.config.schema import CompanionConfig
+from companion.flight_setup import build_endpoint
 from companion.guidance.commands import ReportResult, Severity
 from companion.guidance.events import AutopilotFenceRead
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address, Chunk
 from companion.mav.signing import Signing
-from companion.run import build_endpoint
 
 M = TypeVar("M", bound=Message)
 PEER: Address = ("127.0.0.1", 14580)

@@ -3,9 +3,9 @@ from __future__ import annotations
 import pytest
 
 from companion.domain import Autopilot, FlightMode
-from companion.mav import type_mask
+from companion.mav import dialect
 from companion.mav.dialect import mavlink
-from companion.mav.modes import (
+from companion.mav.flight_modes import (
     ARDUCOPTER_NUMBER,
     PX4_MAIN_AND_SUB,
     autopilot_of,
@@ -105,16 +105,16 @@ def test_a_mode_that_the_autopilot_does_not_have_is_a_key_error() -> None:
 
 @pytest.mark.parametrize("field", ["X", "Y", "Z", "VX", "VY", "VZ", "AX", "AY", "AZ", "YAW"])
 def test_every_ignore_bit_is_that_of_the_dialect(field: str) -> None:
-    ours = getattr(type_mask, f"{field}_IGNORE")
+    ours = getattr(dialect, f"{field}_IGNORE")
     assert ours == getattr(mavlink, f"POSITION_TARGET_TYPEMASK_{field}_IGNORE")
 
 
 def test_the_other_bits_are_those_of_the_dialect() -> None:
-    assert type_mask.YAW_RATE_IGNORE == mavlink.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
-    assert type_mask.FORCE_SET == mavlink.POSITION_TARGET_TYPEMASK_FORCE_SET
+    assert dialect.YAW_RATE_IGNORE == mavlink.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
+    assert dialect.FORCE_SET == mavlink.POSITION_TARGET_TYPEMASK_FORCE_SET
 
 
 def test_the_masks_we_send_are_those_that_mavsdk_sends() -> None:
-    assert type_mask.POSITION_ONLY == 0x0DF8
-    assert type_mask.POSITION_AND_YAW == 0x09F8
-    assert not type_mask.POSITION_ONLY & type_mask.FORCE_SET
+    assert dialect.POSITION_ONLY == 0x0DF8
+    assert dialect.POSITION_AND_YAW == 0x09F8
+    assert not dialect.POSITION_ONLY & dialect.FORCE_SET

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from companion.errors import LocalProtocolError
-from companion.mav.codec import MavCodec
+from companion.mav.codec import MavCodec, pack_plain, unpack_plain
 from companion.mav.dialect import Message, mavlink
-from companion.mav.plain_messages import pack_plain, unpack_plain
 
 ALL = sorted(mavlink.mavlink_map)
 CODE_OF = {"b": 7, "B": 8, "h": 15, "H": 16, "i": 31, "I": 32, "q": 63, "Q": 64}

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.domain import RangingMeasurement
-from companion.geometry.frames import wrap_pi
+from companion.geometry.coordinates import wrap_pi
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message, Message, mavlink
 from companion.mav.ranging import (

@@ -2,11 +2,10 @@ from __future__ import annotations
 
 import pytest
 
+from companion.mav.addressing import TargetedTimesync, boot_ms_of, source_of, targets_of_frame
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.signing import LinkSigning, Signing, SigningKey
-from companion.mav.targets import boot_ms_of, source_of, targets_of_frame
-from companion.mav.timesync import TargetedTimesync
 
 
 def blank(kind: type[Message]) -> Message:

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.mav.timebase import REBOOT_CONFIRM_S, WRAP_S, Timebase
+from companion.link.clock_sync import REBOOT_CONFIRM_S, WRAP_S, Timebase
 
 
 def test_the_first_stamp_is_read_as_its_arrival() -> None:

@@ -10,9 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.domain import EstimateState, Point, TargetEstimate, WaypointReason
-from companion.geometry.arrays import Matrix, frozen
+from companion.kernel import Matrix, frozen
 from companion.planning import fim
-from companion.planning.base import PlanRequest
 from companion.planning.fim import (
     HEADINGS,
     NO_BEARINGS_RAD2,
@@ -23,6 +22,7 @@ from companion.planning.fim import (
     candidate_ring_m,
     worst_variance_m2,
 )
+from companion.planning.planner import PlanRequest
 
 RANGE_M2, BEARING_RAD2 = 1.5**2, math.radians(2.0) ** 2
 PRIOR = np.diag([900.0, 900.0, 25.0, math.radians(5.0) ** 2])

@@ -10,11 +10,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.domain import EstimateState, Point, TargetEstimate
-from companion.planning import latch as kernels
-from companion.planning.base import PlanRequest
-from companion.planning.directions import direction, turned
-from companion.planning.latch import LATCH_SIZE, altitude_offset_m, latched_step, overshoot_m
-from companion.planning.latched_crossing import Latch, LatchedCrossing, LatchedCrossingParams
+from companion.planning import crossing_kernels as kernels
+from companion.planning.crossing import Latch, LatchedCrossing, LatchedCrossingParams
+from companion.planning.crossing_kernels import (
+    LATCH_SIZE,
+    altitude_offset_m,
+    direction,
+    latched_step,
+    overshoot_m,
+    turned,
+)
+from companion.planning.planner import PlanRequest
 
 PARAMS = LatchedCrossingParams()
 PLANNER = LatchedCrossing(PARAMS)

@@ -7,13 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.domain import EstimateState, Point, TargetEstimate, WaypointReason
-from companion.planning.base import Plan, PlanRequest
-from companion.planning.latch import GOLDEN_ANGLE_RAD
-from companion.planning.latched_crossing import (
-    Latch,
-    LatchedCrossing,
-    LatchedCrossingParams,
-)
+from companion.planning.crossing import Latch, LatchedCrossing, LatchedCrossingParams
+from companion.planning.crossing_kernels import GOLDEN_ANGLE_RAD
+from companion.planning.planner import Plan, PlanRequest
 
 PLANNER = LatchedCrossing(LatchedCrossingParams())
 SQUARE = ((-50.0, -50.0), (50.0, -50.0), (50.0, 50.0), (-50.0, 50.0))

@@ -7,8 +7,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from companion.domain import EstimateState, Point, TargetEstimate, WaypointReason
-from companion.planning.base import PlanRequest
-from companion.planning.reactive_crossing import ReactiveCrossing, ReactiveCrossingParams
+from companion.planning.crossing import ReactiveCrossing, ReactiveCrossingParams
+from companion.planning.planner import PlanRequest
 
 places = st.tuples(st.floats(-300.0, 300.0), st.floats(-300.0, 300.0))
 

@@ -8,15 +8,15 @@ from hypothesis import strategies as st
 
 from companion.domain import Point, Waypoint, WaypointReason
 from companion.geometry.obstacles import FreeSpace, between
-from companion.planning.base import PlanRequest
-from companion.planning.routing import (
+from companion.planning.planner import (
     NO_ROOM,
+    PlanRequest,
     cut_by_fence,
-    held,
+    hold_position,
     is_reachable,
     kept_inside,
     pushed_beyond,
-    routed,
+    route_to,
     way_finder,
 )
 from tests.unit.companion.geometry.test_obstacles import places, stars
@@ -42,13 +42,13 @@ def _request(
 
 
 def _routed(request: PlanRequest, goal: Point) -> Waypoint:
-    return routed(request, Waypoint(goal, WaypointReason.CROSSING, "crossing 1", 4.0))
+    return route_to(request, Waypoint(goal, WaypointReason.CROSSING, "crossing 1", 4.0))
 
 
 def test_without_limits_nothing_is_changed() -> None:
     wanted = Waypoint((1e9, 0.0), WaypointReason.CROSSING, "far")
     request = PlanRequest((0.0, 0.0))
-    assert routed(request, wanted) is wanted
+    assert route_to(request, wanted) is wanted
     assert way_finder(request) is None
     assert is_reachable((1e9, 0.0), request)
     assert kept_inside((1e9, 0.0), (0.0, 0.0), request) == (1e9, 0.0)
@@ -58,7 +58,7 @@ def test_without_limits_nothing_is_changed() -> None:
 
 def test_a_clear_leg_is_flown_as_wanted() -> None:
     wanted = Waypoint((30.0, 0.0), WaypointReason.APPROACH, "crossing 2", -4.0)
-    assert routed(_request((20.0, 20.0), HOUSE), wanted) == wanted
+    assert route_to(_request((20.0, 20.0), HOUSE), wanted) == wanted
 
 
 def test_around_a_house_corner_by_corner() -> None:
@@ -121,7 +121,7 @@ def test_without_room_it_is_told() -> None:
 
 
 def test_holding_is_at_the_setpoint() -> None:
-    held_there = held(_request((0.0, 20.0), HOUSE, leg_from=(0.0, 24.0)), "why")
+    held_there = hold_position(_request((0.0, 20.0), HOUSE, leg_from=(0.0, 24.0)), "why")
     assert held_there == Waypoint((0.0, 24.0), WaypointReason.HOLD, "why")
 
 

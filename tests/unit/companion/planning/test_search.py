@@ -6,18 +6,19 @@ from dataclasses import replace
 import pytest
 
 from companion.domain import Point, WaypointReason
-from companion.planning.base import PlanRequest
-from companion.planning.patterns import (
+from companion.planning.planner import PlanRequest
+from companion.planning.search import (
     Corner,
     ExpandingSquare,
     ExpandingSquareParams,
     Lawnmower,
     LawnmowerParams,
+    SearchMemory,
+    SearchPlanner,
     SectorParams,
     SectorSearch,
 )
-from companion.planning.search import SearchMemory, SearchPlanner
-from companion.planning.tracks import Track
+from companion.planning.search_tracks import Track
 
 FIELD = ((0.0, 0.0), (100.0, 0.0), (100.0, 60.0), (0.0, 60.0))
 PARAMS = LawnmowerParams(area_enu_m=FIELD, spacing_m=20.0)

@@ -3,11 +3,15 @@ from __future__ import annotations
 import pytest
 
 from companion.domain import EstimateState, Point, TargetEstimate, WaypointReason
-from companion.planning.base import Plan, PlanRequest
-from companion.planning.latched_crossing import Latch, LatchedCrossing, LatchedCrossingParams
-from companion.planning.patterns import Lawnmower, LawnmowerParams
-from companion.planning.search import SearchPlanner
-from companion.planning.search_then_cross import SearchThenCross, SearchThenCrossMemory
+from companion.planning.crossing import Latch, LatchedCrossing, LatchedCrossingParams
+from companion.planning.planner import Plan, PlanRequest
+from companion.planning.search import (
+    Lawnmower,
+    LawnmowerParams,
+    SearchPlanner,
+    SearchThenCross,
+    SearchThenCrossMemory,
+)
 
 FIELD = ((0.0, 0.0), (100.0, 0.0), (100.0, 60.0), (0.0, 60.0))
 PLANNER = SearchThenCross(

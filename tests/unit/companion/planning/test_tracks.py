@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from companion.domain import Point
 from companion.geometry.obstacles import FreeSpace, between
 from companion.geometry.polygons import contains, distance_to_border_m, nearest_on_segment
-from companion.planning.tracks import (
+from companion.planning.search_tracks import (
     LEAST_LEG_M,
     Leg,
     Track,

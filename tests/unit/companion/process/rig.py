@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from companion.config.schema import CompanionConfig
-from companion.io.journal import JournalHealth
-from companion.io.link_base import Link
+from companion.flight_setup import build_endpoint
+from companion.io.links.link import Link
+from companion.io.logs.flight_recorder import JournalHealth
 from companion.link.endpoint import CompanionEndpoint
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk
-from companion.run import build_endpoint
 from sim_link.lockstep.journal import Notes
 
 PEER = ("127.0.0.1", 14580)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import asdict, replace
 
-from companion.io.link_base import LinkCounters
+from companion.io.links.link import LinkCounters
 from companion.io.shell import TimerStatistics
-from companion.process.accounts import Accounts
+from companion.process.diagnostics import ProcessDiagnostics
 from tests.unit.companion.process.rig import StillLink, WatchedNotes, an_endpoint
 
 
@@ -14,7 +14,7 @@ class Rig:
     def __init__(self, speed: float = 1.0) -> None:
         self.notes = WatchedNotes()
         self.timing = TimerStatistics()
-        self.accounts = Accounts(
+        self.accounts = ProcessDiagnostics(
             an_endpoint(self.notes), self.notes, self.timing, [StillLink()], None, speed
         )
         self.now_s = 0.0

@@ -6,7 +6,7 @@ import logging
 
 import pytest
 
-from companion.process.chores import Chores
+from companion.run import PeriodicTasks
 from tests.unit.companion.process.rig import WatchedNotes, an_endpoint
 
 
@@ -20,7 +20,7 @@ def test_a_chore_that_raises_is_told_once_and_not_done_again(
         raise ZeroDivisionError
 
     notes = WatchedNotes()
-    chores = Chores(
+    chores = PeriodicTasks(
         an_endpoint(notes), {"accounts": broken, "watchdog": lambda _: done.append("watchdog")}
     )
     with caplog.at_level(logging.ERROR, "companion.run"):

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from companion.config.schema import CompanionConfig, LimitsConfig
+from companion.config.tunables import TUNABLES, Tunables
 from companion.errors import ConfigError
-from companion.process.parameters import ParameterKeeper
-from companion.run import build_planner
-from companion.tuning import TUNABLES, Tunables
+from companion.flight_setup import build_planner
+from companion.process.persistence import ParameterKeeper
 
 INDEX = {tunable.name: index for index, tunable in enumerate(TUNABLES)}
 

@@ -10,14 +10,13 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from companion.config.process import LogConfig
-from companion.config.schema import CompanionConfig, LimitsConfig
+from companion.config.schema import CompanionConfig, LimitsConfig, LogConfig
 from companion.geometry.geofence import GeoArea, GeoFence
 from companion.guidance.events import AutopilotFenceRead
-from companion.guidance.session import SessionParams
-from companion.io.checkpoint import Moment
+from companion.guidance.session_params import SessionParams
+from companion.io.state.checkpoints import Moment
 from companion.link.endpoint import CompanionEndpoint
-from companion.process.restart import RestartKeeper, digests_of
+from companion.process.persistence import RestartKeeper, digests_of
 from sim_link.lockstep.checkpoints import MemoryStore
 from tests.unit.companion.process.rig import WatchedNotes, an_endpoint, hear_autopilot
 

@@ -11,8 +11,7 @@ from dataclasses import replace
 import pytest
 
 from companion.io.shell import TimerStatistics
-from companion.io.supervisor import Supervisor
-from companion.process.watchdog import Watchdog
+from companion.process.watchdog import Supervisor, Watchdog
 from tests.unit.companion.process.rig import StillLink, WatchedNotes, an_endpoint
 
 

@@ -14,9 +14,9 @@ import pytest
 from companion.cli import main
 from companion.config.schema import load_config
 from companion.errors import ConfigError
-from companion.estimation.tracker_params import TrackerParams
-from companion.estimation.window_map import WindowParams
-from companion.replay.walk import TargetResult, read_walk, replay_walk
+from companion.estimation.tracker import TrackerParams
+from companion.estimation.window.window_map import WindowParams
+from companion.replay.walk_replay import TargetResult, read_walk, replay_walk
 
 RADIOS = ["AP1", "AP6", "AP8"]
 ROOT = Path(__file__).parents[4]

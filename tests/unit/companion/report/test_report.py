@@ -13,13 +13,13 @@ import pytest
 
 from companion.config.schema import CompanionConfig, LimitsConfig
 from companion.errors import ConfigError
-from companion.flight_facts import FlightFacts, write_facts
+from companion.flight_setup import FlightFacts, write_facts
 from companion.guard.fence import Fence
 from companion.guard.gate import GuardReason
-from companion.guidance.guard_news import FenceNews, GuardNews
-from companion.io.flight_files import EVENTS
+from companion.guidance.messages import FenceMessages, GuardMessages
+from companion.io.files import EVENTS
+from companion.report.flight_summary import summarize_events
 from companion.report.page import is_quick, report_page, verdict_of, write_report
-from companion.report.story import story_of
 
 FACTS = FlightFacts(started_unix_s=1.8e9, links=1, config=CompanionConfig())
 Line = dict[str, object]
@@ -73,7 +73,7 @@ def page_of(lines: list[Line], limits: LimitsConfig | None = None) -> str:
     facts = FACTS
     if limits is not None:
         facts = msgspec.structs.replace(FACTS, config=CompanionConfig(limits=limits))
-    return report_page(story_of(lines), facts, "2026-11-21T10-00-00Z")
+    return report_page(summarize_events(lines), facts, "2026-11-21T10-00-00Z")
 
 
 def test_the_page_loads_nothing_and_runs_nothing() -> None:
@@ -115,22 +115,22 @@ def test_counters_of_the_link_are_told_in_words() -> None:
 
 
 def test_the_verdict_is_what_the_flight_came_to() -> None:
-    assert verdict_of(story_of(FLIGHT)) == "localised, R95 0.40 m"
-    assert verdict_of(story_of(FLIGHT[:-1])) == "not reported: searching, R95 0.5 m"
-    assert verdict_of(story_of([])) == "nothing was heard of the emitter"
+    assert verdict_of(summarize_events(FLIGHT)) == "localised, R95 0.40 m"
+    assert verdict_of(summarize_events(FLIGHT[:-1])) == "not reported: searching, R95 0.5 m"
+    assert verdict_of(summarize_events([])) == "nothing was heard of the emitter"
 
 
 def test_guard_interventions_are_counted() -> None:
     fence: Line = {"t_s": 1.0, "kind": "guard", "reasons": ["fence", "lagging"]}
     over: Line = {"t_s": 2.0, "kind": "guard", "reasons": []}
-    story = story_of([fence, over, fence, {**fence, "reasons": ["fence"]}, over])
+    story = summarize_events([fence, over, fence, {**fence, "reasons": ["fence"]}, over])
     assert story.guard.most_common(1) == [(GuardReason.FENCE.value, 3)]
     assert GuardReason.FENCE.value in page_of([fence])
 
 
 def test_the_guards_own_records_are_understood() -> None:
-    names = GuardNews().record((GuardReason.TOO_FAST, GuardReason.CUT_OFF), 1.0)
-    assert story_of([{"t_s": 1.0, "kind": "guard", "reasons": names}]).guard == {
+    names = GuardMessages().record((GuardReason.TOO_FAST, GuardReason.CUT_OFF), 1.0)
+    assert summarize_events([{"t_s": 1.0, "kind": "guard", "reasons": names}]).guard == {
         GuardReason.TOO_FAST.value: 1,
         GuardReason.CUT_OFF.value: 1,
     }
@@ -141,7 +141,7 @@ def test_the_fence_that_the_guard_kept_is_drawn_wherever_it_came_from() -> None:
     kept = Fence(
         ((0.0, 0.0), (90.0, 0.0), (0.0, 90.0)), 3.0, (((20.0, 20.0), (25.0, 20.0), (20.0, 25.0)),)
     )
-    record = json.loads(json.dumps(FenceNews().record(kept)))
+    record = json.loads(json.dumps(FenceMessages().record(kept)))
     gone: Line = {"polygon_enu_m": None, "keep_out_enu_m": [], "margin_m": None}
     lines = [{"t_s": 0.5, "kind": "fence", **record}, {"t_s": 9.0, "kind": "fence", **gone}]
     page = page_of([*lines, *FLIGHT], limits)

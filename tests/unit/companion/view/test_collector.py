@@ -1,7 +1,7 @@
 """What views remember of the past is bounded and taken once."""
 
 from companion.guidance.commands import Severity
-from companion.view.collector import CURVE_POINTS, MARKS, TEXTS, Collector
+from companion.web.live_map import CURVE_POINTS, MARKS, TEXTS, Collector
 
 
 def estimate(t_s: float) -> dict[str, object]:

@@ -11,7 +11,7 @@ import pytest
 
 from companion.domain import EstimateState, TargetEstimate
 from companion.errors import ConfigError, LinkError
-from companion.guidance.status import EmitterStatus
+from companion.guidance.session import EmitterStatus
 from companion.view.cot import CotRule, CotView, cot_address
 from sim_link.lockstep.flight import Flight
 from tests.loop.loop_helpers import Loop

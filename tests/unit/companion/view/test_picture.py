@@ -3,9 +3,9 @@
 import json
 
 from companion.config.schema import CompanionConfig
-from companion.guidance.session import SessionParams
+from companion.guidance.session_params import SessionParams
 from companion.io.files import plain
-from companion.view.picture import picture_of, scene_of
+from companion.view.snapshot import picture_of, scene_of
 from sim_link.autopilot.scenario import Scenario
 from sim_link.lockstep.flight import Flight
 from sim_link.lockstep.journal import Notes

@@ -16,11 +16,10 @@ from rich.console import Console
 
 from companion.config.schema import CompanionConfig
 from companion.guidance.commands import Severity
-from companion.guidance.status import EmitterStatus
-from companion.view.moment import Moment, moment_of
-from companion.view.plain import PlainView
-from companion.view.screen import screen
-from companion.view.terminal import TerminalView
+from companion.guidance.session import EmitterStatus
+from companion.view.console import PlainView
+from companion.view.snapshot import FlightSnapshot, flight_snapshot
+from companion.view.terminal import TerminalView, screen
 from tests.loop.loop_helpers import Loop
 
 
@@ -31,7 +30,7 @@ def flown() -> Loop:
     return loop
 
 
-def shown(moment: Moment, title: str = "companion") -> str:
+def shown(moment: FlightSnapshot, title: str = "companion") -> str:
     console = Console(file=io.StringIO(), width=100, force_terminal=False)
     with console.capture() as captured:
         console.print(screen(moment, title))
@@ -39,7 +38,7 @@ def shown(moment: Moment, title: str = "companion") -> str:
 
 
 def test_the_screen_says_what_the_operator_asks(flown: Loop) -> None:
-    text = shown(moment_of(flown.companion, flown.now_s, 42.0))
+    text = shown(flight_snapshot(flown.companion, flown.now_s, 42.0))
     estimate = flown.companion.session.estimate
     assert estimate is not None
     assert flown.phase.value in text
@@ -52,12 +51,14 @@ def test_the_screen_says_what_the_operator_asks(flown: Loop) -> None:
 
 def test_a_hostile_text_is_shown_as_it_is(flown: Loop) -> None:
     hostile = "[bold red]x[/] [link=http://evil.example]y[/link]"
-    moment = moment_of(flown.companion, flown.now_s, texts=((1.0, Severity.WARNING, hostile),))
+    moment = flight_snapshot(
+        flown.companion, flown.now_s, texts=((1.0, Severity.WARNING, hostile),)
+    )
     assert hostile in shown(moment)
 
 
 def test_several_emitters_have_a_row_each(flown: Loop) -> None:
-    moment = moment_of(flown.companion, flown.now_s)
+    moment = flight_snapshot(flown.companion, flown.now_s)
     estimate = moment.status.estimate
     emitters = (
         EmitterStatus(3, estimate, is_current=False, is_reported=True),

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from companion.view.time_to_go import TimeToGo
+from companion.view.snapshot import TimeToGo
 
 
 def test_a_radius_that_halves_every_ten_seconds() -> None:

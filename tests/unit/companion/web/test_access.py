@@ -2,7 +2,7 @@
 
 import pytest
 
-from companion.web.access import Access, is_loopback
+from companion.web.settings import Access, is_loopback
 
 TOKEN = "correct-horse"
 HERE, ELSEWHERE = "127.0.0.1", "192.168.1.7"

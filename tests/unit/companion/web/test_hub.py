@@ -2,7 +2,7 @@
 
 import math
 
-from companion.web.hub import CURVE_POINTS, TRACK_POINTS, Hub
+from companion.web.server import CURVE_POINTS, TRACK_POINTS, Hub
 
 ORIGIN = [47.4, 8.5]
 

@@ -11,7 +11,7 @@ from unittest.mock import Mock
 import pytest
 
 from companion.errors import CompanionError
-from companion.web.process import WebProcess, listening_socket, url_to_tell
+from companion.web.live_map import WebProcess, listening_socket, url_to_tell
 from companion.web.settings import web_settings
 
 WHOLE = (

@@ -1,7 +1,6 @@
 """What a browser is sent of the track."""
 
-from companion.web.hub import TRACK_POINTS, Hub
-from companion.web.search_map import WHOLE_EVERY, TrackSent
+from companion.web.server import TRACK_POINTS, WHOLE_EVERY, Hub, TrackSent
 
 
 def fly_on(hub: Hub, step: int) -> None:

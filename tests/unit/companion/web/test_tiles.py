@@ -5,7 +5,7 @@ from pathlib import Path
 
 from PIL import Image
 
-from companion.web.tiles import tile, zooms_of
+from companion.web.settings import tile, zooms_of
 
 
 def put(folder: Path, *names: str) -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from companion.geometry.frames import LocalOrigin
-from sim_link.autopilot.geodetic import GeodeticReports
+from companion.geometry.coordinates import LocalOrigin
+from sim_link.autopilot.estimator import GeodeticReports
 
 METRES_PER_DEGREE = 111_000.0
 

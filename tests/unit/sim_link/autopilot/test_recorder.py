@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim_link.autopilot.recorder import MAX_TRACK_POINTS, TRACK_PERIOD_S, FlightRecorder
 from sim_link.autopilot.scenario import Scenario
-from sim_link.autopilot.vehicle import SimVehicle
+from sim_link.autopilot.vehicle import MAX_TRACK_POINTS, TRACK_PERIOD_S, FlightRecorder, SimVehicle
 
 
 def recorded(seconds: float) -> FlightRecorder:

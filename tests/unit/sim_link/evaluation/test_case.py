@@ -3,7 +3,7 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from companion.estimation.filter_params import FilterParams
+from companion.estimation.filters.target_filter import FilterParams
 from sim_link.evaluation.case import PAPER_BELIEF, Case, canonical_case
 
 

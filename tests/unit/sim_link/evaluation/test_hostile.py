@@ -9,10 +9,14 @@ import numpy as np
 import pytest
 
 from companion.domain import PositionEnu, RangingMeasurement
-from companion.estimation.base import NO_INFLATION, FilterState, Inflation, UpdateReport
-from companion.estimation.ekf import Ekf
-from companion.estimation.filter_params import FilterParams
-from companion.estimation.huber_ekf import HuberEkf
+from companion.estimation.filters.kalman import Ekf, HuberEkf
+from companion.estimation.filters.target_filter import (
+    NO_INFLATION,
+    FilterParams,
+    FilterState,
+    Inflation,
+    UpdateReport,
+)
 from sim_link.evaluation.hostile import (
     SIGMAS,
     MakeFilter,

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.geometry.frames import wrap_pi
+from companion.geometry.coordinates import wrap_pi
 from sim_link.evaluation.case import Case, canonical_case
 from sim_link.evaluation.noise import (
     BENT,
@@ -23,9 +23,14 @@ from sim_link.evaluation.noise import (
     stream,
     truth_of,
 )
-from sim_link.world.environment import NO_MEMORY, ObstacleParams
-from sim_link.world.radio_channel import MIN_RANGE_M, ChannelParams, RadioChannel
-from sim_link.world.target import Emitter, EmitterParams
+from sim_link.world.environment import (
+    NO_MEMORY,
+    ChannelParams,
+    Emitter,
+    EmitterParams,
+    ObstacleParams,
+)
+from sim_link.world.radio_channel import MIN_RANGE_M, RadioChannel
 
 
 def test_the_numbers_are_those_of_the_simulated_radio() -> None:

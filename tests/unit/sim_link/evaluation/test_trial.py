@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.estimation.filters import KINDS
+from companion.estimation.filters.kalman import KINDS
 from sim_link.evaluation.case import Case, FirstEstimate
 from sim_link.evaluation.noise import TRUTH, channel_draws, run_seeds, stream, truth_of
 from sim_link.evaluation.systems import PlannerName, System, system_named

@@ -6,11 +6,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.estimation.filter_params import FilterParams
-from companion.estimation.map_kernels import COLUMNS as ROW_COLUMNS
-from companion.estimation.map_kernels import normal_equations, row_sigmas
-from companion.estimation.window_map import WindowMap
-from companion.geometry.arrays import Matrix
+from companion.estimation.filters.target_filter import FilterParams
+from companion.estimation.window.map_kernels import COLUMNS as ROW_COLUMNS
+from companion.estimation.window.map_kernels import normal_equations, row_sigmas
+from companion.estimation.window.window_map import WindowMap
+from companion.kernel import Matrix
 from sim_link.evaluation.case import PAPER_BELIEF, Case
 from sim_link.evaluation.noise import run_seeds
 from sim_link.evaluation.systems import System, window_of_system

@@ -9,7 +9,7 @@ from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from companion.mav.signing import LinkSigning, Signing, SigningKey, Verdict
 from sim_link.faults.attacker import FOREIGN_SYSTEM, Attacker
-from sim_link.faults.kinds import (
+from sim_link.faults.host_kinds import (
     ForeignFrames,
     ForgedFrames,
     ReplayedFrames,

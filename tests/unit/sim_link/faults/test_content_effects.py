@@ -10,9 +10,7 @@ import pytest
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message, Message, mavlink
 from companion.mav.signing import LinkSigning, Signing, SigningKey
-from sim_link.faults.faulty_link import FaultyLink
-from sim_link.faults.kinds import (
-    Fault,
+from sim_link.faults.content_kinds import (
     RangingDropout,
     RangingFreeze,
     RangingNan,
@@ -24,6 +22,8 @@ from sim_link.faults.kinds import (
     StreamMute,
     TelemetryNonsense,
 )
+from sim_link.faults.faulty_link import FaultyLink
+from sim_link.faults.kinds import Fault
 from sim_link.faults.schedule import Schedule
 from sim_link.lockstep.wire import Lane
 

@@ -7,8 +7,8 @@ import itertools
 import pytest
 
 from sim_link.faults.faulty_link import FaultyLink
-from sim_link.faults.kinds import (
-    Fault,
+from sim_link.faults.kinds import Fault
+from sim_link.faults.link_kinds import (
     LinkBitFlips,
     LinkBlackout,
     LinkBursts,

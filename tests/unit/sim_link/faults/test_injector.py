@@ -8,22 +8,25 @@ import pytest
 
 from companion.config.schema import CompanionConfig
 from companion.domain import FlightMode
-from companion.guidance.session import SessionParams
-from companion.guidance.states import Phase
+from companion.guidance.authority.state_machine import Phase
+from companion.guidance.session_params import SessionParams
 from sim_link.autopilot.scenario import Scenario
 from sim_link.faults.faulty_link import FaultyLink
-from sim_link.faults.injector import Injector
-from sim_link.faults.kinds import (
-    Battery,
+from sim_link.faults.host_kinds import (
     CompanionKilled,
     CompanionStalled,
     CompanionTerminated,
+    ForgedFrames,
+)
+from sim_link.faults.injector import Injector
+from sim_link.faults.kinds import Fault
+from sim_link.faults.link_kinds import LinkBlackout
+from sim_link.faults.schedule import Schedule
+from sim_link.faults.vehicle_kinds import (
+    Battery,
     Disarm,
     EkfJump,
     Failsafe,
-    Fault,
-    ForgedFrames,
-    LinkBlackout,
     ModeFlap,
     OriginShift,
     PilotMode,
@@ -31,7 +34,6 @@ from sim_link.faults.kinds import (
     VehicleReboot,
     Wind,
 )
-from sim_link.faults.schedule import Schedule
 from sim_link.lockstep.flight import Flight
 from sim_link.lockstep.journal import Notes
 from sim_link.lockstep.observer import Frame, Observer

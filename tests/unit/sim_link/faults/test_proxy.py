@@ -12,10 +12,12 @@ import pytest
 from companion.errors import ConfigError, LinkError
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
-from sim_link.commands import run_subcommand
-from sim_link.faults.kinds import Fault, ForeignFrames, LinkBlackout, LinkDelay, LinkLoss
+from sim_link.faults.host_kinds import ForeignFrames
+from sim_link.faults.kinds import Fault
+from sim_link.faults.link_kinds import LinkBlackout, LinkDelay, LinkLoss
 from sim_link.faults.proxy import FaultProxy
 from sim_link.faults.schedule import Schedule
+from sim_link.lab.subcommands import run_subcommand
 
 HOST = "127.0.0.1"
 PATIENCE_S = 30.0

@@ -8,8 +8,10 @@ import msgspec
 import pytest
 
 from companion.domain import FlightMode
-from sim_link.faults.kinds import KINDS, Fault, LinkLoss, PilotMode, VehicleReboot
+from sim_link.faults.kinds import KINDS, Fault
+from sim_link.faults.link_kinds import LinkLoss
 from sim_link.faults.schedule import Schedule, fault_from, fields_of
+from sim_link.faults.vehicle_kinds import PilotMode, VehicleReboot
 
 LOSS = LinkLoss(share=0.3, start_s=20.0, duration_s=5.0)
 

@@ -6,7 +6,7 @@ from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk
 from sim_link.faults.faulty_link import FaultyLink
-from sim_link.faults.kinds import LinkBlackout, LinkDelay
+from sim_link.faults.link_kinds import LinkBlackout, LinkDelay
 from sim_link.faults.schedule import Schedule
 from sim_link.mission.hub import COMPANION, OPERATOR, PERIOD_S, RADIO, VEHICLE, Hub
 

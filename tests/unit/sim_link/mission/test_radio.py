@@ -8,15 +8,14 @@ import numpy as np
 import pytest
 
 from companion.errors import ConfigError
-from companion.geometry.frames import LocalOrigin
+from companion.geometry.coordinates import LocalOrigin
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message, Message, mavlink
 from companion.mav.endpoint import Chunk
 from sim_link.autopilot.scenario import PayloadParams
 from sim_link.mission.radio import FOLLOW, SEND, GeodeticEmitter, RadioFollower
 from sim_link.mission.radio_cli import parse_emitter
-from sim_link.world.radio_channel import ChannelParams
-from sim_link.world.target import Emitter, EmitterParams
+from sim_link.world.environment import ChannelParams, Emitter, EmitterParams
 
 CLEAR = ChannelParams(
     range_offset_m=0.0, bearing_offset_deg=0.0, p_nlos=0.0, range_sigma_m=0.0, bearing_sigma_deg=0.0

@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 import msgspec
 import pytest
 
-from companion.report.drawing import MAX_POINTS, Drawing, square_around, thinned
+from companion.report.svg import MAX_POINTS, Drawing, square_around, thin_points
 from sim_link.mission.junit import junit_xml
 from sim_link.mission.progress import PlainProgress, progress_for
 from sim_link.mission.record import EstimatePoint, FlightRecord, Report, Said, StepOutcome, Violated
@@ -237,7 +237,7 @@ def test_a_summary_knows_its_report_and_its_speed() -> None:
 
 def test_curves_are_thinned_and_axes_have_round_ticks() -> None:
     points = [(float(n), float(n)) for n in range(10 * MAX_POINTS)]
-    thin = thinned(points)
+    thin = thin_points(points)
     assert len(thin) <= MAX_POINTS + 1
     assert (thin[0], thin[-1]) == (points[0], points[-1])
     drawing = Drawing(600, 300, (0.0, 97.0), (0.01, 120.0), "t", is_log=True)

@@ -9,7 +9,7 @@ import pytest
 
 from companion.errors import ConfigError
 from sim_link.autopilot.scenario import Scenario
-from sim_link.faults.kinds import LinkLoss
+from sim_link.faults.link_kinds import LinkLoss
 from sim_link.mission.expectations import Expectation
 from sim_link.mission.process_faults import check_faults
 from sim_link.mission.script import STEP_KINDS, ArmStep, ReturnStep, TakeoffStep

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from companion.domain import FlightMode
-from sim_link.faults.kinds import Fault, LinkBlackout
+from sim_link.faults.kinds import Fault
+from sim_link.faults.link_kinds import LinkBlackout
 from sim_link.mission.operator import Action, Arm, Grant, SwitchMode, TakeOff
 from sim_link.mission.record import FlightRecord
 from sim_link.mission.script import STEP_KINDS

@@ -9,7 +9,7 @@ import pytest
 from companion.domain import Autopilot, FlightMode
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
-from companion.mav.modes import px4_custom_mode
+from companion.mav.flight_modes import px4_custom_mode
 from sim_link.mission.record import FlightRecord
 from sim_link.mission.situation import Situation
 from sim_link.mission.telemetry import TelemetryReader

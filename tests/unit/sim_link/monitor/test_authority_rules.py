@@ -6,16 +6,17 @@ import pytest
 
 from companion.config.schema import CompanionConfig
 from companion.domain import FlightMode
-from companion.guidance.authority import Authority
-from companion.guidance.session import SessionParams
-from companion.guidance.states import Phase
+from companion.guidance.authority.control_authority import Authority
+from companion.guidance.authority.state_machine import Phase
+from companion.guidance.session_params import SessionParams
 from companion.mav.dialect import mavlink
 from companion.mav.framing import message_id
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from sim_link.campaign.flights import Monitored, monitored
-from sim_link.faults.kinds import Battery, CompanionKilled
+from sim_link.faults.host_kinds import CompanionKilled
 from sim_link.faults.planted import KeepsFlying, maker
 from sim_link.faults.schedule import Schedule
+from sim_link.faults.vehicle_kinds import Battery
 from sim_link.lockstep.wire import Delivery, Lane
 
 HEARTBEAT = mavlink.MAVLINK_MSG_ID_HEARTBEAT

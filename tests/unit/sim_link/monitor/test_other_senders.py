@@ -6,14 +6,16 @@ import pytest
 
 from companion.config.schema import CompanionConfig
 from companion.domain import FlightMode
-from companion.guidance.session import SessionParams
-from companion.guidance.states import Phase
+from companion.guidance.authority.state_machine import Phase
+from companion.guidance.session_params import SessionParams
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.campaign.flights import Monitored, monitored, rules_of
-from sim_link.faults.kinds import Disarm, ForgedFrames, LinkBlackout, SecondSender, UnsignedFrames
+from sim_link.faults.host_kinds import ForgedFrames, UnsignedFrames
+from sim_link.faults.link_kinds import LinkBlackout
 from sim_link.faults.schedule import Schedule
+from sim_link.faults.vehicle_kinds import Disarm, SecondSender
 from sim_link.lockstep.observer import Frame
 from sim_link.lockstep.wire import Lane
 from sim_link.monitor.predicates import depth_m

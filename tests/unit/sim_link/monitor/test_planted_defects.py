@@ -6,22 +6,13 @@ from typing import Any
 
 import pytest
 
-from companion.config.limits import LimitsConfig
-from companion.config.schema import CompanionConfig
+from companion.config.schema import CompanionConfig, LimitsConfig
 from companion.domain import FlightMode
-from companion.guidance.session import SessionParams
+from companion.guidance.session_params import SessionParams
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from sim_link.campaign.flights import Monitored, monitored, rules_of
-from sim_link.faults.kinds import (
-    EkfJump,
-    ForgedFrames,
-    GpsLoss,
-    LinkBlackout,
-    LinkDelay,
-    PilotMode,
-    UnsignedFrames,
-    Wind,
-)
+from sim_link.faults.host_kinds import ForgedFrames, UnsignedFrames
+from sim_link.faults.link_kinds import LinkBlackout, LinkDelay
 from sim_link.faults.planted import (
     DEFECTS,
     ChasesJumps,
@@ -33,6 +24,7 @@ from sim_link.faults.planted import (
     twisted,
 )
 from sim_link.faults.schedule import Schedule
+from sim_link.faults.vehicle_kinds import EkfJump, GpsLoss, PilotMode, Wind
 from sim_link.monitor.monitor import Monitor
 
 AUTO = CompanionConfig(mission=SessionParams(engage="auto"))

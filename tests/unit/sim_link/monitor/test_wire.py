@@ -9,14 +9,16 @@ import pytest
 
 from companion.config.schema import CompanionConfig
 from companion.domain import FlightMode
-from companion.guidance.session import SessionParams
+from companion.guidance.session_params import SessionParams
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from sim_link.campaign.flights import monitored, rules_of
-from sim_link.faults.kinds import CompanionKilled, CompanionStalled, LinkBlackout, PilotMode
+from sim_link.faults.host_kinds import CompanionKilled, CompanionStalled
+from sim_link.faults.link_kinds import LinkBlackout
 from sim_link.faults.planted import DEFECTS, Planted, maker
 from sim_link.faults.schedule import Schedule
+from sim_link.faults.vehicle_kinds import PilotMode
 from sim_link.lockstep.observer import Frame
 from sim_link.lockstep.wire import Lane
 from sim_link.monitor.recording import Recording

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.geometry.arrays import Vector
+from companion.kernel import Vector
 from sim_link.world.environment import (
     NO_MEMORY,
     STUDY_SHADOW,
@@ -22,7 +22,7 @@ from sim_link.world.environment import (
     open_obstruction,
     shadow_of,
 )
-from sim_link.world.sight import detour
+from sim_link.world.line_of_sight import detour
 
 BLOCK = ObstacleParams(corners_enu_m=((30.0, 30.0), (45.0, 30.0), (45.0, 60.0), (30.0, 60.0)))
 TARGET = (50.0, 50.0, 0.0)

@@ -11,9 +11,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.domain import RangingMeasurement
-from sim_link.world.environment import Environment, ObstacleParams, ShadowParams
-from sim_link.world.radio_channel import MIN_RANGE_M, ChannelDraw, ChannelParams, RadioChannel
-from sim_link.world.target import Emitter, EmitterParams
+from sim_link.world.environment import (
+    ChannelParams,
+    Emitter,
+    EmitterParams,
+    Environment,
+    ObstacleParams,
+    ShadowParams,
+)
+from sim_link.world.radio_channel import MIN_RANGE_M, ChannelDraw, RadioChannel
 
 SAMPLES = 20_000
 QUIET = ChannelParams(p_nlos=0.0, range_sigma_m=0.0, bearing_sigma_deg=0.0)

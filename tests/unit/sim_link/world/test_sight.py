@@ -15,7 +15,7 @@ from companion.geometry.obstacles import FreeSpace
 from companion.geometry.polygons import depth_m, edges, nearest_on_segment
 from companion.geometry.visibility import WayFinder
 from sim_link.world.environment import Environment, ObstacleParams
-from sim_link.world.sight import (
+from sim_link.world.line_of_sight import (
     detour,
     holding,
     is_blocked,

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from sim_link.world.target import Emitter, EmitterParams
+from sim_link.world.environment import Emitter, EmitterParams
 
 
 def test_range_is_slant_and_bearing_counts_from_east() -> None:

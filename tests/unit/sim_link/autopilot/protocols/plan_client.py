@@ -5,12 +5,10 @@ from __future__ import annotations
 import math
 
 from companion.mav.dialect import Message, mavlink
-from sim_link.autopilot.protocols.base import Outgoing, Partner
-from sim_link.autopilot.protocols.plan_items import PlanItem, PlanType
-from sim_link.autopilot.protocols.plan_store import PlanStore
-from sim_link.autopilot.protocols.plan_transfers import PlanRules
-from sim_link.autopilot.protocols.plans import FlyTo, Plans
-from sim_link.autopilot.protocols.statustext import StatusTexts
+from sim_link.autopilot.protocols.addressing import Outgoing, Partner, StatusTexts
+from sim_link.autopilot.protocols.mission_protocol import FlyTo, Plans
+from sim_link.autopilot.protocols.plan_items import PlanItem, PlanStore, PlanType
+from sim_link.autopilot.protocols.plan_rules import PlanRules
 from tests.unit.sim_link.autopilot.protocols.wire import STATION, of_type, received
 
 Ack = mavlink.MAVLink_mission_ack_message

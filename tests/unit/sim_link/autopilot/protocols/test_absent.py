@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from companion.mav.dialect import mavlink
-from sim_link.autopilot.protocols.absent import refusal
+from sim_link.autopilot.services import reject_unsupported_service
 from tests.unit.sim_link.autopilot.protocols.wire import STATION, of_type, received
 
 Ftp = mavlink.MAVLink_file_transfer_protocol_message
@@ -16,7 +16,7 @@ def request(opcode: int, sequence: int = 7) -> Ftp:
 
 
 def answer_to(message: Ftp) -> bytes:
-    (answer,) = of_type(refusal(received(message), STATION), Ftp)
+    (answer,) = of_type(reject_unsupported_service(received(message), STATION), Ftp)
     assert (answer.target_system, answer.target_component) == (255, 190)
     return bytes(answer.payload)
 
@@ -40,14 +40,21 @@ def test_the_sequence_number_begins_anew_after_its_last() -> None:
 
 @pytest.mark.parametrize("opcode", [128, 129])
 def test_replies_are_never_answered(opcode: int) -> None:
-    assert refusal(received(request(opcode)), STATION) == []
+    assert reject_unsupported_service(received(request(opcode)), STATION) == []
 
 
 def test_the_list_of_logs_is_empty() -> None:
     asked = received(mavlink.MAVLink_log_request_list_message(1, 1, 0, 0xFFFF))
-    (entry,) = of_type(refusal(asked, STATION), mavlink.MAVLink_log_entry_message)
+    (entry,) = of_type(
+        reject_unsupported_service(asked, STATION), mavlink.MAVLink_log_entry_message
+    )
     assert (entry.num_logs, entry.size) == (0, 0)
 
 
 def test_anything_else_is_not_its_business() -> None:
-    assert refusal(received(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)), STATION) == []
+    assert (
+        reject_unsupported_service(
+            received(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)), STATION
+        )
+        == []
+    )

@@ -5,8 +5,8 @@ import pytest
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message, mavlink
 from companion.mav.endpoint import Chunk
-from sim_link.autopilot.protocols.base import Channel
-from sim_link.autopilot.protocols.channels import MAX_STREAMS, FrameReceivers, WireVersion
+from sim_link.autopilot.protocols.addressing import Channel
+from sim_link.autopilot.protocols.link_layer import MAX_STREAMS, FrameReceivers, WireVersion
 
 
 def frame(mark: int, *, is_mavlink1: bool = False) -> bytes:

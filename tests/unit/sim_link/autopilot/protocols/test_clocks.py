@@ -2,11 +2,11 @@ from __future__ import annotations
 
 import pytest
 
+from companion.mav.addressing import TargetedTimesync, targets_of
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
-from companion.mav.timesync import TargetedTimesync, targets_of
-from sim_link.autopilot.protocols.base import Addressing
-from sim_link.autopilot.protocols.clocks import ClockRequests, Clocks, system_time
+from sim_link.autopilot.protocols.addressing import Addressing
+from sim_link.autopilot.protocols.clock_protocols import ClockRequests, Clocks, system_time
 from tests.unit.sim_link.autopilot.protocols.wire import STATION, received, said
 
 PX4 = Clocks(Addressing(1))

@@ -7,8 +7,8 @@ import math
 import pytest
 
 from companion.mav.dialect import MAVLink_command_cancel_message, Message, mavlink
-from sim_link.autopilot.protocols.base import Outgoing, Partner
-from sim_link.autopilot.protocols.commands import (
+from sim_link.autopilot.protocols.addressing import Outgoing, Partner
+from sim_link.autopilot.protocols.command_protocol import (
     REPEAT_WINDOW_S,
     Cancel,
     Command,

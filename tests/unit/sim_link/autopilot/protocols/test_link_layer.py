@@ -6,7 +6,7 @@ from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message, Message, mavlink
 from companion.mav.endpoint import Chunk
 from companion.mav.signing import LinkSigning, Signing, SigningKey, is_signed
-from sim_link.autopilot.protocols.base import Channel, Outgoing
+from sim_link.autopilot.protocols.addressing import Channel, Outgoing
 from sim_link.autopilot.protocols.link_layer import LinkLayer
 
 UDP, TCP, WIRE = 0, 1, 2

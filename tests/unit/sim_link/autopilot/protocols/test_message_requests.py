@@ -5,17 +5,16 @@ import math
 import pytest
 
 from companion.mav.dialect import Message, mavlink
-from sim_link.autopilot.protocols.base import Channel, Outgoing, Partner
-from sim_link.autopilot.protocols.commands import Command, CommandResult
-from sim_link.autopilot.protocols.message_requests import (
+from sim_link.autopilot.protocols.addressing import Channel, Outgoing, Partner, StatusTexts
+from sim_link.autopilot.protocols.command_protocol import Command, CommandResult
+from sim_link.autopilot.protocols.message_streams import (
     ARDUPILOT_REQUESTS,
     MAX_PEERS,
     PX4_REQUESTS,
     MessageRequests,
     RequestRules,
+    StreamRules,
 )
-from sim_link.autopilot.protocols.statustext import StatusTexts
-from sim_link.autopilot.protocols.streams import StreamRules
 from tests.unit.sim_link.autopilot.protocols.wire import (
     COMPANION,
     COMPANION_CHANNEL,

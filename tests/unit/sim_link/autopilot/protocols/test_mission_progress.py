@@ -4,7 +4,7 @@ import pytest
 
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
-from sim_link.autopilot.protocols.mission_progress import (
+from sim_link.autopilot.protocols.plan_items import (
     MissionAnnouncer,
     MissionProgress,
     MissionState,

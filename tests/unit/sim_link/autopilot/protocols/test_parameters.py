@@ -8,10 +8,9 @@ import struct
 import pytest
 
 from companion.mav.dialect import Message, mavlink
-from companion.mav.parameters import ParamType, raw_of
-from sim_link.autopilot.protocols.base import Channel, Outgoing, Partner
-from sim_link.autopilot.protocols.parameter_store import ParameterStore, ParamSpec
-from sim_link.autopilot.protocols.parameters import (
+from companion.mav.param_encoding import ParamType, raw_of
+from sim_link.autopilot.protocols.addressing import Channel, Outgoing, Partner, StatusTexts
+from sim_link.autopilot.protocols.parameter_protocol import (
     ARDUPILOT_RULES,
     HASH_CHECK,
     MAX_LISTS,
@@ -22,7 +21,7 @@ from sim_link.autopilot.protocols.parameters import (
     ParameterRules,
     Parameters,
 )
-from sim_link.autopilot.protocols.statustext import StatusTexts
+from sim_link.autopilot.protocols.parameter_store import ParameterStore, ParamSpec
 from tests.unit.sim_link.autopilot.protocols.wire import (
     COMPANION,
     COMPANION_CHANNEL,

@@ -5,9 +5,13 @@ import math
 import pytest
 
 from companion.mav.dialect import mavlink
-from sim_link.autopilot.protocols.plan_checks import PlanChecks, plan_problem
 from sim_link.autopilot.protocols.plan_items import NO_VALUE, PlanItem, PlanResult, PlanType
-from sim_link.autopilot.protocols.plan_transfers import ARDUPILOT_RULES, PX4_RULES
+from sim_link.autopilot.protocols.plan_rules import (
+    ARDUPILOT_RULES,
+    PX4_RULES,
+    PlanChecks,
+    plan_problem,
+)
 from tests.unit.sim_link.autopilot.protocols.plan_client import (
     FENCE,
     MISSION,

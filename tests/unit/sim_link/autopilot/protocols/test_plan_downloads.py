@@ -7,9 +7,8 @@ import math
 import pytest
 
 from companion.mav.dialect import mavlink
-from sim_link.autopilot.protocols.plan_items import PlanItem, PlanResult
-from sim_link.autopilot.protocols.plan_store import CurrentChosen, PlanChanged
-from sim_link.autopilot.protocols.plan_transfers import ARDUPILOT_RULES, PX4_RULES, PlanRules
+from sim_link.autopilot.protocols.plan_items import CurrentChosen, PlanChanged, PlanItem, PlanResult
+from sim_link.autopilot.protocols.plan_rules import ARDUPILOT_RULES, PX4_RULES, PlanRules
 from tests.unit.sim_link.autopilot.protocols.plan_client import (
     FENCE,
     HOME,

@@ -11,9 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.mav.dialect import mavlink
-from sim_link.autopilot.protocols.plan_items import PlanItem, PlanResult, PlanType
-from sim_link.autopilot.protocols.plan_store import PlanChanged
-from sim_link.autopilot.protocols.plan_transfers import ARDUPILOT_RULES, PX4_RULES, PlanRules
+from sim_link.autopilot.protocols.plan_items import PlanChanged, PlanItem, PlanResult, PlanType
+from sim_link.autopilot.protocols.plan_rules import ARDUPILOT_RULES, PX4_RULES, PlanRules
 from tests.unit.sim_link.autopilot.protocols.plan_client import (
     FENCE,
     HOME,

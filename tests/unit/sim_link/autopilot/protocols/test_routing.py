@@ -8,8 +8,8 @@ from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Chunk
 from companion.mav.signing import LinkSigning, Signing, SigningKey
-from sim_link.autopilot.protocols.base import Channel
-from sim_link.autopilot.protocols.routing import MAX_COMPONENTS, Router
+from sim_link.autopilot.protocols.addressing import Channel
+from sim_link.autopilot.protocols.link_layer import MAX_COMPONENTS, Router
 
 UDP, TCP, SERIAL = 0, 1, 2
 COMPANION = Channel(UDP, ("127.0.0.1", 14540))

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.mav.dialect import mavlink
-from sim_link.autopilot.protocols.statustext import StatusTexts
+from sim_link.autopilot.protocols.addressing import StatusTexts
 from tests.unit.sim_link.autopilot.protocols.wire import said
 
 

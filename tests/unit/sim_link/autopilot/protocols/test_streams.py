@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim_link.autopilot.protocols.streams import HEARTBEAT, StreamRules, StreamTable
+from sim_link.autopilot.protocols.message_streams import HEARTBEAT, StreamRules, StreamTable
 
 ATTITUDE, POSITION, VERSION, STATE = 30, 32, 148, 245
 STEP_S = 0.004

@@ -6,7 +6,7 @@ from typing import TypeVar
 
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message
-from sim_link.autopilot.protocols.base import Channel, Outgoing, Partner
+from sim_link.autopilot.protocols.addressing import Channel, Outgoing, Partner
 
 M = TypeVar("M", bound=Message)
 

@@ -1,0 +1,240 @@
+"""A fence from a file: a QGroundControl `.plan`, or KML of Google Earth, QGIS and others.
+
+The fence of a QGroundControl `.plan` file.
+
+Source: QGroundControl developer guide, "Plan File Format": `geoFence` version 2 with `polygons` and
+`circles`, each of version 1, places as [latitude, longitude] in degrees, radii in metres. The
+mission and the rally points of the plan are not looked at; neither is the breach return point.
+
+The fence of a KML file, as Google Earth, QGIS and QGroundControl save it.
+
+Source: OGC KML 2.3, Polygon: `outerBoundaryIs` and `innerBoundaryIs` hold rings of
+"longitude,latitude[,altitude]" tuples in degrees, closed by their first place. The one polygon that
+is not a keep-out is the fence, and holes in it are keep-outs; so are polygons in a Placemark or
+Folder whose name begins with one of `KEEP_OUT_NAMES`. Altitudes are not looked at.
+
+An XML document that brings its own entities can grow without bound, so one with a DOCTYPE is
+refused, and nothing else can define any.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+from companion.config.loader import read_text
+from companion.errors import ConfigError
+from companion.geometry.geofence import GeoArea, GeoFence, LatLon, NamedArea, fence_of
+
+FENCE_VERSION = 2
+AREA_VERSION = 1
+
+
+def areas_of_plan(text: str) -> list[NamedArea]:
+    """The areas in the text of a plan, in order, each with its path.
+
+    Raises:
+        ValueError: It is no plan of this version; the text begins with the path of the element.
+    """
+    try:
+        plan = json.loads(text, object_pairs_hook=_without_repeats)
+    except json.JSONDecodeError as error:
+        raise ValueError(f"line {error.lineno}, column {error.colno}: {error.msg}") from None
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
+    if not isinstance(plan, dict) or plan.get("fileType") != "Plan":
+        raise ValueError('fileType: is not "Plan"; save it as a plan in QGroundControl')
+    fence = plan.get("geoFence")
+    if not isinstance(fence, dict):
+        raise ValueError("geoFence: is missing; draw a fence in QGroundControl and save the plan")
+    _check_version(fence, "geoFence", FENCE_VERSION)
+    polygons = [_polygon(area, path) for area, path in _areas_listed(fence, "polygons")]
+    return polygons + [_circle(area, path) for area, path in _areas_listed(fence, "circles")]
+
+
+def _without_repeats(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    """An object whose keys are given once: of two fences nobody knows which one counts."""
+    found: dict[str, object] = {}
+    for key, value in pairs:
+        if key in found:
+            raise ValueError(f"the key `{key[:40]}` is given twice")
+        found[key] = value
+    return found
+
+
+def _areas_listed(fence: dict[str, object], key: str) -> Iterator[tuple[dict[str, object], str]]:
+    listed = fence.get(key, [])
+    if not isinstance(listed, list):
+        raise ValueError(f"geoFence.{key}: is not a list")
+    for index, area in enumerate(listed):
+        path = f"geoFence.{key}[{index}]"
+        if not isinstance(area, dict):
+            raise ValueError(f"{path}: is not an object")
+        _check_version(area, path, AREA_VERSION)
+        yield area, path
+
+
+def _check_version(element: dict[str, object], path: str, version: int) -> None:
+    found = element.get("version")
+    if found != version or isinstance(found, bool):
+        raise ValueError(
+            f"{path}.version: is {json.dumps(found)}, not {version}; open the plan in a present "
+            "QGroundControl and save it again"
+        )
+
+
+def _is_inclusion(area: dict[str, object], path: str) -> bool:
+    is_inclusion = area.get("inclusion")
+    if not isinstance(is_inclusion, bool):
+        raise ValueError(f"{path}.inclusion: is not true or false")
+    return is_inclusion
+
+
+def _polygon(area: dict[str, object], path: str) -> NamedArea:
+    corners = area.get("polygon")
+    if not isinstance(corners, list):
+        raise ValueError(f"{path}.polygon: is not a list of corners")
+    places = tuple(_plan_place(c, f"{path}.polygon[{index}]") for index, c in enumerate(corners))
+    return NamedArea(path, _is_inclusion(area, path), GeoArea(places))
+
+
+def _circle(area: dict[str, object], path: str) -> NamedArea:
+    circle = area.get("circle")
+    if not isinstance(circle, dict):
+        raise ValueError(f"{path}.circle: is missing")
+    centre = _plan_place(circle.get("center"), f"{path}.circle.center")
+    radius_m = _number(circle.get("radius"), f"{path}.circle.radius")
+    return NamedArea(path, _is_inclusion(area, path), GeoArea((centre,), radius_m))
+
+
+def _plan_place(value: object, path: str) -> LatLon:
+    if not (isinstance(value, list) and len(value) in (2, 3)):
+        raise ValueError(f"{path}: is not [latitude, longitude]")
+    return _number(value[0], f"{path}[0]"), _number(value[1], f"{path}[1]")
+
+
+def _number(value: object, path: str) -> float:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not is_number or not math.isfinite(number := _float(value)):
+        raise ValueError(f"{path}: is not a finite number")
+    return number
+
+
+def _float(value: object) -> float:
+    assert isinstance(value, int | float)
+    try:
+        return float(value)
+    except OverflowError:  # JSON has integers of any length
+        return math.inf
+
+
+KEEP_OUT_NAMES = ("keep-out", "keep out", "keepout", "exclusion", "no-fly", "no fly")
+_NAMESPACE = re.compile(r"^\{[^}]*\}")
+
+
+def areas_of_kml(text: str) -> list[NamedArea]:
+    """The areas in the text of a KML file, in order, each with its path.
+
+    Raises:
+        ValueError: It is no KML, or a ring is none; the text begins with the path of the element.
+    """
+    if "<!DOCTYPE" in text.upper():
+        raise ValueError("a DOCTYPE has no place in KML; save the file again")
+    try:
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        line, column = error.position
+        raise ValueError(f"line {line}, column {column + 1}: not XML ({error.msg})") from None
+    except (ValueError, RecursionError):  # a declared encoding that is none
+        raise ValueError("not XML in UTF-8") from None
+    if _tag(root) != "kml":
+        raise ValueError(f"<{_tag(root)}>: is not KML")
+    areas: list[NamedArea] = []
+    for number, (polygon, is_keep_out) in enumerate(_polygons(root, False), start=1):
+        areas += _areas(polygon, f"Polygon {number}", is_keep_out)
+    return areas
+
+
+def _tag(element: Element) -> str:
+    return _NAMESPACE.sub("", str(element.tag))
+
+
+def _children(element: Element, *tags: str) -> list[Element]:
+    """The children of the children ... of these names."""
+    found = [element]
+    for tag in tags:
+        found = [child for parent in found for child in parent if _tag(child) == tag]
+    return found
+
+
+def _polygons(element: Element, is_keep_out: bool) -> Iterator[tuple[Element, bool]]:
+    """Every polygon below, and whether a name on the way to it makes it a keep-out."""
+    pending = [(element, is_keep_out)]
+    while pending:
+        parent, is_out = pending.pop(0)
+        if _tag(parent) == "Polygon":
+            yield parent, is_out
+            continue
+        names = [(name.text or "").strip().lower() for name in _children(parent, "name")]
+        is_out = is_out or any(name.startswith(KEEP_OUT_NAMES) for name in names)
+        pending[:0] = [(child, is_out) for child in parent]
+
+
+def _areas(polygon: Element, path: str, is_keep_out: bool) -> Iterator[NamedArea]:
+    outer = _children(polygon, "outerBoundaryIs", "LinearRing", "coordinates")
+    if len(outer) != 1:
+        raise ValueError(f"{path}: has {len(outer)} outer rings")
+    yield NamedArea(path, not is_keep_out, _ring(outer[0], path))
+    if is_keep_out:
+        return  # a hole in a keep-out is no place to fly to
+    inner = _children(polygon, "innerBoundaryIs", "LinearRing", "coordinates")
+    for number, ring in enumerate(inner, start=1):
+        hole = f"{path}, hole {number}"
+        yield NamedArea(hole, False, _ring(ring, hole))
+
+
+def _ring(coordinates: Element, path: str) -> GeoArea:
+    tuples = (coordinates.text or "").split()
+    places = tuple(
+        _kml_place(text, f"{path}: corner {n}") for n, text in enumerate(tuples, start=1)
+    )
+    is_closed = len(places) > 1 and places[0] == places[-1]
+    return GeoArea(places[:-1] if is_closed else places)
+
+
+def _kml_place(text: str, path: str) -> LatLon:
+    parts = text.split(",")
+    try:
+        longitude_deg, latitude_deg = (float(part) for part in parts[:2])
+    except ValueError:
+        raise ValueError(f"{path}: `{text[:40]}` is not longitude,latitude") from None
+    if len(parts) > 3 or not (math.isfinite(longitude_deg) and math.isfinite(latitude_deg)):
+        raise ValueError(f"{path}: `{text[:40]}` is not longitude,latitude")
+    return latitude_deg, longitude_deg
+
+
+MAX_BYTES = 10_000_000
+"""A plan with the mission of a whole day is smaller."""
+READERS = {".plan": areas_of_plan, ".kml": areas_of_kml}
+
+
+def read_fence(path: Path) -> GeoFence:
+    """The fence in a QGroundControl `.plan` or a `.kml` file.
+
+    Raises:
+        ConfigError: It cannot be read or holds no fence; one line names the file and the element.
+    """
+    reader = READERS.get(path.suffix.lower())
+    if reader is None:
+        kinds = " or ".join(READERS)
+        hint = "; unpack it, there is a .kml in it" if path.suffix.lower() == ".kmz" else ""
+        raise ConfigError(f"{path}: a fence is a {kinds} file{hint}")
+    try:
+        return fence_of(reader(read_text(path, MAX_BYTES)))
+    except ValueError as error:
+        raise ConfigError(f"{path}: {error}") from None

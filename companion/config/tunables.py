@@ -1,0 +1,178 @@
+"""The configuration's parameters that a ground station may change, and how.
+
+A change goes through the configuration's own rules: the whole configuration with the new value is
+made and checked as if it came from a file. Speeds may be lowered from afar and raised again, but
+not beyond what the configuration's file allows; charges that are kept for the way home may be
+raised and lowered again, but not below the file's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+
+from companion.config.schema import CompanionConfig, inconsistency
+from companion.errors import ConfigError
+from companion.guidance.session_params import Tuning, When
+from companion.link.gcs_services import TunableSpec
+from companion.mav.param_encoding import ParamType, nearest_real32
+from companion.planning.planner import Planner
+
+BuildPlanner = Callable[[CompanionConfig], Planner[Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class Tunable:
+    """A parameter and where the configuration has it."""
+
+    name: str
+    path: str
+    when: When = When.ANY_TIME
+    is_ceiling: bool = False
+    """What the file says is the most."""
+    is_floor: bool = False
+    """What the file says is the least."""
+    words: tuple[str, ...] = ()
+    """The values of a choice, by number; nothing for a real number."""
+
+    @property
+    def spec(self) -> TunableSpec:
+        """The same as a ground station sees it."""
+        kind = ParamType.INT32 if self.words else ParamType.REAL32
+        return TunableSpec(self.name, kind, self.when)
+
+
+_CROSSING = "planner.latched_crossing"
+TUNABLES = (
+    Tunable("CMP_ALTITUDE", "mission.altitude_m"),
+    Tunable("CMP_BAT_CRIT", "mission.battery_critical_pct", is_floor=True),
+    Tunable("CMP_BAT_LOW", "mission.battery_low_pct", is_floor=True),
+    Tunable("CMP_BAT_RESERVE", "limits.battery_reserve_pct", is_floor=True),
+    Tunable("CMP_CLIMB", "limits.climb_mps", is_ceiling=True),
+    Tunable("CMP_FENCE_MARGIN", "limits.fence_margin_m", When.NEVER),
+    Tunable(
+        "CMP_ON_FOUND", "mission.on_localised", When.DISARMED, words=("hold", "return", "land")
+    ),
+    Tunable("CMP_OVER_MAX", f"{_CROSSING}.overshoot_max_m"),
+    Tunable("CMP_OVER_MIN", f"{_CROSSING}.overshoot_min_m"),
+    Tunable("CMP_OVER_SIGMAS", f"{_CROSSING}.overshoot_sigmas"),
+    Tunable("CMP_RANGING_TMO", "mission.ranging_timeout_s", When.DISARMED),
+    Tunable("CMP_SPEED", "limits.speed_mps", is_ceiling=True),
+    Tunable("CMP_STOP_RADIUS", "mission.stop_radius_m"),
+    Tunable("CMP_STOP_TIME", "mission.stop_confirm_s"),
+)
+"""In the order of their indices, which is that of their names."""
+
+
+class Tunables:
+    """The parameters of one run; a `companion.link.parameter_server.TunableBook`.
+
+    Args:
+        config: As its file has it.
+        build_planner: Makes the planner of a configuration.
+    """
+
+    specs: Sequence[TunableSpec] = tuple(tunable.spec for tunable in TUNABLES)
+
+    def __init__(self, config: CompanionConfig, build_planner: BuildPlanner) -> None:
+        self.file = config
+        """As its file has it."""
+        self._build_planner = build_planner
+        self.config = config
+        """As it is now."""
+        self.changed: dict[str, float] = {}
+        """What differs from the file, by name."""
+
+    def value_at(self, index: int) -> float:
+        """A value; see `TunableBook`."""
+        return _value(TUNABLES[index], self.config)
+
+    def change(self, index: int, value: float) -> Tuning:
+        """Change a value.
+
+        Raises:
+            ConfigError: It may not be; the text says why, and nothing changed.
+        """
+        tunable = TUNABLES[index]
+        of_file = _value(tunable, self.file)
+        if value == nearest_real32(of_file):
+            value = of_file
+        if tunable.is_ceiling and value > of_file:
+            raise ConfigError(f"{value:g} is above the configuration's {of_file:g}")
+        if tunable.is_floor and value < of_file:
+            raise ConfigError(f"{value:g} is below the configuration's {of_file:g}")
+        self.config = _with_value(self.config, tunable, value)
+        self.changed[tunable.name] = value
+        if value == of_file:
+            del self.changed[tunable.name]
+        return self.tuning
+
+    @property
+    def tuning(self) -> Tuning:
+        """What a session is to work with now."""
+        config = self.config
+        return Tuning(config.mission, config.limits.guard_limits(), self._build_planner(config))
+
+    def restore(self, values: Mapping[str, float]) -> list[str]:
+        """Take up what an earlier run was told; what cannot be, in words.
+
+        Args:
+            values: By name, as `changed` had them.
+        """
+        problems: dict[str, str] = {}
+        pending = dict(values)
+        while pending:
+            problems = {name: why for name in pending if (why := self._objection(name, values))}
+            if len(problems) == len(pending):
+                break
+            pending = {name: values[name] for name in problems}  # one may have waited for another
+        return [f"{name}{why}" for name, why in problems.items()]
+
+    def _objection(self, name: str, values: Mapping[str, float]) -> str:
+        """Change a value to what it was; why that cannot be, empty if it can."""
+        index = next((n for n, tunable in enumerate(TUNABLES) if tunable.name == name), None)
+        if index is None or TUNABLES[index].when is When.NEVER:
+            return " is no parameter that can be changed"
+        try:
+            self.change(index, values[name])
+        except ConfigError as error:
+            return f": {error}"
+        return ""
+
+
+def _value(tunable: Tunable, config: CompanionConfig) -> float:
+    value: Any = config
+    for part in tunable.path.split("."):
+        value = getattr(value, part)
+    return tunable.words.index(value) if tunable.words else float(value)
+
+
+def _with_value(config: CompanionConfig, tunable: Tunable, value: float) -> CompanionConfig:
+    """The configuration with one value changed.
+
+    Raises:
+        ConfigError: Its rules are against it.
+    """
+    plain: Any = value
+    if tunable.words:
+        if value not in range(len(tunable.words)):
+            names = ", ".join(f"{number} {word}" for number, word in enumerate(tunable.words))
+            raise ConfigError(f"{value:g} is none of {names}")
+        plain = tunable.words[int(value)]
+    raw = msgspec.to_builtins(config)
+    *sections, key = tunable.path.split(".")
+    owner = raw
+    for section in sections:
+        owner = owner[section]
+    owner[key] = plain
+    try:
+        changed = msgspec.convert(raw, CompanionConfig, strict=True)
+    except msgspec.ValidationError as error:
+        raise ConfigError(str(error).partition(" - at ")[0]) from None
+    problem = inconsistency(changed)
+    if problem is not None:
+        raise ConfigError(problem)
+    return changed

@@ -1,0 +1,363 @@
+"""The doctor put together: this computer and the link to facts, facts to findings.
+
+`examine` is pure: what the facts mean is a line each, and what mends it.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+from companion.config.schema import CompanionConfig
+from companion.doctor.autopilot_settings import check_fence, check_parameters
+from companion.doctor.findings import (
+    AutopilotFacts,
+    Facts,
+    Finding,
+    HostFacts,
+    Level,
+    LinkFacts,
+    PlaceFacts,
+    StreamRate,
+    fail,
+    ok,
+    warn,
+)
+from companion.doctor.probe import DoctorProbe
+from companion.domain import Autopilot
+from companion.errors import CompanionError
+from companion.io.files import write_bytes_atomic
+from companion.io.links.specs import LinkSpec
+from companion.io.shell import Clock, Shell
+from companion.io.state.signing_keys import load_signing_key
+from companion.io.state.vehicle_lock import VehicleLock, state_directory
+from companion.link.intake import Authenticity
+from companion.run import link_name, open_signing
+
+MEGABYTE = 1_000_000
+_SYNCHRONISED = Path("/run/systemd/timesync/synchronized")
+_SYNCHRONISERS = (Path("/run/systemd/timesync"), Path("/run/chrony"), Path("/run/ntpd.pid"))
+
+
+def look_at_host(logs: Path, state: Path, key_file: str | None) -> HostFacts:
+    """What there is.
+
+    Args:
+        logs: Where flights are kept.
+        state: Where checkpoints and locks are kept.
+        key_file: Of the signing key; None: there is none.
+    """
+    return HostFacts(
+        python=(sys.version_info.major, sys.version_info.minor, sys.version_info.micro),
+        numpy=_version("numpy") or "?",
+        numba=_version("numba"),
+        logs=look_at_place(logs),
+        state=look_at_place(state),
+        key_problem=None if key_file is None else _key_problem(Path(key_file)),
+        has_key=key_file is not None,
+        unix_s=time.time(),
+        is_clock_synchronised=_is_clock_synchronised(),
+    )
+
+
+def look_at_place(directory: Path) -> PlaceFacts:
+    """Whether and how fast a directory can be written; one that is missing is made and left."""
+    probe = directory / f".doctor.{os.getpid()}"
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        began_s = time.monotonic()
+        write_bytes_atomic(probe, bytes(MEGABYTE))
+        took_s = time.monotonic() - began_s
+        room = os.statvfs(directory)
+    except OSError as error:
+        return PlaceFacts(str(directory), error.strerror or str(error))
+    except CompanionError as error:
+        return PlaceFacts(str(directory), str(error.__cause__ or error))
+    finally:
+        with suppress(OSError):
+            probe.unlink(missing_ok=True)
+    free_mb = room.f_bavail * room.f_frsize / 1e6
+    return PlaceFacts(str(directory), None, round(free_mb, 1), round(took_s, 4))
+
+
+def _version(package: str) -> str | None:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def _key_problem(path: Path) -> str | None:
+    try:
+        load_signing_key(path)
+    except CompanionError as error:
+        return str(error)
+    return None
+
+
+def _is_clock_synchronised() -> bool | None:
+    """As far as the file system tells."""
+    if _SYNCHRONISED.exists():
+        return True
+    return None if not any(path.exists() for path in _SYNCHRONISERS) else False
+
+
+NEEDED_STREAMS = {"HEARTBEAT": 0.5, "LOCAL_POSITION_NED": 4.0, "ATTITUDE": 2.0}
+"""Below this rate, Hz, nothing is flown."""
+ENOUGH_SHARE = 0.8
+"""Of the rate that was asked for."""
+NOTICED_LOSS, MUCH_LOSS = 0.02, 0.30
+SLOW_ROUND_TRIP_S, USELESS_ROUND_TRIP_S = 0.1, 0.5
+FIX_3D = 3
+LOW_BATTERY_PCT = 30
+SLOW_WRITE_S = 1.0
+"""For a megabyte."""
+LEAST_FREE_MB = 50.0
+A_RECENT_TIME_S = 1.735e9
+"""2024-12-24; a clock before that was never set."""
+
+
+def examine(facts: Facts, config: CompanionConfig) -> list[Finding]:
+    """Every finding, in the order of a checklist."""
+    return [
+        *_check_host(facts.host, config),
+        *_check_link(facts.link, config),
+    ]
+
+
+def exit_code(findings: list[Finding]) -> int:
+    """0 if nothing keeps from flying, 1 otherwise."""
+    return int(any(finding.level is Level.FAIL for finding in findings))
+
+
+# The computer
+
+
+def _check_host(host: HostFacts, config: CompanionConfig) -> Iterator[Finding]:
+    version = ".".join(str(part) for part in host.python)
+    compiled = f"numba {host.numba}" if host.numba else "no numba: kernels run as plain Python"
+    yield ok("python", f"{version}, numpy {host.numpy}, {compiled}")
+    yield _check_logs(host.logs, config)
+    yield _check_state(host.state)
+    yield _check_key(host)
+    yield _check_clock(host)
+
+
+def _check_logs(place: PlaceFacts, config: CompanionConfig) -> Finding:
+    if place.problem is not None:
+        text = f"{place.path}: {place.problem}"
+        return fail("log.directory", text, "choose another place in log.directory, or mend it")
+    free_mb, took_s = place.free_mb or 0.0, place.synced_write_s or 0.0
+    text = f"{place.path}: {free_mb:.0f} MB free, a megabyte takes {took_s:.2f} s"
+    if free_mb < LEAST_FREE_MB:
+        return fail("log.directory", text, "make room, or set log.keep_flights")
+    if free_mb < config.log.max_mb:
+        fix = f"make room for log.max_mb ({config.log.max_mb:g}), or lower it"
+        return warn("log.directory", text, fix)
+    if took_s > SLOW_WRITE_S:
+        return warn("log.directory", text, "use a faster disk: a log that waits loses entries")
+    return ok("log.directory", text)
+
+
+def _check_state(place: PlaceFacts) -> Finding:
+    if place.problem is not None:
+        text = f"{place.path}: {place.problem}: no restart in flight, and no lock"
+        return warn("process.state_directory", text, "choose another place, or mend it")
+    return ok("process.state_directory", place.path)
+
+
+def _check_key(host: HostFacts) -> Finding:
+    if not host.has_key:
+        text = "none: whoever reaches the link may command the vehicle"
+        return warn("signing key", text, "make one, and set it up on both sides; docs/flying.md")
+    if host.key_problem is not None:
+        return fail("signing key", host.key_problem, "mend the file, or choose another")
+    return ok("signing key", "readable by its owner only")
+
+
+def _check_clock(host: HostFacts) -> Finding:
+    if host.unix_s < A_RECENT_TIME_S:
+        text = "this computer's clock was never set"
+        return (fail if host.has_key else warn)("clock", text, "set it, by NTP or GPS")
+    if host.is_clock_synchronised is False:
+        return warn("clock", "set, but not synchronised", "wait for NTP, or set it by GPS")
+    return ok("clock", "set and synchronised" if host.is_clock_synchronised else "set")
+
+
+# The link
+
+
+def _check_link(link: LinkFacts, config: CompanionConfig) -> Iterator[Finding]:
+    autopilot = link.autopilot
+    if autopilot is None:
+        yield _nobody(link, config)
+        return
+    yield _check_identity(autopilot)
+    yield from _check_company(link, autopilot, config)
+    yield _check_loss(link, autopilot)
+    for rate in autopilot.rates:
+        if rate.count or _is_expected(rate.name, autopilot):
+            yield _check_rate(rate)
+    yield _check_time(autopilot)
+    yield from _check_readiness(autopilot)
+    yield from check_parameters(autopilot, config)
+    yield from check_fence(autopilot, config)
+
+
+def _nobody(link: LinkFacts, config: CompanionConfig) -> Finding:
+    text = f"{link.name}: no autopilot heard in {link.waited_s:.0f} s"
+    if link.unproved_frames:
+        fix = "set the same signing key up on both sides"
+        return fail("autopilot", f"{text}; {link.unproved_frames} frames without our key", fix)
+    if link.other_autopilots:
+        heard = ", ".join(str(number) for number in link.other_autopilots)
+        fix = f"set vehicle.system_id ({config.vehicle.system_id}) to one of them"
+        return fail("autopilot", f"{text}, but system {heard}", fix)
+    if link.bytes_received:
+        fix = "is it MAVLink, and the serial speed right?"
+        return fail("autopilot", f"{text}; {link.bytes_received} bytes of something else", fix)
+    return fail("autopilot", text, "does it send there, and is the port the right one?")
+
+
+def _check_identity(facts: AutopilotFacts) -> Finding:
+    ids = f"system {facts.system_id}, component {facts.component_id}"
+    state = "armed" if facts.is_armed else "disarmed"
+    text = f"{facts.autopilot.value}, {ids}, {state}, in {facts.mode}"
+    if facts.autopilot is Autopilot.OTHER:
+        return fail("autopilot", text, "only PX4 and ArduPilot modes are understood")
+    return ok("autopilot", text)
+
+
+def _check_company(
+    link: LinkFacts, facts: AutopilotFacts, config: CompanionConfig
+) -> Iterator[Finding]:
+    if link.other_autopilots and config.vehicle.system_id is None:
+        heard = ", ".join(str(number) for number in link.other_autopilots)
+        text = f"system {heard} speaks here, too"
+        yield fail("vehicle.system_id", text, "set it, or the first one heard is flown")
+    if facts.system_id in link.other_companions:
+        text = "another component 191 of this vehicle speaks here"
+        yield fail("companion", text, "stop the other companion, or give it another id")
+
+
+def _check_loss(link: LinkFacts, facts: AutopilotFacts) -> Finding:
+    loss = facts.loss or 0.0
+    text = f"{link.name}: {100.0 * loss:.1f} % lost, {link.bad_frames} bad frames"
+    if loss > MUCH_LOSS:
+        return fail("link", text, "mend the radio or the cable; beyond 30 % flights suffer")
+    if loss > NOTICED_LOSS or link.bad_frames > 0:
+        return warn("link", text, "look at antennas, cables, serial speed and rates")
+    return ok("link", text)
+
+
+def _check_rate(rate: StreamRate) -> Finding:
+    text = f"{rate.measured_hz:.1f} Hz, asked for {rate.asked_hz:g}"
+    fix = "raise the link's rate (PX4: MAV_x_RATE, ArduPilot: SRx_*), or use a faster link"
+    if rate.measured_hz < NEEDED_STREAMS.get(rate.name, 0.0) or rate.count == 0:
+        is_needed = rate.name in NEEDED_STREAMS
+        return (fail if is_needed else warn)(rate.name, text, fix)
+    return (ok(rate.name, text)) if _is_enough(rate) else warn(rate.name, text, fix)
+
+
+def _is_expected(name: str, facts: AutopilotFacts) -> bool:
+    """Whether an autopilot sends a stream at all, as it is now."""
+    expected = {
+        "ESTIMATOR_STATUS": facts.autopilot is Autopilot.PX4,
+        "EKF_STATUS_REPORT": facts.autopilot is Autopilot.ARDUPILOT,
+        "POSITION_TARGET_LOCAL_NED": facts.is_armed,
+        "RC_CHANNELS": facts.has_rc is not False,
+    }
+    return expected.get(name, True)
+
+
+def _is_enough(rate: StreamRate) -> bool:
+    """One message may be due just after the time was over."""
+    return rate.count >= ENOUGH_SHARE * rate.asked_hz * rate.seconds - 1.0
+
+
+def _check_time(facts: AutopilotFacts) -> Finding:
+    if facts.round_trip_s is None or facts.clock_offset_s is None:
+        text = "the autopilot does not answer TIMESYNC: arrival counts as the time of measurement"
+        return warn("time", text, "update the autopilot, or live with some metres in fast flight")
+    text = f"round trip {1e3 * facts.round_trip_s:.1f} ms, offset {facts.clock_offset_s:.3f} s"
+    if facts.round_trip_s > USELESS_ROUND_TRIP_S:
+        return fail("time", text, "use a faster link: the guard reckons with limits.latency_s")
+    if facts.round_trip_s > SLOW_ROUND_TRIP_S:
+        return warn("time", text, "use a faster link, or raise limits.latency_s")
+    return ok("time", text)
+
+
+def _check_readiness(facts: AutopilotFacts) -> Iterator[Finding]:
+    missing = [
+        name
+        for name, is_there in (
+            ("local position", facts.has_position),
+            ("home", facts.has_home),
+            ("origin", facts.origin is not None),
+        )
+        if not is_there
+    ]
+    if missing:
+        fix = "wait for a position fix; indoors nothing is flown without one"
+        yield warn("position", f"no {', no '.join(missing)} yet", fix)
+    else:
+        yield ok("position", "local position, home and origin are known")
+    if facts.gps_fix is not None and facts.gps_fix < FIX_3D:
+        yield warn("GPS", f"no 3D fix (type {facts.gps_fix})", "wait under an open sky")
+    if facts.battery_pct is not None and facts.battery_pct < LOW_BATTERY_PCT:
+        yield warn("battery", f"{facts.battery_pct} %", "charge it")
+    none = "none: only a ground station's mode switch can take over"
+    rc = {True: "heard", False: none, None: "the autopilot does not tell"}[facts.has_rc]
+    yield ok("RC", rc)
+
+
+def run_doctor(config: CompanionConfig, link: LinkSpec, duration_s: float) -> list[Finding]:
+    """Look at everything.
+
+    Args:
+        config: Of the flight that is meant.
+        link: The vehicle's.
+        duration_s: How long streams are counted.
+
+    Raises:
+        LinkError: The link cannot be opened, or a companion flies on it.
+    """
+    state = state_directory(config.process.state_directory, os.environ)
+    key_file = config.link.signing_key_file
+    host = look_at_host(Path(config.log.directory), state, key_file)
+    can_sign = host.key_problem is None
+    facts = Facts(host, look_at_link(config, link, duration_s, state, can_sign=can_sign))
+    return examine(facts, config)
+
+
+def look_at_link(
+    config: CompanionConfig, link: LinkSpec, duration_s: float, state: Path, *, can_sign: bool
+) -> LinkFacts:
+    """What is heard on the vehicle's link.
+
+    Args:
+        config: Of the flight that is meant.
+        link: The vehicle's.
+        duration_s: How long streams are counted.
+        state: Where locks are.
+        can_sign: Whether the key, if there is one, can be used.
+    """
+    name = link_name(link)
+    lock = VehicleLock(state, name, config.vehicle.system_id)
+    keeper = open_signing(config) if can_sign else None
+    clock = Clock()
+    try:
+        signing = None if keeper is None else keeper.signing
+        authenticity = Authenticity(signing, time.time() - clock.now_s())
+        probe = DoctorProbe(name, config.vehicle.system_id, authenticity, duration_s)
+        Shell(probe, [link], clock).run_blocking()
+        return probe.facts()
+    finally:
+        if keeper is not None:
+            keeper.close()
+        lock.release()

@@ -1,0 +1,186 @@
+"""What the doctor looked at and what it found, as values, as lines for people and as JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+from companion.domain import Autopilot
+from companion.geometry.coordinates import LocalOrigin
+from companion.guidance.events import AutopilotFenceRead
+
+
+@dataclass(frozen=True, slots=True)
+class StreamRate:
+    """One kind of message of the autopilot."""
+
+    name: str
+    """As MAVLink calls it."""
+    asked_hz: float
+    count: int
+    """Messages that came ..."""
+    seconds: float
+    """... in this time."""
+
+    @property
+    def measured_hz(self) -> float:
+        """Messages per second."""
+        return self.count / self.seconds if self.seconds > 0.0 else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class AutopilotFacts:
+    """What the autopilot said."""
+
+    autopilot: Autopilot
+    system_id: int
+    component_id: int
+    mode: str
+    """As its operator calls it."""
+    is_armed: bool
+    rates: tuple[StreamRate, ...]
+    parameters: Mapping[str, float | None]
+    """Those that were asked for; None: it does not tell."""
+    has_rc: bool | None
+    """Whether it hears a transmitter; None: it does not tell."""
+    has_position: bool
+    has_home: bool
+    origin: LocalOrigin | None
+    """Of the local frame; None: it does not know it, or does not tell."""
+    gps_fix: int | None
+    """GPS_FIX_TYPE; None: it does not tell."""
+    battery_pct: int | None
+    round_trip_s: float | None
+    clock_offset_s: float | None
+    loss: float | None
+    """Share of its frames that did not come, 0 to 1."""
+    fence: AutopilotFenceRead | None = None
+    """Its own fence; None: not asked for."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinkFacts:
+    """What was heard on the vehicle's link."""
+
+    name: str
+    waited_s: float
+    """How long an autopilot was listened for."""
+    autopilot: AutopilotFacts | None
+    """None: none was heard."""
+    other_autopilots: tuple[int, ...]
+    """Their system ids."""
+    other_companions: tuple[int, ...]
+    """System ids under which another component 191 spoke."""
+    bytes_received: int
+    bad_frames: int
+    """That failed their checksum or made no sense."""
+    unproved_frames: int
+    """That signing refused; 0 without a key."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlaceFacts:
+    """A directory that is written to in flight."""
+
+    path: str
+    problem: str | None
+    """Why it cannot be written, in words."""
+    free_mb: float | None = None
+    synced_write_s: float | None = None
+    """What writing a megabyte took, until it was on the disk."""
+
+
+@dataclass(frozen=True, slots=True)
+class HostFacts:
+    """What there is on this computer."""
+
+    python: tuple[int, int, int]
+    numpy: str
+    numba: str | None
+    """Its version; None: not installed."""
+    logs: PlaceFacts
+    state: PlaceFacts
+    key_problem: str | None
+    """What is wrong with the signing key; None: nothing, or there is none."""
+    has_key: bool
+    unix_s: float
+    is_clock_synchronised: bool | None
+    """Whether the system keeps its clock by others; None: it does not tell."""
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """Everything."""
+
+    host: HostFacts
+    link: LinkFacts
+
+
+class Level(Enum):
+    """How bad it is."""
+
+    OK = "OK"
+    WARN = "WARN"
+    """It flies, but not as well, or not as safely, as it could."""
+    FAIL = "FAIL"
+    """Do not fly like this."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One line."""
+
+    level: Level
+    subject: str
+    text: str
+    """What was found."""
+    fix: str = ""
+    """What mends it."""
+
+
+def ok(subject: str, text: str) -> Finding:
+    """Nothing to mend."""
+    return Finding(Level.OK, subject, text)
+
+
+def warn(subject: str, text: str, fix: str) -> Finding:
+    """Something to mend."""
+    return Finding(Level.WARN, subject, text, fix)
+
+
+def fail(subject: str, text: str, fix: str) -> Finding:
+    """Something to mend before any flight."""
+    return Finding(Level.FAIL, subject, text, fix)
+
+
+SUBJECT_WIDTH = 24
+
+
+def as_lines(findings: Sequence[Finding]) -> list[str]:
+    """A line per finding, one below it for what mends it, and a last one that adds up."""
+    lines = []
+    for finding in findings:
+        lines.append(f"{finding.level.value:<5} {finding.subject:<{SUBJECT_WIDTH}} {finding.text}")
+        if finding.fix:
+            lines.append(f"{'':<5} {'':<{SUBJECT_WIDTH}} -> {finding.fix}")
+    counts = {level: sum(f.level is level for f in findings) for level in Level}
+    verdict = "do not fly like this" if counts[Level.FAIL] else "fit to fly"
+    counted = f"{counts[Level.OK]} ok, {counts[Level.WARN]} warnings, {counts[Level.FAIL]} failures"
+    return [*lines, f"{verdict}: {counted}"]
+
+
+def as_json(findings: Sequence[Finding]) -> dict[str, object]:
+    """Plain values."""
+    return {
+        "is_fit": not any(finding.level is Level.FAIL for finding in findings),
+        "findings": [
+            {
+                "level": finding.level.value,
+                "subject": finding.subject,
+                "text": finding.text,
+                "fix": finding.fix,
+            }
+            for finding in findings
+        ],
+    }

@@ -1,0 +1,1 @@
+"""Recursive filters: losses, update kernels, and the family of Kalman filters."""

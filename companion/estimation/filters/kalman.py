@@ -1,0 +1,331 @@
+"""The recursive filters: asymmetric Huber, Huber, ADMM and plain extended Kalman filter, by name.
+
+They share prediction, and the update with one weight per modality; thresholds tell them apart. The
+Huber-EKF is symmetric: it takes a long range for as wrong as a short one. The EKF gives every
+measurement the weight one.
+
+ADMM-EKF: the non-negative bias handled by splitting instead of by a closed form.
+
+One measurement asks for the minimum over the change d of the state of
+
+    1/2 d^T P^-1 d + sum_m rho_m(v_m)      subject to   v_m = (y_m - H_m d) / sqrt(R_m)
+
+where rho is the paper's loss (its inner minimum over b >= 0 is the soft threshold). The state and
+the whitened residuals v are split by the constraint; with a scaled dual w and a penalty kappa,
+the alternating direction method of multipliers repeats
+
+    d <- argmin 1/2 d^T P^-1 d + kappa/2 |y~ - H~ d - v + w|^2      a Kalman update, R / kappa
+    v <- argmin rho(v) + kappa/2 |y~ - H~ d - v + w|^2              the proximal map of rho
+    w <- w + y~ - H~ d - v
+
+(~ is whitened). The covariance is that of the weights psi(v) / v at the end, in Joseph form.
+With few iterations the answer depends on the penalty: that is what the closed form does without.
+
+Source: S. Boyd et al., Distributed Optimization and Statistical Learning via ADMM (2011), ch. 3
+and 6, for the method. Paper: the baseline "ADMM-EKF"; it does not print its splitting.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal
+
+import msgspec
+import numpy as np
+
+from companion.domain import Params, PositionEnu, Positive, RangingMeasurement
+from companion.estimation.filters.losses import asymmetric_huber_weight
+from companion.estimation.filters.robust_update import (
+    innovations,
+    is_positive_definite,
+    joseph_row,
+    lateness_variance,
+    robust_update,
+    settled,
+)
+from companion.estimation.filters.target_filter import (
+    NO_INFLATION,
+    FilterParams,
+    FilterState,
+    Inflation,
+    ModalityReport,
+    UpdateReport,
+)
+from companion.estimation.measurement_model import RangingModel, jacobian, variances
+from companion.kernel import Matrix, Vector, frozen, kernel
+
+KernelResult = tuple[Vector, Matrix, Matrix, bool]
+"""Mean, covariance, report and whether they are sane, as the update kernels return them."""
+
+
+class RecursiveFilter:
+    """An extended Kalman filter whose rows are weighed by the params' thresholds.
+
+    Args:
+        params: Noise, thresholds, priors and bounds.
+    """
+
+    def __init__(self, params: FilterParams) -> None:
+        self.params = params
+        self._model = params.model
+        self._bounds = params.bounds
+        self._thresholds = params.thresholds
+
+    def predict(self, state: FilterState, time_s: float) -> FilterState:
+        """The state at `time_s`; the covariance grows by the random walk, if any."""
+        q = self.params.process_noise_m_per_sqrt_s
+        dt_s = time_s - state.time_s
+        if q == 0.0 or dt_s <= 0.0:
+            return FilterState(max(time_s, state.time_s), state.mean, state.covariance)
+        P = np.array(state.covariance)
+        for index in (0, 1, self._model.height_index):
+            if index >= 0:
+                P[index, index] += q * q * dt_s
+        return FilterState(time_s, state.mean, frozen(P))
+
+    def update(
+        self,
+        state: FilterState,
+        measurement: RangingMeasurement,
+        sensor_enu_m: PositionEnu,
+        inflation: Inflation = NO_INFLATION,
+    ) -> UpdateReport:
+        """The state after a measurement; see `TargetFilter.update`.
+
+        A late measurement of a target that walks is fused where the sensor was at its time; the
+        walk since then is noise of it. (Its correlation with the state's own error is left out,
+        which makes the filter a little more careful than it had to be.)
+        """
+        late_s = max(state.time_s - measurement.measured_at_s, 0.0)
+        late_m2 = self.params.process_noise_m_per_sqrt_s**2 * late_s
+        z, sigma = self.params.seen(measurement)
+        mean, P, rows, is_sane = self._updated(
+            state, np.array(sensor_enu_m), z, sigma, late_m2, np.array(inflation)
+        )
+        if is_sane:
+            state = FilterState(state.time_s, frozen(mean), frozen(P))
+        ranged, borne, elevated = (ModalityReport.of_row(row[:-1]) for row in rows)
+        nis = sum(share for share in rows[:, -1].tolist() if not math.isnan(share))
+        return UpdateReport(state, ranged, borne, elevated, nis, is_sane)
+
+    def _updated(
+        self,
+        state: FilterState,
+        sensor: Vector,
+        z: Vector,
+        sigma: Vector,
+        late_m2: float,
+        inflation: Vector,
+    ) -> KernelResult:
+        return robust_update(
+            state.mean,
+            state.covariance,
+            sensor,
+            z,
+            sigma,
+            late_m2,
+            inflation,
+            self._thresholds,
+            self._bounds,
+            self._model,
+        )
+
+
+class AsymmetricHuberEkf(RecursiveFilter):
+    """The filter of the paper: ranges linear above `range_k_long`, bearings on both sides.
+
+    With `range_k_short` ranges are linear on the short side as well, for sensors whose gross
+    errors are short; without it the loss is the paper's.
+
+    Paper: eqs. (7) to (9), used recursively. Deviations: the range is slant; the variances contain
+    second-order terms and the vehicle's own position uncertainty (`models.ranging_model`), without
+    which the filter diverges near the target and is over-confident right above it.
+    """
+
+
+class HuberEkf(RecursiveFilter):
+    """The symmetric baseline: the long threshold of ranges holds on the short side, too.
+
+    Paper: eq. (8) for every modality, the "relaxed" model that ignores that b >= 0.
+
+    Args:
+        params: Noise, thresholds, priors and bounds; `range_k_short` does not count.
+    """
+
+    def __init__(self, params: FilterParams) -> None:
+        super().__init__(msgspec.structs.replace(params, range_k_short=params.range_k_long))
+
+
+class Ekf(RecursiveFilter):
+    """The baseline that believes its measurements; thresholds in the params do not count.
+
+    Args:
+        params: Noise, priors and bounds.
+    """
+
+    def __init__(self, params: FilterParams) -> None:
+        super().__init__(
+            msgspec.structs.replace(params, range_k_long=None, range_k_short=None, bearing_k=None)
+        )
+
+
+class AdmmParams(Params, frozen=True):
+    """How long the splitting is iterated."""
+
+    iterations: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 10
+    penalty: Positive = 1.0
+    """kappa, in units of the whitened residual's own curvature."""
+
+
+@kernel
+def proximal_residual(a: float, k_long: float, k_short: float, penalty: float) -> float:
+    """The minimising v of rho(v) + penalty/2 (a - v)^2, with the asymmetric Huber loss rho."""
+    v = a * penalty / (1.0 + penalty)
+    if v > k_long:
+        return a - k_long / penalty
+    if v < -k_short:
+        return a + k_short / penalty
+    return v
+
+
+@kernel
+def split(
+    P: Matrix,
+    H: Matrix,
+    y: Vector,
+    thresholds: Matrix,
+    inflation: Vector,
+    iterations: int,
+    penalty: float,
+) -> tuple[Vector, Vector]:
+    """The change of the state (n,) and the split residuals v (3,) after some iterations.
+
+    Args:
+        P: (n, n).
+        H: (3, n), whitened; zero rows where nothing was measured.
+        y: (3,), whitened; zero where nothing was measured.
+        thresholds: (3, 2).
+        inflation: (3,) factors on the variances: the loss counts that much less.
+        iterations: How often.
+        penalty: kappa.
+    """
+    PHt = np.dot(P, H.T.copy())
+    spread = np.dot(H, PHt)
+    S = spread + np.diag(inflation / penalty)
+    gain = np.linalg.solve(S, PHt.T.copy()).T.copy()
+    explained = np.dot(H, gain)  # what a step of the state explains of the residuals
+    v, dual, asked = np.zeros(3), np.zeros(3), np.zeros(3)
+    for _ in range(iterations):
+        for row in range(3):
+            asked[row] = y[row] - v[row] + dual[row]
+        for row in range(3):
+            gap = y[row] + dual[row]
+            for column in range(3):
+                gap -= explained[row, column] * asked[column]
+            v[row] = proximal_residual(gap, thresholds[row, 0], thresholds[row, 1], penalty)
+            dual[row] = gap - v[row]
+    d = np.dot(gain, asked)
+    return d, v
+
+
+@kernel
+def admm_update(
+    mean: Vector,
+    P: Matrix,
+    sensor_enu_m: Vector,
+    z: Vector,
+    sigma: Vector,
+    late_m2: float,
+    inflation: Vector,
+    thresholds: Matrix,
+    bounds: Matrix,
+    model: RangingModel,
+    iterations: int,
+    penalty: float,
+) -> tuple[Vector, Matrix, Matrix, bool]:
+    """One measurement by splitting; arguments and results as in `robust_update`."""
+    H = jacobian(mean, sensor_enu_m, model)
+    y = innovations(z, mean, sensor_enu_m, model)
+    R = variances(P, mean, sensor_enu_m, sigma, model)
+    whitened_H = np.zeros((3, mean.size))
+    whitened_y = np.zeros(3)
+    report = np.full((3, 7), np.nan)
+    for row in range(3):
+        if not math.isnan(y[row]):
+            R[row] += lateness_variance(H[row], late_m2, model)
+            whitened_H[row] = H[row] / math.sqrt(R[row])
+            whitened_y[row] = y[row] / math.sqrt(R[row])
+    d, v = split(P, whitened_H, whitened_y, thresholds, inflation, iterations, penalty)
+    new_P = P
+    explained = np.zeros(mean.size)
+    for row in range(3):
+        if math.isnan(y[row]):
+            continue
+        weight = asymmetric_huber_weight(float(v[row]), thresholds[row, 0], thresholds[row, 1])
+        effective = inflation[row] * R[row] / weight
+        remaining = y[row] - np.dot(H[row], explained)
+        K, new_P, S = joseph_row(new_P, H[row], effective)
+        explained = explained + K * remaining
+        report[row, 0] = y[row]
+        report[row, 1] = S
+        report[row, 2] = math.sqrt(R[row])
+        report[row, 3] = whitened_y[row]
+        report[row, 4] = weight
+        report[row, 5] = (S - effective) / R[row]
+        report[row, 6] = remaining * remaining / S
+    new_mean = settled(mean + d, new_P, bounds)
+    if is_positive_definite(new_mean, new_P):
+        return new_mean, new_P, report, True
+    return mean, P, report, False
+
+
+class AdmmEkf(RecursiveFilter):
+    """The iterative baseline.
+
+    Args:
+        params: Noise, thresholds, priors and bounds, as for the AsymmetricHuberEKF.
+        admm: Iterations and penalty.
+    """
+
+    def __init__(self, params: FilterParams, admm: AdmmParams | None = None) -> None:
+        super().__init__(params)
+        self.admm = admm or AdmmParams()
+
+    def _updated(
+        self,
+        state: FilterState,
+        sensor: Vector,
+        z: Vector,
+        sigma: Vector,
+        late_m2: float,
+        inflation: Vector,
+    ) -> KernelResult:
+        return admm_update(
+            state.mean,
+            state.covariance,
+            sensor,
+            z,
+            sigma,
+            late_m2,
+            inflation,
+            self._thresholds,
+            self._bounds,
+            self._model,
+            self.admm.iterations,
+            self.admm.penalty,
+        )
+
+
+FilterKind = Literal["asymmetric_huber", "huber", "admm", "ekf"]
+
+KINDS: dict[FilterKind, type[RecursiveFilter]] = {
+    "asymmetric_huber": AsymmetricHuberEkf,
+    "huber": HuberEkf,
+    "admm": AdmmEkf,
+    "ekf": Ekf,
+}
+
+
+def filter_of(kind: FilterKind, params: FilterParams) -> RecursiveFilter:
+    """The filter of that name; its `params` are those in force, thresholds included."""
+    return KINDS[kind](params)

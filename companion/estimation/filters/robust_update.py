@@ -1,0 +1,253 @@
+"""The measurement update that the recursive filters share, as kernels in Joseph form.
+
+With whitened innovations u = y / sqrt(R) and the weights w(u) of `losses`,
+
+    R_eff = c R / w                          the same R_eff in S, K and the Joseph form
+    S     = H P H^T + R_eff
+    K     = P H^T S^-1
+    x    <- x + K y
+    P    <- (I - K H) P (I - K H)^T + K R_eff K^T
+
+where c is the inflation. Range, bearing and elevation have independent noise, so the joint update
+is done row by row with all rows linearised at the same prior mean, which is the same thing without
+a matrix inverse.
+
+Paper: eqs. (7) to (9), used recursively.
+
+The Kalman arithmetic beneath it is one row in Joseph form, with hard bounds.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from companion.estimation.filters.losses import asymmetric_huber_weight
+from companion.estimation.measurement_model import RangingModel, jacobian, predicted, variances
+from companion.kernel import IS_COMPILED, Matrix, Vector, kernel
+
+DEFINITE_MARGIN = 1e-14
+"""Share of the variances without which a covariance must still have a Cholesky factor.
+
+Twice what rounding can do to a factor of 6 components (N. J. Higham, Accuracy and Stability of
+Numerical Algorithms, theorem 10.7), so that two computers never differ about what was accepted.
+"""
+
+
+def joseph_row(P: Matrix, H: Vector, R: float) -> tuple[Vector, Matrix, float]:
+    """Gain, covariance and innovation variance of one measurement row, in Joseph form.
+
+        S = H P H^T + R,   K = P H^T / S,   P <- (I - K H) P (I - K H)^T + K R K^T
+
+    The product is multiplied out factor by factor, each a rank-one change of the one before: the
+    same numbers as with full matrices, and as robust, without a matrix product.
+
+    Args:
+        P: (n, n), symmetric positive definite.
+        H: (n,) row of partials.
+        R: Effective variance.
+
+    Returns:
+        K (n,), the new P (n, n), exactly symmetric, and S.
+    """
+    PH = np.dot(P, H)
+    S = float(np.dot(H, PH)) + R
+    K = PH / S
+    left = P - K.reshape(-1, 1) * PH
+    updated = left + (R * K - np.dot(left, H)).reshape(-1, 1) * K
+    return K, 0.5 * (updated + updated.T), S
+
+
+@kernel
+def joseph_row_by_entries(P: Matrix, H: Vector, R: float) -> tuple[Vector, Matrix, float]:
+    """The same entry by entry: faster than arrays for a compiler, slower for an interpreter."""
+    n = H.size
+    PH, K, rest = np.empty(n), np.empty(n), np.empty(n)
+    left, updated = np.empty((n, n)), np.empty((n, n))
+    S = R
+    for i in range(n):
+        total = 0.0
+        for j in range(n):
+            total += P[i, j] * H[j]
+        PH[i] = total
+        S += H[i] * total
+    for i in range(n):
+        K[i] = PH[i] / S
+        total = 0.0
+        for j in range(n):
+            left[i, j] = P[i, j] - K[i] * PH[j]
+            total += left[i, j] * H[j]
+        rest[i] = R * K[i] - total
+    for i in range(n):
+        for j in range(i + 1):
+            entry = left[i, j] + rest[i] * K[j] + left[j, i] + rest[j] * K[i]
+            updated[i, j] = updated[j, i] = 0.5 * entry
+    return K, updated, S
+
+
+if IS_COMPILED:
+    joseph_row = joseph_row_by_entries
+
+
+@kernel
+def within_bounds(mean: Vector, P: Matrix, lower: Vector, upper: Vector) -> Vector:
+    """The most probable mean with every component between its bounds (estimate projection).
+
+    Components without bounds follow along P. A component that another's projection pushed over
+    its bound is projected in turn, which only comes near the most probable mean; the last word has
+    a clip, so that bounds hold exactly.
+
+    Args:
+        mean: (n,).
+        P: (n, n).
+        lower: (n,), -inf where there is none.
+        upper: (n,), inf where there is none.
+    """
+    is_inside = True
+    for index in range(mean.size):
+        if mean[index] < lower[index] or mean[index] > upper[index]:
+            is_inside = False
+    if is_inside:
+        return mean
+    for _ in range(2):
+        for index in range(mean.size):
+            value = min(max(mean[index], lower[index]), upper[index])
+            if value != mean[index]:
+                mean = mean + P[:, index] * ((value - mean[index]) / P[index, index])
+    bounded: Vector = np.minimum(np.maximum(mean, lower), upper)
+    return bounded
+
+
+def is_positive_definite(mean: Vector, P: Matrix) -> bool:
+    """Whether mean and covariance are finite, and the covariance positive definite for certain."""
+    if not math.isfinite(float(mean.sum() + P.sum())):
+        return False
+    certain = P.copy()
+    for index in range(mean.size):
+        certain[index, index] *= 1.0 - DEFINITE_MARGIN
+    try:
+        np.linalg.cholesky(certain)
+    except np.linalg.LinAlgError:
+        return False
+    return True
+
+
+@kernel
+def is_positive_definite_by_entries(mean: Vector, P: Matrix) -> bool:
+    """The same entry by entry, see `joseph_row_by_entries`."""
+    if not math.isfinite(mean.sum() + P.sum()):
+        return False
+    n = mean.size
+    factor = np.empty((n, n))
+    for i in range(n):
+        for j in range(i + 1):
+            left = P[i, j]
+            for k in range(j):
+                left -= factor[i, k] * factor[j, k]
+            if i == j:
+                left -= DEFINITE_MARGIN * P[i, i]
+                if not left > 0.0:
+                    return False
+                factor[i, i] = math.sqrt(left)
+            else:
+                factor[i, j] = left / factor[j, j]
+    return True
+
+
+if IS_COMPILED:
+    is_positive_definite = is_positive_definite_by_entries
+
+
+@kernel
+def wrapped(angle_rad: float) -> float:
+    """The same direction in [-pi, pi)."""
+    turned = (angle_rad + math.pi) % (2.0 * math.pi)
+    return turned - math.pi
+
+
+@kernel
+def innovations(z: Vector, mean: Vector, sensor_enu_m: Vector, model: RangingModel) -> Vector:
+    """Measured minus predicted, (3,), the bearing's wrapped; NaN where nothing was measured."""
+    y = z - predicted(mean, sensor_enu_m, model)
+    y[1] = wrapped(y[1])
+    return y
+
+
+@kernel
+def lateness_variance(H: Vector, late_m2: float, model: RangingModel) -> float:
+    """What a random walk of the target adds to the variance of one late measurement row."""
+    position2 = H[0] * H[0] + H[1] * H[1]
+    if model.height_index >= 0:
+        position2 += H[model.height_index] * H[model.height_index]
+    return float(position2) * late_m2
+
+
+@kernel
+def robust_update(
+    mean: Vector,
+    P: Matrix,
+    sensor_enu_m: Vector,
+    z: Vector,
+    sigma: Vector,
+    late_m2: float,
+    inflation: Vector,
+    thresholds: Matrix,
+    bounds: Matrix,
+    model: RangingModel,
+) -> tuple[Vector, Matrix, Matrix, bool]:
+    """One measurement of up to three rows, each with the weight of its own innovation.
+
+    Args:
+        mean: (n,).
+        P: (n, n).
+        sensor_enu_m: (3,).
+        z: (3,) range, bearing, elevation; NaN where not measured.
+        sigma: (3,) noise of the radio.
+        late_m2: Variance per axis that the target gained since the measurement was taken.
+        inflation: (3,) factors on the variances.
+        thresholds: (3, 2) long and short threshold of each modality, in sigma; inf: none.
+        bounds: (2, n) lower and upper bounds of the state.
+        model: The constants.
+
+    Returns:
+        Mean, covariance, report (3, 7) with the fields of `ModalityReport` in their order, the
+        row's share of the NIS, and NaN rows where nothing was measured, and whether the covariance
+        is positive definite; where it is not, mean and covariance are those given.
+    """
+    H = jacobian(mean, sensor_enu_m, model)
+    y = innovations(z, mean, sensor_enu_m, model)
+    R = variances(P, mean, sensor_enu_m, sigma, model)
+    report = np.full((3, 7), np.nan)
+    new_mean, new_P = mean, P
+    for row in range(3):
+        if math.isnan(y[row]):
+            continue
+        variance = float(R[row]) + lateness_variance(H[row], late_m2, model)
+        noise_sigma = math.sqrt(variance)
+        u = float(y[row]) / noise_sigma
+        weight = asymmetric_huber_weight(u, thresholds[row, 0], thresholds[row, 1])
+        remaining = y[row] - np.dot(H[row], new_mean - mean)
+        K, updated, S = joseph_row(new_P, H[row], inflation[row] * variance / weight)
+        report[row, 0] = y[row]
+        report[row, 1] = S
+        report[row, 2] = noise_sigma
+        report[row, 3] = u
+        report[row, 4] = weight
+        report[row, 5] = (S - inflation[row] * variance / weight) / variance
+        report[row, 6] = remaining * remaining / S
+        new_mean, new_P = new_mean + K * remaining, updated
+    new_mean = settled(new_mean, new_P, bounds)
+    if is_positive_definite(new_mean, new_P):
+        return new_mean, new_P, report, True
+    return mean, P, report, False
+
+
+@kernel
+def settled(mean: Vector, P: Matrix, bounds: Matrix) -> Vector:
+    """The mean within its bounds, its bearing offset an angle within half a turn."""
+    mean = within_bounds(mean, P, bounds[0], bounds[1])
+    if abs(mean[3]) > math.pi:
+        mean = mean.copy()
+        mean[3] = wrapped(mean[3])
+    return mean

@@ -1,0 +1,249 @@
+"""What every filter of the target's position shares: protocol, states, reports and parameters.
+
+`FilterParams` is what a filter believes (noise, thresholds, priors and bounds), and the kernels'
+form of it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Protocol
+
+import msgspec
+import numpy as np
+
+from companion.domain import NonNegative, Params, PositionEnu, Positive, RangingMeasurement
+from companion.estimation.filters.losses import threshold
+from companion.estimation.measurement_model import (
+    ABSENT,
+    BEARING_OFFSET,
+    RANGE_OFFSET,
+    RangingModel,
+)
+from companion.kernel import Matrix, Vector, frozen
+
+Inflation = tuple[float, float, float]
+"""Factors on the variances of range, bearing and elevation."""
+NO_INFLATION: Inflation = (1.0, 1.0, 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class FilterState:
+    """Mean (n,) and covariance (n, n); see `models.ranging_model` for what the components are."""
+
+    time_s: float
+    mean: Vector
+    covariance: Matrix
+
+    @classmethod
+    def of(cls, time_s: float, mean: Vector, covariance: Matrix) -> FilterState:
+        """A state whose arrays are its own and read-only."""
+        return cls(time_s, frozen(np.array(mean)), frozen(np.array(covariance)))
+
+
+@dataclass(frozen=True, slots=True)
+class ModalityReport:
+    """What one range or one bearing did in an update."""
+
+    innovation: float
+    """z - h(x), metres or radians; positive when a range is longer than predicted."""
+    innovation_variance: float
+    """S with the robust weight in it, beside what the modalities before this one explained."""
+    noise_sigma: float
+    """Square root of R before weight and inflation: the unit of `whitened_innovation`."""
+    whitened_innovation: float
+    weight: float
+    """Robust weight, in (0, 1]."""
+    prior_share: float
+    """H P H^T / R: how much of the innovation is the state's own uncertainty."""
+
+    @classmethod
+    def of_row(cls, row: Vector) -> ModalityReport | None:
+        """A row (6,) of what the update kernels report; None if nothing was measured."""
+        innovation, *rest = row.tolist()
+        return None if math.isnan(innovation) else cls(innovation, *rest)
+
+
+@dataclass(frozen=True, slots=True)
+class UpdateReport:
+    """The state after a measurement, and what the measurement said."""
+
+    state: FilterState
+    range: ModalityReport | None
+    bearing: ModalityReport | None
+    elevation: ModalityReport | None
+    nis: float
+    """y^T S^-1 y over the modalities measured, with the robust weights in S."""
+    is_positive_definite: bool
+    """False: `state` is the one from before, and the filter must be restarted."""
+
+    @property
+    def modalities(self) -> tuple[ModalityReport | None, ...]:
+        """Range, bearing and elevation, in this order."""
+        return (self.range, self.bearing, self.elevation)
+
+
+class TargetFilter(Protocol):
+    """A recursive filter of a target's position; pure, the caller keeps the state."""
+
+    def predict(self, state: FilterState, time_s: float) -> FilterState:
+        """The state at a later time."""
+
+    def update(
+        self,
+        state: FilterState,
+        measurement: RangingMeasurement,
+        sensor_enu_m: PositionEnu,
+        inflation: Inflation = NO_INFLATION,
+    ) -> UpdateReport:
+        """The state after a measurement taken at `sensor_enu_m`.
+
+        Args:
+            state: The state at the measurement's time, or later: then the measurement is late, and
+                the random walk since then counts as noise of it.
+            measurement: With range, bearing in ENU, elevation, or several of them.
+            sensor_enu_m: Where the antenna was at that time.
+            inflation: Factors on the variance of range, bearing and elevation.
+        """
+
+
+MIN_SIGMA, MAX_SIGMA = 1e-50, 1e50
+"""What a radio may report: beyond these a standard deviation has no square in 64 bits."""
+
+
+class FilterParams(Params, frozen=True):
+    """What a filter believes about the radio; the defaults are the paper's canonical scenario."""
+
+    range_sigma_m: Positive = 1.5
+    """Thermal noise of a range, where the radio does not report one."""
+    bearing_sigma_deg: Annotated[float, msgspec.Meta(gt=0.0, le=90.0)] = 2.0
+    """Thermal noise of a bearing, where the radio does not report one."""
+    use_reported_sigma: bool = True
+    """Whether the radio's own standard deviations replace the two above."""
+    range_k_long: Positive | None = 1.5
+    """Threshold for ranges that are too long, in sigma; null: never robust on that side."""
+    range_k_short: Positive | None = None
+    """Threshold for ranges that are too short; null is the paper's one-sided loss."""
+    bearing_k: Positive | None = 1.5
+    """Threshold for bearings and elevations on both sides; null: never robust."""
+    elevation_sigma_deg: Annotated[float, msgspec.Meta(gt=0.0, le=90.0)] = 5.0
+    """Thermal noise of an elevation, where the radio does not report one."""
+    use_elevation: bool = True
+    """Whether measured elevations count; false where the antenna tilts with the vehicle."""
+    range_offset_sigma_m: Positive = 5.0
+    """Prior standard deviation of the constant range offset, about zero."""
+    range_offset_min_m: float | None = None
+    """Hard lower bound of the range offset; null: none."""
+    range_offset_max_m: float | None = None
+    """Hard upper bound of the range offset; null: none."""
+    bearing_offset_sigma_deg: Positive = 5.0
+    """Prior standard deviation of the constant bearing offset, about zero."""
+    bearing_offset_max_deg: Annotated[float, msgspec.Meta(gt=0.0, le=180.0)] = 180.0
+    """Hard bound of the bearing offset, to both sides."""
+    range_scale_sigma: NonNegative = 0.0
+    """Prior standard deviation of the range's scale error; 0: ranges have none."""
+    range_scale_max: Annotated[float, msgspec.Meta(gt=0.0, lt=1.0)] = 0.5
+    """Hard bound of the scale error, to both sides."""
+    position_sigma_m: Positive = 30.0
+    """Prior standard deviation of the first position fix, each axis."""
+    own_position_sigma_m: NonNegative = 0.1
+    """How well the vehicle knows its own place; it counts in every measurement and in R95."""
+    process_noise_m_per_sqrt_s: NonNegative = 0.0
+    """Random walk of the target; 0: it lies still."""
+    target_height_m: float = 0.0
+    """Height of the emitter above the local origin."""
+    target_height_sigma_m: NonNegative = 0.0
+    """How well that height is known; above 0 it is estimated."""
+    near_target_terms: bool = True
+    """Second-order terms of the measurement model, which keep the filter sane close by."""
+
+    def __post_init__(self) -> None:
+        """Refuse bounds that leave nothing between them."""
+        low, high = self.range_offset_min_m, self.range_offset_max_m
+        if low is not None and high is not None and low >= high:
+            raise ValueError("range_offset_min_m must be below range_offset_max_m")
+
+    @property
+    def model(self) -> RangingModel:
+        """What the kernels need to know of the measurement model and of the state's layout."""
+        has_scale, has_height = self.range_scale_sigma > 0.0, self.target_height_sigma_m > 0.0
+        return RangingModel(
+            height_m=self.target_height_m,
+            height_index=4 + has_scale if has_height else ABSENT,
+            scale_index=4 if has_scale else ABSENT,
+            own_sigma_m=self.own_position_sigma_m,
+            near_target_terms=self.near_target_terms,
+        )
+
+    @property
+    def prior(self) -> tuple[Vector, Vector]:
+        """Mean and standard deviations of the state, each (n,), before any measurement."""
+        offset_m = 0.0
+        if self.range_offset_min_m is not None:
+            offset_m = max(offset_m, self.range_offset_min_m)
+        if self.range_offset_max_m is not None:
+            offset_m = min(offset_m, self.range_offset_max_m)
+        place = self.position_sigma_m
+        bearing_rad = math.radians(self.bearing_offset_sigma_deg)
+        mean = [0.0, 0.0, offset_m, 0.0]
+        sigmas = [place, place, self.range_offset_sigma_m, bearing_rad]
+        if self.range_scale_sigma > 0.0:
+            mean.append(0.0)
+            sigmas.append(self.range_scale_sigma)
+        if self.target_height_sigma_m > 0.0:
+            mean.append(self.target_height_m)
+            sigmas.append(self.target_height_sigma_m)
+        return np.array(mean), np.array(sigmas)
+
+    @property
+    def bounds(self) -> Matrix:
+        """Lower and upper bounds of the state, (2, n), infinite where there are none."""
+        model = self.model
+        size = self.prior[0].size
+        bounds = np.stack([np.full(size, -np.inf), np.full(size, np.inf)])
+        if self.range_offset_min_m is not None:
+            bounds[0, RANGE_OFFSET] = self.range_offset_min_m
+        if self.range_offset_max_m is not None:
+            bounds[1, RANGE_OFFSET] = self.range_offset_max_m
+        if self.bearing_offset_max_deg < 180.0:
+            largest_rad = math.radians(self.bearing_offset_max_deg)
+            bounds[:, BEARING_OFFSET] = -largest_rad, largest_rad
+        if model.scale_index != ABSENT:
+            bounds[:, model.scale_index] = -self.range_scale_max, self.range_scale_max
+        return bounds
+
+    @property
+    def thresholds(self) -> Matrix:
+        """Long and short threshold of range, bearing and elevation, (3, 2), in sigma."""
+        angle = threshold(self.bearing_k)
+        ranges = (threshold(self.range_k_long), threshold(self.range_k_short))
+        return np.array([ranges, (angle, angle), (angle, angle)])
+
+    def seen(self, measurement: RangingMeasurement) -> tuple[Vector, Vector]:
+        """A measurement as the kernels take it: values and standard deviations, each (3,)."""
+        m = measurement
+        values = (m.range_m, m.bearing_enu_rad, m.elevation_rad if self.use_elevation else None)
+        z = np.array([math.nan if v is None else v for v in values])
+        return z, np.array(self.seen_sigmas(m))
+
+    def seen_sigmas(self, measurement: RangingMeasurement) -> tuple[float, float, float]:
+        """Standard deviations of range, bearing and elevation, as they are believed."""
+        m = measurement
+        believed = (
+            self.range_sigma_m,
+            math.radians(self.bearing_sigma_deg),
+            math.radians(self.elevation_sigma_deg),
+        )
+        if not self.use_reported_sigma:
+            return believed
+        return (
+            _trusted(m.range_sigma_m, believed[0]),
+            _trusted(m.bearing_sigma_rad, believed[1]),
+            _trusted(m.elevation_sigma_rad, believed[2]),
+        )
+
+
+def _trusted(told: float | None, own: float) -> float:
+    """A standard deviation that the radio told, within reason; our own, if it told none."""
+    return own if told is None else min(max(told, MIN_SIGMA), MAX_SIGMA)

@@ -1,0 +1,1 @@
+"""Whether the estimate may be trusted: consistency, contradictions, motion of the target."""

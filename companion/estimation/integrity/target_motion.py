@@ -1,0 +1,332 @@
+"""Notices that a target walks although it is believed to lie still.
+
+Theory of operation. A walk makes residuals larger, and the noise that the run has shown grows along
+with them, so that every test of their size stays in its band. But it also gives them an order. The
+measurements of the last seconds are fitted twice: by a target that lies still, and by one that
+walks evenly, whose partials by the velocity are those by the place times the age. The velocity v
+is judged by the sandwich covariance of the second fit, in which whatever the walk explains is no
+noise any more:
+
+    v^T C^-1 v  ~  chi-square with 2 degrees of freedom, if the target lies still.
+
+The more careful of the white and the correlated covariance counts, because a reflection that comes
+and goes with the place is correlated; and the fall of the cost must say the same, because a fit
+that ended in another valley does not lower it.
+
+The estimate stays as it is, and the operator is told. A reflection that changes with the place of
+the vehicle, behind a building for example, looks the same from one side: no threshold parts the two
+(flights behind the block of `obstacle.yaml` reach 188, walks of 0.3 m/s 120 to 140), and a target
+that lies still must be reported.
+
+Source: P. J. Huber, Robust Statistics (1981), chapter 6, for the sandwich; the statistic is Wald's.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.domain import PositionEnu
+from companion.estimation.filters.target_filter import FilterParams
+from companion.estimation.hypotheses import shift_rows
+from companion.estimation.window.map_kernels import SEQUENCE, hold_at_bounds
+from companion.estimation.window.sandwich import (
+    Scores,
+    correlated_variability,
+    covariance_of,
+    curvature,
+    pooled_variability,
+)
+from companion.estimation.window.window_map import WindowMap
+from companion.kernel import Matrix, Vector
+
+SPANS_S = (10.0, 20.0, 40.0)
+"""What is looked at: a short span for whoever turns soon, a long one for whoever walks slowly."""
+LEAST_SPAN_S = 8.0
+"""Less than this tells nothing."""
+MIN_COUNT, MAX_COUNT = 20, 512
+"""Fewer measurements tell nothing; more are not kept."""
+EVERY_S = 1.0
+NEAR = 3.0
+"""A place is asked for while R95 is at most so many times what counts as localised."""
+SIGNIFICANT = 60.0
+"""Ten times what a statistic of this law reaches by chance once in 20: errors that repeat
+themselves for half a minute, or change with the place, reach 55 now and then."""
+IN_A_ROW = 2
+"""It must be so often in a row."""
+CALM = 18.4
+"""Below this, 1 in 1e4, nothing speaks for a walk any more."""
+CALM_COUNT = 10
+"""It must be so often in a row."""
+WORTH_A_LOOK = 9.2
+"""Where a first step says less than this, 1 in 100, nobody walks."""
+MAX_SPEED_MPS = 3.0
+"""Standard deviation of each component of the velocity before anything is measured."""
+MAX_ITERATIONS = 12
+MAX_HALVINGS = 6
+STEP_TOLERANCE_M = 5e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """A target that walks evenly, as the last seconds have it."""
+
+    velocity_mps: Vector
+    """(2,)"""
+    significance: float
+    """Chi-square with 2 degrees of freedom, if the target lies still."""
+
+    @property
+    def speed_mps(self) -> float:
+        """How fast it walks."""
+        return math.hypot(*self.velocity_mps.tolist())
+
+
+class MotionWatch:
+    """Keeps the measurements of the last seconds, and asks them now and then.
+
+    Args:
+        filter_params: Whether the target is believed to lie still at all.
+        localised_r95_m: A place much vaguer than this is not worth asking for.
+    """
+
+    def __init__(self, filter_params: FilterParams, localised_r95_m: float) -> None:
+        self._is_wanted = filter_params.process_noise_m_per_sqrt_s == 0.0
+        self._near_m = NEAR * localised_r95_m
+        self._rows: deque[Vector] = deque(maxlen=MAX_COUNT)
+        self._due_s = -math.inf
+        self._significant = 0
+        self._calm = 0
+        self._is_seen = False
+        self.suspected: Motion | None = None
+        """How the target seems to walk, since the first look that says so; None: it lies still."""
+
+    @property
+    def motion(self) -> Motion | None:
+        """How the target walks, once that was seen twice in a row; None: it lies still."""
+        return self.suspected if self._is_seen else None
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self._rows.clear()
+        self._acquit()
+
+    def _acquit(self) -> None:
+        self._significant = self._calm = 0
+        self._is_seen = False
+        self.suspected = None
+
+    def add(self, time_s: float, sensor_enu_m: PositionEnu, z: Vector, sigma: Vector) -> None:
+        """Take in a measurement.
+
+        Args:
+            time_s: When it was made.
+            sensor_enu_m: Where.
+            z: (3,) range, bearing, elevation; NaN where not measured.
+            sigma: (3,) thermal noise.
+        """
+        if self._is_wanted:
+            self._rows.append(np.array([*sensor_enu_m, *z, *sigma, time_s]))
+
+    def move(self, shift_enu_m: PositionEnu, step: Vector, params: FilterParams) -> None:
+        """Move all along with the vehicle's navigation, which jumped; see `moving`."""
+        if self._rows:
+            rows = shift_rows(np.array(self._rows), shift_enu_m, step, params)
+            self._rows = deque(rows, maxlen=MAX_COUNT)
+
+    def is_due(self, now_s: float) -> bool:
+        """Whether it is time to look again."""
+        if not self._rows or now_s < self._due_s <= now_s + EVERY_S:
+            return False
+        self._due_s = now_s + EVERY_S
+        return True
+
+    def is_worth(self, r95_m: float) -> bool:
+        """Whether it matters: of a target that may be anywhere nothing false is told."""
+        return self.suspected is not None or r95_m <= self._near_m
+
+    def look(self, window_map: WindowMap, mean: Vector) -> None:
+        """Look whether the target walks.
+
+        Args:
+            window_map: Noise, thresholds, priors and bounds.
+            mean: (k,) what is believed of a target that lies still.
+        """
+        found = self._found(window_map, mean)
+        if found is not None and found.significance >= SIGNIFICANT:
+            self.suspected = found
+            self._significant += 1
+            self._calm = 0
+            self._is_seen = self._is_seen or self._significant >= IN_A_ROW
+            return
+        is_calm = found is None or found.significance < CALM
+        self._calm = self._calm + 1 if is_calm else 0
+        self._significant = 0
+        if not self._is_seen or self._calm >= CALM_COUNT:
+            self._acquit()
+
+    def _spans(self) -> list[Matrix]:
+        """The measurements of the spans, (n, 10) each, in order of time.
+
+        A span is left out that holds too little, or no more than the one before.
+        """
+        rows = np.array(self._rows)
+        rows = rows[np.argsort(rows[:, SEQUENCE], kind="stable")]
+        times_s = rows[:, SEQUENCE]
+        begins = np.searchsorted(times_s, times_s[-1] - np.array(SPANS_S)).tolist()
+        return [
+            rows[begin:]
+            for begin in sorted(set(begins), reverse=True)
+            if len(rows) - begin >= MIN_COUNT and times_s[-1] - times_s[begin] >= LEAST_SPAN_S
+        ]
+
+    def _found(self, window_map: WindowMap, mean: Vector) -> Motion | None:
+        """The motion of the shortest span in which it is significant, or else the most significant.
+
+        None: nothing says that the target walks.
+        """
+        best: Motion | None = None
+        for rows in self._spans():
+            motion = motion_of(window_map, rows, mean)
+            if motion is None:
+                continue
+            if best is None or motion.significance > best.significance:
+                best = motion
+            if best.significance >= SIGNIFICANT:
+                break
+        return best
+
+
+def motion_of(window_map: WindowMap, rows: Matrix, mean: Vector) -> Motion | None:
+    """How a target walks that is believed to lie at `mean`, (k,); None: nothing says that it does.
+
+    Args:
+        window_map: Noise, thresholds, priors and bounds.
+        rows: (n, 10), see `map_kernels`, the time in place of the sequence number.
+        mean: (k,) where to start from.
+    """
+    try:
+        with np.errstate(all="ignore"):
+            return _motion(_Still(window_map, rows), _Walk(window_map, rows), mean)
+    except np.linalg.LinAlgError:
+        return None
+
+
+def _motion(still: _Still, walk: _Walk, mean: Vector) -> Motion | None:
+    """What the fit of a target that walks says beside that of one that lies still."""
+    place = np.concatenate([still.minimum(mean), np.zeros(2)])
+    if not walk.may_begin(place):
+        return None
+    walking = walk.minimum(place)
+    covariance, inflation = walk.covariance(walking)
+    velocity = walking[-2:]
+    significance = float(velocity @ np.linalg.solve(covariance[-2:, -2:], velocity))
+    fall = 2.0 * (walk.cost(place) - walk.cost(walking)) / inflation
+    if not math.isfinite(fall + significance):
+        return None
+    return Motion(velocity_mps=velocity, significance=min(fall, significance))
+
+
+class _Still:
+    """The window's problem for states of a target that lies still."""
+
+    def __init__(self, window_map: WindowMap, rows: Matrix) -> None:
+        self._map = window_map
+        self._rows = rows
+        self._information, self._pull = window_map.prior
+        self._bounds = window_map.bounds
+
+    def scores(self, state: Vector) -> Scores:
+        """The problem linearised at a state."""
+        return self._map.scores(self._rows, state)
+
+    def cost(self, state: Vector) -> float:
+        """The objective at a state."""
+        return self._cost(self.scores(state), state)
+
+    def _cost(self, scores: Scores, state: Vector) -> float:
+        losses = float(np.sum(scores.psi * (scores.u - 0.5 * scores.psi)))
+        return losses + float(state @ (0.5 * self._information @ state - self._pull))
+
+    def minimum(self, state: Vector) -> Vector:
+        """Where damped re-weighted Gauss-Newton steps lead."""
+        scores, damping = self.scores(state), 1e-3
+        cost = self._cost(scores, state)
+        for _ in range(MAX_ITERATIONS):
+            A, descent = self._system(scores, state)
+            hold_at_bounds(A, descent, state, self._bounds)
+            scale = np.diag(np.diag(A) + 1e-9)
+            for _ in range(MAX_HALVINGS):
+                step = np.linalg.solve(A + damping * scale, descent)
+                moved = np.minimum(np.maximum(state + step, self._bounds[0]), self._bounds[1])
+                after = self.scores(moved)
+                moved_cost = self._cost(after, moved)
+                if moved_cost < cost:
+                    break
+                damping *= 8.0
+            else:
+                break
+            step_m = math.dist(moved[:2], state[:2])
+            state, scores, cost = moved, after, moved_cost
+            damping = max(damping / 4.0, 1e-9)
+            if step_m < STEP_TOLERANCE_M:
+                break
+        return state
+
+    def _system(self, scores: Scores, state: Vector) -> tuple[Matrix, Vector]:
+        u, psi = scores.u.reshape(-1), scores.psi.reshape(-1)
+        weight = np.where(u == psi, 1.0, psi / np.where(u == psi, 1.0, u))
+        A = (scores.H.T * weight) @ scores.H + self._information
+        return A, scores.H.T @ psi + self._pull - self._information @ state
+
+
+class _Walk(_Still):
+    """The same for states [..., east velocity, north velocity], with the place at the end."""
+
+    def __init__(self, window_map: WindowMap, rows: Matrix) -> None:
+        super().__init__(window_map, rows)
+        self._age_s = rows[:, SEQUENCE] - rows[:, SEQUENCE].max()
+        information, pull = window_map.prior
+        size = len(pull)
+        self._information = np.diag(np.full(size + 2, MAX_SPEED_MPS**-2))
+        self._information[:size, :size] = information
+        self._pull = np.concatenate([pull, np.zeros(2)])
+        free = np.array([[-np.inf, -np.inf], [np.inf, np.inf]])
+        self._bounds = np.hstack([window_map.bounds, free])
+
+    def scores(self, state: Vector) -> Scores:
+        """The problem linearised at a state: seen from a target that walks, the sensor does."""
+        rows = np.array(self._rows)
+        rows[:, :2] -= self._age_s[:, None] * state[-2:]
+        scores = self._map.scores(rows, state[:-2])
+        by_velocity = scores.H[:, :2] * np.tile(self._age_s, 3)[:, None]
+        H = np.concatenate([scores.H, by_velocity], axis=1)
+        return Scores(scores.u, scores.psi, H, scores.is_measured, scores.thermal)
+
+    def may_begin(self, still: Vector) -> bool:
+        """Whether the first step away from a target that lies still is worth the others.
+
+        Noise counts as white here, and the walk as noise: this spares the second fit while nothing
+        happens.
+        """
+        scores = self.scores(still)
+        A = curvature(scores) + self._information
+        A_inverse = np.asarray(np.linalg.inv(A))
+        pooled = pooled_variability(scores, A_inverse, np.ones(3)) + self._information
+        velocity = (A_inverse @ self._system(scores, still)[1])[-2:]
+        covariance = covariance_of(A, pooled)[-2:, -2:]
+        return float(velocity @ np.linalg.solve(covariance, velocity)) >= WORTH_A_LOOK
+
+    def covariance(self, state: Vector) -> tuple[Matrix, float]:
+        """Of the state, (k + 2, k + 2), and how much less is measured than thermal noise says."""
+        scores = self.scores(state)
+        A = curvature(scores) + self._information
+        A_inverse = np.asarray(np.linalg.inv(A))
+        pooled = pooled_variability(scores, A_inverse, scores.repetition) + self._information
+        correlated = correlated_variability(scores) + self._information
+        inflation = max(1.0, float(np.trace(pooled @ A_inverse)) / len(state))
+        pairs = [covariance_of(A, B) for B in (pooled, correlated)]
+        return max(pairs, key=lambda pair: float(np.trace(pair[-2:, -2:]))), inflation

@@ -1,0 +1,289 @@
+"""What speaks for and against an estimate: contact, agreement, contradictions, NIS, restarts.
+
+Contact is what was heard of the emitter lately, the age of each kind and how much of it agrees.
+Agreement is whether the measurements of the last seconds fit the estimate at all; a contradiction
+is a run of them that a confident estimate cannot explain.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+from companion.domain import RangingMeasurement
+from companion.estimation.filters.target_filter import Inflation, ModalityReport, UpdateReport
+from companion.estimation.integrity.consistency import NisWindow, RestartCounter
+from companion.estimation.screening.validation import OPEN, Gate, Objection
+
+GAP_S = 2.0
+"""Without a measurement that agrees for this long the contact was interrupted."""
+
+
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """Times are those of the measurements themselves, on the companion's clock.
+
+    Only measurements that agree with the estimate count: refused ones, outliers and frozen values
+    are as good as none. While nothing is known of the target, everything agrees.
+    """
+
+    range_s: float | None = None
+    """When the newest range was measured; None: there was none yet."""
+    bearing_s: float | None = None
+    """The same of bearings."""
+    agreeing: int = 0
+    """Measurements that agreed since the last gap, or since the first one."""
+
+    def after(self, measurement: RangingMeasurement, gate: Gate) -> Contact:
+        """With one more measurement; a late one makes nothing younger or older.
+
+        Args:
+            measurement: All that was measured, its bearing in ENU.
+            gate: What of it agrees with the estimate.
+        """
+        at_s = measurement.measured_at_s
+        has_range = measurement.range_m is not None and gate.agrees_in_range
+        has_bearing = measurement.bearing_enu_rad is not None and gate.agrees_in_bearing
+        if not (has_range or has_bearing):
+            return self
+        is_gap = self.newest_s is not None and at_s - self.newest_s > GAP_S
+        return Contact(
+            range_s=_later(self.range_s, at_s if has_range else None),
+            bearing_s=_later(self.bearing_s, at_s if has_bearing else None),
+            agreeing=(0 if is_gap else self.agreeing) + gate.agrees,
+        )
+
+    @property
+    def newest_s(self) -> float | None:
+        """When the newest measurement of any kind was made."""
+        return _later(self.range_s, self.bearing_s)
+
+    def is_interrupted(self, now_s: float) -> bool:
+        """Whether there is a gap now, or there was no contact yet."""
+        newest_s = self.newest_s
+        return newest_s is None or now_s - newest_s > GAP_S
+
+    def agreeing_since_gap(self, now_s: float) -> int:
+        """How many measurements agreed since the last gap; 0 during a gap."""
+        return 0 if self.is_interrupted(now_s) else self.agreeing
+
+    def range_age_s(self, now_s: float) -> float | None:
+        """How old the newest range is; None if there was none yet."""
+        return None if self.range_s is None else max(now_s - self.range_s, 0.0)
+
+    def bearing_age_s(self, now_s: float) -> float | None:
+        """How old the newest bearing is; None if there was none yet."""
+        return None if self.bearing_s is None else max(now_s - self.bearing_s, 0.0)
+
+
+def _later(a_s: float | None, b_s: float | None) -> float | None:
+    if a_s is None or b_s is None:
+        return b_s if a_s is None else a_s
+    return max(a_s, b_s)
+
+
+WINDOW_S = 2.0
+WINDOW_COUNT = 10
+"""The window holds at least so much time and so many measurements."""
+PROVEN_COUNT = 40
+"""An estimate that agreed with so many measurements has a say in which are outliers."""
+LOST_SHARE, FOUND_SHARE = 0.2, 0.5
+"""With less of the window agreeing than the first there is no agreement, until it is the second."""
+HOPELESS_S, HOPELESS_COUNT = 5.0, 20
+"""Without agreement for so long and so many measurements, the target is no longer where it was."""
+
+
+class Agreement:
+    """Counts which of the last measurements agreed."""
+
+    def __init__(self) -> None:
+        self._window: deque[tuple[float, bool]] = deque()
+        self._agreed = 0
+        self._lost_s = 0.0
+        self._since_lost = 0
+        self.is_lost = False
+        """Whether next to nothing that is measured agrees with the estimate."""
+        self.is_hopeless = False
+        """Whether that has lasted so long that the estimate should be given up."""
+
+    def clear(self) -> None:
+        """Forget everything, because the estimate is another one."""
+        self._window.clear()
+        self._agreed = 0
+        self.is_lost = self.is_hopeless = False
+
+    @property
+    def is_proven(self) -> bool:
+        """Whether enough measurements agreed since the estimate began."""
+        return self._agreed >= PROVEN_COUNT
+
+    def add(self, time_s: float, *, agrees: bool) -> None:
+        """Take in a measurement."""
+        self._agreed += agrees
+        self._window.append((time_s, agrees))
+        while len(self._window) > WINDOW_COUNT and self._window[0][0] < time_s - WINDOW_S:
+            self._window.popleft()
+        if len(self._window) < WINDOW_COUNT:
+            return
+        share = sum(agreed for _, agreed in self._window) / len(self._window)
+        was_lost = self.is_lost
+        self.is_lost = share < (FOUND_SHARE if was_lost else LOST_SHARE)
+        if not was_lost:
+            self._lost_s, self._since_lost = time_s, 0
+        self._since_lost += 1
+        has_lasted = time_s - self._lost_s >= HOPELESS_S and self._since_lost >= HOPELESS_COUNT
+        self.is_hopeless = self.is_lost and has_lasted
+
+
+CONTRADICTION_COUNT = 40
+"""How many measurements in a row must contradict the estimate before it is given up."""
+CONTRADICTION_U = 3.0
+"""Whitened innovation that contradicts: a bearing off to the same side, a range too short."""
+
+BEHIND = 3.0
+"""A bearing that is off to neither side (+-1), but points the other way."""
+
+
+@dataclass(frozen=True, slots=True)
+class Contradiction:
+    """How many measurements in a row contradicted in the same way.
+
+    Ranges and bearings are counted apart, because they may come one by one.
+    """
+
+    bearings: int = 0
+    side: float = 0.0
+    """Where those bearings are off to: +-1 or `BEHIND`."""
+    ranges: int = 0
+    """Ranges that are too short; too long ones say nothing, because that is what reflections do."""
+    refused_ranges: int = 0
+    """Ranges that did not pass the gate: a run of them is no run of outliers."""
+    refused_bearings: int = 0
+
+    @property
+    def is_conclusive(self) -> bool:
+        """Whether the estimate should be given up."""
+        counts = (self.bearings, self.ranges, self.refused_ranges, self.refused_bearings)
+        return max(counts) >= CONTRADICTION_COUNT
+
+    def after(self, report: UpdateReport, inflation: Inflation, gate: Gate = OPEN) -> Contradiction:
+        """The counts after one more update.
+
+        Args:
+            report: Of the update with all that was measured.
+            inflation: In force at the update.
+            gate: What of it was fused.
+        """
+        bearings, side, ranges = self.bearings, self.side, self.ranges
+        refused_ranges, refused_bearings = self.refused_ranges, self.refused_bearings
+        if report.bearing is not None:
+            side = _side(report.bearing, inflation[1])
+            bearings = 0 if side == 0.0 else (bearings + 1 if side == self.side else 1)
+            refused_bearings = 0 if gate.passes_bearing else refused_bearings + 1
+        if report.range is not None:
+            is_too_short = _whitened(report.range, inflation[0]) < -CONTRADICTION_U
+            ranges = ranges + 1 if is_too_short else 0
+            refused_ranges = 0 if gate.passes_range else refused_ranges + 1
+        return Contradiction(bearings, side, ranges, refused_ranges, refused_bearings)
+
+
+def _side(report: ModalityReport, inflation: float) -> float:
+    u = _whitened(report, inflation)
+    if abs(u) <= CONTRADICTION_U:
+        return 0.0
+    is_behind = abs(report.innovation) > 0.5 * math.pi
+    return BEHIND if is_behind else math.copysign(1.0, u)
+
+
+def _whitened(report: ModalityReport, inflation: float) -> float:
+    """The innovation in standard deviations; 0 where the state's own uncertainty dominates."""
+    if report.prior_share >= 1.0:
+        return 0.0
+    return report.whitened_innovation / math.sqrt(inflation)
+
+
+class TrackIntegrity:
+    """Counts how measurements agree with the estimate that they meet."""
+
+    def __init__(self) -> None:
+        self.contact = Contact()
+        """How old each kind of measurement is, and how many agreed since the last gap."""
+        self._contradiction = Contradiction()
+        self._agreement = Agreement()
+        self._nis = NisWindow()
+        self._restarts = RestartCounter()
+        self._inflation_at_loss: Inflation | None = None
+        """Shown when agreement was lost; None: it is not."""
+
+    @property
+    def is_proven(self) -> bool:
+        """Whether the estimate has a say in which measurements are outliers."""
+        return self._agreement.is_proven
+
+    def judging(self, shown: Inflation) -> Inflation:
+        """The inflation that measurements are judged by.
+
+        Once next to nothing agrees, that itself inflates what the run shows, until everything would
+        agree again with an estimate that nothing speaks for.
+
+        Args:
+            shown: Inflation of range, bearing and elevation that the run shows now.
+        """
+        if self._inflation_at_loss is None:
+            return shown
+        range_, bearing, elevation = map(min, shown, self._inflation_at_loss)
+        return (range_, bearing, elevation)
+
+    def began(self, measurement: RangingMeasurement) -> None:
+        """Note the first measurement of an estimate, which agrees with everything."""
+        self.contact = self.contact.after(measurement, OPEN)
+
+    def note(
+        self,
+        measurement: RangingMeasurement,
+        report: UpdateReport,
+        gate: Gate,
+        inflation: Inflation,
+    ) -> bool:
+        """Note how a measurement agrees; whether the estimate should be given up.
+
+        Args:
+            measurement: All that was measured.
+            report: What all of it would do.
+            gate: What of it is fused.
+            inflation: That the run has shown, whether or not the filter was told.
+        """
+        inflation = self.judging(inflation)
+        self.contact = self.contact.after(measurement, gate)
+        self._agreement.add(measurement.measured_at_s, agrees=gate.agrees)
+        self._contradiction = self._contradiction.after(report, inflation, gate)
+        is_out_of_band = self._nis.add(report, inflation, measurement.measured_at_s)
+        if not self._agreement.is_lost:
+            self._inflation_at_loss = None
+        elif self._inflation_at_loss is None:
+            self._inflation_at_loss = inflation
+        is_conclusive = self._contradiction.is_conclusive or self._agreement.is_hopeless
+        return is_conclusive or is_out_of_band
+
+    def given_up(self, time_s: float) -> None:
+        """The estimate was started anew; what was counted against the old one is void."""
+        self._restarts.add(time_s)
+        self._acquit()
+
+    def forget(self) -> None:
+        """Forget the contact, too, because the frame may have moved."""
+        self.contact = Contact()
+        self._acquit()
+
+    def objection(self, now_s: float) -> Objection | None:
+        """The gravest of what speaks against flying on the estimate."""
+        if self._restarts.is_too_many(now_s):
+            return Objection.UNSTABLE
+        return Objection.CONTRADICTED if self._agreement.is_lost else None
+
+    def _acquit(self) -> None:
+        self._contradiction = Contradiction()
+        self._agreement.clear()
+        self._nis.clear()
+        self._inflation_at_loss = None

@@ -1,0 +1,339 @@
+"""How noisy a radio is, learnt from its own residuals: EM for the NLOS bias and for sigma.
+
+Theory of operation. A range residual r = y - h(x) is an offset mu, thermal noise N(0, sigma^2)
+and, with probability p, a reflection's bias b ~ Exp(lambda). Its density is a mixture,
+
+    f(r) = (1 - p) N(r; mu, sigma^2) + p lambda exp(k^2/2 - k u) Phi(u - k)
+
+with u = (r - mu) / sigma and k = lambda sigma. Given r and that there is a bias, b / sigma is the
+normal N(u - k, 1) cut off at 0. The E-step takes the *moments* of that posterior and the
+probability g that there is a bias at all, the M-step the maximum of the expected likelihood:
+
+    p = mean g    1/lambda = sum g b / sum g    mu = mean (r - g b)    sigma^2 = mean (r - b - mu)^2
+
+`tools/printed_adaptation.py` has the paper's EM as printed, and says where and why it is biased.
+
+A prior worth a few measurements is added in every M-step, so that it never fades: in line of sight
+nothing is learnt about lambda, and it rests at its prior. The likelihood with this prior never
+falls from one batch iteration to the next, bounds included, because each bound cuts a unimodal
+objective. One measurement at a time, the sums are forgotten exponentially. Where reflections are
+nearly all there is, a free offset and the share can hardly be told apart, and EM creeps.
+
+Bearings have no sign: theirs is a mixture of two zero-mean normals, narrow and wide.
+
+Paper: section IV-C, "Path to Adaptive Estimation". Deviations: as said. Sources: O. Cappe and
+E. Moulines, J. Royal Statistical Society B 71 (2009), for EM on sums that are updated measurement
+by measurement; P. J. Huber, Robust Statistics (1981), for the variance of an M-estimate.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+import msgspec
+
+from companion.domain import Params, Positive
+from companion.estimation.filters.losses import threshold_k_from_lambda
+from companion.estimation.noise.mixtures import (
+    bearing_expectations,
+    least_variance_k,
+    least_variance_k_long,
+    range_expectations,
+    summed_range_expectations,
+)
+from companion.kernel import Vector
+
+SHORTEST_U = 3.0
+"""Ranges shorter than this many sigma are learnt from as if no shorter: the mixture has no place
+for gross errors on that side, and a burst of them would pass for thermal noise."""
+SHARE_MARGIN = 1e-6
+"""Shares stay this far from 0 and 1, where EM would never leave again."""
+
+
+class AdaptationParams(Params, frozen=True):
+    """What may be learnt about a radio's noise, how fast, and within which bounds."""
+
+    memory: Annotated[float, msgspec.Meta(ge=2.0)] = 300.0
+    """Measurements until one counts 1/e of what it did, on-line."""
+    prior_count: Positive = 3.0
+    """How many measurements the first sigma, share and offset are worth, for good."""
+    tail_prior_count: Positive = 10.0
+    """How many reflections the first mean bias is worth, gross bearing errors the wide sigma: more,
+    because the measurements that say something about them may never come."""
+    estimate_offset: bool = False
+    """Whether the location of the residuals is learnt too; false: it is the prior's."""
+    range_sigma_min_m: Positive = 0.02
+    range_sigma_max_m: Positive = 20.0
+    mean_bias_min_m: Positive = 0.2
+    mean_bias_max_m: Positive = 100.0
+    bearing_sigma_min_deg: Positive = 0.1
+    bearing_sigma_max_deg: Positive = 60.0
+    wide_ratio_min: Annotated[float, msgspec.Meta(gt=1.0)] = 1.5
+    """Least ratio of wide to narrow sigma: below it the two cannot be told apart."""
+    k_min: Positive = 0.1
+    """Least threshold for the filter: below it a loss has hardly any curvature left."""
+    k_max: Positive = 5.0
+    """Largest threshold for the filter: above it a loss is as good as quadratic."""
+
+    def __post_init__(self) -> None:
+        """Refuse bounds that leave nothing between them."""
+        for low, high in (
+            ("range_sigma_min_m", "range_sigma_max_m"),
+            ("mean_bias_min_m", "mean_bias_max_m"),
+            ("bearing_sigma_min_deg", "bearing_sigma_max_deg"),
+            ("k_min", "k_max"),
+        ):
+            if getattr(self, low) >= getattr(self, high):
+                raise ValueError(f"{low} must be below {high}")
+
+    @property
+    def forgetting(self) -> float:
+        """Factor on everything learnt, per measurement."""
+        return 1.0 - 1.0 / self.memory
+
+
+DEFAULTS = AdaptationParams()
+
+
+@dataclass(frozen=True, slots=True)
+class RangeNoise:
+    """The parameters of the range mixture."""
+
+    sigma_m: float
+    mean_bias_m: float
+    """1/lambda, the mean bias of a reflection."""
+    nlos_share: float
+    """Probability of a reflection."""
+    offset_m: float = 0.0
+    """Location of the thermal noise."""
+
+    @property
+    def k(self) -> float:
+        """Threshold lambda sigma of the paper's loss. Paper: eq. (10)."""
+        return threshold_k_from_lambda(1.0 / self.mean_bias_m, self.sigma_m)
+
+
+@dataclass(frozen=True, slots=True)
+class RangeSums:
+    """Expected sufficient statistics of the range mixture, summed over measurements."""
+
+    count: float = 0.0
+    nlos: float = 0.0
+    bias_m: float = 0.0
+    noise_m: float = 0.0
+    """Of residual - bias."""
+    noise2_m2: float = 0.0
+
+    def forgotten(self, keep: float, newest: RangeSums) -> RangeSums:
+        """These sums times `keep`, and those of the newest measurement."""
+        return RangeSums(
+            keep * self.count + newest.count,
+            keep * self.nlos + newest.nlos,
+            keep * self.bias_m + newest.bias_m,
+            keep * self.noise_m + newest.noise_m,
+            keep * self.noise2_m2 + newest.noise2_m2,
+        )
+
+    def most_likely(self, prior: RangeNoise, params: AdaptationParams) -> RangeNoise:
+        """The M-step, the prior counted in."""
+        extra, extra_tail = params.prior_count, params.tail_prior_count
+        count, noise_m = self.count + extra, self.noise_m + extra * prior.offset_m
+        noise2_m2 = self.noise2_m2 + extra * (prior.sigma_m**2 + prior.offset_m**2)
+        bias_m = (self.bias_m + extra_tail * prior.mean_bias_m) / (self.nlos + extra_tail)
+        share = (self.nlos + extra * prior.nlos_share) / count
+        offset_m = noise_m / count if params.estimate_offset else prior.offset_m
+        variance_m2 = (noise2_m2 - 2.0 * offset_m * noise_m) / count + offset_m**2
+        sigma_m = math.sqrt(max(variance_m2, 0.0))
+        return RangeNoise(
+            sigma_m=_clipped(sigma_m, params.range_sigma_min_m, params.range_sigma_max_m),
+            mean_bias_m=_clipped(bias_m, params.mean_bias_min_m, params.mean_bias_max_m),
+            nlos_share=_clipped(share, SHARE_MARGIN, 1.0 - SHARE_MARGIN),
+            offset_m=offset_m,
+        )
+
+
+def log_prior(noise: RangeNoise, prior: RangeNoise, params: AdaptationParams) -> float:
+    """Log of the prior density of `noise`, but for a constant: conjugate, so that EM has it free.
+
+    Beta for the share, gamma for the rate of the biases, normal and inverse gamma for the noise.
+    """
+    from_prior_m = noise.offset_m - prior.offset_m
+    square = (prior.sigma_m**2 + from_prior_m**2) / noise.sigma_m**2
+    body = prior.nlos_share * math.log(noise.nlos_share)
+    body += (1.0 - prior.nlos_share) * math.log1p(-noise.nlos_share)
+    body -= math.log(noise.sigma_m) + 0.5 * square
+    tail = -math.log(noise.mean_bias_m) - prior.mean_bias_m / noise.mean_bias_m
+    return params.prior_count * body + params.tail_prior_count * tail
+
+
+@dataclass(frozen=True, slots=True)
+class RangeFit:
+    """A batch fit."""
+
+    noise: RangeNoise
+    objectives: tuple[float, ...]
+    """Log-likelihood plus log prior (but for a constant) before each iteration; never falls."""
+    is_converged: bool
+
+
+def fit_range_noise(
+    residuals_m: Vector,
+    start: RangeNoise,
+    params: AdaptationParams = DEFAULTS,
+    max_iterations: int = 1000,
+    tolerance: float = 1e-8,
+) -> RangeFit:
+    """The noise that explains these residuals best, by EM.
+
+    Args:
+        residuals_m: (n,) measured minus predicted ranges.
+        start: Where EM starts, and the prior.
+        params: Prior's worth and bounds.
+        max_iterations: EM is slow where biases are no larger than sigma.
+        tolerance: Gain of the objective, per measurement, below which EM ends.
+    """
+    noise = RangeSums().most_likely(start, params)
+    objectives: list[float] = []
+    while len(objectives) < max_iterations:
+        *sums, log_likelihood = summed_range_expectations(residuals_m, *_parameters(noise))
+        objectives.append(log_likelihood + log_prior(noise, start, params))
+        noise = RangeSums(len(residuals_m), *sums).most_likely(start, params)
+        gain = math.inf if len(objectives) < 2 else objectives[-1] - objectives[-2]
+        if gain <= tolerance * (len(residuals_m) + 1.0):
+            return RangeFit(noise, tuple(objectives), True)
+    return RangeFit(noise, tuple(objectives), False)
+
+
+@dataclass(frozen=True, slots=True)
+class AdaptiveRangeNoise:
+    """One emitter's range noise, learnt measurement by measurement."""
+
+    params: AdaptationParams
+    prior: RangeNoise
+    noise: RangeNoise
+    """The present estimate."""
+    learnt: RangeSums = RangeSums()
+    """What the measurements said, without the prior."""
+
+    @classmethod
+    def starting(cls, prior: RangeNoise, params: AdaptationParams = DEFAULTS) -> AdaptiveRangeNoise:
+        """Believes in `prior` until measurements say otherwise."""
+        return cls(params, prior, RangeSums().most_likely(prior, params))
+
+    def after(self, residual_m: float) -> AdaptiveRangeNoise:
+        """The noise after one more residual, measured minus predicted range."""
+        shortest_m = self.noise.offset_m - SHORTEST_U * self.noise.sigma_m
+        *sums, _ = range_expectations(max(residual_m, shortest_m), *_parameters(self.noise))
+        learnt = self.learnt.forgotten(self.params.forgetting, RangeSums(1.0, *sums))
+        noise = learnt.most_likely(self.prior, self.params)
+        return AdaptiveRangeNoise(self.params, self.prior, noise, learnt)
+
+
+@dataclass(frozen=True, slots=True)
+class BearingNoise:
+    """The parameters of the bearing mixture: two zero-mean normals."""
+
+    sigma_rad: float
+    wide_sigma_rad: float
+    wide_share: float
+
+
+@dataclass(frozen=True, slots=True)
+class AdaptiveBearingNoise:
+    """One emitter's bearing noise, learnt measurement by measurement."""
+
+    params: AdaptationParams
+    prior: BearingNoise
+    noise: BearingNoise
+    """The present estimate."""
+    count: float = 0.0
+    wide: float = 0.0
+    """Expected number of bearings of the wide normal."""
+    narrow_rad2: float = 0.0
+    """Expected sum of squares of the narrow normal."""
+    wide_rad2: float = 0.0
+
+    @classmethod
+    def starting(
+        cls, prior: BearingNoise, params: AdaptationParams = DEFAULTS
+    ) -> AdaptiveBearingNoise:
+        """Believes in `prior` until measurements say otherwise."""
+        return cls(params, prior, prior)
+
+    def after(self, residual_rad: float) -> AdaptiveBearingNoise:
+        """The noise after one more residual, measured minus predicted bearing in [-pi, pi)."""
+        n, keep, square = self.noise, self.params.forgetting, residual_rad**2
+        wide, _ = bearing_expectations(residual_rad, n.sigma_rad, n.wide_sigma_rad, n.wide_share)
+        sums = (
+            keep * self.count + 1.0,
+            keep * self.wide + wide,
+            keep * self.narrow_rad2 + (1.0 - wide) * square,
+            keep * self.wide_rad2 + wide * square,
+        )
+        return AdaptiveBearingNoise(self.params, self.prior, self._most_likely(*sums), *sums)
+
+    def _most_likely(
+        self, count: float, wide: float, narrow_rad2: float, wide_rad2: float
+    ) -> BearingNoise:
+        """The M-step with the prior in it, on the border where the two sigmas come too close."""
+        prior, ratio = self.prior, self.params.wide_ratio_min
+        extra, extra_tail = self.params.prior_count, self.params.tail_prior_count
+        narrow_rad2 += extra * prior.sigma_rad**2
+        wide_rad2 += extra_tail * prior.wide_sigma_rad**2
+        sigma_rad = math.sqrt(narrow_rad2 / (count - wide + extra))
+        wide_rad = math.sqrt(wide_rad2 / (wide + extra_tail))
+        if wide_rad < ratio * sigma_rad:
+            pooled_rad2 = narrow_rad2 + wide_rad2 / ratio**2
+            sigma_rad = math.sqrt(pooled_rad2 / (count + extra + extra_tail))
+        low_rad = math.radians(self.params.bearing_sigma_min_deg)
+        high_rad = math.radians(self.params.bearing_sigma_max_deg)
+        sigma_rad = _clipped(sigma_rad, low_rad, high_rad)
+        share = (wide + extra * prior.wide_share) / (count + extra)
+        return BearingNoise(
+            sigma_rad=sigma_rad,
+            wide_sigma_rad=max(wide_rad, ratio * sigma_rad),
+            wide_share=_clipped(share, SHARE_MARGIN, 1.0 - SHARE_MARGIN),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class LearntThresholds:
+    """Noise and thresholds as `FilterParams` has them; thresholds in sigma."""
+
+    range_sigma_m: float
+    range_k_long: float
+    """Threshold lambda sigma, the paper's: right where nearly every range is reflected."""
+    range_k_least_variance: float
+    """The threshold that wastes least where many ranges are line of sight: it is larger."""
+    bearing_sigma_rad: float
+    bearing_k: float
+    """The threshold of least variance for bearings."""
+
+
+def thresholds_of(
+    ranges: RangeNoise, bearings: BearingNoise, params: AdaptationParams = DEFAULTS
+) -> LearntThresholds:
+    """What the filter should take for granted, given this noise; within [k_min, k_max].
+
+    Paper: eq. (10). The two of least variance are those with which a constant is located best.
+    """
+    low, high = params.k_min, params.k_max
+    ratio = bearings.wide_sigma_rad / bearings.sigma_rad
+    least_variance = float(least_variance_k_long(ranges.k, ranges.nlos_share))
+    return LearntThresholds(
+        range_sigma_m=ranges.sigma_m,
+        range_k_long=_clipped(ranges.k, low, high),
+        range_k_least_variance=_clipped(least_variance, low, high),
+        bearing_sigma_rad=bearings.sigma_rad,
+        bearing_k=float(least_variance_k(ratio, bearings.wide_share, low, high)),
+    )
+
+
+def _parameters(noise: RangeNoise) -> tuple[float, float, float, float]:
+    return (noise.sigma_m, noise.mean_bias_m, noise.nlos_share, noise.offset_m)
+
+
+def _clipped(value: float, low: float, high: float) -> float:
+    return min(max(value, low), high)

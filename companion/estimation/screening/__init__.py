@@ -1,0 +1,1 @@
+"""Which measurements may reach the filter: validity, gate, plausibility, units."""

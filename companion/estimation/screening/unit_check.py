@@ -1,0 +1,316 @@
+"""Do ranges come in metres? Own motion tells, wherever the target is.
+
+Theory of operation. A range in the wrong unit is a plausible number: 60 m become 0.6. It gives
+itself away when the vehicle moves, because ranges must change as the distance to *some* place does.
+So the ranges of the last seconds are explained twice: in metres, and in each larger unit that is
+confused with metres,
+
+    z_i = factor (|p - s_i| + offset) + e_i
+
+with the place p anywhere within the radio's reach. What counts is how little is left unexplained,
+(n / 2) log var(e) in the radio's own numbers, and the offset beside its prior; long ranges are
+reflections, so that an offset may be long for nothing. The number of measurements is that of
+independent ones. No noise is assumed: a unit that explains ranges to a centimetre while metres
+leave a metre is the right one, whatever the radio is configured as. And no estimate is involved,
+which might have been made from the same wrong numbers. A factor is believed when it is a thousand
+times as probable, and until metres are more probable again. Hovering tells neither, unless ranges
+are shorter than the vehicle is high.
+
+In a smaller unit the ranges, noise included, become absurdly long or scatter by hundreds of metres,
+which no reflection does. Nothing is flown on such ranges, whatever their unit may be.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.domain import PositionEnu
+from companion.estimation.filters.target_filter import FilterParams
+from companion.kernel import Matrix, Vector
+
+FACTORS = (1e-3, 1e-2, 1.0 / 57.29577951308232)
+"""What ranges are multiplied by in the larger units that are confused with metres."""
+MAX_SPREAD_M = 100.0
+"""Between the quartiles of the ranges of the last seconds, beyond own motion."""
+CHANGED_RATIO = 5.0
+"""Ranges that became so much shorter or longer come in another unit than before."""
+NEWEST_COUNT = 4
+"""So many must say so."""
+WINDOW_S = 3.0
+MIN_COUNT, MAX_COUNT = 12, 48
+EVERY = 4
+"""Ranges between two judgements."""
+REJECT_LOG_RATIO = math.log(1000.0)
+ACCEPT_LOG_RATIO = -3.0
+REFINED, REFINEMENTS = 4, 5
+"""So many of the best places are refined, in so many steps, where ranges come in metres."""
+DIRECTIONS = 24
+NEAREST_M, RINGS = 1.0, 20
+LEAST_NOISE_M = 1e-3
+"""What no radio resolves, in its own numbers."""
+MOST_NOISE_M = 40.0
+"""A unit in which the radio would be noisier than this is none."""
+OUTLIER_DEVIATIONS = 4.0
+"""Ranges longer than the median by more median deviations than this count as that much longer."""
+FREE_EXCESS_M = 30.0
+"""An offset that is longer by up to this is a reflection, which costs nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Window:
+    """Ranges of the last seconds and where they were measured, oldest first."""
+
+    range_m: Vector
+    """(n,) as the radio has it."""
+    sensor_enu_m: Matrix
+    """(n, 3)"""
+
+
+@dataclass(frozen=True, slots=True)
+class _Moments:
+    """Ranges beside the distances to places, which is all that a factor's cost depends on."""
+
+    count: int
+    """n."""
+    range_m: float
+    """Mean of the ranges, as the radio has them."""
+    distance_m: Vector
+    """Means of the distances, (places,)."""
+    range_about_m: Vector
+    """The ranges about their mean, (n,)."""
+    distance_about_m: Matrix
+    """The distances about theirs, (places, n)."""
+    range2: float
+    """Sum of squares of the ranges about their mean."""
+    distance2: Vector
+    """The same of the distances, (places,)."""
+    product: Vector
+    """Sums of the products of the two, (places,)."""
+
+    @staticmethod
+    def of(range_m: Vector, distances_m: Matrix) -> _Moments:
+        """Of ranges, (n,), and distances, (places, n)."""
+        ranged, far = float(range_m.mean()), np.asarray(distances_m.mean(axis=1))
+        about, off = range_m - ranged, distances_m - far[:, None]
+        distance2 = np.einsum("ij,ij->i", off, off)
+        return _Moments(
+            len(range_m), ranged, far, about, off, float(about @ about), distance2, off @ about
+        )
+
+    def residual2(self, factor: float | Vector) -> Vector:
+        """Sum of squares that a factor on the distances leaves at each of the places, (places,).
+
+        Rounding of the sums is a millionth of `LEAST_NOISE_M` squared where ranges spread by up to
+        `MAX_SPREAD_M`; wider ones are not flown on anyhow.
+        """
+        left = self.range2 + factor * (factor * self.distance2 - 2.0 * self.product)
+        return np.asarray(np.maximum(left, 0.0))
+
+    @property
+    def independent(self) -> float:
+        """How many independent measurements the window is worth, about its best linear fit."""
+        slope = self.product / np.maximum(self.distance2, 1e-12)
+        best = int(np.argmin(self.residual2(slope)))
+        residual = self.range_about_m - slope[best] * self.distance_about_m[best]
+        total = float(residual @ residual)
+        if total <= 0.0:
+            return float(self.count)
+        rho = min(max(float(residual[1:] @ residual[:-1]) / total, 0.0), 0.95)
+        return self.count * (1.0 - rho) / (1.0 + rho)
+
+
+class UnitCheck:
+    """Watches the ranges of one emitter.
+
+    Args:
+        params: Prior and bounds of the offset, and the target's height.
+        max_range_m: No target is farther.
+    """
+
+    def __init__(self, params: FilterParams, max_range_m: float) -> None:
+        self._params = params
+        self._around_m = _rings_m(max_range_m)
+        self._samples: deque[tuple[float, float, PositionEnu]] = deque(maxlen=MAX_COUNT)
+        self._since = 0
+        self._condemned_s = 0.0
+        self._condemned_m = 0.0
+        self.factor: float | None = None
+        """What ranges seem to be multiplied by; None: nothing speaks for any other than 1."""
+        self.is_wild = False
+        """Whether ranges scatter by more than anything that is flown on may."""
+
+    def clear(self) -> None:
+        """Forget everything, a condemnation included."""
+        self.forget_samples()
+        self.factor = None
+        self.is_wild = False
+
+    def forget_samples(self) -> None:
+        """Forget what was measured, but not a condemnation."""
+        self._samples.clear()
+        self._since = 0
+
+    @property
+    def is_condemned(self) -> bool:
+        """Whether ranges must not be used."""
+        return self.factor is not None or self.is_wild
+
+    def add(self, time_s: float, range_m: float, sensor_enu_m: PositionEnu) -> None:
+        """Take in a range, and judge now and then.
+
+        Args:
+            time_s: When it was measured.
+            range_m: As the radio has it; finite and positive.
+            sensor_enu_m: Where.
+        """
+        self._samples.append((time_s, range_m, sensor_enu_m))
+        self._forget_other_sizes()
+        while len(self._samples) > MIN_COUNT and self._samples[0][0] < time_s - WINDOW_S:
+            self._samples.popleft()
+        self._since += 1
+        if self._since < EVERY or len(self._samples) < MIN_COUNT:
+            return
+        self._since = 0
+        self._judge(time_s)
+
+    def _forget_other_sizes(self) -> None:
+        """Forget what was of another size: where the unit changed, a mixture explains nothing."""
+        sizes = [range_m for _, range_m, _ in self._samples]
+        before, newest = sizes[:-NEWEST_COUNT], sizes[-NEWEST_COUNT:]
+        if len(before) < NEWEST_COUNT:
+            return
+        middle_m = statistics.median(before)
+        if max(newest) < middle_m / CHANGED_RATIO or min(newest) > middle_m * CHANGED_RATIO:
+            for _ in before:
+                self._samples.popleft()
+
+    def _judge(self, now_s: float) -> None:
+        raw_m = [range_m for _, range_m, _ in self._samples]
+        middle_m = statistics.median(raw_m)
+        window = _Window(
+            _clipped(raw_m, middle_m), np.array([place for _, _, place in self._samples])
+        )
+        if not self.is_condemned:
+            self._suspect(window, middle_m, now_s)
+        elif self._samples[0][0] > self._condemned_s:
+            self._reconsider(window, middle_m)
+
+    def _suspect(self, window: _Window, middle_m: float, now_s: float) -> None:
+        factor, log_ratio = self._likeliest(window, FACTORS, REJECT_LOG_RATIO)
+        if log_ratio >= REJECT_LOG_RATIO:
+            self.factor = factor
+        self.is_wild = _is_wild(window)
+        self._condemned_s, self._condemned_m = now_s, middle_m
+
+    def _reconsider(self, window: _Window, middle_m: float) -> None:
+        """Acquit by evidence: metres are likelier, or the numbers are of another size."""
+        if self.factor is not None:
+            _, log_ratio = self._likeliest(window, (self.factor,), ACCEPT_LOG_RATIO)
+            if log_ratio <= ACCEPT_LOG_RATIO:
+                self.factor = None
+        if self.is_wild and middle_m < self._condemned_m / CHANGED_RATIO:
+            self.is_wild = _is_wild(window)
+
+    def _likeliest(
+        self, window: _Window, factors: tuple[float, ...], limit: float
+    ) -> tuple[float, float]:
+        """The likeliest of some factors, and the log of how much more so than 1 it is.
+
+        Metres get the better search: a place between those that are tried must not condemn them.
+        It only lowers the ratio, so one below `limit` is not looked at any closer.
+        """
+        places = self._places_enu_m(window.sensor_enu_m)
+        tried = _Moments.of(window.range_m, self._distances_m(places, window.sensor_enu_m))
+        count = tried.independent
+        costs = [float(self._costs(tried, each, count).min()) for each in factors]
+        best = int(np.argmin(costs))
+        in_metres = self._costs(tried, 1.0, count)
+        log_ratio = float(in_metres.min()) - costs[best]
+        if log_ratio < limit:
+            return factors[best], log_ratio
+        starts = places[np.argsort(in_metres)[:REFINED]]
+        distances_m = self._distances_m(self._refined(starts, window), window.sensor_enu_m)
+        refined = _Moments.of(window.range_m, distances_m)
+        best_in_metres = float(self._costs(refined, 1.0, count).min())
+        return factors[best], min(log_ratio, best_in_metres - costs[best])
+
+    def _places_enu_m(self, sensor_enu_m: Matrix) -> Matrix:
+        """Places that are considered, (places, 2): all around, near and far."""
+        places: Matrix = self._around_m + sensor_enu_m[:, :2].mean(axis=0)
+        return places
+
+    def _distances_m(self, places_enu_m: Matrix, sensor_enu_m: Matrix) -> Matrix:
+        """Distances of places from where ranges were made, (places, n)."""
+        up = sensor_enu_m[:, 2] - self._params.target_height_m
+        ground2 = (places_enu_m[:, :1] - sensor_enu_m[:, 0]) ** 2
+        ground2 += (places_enu_m[:, 1:] - sensor_enu_m[:, 1]) ** 2
+        distances: Matrix = np.sqrt(ground2 + up**2)
+        return distances
+
+    def _refined(self, places_enu_m: Matrix, window: _Window) -> Matrix:
+        """The places after some steps of Gauss-Newton with a free offset, (places, 2)."""
+        refined = np.array(places_enu_m)
+        for _ in range(REFINEMENTS):
+            distances_m = self._distances_m(refined, window.sensor_enu_m)
+            for place, distance_m in zip(refined, distances_m, strict=True):
+                partials = (place - window.sensor_enu_m[:, :2]) / np.maximum(distance_m, 1e-3)[
+                    :, None
+                ]
+                H = np.column_stack([partials, np.ones(len(distance_m))])
+                damped = H.T @ H + 1e-6 * len(distance_m) * np.eye(3)
+                step = np.linalg.solve(damped, H.T @ (window.range_m - distance_m))[:2]
+                limit_m = 0.5 * float(distance_m.mean())
+                place += step * min(1.0, limit_m / max(float(np.hypot(*step)), 1e-9))
+        return refined
+
+    def _costs(self, tried: _Moments, factor: float, count: float) -> Vector:
+        """Minus the log-likelihood of a factor at each of the places."""
+        residual2 = tried.residual2(factor) / tried.count
+        cost = 0.5 * count * np.log(residual2 + LEAST_NOISE_M**2)
+        cost += self._offset_cost(tried.range_m / factor - tried.distance_m)
+        if factor != 1.0:
+            cost[np.sqrt(residual2) / factor > MOST_NOISE_M] = math.inf
+        costs: Vector = cost
+        return costs
+
+    def _offset_cost(self, offset_m: Vector) -> Vector:
+        """Minus the log-prior of range offsets, reflections included."""
+        p = self._params
+        low_m = 0.0 if p.range_offset_min_m is None else min(p.range_offset_min_m, 0.0)
+        high_m = p.range_offset_max_m or 0.0
+        sigma_m = p.range_offset_sigma_m if p.range_offset_min_m is None else p.range_sigma_m
+        below = np.minimum(offset_m - low_m, 0.0) / sigma_m
+        above = np.maximum(offset_m - high_m - FREE_EXCESS_M, 0.0) / p.range_offset_sigma_m
+        cost: Vector = 0.5 * (below**2 + above**2)
+        return cost
+
+
+def _rings_m(max_range_m: float) -> Matrix:
+    """Where places are looked for around the vehicle, (places, 2), relative to it."""
+    angles = 2.0 * math.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    around = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    rings = np.geomspace(NEAREST_M, max_range_m, RINGS)[:, None, None] * around
+    flat: Matrix = rings.reshape(-1, 2)
+    return flat
+
+
+def _is_wild(window: _Window) -> bool:
+    """Whether the quartiles of the ranges are farther apart than own motion can explain."""
+    if float(np.ptp(window.range_m)) <= MAX_SPREAD_M:
+        return False
+    low_m, high_m = np.quantile(window.range_m, [0.25, 0.75])
+    path_m = float(np.sum(np.linalg.norm(np.diff(window.sensor_enu_m, axis=0), axis=1)))
+    return float(high_m - low_m) - path_m > MAX_SPREAD_M
+
+
+def _clipped(range_m: Sequence[float], middle_m: float) -> Vector:
+    """The ranges without gross excess over their median, (n,)."""
+    deviation_m = statistics.median([abs(each - middle_m) for each in range_m])
+    clipped: Vector = np.minimum(np.array(range_m), middle_m + OUTLIER_DEVIATIONS * deviation_m)
+    return clipped

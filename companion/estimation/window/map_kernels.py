@@ -1,0 +1,254 @@
+"""The MAP problem over many measurements: residuals, cost, and damped re-weighted Gauss-Newton.
+
+Rows are [east, north, up, range, bearing, elevation, range sigma, bearing sigma, elevation sigma,
+sequence number], NaN where nothing was measured. Residuals are whitened and laid out modality by
+modality, (3, n); what was not measured has residual zero and a zero row of partials, so that it
+neither costs nor pulls. A Gaussian prior 1/2 x^T L x - e^T x joins them.
+
+Paper: eq. (9).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from companion.estimation.measurement_model import RangingModel, range_factor, target_height_m
+from companion.kernel import Matrix, Vector, kernel
+
+VALUES, SIGMAS, SEQUENCE = 3, 6, 9
+"""First columns of the values and of their standard deviations, and the sequence number's."""
+COLUMNS = 10
+
+MAX_ITERATIONS = 25
+STEP_TOLERANCE_M = 1e-4
+DAMPING_START = 1e-3
+DAMPING_MAX = 1e8
+MIN_DISTANCE_M = 0.05
+"""Views from nearer than this are taken from this far, so that an angle keeps a meaning."""
+
+
+@kernel
+def row_sigmas(rows: Matrix, mean: Vector, model: RangingModel) -> Matrix:
+    """Standard deviations of every measurement at `mean`, (3, n), own position included.
+
+    They are those of thermal noise. Where bearings are worse than that, the own position is so much
+    smaller a part of them: or else it would excuse any bearing of a target near the vehicle.
+    """
+    own2 = model.own_sigma_m * model.own_sigma_m
+    floor2 = MIN_DISTANCE_M * MIN_DISTANCE_M
+    de, dn = mean[0] - rows[:, 0], mean[1] - rows[:, 1]
+    du = target_height_m(mean, model) - rows[:, 2]
+    ground2 = np.maximum(de * de + dn * dn, floor2)
+    sigmas = np.empty((3, rows.shape[0]))
+    sigmas[0] = np.sqrt(rows[:, 6] * rows[:, 6] + own2)
+    sigmas[1] = np.sqrt(rows[:, 7] * rows[:, 7] + own2 / (model.bearing_inflation * ground2))
+    sigmas[2] = np.sqrt(rows[:, 8] * rows[:, 8] + own2 / (ground2 + du * du))
+    return sigmas
+
+
+@kernel
+def has_elevation(rows: Matrix) -> bool:
+    """Whether any row has one: most radios measure none, and then nothing is spent on it."""
+    return bool(np.isfinite(rows[:, 5]).any())
+
+
+@kernel
+def row_residuals(rows: Matrix, mean: Vector, sigmas: Matrix, model: RangingModel) -> Matrix:
+    """Whitened residuals of every measurement, (3, n), zero where nothing was measured."""
+    de, dn = mean[0] - rows[:, 0], mean[1] - rows[:, 1]
+    du = target_height_m(mean, model) - rows[:, 2]
+    ground2 = de * de + dn * dn
+    u = np.empty((3, rows.shape[0]))
+    u[0] = rows[:, 3] - range_factor(mean, model) * np.sqrt(ground2 + du * du) - mean[2]
+    turn = rows[:, 4] - np.arctan2(dn, de) - mean[3]
+    u[1] = turn - 2.0 * math.pi * np.floor(turn / (2.0 * math.pi) + 0.5)
+    if has_elevation(rows):
+        u[2] = rows[:, 5] - np.arctan2(du, np.sqrt(ground2))
+    else:
+        u[2] = 0.0
+    u = u / sigmas
+    return np.where(np.isnan(u), 0.0, u)
+
+
+@kernel
+def row_partials(rows: Matrix, mean: Vector, sigmas: Matrix, model: RangingModel) -> Matrix:
+    """Whitened partials of every measurement by the state, (3 n, k), modality by modality."""
+    n = rows.shape[0]
+    de, dn = mean[0] - rows[:, 0], mean[1] - rows[:, 1]
+    du = target_height_m(mean, model) - rows[:, 2]
+    ground2 = np.maximum(de * de + dn * dn, MIN_DISTANCE_M * MIN_DISTANCE_M)
+    slant = np.sqrt(ground2 + du * du)
+    ground = np.sqrt(ground2)
+    factor = range_factor(mean, model)
+    H = np.zeros((3 * n, mean.size))
+    by_range, by_bearing, by_elevation = H[:n], H[n : 2 * n], H[2 * n :]
+    by_range[:, 0] = factor * de / slant
+    by_range[:, 1] = factor * dn / slant
+    by_range[:, 2] = 1.0
+    by_bearing[:, 0] = -dn / ground2
+    by_bearing[:, 1] = de / ground2
+    by_bearing[:, 3] = 1.0
+    if model.scale_index >= 0:
+        by_range[:, model.scale_index] = slant
+    if model.height_index >= 0:
+        by_range[:, model.height_index] = factor * du / slant
+        by_elevation[:, model.height_index] = ground / (slant * slant)
+    modalities = 2
+    if has_elevation(rows):
+        modalities = 3
+        down = -du / (slant * slant * ground)
+        by_elevation[:, 0] = de * down
+        by_elevation[:, 1] = dn * down
+    else:
+        by_elevation[:] = 0.0
+    for modality in range(modalities):
+        part = H[modality * n : (modality + 1) * n]
+        share = np.where(np.isnan(rows[:, 3 + modality]), 0.0, 1.0 / sigmas[modality])
+        part *= share.reshape(-1, 1)
+    return H
+
+
+@kernel
+def clipped(u: Matrix, thresholds: Matrix) -> Matrix:
+    """Influence of every whitened residual, as many rows: the residual between its thresholds."""
+    psi = np.empty(u.shape)
+    for modality in range(u.shape[0]):
+        high, low = thresholds[modality, 0], -thresholds[modality, 1]
+        psi[modality] = np.minimum(np.maximum(u[modality], low), high)
+    return psi
+
+
+@kernel
+def map_cost(
+    rows: Matrix,
+    mean: Vector,
+    sigmas: Matrix,
+    thresholds: Matrix,
+    information: Matrix,
+    pull: Vector,
+    model: RangingModel,
+) -> float:
+    """The objective at `mean`: robust losses and prior."""
+    u = row_residuals(rows, mean, sigmas, model)
+    psi = clipped(u, thresholds)
+    prior = 0.5 * np.dot(mean, np.dot(information, mean)) - np.dot(pull, mean)
+    return float(np.sum(psi * (u - 0.5 * psi)) + prior)
+
+
+@kernel
+def normaliser(rows: Matrix, sigmas: Matrix, model: RangingModel) -> float:
+    """What makes costs of different places comparable: the bearings' standard deviations differ.
+
+    A density that is as wide as the own position's error makes it, is as much lower; with noise
+    that is inflated by c, -c log p = loss + c log sigma.
+
+    Args:
+        rows: (n, 10).
+        sigmas: (3, n) at the place.
+        model: The constants.
+    """
+    wider = np.log(sigmas[1] / rows[:, 7])
+    return float(model.bearing_inflation * np.sum(np.where(np.isnan(rows[:, 4]), 0.0, wider)))
+
+
+@kernel
+def normal_equations(
+    rows: Matrix,
+    mean: Vector,
+    sigmas: Matrix,
+    thresholds: Matrix,
+    information: Matrix,
+    pull: Vector,
+    model: RangingModel,
+) -> tuple[Matrix, Vector, float]:
+    """The re-weighted Gauss-Newton system at `mean`: matrix (k, k), descent (k,), and the cost."""
+    measured = 3 if has_elevation(rows) else 2
+    u = row_residuals(rows, mean, sigmas, model)[:measured]
+    psi = clipped(u, thresholds)
+    H = row_partials(rows, mean, sigmas, model)[: measured * rows.shape[0]]
+    is_quadratic = u == psi
+    weight = np.where(is_quadratic, 1.0, psi / np.where(is_quadratic, 1.0, u))
+    A = np.dot(H.T, weight.reshape(-1, 1) * H) + information
+    known = np.dot(information, mean)
+    cost = np.sum(psi * (u - 0.5 * psi)) + 0.5 * np.dot(mean, known) - np.dot(pull, mean)
+    return A, np.dot(H.T, psi.reshape(-1)) - known + pull, float(cost)
+
+
+@kernel
+def hold_at_bounds(A: Matrix, descent: Vector, mean: Vector, bounds: Matrix) -> None:
+    """Take out of a system, in place, what stands at a bound and would go beyond it.
+
+    Without it a step would be solved as if that component could move, and cut off afterwards.
+    Source: D. P. Bertsekas, Projected Newton methods, SIAM J. Control Optim. 20 (1982).
+    """
+    for index in range(mean.size):
+        is_low = mean[index] <= bounds[0, index] and descent[index] < 0.0
+        is_high = mean[index] >= bounds[1, index] and descent[index] > 0.0
+        if is_low or is_high:
+            A[index, :] = 0.0
+            A[:, index] = 0.0
+            A[index, index] = 1.0
+            descent[index] = 0.0
+
+
+@kernel
+def map_step(
+    rows: Matrix,
+    mean: Vector,
+    damping: float,
+    thresholds: Matrix,
+    bounds: Matrix,
+    information: Matrix,
+    pull: Vector,
+    model: RangingModel,
+) -> tuple[Vector, float]:
+    """One damped step that lowers the cost, and the next damping.
+
+    Where no step lowers it, the mean comes back as it was.
+    """
+    sigmas = row_sigmas(rows, mean, model)
+    A, descent, cost = normal_equations(rows, mean, sigmas, thresholds, information, pull, model)
+    hold_at_bounds(A, descent, mean, bounds)
+    scale = np.diag(np.diag(A) + 1e-9)
+    while damping < DAMPING_MAX:
+        moved = mean + np.linalg.solve(A + damping * scale, descent)
+        moved = np.minimum(np.maximum(moved, bounds[0]), bounds[1])
+        if map_cost(rows, moved, sigmas, thresholds, information, pull, model) < cost:
+            return moved, max(damping / 4.0, 1e-9)
+        damping *= 8.0
+    return mean, damping
+
+
+@kernel
+def map_minimum(
+    rows: Matrix,
+    start: Vector,
+    thresholds: Matrix,
+    bounds: Matrix,
+    information: Matrix,
+    pull: Vector,
+    model: RangingModel,
+) -> tuple[Vector, float]:
+    """The minimum that a start leads to, (k,), and its cost.
+
+    Args:
+        rows: (n, 10).
+        start: (k,).
+        thresholds: (3, 2) long and short threshold of each modality.
+        bounds: (2, k).
+        information: (k, k) of the Gaussian prior, L.
+        pull: (k,) of the Gaussian prior, e = L times its mean.
+        model: The constants.
+    """
+    mean = np.minimum(np.maximum(start, bounds[0]), bounds[1])
+    damping = DAMPING_START
+    for _ in range(MAX_ITERATIONS):
+        moved, damping = map_step(rows, mean, damping, thresholds, bounds, information, pull, model)
+        step_m = math.hypot(moved[0] - mean[0], moved[1] - mean[1])
+        mean = moved
+        if step_m < STEP_TOLERANCE_M:
+            break
+    sigmas = row_sigmas(rows, mean, model)
+    return mean, map_cost(rows, mean, sigmas, thresholds, information, pull, model)

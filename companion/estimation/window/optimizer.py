@@ -1,0 +1,311 @@
+"""Checks and corrects the hypotheses by solving the window now and then.
+
+Every optimum replaces the hypotheses near it, because it holds all that they have seen, and is not
+linearised where they stood at the time. What no longer fits into the window is held as a Gaussian
+prior; where window and prior contradict each other, the prior was expanded about a wrong place,
+and is forgotten.
+
+How much more probable one optimum is than another. The difference of their costs is a
+log-likelihood ratio if the noise is what the loss believes. It is divided by the inflation, because
+inflated noise says that much less. And it depends on the very noise that was drawn: a residual e
+more changes it by (psi_rival - psi_best) e, so that the sum of these products (with its long-run
+variance, because residuals repeat each other) tells how easily the difference came about by chance.
+With z the difference over that deviation, the odds are no better than Phi(z) / Phi(-z). The more
+careful of the two counts.
+
+Source: Q. H. Vuong, Econometrica 57 (1989), tests two models by the scatter of their likelihood
+ratio; here only the part of the scatter that noise makes counts, because the rest is geometry.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from companion.domain import Point, PositionEnu
+from companion.estimation.belief import as_evidence
+from companion.estimation.filters.target_filter import FilterParams, FilterState, Inflation
+from companion.estimation.hypotheses import Hypothesis, shift_rows
+from companion.estimation.window.measurement_window import MeasurementWindow, OlderEvidence
+from companion.estimation.window.sandwich import (
+    CRITICAL_RATIO,
+    Observability,
+    long_run_variance,
+    mirrored,
+    observability_of,
+)
+from companion.estimation.window.window_map import (
+    MAX_POSITION_SIGMA_M,
+    MIN_MEASUREMENTS,
+    Optimum,
+    WindowMap,
+    WindowParams,
+)
+from companion.kernel import Matrix, Vector
+
+IMPROBABLE_LOG_RATIO = math.log(1e-4)
+"""An optimum this much less probable than the best one is dropped."""
+
+
+def weigh_optima(optima: Sequence[Optimum]) -> list[tuple[float, Optimum]]:
+    """Log-weights of the optima, best first, without the improbable ones.
+
+    Only the inflation of the best one counts: a wrong place makes its residuals systematic. Nor
+    does volume, or the vaguest would win.
+    """
+    if not optima:
+        return []
+    best = min(optima, key=lambda optimum: optimum.cost)
+    logs = [(log_ratio(optimum, best), optimum) for optimum in optima]
+    return [(log, optimum) for log, optimum in logs if log > IMPROBABLE_LOG_RATIO]
+
+
+def log_ratio(rival: Optimum, best: Optimum) -> float:
+    """Log of how probable `rival` is beside `best`, at most 0."""
+    if rival is best:
+        return 0.0
+    by_noise = (rival.cost - best.cost) / best.inflation
+    sensitivity = np.sum((rival.psi - best.psi) * best.psi, axis=0)
+    scatter = float(long_run_variance(sensitivity[:, None])[0, 0])
+    if scatter <= 0.0:
+        return -by_noise
+    z = (rival.cost - best.cost) / (CRITICAL_RATIO * math.sqrt(scatter))
+    by_chance = math.log(math.erfc(-z / math.sqrt(2.0))) - log_erfc(z / math.sqrt(2.0))
+    return -min(by_noise, by_chance)
+
+
+def log_erfc(x: float) -> float:
+    """log(erfc(x)) without underflow."""
+    if x < 20.0:
+        return math.log(math.erfc(x))
+    return -x * x - math.log(x * math.sqrt(math.pi))
+
+
+MAX_POLISHED = 4
+"""Hypotheses that start a solution of the window each time."""
+UNSETTLED_STARTS, SETTLED_STARTS = 4, 1
+"""Fresh starts per solution, before and after there is one hypothesis and much evidence."""
+SETTLED_COUNT = 300
+EARLY_SHARE = 0.1
+"""Early on the window is solved whenever it has grown by this share."""
+VAGUE_COVARIANCE_M2 = MAX_POSITION_SIGMA_M**2 * np.eye(2)
+"""What is believed of a hypothesis while the window finds no place at all."""
+CONTRADICTING_SHARE = 0.5
+"""Of a full window, before it may contradict older evidence."""
+CONTRADICTED_DISTANCE2 = 16.0
+"""Mahalanobis, squared, between solutions with and without the older evidence: it was wrong."""
+
+
+class WindowOptimizer:
+    """The window of one target, and when and how it is solved.
+
+    Args:
+        filter_params: Noise, thresholds, priors and bounds, as the filter has them.
+        params: Size and rhythm of the window.
+    """
+
+    def __init__(self, filter_params: FilterParams, params: WindowParams) -> None:
+        self._filter_params = filter_params
+        self._params = params
+        self._window = MeasurementWindow(params.size)
+        self._map = WindowMap(filter_params)
+        self._older = OlderEvidence.none(self._map.size)
+        self._turn = 0
+        self._due_at = MIN_MEASUREMENTS
+        self._fresh_at = MIN_MEASUREMENTS
+        self.noise: Inflation | None = None
+        """How much worse than thermal the best optimum found each modality; None: not solved."""
+
+    def clear(self) -> None:
+        """Forget everything measured."""
+        self._window.clear()
+        self.noise = None
+        self._older = OlderEvidence.none(self._map.size)
+        self._due_at = MIN_MEASUREMENTS
+
+    def begin_from(self, hypothesis: Hypothesis) -> None:
+        """Take a hypothesis for what was measured before the first measurement."""
+        self._older = as_evidence(hypothesis, self._filter_params)
+
+    def move(self, shift_enu_m: PositionEnu, step: Vector) -> None:
+        """Move all evidence along with the vehicle's navigation, which jumped; see `moving`."""
+        self._older = self._older.moved(step)
+        self._window.change(
+            lambda rows: shift_rows(rows, shift_enu_m, step, self._filter_params),
+        )
+
+    def begin_with(self, latest: Iterable[tuple[PositionEnu, Vector, Vector]]) -> None:
+        """Forget what led to an estimate that has been given up, all but the latest measurements.
+
+        Args:
+            latest: Where each was taken, its values (3,) and their thermal noise (3,).
+        """
+        self._older = OlderEvidence.none(self._map.size)
+        self._window.clear()
+        for sensor_enu_m, z, sigma in latest:
+            self._window.add(sensor_enu_m, z, sigma, sensor_enu_m[:2])
+        self.noise = None
+        self._due_at = self._fresh_at = 0
+
+    @property
+    def map(self) -> WindowMap:
+        """What solves the window."""
+        return self._map
+
+    def retune(self, filter_params: FilterParams) -> None:
+        """Believe in other noise and thresholds, for what was measured already, too."""
+        self._filter_params = filter_params
+        self._map = WindowMap(filter_params)
+        self._window.believe(
+            filter_params.range_sigma_m, math.radians(filter_params.bearing_sigma_deg)
+        )
+
+    @property
+    def window_rows(self) -> Matrix:
+        """The measurements held, (n, 10), see `map_kernels`."""
+        return self._window.rows
+
+    @property
+    def has_bearings(self) -> bool:
+        """Whether any measurement held is a bearing."""
+        return self._window.has_bearings
+
+    def add(
+        self,
+        sensor_enu_m: PositionEnu,
+        z: Vector,
+        sigma: Vector,
+        hypotheses: Sequence[Hypothesis],
+        *,
+        is_white: bool,
+    ) -> None:
+        """Take in a measurement; what must leave the window becomes older evidence.
+
+        While there are several hypotheses there is no place to expand it about, and where residuals
+        repeat each other its neighbours have said the same: then it is let go.
+        """
+        place: Point = hypotheses[0].place_enu_m if hypotheses else sensor_enu_m[:2]
+        dropped = self._window.add(sensor_enu_m, z, sigma, place)
+        if len(dropped) and len(hypotheses) == 1 and is_white:
+            self._older = self._older.joined(
+                dropped,
+                hypotheses[0].state.mean,
+                self._filter_params.thresholds,
+                self._filter_params.model,
+            )
+
+    def is_due(self, accepted: int) -> bool:
+        """Whether the window should be solved after this many measurements."""
+        if not self._params.enabled or accepted < self._due_at:
+            return False
+        grown = max(1, int(EARLY_SHARE * accepted))
+        self._due_at = accepted + min(self._params.every, grown)
+        return True
+
+    def polished(
+        self,
+        hypotheses: tuple[Hypothesis, ...],
+        accepted: int,
+        inflation: Inflation,
+        *,
+        is_white: bool,
+        fresh_starts: int | None,
+    ) -> tuple[Hypothesis, ...]:
+        """The hypotheses after the window was solved.
+
+        Args:
+            hypotheses: The filter's, best first.
+            accepted: Measurements so far.
+            inflation: Of the variances of range, bearing and elevation, that the run has shown.
+            is_white: Whether innovations know nothing of each other.
+            fresh_starts: How many starts besides the hypotheses; None: as many as the evidence
+                calls for.
+        """
+        if len(self._window) < MIN_MEASUREMENTS or not hypotheses:
+            return hypotheses
+        if fresh_starts is None:
+            fresh_starts = self._fresh_starts(len(hypotheses), accepted)
+        self._map.expect(inflation)
+        rows, starts = self._window.rows, self._starts(hypotheses, fresh_starts)
+        optima = self._map.optima(rows, starts, self._older, is_white=is_white)
+        if optima and not self._older.is_empty and self._is_contradicted(optima[0]):
+            self._older = OlderEvidence.none(self._map.size)
+            starts.append(optima[0].mean)
+            optima = self._map.optima(rows, starts, is_white=is_white)
+        if optima:
+            optima = self._trimmed(optima, starts, is_white=is_white)
+        if not optima:
+            return tuple(replace(h, least_covariance_m2=VAGUE_COVARIANCE_M2) for h in hypotheses)
+        self.noise = optima[0].noise
+        return tuple(
+            _replacing(optimum, log_weight, hypotheses[0].state.time_s, is_white)
+            for log_weight, optimum in weigh_optima(optima)
+        )
+
+    def observability(self, mean: Vector) -> Observability | None:
+        """What the window can tell about a target at `mean`; None before the first measurement."""
+        if not len(self._window):
+            return None
+        rows = self._window.rows
+        return observability_of(rows, self._map.scores(rows, mean))
+
+    def _fresh_starts(self, hypotheses: int, accepted: int) -> int:
+        """How many fresh starts are due; early solutions in between have none."""
+        if accepted < self._fresh_at:
+            return 0
+        self._fresh_at = accepted + self._params.every
+        is_settled = hypotheses == 1 and accepted > SETTLED_COUNT
+        return SETTLED_STARTS if is_settled else UNSETTLED_STARTS
+
+    def _starts(self, hypotheses: Sequence[Hypothesis], fresh: int) -> list[Vector]:
+        """The hypotheses, the best one's mirror image, and places around the path."""
+        rows, directions = self._window.rows, self._params.starts
+        starts = [h.state.mean for h in hypotheses[:MAX_POLISHED]]
+        if fresh:
+            starts.append(mirrored(starts[0], rows[:, :2]))
+        for _ in range(fresh):
+            direction_rad = 2.0 * math.pi * self._turn / directions
+            spread = self._turn // directions + self._turn
+            starts.append(self._map.start_around(rows, direction_rad, spread))
+            self._turn += 1
+        return starts
+
+    def _trimmed(
+        self, optima: list[Optimum], starts: Sequence[Vector], *, is_white: bool
+    ) -> list[Optimum]:
+        """The optima without gross errors, if there are any: not even a linear loss outvotes many.
+
+        Where most measurements look wrong, it is rather the optimum, and nothing is left out.
+        """
+        rows = self._map.without_gross(self._window.rows, optima[0])
+        if rows is None:
+            return optima
+        starts = [*starts, *(optimum.mean for optimum in optima)]
+        return self._map.optima(rows, starts, self._older, is_white=is_white) or optima
+
+    def _is_contradicted(self, best: Optimum) -> bool:
+        """Whether the window alone leads elsewhere than with the older evidence.
+
+        A window that is far from full, as after a restart, does not know how wrong it is itself.
+        """
+        if len(self._window) < CONTRADICTING_SHARE * self._params.size:
+            return False
+        alone = self._map.optima(self._window.rows, [best.mean])
+        if not alone:
+            return False
+        difference = alone[0].mean[:2] - best.mean[:2]
+        spread = alone[0].covariance[:2, :2]
+        return float(difference @ np.linalg.solve(spread, difference)) > CONTRADICTED_DISTANCE2
+
+
+def _replacing(optimum: Optimum, log_weight: float, time_s: float, is_white: bool) -> Hypothesis:
+    """The hypothesis that an optimum becomes.
+
+    Where residuals repeat each other, the filter only repeats itself until the next solution.
+    """
+    state = FilterState.of(time_s, optimum.mean, optimum.covariance)
+    least = None if is_white else np.array(optimum.covariance[:2, :2])
+    return Hypothesis(log_weight, state, least)

@@ -1,0 +1,313 @@
+"""How wrong an M-estimate is (Huber's sandwich), and what the track lets it tell (observability).
+
+Theory of operation. With partials H and influences psi (all whitened), A = sum psi' H H^T and
+B = the variance of sum psi H, the estimate's covariance is A^-1 B A^-1. The slope psi' and the
+second moment psi^2 are pooled per modality, because 2 numbers are learnt faster than a matrix.
+
+A measurement that dominates the estimate is not outvoted by others: its error enters as it is,
+not clipped. With its leverage h, the share of the curvature along its own direction, the second
+moment that counts is (1 - h) E[psi^2] + h slope^2 E[u^2].
+
+Where residuals repeat each other, as recorded ranges do, B counts that in two ways: by the factor
+(1 + rho) / (1 - rho) of a first-order process, and as the long-run variance (Bartlett weights),
+whose small-sample bias is made up for by the fixed-bandwidth critical value.
+
+Source: P. J. Huber, Robust Statistics (1981), chapter 6; N. M. Kiefer and T. J. Vogelsang,
+Econometric Theory 21 (2005), for the critical value.
+
+Observability. The expected robust curvature matrix (ERCM) is C = sum rho''(r) H H^T / sigma^2 over
+the measurements, where rho'' is 1 on the quadratic part of the loss and 0 on the saturated ones.
+Only non-saturated measurements from diverse directions make it positive definite; the paper calls
+that bilateral information, and its absence statistical-geometric degeneracy.
+
+A track along a line sees a target and its mirror image alike where only ranges are measured.
+
+Paper: section IV-D, Lemma B.1, Propositions B.1 and B.2.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from companion.kernel import Matrix, Vector
+
+BANDWIDTH = 0.2
+"""Lags that count as correlated, as a share of the window."""
+CRITICAL_RATIO = (1.96 + 2.9694 * BANDWIDTH + 0.416 * BANDWIDTH**2 - 0.5324 * BANDWIDTH**3) / 1.96
+MIN_SLOPE = 0.05
+"""Least share of measurements on the quadratic part that curvature is believed to have."""
+PRIOR_COUNT = 4.0
+"""How many measurements the thermal noise is worth when its second moment is pooled."""
+MAX_RESIDUAL = 10.0
+"""Residuals count no larger than this where they are not clipped by the loss."""
+MAX_CORRELATION = 0.98
+SIGNIFICANT_SIGMAS = 2.0
+"""A correlation counts from this many standard errors: white residuals reach it once in 44."""
+MIN_CORRELATED = 12
+"""Fewer residuals than this tell nothing of correlation."""
+DEFINITE_SHARE = 1e-3
+"""Share of the thermal covariance added, so that a covariance is positive definite."""
+
+
+@dataclass(frozen=True)
+class Scores:
+    """The linearised problem at an estimate, modality by modality."""
+
+    u: Matrix
+    """(3, n) whitened residuals."""
+    psi: Matrix
+    """(3, n) their influences."""
+    H: Matrix
+    """(3 n, k) whitened partials, zero rows where nothing was measured."""
+    is_measured: Matrix
+    """(3, n) booleans."""
+    thermal: tuple[float, ...] = (1.0, 1.0, 1.0)
+    """Second moment of each modality's influence under thermal noise alone."""
+
+    @cached_property
+    def counts(self) -> tuple[int, ...]:
+        """How many measurements there are of each modality, (3,)."""
+        counts: list[int] = np.count_nonzero(self.is_measured, axis=1).tolist()
+        return tuple(counts)
+
+    @cached_property
+    def slopes(self) -> tuple[float, ...]:
+        """Share of each modality's measurements on the quadratic part, (3,)."""
+        quadratic = np.count_nonzero((self.u == self.psi) & self.is_measured, axis=1).tolist()
+        return tuple(
+            max(part / n, MIN_SLOPE) if n else 1.0
+            for part, n in zip(quadratic, self.counts, strict=True)
+        )
+
+    @property
+    def measured(self) -> list[int]:
+        """The modalities of which there is any measurement: the others' rows are zero."""
+        return [modality for modality, n in enumerate(self.counts) if n]
+
+    def part(self, modality: int) -> Matrix:
+        """(n, k) partials of one modality."""
+        n = self.u.shape[1]
+        rows: Matrix = self.H[modality * n : (modality + 1) * n]
+        return rows
+
+    def moment(self, modality: int, parameters: int) -> float:
+        """Pooled second moment of the influence, not below thermal noise by more than chance.
+
+        Residuals much smaller than thermal noise promise nothing.
+        """
+        n = self.counts[modality]
+        thermal = self.thermal[modality]
+        total = float(np.sum(self.psi[modality] ** 2))
+        pooled = (
+            (total + PRIOR_COUNT * thermal)
+            / (n + PRIOR_COUNT)
+            * (n + 1.0)
+            / max(n + 1.0 - parameters, 1)
+        )
+        return max(pooled, thermal * (1.0 - 2.0 * math.sqrt(2.0 / (n + PRIOR_COUNT))))
+
+    def quantile_ratio(self, modality: int) -> float:
+        """How much wider than normal the 95 % interval is, because slope and moment are estimates.
+
+        Student's t with the degrees of freedom that match the variance of the estimated ratio
+        moment / slope^2 (Satterthwaite), over the normal quantile (Cornish-Fisher).
+        """
+        n, slope = self.counts[modality], self.slopes[modality]
+        variance = (1.0 + 4.0 * (1.0 - slope) / slope) / (n + PRIOR_COUNT)
+        dof = max(2.0 / variance, 2.0)
+        z2 = 1.96**2
+        return 1.0 + (z2 + 1.0) / (4.0 * dof) + (5.0 * z2**2 + 16.0 * z2 + 3.0) / (96.0 * dof**2)
+
+    def finite_sample_ratio(self, modality: int, parameters: float) -> float:
+        """Huber's K: a fit of so many parameters makes residuals look more quadratic than they are.
+
+        K = 1 + p / n Var[psi'] / E[psi']^2, eq. (6.5) of chapter 7 in Huber (1981), with p the
+        parameters that this modality determines.
+        """
+        n, slope = max(self.counts[modality], 1), self.slopes[modality]
+        return 1.0 + parameters / n * (1.0 - slope) / slope
+
+    def inflation(self, modality: int, parameters: int) -> float:
+        """How much less a measurement says than thermal noise would, at its mean weight."""
+        seen = self.is_measured[modality]
+        u, psi = self.u[modality][seen], self.psi[modality][seen]
+        weights = np.where(u == psi, 1.0, psi / np.where(u == psi, 1.0, u))
+        mean_weight = (float(weights.sum()) + PRIOR_COUNT) / (len(u) + PRIOR_COUNT)
+        moment = self.moment(modality, parameters) * self.quantile_ratio(modality) ** 2
+        return mean_weight * moment / self.slopes[modality] ** 2
+
+    def unclipped_moment(self, modality: int) -> float:
+        """Pooled second moment of the residuals themselves."""
+        n = self.counts[modality]
+        u = np.clip(self.u[modality], -MAX_RESIDUAL, MAX_RESIDUAL)
+        return (float(np.sum(u**2)) + PRIOR_COUNT) / (n + PRIOR_COUNT)
+
+    def correlation(self, modality: int) -> float:
+        """Lag-1 correlation of the influences in time order, 0 where it may be chance."""
+        if self.counts[modality] < MIN_CORRELATED:
+            return 0.0
+        psi = self.psi[modality][self.is_measured[modality]]
+        psi = psi - psi.mean()
+        variance = float(np.mean(psi**2))
+        if variance <= 0.0:
+            return 0.0
+        rho = float(np.mean(psi[1:] * psi[:-1])) / variance
+        if rho <= SIGNIFICANT_SIGMAS / math.sqrt(len(psi)):
+            return 0.0
+        fitted = self.H.shape[1] / len(psi)  # the fit took that much of it away
+        return float(min(rho + fitted * (1.0 + rho), MAX_CORRELATION))
+
+    @property
+    def repetition(self) -> Vector:
+        """(1 + rho) / (1 - rho) of each modality, (3,): what a first-order process repeats."""
+        rho = np.array([self.correlation(modality) for modality in range(3)])
+        return np.asarray((1.0 + rho) / (1.0 - rho))
+
+
+def thermal_moment(k_long: float, k_short: float) -> float:
+    """E[psi^2] of a standard normal residual, clipped at the two thresholds."""
+    return sum(
+        0.5
+        if math.isinf(k)
+        else 0.5 * math.erf(k / math.sqrt(2.0))
+        - k * math.exp(-0.5 * k * k) / math.sqrt(2.0 * math.pi)
+        + 0.5 * k * k * math.erfc(k / math.sqrt(2.0))
+        for k in (k_long, k_short)
+    )
+
+
+def curvature(scores: Scores) -> Matrix:
+    """A = sum psi' H H^T with pooled slopes, (k, k)."""
+    k = scores.H.shape[1]
+    A: Matrix = np.zeros((k, k))
+    for m in scores.measured:
+        H = scores.part(m)
+        A += scores.slopes[m] * (H.T @ H)
+    return A
+
+
+def pooled_variability(scores: Scores, A_inverse: Matrix, repetition: Vector) -> Matrix:
+    """B with pooled second moments, (k, k).
+
+    Args:
+        scores: The linearised problem.
+        A_inverse: (k, k).
+        repetition: (3,) what each modality's residuals count more for repeating each other;
+            ones: they know nothing of each other.
+    """
+    k = scores.H.shape[1]
+    B = np.zeros((k, k))
+    for m in scores.measured:
+        H = scores.part(m)
+        slope, moment = scores.slopes[m], scores.moment(m, k)
+        leverage = np.minimum(slope * np.sum((H @ A_inverse) * H, axis=1), 1.0)
+        unclipped = max(slope**2 * scores.unclipped_moment(m), moment)
+        spread = scores.quantile_ratio(m) * scores.finite_sample_ratio(m, float(leverage.sum()))
+        H = math.sqrt(repetition[m]) * spread * H
+        B += H.T @ ((moment + leverage * (unclipped - moment))[:, None] * H)
+    return B
+
+
+def correlated_variability(scores: Scores) -> Matrix:
+    """B as the long-run variance of the scores in time order, (k, k), critical value included."""
+    steps = np.zeros((scores.u.shape[1], scores.H.shape[1]))
+    for m in scores.measured:
+        steps += scores.part(m) * scores.psi[m][:, None]
+    return CRITICAL_RATIO**2 * long_run_variance(steps)
+
+
+def covariance_of(A: Matrix, B: Matrix) -> Matrix:
+    """A^-1 B A^-1, symmetric positive definite.
+
+    Raises:
+        numpy.linalg.LinAlgError: The measurements name no place.
+    """
+    A_inverse = np.linalg.inv(A)
+    covariance = A_inverse @ (B + DEFINITE_SHARE * A) @ A_inverse
+    covariance = 0.5 * (covariance + covariance.T)
+    np.linalg.cholesky(covariance)
+    return np.asarray(covariance, dtype=np.float64)
+
+
+def long_run_variance(scores: Vector) -> Matrix:
+    """Sum of the scores' autocovariances with Bartlett weights, (k, k), positive semi-definite."""
+    n = len(scores)
+    bandwidth = max(1, int(BANDWIDTH * n))
+    total: Matrix = scores.T @ scores
+    for lag in range(1, bandwidth + 1):
+        product = scores[lag:].T @ scores[:-lag]
+        total = total + (1.0 - lag / (bandwidth + 1.0)) * (product + product.T)
+    return total
+
+
+COLLINEAR_RATIO = 0.05
+"""A track whose spread across is less than this share of the spread along is a line."""
+
+
+@dataclass(frozen=True, slots=True)
+class Observability:
+    """Live values of the degeneracy, about the best hypothesis."""
+
+    ercm: tuple[tuple[float, float], tuple[float, float]]
+    """East and north part of the curvature, 1/m^2."""
+    min_eigenvalue: float
+    """Smallest eigenvalue of it, 1/m^2: curvature in the worst direction."""
+    bilateral_share: float
+    """Share of measurements on the quadratic part of their loss."""
+    track_ratio: float
+    """Spread of the track across its own line over the spread along it; 0: collinear."""
+
+    @property
+    def is_collinear(self) -> bool:
+        """Whether the track is a line, so that ranges alone leave a mirror image."""
+        return self.track_ratio < COLLINEAR_RATIO
+
+
+def observability_of(rows: Matrix, scores: Scores) -> Observability:
+    """What the measurements `rows` (n, 10), linearised as `scores`, can tell."""
+    is_quadratic = (scores.u == scores.psi) & (scores.is_measured > 0)
+    H = scores.H[:, :2]
+    C = H.T @ (is_quadratic.reshape(-1, 1) * H)
+    measured = int(scores.is_measured.sum())
+    _, _, ratio = track_line(rows[:, :2])
+    return Observability(
+        ercm=((float(C[0, 0]), float(C[0, 1])), (float(C[1, 0]), float(C[1, 1]))),
+        min_eigenvalue=float(np.linalg.eigvalsh(C)[0]),
+        bilateral_share=float(is_quadratic.sum()) / max(measured, 1),
+        track_ratio=ratio,
+    )
+
+
+def track_line(places: Matrix) -> tuple[Vector, Vector, float]:
+    """The line that fits a track best.
+
+    Args:
+        places: (n, 2) east and north, metres.
+
+    Returns:
+        A point on it (2,), its unit direction (2,), and the spread across over the spread along
+        (0 for a line, 1 for a track as wide as long, 0 for a single place).
+    """
+    centre = places.mean(axis=0)
+    values, vectors = np.linalg.eigh(np.cov((places - centre).T) if len(places) > 1 else np.eye(2))
+    along2 = float(values[1])
+    ratio = math.sqrt(max(float(values[0]), 0.0) / along2) if along2 > 1e-12 else 0.0
+    return centre, vectors[:, 1], ratio
+
+
+def mirrored(mean: Vector, places: Matrix) -> Vector:
+    """The state with its position reflected about the line of the track.
+
+    Args:
+        mean: (k,).
+        places: (n, 2) east and north of the track.
+    """
+    centre, direction, _ = track_line(places)
+    away = mean[:2] - centre
+    image = np.array(mean)
+    image[:2] = centre + 2.0 * direction * float(direction @ away) - away
+    return image

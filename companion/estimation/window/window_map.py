@@ -1,0 +1,370 @@
+"""Bounded-window MAP: the paper's objective over a thinned history, re-linearised.
+
+A recursive filter linearises every measurement once, where it stood at the time; started from a
+ring of hypotheses it may settle next to the optimum and be sure of it. The window keeps up to N
+measurements that are spread over different views of the target, holds what no longer fits as a
+Gaussian prior (`OlderEvidence`), and solves
+
+    min over x, offsets of  sum rho(u_i) + range_offset^2 / 2 s_r^2 + bearing_offset^2 / 2 s_b^2
+
+by damped, re-weighted Gauss-Newton from the filter's own hypotheses and from fresh starts, which
+turn around the path from call to call: the cost of a call is bounded by N, and every optimum is
+found in the end. Each optimum carries a sandwich covariance.
+
+Paper: eq. (9). Deviation: when the window is full, it is thinned where the vehicle lingered longest
+instead of dropping the oldest, because old measurements often hold the only view from the other
+side, and a thousand from one place say little more than a hundred.
+
+Where the objective is flatter than its curvature says, there is uncertainty beyond the linearised
+one. A bearing from far away or a range from nearly one place leaves a valley that is steep at the
+optimum and flat beyond it. The covariance is that of the curvature at the optimum; so the cost is
+read along the most uncertain direction, out to where the 95 % circle ends. Where it rises by less
+than half of what the curvature promises, the deviation is stretched to where it does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Annotated
+
+import msgspec
+import numpy as np
+import numpy.ma  # the first np.median would load it: 30 ms that a flight must not wait
+
+from companion.domain import Params
+from companion.estimation.filters.target_filter import FilterParams, Inflation
+from companion.estimation.measurement_model import (
+    BEARING,
+    BEARING_OFFSET,
+    MODALITIES,
+    RANGE,
+    RANGE_OFFSET,
+)
+from companion.estimation.window.map_kernels import (
+    MIN_DISTANCE_M,
+    VALUES,
+    clipped,
+    map_cost,
+    map_minimum,
+    normaliser,
+    row_partials,
+    row_residuals,
+    row_sigmas,
+)
+from companion.estimation.window.measurement_window import OlderEvidence
+from companion.estimation.window.sandwich import (
+    Scores,
+    correlated_variability,
+    covariance_of,
+    curvature,
+    pooled_variability,
+    thermal_moment,
+)
+from companion.kernel import Matrix, Vector
+
+EDGE_SIGMAS = 2.45
+"""How far out the 95 % circle ends."""
+MIN_RISE_SHARE = 0.5
+"""Least share of the promised rise that is taken for agreement."""
+STRETCHES = tuple(1.5**i for i in range(1, 9))
+
+Cost = Callable[[Vector], float]
+
+
+def stretch_covariance(covariance: Matrix, A: Matrix, mean: Vector, cost: Cost) -> Matrix:
+    """The covariance, wider along its longest axis where the cost is flatter than its curvature.
+
+    Args:
+        covariance: (k, k).
+        A: (k, k) curvature of the cost at the optimum.
+        mean: (k,) the optimum.
+        cost: The objective.
+    """
+    values, vectors = np.linalg.eigh(covariance[:2, :2])
+    sigma_m = math.sqrt(max(float(values[1]), 0.0))
+    if sigma_m == 0.0:
+        return covariance
+    axis: Vector = covariance[:, :2] @ vectors[:, 1] / sigma_m
+    promised = 0.5 * EDGE_SIGMAS**2 * float(axis @ A @ axis)
+    least = cost(mean)
+    stretch = max(
+        _stretch(mean, side * EDGE_SIGMAS * axis, MIN_RISE_SHARE * promised + least, cost)
+        for side in (-1.0, 1.0)
+    )
+    if stretch == 1.0:
+        return covariance
+    wider: Matrix = covariance + (stretch**2 - 1.0) * np.outer(axis, axis)
+    return wider
+
+
+def _stretch(mean: Vector, edge: Vector, wanted: float, cost: Cost) -> float:
+    """How often `edge` must be laid off until the cost reaches `wanted`."""
+    for stretch in (1.0, *STRETCHES):
+        if cost(mean + stretch * edge) >= wanted:
+            return stretch
+    return STRETCHES[-1]
+
+
+MIN_MEASUREMENTS = 12
+MAX_POSITION_SIGMA_M = 200.0
+"""An optimum vaguer than this is no place."""
+GROSS_SIGMAS = 6.0
+"""A range shorter by more than this, or a bearing off by more, is no noise."""
+MAX_BEARING_NOISE = 4.0
+"""Reflections widen bearings by no more than this (in variance) before they count as gross."""
+MAX_BENDS, BENT_RATIO = 6, 1.1
+"""At most so many passes in which near bearings lose what they do not say of a vague place; the
+last one is that in which its variance grows by no more than this factor."""
+SAME_PLACE_M = 0.3
+"""Optima nearer than this are one."""
+
+
+class WindowParams(Params, frozen=True):
+    """The window and how often it is solved."""
+
+    enabled: bool = True
+    """Whether the filter is checked and polished at all."""
+    size: Annotated[int, msgspec.Meta(ge=32, le=4096)] = 512
+    """Most measurements kept."""
+    every: Annotated[int, msgspec.Meta(ge=1)] = 25
+    """Measurements between two solutions."""
+    starts: Annotated[int, msgspec.Meta(ge=1, le=64)] = 12
+    """Directions of the fresh starts around the path."""
+
+
+@dataclass(frozen=True, slots=True)
+class Optimum:
+    """A local minimum of the objective."""
+
+    mean: Vector
+    """(n,)"""
+    cost: float
+    covariance: Matrix
+    """(n, n), with the sandwich in it, and the correlation if asked for."""
+    inflation: float
+    """How much less the measurements say than white thermal noise would."""
+    psi: Matrix
+    """(3, n) influences of the measurements."""
+    noise: Inflation
+    """The same for one range, bearing or elevation at its mean weight, without correlation."""
+
+
+class WindowMap:
+    """Solves the window.
+
+    Args:
+        filter_params: Noise, thresholds, priors and bounds, as the filter has them.
+    """
+
+    def __init__(self, filter_params: FilterParams) -> None:
+        self._p = filter_params
+        self._model = filter_params.model
+        self._thresholds = filter_params.thresholds
+        self._bounds = filter_params.bounds
+        self._thermal = tuple(thermal_moment(*pair) for pair in self._thresholds.tolist())
+        mean, sigmas = filter_params.prior
+        weights = (1.0 / sigmas) ** 2
+        weights[:RANGE_OFFSET] = 0.0  # the position's prior is flat (paper, section IV-A)
+        centre = np.array(mean)
+        centre[RANGE_OFFSET : BEARING_OFFSET + 1] = 0.0
+        self._information = np.diag(weights)
+        self._pull = weights * centre
+
+    def expect(self, inflation: Inflation) -> None:
+        """Hold the own position's error against bearings that are so much worse than thermal."""
+        self._model = self._model._replace(bearing_inflation=inflation[BEARING])
+
+    @property
+    def bounds(self) -> Matrix:
+        """Lower and upper bounds of the state, (2, k)."""
+        return self._bounds
+
+    @property
+    def prior(self) -> tuple[Matrix, Vector]:
+        """Information (k, k) of the state's Gaussian prior, and its pull, (k,)."""
+        return self._information, self._pull
+
+    @property
+    def size(self) -> int:
+        """Components of the state."""
+        return len(self._pull)
+
+    def optima(
+        self,
+        rows: Matrix,
+        starts: Iterable[Vector],
+        older: OlderEvidence | None = None,
+        *,
+        is_white: bool = False,
+    ) -> list[Optimum]:
+        """The distinct minima reached from `starts`, best first.
+
+        Args:
+            rows: (n, 10), see `map_kernels`.
+            starts: States (k,) to start from.
+            older: What no longer fits into the rows.
+            is_white: Whether residuals know nothing of each other.
+        """
+        found: list[tuple[float, Vector]] = []
+        for start in starts:
+            solution = self.solve(rows, start, older)
+            if solution is None:
+                continue
+            mean, cost = solution
+            if all(math.dist(mean[:2], other[:2]) > SAME_PLACE_M for _, other in found):
+                found.append((cost, mean))
+        found.sort(key=lambda pair: pair[0])
+        optima = (self._optimum(rows, mean, cost, older, is_white) for cost, mean in found)
+        return [optimum for optimum in optima if optimum is not None]
+
+    def solve(
+        self, rows: Matrix, start: Vector, older: OlderEvidence | None = None
+    ) -> tuple[Vector, float] | None:
+        """The minimum that a start leads to, with its cost; None if it leads nowhere."""
+        information, pull = self._prior(older)
+        try:
+            with np.errstate(all="ignore"):
+                mean, cost = map_minimum(
+                    rows,
+                    np.array(start, dtype=np.float64),
+                    self._thresholds,
+                    self._bounds,
+                    information,
+                    pull,
+                    self._model,
+                )
+        except np.linalg.LinAlgError:
+            return None
+        if not (np.isfinite(mean).all() and math.isfinite(cost)):
+            return None
+        sigmas = row_sigmas(rows, mean, self._model)
+        return mean, float(cost) + normaliser(rows, sigmas, self._model)
+
+    def scores(self, rows: Matrix, mean: Vector, spread_m2: float = 0.0) -> Scores:
+        """The problem linearised at `mean`: what curvature and covariance are made of.
+
+        Args:
+            rows: (n, 10), see `map_kernels`.
+            mean: (k,).
+            spread_m2: Trace of the position's covariance: nearer to the target than that is wide a
+                bearing is no linear function of it, and says as much less.
+        """
+        with np.errstate(all="ignore"):
+            sigmas = row_sigmas(rows, mean, self._model)
+            if spread_m2 > 0.0:
+                ground2 = (rows[:, 0] - mean[0]) ** 2 + (rows[:, 1] - mean[1]) ** 2
+                bend = spread_m2 / np.maximum(ground2, MIN_DISTANCE_M**2)
+                sigmas[BEARING] = np.sqrt(
+                    sigmas[BEARING] ** 2 + bend**2 / self._model.bearing_inflation
+                )
+            u = row_residuals(rows, mean, sigmas, self._model)
+            H = row_partials(rows, mean, sigmas, self._model)
+            is_measured = ~np.isnan(rows[:, VALUES : VALUES + 3].T)
+        return Scores(u, clipped(u, self._thresholds), H, is_measured, self._thermal)
+
+    def without_gross(self, rows: Matrix, optimum: Optimum) -> Matrix | None:
+        """The rows without ranges that are too short, and bearings too far off, for any noise.
+
+        Args:
+            rows: (n, 10), see `map_kernels`.
+            optimum: Where they are judged from.
+
+        Returns:
+            (n, 10), NaN where something was taken out; None: nothing was, or more than a half.
+        """
+        u = self.scores(rows, optimum.mean).u
+        bearing_noise = min(optimum.noise[BEARING], MAX_BEARING_NOISE)
+        is_short = u[RANGE] < -GROSS_SIGMAS
+        is_off = np.abs(u[BEARING]) > GROSS_SIGMAS * math.sqrt(bearing_noise)
+        count = int(np.sum(is_short | is_off))
+        if not 0 < count <= len(rows) // 2:
+            return None
+        kept = np.array(rows)
+        kept[is_short, VALUES + RANGE] = np.nan
+        kept[is_off, VALUES + BEARING] = np.nan
+        return kept
+
+    def start_around(self, rows: Matrix, direction_rad: float, spread: int) -> Vector:
+        """A fresh start: off the middle of the path, as far as the ranges say.
+
+        Args:
+            rows: (n, 10).
+            direction_rad: Where to, counter-clockwise from east.
+            spread: Which distance to take where there are no ranges to tell.
+        """
+        east, north, up = rows[:, 0].mean(), rows[:, 1].mean(), rows[:, 2].mean()
+        ranges = rows[:, VALUES + RANGE]
+        ranges = ranges[~np.isnan(ranges)]
+        if ranges.size:
+            rise_m = up - self._p.target_height_m
+            distance_m = math.sqrt(max(float(np.median(ranges)) ** 2 - rise_m**2, 1.0))
+        else:
+            distance_m = 4.0 * 3.0 ** (spread % 3)
+        start = np.array(self._p.prior[0])
+        start[0] = east + distance_m * math.cos(direction_rad)
+        start[1] = north + distance_m * math.sin(direction_rad)
+        return start
+
+    def _cost(self, rows: Matrix, mean: Vector, older: OlderEvidence | None) -> float:
+        """The objective at any state."""
+        information, pull = self._prior(older)
+        with np.errstate(all="ignore"):
+            sigmas = row_sigmas(rows, mean, self._model)
+            cost = map_cost(rows, mean, sigmas, self._thresholds, information, pull, self._model)
+            return float(cost) + normaliser(rows, sigmas, self._model)
+
+    def _prior(self, older: OlderEvidence | None) -> tuple[Matrix, Vector]:
+        if older is None:
+            return self._information, self._pull
+        return self._information + older.information, self._pull + older.pull
+
+    def _optimum(
+        self,
+        rows: Matrix,
+        mean: Vector,
+        cost: float,
+        older: OlderEvidence | None,
+        is_white: bool,
+    ) -> Optimum | None:
+        """The optimum with its covariance, or None where the measurements name no place.
+
+        Of the white and the correlated covariance the one is taken that leaves the position less
+        certain, unless residuals are known to be white: where a short window seems to say that
+        correlation makes an estimate better, it is chance.
+        """
+        scores = self.scores(rows, mean)
+        try:
+            covariance, A, B = self._sandwich(scores, older, is_white)
+            inflation = max(1.0, float(np.trace(B @ np.linalg.inv(A))) / len(mean))
+            spread_m2 = float(np.trace(covariance[:2, :2]))
+            for _ in range(MAX_BENDS):
+                bent = self.scores(rows, mean, spread_m2)
+                covariance, A, _ = self._sandwich(bent, older, is_white)
+                before_m2, spread_m2 = spread_m2, float(np.trace(covariance[:2, :2]))
+                if spread_m2 <= BENT_RATIO * before_m2:
+                    break
+        except np.linalg.LinAlgError:
+            return None
+        covariance = stretch_covariance(covariance, A, mean, lambda x: self._cost(rows, x, older))
+        if math.sqrt(float(np.trace(covariance[:2, :2]))) > MAX_POSITION_SIGMA_M:
+            return None
+        noise = tuple(max(1.0, scores.inflation(m, len(mean))) for m in range(MODALITIES))
+        return Optimum(
+            mean, cost, covariance, inflation, scores.psi, (noise[0], noise[1], noise[2])
+        )
+
+    def _sandwich(
+        self, scores: Scores, older: OlderEvidence | None, is_white: bool
+    ) -> tuple[Matrix, Matrix, Matrix]:
+        """Covariance, curvature and variability of an optimum, each (k, k)."""
+        A = curvature(scores) + self._prior(older)[0]
+        fixed = self._information + (0.0 if older is None else older.variability)
+        A_inverse = np.asarray(np.linalg.inv(A))
+        repetition = scores.repetition
+        variabilities = [pooled_variability(scores, A_inverse, repetition) + fixed]
+        if not is_white or (repetition > 1.0).any():
+            variabilities.append(correlated_variability(scores) + fixed)
+        pairs = [(covariance_of(A, B), A, B) for B in variabilities]
+        return max(pairs, key=lambda pair: float(np.trace(pair[0][:2, :2])))

@@ -1,0 +1,202 @@
+"""From a configuration to planner, session and endpoint, and `flight.json`, which tells it.
+
+`flight.json` says how a flight was flown, for its replay and its report.
+"""
+
+from __future__ import annotations
+
+import math
+import platform
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from companion import __version__
+from companion.config.schema import CompanionConfig, CrossingKind, PatternKind, PlannerConfig
+from companion.config.tunables import Tunables
+from companion.errors import ConfigError
+from companion.guard.gate import Guard
+from companion.guidance.session import GuidanceSession
+from companion.guidance.tracking.emitters import EmitterQueue
+from companion.io.files import FLIGHT, write_bytes_atomic
+from companion.kernel import IS_COMPILED
+from companion.link.endpoint import CompanionEndpoint
+from companion.link.recorders import InputRecorder, Journal
+from companion.mav.signing import Signing
+from companion.planning.crossing import LatchedCrossing, ReactiveCrossing
+from companion.planning.fim import FimPlanner
+from companion.planning.planner import Planner
+from companion.planning.search import (
+    ExpandingSquare,
+    Lawnmower,
+    Pattern,
+    SearchPlanner,
+    SearchThenCross,
+    SectorSearch,
+)
+
+
+def build_planner(config: CompanionConfig) -> Planner[Any]:
+    """The planner that the configuration names."""
+    planner = config.planner
+    if planner.search is None:
+        return _build_one(planner.kind, config)
+    search = SearchPlanner(_build_pattern(planner.search, planner))
+    return SearchThenCross(search, _build_one(planner.kind, config), planner.lost_after_s)
+
+
+def _build_one(kind: CrossingKind | PatternKind, config: CompanionConfig) -> Planner[Any]:
+    planner, noise = config.planner, config.estimation.filter
+    match kind:
+        case "latched_crossing":
+            return LatchedCrossing(planner.latched_crossing)
+        case "reactive_crossing":
+            return ReactiveCrossing(planner.reactive_crossing)
+        case "fim":
+            bearing_sigma_rad = math.radians(noise.bearing_sigma_deg)
+            return FimPlanner(planner.fim, noise.range_sigma_m, bearing_sigma_rad)
+        case _:
+            return SearchPlanner(_build_pattern(kind, planner))
+
+
+def _build_pattern(kind: PatternKind, config: PlannerConfig) -> Pattern:
+    match kind:
+        case "lawnmower":
+            return Lawnmower(config.lawnmower)
+        case "expanding_square":
+            return ExpandingSquare(config.expanding_square)
+        case "sector":
+            return SectorSearch(config.sector)
+
+
+def build_session(config: CompanionConfig) -> GuidanceSession:
+    """The guidance of one flight."""
+    return GuidanceSession(
+        config.mission,
+        EmitterQueue(config.estimation, config.emitters, config.emitter_id),
+        build_planner(config),
+        Guard(config.limits.guard_limits()),
+        needs_origin=config.vehicle.setpoint == "global_int",
+        fence_plan=config.limits.fence_plan(),
+    )
+
+
+def build_endpoint(
+    config: CompanionConfig,
+    journal: Journal,
+    ranging_links: int = 0,
+    *,
+    tunables: Tunables | None = None,
+    gcs_links: int = 0,
+    signing: Signing | None = None,
+    started_unix_s: float = 0.0,
+    recorder: InputRecorder | None = None,
+) -> CompanionEndpoint:
+    """The companion as a MAVLink participant.
+
+    Args:
+        config: The configuration.
+        journal: Where it reports.
+        ranging_links: Links beside the vehicle's that carry only ranging.
+        tunables: The parameters that ground stations may change; None: as the configuration is.
+        gcs_links: Links to ground stations, behind the others.
+        signing: Proves what arrives and signs what leaves; None: neither.
+        started_unix_s: Unix time at the clock's zero, for the timestamps of signatures.
+        recorder: Keeps what the endpoint is told.
+    """
+    tunables = tunables or Tunables(config, build_planner)
+    return CompanionEndpoint(
+        build_session(tunables.config),
+        config.vehicle,
+        journal,
+        1 + ranging_links + gcs_links,
+        config.link,
+        tunables=tunables,
+        gcs_links=gcs_links,
+        signing=signing,
+        started_unix_s=started_unix_s,
+        recorder=recorder,
+    )
+
+
+class FlightFacts(msgspec.Struct, frozen=True, kw_only=True):
+    """What a replay and a report must know of a flight."""
+
+    started_unix_s: float
+    links: int
+    """The vehicle's, those that carry only ranging, and ground stations'."""
+    gcs_links: int = 0
+    """How many of them lead to ground stations."""
+    config: CompanionConfig
+    """As its file had it."""
+    parameters: dict[str, float] = {}
+    """What a ground station had changed before the flight, by name."""
+    version: str = __version__
+    python: str = platform.python_version()
+    numpy: str = np.__version__
+    is_compiled: bool = IS_COMPILED
+    """Compiled kernels may differ from plain ones in the last digits."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedFlight:
+    """A recorded flight on disk."""
+
+    directory: Path
+    facts: FlightFacts
+
+    def path(self, name: str) -> Path:
+        """One of its files."""
+        return self.directory / name
+
+
+def write_facts(directory: Path, facts: FlightFacts) -> None:
+    """Write `flight.json` into a new flight's directory.
+
+    Raises:
+        CompanionError: It cannot be written.
+    """
+    write_bytes_atomic(directory / FLIGHT, facts_as_json(facts))
+
+
+def facts_as_json(facts: FlightFacts) -> bytes:
+    """The content of `flight.json`."""
+    return msgspec.json.format(msgspec.json.encode(facts), indent=2) + b"\n"
+
+
+def open_flight(path: Path) -> RecordedFlight:
+    """A recorded flight, by its directory or by any file in it.
+
+    Raises:
+        ConfigError: There is none; one line says what is missing.
+    """
+    directory = path if path.is_dir() else path.parent
+    if not path.exists():
+        raise ConfigError(f"{path}: there is no such file or folder")
+    facts_path = directory / FLIGHT
+    try:
+        data = facts_path.read_bytes()
+    except OSError as error:
+        raise ConfigError(
+            f"{facts_path}: cannot be read ({error.strerror}); give a flight's folder, as in "
+            "flights/2026-11-21T02-50-00Z"
+        ) from error
+    try:
+        return RecordedFlight(directory, facts_of_json(data))
+    except ConfigError as error:
+        raise ConfigError(f"{facts_path}: {error}") from error
+
+
+def facts_of_json(data: bytes) -> FlightFacts:
+    """What `facts_as_json` wrote.
+
+    Raises:
+        ConfigError: It is something else, or of a version that cannot be read.
+    """
+    try:
+        return msgspec.json.decode(data, type=FlightFacts)
+    except (msgspec.DecodeError, ValueError) as error:
+        raise ConfigError(f"not the facts of a flight: {error}") from error

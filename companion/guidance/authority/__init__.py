@@ -1,0 +1,1 @@
+"""Who flies: phases, control authority, hand-over and the automatic take-off."""

@@ -1,0 +1,409 @@
+"""The hand-over side of a session: how control comes, and everything that ends it.
+
+Why a vehicle is not guided yet is told once for each reason.
+
+Launch permit: whether the vehicle may be launched by itself.
+
+Theory of operation. Whoever armed a vehicle, or flies it, has it. So one look at an armed or flying
+vehicle before the launch ends the permission for as long as this process lives, and the operator
+engages as with `engage: operator`. An autopilot that does not tell whether it is on the ground is
+waited for.
+"""
+
+from __future__ import annotations
+
+import math
+
+from companion.domain import FlightMode, LandedState
+from companion.guidance.authority.control_authority import REGAIN_QUIET_S, Authority, hand_back_mode
+from companion.guidance.authority.state_machine import HAS_VEHICLE, Phase, Trigger
+from companion.guidance.commands import Severity
+from companion.guidance.context import SessionContext
+from companion.guidance.events import (
+    AutopilotFenceRead,
+    ControlStalled,
+    HeartbeatReceived,
+    HomeSet,
+    LandedStateChanged,
+    OriginSet,
+    Outcome,
+    RequestAnswered,
+    RequestKind,
+)
+from companion.guidance.flight.fencing import Fencing
+from companion.guidance.flight.vehicle import ORIGIN_STEP_M, VehicleView
+from companion.guidance.health.findings import Finding, Reason, Verdict
+from companion.guidance.session_params import FOLLOW_UP_MODE
+
+MISSING_PATIENCE_S = 10.0
+"""What is missing for less than this is simply not there yet."""
+
+
+class WaitingReason:
+    """Finds the words for waiting.
+
+    Args:
+        vehicle: What is known of it.
+        authority: Whether it is ours to guide.
+        fencing: Whether there is a fence.
+    """
+
+    def __init__(self, vehicle: VehicleView, authority: Authority, fencing: Fencing) -> None:
+        self._vehicle = vehicle
+        self._authority = authority
+        self._fencing = fencing
+        self._missing_since_s: float | None = None
+        self._said: str | None = None
+
+    def news(self, now_s: float) -> str | None:
+        """A text if there is something to say that was not said before."""
+        text = self._text(now_s)
+        if text is None or text == self._said:
+            return None
+        self._said = text
+        return text
+
+    def _text(self, now_s: float) -> str | None:
+        if self._authority.has_twin(now_s):
+            return "not offered: someone else sends under our ids; stop one of the two"
+        missing = self._vehicle.missing(now_s)
+        missing += [part for part in self._fencing.missing if part not in missing]
+        if self._vehicle.heartbeat is None or not missing:
+            self._missing_since_s = None
+        if not missing:
+            if self._authority.may_begin:
+                return None
+            mode = self._vehicle.name_of(self._vehicle.mode)
+            return f"left alone: in {mode}, not given; switch to another mode"
+        if self._vehicle.heartbeat is None:
+            return None
+        if self._missing_since_s is None:
+            self._missing_since_s = now_s
+        if now_s - self._missing_since_s < MISSING_PATIENCE_S:
+            return None
+        return f"still waiting for {' and '.join(missing)}"
+
+
+FLIES = frozenset({LandedState.IN_AIR, LandedState.TAKEOFF, LandedState.LANDING})
+GROUND_PATIENCE_S = 10.0
+"""How long the autopilot may keep silent about the ground before that is told."""
+
+
+class LaunchPermit:
+    """Looks at the vehicle before it is launched.
+
+    Args:
+        situation: Of the session.
+    """
+
+    def __init__(self, situation: SessionContext) -> None:
+        self._situation = situation
+        self._silent_since_s: float | None = None
+        self._is_silence_told = False
+
+    @property
+    def is_wanted(self) -> bool:
+        """Whether the vehicle is to be launched by itself, and nothing forbade it."""
+        situation = self._situation
+        return situation.params.engage == "auto" and not situation.has_launched
+
+    @property
+    def is_given(self) -> bool:
+        """Whether the launch may begin now."""
+        vehicle = self._situation.vehicle
+        is_down = vehicle.landed is LandedState.ON_GROUND and not vehicle.is_armed
+        return self.is_wanted and is_down
+
+    def tick(self, now_s: float) -> None:
+        """Look, while waiting and in standby."""
+        situation, vehicle = self._situation, self._situation.vehicle
+        if not self.is_wanted:
+            return
+        if vehicle.is_armed or vehicle.landed in FLIES:
+            situation.has_launched = True
+            found = "armed" if vehicle.is_armed else "in the air"
+            text = f"not launching by itself: the vehicle was found {found}"
+            situation.announce(Severity.WARNING, f"{text}; give {vehicle.guided_name} to engage")
+        elif vehicle.landed is LandedState.UNKNOWN and vehicle.is_usable(now_s):
+            self._wait_for_the_ground(now_s)
+        else:
+            self._silent_since_s = None
+
+    def _wait_for_the_ground(self, now_s: float) -> None:
+        if self._silent_since_s is None:
+            self._silent_since_s = now_s
+        if now_s - self._silent_since_s < GROUND_PATIENCE_S or self._is_silence_told:
+            return
+        self._is_silence_told = True
+        text = "not launching by itself: the autopilot does not tell that it is on the ground"
+        self._situation.announce(Severity.WARNING, text)
+
+
+SETTLE_S = 2.0
+"""How long a frame or a home that moved must be stable."""
+HAND_BACK_S = 1.4
+"""How long the autopilot may take to confirm its mode: we end within 1.5 s of the request ..."""
+LONGEST_HAND_BACK_S = 1.9
+"""... and of the wish within 2 s, where it had to be found out first who flies."""
+CHECKING = Finding(Verdict.HOLD, Reason.CHECKING, "checking its inputs")
+
+
+class Handover:
+    """Watches whose vehicle it is.
+
+    Args:
+        situation: Of the session.
+    """
+
+    def __init__(self, situation: SessionContext) -> None:
+        self._situation = situation
+        self._has_flown = False
+        """Whether it was in the air since control began."""
+        self._was_told = False
+        self._hand_back_mode = FlightMode.HOLD
+        """What the autopilot is asked for before it is let go ..."""
+        self._asked_s: float | None = None
+        """... and when it was; None: not yet, because it is not known who flies."""
+
+    def heartbeat(self, event: HeartbeatReceived) -> None:
+        """The autopilot shows its mode."""
+        situation, now_s = self._situation, event.time_s
+        had_let_go = situation.authority.has_let_go
+        situation.authority.observe(event)
+        if situation.authority.has_let_go and not had_let_go:
+            situation.withdraw()
+        launch = situation.launch if situation.phase is Phase.LAUNCHING else None
+        objection = None if launch is None else launch.observe(event, situation.vehicle.height_m)
+        if event.is_terminated or not event.is_armed:
+            if launch is None or objection is not None or event.is_terminated:
+                self._flight_over(event)
+        elif objection is not None:
+            situation.enter(Trigger.LAUNCH_FAILED, now_s)
+            situation.announce(Severity.WARNING, f"launch ended: {objection}")
+        elif event.mode is FlightMode.OFFBOARD:
+            self._offboard(now_s)
+        elif launch is None:
+            self._foreign(event)
+
+    def landed(self, event: LandedStateChanged) -> None:
+        """The autopilot tells whether it flies; landing means that somebody else decides."""
+        situation = self._situation
+        if event.landed is LandedState.IN_AIR:
+            self._has_flown = True
+        is_down = event.landed is LandedState.ON_GROUND and self._has_flown
+        if not is_down and event.landed is not LandedState.LANDING:
+            return
+        if situation.enter(Trigger.LANDED, event.time_s):
+            text = "on the ground" if is_down else "the autopilot is landing"
+            situation.announce(Severity.WARNING, f"control lost: {text}; silent until given back")
+
+    def _foreign(self, event: HeartbeatReceived) -> None:
+        situation, left = self._situation, self._situation.phase
+        if not situation.enter(Trigger.MODE_LOST, event.time_s):
+            return
+        self._was_told = False
+        name = situation.vehicle.name_of(event.mode)
+        if left is Phase.HANDBACK:
+            situation.announce(Severity.NOTICE, f"handed back: autopilot is in {name}")
+            return
+        text = f"control lost: autopilot went to {name}; silent until given back"
+        situation.announce(Severity.WARNING, text)
+
+    def _flight_over(self, event: HeartbeatReceived) -> None:
+        if self._situation.enter(Trigger.DISARMED, event.time_s):
+            self._situation.authority.disarmed_in(event.mode)
+            why = "flight terminated" if event.is_terminated else "disarmed"
+            self._situation.announce(Severity.NOTICE, f"{why}: the flight is over")
+
+    def _offboard(self, now_s: float) -> None:
+        situation = self._situation
+        if not situation.vehicle.is_mode_known(now_s):
+            return  # it may be over
+        self._tell_why_it_does_not_count()
+        if not (situation.authority.may_take and situation.vehicle.obeys_setpoints):
+            return
+        is_launched = situation.phase is Phase.LAUNCHING
+        if situation.authority.has_twin(now_s) and not is_launched:
+            return  # it may have been given to that one
+        if not situation.fencing.is_ready:
+            return
+        is_climbing = situation.launch is not None and not situation.launch.is_at_offboard
+        if is_launched and is_climbing:
+            return
+        if situation.enter(Trigger.MODE_GIVEN, now_s):
+            self._has_flown = situation.vehicle.landed is LandedState.IN_AIR
+            situation.launch = None
+            situation.has_launched = True
+            situation.find(CHECKING, now_s)
+            text = f"in control: autopilot is in {situation.vehicle.guided_name}"
+            situation.announce(Severity.NOTICE, text)
+
+    def _tell_why_it_does_not_count(self) -> None:
+        situation = self._situation
+        authority, name = situation.authority, situation.vehicle.guided_name
+        if self._was_told or not (authority.came_too_soon or authority.came_by_itself):
+            return
+        self._was_told = True
+        text = f"{name} came too soon: leave it for {REGAIN_QUIET_S:g} s, or grant control"
+        if authority.came_by_itself:
+            how = "first choose a mode without one, or grant control"
+            text = f"{name} is back after a failsafe: {how}"
+        situation.announce(Severity.WARNING, text)
+
+    def twin_heard(self, now_s: float) -> None:
+        """Somebody else sends under our ids: what we do not fly yet is not offered."""
+        self._situation.authority.twin_heard(now_s)
+        self._situation.enter(Trigger.TWIN_HEARD, now_s)
+
+    def answered(self, event: RequestAnswered) -> None:
+        """The autopilot answered a request, or did not."""
+        situation = self._situation
+        situation.record("answer", request=event.kind.value, outcome=event.outcome.value)
+        if situation.phase is Phase.LAUNCHING and situation.launch is not None:
+            situation.launch.answered(event)
+        elif situation.phase is Phase.HANDBACK and event.kind is RequestKind.SET_MODE:
+            if event.outcome is not Outcome.ACCEPTED:
+                situation.announce(Severity.ERROR, f"hand-back: {event.outcome.value}")
+            situation.enter(Trigger.HANDED_BACK, event.time_s)
+        elif situation.phase is Phase.FINISHED and event.outcome is not Outcome.ACCEPTED:
+            situation.announce(Severity.ERROR, f"{event.kind.value}: {event.outcome.value}")
+
+    def granted(self, now_s: float) -> None:
+        """The operator gives control back."""
+        situation = self._situation
+        if situation.enter(Trigger.GRANTED, now_s):
+            text = f"granted again: switch to {situation.vehicle.guided_name}"
+            situation.announce(Severity.NOTICE, text)
+
+    def check_frame(self, event: OriginSet) -> bool:
+        """An origin that moved has moved every local position: start anew in the new frame.
+
+        To be called before the vehicle takes the origin in; whether it moved.
+        """
+        situation = self._situation
+        step_m = situation.vehicle.origin_step_m(event.origin)
+        if step_m <= ORIGIN_STEP_M:
+            return False
+        situation.vehicle.move_frame(event.origin)
+        situation.forget_target()
+        situation.steering.forget_setpoint()
+        finding = Finding(Verdict.HOLD, Reason.FRAME_MOVED, "the local frame moved")
+        situation.find(finding, event.time_s)
+        situation.hold_until(finding, event.time_s + SETTLE_S)
+        situation.enter(Trigger.INPUT_LOST, event.time_s)
+        text = f"local origin moved by {step_m:.0f} m: fence kept in its place, estimate forgotten"
+        situation.announce(Severity.WARNING, text)
+        return True
+
+    def check_home(self, event: HomeSet) -> None:
+        """A home that moves in flight changes neither the plan nor its height: hold, and tell.
+
+        To be called before the vehicle takes the home in.
+        """
+        situation, before = self._situation, self._situation.vehicle.reported_home_enu_m
+        if situation.phase not in HAS_VEHICLE or before is None:
+            return
+        step_m = math.dist(before, event.position_enu_m)
+        if not step_m > ORIGIN_STEP_M:
+            return
+        text = f"home moved by {step_m:.0f} m; heights stay above the home of the take-over"
+        situation.announce(Severity.WARNING, text)
+        finding = Finding(Verdict.HOLD, Reason.HOME_MOVED, "home moved")
+        situation.hold_until(finding, event.time_s + SETTLE_S)
+
+    def fence(self, event: OriginSet | AutopilotFenceRead) -> None:
+        """What the guard's fence stands on became known, or another one."""
+        situation, fencing = self._situation, self._situation.fencing
+        before = (fencing.refusal, fencing.note, fencing.is_ready)
+        if isinstance(event, OriginSet):
+            fencing.set_origin(event.origin)
+        else:
+            fencing.take(event)
+        if (fencing.refusal, fencing.note, fencing.is_ready) == before:
+            return
+        if fencing.refusal is not None:
+            situation.announce(Severity.ERROR, f"no control without a fence: {fencing.refusal}")
+        elif fencing.note is not None:
+            situation.announce(Severity.WARNING, fencing.note)
+        elif fencing.is_ready:
+            situation.announce(Severity.INFO, f"fence: {fencing.words}")
+
+    def restarted(self, now_s: float) -> None:
+        """The autopilot restarted."""
+        situation = self._situation
+        situation.fencing.forget()
+        situation.vehicle.forget()
+        situation.forget_target()
+        situation.authority.restarted()
+        situation.enter(Trigger.RESTARTED, now_s)
+        text = "autopilot restarted: holding until the operator engages"
+        situation.announce(Severity.WARNING, text)
+
+    def unless_in_doubt(self, finding: Finding, now_s: float) -> Finding:
+        """What asks the autopilot for a mode waits until it is known who flies: perhaps a pilot."""
+        if self._situation.vehicle.mode_watch.may_be_asked(now_s):
+            return finding
+        return Finding(Verdict.HOLD, Reason.MODE_UNKNOWN, Reason.MODE_UNKNOWN.value)
+
+    def hand_back(self, finding: Finding, now_s: float) -> None:
+        """What is wrong does not pass: the autopilot shall fly by itself."""
+        situation = self._situation
+        if not situation.enter(Trigger.GIVE_UP, now_s):
+            return
+        self._hand_back_mode, self._asked_s = finding.mode, None
+        name = situation.vehicle.name_of(finding.mode)
+        text = f"handing back: {finding.text}; asking the autopilot to {name}"
+        situation.announce(Severity.ERROR, text)
+        self.go_on_handing_back(now_s)
+
+    def give_way(self, finding: Finding, now_s: float) -> None:
+        """Somebody else commands: silence."""
+        if self._situation.enter(Trigger.GIVE_WAY, now_s):
+            text = f"giving way: {finding.text}; silent until given back"
+            self._situation.announce(Severity.ERROR, text)
+
+    def stalled(self, event: ControlStalled) -> None:
+        """The tick stood still: nothing is sent until mode and position were heard anew.
+
+        What was asked before is not asked again, because whoever flies may have changed since; to
+        hand back, it is once that is known.
+        """
+        situation = self._situation
+        situation.vehicle.distrust(event.time_s)
+        situation.steering.forget_setpoint()
+        situation.withdraw()
+        self._asked_s = None
+        text = f"the computer stood still for {event.stalled_s:.1f} s: looking where we are"
+        if situation.enter(Trigger.LAUNCH_FAILED, event.time_s):
+            text += f"; launch ended: give {situation.vehicle.guided_name} again, or grant control"
+        situation.announce(Severity.WARNING, text)
+
+    def stop(self, now_s: float) -> None:
+        """The process is asked to end: hand the vehicle back if it is in our hands."""
+        situation = self._situation
+        situation.is_stopping = True
+        follow_up = FOLLOW_UP_MODE[situation.params.on_localised]
+        mode = hand_back_mode(situation.authority, situation.vehicle, situation.launch, follow_up)
+        if not (situation.enter(Trigger.STOP, now_s) and situation.phase is Phase.HANDBACK):
+            return
+        if mode is None:
+            situation.enter(Trigger.HANDED_BACK, now_s)
+            return
+        self._hand_back_mode, self._asked_s = mode, None
+        name = situation.vehicle.name_of(mode)
+        is_known = situation.vehicle.mode_watch.may_be_asked(now_s)
+        asking = "asking the autopilot" if is_known else "looking who flies, before asking"
+        situation.announce(Severity.NOTICE, f"stopping: {asking} to {name}")
+        self.go_on_handing_back(now_s)
+
+    def go_on_handing_back(self, now_s: float) -> None:
+        """Ask for the mode to hand back in, once it is known who flies; do not wait for ever."""
+        situation, since_s = self._situation, self._situation.authority.since_s
+        may_be_asked = situation.vehicle.mode_watch.may_be_asked(now_s)
+        if self._asked_s is None and may_be_asked and now_s - since_s <= HAND_BACK_S:
+            self._asked_s = now_s
+            situation.ask_mode(self._hand_back_mode)
+        asked_s = since_s if self._asked_s is None else self._asked_s
+        if now_s > min(asked_s + HAND_BACK_S, since_s + LONGEST_HAND_BACK_S):
+            situation.announce(Severity.ERROR, "hand-back: not confirmed in time")
+            situation.enter(Trigger.HANDED_BACK, now_s)

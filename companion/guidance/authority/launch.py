@@ -1,0 +1,302 @@
+"""The automatic launch: arm, take off, ask for offboard. For simulation, and tried only once.
+
+PX4: arm in hold, NAV_TAKEOFF, climb, more than a second of setpoints, then OFFBOARD (PX4 user
+guide, offboard mode). ArduPilot: GUIDED first, arm, NAV_TAKEOFF; position targets take over after
+the climb.
+
+PX4 goes to hold by itself where its takeoff ends, and nowhere below: hold down there is a pilot's
+wish, and ends the launch. In the last metre the two look the same.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from companion.domain import Autopilot, FlightMode
+from companion.guidance.commands import Arm, Command, SetMode, TakeOff
+from companion.guidance.events import (
+    HeartbeatReceived,
+    Outcome,
+    RequestAnswered,
+    RequestKind,
+)
+from companion.guidance.flight.vehicle import mode_name
+
+READY_TIMEOUT_S = 120.0
+"""PX4 needs 34 to 38 s after boot until it can be armed; a cold GPS needs longer."""
+CLIMB_TIMEOUT_S = 90.0
+ARM_RETRY_S = 2.0
+UNANSWERED_LIMIT = 3
+"""Times a request without any answer is made again; commands are idempotent."""
+PRESTREAM_S = 1.2
+"""PX4 wants setpoints for more than a second before it enters offboard."""
+MODE_TIMEOUT_S = 5.0
+BLIND_S = 10.0
+"""Without mode, position or link for so long it is nobody's to launch."""
+CLIMBED_SHARE = 0.9
+TOP_M = 1.0
+"""So far below its altitude PX4's takeoff may end (NAV_MC_ALT_RAD, 0.8 m, and noise)."""
+LIFTED_M, LIFT_S = 1.0, 8.0
+"""So high it is within so long, if a take-off that was refused when repeated has begun."""
+
+
+class Stage(Enum):
+    """Where the launch stands."""
+
+    READY = "waiting until the autopilot can be armed"
+    MODE = "asking for the mode to launch in"
+    ARM = "arming"
+    TAKE_OFF = "taking off"
+    CLIMB = "climbing"
+    PRESTREAM = "streaming setpoints before offboard"
+    OFFBOARD = "asking for offboard"
+
+
+@dataclass(frozen=True, slots=True)
+class LaunchView:
+    """What the launch may know at a tick."""
+
+    now_s: float
+    heartbeat: HeartbeatReceived
+    height_m: float
+    """Above home."""
+    home_up_m: float
+    has_origin: bool = True
+    """Whether altitudes can be told above sea level, as PX4 wants the takeoff's."""
+
+
+class Launch:
+    """One attempt to get into the air and into offboard.
+
+    Args:
+        altitude_m: Height above home to take off to.
+        started_s: When it begins.
+    """
+
+    def __init__(self, altitude_m: float, started_s: float) -> None:
+        self.altitude_m = altitude_m
+        self.stage = Stage.READY
+        self.failure: str | None = None
+        self._since_s = started_s
+        self._retry_s = started_s
+        self._seen_s = started_s
+        """When everything that a launch needs was known last."""
+        self._is_asked = False
+        self._unanswered = 0
+        self._modes: frozenset[FlightMode] = frozenset()
+        """Modes that the launch itself leads through."""
+        self._was_armed = False
+        self._refused: str | None = None
+        """A repeated take-off was refused: ArduPilot does so when the first one has begun."""
+        self._takeoff: RequestAnswered | HeartbeatReceived | None = None
+        """What showed last that the takeoff has begun."""
+        self._offboard_accepted: RequestAnswered | None = None
+        self._needs_prestream = True
+
+    @property
+    def is_at_offboard(self) -> bool:
+        """Whether offboard is what is being waited for."""
+        return self.stage in (Stage.PRESTREAM, Stage.OFFBOARD)
+
+    @property
+    def has_asked(self) -> bool:
+        """Whether anything was asked of the autopilot yet."""
+        return self.stage is not Stage.READY
+
+    @property
+    def may_be_flying(self) -> bool:
+        """Whether the vehicle may be armed by now, shown or not."""
+        return self.stage in (Stage.TAKE_OFF, Stage.CLIMB, Stage.PRESTREAM, Stage.OFFBOARD)
+
+    def observe(self, heartbeat: HeartbeatReceived, height_m: float | None) -> str | None:
+        """Why a heartbeat ends the launch, or None: someone else took the vehicle.
+
+        Args:
+            heartbeat: The newest.
+            height_m: Above home; None: unknown.
+        """
+        if not self.has_asked:
+            return None
+        if not heartbeat.is_armed:
+            return "disarmed" if self._was_armed else None
+        self._was_armed = True
+        if heartbeat.is_failsafe:
+            return "failsafe"
+        is_offboard = self.is_at_offboard and heartbeat.mode is FlightMode.OFFBOARD
+        if is_offboard or self._is_on_the_way(heartbeat, height_m):
+            return None
+        return f"mode is {mode_name(heartbeat.mode, heartbeat.autopilot)}"
+
+    def _is_on_the_way(self, heartbeat: HeartbeatReceived, height_m: float | None) -> bool:
+        """Whether the launch itself leads through the mode that is shown."""
+        if heartbeat.mode not in self._modes or _is_after(heartbeat, self._offboard_accepted):
+            return False
+        if heartbeat.mode is FlightMode.TAKEOFF:
+            self._takeoff = heartbeat
+        if heartbeat.mode in (FlightMode.TAKEOFF, FlightMode.OFFBOARD):
+            return True
+        is_at_top = height_m is not None and height_m >= self.altitude_m - TOP_M
+        return is_at_top or not _is_after(heartbeat, self._takeoff)
+
+    @property
+    def wants_stream(self) -> bool:
+        """Whether "stay here" setpoints are due: PX4 wants them before offboard."""
+        return self.stage in (Stage.PRESTREAM, Stage.OFFBOARD) and self._needs_prestream
+
+    def tick(self, view: LaunchView) -> list[Command]:
+        """What to ask for now."""
+        self._seen_s = view.now_s
+        match self.stage:
+            case Stage.READY:
+                return self._when_ready(view)
+            case Stage.MODE | Stage.ARM | Stage.TAKE_OFF:
+                return self._ask(view)
+            case Stage.CLIMB:
+                self._when_climbed(view)
+            case Stage.PRESTREAM:
+                if not self._needs_prestream or view.now_s - self._since_s >= PRESTREAM_S:
+                    self._enter(Stage.OFFBOARD, view.now_s)
+            case Stage.OFFBOARD:
+                return self._ask(view)
+        return []
+
+    def trouble(self, what: str, now_s: float) -> None:
+        """Something is wrong: it is waited for on the ground, and later ends the launch."""
+        self._seen_s = now_s
+        if self.has_asked or now_s - self._since_s > READY_TIMEOUT_S:
+            self.failure = what
+
+    def wait(self, now_s: float) -> None:
+        """Nothing is asked while the vehicle is not seen, and not for ever."""
+        if now_s - self._seen_s > BLIND_S:
+            self.failure = f"no link, mode or fresh position for {BLIND_S:g} s"
+
+    def answered(self, event: RequestAnswered) -> None:
+        """Take in the autopilot's answer to the latest request."""
+        expected = {
+            Stage.MODE: RequestKind.SET_MODE,
+            Stage.ARM: RequestKind.ARM,
+            Stage.TAKE_OFF: RequestKind.TAKE_OFF,
+            Stage.OFFBOARD: RequestKind.SET_MODE,
+        }.get(self.stage)
+        if event.kind is not expected:
+            return
+        if event.outcome is Outcome.ACCEPTED:
+            if self.stage is Stage.OFFBOARD:
+                self._offboard_accepted = event
+            if self.stage is Stage.TAKE_OFF:
+                self._takeoff = event
+            following = {
+                Stage.MODE: Stage.ARM,
+                Stage.ARM: Stage.TAKE_OFF,
+                Stage.TAKE_OFF: Stage.CLIMB,
+            }.get(self.stage)
+            if following is not None:
+                self._enter(following, event.time_s)
+        elif self._may_have_taken_off(event):
+            self._refused = f"{self.stage.value}: {event.outcome.value} {event.detail}".strip()
+            self._enter(Stage.CLIMB, event.time_s)
+        elif self._may_ask_again(event):
+            self._is_asked = False
+            self._retry_s = event.time_s + ARM_RETRY_S
+        else:
+            self.failure = f"{self.stage.value}: {event.outcome.value} {event.detail}".strip()
+
+    def _may_have_taken_off(self, event: RequestAnswered) -> bool:
+        """Whether the answer to an earlier sending may be lost, and what is refused has begun."""
+        is_refused = self.stage is Stage.TAKE_OFF and event.outcome is Outcome.REJECTED
+        return is_refused and (event.is_repeated or self._unanswered > 0)
+
+    def _may_ask_again(self, event: RequestAnswered) -> bool:
+        """Not ready yet is no reason to give up, and neither is a link that lost an answer."""
+        if self.stage is Stage.ARM:
+            return event.time_s - self._since_s < READY_TIMEOUT_S
+        self._unanswered += 1
+        return event.outcome is Outcome.NO_ANSWER and self._unanswered <= UNANSWERED_LIMIT
+
+    def _enter(self, stage: Stage, now_s: float) -> None:
+        self.stage = stage
+        self._unanswered = 0
+        self._since_s = now_s
+        self._retry_s = now_s
+        self._is_asked = False
+
+    def _when_ready(self, view: LaunchView) -> list[Command]:
+        heartbeat = view.heartbeat
+        if heartbeat.autopilot is Autopilot.OTHER:
+            self.failure = "only PX4 and ArduPilot can be launched"
+        elif heartbeat.is_armed:
+            name = mode_name(heartbeat.mode, heartbeat.autopilot)
+            self.failure = f"the vehicle is being flown already, in {name}"
+        if self.failure is not None:
+            return []
+        self._modes = _modes_on_the_way(heartbeat.autopilot)
+        self._needs_prestream = heartbeat.autopilot is not Autopilot.ARDUPILOT
+        if heartbeat.is_ready and view.has_origin:
+            self._enter(Stage.MODE if self._launch_mode(heartbeat) else Stage.ARM, view.now_s)
+        elif view.now_s - self._since_s > READY_TIMEOUT_S:
+            self.failure = "the autopilot does not become ready to arm"
+        return []
+
+    @staticmethod
+    def _launch_mode(heartbeat: HeartbeatReceived) -> FlightMode | None:
+        """The mode to arm in, or None if the present one will do."""
+        if heartbeat.autopilot is Autopilot.ARDUPILOT:
+            return None if heartbeat.mode is FlightMode.OFFBOARD else FlightMode.OFFBOARD
+        usable = (FlightMode.HOLD, FlightMode.TAKEOFF)
+        return None if heartbeat.mode in usable else FlightMode.HOLD
+
+    def _ask(self, view: LaunchView) -> list[Command]:
+        if self._is_asked:
+            if self.stage is Stage.OFFBOARD and view.now_s - self._since_s > MODE_TIMEOUT_S:
+                name = mode_name(FlightMode.OFFBOARD, view.heartbeat.autopilot)
+                self.failure = f"{name} was accepted but never entered"
+            return []
+        if view.now_s < self._retry_s:
+            return []
+        if self.stage is Stage.MODE:
+            mode = self._launch_mode(view.heartbeat)
+            if mode is None:
+                self._enter(Stage.ARM, view.now_s)
+            else:
+                self._is_asked = True
+                return [SetMode(mode, view.heartbeat.is_armed)]
+        self._is_asked = True
+        match self.stage:
+            case Stage.ARM:
+                return [Arm()]
+            case Stage.TAKE_OFF:
+                return [TakeOff(self.altitude_m, view.home_up_m)]
+        return [SetMode(FlightMode.OFFBOARD, view.heartbeat.is_armed)]
+
+    def _when_climbed(self, view: LaunchView) -> None:
+        if view.height_m >= LIFTED_M:
+            self._refused = None
+        if view.height_m >= CLIMBED_SHARE * self.altitude_m:
+            self._enter(Stage.PRESTREAM, view.now_s)
+        elif self._refused is not None and view.now_s - self._since_s > LIFT_S:
+            self.failure = self._refused
+        elif view.now_s - self._since_s > CLIMB_TIMEOUT_S:
+            self.failure = "the vehicle did not climb to its altitude"
+
+
+def _is_after(
+    heartbeat: HeartbeatReceived, earlier: RequestAnswered | HeartbeatReceived | None
+) -> bool:
+    """Whether a heartbeat was sent after something else; a mode is, if no order is known."""
+    if earlier is None:
+        return False
+    if earlier.order is None or heartbeat.order is None:
+        return isinstance(earlier, HeartbeatReceived)
+    return heartbeat.order > earlier.order
+
+
+def _modes_on_the_way(autopilot: Autopilot) -> frozenset[FlightMode]:
+    """Modes that an armed vehicle shows if nobody interferes.
+
+    ArduPilot is launched in GUIDED from the start, so its hold mode is somebody's choice.
+    """
+    if autopilot is Autopilot.ARDUPILOT:
+        return frozenset({FlightMode.OFFBOARD})
+    return frozenset({FlightMode.HOLD, FlightMode.TAKEOFF, FlightMode.READY})

@@ -1,0 +1,250 @@
+"""What the parts of a session share: vehicle, estimate, phase, and commands collected so far.
+
+Errors of the estimator and the planner end neither the process nor the control tick.
+
+The vehicle stays where it is: the guard needs neither of them. Three errors in ten seconds are no
+accident, and the vehicle is handed back. The guard itself is not wrapped: without it nothing may be
+sent, so its error ends the process, and the autopilot's own failsafe follows.
+"""
+
+from __future__ import annotations
+
+import traceback
+from collections import Counter, deque
+from collections.abc import Callable
+from pathlib import PurePath
+from typing import Any
+
+from companion.domain import FlightMode, TargetEstimate
+from companion.estimation.tracker import TargetTracker
+from companion.guard.gate import Guard
+from companion.guidance.authority.control_authority import Authority
+from companion.guidance.authority.launch import Launch
+from companion.guidance.authority.state_machine import (
+    HAS_VEHICLE,
+    IN_CONTROL,
+    OUT_OF_CONTROL,
+    STREAMING,
+    Phase,
+    Trigger,
+)
+from companion.guidance.commands import (
+    Announce,
+    Command,
+    Record,
+    ReportResult,
+    SetMode,
+    Severity,
+    WithdrawRequest,
+)
+from companion.guidance.flight.fencing import Fencing
+from companion.guidance.flight.navigation import FlightPlan, Steering
+from companion.guidance.flight.vehicle import VehicleView
+from companion.guidance.health.findings import Finding, Reason, Verdict
+from companion.guidance.messages import FindingMessages
+from companion.guidance.session_params import SessionParams, Tuning
+from companion.guidance.tracking.emitters import EmitterQueue
+from companion.planning.planner import Planner
+
+ERROR_HOLD_S = 1.0
+"""After an error nothing is flown on what failed for this long."""
+WINDOW_S = 10.0
+MOST_ERRORS = 3
+TELL_S = 10.0
+"""The same part is told of no more often."""
+
+
+class Containment:
+    """Keeps the errors of parts."""
+
+    def __init__(self) -> None:
+        self.errors: Counter[str] = Counter()
+        """By part."""
+        self._times_s: deque[float] = deque(maxlen=MOST_ERRORS)
+        self._told_s: dict[str, float] = {}
+        self._news: list[Command] = []
+
+    def run(self, part: str, now_s: float, work: Callable[[], None]) -> bool:
+        """Let a part do its work; whether it did, without an error."""
+        try:
+            work()
+        except Exception as error:
+            self._note(part, error, now_s)
+            return False
+        return True
+
+    def take_news(self) -> list[Command]:
+        """What is to be told; taken once."""
+        news, self._news = self._news, []
+        return news
+
+    def finding(self, now_s: float) -> Finding | None:
+        """What the errors of late mean."""
+        times_s = self._times_s
+        if len(times_s) == MOST_ERRORS and now_s - times_s[0] <= WINDOW_S:
+            text = f"{MOST_ERRORS} internal errors in {WINDOW_S:g} s"
+            return Finding(Verdict.HAND_BACK, Reason.INTERNAL_ERROR, text)
+        if times_s and now_s - times_s[-1] < ERROR_HOLD_S:
+            return Finding(Verdict.HOLD, Reason.INTERNAL_ERROR, "internal error")
+        return None
+
+    def _note(self, part: str, error: Exception, now_s: float) -> None:
+        self.errors[part] += 1
+        self._times_s.append(now_s)
+        what = f"{type(error).__name__}: {error}"
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        where = f"{PurePath(last.filename).name}:{last.lineno}"
+        self._news.append(Record("internal_error", {"part": part, "error": what, "where": where}))
+        told_s = self._told_s.get(part)
+        if told_s is None or now_s - told_s >= TELL_S:
+            self._told_s[part] = now_s
+            self._news.append(Announce(Severity.ERROR, f"internal error in the {part}: {what}"))
+
+
+class SessionContext:
+    """The state of one session, and the commands that a call has collected so far.
+
+    Args:
+        params: How the mission is flown.
+        emitters: The estimates of the targets, and whose turn it is.
+        planner: Where to fly, given the estimate.
+        guard: What may be sent.
+        fencing: Gives the guard its fence.
+        needs_origin: Whether setpoints are global, so that nothing flies without an origin.
+    """
+
+    def __init__(
+        self,
+        params: SessionParams,
+        emitters: EmitterQueue,
+        planner: Planner[Any],
+        guard: Guard,
+        fencing: Fencing,
+        *,
+        needs_origin: bool,
+    ) -> None:
+        self.params = params
+        self.emitters = emitters
+        self.guard = guard
+        self.vehicle = VehicleView(needs_origin=needs_origin)
+        self.flight_plan = FlightPlan(planner, guard, emitters, params.altitude_m)
+        self.fencing = fencing
+        self.steering = Steering(guard, params.altitude_m)
+        self.authority = Authority()
+        self.estimate: TargetEstimate | None = None
+        self.reports: dict[int | None, ReportResult] = {}
+        """What was reported of each emitter, the newest last."""
+        self.launch: Launch | None = None
+        self.has_launched = False
+        self.is_stopping = False
+        """Whether the process ends as soon as the vehicle is not in our hands."""
+        self.finding: Finding | None = None
+        """What is wrong now."""
+        self.reasons: Counter[Reason] = Counter()
+        """How often each reason was what is wrong."""
+        self._finding_news = FindingMessages()
+        self.containment = Containment()
+        self.commands: list[Command] = []
+        self._passing: tuple[Finding, float] | None = None
+
+    @property
+    def phase(self) -> Phase:
+        """Where the session stands."""
+        return self.authority.phase
+
+    @property
+    def tracker(self) -> TargetTracker:
+        """The estimate of the emitter that is looked for."""
+        return self.emitters.current
+
+    @property
+    def result(self) -> ReportResult | None:
+        """What was reported last, if anything was."""
+        return next(reversed(self.reports.values()), None)
+
+    def take_commands(self) -> list[Command]:
+        """What was collected; the next call begins with nothing."""
+        commands, self.commands = self.commands, []
+        return commands + self.containment.take_news()
+
+    def enter(self, trigger: Trigger, now_s: float) -> bool:
+        """Apply a trigger; whether the phase changed."""
+        left = self.authority.enter(trigger, now_s)
+        if left is None:
+            return False
+        self.record("phase", old=left.value, new=self.phase.value, trigger=trigger.value)
+        if self.phase in OUT_OF_CONTROL:
+            self.withdraw()
+        if self.phase not in IN_CONTROL:
+            self._finding_news = FindingMessages()
+        if not (left in IN_CONTROL and self.phase in STREAMING):
+            self.steering.forget_setpoint()
+        self.vehicle.keep_home(self.phase in HAS_VEHICLE)
+        if self.is_stopping and self.phase in OUT_OF_CONTROL:
+            self.enter(Trigger.STOP, now_s)
+        return True
+
+    def find(self, finding: Finding | None, now_s: float) -> bool:
+        """Take note of what is wrong now, or that nothing is; whether that is news."""
+        self.finding = finding
+        if not self._finding_news.is_due(finding, now_s):
+            return False
+        if finding is None:
+            return True
+        self.reasons[finding.reason] += 1
+        verdict = finding.verdict.name.lower()
+        self.record("finding", verdict=verdict, reason=finding.reason.value, text=finding.text)
+        return True
+
+    def hold_until(self, finding: Finding, until_s: float) -> None:
+        """Something happened that is over already, but shall be held on for a while."""
+        self._passing = (finding, until_s)
+
+    def passing_finding(self, now_s: float) -> Finding | None:
+        """What is held on for a while, if that is not over."""
+        if self._passing is None or now_s >= self._passing[1]:
+            return None
+        return self._passing[0]
+
+    def announce(self, severity: Severity, text: str) -> None:
+        """A text for the operator."""
+        self.commands.append(Announce(severity, text))
+
+    def record(self, kind: str, **fields: object) -> None:
+        """A line for the event log."""
+        self.commands.append(Record(kind, fields))
+
+    def ask_mode(self, mode: FlightMode) -> None:
+        """Ask the autopilot for a mode."""
+        self.commands.append(SetMode(mode, self.vehicle.is_armed))
+
+    def report(self, result: ReportResult) -> None:
+        """Tell where an emitter is."""
+        self.reports.pop(result.emitter_id, None)
+        self.reports[result.emitter_id] = result
+        self.commands.append(result)
+
+    def withdraw(self) -> None:
+        """What was asked and not answered must not be sent again."""
+        self.commands.append(WithdrawRequest())
+
+    def plan_now(self, now_s: float) -> None:
+        """Renew the plan; without one, after an error, the vehicle will stay."""
+        self.containment.run("planner", now_s, lambda: self._renew_plan(now_s))
+
+    def _renew_plan(self, now_s: float) -> None:
+        setpoint = self.steering.setpoint_enu_m
+        self.commands += self.flight_plan.renew(now_s, self.vehicle, setpoint, self.estimate)
+
+    def retune(self, tuning: Tuning) -> None:
+        """Go on with other parameters."""
+        self.params = tuning.params
+        self.fencing.use_limits(tuning.limits)
+        self.steering.use_altitude(tuning.params.altitude_m)
+        self.flight_plan.use(tuning.planner, tuning.params.altitude_m)
+
+    def forget_target(self) -> None:
+        """Drop all estimates and every plan that stands on them."""
+        self.emitters.restart()
+        self.flight_plan.forget()
+        self.estimate = None

@@ -1,0 +1,253 @@
+"""From the planner's answer to a waypoint, and from a waypoint to the next guarded setpoint.
+
+The flight plan keeps what the planner was asked, what it answered, and what the operator is told
+of it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+from companion.domain import Point, PositionEnu, PositionSetpoint, TargetEstimate, Waypoint
+from companion.geometry.polygons import depth_m
+from companion.guard.fence import Fence
+from companion.guard.gate import Guard, Guarded, GuardReason, Motion
+from companion.guidance.authority.control_authority import is_search_due
+from companion.guidance.commands import Announce, Command, Severity
+from companion.guidance.flight.vehicle import VehicleView
+from companion.guidance.messages import waypoint_record
+from companion.guidance.tracking.emitters import EmitterQueue
+from companion.kernel import Matrix
+from companion.planning.planner import Planner, PlanRequest
+
+PLAN_PERIOD_S = 0.2
+"""A plan is renewed at least this often, with or without a measurement: the vehicle moves."""
+
+
+TOLD_AGAIN_S = 20.0
+"""How long after a text about the target's place there is no other one."""
+
+
+class FlightPlan:
+    """The planner with its memory, and the waypoint that it wants now.
+
+    Args:
+        planner: Where to fly.
+        guard: Knows the fence with its keep-outs.
+        emitters: The current one's estimate is planned on.
+        altitude_m: Search altitude above home.
+    """
+
+    def __init__(
+        self,
+        planner: Planner[Any],
+        guard: Guard,
+        emitters: EmitterQueue,
+        altitude_m: float,
+    ) -> None:
+        self.waypoint: Waypoint | None = None
+        self._planner = planner
+        self._memory = planner.initial_memory()
+        self._guard = guard
+        self._emitters = emitters
+        self._altitude_m = altitude_m
+        self._planned_s: float | None = None
+        self._is_searching: bool | None = None
+        self.is_target_outside = False
+        """Whether the target is believed to be where the vehicle may not go."""
+        self._where_target_is = ""
+        self._told_outside_s = -math.inf
+
+    @property
+    def search_after_s(self) -> float | None:
+        """See `Planner`."""
+        return self._planner.search_after_s
+
+    def forget(self) -> None:
+        """The next plan starts from nothing."""
+        self.is_target_outside = False
+        self._where_target_is = ""
+        self.waypoint = None
+        self._planned_s = None
+        self._is_searching = None
+        self._memory = self._planner.initial_memory()
+
+    def use(self, planner: Planner[Any], altitude_m: float) -> None:
+        """Go on with another planner of the same kind, from what the one before remembered."""
+        self._planner = planner
+        self._altitude_m = altitude_m
+
+    def is_due(self, now_s: float) -> bool:
+        """Whether the plan is too old."""
+        return self._planned_s is None or now_s - self._planned_s >= PLAN_PERIOD_S
+
+    def renew(
+        self,
+        now_s: float,
+        vehicle: VehicleView,
+        setpoint_enu_m: PositionEnu | None,
+        estimate: TargetEstimate | None,
+    ) -> list[Command]:
+        """Ask the planner; what is to be told of its answer.
+
+        Args:
+            now_s: The present.
+            vehicle: Without a position nothing is planned.
+            setpoint_enu_m: What it follows, where the leg to the waypoint begins; None: itself.
+            estimate: Where the target is believed to be.
+        """
+        place_enu_m, height_m = vehicle.position_enu_m, vehicle.height_m
+        if place_enu_m is None:
+            return []
+        previous, self._planned_s = self.waypoint, now_s
+        request = replace(
+            self._request(now_s, place_enu_m, estimate),
+            leg_from_enu_m=None if setpoint_enu_m is None else setpoint_enu_m[:2],
+            altitude_offset_m=None if height_m is None else height_m - self._altitude_m,
+        )
+        plan = self._planner.plan(request, self._memory)
+        self.waypoint, self._memory = plan.waypoint, plan.memory
+        commands = self._search_news(now_s, estimate)
+        if previous is None or previous.detail != plan.waypoint.detail:
+            commands.append(waypoint_record(plan.waypoint))
+        return commands + self._target_news(now_s, estimate)
+
+    def _request(
+        self, now_s: float, place_enu_m: PositionEnu, estimate: TargetEstimate | None
+    ) -> PlanRequest:
+        fence, tracker = self._guard.limits.fence, self._emitters.current
+        return PlanRequest(
+            vehicle_enu_m=place_enu_m[:2],
+            estimate=estimate,
+            fence_enu_m=None if fence is None else fence.polygon_enu_m,
+            fence_margin_m=0.0 if fence is None else fence.margin_m,
+            baseline_m=tracker.baseline_m(place_enu_m[2]),
+            keep_out_enu_m=() if fence is None else fence.keep_out_enu_m,
+            time_s=now_s,
+            contact_s=tracker.last_accepted_s,
+            height_m=place_enu_m[2] - tracker.params.filter.target_height_m,
+            joint_covariance=self._joint_covariance(),
+        )
+
+    def _joint_covariance(self) -> Matrix | None:
+        """Of east, north and both offsets in the best hypothesis."""
+        hypotheses = self._emitters.current.hypotheses
+        return hypotheses[0].state.covariance[:4, :4] if hypotheses else None
+
+    def _search_news(self, now_s: float, estimate: TargetEstimate | None) -> list[Command]:
+        """A text when a search begins, ends, or begins again."""
+        after_s, heard_s = self.search_after_s, self._emitters.current.last_accepted_s
+        if after_s is None or after_s == 0.0:
+            return []
+        was_searching = self._is_searching
+        self._is_searching = is_search_due(estimate, heard_s, after_s, now_s)
+        if self._is_searching is was_searching:
+            return []
+        if not self._is_searching:
+            return [Announce(Severity.INFO, "contact: flying at the target")]
+        if heard_s is None:
+            return [Announce(Severity.INFO, "no contact yet: flying the search pattern")]
+        text = f"no contact for {after_s:g} s: back to the search pattern"
+        return [Announce(Severity.WARNING, text)]
+
+    def _target_news(self, now_s: float, estimate: TargetEstimate | None) -> list[Command]:
+        """A text when the target turns out to be where the vehicle may not go.
+
+        A target that goes to and fro across the fence is told of now and then only.
+        """
+        fence = self._guard.limits.fence
+        if estimate is None or fence is None:
+            return []
+        where = _forbidden_place(fence, estimate.position_enu_m)
+        is_news, self._where_target_is = where != self._where_target_is, where
+        self.is_target_outside = bool(where)
+        if not (where and is_news) or now_s - self._told_outside_s < TOLD_AGAIN_S:
+            return []
+        self._told_outside_s = now_s
+        return [Announce(Severity.WARNING, where)]
+
+
+def _forbidden_place(fence: Fence, place: Point) -> str:
+    """Why the vehicle may not be at an estimated place, or nothing."""
+    if fence.allows(place):
+        return ""
+    if depth_m(fence.polygon_enu_m, place) < fence.margin_m:
+        return "the estimate is outside the fence: it can only be looked at from inside"
+    return "the estimate is in a keep-out: it can only be looked at from around it"
+
+
+CLIMB_FIRST_M = 1.0
+"""Below the altitude band by more than this the vehicle climbs before it goes anywhere."""
+
+
+class Steering:
+    """Walks the setpoint towards waypoints, always through the guard.
+
+    Args:
+        guard: What may be sent.
+        altitude_m: Search altitude above home.
+    """
+
+    def __init__(self, guard: Guard, altitude_m: float) -> None:
+        self._guard = guard
+        self._altitude_m = altitude_m
+        self._last: Guarded | None = None
+
+    @property
+    def setpoint_enu_m(self) -> PositionEnu | None:
+        """The setpoint sent last, where the next one begins."""
+        return None if self._last is None else self._last.position_enu_m
+
+    @property
+    def reasons(self) -> tuple[GuardReason, ...]:
+        """Why it is not where the planner wanted it."""
+        return () if self._last is None else self._last.reasons
+
+    def forget_setpoint(self) -> None:
+        """The next setpoint starts where the vehicle is."""
+        self._last = None
+
+    def use_altitude(self, altitude_m: float) -> None:
+        """Another search altitude above home from now on."""
+        self._altitude_m = altitude_m
+
+    def stay_with(self, motion: Motion) -> PositionSetpoint:
+        """Hold at the vehicle's present place, following it while someone else flies it."""
+        return self._sent(self._guard.here(motion))
+
+    def stand(self, motion: Motion) -> PositionSetpoint:
+        """Move nothing, not even back inside: where the vehicle is may be wrong."""
+        last = self._last
+        place = motion.position_enu_m if last is None else last.position_enu_m
+        return self._sent(self._guard.stand(place))
+
+    def stay(self, motion: Motion, dt_s: float) -> PositionSetpoint:
+        """Hold at the place where holding began."""
+        if self._last is None:
+            return self.stay_with(motion)
+        return self._sent(self._guard.hold(self._last, motion, dt_s))
+
+    def follow(
+        self,
+        waypoint: Waypoint | None,
+        motion: Motion,
+        dt_s: float,
+        speed_cap_mps: float = math.inf,
+    ) -> PositionSetpoint:
+        """One tick towards the waypoint at its altitude; without a waypoint, stay."""
+        last = self._last
+        if last is None or waypoint is None:
+            return self.stay(motion, dt_s)
+        east, north = waypoint.position_enu_m
+        home_up_m = motion.home_enu_m[2]
+        floor_m = home_up_m + self._guard.limits.envelope.altitude_min_m
+        if motion.position_enu_m[2] < floor_m - CLIMB_FIRST_M:
+            east, north = last.position_enu_m[:2]
+        goal = (east, north, home_up_m + self._altitude_m + waypoint.altitude_offset_m)
+        return self._sent(self._guard.towards(goal, last, motion, dt_s, speed_cap_mps))
+
+    def _sent(self, guarded: Guarded) -> PositionSetpoint:
+        self._last = guarded
+        return PositionSetpoint(guarded.position_enu_m)

@@ -1,0 +1,372 @@
+"""What the session knows about its vehicle: mode, position, origin, home and health.
+
+Mode watch: is the mode that was shown last of the present, so that it is known who flies.
+
+Theory of operation. A HEARTBEAT carries no time, and what a link or a socket held back comes oldest
+first. After a stall of the control tick, or a long silence, the mode is in doubt: perhaps a pilot
+has the vehicle. The doubt ends with a HEARTBEAT that the autopilot sent after a message whose stamp
+is of the present, a position or an attitude. Until then no setpoint leaves, no mode counts as
+given, and nothing is asked of the autopilot; but a vehicle that shows for seconds that it still
+flies by our setpoints, while nothing stamped comes, may be asked to fly by itself.
+
+Mode names: OFFBOARD is GUIDED on ArduPilot, HOLD is BRAKE.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+from companion.domain import Autopilot, FlightMode, LandedState, PositionEnu
+from companion.geometry.coordinates import LocalOrigin
+from companion.guard.gate import Motion
+from companion.guidance.events import (
+    BatteryReported,
+    Event,
+    HeartbeatReceived,
+    HomeSet,
+    LandedStateChanged,
+    OriginSet,
+    TimerFired,
+    VehicleMoved,
+    YawMeasured,
+)
+from companion.guidance.tracking.vehicle_track import VehicleTrack, is_plausible
+
+ARDUPILOT_NAMES: dict[FlightMode, str] = {
+    FlightMode.OFFBOARD: "GUIDED",
+    FlightMode.HOLD: "BRAKE",
+    FlightMode.LAND: "LAND",
+    FlightMode.RETURN: "RTL",
+    FlightMode.MISSION: "AUTO",
+    FlightMode.POSITION: "LOITER",
+    FlightMode.ALTITUDE: "ALT_HOLD",
+    FlightMode.STABILIZED: "STABILIZE",
+    FlightMode.ACRO: "ACRO",
+    FlightMode.UNKNOWN: "another mode",
+}
+
+
+def mode_name(mode: FlightMode, autopilot: Autopilot) -> str:
+    """The mode in the words of the autopilot's own tools."""
+    if autopilot is Autopilot.ARDUPILOT:
+        return ARDUPILOT_NAMES.get(mode, mode.value)
+    return mode.value
+
+
+MODE_UNKNOWN_AFTER_S = 10.0
+"""Without a HEARTBEAT for this long anyone may fly: stop sending, let its own failsafe act."""
+PAST_S = 1.0
+"""A mode that was shown earlier than this is of the past."""
+ASKED_ANYWAY_S = 5.0
+"""So long after the doubt began a vehicle that still shows our mode may be asked for another."""
+MOST_STAMPED = 256
+"""Two seconds of a busy link."""
+LATE_S = 3.0
+"""A HEARTBEAT that comes every second and was not heard for so long is missing."""
+
+
+class ModeWatch:
+    """Follows the modes that are shown, and how old they may be."""
+
+    def __init__(self) -> None:
+        self.is_in_doubt = False
+        self._since_s = -math.inf
+        """When the doubt began."""
+        self._shown: HeartbeatReceived | None = None
+        self._stamped: deque[tuple[float, int | None]] = deque(maxlen=MOST_STAMPED)
+        """Time, and place in the order of sending, of the last stamped messages."""
+
+    def stamped(self, measured_at_s: float, order: int | None) -> None:
+        """A message came that tells when it was sent."""
+        self._stamped.append((measured_at_s, order))
+
+    def shown(self, heartbeat: HeartbeatReceived) -> None:
+        """A HEARTBEAT came."""
+        self._shown = heartbeat
+        self.is_in_doubt = self.is_in_doubt and not self._is_recent(heartbeat)
+
+    def tick(self, now_s: float) -> None:
+        """Time passes."""
+        if self._is_silent(now_s) and not self.is_in_doubt:
+            self.distrust(now_s)
+
+    def distrust(self, now_s: float) -> None:
+        """What was heard so far is of the past."""
+        self.is_in_doubt, self._since_s = True, now_s
+
+    def forget(self) -> None:
+        """The autopilot restarted: nothing was shown yet."""
+        self._shown = None
+        self._stamped.clear()
+
+    def is_known(self, now_s: float) -> bool:
+        """Whether the mode shown last still says who flies."""
+        return self._shown is not None and not (self._is_silent(now_s) or self.is_in_doubt)
+
+    def may_be_asked(self, now_s: float) -> bool:
+        """Whether a request for a mode takes the vehicle from nobody, as far as one can know."""
+        if self.is_known(now_s):
+            return True
+        shown = self._shown
+        if shown is None or not (shown.is_armed and shown.mode is FlightMode.OFFBOARD):
+            return False
+        is_heard = shown.time_s > self._since_s and now_s - shown.time_s <= LATE_S
+        return is_heard and now_s - self._since_s >= ASKED_ANYWAY_S
+
+    def _is_silent(self, now_s: float) -> bool:
+        return self._shown is not None and now_s - self._shown.time_s > MODE_UNKNOWN_AFTER_S
+
+    def _is_recent(self, heartbeat: HeartbeatReceived) -> bool:
+        """Whether one that was sent before it is: what overtook it on the way says nothing."""
+        order = heartbeat.order
+        return any(
+            heartbeat.time_s - stamped_s <= PAST_S
+            and (order is None or place is None or place <= order)
+            for stamped_s, place in reversed(self._stamped)  # the newest says it soonest
+        )
+
+
+STALE_STATE_S = 0.5
+"""An own position older than this is not flown on."""
+LINK_LOST_S = 1.0
+"""Without any valid frame of the autopilot for this long the link counts as lost."""
+COUNTED_STEP_M = 0.05
+"""Shorter moves are noise, not distance flown."""
+FARTHEST_HOME_M = 1e5
+"""A home farther from the origin than this is a fault of one of the two."""
+ORIGIN_STEP_M = 1.0
+"""An origin that moves farther than this has taken the local frame with it."""
+
+
+class VehicleView:
+    """Mode, position, origin, home and health of the vehicle, as last heard."""
+
+    def __init__(self, *, needs_origin: bool = False) -> None:
+        self.track = VehicleTrack()
+        self.mode_watch = ModeWatch()
+        self.heartbeat: HeartbeatReceived | None = None
+        self.origin: LocalOrigin | None = None
+        self.frame: LocalOrigin | None = None
+        """The origin when local positions were last begun anew; it may have crept since."""
+        self.home_enu_m: PositionEnu | None = None
+        """Its height stays while it is kept."""
+        self.reported_home_enu_m: PositionEnu | None = None
+        self.battery_pct: float | None = None
+        self.landed = LandedState.UNKNOWN
+        self.heard_s: float | None = None
+        self.distance_m = 0.0
+        """Flown so far while armed, climbs included."""
+        self._counted_at: PositionEnu | None = None
+        self._needs_origin = needs_origin
+        self._keeps_home = False
+
+    def handle(self, event: Event) -> None:
+        """Take in an event about the vehicle; others change nothing."""
+        match event:
+            case HeartbeatReceived():
+                self.heartbeat = event
+                self.mode_watch.shown(event)
+            case VehicleMoved():
+                self._move(event)
+            case YawMeasured() if math.isfinite(event.yaw_ned_rad):
+                self.track.add_yaw(event.measured_at_s, event.yaw_ned_rad)
+                self.mode_watch.stamped(event.measured_at_s, event.order)
+            case OriginSet():
+                self.origin = event.origin
+                self.frame = self.frame or event.origin
+            case HomeSet() if all(math.isfinite(v) for v in event.position_enu_m):
+                self._set_home(event.position_enu_m)
+            case BatteryReported():
+                self.battery_pct = event.charge_pct
+            case LandedStateChanged():
+                self.landed = event.landed
+            case TimerFired():
+                self.heard_s = event.heard_s
+                self.mode_watch.tick(event.time_s)
+
+    def forget(self) -> None:
+        """Drop what a restart of the autopilot makes worthless."""
+        self.forget_frame()
+        self.heartbeat = None
+        self.origin = None
+        self.landed = LandedState.UNKNOWN
+        self.battery_pct = None
+        self.mode_watch.forget()
+
+    def distrust(self, now_s: float) -> None:
+        """Wait for a new mode and position, because what was heard so far is of the past."""
+        self.mode_watch.distrust(now_s)
+        self.track.clear()
+
+    def forget_frame(self) -> None:
+        """Drop every local position, because the frame moved."""
+        self.track.clear()
+        self.frame = None
+        self.home_enu_m = self.reported_home_enu_m = None
+        self._counted_at = None
+
+    def shift(self, jump_enu_m: PositionEnu) -> None:
+        """The reported position jumped: where the vehicle was is told in the new terms, too."""
+        self.track.shift(jump_enu_m)
+        self._counted_at = None
+
+    def keep_home(self, keeps: bool) -> None:
+        """Whether altitudes stay above the home that is known now, wherever it is moved."""
+        self._keeps_home = keeps
+        if not keeps:
+            self.home_enu_m = self.reported_home_enu_m
+
+    def _set_home(self, home_enu_m: PositionEnu) -> None:
+        before, self.reported_home_enu_m = self.home_enu_m, home_enu_m
+        is_kept = self._keeps_home and before is not None
+        up_m = before[2] if before is not None and is_kept else home_enu_m[2]
+        self.home_enu_m = (*home_enu_m[:2], up_m)
+
+    def origin_step_m(self, origin: LocalOrigin) -> float:
+        """How far an origin is from the one that local positions began with; 0 if none is known."""
+        if self.frame is None:
+            return 0.0
+        place = (origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
+        return math.hypot(*self.frame.enu_from_geodetic(*place))
+
+    def move_frame(self, origin: LocalOrigin) -> None:
+        """Drop every local position but home, which is turned into the frame of a new origin.
+
+        From an origin that is nowhere near, home is dropped, too: there is no height above it.
+        """
+        home, kept, before = self.reported_home_enu_m, self.home_enu_m, self.origin
+        self.forget_frame()
+        if before is None or home is None or kept is None:
+            return
+        turned = origin.enu_from_geodetic(*before.geodetic_from_enu(kept))
+        if all(abs(value) <= FARTHEST_HOME_M for value in turned):
+            self.reported_home_enu_m = origin.enu_from_geodetic(*before.geodetic_from_enu(home))
+            self.home_enu_m = turned
+
+    @property
+    def position_enu_m(self) -> PositionEnu | None:
+        """The newest position."""
+        latest = self.track.latest
+        return None if latest is None else latest.position_enu_m
+
+    @property
+    def motion(self) -> Motion | None:
+        """What the guard goes by, or None without a position or a home."""
+        latest, home = self.track.latest, self.home_enu_m
+        if latest is None or home is None:
+            return None
+        return Motion(latest.position_enu_m, latest.velocity_enu_mps, home, self.battery_pct)
+
+    @property
+    def mode(self) -> FlightMode:
+        """The mode last shown."""
+        return FlightMode.UNKNOWN if self.heartbeat is None else self.heartbeat.mode
+
+    @property
+    def autopilot(self) -> Autopilot:
+        """Whose HEARTBEAT it sends."""
+        return Autopilot.OTHER if self.heartbeat is None else self.heartbeat.autopilot
+
+    def name_of(self, mode: FlightMode) -> str:
+        """What its operator calls a mode."""
+        return mode_name(mode, self.autopilot)
+
+    @property
+    def guided_name(self) -> str:
+        """What its operator calls the mode that obeys setpoints."""
+        name = self.name_of(FlightMode.OFFBOARD)
+        return name if self.autopilot is Autopilot.ARDUPILOT else f"{name} mode"
+
+    @property
+    def is_armed(self) -> bool:
+        """Whether it was armed when last heard."""
+        return self.heartbeat is not None and self.heartbeat.is_armed
+
+    @property
+    def is_ours(self) -> bool:
+        """Whether it obeys setpoints: armed and in offboard."""
+        return self.is_armed and self.mode is FlightMode.OFFBOARD
+
+    @property
+    def obeys_setpoints(self) -> bool:
+        """Whether setpoints would be flown once the mode is offboard.
+
+        ArduPilot ignores them on the ground, and one during its take-off would end the climb.
+        """
+        if self.heartbeat is None or self.heartbeat.autopilot is not Autopilot.ARDUPILOT:
+            return True
+        return self.landed is LandedState.IN_AIR
+
+    @property
+    def wants_prestream(self) -> bool:
+        """Whether setpoints must flow before offboard can be entered.
+
+        PX4 refuses the mode without them. ArduPilot needs none, and a stream that still runs
+        would act at once when GUIDED returns.
+        """
+        return self.heartbeat is not None and self.heartbeat.autopilot is not Autopilot.ARDUPILOT
+
+    @property
+    def height_m(self) -> float | None:
+        """Height above home."""
+        position, home = self.position_enu_m, self.home_enu_m
+        return None if position is None or home is None else position[2] - home[2]
+
+    def is_position_fresh(self, now_s: float) -> bool:
+        """Whether the newest position is young enough to fly on."""
+        latest = self.track.latest
+        return latest is not None and now_s - latest.time_s <= STALE_STATE_S
+
+    def is_link_lost(self, now_s: float) -> bool:
+        """Whether nothing valid came from the autopilot for a while."""
+        return self.heard_s is None or now_s - self.heard_s > LINK_LOST_S
+
+    def is_mode_known(self, now_s: float) -> bool:
+        """Whether the mode last shown still says who flies."""
+        return self.mode_watch.is_known(now_s)
+
+    def wants_mode(self, now_s: float) -> bool:
+        """Whether to ask for a HEARTBEAT now instead of waiting for the next one."""
+        return self.mode_watch.is_in_doubt and not self.is_link_lost(now_s)
+
+    def is_usable(self, now_s: float) -> bool:
+        """Whether it can be guided at all: heard, positioned, with a home."""
+        return (
+            self.is_mode_known(now_s)
+            and self.home_enu_m is not None
+            and (self.origin is not None or not self._needs_origin)
+            and self.is_position_fresh(now_s)
+            and not self.is_link_lost(now_s)
+        )
+
+    def missing(self, now_s: float) -> list[str]:
+        """What is not there yet, in words, of what guiding it takes."""
+        parts = {
+            "the autopilot": self.heartbeat is not None and not self.is_link_lost(now_s),
+            self._position_wanted(now_s): self.is_position_fresh(now_s),
+            "a home position": self.home_enu_m is not None,
+            "the origin": self.origin is not None or not self._needs_origin,
+        }
+        return [name for name, is_there in parts.items() if not is_there]
+
+    def _position_wanted(self, now_s: float) -> str:
+        """A position, or a younger one than a slow link brings."""
+        latest = self.track.latest
+        if latest is None or now_s - latest.time_s > LINK_LOST_S + STALE_STATE_S:
+            return "a local position"
+        return f"a local position that is not {STALE_STATE_S:g} s late (is the link slow?)"
+
+    def _move(self, event: VehicleMoved) -> None:
+        if not is_plausible(event.state):
+            return
+        self.track.add(event.state)
+        self.mode_watch.stamped(event.state.time_s, event.order)
+        place = event.state.position_enu_m
+        if self._counted_at is None or not self.is_armed:
+            self._counted_at = place
+            return
+        step_m = math.dist(place, self._counted_at)
+        if step_m >= COUNTED_STEP_M:
+            self.distance_m += step_m
+            self._counted_at = place

@@ -1,0 +1,219 @@
+"""What the autopilot says of its own health: battery, estimator, satellites, failsafe.
+
+The battery: low ends the mission in good order, critical ends it at once, unknown is not full.
+
+Theory of operation. The charge is what the autopilot tells, in percent or as a state of its own;
+one report may be wrong, so two in a row must agree. Low: the leg that is being flown is finished,
+what is known of the target is reported, and the autopilot gets the mode that follows a report.
+Critical: the vehicle is handed back at once by asking for the return, and only once in a flight:
+who takes it again after that knows, and the vehicle then stays where it is.
+
+Estimator, satellites and failsafe.
+
+Theory of operation. An autopilot that doubts its position flies our setpoints to the wrong place,
+and the ranging is placed wrongly too. So the vehicle stays where it is as soon as that is known,
+and is handed back when it lasts: the autopilot knows better than we what it can still do. A
+failsafe that is raised in flight while the mode stays ours has a cause that we do not see: it is
+held on, unless a low battery explains it.
+
+Source: PX4 user guide, "ECL/EKF", innovation test ratios; ArduPilot `ekf_check.cpp`, FS_EKF_THRESH
+0.8.
+"""
+
+from __future__ import annotations
+
+from companion.domain import BatteryLevel, FlightMode
+from companion.guidance.events import (
+    BatteryReported,
+    EstimatorRated,
+    Event,
+    FixReported,
+    HeartbeatReceived,
+)
+from companion.guidance.health.findings import Finding, Reason, Verdict
+
+CONFIRMED_BY = 2
+"""Reports that must agree."""
+LEG_S = 20.0
+"""A leg that takes longer is not finished on a low battery."""
+
+
+class BatteryWatch:
+    """Watches the charge.
+
+    Args:
+        low_pct: Charge from which on it is low, 0 to 100.
+        critical_pct: Charge from which on it is critical.
+    """
+
+    def __init__(self, low_pct: float, critical_pct: float) -> None:
+        self.level = BatteryLevel.UNKNOWN
+        self.charge_pct: float | None = None
+        """0 to 100; None: unknown."""
+        self._low_pct = low_pct
+        self._critical_pct = critical_pct
+        self._candidate = BatteryLevel.UNKNOWN
+        self._agreed = 0
+        self._was_handed_back = False
+        self._has_ended_mission = False
+
+    def aim(self, low_pct: float, critical_pct: float) -> None:
+        """Other charges from the next reports on; two of them must agree again."""
+        self._low_pct, self._critical_pct = low_pct, critical_pct
+        self._agreed = 0
+
+    @property
+    def is_low(self) -> bool:
+        """Whether it is low, or worse."""
+        return self.level >= BatteryLevel.LOW
+
+    def reported(self, event: BatteryReported) -> bool:
+        """Take in a report; whether the level changed."""
+        self.charge_pct = event.charge_pct
+        level = max(self._level_of(event.charge_pct), event.level)
+        self._agreed = self._agreed + 1 if level is self._candidate else 1
+        self._candidate = level
+        if level is self.level or self._agreed < CONFIRMED_BY:
+            return False
+        self.level = level
+        return True
+
+    @property
+    def ends_mission(self) -> bool:
+        """Whether it is time to report and to go."""
+        return self.is_low and not self._has_ended_mission
+
+    def mission_ended(self) -> None:
+        """The mission was ended for the battery."""
+        self._has_ended_mission = True
+
+    def handed_back(self) -> None:
+        """The vehicle was handed back for the battery."""
+        self._was_handed_back = True
+
+    def flight_over(self) -> None:
+        """The next flight is a new one."""
+        self._was_handed_back = self._has_ended_mission = False
+
+    def forget(self) -> None:
+        """The autopilot restarted: nothing is known."""
+        self.level = self._candidate = BatteryLevel.UNKNOWN
+        self.charge_pct = None
+        self._agreed = 0
+        self.flight_over()
+
+    def finding(self) -> Finding | None:
+        """What a critical charge asks for."""
+        if self.level is not BatteryLevel.CRITICAL:
+            return None
+        verdict = Verdict.HOLD if self._was_handed_back else Verdict.HAND_BACK
+        text = f"battery critical{self._percent()}"
+        return Finding(verdict, Reason.BATTERY_CRITICAL, text, FlightMode.RETURN)
+
+    def text(self) -> str:
+        """The level in words."""
+        return f"battery {self.level.name.lower()}{self._percent()}"
+
+    def _percent(self) -> str:
+        return "" if self.charge_pct is None else f", {self.charge_pct:.0f} %"
+
+    def _level_of(self, charge_pct: float | None) -> BatteryLevel:
+        if charge_pct is None:
+            return BatteryLevel.UNKNOWN
+        if charge_pct <= self._critical_pct:
+            return BatteryLevel.CRITICAL
+        return BatteryLevel.LOW if charge_pct <= self._low_pct else BatteryLevel.GOOD
+
+
+DOUBT_S = 1.0
+"""A filter that doubts for less than this settles again by itself."""
+GOOD_S = 1.0
+"""It must be good again for as long before it is believed."""
+PATIENCE_S = 5.0
+"""What lasts longer than this is handed back."""
+
+
+class _Trouble:
+    """A condition that comes and goes: since when it lasts, ended only when it stays away."""
+
+    def __init__(self) -> None:
+        self._since_s: float | None = None
+        self._bad_s = 0.0
+        """When it was last told to be so."""
+        self._good_s: float | None = None
+
+    def note(self, is_bad: bool, now_s: float) -> None:
+        """It was told to be so."""
+        if is_bad:
+            self._good_s, self._bad_s = None, now_s
+            if self._since_s is None:
+                self._since_s = now_s
+        elif self._since_s is not None and self._good_s is None:
+            self._good_s = now_s
+
+    def lasted_s(self, now_s: float) -> float | None:
+        """For how long it was so; None once it has stayed away."""
+        if self._good_s is not None and now_s - self._good_s >= GOOD_S:
+            self.clear()
+        if self._since_s is None:
+            return None
+        return (now_s if self._good_s is None else self._bad_s) - self._since_s
+
+    def clear(self) -> None:
+        """Forget it."""
+        self._since_s = self._good_s = None
+
+
+class HealthWatch:
+    """Watches what the autopilot tells of itself."""
+
+    def __init__(self) -> None:
+        self._doubt = _Trouble()
+        self._no_fix = _Trouble()
+        self._had_fix = False
+        self._is_failsafe = False
+        self._accepted_failsafe = False
+        """The failsafe was there when control was given: whoever gave it knows."""
+
+    def handle(self, event: Event) -> None:
+        """Take in what concerns health; other events change nothing."""
+        match event:
+            case EstimatorRated():
+                self._doubt.note(event.worst >= 1.0, event.time_s)
+            case FixReported():
+                self._had_fix = self._had_fix or event.has_fix
+                self._no_fix.note(self._had_fix and not event.has_fix, event.time_s)
+            case HeartbeatReceived():
+                self._is_failsafe = event.is_failsafe
+                self._accepted_failsafe = self._accepted_failsafe and event.is_failsafe
+
+    def begin(self) -> None:
+        """Control begins."""
+        self._accepted_failsafe = self._is_failsafe
+
+    def forget(self) -> None:
+        """The autopilot restarted."""
+        self._doubt.clear()
+        self._no_fix.clear()
+        self._had_fix = self._is_failsafe = self._accepted_failsafe = False
+
+    def findings(self, now_s: float, *, is_battery_low: bool) -> list[Finding]:
+        """What is wrong now."""
+        found = []
+        doubt_s, no_fix_s = self._doubt.lasted_s(now_s), self._no_fix.lasted_s(now_s)
+        if no_fix_s is not None:
+            text = "the autopilot has lost its satellites"
+            found.append(_finding(Reason.NO_FIX, text, no_fix_s))
+        if doubt_s is not None and doubt_s >= DOUBT_S:
+            text = "the autopilot doubts its own position"
+            found.append(_finding(Reason.ESTIMATOR_POOR, text, doubt_s))
+        if self._is_failsafe and not self._accepted_failsafe and not is_battery_low:
+            text = "the autopilot reports a failsafe"
+            found.append(Finding(Verdict.HOLD, Reason.FAILSAFE, text))
+        return found
+
+
+def _finding(reason: Reason, text: str, lasted_s: float) -> Finding:
+    if lasted_s <= PATIENCE_S:
+        return Finding(Verdict.HOLD, reason, text)
+    return Finding(Verdict.HAND_BACK, reason, f"{text} for {PATIENCE_S:g} s")

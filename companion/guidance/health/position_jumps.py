@@ -1,0 +1,239 @@
+"""Jumps of the vehicle's own navigation: held on, and taken with it by what is believed.
+
+Theory of operation. An estimator that resets moves the reported position, or the heading, at once,
+while the vehicle stays where it is. MAVLink's local position has no counter for that, so each
+report is held against the one before and the velocities of both. What was measured of the target
+is relative to the vehicle, so a jump moves the target, and every place that it was seen from, by
+as much: then the old measurements agree with the new ones, and it does not matter which of the two
+positions was the right one. The vehicle stays until its navigation was steady for a while, and what
+is measured until then is not fused. Navigation that keeps jumping is handed back.
+
+For fence and ground it does matter which one was right. Until it is steady nothing moves, wherever
+the vehicle seems to be; and if it then seems to be so far outside that coming back could lead out
+on the other side, or so much higher that the ground may be where the floor seems to be, it is not
+flown but handed back. What may be flown is the less of the jump and of the way back inside, as much
+as the margin makes up for.
+
+Source: PX4 user guide, "ECL/EKF", resets; `ardupilot/libraries/AP_NavEKF3`, reset of the position.
+"""
+
+from __future__ import annotations
+
+import math
+
+from companion.domain import PositionEnu, VehicleState
+from companion.geometry.coordinates import wrap_pi
+from companion.guard.gate import GuardLimits, Motion
+from companion.guidance.authority.state_machine import HAS_VEHICLE, Trigger
+from companion.guidance.commands import Severity
+from companion.guidance.context import SessionContext
+from companion.guidance.events import VehicleMoved, YawMeasured
+from companion.guidance.health.findings import Finding, Reason, Verdict
+from companion.guidance.tracking.vehicle_track import is_plausible
+
+LEAST_STEP_M = 0.5
+"""Less than this is noise, or cannot be told from it."""
+NOISE_SIGMAS = 7.0
+"""Of the noise that the reports have shown: not exceeded once in a day at 20 reports a second."""
+NOISE_SHARE = 0.02
+"""Of the newest report in the mean square of that noise."""
+MAX_ACCELERATION_MPS2 = 10.0
+"""Two positions and their velocities differ by a quarter of this times the time squared."""
+LEAST_TURN_RAD = math.radians(15.0)
+MAX_TURN_RADPS = math.radians(120.0)
+"""A heading changes no faster than this, beyond the least turn."""
+MAX_GAP_S = 1.0
+"""Reports farther apart than this are not compared."""
+STEADY_S = 2.0
+"""So long there must be no jump."""
+PATIENCE_S = 5.0
+"""Jumps that go on for longer than this are handed back."""
+
+
+def _unexplained_m(before: VehicleState, after: VehicleState) -> PositionEnu | None:
+    """What the velocities of two reports leave of the way between them; None: too far apart."""
+    dt_s = after.time_s - before.time_s
+    if not 0.0 < dt_s <= MAX_GAP_S:
+        return None
+    half_s = 0.5 * dt_s
+    (ae, an, au), (be, bn, bu) = after.position_enu_m, before.position_enu_m
+    (ave, avn, avu), (bve, bvn, bvu) = after.velocity_enu_mps, before.velocity_enu_mps
+    return (
+        (ae - half_s * ave) - (be + half_s * bve),
+        (an - half_s * avn) - (bn + half_s * bvn),
+        (au - half_s * avu) - (bu + half_s * bvu),
+    )
+
+
+def position_jump_m(
+    before: VehicleState, after: VehicleState, noise_m: float = 0.0
+) -> PositionEnu | None:
+    """How far a report lies from where the vehicle can have flown, ENU metres; None: no jump.
+
+    Args:
+        before: The newest report until now.
+        after: A newer one.
+        noise_m: What the velocities usually leave unexplained, per axis, one sigma.
+    """
+    jump = _unexplained_m(before, after)
+    if jump is None:
+        return None
+    dt_s = after.time_s - before.time_s
+    least_m = max(LEAST_STEP_M, NOISE_SIGMAS * noise_m)
+    most_m = least_m + 0.25 * MAX_ACCELERATION_MPS2 * dt_s * dt_s
+    return jump if math.hypot(*jump) > most_m else None
+
+
+class PositionNoise:
+    """How noisy reported positions are, by what velocities leave unexplained between them."""
+
+    def __init__(self) -> None:
+        self._mean_square_m2 = 0.0
+        self._count = 0
+
+    @property
+    def sigma_m(self) -> float:
+        """Per axis, of the difference of two reports; 0 before the first."""
+        return math.sqrt(self._mean_square_m2)
+
+    def add(self, before: VehicleState, after: VehicleState) -> None:
+        """Learn from two reports without a jump between them."""
+        rest = _unexplained_m(before, after)
+        if rest is None:
+            return
+        self._count += 1
+        share = max(NOISE_SHARE, 1.0 / self._count)
+        square_m2 = sum(value * value for value in rest) / 3.0
+        self._mean_square_m2 += share * (square_m2 - self._mean_square_m2)
+
+
+def yaw_jump_rad(before: tuple[float, float], after: tuple[float, float]) -> float | None:
+    """How far a heading turned at once, clockwise; None: no farther than a vehicle turns.
+
+    Args:
+        before: Time and heading of the newest report until now.
+        after: Of a newer one.
+    """
+    dt_s, turn_rad = after[0] - before[0], wrap_pi(after[1] - before[1])
+    if not 0.0 < dt_s <= MAX_GAP_S:
+        return None
+    return turn_rad if abs(turn_rad) > LEAST_TURN_RAD + MAX_TURN_RADPS * dt_s else None
+
+
+def may_lead_out(limits: GuardLimits, motion: Motion, jump_enu_m: PositionEnu) -> bool:
+    """Whether flying on could lead out, or down, should the position before a jump be right.
+
+    Args:
+        limits: With the fence and the altitude band.
+        motion: Of the vehicle, after the jump.
+        jump_enu_m: How far it jumped.
+    """
+    if jump_enu_m[2] > limits.envelope.altitude_min_m:
+        return True
+    fence, place = limits.fence, motion.position_enu_m[:2]
+    if fence is not None:
+        way_m = math.dist(place, fence.nearest_allowed(place))
+        if min(way_m, math.hypot(*jump_enu_m[:2])) > fence.margin_m:
+            return True
+    height_m = motion.position_enu_m[2] - motion.home_enu_m[2]
+    low_m, high_m = limits.altitude_m
+    climb_m = max(low_m - height_m, height_m - high_m)
+    return min(climb_m, abs(jump_enu_m[2])) > limits.stopping.clearance_m
+
+
+class JumpWatch:
+    """Watches position and heading as they are reported.
+
+    Args:
+        situation: Of the session.
+    """
+
+    def __init__(self, situation: SessionContext) -> None:
+        self._situation = situation
+        self._noise = PositionNoise()
+        self._first_s = -math.inf
+        """When the present jumps began."""
+        self._last_s = -math.inf
+        self._jumped_m: PositionEnu | None = None
+        """All that the position jumped by since it was steady; None: nobody doubts it."""
+
+    @property
+    def is_in_doubt(self) -> bool:
+        """Whether the position jumped, and nothing may be flown by it yet."""
+        return self._jumped_m is not None
+
+    def tick(self, now_s: float) -> None:
+        """Whoever gives us a vehicle that does not jump any more knows where it is."""
+        if self._is_steady(now_s) and self._situation.phase not in HAS_VEHICLE:
+            self._jumped_m = None
+
+    def finding(self, now_s: float) -> Finding | None:
+        """What jumps that are over mean for the way back inside."""
+        motion = self._situation.vehicle.motion
+        if self._jumped_m is None or motion is None or not self._is_steady(now_s):
+            return None
+        if not may_lead_out(self._situation.guard.limits, motion, self._jumped_m):
+            self._jumped_m = None
+            return None
+        jump_m = math.hypot(*self._jumped_m)
+        text = f"own position jumped by {jump_m:.0f} m: flying by it may lead out"
+        return Finding(Verdict.HAND_BACK, Reason.OWN_JUMP, text)
+
+    def _is_steady(self, now_s: float) -> bool:
+        return now_s - self._last_s >= STEADY_S
+
+    def moved(self, event: VehicleMoved) -> None:
+        """A position is reported; to be called before the vehicle takes it in."""
+        track = self._situation.vehicle.track
+        if track.latest is None or not is_plausible(event.state):
+            return
+        jump_m = position_jump_m(track.latest, event.state, self._noise.sigma_m)
+        if jump_m is None:
+            self._noise.add(track.latest, event.state)
+            return
+        before_s = track.latest.time_s
+        self._situation.vehicle.shift(jump_m)
+        self._move_targets(jump_m, 0.0)
+        self._situation.steering.forget_setpoint()
+        (e, n, u), (de, dn, du) = self._jumped_m or (0.0, 0.0, 0.0), jump_m
+        self._jumped_m = (e + de, n + dn, u + du)
+        text = f"own position jumped by {math.hypot(*jump_m):.1f} m"
+        self._hold(text, before_s, event.time_s)
+
+    def turned(self, event: YawMeasured) -> None:
+        """A heading is reported; to be called before the vehicle takes it in."""
+        track = self._situation.vehicle.track
+        if track.latest_yaw is None or not math.isfinite(event.yaw_ned_rad):
+            return
+        before_s = track.latest_yaw[0]
+        jump_rad = yaw_jump_rad(track.latest_yaw, (event.measured_at_s, event.yaw_ned_rad))
+        if jump_rad is None:
+            return
+        track.turn(jump_rad)
+        self._move_targets((0.0, 0.0, 0.0), -jump_rad)
+        text = f"own heading jumped by {math.degrees(jump_rad):.0f} deg"
+        self._hold(text, before_s, event.time_s)
+
+    def _move_targets(self, shift_enu_m: PositionEnu, turn_rad: float) -> None:
+        for tracker in self._situation.emitters.trackers:
+            tracker.move(shift_enu_m, turn_rad)
+
+    def _hold(self, text: str, before_s: float, now_s: float) -> None:
+        situation = self._situation
+        is_first = now_s - self._last_s > STEADY_S
+        if is_first:
+            self._first_s = now_s
+        self._last_s = now_s
+        situation.vehicle.track.distrust(before_s, now_s + STEADY_S)
+        situation.flight_plan.forget()
+        situation.estimate = situation.tracker.estimate(now_s)
+        verdict, reason = Verdict.HOLD, Reason.OWN_JUMP
+        finding = Finding(verdict, reason, f"{text}: waiting until it is steady")
+        if now_s - self._first_s > PATIENCE_S:
+            finding = Finding(Verdict.HAND_BACK, reason, "own position or heading keeps jumping")
+        situation.find(finding, now_s)
+        situation.hold_until(finding, now_s + STEADY_S)
+        situation.enter(Trigger.INPUT_LOST, now_s)
+        situation.record("own_jump", text=text)
+        if is_first:
+            situation.announce(Severity.WARNING, f"{text}: the estimate moves along")

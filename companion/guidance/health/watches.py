@@ -1,0 +1,331 @@
+"""Everything that is watched for whether the plan may be flown, joined.
+
+Whether what the plan stands on is there: link, mode, own position, ranging, a usable estimate.
+
+Theory of operation. Ranging that ages is coasted on: the target is where it was, less certain by
+the second, and the vehicle slows down accordingly. When the ranging is too old, or the estimate too
+vague, it stays in place, and a single measurement does not end that: some must agree first. A link
+or an own position that was lost must be there for a while, with the mode seen anew, before
+anything is flown on it: who came back for a moment goes again.
+
+What the operator asks for beside the mode switch is watched here, too: HOLD, RESUME and RETURN.
+"""
+
+from __future__ import annotations
+
+import math
+
+from companion.domain import BatteryLevel, FlightMode, PositionEnu, TargetEstimate
+from companion.estimation.screening.validation import Objection
+from companion.guidance.authority.control_authority import is_search_due
+from companion.guidance.authority.state_machine import IN_CONTROL, Phase
+from companion.guidance.commands import Severity
+from companion.guidance.context import SessionContext
+from companion.guidance.events import (
+    AutopilotRestarted,
+    BatteryReported,
+    Event,
+    OperatorCommand,
+    Retuned,
+    SetpointEchoed,
+    SticksReported,
+)
+from companion.guidance.health.autopilot_health import BatteryWatch, HealthWatch
+from companion.guidance.health.contention import EchoWatch, StickWatch
+from companion.guidance.health.findings import Finding, Reason, Verdict, worst
+from companion.guidance.health.position_jumps import JumpWatch
+
+REGAIN_S = 1.0
+"""How long link and position must be there again."""
+AGREEING = 5
+"""Measurements that the filter accepted since the dropout, before it counts as over."""
+R95_OF_SIGMA = math.sqrt(-2.0 * math.log(0.05))
+"""R95 of a circular normal distribution with a sigma of 1."""
+COAST_SHARE = 0.5
+"""Of the speed limit that is flown at most while ranging ages."""
+
+
+class InputWatch:
+    """Watches the inputs at every tick, in control or not.
+
+    Args:
+        situation: Of the session.
+    """
+
+    def __init__(self, situation: SessionContext) -> None:
+        self._situation = situation
+        self._lost: Finding | None = None
+        """What of link, mode and position is missing, or was within the last second."""
+        self._lost_s = 0.0
+        """When it was last missing."""
+        self._back_s: float | None = None
+        self._agreed = 0
+        self._is_dropout = True
+        """Whether ranging was lost, or never there, and has not agreed since."""
+
+    def accepted(self) -> None:
+        """The filter took a measurement in without restarting."""
+        self._agreed += 1
+
+    def rejected(self) -> None:
+        """The filter restarted, or failed: what was agreed on counts no more."""
+        self._agreed = 0
+        self._is_dropout = True
+
+    def switched(self, agreeing: int) -> None:
+        """Another emitter is looked for, of which so many measurements in a row agreed."""
+        self._agreed = agreeing
+        self._is_dropout = agreeing < AGREEING
+
+    def tick(self, now_s: float) -> None:
+        """Take note of what is there."""
+        lost = self._missing(now_s)
+        if lost is not None:
+            self._lost, self._lost_s, self._back_s = lost, now_s, None
+        elif self._lost is not None:
+            self._watch_return(now_s)
+        if self._is_ranging_lost(now_s):
+            self._is_dropout, self._agreed = True, 0
+        elif self._agreed >= AGREEING:
+            self._is_dropout = False
+
+    def finding(self, now_s: float) -> Finding | None:
+        """The worst that is wrong with the inputs."""
+        if self._lost is not None:
+            return self._lost
+        situation = self._situation
+        estimate, heard_s = situation.estimate, situation.tracker.last_accepted_s
+        if self._is_searching(now_s):
+            return None
+        if estimate is None or heard_s is None:
+            return Finding(Verdict.HOLD, Reason.NO_RANGING_YET, "waiting for ranging")
+        return self._ranging_finding(estimate, heard_s, now_s)
+
+    def coasting_sigma_m(self, estimate: TargetEstimate, age_s: float) -> float:
+        """How wrong the estimate may be after no ranging for a while, one sigma."""
+        drift_m = self._situation.params.coast_drift_mps * age_s
+        return math.hypot(estimate.r95_m / R95_OF_SIGMA, drift_m)
+
+    def speed_share(self, now_s: float) -> float:
+        """Share of the speed limit that the age of the ranging leaves: less as sigma grows.
+
+        All of it while a pattern is searched: that stands on no estimate.
+        """
+        situation = self._situation
+        estimate, heard_s = situation.estimate, situation.tracker.last_accepted_s
+        if estimate is None or heard_s is None or self._is_searching(now_s):
+            return 1.0
+        age_s = now_s - heard_s
+        if age_s <= situation.params.degraded_after_s:
+            return 1.0
+        limit_m = situation.params.coast_sigma_max_m
+        return COAST_SHARE * max(0.0, 1.0 - self.coasting_sigma_m(estimate, age_s) / limit_m)
+
+    def _is_searching(self, now_s: float) -> bool:
+        situation = self._situation
+        search_after_s = situation.flight_plan.search_after_s
+        heard_s = situation.tracker.last_accepted_s
+        return is_search_due(situation.estimate, heard_s, search_after_s, now_s)
+
+    def _missing(self, now_s: float) -> Finding | None:
+        vehicle = self._situation.vehicle
+        if vehicle.is_link_lost(now_s):
+            reason = Reason.NO_LINK
+        elif not vehicle.is_mode_known(now_s):
+            reason = Reason.MODE_UNKNOWN
+        elif not vehicle.is_position_fresh(now_s):
+            reason = Reason.POSITION_STALE
+        else:
+            return None
+        return Finding(Verdict.HOLD, reason, reason.value)
+
+    def _watch_return(self, now_s: float) -> None:
+        """Link and position are there; a lost link must show its mode anew, too."""
+        if self._back_s is None:
+            self._back_s = now_s
+        heartbeat = self._situation.vehicle.heartbeat
+        was_deaf = self._lost is not None and self._lost.reason is not Reason.POSITION_STALE
+        is_mode_seen = heartbeat is not None and heartbeat.time_s > self._lost_s
+        if now_s - self._back_s >= REGAIN_S and (is_mode_seen or not was_deaf):
+            self._lost = self._back_s = None
+
+    def _is_ranging_lost(self, now_s: float) -> bool:
+        heard_s = self._situation.tracker.last_accepted_s
+        return heard_s is None or now_s - heard_s > self._situation.params.ranging_timeout_s
+
+    def _ranging_finding(
+        self, estimate: TargetEstimate, heard_s: float, now_s: float
+    ) -> Finding | None:
+        params, age_s = self._situation.params, now_s - heard_s
+        if age_s > params.ranging_timeout_s:
+            text = f"no ranging for {params.ranging_timeout_s:g} s"
+            return Finding(Verdict.HOLD, Reason.NO_RANGING, text)
+        objection = self._situation.tracker.objection(now_s)
+        if objection is not None:
+            is_unit = objection in (Objection.RANGE_UNIT, Objection.BEARING_UNIT)
+            reason = Reason.WRONG_UNIT if is_unit else Reason.FILTER_DIVERGED
+            return Finding(Verdict.HOLD, reason, objection.value)
+        if self._is_dropout and self._agreed < AGREEING:
+            text = f"waiting for {AGREEING} measurements that agree"
+            return Finding(Verdict.HOLD, Reason.RANGING_IS_BACK, text)
+        if age_s <= params.degraded_after_s:
+            return None
+        if self.coasting_sigma_m(estimate, age_s) > params.coast_sigma_max_m:
+            text = (
+                f"the estimate is too vague to fly on without ranging: R95 {estimate.r95_m:.0f} m"
+            )
+            return Finding(Verdict.HOLD, Reason.ESTIMATE_VAGUE, text)
+        text = f"no ranging for {params.degraded_after_s:g} s: flying on, slower"
+        return Finding(Verdict.SLOW, Reason.RANGING_AGES, text)
+
+
+HELD = Finding(Verdict.HOLD, Reason.OPERATOR_HOLDS, "the operator asked to hold")
+RETURNS = Finding(
+    Verdict.HAND_BACK, Reason.OPERATOR_RETURNS, "the operator asked to return", FlightMode.RETURN
+)
+
+
+class OperatorCommandWatch:
+    """Remembers the operator's last wish while the companion is in control.
+
+    A wish ends with the control it was made under: who gives the mode again wants to fly.
+
+    Args:
+        situation: Of the session.
+    """
+
+    def __init__(self, situation: SessionContext) -> None:
+        self._situation = situation
+        self._finding: Finding | None = None
+
+    def ask(self, wish: OperatorCommand) -> None:
+        """Take in a wish; without control there is nothing to hold or to return."""
+        if self._situation.phase not in IN_CONTROL:
+            return
+        match wish:
+            case OperatorCommand.HOLD:
+                self._finding = HELD
+            case OperatorCommand.RESUME:
+                self._finding = None
+            case OperatorCommand.RETURN:
+                self._finding = RETURNS
+
+    def tick(self) -> None:
+        """Forget a wish when the control it was made under has ended."""
+        if self._situation.phase not in IN_CONTROL:
+            self._finding = None
+
+    def finding(self) -> Finding | None:
+        """What the operator wants instead of the plan."""
+        return self._finding
+
+
+class Watches:
+    """All watches of one session.
+
+    Args:
+        situation: Of the session.
+    """
+
+    def __init__(self, situation: SessionContext) -> None:
+        params = situation.params
+        self.inputs = InputWatch(situation)
+        self.battery = BatteryWatch(params.battery_low_pct, params.battery_critical_pct)
+        self.wishes = OperatorCommandWatch(situation)
+        self.jumps = JumpWatch(situation)
+        self._situation = situation
+        self._echo = EchoWatch()
+        self._sticks = StickWatch(params.on_sticks)
+        self._health = HealthWatch()
+        self._was_in_control = self._was_launching = False
+        self._is_battery_told = False
+
+    def handle(self, event: Event) -> None:
+        """Take in what concerns one of them; other events change nothing."""
+        self._health.handle(event)
+        match event:
+            case SetpointEchoed():
+                self._echo.echoed(event)
+            case SticksReported():
+                self._sticks.reported(event)
+            case BatteryReported():
+                if self.battery.reported(event):
+                    self._tell_battery()
+            case Retuned(tuning=tuning):
+                params = tuning.params
+                self.battery.aim(params.battery_low_pct, params.battery_critical_pct)
+            case AutopilotRestarted():
+                self._health.forget()
+                self.battery.forget()
+                self._echo.frame_moved(event.time_s)
+
+    def frame_moved(self, now_s: float) -> None:
+        """The local frame has another zero."""
+        self._echo.frame_moved(now_s)
+
+    def tick(self, now_s: float) -> None:
+        """Take note of what is there, and of control that begins or ends."""
+        self.inputs.tick(now_s)
+        self.wishes.tick()
+        self.jumps.tick(now_s)
+        phase = self._situation.phase
+        is_in_control = phase in IN_CONTROL
+        if is_in_control and not self._was_in_control:
+            self._begin(now_s)
+        elif self._was_in_control and not is_in_control:
+            self._echo.end()
+        if phase is Phase.LAUNCHING and not self._was_launching:
+            self._sticks.begin(now_s)
+        if phase is Phase.WAITING:
+            self.battery.flight_over()
+        self._was_in_control, self._was_launching = is_in_control, phase is Phase.LAUNCHING
+
+    def handed_back(self, finding: Finding) -> None:
+        """The vehicle was handed back for this."""
+        if finding.reason is Reason.BATTERY_CRITICAL:
+            self.battery.handed_back()
+
+    def sent(self, place_enu_m: PositionEnu, now_s: float) -> None:
+        """A setpoint was sent."""
+        self._echo.sent(place_enu_m, now_s)
+
+    def finding(self, now_s: float) -> Finding | None:
+        """The worst that is wrong at a tick in control."""
+        return worst(
+            (
+                self._echo.finding(now_s),
+                self.wishes.finding(),
+                self.launch_finding(now_s),
+                self.jumps.finding(now_s),
+                self._situation.passing_finding(now_s),
+                self.inputs.finding(now_s),
+            )
+        )
+
+    def launch_finding(self, now_s: float) -> Finding | None:
+        """The worst that is wrong, in control or not, of what no vehicle is launched with."""
+        health = self._health.findings(now_s, is_battery_low=self.battery.is_low)
+        return worst(
+            (
+                self._sticks.finding(now_s),
+                self.battery.finding(),
+                self._situation.containment.finding(now_s),
+                *health,
+            )
+        )
+
+    def _begin(self, now_s: float) -> None:
+        self._echo.begin(now_s)
+        self._sticks.begin(now_s)
+        self._health.begin()
+        if self.battery.level is BatteryLevel.UNKNOWN and not self._is_battery_told:
+            self._is_battery_told = True
+            self._situation.announce(Severity.WARNING, "charge of the battery is unknown")
+
+    def _tell_battery(self) -> None:
+        level = self.battery.level
+        if level is BatteryLevel.GOOD:
+            return
+        severity = Severity.ERROR if level is BatteryLevel.CRITICAL else Severity.WARNING
+        self._is_battery_told = True
+        self._situation.announce(severity, self.battery.text())

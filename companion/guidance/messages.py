@@ -1,0 +1,280 @@
+"""What the operator and the event log are told, each rarely enough: rate limits of messages.
+
+Findings: what is wrong, and not twenty times a second.
+
+Theory of operation. What was told stays true for the operator until it has been gone for a while,
+or something worse comes: then the new state is told. A reason that was not told for long is told
+at once. So two reasons that take turns at every tick are told once each, and whatever lasts is
+told, at the latest a moment after it began. A lost link never waits: it is over only after a
+second, so it cannot flicker.
+
+Guard: what it did to setpoints, as rarely. Motion: a target that is believed to lie still seems
+to walk, and that this is over. Rejected measurements: the log by the second, people rarely.
+
+The records at the top are what the event log says of an estimate and of a waypoint.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import asdict
+
+from companion.domain import TargetEstimate, Waypoint
+from companion.estimation.integrity.target_motion import Motion
+from companion.estimation.screening.validation import RejectReason
+from companion.estimation.tracker import FusionReport, TargetTracker
+from companion.geometry.coordinates import LocalOrigin
+from companion.guard.fence import Fence
+from companion.guard.gate import GuardReason
+from companion.guidance.commands import Announce, Command, Record, ReportResult, Severity
+from companion.guidance.health.findings import Finding, Reason
+
+
+def estimate_record(report: FusionReport, estimate: TargetEstimate) -> Record:
+    """The estimate after a measurement, with the innovations that led to it."""
+    fields: dict[str, object] = {
+        "state": estimate.state.value,
+        "position_enu_m": estimate.position_enu_m,
+        "covariance_m2": estimate.covariance_m2,
+        "alternative_enu_m": estimate.alternative_enu_m,
+        "r95_m": estimate.r95_m,
+        "range_offset_m": estimate.range_offset_m,
+        "bearing_offset_rad": estimate.bearing_offset_rad,
+    }
+    measured = report.measurement
+    if measured is not None and report.sensor_enu_m is not None:
+        fields["emitter_id"] = measured.emitter_id
+        fields["sensor_enu_m"] = report.sensor_enu_m
+        fields["range_m"] = measured.range_m
+        fields["bearing_enu_rad"] = measured.bearing_enu_rad
+    update = report.update
+    if update is not None:
+        fields["nis"] = update.nis
+        for name, row in (("range", update.range), ("bearing", update.bearing)):
+            if row is not None:
+                fields[f"{name}_innovation"] = row.innovation
+                fields[f"{name}_weight"] = row.weight
+    return Record("estimate", fields)
+
+
+def waiting_record(emitter_id: int, estimate: TargetEstimate) -> Record:
+    """The estimate of an emitter whose turn it is not."""
+    fields = {
+        "emitter_id": emitter_id,
+        "state": estimate.state.value,
+        "position_enu_m": estimate.position_enu_m,
+        "covariance_m2": estimate.covariance_m2,
+        "r95_m": estimate.r95_m,
+        "measurements": estimate.measurements,
+    }
+    return Record("waiting", fields)
+
+
+def health_fields(tracker: TargetTracker, now_s: float) -> dict[str, object]:
+    """How far the estimate can be trusted, as live values."""
+    objection, contact = tracker.objection(now_s), tracker.contact
+    return {
+        **asdict(tracker.health),
+        "objection": None if objection is None else objection.value,
+        "range_age_s": contact.range_age_s(now_s),
+        "bearing_age_s": contact.bearing_age_s(now_s),
+        "agreeing": contact.agreeing_since_gap(now_s),
+    }
+
+
+def waypoint_record(waypoint: Waypoint) -> Record:
+    """A waypoint and why it was chosen."""
+    fields = {
+        "position_enu_m": waypoint.position_enu_m,
+        "altitude_offset_m": waypoint.altitude_offset_m,
+        "reason": waypoint.reason.value,
+        "detail": waypoint.detail,
+    }
+    return Record("waypoint", fields)
+
+
+def result_of(
+    estimate: TargetEstimate,
+    origin: LocalOrigin | None,
+    target_height_m: float,
+    emitter_id: int | None = None,
+    head: str = "LOCALISED",
+) -> tuple[ReportResult, str]:
+    """The result of the flight, and the operator's text about it.
+
+    Args:
+        estimate: Where the target is.
+        origin: Zero of the local frame; without it there are no degrees to tell.
+        target_height_m: Of the target in the local frame.
+        emitter_id: Which emitter it is.
+        head: What the text begins with.
+    """
+    r95 = f"R95 {estimate.r95_m:.1f} m"
+    if origin is None:
+        return ReportResult(estimate, None, None, emitter_id), f"{head} {r95}"
+    place = (*estimate.position_enu_m, target_height_m)
+    latitude_deg, longitude_deg, _ = origin.geodetic_from_enu(place)
+    text = f"{head} {latitude_deg:.7f} {longitude_deg:.7f} {r95}"
+    return ReportResult(estimate, latitude_deg, longitude_deg, emitter_id, origin), text
+
+
+GONE_S = 1.0
+"""What was told is over when it was not so for this long."""
+URGENT = frozenset({Reason.NO_LINK})
+TOLD_AGAIN_S = 10.0
+"""The same is not told sooner while what was told before comes and goes."""
+
+
+class FindingMessages:
+    """Remembers what was told while in control; None stands for "nothing is wrong"."""
+
+    def __init__(self) -> None:
+        self._told: Reason | None = None
+        self._told_verdict = 0
+        self._seen_s = -math.inf
+        """When what was told was so last."""
+        self._told_s: dict[Reason | None, float] = {}
+
+    def is_due(self, finding: Finding | None, now_s: float) -> bool:
+        """Whether what is wrong now, or that nothing is, is to be told."""
+        reason = None if finding is None else finding.reason
+        if reason is self._told:
+            self._seen_s = now_s
+            return False
+        verdict = 0 if finding is None else int(finding.verdict)
+        since_told_s = now_s - self._told_s.get(reason, -math.inf)
+        is_worse = verdict > self._told_verdict or reason in URGENT
+        is_worse = is_worse and since_told_s >= GONE_S
+        if not (is_worse or now_s - self._seen_s >= GONE_S or since_told_s >= TOLD_AGAIN_S):
+            return False
+        self._told, self._told_verdict, self._seen_s = reason, verdict, now_s
+        self._told_s[reason] = now_s
+        return True
+
+
+SAID_EVERY_S = 30.0
+"""The same reason is not told again sooner."""
+LOGGED_EVERY_S = 1.0
+SILENT = frozenset({GuardReason.LAGGING, GuardReason.CUT_OFF})
+"""They come and go with every corner: for the log only."""
+
+
+class GuardMessages:
+    """Remembers what was told."""
+
+    def __init__(self) -> None:
+        self._said_s: dict[GuardReason, float] = {}
+        self._logged: tuple[GuardReason, ...] = ()
+        self._logged_s: float | None = None
+
+    def texts(self, reasons: tuple[GuardReason, ...], now_s: float) -> list[str]:
+        """The reasons that the operator has not been told for a while, in words."""
+        fresh = [
+            reason
+            for reason in reasons
+            if reason not in SILENT
+            and now_s - self._said_s.get(reason, now_s - SAID_EVERY_S) >= SAID_EVERY_S
+        ]
+        self._said_s.update(dict.fromkeys(fresh, now_s))
+        return [f"guard: {reason.value}" for reason in fresh]
+
+    def record(self, reasons: tuple[GuardReason, ...], now_s: float) -> list[str] | None:
+        """The reasons for the log if they changed, and if that was not logged just now."""
+        is_soon = self._logged_s is not None and now_s - self._logged_s < LOGGED_EVERY_S
+        if reasons == self._logged or is_soon:
+            return None
+        self._logged, self._logged_s = reasons, now_s
+        return [reason.name.lower() for reason in reasons]
+
+
+class FenceMessages:
+    """Remembers which fence the log has."""
+
+    def __init__(self) -> None:
+        self._logged: Fence | None = None
+
+    def record(self, fence: Fence | None) -> dict[str, object] | None:
+        """The fence for the log if it is another one, null for none; None: it is the same."""
+        if fence is self._logged or fence == self._logged:
+            return None
+        self._logged = fence
+        return {
+            "polygon_enu_m": None if fence is None else fence.polygon_enu_m,
+            "keep_out_enu_m": () if fence is None else fence.keep_out_enu_m,
+            "margin_m": None if fence is None else fence.margin_m,
+        }
+
+
+class MotionMessages:
+    """What was told of each emitter."""
+
+    def __init__(self) -> None:
+        self._walking: set[int] = set()
+
+    def told(self, emitter_id: int, motion: Motion | None) -> list[Announce]:
+        """What is news, mostly nothing.
+
+        Args:
+            emitter_id: Whose motion.
+            motion: How it walks; None: it lies still.
+        """
+        is_walking, was_walking = motion is not None, emitter_id in self._walking
+        if is_walking == was_walking:
+            return []
+        if motion is None:
+            self._walking.remove(emitter_id)
+            return [Announce(Severity.INFO, "the target seems to lie still again")]
+        self._walking.add(emitter_id)
+        pace = f"{motion.speed_mps:.1f} m/s"
+        text = f"the target seems to walk at {pace}, or is shadowed: look from all sides"
+        return [Announce(Severity.WARNING, text)]
+
+
+RECORD_PERIOD_S = 1.0
+"""Refusals for one reason become a line of the log at most this often, with their number."""
+MANY, MANY_WITHIN_S = 20, 10.0
+"""So many for one reason within that time are worth a text."""
+TEXT_PERIOD_S = 60.0
+HARMLESS = frozenset({RejectReason.OTHER_EMITTER, RejectReason.DUPLICATE})
+"""Reasons that say nothing against the radio."""
+
+
+class _RejectCount:
+    """What was told of one reason."""
+
+    def __init__(self) -> None:
+        self.pending = 0
+        self.recorded_s: float | None = None
+        self.texted_s: float | None = None
+        self.times_s: deque[float] = deque(maxlen=MANY)
+
+
+class RejectMessages:
+    """Collects refusals."""
+
+    def __init__(self) -> None:
+        self._reasons: dict[RejectReason, _RejectCount] = {}
+
+    def refused(self, reason: RejectReason, now_s: float) -> list[Command]:
+        """A measurement was refused; what is to be told of it now."""
+        entry = self._reasons.setdefault(reason, _RejectCount())
+        entry.pending += 1
+        entry.times_s.append(now_s)
+        commands: list[Command] = []
+        if entry.recorded_s is None or now_s - entry.recorded_s >= RECORD_PERIOD_S:
+            fields = {"reason": reason.value, "count": entry.pending}
+            commands.append(Record("refused", fields))
+            entry.recorded_s, entry.pending = now_s, 0
+        if self._is_worth_a_text(reason, entry, now_s):
+            text = f"measurements refused: {reason.value}, {MANY} within {MANY_WITHIN_S:g} s"
+            commands.append(Announce(Severity.WARNING, text))
+            entry.texted_s = now_s
+        return commands
+
+    def _is_worth_a_text(self, reason: RejectReason, entry: _RejectCount, now_s: float) -> bool:
+        if reason in HARMLESS or len(entry.times_s) < MANY:
+            return False
+        if now_s - entry.times_s[0] > MANY_WITHIN_S:
+            return False
+        return entry.texted_s is None or now_s - entry.texted_s >= TEXT_PERIOD_S

@@ -1,0 +1,151 @@
+"""How a session takes up again what an earlier process of ours knew.
+
+Theory of operation. While it runs, a session can say at any time what a later one would need: its
+phase, what it reported, what it believes of the target, where the local frame was, and where the
+one was that its fence is about. A later one
+is told first that there was an earlier one at all; from then on it never launches by itself. Then
+it is told what was remembered, and takes it up in two steps. The phase at once: who had yielded
+stays silent until control is granted, and who had reported does not search again. The belief only
+when the autopilot's origin shows that local coordinates still mean the same places, because a
+belief in another frame is wrong without looking wrong. Nothing of this gives control: the
+operator does, as always, and what is streamed before that is "stay here".
+"""
+
+from __future__ import annotations
+
+from companion.estimation.belief import Belief
+from companion.geometry.coordinates import LocalOrigin
+from companion.guidance.authority.state_machine import Phase, Trigger
+from companion.guidance.commands import ReportResult, Severity
+from companion.guidance.context import SessionContext
+from companion.guidance.events import SessionMemory
+from companion.guidance.flight.vehicle import ORIGIN_STEP_M
+
+ORIGIN_PATIENCE_S = 15.0
+"""How long a belief waits for the origin of the frame that it is in."""
+
+
+def remembered(situation: SessionContext) -> SessionMemory:
+    """What a later session would need to know."""
+    current = situation.tracker
+    others = (each.belief for each in situation.emitters.trackers if each is not current)
+    return SessionMemory(
+        phase=situation.phase,
+        origin=situation.vehicle.origin,
+        belief=current.belief,
+        report=situation.result,
+        fence_anchor=situation.fencing.anchor,
+        others=tuple(belief for belief in others if belief is not None),
+        earlier=tuple(situation.reports.values())[:-1],
+    )
+
+
+class Recollection:
+    """Takes up what an earlier session knew.
+
+    Args:
+        situation: Of the session.
+    """
+
+    def __init__(self, situation: SessionContext) -> None:
+        self._situation = situation
+        self._beliefs: tuple[Belief, ...] = ()
+        """Of all emitters, that of the one that was looked for last."""
+        self._origin: LocalOrigin | None = None
+        self._held_at_s = 0.0
+        """When the belief was held, on this session's clock."""
+        self._recalled_s = 0.0
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether a belief waits for its frame."""
+        return bool(self._beliefs)
+
+    def forbid_launch(self) -> None:
+        """There was an earlier session: control comes from the operator and from nobody else."""
+        self._situation.has_launched = True
+
+    def recall(self, memory: SessionMemory, age_s: float, now_s: float) -> None:
+        """Take up a memory.
+
+        Args:
+            memory: Without a problem.
+            age_s: How old it is.
+            now_s: The present.
+        """
+        self.forbid_launch()
+        situation = self._situation
+        if memory.fence_anchor is not None:
+            situation.fencing.recall(memory.fence_anchor)
+        was = f"resumed after {age_s:.0f} s: it was in {memory.phase.value}"
+        situation.announce(Severity.NOTICE, f"{was}; nothing engages by itself")
+        if memory.phase is Phase.YIELD:
+            situation.enter(Trigger.YIELD_RECALLED, now_s)
+        if memory.report is not None:
+            self._recall_reports((*memory.earlier, memory.report))
+            if situation.emitters.is_single or memory.phase is Phase.FINISHED:
+                situation.enter(Trigger.REPORT_RECALLED, now_s)
+        beliefs = memory.others if memory.belief is None else (*memory.others, memory.belief)
+        if beliefs:
+            self._beliefs, self._origin = beliefs, memory.origin
+            self._held_at_s, self._recalled_s = now_s - age_s, now_s
+        self.advance(now_s)
+
+    def advance(self, now_s: float) -> None:
+        """Take up the beliefs once their frame is known to be the present one."""
+        if not self._beliefs:
+            return
+        origin, situation = self._situation.vehicle.origin, self._situation
+        if self._origin is None:
+            self._begin_anew("its local frame was not known")
+        elif origin is not None:
+            step_m = situation.vehicle.origin_step_m(self._origin)
+            if step_m > ORIGIN_STEP_M:
+                self._begin_anew(f"the local frame moved by {step_m:.0f} m")
+            else:
+                self._resume(now_s)
+        elif now_s - self._recalled_s > ORIGIN_PATIENCE_S:
+            self._begin_anew("the autopilot does not tell its origin")
+
+    def forget(self) -> None:
+        """The autopilot restarted: whatever waits is of another frame."""
+        self._beliefs = ()
+
+    def _recall_reports(self, reports: tuple[ReportResult, ...]) -> None:
+        situation = self._situation
+        for report in reports:
+            situation.report(report)
+        ids = [report.emitter_id for report in reports if report.emitter_id is not None]
+        situation.emitters.note_reported(ids)
+        one, r95_m = situation.emitters.is_single, reports[-1].estimate.r95_m
+        who = "the target was" if one else f"emitters {', '.join(map(str, ids))} were"
+        situation.announce(Severity.NOTICE, f"{who} reported already, R95 {r95_m:.1f} m")
+
+    def _resume(self, now_s: float) -> None:
+        beliefs, self._beliefs = self._beliefs, ()
+        situation = self._situation
+        for belief in beliefs:
+            problem = situation.emitters.resume(belief, now_s - self._held_at_s, now_s)
+            if problem is not None:
+                situation.announce(Severity.WARNING, f"estimate begins anew: it held {problem}")
+            else:
+                self._resumed(belief, now_s)
+
+    def _resumed(self, belief: Belief, now_s: float) -> None:
+        situation = self._situation
+        estimate = situation.estimate = situation.tracker.estimate(now_s)
+        if estimate is None:
+            return
+        situation.record(
+            "resumed",
+            state=estimate.state.value,
+            position_enu_m=estimate.position_enu_m,
+            r95_m=estimate.r95_m,
+            measurements=belief.measurements,
+        )
+        text = f"estimate resumed: {estimate.state.value}, R95 {estimate.r95_m:.1f} m"
+        situation.announce(Severity.NOTICE, text)
+
+    def _begin_anew(self, reason: str) -> None:
+        self._beliefs = ()
+        self._situation.announce(Severity.WARNING, f"estimate begins anew: {reason}")

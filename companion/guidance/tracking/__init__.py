@@ -1,0 +1,1 @@
+"""From ranging measurements to the estimates of one or more emitters."""

@@ -1,0 +1,294 @@
+"""Which emitters there are, and which of them is looked for now.
+
+Theory of operation. Every emitter that is heard gets a filter of its own, which learns from every
+measurement of it, whoever is looked for: so the next one in turn is mostly known already. One
+emitter is the current one; plans, reports and views are about it. Who that is may change with
+every measurement as long as nothing is flown; in flight it stays until it is reported, or until it
+is not heard and another one is: then it goes to the end of the queue.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable
+from typing import Annotated, Literal
+
+import msgspec
+
+from companion.domain import Params, Point, PositionEnu, RangingMeasurement
+from companion.estimation.belief import Belief
+from companion.estimation.screening.validation import RejectReason, reject_reason_of
+from companion.estimation.tracker import FusionReport, TargetTracker, TrackerParams
+
+Order = Literal["first", "nearest", "strongest", "listed"]
+EmitterId = Annotated[int, msgspec.Meta(ge=0, le=65535)]
+
+LOST_S = 20.0
+"""Unheard for this long, the current emitter gives way to one that is heard."""
+ENOUGH = 5
+"""Measurements before an emitter can be compared with others."""
+SMOOTHING = 0.1
+"""Share of the newest measurement in the mean of an emitter's strength."""
+
+
+class QueueParams(Params, frozen=True):
+    """Several emitters, one after the other."""
+
+    order: Order = "first"
+    """`first`: only `emitter_id`, or the first one heard; else all of them, in this order."""
+    listed: tuple[EmitterId, ...] = ()
+    """The ids, for `listed`; others are ignored."""
+    most: Annotated[int, msgspec.Meta(ge=1, le=16)] = 8
+    """Filters at most; whoever is heard later is ignored."""
+
+    def __post_init__(self) -> None:
+        """Refuse a list that is not used, and a use without a list."""
+        if (self.order == "listed") != bool(self.listed):
+            raise ValueError("order: listed needs a list of ids in `listed`, and nothing else does")
+        if len(set(self.listed)) < len(self.listed):
+            raise ValueError("an id is listed twice")
+        if len(self.listed) > self.most:
+            raise ValueError(f"{len(self.listed)} ids are listed, but `most` is {self.most}")
+
+
+class EmitterQueue:
+    """The filters of all emitters, and whose turn it is.
+
+    Args:
+        trackers: Parameters of every filter.
+        params: Who comes when.
+        emitter_id: The only one that counts, where the order is `first`; None: the first heard.
+    """
+
+    def __init__(
+        self,
+        trackers: TrackerParams,
+        params: QueueParams | None = None,
+        emitter_id: int | None = None,
+    ) -> None:
+        self.params = QueueParams() if params is None else params
+        self._tracker_params = trackers
+        self._strengths: dict[int, float] = {}
+        self._reported: set[int] = set()
+        self._turned_away: list[int] = []
+        """Emitters that were current and got lost, the longest ago first."""
+        self._place: Point = (0.0, 0.0)
+        self._trackers = {number: TargetTracker(trackers, number) for number in self.params.listed}
+        first = TargetTracker(trackers, emitter_id)
+        self._current = next(iter(self._trackers.values()), first)
+
+    @classmethod
+    def of(cls, tracker: TargetTracker) -> EmitterQueue:
+        """A queue of one."""
+        queue = cls(tracker.params)
+        queue._current = tracker
+        return queue
+
+    @property
+    def current(self) -> TargetTracker:
+        """The filter of the emitter that is looked for."""
+        return self._current
+
+    @property
+    def is_single(self) -> bool:
+        """Whether only one emitter counts."""
+        return self.params.order == "first"
+
+    @property
+    def trackers(self) -> tuple[TargetTracker, ...]:
+        """All filters, in the order in which the emitters were listed or heard."""
+        return tuple(self._trackers.values()) or (self._current,)
+
+    @property
+    def accepted(self) -> int:
+        """Measurements of all emitters that were taken in."""
+        return sum(tracker.accepted for tracker in self.trackers)
+
+    @property
+    def refusals(self) -> Counter[RejectReason]:
+        """Measurements that were not, by reason."""
+        counters = (tracker.refusals for tracker in self.trackers)
+        return sum(counters, Counter[RejectReason]())
+
+    @property
+    def restarts(self) -> int:
+        """Filters that were started anew."""
+        return sum(tracker.restarts for tracker in self.trackers)
+
+    def is_current(self, emitter_id: int) -> bool:
+        """Whether a measurement of this emitter is of the one that is looked for."""
+        return self._current.emitter_id in (None, emitter_id)
+
+    def tracker_of(self, emitter_id: int) -> TargetTracker:
+        """The filter of an emitter that was heard."""
+        return self._trackers[emitter_id]
+
+    @property
+    def reported(self) -> frozenset[int]:
+        """Emitters that are done."""
+        return frozenset(self._reported)
+
+    @property
+    def are_all_reported(self) -> bool:
+        """Whether everybody who was heard or listed is done, where there may be several."""
+        return self._reported.issuperset(self._trackers)
+
+    @property
+    def waiting(self) -> list[int]:
+        """Emitters whose turn is still to come, the next one first."""
+        now = self._current.emitter_id
+        rest = [n for n in self._trackers if n not in self._reported and n != now]
+        return sorted(rest, key=self._rank)
+
+    def fuse(
+        self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu | None, now_s: float
+    ) -> FusionReport:
+        """Take in a measurement of any emitter.
+
+        Args:
+            measurement: Its bearing, if any, in ENU.
+            sensor_enu_m: Where the antenna was; None: unknown.
+            now_s: The present.
+        """
+        if self.is_single:
+            return self._current.fuse(measurement, sensor_enu_m, now_s)
+        tracker = self._trackers.get(measurement.emitter_id)
+        if tracker is None:
+            refusal = self._refusal_of_stranger(measurement, now_s)
+            if refusal is not None:
+                return self._current.refuse(refusal)
+            tracker = self._begin(measurement.emitter_id)
+        report = tracker.fuse(measurement, sensor_enu_m, now_s)
+        if report.refusal is None and sensor_enu_m is not None:
+            self._place = sensor_enu_m[:2]
+            self._note_strength(measurement)
+        return report
+
+    def choose(self, now_s: float, *, is_flying: bool) -> None:
+        """Decide whose turn it is.
+
+        Args:
+            now_s: The present.
+            is_flying: Whether the vehicle flies at the current emitter, which then stays if it can.
+        """
+        if self.is_single:
+            return
+        if is_flying:
+            if not self._is_heard(self._current, now_s):
+                self._turn_away(now_s)
+            return
+        open_ones = [n for n in self._trackers if n not in self._reported]
+        if open_ones:
+            self._current = self._trackers[min(open_ones, key=self._rank)]
+
+    def refuse(self, reason: RejectReason) -> FusionReport:
+        """Count a measurement that could not even be offered."""
+        return self._current.refuse(reason)
+
+    def restart(self) -> None:
+        """Forget where everything is, because the frame may have moved."""
+        for tracker in self.trackers:
+            tracker.restart()
+
+    def report_current(self) -> bool:
+        """The current emitter is done; whether there is another one, which is current then."""
+        if self.is_single or self._current.emitter_id is None:
+            return False
+        self._reported.add(self._current.emitter_id)
+        following = self.waiting
+        if not following:
+            return False
+        self._current = self._trackers[following[0]]
+        return True
+
+    def note_reported(self, emitter_ids: Iterable[int]) -> None:
+        """These are done."""
+        self._reported.update(emitter_ids)
+
+    def resume(self, belief: Belief, age_s: float, now_s: float) -> str | None:
+        """Begin again from what was believed `age_s` ago of one emitter, which is current then.
+
+        Returns:
+            Why not, in words; everything is as before then.
+        """
+        if self.is_single:
+            return self._current.resume(belief, age_s, now_s)
+        emitter_id = belief.emitter_id
+        if emitter_id is None:
+            return "an emitter without an id"
+        tracker = self._trackers.get(emitter_id)
+        if tracker is None:
+            if self._is_full:
+                return "another emitter"
+            tracker = self._begin(emitter_id)
+        self._current = tracker
+        return tracker.resume(belief, age_s, now_s)
+
+    @property
+    def _is_full(self) -> bool:
+        """Whether no other emitter gets a filter."""
+        return bool(self.params.listed) or len(self._trackers) >= self.params.most
+
+    def _refusal_of_stranger(
+        self, measurement: RangingMeasurement, now_s: float
+    ) -> RejectReason | None:
+        """Why an emitter that is heard for the first time gets no filter."""
+        if self._is_full:
+            return RejectReason.OTHER_EMITTER
+        return reject_reason_of(measurement, now_s, self._tracker_params.acceptance)
+
+    def _begin(self, emitter_id: int) -> TargetTracker:
+        """A filter for another emitter; the first one takes over what was counted before it."""
+        is_first = not self._trackers
+        tracker = self._current if is_first else TargetTracker(self._tracker_params)
+        tracker.emitter_id = emitter_id
+        self._trackers[emitter_id] = tracker
+        return tracker
+
+    def _note_strength(self, measurement: RangingMeasurement) -> None:
+        """Quality where the radio tells it, and nearness by range where it does not."""
+        strength = measurement.quality
+        if strength is None:
+            range_m = measurement.range_m
+            if range_m is None or not math.isfinite(range_m):
+                return
+            strength = -range_m
+        before = self._strengths.get(measurement.emitter_id, strength)
+        mean = (1.0 - SMOOTHING) * before + SMOOTHING * strength
+        self._strengths[measurement.emitter_id] = mean
+
+    def _turn_away(self, now_s: float) -> None:
+        """Let the lost one wait behind those that are heard, if there are any."""
+        lost = self._current.emitter_id
+        heard = [n for n in self.waiting if self._is_heard(self._trackers[n], now_s)]
+        if lost is None or not heard:
+            return
+        self._turned_away = [*(n for n in self._turned_away if n != lost), lost]
+        self._current = self._trackers[heard[0]]
+
+    @staticmethod
+    def _is_heard(tracker: TargetTracker, now_s: float) -> bool:
+        heard_s = tracker.last_accepted_s
+        return heard_s is not None and now_s - heard_s <= LOST_S
+
+    def _rank(self, emitter_id: int) -> tuple[int, bool, float]:
+        """Smaller comes sooner: those never lost first, then those that can be compared."""
+        tracker = self._trackers[emitter_id]
+        lost = self._turned_away.index(emitter_id) + 1 if emitter_id in self._turned_away else 0
+        is_vague = tracker.accepted < ENOUGH
+        match self.params.order:
+            case "nearest":
+                value = self._distance_m(tracker)
+            case "strongest":
+                value = -self._strengths.get(emitter_id, -math.inf)
+            case _:
+                order = self.params.listed or tuple(self._trackers)
+                value = float(order.index(emitter_id))
+        return lost, is_vague, value
+
+    def _distance_m(self, tracker: TargetTracker) -> float:
+        if not tracker.hypotheses:
+            return math.inf
+        east, north = tracker.hypotheses[0].state.mean[:2]
+        return math.dist(self._place, (float(east), float(north)))

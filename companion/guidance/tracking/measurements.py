@@ -1,0 +1,232 @@
+"""The measurement side of a session: from ranging to the estimate and the plan that follows it.
+
+A measurement goes to its filter with the vehicle's own place at its time. Among several emitters
+the scheduler makes everything about the one whose turn it is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Protocol
+
+from companion.domain import PositionEnu, RangingMeasurement
+from companion.estimation.screening.validation import RejectReason, identity_of
+from companion.estimation.tracker import FusionReport
+from companion.geometry.coordinates import bearing_enu_from_ned
+from companion.guidance.authority.state_machine import FLYING, IN_CONTROL, Phase
+from companion.guidance.commands import Severity
+from companion.guidance.context import SessionContext
+from companion.guidance.health.watches import InputWatch
+from companion.guidance.messages import (
+    MotionMessages,
+    RejectMessages,
+    estimate_record,
+    waiting_record,
+)
+from companion.guidance.tracking.vehicle_track import VehicleTrack
+
+MAX_WAITING = 64
+"""Measurements that may wait for an own position at their time; the oldest gives way."""
+
+
+class Fuser(Protocol):
+    """Takes measurements in: the filter of one emitter, or those of several."""
+
+    def fuse(
+        self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu | None, now_s: float
+    ) -> FusionReport:
+        """Take in one measurement."""
+
+    def refuse(self, reason: RejectReason) -> FusionReport:
+        """Count a measurement that could not even be offered."""
+
+
+class RangingListener:
+    """Feeds the filters.
+
+    A measurement that is newer than the newest own position waits until a position on its other
+    side arrives, so that its place is interpolated; one that waits in vain is refused, and so is
+    one from a time that will not come.
+
+    Args:
+        fuser: Whom to feed.
+        track: The vehicle's own motion.
+        patience_s: How long a measurement may wait.
+    """
+
+    def __init__(self, fuser: Fuser, track: VehicleTrack, patience_s: float = 0.25) -> None:
+        self._fuser = fuser
+        self._track = track
+        self._patience_s = patience_s
+        self._waiting: list[RangingMeasurement] = []
+
+    def receive(self, measurement: RangingMeasurement) -> list[FusionReport]:
+        """Take in a measurement; it is fused at the next `fuse_due`.
+
+        Of too many that wait the oldest goes; a copy of one that waits does not wait, too.
+        """
+        identity = identity_of(measurement)
+        if any(identity_of(waiting) == identity for waiting in self._waiting):
+            return [self._fuser.refuse(RejectReason.DUPLICATE)]
+        self._waiting.append(measurement)
+        if len(self._waiting) <= MAX_WAITING:
+            return []
+        oldest = min(range(len(self._waiting)), key=lambda i: self._waiting[i].measured_at_s)
+        del self._waiting[oldest]
+        return [self._fuser.refuse(RejectReason.TOO_MANY)]
+
+    def fuse_due(self, now_s: float) -> list[FusionReport]:
+        """Fuse every measurement whose place is known, or will not become known any more."""
+        latest = self._track.latest
+        due: list[RangingMeasurement] = []
+        waiting: list[RangingMeasurement] = []
+        for measurement in self._waiting:
+            is_covered = latest is not None and measurement.measured_at_s <= latest.time_s
+            is_recent = abs(now_s - measurement.measured_at_s) <= self._patience_s
+            (waiting if is_recent and not is_covered else due).append(measurement)
+        self._waiting = waiting  # first, so that one that makes a filter fail is not tried again
+        return [self._fuse(measurement, now_s) for measurement in due]
+
+    def _fuse(self, measurement: RangingMeasurement, now_s: float) -> FusionReport:
+        if not self._track.is_trusted_at(measurement.measured_at_s):
+            return self._fuser.refuse(RejectReason.OWN_JUMP)
+        sensor_enu_m = self._track.position_at(measurement.measured_at_s)
+        body_rad = measurement.bearing_body_rad
+        if body_rad is not None and measurement.bearing_enu_rad is None:
+            yaw_ned_rad = self._track.yaw_at(measurement.measured_at_s)
+            # The wire may carry infinities; the filter refuses those as they are.
+            if yaw_ned_rad is not None and math.isfinite(body_rad):
+                bearing_enu_rad = bearing_enu_from_ned(yaw_ned_rad + body_rad)
+                measurement = replace(measurement, bearing_enu_rad=bearing_enu_rad)
+        report = self._fuser.fuse(measurement, sensor_enu_m, now_s)
+        return replace(report, measurement=measurement, sensor_enu_m=sensor_enu_m)
+
+
+class EmitterScheduler:
+    """Makes estimate, plan and watches those of the current emitter, and tells who it is.
+
+    Args:
+        situation: Of the session.
+        inputs: Judges the current emitter's ranging.
+    """
+
+    def __init__(self, situation: SessionContext, inputs: InputWatch) -> None:
+        self._situation = situation
+        self._inputs = inputs
+        self._followed = situation.tracker
+        self._told: int | None = None
+
+    def choose(self, now_s: float) -> None:
+        """Decide whose turn it is, and follow."""
+        situation = self._situation
+        situation.emitters.choose(now_s, is_flying=situation.phase in IN_CONTROL)
+        self.follow(now_s)
+
+    def follow(self, now_s: float) -> None:
+        """If it is another emitter's turn, everything is about that one from now on."""
+        situation = self._situation
+        tracker = situation.tracker
+        if tracker is self._followed:
+            return
+        self._followed = tracker
+        situation.estimate = tracker.estimate(now_s)
+        situation.flight_plan.forget()
+        self._inputs.switched(tracker.contact.agreeing_since_gap(now_s))
+        if situation.phase in FLYING:
+            situation.plan_now(now_s)
+
+    def tell(self) -> None:
+        """Say whose turn it is, once for each turn that is flown."""
+        situation, emitters = self._situation, self._situation.emitters
+        current = emitters.current.emitter_id
+        if emitters.is_single or situation.phase not in IN_CONTROL or current == self._told:
+            return
+        self._told = current
+        waiting = emitters.waiting
+        situation.record("turn", emitter_id=current, waiting=waiting)
+        then = f", then {', '.join(str(each) for each in waiting)}" if waiting else ""
+        situation.announce(Severity.NOTICE, f"looking for emitter {current}{then}")
+
+
+class Measuring:
+    """Feeds the filters, and tells of what they make of it.
+
+    Args:
+        situation: Of the session.
+        inputs: Is told what the current emitter's filter accepts.
+        turns: Decides which emitter that is.
+    """
+
+    def __init__(
+        self, situation: SessionContext, inputs: InputWatch, turns: EmitterScheduler
+    ) -> None:
+        self._situation = situation
+        self._inputs = inputs
+        self._turns = turns
+        self._news = RejectMessages()
+        self._motion_news = MotionMessages()
+        self._listener = RangingListener(situation.emitters, situation.vehicle.track)
+
+    def receive(self, measurement: RangingMeasurement, now_s: float) -> None:
+        """Take in a measurement."""
+        if self._situation.phase is Phase.FINISHED:
+            return  # parked on the estimate there is nothing to learn, only to unlearn
+        self._contained(lambda: self._fused(self._listener.receive(measurement), now_s), now_s)
+        self.fuse_due(now_s)
+
+    def fuse_due(self, now_s: float) -> None:
+        """Fuse what waited for an own position."""
+        self._contained(lambda: self._fused(self._listener.fuse_due(now_s), now_s), now_s)
+
+    def _contained(self, work: Callable[[], None], now_s: float) -> None:
+        if not self._situation.containment.run("estimator", now_s, work):
+            self._inputs.rejected()
+
+    def _fused(self, reports: list[FusionReport], now_s: float) -> None:
+        situation = self._situation
+        if reports:
+            self._turns.choose(now_s)
+        for report in reports:
+            if report.refusal is not None:
+                situation.commands += self._news.refused(report.refusal, now_s)
+                continue
+            measured = report.measurement
+            if measured is not None and not situation.emitters.is_current(measured.emitter_id):
+                self._note_waiting(measured.emitter_id, now_s)
+                continue
+            if report.restarted:
+                self._inputs.rejected()
+                text = "the filter contradicted its measurements and was started anew"
+                situation.announce(Severity.WARNING, text)
+                situation.flight_plan.forget()
+            elif report.agrees:
+                self._inputs.accepted()
+            self._tell_motion()
+            self._replan(report, now_s)
+
+    def _tell_motion(self) -> None:
+        situation, tracker = self._situation, self._situation.tracker
+        if tracker.emitter_id is not None:
+            for news in self._motion_news.told(tracker.emitter_id, tracker.watch.motion):
+                situation.announce(news.severity, news.text)
+
+    def _note_waiting(self, emitter_id: int, now_s: float) -> None:
+        """Something was learnt of an emitter whose turn it is not."""
+        estimate = self._situation.emitters.tracker_of(emitter_id).estimate(now_s)
+        if estimate is not None:
+            self._situation.commands.append(waiting_record(emitter_id, estimate))
+
+    def _replan(self, report: FusionReport, now_s: float) -> None:
+        situation = self._situation
+        estimate = situation.tracker.estimate(now_s)
+        if estimate is None:
+            return
+        if situation.estimate is None or estimate.state is not situation.estimate.state:
+            text = f"{estimate.state.value}: R95 {estimate.r95_m:.1f} m"
+            situation.announce(Severity.INFO, text)
+        situation.estimate = estimate
+        situation.commands.append(estimate_record(report, estimate))
+        if situation.phase in FLYING:
+            situation.plan_now(now_s)

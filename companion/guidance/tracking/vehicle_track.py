@@ -1,0 +1,148 @@
+"""Where the vehicle was: its own position and yaw at the time of a measurement."""
+
+from __future__ import annotations
+
+import bisect
+import math
+from collections import deque
+from dataclasses import replace
+
+from companion.domain import PositionEnu, VehicleState
+from companion.geometry.coordinates import wrap_pi
+
+HISTORY_S = 3.0
+"""How far back a delayed measurement may reach."""
+
+MAX_EXTRAPOLATION_S = 0.3
+"""A state older than this says nothing about the present."""
+
+MAX_COORDINATE_M = 1e5
+"""Farther from the origin a flat local frame means nothing."""
+
+MAX_SPEED_MPS = 300.0
+
+MAX_GAP_S = 1.0
+"""Two states farther apart than this are not interpolated between."""
+
+
+class VehicleTrack:
+    """The last few seconds of the vehicle's motion."""
+
+    def __init__(self) -> None:
+        self._states: deque[VehicleState] = deque()
+        self._yaws: deque[tuple[float, float]] = deque()
+        self._distrusted_s = (math.inf, -math.inf)
+
+    @property
+    def latest(self) -> VehicleState | None:
+        """The newest state."""
+        return self._states[-1] if self._states else None
+
+    @property
+    def latest_yaw(self) -> tuple[float, float] | None:
+        """Time and value of the newest heading."""
+        return self._yaws[-1] if self._yaws else None
+
+    def clear(self) -> None:
+        """Forget everything, because the autopilot restarted or moved its frame."""
+        self._states.clear()
+        self._yaws.clear()
+        self._distrusted_s = (math.inf, -math.inf)
+
+    def shift(self, jump_enu_m: PositionEnu) -> None:
+        """Move the past along with a position that jumped."""
+        self._states = deque(
+            replace(state, position_enu_m=_plus(state.position_enu_m, jump_enu_m))
+            for state in self._states
+        )
+
+    def turn(self, jump_rad: float) -> None:
+        """Turn the past along with a heading that jumped, clockwise."""
+        self._yaws = deque((time_s, wrap_pi(yaw + jump_rad)) for time_s, yaw in self._yaws)
+
+    def distrust(self, since_s: float, until_s: float) -> None:
+        """Positions and headings between these times are not to be measured from."""
+        earliest_s, latest_s = self._distrusted_s
+        is_apart = latest_s < since_s
+        self._distrusted_s = (since_s if is_apart else min(earliest_s, since_s), until_s)
+
+    def is_trusted_at(self, time_s: float) -> bool:
+        """Whether there was no jump about this time."""
+        return not self._distrusted_s[0] < time_s < self._distrusted_s[1]
+
+    def add(self, state: VehicleState) -> None:
+        """Take in a state; one that is not newer than the newest is ignored (reordering)."""
+        if self._states and state.time_s <= self._states[-1].time_s:
+            return
+        self._states.append(state)
+        while self._states[0].time_s < state.time_s - HISTORY_S:
+            self._states.popleft()
+
+    def add_yaw(self, time_s: float, yaw_ned_rad: float) -> None:
+        """Take in a heading, clockwise from north."""
+        if self._yaws and time_s <= self._yaws[-1][0]:
+            return
+        self._yaws.append((time_s, yaw_ned_rad))
+        while self._yaws[0][0] < time_s - HISTORY_S:
+            self._yaws.popleft()
+
+    def position_at(self, time_s: float) -> PositionEnu | None:
+        """The position at a time, east-north-up metres, or None if the history does not tell.
+
+        Between two states by linear interpolation, a little beyond the newest by its velocity.
+        """
+        states = self._states
+        if not states or time_s < states[0].time_s:
+            return None
+        index = bisect.bisect_right(states, time_s, key=lambda s: s.time_s)
+        before = states[index - 1]
+        if index == len(states):
+            ahead_s = time_s - before.time_s
+            if ahead_s > MAX_EXTRAPOLATION_S:
+                return None
+            return _moved(before, ahead_s)
+        after = states[index]
+        gap_s = after.time_s - before.time_s
+        if gap_s > MAX_GAP_S:
+            return None
+        return _blended(before, after, (time_s - before.time_s) / gap_s)
+
+    def yaw_at(self, time_s: float) -> float | None:
+        """The heading at a time, clockwise from north, or None if the history does not tell."""
+        yaws = self._yaws
+        if not yaws or time_s < yaws[0][0]:
+            return None
+        index = bisect.bisect_right(yaws, time_s, key=lambda y: y[0])
+        t0, yaw0 = yaws[index - 1]
+        if index == len(yaws):
+            return yaw0 if time_s - t0 <= MAX_EXTRAPOLATION_S else None
+        t1, yaw1 = yaws[index]
+        if t1 - t0 > MAX_GAP_S:
+            return None
+        return wrap_pi(yaw0 + wrap_pi(yaw1 - yaw0) * (time_s - t0) / (t1 - t0))
+
+
+def _moved(state: VehicleState, ahead_s: float) -> PositionEnu:
+    (e, n, u), (ve, vn, vu) = state.position_enu_m, state.velocity_enu_mps
+    return (e + ve * ahead_s, n + vn * ahead_s, u + vu * ahead_s)
+
+
+def _plus(place: PositionEnu, step: PositionEnu) -> PositionEnu:
+    return (place[0] + step[0], place[1] + step[1], place[2] + step[2])
+
+
+def _blended(before: VehicleState, after: VehicleState, share: float) -> PositionEnu:
+    a, b = before.position_enu_m, after.position_enu_m
+    return (
+        a[0] + share * (b[0] - a[0]),
+        a[1] + share * (b[1] - a[1]),
+        a[2] + share * (b[2] - a[2]),
+    )
+
+
+def is_plausible(state: VehicleState) -> bool:
+    """Whether every component of a state is a number that a flat local frame can mean."""
+    place_m, speed_mps = state.position_enu_m, state.velocity_enu_mps
+    return all(abs(v) <= MAX_COORDINATE_M for v in place_m) and all(
+        abs(v) <= MAX_SPEED_MPS for v in speed_mps
+    )

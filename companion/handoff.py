@@ -1,0 +1,248 @@
+"""A finding for ground teams: GeoJSON (RFC 7946), KML 2.2 (OGC 07-147r2) and MGRS text.
+
+GeoJSON and KML hold the place, its 95 % ellipse and the second place; Google Earth, ATAK and
+QGroundControl open the KML. MGRS is the grid text that ground teams read out over the radio.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from xml.etree import ElementTree as ET
+
+import mgrs
+
+from companion.domain import TargetEstimate
+from companion.geometry.coordinates import LocalOrigin
+from companion.geometry.polygons import ellipse_95
+from companion.guidance.commands import ReportResult
+
+Degrees = tuple[float, float]
+"""Latitude and longitude, WGS84."""
+
+
+@dataclass(frozen=True, slots=True)
+class Handoff:
+    """Where an emitter is, how wrong that may be, and when it was known."""
+
+    emitter: str
+    """Its id or name, as the operator knows it; any text, the formats escape it."""
+    state: str
+    place_deg: Degrees
+    altitude_m: float
+    """Above mean sea level: the assumed or estimated height of the emitter."""
+    r95_m: float
+    """Radius that holds the emitter with 95 % probability, rival places included."""
+    ellipse_deg: tuple[Degrees, ...]
+    """The 95 % ellipse of the main place."""
+    alternative_deg: Degrees | None
+    """The second place while the state is ambiguous."""
+    measurements: int
+    unix_s: float
+
+    @property
+    def time_utc(self) -> str:
+        """When it was known, ISO 8601."""
+        return utc_text(self.unix_s)
+
+
+def utc_text(unix_s: float) -> str:
+    """Seconds since 1970 as ISO 8601 in UTC, whole seconds."""
+    return datetime.fromtimestamp(unix_s, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
+def handoff_of(
+    emitter: str, estimate: TargetEstimate, origin: LocalOrigin, unix_s: float
+) -> Handoff:
+    """The hand-off of an estimate.
+
+    Args:
+        emitter: Its id or name.
+        estimate: In the local frame.
+        origin: Zero of the local frame.
+        unix_s: Wall clock of the estimate.
+    """
+    height_m = estimate.height_m
+
+    def degrees(point: tuple[float, float]) -> Degrees:
+        """A local point on the globe."""
+        latitude_deg, longitude_deg, _ = origin.geodetic_from_enu((*point, height_m))
+        return (latitude_deg, longitude_deg)
+
+    alternative = estimate.alternative_enu_m
+    ellipse = ellipse_95(estimate.position_enu_m, estimate.covariance_m2)
+    return Handoff(
+        emitter=emitter,
+        state=estimate.state.value,
+        place_deg=degrees(estimate.position_enu_m),
+        altitude_m=origin.altitude_m + height_m,
+        r95_m=estimate.r95_m,
+        ellipse_deg=tuple(degrees(point) for point in ellipse.corners_enu_m()),
+        alternative_deg=None if alternative is None else degrees(alternative),
+        measurements=estimate.measurements,
+        unix_s=unix_s,
+    )
+
+
+MIN_DIGITS, MAX_DIGITS = 1, 5
+"""A digit pair is 10 km, five are 1 m."""
+
+
+def mgrs_text(place: Degrees, r95_m: float) -> str:
+    """A place as MGRS with spaces, no finer than it is known: `32T PT 6894 3510`.
+
+    The square that is named holds the place, and is at most as large as R95 (1 m at least).
+
+    Args:
+        place: Latitude and longitude, WGS84; the poles are in UPS squares.
+        r95_m: Radius of the uncertainty.
+    """
+    digits = MAX_DIGITS - math.floor(math.log10(min(max(r95_m, 1.0), 1e4)))
+    digits = min(max(digits, MIN_DIGITS), MAX_DIGITS)
+    text = mgrs.MGRS().toMGRS(*place, MGRSPrecision=digits).lstrip("0")
+    head, east, north = text[: -2 * digits], text[-2 * digits : -digits], text[-digits:]
+    return f"{head[:-2]} {head[-2:]} {east} {north}"
+
+
+DECIMALS = 7
+"""About a centimetre; RFC 7946 section 11.2 asks not to write more than is known."""
+
+
+def geojson(handoffs: Iterable[Handoff]) -> str:
+    """A feature collection with up to three features per emitter."""
+    features = [feature for handoff in handoffs for feature in _features(handoff)]
+    return json.dumps({"type": "FeatureCollection", "features": features}, indent=2) + "\n"
+
+
+def _features(handoff: Handoff) -> list[dict[str, object]]:
+    about = {
+        "emitter": handoff.emitter,
+        "state": handoff.state,
+        "r95_m": round(handoff.r95_m, 2),
+        "altitude_amsl_m": round(handoff.altitude_m, 2),  # a third coordinate would be ellipsoidal
+        "measurements": handoff.measurements,
+        "time": handoff.time_utc,
+    }
+    # A ring is closed, and its inside lies to the left (RFC 7946 section 3.1.6).
+    ring = [_position(point) for point in (*handoff.ellipse_deg, handoff.ellipse_deg[0])]
+    features = [
+        _feature(
+            {"type": "Point", "coordinates": _position(handoff.place_deg)},
+            {**about, "kind": "estimate"},
+        ),
+        _feature({"type": "Polygon", "coordinates": [ring]}, {**about, "kind": "ellipse_95"}),
+    ]
+    if handoff.alternative_deg is not None:
+        other = {"type": "Point", "coordinates": _position(handoff.alternative_deg)}
+        features.append(_feature(other, {**about, "kind": "alternative"}))
+    return features
+
+
+def _feature(geometry: Mapping[str, object], properties: Mapping[str, object]) -> dict[str, object]:
+    return {"type": "Feature", "geometry": geometry, "properties": properties}
+
+
+def _position(point: Degrees) -> list[float]:
+    """Longitude first, as GeoJSON wants it."""
+    return [round(point[1], DECIMALS), round(point[0], DECIMALS)]
+
+
+NAMESPACE = "http://www.opengis.net/kml/2.2"
+ELLIPSE_LINE = "ff00a5ff"
+"""Colours are aabbggrr in KML: orange."""
+ELLIPSE_FILL = "4000a5ff"
+
+
+def kml(handoffs: Iterable[Handoff]) -> str:
+    """A document with a placemark per place and one per ellipse."""
+    root = ET.Element("kml", xmlns=NAMESPACE)
+    document = ET.SubElement(root, "Document")
+    ET.SubElement(document, "name").text = "Emitters"
+    style = ET.SubElement(document, "Style", id="ellipse")
+    ET.SubElement(ET.SubElement(style, "LineStyle"), "color").text = ELLIPSE_LINE
+    ET.SubElement(ET.SubElement(style, "PolyStyle"), "color").text = ELLIPSE_FILL
+    for handoff in handoffs:
+        _add(document, handoff)
+    ET.indent(root)
+    return ET.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def _add(document: ET.Element, handoff: Handoff) -> None:
+    name = printable(handoff.emitter)
+    about = (
+        f"{handoff.state}, R95 {handoff.r95_m:.1f} m, "
+        f"{handoff.measurements} measurements, {handoff.time_utc}"
+    )
+    _add_point(document, f"emitter {name}", about, handoff.place_deg)
+    if handoff.alternative_deg is not None:
+        text = f"emitter {name}, second place"
+        _add_point(document, text, about, handoff.alternative_deg)
+    placemark = _placemark(document, f"emitter {name}, 95 %", about)
+    ET.SubElement(placemark, "styleUrl").text = "#ellipse"
+    polygon = ET.SubElement(placemark, "Polygon")
+    boundary = ET.SubElement(ET.SubElement(polygon, "outerBoundaryIs"), "LinearRing")
+    ring = (*handoff.ellipse_deg, handoff.ellipse_deg[0])
+    ET.SubElement(boundary, "coordinates").text = " ".join(map(_coordinates, ring))
+
+
+def _add_point(document: ET.Element, name: str, about: str, place: Degrees) -> None:
+    placemark = _placemark(document, name, about)
+    ET.SubElement(ET.SubElement(placemark, "Point"), "coordinates").text = _coordinates(place)
+
+
+def _placemark(document: ET.Element, name: str, about: str) -> ET.Element:
+    placemark = ET.SubElement(document, "Placemark")
+    ET.SubElement(placemark, "name").text = name
+    ET.SubElement(placemark, "description").text = about
+    return placemark
+
+
+def _coordinates(place: Degrees) -> str:
+    """Longitude, latitude; without an altitude a viewer lays it on the ground."""
+    return f"{place[1]:.7f},{place[0]:.7f}"
+
+
+def printable(text: str) -> str:
+    """`text` without what XML 1.0 cannot hold (control characters, lone surrogates)."""
+    return "".join(c if c.isprintable() else "?" for c in text)
+
+
+GEOJSON, KML, TEXT = "handoff.geojson", "handoff.kml", "handoff.txt"
+
+
+class HandoffFiles:
+    """Keeps the newest hand-off of every emitter."""
+
+    def __init__(self) -> None:
+        self._handoffs: dict[str, Handoff] = {}
+
+    def files(self, report: ReportResult, unix_s: float) -> dict[str, str]:
+        """The files' contents after a report, by name; none without an origin.
+
+        Args:
+            report: Of one emitter.
+            unix_s: Wall clock of the report.
+        """
+        if report.origin is None:
+            return {}
+        emitter = "unknown" if report.emitter_id is None else str(report.emitter_id)
+        self._handoffs[emitter] = handoff_of(emitter, report.estimate, report.origin, unix_s)
+        handoffs = list(self._handoffs.values())
+        return {
+            GEOJSON: geojson(handoffs),
+            KML: kml(handoffs),
+            TEXT: "".join(_line(handoff) for handoff in handoffs),
+        }
+
+
+def _line(handoff: Handoff) -> str:
+    """One emitter in one line, to be read out over the radio."""
+    latitude_deg, longitude_deg = handoff.place_deg
+    grid = mgrs_text(handoff.place_deg, handoff.r95_m)
+    return (
+        f"emitter {handoff.emitter}: {grid}  ({latitude_deg:.6f}, {longitude_deg:.6f}), "
+        f"R95 {handoff.r95_m:.1f} m, {handoff.state}, {handoff.time_utc}\n"
+    )

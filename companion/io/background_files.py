@@ -1,0 +1,323 @@
+"""Files that are written without ever making the caller wait: appended to, or replaced.
+
+`BackgroundFile` is appended to and never grows beyond its cap. Records go through a bounded queue
+to a daemon thread. A full queue (a stalled disk) and a failed write (a full one) cost records,
+which are counted, and never an exception or a pause of the caller. A record is written whole or not
+at all: after a partial write the file is cut back, so that one bad moment does not spoil what is
+recorded after it. Of a capped file the newest part is kept: at half the cap it becomes
+`NAME.old.SUFFIX`, in place of the one before, and a new file begins. A reader joins the two in this
+order.
+
+`BackgroundReplacer` replaces whole files. Each replacement is atomic (see
+`files.write_bytes_atomic`) and runs in a daemon thread. Of what waits for one file only the newest
+content is written, so that a slow disk costs history and never memory. A failure is counted, told
+once and tried again only with the next content.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import queue
+import threading
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from companion.errors import CompanionError
+from companion.io.files import write_bytes_atomic
+
+logger = logging.getLogger("companion.io")
+
+MAX_QUEUED = 10_000
+MAX_BATCH = 256
+GATHER_S = 0.05
+"""Records are written so much later, many at a time: a thread that wakes for each of them takes the
+interpreter from the control tick a hundred times a second."""
+SYNC_PERIOD_S = 1.0
+CLOSE_TIMEOUT_S = 1.0
+_FLAGS = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC
+
+
+@dataclass(frozen=True, slots=True)
+class FileHealth:
+    """How a background file is doing."""
+
+    queued: int
+    """Records that wait for the disk."""
+    dropped: int
+    """Records lost so far, to a full queue or a failed write."""
+    bytes_kept: int
+    """On disk, the older part included."""
+    silent_s: float
+    """How long the disk has not answered; 0 while nothing is being written."""
+    is_alive: bool
+    """Whether there still is somebody to write."""
+
+
+class BackgroundFile:
+    """An append-only file with a writer thread.
+
+    Args:
+        path: The file; its directory exists.
+        max_bytes: Cap of the file and its older part together; None: none.
+
+    Raises:
+        CompanionError: It cannot be opened.
+    """
+
+    def __init__(self, path: Path, max_bytes: int | None = None) -> None:
+        self.path = path
+        self.older_path = path.with_name(f"{path.stem}.old{path.suffix}")
+        self._part_bytes = None if max_bytes is None else max(1, max_bytes // 2)
+        self._queue: queue.Queue[bytes | None] = queue.Queue(MAX_QUEUED)
+        self._overflowed = 0
+        self._failed = 0
+        self._has_warned = False
+        self._is_closed = False
+        self._is_ending = threading.Event()
+        self._busy_since_s: float | None = None
+        self._older_bytes = 0
+        try:
+            self._fd = os.open(path, _FLAGS, 0o644)
+            self._bytes = os.fstat(self._fd).st_size
+        except OSError as error:
+            raise CompanionError(
+                f"{path}: cannot be opened ({error.strerror}); choose another place for the log"
+            ) from error
+        self._thread = threading.Thread(target=self._run, name=f"write {path.name}", daemon=True)
+        self._thread.start()
+
+    @property
+    def dropped(self) -> int:
+        """Records lost so far, to a full queue or a failed write."""
+        return self._overflowed + self._failed
+
+    @property
+    def health(self) -> FileHealth:
+        """How it is doing, without waiting for the writer."""
+        since_s = self._busy_since_s
+        return FileHealth(
+            queued=self._queue.qsize(),
+            dropped=self.dropped,
+            bytes_kept=self._bytes + self._older_bytes,
+            silent_s=0.0 if since_s is None else time.monotonic() - since_s,
+            is_alive=self._thread.is_alive(),
+        )
+
+    def append(self, record: bytes) -> None:
+        """Queue a record; counted instead if the queue is full or the file closed."""
+        if self._is_closed:
+            self._overflowed += 1
+            return
+        try:
+            self._queue.put_nowait(record)
+        except queue.Full:
+            self._overflowed += 1
+            if self._overflowed == 1:
+                logger.warning("%s: the disk is too slow, records are lost", self.path)
+
+    def finish(self) -> None:
+        """Ask the writer to write what is queued and end; does not wait, see `close`."""
+        if self._is_closed:
+            return
+        self._is_closed = True
+        self._is_ending.set()
+        while True:
+            try:
+                self._queue.put_nowait(None)
+            except queue.Full:  # the newest record gives way, or nobody would ever end
+                with suppress(queue.Empty):
+                    self._queue.get_nowait()
+                    self._overflowed += 1
+            else:
+                return
+
+    def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> None:
+        """Write what is queued, for so long at most, and close."""
+        self.finish()
+        self._thread.join(timeout_s)
+        if self._thread.is_alive():
+            logger.warning("%s: the disk hangs, the end of the log is lost", self.path)
+
+    def _run(self) -> None:
+        synced_s = time.monotonic()
+        is_last = False
+        while not is_last:
+            batch, is_last = self._next_batch()
+            self._busy_since_s = time.monotonic()
+            self._write(batch)
+            if is_last or time.monotonic() - synced_s >= SYNC_PERIOD_S:
+                with suppress(OSError):  # pipes and devices cannot be synced
+                    os.fsync(self._fd)
+                synced_s = time.monotonic()
+            self._busy_since_s = None
+        os.close(self._fd)
+
+    def _next_batch(self) -> tuple[list[bytes], bool]:
+        """At least one record, waiting for it, and whether the file is to be closed after it."""
+        batch: list[bytes] = []
+        item = self._queue.get()
+        if self._queue.qsize() < MAX_BATCH:
+            self._is_ending.wait(GATHER_S)
+        while item is not None:
+            batch.append(item)
+            if len(batch) == MAX_BATCH:
+                return batch, False
+            try:
+                item = self._queue.get_nowait()
+            except queue.Empty:
+                return batch, False
+        return batch, True
+
+    def _write(self, batch: list[bytes]) -> None:
+        joined = b"".join(batch)
+        if not joined or (self._has_room(len(joined)) and self._write_whole(joined)):
+            return
+        # The part is full, or something is wrong with the disk: save what can be saved.
+        for record in batch:
+            if not self._has_room(len(record)):
+                self._begin_new_part()
+            if not (self._has_room(len(record)) and self._write_whole(record)):
+                self._failed += 1
+
+    def _has_room(self, size: int) -> bool:
+        return self._part_bytes is None or self._bytes + size <= self._part_bytes
+
+    def _begin_new_part(self) -> None:
+        """Put the file aside; where that fails it stays as it is, full."""
+        try:
+            if self.path.exists():  # not after an earlier attempt that came no further
+                self.path.replace(self.older_path)
+            descriptor = os.open(self.path, _FLAGS, 0o644)
+        except OSError as error:
+            self._warn(error)
+            return
+        os.close(self._fd)
+        self._fd, self._older_bytes, self._bytes = descriptor, self._bytes, 0
+
+    def _write_whole(self, data: bytes) -> bool:
+        """Whether all of `data` was written; the file is as before if not."""
+        done = 0
+        try:
+            while done < len(data):
+                done += os.write(self._fd, data[done:])
+        except OSError as error:
+            if done:
+                with suppress(OSError):
+                    os.ftruncate(self._fd, os.fstat(self._fd).st_size - done)
+            self._warn(error)
+            return False
+        self._bytes += len(data)
+        return True
+
+    def _warn(self, error: OSError) -> None:
+        if not self._has_warned:
+            self._has_warned = True
+            logger.warning("%s: cannot be written (%s), records are lost", self.path, error)
+
+
+class BackgroundLog:
+    """What the flight's logs share: a file that never makes the caller wait.
+
+    Args:
+        path: The file; its directory exists. An existing one is continued.
+        max_bytes: Cap of the file and its older part together; None: none.
+
+    Raises:
+        CompanionError: The file cannot be opened.
+    """
+
+    def __init__(self, path: Path, max_bytes: int | None = None) -> None:
+        self._file = BackgroundFile(path, max_bytes)
+
+    @property
+    def dropped(self) -> int:
+        """Entries lost to a slow or full disk."""
+        return self._file.dropped
+
+    @property
+    def health(self) -> FileHealth:
+        """How it is doing, without waiting for the writer."""
+        return self._file.health
+
+    def finish(self) -> None:
+        """Ask for the end, without waiting for it."""
+        self._file.finish()
+
+    def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> None:
+        """Write what is queued, for so long at most, and close."""
+        self._file.close(timeout_s)
+
+
+class BackgroundReplacer:
+    """Replaces files from one thread.
+
+    Args:
+        name: Of the thread.
+        mode: Who may read and write the files, less the umask.
+    """
+
+    def __init__(self, name: str, mode: int = 0o666) -> None:
+        self.written = 0
+        self.failed = 0
+        self.overtaken = 0
+        """Contents that never reached the disk, because newer ones came first."""
+        self._mode = mode
+        self._waiting: dict[Path, bytes] = {}
+        self._changed = threading.Condition()
+        self._is_closed = False
+        self._busy_since_s: float | None = None
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether there still is somebody to write."""
+        return self._thread.is_alive()
+
+    @property
+    def silent_s(self) -> float:
+        """How long the disk has not answered; 0 while nothing is being written."""
+        since_s = self._busy_since_s
+        return 0.0 if since_s is None else time.monotonic() - since_s
+
+    def replace(self, path: Path, content: bytes) -> None:
+        """Give a file a new content, soon; after `close` it is counted as failed."""
+        with self._changed:
+            if self._is_closed:
+                self.failed += 1
+                return
+            self.overtaken += path in self._waiting
+            self._waiting[path] = content
+            self._changed.notify()
+
+    def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> None:
+        """Write what waits, for so long at most, and end."""
+        with self._changed:
+            self._is_closed = True
+            self._changed.notify()
+        self._thread.join(timeout_s)
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._waiting or self._is_closed)
+                if not self._waiting:
+                    return
+                path = next(iter(self._waiting))
+                content = self._waiting.pop(path)
+            self._busy_since_s = time.monotonic()
+            self._write(path, content)
+            self._busy_since_s = None
+
+    def _write(self, path: Path, content: bytes) -> None:
+        try:
+            write_bytes_atomic(path, content, self._mode)
+        except CompanionError as error:
+            self.failed += 1
+            if self.failed == 1:
+                logger.warning("%s", error)
+        else:
+            self.written += 1

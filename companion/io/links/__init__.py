@@ -1,0 +1,1 @@
+"""Links: UDP, TCP, serial ports and pseudo terminals, their addresses and specifications."""

@@ -1,0 +1,432 @@
+"""One bounded byte stream over a descriptor: TCP clients, serial ports, pseudo terminals.
+
+Theory of operation. `ByteStream` owns a non-blocking descriptor: it reads a bounded batch per
+wake-up, writes at once what the system takes, and keeps a little for later (`SendQueue`), so that
+a slow line costs telemetry and neither memory nor setpoints. The system would hide a second of a
+slow serial line in its own buffer; no more is written there than the line sends in a tenth of one.
+The links above only know how to obtain a descriptor. `ReopeningLink` does so again and again with a
+growing pause; a loss is logged once, and so is a first connection that fails. A serial port must be
+there at the start, because a wrong name would otherwise never be noticed.
+
+A pseudo terminal is a serial port without hardware, with a name of our choosing. We hold the
+terminal's master side; a link in the file system leads to the slave side, which any program opens
+as a serial port. The master reports a hang-up while nobody has the slave open; that is looked at
+twenty times a second, and until somebody comes what we send is dropped, as on a line that leads
+nowhere, so whoever opens it hears nothing stale.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import fcntl
+import os
+import select
+import socket
+import sys
+import termios
+import tty
+from abc import abstractmethod
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol
+
+import serial
+
+from companion.errors import LinkError
+from companion.io.links.link import MAX_READS, Link, Received, SendQueue, logger
+from companion.io.links.udp import resolve
+from companion.mav.endpoint import Chunk
+
+MAX_UNSENT_BYTES = 64 * 1024
+"""For streams whose speed is not known."""
+QUEUE_S = 0.25
+"""Of a serial line's speed: how much waits here at most."""
+SYSTEM_QUEUE_S = 0.1
+"""The same for what waits in the system."""
+MIN_QUEUE_BYTES = 600
+"""Room for two frames of the longest kind on the slowest of lines."""
+LINE_LOOK_S = 0.02
+READ_BYTES = 4096
+BACKOFF_MIN_S = 0.5
+BACKOFF_MAX_S = 5.0
+CONNECT_TIMEOUT_S = 5.0
+BITS_PER_BYTE = 10
+"""On a serial line: eight, a start and a stop."""
+KEEPALIVE_IDLE_S, KEEPALIVE_INTERVAL_S, KEEPALIVE_PROBES = 5, 2, 3
+"""A peer that vanished without a word is noticed after about eleven seconds."""
+
+
+class Handle(Protocol):
+    """Whatever owns a descriptor."""
+
+    def close(self) -> None:
+        """Let go of it."""
+
+
+class ByteStream:
+    """A non-blocking descriptor on the running loop.
+
+    Args:
+        handle: Anything with a `close`, kept open while the stream lives.
+        fd: Its descriptor, already non-blocking.
+        received: Takes the pieces read in one wake-up.
+        lost: Called once when the other end or the device is gone; the stream is closed then.
+        bytes_per_s: Speed of a serial line, if it is one.
+    """
+
+    def __init__(
+        self,
+        handle: Handle,
+        fd: int,
+        received: Callable[[list[bytes]], None],
+        lost: Callable[[str], None],
+        bytes_per_s: float | None = None,
+    ) -> None:
+        self._loop = asyncio.get_running_loop()
+        self._handle, self._fd = handle, fd
+        self._received, self._lost = received, lost
+        self._bytes_per_s = bytes_per_s
+        limit = MAX_UNSENT_BYTES
+        if bytes_per_s is not None:
+            limit = max(MIN_QUEUE_BYTES, round(QUEUE_S * bytes_per_s))
+        self._queue = SendQueue(limit)
+        self._look: asyncio.TimerHandle | None = None
+        self._is_open = True
+        self._loop.add_reader(fd, self._read)
+
+    @property
+    def dropped(self) -> int:
+        """Chunks that were taken or offered, and never sent, because the line is too slow."""
+        return self._queue.dropped
+
+    def write(self, data: bytes, *, can_be_spared: bool = False) -> bool:
+        """Send now or later; False if too much is waiting already and `data` was dropped."""
+        if not self._is_open:
+            return False
+        was_empty = not self._queue
+        is_taken = self._queue.add(data, can_be_spared=can_be_spared)
+        if was_empty and is_taken:
+            self._flush()
+        return is_taken
+
+    def close(self) -> None:
+        """Close without telling `lost`."""
+        if not self._is_open:
+            return
+        self._is_open = False
+        self._loop.remove_reader(self._fd)
+        self._loop.remove_writer(self._fd)
+        if self._look is not None:
+            self._look.cancel()
+        self._handle.close()
+
+    def _flush(self) -> None:
+        self._look = None
+        try:
+            room = self._room()
+            if room > 0:
+                self._queue.wrote(os.write(self._fd, self._queue.head()[:room]))
+        except (BlockingIOError, InterruptedError):
+            room = MAX_UNSENT_BYTES
+        except OSError as error:
+            self._end(error.strerror or str(error))
+            return
+        self._loop.remove_writer(self._fd)
+        if not self._queue:
+            return
+        if self._bytes_per_s is None or room >= len(self._queue):
+            self._loop.add_writer(self._fd, self._flush)
+        else:
+            self._look = self._loop.call_later(LINE_LOOK_S, self._flush)
+
+    def _room(self) -> int:
+        """How many bytes the system may be given now."""
+        if self._bytes_per_s is None:
+            return MAX_UNSENT_BYTES
+        answer = fcntl.ioctl(self._fd, termios.TIOCOUTQ, bytes(4))
+        allowed = max(MIN_QUEUE_BYTES // 2, round(SYSTEM_QUEUE_S * self._bytes_per_s))
+        return max(0, allowed - int.from_bytes(answer, sys.byteorder))
+
+    def _read(self) -> None:
+        pieces: list[bytes] = []
+        reason: str | None = None
+        for _ in range(MAX_READS):
+            try:
+                data = os.read(self._fd, READ_BYTES)
+            except (BlockingIOError, InterruptedError):
+                break
+            except OSError as error:
+                reason = error.strerror or str(error)
+                break
+            if not data:
+                reason = "closed by the other end"
+                break
+            pieces.append(data)
+        if pieces:
+            self._received(pieces)
+        if reason is not None:
+            self._end(reason)
+
+    def _end(self, reason: str) -> None:
+        if self._is_open:
+            self.close()
+            self._lost(reason)
+
+
+class StreamLink(Link):
+    """A link over at most one byte stream at a time."""
+
+    def __init__(self, name: str, index: int, received: Received) -> None:
+        super().__init__(name, index, received)
+        self._stream: ByteStream | None = None
+        self._is_closed = False
+        self._bytes_per_s: float | None = None
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it is connected or tries to be."""
+        return not self._is_closed
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether somebody is at the other end, as far as the system knows."""
+        return self._stream is not None
+
+    def send(self, chunk: Chunk) -> None:
+        """Send to whoever is connected; dropped and counted if nobody is or the line is full."""
+        stream = self._stream
+        if stream is None:
+            self.counters.dropped += 1
+            return
+        dropped = stream.dropped
+        self.counters.sent += stream.write(chunk.data, can_be_spared=chunk.can_be_spared)
+        self.counters.dropped += stream.dropped - dropped
+
+    def close(self) -> None:
+        """Close the stream."""
+        self._is_closed = True
+        if self._stream is not None:
+            self._stream.close()
+            self._stream = None
+
+    def _connected(self, handle: Handle, fd: int) -> None:
+        logger.info("%s: connected", self.name)
+        rate = self._bytes_per_s
+        self._stream = ByteStream(handle, fd, self._take, self._forget, rate)
+
+    def _take(self, pieces: list[bytes]) -> None:
+        self.counters.received += len(pieces)
+        self._received([Chunk(self.index, piece, is_datagram=False) for piece in pieces])
+
+    def _forget(self, reason: str) -> None:
+        self._stream = None
+        if reason != "closed by the other end":
+            self.counters.send_errors += 1
+            self.counters.last_error = reason
+        logger.warning("%s: lost (%s)", self.name, reason)
+
+
+class ReopeningLink(StreamLink):
+    """A stream that is opened again, after 0.5 s at first and 5 s at most, whenever it is lost."""
+
+    def __init__(self, name: str, index: int, received: Received) -> None:
+        super().__init__(name, index, received)
+        self._task: asyncio.Task[None] | None = None
+
+    @abstractmethod
+    async def _connect(self) -> tuple[Handle, int]:
+        """A handle and its non-blocking descriptor; raises whatever opening one raises."""
+
+    async def open(self) -> None:
+        """Begin to connect; a peer that is not there yet is not an error."""
+        self._start()
+
+    def _start(self) -> None:
+        self._task = asyncio.get_running_loop().create_task(self._keep_trying())
+
+    async def _keep_trying(self) -> None:
+        pause_s = BACKOFF_MIN_S
+        while not self._is_closed:
+            try:
+                handle, fd = await self._connect()
+            except (OSError, ValueError, termios.error, LinkError) as error:
+                if pause_s == BACKOFF_MIN_S and self.counters.reconnects == 0:
+                    logger.warning("%s: not there yet (%s); trying on", self.name, error)
+                await asyncio.sleep(pause_s)
+                pause_s = min(2.0 * pause_s, BACKOFF_MAX_S)
+            else:
+                self._connected(handle, fd)
+                return
+
+    def _forget(self, reason: str) -> None:
+        super()._forget(reason)
+        if not self._is_closed:
+            self.counters.reconnects += 1
+            loop = asyncio.get_running_loop()
+            loop.call_later(BACKOFF_MIN_S, self._restart)
+
+    def _restart(self) -> None:
+        if not self._is_closed:
+            self._start()
+
+    def close(self) -> None:
+        """Close, and stop trying."""
+        super().close()
+        if self._task is not None:
+            self._task.cancel()
+            self._task = None
+
+
+class TcpClientLink(ReopeningLink):
+    """A TCP connection that we open."""
+
+    def __init__(self, host: str, port: int, index: int, received: Received) -> None:
+        super().__init__(f"tcp {host}:{port}", index, received)
+        self._host, self._port = host, port
+
+    async def _connect(self) -> tuple[socket.socket, int]:
+        address = await resolve(self.name, self._host, self._port)
+        new = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        try:
+            new.setblocking(False)
+            tune(new)
+            async with asyncio.timeout(CONNECT_TIMEOUT_S):
+                await asyncio.get_running_loop().sock_connect(new, address)
+        except BaseException:
+            new.close()
+            raise
+        return new, new.fileno()
+
+
+class SerialLink(ReopeningLink):
+    """A serial port; reopened when its adapter is plugged in again."""
+
+    def __init__(self, device: str, baud: int, index: int, received: Received) -> None:
+        super().__init__(f"serial {device}", index, received)
+        self._device, self._baud = device, baud
+        self._bytes_per_s = baud / BITS_PER_BYTE
+
+    async def open(self) -> None:
+        """Open the port; a loss later is mended, a port that is not there at the start is not.
+
+        Raises:
+            LinkError: There is no such device, it is no serial port, or it is not ours to open.
+        """
+        try:
+            self._connected(*await self._connect())
+        except (OSError, ValueError, termios.error) as error:
+            raise LinkError(f"{self.name}: {self._problem(error)}") from error
+
+    def _problem(self, error: Exception) -> str:
+        path = Path(self._device)
+        if not path.exists():
+            return "no such device; is it plugged in, and the name right?"
+        if not path.is_char_device() or os.strerror(errno.ENOTTY) in str(error):
+            return "is not a serial port"
+        if not os.access(path, os.R_OK | os.W_OK):
+            return "not allowed; join the group that owns it (dialout, for example)"
+        return f"cannot be opened ({error})"
+
+    async def _connect(self) -> tuple[serial.Serial, int]:
+        port = serial.Serial(self._device, self._baud, timeout=0, write_timeout=0, exclusive=True)
+        fd = port.fileno()
+        os.set_blocking(fd, False)
+        # pyserial asks for reads that return nothing when nothing is there; with a minimum of one
+        # byte that is EAGAIN instead, and nothing means that the device is gone.
+        settings = termios.tcgetattr(fd)
+        settings[6][termios.VMIN] = 1
+        termios.tcsetattr(fd, termios.TCSANOW, settings)
+        return port, fd
+
+
+def tune(stream: socket.socket) -> None:
+    """Small frames at once, and a silent death noticed."""
+    stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    stream.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    for option, value in (
+        ("TCP_KEEPIDLE", KEEPALIVE_IDLE_S),
+        ("TCP_KEEPINTVL", KEEPALIVE_INTERVAL_S),
+        ("TCP_KEEPCNT", KEEPALIVE_PROBES),
+    ):
+        if hasattr(socket, option):  # macOS names one of them differently
+            stream.setsockopt(socket.IPPROTO_TCP, getattr(socket, option), value)
+
+
+LOOK_S = 0.05
+
+
+class _Kept:
+    """A descriptor that outlives the streams on it."""
+
+    def close(self) -> None:
+        """Leave it open: the next to open the port comes by the same master."""
+
+
+class PtyLink(StreamLink):
+    """A pseudo terminal under a given path, for one program at a time."""
+
+    def __init__(self, path: str, index: int, received: Received) -> None:
+        super().__init__(f"pty {path}", index, received)
+        self._path = Path(path)
+        self._master: int | None = None
+        self._look: asyncio.TimerHandle | None = None
+
+    async def open(self) -> None:
+        """Make the terminal and its name.
+
+        Raises:
+            LinkError: The name is taken, or its folder is missing or closed to us.
+        """
+        try:
+            master, slave = os.openpty()
+        except OSError as error:
+            raise LinkError(f"{self.name}: no pseudo terminal to be had ({error})") from error
+        try:
+            tty.setraw(slave)
+            if self._path.is_symlink() and not self._path.exists():
+                self._path.unlink()  # left behind by a run that was killed
+            self._path.symlink_to(os.ttyname(slave))
+        except OSError as error:
+            os.close(master)
+            raise LinkError(f"{self.name}: {self._problem(error)}") from error
+        finally:
+            os.close(slave)
+        os.set_blocking(master, False)
+        self._master = master
+        self._wait()
+
+    def close(self) -> None:
+        """Close the terminal and remove its name."""
+        super().close()
+        if self._look is not None:
+            self._look.cancel()
+            self._look = None
+        if self._master is not None:
+            self._path.unlink(missing_ok=True)
+            os.close(self._master)
+            self._master = None
+
+    def _problem(self, error: OSError) -> str:
+        if isinstance(error, FileExistsError):
+            return "there is such a file already; delete it or choose another name"
+        if not self._path.parent.is_dir():
+            return f"there is no folder {self._path.parent}"
+        return f"cannot be made ({error.strerror or error})"
+
+    def _wait(self) -> None:
+        """Look whether somebody has opened the slave side, and again in a moment if not."""
+        self._look = None
+        if self._master is None or self._is_closed:
+            return
+        watch = select.poll()
+        watch.register(self._master, select.POLLIN)
+        is_hung_up = any(events & select.POLLHUP for _, events in watch.poll(0))
+        if is_hung_up:
+            self._look = asyncio.get_running_loop().call_later(LOOK_S, self._wait)
+        else:
+            self._connected(_Kept(), self._master)
+
+    def _forget(self, reason: str) -> None:
+        super()._forget(reason)
+        self._wait()

@@ -1,0 +1,202 @@
+"""Listening TCP ports: one for a single client, one for several.
+
+A client is a peer by its address and port; each is a byte stream of its own, so an endpoint keeps
+their unfinished frames apart by the peer that a chunk names.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from collections.abc import Callable
+
+from companion.errors import LinkError
+from companion.io.links.byte_streams import ByteStream, StreamLink, tune
+from companion.io.links.link import Link, Received, bind_problem, logger
+from companion.io.links.udp import resolve
+from companion.mav.endpoint import Address, Chunk
+
+MAX_CLIENTS = 16
+BACKLOG = 4
+NOWHERE: Address = ("", 0)
+
+
+class _Port:
+    """A listening socket that tells when somebody knocks.
+
+    Args:
+        link: Whose it is; named in problems, and counts those that went away again.
+        host: Where to listen.
+        port: Where to listen.
+    """
+
+    def __init__(self, link: Link, host: str, port: int) -> None:
+        self._link = link
+        self._host, self._port = host, port
+        self._listener: socket.socket | None = None
+
+    @property
+    def address(self) -> Address:
+        """Host and port that the open socket has; `("", 0)` while closed."""
+        if self._listener is None:
+            return NOWHERE
+        host, port = self._listener.getsockname()[:2]
+        return (str(host), int(port))
+
+    async def open(self, knocked: Callable[[], None]) -> None:
+        """Bind and listen; `knocked` is called for every client to `accept`.
+
+        Raises:
+            LinkError: The port is taken or the host is not ours.
+        """
+        address = await resolve(self._link.name, self._host, self._port)
+        listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        try:
+            # For TCP this only skips the wait for old connections; a taken port still fails.
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            listener.bind(address)
+            listener.listen(BACKLOG)
+        except OSError as error:
+            listener.close()
+            raise LinkError(bind_problem("tcp", self._host, self._port, error)) from error
+        listener.setblocking(False)
+        self._listener = listener
+        asyncio.get_running_loop().add_reader(listener, knocked)
+
+    def accept(self) -> tuple[socket.socket, Address] | None:
+        """Who knocked, and from where; None if nobody is there any more."""
+        if self._listener is None:
+            return None
+        try:
+            client, address = self._listener.accept()
+        except OSError:  # it went away again, or we are out of descriptors
+            self._link.counters.receive_errors += 1
+            return None
+        return client, (str(address[0]), int(address[1]))
+
+    def close(self) -> None:
+        """Close it, if it is open."""
+        if self._listener is not None:
+            asyncio.get_running_loop().remove_reader(self._listener)
+            self._listener.close()
+            self._listener = None
+
+
+class TcpServerLink(StreamLink):
+    """A listening TCP port that serves one client at a time; others are turned away."""
+
+    def __init__(self, host: str, port: int, index: int, received: Received) -> None:
+        super().__init__(f"tcpin {host}:{port}", index, received)
+        self._port = _Port(self, host, port)
+
+    @property
+    def local_address(self) -> Address:
+        """Host and port that the open socket has; `("", 0)` while closed."""
+        return self._port.address
+
+    async def open(self) -> None:
+        """Bind and listen.
+
+        Raises:
+            LinkError: The port is taken or the host is not ours.
+        """
+        await self._port.open(self._accept)
+
+    def _accept(self) -> None:
+        accepted = self._port.accept()
+        if accepted is None:
+            return
+        client, peer = accepted
+        if self._stream is not None:
+            logger.info("%s: %s turned away, one client at a time", self.name, peer[0])
+            client.close()
+            return
+        client.setblocking(False)
+        tune(client)
+        self._connected(client, client.fileno())
+
+    def close(self) -> None:
+        """Close the client and the port."""
+        super().close()
+        self._port.close()
+
+
+class TcpFanOutLink(Link):
+    """A listening TCP port for several clients; a chunk without a peer goes to all of them.
+
+    The seventeenth client is turned away: a client that is there must not lose its place.
+    """
+
+    def __init__(self, host: str, port: int, index: int, received: Received) -> None:
+        super().__init__(f"tcpin {host}:{port}", index, received)
+        self._port = _Port(self, host, port)
+        self._clients: dict[Address, ByteStream] = {}
+
+    @property
+    def local_address(self) -> Address:
+        """Host and port that the open socket has; `("", 0)` while closed."""
+        return self._port.address
+
+    @property
+    def clients(self) -> tuple[Address, ...]:
+        """Who is connected, in the order of their coming."""
+        return tuple(self._clients)
+
+    async def open(self) -> None:
+        """Bind and listen.
+
+        Raises:
+            LinkError: The port is taken or the host is not ours.
+        """
+        await self._port.open(self._accept)
+
+    def send(self, chunk: Chunk) -> None:
+        """Send to the chunk's peer, or to all clients if it names none."""
+        if chunk.peer is not None:
+            self._write(self._clients.get(chunk.peer), chunk.data)
+            return
+        for peer, client in list(self._clients.items()):
+            if peer not in chunk.except_peers:
+                self._write(client, chunk.data)
+
+    def close(self) -> None:
+        """Close all clients and the port."""
+        for client in self._clients.values():
+            client.close()
+        self._clients.clear()
+        self._port.close()
+
+    def _write(self, client: ByteStream | None, data: bytes) -> None:
+        if client is not None and client.write(data):
+            self.counters.sent += 1
+        else:
+            self.counters.dropped += 1
+
+    def _accept(self) -> None:
+        accepted = self._port.accept()
+        if accepted is None:
+            return
+        client, peer = accepted
+        if len(self._clients) >= MAX_CLIENTS:
+            logger.info("%s: %s turned away, %d clients at most", self.name, peer[0], MAX_CLIENTS)
+            client.close()
+            return
+        client.setblocking(False)
+        tune(client)
+        logger.info("%s: %s:%d connected", self.name, *peer)
+        self._clients[peer] = ByteStream(
+            client,
+            client.fileno(),
+            lambda pieces: self._take(peer, pieces),
+            lambda reason: self._forget(peer, reason),
+        )
+
+    def _take(self, peer: Address, pieces: list[bytes]) -> None:
+        self.counters.received += len(pieces)
+        self._received([Chunk(self.index, piece, peer, is_datagram=False) for piece in pieces])
+
+    def _forget(self, peer: Address, reason: str) -> None:
+        self._clients.pop(peer, None)
+        self.counters.send_errors += reason != "closed by the other end"
+        logger.info("%s: %s:%d lost (%s)", self.name, *peer, reason)
+        self._received([Chunk(self.index, b"", peer, is_datagram=False)])

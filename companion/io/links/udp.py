@@ -1,0 +1,349 @@
+"""UDP links over plain non-blocking sockets, and a filter of senders in the kernel.
+
+asyncio's datagram transport queues without bound when the system refuses and reads one datagram
+per loop; here a refusal is counted at once and a wake-up reads a bounded batch. Sockets are bound
+without SO_REUSEADDR and SO_REUSEPORT: with them a second listener on a port starts without an
+error and one of the two silently gets nothing.
+
+A socket can outlive the interface or the address that it was opened on, and then refuses for ever
+(network down, address gone). It is closed and opened again, ever more slowly until it works.
+
+The filter lets the kernel drop what unknown peers send before it fills the socket's buffer.
+In a flood the buffer overflows between two looks at it, and the autopilot's frames are lost with
+the rest, however quickly the rest is thrown away here. A classic BPF program on the socket, which
+needs no privilege on Linux, drops by source address and port as packets arrive. Elsewhere there is
+no such thing, and nothing is filtered.
+
+Source: Linux kernel documentation, "Linux Socket Filtering".
+"""
+
+from __future__ import annotations
+
+import asyncio
+import ctypes
+import errno
+import ipaddress
+import socket
+import struct
+import threading
+from collections.abc import Sequence
+from contextlib import suppress
+
+from companion.errors import LinkError
+from companion.io.links.link import MAX_READS, Link, Received, bind_problem
+from companion.mav.endpoint import Address, Chunk
+
+_SO_ATTACH_FILTER, _SO_DETACH_FILTER = 26, 27
+_LOAD_HALF, _LOAD_WORD, _JUMP_EQUAL, _RETURN = 0x28, 0x20, 0x15, 0x06
+_NETWORK_HEADER = 0xFFF00000
+"""Where the IP header is; other offsets count from the UDP header."""
+_SOURCE_ADDRESS, _SOURCE_PORT = 12, 0
+_WHOLE, _NOTHING = 0xFFFFFFFF, 0
+
+
+def attach_source_filter(sock: socket.socket, peer: Address) -> bool:
+    """Drop every datagram that is not from `peer`; whether the system can do that."""
+    address = int.from_bytes(socket.inet_aton(peer[0]), "big")
+    steps = (
+        (_LOAD_HALF, 0, 0, _SOURCE_PORT),
+        (_JUMP_EQUAL, 0, 3, peer[1]),
+        (_LOAD_WORD, 0, 0, _NETWORK_HEADER + _SOURCE_ADDRESS),
+        (_JUMP_EQUAL, 0, 1, address),
+        (_RETURN, 0, 0, _WHOLE),
+        (_RETURN, 0, 0, _NOTHING),
+    )
+    program = ctypes.create_string_buffer(b"".join(struct.pack("HBBI", *step) for step in steps))
+    value = struct.pack("HL", len(steps), ctypes.addressof(program))
+    try:
+        sock.setsockopt(socket.SOL_SOCKET, _SO_ATTACH_FILTER, value)
+    except OSError:
+        return False
+    return True
+
+
+def detach_source_filter(sock: socket.socket) -> None:
+    """Take the filter away."""
+    try:
+        sock.setsockopt(socket.SOL_SOCKET, _SO_DETACH_FILTER, 0)
+    except OSError:
+        return  # there was none
+
+
+MAX_DATAGRAM = 65_535
+RECEIVE_BUFFER = 1 << 20
+"""Bytes that the kernel may keep for us, so that a burst is not lost between two looks."""
+GONE = frozenset(
+    {
+        errno.EADDRNOTAVAIL,
+        errno.EBADF,
+        errno.EINVAL,
+        errno.ENETDOWN,
+        errno.ENETRESET,
+        errno.ENETUNREACH,
+        errno.ENODEV,
+    }
+)
+"""A socket that refuses with one of these may never work again."""
+FIRST_REOPEN_S, LAST_REOPEN_S = 0.25, 4.0
+MAX_PEERS = 16
+"""Senders that a fan-out link remembers; telemetry must not grow with every stranger."""
+
+
+class UdpLink(Link):
+    """A bound socket that answers the peers its chunks name."""
+
+    def __init__(self, host: str, port: int, index: int, received: Received) -> None:
+        super().__init__(f"udp {host}:{port}", index, received)
+        self._host, self._port = host, port
+        self._socket: socket.socket | None = None
+        self._sole_peer: Address | None = None
+        self._address: Address = ("", 0)
+        """What is bound, or connected to."""
+        self._reopening: asyncio.TimerHandle | None = None
+        self._reopen_s = FIRST_REOPEN_S
+
+    @property
+    def local_address(self) -> Address:
+        """Host and port that the open socket has; `("", 0)` while closed."""
+        if self._socket is None:
+            return ("", 0)
+        host, port = self._socket.getsockname()[:2]
+        return (str(host), int(port))
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the socket is there, or is being opened again."""
+        return self._socket is not None or self._reopening is not None
+
+    async def open(self) -> None:
+        """Bind.
+
+        Raises:
+            LinkError: The port is taken or the host is not ours.
+        """
+        self._address = await resolve(self.name, self._host, self._port)
+        try:
+            self._start()
+        except OSError as error:
+            raise LinkError(bind_problem("udp", self._host, self._port, error)) from error
+        self._address = self.local_address  # the same port when it is opened again
+
+    def _start(self) -> None:
+        """Open the socket.
+
+        Raises:
+            OSError: It cannot be attached to its address.
+        """
+        opened = _new_socket()
+        try:
+            self._attach(opened)
+        except OSError:
+            opened.close()
+            raise
+        self._socket = opened
+        asyncio.get_running_loop().add_reader(opened, self._read)
+
+    def _attach(self, opened: socket.socket) -> None:
+        opened.bind(self._address)
+
+    def _refused(self, error: OSError) -> None:
+        """The system refused; a socket whose network is gone is opened again after a while."""
+        if error.errno in GONE and self._reopening is None:
+            self._reopen_later()
+
+    def _reopen_later(self) -> None:
+        self._reopening = asyncio.get_running_loop().call_later(self._reopen_s, self._reopen)
+        self._reopen_s = min(2.0 * self._reopen_s, LAST_REOPEN_S)
+
+    def _reopen(self) -> None:
+        self._reopening = None
+        self._drop()
+        try:
+            self._start()
+        except OSError as error:
+            self.counters.last_error = error.strerror or str(error)
+            self._reopen_later()
+        else:
+            self.counters.reconnects += 1
+
+    def _drop(self) -> None:
+        if self._socket is not None:
+            asyncio.get_running_loop().remove_reader(self._socket)
+            self._socket.close()
+        self._socket = self._sole_peer = None
+
+    def _read(self) -> None:
+        chunks: list[Chunk] = []
+        for _ in range(MAX_READS):
+            if self._socket is None:
+                break
+            try:
+                data, peer = self._socket.recvfrom(MAX_DATAGRAM)
+            except (BlockingIOError, InterruptedError):
+                break
+            except OSError as error:  # ECONNREFUSED: an earlier datagram found nobody there
+                self.counters.receive_errors += 1
+                self._refused(error)
+                continue
+            chunks.append(Chunk(self.index, data, (str(peer[0]), int(peer[1]))))
+            self._heard((str(peer[0]), int(peer[1])))
+        self.counters.received += len(chunks)
+        if chunks:
+            self._received(chunks)
+
+    def _heard(self, peer: Address) -> None:
+        """Take note of a sender."""
+
+    def hear_only(self, peer: Address | None) -> None:
+        """Let the kernel drop what others send; a change only, for it is asked often."""
+        if peer == self._sole_peer or self._socket is None:
+            return
+        self._sole_peer = peer
+        if peer is None:
+            detach_source_filter(self._socket)
+        else:
+            attach_source_filter(self._socket, peer)
+
+    def send(self, chunk: Chunk) -> None:
+        """Send to the chunk's peer; a chunk without one is dropped and counted."""
+        if chunk.peer is None:
+            self.counters.dropped += 1
+            return
+        self._send_to(chunk.data, chunk.peer)
+
+    def _send_to(self, data: bytes, peer: Address | None) -> None:
+        if self._socket is None:
+            self.counters.dropped += 1
+            return
+        try:
+            if peer is None:
+                self._socket.send(data)
+            else:
+                self._socket.sendto(data, peer)
+        except OSError as error:
+            self.counters.send_errors += 1
+            self.counters.last_error = error.strerror or str(error)
+            self._refused(error)
+        else:
+            self.counters.sent += 1
+            self._reopen_s = FIRST_REOPEN_S
+
+    def close(self) -> None:
+        """Close the socket, for good."""
+        if self._reopening is not None:
+            self._reopening.cancel()
+            self._reopening = None
+        if self._socket is not None:
+            self._drop()
+
+
+class UdpFanOutLink(UdpLink):
+    """A bound socket that sends chunks without a peer to fixed remotes and to everyone heard.
+
+    Of the senders heard, the most recent 16 are kept.
+    """
+
+    def __init__(
+        self, host: str, port: int, remotes: Sequence[Address], index: int, received: Received
+    ) -> None:
+        super().__init__(host, port, index, received)
+        self._given_remotes = tuple(remotes)
+        self._remotes: tuple[Address, ...] = ()
+        self._peers: dict[Address, None] = {}
+
+    async def open(self) -> None:
+        """Bind, and look up the remotes.
+
+        Raises:
+            LinkError: The port is taken or a host is unknown.
+        """
+        self._remotes = tuple([await resolve(self.name, *remote) for remote in self._given_remotes])
+        await super().open()
+
+    def _heard(self, peer: Address) -> None:
+        if peer in self._remotes:
+            return
+        self._peers.pop(peer, None)
+        self._peers[peer] = None
+        if len(self._peers) > MAX_PEERS:
+            del self._peers[next(iter(self._peers))]
+
+    def send(self, chunk: Chunk) -> None:
+        """Send to the chunk's peer, or to all remotes and senders if it names none."""
+        if chunk.peer is not None:
+            self._send_to(chunk.data, chunk.peer)
+            return
+        for peer in (*self._remotes, *self._peers):
+            if peer not in chunk.except_peers:
+                self._send_to(chunk.data, peer)
+
+
+class UdpConnectLink(UdpLink):
+    """A connected socket on a free port that sends first; the system drops what others send."""
+
+    def __init__(self, host: str, port: int, index: int, received: Received) -> None:
+        super().__init__(host, port, index, received)
+        self.name = f"udpout {host}:{port}"
+
+    async def open(self) -> None:
+        """Fix the remote.
+
+        Raises:
+            LinkError: The host is unknown or unreachable by any interface.
+        """
+        self._address = await resolve(self.name, self._host, self._port)
+        try:
+            self._start()
+        except OSError as error:
+            raise LinkError(f"{self.name}: no way there ({error.strerror}); check host") from error
+
+    def _attach(self, opened: socket.socket) -> None:
+        opened.connect(self._address)
+
+    def send(self, chunk: Chunk) -> None:
+        """Send to the remote, whatever peer the chunk names: there is only one."""
+        self._send_to(chunk.data, None)
+
+
+def _new_socket() -> socket.socket:
+    new = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    new.setblocking(False)
+    new.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)  # as far as allowed
+    return new
+
+
+async def resolve(name: str, host: str, port: int) -> Address:
+    """The IPv4 address of a host.
+
+    Names are looked up in a daemon thread and not in the loop's executor: the loop waits for its
+    executor when it ends, and a slow name server must not hold up an exit.
+
+    Raises:
+        LinkError: It is unknown; the message begins with `name`.
+    """
+    try:
+        return (str(ipaddress.IPv4Address(host)), port)
+    except ValueError:
+        pass
+    loop = asyncio.get_running_loop()
+    answer: asyncio.Future[str | None] = loop.create_future()
+
+    def settle(address: str | None) -> None:
+        """Give the answer, unless nobody waits any more."""
+        if not answer.done():
+            answer.set_result(address)
+
+    def look_up() -> None:
+        """Ask the resolver, which may take long."""
+        try:
+            address = socket.gethostbyname(host)
+        except (OSError, UnicodeError):
+            address = None
+        with suppress(RuntimeError):  # the loop ended meanwhile
+            loop.call_soon_threadsafe(settle, address)
+
+    threading.Thread(target=look_up, name="resolve", daemon=True).start()
+    found = await answer
+    if found is None:
+        raise LinkError(f"{name}: the host `{host}` is unknown; check its spelling")
+    return (found, port)

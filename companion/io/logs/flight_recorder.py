@@ -1,0 +1,227 @@
+"""The flight's black box: frames, events, inputs, `result.json` and what the operator reads."""
+
+from __future__ import annotations
+
+import json
+import logging
+import shutil
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from companion.guidance.commands import ReportResult, Severity
+from companion.handoff import HandoffFiles
+from companion.io.background_files import CLOSE_TIMEOUT_S, BackgroundReplacer
+from companion.io.files import EVENTS, INPUTS, RESULT, TLOG, plain
+from companion.io.logs.log_files import EventLog, InputLog, TlogWriter
+from companion.io.logs.mcap_file import McapLog
+from companion.link.recorders import InputRecorder, Journal
+
+log = logging.getLogger("companion.flight")
+
+LEVELS = {
+    Severity.ERROR: logging.ERROR,
+    Severity.WARNING: logging.WARNING,
+    Severity.NOTICE: logging.INFO,
+    Severity.INFO: logging.INFO,
+}
+EVENTS_SHARE = 0.1
+INPUTS_SHARE = 0.45
+"""Of a flight's cap; the tlog takes the rest, which is as much."""
+
+
+@dataclass(frozen=True, slots=True)
+class JournalHealth:
+    """How the black box is doing."""
+
+    queued: int
+    """Records that wait for the disk."""
+    dropped: int
+    """Records and files lost so far."""
+    bytes_kept: int
+    """Of the flight, on disk."""
+    silent_s: float
+    """How long the disk has not answered."""
+    is_alive: bool
+    """Whether every writer still runs."""
+
+
+class BlackBox(Journal, Protocol):
+    """A journal that a process owns."""
+
+    @property
+    def inputs(self) -> InputRecorder | None:
+        """What the endpoint is told goes here."""
+
+    @property
+    def health(self) -> JournalHealth:
+        """How it is doing, without waiting for any writer."""
+
+    def discard(self) -> None:
+        """Close it and leave nothing, because the flight never began."""
+
+    def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> None:
+        """Write what is queued, for so long at most in all, and close."""
+
+
+class MissingJournal:
+    """Stands in where no log can be written: everything is counted as lost, texts are shown."""
+
+    def __init__(self) -> None:
+        self._dropped = 0
+
+    @property
+    def inputs(self) -> InputRecorder | None:
+        """Nothing can be run again from nothing."""
+        return None
+
+    def frame(self, data: bytes, now_s: float) -> None:
+        """Lose a raw frame."""
+        del data, now_s
+        self._dropped += 1
+
+    def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
+        """Lose an event."""
+        del kind, fields, now_s
+        self._dropped += 1
+
+    def text(self, severity: Severity, text: str, now_s: float) -> None:
+        """Show a text."""
+        _show(severity, text, now_s)
+
+    def result(self, report: ReportResult, now_s: float) -> None:
+        """Show the result, which has no other place to be."""
+        _show(Severity.NOTICE, f"result: {plain(report)}", now_s)
+
+    @property
+    def health(self) -> JournalHealth:
+        """It loses everything, reliably."""
+        return JournalHealth(0, self._dropped, 0, 0.0, is_alive=True)
+
+    def discard(self) -> None:
+        """There is nothing to leave."""
+
+    def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> None:
+        """There is nothing to write."""
+        del timeout_s
+
+
+class FlightJournal:
+    """Writes everything the endpoint reports into one flight directory, and never waits for it.
+
+    Args:
+        directory: Exists already.
+        started_unix_s: Wall clock at `now_s` = 0; wall time is used for logs and nothing else.
+        max_bytes: What the flight may keep on disk, the newest of it; None: everything.
+        mcap: Gets everything as well; it is closed with the journal.
+
+    Raises:
+        CompanionError: A file cannot be opened.
+    """
+
+    def __init__(
+        self,
+        directory: Path,
+        started_unix_s: float,
+        max_bytes: int | None = None,
+        mcap: McapLog | None = None,
+    ) -> None:
+        self.directory = directory
+        self._started_unix_s = started_unix_s
+        events_bytes = None if max_bytes is None else int(EVENTS_SHARE * max_bytes)
+        inputs_bytes = None if max_bytes is None else int(INPUTS_SHARE * max_bytes)
+        kept = (events_bytes or 0) + (inputs_bytes or 0)
+        tlog_bytes = None if max_bytes is None else max_bytes - kept
+        self._tlog = TlogWriter(directory / TLOG, tlog_bytes)
+        self._events = EventLog(directory / EVENTS, events_bytes)
+        self._mcap = mcap
+        also = None if mcap is None else mcap.input
+        self.inputs = InputLog(directory / INPUTS, inputs_bytes, also)
+        """What the endpoint is told goes here; see `CompanionEndpoint`."""
+        self._results = BackgroundReplacer("write result.json")
+        self._handoff = HandoffFiles()
+
+    def frame(self, data: bytes, now_s: float) -> None:
+        """Keep a raw frame."""
+        self._tlog.write(data, self._started_unix_s + now_s)
+        if self._mcap is not None:
+            self._mcap.frame(data, now_s)
+
+    def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
+        """Keep an event."""
+        self._events.write({"t_s": round(now_s, 4), "kind": kind, **fields})
+        if self._mcap is not None:
+            self._mcap.record(kind, fields, now_s)
+
+    def text(self, severity: Severity, text: str, now_s: float) -> None:
+        """Keep a text and show it."""
+        self.record("text", {"severity": severity.name.lower(), "text": text}, now_s)
+        if self._mcap is not None:
+            self._mcap.text(severity, text, now_s)
+        _show(severity, text, now_s)
+
+    def result(self, report: ReportResult, now_s: float) -> None:
+        """Write `result.json`; a disk that refuses it does not stop the flight."""
+        estimate = report.estimate
+        value = {
+            "emitter_id": report.emitter_id,
+            "state": estimate.state.value,
+            "latitude_deg": report.latitude_deg,
+            "longitude_deg": report.longitude_deg,
+            "r95_m": estimate.r95_m,
+            "east_m": estimate.position_enu_m[0],
+            "north_m": estimate.position_enu_m[1],
+            "covariance_m2": estimate.covariance_m2,
+            "range_offset_m": estimate.range_offset_m,
+            "bearing_offset_rad": estimate.bearing_offset_rad,
+            "measurements": estimate.measurements,
+            "time_s": now_s,
+            "unix_s": self._started_unix_s + now_s,
+        }
+        self.record("result", value, now_s)
+        text = json.dumps(plain(value), allow_nan=False, indent=2) + "\n"
+        self._results.replace(self.directory / RESULT, text.encode())
+        for name, content in self._handoff.files(report, self._started_unix_s + now_s).items():
+            self._results.replace(self.directory / name, content.encode())
+
+    @property
+    def health(self) -> JournalHealth:
+        """How it is doing, without waiting for any writer."""
+        logs = [log_file.health for log_file in self._logs]
+        return JournalHealth(
+            queued=sum(one.queued for one in logs),
+            dropped=sum(one.dropped for one in logs) + self._results.failed,
+            bytes_kept=sum(one.bytes_kept for one in logs),
+            silent_s=max(self._results.silent_s, *(one.silent_s for one in logs)),
+            is_alive=self._results.is_alive and all(one.is_alive for one in logs),
+        )
+
+    @property
+    def _logs(self) -> tuple[TlogWriter, EventLog, InputLog]:
+        return (self._tlog, self._events, self.inputs)
+
+    def discard(self) -> None:
+        """Close and remove the directory, because the flight never began."""
+        self.close()
+        shutil.rmtree(self.directory, ignore_errors=True)
+
+    def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> None:
+        """Write what is queued, for so long at most in all, and close; losses are told."""
+        deadline_s = time.monotonic() + timeout_s
+        for log_file in self._logs:
+            log_file.finish()
+        for writer in (self._results, *self._logs):
+            writer.close(max(0.0, deadline_s - time.monotonic()))
+        if self._mcap is not None:
+            self._mcap.close(max(0.0, deadline_s - time.monotonic()))
+        dropped = self.health.dropped
+        if dropped:
+            log.warning(
+                "%s: %d log entries were lost to a slow or full disk", self.directory, dropped
+            )
+
+
+def _show(severity: Severity, text: str, now_s: float) -> None:
+    log.log(LEVELS[severity], "%7.1f s  %s", now_s, text)

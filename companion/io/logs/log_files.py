@@ -1,0 +1,285 @@
+"""The log files of a flight, written in the background and read back: tlog, inputs, events.
+
+`flight.tlog` is what MAVLink tools read: 8-byte big-endian microseconds since 1970, raw frame.
+
+`flight.inputs`: what the endpoint was told, exactly and in order, to replay a flight from.
+
+A record is a header of fixed size (`_HEADER`), the sender's address as text, and the data. Times
+are the endpoint's own float64 seconds, because a replay is only the same to the last bit if they
+are. Signatures are left out, and frames that carry a key altogether.
+
+`events.jsonl` has the flight's events as JSON lines, one record each.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from pathlib import Path
+
+from companion.errors import ConfigError
+from companion.guidance.events import OperatorCommand, SessionMemory
+from companion.io.background_files import BackgroundLog
+from companion.io.files import plain
+from companion.io.state.checkpoints import CheckpointError, decode_memory, encode_memory
+from companion.mav.codec import CRC_EXTRA_BY_ID
+from companion.mav.endpoint import Address
+from companion.mav.framing import HEADER_LENGTH, frame_end, message_id, without_signature
+from companion.mav.signing import is_secret
+
+_STAMP = struct.Struct(">Q")
+
+
+class TlogWriter(BackgroundLog):
+    """Writes frames from a background thread; see `BackgroundLog`."""
+
+    def write(self, frame: bytes, unix_s: float) -> None:
+        """Record one whole frame; its signature, if any, is left out, a SETUP_SIGNING altogether.
+
+        Args:
+            frame: A frame as it was on the wire.
+            unix_s: When it was sent or received, seconds since 1970.
+        """
+        record = tlog_record(frame, unix_s)
+        if record is not None:
+            self._file.append(record)
+
+
+def tlog_record(frame: bytes, unix_s: float) -> bytes | None:
+    """A frame as a tlog has it; None: it holds a secret, and no tlog may have it.
+
+    Args:
+        frame: A whole frame as it was on the wire; its signature, if any, is left out.
+        unix_s: When it was sent or received, seconds since 1970.
+    """
+    if is_secret(frame):
+        return None
+    unsigned = without_signature(frame, CRC_EXTRA_BY_ID.get(message_id(frame)))
+    return _STAMP.pack(max(0, round(unix_s * 1e6))) + unsigned
+
+
+@dataclass(frozen=True, slots=True)
+class TlogRecord:
+    """One frame of a tlog."""
+
+    unix_us: int
+    frame: bytes
+
+
+def read_tlog(path: Path) -> Iterator[TlogRecord]:
+    """The frames of a tlog, in order; a torn last record (a power cut) ends them.
+
+    Raises:
+        ConfigError: The file cannot be read, or is no tlog.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
+    offset = 0
+    while offset + _STAMP.size + 2 <= len(data):
+        (unix_us,) = _STAMP.unpack_from(data, offset)
+        start = offset + _STAMP.size
+        if data[start] not in HEADER_LENGTH:
+            raise ConfigError(f"{path}: no MAVLink frame at byte {start}; is this a tlog?")
+        end = frame_end(data, start)
+        if end > len(data):
+            return
+        yield TlogRecord(unix_us, data[start:end])
+        offset = end
+
+
+FAMILY = b"companion inputs "
+FORMAT = FAMILY + b"2"
+MAGIC_WITHIN = 64
+"""The first bytes of a file, which name its format in every version."""
+_HEADER = struct.Struct("<IdBBBI")
+"""Number of the record, time_s, kind, link, length of the sender's address, length of the data."""
+
+
+_AGE = struct.Struct("<d")
+
+
+class InputKind(IntEnum):
+    """What the endpoint was told."""
+
+    BEGIN = 0
+    """The first record; its data name the format."""
+    FRAME = 1
+    TICK = 2
+    STOP = 3
+    WISH = 4
+    """Its data name what the operator asked for."""
+    EARLIER_RUN = 5
+    """An earlier process did not end in order."""
+    RECALL = 6
+    """Its data are the age, float64 seconds, and what that process knew, in MessagePack."""
+
+
+AlsoKeeps = Callable[[bytes, float], None]
+"""Takes a record and its time."""
+_KINDS = frozenset(int(kind) for kind in InputKind)
+
+
+@dataclass(frozen=True, slots=True)
+class Input:
+    """One thing that the endpoint was told."""
+
+    kind: InputKind
+    time_s: float
+    link: int = 0
+    peer: Address | None = None
+    data: bytes = b""
+
+
+class InputLog(BackgroundLog):
+    """Writes inputs from a background thread; see `BackgroundLog`.
+
+    Args:
+        path: The file; its directory exists.
+        max_bytes: Its cap; None: none.
+        also: Takes every record and its time, too (the MCAP file).
+    """
+
+    def __init__(
+        self, path: Path, max_bytes: int | None = None, also: AlsoKeeps | None = None
+    ) -> None:
+        super().__init__(path, max_bytes)
+        self._number = 0
+        self._also = also
+        self._append(Input(InputKind.BEGIN, 0.0, data=FORMAT))
+
+    def frame(self, data: bytes, link: int, peer: Address | None, now_s: float) -> None:
+        """Keep a frame; its signature, if any, is left out, a SETUP_SIGNING altogether."""
+        if is_secret(data):
+            return
+        unsigned = without_signature(data, CRC_EXTRA_BY_ID.get(message_id(data)))
+        self._append(Input(InputKind.FRAME, now_s, link, peer, unsigned))
+
+    def tick(self, now_s: float) -> None:
+        """Keep a tick."""
+        self._append(Input(InputKind.TICK, now_s))
+
+    def stop(self, now_s: float) -> None:
+        """Keep a stop."""
+        self._append(Input(InputKind.STOP, now_s))
+
+    def wish(self, wish: OperatorCommand, now_s: float) -> None:
+        """Keep what the operator asked for."""
+        self._append(Input(InputKind.WISH, now_s, data=wish.value.encode()))
+
+    def earlier_run(self, now_s: float) -> None:
+        """Keep that there was an earlier process."""
+        self._append(Input(InputKind.EARLIER_RUN, now_s))
+
+    def recall(self, memory: SessionMemory, age_s: float, now_s: float) -> None:
+        """Keep what it knew."""
+        data = _AGE.pack(age_s) + encode_memory(memory)
+        self._append(Input(InputKind.RECALL, now_s, data=data))
+
+    def _append(self, value: Input) -> None:
+        peer = b"" if value.peer is None else f"{value.peer[0]} {value.peer[1]}".encode()[:255]
+        header = _HEADER.pack(
+            self._number, value.time_s, value.kind, value.link, len(peer), len(value.data)
+        )
+        self._number = (self._number + 1) & 0xFFFFFFFF
+        record = header + peer + value.data
+        self._file.append(record)
+        if self._also is not None:
+            self._also(record, value.time_s)
+
+
+def read_inputs(path: Path) -> Iterator[Input]:
+    """The inputs of a flight, in order; a torn last record (a power cut) ends them.
+
+    Raises:
+        ConfigError: The file cannot be read, is none of ours, or lacks records; one line says so.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
+    return parse_inputs(data, str(path))
+
+
+def parse_inputs(data: bytes, name: str) -> Iterator[Input]:
+    """The inputs in some bytes; see `read_inputs`.
+
+    Args:
+        data: Records, one behind the other.
+        name: Of the file, for complaints.
+
+    Raises:
+        ConfigError: They are none of ours, or some are missing.
+    """
+    if FORMAT not in data[:MAGIC_WITHIN] and FAMILY in data[:MAGIC_WITHIN]:
+        raise ConfigError(f"{name}: of another version; replay it with the companion that flew")
+    offset, number = 0, 0
+    while offset + _HEADER.size <= len(data):
+        found, time_s, kind, link, peer_size, size = _HEADER.unpack_from(data, offset)
+        end = offset + _HEADER.size + peer_size + size
+        if end > len(data):
+            break
+        body = data[offset + _HEADER.size : end]
+        if number == 0 and (kind != InputKind.BEGIN or body != FORMAT):
+            raise ConfigError(
+                f"{name}: does not begin with a flight's start (an old part was given up to "
+                "the log's cap, or this is no flight.inputs)"
+            )
+        if found != number or kind not in _KINDS:
+            raise ConfigError(f"{name}: record {number} is missing: the disk was too slow or full")
+        if kind != InputKind.BEGIN:
+            yield Input(InputKind(kind), time_s, link, _peer(body[:peer_size]), body[peer_size:])
+        offset, number = end, (number + 1) & 0xFFFFFFFF
+    if number == 0:
+        raise ConfigError(f"{name}: has no inputs")
+
+
+def decode_recall(value: Input) -> tuple[SessionMemory, float]:
+    """What a RECALL says: what was known, and how old that was in seconds.
+
+    Raises:
+        ConfigError: It cannot be read.
+    """
+    try:
+        return decode_memory(value.data[_AGE.size :]), float(_AGE.unpack_from(value.data)[0])
+    except (CheckpointError, struct.error) as error:
+        raise ConfigError(f"the memory that was taken up at {value.time_s} s: {error}") from error
+
+
+def _peer(text: bytes) -> Address | None:
+    host, _, port = text.decode("ascii", errors="replace").rpartition(" ")
+    return (host, int(port)) if port.isdecimal() else None
+
+
+class EventLog(BackgroundLog):
+    """Writes records from a background thread; see `BackgroundLog`."""
+
+    def write(self, record: Mapping[str, object]) -> None:
+        """Record one event; NaN and infinity become null, control characters are escaped."""
+        line = json.dumps(plain(record), allow_nan=False, separators=(",", ":"))
+        self._file.append(line.encode("ascii") + b"\n")
+
+
+def event_lines(path: Path) -> list[dict[str, object]]:
+    """The event log; a torn last line (a power cut) is left out.
+
+    Raises:
+        ConfigError: It cannot be read, or a line in its midst is no JSON.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read ({error})") from error
+    values: list[dict[str, object]] = []
+    for number, line in enumerate(lines, start=1):
+        try:
+            values.append(json.loads(line))
+        except json.JSONDecodeError as error:
+            if number == len(lines):
+                break
+            raise ConfigError(f"{path}: line {number}: {error}") from error
+    return values

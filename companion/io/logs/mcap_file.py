@@ -1,0 +1,386 @@
+"""MCAP, the log that Foxglove opens: estimate, poses, residuals, texts, frames and inputs.
+
+Theory of operation. The flight puts values into a bounded queue; one thread turns them into
+messages and writes them. A full queue costs messages, which are counted, and never a pause. The
+file is written in small chunks, so that after a power cut `mcap recover` loses seconds only.
+
+Channels are JSON with Foxglove's own schemas where it has one, so that its map, 3-D and log panels
+work as they are. Source: Foxglove, "Message schemas"; MCAP format specification.
+
+A replay reads the frames, inputs and events back.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+import queue
+import struct
+import threading
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from companion.errors import CompanionError, ConfigError
+from companion.geometry.coordinates import LocalOrigin
+from companion.geometry.polygons import ellipse_95
+from companion.guidance.commands import ReportResult, Severity
+from companion.io.background_files import CLOSE_TIMEOUT_S
+from companion.io.files import plain
+from companion.mav.codec import CRC_EXTRA_BY_ID
+from companion.mav.framing import message_id, without_signature
+from companion.mav.signing import is_secret
+
+FRAME_CHANNEL, INPUT_CHANNEL = "/mavlink", "/companion/inputs"
+
+_NUMBER = {"type": "number"}
+_TEXT = {"type": "string"}
+_TIME = {
+    "type": "object",
+    "title": "time",
+    "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}},
+}
+
+
+def _object(**properties: object) -> dict[str, object]:
+    return {"type": "object", "properties": properties}
+
+
+_POSE = _object(
+    timestamp=_TIME,
+    frame_id=_TEXT,
+    pose=_object(
+        position=_object(x=_NUMBER, y=_NUMBER, z=_NUMBER),
+        orientation=_object(x=_NUMBER, y=_NUMBER, z=_NUMBER, w=_NUMBER),
+    ),
+)
+_FIX = _object(
+    timestamp=_TIME,
+    frame_id=_TEXT,
+    latitude=_NUMBER,
+    longitude=_NUMBER,
+    altitude=_NUMBER,
+    position_covariance={"type": "array", "items": _NUMBER},
+    position_covariance_type={"type": "integer"},
+)
+_LOG = _object(
+    timestamp=_TIME,
+    level={"type": "integer"},
+    message=_TEXT,
+    name=_TEXT,
+    file=_TEXT,
+    line={"type": "integer"},
+)
+_RESIDUAL = _object(
+    nis=_NUMBER,
+    range_innovation=_NUMBER,
+    range_weight=_NUMBER,
+    bearing_innovation=_NUMBER,
+    bearing_weight=_NUMBER,
+)
+_EVENT = _object(t_s=_NUMBER, kind=_TEXT)
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """A topic and how its messages are read."""
+
+    topic: str
+    schema_name: str = ""
+    schema: Mapping[str, object] | None = None
+    """None: the messages are bytes without a schema."""
+    message_encoding: str = "json"
+    schema_encoding: str = "jsonschema"
+
+
+CHANNELS = (
+    Channel("/estimate/fix", "foxglove.LocationFix", _FIX),
+    Channel("/estimate/ellipse", "foxglove.GeoJSON", _object(geojson=_TEXT)),
+    Channel("/estimate/pose", "foxglove.PoseInFrame", _POSE),
+    Channel("/vehicle/pose", "foxglove.PoseInFrame", _POSE),
+    Channel("/residual", "companion.Residual", _RESIDUAL),
+    Channel("/log", "foxglove.Log", _LOG),
+    Channel("/events", "companion.Event", _EVENT),
+    Channel(FRAME_CHANNEL, message_encoding="mavlink"),
+    Channel(INPUT_CHANNEL, message_encoding="companion-inputs"),
+)
+
+
+log = logging.getLogger("companion.io")
+
+MAX_QUEUED = 10_000
+CHUNK_BYTES = 65_536
+MESSAGE_OVERHEAD = 47
+"""Bytes of a message's header and of its index entry."""
+LEVELS = {Severity.ERROR: 4, Severity.WARNING: 3, Severity.NOTICE: 2, Severity.INFO: 2}
+"""foxglove.Log: 2 is INFO, 3 WARNING, 4 ERROR."""
+FRAME_ID = "local_enu"
+"""Name of the local frame: east, north, up about the autopilot's origin."""
+
+Json = dict[str, object]
+Message = tuple[str, bytes, int]
+"""Channel, data, nanoseconds since 1970."""
+
+
+class McapLog:
+    """Writes one flight's MCAP file; a journal for the endpoint.
+
+    Args:
+        path: The file; its directory exists.
+        started_unix_s: Wall clock at `now_s` = 0.
+        flight_json: How the flight is flown; kept as metadata, for a replay.
+        max_bytes: The file ends when it has so many, and the rest is lost; None: no cap.
+
+    Raises:
+        CompanionError: It cannot be opened, or the extra `mcap` is not installed.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        started_unix_s: float,
+        flight_json: str,
+        max_bytes: int | None = None,
+    ) -> None:
+        self.path = path
+        self.dropped = 0
+        self._started_ns = 1000 * round(started_unix_s * 1e6)
+        self._origin: LocalOrigin | None = None
+        self._queue: queue.Queue[Message | None] = queue.Queue(MAX_QUEUED)
+        self._room = math.inf if max_bytes is None else max_bytes
+        self._failed: Exception | None = None
+        write, finish = _open(path, flight_json)
+        self._write, self._finish = write, finish
+        self._thread = threading.Thread(target=self._run, name=f"write {path.name}", daemon=True)
+        self._thread.start()
+
+    # The endpoint's journal
+
+    def frame(self, data: bytes, now_s: float) -> None:
+        """Keep a raw frame, without its signature; one that carries a key not at all."""
+        if is_secret(data):
+            return
+        unsigned = without_signature(data, CRC_EXTRA_BY_ID.get(message_id(data)))
+        self._put(FRAME_CHANNEL, unsigned, now_s)
+
+    def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
+        """Keep an event; an estimate becomes poses, a place on the map and residuals, too."""
+        self._put_json("/events", {"t_s": round(now_s, 4), "kind": kind, **fields}, now_s)
+        if kind == "origin":
+            self._origin = _origin(fields)
+        elif kind == "estimate":
+            self._put_estimate(fields, now_s)
+
+    def text(self, severity: Severity, text: str, now_s: float) -> None:
+        """Keep a text."""
+        value = {
+            "timestamp": self._stamp(now_s),
+            "level": LEVELS[severity],
+            "message": text,
+            "name": "companion",
+            "file": "",
+            "line": 0,
+        }
+        self._put_json("/log", value, now_s)
+
+    def result(self, report: ReportResult, now_s: float) -> None:
+        """The result is an event, too; the flight log records it."""
+
+    def input(self, record: bytes, now_s: float) -> None:
+        """Keep an input, in the form of `companion.io.inputs`."""
+        self._put(INPUT_CHANNEL, record, now_s)
+
+    def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> None:
+        """Write what is queued, for so long at most, and finish the file."""
+        with suppress(queue.Full):
+            self._queue.put(None, timeout=timeout_s)
+        self._thread.join(timeout_s)
+        if self.dropped or self._failed is not None or self._thread.is_alive():
+            log.warning("%s: %d messages lost, %s", self.path, self.dropped, self._failed or "slow")
+
+    # Messages
+
+    def _put_estimate(self, fields: Mapping[str, object], now_s: float) -> None:
+        names = ("nis", "range_innovation", "range_weight", "bearing_innovation", "bearing_weight")
+        residual = {name: fields[name] for name in names if name in fields}
+        if residual:
+            self._put_json("/residual", residual, now_s)
+        stamp = self._stamp(now_s)
+        sensor = fields.get("sensor_enu_m")
+        if isinstance(sensor, tuple):
+            self._put_json("/vehicle/pose", _pose(stamp, sensor), now_s)
+        place, covariance = fields.get("position_enu_m"), fields.get("covariance_m2")
+        if not (isinstance(place, tuple) and isinstance(covariance, tuple)):
+            return
+        self._put_json("/estimate/pose", _pose(stamp, (*place, 0.0)), now_s)
+        if self._origin is not None:
+            self._put_json("/estimate/fix", _fix(stamp, place, covariance, self._origin), now_s)
+            outline = _outline(place, covariance, self._origin)
+            self._put_json("/estimate/ellipse", {"geojson": json.dumps(outline)}, now_s)
+
+    def _stamp(self, now_s: float) -> Json:
+        nanoseconds = self._stamp_ns(now_s)
+        return {"sec": nanoseconds // 10**9, "nsec": nanoseconds % 10**9}
+
+    def _stamp_ns(self, now_s: float) -> int:
+        return max(0, self._started_ns + round(now_s * 1e9))
+
+    def _put_json(self, channel: str, value: Mapping[str, object], now_s: float) -> None:
+        self._put(channel, json.dumps(plain(value), allow_nan=False).encode(), now_s)
+
+    def _put(self, channel: str, data: bytes, now_s: float) -> None:
+        stamp_ns = self._stamp_ns(now_s)
+        self._room -= len(data) + MESSAGE_OVERHEAD
+        if self._room < 0:  # compressed it is less: the cap is kept with room to spare
+            self.dropped += 1
+            return
+        try:
+            self._queue.put_nowait((channel, data, stamp_ns))
+        except queue.Full:
+            self.dropped += 1
+
+    def _run(self) -> None:
+        try:
+            while (message := self._queue.get()) is not None:
+                self._write(message)
+            self._finish()
+        except Exception as error:
+            self._failed = error
+            log.warning("%s: cannot be written (%s), the rest is lost", self.path, error)
+
+
+def _open(path: Path, flight_json: str) -> tuple[Callable[[Message], None], Callable[[], None]]:
+    """The writer's two functions: one message, and the end."""
+    try:
+        from mcap.writer import Writer
+    except ImportError as error:
+        raise CompanionError(
+            "log.mcap needs the extra: pip install 'companion-guidance[mcap]'"
+        ) from error
+    try:
+        file = path.open("wb")
+    except OSError as error:
+        raise CompanionError(f"{path}: cannot be opened ({error.strerror})") from error
+    writer = Writer(file, chunk_size=CHUNK_BYTES)
+    writer.start(profile="", library="companion")
+    writer.add_metadata("flight", {"flight.json": flight_json})
+    numbers = {}
+    for channel in CHANNELS:
+        schema = json.dumps(channel.schema).encode()
+        number = (
+            writer.register_schema(channel.schema_name, channel.schema_encoding, schema)
+            if (channel.schema)
+            else 0
+        )
+        numbers[channel.topic] = writer.register_channel(
+            channel.topic, channel.message_encoding, number
+        )
+
+    def write(message: Message) -> None:
+        """Add a message to the topic it belongs to."""
+        topic, data, stamp_ns = message
+        writer.add_message(numbers[topic], stamp_ns, data, stamp_ns)
+
+    def finish() -> None:
+        """Write the index and close."""
+        writer.finish()  # type: ignore[no-untyped-call]
+        file.close()
+
+    return write, finish
+
+
+def _origin(fields: Mapping[str, object]) -> LocalOrigin | None:
+    values = [fields.get(name) for name in ("latitude_deg", "longitude_deg", "altitude_m")]
+    numbers = [value for value in values if isinstance(value, float)]
+    return LocalOrigin(*numbers) if len(numbers) == len(values) else None
+
+
+def _pose(stamp: Json, place: tuple[float, ...]) -> Json:
+    """foxglove.PoseInFrame; the heading is not known here."""
+    return {
+        "timestamp": stamp,
+        "frame_id": FRAME_ID,
+        "pose": {
+            "position": {"x": place[0], "y": place[1], "z": place[2]},
+            "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
+        },
+    }
+
+
+def _fix(
+    stamp: Json,
+    place: tuple[float, ...],
+    covariance: tuple[tuple[float, ...], ...],
+    origin: LocalOrigin,
+) -> Json:
+    """foxglove.LocationFix: its covariance is east, north, up, row by row; type 3 is known."""
+    latitude_deg, longitude_deg, altitude_m = origin.geodetic_from_enu((place[0], place[1], 0.0))
+    (east, cross), (_, north) = covariance
+    return {
+        "timestamp": stamp,
+        "frame_id": FRAME_ID,
+        "latitude": latitude_deg,
+        "longitude": longitude_deg,
+        "altitude": altitude_m,
+        "position_covariance": [east, cross, 0.0, cross, north, 0.0, 0.0, 0.0, 0.0],
+        "position_covariance_type": 3,
+    }
+
+
+def _outline(
+    place: tuple[float, ...], covariance: tuple[tuple[float, ...], ...], origin: LocalOrigin
+) -> Json:
+    """The 95 % ellipse as GeoJSON."""
+    (east, cross), (_, north) = covariance
+    corners = ellipse_95((place[0], place[1]), ((east, cross), (cross, north))).corners_enu_m(24)
+    ring = [origin.geodetic_from_enu((*corner, 0.0)) for corner in (*corners, corners[0])]
+    coordinates = [[longitude, latitude] for latitude, longitude, _ in ring]
+    geometry = {"type": "Polygon", "coordinates": [coordinates]}
+    return {"type": "Feature", "geometry": geometry, "properties": {"name": "95 %"}}
+
+
+@dataclass(slots=True)
+class McapFlight:
+    """A flight in one file."""
+
+    path: Path
+    flight_json: bytes
+    inputs: bytes = b""
+    frames: list[bytes] = field(default_factory=list)
+    events: list[dict[str, object]] = field(default_factory=list)
+
+
+def read_mcap_flight(path: Path) -> McapFlight:
+    """The flight in an MCAP file.
+
+    Raises:
+        ConfigError: It cannot be read, or is none of ours.
+    """
+    try:
+        from mcap.exceptions import McapError
+        from mcap.reader import make_reader
+    except ImportError as error:
+        raise ConfigError(f"{path}: needs pip install 'companion-guidance[mcap]'") from error
+    inputs: list[bytes] = []
+    try:
+        with path.open("rb") as file:
+            reader = make_reader(file)
+            kept = [m for m in reader.iter_metadata() if m.name == "flight"]
+            if not kept:
+                raise ConfigError(f"{path}: is no flight of the companion's")
+            flight = McapFlight(path, kept[0].metadata["flight.json"].encode())
+            for _, channel, message in reader.iter_messages(log_time_order=False):
+                if channel.topic == FRAME_CHANNEL:
+                    flight.frames.append(message.data)
+                elif channel.topic == INPUT_CHANNEL:
+                    inputs.append(message.data)
+                elif channel.topic == "/events":
+                    flight.events.append(json.loads(message.data))
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
+    except (McapError, struct.error, EOFError, KeyError, ValueError) as error:
+        raise ConfigError(f"{path}: not a whole MCAP file ({error}); try `mcap recover`") from error
+    flight.inputs = b"".join(inputs)
+    return flight

@@ -1,0 +1,251 @@
+"""Checkpoints: a mission's memory as bytes that show damage, in two files by turns.
+
+    magic (4)  version (2)  zero (2)  length of the payload (4)  payload  CRC-32 of all before (4)
+
+Little-endian; the payload is MessagePack. A file that was cut off, holds a bit that flipped (CRC-32
+finds every error of up to 32 neighbouring bits), or comes from another version is refused as a
+whole: half a memory is worse than none.
+
+On disk there are two files by turns, so that one whole one is there at any moment. A checkpoint
+replaces the older of the two (`files.write_bytes_atomic`, in a thread of its own), so that neither
+a power cut nor a kill can cost both. A reader takes the newest that is whole.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import struct
+import time
+import zlib
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+from companion.domain import Autopilot
+from companion.guidance.events import SessionMemory
+from companion.io.background_files import BackgroundReplacer
+
+MAGIC = b"CkPt"
+VERSION = 1
+MAX_BYTES = 256 * 1024
+_HEADER = struct.Struct("<4sHHI")
+_CRC = struct.Struct("<I")
+
+
+class CheckpointError(Exception):
+    """Bytes that are no checkpoint of ours; the message says why, in words."""
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """A time that can be compared across restarts of the process, and of the computer."""
+
+    unix_s: float
+    """Wall clock, which may jump."""
+    boot_id: str
+    """Of the running kernel; empty where the system does not tell."""
+    boot_s: float
+    """Seconds since it started, suspended ones included; never jumps, ends with the kernel."""
+
+
+@dataclass(frozen=True, slots=True)
+class MissionKey:
+    """What a memory belongs to: for any other it means nothing."""
+
+    system_id: int
+    autopilot: Autopilot
+    fence: str
+    """Digest of the limits."""
+    mission: str
+    """Digest of everything else that gives the memory its meaning."""
+
+
+@dataclass(frozen=True, slots=True)
+class Checkpoint:
+    """A mission's memory, whose it is, and when it was."""
+
+    sequence: int
+    """Larger in each that follows, across restarts, too."""
+    saved: Moment
+    key: MissionKey
+    memory: SessionMemory
+
+
+def encode_checkpoint(checkpoint: Checkpoint) -> bytes:
+    """The bytes of a checkpoint."""
+    payload = msgspec.msgpack.encode(checkpoint, enc_hook=_plain)
+    head = _HEADER.pack(MAGIC, VERSION, 0, len(payload)) + payload
+    return head + _CRC.pack(zlib.crc32(head))
+
+
+def decode_checkpoint(data: bytes) -> Checkpoint:
+    """The checkpoint in some bytes.
+
+    Raises:
+        CheckpointError: There is none; nothing of it may be used.
+    """
+    if len(data) < _HEADER.size + _CRC.size or len(data) > MAX_BYTES:
+        raise CheckpointError(f"{len(data)} bytes")
+    magic, version, _, length = _HEADER.unpack_from(data)
+    if magic != MAGIC or length != len(data) - _HEADER.size - _CRC.size:
+        raise CheckpointError("cut off or overwritten")
+    if _CRC.unpack_from(data, len(data) - _CRC.size)[0] != zlib.crc32(data[: -_CRC.size]):
+        raise CheckpointError("damaged")
+    if version != VERSION:
+        raise CheckpointError(f"of version {version}; this is version {VERSION}")
+    try:
+        checkpoint = msgspec.msgpack.decode(
+            data[_HEADER.size : -_CRC.size], type=Checkpoint, strict=True
+        )
+    except (msgspec.MsgspecError, RecursionError, ValueError, OverflowError) as error:
+        raise CheckpointError(f"of another version ({' '.join(str(error).split())})") from None
+    problem = _problem(checkpoint)
+    if problem is not None:
+        raise CheckpointError(f"impossible: {problem}")
+    return checkpoint
+
+
+def encode_memory(memory: SessionMemory) -> bytes:
+    """A memory alone, for the log of inputs."""
+    return msgspec.msgpack.encode(memory, enc_hook=_plain)
+
+
+def decode_memory(data: bytes) -> SessionMemory:
+    """The memory that `encode_memory` made bytes of, the same to the last bit.
+
+    Raises:
+        CheckpointError: It is none.
+    """
+    try:
+        return msgspec.msgpack.decode(data, type=SessionMemory, strict=True)
+    except (msgspec.MsgspecError, RecursionError, ValueError, OverflowError) as error:
+        raise CheckpointError(f"of another version ({' '.join(str(error).split())})") from None
+
+
+def age_s(then: Moment, now: Moment) -> float | None:
+    """Seconds between two moments; None where no clock tells.
+
+    Under one kernel its own clock is exact. Otherwise the wall clock is believed, unless it went
+    back: computers without a clock of their own start in the past.
+    """
+    if then.boot_id and then.boot_id == now.boot_id:
+        return now.boot_s - then.boot_s if now.boot_s >= then.boot_s else None
+    passed_s = now.unix_s - then.unix_s
+    return passed_s if passed_s >= 0.0 else None
+
+
+def _plain(value: object) -> object:
+    """A numpy scalar, which arithmetic leaves here and there, as Python's own."""
+    if isinstance(value, float | int):
+        return float(value) if isinstance(value, float) else int(value)
+    raise TypeError(f"a checkpoint holds no {type(value).__name__}")
+
+
+def _problem(checkpoint: Checkpoint) -> str | None:
+    saved, key = checkpoint.saved, checkpoint.key
+    if not (math.isfinite(saved.unix_s) and math.isfinite(saved.boot_s)):
+        return "a time that is no number"
+    if checkpoint.sequence < 0 or not 1 <= key.system_id <= 255:
+        return "an impossible sequence or system id"
+    return checkpoint.memory.problem
+
+
+_BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
+MODE = 0o600
+"""It says where the vehicle was."""
+
+
+def present_moment() -> Moment:
+    """Now, for comparison across restarts."""
+    boot_id = ""
+    with suppress(OSError):
+        boot_id = _BOOT_ID.read_text(encoding="ascii").strip()
+    clock = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
+    return Moment(time.time(), boot_id, time.clock_gettime(clock))
+
+
+@dataclass(frozen=True, slots=True)
+class StoredCheckpoints:
+    """What an earlier process left behind."""
+
+    has_files: bool
+    """Whether there was anything, readable or not: then an earlier run did not end in order."""
+    checkpoint: Checkpoint | None
+    """The newest whole one."""
+    problems: tuple[str, ...] = ()
+    """Of files that could not be used, a line each."""
+
+
+class CheckpointStore:
+    """The two files of one vehicle's link.
+
+    Args:
+        directory: The state directory; made when something is saved.
+        name: Of the files, without suffix; see `lock.lock_name`.
+    """
+
+    def __init__(self, directory: Path, name: str) -> None:
+        self.paths = tuple(directory / f"{name}.checkpoint-{number}" for number in (0, 1))
+        self._writer: BackgroundReplacer | None = None
+
+    def load(self) -> StoredCheckpoints:
+        """What is there; never raises."""
+        found: list[Checkpoint] = []
+        problems: list[str] = []
+        has_files = False
+        for path in self.paths:
+            try:
+                with path.open("rb") as file:
+                    has_files = True
+                    found.append(decode_checkpoint(file.read(MAX_BYTES + 1)))
+            except FileNotFoundError:
+                continue
+            except OSError as error:
+                has_files = True
+                problems.append(f"{path}: cannot be read ({error.strerror})")
+            except CheckpointError as error:
+                problems.append(f"{path}: {error}")
+        newest = max(found, key=lambda checkpoint: checkpoint.sequence, default=None)
+        return StoredCheckpoints(has_files, newest, tuple(problems))
+
+    @property
+    def writer(self) -> BackgroundReplacer | None:
+        """Who writes, once something was saved."""
+        return self._writer
+
+    def save(self, checkpoint: Checkpoint) -> None:
+        """Write a checkpoint in place of the older one, soon; never waits and never raises."""
+        if self._writer is None:
+            self._begin()
+        if self._writer is not None:
+            path = self.paths[checkpoint.sequence % 2]
+            self._writer.replace(path, encode_checkpoint(checkpoint))
+
+    def discard(self) -> None:
+        """Delete both, because the mission ended in order; `close` comes first."""
+        for path in self.paths:
+            with suppress(OSError):
+                path.unlink(missing_ok=True)
+
+    def close(self, timeout_s: float) -> None:
+        """Write what waits, for so long at most."""
+        if self._writer is not None:
+            self._writer.close(timeout_s)
+
+    def _begin(self) -> None:
+        directory = self.paths[0].parent
+        with suppress(OSError):  # the writer tells what is wrong, once
+            directory.mkdir(parents=True, exist_ok=True)
+        self._sweep(directory)
+        self._writer = BackgroundReplacer("write checkpoint", MODE)
+
+    def _sweep(self, directory: Path) -> None:
+        """Delete what a killed writer left half-done."""
+        for path in self.paths:
+            with suppress(OSError):
+                for leftover in directory.glob(f".{path.name}.*.tmp"):
+                    if leftover.name != f".{path.name}.{os.getpid()}.tmp":
+                        leftover.unlink(missing_ok=True)

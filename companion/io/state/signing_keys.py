@@ -1,0 +1,247 @@
+"""The signing key on disk, and what signing must remember from run to run.
+
+Signing remembers its timestamp, and the last one of every stream.
+
+Theory of operation. Without that memory a frame recorded before a restart would be let in after
+it. It is kept beside the key, in two slots that are written by turns, each replaced as a whole and
+with a checksum, so that a power cut costs one of them at most. What an orderly end stored is exact.
+After a crash the last seconds are missing: then every stream must first be newer than what was
+stored by `CRASH_MARGIN_S`, which is more than can have been heard since.
+
+The memory belongs to its key: with another one it begins anew, and so a new key is also the way
+out when a clock was once far ahead.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import stat
+import zlib
+from pathlib import Path
+
+import msgspec
+
+from companion.errors import ConfigError
+from companion.io.background_files import BackgroundReplacer
+from companion.io.files import write_bytes_atomic, write_text_atomic
+from companion.mav.signing import (
+    AS_THE_GUIDE,
+    KEY_LENGTH,
+    TICKS_PER_S,
+    Signing,
+    SigningKey,
+    SigningRules,
+)
+
+HOW_TO_MAKE_ONE = (
+    "(umask 077; python3 -c 'import secrets; print(secrets.token_hex(32))' > signing.key)"
+)
+MAX_KEY_FILE_BYTES = 4096
+
+
+def load_signing_key(path: Path) -> SigningKey:
+    """The key in a file of 64 hexadecimal digits that only its owner may read.
+
+    Raises:
+        ConfigError: The file is missing, open to others (mode beyond 0600), or holds no key; the
+            message never quotes the content.
+    """
+    try:
+        with path.open("rb") as file:
+            mode = stat.S_IMODE(os.fstat(file.fileno()).st_mode)
+            content = file.read(MAX_KEY_FILE_BYTES)
+    except OSError as error:
+        raise ConfigError(
+            f"{path}: the signing key cannot be read ({error.strerror}); make one with "
+            f"{HOW_TO_MAKE_ONE}"
+        ) from None
+    if mode & 0o177:
+        raise ConfigError(
+            f"{path}: the signing key is open to others (mode {mode:04o}); chmod 600 {path}"
+        )
+    text = content.decode("ascii", errors="replace").strip()
+    try:
+        secret = bytes.fromhex(text)
+    except ValueError:
+        secret = b""
+    if len(secret) != KEY_LENGTH:
+        raise ConfigError(
+            f"{path}: a signing key is {2 * KEY_LENGTH} hexadecimal digits; make one with "
+            f"{HOW_TO_MAKE_ONE}"
+        )
+    try:
+        return SigningKey(secret)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from None
+
+
+def store_signing_key(path: Path, key: SigningKey) -> None:
+    """Store a key as a whole, for its owner's eyes only.
+
+    Raises:
+        CompanionError: It cannot be written.
+    """
+    write_text_atomic(path, f"{key.secret.hex()}\n", mode=0o600)
+
+
+VERSION = 1
+SLOTS = 2
+STORE_PERIOD_S = 1.0
+CRASH_MARGIN_S = 2.0
+"""Storing takes a while, too."""
+MAX_FILE_BYTES = 64 * 1024
+MODE = 0o600
+
+
+class _Slot(msgspec.Struct, frozen=True):
+    """What a slot holds, as JSON in front of its checksum."""
+
+    version: int
+    key: str
+    """Which key, by a name that does not tell it."""
+    generation: int
+    """Rises with every storing."""
+    is_end: bool
+    """Nothing was heard or signed after it."""
+    timestamp: int
+    streams: list[tuple[tuple[int, ...], int]]
+    clock: int | None = None
+    """Our own, which no peer moved."""
+
+
+class SigningStore:
+    """The two slots of one key, `NAME.time-0` and `NAME.time-1` beside its file.
+
+    Args:
+        key_file: Where the key is.
+        key: Whose memory it is.
+
+    Raises:
+        ConfigError: The slots are there and none of them can be read.
+    """
+
+    def __init__(self, key_file: Path, key: SigningKey) -> None:
+        self.paths = tuple(key_file.with_name(f"{key_file.name}.time-{n}") for n in range(SLOTS))
+        self._key_name = hashlib.sha256(b"name of the key" + key.secret).hexdigest()[:16]
+        self._last = self._load()
+
+    def signing(self, key: SigningKey, rules: SigningRules) -> Signing:
+        """Signing that remembers what was stored."""
+        last = self._last
+        if last is None:
+            return Signing(key, rules=rules)
+        margin = 0 if last.is_end else round(CRASH_MARGIN_S * TICKS_PER_S)
+        streams = {name: timestamp + margin for name, timestamp in last.streams}
+        return Signing(key, last.timestamp + margin, streams, rules, stored_clock=last.clock)
+
+    def next_content(self, signing: Signing, *, is_end: bool) -> tuple[Path, bytes]:
+        """Which slot to replace now, and by what.
+
+        Args:
+            signing: Whose state is stored.
+            is_end: Nothing will be heard or signed after it.
+        """
+        generation = 1 if self._last is None else self._last.generation + 1
+        self._last = _Slot(
+            VERSION,
+            self._key_name,
+            generation,
+            is_end,
+            signing.timestamp,
+            list(signing.streams.items()),
+            signing.clock,
+        )
+        body = msgspec.json.encode(self._last)
+        return self.paths[generation % SLOTS], body + f" {zlib.crc32(body):08x}\n".encode()
+
+    def _load(self) -> _Slot | None:
+        """The newest memory of this key, if there is any."""
+        contents = [content for path in self.paths if (content := _read(path)) is not None]
+        slots = [slot for content in contents if (slot := _decode_slot(content)) is not None]
+        if contents and not slots:
+            raise ConfigError(
+                f"{self.paths[0]} and {self.paths[1].name}: what signing remembers cannot be read; "
+                "recorded frames might come back: make a new key, or delete both"
+            )
+        own = [slot for slot in slots if slot.key == self._key_name]
+        return max(own, key=lambda slot: slot.generation, default=None)
+
+
+class SigningKeeper:
+    """Stores the state of signing: at once, then each second in the background, and at the end.
+
+    Args:
+        signing: Whose state.
+        store: Where to.
+
+    Raises:
+        CompanionError: It cannot be written.
+    """
+
+    def __init__(self, signing: Signing, store: SigningStore) -> None:
+        self.signing = signing
+        self._store = store
+        self._store_now(is_end=False)
+        self._replacer = BackgroundReplacer("write signing time", MODE)
+        self._next_s = STORE_PERIOD_S
+
+    def keep(self, now_s: float) -> None:
+        """Store what is due; never waits."""
+        if now_s >= self._next_s:
+            self._next_s = now_s + STORE_PERIOD_S
+            self._replacer.replace(*self._store.next_content(self.signing, is_end=False))
+
+    def close(self) -> None:
+        """Store the last state.
+
+        Raises:
+            CompanionError: It cannot be written; the margin after a crash covers that.
+        """
+        self._replacer.close()
+        self._store_now(is_end=True)
+
+    def _store_now(self, *, is_end: bool) -> None:
+        path, content = self._store.next_content(self.signing, is_end=is_end)
+        write_bytes_atomic(path, content, mode=MODE)
+
+
+def open_signing_keeper(
+    key_file: Path, key: SigningKey, rules: SigningRules = AS_THE_GUIDE
+) -> SigningKeeper:
+    """Signing that goes on from the last run, and is stored again.
+
+    Args:
+        key_file: Beside which the memory is kept.
+        key: What it holds.
+        rules: How strict the receiver is.
+
+    Raises:
+        ConfigError: The memory cannot be read.
+        CompanionError: It cannot be written.
+    """
+    store = SigningStore(key_file, key)
+    return SigningKeeper(store.signing(key, rules), store)
+
+
+def _read(path: Path) -> bytes | None:
+    """What is in a slot; None if there is no file."""
+    try:
+        with path.open("rb") as file:
+            return file.read(MAX_FILE_BYTES)
+    except FileNotFoundError:
+        return None
+    except OSError:
+        return b""
+
+
+def _decode_slot(content: bytes) -> _Slot | None:
+    """The slot in a file's content, or None if it is not whole."""
+    body, _, checksum = content.rpartition(b" ")
+    if checksum != f"{zlib.crc32(body):08x}\n".encode():
+        return None
+    try:
+        slot = msgspec.json.decode(body, type=_Slot)
+    except msgspec.DecodeError:
+        return None
+    return slot if slot.version == VERSION else None

@@ -1,0 +1,152 @@
+"""The state directory, and one companion per vehicle by locks in it.
+
+A lock ends with the process that holds it. `flock` on a file of the state directory; the kernel
+releases it however the process ends, so a stale lock cannot exist, and the file itself may stay. A
+companion bound to one system id shares the link's lock with those bound to others (several vehicles
+behind one router) and holds its id's lock alone; one that takes the first vehicle it hears holds
+the link's lock alone.
+
+The lock is named after what the address means, so that another spelling of a host or a device is
+the same link. It is not kept at a place that all users share: there anybody could take it, or leave
+a file that keeps everyone from flying. Companions of two users, state directories or computers are
+known by their frames alone, see `link.own_frames`.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import logging
+import os
+import re
+import socket
+import threading
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+
+from companion.errors import LinkError
+from companion.io.links.specs import LinkSpec, Pty, SerialPort
+
+
+def state_directory(configured: str | None, environment: Mapping[str, str]) -> Path:
+    """The state directory; it need not exist yet.
+
+    Args:
+        configured: What the configuration says; None: systemd's StateDirectory, or the XDG base
+            directory specification's place (`~/.local/state/companion`).
+        environment: Of the process.
+    """
+    if configured is not None:
+        return Path(configured).expanduser()
+    of_service = environment.get("STATE_DIRECTORY", "").partition(":")[0]
+    if of_service.startswith("/"):
+        return Path(of_service)
+    base = environment.get("XDG_STATE_HOME", "")
+    if base.startswith("/"):
+        return Path(base) / "companion"
+    home = environment.get("HOME", "")
+    return (Path(home) if home.startswith("/") else Path("/tmp")) / ".local/state/companion"
+
+
+LOOK_UP_S = 2.0
+"""How long a name server may take."""
+logger = logging.getLogger("companion.io")
+
+
+class VehicleLock:
+    """Held from construction to `release`, or to the end of the process.
+
+    Args:
+        directory: Where locks are kept; made if it is missing.
+        link: The vehicle link's address in its canonical spelling.
+        system_id: The vehicle's; None: whichever is heard first.
+        place: What the link's address means, see `place_of`; None: its spelling says it.
+
+    Raises:
+        LinkError: Another companion has the vehicle.
+    """
+
+    def __init__(
+        self, directory: Path, link: str, system_id: int | None, place: str | None = None
+    ) -> None:
+        self._descriptors: list[int] = []
+        name = lock_name(place or link)
+        try:
+            directory.mkdir(parents=True, exist_ok=True)
+            is_shared = system_id is not None
+            self._take(directory / f"{name}.lock", link, is_shared=is_shared)
+            if system_id is not None:
+                self._take(directory / f"{name}.system-{system_id}.lock", link, is_shared=False)
+        except LinkError:
+            self.release()
+            raise
+        except OSError as error:  # a disk that went read-only is no reason not to fly
+            logger.warning(
+                "%s: no lock can be kept (%s); make sure that no other companion flies this "
+                "vehicle",
+                directory,
+                error.strerror,
+            )
+
+    def release(self) -> None:
+        """Let another companion have the vehicle; a second call does nothing."""
+        for descriptor in self._descriptors:
+            os.close(descriptor)
+        self._descriptors.clear()
+
+    def _take(self, path: Path, link: str, *, is_shared: bool) -> None:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        self._descriptors.append(descriptor)
+        kind = fcntl.LOCK_SH if is_shared else fcntl.LOCK_EX
+        try:
+            fcntl.flock(descriptor, kind | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise LinkError(
+                f"{link}: another companion ({_holder(descriptor)}) has this vehicle; stop it, or "
+                "choose another link or vehicle.system_id"
+            ) from None
+        with suppress(OSError):  # only for the message of whoever comes next
+            os.ftruncate(descriptor, 0)
+            os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
+
+
+def place_of(link: LinkSpec) -> str:
+    """What a link's address means, the same for every spelling: its host's number, its device.
+
+    A name that nobody can look up soon stands for itself.
+    """
+    kind = type(link).__name__
+    match link:
+        case SerialPort():
+            return f"{kind} {os.path.realpath(link.device)}"
+        case Pty():
+            folder, name = os.path.split(link.path)  # the name itself is a link that we make
+            return f"{kind} {os.path.join(os.path.realpath(folder), name)}"
+    return f"{kind} {_number_of(link.host)}:{link.port}"
+
+
+def _number_of(host: str) -> str:
+    """A host's address; its name server may be slow, and the thread is not waited for then."""
+    found = [host]
+
+    def look_up() -> None:
+        """Ask the resolver, which may take long."""
+        with suppress(OSError, UnicodeError):
+            found.append(socket.gethostbyname(host))
+
+    thread = threading.Thread(target=look_up, name="place of a link", daemon=True)
+    thread.start()
+    thread.join(LOOK_UP_S)
+    return found[-1]
+
+
+def lock_name(link: str) -> str:
+    """A file name for a link: readable, and different for different links."""
+    readable = re.sub(r"[^A-Za-z0-9.]+", "-", link).strip("-")[:60]
+    return f"{readable}-{hashlib.sha256(link.encode()).hexdigest()[:8]}"
+
+
+def _holder(descriptor: int) -> str:
+    text = os.pread(descriptor, 32, 0).decode("ascii", errors="replace").strip()
+    return f"process {text}" if text.isdigit() else "of another process"

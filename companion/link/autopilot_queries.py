@@ -1,0 +1,407 @@
+"""What the companion asks the autopilot by itself, outside of any mission.
+
+Each dialogue hears the autopilot's messages and says when a question is due: for its fence, for the
+streams that are needed, for a parameter, for the time. At most one of the first three leaves per
+control tick, so that a slow line is not flooded; that for the fence first, because nothing engages
+before it is answered.
+
+Which of the autopilot's streams flow: by arrival here, and by progress there.
+
+Theory of operation. The link is alive while any valid frame of the autopilot comes; that is for
+`AutopilotBinding` to say, because one HEARTBEAT a second is no detector where frames get lost. Here
+each kind of message is watched on its own. One with a time stamp counts as new only if its stamp
+moved: a sensor that stands still with a link that works is no stream. What has not come for a
+while is stale; what comes, but far less often than asked for, is slow.
+
+Asking the autopilot for every stream we need, and again when one stops.
+
+ArduPilot sends nothing but heartbeats unasked, and PX4's rates differ by link, so the companion
+asks for all of it. Source: MAVLink common, MAV_CMD_SET_MESSAGE_INTERVAL and REQUEST_MESSAGE.
+
+A warning for PX4 as it comes: what it does when setpoints stop and there is no RC.
+
+With COM_OBL_RC_ACT = 0, the default, PX4 falls back to Position mode; without an RC that sinks
+at 0.6 to 0.9 m/s and drifts (PX4 1.15, observed in SITL). Source: PX4 parameter reference,
+COM_OBL_RC_ACT; MAVLink guide, "Parameter Protocol", for integers sent bytewise in a float.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import dataclass
+
+from companion.domain import Autopilot
+from companion.guidance.commands import Announce, Severity
+from companion.guidance.events import AutopilotFenceRead
+from companion.guidance.flight.fencing import Fencing
+from companion.link.binding import AutopilotBinding
+from companion.link.clock_sync import ClockSync
+from companion.link.fence_download import FenceDownload
+from companion.link.intake import RateLimit
+from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, mavlink
+
+SMOOTHING = 0.2
+"""How much one more gap changes the mean."""
+
+PATIENCE_S: dict[int, tuple[str, float]] = {
+    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: ("position", 0.5),
+    mavlink.MAVLINK_MSG_ID_ATTITUDE: ("attitude", 1.0),
+    mavlink.MAVLINK_MSG_ID_HEARTBEAT: ("heartbeat", 3.5),
+    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: ("landed state", 3.5),
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS: ("status", 5.0),
+    mavlink.MAVLINK_MSG_ID_HOME_POSITION: ("home", 15.0),
+}
+"""What is flown on, what to call it, and when it is stale, seconds."""
+
+
+@dataclass(slots=True)
+class Stream:
+    """One kind of message."""
+
+    heard_s: float | None = None
+    gap_s: float | None = None
+    """Mean time from one to the next."""
+    stamp: int | None = None
+
+    def take(self, stamp: int | None, now_s: float) -> bool:
+        """Note one; whether it is new."""
+        if stamp is not None and stamp == self.stamp:
+            return False
+        if self.heard_s is not None:
+            gap_s = now_s - self.heard_s
+            before_s = gap_s if self.gap_s is None else self.gap_s
+            self.gap_s = before_s + SMOOTHING * (gap_s - before_s)
+        self.heard_s, self.stamp = now_s, stamp
+        return True
+
+
+class StreamFreshness:
+    """All kinds of messages that the autopilot sends."""
+
+    def __init__(self) -> None:
+        self._streams: dict[int, Stream] = {}
+
+    def heard(self, message: Message, now_s: float) -> bool:
+        """Take in a message of the autopilot; whether its stream made progress."""
+        number = message.get_msgId()
+        stream = self._streams.get(number)
+        if stream is None:
+            stream = self._streams[number] = Stream()
+        return stream.take(_stamp_of(message), now_s)
+
+    def stream(self, message_id: int) -> Stream:
+        """What is known of a kind of message."""
+        return self._streams.get(message_id, Stream())
+
+    def age_s(self, message_id: int, now_s: float) -> float | None:
+        """How long ago a kind of message made progress; None if it never did."""
+        stream = self._streams.get(message_id)
+        return None if stream is None or stream.heard_s is None else now_s - stream.heard_s
+
+    def stale(self, now_s: float) -> tuple[str, ...]:
+        """What is flown on and did not come for too long, by name; what never came is not told."""
+        names = []
+        for message_id, (name, patience_s) in PATIENCE_S.items():
+            age_s = self.age_s(message_id, now_s)
+            if age_s is not None and age_s > patience_s:
+                names.append(name)
+        return tuple(names)
+
+    def restart(self) -> None:
+        """Begin anew, because the autopilot did."""
+        self._streams.clear()
+
+
+def _stamp_of(message: Message) -> int | None:
+    """The time in a message, in whatever unit; None without one."""
+    stamp = getattr(message, "time_boot_ms", None) or getattr(message, "time_usec", None)
+    return int(stamp) if stamp else None  # 0 stands for unknown
+
+
+ECHO_S = 0.07
+"""No multiple of a rate that anybody sends setpoints at: in step with our own, which follows soon
+after, an echo would never show those of another sender."""
+STREAM_INTERVAL_S: dict[int, float] = {
+    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 0.05,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE: 0.1,
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 0.5,
+    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 0.5,
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
+    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: ECHO_S,
+    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 0.2,
+    mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 0.2,
+    MAVLink_ekf_status_report_message.id: 0.2,
+    mavlink.MAVLINK_MSG_ID_RC_CHANNELS: 0.2,
+    mavlink.MAVLINK_MSG_ID_HOME_POSITION: 2.0,
+    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 1.0,
+}
+"""What is flown on; GLOBAL_POSITION_INT is for the flight log, because ground stations replay a
+track only from it."""
+ONLY_FROM = {
+    mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: Autopilot.PX4,
+    MAVLink_ekf_status_report_message.id: Autopilot.ARDUPILOT,
+}
+"""Who else is asked refuses, for ever."""
+ONE_SHOT = (mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, mavlink.MAVLINK_MSG_ID_HOME_POSITION)
+"""Asked for by REQUEST_MESSAGE until they arrive: what is only sent when it changes."""
+
+FIRST_RETRY_S = 1.0
+LAST_RETRY_S = 16.0
+LOOK_PERIOD_S = 0.2
+"""While nothing is missing it is looked for less often than at every tick."""
+MISSED_PERIODS = 3.0
+"""A stream that is silent for so many of its periods has stopped, and one that takes so many for
+each message is slow."""
+HEARTBEAT_LATE_S = 3.0
+"""Its period is a second in every autopilot, and most do not change it: a late one is asked for by
+itself."""
+HEARTBEAT_AGAIN_S = 0.25
+"""So often: where every other frame is lost, one in four questions is answered, and ten seconds
+after the last heartbeat nobody knows who flies."""
+HEARTBEAT_GIVEN_UP_S, HEARTBEAT_SELDOM_S = 12.0, 5.0
+"""Who did not answer for so long does not know the question, and is asked seldom."""
+
+
+@dataclass(slots=True)
+class _Want:
+    message_id: int
+    interval_s: float | None
+    """None: one message, not a stream."""
+    retry_s: float = FIRST_RETRY_S
+    asked_s: float | None = None
+
+    def is_met(self, stream: Stream, now_s: float) -> bool:
+        """Whether it comes, as often as it should."""
+        if stream.heard_s is None:
+            return False
+        if self.interval_s is None:
+            return True
+        if now_s - stream.heard_s > max(MISSED_PERIODS * self.interval_s, FIRST_RETRY_S):
+            return False
+        return stream.gap_s is None or stream.gap_s <= MISSED_PERIODS * self.interval_s
+
+    def is_due(self, stream: Stream, now_s: float) -> bool:
+        """Whether to ask: never asked, or not met in spite of it."""
+        if self.asked_s is None:
+            return True
+        if self.is_met(stream, now_s):
+            self.retry_s = FIRST_RETRY_S
+            return False
+        return now_s - self.asked_s >= self.retry_s
+
+
+class StreamRequester:
+    """Keeps the streams flowing; at most one request per tick, with back-off per stream.
+
+    Args:
+        freshness: Of the autopilot's streams.
+    """
+
+    def __init__(self, freshness: StreamFreshness) -> None:
+        self._freshness = freshness
+        self._wants = [
+            _Want(number, interval_s) for number, interval_s in STREAM_INTERVAL_S.items()
+        ]
+        self._wants += [_Want(number, None) for number in ONE_SHOT]
+        self._heartbeat_asked_s = -math.inf
+        self._next_look_s = -math.inf
+
+    def restart(self) -> None:
+        """Ask for everything again, because the autopilot forgot."""
+        for want in self._wants:
+            want.asked_s = None
+            want.retry_s = FIRST_RETRY_S
+        self._next_look_s = -math.inf
+
+    def due(
+        self,
+        now_s: float,
+        system_id: int,
+        component_id: int,
+        autopilot: Autopilot = Autopilot.OTHER,
+        *,
+        is_mode_wanted: bool = False,
+    ) -> Message | None:
+        """The next request to send, if any; one for a HEARTBEAT first, if the mode is in doubt."""
+        if now_s < self._next_look_s and not is_mode_wanted:
+            return None
+        if self._is_heartbeat_due(now_s, is_wanted=is_mode_wanted):
+            self._heartbeat_asked_s = now_s
+            return request_message(mavlink.MAVLINK_MSG_ID_HEARTBEAT, system_id, component_id)
+        for want in self._wants:
+            if ONLY_FROM.get(want.message_id, autopilot) is not autopilot:
+                continue
+            if want.is_due(self._freshness.stream(want.message_id), now_s):
+                if want.asked_s is not None:
+                    want.retry_s = min(2.0 * want.retry_s, LAST_RETRY_S)
+                want.asked_s = now_s
+                return _request(want, system_id, component_id)
+        self._next_look_s = now_s + LOOK_PERIOD_S
+        return None
+
+    def _is_heartbeat_due(self, now_s: float, *, is_wanted: bool) -> bool:
+        age_s = self._freshness.age_s(mavlink.MAVLINK_MSG_ID_HEARTBEAT, now_s)
+        if age_s is None or (age_s < HEARTBEAT_LATE_S and not is_wanted):
+            return False
+        is_given_up = age_s > HEARTBEAT_GIVEN_UP_S and not is_wanted
+        again_s = HEARTBEAT_SELDOM_S if is_given_up else HEARTBEAT_AGAIN_S
+        return now_s - self._heartbeat_asked_s >= again_s
+
+
+def request_message(message_id: int, system_id: int, component_id: int) -> Message:
+    """REQUEST_MESSAGE: one message, now."""
+    number = mavlink.MAV_CMD_REQUEST_MESSAGE
+    return _command(number, message_id, 0.0, system_id, component_id)
+
+
+def _request(want: _Want, system_id: int, component_id: int) -> Message:
+    if want.interval_s is None:
+        return request_message(want.message_id, system_id, component_id)
+    number = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
+    return _command(number, want.message_id, 1e6 * want.interval_s, system_id, component_id)
+
+
+def _command(number: int, message_id: int, p2: float, system_id: int, component_id: int) -> Message:
+    params = (float(message_id), p2, 0.0, 0.0, 0.0, 0.0, 0.0)
+    return mavlink.MAVLink_command_long_message(system_id, component_id, number, 0, *params)
+
+
+PARAMETER = b"COM_OBL_RC_ACT"
+ASK_PERIOD_S = 3.0
+ASKS = 3
+RC_BIT = mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
+WARNING = (
+    "COM_OBL_RC_ACT is 0 and there is no RC: if setpoints stop, PX4 sinks and drifts. "
+    "Set it to 5 (hold) or 3 (return)"
+)
+
+
+class Px4FailsafeCheck:
+    """Asks for the parameter a few times and judges the answer once."""
+
+    def __init__(self) -> None:
+        self._asks = 0
+        self._next_s = 0.0
+        self._action: int | None = None
+        self._has_rc: bool | None = None
+        self._is_done = False
+
+    def due(
+        self, now_s: float, autopilot: Autopilot, system_id: int, component_id: int
+    ) -> Message | None:
+        """The request to send now, if any; silence is no error and is not asked about for ever."""
+        is_needed = autopilot is Autopilot.PX4 and self._action is None and self._asks < ASKS
+        if not is_needed or now_s < self._next_s:
+            return None
+        self._asks += 1
+        self._next_s = now_s + ASK_PERIOD_S
+        return mavlink.MAVLink_param_request_read_message(system_id, component_id, PARAMETER, -1)
+
+    def heard(self, message: Message) -> str | None:
+        """Take in a message of the autopilot; the warning, once, if it is deserved."""
+        if isinstance(message, mavlink.MAVLink_param_value_message):
+            self._take_parameter(message)
+        elif isinstance(message, mavlink.MAVLink_sys_status_message):
+            present = message.onboard_control_sensors_present & RC_BIT
+            health = message.onboard_control_sensors_health & RC_BIT
+            self._has_rc = bool(present and health)
+        if self._is_done or self._action is None or self._has_rc is None:
+            return None
+        self._is_done = True
+        return WARNING if self._action == 0 and not self._has_rc else None
+
+    def _take_parameter(self, message: mavlink.MAVLink_param_value_message) -> None:
+        name: bytes | str = message.param_id  # annotated as str, decoded as bytes
+        raw = name.encode() if isinstance(name, str) else name
+        if raw.rstrip(b"\x00") == PARAMETER:
+            self._action = struct.unpack("<i", struct.pack("<f", message.param_value))[0]
+
+
+SHORTEST_PATIENCE_S = min(patience_s for _, patience_s in PATIENCE_S.values())
+TEXTS_PER_S = 0.2
+"""About streams."""
+
+
+class AutopilotQueries:
+    """All of them.
+
+    Args:
+        binding: The autopilot that is asked.
+        fencing: Says whether its fence is wanted.
+    """
+
+    def __init__(self, binding: AutopilotBinding, fencing: Fencing) -> None:
+        self.clock = ClockSync()
+        self.freshness = StreamFreshness()
+        self._binding = binding
+        self._fencing = fencing
+        self._fence = FenceDownload()
+        self._streams = StreamRequester(self.freshness)
+        self._px4_check = Px4FailsafeCheck()
+        self._asks_mode = False
+        self._stale: tuple[str, ...] = ()
+        self._may_tell = RateLimit(TEXTS_PER_S)
+
+    def heard(self, message: Message, now_s: float) -> list[Announce]:
+        """Take in a message of the autopilot; what the operator is to be told."""
+        self.freshness.heard(message, now_s)
+        self.clock.heard(message, now_s)
+        warning = self._px4_check.heard(message)
+        return [] if warning is None else [Announce(Severity.WARNING, warning)]
+
+    def fence_heard(
+        self, message: Message, now_s: float, own_ids: tuple[int, int]
+    ) -> AutopilotFenceRead | None:
+        """Take in a message of the autopilot; its fence, once that is complete."""
+        return self._fence.heard(message, now_s, own_ids)
+
+    def fence_given_up(self, now_s: float) -> AutopilotFenceRead | None:
+        """The news that it does not tell its fence."""
+        return self._fence.gave_up(now_s)
+
+    def due(self, now_s: float, *, is_mode_wanted: bool = False) -> list[Message]:
+        """The questions to ask now.
+
+        Args:
+            now_s: The present.
+            is_mode_wanted: Whether a HEARTBEAT is asked for until one comes that ends a doubt.
+        """
+        binding = self._binding
+        if binding.system_id is None:
+            return []
+        ids = (binding.system_id, binding.component_id)
+        request = self._fence.due(now_s, ids, is_wanted=self._fencing.wants_reading)
+        request = request or self._streams.due(
+            now_s, *ids, binding.autopilot, is_mode_wanted=is_mode_wanted
+        )
+        request = request or self._px4_check.due(now_s, binding.autopilot, *ids)
+        mode = request_message(mavlink.MAVLINK_MSG_ID_HEARTBEAT, *ids) if self._asks_mode else None
+        self._asks_mode = False
+        time = self.clock.due(now_s, *ids)
+        return [question for question in (mode, request, time) if question is not None]
+
+    def ask_mode(self) -> None:
+        """Ask for a HEARTBEAT, once, instead of waiting for the next one."""
+        self._asks_mode = True
+
+    def news(self, now_s: float) -> list[Announce]:
+        """What the operator is to be told about streams, while others still flow."""
+        stale = self.freshness.stale(now_s)
+        stopped = [name for name in stale if name not in self._stale]
+        heard_s = self._binding.heard_s
+        is_silent = heard_s is None or now_s - heard_s > SHORTEST_PATIENCE_S
+        if is_silent or not stopped:
+            self._stale = tuple(name for name in self._stale if name in stale)
+            return []
+        if not self._may_tell.allows(now_s):
+            return []
+        self._stale = stale
+        return [Announce(Severity.WARNING, f"no {' and '.join(stopped)} any more: asking again")]
+
+    def restart(self) -> None:
+        """Begin anew, because the autopilot forgot what it was asked."""
+        self.freshness.restart()
+        self.clock.restart()
+        self._streams.restart()
+        self._fence.restart()

@@ -1,0 +1,218 @@
+"""Reading the autopilot's own fence by the mission protocol: bytes in and out are elsewhere.
+
+Source: MAVLink developer guide, "Mission Protocol", with the mission type FENCE:
+MISSION_REQUEST_LIST, MISSION_COUNT, then MISSION_REQUEST_INT and MISSION_ITEM_INT by turns, and a
+MISSION_ACK of ours at the end, without which PX4 1.15 refuses the next transfer (also after a count
+of 0, observed in SITL). MAVLink common, MAV_CMD_NAV_FENCE_*: 5000 return point, 5001/5002 polygon
+in/out with the number of its vertices in parameter 1, 5003/5004 circle in/out with its radius
+there.
+
+What does not answer is asked again, one question at a time, and after some tries left alone for a
+while, and longer every time. Neither autopilot says so when its fence is changed, so a fence is
+read once per boot, and again only while it does not suit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from companion.geometry.geofence import GeoArea, GeoFence, LatLon, NamedArea, fence_of
+from companion.guidance.events import AutopilotFenceRead
+from companion.mav.dialect import Message, mavlink
+
+RESEND_S = 0.4
+TRIES = 8
+"""At 30 % loss each way a question is answered by then in 99.5 of 100 cases."""
+REST_S, LAST_REST_S = 10.0, 60.0
+MAX_ITEMS = 255
+DEGREE = 1e7
+FENCE = mavlink.MAV_MISSION_TYPE_FENCE
+RETURN_POINT = mavlink.MAV_CMD_NAV_FENCE_RETURN_POINT
+POLYGONS = {
+    mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION: True,
+    mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION: False,
+}
+CIRCLES = {
+    mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION: True,
+    mavlink.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION: False,
+}
+GLOBAL_FRAMES = (
+    mavlink.MAV_FRAME_GLOBAL,
+    mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT,
+    mavlink.MAV_FRAME_GLOBAL_INT,
+    mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
+)
+Ids = tuple[int, int]
+Item = mavlink.MAVLink_mission_item_int_message
+Answer = mavlink.MAVLink_mission_count_message | Item | mavlink.MAVLink_mission_ack_message
+
+
+@dataclass(slots=True)
+class _Reading:
+    """A transfer in flight."""
+
+    count: int | None = None
+    items: list[Item] = field(default_factory=list)
+    tries: int = 0
+    next_s: float = -math.inf
+    refusal: int | None = None
+    """The MAV_MISSION_RESULT of an autopilot that did not want to tell."""
+
+    def went_on(self) -> None:
+        """The question was answered; the next one is due at once."""
+        self.tries, self.next_s, self.refusal = 0, -math.inf, None
+
+
+class FenceDownload:
+    """Asks for the fence, piece by piece."""
+
+    def __init__(self) -> None:
+        self._reading: _Reading | None = None
+        self._owes_ack = False
+        self._rest_until_s = -math.inf
+        self._rest_s = REST_S
+
+    def restart(self) -> None:
+        """The autopilot restarted, and with it the transfer."""
+        self._reading = None
+        self._owes_ack = False
+        self._rest_until_s = -math.inf
+        self._rest_s = REST_S
+
+    def due(self, now_s: float, autopilot: Ids, *, is_wanted: bool) -> Message | None:
+        """The message to send now, if any.
+
+        Args:
+            now_s: The present.
+            autopilot: System and component that are asked.
+            is_wanted: Whether to begin when nothing is in flight.
+        """
+        if self._owes_ack:
+            self._owes_ack = False
+            accepted = mavlink.MAV_MISSION_ACCEPTED
+            return mavlink.MAVLink_mission_ack_message(*autopilot, accepted, FENCE)
+        if self._reading is None:
+            if not is_wanted or now_s < self._rest_until_s:
+                return None
+            self._reading = _Reading()
+        reading = self._reading
+        if now_s < reading.next_s or reading.tries >= TRIES:
+            return None
+        reading.tries += 1
+        reading.next_s = now_s + RESEND_S
+        if reading.count is None:
+            return mavlink.MAVLink_mission_request_list_message(*autopilot, FENCE)
+        return mavlink.MAVLink_mission_request_int_message(*autopilot, len(reading.items), FENCE)
+
+    def gave_up(self, now_s: float) -> AutopilotFenceRead | None:
+        """The news that nobody answers, once per reading."""
+        reading = self._reading
+        if reading is None or reading.tries < TRIES or now_s < reading.next_s:
+            return None
+        why = "no answer"
+        if reading.refusal is not None:
+            entry = mavlink.enums["MAV_MISSION_RESULT"].get(reading.refusal)
+            name = f"result {reading.refusal}" if entry is None else str(entry.name)
+            why = f"refused ({name.removeprefix('MAV_MISSION_').lower().replace('_', ' ')})"
+        self._end(now_s)
+        self._rest_s = min(2.0 * self._rest_s, LAST_REST_S)
+        return AutopilotFenceRead(now_s, problem=why)
+
+    def heard(self, message: Message, now_s: float, own: Ids) -> AutopilotFenceRead | None:
+        """Take in a message of the autopilot; its fence, once that is complete.
+
+        Args:
+            message: Any message.
+            now_s: The present.
+            own: System and component that answers must be for.
+        """
+        reading = self._reading
+        if reading is None or not isinstance(message, Answer) or message.mission_type != FENCE:
+            return None
+        if not _is_for((message.target_system, message.target_component), own):
+            return None
+        match message:
+            case mavlink.MAVLink_mission_ack_message():
+                reading.refusal = message.type
+                return None
+            case mavlink.MAVLink_mission_count_message() if reading.count is None:
+                reading.count = message.count
+                reading.went_on()
+            case mavlink.MAVLink_mission_item_int_message() if (
+                reading.count is not None and message.seq == len(reading.items)
+            ):
+                reading.items.append(message)
+                reading.went_on()
+        if reading.count is None:
+            return None
+        if len(reading.items) < reading.count <= MAX_ITEMS:
+            return None
+        self._owes_ack = True
+        self._rest_s = REST_S
+        self._end(now_s)
+        return _told(reading.items, reading.count, now_s)
+
+    def _end(self, now_s: float) -> None:
+        self._reading = None
+        self._rest_until_s = now_s + self._rest_s
+
+
+def _is_for(target: Ids, own: Ids) -> bool:
+    return all(wanted in (0, mine) for wanted, mine in zip(target, own, strict=True))
+
+
+def _told(items: Sequence[Item], count: int, now_s: float) -> AutopilotFenceRead:
+    """What the items say."""
+    try:
+        if count > MAX_ITEMS:
+            raise ValueError(f"it has {count} items, more than {MAX_ITEMS}")
+        return AutopilotFenceRead(now_s, fence_of_items(items))
+    except ValueError as error:
+        return AutopilotFenceRead(now_s, problem=str(error), is_unusable=True)
+
+
+def fence_of_items(items: Sequence[Item]) -> GeoFence | None:
+    """The fence that items make; None if there is nothing in them to keep to.
+
+    Raises:
+        ValueError: They make none; the text begins with the number of the item, from 1.
+    """
+    areas: list[NamedArea] = []
+    index = 0
+    while index < len(items):
+        item, path = items[index], f"item {index + 1}"
+        if item.frame not in GLOBAL_FRAMES:
+            raise ValueError(f"{path}: frame {item.frame} is not a global one")
+        if item.command in CIRCLES:
+            area = GeoArea((_place(item),), item.param1)
+            areas.append(NamedArea(path, CIRCLES[item.command], area))
+            index += 1
+        elif item.command in POLYGONS:
+            vertices = _vertices(items, index, path)
+            area = GeoArea(tuple(_place(vertex) for vertex in vertices))
+            areas.append(NamedArea(path, POLYGONS[item.command], area))
+            index += len(vertices)
+        elif item.command == RETURN_POINT:
+            index += 1
+        else:
+            raise ValueError(f"{path}: command {item.command} is no part of a fence")
+    return fence_of(areas) if areas else None
+
+
+def _vertices(items: Sequence[Item], index: int, path: str) -> Sequence[Item]:
+    """The vertices of the polygon that begins at an item."""
+    first = items[index]
+    if not 3.0 <= first.param1 <= MAX_ITEMS:
+        raise ValueError(f"{path}: a polygon of {first.param1:g} vertices")
+    vertices = items[index : index + int(first.param1)]
+    is_whole = len(vertices) == first.param1
+    kind = (first.command, first.param1)
+    if not is_whole or any((v.command, v.param1) != kind for v in vertices):
+        raise ValueError(f"{path}: the polygon of {first.param1:g} vertices is torn")
+    return vertices
+
+
+def _place(item: Item) -> LatLon:
+    return item.x / DEGREE, item.y / DEGREE

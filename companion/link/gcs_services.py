@@ -1,0 +1,320 @@
+"""What ground stations ask of the companion itself: parameters and commands.
+
+The parameter protocol for the companion's own parameters: list, read, set.
+
+A ground station sees them as those of component 191 beside the vehicle's. What is set is checked
+as the configuration checks it, and changed only when that is safe; a refusal tells the value that
+is kept and why (PARAM_ERROR, and a text), and nothing is ever created. Integers go as the
+autopilot's do, bytewise with PX4 and cast with ArduPilot, because ground stations decode all
+components of a vehicle alike; our AUTOPILOT_VERSION says which.
+
+What is addressed to all components of the vehicle is answered if it is ours, and is otherwise
+somebody else's.
+
+Source: MAVLink developer guide, "Parameter Protocol"; MAVLink common, PARAM_ERROR.
+
+Commands to the companion itself: few are known, every one is answered.
+
+Source: MAVLink developer guide, "Command Protocol".
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from companion.domain import Autopilot
+from companion.errors import ConfigError
+from companion.guidance.commands import Announce, Severity
+from companion.guidance.events import ControlGranted, Retuned
+from companion.guidance.session import GuidanceSession
+from companion.guidance.session_params import Tuning, When
+from companion.link import outbound
+from companion.link.binding import AutopilotBinding
+from companion.link.executor import SessionExecutor
+from companion.link.intake import RateLimit
+from companion.link.outlet import Outlet
+from companion.link.recorders import Journal
+from companion.mav.dialect import Message, mavlink
+from companion.mav.param_encoding import (
+    ParamEncoding,
+    ParamType,
+    RawParamValue,
+    nearest_real32,
+    raw_of,
+    raw_value,
+    value_from_raw,
+)
+
+ANSWERS_PER_S = 50
+"""Reads and changes that are answered; a flood of them must not become a flood of answers."""
+REFUSALS_PER_S, REFUSAL_BURST = 0.5, 5
+"""Texts about refusals; clients try again and again."""
+VALUES_PER_TICK = 2
+"""Of a list: a slow line carries setpoints first."""
+ALL_COMPONENTS = 0
+
+DOES_NOT_EXIST = mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST
+OUT_OF_RANGE = mavlink.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE
+PERMISSION_DENIED = mavlink.MAV_PARAM_ERROR_PERMISSION_DENIED
+READ_ONLY = mavlink.MAV_PARAM_ERROR_READ_ONLY
+TYPE_UNSUPPORTED, TYPE_MISMATCH = 6, 7
+"""MAV_PARAM_ERROR_TYPE_UNSUPPORTED and _MISMATCH, which the dialect does not have yet."""
+CAPABILITY = {
+    ParamEncoding.BYTEWISE: mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE,
+    ParamEncoding.C_CAST: mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST,
+}
+
+ParamRequest = (
+    mavlink.MAVLink_param_request_list_message
+    | mavlink.MAVLink_param_request_read_message
+    | mavlink.MAVLink_param_set_message
+)
+
+
+@dataclass(frozen=True, slots=True)
+class TunableSpec:
+    """One parameter as a ground station sees it."""
+
+    name: str
+    """Up to 16 ASCII characters."""
+    kind: ParamType
+    when: When
+
+
+class TunableBook(Protocol):
+    """The parameters, and their values as the configuration has them now."""
+
+    @property
+    def specs(self) -> Sequence[TunableSpec]:
+        """All of them; neither names nor order ever change."""
+
+    def value_at(self, index: int) -> float:
+        """A value; an `int` for integer types."""
+
+    def change(self, index: int, value: float) -> Tuning:
+        """Change a value; what the session is to work with.
+
+        Raises:
+            ConfigError: It may not be; the text says why, and nothing changed.
+        """
+
+
+class ParameterServer:
+    """Answers ground stations.
+
+    Args:
+        book: The parameters.
+        session: Knows what may be changed now.
+        binding: The autopilot, whose encoding is used.
+        executor: Takes changes to the session.
+        outlet: The way out.
+        journal: Where changes are noted down.
+    """
+
+    def __init__(
+        self,
+        book: TunableBook,
+        session: GuidanceSession,
+        binding: AutopilotBinding,
+        executor: SessionExecutor,
+        outlet: Outlet,
+        journal: Journal,
+    ) -> None:
+        self._book = book
+        self._session = session
+        self._binding = binding
+        self._executor = executor
+        self._outlet = outlet
+        self._journal = journal
+        self._index = {spec.name: index for index, spec in enumerate(book.specs)}
+        self._next_listed: int | None = None
+        self._limit = RateLimit(ANSWERS_PER_S, ANSWERS_PER_S)
+        self._text_limit = RateLimit(REFUSALS_PER_S, REFUSAL_BURST)
+
+    @property
+    def encoding(self) -> ParamEncoding:
+        """How integers become four bytes."""
+        is_cast = self._binding.autopilot is Autopilot.ARDUPILOT
+        return ParamEncoding.C_CAST if is_cast else ParamEncoding.BYTEWISE
+
+    @property
+    def capability(self) -> int:
+        """What AUTOPILOT_VERSION says of it."""
+        return CAPABILITY[self.encoding]
+
+    def receive(self, message: ParamRequest, now_s: float) -> None:
+        """Answer a request, if it is for us."""
+        system_id, component_id = self._outlet.own_ids
+        if message.target_system not in (0, system_id):
+            return
+        if message.target_component not in (ALL_COMPONENTS, component_id):
+            return
+        if isinstance(message, mavlink.MAVLink_param_request_list_message):
+            self._next_listed = 0 if self._next_listed is None else self._next_listed
+        elif not self._limit.allows(now_s):
+            return
+        elif isinstance(message, mavlink.MAVLink_param_set_message):
+            self._set(message, now_s)
+        else:
+            self._read(message, now_s)
+
+    def tick(self, now_s: float) -> None:
+        """Send what is due of a list that was asked for."""
+        first = self._next_listed
+        if first is None:
+            return
+        end = min(first + VALUES_PER_TICK, len(self._book.specs))
+        for index in range(first, end):
+            self._tell(index, now_s)
+        self._next_listed = end if end < len(self._book.specs) else None
+
+    def _read(self, message: mavlink.MAVLink_param_request_read_message, now_s: float) -> None:
+        number = int(message.param_index)
+        if number == -1:
+            index = self._index.get(message.param_id)
+        else:
+            index = number if 0 <= number < len(self._book.specs) else None
+        if index is not None:
+            self._tell(index, now_s)
+        elif message.target_component != ALL_COMPONENTS:
+            name = message.param_id if number == -1 else ""
+            self._refuse(message, name, number, DOES_NOT_EXIST, "there is no such one", now_s)
+
+    def _set(self, message: mavlink.MAVLink_param_set_message, now_s: float) -> None:
+        name = message.param_id
+        index = self._index.get(name)
+        if index is None:
+            if message.target_component != ALL_COMPONENTS:
+                self._refuse(message, name, -1, DOES_NOT_EXIST, "there is no such one", now_s)
+            return
+        refusal = self._change(index, message, now_s)
+        self._tell(index, now_s)
+        if refusal is not None:
+            self._refuse(message, name, index, *refusal, now_s)
+
+    def _change(
+        self, index: int, message: mavlink.MAVLink_param_set_message, now_s: float
+    ) -> tuple[int, str] | None:
+        """Change a value; MAV_PARAM_ERROR and the reason if that is refused."""
+        spec = self._book.specs[index]
+        is_bytewise = self.encoding is ParamEncoding.BYTEWISE
+        if is_bytewise and message.param_type != spec.kind:
+            kinds = {known.kind for known in self._book.specs}
+            error = TYPE_MISMATCH if message.param_type in kinds else TYPE_UNSUPPORTED
+            return error, f"is of type {spec.kind.name}"
+        value = value_from_raw(raw_of(message), spec.kind, self.encoding)
+        if not math.isfinite(value):
+            return OUT_OF_RANGE, "must be a finite number"
+        before = self._book.value_at(index)
+        if value == _on_the_wire(before, spec.kind):
+            return None
+        objection = self._session.objection_to_change(spec.when)
+        if objection is not None:
+            return READ_ONLY if spec.when is When.NEVER else PERMISSION_DENIED, objection
+        try:
+            tuning = self._book.change(index, value)
+        except ConfigError as error:
+            return OUT_OF_RANGE, str(error)
+        self._executor.handle(Retuned(now_s, tuning), now_s)
+        after = self._book.value_at(index)
+        sender = (message.get_srcSystem(), message.get_srcComponent())
+        fields = {"name": spec.name, "old": before, "new": after, "sender": sender}
+        self._journal.record("parameter", fields, now_s)
+        text = f"parameter {spec.name}: {before:g} -> {after:g}"
+        self._outlet.announce(Announce(Severity.NOTICE, text), now_s)
+        return None
+
+    def _tell(self, index: int, now_s: float) -> None:
+        spec = self._book.specs[index]
+        raw = raw_value(self._book.value_at(index), spec.kind, self.encoding)
+        count = len(self._book.specs)
+        message = RawParamValue(spec.name, raw, spec.kind, count, index)
+        self._outlet.broadcast(message, now_s, can_be_spared=True)
+
+    def _refuse(
+        self, to: Message, name: str, index: int, error: int, reason: str, now_s: float
+    ) -> None:
+        message = mavlink.MAVLink_param_error_message(
+            to.get_srcSystem(),
+            to.get_srcComponent(),
+            name.encode("ascii", errors="replace"),
+            index,
+            error,
+        )
+        self._outlet.broadcast(message, now_s, can_be_spared=True)
+        if not self._text_limit.allows(now_s):
+            return
+        what = "".join(c if c.isprintable() else "?" for c in name) or f"number {index}"
+        text = f"parameter {what}: {reason}"
+        self._outlet.announce(Announce(Severity.WARNING, text), now_s)
+
+
+def _on_the_wire(value: float, kind: ParamType) -> float:
+    """A value as a ground station reads it."""
+    return value if kind.is_integer else nearest_real32(value)
+
+
+COMMANDS_PER_S = 20
+"""Commands to us that are answered; a flood of them must not become a flood of answers."""
+REQUEST_CAPABILITIES = 520
+"""MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES, which older ground stations still send."""
+VERSION_ID = mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION
+
+AddressedCommand = mavlink.MAVLink_command_long_message | mavlink.MAVLink_command_int_message
+
+
+class CommandHandler:
+    """Answers commands.
+
+    Args:
+        executor: Takes what they mean for the session.
+        parameters: Whose encoding our AUTOPILOT_VERSION tells.
+        outlet: The way out.
+    """
+
+    def __init__(
+        self, executor: SessionExecutor, parameters: ParameterServer, outlet: Outlet
+    ) -> None:
+        self._executor = executor
+        self._parameters = parameters
+        self._outlet = outlet
+        self._limit = RateLimit(COMMANDS_PER_S, COMMANDS_PER_S)
+
+    def receive(self, message: AddressedCommand, now_s: float, *, may_grant: bool) -> None:
+        """Answer a command to this very component.
+
+        Args:
+            message: Any command.
+            now_s: The present.
+            may_grant: Whether its sender may give control.
+        """
+        if (message.target_system, message.target_component) != self._outlet.own_ids:
+            return
+        if not self._limit.allows(now_s):
+            return
+        result = mavlink.MAV_RESULT_UNSUPPORTED
+        if message.command == mavlink.MAV_CMD_NAV_GUIDED_ENABLE:
+            result = mavlink.MAV_RESULT_DENIED
+            if may_grant and message.param1 == 1.0 and self._executor.may_engage:
+                result = mavlink.MAV_RESULT_ACCEPTED
+                self._executor.handle(ControlGranted(now_s), now_s)
+        is_version_wanted = _wants_version(message)
+        if is_version_wanted:
+            result = mavlink.MAV_RESULT_ACCEPTED
+        elif message.command == mavlink.MAV_CMD_REQUEST_MESSAGE:
+            result = mavlink.MAV_RESULT_DENIED
+        ack = outbound.command_ack(message.command, result, message)
+        self._outlet.broadcast(ack, now_s)
+        if is_version_wanted:
+            version = outbound.autopilot_version(self._parameters.capability)
+            self._outlet.broadcast(version, now_s, can_be_spared=True)
+
+
+def _wants_version(message: AddressedCommand) -> bool:
+    """Whether a command asks for AUTOPILOT_VERSION, in the new way or in the old one."""
+    if message.command == mavlink.MAV_CMD_REQUEST_MESSAGE:
+        return bool(message.param1 == VERSION_ID)
+    return bool(message.command == REQUEST_CAPABILITIES and message.param1 == 1.0)

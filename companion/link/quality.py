@@ -1,0 +1,316 @@
+"""How well the links do: order, loss, the pace that follows from them, and all counters.
+
+The order and the loss of one sender's frames, by their sequence numbers.
+
+Theory of operation. A sender counts its frames modulo 256. Unwrapped to the nearest value, the
+count tells which of two frames was sent first and how many never came; both are right as long as
+no frame is late by 128 others or more. After a silence, or where nobody read for a while, a count
+that seems to have gone back went ahead instead. The loss is taken over the last seconds: how many
+numbers the count advanced, and how many of these numbers came.
+
+Source: MAVLink developer guide, "Packet Loss"; PX4 1.15 sends 405 frames a second, so 128 of them
+are 0.3 s.
+
+How often the control tick comes: 20 times a second, and 50 where frames get lost.
+
+At 30 % loss the longest gap in ten hours between two setpoints that arrive is over half a second
+at 20 Hz, and under 0.4 s at 50 Hz; PX4 gives up after 1 s. The loss is that of the autopilot's own
+frames: what is lost on the way to it nobody tells us, and radios lose both ways.
+
+A tick that comes late is not made up for. One that comes very late is a stall: what is known is of
+the past, and what was to be sent, too.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import asdict
+
+from companion.guidance.messages import health_fields
+from companion.guidance.session import GuidanceSession
+from companion.link.binding import AutopilotBinding, LinkParams
+from companion.link.intake import Authenticity, Intake
+from companion.link.outlet import Outlet
+from companion.link.recorders import Journal
+from companion.mav.dialect import Message
+
+MODULUS = 256
+HALF = MODULUS // 2
+SILENCE_S = 0.3
+"""After it nothing is late any more, only lost."""
+WINDOW_S = 3.0
+BUCKET_S = 0.1
+MIN_EXPECTED = 20
+"""With fewer frames to expect in the window a share says nothing."""
+
+
+class SequenceMonitor:
+    """One sender's frames; its autopilot component, for example."""
+
+    def __init__(self) -> None:
+        self.received = 0
+        """Frames so far, duplicates not counted."""
+        self.lost = 0
+        """Numbers that were passed over and have not come since."""
+        self.duplicates = 0
+        self.late = 0
+        """Frames that were overtaken."""
+        self._newest: int | None = None
+        self._heard_s = 0.0
+        self._seen = 0
+        """Bit n: whether number `newest - n` came."""
+        self._buckets: deque[tuple[float, int, int]] = deque()
+        """Of each tenth of a second: begin, numbers that the count advanced, frames that came."""
+
+    def take(self, sequence: int, now_s: float) -> int:
+        """The unwrapped number of a frame that came, perhaps not for the first time."""
+        if self._newest is None:
+            return self._start(sequence, now_s)
+        ahead = (sequence - self._newest) % MODULUS
+        if ahead >= HALF and now_s - self._heard_s <= SILENCE_S:
+            ahead -= MODULUS
+        if ahead == 0 and now_s - self._heard_s > SILENCE_S:
+            ahead = MODULUS
+        self._heard_s = max(now_s, self._heard_s)
+        if ahead > 0:
+            self._advance(ahead, now_s)
+        elif self._seen >> -ahead & 1:
+            self.duplicates += 1
+        else:
+            self.late += 1
+            self.lost = max(0, self.lost - 1)  # one from before the first was not missed
+            self._seen |= 1 << -ahead
+            self._count(0, now_s)
+        return self._newest + min(ahead, 0)
+
+    def loss(self, now_s: float) -> float | None:
+        """Share of the last seconds' frames that did not come, 0 to 1; None if too few were due."""
+        since_s = now_s - WINDOW_S
+        expected = came = 0
+        for began_s, numbers, frames in self._buckets:
+            if began_s > since_s:
+                expected += numbers
+                came += frames
+        if expected < MIN_EXPECTED:
+            return None
+        return min(max(0.0, 1.0 - came / expected), 1.0)
+
+    def skip(self) -> None:
+        """What comes next is ahead, however far: much of what was sent last may never come."""
+        self._heard_s = -math.inf
+
+    def restart(self) -> None:
+        """Begin anew, because the sender did; the totals stay."""
+        self._newest = None
+        self._buckets.clear()
+
+    def _start(self, sequence: int, now_s: float) -> int:
+        self._newest = sequence
+        self._seen = 1
+        self._heard_s = now_s
+        self._count(1, now_s)
+        return sequence
+
+    def _advance(self, ahead: int, now_s: float) -> None:
+        assert self._newest is not None
+        self._newest += ahead
+        self._seen = (self._seen << ahead | 1) & (1 << HALF) - 1
+        self.lost += ahead - 1
+        self._count(ahead, now_s)
+
+    def _count(self, advanced: int, now_s: float) -> None:
+        self.received += 1
+        if not self._buckets or now_s - self._buckets[-1][0] >= BUCKET_S:
+            self._buckets.append((now_s, 0, 0))
+            while self._buckets[0][0] <= now_s - WINDOW_S:
+                self._buckets.popleft()
+        begin_s, numbers, frames = self._buckets[-1]
+        self._buckets[-1] = (begin_s, numbers + advanced, frames + 1)
+
+
+CALM_SHARE = 0.5
+"""Calm is a loss below this share of what counts as lossy."""
+CALM_S = 5.0
+"""The line must be calm for this long before the rate goes down again."""
+
+
+STALL_S = 0.5
+"""A tick later than this finds a vehicle that may be anywhere, in any mode."""
+
+
+class TickWatch:
+    """Notes how punctual the control tick is."""
+
+    def __init__(self) -> None:
+        self.missed = 0
+        """Ticks that were due and never came, because one was late."""
+        self.stalls = 0
+        self._last_s: float | None = None
+
+    def tick(self, period_s: float, now_s: float) -> float | None:
+        """Note a tick; how long it stood still before, if that is a stall."""
+        last_s, self._last_s = self._last_s, now_s
+        if last_s is None:
+            return None
+        gap_s = now_s - last_s
+        self.missed += max(0, round(gap_s / period_s) - 1)
+        if gap_s <= STALL_S:
+            return None
+        self.stalls += 1
+        return gap_s
+
+
+class Pacing:
+    """The period of the control tick.
+
+    Args:
+        params: The two rates, and what counts as lossy.
+    """
+
+    def __init__(self, params: LinkParams) -> None:
+        self._params = params
+        self._calm_since_s: float | None = None
+        self.is_lossy = False
+
+    @property
+    def period_s(self) -> float:
+        """From one tick to the next."""
+        return 1.0 / (self._params.lossy_rate_hz if self.is_lossy else self._params.rate_hz)
+
+    def observe(self, loss: float | None, now_s: float) -> None:
+        """Take in the measured loss, 0 to 1; None, unknown, changes nothing."""
+        if loss is None:
+            return
+        if loss > self._params.lossy_share:
+            self.is_lossy = True
+        if loss >= CALM_SHARE * self._params.lossy_share:
+            self._calm_since_s = None
+        elif self._calm_since_s is None:
+            self._calm_since_s = now_s
+        elif now_s - self._calm_since_s >= CALM_S:
+            self.is_lossy = False
+
+
+class LinkHealth:
+    """What is known about the line to the bound autopilot.
+
+    Args:
+        params: How the line is used.
+    """
+
+    def __init__(self, params: LinkParams) -> None:
+        self.sequence = SequenceMonitor()
+        self.pacing = Pacing(params)
+        self.ticks = TickWatch()
+        self.overtaken = 0
+        """Messages that came after a newer one of their kind."""
+
+    def heard(self, message: Message, now_s: float) -> int:
+        """Take in a message of the bound autopilot; its place in the order of sending."""
+        return self.sequence.take(message.get_seq(), now_s)
+
+    def tick(self, now_s: float) -> float | None:
+        """Judge the line once more; how long the control tick stood still, if that is a stall."""
+        stalled_s = self.ticks.tick(self.pacing.period_s, now_s)
+        if stalled_s is not None:
+            self.sequence.skip()  # the socket kept the oldest of what came meanwhile
+        self.pacing.observe(self.sequence.loss(now_s), now_s)
+        return stalled_s
+
+    def restart(self) -> None:
+        """Begin anew, because the autopilot did."""
+        self.sequence.restart()
+
+    def record(self, now_s: float) -> dict[str, object]:
+        """The figures for the event log."""
+        sequence = self.sequence
+        return {
+            "loss": sequence.loss(now_s),
+            "received": sequence.received,
+            "lost": sequence.lost,
+            "late": sequence.late,
+            "duplicates": sequence.duplicates,
+            "overtaken": self.overtaken,
+            "tick_s": self.pacing.period_s,
+            "missed_ticks": self.ticks.missed,
+            "stalls": self.ticks.stalls,
+        }
+
+
+RECORD_PERIOD_S = 10.0
+"""How often the health of the links goes to the event log."""
+
+
+class LinkCounters:
+    """Gathers the counters that the parts of the link keep.
+
+    Args:
+        session: The guidance, for what became of the measurements.
+        intakes: Of all links.
+        binding: The autopilot.
+        health: How well it is heard.
+        authenticity: Who was believed.
+        outlet: The way out.
+        journal: Where to report.
+    """
+
+    def __init__(
+        self,
+        session: GuidanceSession,
+        intakes: Sequence[Intake],
+        binding: AutopilotBinding,
+        health: LinkHealth,
+        authenticity: Authenticity,
+        outlet: Outlet,
+        journal: Journal,
+    ) -> None:
+        self._session = session
+        self._intakes = intakes
+        self._binding = binding
+        self._health = health
+        self._authenticity = authenticity
+        self._outlet = outlet
+        self._journal = journal
+        self._next_record_s = -math.inf
+
+    @property
+    def bad_frames(self) -> int:
+        """Frames that failed their CRC or could not be decoded, on all links."""
+        codecs = [intake.codec for intake in self._intakes]
+        return sum(codec.counters.bad_crc + codec.undecodable for codec in codecs)
+
+    @property
+    def dropped_unread(self) -> int:
+        """Datagrams, frames and messages that were over a budget, on all links."""
+        return sum(intake.budget.dropped_unread for intake in self._intakes)
+
+    def report(self, now_s: float) -> None:
+        """Write to the event log what is due."""
+        if now_s < self._next_record_s:
+            return
+        self._next_record_s = now_s + RECORD_PERIOD_S
+        self._journal.record("link", self._link_record(now_s), now_s)
+        self._journal.record("health", health_fields(self._session.tracker, now_s), now_s)
+
+    def _link_record(self, now_s: float) -> dict[str, object]:
+        """Counters of all links, and what became of the measurements."""
+        emitters = self._session.situation.emitters
+        return {
+            "links": [
+                asdict(intake.codec.counters) | {"over_budget": intake.budget.dropped}
+                for intake in self._intakes
+            ],
+            **self._health.record(now_s),
+            **self._authenticity.record(),
+            "undecodable": sum(intake.codec.undecodable for intake in self._intakes),
+            "strangers": self._binding.strangers,
+            "moves": self._binding.moves,
+            "echoes": self._outlet.own_frames.echoes,
+            "setpoints": self._outlet.setpoints_sent,
+            "setpoint_rate_hz": self._outlet.setpoint_rate_hz(now_s),
+            "accepted": emitters.accepted,
+            "refused": {reason.value: count for reason, count in emitters.refusals.items()},
+            "restarts": emitters.restarts,
+        }

@@ -1,0 +1,105 @@
+"""For whom a frame is, read from its bytes; and TIMESYNC with the targets of MAVLink 2.
+
+A router need not decode or believe a frame for that.
+
+TIMESYNC with the two target fields of MAVLink 2, which pymavlink's dialects do not have.
+
+Source: MAVLink common, TIMESYNC: `target_system` and `target_component` are extensions behind
+`ts1`, so a receiver that does not know them reads the same message.
+
+Source: MAVLink developer guide, "Routing" and "Serialization".
+"""
+
+from __future__ import annotations
+
+import struct
+
+from companion.mav.dialect import Message, mavlink
+from companion.mav.framing import CRC_LENGTH, HEADER_LENGTH, MAGIC_V1, SIGNATURE_LENGTH, message_id
+from companion.mav.signing import is_signed
+
+TARGETS_AT = 16
+"""Where the target fields are in the payload."""
+
+
+class TargetedTimesync(mavlink.MAVLink_timesync_message):
+    """A TIMESYNC for one component."""
+
+    def __init__(self, tc1: int, ts1: int, target_system: int, target_component: int) -> None:
+        super().__init__(tc1, ts1)
+        self.target_system = target_system
+        self.target_component = target_component
+
+    def pack(self, mav: mavlink.MAVLink, force_mavlink1: bool = False) -> bytes:
+        """The frame's bytes; MAVLink 1 has no room for the targets and leaves them out."""
+        payload = self.unpacker.pack(self.tc1, self.ts1)
+        if not force_mavlink1:
+            payload += bytes((self.target_system, self.target_component))
+        return bytes(self._pack(mav, self.crc_extra, payload, force_mavlink1=force_mavlink1))
+
+
+def targets_of(message: Message) -> tuple[int, int]:
+    """Target system and component of a received TIMESYNC; (0, 0) if it names none."""
+    payload = payload_of(bytes(message.get_msgbuf())).ljust(TARGETS_AT + 2, b"\0")
+    return payload[TARGETS_AT], payload[TARGETS_AT + 1]
+
+
+def payload_of(frame: bytes) -> bytes:
+    """The payload of one whole frame as it was on the wire, cut zeros and all."""
+    end = len(frame) - CRC_LENGTH - (SIGNATURE_LENGTH if is_signed(frame) else 0)
+    return frame[HEADER_LENGTH[frame[0]] : end]
+
+
+EVERYONE = (0, 0)
+
+
+def _offsets() -> dict[int, tuple[int, int | None]]:
+    """Where target system and component are in the payload of each message that has them."""
+    offsets: dict[int, tuple[int, int | None]] = {}
+    for number, kind in mavlink.mavlink_map.items():
+        places: dict[str, int] = {}
+        at = 0
+        fields = zip(
+            kind.ordered_fieldnames,
+            kind.native_format.decode("ascii")[1:],
+            kind.array_lengths,
+            strict=True,
+        )
+        for name, code, length in fields:
+            places[name] = at
+            at += struct.calcsize(f"<{code}") * max(1, length)
+        if "target_system" in places:
+            offsets[number] = (places["target_system"], places.get("target_component"))
+    offsets[mavlink.MAVLINK_MSG_ID_TIMESYNC] = (TARGETS_AT, TARGETS_AT + 1)
+    return offsets
+
+
+_OFFSETS = _offsets()
+
+
+def source_of(frame: bytes) -> tuple[int, int]:
+    """System and component that a frame says it is from."""
+    at = 3 if frame[0] == MAGIC_V1 else 5
+    return frame[at], frame[at + 1]
+
+
+def targets_of_frame(frame: bytes) -> tuple[int, int]:
+    """Target system and component of a whole frame; 0 where it names none, or is unknown."""
+    offsets = _OFFSETS.get(message_id(frame))
+    if offsets is None:
+        return EVERYONE
+    start, length = HEADER_LENGTH[frame[0]], frame[1]
+
+    def byte(offset: int | None) -> int:
+        """A byte of the payload; 0 where it was cut or is not there."""
+        # zeros at the end of a payload are cut in MAVLink 2
+        return 0 if offset is None or offset >= length else frame[start + offset]
+
+    return byte(offsets[0]), byte(offsets[1])
+
+
+def boot_ms_of(frame: bytes) -> int | None:
+    """SYSTEM_TIME.time_boot_ms of a whole frame; None of any other message."""
+    if message_id(frame) != mavlink.MAVLINK_MSG_ID_SYSTEM_TIME:
+        return None
+    return int.from_bytes(payload_of(frame).ljust(12, b"\0")[8:12], "little")

@@ -1,0 +1,134 @@
+"""Parameter values on the wire: four bytes that mean an integer in one of two ways.
+
+PX4 puts the integer's own bytes into PARAM_VALUE's float field (bytewise), ArduPilot the float
+nearest to it (C cast); AUTOPILOT_VERSION.capabilities says which. The bytes are taken from and put
+into the payload directly: as Python floats those of small negative integers are NaNs, which a
+conversion may change.
+
+Source: MAVLink developer guide, "Parameter Protocol".
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from enum import Enum, IntEnum
+
+from companion.mav.addressing import payload_of
+from companion.mav.dialect import Message, mavlink
+
+NAME_LENGTH = 16
+"""Characters of a parameter's name; a NUL follows only if it is shorter."""
+VALUE_LENGTH = 4
+CAST_ALLOWANCE = 0.01
+"""ArduPilot adds this, away from zero, before it cuts a float to an integer."""
+
+
+class ParamType(IntEnum):
+    """The MAV_PARAM_TYPEs that fit four bytes."""
+
+    UINT8 = mavlink.MAV_PARAM_TYPE_UINT8
+    INT8 = mavlink.MAV_PARAM_TYPE_INT8
+    UINT16 = mavlink.MAV_PARAM_TYPE_UINT16
+    INT16 = mavlink.MAV_PARAM_TYPE_INT16
+    UINT32 = mavlink.MAV_PARAM_TYPE_UINT32
+    INT32 = mavlink.MAV_PARAM_TYPE_INT32
+    REAL32 = mavlink.MAV_PARAM_TYPE_REAL32
+
+    @property
+    def is_integer(self) -> bool:
+        """Whether values are whole numbers."""
+        return self is not ParamType.REAL32
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """The least and the greatest value of the type."""
+        if self is ParamType.REAL32:
+            return -MAX_REAL32, MAX_REAL32
+        bits = 8 * _FORMATS[self].size
+        is_signed = self in (ParamType.INT8, ParamType.INT16, ParamType.INT32)
+        return (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) if is_signed else (0, 2**bits - 1)
+
+
+class ParamEncoding(Enum):
+    """How an integer becomes four bytes."""
+
+    BYTEWISE = "bytewise"
+    C_CAST = "C cast"
+
+
+_FORMATS = {
+    ParamType.UINT8: struct.Struct("<B"),
+    ParamType.INT8: struct.Struct("<b"),
+    ParamType.UINT16: struct.Struct("<H"),
+    ParamType.INT16: struct.Struct("<h"),
+    ParamType.UINT32: struct.Struct("<I"),
+    ParamType.INT32: struct.Struct("<i"),
+    ParamType.REAL32: struct.Struct("<f"),
+}
+_REAL32 = _FORMATS[ParamType.REAL32]
+MAX_REAL32 = float(_REAL32.unpack(b"\xff\xff\x7f\x7f")[0])
+
+
+def raw_value(value: float, kind: ParamType, encoding: ParamEncoding) -> bytes:
+    """The four bytes of a value that is within the bounds of its type."""
+    if not kind.is_integer or encoding is ParamEncoding.C_CAST:
+        return _REAL32.pack(value)
+    return _FORMATS[kind].pack(int(value)).ljust(VALUE_LENGTH, b"\0")
+
+
+def value_from_raw(raw: bytes, kind: ParamType, encoding: ParamEncoding) -> float:
+    """The value of four bytes; NaN and infinity come out as they are.
+
+    Args:
+        raw: Four bytes.
+        kind: The parameter's type, by which a cast float becomes whole.
+        encoding: Of the autopilot.
+
+    Returns:
+        An `int` for integer types unless it is not finite; not yet compared with any bounds.
+    """
+    if not kind.is_integer:
+        return float(_REAL32.unpack(raw)[0])
+    if encoding is ParamEncoding.BYTEWISE:
+        return int(_FORMATS[kind].unpack(raw[: _FORMATS[kind].size])[0])
+    real = float(_REAL32.unpack(raw)[0])
+    return int(real + math.copysign(CAST_ALLOWANCE, real)) if math.isfinite(real) else real
+
+
+def nearest_real32(value: float) -> float:
+    """The single-precision number nearest to a finite value within its bounds."""
+    return float(_REAL32.unpack(_REAL32.pack(value))[0])
+
+
+def raw_of(message: Message) -> bytes:
+    """The four value bytes of a received PARAM_SET or PARAM_VALUE."""
+    return payload_of(bytes(message.get_msgbuf()))[:VALUE_LENGTH].ljust(VALUE_LENGTH, b"\0")
+
+
+class RawParamValue(mavlink.MAVLink_param_value_message):
+    """A PARAM_VALUE whose value never was a float.
+
+    Args:
+        name: Up to 16 ASCII characters.
+        raw: Four bytes.
+        kind: MAV_PARAM_TYPE.
+        count: Of all parameters.
+        index: Of this one; 65535 where it is not told.
+    """
+
+    def __init__(self, name: str, raw: bytes, kind: int, count: int, index: int) -> None:
+        super().__init__(name.encode("ascii"), _REAL32.unpack(raw)[0], kind, count, index)
+        self.raw = raw
+
+    def pack(self, mav: mavlink.MAVLink, force_mavlink1: bool = False) -> bytes:
+        """The frame's bytes."""
+        rest = self.unpacker.pack(
+            0.0,
+            self.param_count,
+            self.param_index,
+            self.param_id.encode("ascii"),
+            self.param_type,
+        )
+        payload = self.raw + rest[VALUE_LENGTH:]
+        return bytes(self._pack(mav, self.crc_extra, payload, force_mavlink1=force_mavlink1))

@@ -1,1 +1,0 @@
-"""What the filter believes about motion and measurements."""

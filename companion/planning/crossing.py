@@ -1,0 +1,320 @@
+"""Crossing planners: latched crossing, and reactive crossing exactly as printed.
+
+Latched crossing flies over the estimate to a point on its far side, and only then turns.
+
+Theory of operation. Bilateral information needs views from both sides of the target, so the far
+point must really be flown to: it is *latched* until it is reached, until the estimate lies behind
+by as much as is still needed, or until the estimate has moved by more than the latch can mean. Its
+distance beyond the estimate (the overshoot) follows the uncertainty,
+clip(3 sqrt(lambda_max(P)), 2 m, 20 m): wide while little is known, tight at the end, where a short
+base line makes bearings strong. Without bearings it is not shorter than the base line that ranges
+need. Each new crossing turns by the golden angle, so that any number of
+crossings covers all directions evenly, without planning and at O(1) cost.
+
+In three dimensions what is crossed is the vertical plane through vehicle and estimate (the plane of
+agent, estimate and gravity): the golden angle leads from one side of it to the other and so changes
+the azimuth of the view. Its elevation, seen at the same distances from one height, repeats itself;
+with an altitude swing the crossings are flown above and below the search altitude by turns, so that
+views differ within the plane as well. A crossing then ends at its height, which takes longer than
+its few metres along the ground: level is the default.
+
+Paper: section V-A and Appendix C, with the crossing distance made real (Algorithm 1 as printed
+does not depend on it); section "Limitations and Scope" for the separation plane in 3-D.
+
+Reactive crossing is the printed algorithm.
+
+With s the vehicle, x the estimate, step eta and crossing distance l:
+
+    |x - s| < eps_stop:  stay
+    d = (x - s) / |x - s|;  c = x + l d;  v = (c - s) / |c - s|;  next = s + eta v
+
+Note that c lies on the line from s through x, so v = d for every l > 0: the printed crossing
+distance has no effect, each step simply flies at the estimate, and crossing only happens by
+overshooting by less than one step. `LatchedCrossing` keeps the promise; `ReactiveCrossing` is kept
+for comparison.
+
+Paper, reactive crossing: Algorithm 1. Deviation: the next point and the leg to it are kept in free
+space.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.domain import (
+    NonNegative,
+    Params,
+    Point,
+    Positive,
+    TargetEstimate,
+    Waypoint,
+    WaypointReason,
+)
+from companion.kernel import Vector, kernel
+from companion.planning.crossing_kernels import (
+    CROSSINGS,
+    DIRECTION_EAST,
+    ESTIMATE_EAST,
+    GOLDEN_ANGLE_RAD,
+    IS_SET,
+    KEPT,
+    LATCH_SIZE,
+    OVERSHOOT,
+    POINT_EAST,
+    START_EAST,
+    LatchRule,
+    altitude_offset_m,
+    direction,
+    latch_verdict,
+    new_latch,
+    next_direction,
+    overshoot_m,
+    turned,
+)
+from companion.planning.planner import (
+    Plan,
+    PlanRequest,
+    cut_by_fence,
+    hold_position,
+    is_reachable,
+    kept_inside,
+    pushed_beyond,
+    route_to,
+    way_finder,
+)
+
+DIRECTIONS_TRIED = 5
+"""Directions tried before a crossing cut short by the fence is accepted."""
+HEIGHT_SHARE = 0.5
+"""A crossing is at its height within this share of the swing."""
+PUSHED_M = 0.01
+"""Farther beyond the estimate than its overshoot by this, a crossing point was pushed there."""
+LONG_ENOUGH_SHARE = 0.9
+"""A crossing with this much of its overshoot is not cut short."""
+
+
+class LatchedCrossingParams(Params, frozen=True):
+    """Overshoot and when a crossing counts as flown."""
+
+    overshoot_sigmas: Positive = 3.0
+    """Overshoot in standard deviations of the worst direction."""
+    overshoot_min_m: Positive = 2.0
+    overshoot_max_m: Positive = 20.0
+    arrival_radius_m: Positive = 1.5
+    """The crossing point counts as reached within this distance."""
+    reaim_distance_m: Positive = 3.0
+    """A move of the estimate by more than this, or half the overshoot, aims anew."""
+    altitude_swing_m: NonNegative = 0.0
+    """Crossings are flown this much above and below the search altitude by turns; 0: level."""
+
+    def __post_init__(self) -> None:
+        """Refuse an empty band for the overshoot."""
+        if self.overshoot_min_m > self.overshoot_max_m:
+            raise ValueError("overshoot_min_m must not exceed overshoot_max_m")
+
+    def rule(self) -> LatchRule:
+        """The same parameters as the kernels take them."""
+        return LatchRule(
+            self.overshoot_sigmas,
+            self.overshoot_min_m,
+            self.overshoot_max_m,
+            self.arrival_radius_m,
+            self.reaim_distance_m,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Latch:
+    """The crossing being flown."""
+
+    point_enu_m: Point
+    estimate_enu_m: Point
+    """The estimate when the crossing was chosen."""
+    direction: Point
+    """Unit vector from the estimate to the crossing point."""
+    start_enu_m: Point
+    """Where the vehicle was when the crossing was chosen."""
+    overshoot_m: float
+    crossings: int
+    """Crossings flown to their end so far."""
+
+    @classmethod
+    def of(cls, array: Vector) -> Latch:
+        """The latch in a kernel's array."""
+        v = array.tolist()
+        return cls(
+            point_enu_m=(v[POINT_EAST], v[POINT_EAST + 1]),
+            estimate_enu_m=(v[ESTIMATE_EAST], v[ESTIMATE_EAST + 1]),
+            direction=(v[DIRECTION_EAST], v[DIRECTION_EAST + 1]),
+            start_enu_m=(v[START_EAST], v[START_EAST + 1]),
+            overshoot_m=v[OVERSHOOT],
+            crossings=int(v[CROSSINGS]),
+        )
+
+    @property
+    def pushed_m(self) -> float:
+        """How far beyond the estimate the point is if a keep-out pushed it there, otherwise 0."""
+        (point_east, point_north), (east, north) = self.point_enu_m, self.estimate_enu_m
+        beyond_m = (point_east - east) * self.direction[0]
+        beyond_m += (point_north - north) * self.direction[1]
+        return beyond_m if beyond_m > self.overshoot_m + PUSHED_M else 0.0
+
+    def array(self) -> Vector:
+        """The same latch as the kernels take it."""
+        array = np.zeros(LATCH_SIZE)
+        array[POINT_EAST : POINT_EAST + 2] = self.point_enu_m
+        array[ESTIMATE_EAST : ESTIMATE_EAST + 2] = self.estimate_enu_m
+        array[DIRECTION_EAST : DIRECTION_EAST + 2] = self.direction
+        array[START_EAST : START_EAST + 2] = self.start_enu_m
+        array[OVERSHOOT] = self.overshoot_m
+        array[CROSSINGS] = self.crossings
+        array[IS_SET] = 1.0
+        return array
+
+
+class LatchedCrossing:
+    """The default planner."""
+
+    search_after_s: float | None = None
+
+    def __init__(self, params: LatchedCrossingParams) -> None:
+        self.params = params
+        self._rule = params.rule()
+
+    def initial_memory(self) -> Latch | None:
+        """No crossing chosen yet."""
+        return None
+
+    def plan(self, request: PlanRequest, memory: Latch | None) -> Plan[Latch | None]:
+        """The crossing in flight, or the next one."""
+        if request.estimate is None:
+            return Plan(hold_position(request, "no estimate yet"), None)
+        vehicle, target = request.vehicle_enu_m, request.estimate.position_enu_m
+        over_m = self._overshoot_m(request, request.estimate)
+        array = np.zeros(LATCH_SIZE) if memory is None else memory.array()
+        behind_m = over_m if memory is None else max(over_m, memory.pushed_m)
+        is_at_height = self._is_at_height(request, memory)
+        verdict = latch_verdict(array, *vehicle, *target, behind_m, is_at_height, self._rule)
+        if memory is not None and verdict == KEPT:
+            return Plan(self._waypoint(request, memory), memory)
+        heading = next_direction(array, verdict, *vehicle, *target)
+        chosen = self._best_point(request, target, heading, over_m)
+        if chosen is None:
+            return Plan(hold_position(request, "no way to any side of the estimate"), memory)
+        fresh = new_latch(array, verdict, *chosen, *vehicle, *target, over_m, self._rule)
+        latch = Latch.of(fresh)
+        return Plan(self._waypoint(request, latch), latch)
+
+    def _is_at_height(self, request: PlanRequest, memory: Latch | None) -> bool:
+        """Whether a crossing may end: a point in space is reached in height as well."""
+        swing_m, offset_m = self.params.altitude_swing_m, request.altitude_offset_m
+        if swing_m == 0.0 or offset_m is None or memory is None:
+            return True
+        wanted_m = altitude_offset_m(float(memory.crossings), swing_m)
+        return abs(offset_m - wanted_m) <= HEIGHT_SHARE * swing_m
+
+    def _overshoot_m(self, request: PlanRequest, estimate: TargetEstimate) -> float:
+        (a, b), (_, c) = estimate.covariance_m2
+        return overshoot_m(a, b, c, request.baseline_m, self._rule)
+
+    def _best_point(
+        self, request: PlanRequest, target: Point, heading: Point, over_m: float
+    ) -> tuple[Point, Point] | None:
+        """The crossing point and its direction; None if no direction can be flown.
+
+        Directions that the fence cuts short, or that end where there is no way to, are turned on.
+        A point in a keep-out, perhaps the one about the target, is pushed beyond it: nearest to it
+        may be the near side, and the views would all be from there.
+        """
+        if way_finder(request) is None:
+            return _far_point(target, heading, over_m), heading
+        anchor = cut_by_fence(target, request.vehicle_enu_m, request)
+        best: tuple[Point, Point] | None = None
+        best_length_m = -1.0
+        for _ in range(DIRECTIONS_TRIED):
+            far = cut_by_fence(_far_point(anchor, heading, over_m), anchor, request)
+            point = kept_inside(pushed_beyond(far, heading, request), anchor, request)
+            length_m = math.dist(anchor, point)
+            if length_m > best_length_m and is_reachable(point, request):
+                best, best_length_m = (point, heading), length_m
+                if length_m >= LONG_ENOUGH_SHARE * over_m:
+                    break
+            heading = turned(*heading, GOLDEN_ANGLE_RAD)
+        return best
+
+    def _waypoint(self, request: PlanRequest, latch: Latch) -> Waypoint:
+        vehicle, estimate = request.vehicle_enu_m, latch.estimate_enu_m
+        ahead = direction(*vehicle, *latch.point_enu_m)
+        to_estimate = (estimate[0] - vehicle[0], estimate[1] - vehicle[1])
+        is_ahead = to_estimate[0] * ahead[0] + to_estimate[1] * ahead[1] > 0.0
+        is_approach = is_ahead and math.dist(vehicle, estimate) > latch.overshoot_m
+        reason = WaypointReason.APPROACH if is_approach else WaypointReason.CROSSING
+        detail = f"crossing {latch.crossings + 1}, {latch.overshoot_m:.1f} m beyond the estimate"
+        offset_m = altitude_offset_m(float(latch.crossings), self.params.altitude_swing_m)
+        return route_to(request, Waypoint(latch.point_enu_m, reason, detail, offset_m))
+
+
+def _far_point(anchor: Point, heading: Point, over_m: float) -> Point:
+    return (anchor[0] + over_m * heading[0], anchor[1] + over_m * heading[1])
+
+
+class ReactiveCrossingParams(Params, frozen=True):
+    """Parameters of Algorithm 1, with the paper's values."""
+
+    step_m: Positive = 5.0
+    crossing_distance_m: Positive = 20.0
+    stop_distance_m: NonNegative = 0.0
+    """eps_stop; above zero the vehicle parks on its estimate and stops learning."""
+
+
+@kernel
+def reactive_step(
+    east_m: float,
+    north_m: float,
+    target_east_m: float,
+    target_north_m: float,
+    step_m: float,
+    crossing_distance_m: float,
+    stop_distance_m: float,
+) -> tuple[float, float]:
+    """The next place of a vehicle; its own where it is closer than the stop distance.
+
+    Paper: Algorithm 1.
+    """
+    if math.hypot(target_east_m - east_m, target_north_m - north_m) < stop_distance_m:
+        return east_m, north_m
+    d_east, d_north = direction(east_m, north_m, target_east_m, target_north_m)
+    crossing_east_m = target_east_m + crossing_distance_m * d_east
+    crossing_north_m = target_north_m + crossing_distance_m * d_north
+    v_east, v_north = direction(east_m, north_m, crossing_east_m, crossing_north_m)
+    return east_m + step_m * v_east, north_m + step_m * v_north
+
+
+class ReactiveCrossing:
+    """Algorithm 1 of the paper; it needs no memory."""
+
+    search_after_s: float | None = None
+
+    def __init__(self, params: ReactiveCrossingParams) -> None:
+        self.params = params
+
+    def initial_memory(self) -> None:
+        """Nothing to remember."""
+
+    def plan(self, request: PlanRequest, memory: None) -> Plan[None]:
+        """One step of the printed algorithm."""
+        if request.estimate is None:
+            return Plan(hold_position(request, "no estimate yet"), memory)
+        p, vehicle = self.params, request.vehicle_enu_m
+        estimate = request.estimate.position_enu_m
+        target = reactive_step(
+            *vehicle, *estimate, p.step_m, p.crossing_distance_m, p.stop_distance_m
+        )
+        if target == vehicle:
+            return Plan(hold_position(request, "close to the estimate"), memory)
+        target = kept_inside(target, vehicle, request)
+        waypoint = Waypoint(target, WaypointReason.CROSSING, "one step, as printed")
+        return Plan(route_to(request, waypoint), memory)

@@ -1,0 +1,210 @@
+"""The planner protocol: from what is known to the next waypoint, as a pure step in free space.
+
+Planners choose where they would like to be and end with `route_to`, which turns that into a
+waypoint whose leg is clear: the place itself, the first corner of the shortest way around what is
+in between, the shortest way back into free space, or staying where there is no way at all. The goal
+is not remembered: the same place asked for again at the corner gives the next corner.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Generic, Protocol, TypeVar
+
+from companion.domain import Point, TargetEstimate, Waypoint, WaypointReason
+from companion.geometry.obstacles import FreeSpace, between
+from companion.geometry.polygons import Polygon, deepest_point, depth_m
+from companion.geometry.visibility import WayFinder
+from companion.kernel import Matrix
+
+Memory = TypeVar("Memory")
+
+
+@dataclass(frozen=True, slots=True)
+class PlanRequest:
+    """What a planner may know."""
+
+    vehicle_enu_m: Point
+    estimate: TargetEstimate | None = None
+    """None before the first measurement."""
+    fence_enu_m: Polygon | None = None
+    """Waypoints and the straight legs to them stay inside this polygon, by `fence_margin_m`."""
+    fence_margin_m: float = 0.0
+    """Distance to keep from the fence and from every keep-out."""
+    baseline_m: float = 0.0
+    """How far to the side of the target a view must be to say much; 0 where bearings are measured.
+
+    Straight above it a slant range hardly depends on where the target is.
+    """
+    keep_out_enu_m: tuple[Polygon, ...] = ()
+    """Polygons that waypoints and the straight legs to them stay out of."""
+    leg_from_enu_m: Point | None = None
+    """Where the leg to the waypoint begins, if not at the vehicle: the setpoint moves ahead."""
+    time_s: float = 0.0
+    contact_s: float | None = None
+    """When the last usable measurement came; None: unknown, and an estimate counts as fresh."""
+    height_m: float = 0.0
+    """Of the vehicle above the target, for slant ranges."""
+    altitude_offset_m: float | None = None
+    """Of the vehicle above the search altitude; None: heights are not waited for."""
+    joint_covariance: Matrix | None = field(default=None, compare=False)
+    """(4, 4) of [east, north, range offset, bearing offset]; metres and radians.
+
+    None: that of the estimate, and offsets known as little as before the flight.
+    """
+
+    @property
+    def begin_enu_m(self) -> Point:
+        """Where the leg to the waypoint begins."""
+        return self.vehicle_enu_m if self.leg_from_enu_m is None else self.leg_from_enu_m
+
+
+@dataclass(frozen=True, slots=True)
+class Plan(Generic[Memory]):
+    """A waypoint, and what the planner wants to remember until the next request."""
+
+    waypoint: Waypoint
+    memory: Memory
+
+
+class Planner(Protocol[Memory]):
+    """Chooses where to fly; pure, the caller keeps the memory."""
+
+    @property
+    def search_after_s(self) -> float | None:
+        """How long without contact until it searches; None: never, 0: it needs no contact."""
+
+    def initial_memory(self) -> Memory:
+        """The memory before the first request."""
+
+    def plan(self, request: PlanRequest, memory: Memory) -> Plan[Memory]:
+        """The next waypoint; the straight leg to it stays in the free space of the request."""
+
+
+SLACK_M = 1e-6
+"""Legs keep this much more than the margin, so that a guard that keeps it never stops one."""
+START_TOLERANCE_M = 0.01
+"""A leg may begin outside free space by this much: rounding, and a guard without the slack."""
+FARTHEST_BEYOND_M = 100.0
+"""A keep-out about the target that is wider than this is not flown around for one crossing."""
+NO_ROOM = "the fence, the keep-outs and the margin leave no room"
+
+
+@lru_cache(maxsize=8)
+def _way_finder(
+    fence_enu_m: tuple[Point, ...] | None,
+    keep_out_enu_m: tuple[tuple[Point, ...], ...],
+    margin_m: float,
+) -> WayFinder:
+    """The way finder of a free space; its graph is the same for every plan of a flight."""
+    return WayFinder(FreeSpace(fence_enu_m, keep_out_enu_m, margin_m + SLACK_M))
+
+
+def way_finder(request: PlanRequest) -> WayFinder | None:
+    """What knows the free space of a request, or None where nothing limits it."""
+    if request.fence_enu_m is None and not request.keep_out_enu_m:
+        return None
+    fence = None if request.fence_enu_m is None else tuple(request.fence_enu_m)
+    keep_out = tuple(tuple(polygon) for polygon in request.keep_out_enu_m)
+    return _way_finder(fence, keep_out, request.fence_margin_m)
+
+
+def kept_inside(point: Point, anchor: Point, request: PlanRequest) -> Point:
+    """`point`, or the allowed point that stands for it.
+
+    Beyond the fence that is the farthest one on the way to it from `anchor`; in a keep-out it is
+    the nearest one.
+
+    Args:
+        point: Where the planner wants to go.
+        anchor: A point it may fall back towards, usually the estimate or the vehicle.
+        request: With the fence and the keep-outs.
+    """
+    finder = way_finder(request)
+    if finder is None or finder.space.allows(point):
+        return point
+    point = cut_by_fence(point, anchor, request)
+    nearest = finder.space.nearest_allowed(point)
+    return point if nearest is None else nearest
+
+
+def cut_by_fence(point: Point, anchor: Point, request: PlanRequest) -> Point:
+    """`point`, or the farthest point on the way to it from `anchor` that is inside the fence."""
+    fence_enu_m, margin_m = request.fence_enu_m, request.fence_margin_m + SLACK_M
+    if fence_enu_m is None or depth_m(fence_enu_m, point) >= margin_m:
+        return point
+    if depth_m(fence_enu_m, anchor) < margin_m:
+        anchor = deepest_point(fence_enu_m)
+        if depth_m(fence_enu_m, anchor) < margin_m:
+            return anchor
+    inside, outside = 0.0, 1.0
+    for _ in range(24):
+        middle = 0.5 * (inside + outside)
+        if depth_m(fence_enu_m, between(anchor, point, middle)) >= margin_m:
+            inside = middle
+        else:
+            outside = middle
+    return between(anchor, point, inside)
+
+
+def pushed_beyond(point: Point, heading: Point, request: PlanRequest) -> Point:
+    """`point`, or the first allowed point that lies beyond it in a direction.
+
+    Where there is none within `FARTHEST_BEYOND_M`, it is `point` still.
+    """
+    finder = way_finder(request)
+    if finder is None or finder.space.allows(point):
+        return point
+    end = (
+        point[0] + FARTHEST_BEYOND_M * heading[0],
+        point[1] + FARTHEST_BEYOND_M * heading[1],
+    )
+    return next((first for first, _ in finder.space.pieces(point, end)), point)
+
+
+def is_reachable(point: Point, request: PlanRequest) -> bool:
+    """Whether there is a way to an allowed point."""
+    finder = way_finder(request)
+    if finder is None:
+        return True
+    start = finder.space.nearest_allowed(request.begin_enu_m)
+    return start is not None and finder.way(start, point) is not None
+
+
+def route_to(request: PlanRequest, wanted: Waypoint) -> Waypoint:
+    """A waypoint whose straight leg is clear, on the way to the wanted one.
+
+    Args:
+        request: With the fence, the keep-outs and where the leg begins.
+        wanted: Anywhere; its detail goes on to the waypoints on the way.
+    """
+    finder = way_finder(request)
+    if finder is None:
+        return wanted
+    begin, space = request.begin_enu_m, finder.space
+    start, goal = space.nearest_allowed(begin), space.nearest_allowed(wanted.position_enu_m)
+    if start is None or goal is None:
+        fence = request.fence_enu_m
+        place = begin if fence is None else deepest_point(fence)
+        return Waypoint(place, WaypointReason.HOLD, NO_ROOM)
+    if math.dist(begin, start) > START_TOLERANCE_M:
+        return _detour(wanted, start, "back into free space")
+    way = finder.way(start, goal)
+    if way is None:
+        return Waypoint(start, WaypointReason.HOLD, f"no way to: {wanted.detail}")
+    if len(way) == 1:
+        return replace(wanted, position_enu_m=goal)
+    corners = "1 corner" if len(way) == 2 else f"{len(way) - 1} corners"
+    return _detour(wanted, way[0], f"{corners} to go")
+
+
+def hold_position(request: PlanRequest, why: str) -> Waypoint:
+    """Staying where the last leg ended, or where the vehicle is."""
+    return route_to(request, Waypoint(request.begin_enu_m, WaypointReason.HOLD, why))
+
+
+def _detour(wanted: Waypoint, place: Point, what: str) -> Waypoint:
+    detail = f"{what}: {wanted.detail}"
+    return replace(wanted, position_enu_m=place, reason=WaypointReason.DETOUR, detail=detail)

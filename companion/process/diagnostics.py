@@ -1,0 +1,227 @@
+"""Diagnostics of the process and its links: for the event log, and what operators must know.
+
+Memory, descriptors, threads and processor time are read from /proc where there is one, otherwise as
+far as the standard library tells.
+
+A link that refuses what is sent is told of. A refused frame is not sent again: the next control
+tick brings a newer one.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import resource
+import threading
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from companion.guidance.commands import Announce, Severity
+from companion.io.links.byte_streams import StreamLink
+from companion.io.links.link import Link
+from companion.io.logs.flight_recorder import BlackBox
+from companion.io.shell import TimerStatistics
+from companion.io.state.checkpoints import CheckpointStore
+from companion.link.endpoint import CompanionEndpoint
+from companion.link.intake import RateLimit
+from companion.link.recorders import Journal
+
+_STATM = Path("/proc/self/statm")
+_DESCRIPTORS = Path("/proc/self/fd")
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessUse:
+    """What the process holds at a moment."""
+
+    resident_mb: float
+    """Memory in RAM now; the peak where the system does not tell."""
+    descriptors: int | None
+    """Open files and sockets; None where the system does not tell."""
+    threads: int
+    processor_s: float
+    """User and system time since the start."""
+
+
+def process_use() -> ProcessUse:
+    """What this process holds now."""
+    resident_mb = _peak_mb()
+    descriptors = None
+    with suppress(OSError, ValueError, IndexError):
+        pages = int(_STATM.read_text().split()[1])
+        resident_mb = pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+        descriptors = len(os.listdir(_DESCRIPTORS)) - 1  # without the one that lists them
+    return ProcessUse(
+        resident_mb=round(resident_mb, 3),
+        descriptors=descriptors,
+        threads=threading.active_count(),
+        processor_s=round(time.process_time(), 3),
+    )
+
+
+def _peak_mb() -> float:
+    """ru_maxrss, which macOS counts in bytes and Linux in kB."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / 1e6 if os.uname().sysname == "Darwin" else peak / 1e3
+
+
+RECORD_PERIOD_S = 10.0
+SILENT_DISK_S = 2.0
+MISSED_TICKS = 10
+"""Within a period, before anybody is told."""
+TICK_S = 0.05
+
+
+class ProcessDiagnostics:
+    """Counts and tells.
+
+    Args:
+        endpoint: Whose operator is told.
+        journal: Where records go, and what is watched.
+        timing: Of the shell.
+        links: Of the shell.
+        store: Where checkpoints go; None: nowhere.
+        speed: Seconds of the clock per wall second.
+    """
+
+    def __init__(
+        self,
+        endpoint: CompanionEndpoint,
+        journal: BlackBox,
+        timing: TimerStatistics,
+        links: Sequence[Link],
+        store: CheckpointStore | None,
+        speed: float,
+    ) -> None:
+        self._endpoint = endpoint
+        self._journal = journal
+        self._timing = timing
+        self._links = links
+        self._store = store
+        self._speed = speed
+        self._next_s = -math.inf
+        self._told_dropped = 0
+        self._is_disk_silent = False
+        self._late_total_s = 0.0
+
+    def run(self, now_s: float) -> None:
+        """Record and tell what is due."""
+        self._check_disk(now_s)
+        if now_s / self._speed < self._next_s:
+            return
+        self._next_s = now_s / self._speed + RECORD_PERIOD_S
+        self._check_losses(now_s)
+        self._check_punctuality(now_s)
+        self._journal.record("process", self._record(), now_s)
+        self._timing.worst_late_s = 0.0
+
+    def _record(self) -> dict[str, object]:
+        health, timing = self._journal.health, self._timing
+        record: dict[str, object] = {
+            **asdict(process_use()),
+            "log_queued": health.queued,
+            "log_dropped": health.dropped,
+            "log_mb": round(health.bytes_kept / 1e6, 3),
+            "disk_silent_s": round(health.silent_s, 3),
+            "ticks": timing.fired,
+            "late_ticks": timing.late,
+            "missed_ticks": round(timing.late_total_s / TICK_S),
+            "worst_late_s": round(timing.worst_late_s, 4),
+            "stalls": timing.stalls,
+            "links": [{"name": link.name, **asdict(link.counters)} for link in self._links],
+        }
+        writer = None if self._store is None else self._store.writer
+        if writer is not None:
+            record["checkpoints"] = {
+                "written": writer.written,
+                "failed": writer.failed,
+                "overtaken": writer.overtaken,
+            }
+        return record
+
+    def _check_disk(self, now_s: float) -> None:
+        is_silent = self._journal.health.silent_s > SILENT_DISK_S
+        if is_silent is self._is_disk_silent:
+            return
+        self._is_disk_silent = is_silent
+        if is_silent:
+            text = f"the disk has not answered for {SILENT_DISK_S:g} s: flying on, the log waits"
+            self._tell(Severity.WARNING, text, now_s)
+        else:
+            self._tell(Severity.NOTICE, "the disk answers again", now_s)
+
+    def _check_losses(self, now_s: float) -> None:
+        dropped = self._journal.health.dropped
+        writer = None if self._store is None else self._store.writer
+        dropped += 0 if writer is None else writer.failed
+        if dropped > self._told_dropped:
+            self._told_dropped = dropped
+            text = f"{dropped} log entries lost: the disk is full, broken or too slow; flying on"
+            self._tell(Severity.WARNING, text, now_s)
+
+    def _check_punctuality(self, now_s: float) -> None:
+        missed = round((self._timing.late_total_s - self._late_total_s) / TICK_S)
+        self._late_total_s = self._timing.late_total_s
+        if missed > MISSED_TICKS:
+            text = f"the computer is too slow: {missed} control ticks missed in 10 s"
+            self._tell(Severity.WARNING, text, now_s)
+
+    def _tell(self, severity: Severity, text: str, now_s: float) -> None:
+        self._endpoint.executor.execute(Announce(severity, text), now_s)
+
+
+LINK_CHECK_PERIOD_S = 1.0
+LINK_RECORD_PERIOD_S = 10.0
+LINK_TEXTS_PER_S = 0.1
+"""About one link."""
+
+
+class LinkWatch:
+    """Looks at the counters once a second.
+
+    Args:
+        links: Of a shell.
+        journal: Where to report.
+    """
+
+    def __init__(self, links: Sequence[Link], journal: Journal) -> None:
+        self._links = links
+        self._journal = journal
+        self._told = [(0, 0) for _ in links]
+        self._may_tell = [RateLimit(LINK_TEXTS_PER_S) for _ in links]
+        self._next_look_s = 0.0
+        self._next_record_s = 0.0
+
+    def check(self, now_s: float) -> None:
+        """Report what is news."""
+        if now_s < self._next_look_s:
+            return
+        self._next_look_s = now_s + LINK_CHECK_PERIOD_S
+        for number, link in enumerate(self._links):
+            self._check(number, link, now_s)
+        if now_s >= self._next_record_s:
+            self._next_record_s = now_s + LINK_RECORD_PERIOD_S
+            fields = {link.name: asdict(link.counters) for link in self._links}
+            self._journal.record("io", fields, now_s)
+
+    def _check(self, number: int, link: Link, now_s: float) -> None:
+        counters, (errors, dropped) = link.counters, self._told[number]
+        is_slow = isinstance(link, StreamLink) and link.is_connected
+        if not is_slow:  # nobody is there: what was dropped is no news
+            dropped = counters.dropped
+        refused, lost = counters.send_errors - errors, counters.dropped - dropped
+        if not refused and not lost:
+            self._told[number] = (errors, dropped)
+            return
+        if not self._may_tell[number].allows(now_s):
+            return
+        self._told[number] = (counters.send_errors, counters.dropped)
+        parts = []
+        if refused:
+            parts.append(f"the system refused {refused} frames ({counters.last_error})")
+        if lost:
+            parts.append(f"{lost} frames were given up, the line is too slow")
+        self._journal.text(Severity.WARNING, f"{link.name}: {'; '.join(parts)}", now_s)

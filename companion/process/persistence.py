@@ -1,0 +1,274 @@
+"""What outlives the process: the mission's memory, and parameters that were changed.
+
+Surviving a restart: the mission's memory is kept once a second, and given back to a new process.
+
+Theory of operation. Files of an earlier run that did not end in order, readable or not, mean that
+something may be in the air: then nothing engages by itself, whatever the configuration says. What a
+whole checkpoint holds is given to the session when the autopilot is heard (and has told its fence,
+where that is the one to keep), and only if vehicle, limits, fence, mission and age are right;
+otherwise the flight begins anew, with a line that says why. An orderly end deletes the files,
+unless the vehicle was left armed in mid-mission.
+
+Parameters that were changed from a ground station outlive the process.
+
+They are kept beside the checkpoints, a file for each vehicle's link, and are taken up at the next
+start as far as the configuration's rules allow; what is the same as in the configuration's file is
+not kept.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import msgspec
+
+from companion.config.schema import CompanionConfig
+from companion.config.tunables import Tunables
+from companion.guidance.commands import Announce, Severity
+from companion.io.background_files import BackgroundReplacer
+from companion.io.state.checkpoints import (
+    Checkpoint,
+    MissionKey,
+    Moment,
+    StoredCheckpoints,
+    age_s,
+    present_moment,
+)
+from companion.link.endpoint import CompanionEndpoint
+
+log = logging.getLogger("companion.run")
+
+SAVE_PERIOD_S = 1.0
+"""Wall seconds between two checkpoints."""
+
+
+class Store(Protocol):
+    """Where checkpoints are."""
+
+    def load(self) -> StoredCheckpoints:
+        """What is there; never raises."""
+
+    def save(self, checkpoint: Checkpoint) -> None:
+        """Keep a checkpoint, soon; never waits and never raises."""
+
+    def discard(self) -> None:
+        """Forget everything, because the mission ended in order."""
+
+    def close(self, timeout_s: float) -> None:
+        """Write what waits, for so long at most."""
+
+
+class SessionClock(Protocol):
+    """The clock of a shell."""
+
+    speed: float
+
+    def now_s(self) -> float:
+        """The present."""
+
+
+@dataclass(frozen=True, slots=True)
+class MissionDigests:
+    """A configuration in two short texts: what a memory of its mission depends on."""
+
+    limits: str
+    mission: str
+
+
+def digests_of(config: CompanionConfig) -> MissionDigests:
+    """The digests of a configuration; where logs go, for example, is in neither."""
+    mission = (
+        config.mission,
+        config.emitter_id,
+        config.emitters,
+        config.estimation,
+        config.planner,
+    )
+    return MissionDigests(_digest(config.limits), _digest(mission))
+
+
+class RestartKeeper:
+    """Keeps the memory of one flight, and recalls that of the one before.
+
+    Args:
+        endpoint: The flight.
+        store: Where checkpoints are.
+        digests: Of the configuration.
+        clock: Of the shell.
+        max_age_s: A memory older than this means nothing.
+        is_fresh: Whether the operator says that there is nothing to take up.
+        moment: Tells the present.
+    """
+
+    def __init__(
+        self,
+        endpoint: CompanionEndpoint,
+        store: Store,
+        digests: MissionDigests,
+        clock: SessionClock,
+        max_age_s: float,
+        *,
+        is_fresh: bool = False,
+        moment: Callable[[], Moment] = present_moment,
+    ) -> None:
+        self._endpoint = endpoint
+        self._store = store
+        self._digests = digests
+        self._clock = clock
+        self._moment = moment
+        self._pending: Checkpoint | None = None
+        self._age_s = 0.0
+        """Of what is pending, when this process began."""
+        self._began_s = clock.now_s()
+        self._sequence = 0
+        self._next_s = 0.0
+        self.is_restart = False
+        """Whether an earlier run did not end in order."""
+        if is_fresh:
+            store.discard()
+        else:
+            self._look_back(max_age_s)
+
+    def run(self, now_s: float) -> None:
+        """Recall and keep what is due."""
+        binding = self._endpoint.binding
+        if not binding.is_bound:
+            return
+        if not self._endpoint.session.fencing.is_site_known:
+            return
+        if self._pending is not None:
+            self._recall(self._pending, now_s)
+            self._pending = None
+        wall_s = now_s / self._clock.speed
+        if wall_s >= self._next_s and not self._endpoint.session.is_recalling:
+            self._next_s = wall_s + SAVE_PERIOD_S
+            self._save()
+
+    def close(self, timeout_s: float) -> None:
+        """Keep the memory of a mission that goes on without us, or delete it if it ended."""
+        session = self._endpoint.session
+        is_over = session.has_found_all or not session.vehicle.is_armed
+        is_known = self._endpoint.is_finished and self._endpoint.binding.is_bound
+        if is_known and not is_over and self._pending is None:
+            self._save()
+        self._store.close(timeout_s)
+        if is_known and is_over:
+            self._store.discard()
+
+    def _look_back(self, max_age_s: float) -> None:
+        found = self._store.load()
+        for problem in found.problems:
+            log.warning("checkpoint: %s", problem)
+        checkpoint = found.checkpoint
+        age = None if checkpoint is None else age_s(checkpoint.saved, self._moment())
+        if age is not None and age > max_age_s:
+            log.info("checkpoint: %.0f s old, beyond process.resume_max_age_s: starting anew", age)
+            return
+        self.is_restart = found.has_files
+        if not found.has_files:
+            return
+        self._endpoint.found_earlier_run(self._clock.now_s())
+        if checkpoint is None:
+            log.warning("checkpoint: none is whole: starting anew, without engaging by itself")
+        elif age is None:
+            log.warning("checkpoint: its age is unknown: starting anew, without engaging by itself")
+        else:
+            self._pending, self._age_s = checkpoint, age * self._clock.speed
+        if checkpoint is not None:
+            self._sequence = checkpoint.sequence + 1
+
+    def _recall(self, checkpoint: Checkpoint, now_s: float) -> None:
+        difference = self._difference(checkpoint.key)
+        if difference is not None:
+            text = f"restarted, with {difference}: starting anew, without engaging by itself"
+            self._endpoint.executor.execute(Announce(Severity.WARNING, text), now_s)
+            return
+        age = self._age_s + now_s - self._began_s
+        self._endpoint.recall(checkpoint.memory, age, now_s)
+
+    def _difference(self, then: MissionKey) -> str | None:
+        """What is not as it was, in words."""
+        now = self._key()
+        if (then.system_id, then.autopilot) != (now.system_id, now.autopilot):
+            return f"another vehicle (it was {then.autopilot.value}, system {then.system_id})"
+        if then.fence != now.fence:
+            return "other limits or another fence"
+        return "another mission or estimator" if then.mission != now.mission else None
+
+    def _key(self) -> MissionKey:
+        binding, digests = self._endpoint.binding, self._digests
+        fence = digests.limits
+        site = self._endpoint.session.fencing.site
+        if site is not None:
+            fence = _digest((fence, site))
+        return MissionKey(binding.system_id or 1, binding.autopilot, fence, digests.mission)
+
+    def _save(self) -> None:
+        memory = self._endpoint.session.memory
+        self._store.save(Checkpoint(self._sequence, self._moment(), self._key(), memory))
+        self._sequence += 1
+
+
+def _digest(value: object) -> str:
+    return hashlib.sha256(msgspec.json.encode(value)).hexdigest()[:32]
+
+
+MAX_BYTES = 100_000
+
+
+class ParameterKeeper:
+    """Keeps the parameters of one vehicle.
+
+    Args:
+        tunables: The parameters; what was kept is taken up at once.
+        path: The file; its directory is made when something is kept.
+    """
+
+    def __init__(self, tunables: Tunables, path: Path) -> None:
+        self._tunables = tunables
+        self._path = path
+        self._writer: BackgroundReplacer | None = None
+        for problem in tunables.restore(self._load()):
+            log.warning("%s: %s; going on without", path, problem)
+        self._kept = dict(tunables.changed)
+        if self._kept:
+            words = ", ".join(f"{name} {value:g}" for name, value in self._kept.items())
+            log.info("parameters changed by a ground station: %s (%s)", words, path)
+
+    def run(self, now_s: float) -> None:
+        """Keep what changed; never waits."""
+        del now_s
+        if self._tunables.changed == self._kept:
+            return
+        self._kept = dict(self._tunables.changed)
+        if self._writer is None:
+            with suppress(OSError):  # the writer tells what is wrong, once
+                self._path.parent.mkdir(parents=True, exist_ok=True)
+            self._writer = BackgroundReplacer("write parameters")
+        content = msgspec.json.format(msgspec.json.encode(self._kept), indent=2) + b"\n"
+        self._writer.replace(self._path, content)
+
+    def close(self, timeout_s: float) -> None:
+        """Write what waits, for so long at most."""
+        if self._writer is not None:
+            self._writer.close(timeout_s)
+
+    def _load(self) -> dict[str, float]:
+        """What was kept; a file that cannot be read is told and means nothing."""
+        try:
+            with self._path.open("rb") as file:
+                data = file.read(MAX_BYTES)
+            return msgspec.json.decode(data, type=dict[str, float])
+        except FileNotFoundError:
+            return {}
+        except OSError as error:
+            log.warning("%s: cannot be read (%s)", self._path, error.strerror)
+        except (msgspec.DecodeError, UnicodeDecodeError) as error:
+            log.warning("%s: no parameters (%s); going on without", self._path, error)
+        return {}

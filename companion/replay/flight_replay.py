@@ -1,0 +1,315 @@
+"""`companion replay` of a flight: runs it again and says whether it is the same.
+
+Recorded and replayed stand side by side: the same to the last bit, or how far apart. On the live
+map a replay shows what the operator saw, or another configuration would have shown.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import zip_longest
+from pathlib import Path
+
+from companion.config.schema import CompanionConfig
+from companion.io.files import INPUTS
+from companion.kernel import IS_COMPILED
+from companion.link.endpoint import CompanionEndpoint
+from companion.replay.recorded_flight import Course, Json, Listen, OnInput, open_recording, rerun
+from companion.web.live_map import WebView
+from companion.web.settings import WebSettings
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """What a replay says about a recording."""
+
+    recorded: Course
+    replayed: Course
+
+    @property
+    def is_identical(self) -> bool:
+        """Whether every estimate and every setpoint is the same, bit for bit."""
+        return self.first_difference is None
+
+    @property
+    def first_difference(self) -> str | None:
+        """Where the two part, in words; None if they do not."""
+        pairs = zip_longest(self.recorded.estimates, self.replayed.estimates)
+        for number, (before, after) in enumerate(pairs, start=1):
+            if before != after:
+                return f"estimate {number}{_difference_text(before, after)}"
+        frames = zip_longest(self.recorded.setpoints, self.replayed.setpoints)
+        for number, (sent, again) in enumerate(frames, start=1):
+            if sent != again:
+                return f"setpoint {number}"
+        return None
+
+    def table(self) -> str:
+        """Both courses in lines of text."""
+        rows = [("", "recorded", "replayed")]
+        for name, read in _ROWS:
+            rows.append((name, read(self.recorded), read(self.replayed)))
+        apart = apart_m(self.recorded.estimates, self.replayed.estimates)
+        lines = [f"{name:<22} {before:>14} {after:>14}" for name, before, after in rows]
+        if apart is not None:
+            lines.append(f"estimates apart: {apart[0]:.3f} m at most, {apart[1]:.3f} m at the end")
+        return "\n".join(lines)
+
+    def as_json(self) -> Json:
+        """Plain values for `--json`."""
+        apart = apart_m(self.recorded.estimates, self.replayed.estimates)
+        return {
+            "identical": self.is_identical,
+            "first_difference": self.first_difference,
+            "recorded": _summary(self.recorded),
+            "replayed": _summary(self.replayed),
+            "apart_max_m": None if apart is None else apart[0],
+            "apart_end_m": None if apart is None else apart[1],
+        }
+
+
+def apart_m(recorded: Sequence[Json], replayed: Sequence[Json]) -> tuple[float, float] | None:
+    """The largest and the last distance of estimates at the same times; None without any."""
+    replayed_at = _by_time(replayed)
+    apart = [
+        math.dist(here, replayed_at[key])
+        for key, here in _by_time(recorded).items()
+        if key in replayed_at
+    ]
+    return (max(apart), apart[-1]) if apart else None
+
+
+def _by_time(lines: Sequence[Json]) -> dict[tuple[object, int], tuple[float, float]]:
+    """Places by time; the number tells several estimates of one time apart."""
+    places: dict[tuple[object, int], tuple[float, float]] = {}
+    seen: Counter[object] = Counter()
+    for line in lines:
+        time_s, place = line.get("t_s"), position_of(line)
+        seen[time_s] += 1
+        if place is not None:
+            places[time_s, seen[time_s]] = place
+    return places
+
+
+def position_of(line: Json) -> tuple[float, float] | None:
+    """East and north of an estimate's line."""
+    place = line.get("position_enu_m")
+    if not isinstance(place, list | tuple) or len(place) < 2:
+        return None
+    return (float(place[0]), float(place[1]))
+
+
+def _difference_text(before: Json | None, after: Json | None) -> str:
+    if before is None or after is None:
+        return ": one of them has no more"
+    names = [name for name in {**before, **after} if before.get(name) != after.get(name)]
+    return f" at {before.get('t_s')} s: {', '.join(names)}"
+
+
+def _last(course: Course, name: str) -> str:
+    if not course.estimates:
+        return "-"
+    value = course.estimates[-1].get(name)
+    return f"{value:.3f}" if isinstance(value, float) else str(value)
+
+
+def _place(course: Course, axis: int) -> str:
+    place = position_of(course.estimates[-1]) if course.estimates else None
+    return "-" if place is None else f"{place[axis]:.3f}"
+
+
+def _localised(course: Course) -> str:
+    return "never" if course.localised_s is None else f"{course.localised_s:.1f}"
+
+
+_ROWS = (
+    ("estimates", lambda course: str(len(course.estimates))),
+    ("setpoints", lambda course: str(len(course.setpoints))),
+    ("reported after, s", _localised),
+    ("last state", lambda course: _last(course, "state")),
+    ("last east, m", lambda course: _place(course, 0)),
+    ("last north, m", lambda course: _place(course, 1)),
+    ("last R95, m", lambda course: _last(course, "r95_m")),
+    ("last range offset, m", lambda course: _last(course, "range_offset_m")),
+)
+
+
+def _summary(course: Course) -> Json:
+    last = course.estimates[-1] if course.estimates else {}
+    return {
+        "estimates": len(course.estimates),
+        "setpoints": len(course.setpoints),
+        "localised_s": course.localised_s,
+        "last": last,
+    }
+
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class FlightReplay:
+    """A flight's replay, and how exact it can be."""
+
+    comparison: Comparison
+    is_exact: bool
+    """Whether the inputs were recorded; otherwise ticks were guessed from the tlog."""
+    is_same_configuration: bool
+
+    @property
+    def verdict(self) -> str:
+        """One line: the same, or not, and why that may be."""
+        comparison = self.comparison
+        counts = (
+            f"{len(comparison.recorded.estimates)} estimates and "
+            f"{len(comparison.recorded.setpoints)} setpoints"
+        )
+        if comparison.is_identical:
+            return f"IDENTICAL: {counts}, bit for bit"
+        first = comparison.first_difference
+        if not self.is_same_configuration:
+            return f"another configuration, first different: {first}"
+        if not self.is_exact:
+            return f"close, not exact (no {INPUTS}, so ticks are guessed), first different: {first}"
+        return f"DIFFERENT with the flight's own configuration: {first}"
+
+    @property
+    def is_failed(self) -> bool:
+        """Whether it should have been identical, and is not."""
+        is_expected = self.is_exact and self.is_same_configuration
+        return is_expected and not self.comparison.is_identical
+
+
+def replay_flight(
+    path: Path,
+    config: CompanionConfig | None,
+    say: Say,
+    on_input: OnInput | None = None,
+    listen: Listen | None = None,
+) -> FlightReplay:
+    """Run a recorded flight again.
+
+    Args:
+        path: Its folder, a file in it, or an MCAP file.
+        config: Another configuration; None: the flight's own.
+        say: Takes remarks for people.
+        on_input: Sees the endpoint after every input.
+        listen: Makes a journal that hears everything, too, and passes it on.
+
+    Raises:
+        ConfigError: The flight cannot be read.
+    """
+    recording = open_recording(path)
+    facts = recording.facts
+    used = facts.config if config is None else config
+    if facts.is_compiled != IS_COMPILED:
+        how = "compiled" if facts.is_compiled else "plain"
+        say(f"the flight used {how} kernels, this replay does not: last digits may differ")
+    course = rerun(recording.inputs, used, facts, on_input, listen)
+    return FlightReplay(
+        comparison=Comparison(recording.course, course),
+        is_exact=recording.is_exact,
+        is_same_configuration=used == facts.config,
+    )
+
+
+class Pace:
+    """Lets a replay take its time, for people who watch.
+
+    Args:
+        speed: Times real time.
+    """
+
+    def __init__(self, speed: float) -> None:
+        self._speed = speed
+        self._started: tuple[float, float] | None = None
+
+    def __call__(self, endpoint: CompanionEndpoint, now_s: float) -> None:
+        """Wait until it is time for this input."""
+        del endpoint
+        if self._started is None:
+            self._started = (time.monotonic(), now_s)
+        wall_s, first_s = self._started
+        ahead_s = wall_s + (now_s - first_s) / self._speed - time.monotonic()
+        if ahead_s > 0.0:
+            time.sleep(ahead_s)
+
+
+REFRESH_S = 0.25
+
+
+class MapOfReplay:
+    """Feeds the page from a replay, and goes on showing its last moment.
+
+    Args:
+        view: The page.
+        speed: Times real time.
+    """
+
+    def __init__(self, view: WebView, speed: float) -> None:
+        self._view = view
+        self._pace = Pace(speed)
+        self._last: tuple[CompanionEndpoint, float] | None = None
+
+    def __call__(self, endpoint: CompanionEndpoint, now_s: float) -> None:
+        """Wait until it is time for this input, and show what came of it."""
+        self._pace(endpoint, now_s)
+        self._last = (endpoint, now_s)
+        self._view.update(endpoint, now_s)
+
+    def linger(self, is_over: Callable[[], bool] = lambda: False) -> None:
+        """Show the last moment until Ctrl-C, so that the page does not call it old.
+
+        Args:
+            is_over: Ends it, too.
+        """
+        if self._last is None:
+            return
+        endpoint, ended_s = self._last
+        began_s = time.monotonic()
+        try:
+            while not is_over():
+                # The page gets its pictures by the flight's clock, which therefore goes on.
+                self._view.show(endpoint, ended_s, ended_s + time.monotonic() - began_s)
+                time.sleep(REFRESH_S)
+        except KeyboardInterrupt:
+            return
+
+
+def replay_on_map(
+    path: Path,
+    config: CompanionConfig | None,
+    say: Say,
+    settings: WebSettings,
+    speed: float,
+    done: Callable[[FlightReplay], None],
+) -> FlightReplay:
+    """Run a recorded flight again on the live map, and stay there until Ctrl-C.
+
+    Args:
+        path: Its folder, a file in it, or an MCAP file.
+        config: Another configuration; None: the flight's own.
+        say: Takes remarks for people.
+        settings: Of the page; there are no buttons, whatever they say.
+        speed: Times real time.
+        done: Gets the result as soon as it is there.
+
+    Raises:
+        ConfigError: The flight cannot be read.
+        CompanionError: The page cannot be served.
+    """
+    used = open_recording(path).facts.config if config is None else config
+    view = WebView(settings, used)
+    try:
+        say(f"live map: {view.url}; Ctrl-C ends it")
+        page = MapOfReplay(view, speed)
+        replay = replay_flight(path, config, say, page, view.listen)
+        done(replay)
+        page.linger()
+    finally:
+        view.close()
+    return replay

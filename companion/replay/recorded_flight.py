@@ -1,0 +1,231 @@
+"""A recorded flight as its logs tell it, and through the same endpoint once more.
+
+What the endpoint was told is in `flight.inputs`, so the replay takes the very same way: frames,
+ticks and stops at their own times, and nothing else. With the configuration of the flight it gives
+the same estimates and the same setpoints, byte for byte; `flight_replay` looks whether
+that is so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from companion.config.schema import CompanionConfig
+from companion.config.tunables import Tunables
+from companion.errors import ConfigError
+from companion.flight_setup import (
+    FlightFacts,
+    build_endpoint,
+    build_planner,
+    facts_of_json,
+    open_flight,
+)
+from companion.guidance.commands import ReportResult, Severity
+from companion.guidance.events import OperatorCommand
+from companion.io.files import EVENTS, INPUTS, TLOG, plain
+from companion.io.logs.log_files import (
+    Input,
+    InputKind,
+    TlogRecord,
+    decode_recall,
+    event_lines,
+    parse_inputs,
+    read_inputs,
+    read_tlog,
+)
+from companion.io.logs.mcap_file import McapFlight, read_mcap_flight
+from companion.link.endpoint import CompanionEndpoint
+from companion.link.recorders import Journal
+from companion.mav.dialect import mavlink
+from companion.mav.endpoint import Chunk
+from companion.mav.framing import message_id, sender_of
+
+Json = dict[str, object]
+OnInput = Callable[[CompanionEndpoint, float], None]
+"""Called after every input: the endpoint, and the flight's time."""
+
+Listen = Callable[[Journal], Journal]
+
+SETPOINT_IDS = frozenset(
+    {
+        mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED,
+        mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT,
+    }
+)
+
+
+@dataclass(slots=True)
+class Course:
+    """What a flight came to, recorded or replayed."""
+
+    estimates: list[Json] = field(default_factory=list)
+    """Lines of the event log."""
+    setpoints: list[bytes] = field(default_factory=list)
+    """Frames, in order."""
+    localised_s: float | None = None
+    """When a target was reported first."""
+
+
+class CourseJournal:
+    """The endpoint's journal during a replay."""
+
+    def __init__(self) -> None:
+        self.course = Course()
+        self.texts: list[tuple[float, Severity, str]] = []
+
+    def frame(self, data: bytes, now_s: float) -> None:
+        """Frames are collected where they are sent."""
+
+    def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
+        """Keep an estimate in the words of the event log."""
+        if kind == "estimate":
+            line = plain({"t_s": round(now_s, 4), "kind": kind, **fields})
+            assert isinstance(line, dict)
+            self.course.estimates.append(line)
+
+    def text(self, severity: Severity, text: str, now_s: float) -> None:
+        """Keep a text."""
+        self.texts.append((now_s, severity, text))
+
+    def result(self, report: ReportResult, now_s: float) -> None:
+        """Keep when a target was reported first."""
+        del report
+        if self.course.localised_s is None:
+            self.course.localised_s = now_s
+
+
+def rerun(
+    inputs: Iterable[Input],
+    config: CompanionConfig,
+    facts: FlightFacts,
+    on_input: OnInput | None = None,
+    listen: Listen | None = None,
+) -> Course:
+    """Run a flight again.
+
+    Args:
+        inputs: What the endpoint was told.
+        config: The flight's, or another one to compare with.
+        facts: How it was flown.
+        on_input: Sees the endpoint after every input.
+        listen: Makes a journal that hears everything, too, and passes it on.
+    """
+    journal = CourseJournal()
+    tunables = Tunables(config, build_planner)
+    if config == facts.config:
+        tunables.restore(facts.parameters)
+    ranging_links = facts.links - 1 - facts.gcs_links
+    endpoint = build_endpoint(
+        config,
+        journal if listen is None else listen(journal),
+        ranging_links,
+        tunables=tunables,
+        gcs_links=facts.gcs_links,
+    )
+    for value in inputs:
+        match value.kind:
+            case InputKind.FRAME:
+                chunk = Chunk(value.link, value.data, value.peer)
+                endpoint.receive(chunk, value.time_s)
+            case InputKind.TICK:
+                endpoint.handle_timer(value.time_s)
+            case InputKind.STOP:
+                endpoint.request_stop(value.time_s)
+            case InputKind.WISH:
+                endpoint.ask(OperatorCommand(value.data.decode()), value.time_s)
+            case InputKind.EARLIER_RUN:
+                endpoint.found_earlier_run(value.time_s)
+            case InputKind.RECALL:
+                endpoint.recall(*decode_recall(value), value.time_s)
+        sent = [chunk.data for chunk in endpoint.take_output()]
+        journal.course.setpoints += [data for data in sent if message_id(data) in SETPOINT_IDS]
+        if on_input is not None:
+            on_input(endpoint, value.time_s)
+    return journal.course
+
+
+OWN_COMPONENT = 191
+TICK_S = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """A recorded flight, ready to be run again."""
+
+    facts: FlightFacts
+    inputs: list[Input]
+    is_exact: bool
+    """Whether the inputs were recorded; otherwise they were guessed from the frames."""
+    course: Course
+
+
+def open_recording(path: Path) -> Recording:
+    """A recorded flight: its folder, any file in it, or an MCAP file alone.
+
+    Raises:
+        ConfigError: It cannot be read.
+    """
+    if path.suffix.lower() == ".mcap":
+        return _of_mcap(read_mcap_flight(path))
+    flight = open_flight(path)
+    lines = event_lines(flight.path(EVENTS))
+    records = list(read_tlog(flight.path(TLOG)))
+    course = course_of(lines, [record.frame for record in records])
+    inputs_path = flight.path(INPUTS)
+    if inputs_path.exists():
+        return Recording(flight.facts, list(read_inputs(inputs_path)), True, course)
+    inputs = inputs_of_tlog(records)
+    if not inputs:
+        raise ConfigError(f"{flight.path(TLOG)}: has no frames")
+    return Recording(flight.facts, inputs, False, course)
+
+
+def _of_mcap(found: McapFlight) -> Recording:
+    try:
+        facts = facts_of_json(found.flight_json)
+    except ConfigError as error:
+        raise ConfigError(f"{found.path}: {error}") from error
+    inputs = list(parse_inputs(found.inputs, str(found.path)))
+    return Recording(facts, inputs, True, course_of(found.events, found.frames))
+
+
+def course_of(lines: Iterable[Json], frames: Iterable[bytes]) -> Course:
+    """The estimates and setpoints in a flight's logs.
+
+    Args:
+        lines: Of the event log.
+        frames: Sent and received.
+    """
+    course = Course()
+    for line in lines:
+        if line.get("kind") == "estimate":
+            course.estimates.append(line)
+        elif line.get("kind") == "result" and course.localised_s is None:
+            time_s = line.get("time_s")
+            course.localised_s = float(time_s) if isinstance(time_s, int | float) else None
+    for frame in frames:
+        if sender_of(frame)[1] == OWN_COMPONENT and message_id(frame) in SETPOINT_IDS:
+            course.setpoints.append(frame)
+    return course
+
+
+def inputs_of_tlog(records: list[TlogRecord]) -> list[Input]:
+    """Inputs for a log that has none: its frames, and ticks at 20 Hz between them.
+
+    The flight's own ticks came at other instants, so a replay of these is close, not the same.
+    """
+    if not records:
+        return []
+    start_us = records[0].unix_us
+    inputs: list[Input] = []
+    next_tick_s = 0.0
+    for record in records:
+        time_s = 1e-6 * max(0, record.unix_us - start_us)
+        while next_tick_s <= time_s:
+            inputs.append(Input(InputKind.TICK, next_tick_s))
+            next_tick_s += TICK_S
+        if sender_of(record.frame)[1] != OWN_COMPONENT:
+            inputs.append(Input(InputKind.FRAME, time_s, data=record.frame))
+    return inputs

@@ -1,0 +1,171 @@
+"""SVG drawings of a flight, made of nothing but text: map, and values over time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from xml.sax.saxutils import escape, quoteattr
+
+from companion.domain import Point
+
+MARGIN = 44.0
+"""Around the plot, for the ticks."""
+MAX_POINTS = 1500
+"""Of a curve; more cannot be told apart."""
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """From values to places on the drawing."""
+
+    low: float
+    high: float
+    start: float
+    end: float
+    is_log: bool = False
+
+    def at(self, value: float) -> float:
+        """Where a value is."""
+        low, high = self.low, self.high
+        if self.is_log:
+            low, high, value = math.log(low), math.log(high), math.log(max(value, low))
+        return self.start + (value - low) / (high - low) * (self.end - self.start)
+
+    def ticks(self) -> list[float]:
+        """Round values to be named."""
+        if self.is_log:
+            first, last = math.floor(math.log10(self.low)), math.ceil(math.log10(self.high))
+            decades = [10.0**power for power in range(first, last + 1)]
+            return [value for value in decades if self.low <= value <= self.high]
+        step = _round_step((self.high - self.low) / 5.0)
+        first_tick = math.ceil(self.low / step) * step
+        count = math.floor((self.high - first_tick) / step) + 1
+        return [first_tick + number * step for number in range(count)]
+
+
+def _round_step(rough: float) -> float:
+    power = 10.0 ** math.floor(math.log10(rough))
+    return next(m * power for m in (1.0, 2.0, 5.0, 10.0) if m * power >= rough * 0.999)
+
+
+class Drawing:
+    """A plot with two axes.
+
+    Args:
+        width: Of the whole drawing.
+        height: Of the whole drawing.
+        x: Lowest and highest value.
+        y: Lowest and highest value.
+        title: For those who cannot see it.
+        is_log: Whether the vertical axis is logarithmic.
+    """
+
+    def __init__(
+        self,
+        width: float,
+        height: float,
+        x: tuple[float, float],
+        y: tuple[float, float],
+        title: str,
+        *,
+        is_log: bool = False,
+    ) -> None:
+        self._size = (width, height)
+        self._title = title
+        self.x = Axis(*x, MARGIN, width - 12.0)
+        self.y = Axis(*y, height - 28.0, 12.0, is_log)
+        self._parts: list[str] = []
+
+    def line(self, points: Iterable[Point], style: str) -> None:
+        """A curve through points."""
+        self._parts.append(f'<polyline class="{style}" points="{self._places(points)}"/>')
+
+    def area(self, corners: Iterable[Point], style: str, opacity: float = 1.0) -> None:
+        """A polygon."""
+        faint = "" if opacity == 1.0 else f' opacity="{opacity:.2f}"'
+        self._parts.append(f'<polygon class="{style}"{faint} points="{self._places(corners)}"/>')
+
+    def dots(self, points: Iterable[Point], style: str, radius: float = 1.6) -> None:
+        """A dot at every point, as one path so that thousands stay light."""
+        moves = "".join(
+            f"M{self.x.at(px):.1f} {self.y.at(py):.1f}h0" for px, py in thin_points(list(points))
+        )
+        if moves:
+            self._parts.append(f'<path class="{style}" stroke-width="{2 * radius:g}" d="{moves}"/>')
+
+    def circle(self, centre: Point, radius: float, style: str, name: str = "") -> None:
+        """A circle whose radius is a length of the horizontal axis."""
+        scale = (self.x.end - self.x.start) / (self.x.high - self.x.low)
+        cx, cy = self.x.at(centre[0]), self.y.at(centre[1])
+        title = f"<title>{escape(name)}</title>" if name else ""
+        self._parts.append(
+            f'<circle class="{style}" cx="{cx:.1f}" cy="{cy:.1f}" r="{scale * radius:.1f}">'
+            f"{title}</circle>"
+        )
+
+    def cross(self, place: Point, style: str, name: str) -> None:
+        """A cross with a name."""
+        cx, cy = self.x.at(place[0]), self.y.at(place[1])
+        self._parts.append(
+            f'<path class="{style}" d="M{cx - 6:.1f} {cy:.1f}h12M{cx:.1f} {cy - 6:.1f}v12">'
+            f"<title>{escape(name)}</title></path>"
+            f'<text class="label" x="{cx + 8:.1f}" y="{cy - 6:.1f}">{escape(name)}</text>'
+        )
+
+    def mark(self, value: float, style: str, name: str) -> None:
+        """A vertical line with a name."""
+        px = self.x.at(value)
+        self._parts.append(
+            f'<path class="{style}" d="M{px:.1f} {self.y.end:.1f}V{self.y.start:.1f}">'
+            f"<title>{escape(name)}</title></path>"
+        )
+
+    def svg(self) -> str:
+        """The drawing as an SVG element."""
+        width, height = self._size
+        return (
+            f'<svg viewBox="0 0 {width:g} {height:g}" role="img" '
+            f"aria-label={quoteattr(self._title)}>{self._grid()}{''.join(self._parts)}</svg>"
+        )
+
+    def _grid(self) -> str:
+        parts = []
+        for value in self.x.ticks():
+            px = self.x.at(value)
+            parts.append(f'<path class="grid" d="M{px:.1f} {self.y.end:.1f}V{self.y.start:.1f}"/>')
+            parts.append(
+                f'<text class="tick" text-anchor="middle" x="{px:.1f}" '
+                f'y="{self.y.start + 16:.1f}">{value:g}</text>'
+            )
+        for value in self.y.ticks():
+            py = self.y.at(value)
+            parts.append(f'<path class="grid" d="M{self.x.start:.1f} {py:.1f}H{self.x.end:.1f}"/>')
+            parts.append(
+                f'<text class="tick" text-anchor="end" x="{self.x.start - 6:.1f}" '
+                f'y="{py + 4:.1f}">{value:g}</text>'
+            )
+        return "".join(parts)
+
+    def _places(self, points: Iterable[Point]) -> str:
+        return " ".join(
+            f"{self.x.at(px):.1f},{self.y.at(py):.1f}" for px, py in thin_points(list(points))
+        )
+
+
+def thin_points(points: Sequence[Point]) -> Sequence[Point]:
+    """At most so many of them, evenly; the last one always."""
+    if len(points) <= MAX_POINTS:
+        return points
+    step = math.ceil(len(points) / MAX_POINTS)
+    return [*points[:-1:step], points[-1]]
+
+
+def square_around(points: Iterable[Point], margin: float) -> tuple[float, float, float, float]:
+    """West, east, south and north of the square that holds all points."""
+    places = list(points)
+    east = [p[0] for p in places]
+    north = [p[1] for p in places]
+    half = max(max(east) - min(east), max(north) - min(north)) / 2.0 + margin
+    cx, cy = (max(east) + min(east)) / 2.0, (max(north) + min(north)) / 2.0
+    return cx - half, cx + half, cy - half, cy + half

@@ -1,0 +1,262 @@
+"""One moment of a flight as plain values: what every view draws.
+
+Lengths are metres in the local frame, east first; times are seconds of the companion's clock. A
+value that is not known is None. Texts are as they came: whoever shows them escapes them.
+
+The page has its picture, of JSON values; a terminal its `FlightSnapshot`. When the target will be
+reported is extrapolated as far as the shrinking radius tells.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from companion.config.schema import CompanionConfig
+from companion.domain import EstimateState, TargetEstimate
+from companion.geometry.coordinates import LocalOrigin
+from companion.geometry.polygons import ellipse_95
+from companion.guidance.authority.state_machine import PHASE_WORDS, Phase
+from companion.guidance.commands import Severity
+from companion.guidance.flight.fencing import Fencing
+from companion.guidance.session import EmitterStatus, GuidanceStatus
+from companion.link.endpoint import CompanionEndpoint
+
+Json = dict[str, object]
+
+ESTIMATE_WORDS = {
+    EstimateState.SEARCHING: "searching",
+    EstimateState.AMBIGUOUS: "two places are possible",
+    EstimateState.LOCALISED: "localised",
+    EstimateState.DIVERGED: "recovering",
+}
+
+
+def scene_of(config: CompanionConfig) -> Json:
+    """What does not change during a flight.
+
+    Args:
+        config: Of the flight.
+    """
+    mission = config.mission
+    return {
+        "stop_radius_m": mission.stop_radius_m,
+        "old_after_s": {
+            "autopilot": 1.0,
+            "position": 0.5,
+            "ranging": mission.ranging_timeout_s,
+        },
+    }
+
+
+def picture_of(endpoint: CompanionEndpoint, now_s: float) -> Json:
+    """What is known now.
+
+    Args:
+        endpoint: The companion.
+        now_s: The present.
+    """
+    session = endpoint.session
+    status = session.status(now_s)
+    vehicle = session.vehicle
+    return {
+        "t_s": now_s,
+        "phase": status.phase.value,
+        "phase_text": _phase_text(status),
+        "phase_detail": status.detail,
+        "mode": vehicle.name_of(status.mode),
+        "is_armed": status.is_armed,
+        "is_link_lost": status.is_link_lost and endpoint.binding.heard_s is not None,
+        "battery_pct": status.battery_pct,
+        "fence": _fence(session.fencing),
+        "origin": _origin(vehicle.origin),
+        "vehicle": status.vehicle_enu_m,
+        "height_m": status.height_m,
+        "distance_m": status.distance_m,
+        "estimate": None if status.estimate is None else _estimate(status.estimate),
+        "emitters": [_emitter(emitter) for emitter in status.emitters],
+        "waypoint": _waypoint(status),
+        "setpoint": status.setpoint_enu_m,
+        "guard": status.guard,
+        "nlos_share": status.health.nlos_share,
+        "accepted": status.accepted,
+        "refused": dict(status.refused),
+        "bad_frames": endpoint.bad_frames,
+        "setpoint_rate_hz": endpoint.setpoint_rate_hz(now_s),
+        "ages_s": ages_s(endpoint, now_s),
+    }
+
+
+def _phase_text(status: GuidanceStatus) -> str:
+    words = PHASE_WORDS.get(status.phase, status.phase.value)
+    is_localised = status.estimate is not None and status.estimate.state is EstimateState.LOCALISED
+    return "localised: confirming" if status.phase is Phase.NORMAL and is_localised else words
+
+
+def _fence(fencing: Fencing) -> Json:
+    """What the guard keeps now, which need not be what the configuration says."""
+    fence = fencing.guard.limits.fence
+    return {
+        "polygon": None if fence is None else fence.polygon_enu_m,
+        "keep_out": () if fence is None else fence.keep_out_enu_m,
+        "words": fencing.words,
+        "refusal": fencing.refusal,
+        "missing": fencing.missing,
+    }
+
+
+def _origin(origin: LocalOrigin | None) -> tuple[float, float] | None:
+    return None if origin is None else (origin.latitude_deg, origin.longitude_deg)
+
+
+def _estimate(estimate: TargetEstimate) -> Json:
+    ellipse = ellipse_95(estimate.position_enu_m, estimate.covariance_m2)
+    return {
+        "state": estimate.state.value,
+        "words": ESTIMATE_WORDS[estimate.state],
+        "place": estimate.position_enu_m,
+        "ellipse": ellipse.corners_enu_m(),
+        "r95_m": estimate.r95_m,
+        "alternative": estimate.alternative_enu_m,
+        "range_offset_m": estimate.range_offset_m,
+        "bearing_offset_rad": estimate.bearing_offset_rad,
+        "measurements": estimate.measurements,
+    }
+
+
+def _emitter(emitter: EmitterStatus) -> Json:
+    estimate = emitter.estimate
+    words = "not heard" if estimate is None else ESTIMATE_WORDS[estimate.state]
+    if emitter.is_reported:
+        words = f"reported, {words}"
+    elif not emitter.is_current:
+        words = f"waiting, {words}"
+    return {
+        "name": str(emitter.emitter_id),
+        "state": words,
+        "place": None if estimate is None else estimate.position_enu_m,
+        "r95_m": None if estimate is None else estimate.r95_m,
+        "is_current": emitter.is_current,
+        "is_reported": emitter.is_reported,
+    }
+
+
+def _waypoint(status: GuidanceStatus) -> Json | None:
+    waypoint = status.waypoint
+    if waypoint is None:
+        return None
+    return {
+        "place": waypoint.position_enu_m,
+        "reason": waypoint.reason.value,
+        "detail": waypoint.detail,
+    }
+
+
+def ages_s(endpoint: CompanionEndpoint, now_s: float) -> Mapping[str, float | None]:
+    """How long ago each input was last heard; None: never."""
+    session = endpoint.session
+    state = session.vehicle.track.latest
+    heard = {
+        "autopilot": endpoint.binding.heard_s,
+        "position": None if state is None else state.time_s,
+        "ranging": session.tracker.last_accepted_s,
+    }
+    return {
+        name: None if time_s is None else max(0.0, now_s - time_s) for name, time_s in heard.items()
+    }
+
+
+OperatorText = tuple[float, Severity, str]
+"""Time in seconds, severity and text."""
+
+
+@dataclass(frozen=True, slots=True)
+class FlightSnapshot:
+    """What a terminal shows."""
+
+    status: GuidanceStatus
+    setpoint_rate_hz: float
+    bad_frames: int
+    stop_radius_m: float
+    ages_s: Mapping[str, float | None]
+    """How long ago each input was last heard; None: never."""
+    time_to_go_s: float | None = None
+    texts: tuple[OperatorText, ...] = ()
+    """Shown below the figures, where there is no log beside them."""
+
+
+def flight_snapshot(
+    endpoint: CompanionEndpoint,
+    now_s: float,
+    time_to_go_s: float | None = None,
+    texts: tuple[OperatorText, ...] = (),
+) -> FlightSnapshot:
+    """The present moment of a flight."""
+    return FlightSnapshot(
+        status=endpoint.session.status(now_s),
+        setpoint_rate_hz=endpoint.setpoint_rate_hz(now_s),
+        bad_frames=endpoint.bad_frames,
+        stop_radius_m=endpoint.session.params.stop_radius_m,
+        ages_s=ages_s(endpoint, now_s),
+        time_to_go_s=time_to_go_s,
+        texts=texts,
+    )
+
+
+WINDOW_S = 15.0
+"""The radius shrinks in steps, crossing by crossing: a shorter window jumps, a longer one lags."""
+MIN_WINDOW_S = 5.0
+MAX_S = 600.0
+"""A longer time to go is no better than none."""
+
+
+class TimeToGo:
+    """Extrapolates R95, which shrinks about exponentially, to the radius of the report.
+
+    Args:
+        stop_radius_m: Reported once R95 stays under this.
+        confirm_s: For this long.
+    """
+
+    def __init__(self, stop_radius_m: float, confirm_s: float) -> None:
+        self._stop_radius_m = stop_radius_m
+        self._confirm_s = confirm_s
+        self._radii: deque[tuple[float, float]] = deque()
+        self._under_since_s: float | None = None
+
+    def aim(self, stop_radius_m: float, confirm_s: float) -> None:
+        """Another end from now on: ground stations may change it."""
+        self._stop_radius_m, self._confirm_s = stop_radius_m, confirm_s
+
+    def observe(self, now_s: float, r95_m: float | None) -> float | None:
+        """The seconds to go, or None where nothing can be said.
+
+        Args:
+            now_s: The present.
+            r95_m: None without an estimate.
+        """
+        if r95_m is None or not r95_m > 0.0:
+            self._radii.clear()
+            self._under_since_s = None
+            return None
+        if r95_m <= self._stop_radius_m:
+            since_s = now_s if self._under_since_s is None else self._under_since_s
+            self._under_since_s = since_s
+            return max(0.0, self._confirm_s - (now_s - since_s))
+        self._under_since_s = None
+        self._radii.append((now_s, math.log(r95_m)))
+        while now_s - self._radii[0][0] > WINDOW_S:
+            self._radii.popleft()
+        return self._extrapolated(now_s, math.log(r95_m))
+
+    def _extrapolated(self, now_s: float, log_r95: float) -> float | None:
+        first_s, first = self._radii[0]
+        if now_s - first_s < MIN_WINDOW_S:
+            return None
+        rate = (first - log_r95) / (now_s - first_s)
+        if rate <= 0.0:
+            return None
+        to_go_s = (log_r95 - math.log(self._stop_radius_m)) / rate + self._confirm_s
+        return to_go_s if to_go_s <= MAX_S else None

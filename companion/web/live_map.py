@@ -1,0 +1,359 @@
+"""The live map of a flight: pictures to a child process, buttons to the session.
+
+Theory of operation. A browser, or ten, or one that stalled, must not be felt by the control tick.
+So the page lives in another process: pictures go down a pipe as JSON lines, a few times a second,
+and only when the pipe has room; what does not fit is not queued, because a newer picture replaces
+it anyway. Buttons come back up another pipe. If the child dies, the flight goes on without a map.
+The listening socket is opened here, before the flight, so that a taken port is an error at once.
+
+The collector gathers what the page needs of the past: texts, marks of the last ranges, and the
+curves. It listens where the flight log does, so nothing is measured twice; every list is bounded.
+"""
+
+from __future__ import annotations
+
+import errno
+import ipaddress
+import json
+import logging
+import os
+import socket
+import subprocess
+import sys
+from collections import deque
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
+
+from companion.config.schema import CompanionConfig
+from companion.errors import CompanionError
+from companion.guidance.commands import ReportResult, Severity
+from companion.guidance.events import OperatorCommand
+from companion.io.files import plain
+from companion.link.endpoint import CompanionEndpoint
+from companion.link.recorders import Journal
+from companion.view.snapshot import Json, TimeToGo, picture_of, scene_of
+from companion.web.settings import WebSettings
+
+TEXTS = 50
+MARKS = 12
+"""Rings and bearings that a map shows at once; more of them hide the estimate."""
+CURVE_POINTS = 600
+CURVE_STEP_S = 0.5
+"""Curves keep five minutes at this step; a longer flight keeps every second point, and so on."""
+MARK_FIELDS = ("sensor_enu_m", "range_m", "bearing_enu_rad", "range_weight", "emitter_id")
+CURVE_FIELDS = ("range_innovation", "range_offset_m", "r95_m", "nis")
+
+Sample = dict[str, object]
+
+
+class Collector:
+    """Gathers texts, marks and curve points until a view takes them."""
+
+    def __init__(self) -> None:
+        self.texts: deque[tuple[float, str, str]] = deque(maxlen=TEXTS)
+        """(time_s, severity, text)"""
+        self.marks: deque[Sample] = deque(maxlen=MARKS)
+        self._curve: deque[Sample] = deque(maxlen=CURVE_POINTS)
+        self._next_point_s = 0.0
+
+    def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
+        """Take in what the flight log is told; only estimates matter here."""
+        if kind != "estimate":
+            return
+        if fields.get("sensor_enu_m") is not None:
+            self.marks.append({"t_s": now_s, **{name: fields.get(name) for name in MARK_FIELDS}})
+        if now_s >= self._next_point_s:
+            self._next_point_s = now_s + CURVE_STEP_S
+            self._curve.append({"t_s": now_s, **{name: fields.get(name) for name in CURVE_FIELDS}})
+
+    def text(self, severity: Severity, text: str, now_s: float) -> None:
+        """Take in a text for the operator."""
+        self.texts.append((now_s, severity.name.lower(), text))
+
+    def take_curve(self) -> list[Sample]:
+        """The curve points since they were last taken."""
+        points = list(self._curve)
+        self._curve.clear()
+        return points
+
+
+class TeeJournal:
+    """Passes everything on to the flight log, and what views need to a collector.
+
+    Args:
+        journal: The flight log.
+        collector: For the views.
+    """
+
+    def __init__(self, journal: Journal, collector: Collector) -> None:
+        self._journal = journal
+        self._collector = collector
+
+    def frame(self, data: bytes, now_s: float) -> None:
+        """Pass a raw frame on."""
+        self._journal.frame(data, now_s)
+
+    def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
+        """Pass an event on, and show it."""
+        self._journal.record(kind, fields, now_s)
+        self._collector.record(kind, fields, now_s)
+
+    def text(self, severity: Severity, text: str, now_s: float) -> None:
+        """Pass a text on, and show it."""
+        self._journal.text(severity, text, now_s)
+        self._collector.text(severity, text, now_s)
+
+    def result(self, report: ReportResult, now_s: float) -> None:
+        """Pass the result on."""
+        self._journal.result(report, now_s)
+
+
+log = logging.getLogger("companion.web")
+
+PICTURE_PERIOD_S = 0.25
+"""Of the flight; faster than an eye needs, slower than a Raspberry Pi notices."""
+MAX_LINE = 1_000_000
+"""More than this without a line's end is no button."""
+END_S = 2.0
+FAR_AWAY = ("192.0.2.1", 9)
+"""An address that nobody has (RFC 5737): the way to it leaves by the network's own address."""
+HINTS = {
+    errno.EADDRINUSE: "is another program using the port?",
+    errno.EACCES: "ports below 1024 are not for everybody",
+}
+BUTTONS = frozenset({"hold", "resume", "return"})
+
+
+class WebProcess:
+    """Serves the page from a child process.
+
+    Args:
+        settings: Where, and for whom.
+        scene: What does not change during the flight, for `companion.view`'s page.
+
+    Raises:
+        CompanionError: The port is taken, or the extra `web` is not installed.
+    """
+
+    def __init__(self, settings: WebSettings, scene: Mapping[str, object]) -> None:
+        _check_installed()
+        listener = listening_socket(settings)
+        first = {
+            "fd": listener.fileno(),
+            "host": settings.host,
+            "token": settings.token,
+            "is_control_on": settings.is_control_on,
+            "is_view_open": settings.is_view_open,
+            "tiles": None if settings.tiles is None else str(settings.tiles.resolve()),
+            "scene": scene,
+        }
+        self._child = subprocess.Popen(
+            [sys.executable, "-m", "companion.web"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            pass_fds=(listener.fileno(),),
+        )
+        listener.close()
+        assert self._child.stdin is not None
+        assert self._child.stdout is not None
+        self._down, self._up = self._child.stdin.fileno(), self._child.stdout.fileno()
+        os.set_blocking(self._down, False)
+        os.set_blocking(self._up, False)
+        self._unsent = _line(first)
+        self._received = b""
+        self._next_s = 0.0
+        self._is_over = False
+        self.dropped = 0
+        """Pictures that the child was too slow for."""
+
+    @property
+    def process_id(self) -> int:
+        """Of the child."""
+        return self._child.pid
+
+    def update(
+        self, now_s: float, picture: Callable[[], Mapping[str, object]], *, may_send: bool = True
+    ) -> list[str]:
+        """Send a picture if one is due and the pipe has room; the buttons pressed meanwhile.
+
+        Args:
+            now_s: The present.
+            picture: Makes it; only called when it goes out.
+            may_send: Whether there is time for one now; otherwise it waits for the next call.
+        """
+        if self._is_over:
+            return []
+        self._flush()
+        if may_send and now_s >= self._next_s:
+            self._next_s = now_s + PICTURE_PERIOD_S
+            if self._unsent:
+                self.dropped += 1
+            else:
+                self._unsent = _line(picture())
+                self._flush()
+        return self._buttons()
+
+    def close(self) -> None:
+        """End the child; it ends by itself when its pipe does."""
+        self._is_over = True
+        for pipe in (self._child.stdin, self._child.stdout):
+            if pipe is not None:
+                with suppress(OSError):
+                    pipe.close()
+        try:
+            self._child.wait(END_S)
+        except subprocess.TimeoutExpired:
+            self._child.kill()
+            self._child.wait()
+
+    def _flush(self) -> None:
+        try:
+            while self._unsent:
+                sent = os.write(self._down, self._unsent)
+                self._unsent = self._unsent[sent:]
+        except BlockingIOError:
+            pass
+        except OSError:
+            self._is_over = True
+            log.warning("the live map ended; the flight goes on without it")
+
+    def _buttons(self) -> list[str]:
+        try:
+            data = os.read(self._up, 65536)
+        except (BlockingIOError, OSError):
+            return []
+        *lines, self._received = (self._received + data).split(b"\n")
+        self._received = self._received[-MAX_LINE:]
+        names = [line.decode("utf-8", errors="replace").strip() for line in lines]
+        return [name for name in names if name in BUTTONS]
+
+
+def listening_socket(settings: WebSettings) -> socket.socket:
+    """The socket that the page is served on.
+
+    Raises:
+        CompanionError: The address is not ours, or the port is taken.
+    """
+    try:
+        found = socket.getaddrinfo(settings.host, settings.port, type=socket.SOCK_STREAM)
+        family, kind, protocol, _, address = found[0]
+        listener = socket.socket(family, kind, protocol)
+    except OSError as error:
+        raise CompanionError(f"--web {settings.host}: no address of this computer") from error
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(address)
+        listener.listen()
+    except OSError as error:
+        listener.close()
+        hint = HINTS.get(error.errno or 0, "is it an address of this computer?")
+        raise CompanionError(
+            f"--web {settings.host}:{settings.port}: cannot be opened ({error.strerror}); {hint}"
+        ) from error
+    return listener
+
+
+def url_to_tell(settings: WebSettings) -> str:
+    """What to type into a browser, also of another device where the network is served."""
+    try:
+        if not ipaddress.ip_address(settings.host).is_unspecified:
+            return settings.url
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.connect(FAR_AWAY)  # of a datagram socket: looks for the way, sends nothing
+            return replace(settings, host=probe.getsockname()[0]).url
+    except (OSError, ValueError):
+        return settings.url
+
+
+def _check_installed() -> None:
+    from importlib.util import find_spec
+
+    if find_spec("nicegui") is None:
+        raise CompanionError("--web needs the extra web: pip install 'companion-guidance[web]'")
+
+
+def _line(value: Mapping[str, object]) -> bytes:
+    return json.dumps(plain(value), allow_nan=False, separators=(",", ":")).encode() + b"\n"
+
+
+ROOM_S = 0.012
+"""Before the next control tick; nearer to it a picture, some milliseconds, could delay it."""
+
+
+class WebView:
+    """The live map of one flight.
+
+    Args:
+        settings: Where, and for whom.
+        config: Of the flight.
+        truth_enu_m: Where the emitter is, if somebody knows it (the simulator does).
+
+    Raises:
+        CompanionError: The port is taken, or the extra `web` is not installed.
+    """
+
+    def __init__(
+        self,
+        settings: WebSettings,
+        config: CompanionConfig,
+        truth_enu_m: tuple[float, float] | None = None,
+    ) -> None:
+        self._settings = settings
+        self._collector = Collector()
+        mission = config.mission
+        self._time_to_go = TimeToGo(mission.stop_radius_m, mission.stop_confirm_s)
+        self._process = WebProcess(settings, {**scene_of(config), "truth": truth_enu_m})
+
+    @property
+    def url(self) -> str:
+        """Where the page is, for people."""
+        return url_to_tell(self._settings)
+
+    @property
+    def process_id(self) -> int:
+        """Of the process that serves the page."""
+        return self._process.process_id
+
+    def listen(self, journal: Journal) -> Journal:
+        """A journal that tells the page what it tells the flight log."""
+        return TeeJournal(journal, self._collector)
+
+    def update(self, endpoint: CompanionEndpoint, now_s: float) -> None:
+        """Called at every wake-up of the flight; costs nothing unless a picture is due.
+
+        Args:
+            endpoint: The companion; buttons go to it.
+            now_s: The present.
+        """
+        has_room = endpoint.next_timer_s() - now_s >= ROOM_S
+        make = partial(self._picture, endpoint, now_s)
+        for name in self._process.update(now_s, make, may_send=has_room):
+            endpoint.ask(OperatorCommand(name), now_s)
+
+    def show(self, endpoint: CompanionEndpoint, now_s: float, clock_s: float) -> None:
+        """Show a moment that is over, whatever buttons are pressed.
+
+        Args:
+            endpoint: The companion.
+            now_s: The moment.
+            clock_s: Goes on.
+        """
+        self._process.update(clock_s, lambda: self._picture(endpoint, now_s))
+
+    def close(self) -> None:
+        """End the page."""
+        self._process.close()
+
+    def _picture(self, endpoint: CompanionEndpoint, now_s: float) -> Json:
+        params, estimate = endpoint.session.params, endpoint.session.estimate
+        self._time_to_go.aim(params.stop_radius_m, params.stop_confirm_s)
+        r95_m = None if estimate is None else estimate.r95_m
+        return {
+            **picture_of(endpoint, now_s),
+            "time_to_go_s": self._time_to_go.observe(now_s, r95_m),
+            "texts": list(self._collector.texts),
+            "marks": list(self._collector.marks),
+            "curve": self._collector.take_curve(),
+        }

@@ -1,0 +1,246 @@
+"""What is asked of the vehicle: streamed setpoints, the pilot's sticks, and the target told back.
+
+Sticks are the scenario's transmitter, or a station's joystick over MAVLink. Setpoints: what the two
+autopilots share in reading one. Source: MAVLink common, POSITION_TARGET_TYPEMASK and messages 84
+and 86.
+
+`Echo` is what POSITION_TARGET_LOCAL_NED and _GLOBAL_INT tell of the target that is flown. The two
+autopilots tell it differently. PX4 shows what its position controller works with, in every mode
+that has one: the place if there is one, and always the velocity and the acceleration that follow
+from it, the yaw and the yaw rate; fields that mean nothing are NaN. ArduCopter shows the target of
+GUIDED and nothing else; fields that mean nothing are 0, and yaw never means anything.
+
+Source: PX4 `mavlink/streams/POSITION_TARGET_LOCAL_NED.hpp` and `mc_pos_control/PositionControl`;
+ArduCopter `GCS_Mavlink.cpp`, `send_position_target_local_ned`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from companion.domain import Point, PositionEnu
+from companion.mav import dialect
+from companion.mav.dialect import mavlink
+from sim_link.autopilot.scenario import RcParams
+
+LocalTarget = mavlink.MAVLink_set_position_target_local_ned_message
+GlobalTarget = mavlink.MAVLink_set_position_target_global_int_message
+AttitudeTarget = mavlink.MAVLink_set_attitude_target_message
+
+MAX_LATITUDE_E7 = 900_000_000
+MAX_LONGITUDE_E7 = 1_800_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Setpoint:
+    """Where to fly and how fast; None where nothing is asked. All of it None: stay in place."""
+
+    position_en_m: Point | None = None
+    """In the world's frame."""
+    up_m: float | None = None
+    velocity_en_mps: Point | None = None
+    climb_mps: float | None = None
+    acceleration_enu_mps2: PositionEnu | None = None
+    yaw_ned_rad: float | None = None
+    yaw_rate_ned_radps: float | None = None
+    """Clockwise positive."""
+
+
+class SetpointMonitor:
+    """Keeps the newest valid setpoint and when it came."""
+
+    def __init__(self) -> None:
+        self.arrived_s: float | None = None
+        """When the newest valid one came; None before any."""
+        self.setpoint = Setpoint()
+        self.received = 0
+        """Setpoint messages addressed to us, the refused ones included."""
+        self.refused = 0
+
+    def take(self, setpoint: Setpoint | None, now_s: float) -> None:
+        """Count a message and keep its setpoint; None means that it was refused."""
+        self.received += 1
+        if setpoint is None:
+            self.refused += 1
+            return
+        self.setpoint = setpoint
+        self.arrived_s = now_s
+
+    def is_alive(self, now_s: float, timeout_s: float) -> bool:
+        """Whether the newest valid setpoint is younger than `timeout_s`."""
+        return self.arrived_s is not None and now_s - self.arrived_s < timeout_s
+
+
+def has_finite_fields(
+    message: LocalTarget | GlobalTarget, position: tuple[float, float, float]
+) -> bool:
+    """Whether every field that is not masked is a finite number."""
+    mask = message.type_mask
+    fields = (
+        (dialect.X_IGNORE, position[0]),
+        (dialect.Y_IGNORE, position[1]),
+        (dialect.Z_IGNORE, position[2]),
+        (dialect.VX_IGNORE, message.vx),
+        (dialect.VY_IGNORE, message.vy),
+        (dialect.VZ_IGNORE, message.vz),
+        (dialect.AX_IGNORE, message.afx),
+        (dialect.AY_IGNORE, message.afy),
+        (dialect.AZ_IGNORE, message.afz),
+        (dialect.YAW_IGNORE, message.yaw),
+        (dialect.YAW_RATE_IGNORE, message.yaw_rate),
+    )
+    return all(mask & bit or math.isfinite(value) for bit, value in fields)
+
+
+def is_on_earth(latitude_e7: int, longitude_e7: int) -> bool:
+    """Whether latitude and longitude in 1e-7 degrees are a place."""
+    return abs(latitude_e7) <= MAX_LATITUDE_E7 and abs(longitude_e7) <= MAX_LONGITUDE_E7
+
+
+def turned(forward: float, right: float, yaw_ned_rad: float) -> Point:
+    """East and north of a vector that is given forward and right of a heading."""
+    cos_yaw, sin_yaw = math.cos(yaw_ned_rad), math.sin(yaw_ned_rad)
+    return (forward * sin_yaw + right * cos_yaw, forward * cos_yaw - right * sin_yaw)
+
+
+STICK_RANGE = 1000.0
+"""MANUAL_CONTROL's full deflection."""
+JOYSTICK_TIMEOUT_S = 0.5
+"""A joystick that has been silent for this long is gone (PX4 COM_RC_LOSS_T)."""
+MOVED = 0.3
+"""Deflection that takes over from an automatic mode (PX4 COM_RC_STICK_OV, 30 %)."""
+DEAD_ZONE = 0.1
+"""Deflection up to which a stick is let go (PX4 MPC_HOLD_DZ)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sticks:
+    """Deflections, -1 to 1; all of them 0 when nobody touches them."""
+
+    forward: float = 0.0
+    right: float = 0.0
+    up: float = 0.0
+    yaw: float = 0.0
+    """Clockwise positive."""
+
+    @property
+    def are_moved(self) -> bool:
+        """Whether somebody wants to take over."""
+        return self._deflection > MOVED
+
+    @property
+    def are_let_go(self) -> bool:
+        """Whether nobody flies."""
+        return self._deflection <= DEAD_ZONE
+
+    @property
+    def _deflection(self) -> float:
+        return max(abs(self.forward), abs(self.right), abs(self.up), abs(self.yaw))
+
+
+CENTRED = Sticks()
+
+
+def sticks_from(message: mavlink.MAVLink_manual_control_message) -> Sticks:
+    """The deflections of MANUAL_CONTROL; an axis beyond its range is not there, and centred.
+
+    Source: MAVLink common, MANUAL_CONTROL (INT16_MAX: the axis is invalid; z is thrust, 500 is
+    half); PX4 `handle_message_manual_control` takes no axis beyond 1000 either.
+    """
+    forward, right, thrust, yaw = (
+        value / STICK_RANGE if abs(value) <= STICK_RANGE else math.nan
+        for value in (message.x, message.y, message.z, message.r)
+    )
+    axes = (forward, right, 2.0 * thrust - 1.0, yaw)
+    forward, right, up, yaw = (0.0 if math.isnan(axis) else max(-1.0, axis) for axis in axes)
+    return Sticks(forward, right, up, yaw)
+
+
+class StickInput:
+    """Whoever holds the sticks now.
+
+    Args:
+        params: The transmitter.
+    """
+
+    def __init__(self, params: RcParams) -> None:
+        self._params = params
+        self._joystick: Sticks = CENTRED
+        self._joystick_s: float | None = None
+        self._moved: Sticks = CENTRED
+        self._moved_until_s = -math.inf
+        self._lost_until_s = -math.inf
+
+    def take_joystick(self, sticks: Sticks, now_s: float) -> None:
+        """Deflections from MANUAL_CONTROL or RC_CHANNELS_OVERRIDE."""
+        self._joystick = sticks
+        self._joystick_s = now_s
+
+    def move(self, sticks: Sticks, until_s: float) -> None:
+        """The pilot holds the transmitter's sticks like this for some time."""
+        self._moved, self._moved_until_s = sticks, until_s
+
+    def lose(self, until_s: float) -> None:
+        """The transmitter is not heard for some time."""
+        self._lost_until_s = until_s
+
+    def is_joystick_alive(self, now_s: float) -> bool:
+        """Whether a station's joystick still reports."""
+        return self._joystick_s is not None and now_s - self._joystick_s < JOYSTICK_TIMEOUT_S
+
+    def has_transmitter(self, now_s: float) -> bool:
+        """Whether the transmitter is heard."""
+        is_there = self._params.is_present or now_s < self._moved_until_s
+        return is_there and now_s >= self._lost_until_s
+
+    def read(self, now_s: float) -> Sticks | None:
+        """The deflections, or None if nobody holds any sticks."""
+        if self.is_joystick_alive(now_s):
+            return self._joystick
+        if not self.has_transmitter(now_s):
+            return None
+        return self._moved if now_s < self._moved_until_s else CENTRED
+
+
+Axes = tuple[float | None, float | None, float | None]
+"""East, north and up; None where nothing is asked."""
+NOTHING: Axes = (None, None, None)
+POSITION_BITS = (dialect.Y_IGNORE, dialect.X_IGNORE, dialect.Z_IGNORE)
+VELOCITY_BITS = (dialect.VY_IGNORE, dialect.VX_IGNORE, dialect.VZ_IGNORE)
+ACCELERATION_BITS = (dialect.AY_IGNORE, dialect.AX_IGNORE, dialect.AZ_IGNORE)
+"""Of east, north and up."""
+
+
+@dataclass(frozen=True, slots=True)
+class Echo:
+    """One target."""
+
+    place_enu_m: Axes = NOTHING
+    """In the world's frame."""
+    velocity_enu_mps: Axes = NOTHING
+    acceleration_enu_mps2: Axes = NOTHING
+    yaw_ned_rad: float | None = None
+    yaw_rate_ned_radps: float | None = None
+    """Clockwise positive."""
+    nothing: float = 0.0
+    """What a field holds that means nothing."""
+
+    @property
+    def type_mask(self) -> int:
+        """POSITION_TARGET_TYPEMASK."""
+        mask = 0 if self.yaw_ned_rad is not None else dialect.YAW_IGNORE
+        mask |= 0 if self.yaw_rate_ned_radps is not None else dialect.YAW_RATE_IGNORE
+        for axes, bits in (
+            (self.place_enu_m, POSITION_BITS),
+            (self.velocity_enu_mps, VELOCITY_BITS),
+            (self.acceleration_enu_mps2, ACCELERATION_BITS),
+        ):
+            mask |= sum(bit for axis, bit in zip(axes, bits, strict=True) if axis is None)
+        return mask
+
+    @property
+    def whole_place(self) -> PositionEnu | None:
+        """The place, if all of it is asked for."""
+        east, north, up = self.place_enu_m
+        return None if east is None or north is None or up is None else (east, north, up)

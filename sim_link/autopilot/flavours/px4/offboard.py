@@ -1,0 +1,160 @@
+"""Offboard setpoints of PX4: which are valid and what they ask for.
+
+A setpoint is refused whole, and is then no proof of life, if a field that it does not mask is NaN
+or infinite (PX4 drops single axes instead), if its frame is not one of ours, if it sets the FORCE
+bit, or if it leaves neither position, velocity nor acceleration. One that gives only some axes is a
+proof of life that asks to stay in place, as PX4 does with it.
+
+SET_ATTITUDE_TARGET on a point mass: thrust along an attitude is an acceleration. Body rates are not
+flown, because a point mass has no attitude of its own to turn: a message that masks the attitude is
+refused, and is no proof of life.
+
+Source: MAVLink common, messages 82, 84 and 86; PX4 user guide, offboard; PX4 1.15 as observed.
+"""
+
+from __future__ import annotations
+
+import math
+
+from companion.domain import Point, PositionEnu
+from companion.geometry.coordinates import enu_from_ned, wrap_pi
+from companion.mav import dialect
+from companion.mav.dialect import mavlink
+from sim_link.autopilot.aircraft import Aircraft
+from sim_link.autopilot.control_inputs import (
+    AttitudeTarget,
+    GlobalTarget,
+    LocalTarget,
+    Setpoint,
+    has_finite_fields,
+    is_on_earth,
+    turned,
+)
+from sim_link.world.point_mass import GRAVITY_MPS2
+
+HORIZONTAL_POSITION_IGNORE = dialect.X_IGNORE | dialect.Y_IGNORE
+HORIZONTAL_VELOCITY_IGNORE = dialect.VX_IGNORE | dialect.VY_IGNORE
+MOTION_IGNORE = dialect.POSITION_IGNORE | dialect.VELOCITY_IGNORE | dialect.ACCELERATION_IGNORE
+TERRAIN_FRAME = mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT
+GLOBAL_FRAMES = (
+    mavlink.MAV_FRAME_GLOBAL_INT,
+    mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
+    TERRAIN_FRAME,
+)
+
+
+def setpoint_from_local(message: LocalTarget, aircraft: Aircraft) -> Setpoint | None:
+    """The setpoint of SET_POSITION_TARGET_LOCAL_NED, or None if it is refused.
+
+    BODY_NED (8) is for velocities and accelerations only, forward, right and down of the nose.
+    """
+    position_ned = (message.x, message.y, message.z)
+    if not _is_valid(message, position_ned):
+        return None
+    has_position = message.type_mask & dialect.POSITION_IGNORE != dialect.POSITION_IGNORE
+    match message.coordinate_frame:
+        case mavlink.MAV_FRAME_LOCAL_NED:
+            place = aircraft.estimator.world_from_local(enu_from_ned(position_ned))
+            return _assemble(message, place if has_position else None, None)
+        case mavlink.MAV_FRAME_BODY_NED if not has_position:
+            return _assemble(message, None, aircraft.heading_ned_rad)
+    return None
+
+
+def setpoint_from_global(message: GlobalTarget, aircraft: Aircraft) -> Setpoint | None:
+    """The setpoint of SET_POSITION_TARGET_GLOBAL_INT, or None if it is refused.
+
+    Frame 5 has its altitude above sea level, frame 6 above home (PX4 1.15 is wrong there by twice
+    the height between origin and home; this is not), frame 11 above the flat ground.
+    """
+    if message.coordinate_frame not in GLOBAL_FRAMES:
+        return None
+    if not _is_valid(message, (message.lat_int, message.lon_int, message.alt)):
+        return None
+    if message.type_mask & dialect.POSITION_IGNORE:
+        return _assemble(message, None, None)
+    if not is_on_earth(message.lat_int, message.lon_int):
+        return None
+    frame, altitude_m = message.coordinate_frame, message.alt
+    if frame == TERRAIN_FRAME:
+        frame = mavlink.MAV_FRAME_GLOBAL
+        altitude_m += aircraft.estimator.world_origin.altitude_m + aircraft.body.ground_up_m
+    place = aircraft.place_from(message.lat_int, message.lon_int, altitude_m, frame)
+    return _assemble(message, place, None)
+
+
+def _is_valid(message: LocalTarget | GlobalTarget, position: tuple[float, float, float]) -> bool:
+    mask = message.type_mask
+    if mask & dialect.FORCE_SET or mask & MOTION_IGNORE == MOTION_IGNORE:
+        return False
+    return has_finite_fields(message, position)
+
+
+def _assemble(
+    message: LocalTarget | GlobalTarget, enu_m: PositionEnu | None, body_yaw_rad: float | None
+) -> Setpoint:
+    """The setpoint of a valid message.
+
+    Args:
+        message: The message.
+        enu_m: Its position in the world's frame, None if it gives none.
+        body_yaw_rad: The heading that its vectors are about; None: they are north and east.
+    """
+    mask = message.type_mask
+    has_en = enu_m is not None and not mask & HORIZONTAL_POSITION_IGNORE
+    has_up = enu_m is not None and not mask & dialect.Z_IGNORE
+    has_velocity_en = not mask & HORIZONTAL_VELOCITY_IGNORE
+    has_climb = not mask & dialect.VZ_IGNORE
+    yaw = None if mask & dialect.YAW_IGNORE else float(message.yaw)
+    if yaw is not None and body_yaw_rad is not None:
+        yaw = wrap_pi(yaw + body_yaw_rad)
+    yaw_rate = None if mask & dialect.YAW_RATE_IGNORE else float(message.yaw_rate)
+    has_motion = (has_en or has_velocity_en) and (has_up or has_climb)
+    acceleration = None
+    if not mask & dialect.ACCELERATION_IGNORE:
+        acceleration = (*_en(message.afx, message.afy, body_yaw_rad), -float(message.afz))
+    if not has_motion:
+        return Setpoint(
+            acceleration_enu_mps2=acceleration, yaw_ned_rad=yaw, yaw_rate_ned_radps=yaw_rate
+        )
+    return Setpoint(
+        position_en_m=enu_m[:2] if enu_m is not None and has_en else None,
+        up_m=enu_m[2] if enu_m is not None and has_up else None,
+        velocity_en_mps=_en(message.vx, message.vy, body_yaw_rad) if has_velocity_en else None,
+        climb_mps=-message.vz if has_climb else None,
+        yaw_ned_rad=yaw,
+        yaw_rate_ned_radps=yaw_rate,
+    )
+
+
+def _en(x: float, y: float, body_yaw_rad: float | None) -> Point:
+    """East and north of a vector that is north and east, or forward and right."""
+    if body_yaw_rad is None or not (math.isfinite(x) and math.isfinite(y)):
+        return (float(y), float(x))
+    return turned(x, y, body_yaw_rad)
+
+
+CANNOT_BE_LEFT_OUT = (
+    mavlink.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE
+    | mavlink.ATTITUDE_TARGET_TYPEMASK_THROTTLE_IGNORE
+)
+HOVER_THRUST = 0.5
+"""PX4 MPC_THR_HOVER."""
+SHORTEST_QUATERNION = 0.1
+
+
+def setpoint_from_attitude(message: AttitudeTarget) -> Setpoint | None:
+    """The setpoint of SET_ATTITUDE_TARGET, or None if it is refused."""
+    values = (*message.q, message.thrust)
+    if message.type_mask & CANNOT_BE_LEFT_OUT or not all(map(math.isfinite, values)):
+        return None
+    length = math.hypot(*message.q)
+    if length < SHORTEST_QUATERNION or not 0.0 <= message.thrust <= 1.0:
+        return None
+    w, x, y, z = (part / length for part in message.q)
+    thrust_mps2 = message.thrust / HOVER_THRUST * GRAVITY_MPS2
+    north = -2.0 * (x * z + w * y) * thrust_mps2
+    east = -2.0 * (y * z - w * x) * thrust_mps2
+    up = (1.0 - 2.0 * (x * x + y * y)) * thrust_mps2 - GRAVITY_MPS2
+    yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return Setpoint(acceleration_enu_mps2=(east, north, up), yaw_ned_rad=yaw)

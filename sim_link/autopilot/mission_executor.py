@@ -1,0 +1,236 @@
+"""Flying an uploaded mission: which item is current, what it asks for, and when it is done.
+
+Commands that do nothing here (cameras, gimbals, servos) count as done at once.
+
+Source: MAVLink common, MAV_CMD_NAV_* and MAV_CMD_DO_*; MISSION_STATE.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+from companion.domain import PositionEnu
+from companion.mav.dialect import mavlink
+from sim_link.autopilot.protocols.plan_items import NO_VALUE, MissionState, PlanItem
+
+ACCEPTANCE_M = 2.0
+"""Radius in which a waypoint counts as reached where the item names none (PX4 NAV_ACC_RAD)."""
+ACCEPTANCE_UP_M = 0.8
+MAX_STEPS = 1000
+"""Items without a way to fly that are done in one go: a loop of jumps must end."""
+
+
+Locate = Callable[[PlanItem], PositionEnu]
+"""The place of an item, in the world's frame."""
+
+
+class LegKind(Enum):
+    """What an item asks the pilot to do."""
+
+    FLY = "fly"
+    LAND = "land"
+    RETURN = "return"
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """What to fly now."""
+
+    kind: LegKind
+    goal_enu_m: PositionEnu
+    speed_mps: float | None = None
+    yaw_ned_rad: float | None = None
+
+
+class MissionRun:
+    """Progress through one mission.
+
+    Args:
+        locate: The place of an item.
+        first: Index of the first item that is flown: 1 where item 0 is home (ArduPilot).
+    """
+
+    def __init__(self, locate: Locate, first: int) -> None:
+        self.items: tuple[PlanItem, ...] = ()
+        self.current = 0
+        self.state = MissionState.NO_MISSION
+        self.reached: list[int] = []
+        """Items reached since the list was last emptied: MISSION_ITEM_REACHED."""
+        self._locate = locate
+        self._first = first
+        self._speed_mps: float | None = None
+        self._arrived_s: float | None = None
+        self._goal: PositionEnu | None = None
+        self._jumps: dict[int, int] = {}
+
+    @property
+    def has_items(self) -> bool:
+        """Whether there is anything to fly."""
+        return len(self.items) > self._first
+
+    def load(self, items: Sequence[PlanItem]) -> None:
+        """Replace the plan; it begins at its start."""
+        self.items = tuple(items)
+        self.rewind()
+
+    def rewind(self) -> None:
+        """Back to the start."""
+        self._go_to(0 if not self.has_items else self._first)
+        self._jumps.clear()
+        self._speed_mps = None
+        self.state = MissionState.NOT_STARTED if self.has_items else MissionState.NO_MISSION
+
+    def set_current(self, index: int) -> bool:
+        """Fly on at an item; whether there is one."""
+        if not 0 <= index < len(self.items):
+            return False
+        self._go_to(index)
+        if self.state is MissionState.COMPLETE:
+            self.state = MissionState.PAUSED
+        return True
+
+    def start(self) -> None:
+        """Fly on; a mission that is complete begins anew."""
+        if self.state is MissionState.COMPLETE:
+            self.rewind()
+        if self.has_items:
+            self.state = MissionState.ACTIVE
+
+    def finish_leg(self) -> None:
+        """The current item is done, whatever it asks for."""
+        self._done()
+        if self.current >= len(self.items):
+            self._complete()
+
+    def pause(self) -> None:
+        """Stop here for now."""
+        if self.state is MissionState.ACTIVE:
+            self.state = MissionState.PAUSED
+        self._goal = None
+
+    def leg(self, place: PositionEnu, is_on_ground: bool, now_s: float) -> Leg | None:
+        """What to fly at `now_s`, or None at the end; moves on where an item is done."""
+        for _ in range(MAX_STEPS):
+            if self.state is not MissionState.ACTIVE:
+                return None
+            if self.current >= len(self.items):
+                self._complete()
+                return None
+            leg = self._leg_of(self.items[self.current], place, is_on_ground, now_s)
+            if leg is not None:
+                return leg
+        self._complete()
+        return None
+
+    def _complete(self) -> None:
+        self.current = max(0, len(self.items) - 1)
+        self.state = MissionState.COMPLETE
+
+    def _go_to(self, index: int) -> None:
+        self.current = index
+        self._arrived_s = None
+        self._goal = None
+
+    def _done(self) -> None:
+        self.reached.append(self.current)
+        self._go_to(self.current + 1)
+
+    def _leg_of(
+        self, item: PlanItem, place: PositionEnu, is_on_ground: bool, now_s: float
+    ) -> Leg | None:
+        """The leg of an item, or None if it is done (the run has moved on then)."""
+        match item.command:
+            case mavlink.MAV_CMD_NAV_LAND:
+                return self._land(item, place, is_on_ground)
+            case mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH:
+                return Leg(LegKind.RETURN, place)
+            case mavlink.MAV_CMD_NAV_WAYPOINT | mavlink.MAV_CMD_NAV_SPLINE_WAYPOINT:
+                hold_s = item.params[0] if item.params[0] > 0.0 else 0.0
+                return self._fly(item, self._place_of(item, place), place, hold_s, now_s)
+            case mavlink.MAV_CMD_NAV_LOITER_TIME:
+                hold_s = item.params[0] if item.params[0] > 0.0 else 0.0
+                return self._fly(item, self._place_of(item, place), place, hold_s, now_s)
+            case mavlink.MAV_CMD_NAV_LOITER_UNLIM:
+                return self._fly(item, self._place_of(item, place), place, math.inf, now_s)
+            case mavlink.MAV_CMD_NAV_TAKEOFF:
+                return self._take_off(item, place, now_s)
+            case mavlink.MAV_CMD_NAV_DELAY | mavlink.MAV_CMD_CONDITION_DELAY:
+                hold_s = item.params[0] if item.params[0] > 0.0 else 0.0
+                goal = self._goal = self._goal or place
+                return self._fly(item, goal, place, hold_s, now_s)
+            case mavlink.MAV_CMD_DO_CHANGE_SPEED:
+                self._speed_mps = item.params[1] if item.params[1] > 0.0 else None
+            case mavlink.MAV_CMD_DO_JUMP:
+                if self._jump(item):
+                    return None
+        self._done()
+        return None
+
+    def _jump(self, item: PlanItem) -> bool:
+        """Whether a DO_JUMP jumps once more."""
+        is_number = math.isfinite(item.params[0]) and math.isfinite(item.params[1])
+        if not is_number or not 0 <= int(item.params[0]) < len(self.items):
+            return False
+        flown = self._jumps.get(self.current, 0)
+        if 0 <= int(item.params[1]) <= flown:
+            return False
+        self._jumps[self.current] = flown + 1
+        self.reached.append(self.current)
+        self._go_to(int(item.params[0]))
+        return True
+
+    def _place_of(self, item: PlanItem, place: PositionEnu) -> PositionEnu:
+        if self._goal is None:
+            self._goal = place if _is_here(item) else self._locate(item)
+        return self._goal
+
+    def _take_off(self, item: PlanItem, place: PositionEnu, now_s: float) -> Leg | None:
+        if self._goal is None:
+            up_m = self._locate(item)[2]
+            self._goal = (place[0], place[1], max(up_m, place[2]))
+        return self._fly(item, self._goal, place, 0.0, now_s)
+
+    def _land(self, item: PlanItem, place: PositionEnu, is_on_ground: bool) -> Leg | None:
+        if self._goal is None:
+            self._goal = place if _is_here(item) else self._locate(item)
+        east, north, _ = self._goal
+        if self._arrived_s is None and math.dist((east, north), place[:2]) > ACCEPTANCE_M:
+            return Leg(LegKind.FLY, (east, north, place[2]), self._speed_mps)
+        self._arrived_s = 0.0
+        if is_on_ground:
+            self._done()
+            return None
+        return Leg(LegKind.LAND, (east, north, place[2]))
+
+    def _fly(
+        self,
+        item: PlanItem,
+        goal: PositionEnu,
+        place: PositionEnu,
+        hold_s: float,
+        now_s: float,
+    ) -> Leg | None:
+        is_place = item.command == mavlink.MAV_CMD_NAV_WAYPOINT
+        radius_m = item.params[1] if is_place and item.params[1] > 0.0 else ACCEPTANCE_M
+        is_there = (
+            math.dist(goal[:2], place[:2]) <= radius_m
+            and abs(goal[2] - place[2]) <= ACCEPTANCE_UP_M
+        )
+        if is_there and self._arrived_s is None:
+            self._arrived_s = now_s
+        if self._arrived_s is not None and now_s - self._arrived_s >= hold_s:
+            self._done()
+            return None
+        yaw = item.params[3]
+        wanted = math.radians(yaw) if is_place and math.isfinite(yaw) and yaw != 0.0 else None
+        if wanted is None and math.dist(goal[:2], place[:2]) > ACCEPTANCE_M:
+            wanted = math.atan2(goal[0] - place[0], goal[1] - place[1])
+        return Leg(LegKind.FLY, goal, self._speed_mps, wanted)
+
+
+def _is_here(item: PlanItem) -> bool:
+    """Whether an item means where the vehicle is."""
+    return (item.x, item.y) == (0, 0) or NO_VALUE in (item.x, item.y)

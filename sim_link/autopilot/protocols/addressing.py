@@ -1,0 +1,96 @@
+"""Who speaks, over what, and where an answer goes; texts for people, long ones in chunks.
+
+Source: MAVLink common, STATUSTEXT: chunks share a non-zero id and count from 0, and a NUL in the
+field marks the last one, so a text that fills its last chunk is followed by an empty one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from companion.mav.dialect import Message, mavlink
+from companion.mav.endpoint import Address
+
+
+class Channel(NamedTuple):
+    """One way in and out: a link, or one of the peers that share it (UDP, TCP server)."""
+
+    link: int
+    peer: Address | None = None
+    """None where a link has only one other end."""
+
+
+@dataclass(frozen=True, slots=True)
+class Partner:
+    """A component that said something, and the channel it was heard on."""
+
+    channel: Channel
+    system_id: int
+    component_id: int
+
+
+class Outgoing(NamedTuple):
+    """A message to send."""
+
+    message: Message
+    to: Channel | None = None
+    """None for every channel."""
+
+
+@dataclass(frozen=True, slots=True)
+class Addressing:
+    """Which messages are for us.
+
+    Source: MAVLink developer guide, "Routing": 0 is everyone. ArduPilot 4.5 also obeys what is
+    for another component of its system.
+    """
+
+    system_id: int
+    component_id: int = mavlink.MAV_COMP_ID_AUTOPILOT1
+    obeys_any_component: bool = False
+
+    def is_for_us(self, message: Message) -> bool:
+        """Whether a message is a broadcast or names us."""
+        system_id = int(getattr(message, "target_system", 0))
+        component_id = int(getattr(message, "target_component", 0))
+        if system_id not in (0, self.system_id):
+            return False
+        return self.obeys_any_component or component_id in (0, self.component_id)
+
+
+def partner_of(message: Message, channel: Channel) -> Partner:
+    """The sender of a received message."""
+    return Partner(channel, message.get_srcSystem(), message.get_srcComponent())
+
+
+CHUNK_LENGTH = 50
+MAX_CHUNKS = 255
+MAX_ID = 0xFFFF
+
+
+class StatusTexts:
+    """Makes the messages of texts, and gives out the ids that hold long ones together."""
+
+    def __init__(self) -> None:
+        self._last_id = 0
+
+    def messages(self, severity: int, text: str) -> list[Message]:
+        """STATUSTEXTs for one text.
+
+        Args:
+            severity: MAV_SEVERITY.
+            text: Any length; what is not ASCII becomes `?`, which every client shows, and a
+                text beyond 255 chunks is cut.
+        """
+        encoded = text.encode("ascii", errors="replace").replace(b"\0", b"?")
+        if len(encoded) <= CHUNK_LENGTH:
+            return [mavlink.MAVLink_statustext_message(severity, encoded, 0, 0)]
+        self._last_id = self._last_id % MAX_ID + 1
+        starts = range(0, len(encoded) + 1, CHUNK_LENGTH)[:MAX_CHUNKS]
+        return [
+            mavlink.MAVLink_statustext_message(
+                severity, encoded[start : start + CHUNK_LENGTH], self._last_id, number
+            )
+            for number, start in enumerate(starts)
+        ]

@@ -1,0 +1,107 @@
+"""TIMESYNC, PING and SYSTEM_TIME: what clocks say to each other.
+
+Source: MAVLink developer guide, "Time Synchronization" and "Ping Protocol"; PX4 1.15 and
+ArduCopter 4.5 as observed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from companion.mav.addressing import TargetedTimesync, targets_of
+from companion.mav.dialect import Message, mavlink
+from sim_link.autopilot.protocols.addressing import Addressing, Partner
+
+NS_PER_S = 1_000_000_000
+US_PER_S = 1_000_000
+MS_PER_S = 1000
+UINT32 = 0xFFFF_FFFF
+TOLERANCE_S = 1e-6
+"""A clock of whole steps may be early by rounding."""
+
+
+@dataclass(frozen=True, slots=True)
+class Clocks:
+    """Answers for one vehicle.
+
+    Args:
+        addressing: Whose requests are ours.
+        names_targets: Whether a TIMESYNC answer names the asker, as the guide wants; ArduPilot
+            sends the older form without targets.
+        answers_ping: ArduPilot does not.
+    """
+
+    addressing: Addressing
+    names_targets: bool = True
+    answers_ping: bool = True
+
+    def timesync(self, message: Message, partner: Partner, boot_s: float) -> Message | None:
+        """The answer to a TIMESYNC; None for an answer to ours, or a request to another.
+
+        Args:
+            message: A received TIMESYNC.
+            partner: Its sender.
+            boot_s: Our clock, seconds since boot.
+        """
+        if not isinstance(message, mavlink.MAVLink_timesync_message) or message.tc1 != 0:
+            return None
+        system_id, component_id = targets_of(message)
+        own = self.addressing
+        if system_id not in (0, own.system_id) or component_id not in (0, own.component_id):
+            return None
+        own_ns = max(1, round(NS_PER_S * boot_s))
+        if not self.names_targets:
+            return mavlink.MAVLink_timesync_message(own_ns, message.ts1)
+        return TargetedTimesync(own_ns, message.ts1, partner.system_id, partner.component_id)
+
+    def ping(self, message: Message, partner: Partner) -> Message | None:
+        """The answer to a PING request; None for a PING with a target, which is an answer."""
+        if not self.answers_ping or not isinstance(message, mavlink.MAVLink_ping_message):
+            return None
+        if message.target_system != 0 or message.target_component != 0:
+            return None
+        return mavlink.MAVLink_ping_message(
+            message.time_usec, message.seq, partner.system_id, partner.component_id
+        )
+
+
+class ClockRequests:
+    """TIMESYNC and PING requests of the vehicle's own, to everyone.
+
+    Args:
+        timesync_period_s: Time between two of the first; the first one waits as long.
+        ping_period_s: Of the other; None: it never asks.
+    """
+
+    def __init__(self, timesync_period_s: float, ping_period_s: float | None) -> None:
+        self._timesync_period_s = timesync_period_s
+        self._ping_period_s = ping_period_s
+        self._timesync_due_s = timesync_period_s
+        self._ping_due_s = math.inf if ping_period_s is None else ping_period_s
+        self._pings = 0
+
+    def take_due(self, boot_s: float) -> list[Message]:
+        """What is asked at a physics step."""
+        messages: list[Message] = []
+        if boot_s + TOLERANCE_S >= self._timesync_due_s:
+            self._timesync_due_s = boot_s + self._timesync_period_s
+            messages.append(mavlink.MAVLink_timesync_message(0, max(1, round(NS_PER_S * boot_s))))
+        if self._ping_period_s is not None and boot_s + TOLERANCE_S >= self._ping_due_s:
+            self._ping_due_s = boot_s + self._ping_period_s
+            messages.append(
+                mavlink.MAVLink_ping_message(round(US_PER_S * boot_s), self._pings, 0, 0)
+            )
+            self._pings = (self._pings + 1) & UINT32
+        return messages
+
+
+def system_time(boot_s: float, unix_s: float | None) -> Message:
+    """SYSTEM_TIME.
+
+    Args:
+        boot_s: Seconds since boot; the field starts again at zero after 49.7 days.
+        unix_s: Seconds since 1970; None while unknown, before the first fix.
+    """
+    unix_us = 0 if unix_s is None else round(US_PER_S * unix_s)
+    return mavlink.MAVLink_system_time_message(unix_us, round(MS_PER_S * boot_s) & UINT32)

@@ -1,0 +1,312 @@
+"""The command protocol: one answer for every command, and later ones for those that take time.
+
+Theory of operation. `receive` turns COMMAND_LONG, COMMAND_INT, SET_MODE and COMMAND_CANCEL into a
+value the vehicle obeys, or answers by itself: a command repeated because its ACK was lost gets
+the same ACK and is not obeyed twice, one that is under way already gets TEMPORARILY_REJECTED.
+The vehicle's result goes in by `answer`; IN_PROGRESS keeps a command open until another result
+comes. Every ACK names the sender and goes only where the command came from.
+
+Source: MAVLink developer guide, "Command Protocol" and "Redundancy and Deduplication".
+"""
+
+from __future__ import annotations
+
+import math
+from collections import OrderedDict
+from dataclasses import dataclass
+from enum import IntEnum
+
+from companion.mav.dialect import MAVLink_command_cancel_message, Message, mavlink
+from sim_link.autopilot.protocols.addressing import Channel, Outgoing, Partner
+
+PARAM_COUNT = 7
+DEGREE = 1e7
+NO_VALUE = 2**31 - 1
+"""Stands for NaN in COMMAND_INT's integers."""
+UNKNOWN_PROGRESS = 255
+REPEAT_WINDOW_S = 3.0
+"""How long a client may go on repeating a command: MAVSDK gives up after 2 s."""
+MAX_REMEMBERED = 64
+MAX_RUNNING = 16
+
+Params = tuple[float, float, float, float, float, float, float]
+
+
+class CommandResult(IntEnum):
+    """MAV_RESULT; the dialect's own enum ends at CANCELLED or soon after."""
+
+    ACCEPTED = 0
+    TEMPORARILY_REJECTED = 1
+    DENIED = 2
+    UNSUPPORTED = 3
+    FAILED = 4
+    IN_PROGRESS = 5
+    CANCELLED = 6
+    COMMAND_LONG_ONLY = 7
+    COMMAND_INT_ONLY = 8
+    UNSUPPORTED_MAV_FRAME = 9
+    NOT_IN_CONTROL = 10
+
+
+ASKS_FOR_A_MESSAGE = frozenset(
+    {
+        mavlink.MAV_CMD_REQUEST_MESSAGE,
+        mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES,
+        mavlink.MAV_CMD_REQUEST_PROTOCOL_VERSION,
+        mavlink.MAV_CMD_GET_HOME_POSITION,
+        mavlink.MAV_CMD_GET_MESSAGE_INTERVAL,
+    }
+)
+"""Obeyed each time: whoever repeats one has not got the message either."""
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """A command, whichever message carried it."""
+
+    number: int
+    """MAV_CMD."""
+    params: Params
+    """NaN where the client leaves a parameter open. COMMAND_INT's x and y are floats here,
+    exactly, in 1e-7 degrees where the frame is global."""
+    partner: Partner
+    frame: int | None = None
+    """MAV_FRAME of a COMMAND_INT; None for COMMAND_LONG, which has none."""
+    confirmation: int = 0
+
+    def flag(self, place: int) -> bool | None:
+        """A parameter that must be 0 or 1; None if it is anything else, NaN among it.
+
+        Args:
+            place: 1 to 7, as the specification counts.
+        """
+        value = self.params[place - 1]
+        return bool(value) if value in (0.0, 1.0) else None
+
+    def whole(self, place: int, default: int | None = None) -> int | None:
+        """A parameter that must be a whole number; None if it is not, `default` if it is NaN."""
+        value = self.params[place - 1]
+        if math.isnan(value):
+            return default
+        return int(value) if math.isfinite(value) and value == int(value) else None
+
+    @property
+    def latitude_deg(self) -> float | None:
+        """Parameter 5 as a latitude; None if it is left open."""
+        return self._degrees(4)
+
+    @property
+    def longitude_deg(self) -> float | None:
+        """Parameter 6 as a longitude; None if it is left open."""
+        return self._degrees(5)
+
+    def _degrees(self, index: int) -> float | None:
+        value = self.params[index]
+        if self.frame is None:
+            return None if math.isnan(value) else value
+        return None if value == NO_VALUE else value / DEGREE
+
+
+@dataclass(frozen=True, slots=True)
+class Cancel:
+    """Somebody wants a command that is under way to end."""
+
+    number: int
+
+
+@dataclass(frozen=True, slots=True)
+class CommandForms:
+    """Which commands come in one form only, and how SET_MODE is understood."""
+
+    int_only: frozenset[int] = frozenset()
+    long_only: frozenset[int] = frozenset()
+    splits_custom_mode: bool = True
+    """PX4's DO_SET_MODE has main and sub mode apart; ArduPilot's the whole custom mode."""
+
+
+def command_from(
+    message: Message, partner: Partner, *, splits_custom_mode: bool = True
+) -> Command | None:
+    """The command that a message is; None if it is none."""
+    match message:
+        case mavlink.MAVLink_command_long_message():
+            return Command(
+                message.command,
+                (
+                    message.param1,
+                    message.param2,
+                    message.param3,
+                    message.param4,
+                    message.param5,
+                    message.param6,
+                    message.param7,
+                ),
+                partner,
+                confirmation=message.confirmation,
+            )
+        case mavlink.MAVLink_command_int_message():
+            x, y = float(message.x), float(message.y)
+            four = (message.param1, message.param2, message.param3, message.param4)
+            return Command(message.command, (*four, x, y, message.z), partner, message.frame)
+        case mavlink.MAVLink_set_mode_message():
+            main, sub = float(message.custom_mode), math.nan
+            if splits_custom_mode:
+                main = float(message.custom_mode >> 16 & 0xFF)
+                sub = float(message.custom_mode >> 24 & 0xFF)
+            rest = (math.nan, math.nan, math.nan, math.nan)
+            params = (float(message.base_mode), main, sub, *rest)
+            return Command(mavlink.MAV_CMD_DO_SET_MODE, params, partner)
+    return None
+
+
+@dataclass(slots=True)
+class _Answered:
+    """The last command of a partner that was accepted."""
+
+    key: tuple[int, int | None, bytes]
+    confirmation: int
+    time_s: float
+
+
+@dataclass(slots=True)
+class _Running:
+    command: Command
+    progress: int = UNKNOWN_PROGRESS
+
+
+class Commands:
+    """Takes commands from all partners and answers them.
+
+    Args:
+        forms: Of the autopilot that is played.
+    """
+
+    def __init__(self, forms: CommandForms) -> None:
+        self._forms = forms
+        self._running: dict[int, _Running] = {}
+        self._answered: OrderedDict[Partner, _Answered] = OrderedDict()
+
+    def receive(
+        self, message: Message, partner: Partner, now_s: float
+    ) -> tuple[Command | Cancel | None, list[Outgoing]]:
+        """Take a message that is for us.
+
+        Returns:
+            What the vehicle is to do, to be answered by `answer` (a `Cancel` by `cancelled`, or
+            not at all); and what was answered already.
+        """
+        if isinstance(message, MAVLink_command_cancel_message):
+            return (Cancel(message.command) if message.command in self._running else None), []
+        command = command_from(message, partner, splits_custom_mode=self._forms.splits_custom_mode)
+        if command is None:
+            return None, []
+        result = self._refusal(command, now_s)
+        if result is None:
+            return command, []
+        progress = UNKNOWN_PROGRESS
+        if result is CommandResult.IN_PROGRESS:
+            progress = self._running[command.number].progress
+        return None, [_ack(command, result, progress)]
+
+    def answer(
+        self,
+        command: Command,
+        result: int,
+        now_s: float,
+        *,
+        progress: int = UNKNOWN_PROGRESS,
+        result_param2: int = 0,
+    ) -> Outgoing:
+        """The ACK of a command.
+
+        Args:
+            command: As `receive` gave it.
+            result: MAV_RESULT; IN_PROGRESS leaves the command open.
+            now_s: When.
+            progress: Percent of a command in progress; 255 for unknown.
+            result_param2: What else a command has to tell.
+        """
+        if result == CommandResult.IN_PROGRESS:
+            if command.number in self._running or len(self._running) < MAX_RUNNING:
+                self._running[command.number] = _Running(command, progress)
+        else:
+            self._running.pop(command.number, None)
+        if result in (CommandResult.ACCEPTED, CommandResult.IN_PROGRESS):
+            self._remember(command, now_s)
+        return _ack(command, result, progress, result_param2)
+
+    def report(self, number: int, progress: int, now_s: float) -> list[Outgoing]:
+        """IN_PROGRESS for a command that is under way; nothing if it is not."""
+        running = self._running.get(number)
+        if running is None:
+            return []
+        result = CommandResult.IN_PROGRESS
+        return [self.answer(running.command, result, now_s, progress=progress)]
+
+    def finish(self, number: int, result: int, now_s: float) -> list[Outgoing]:
+        """The last ACK of a command that was under way, to whoever gave it."""
+        running = self._running.get(number)
+        return [] if running is None else [self.answer(running.command, result, now_s)]
+
+    def cancelled(self, number: int, now_s: float) -> list[Outgoing]:
+        """The last ACK of a command whose `Cancel` the vehicle obeyed."""
+        return self.finish(number, CommandResult.CANCELLED, now_s)
+
+    def is_running(self, number: int) -> bool:
+        """Whether a command is under way."""
+        return number in self._running
+
+    def forget(self, channel: Channel) -> None:
+        """Drop what is remembered of a channel that is gone; commands under way go on."""
+        for partner in [each for each in self._answered if each.channel == channel]:
+            del self._answered[partner]
+
+    def _refusal(self, command: Command, now_s: float) -> CommandResult | None:
+        if command.frame is None and command.number in self._forms.int_only:
+            return CommandResult.COMMAND_INT_ONLY
+        if command.frame is not None and command.number in self._forms.long_only:
+            return CommandResult.COMMAND_LONG_ONLY
+        is_repeated = self._is_repeated(command, now_s)
+        if command.number in self._running:
+            own = self._running[command.number].command.partner == command.partner
+            return (
+                CommandResult.IN_PROGRESS
+                if is_repeated and own
+                else CommandResult.TEMPORARILY_REJECTED
+            )
+        return CommandResult.ACCEPTED if is_repeated else None
+
+    def _is_repeated(self, command: Command, now_s: float) -> bool:
+        """Whether it is a command accepted a moment ago, with a higher confirmation number."""
+        last = self._answered.get(command.partner)
+        return (
+            last is not None
+            and last.key == _key(command)
+            and command.confirmation > last.confirmation
+            and now_s - last.time_s <= REPEAT_WINDOW_S
+        )
+
+    def _remember(self, command: Command, now_s: float) -> None:
+        if command.number in ASKS_FOR_A_MESSAGE:
+            return
+        self._answered[command.partner] = _Answered(_key(command), command.confirmation, now_s)
+        self._answered.move_to_end(command.partner)
+        if len(self._answered) > MAX_REMEMBERED:
+            self._answered.popitem(last=False)
+
+
+def _key(command: Command) -> tuple[int, int | None, bytes]:
+    """What makes two commands the same; NaN equals NaN here."""
+    return command.number, command.frame, repr(command.params).encode()
+
+
+def _ack(command: Command, result: int, progress: int, result_param2: int = 0) -> Outgoing:
+    message = mavlink.MAVLink_command_ack_message(
+        command.number,
+        result,
+        progress if result == CommandResult.IN_PROGRESS else 0,
+        result_param2,
+        command.partner.system_id,
+        command.partner.component_id,
+    )
+    return Outgoing(message, command.partner.channel)

@@ -1,0 +1,328 @@
+"""Which messages a channel gets by themselves, how often, and who may change that.
+
+Theory of operation. Every stream has a start and counts its messages from there: number n is due at
+start + n / rate, so rounding never adds up and a stream of 30 Hz on a clock of 50 Hz leaves after
+40, 40 and 20 ms and has exactly 30 messages in each second. What a caller missed is skipped, in
+step. Each channel has a table of its own, as each of PX4's and ArduPilot's links has.
+
+`MessageRequests` obeys the commands that ask for messages, once or regularly, on the channel they
+came from.
+
+Source: MAVLink common, MAV_CMD_REQUEST_MESSAGE and MAV_CMD_SET_MESSAGE_INTERVAL with their older
+forms, REQUEST_DATA_STREAM, MESSAGE_INTERVAL; PX4 1.15 and ArduCopter 4.5 as observed.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections import OrderedDict
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field
+
+from companion.mav.dialect import Message, mavlink
+from sim_link.autopilot.protocols.addressing import Channel, Outgoing, Partner, StatusTexts
+from sim_link.autopilot.protocols.command_protocol import Command, CommandResult
+
+HEARTBEAT = mavlink.MAVLINK_MSG_ID_HEARTBEAT
+US_PER_S = 1e6
+DUE_TOLERANCE_S = 1e-6
+"""A clock of whole steps may be early by rounding."""
+MAX_INTERVAL_US = 3600e6
+OFF, DEFAULT = -1.0, 0.0
+MAX_STALE = 4
+"""Entries per stream that the queue may hold; a client that changes rates for ever adds some."""
+
+
+@dataclass(frozen=True, slots=True)
+class StreamRules:
+    """The streams of an autopilot."""
+
+    default_rates_hz: Mapping[int, float]
+    """By message id; 0 for one that is sent only when it is asked for."""
+    min_interval_s: float
+    """Faster is not possible: PX4 sends 123 Hz where 1 ms is asked, ArduPilot 333 Hz."""
+    fixed: frozenset[int] = frozenset({HEARTBEAT})
+    """Cannot be changed."""
+    groups: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
+    """Messages of each REQUEST_DATA_STREAM group; empty where that message is not known."""
+
+
+@dataclass(slots=True)
+class _Stream:
+    interval_s: float
+    started_s: float
+    sent: int = 0
+
+    @property
+    def due_s(self) -> float:
+        """When the next message is due."""
+        return self.started_s + self.sent * self.interval_s
+
+
+class StreamTable:
+    """The streams of one channel.
+
+    Args:
+        rules: Of the autopilot that is played.
+        started_s: When they begin.
+    """
+
+    def __init__(self, rules: StreamRules, started_s: float = 0.0) -> None:
+        self._rules = rules
+        self._streams: dict[int, _Stream] = {}
+        self._queue: list[tuple[float, int]] = []
+        for number in rules.default_rates_hz:
+            self._start(number, self._default_interval_s(number), started_s)
+
+    def take_due(self, now_s: float) -> list[int]:
+        """Ids of the messages due at `now_s`, each once, whatever was missed before."""
+        due: list[int] = []
+        latest_s = now_s + DUE_TOLERANCE_S
+        while self._queue and self._queue[0][0] <= latest_s:
+            due_s, number = heapq.heappop(self._queue)
+            stream = self._streams.get(number)
+            if stream is None or stream.due_s != due_s:
+                continue  # changed since it was queued
+            missed = math.floor((latest_s - due_s) / stream.interval_s)
+            stream.sent += 1 + missed
+            heapq.heappush(self._queue, (stream.due_s, number))
+            due.append(number)
+        return due
+
+    def next_due_s(self) -> float:
+        """When the next message is due, or a little before; infinity if every stream is off."""
+        return self._queue[0][0] if self._queue else math.inf
+
+    def knows(self, number: int) -> bool:
+        """Whether the autopilot has such a message."""
+        return number in self._rules.default_rates_hz
+
+    def can_change(self, number: int) -> bool:
+        """Whether there is such a message, and its rate is not fixed."""
+        return self.knows(number) and number not in self._rules.fixed
+
+    def interval_us(self, number: int) -> int:
+        """MESSAGE_INTERVAL.interval_us: -1 if the stream is off, 0 if there is no such message."""
+        if not self.knows(number):
+            return 0
+        stream = self._streams.get(number)
+        return -1 if stream is None else round(US_PER_S * stream.interval_s)
+
+    def set_interval_us(self, number: int, interval_us: float, now_s: float) -> bool:
+        """Change a stream.
+
+        Args:
+            number: Message id.
+            interval_us: Microseconds; -1 stops the stream, 0 restores its default.
+            now_s: When; the next message is due at once.
+
+        Returns:
+            Whether there is such a stream, it may be changed, and the interval makes sense.
+        """
+        if not self.can_change(number):
+            return False
+        if interval_us == DEFAULT:
+            self._start(number, self._default_interval_s(number), now_s)
+        elif interval_us == OFF:
+            self._start(number, None, now_s)
+        elif 0.0 < interval_us <= MAX_INTERVAL_US:
+            self._start(number, interval_us / US_PER_S, now_s)
+        else:
+            return False
+        return True
+
+    def set_group(self, group: int, rate_hz: int, *, is_on: bool, now_s: float) -> None:
+        """Obey a REQUEST_DATA_STREAM.
+
+        Args:
+            group: MAV_DATA_STREAM; 0 for all groups.
+            rate_hz: Messages per second of each kind; 0 stops them too.
+            is_on: Whether to start.
+            now_s: When.
+        """
+        groups = self._rules.groups
+        chosen = groups if group == mavlink.MAV_DATA_STREAM_ALL else {group} & groups.keys()
+        interval_us = US_PER_S / rate_hz if is_on and rate_hz > 0 else OFF
+        for number in sorted({number for each in chosen for number in groups[each]}):
+            self.set_interval_us(number, interval_us, now_s)
+
+    def _default_interval_s(self, number: int) -> float | None:
+        rate_hz = self._rules.default_rates_hz[number]
+        return 1.0 / rate_hz if rate_hz else None
+
+    def _start(self, number: int, interval_s: float | None, now_s: float) -> None:
+        if interval_s is None:
+            self._streams.pop(number, None)
+            return
+        interval_s = max(interval_s, self._rules.min_interval_s)
+        running = self._streams.get(number)
+        if running is not None and running.interval_s == interval_s:
+            return  # asked again for what it gets: its rhythm goes on
+        self._streams[number] = _Stream(interval_s, now_s)
+        if len(self._queue) > MAX_STALE * len(self._rules.default_rates_hz):
+            self._queue = [(each.due_s, key) for key, each in self._streams.items()]
+            heapq.heapify(self._queue)
+        else:
+            heapq.heappush(self._queue, (now_s, number))
+
+
+MAX_MESSAGE_ID = 2**24 - 1
+MAX_PEERS = 16
+"""Peers with streams of their own; a stranger with many ports gets none for the oldest of them."""
+MAX_INTERVAL_ID = 0xFFFF
+"""MESSAGE_INTERVAL.message_id has 16 bits."""
+PROTOCOL_VERSION = 300
+"""Id of a message that the dialect does not have any more."""
+SHORTHANDS = {
+    mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION,
+    mavlink.MAV_CMD_REQUEST_PROTOCOL_VERSION: PROTOCOL_VERSION,
+    mavlink.MAV_CMD_GET_HOME_POSITION: mavlink.MAVLINK_MSG_ID_HOME_POSITION,
+}
+"""Commands that mean REQUEST_MESSAGE of one message."""
+
+Build = Callable[[int], Message | None]
+"""Makes the message with an id; None if it is unknown or has nothing to say now."""
+
+
+@dataclass(frozen=True, slots=True)
+class RequestRules:
+    """By which results an autopilot refuses."""
+
+    no_message: CommandResult
+    """REQUEST_MESSAGE of what is unknown or has no data."""
+    no_stream: CommandResult
+    """SET_MESSAGE_INTERVAL of what is unknown or cannot be changed."""
+    no_interval: CommandResult
+    """GET_MESSAGE_INTERVAL of what is unknown; MESSAGE_INTERVAL with 0 goes before it."""
+    has_texts: bool = False
+    """A refused SET_MESSAGE_INTERVAL is explained."""
+
+
+PX4_REQUESTS = RequestRules(CommandResult.DENIED, CommandResult.FAILED, CommandResult.ACCEPTED)
+ARDUPILOT_REQUESTS = RequestRules(
+    CommandResult.FAILED, CommandResult.DENIED, CommandResult.FAILED, has_texts=True
+)
+
+
+class MessageRequests:
+    """Keeps the streams of every channel and obeys what is asked about messages.
+
+    Args:
+        streams: Of the autopilot that is played.
+        rules: Likewise.
+        build: Makes messages.
+        texts: Numbers texts.
+    """
+
+    def __init__(
+        self, streams: StreamRules, rules: RequestRules, build: Build, texts: StatusTexts
+    ) -> None:
+        self._stream_rules = streams
+        self._rules = rules
+        self._build = build
+        self._texts = texts
+        self._tables: OrderedDict[Channel, StreamTable] = OrderedDict()
+
+    def open(self, channel: Channel, now_s: float) -> None:
+        """Begin the default streams of a new channel; the oldest of too many peers end."""
+        if channel not in self._tables:
+            self._tables[channel] = StreamTable(self._stream_rules, now_s)
+        self._tables.move_to_end(channel)
+        peers = [each for each in self._tables if each.peer is not None]
+        if len(peers) > MAX_PEERS:
+            del self._tables[peers[0]]
+
+    @property
+    def channels(self) -> Collection[Channel]:
+        """Those that have streams: every link, and every peer that asked for rates of its own."""
+        return self._tables.keys()
+
+    def forget(self, channel: Channel) -> None:
+        """End the streams of a channel that is gone."""
+        self._tables.pop(channel, None)
+
+    def take_due(self, now_s: float) -> list[tuple[Channel, int]]:
+        """Which messages go where at `now_s`."""
+        return [
+            (channel, number)
+            for channel, table in self._tables.items()
+            for number in table.take_due(now_s)
+        ]
+
+    def next_timer_s(self) -> float:
+        """When the next message of any channel is due; infinity if all is quiet."""
+        return min((table.next_due_s() for table in self._tables.values()), default=math.inf)
+
+    def obey(self, command: Command, now_s: float) -> tuple[CommandResult, list[Outgoing]] | None:
+        """Obey a command about messages.
+
+        Returns:
+            Its result and what to send before the ACK; None if it is about something else.
+        """
+        match command.number:
+            case mavlink.MAV_CMD_REQUEST_MESSAGE:
+                return self._request(command, now_s)
+            case mavlink.MAV_CMD_GET_MESSAGE_INTERVAL:
+                return self._tell_interval(command.whole(1), command.partner, now_s)
+            case mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
+                return self._set_interval(command, now_s)
+        shorthand = SHORTHANDS.get(command.number)
+        return None if shorthand is None else self._send(shorthand, command.partner)
+
+    def obey_data_stream(self, message: Message, partner: Partner, now_s: float) -> None:
+        """Obey a REQUEST_DATA_STREAM that is for us; it has no answer."""
+        if isinstance(message, mavlink.MAVLink_request_data_stream_message):
+            self._table(partner.channel, now_s).set_group(
+                message.req_stream_id,
+                message.req_message_rate,
+                is_on=message.start_stop == 1,
+                now_s=now_s,
+            )
+
+    def _table(self, channel: Channel, now_s: float) -> StreamTable:
+        self.open(channel, now_s)
+        return self._tables[channel]
+
+    def _request(self, command: Command, now_s: float) -> tuple[CommandResult, list[Outgoing]]:
+        number = command.whole(1)
+        if number == mavlink.MAVLINK_MSG_ID_MESSAGE_INTERVAL:
+            return self._tell_interval(command.whole(2), command.partner, now_s)
+        if number is None or not 0 <= number <= MAX_MESSAGE_ID:
+            return CommandResult.DENIED, []
+        return self._send(number, command.partner)
+
+    def _send(self, number: int, partner: Partner) -> tuple[CommandResult, list[Outgoing]]:
+        message = self._build(number)
+        if message is None:
+            return self._rules.no_message, []
+        return CommandResult.ACCEPTED, [Outgoing(message, partner.channel)]
+
+    def _tell_interval(
+        self, number: int | None, partner: Partner, now_s: float
+    ) -> tuple[CommandResult, list[Outgoing]]:
+        if number is None or not 0 <= number <= MAX_INTERVAL_ID:
+            return CommandResult.DENIED, []
+        table = self._table(partner.channel, now_s)
+        message = mavlink.MAVLink_message_interval_message(number, table.interval_us(number))
+        result = CommandResult.ACCEPTED if table.knows(number) else self._rules.no_interval
+        return result, [Outgoing(message, partner.channel)]
+
+    def _set_interval(self, command: Command, now_s: float) -> tuple[CommandResult, list[Outgoing]]:
+        number, interval_us = command.whole(1), command.params[1]
+        if number is None or not math.isfinite(interval_us):
+            return CommandResult.DENIED, []
+        table = self._table(command.partner.channel, now_s)
+        if table.set_interval_us(number, interval_us, now_s):
+            return CommandResult.ACCEPTED, []
+        if table.can_change(number):
+            return CommandResult.DENIED, []  # the stream is fine, the interval makes no sense
+        return self._rules.no_stream, self._explain(number, command.partner)
+
+    def _explain(self, number: int, partner: Partner) -> list[Outgoing]:
+        if not self._rules.has_texts:
+            return []
+        messages = self._texts.messages(
+            mavlink.MAV_SEVERITY_WARNING, f"no stream of message {number} can be set"
+        )
+        return [Outgoing(message, partner.channel) for message in messages]

@@ -1,0 +1,439 @@
+"""The mission protocol for missions, fences and rally points: uploads and downloads.
+
+Upload: MISSION_COUNT, then a request and an item for each number, then an ACK. The vehicle asks,
+and asks again when nothing comes. On PX4 the new plan replaces the old one at the ACK and not
+before: an error, a cancellation or a silence leaves the old one. ArduPilot cuts the old mission at
+MISSION_COUNT and overwrites it item by item.
+
+An item that comes twice is dropped in silence; one from further ahead makes us ask again for the
+one that is missing. Answering both with a request would double the traffic with every lost frame.
+
+Download: a list is asked for, then item by item, and at last the client says so. PX4 waits for that
+MISSION_ACK, even after a count of 0, and does nothing else for the partner until it comes or five
+seconds have passed; what it sends is the plan as it was when the list was asked for. ArduPilot
+remembers nothing and gives any item to anyone.
+
+Source: MAVLink developer guide, "Mission Protocol"; PX4 1.15 and ArduCopter 4.5 as observed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import replace
+
+from companion.mav.dialect import Message, mavlink
+from sim_link.autopilot.protocols.addressing import Channel, Outgoing, Partner, StatusTexts
+from sim_link.autopilot.protocols.plan_items import (
+    ALL_TYPES,
+    ItemMessage,
+    PlanItem,
+    PlanResult,
+    PlanStore,
+    PlanType,
+    ack,
+    item_from,
+    item_message,
+    plan_type_of,
+)
+from sim_link.autopilot.protocols.plan_rules import (
+    MAX_TRANSFERS,
+    Download,
+    Finished,
+    PlanRules,
+    Upload,
+    plan_problem,
+)
+
+STORED_FRAMES = {
+    mavlink.MAV_FRAME_GLOBAL_INT: mavlink.MAV_FRAME_GLOBAL,
+    mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT: mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT,
+}
+"""By which name ArduPilot gives a frame back."""
+
+
+class PlanUploads:
+    """The uploads of all partners, each by itself.
+
+    Args:
+        store: Where a plan goes.
+        rules: Of the autopilot that is played.
+        texts: Numbers the texts that say why a plan was refused.
+    """
+
+    def __init__(self, store: PlanStore, rules: PlanRules, texts: StatusTexts) -> None:
+        self._store = store
+        self._rules = rules
+        self._texts = texts
+        self._uploads: dict[Partner, Upload] = {}
+        self._finished: OrderedDict[Partner, Finished] = OrderedDict()
+
+    def is_running(self, partner: Partner) -> bool:
+        """Whether a partner is uploading."""
+        return partner in self._uploads
+
+    def is_anyone_uploading(self, plan_type: PlanType, but: Partner | None = None) -> bool:
+        """Whether a plan is being uploaded, by anyone but one partner."""
+        return any(
+            upload.plan_type is plan_type and partner != but
+            for partner, upload in self._uploads.items()
+        )
+
+    def begin(
+        self, plan_type: PlanType, count: int, partner: Partner, now_s: float
+    ) -> list[Outgoing]:
+        """Answer a MISSION_COUNT; it begins an upload anew if one of the partner's is running."""
+        refusal = self._refusal(plan_type, count, partner)
+        if refusal is not None:
+            return [ack(partner, refusal, plan_type)]
+        self._uploads.pop(partner, None)
+        if count == 0:
+            self._store.replace(plan_type, ())
+            return [ack(partner, PlanResult.ACCEPTED, plan_type)]
+        if self._changes_at_once(plan_type):
+            self._store.truncate(plan_type, count)
+        upload = Upload(plan_type, count, now_s, now_s)
+        self._uploads[partner] = upload
+        return [self._ask(upload, partner, now_s)]
+
+    def take(self, message: ItemMessage, partner: Partner, now_s: float) -> list[Outgoing]:
+        """Answer an item."""
+        upload = self._uploads.get(partner)
+        if upload is None or upload.plan_type != message.mission_type:
+            return [self._answer_to_stray(message, partner)]
+        if message.seq != upload.expected:
+            return self._out_of_order(message, upload, partner, now_s)
+        item = self._checked(message, upload.plan_type)
+        if isinstance(item, PlanResult):
+            return self._fail(upload, partner, item, f"item {message.seq}: {_why(item)}")
+        upload.items.append(self._as_stored(item))
+        upload.active_s = now_s
+        if message.current == 1:
+            upload.current = message.seq
+        if self._changes_at_once(upload.plan_type):
+            self._store.patch(upload.plan_type, message.seq, upload.items[-1])
+        if upload.expected < upload.count:
+            return [self._ask(upload, partner, now_s)]
+        return self._finish(upload, partner)
+
+    def handle_timer(self, now_s: float) -> list[Outgoing]:
+        """Ask again where an item is late; give up what has been silent for too long."""
+        outgoing: list[Outgoing] = []
+        for partner, upload in list(self._uploads.items()):
+            if now_s >= upload.active_s + self._rules.timeout_s:
+                text = f"item {upload.expected} did not come"
+                outgoing += self._fail(upload, partner, PlanResult.CANCELLED, text)
+            elif now_s >= upload.asked_s + self._rules.retry_s:
+                outgoing.append(self._ask(upload, partner, now_s))
+        return outgoing
+
+    def next_timer_s(self) -> float:
+        """When `handle_timer` has something to do; infinity if nothing is running."""
+        return min(
+            (
+                min(upload.active_s + self._rules.timeout_s, upload.asked_s + self._rules.retry_s)
+                for upload in self._uploads.values()
+            ),
+            default=math.inf,
+        )
+
+    def drop(self, partner: Partner, plan_types: tuple[PlanType, ...] = tuple(PlanType)) -> None:
+        """End a partner's upload, of some plans or any, without a word."""
+        upload = self._uploads.get(partner)
+        if upload is not None and upload.plan_type in plan_types:
+            del self._uploads[partner]
+
+    def forget(self, channel: Channel) -> None:
+        """End what runs on a channel that is gone."""
+        for partner in [each for each in self._uploads if each.channel == channel]:
+            del self._uploads[partner]
+        for partner in [each for each in self._finished if each.channel == channel]:
+            del self._finished[partner]
+
+    def _refusal(self, plan_type: PlanType, count: int, partner: Partner) -> PlanResult | None:
+        if self._rules.is_one_at_a_time and self.is_anyone_uploading(plan_type, partner):
+            return PlanResult.DENIED
+        if count > self._rules.capacity[plan_type]:
+            return PlanResult.NO_SPACE
+        if partner not in self._uploads and len(self._uploads) >= MAX_TRANSFERS:
+            return PlanResult.DENIED
+        return None
+
+    def _checked(self, message: ItemMessage, plan_type: PlanType) -> PlanItem | PlanResult:
+        if self._store.is_home(plan_type, message.seq):
+            home = self._store.home_item()
+            if home is not None:
+                return home
+        item = item_from(message)
+        if isinstance(item, PlanResult):
+            return item
+        return self._rules.checks.problem_with(item, plan_type) or item
+
+    def _out_of_order(
+        self, message: ItemMessage, upload: Upload, partner: Partner, now_s: float
+    ) -> list[Outgoing]:
+        if self._rules.tells_wrong_number:
+            return [ack(partner, PlanResult.INVALID_SEQUENCE, upload.plan_type)]
+        if message.seq > upload.expected:
+            return [self._ask(upload, partner, now_s)]
+        return []
+
+    def _finish(self, upload: Upload, partner: Partner) -> list[Outgoing]:
+        if not self._changes_at_once(upload.plan_type):
+            problem = plan_problem(upload.items, upload.plan_type)
+            if problem is not None:
+                return self._fail(upload, partner, problem, f"as a whole: {_why(problem)}")
+        del self._uploads[partner]
+        self._store.replace(upload.plan_type, upload.items, upload.current)
+        self._finished[partner] = Finished(upload.plan_type, upload.count)
+        self._finished.move_to_end(partner)
+        if len(self._finished) > MAX_TRANSFERS:
+            self._finished.popitem(last=False)
+        return [ack(partner, PlanResult.ACCEPTED, upload.plan_type)]
+
+    def _fail(
+        self, upload: Upload, partner: Partner, result: PlanResult, why: str
+    ) -> list[Outgoing]:
+        del self._uploads[partner]
+        text = f"{upload.plan_type.name.lower()} refused, {why}"
+        texts = self._texts.messages(mavlink.MAV_SEVERITY_WARNING, text)
+        return [
+            *(Outgoing(message, partner.channel) for message in texts),
+            ack(partner, result, upload.plan_type),
+        ]
+
+    def _answer_to_stray(self, message: ItemMessage, partner: Partner) -> Outgoing:
+        """An item that nobody asked for: our ACK was lost, or it is a mistake."""
+        last = self._finished.get(partner)
+        is_repeated = (
+            last is not None
+            and partner not in self._uploads
+            and (last.plan_type, last.count - 1) == (message.mission_type, message.seq)
+        )
+        result = PlanResult.ACCEPTED if is_repeated else PlanResult.ERROR
+        return ack(partner, result, message.mission_type)
+
+    def _ask(self, upload: Upload, partner: Partner, now_s: float) -> Outgoing:
+        upload.asked_s = now_s
+        make = (
+            mavlink.MAVLink_mission_request_message
+            if self._rules.asks_in_old_form
+            else mavlink.MAVLink_mission_request_int_message
+        )
+        request = make(partner.system_id, partner.component_id, upload.expected, upload.plan_type)
+        return Outgoing(request, partner.channel)
+
+    def _changes_at_once(self, plan_type: PlanType) -> bool:
+        return not self._rules.is_atomic and plan_type is PlanType.MISSION
+
+    def _as_stored(self, item: PlanItem) -> PlanItem:
+        if not self._rules.stores_less:
+            return item
+        first, second, third, fourth = (
+            0.0 if math.isnan(param) else param for param in item.params
+        )
+        frame = STORED_FRAMES.get(item.frame, item.frame)
+        return replace(item, params=(first, second, third, fourth), frame=frame)
+
+
+def _why(result: PlanResult) -> str:
+    return result.name.lower().replace("_", " ")
+
+
+class PlanDownloads:
+    """The downloads of all partners, each by itself.
+
+    Args:
+        store: Where the plans are.
+        rules: Of the autopilot that is played.
+    """
+
+    def __init__(self, store: PlanStore, rules: PlanRules) -> None:
+        self._store = store
+        self._rules = rules
+        self._downloads: dict[Partner, Download] = {}
+
+    def is_running(self, partner: Partner) -> bool:
+        """Whether a partner still owes the ACK that ends its download."""
+        return partner in self._downloads
+
+    def begin(self, plan_type: PlanType, partner: Partner, now_s: float) -> list[Outgoing]:
+        """Answer a MISSION_REQUEST_LIST."""
+        if partner not in self._downloads and len(self._downloads) >= MAX_TRANSFERS:
+            return [ack(partner, PlanResult.DENIED, plan_type)]
+        items = self._store.items(plan_type)
+        if self._rules.waits_for_ack:
+            self._downloads[partner] = Download(plan_type, items, now_s)
+        count = mavlink.MAVLink_mission_count_message(
+            partner.system_id, partner.component_id, len(items), plan_type
+        )
+        return [Outgoing(count, partner.channel)]
+
+    def give(self, plan_type: PlanType, seq: int, partner: Partner, now_s: float) -> list[Outgoing]:
+        """Answer a request for one item, by MISSION_ITEM_INT whichever form it has."""
+        items = self._store.items(plan_type)
+        if self._rules.waits_for_ack:
+            download = self._downloads.get(partner)
+            if download is None or download.plan_type is not plan_type:
+                return [ack(partner, PlanResult.ERROR, plan_type)]
+            download.active_s = now_s
+            items = download.items
+        if seq >= len(items):
+            return [ack(partner, PlanResult.INVALID_SEQUENCE, plan_type)]
+        home = self._store.home_item() if self._store.is_home(plan_type, seq) else None
+        message = item_message(
+            home or items[seq],
+            seq,
+            plan_type,
+            (partner.system_id, partner.component_id),
+            is_current=plan_type is PlanType.MISSION and seq == self._store.current,
+        )
+        return [Outgoing(message, partner.channel)]
+
+    def end(self, partner: Partner) -> None:
+        """The partner sent its ACK, whatever it says."""
+        self._downloads.pop(partner, None)
+
+    def handle_timer(self, now_s: float) -> None:
+        """Forget partners that never sent their ACK."""
+        for partner, download in list(self._downloads.items()):
+            if now_s >= download.active_s + self._rules.timeout_s:
+                del self._downloads[partner]
+
+    def next_timer_s(self) -> float:
+        """When `handle_timer` has something to do; infinity if nothing is running."""
+        return min(
+            (each.active_s + self._rules.timeout_s for each in self._downloads.values()),
+            default=math.inf,
+        )
+
+    def forget(self, channel: Channel) -> None:
+        """End what runs on a channel that is gone."""
+        for partner in [each for each in self._downloads if each.channel == channel]:
+            del self._downloads[partner]
+
+
+GUIDED_ITEM = 2
+"""MISSION_ITEM.current of an item that ArduPilot flies to at once, in GUIDED."""
+
+FlyTo = Callable[[PlanItem], PlanResult]
+
+
+class Plans:
+    """Serves one vehicle's plans to all partners; takes only messages that are for it.
+
+    Args:
+        store: What is kept; the vehicle reads it and takes its events.
+        rules: Of the autopilot that is played.
+        texts: Numbers the texts that say why something was refused.
+        fly_to: Takes an item that ArduPilot is to fly to at once; answers with the ACK's result.
+    """
+
+    def __init__(
+        self, store: PlanStore, rules: PlanRules, texts: StatusTexts, fly_to: FlyTo | None = None
+    ) -> None:
+        self.store = store
+        self._rules = rules
+        self._texts = texts
+        self._fly_to = fly_to
+        self._uploads = PlanUploads(store, rules, texts)
+        self._downloads = PlanDownloads(store, rules)
+
+    def handle(self, message: Message, partner: Partner, now_s: float) -> list[Outgoing]:
+        """Answer a mission message; any other gets no answer."""
+        match message:
+            case mavlink.MAVLink_mission_count_message():
+                return self._count(message, partner, now_s)
+            case (
+                mavlink.MAVLink_mission_item_int_message() | mavlink.MAVLink_mission_item_message()
+            ):
+                if message.current == GUIDED_ITEM and self._fly_to is not None:
+                    return [self._guided(message, partner, self._fly_to)]
+                return self._uploads.take(message, partner, now_s)
+            case mavlink.MAVLink_mission_request_list_message():
+                return self._list(message.mission_type, partner, now_s)
+            case (
+                mavlink.MAVLink_mission_request_int_message()
+                | mavlink.MAVLink_mission_request_message()
+            ):
+                plan_type = plan_type_of(message.mission_type)
+                if plan_type is None:
+                    return [ack(partner, PlanResult.UNSUPPORTED, message.mission_type)]
+                return self._downloads.give(plan_type, message.seq, partner, now_s)
+            case mavlink.MAVLink_mission_ack_message():
+                self._hear_ack(message, partner)
+            case mavlink.MAVLink_mission_clear_all_message():
+                return [self._clear(message.mission_type, partner)]
+            case mavlink.MAVLink_mission_set_current_message():
+                return self._set_current(message.seq, partner)
+            case (
+                mavlink.MAVLink_mission_write_partial_list_message()
+                | mavlink.MAVLink_mission_request_partial_list_message()
+            ):
+                return [ack(partner, PlanResult.UNSUPPORTED, message.mission_type)]
+        return []
+
+    def handle_timer(self, now_s: float) -> list[Outgoing]:
+        """Ask again for what is late; end what has been silent for too long."""
+        self._downloads.handle_timer(now_s)
+        return self._uploads.handle_timer(now_s)
+
+    def next_timer_s(self) -> float:
+        """When `handle_timer` has something to do; infinity if no transfer is running."""
+        return min(self._uploads.next_timer_s(), self._downloads.next_timer_s())
+
+    def forget(self, channel: Channel) -> None:
+        """End what runs on a channel that is gone."""
+        self._uploads.forget(channel)
+        self._downloads.forget(channel)
+
+    def _count(
+        self, message: mavlink.MAVLink_mission_count_message, partner: Partner, now_s: float
+    ) -> list[Outgoing]:
+        plan_type = plan_type_of(message.mission_type)
+        if plan_type is None:
+            return [ack(partner, PlanResult.UNSUPPORTED, message.mission_type)]
+        if self._downloads.is_running(partner):
+            return [ack(partner, PlanResult.ERROR, plan_type)]
+        return self._uploads.begin(plan_type, message.count, partner, now_s)
+
+    def _list(self, mission_type: int, partner: Partner, now_s: float) -> list[Outgoing]:
+        plan_type = plan_type_of(mission_type)
+        if plan_type is None:
+            return [ack(partner, PlanResult.UNSUPPORTED, mission_type)]
+        is_changing = not self._rules.is_atomic and self._uploads.is_anyone_uploading(plan_type)
+        if is_changing or self._uploads.is_running(partner):
+            return [ack(partner, PlanResult.DENIED, plan_type)]
+        return self._downloads.begin(plan_type, partner, now_s)
+
+    def _hear_ack(self, message: mavlink.MAVLink_mission_ack_message, partner: Partner) -> None:
+        self._downloads.end(partner)
+        if message.type == PlanResult.CANCELLED and self._rules.can_be_cancelled:
+            self._uploads.drop(partner)
+
+    def _clear(self, mission_type: int, partner: Partner) -> Outgoing:
+        plan_type = plan_type_of(mission_type)
+        if plan_type is None and mission_type != ALL_TYPES:
+            return ack(partner, PlanResult.UNSUPPORTED, mission_type)
+        cleared = tuple(PlanType) if plan_type is None else (plan_type,)
+        self._uploads.drop(partner, cleared)
+        for each in cleared:
+            self.store.replace(each, ())
+        return ack(partner, PlanResult.ACCEPTED, mission_type)
+
+    def _set_current(self, seq: int, partner: Partner) -> list[Outgoing]:
+        """The change itself is told to everyone, by MISSION_CURRENT; see `mission_progress`."""
+        if self.store.choose(seq):
+            return []
+        text = f"there is no mission item {seq}"
+        messages = self._texts.messages(mavlink.MAV_SEVERITY_WARNING, text)
+        return [Outgoing(message, partner.channel) for message in messages]
+
+    def _guided(self, message: ItemMessage, partner: Partner, fly_to: FlyTo) -> Outgoing:
+        item = item_from(message)
+        if isinstance(item, PlanResult):
+            return ack(partner, item, message.mission_type)
+        problem = self._rules.checks.problem_with(item, PlanType.MISSION)
+        result = fly_to(item) if problem is None else problem
+        return ack(partner, result, message.mission_type)

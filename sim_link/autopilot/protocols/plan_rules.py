@@ -1,0 +1,290 @@
+"""How the two autopilots transfer plans, which items they take, and how they refuse the others.
+
+PX4 1.15 and ArduCopter 4.5 let through more than is safe; here an infinite number, a position off
+the globe, a terrain altitude without terrain and an altitude that is no number are refused, each by
+the result code of its field (MAVLink common, MAV_MISSION_RESULT).
+
+Source: MAVLink developer guide, "Mission Protocol"; PX4 1.15 and ArduCopter 4.5 as observed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from companion.mav.dialect import mavlink
+from sim_link.autopilot.protocols.plan_items import (
+    DEGREE,
+    FRAME_MISSION,
+    GLOBAL_FRAMES,
+    NO_VALUE,
+    PlanItem,
+    PlanResult,
+    PlanType,
+)
+
+MAX_LATITUDE = round(90 * DEGREE)
+MAX_LONGITUDE = round(180 * DEGREE)
+MAX_ALTITUDE_M = 83_000.0
+"""ArduPilot's limit of a stored altitude, LOCATION_ALT_MAX_M."""
+MIN_VERTICES = 3
+
+WAYPOINT = mavlink.MAV_CMD_NAV_WAYPOINT
+LAND = mavlink.MAV_CMD_NAV_LAND
+DO_JUMP = mavlink.MAV_CMD_DO_JUMP
+
+MAY_BE_HERE = frozenset(
+    {
+        mavlink.MAV_CMD_NAV_LOITER_UNLIM,
+        mavlink.MAV_CMD_NAV_LOITER_TURNS,
+        mavlink.MAV_CMD_NAV_LOITER_TIME,
+        LAND,
+        mavlink.MAV_CMD_NAV_TAKEOFF,
+    }
+)
+"""For these 0/0, or no position, means where the vehicle is."""
+POSITION_COMMANDS = MAY_BE_HERE | {
+    WAYPOINT,
+    mavlink.MAV_CMD_DO_SET_ROI_LOCATION,
+    mavlink.MAV_CMD_DO_SET_ROI,
+    mavlink.MAV_CMD_DO_LAND_START,
+}
+OTHER_COMMANDS = frozenset(
+    {
+        mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH,
+        mavlink.MAV_CMD_NAV_DELAY,
+        mavlink.MAV_CMD_CONDITION_DELAY,
+        mavlink.MAV_CMD_CONDITION_YAW,
+        mavlink.MAV_CMD_CONDITION_DISTANCE,
+        DO_JUMP,
+        mavlink.MAV_CMD_DO_CHANGE_SPEED,
+        mavlink.MAV_CMD_DO_SET_SERVO,
+        mavlink.MAV_CMD_DO_SET_ROI_NONE,
+        mavlink.MAV_CMD_DO_DIGICAM_CONTROL,
+        mavlink.MAV_CMD_DO_MOUNT_CONTROL,
+        mavlink.MAV_CMD_DO_SET_CAM_TRIGG_DIST,
+        mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW,
+        mavlink.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE,
+        mavlink.MAV_CMD_SET_CAMERA_MODE,
+        mavlink.MAV_CMD_IMAGE_START_CAPTURE,
+        mavlink.MAV_CMD_IMAGE_STOP_CAPTURE,
+        mavlink.MAV_CMD_VIDEO_START_CAPTURE,
+        mavlink.MAV_CMD_VIDEO_STOP_CAPTURE,
+    }
+)
+POLYGON_COMMANDS = frozenset(
+    {
+        mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION,
+        mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION,
+    }
+)
+CIRCLE_COMMANDS = frozenset(
+    {mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION, mavlink.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION}
+)
+FENCE_COMMANDS = POLYGON_COMMANDS | CIRCLE_COMMANDS | {mavlink.MAV_CMD_NAV_FENCE_RETURN_POINT}
+RALLY_COMMANDS = frozenset({mavlink.MAV_CMD_NAV_RALLY_POINT})
+
+PARAM_RESULTS = (
+    PlanResult.INVALID_PARAM1,
+    PlanResult.INVALID_PARAM2,
+    PlanResult.INVALID_PARAM3,
+    PlanResult.INVALID_PARAM4,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class PlanChecks:
+    """What one autopilot takes."""
+
+    zero_is_here: bool = False
+    """A WAYPOINT at 0/0 is where the vehicle is (ArduPilot); otherwise it is refused."""
+    more_positions: frozenset[int] = frozenset()
+    """Commands with a position beyond those that both autopilots know."""
+    more_others: frozenset[int] = frozenset()
+
+    def problem_with(self, item: PlanItem, plan_type: PlanType) -> PlanResult | None:
+        """Why an item is not taken; None if it is."""
+        has_position = self._has_position(item.command, plan_type)
+        if has_position is None:
+            return PlanResult.UNSUPPORTED
+        frames = GLOBAL_FRAMES if has_position else (*GLOBAL_FRAMES, FRAME_MISSION)
+        if item.frame not in frames:
+            return PlanResult.UNSUPPORTED_FRAME
+        for param, result in zip(item.params, PARAM_RESULTS, strict=True):
+            if math.isinf(param):
+                return result
+        problem = self._position_problem(item) if has_position else None
+        return problem or _meaning_problem(item)
+
+    def _has_position(self, command: int, plan_type: PlanType) -> bool | None:
+        """Whether a command has a position; None if it does not belong into such a plan."""
+        match plan_type:
+            case PlanType.FENCE:
+                return True if command in FENCE_COMMANDS else None
+            case PlanType.RALLY:
+                return True if command in RALLY_COMMANDS else None
+        if command in POSITION_COMMANDS | self.more_positions:
+            return True
+        return False if command in OTHER_COMMANDS | self.more_others else None
+
+    def _position_problem(self, item: PlanItem) -> PlanResult | None:
+        may_be_here = item.command in MAY_BE_HERE
+        is_nowhere = NO_VALUE in (item.x, item.y)
+        if not (is_nowhere and may_be_here):
+            if abs(item.x) > MAX_LATITUDE:
+                return PlanResult.INVALID_PARAM5_X
+            if abs(item.y) > MAX_LONGITUDE:
+                return PlanResult.INVALID_PARAM6_Y
+        if item.command == WAYPOINT and item.x == item.y == 0 and not self.zero_is_here:
+            return PlanResult.INVALID_PARAM5_X
+        if math.isnan(item.z) and item.command == LAND:
+            return None  # the altitude of the ground, which may be unknown
+        return None if abs(item.z) <= MAX_ALTITUDE_M else PlanResult.INVALID_PARAM7
+
+
+def _meaning_problem(item: PlanItem) -> PlanResult | None:
+    first, second = item.params[:2]
+    if item.command == WAYPOINT and first < 0.0:
+        return PlanResult.INVALID_PARAM1
+    if item.command == DO_JUMP:
+        if not (first >= 0.0 and first.is_integer()):
+            return PlanResult.INVALID_PARAM1
+        if not (second >= -1.0 and second.is_integer()):
+            return PlanResult.INVALID_PARAM2
+    if item.command in POLYGON_COMMANDS and not (first >= MIN_VERTICES and first.is_integer()):
+        return PlanResult.INVALID_PARAM1
+    if item.command in CIRCLE_COMMANDS and not first > 0.0:
+        return PlanResult.INVALID_PARAM1
+    return None
+
+
+def plan_problem(items: Sequence[PlanItem], plan_type: PlanType) -> PlanResult | None:
+    """Why items that are each right make no plan together: torn polygons, jumps to nowhere."""
+    if plan_type is PlanType.FENCE:
+        return _fence_problem(items)
+    for item in items:
+        if item.command == DO_JUMP and item.params[0] >= len(items):
+            return PlanResult.INVALID_PARAM1
+    return None
+
+
+def _fence_problem(items: Sequence[PlanItem]) -> PlanResult | None:
+    place = 0
+    while place < len(items):
+        first = items[place]
+        if first.command not in POLYGON_COMMANDS:
+            place += 1
+            continue
+        count = int(first.params[0])
+        polygon = items[place : place + count]
+        if len(polygon) < count:
+            return PlanResult.INVALID_PARAM1
+        if any((v.command, v.params[0]) != (first.command, count) for v in polygon):
+            return PlanResult.INVALID_PARAM1
+        place += count
+    return None
+
+
+MAX_TRANSFERS = 16
+"""Uploads, and as many downloads, at a time; all end by themselves within seconds."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlanRules:
+    """How an autopilot transfers plans."""
+
+    capacity: Mapping[PlanType, int]
+    """Most items of each plan."""
+    checks: PlanChecks
+    retry_s: float
+    """Silence after which an item is asked for again."""
+    timeout_s: float
+    """Silence after which a transfer is over."""
+    is_atomic: bool = True
+    """A mission changes as a whole, at the end of its upload; otherwise it is cut at
+    MISSION_COUNT and overwritten item by item."""
+    is_one_at_a_time: bool = False
+    """A second partner may not upload the same plan meanwhile."""
+    can_be_cancelled: bool = True
+    """By the client's MISSION_ACK."""
+    waits_for_ack: bool = True
+    """A download lasts until the client's MISSION_ACK; items are given only during one."""
+    tells_wrong_number: bool = False
+    """An item out of order gets INVALID_SEQUENCE; otherwise it is dropped."""
+    asks_in_old_form: bool = False
+    """MISSION_REQUEST instead of MISSION_REQUEST_INT."""
+    stores_less: bool = False
+    """A NaN is given back as 0, and a frame by its older name."""
+
+
+PX4_RULES = PlanRules(
+    capacity={PlanType.MISSION: 2000, PlanType.FENCE: 64, PlanType.RALLY: 32},
+    checks=PlanChecks(
+        more_positions=frozenset({mavlink.MAV_CMD_NAV_LOITER_TO_ALT, mavlink.MAV_CMD_DO_SET_HOME}),
+        more_others=frozenset({mavlink.MAV_CMD_SET_CAMERA_ZOOM, mavlink.MAV_CMD_SET_CAMERA_FOCUS}),
+    ),
+    retry_s=0.25,
+    timeout_s=5.0,
+)
+ARDUPILOT_RULES = PlanRules(
+    capacity={PlanType.MISSION: 650, PlanType.FENCE: 84, PlanType.RALLY: 50},
+    checks=PlanChecks(
+        zero_is_here=True,
+        more_positions=frozenset(
+            {mavlink.MAV_CMD_NAV_SPLINE_WAYPOINT, mavlink.MAV_CMD_DO_SET_HOME}
+        ),
+        more_others=frozenset(
+            {
+                mavlink.MAV_CMD_NAV_GUIDED_ENABLE,
+                mavlink.MAV_CMD_DO_SET_RELAY,
+                mavlink.MAV_CMD_DO_FENCE_ENABLE,
+            }
+        ),
+    ),
+    retry_s=1.0,
+    timeout_s=8.0,
+    is_atomic=False,
+    is_one_at_a_time=True,
+    can_be_cancelled=False,
+    waits_for_ack=False,
+    tells_wrong_number=True,
+    asks_in_old_form=True,
+    stores_less=True,
+)
+
+
+@dataclass(slots=True)
+class Upload:
+    """A plan on its way in."""
+
+    plan_type: PlanType
+    count: int
+    active_s: float
+    """When the last expected item came."""
+    asked_s: float
+    items: list[PlanItem] = field(default_factory=list)
+    current: int = 0
+    """The item that was marked as the one to begin with."""
+
+    @property
+    def expected(self) -> int:
+        """The number of the item that is wanted next."""
+        return len(self.items)
+
+
+@dataclass(frozen=True, slots=True)
+class Finished:
+    """The last upload of a partner, whose ACK may have been lost."""
+
+    plan_type: PlanType
+    count: int
+
+
+@dataclass(slots=True)
+class Download:
+    """A plan on its way out, as it was when it was asked for."""
+
+    plan_type: PlanType
+    items: tuple[PlanItem, ...]
+    active_s: float

@@ -1,0 +1,102 @@
+"""The radio payload: a component of its own that measures the emitter and sends what it heard."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from companion.mav.dialect import Message, mavlink
+from companion.mav.ranging import message_from_ranging
+from sim_link.autopilot.protocols.message_streams import DUE_TOLERANCE_S
+from sim_link.autopilot.scenario import PayloadParams
+from sim_link.autopilot.telemetry import MAVLINK_VERSION
+from sim_link.world.environment import ChannelParams, Emitter, Environment
+from sim_link.world.point_mass import PointMass
+from sim_link.world.radio_channel import RadioChannel
+
+COMPONENT_ID = mavlink.MAV_COMP_ID_PERIPHERAL
+HEARTBEAT_PERIOD_S = 1.0
+COMMANDS = (mavlink.MAVLink_command_long_message, mavlink.MAVLink_command_int_message)
+
+
+class RadioPayload:
+    """Measures at a fixed rate while the vehicle is high and near enough.
+
+    Args:
+        params: Rate and reach.
+        channel: The true channel.
+        emitters: Whom to hear.
+        rng: The payload's own generator.
+        environment: The obstacles between the two; None: there are none.
+    """
+
+    def __init__(
+        self,
+        params: PayloadParams,
+        channel: ChannelParams,
+        emitters: Sequence[Emitter],
+        rng: np.random.Generator,
+        environment: Environment | None = None,
+    ) -> None:
+        self._params = params
+        self._channel = RadioChannel(channel, rng, environment)
+        for emitter in emitters:
+            self._channel.prepare(emitter)
+        self._emitters = tuple(emitters)
+        self._period_s = 1.0 / params.rate_hz
+        self._measurement_due_s = 0.0
+        self._heartbeat_due_s = 0.0
+
+    def messages(self, body: PointMass, now_s: float) -> list[Message]:
+        """What to send at `now_s` seconds since boot, from the vehicle's true position."""
+        messages: list[Message] = []
+        if now_s + DUE_TOLERANCE_S >= self._heartbeat_due_s:
+            self._heartbeat_due_s = max(self._heartbeat_due_s, now_s - HEARTBEAT_PERIOD_S)
+            self._heartbeat_due_s += HEARTBEAT_PERIOD_S
+            messages.append(payload_heartbeat())
+        if now_s + DUE_TOLERANCE_S >= self._measurement_due_s:
+            self._measurement_due_s = max(self._measurement_due_s, now_s - self._period_s)
+            self._measurement_due_s += self._period_s
+            for emitter in self._emitters:
+                if self._hears(emitter, body):
+                    measurement = self._channel.measure(emitter, body.position_enu_m, now_s)
+                    messages.append(message_from_ranging(measurement, round(1e6 * now_s)))
+        return messages
+
+    def _hears(self, emitter: Emitter, body: PointMass) -> bool:
+        return (
+            body.height_m >= self._params.min_altitude_m
+            and emitter.slant_range_m(body.position_enu_m) <= self._params.max_range_m
+        )
+
+
+def reject_command(message: Message, system_id: int) -> Message | None:
+    """The ACK of a command for the payload, which knows none; None if it is none for it.
+
+    Source: MAVLink developer guide, "Command Protocol": every command is acknowledged.
+    """
+    if not isinstance(message, COMMANDS):
+        return None
+    if (message.target_system, message.target_component) != (system_id, COMPONENT_ID):
+        return None
+    return mavlink.MAVLink_command_ack_message(
+        message.command,
+        mavlink.MAV_RESULT_UNSUPPORTED,
+        0,
+        0,
+        message.get_srcSystem(),
+        message.get_srcComponent(),
+    )
+
+
+def payload_heartbeat() -> Message:
+    """The HEARTBEAT of a radio payload."""
+    return mavlink.MAVLink_heartbeat_message(
+        mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
+        mavlink.MAV_AUTOPILOT_INVALID,
+        0,
+        0,
+        mavlink.MAV_STATE_ACTIVE,
+        MAVLINK_VERSION,
+    )

@@ -1,0 +1,1 @@
+"""One vehicle or several from a scenario and options: their endpoints, links and files."""

@@ -1,0 +1,85 @@
+"""The files about one flight: its scenario read from YAML, its ground truth as plain JSON values."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+
+from companion.config.loader import load_yaml
+from sim_link.autopilot.endpoint import SimEndpoint
+from sim_link.autopilot.scenario import Scenario
+
+__all__ = ["Scenario", "load_scenario"]
+
+
+def load_scenario(path: Path) -> Scenario:
+    """The scenario of a YAML file; keys it does not give keep their canonical value.
+
+    Raises:
+        ConfigError: The file cannot be read, or a key, type or value in it is wrong.
+    """
+    return load_yaml(path, Scenario)
+
+
+REPORT_VERSION = 1
+
+
+def start_report(endpoint: SimEndpoint, seed: int, speed: float) -> dict[str, object]:
+    """What is known at the start: `state` "running" and the truth.
+
+    Lengths are metres, `enu_m` positions are about `origin`, offsets are metres and degrees
+    counter-clockwise.
+    """
+    vehicle, scenario = endpoint.vehicle, endpoint.vehicle.scenario
+    return {
+        "version": REPORT_VERSION,
+        "state": "running",
+        "scenario": scenario.name,
+        "seed": seed,
+        "speed": speed,
+        "system_id": scenario.system_id,
+        "time_limit_s": scenario.time_limit_s,
+        "origin": msgspec.to_builtins(scenario.origin),
+        "area_m": list(scenario.area_m),
+        "start_enu_m": list(vehicle.home_enu_m),
+        "emitter": _emitter(endpoint, scenario),
+        "offsets": {
+            "range_m": scenario.channel.range_offset_m,
+            "bearing_deg": scenario.channel.bearing_offset_deg,
+        },
+        "channel": msgspec.to_builtins(scenario.channel),
+        "obstacles": msgspec.to_builtins(scenario.obstacles),
+        "shadow": msgspec.to_builtins(scenario.shadow),
+    }
+
+
+def end_report(endpoint: SimEndpoint, seed: int, speed: float) -> dict[str, object]:
+    """The start report with `state` "ended" and what was flown."""
+    vehicle, recorder = endpoint.vehicle, endpoint.recorder
+    return start_report(endpoint, seed, speed) | {
+        "state": "ended",
+        "simulated_s": vehicle.time_s,
+        "distance_m": vehicle.distance_m,
+        "flight_time_s": vehicle.flight_time_s,
+        "is_armed": vehicle.modes.is_armed,
+        "setpoints_received": vehicle.offboard.received,
+        "setpoints_refused": vehicle.offboard.refused,
+        "mode_changes": [
+            {"time_s": change.time_s, "mode": change.mode.value, "text": change.text}
+            for change in recorder.mode_changes
+        ],
+        "track": [[round(value, 3) for value in point] for point in recorder.track],
+    }
+
+
+def _emitter(endpoint: SimEndpoint, scenario: Scenario) -> dict[str, object]:
+    position_enu_m = (*scenario.emitter.position_enu_m, scenario.emitter.height_m)
+    lat, lon, alt = endpoint.vehicle.origin.geodetic_from_enu(position_enu_m)
+    return {
+        "id": scenario.emitter.emitter_id,
+        "enu_m": list(position_enu_m),
+        "latitude_deg": lat,
+        "longitude_deg": lon,
+        "altitude_m": alt,
+    }

@@ -1,0 +1,271 @@
+"""From the command line's options to vehicles, links and files, and several behind one shell.
+
+Vehicle n (from 0) has the system id of the scenario plus n, and so it is with every port but the
+ground station's, which all of them send to, as PX4's simulated vehicles do. In one process their
+links stand side by side and their steps are taken in turn.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import msgspec
+
+from companion.errors import ConfigError
+from companion.io.files import check_writable, write_json_atomic, write_text_atomic
+from companion.io.links.specs import LinkSpec, UdpFanOut, shared_link_from_url
+from companion.io.links.urls import LinkKind, LinkUrl
+from companion.io.state.signing_keys import load_signing_key, store_signing_key
+from companion.mav.endpoint import Address, Chunk
+from companion.mav.signing import KEY_LENGTH, Signing
+from sim_link.autopilot.endpoint import SimEndpoint
+from sim_link.autopilot.scenario import Scenario
+from sim_link.fleet.scenario_io import end_report, start_report
+
+
+class Fleet:
+    """Endpoints that share nothing but the loop; implements `companion.mav.endpoint.Endpoint`.
+
+    Args:
+        endpoints: One per vehicle.
+        links_each: How many links every one of them has; vehicle n has those from n times this on.
+    """
+
+    def __init__(self, endpoints: Sequence[SimEndpoint], links_each: int) -> None:
+        self.endpoints = tuple(endpoints)
+        self._links_each = links_each
+
+    def receive(self, chunk: Chunk, now_s: float) -> None:
+        """Give bytes to the vehicle whose link it is."""
+        index, link = divmod(chunk.link, self._links_each)
+        self.endpoints[index].receive(replace(chunk, link=link), now_s)
+
+    def handle_timer(self, now_s: float) -> None:
+        """Step every vehicle that is due."""
+        for endpoint in self.endpoints:
+            if endpoint.next_timer_s() <= now_s:
+                endpoint.handle_timer(now_s)
+
+    def next_timer_s(self) -> float:
+        """When the first of them is due."""
+        return min(endpoint.next_timer_s() for endpoint in self.endpoints)
+
+    def take_output(self) -> list[Chunk]:
+        """What all of them send."""
+        chunks: list[Chunk] = []
+        for index, endpoint in enumerate(self.endpoints):
+            first = index * self._links_each
+            output = endpoint.take_output()
+            if first == 0:
+                chunks += output
+            else:
+                chunks += [
+                    Chunk(
+                        first + chunk.link,
+                        chunk.data,
+                        chunk.peer,
+                        chunk.except_peers,
+                        chunk.is_datagram,
+                    )
+                    for chunk in output
+                ]
+        return chunks
+
+    def request_stop(self, now_s: float) -> None:
+        """Finish at once."""
+        for endpoint in self.endpoints:
+            endpoint.request_stop(now_s)
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether all of them are."""
+        return all(endpoint.is_finished for endpoint in self.endpoints)
+
+
+STATION_PORT = 14550
+"""UDP port of ground stations, the same for every vehicle."""
+MAX_PORT = 65_535
+MAX_SYSTEM_ID = 255
+UDP_LINK = 0
+SAVE_PERIOD_S = 1.0
+NO_KEY = 2 * KEY_LENGTH * "0"
+"""SETUP_SIGNING's way to say that there is no signing."""
+WIRED = (LinkKind.SERIAL, LinkKind.PTY)
+"""Links that nobody else can hear."""
+
+
+@dataclass(frozen=True, slots=True)
+class FleetOptions:
+    """What the command line asks for."""
+
+    scenario: Scenario
+    seed: int
+    speed: float
+    listen: Address
+    send_to: tuple[Address, ...]
+    links: tuple[LinkUrl, ...] = ()
+    """Beside the UDP link; only for one vehicle if they are lines."""
+    parameters: Path | None = None
+    signing_key: Path | None = None
+    report: Path | None = None
+
+
+def make_vehicles(wishes: FleetOptions) -> list[SimEndpoint]:
+    """One endpoint per vehicle.
+
+    Raises:
+        ConfigError: A parameter or its file is bad, a key cannot be read, or an id is too high.
+    """
+    scenario = wishes.scenario
+    last = scenario.system_id + scenario.vehicles - 1
+    if last > MAX_SYSTEM_ID:
+        raise ConfigError(f"{scenario.vehicles} vehicles: system ids would go beyond 255")
+    lines = frozenset(index for index, url in enumerate(wishes.links, 1) if url.kind in WIRED)
+    loopback = frozenset({UDP_LINK} if wishes.listen[0] == "127.0.0.1" else ())
+    endpoints = []
+    for number in range(scenario.vehicles):
+        path = numbered_path(wishes.parameters, number)
+        own = msgspec.structs.replace(scenario, system_id=scenario.system_id + number)
+        endpoints.append(
+            SimEndpoint(
+                own,
+                wishes.seed + number,
+                links=1 + len(wishes.links),
+                parameters=stored_parameters(path),
+                parameters_name=str(path),
+                signing=_signing(wishes.signing_key),
+                trusted_links=lines,
+                setup_links=loopback,
+                started_unix_s=time.time(),
+            )
+        )
+    return endpoints
+
+
+def _signing(path: Path | None) -> Signing | None:
+    return None if path is None or has_signing_ended(path) else Signing(load_signing_key(path))
+
+
+def has_signing_ended(path: Path) -> bool:
+    """Whether a client ended signing by SETUP_SIGNING: then the file holds the key of zeros."""
+    try:
+        return path.read_text(encoding="ascii").strip() == NO_KEY
+    except (OSError, UnicodeDecodeError):
+        return False  # whoever loads the key says what is wrong
+
+
+def link_specs(wishes: FleetOptions, number: int) -> list[LinkSpec]:
+    """The links of vehicle `number`.
+
+    Raises:
+        ConfigError: A port would be too high, or a line is to serve several vehicles.
+    """
+    host, port = wishes.listen
+    remotes = tuple(
+        address if address[1] == STATION_PORT else (address[0], _port(address[1] + number))
+        for address in wishes.send_to
+    )
+    specs: list[LinkSpec] = [UdpFanOut(host, _port(port + number), remotes)]
+    for url in wishes.links:
+        if url.kind in WIRED and wishes.scenario.vehicles > 1:
+            raise ConfigError(f"--link {url}: a line is for one vehicle only")
+        own = url if url.kind in WIRED else replace(url, port=_port(url.port + number))
+        specs.append(shared_link_from_url(own))
+    return specs
+
+
+def _port(port: int) -> int:
+    if port > MAX_PORT:
+        raise ConfigError(f"port {port}: beyond {MAX_PORT}; choose a lower one for the first")
+    return port
+
+
+def numbered_path(path: Path | None, number: int) -> Path | None:
+    """The file of vehicle `number`: `report.json`, `report-2.json`, ..."""
+    if path is None or number == 0:
+        return path
+    return path.with_name(f"{path.stem}-{number + 1}{path.suffix}")
+
+
+def stored_parameters(path: Path | None) -> str:
+    """The text of a parameter file; empty if there is none yet, or none is wanted.
+
+    Raises:
+        ConfigError: It cannot be read, or not be written later.
+    """
+    if path is None:
+        return ""
+    check_writable(path)
+    try:
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        return ""
+    except UnicodeDecodeError:
+        raise ConfigError(f"{path}: not a text of parameters, `NAME VALUE` in each line") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
+
+
+class FleetFiles:
+    """Reports, parameters and the key, written as they change.
+
+    Args:
+        wishes: Which there are.
+        endpoints: Whose they are.
+    """
+
+    def __init__(self, wishes: FleetOptions, endpoints: Sequence[SimEndpoint]) -> None:
+        self._wishes = wishes
+        self._endpoints = endpoints
+        self._saved = ["" if wishes.parameters is None else e.parameters_text for e in endpoints]
+        self._next_save_s = 0.0
+
+    def begin(self) -> None:
+        """Write the reports of the start.
+
+        Raises:
+            ConfigError: They cannot be written.
+        """
+        for number, endpoint in enumerate(self._endpoints):
+            path = numbered_path(self._wishes.report, number)
+            if path is not None:
+                report = start_report(endpoint, self._wishes.seed + number, self._wishes.speed)
+                write_json_atomic(path, report)
+
+    def keep(self, now_s: float) -> None:
+        """Store a new key at once, and parameters that changed at most once a second."""
+        self._keep_key()
+        if self._wishes.parameters is None or now_s < self._next_save_s:
+            return
+        self._next_save_s = now_s + SAVE_PERIOD_S
+        for number, endpoint in enumerate(self._endpoints):
+            text = endpoint.parameters_text
+            path = numbered_path(self._wishes.parameters, number)
+            if path is not None and text != self._saved[number]:
+                write_text_atomic(path, text)
+                self._saved[number] = text
+
+    def _keep_key(self) -> None:
+        """A key that a client set up, or the end of signing, where there is a file."""
+        for endpoint in self._endpoints:
+            setup = endpoint.links.take_setup()
+            path = self._wishes.signing_key
+            if setup is None or path is None:
+                continue
+            if setup.key is None:
+                write_text_atomic(path, f"{NO_KEY}\n", mode=0o600)
+            else:
+                store_signing_key(path, setup.key)
+
+    def end(self) -> None:
+        """Write the reports of the end, and parameters that changed last."""
+        self._next_save_s = 0.0
+        self.keep(0.0)
+        for number, endpoint in enumerate(self._endpoints):
+            path = numbered_path(self._wishes.report, number)
+            if path is not None:
+                seed = self._wishes.seed + number
+                write_json_atomic(path, end_report(endpoint, seed, self._wishes.speed))

@@ -1,0 +1,344 @@
+"""Lines of sight and ways around obstacles: kernels over an array of walls.
+
+Theory of operation. An obstacle is an upright prism over a simple polygon, given by its walls, one
+row each. A straight path is blocked where it meets a wall below its top, or where one of its ends
+lies inside an obstacle. A blocked signal takes the shorter of two ways:
+
+- around: the shortest way in the plane, taut about the corners, as if every obstacle were tall.
+  What can be reached from a corner does not depend on the sensor, so the ways from every corner to
+  the emitter are found once (`ways_to`); from the sensor only the first leg is left to choose. The
+  climb is spread over the whole way, as on a string wound about the walls.
+- over: a taut string over the roofs, in the upright plane through both ends.
+
+An obstacle lets out what is inside of it: it blocks every such path, but it makes no detour. Where
+no way is left (a yard closed on all sides) the signal goes straight through.
+
+At the edge of a shadow the way bends at one corner or roof by nothing, so that excess and pull
+begin at zero there. In the plane the excess is continuous everywhere outside of the obstacles, in
+space about a single convex one (among several, a roof that slips under the straight path may add to
+the way over at once). The pull jumps where the other way about becomes the shorter one.
+
+A touched wall blocks; a path along a wall, or one that ends on it, does not meet it. Corners are
+kept a hair outside (`CORNER_SLACK_M`), so that ways about them do not touch their walls.
+Positions are metres, local east, north and up.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.geometry.polygons import Point, Polygon, edges, signed_area_m2
+from companion.kernel import Matrix, Vector, kernel
+
+START_EAST, START_NORTH, END_EAST, END_NORTH, TOP, OWNER = range(6)
+"""Columns of a wall: its ends, the height that it reaches (infinite: any), and its obstacle."""
+COLUMNS = 6
+
+CORNER_SLACK_M = 1e-6
+NOWHERE = -1.0
+"""A share of a path that there is not."""
+
+Flags = NDArray[np.bool_]
+
+
+class Surroundings(NamedTuple):
+    """An emitter among obstacles, as the kernels take it."""
+
+    east_m: float
+    """Of the emitter."""
+    north_m: float
+    up_m: float
+    edges: Matrix
+    """(k, 6) the walls, those of one obstacle in a row."""
+    corners: Matrix
+    """(c, 3) places that a way may turn at, and the length of the way from there, metres."""
+    lets_out: Flags
+    """(k,) walls of the obstacles that the emitter is inside of."""
+
+
+@kernel
+def side(ae: float, an: float, be: float, bn: float, e: float, n: float) -> float:
+    """Positive if (e, n) lies left of the line from a to b; exactly opposite from b to a."""
+    return (ae - e) * (bn - n) - (an - n) * (be - e)
+
+
+@kernel
+def share_to_wall(ae: float, an: float, be: float, bn: float, index: int, edges: Matrix) -> float:
+    """Where the path from a to b meets a wall, as a share of the path; `NOWHERE` if it does not.
+
+    The ends of the wall count, those of the path do not.
+    """
+    pe, pn = edges[index, START_EAST], edges[index, START_NORTH]
+    qe, qn = edges[index, END_EAST], edges[index, END_NORTH]
+    p, q = side(ae, an, be, bn, pe, pn), side(ae, an, be, bn, qe, qn)
+    if (p > 0.0 and q > 0.0) or (p < 0.0 and q < 0.0) or (p == 0.0 and q == 0.0):
+        return NOWHERE
+    a, b = side(pe, pn, qe, qn, ae, an), side(pe, pn, qe, qn, be, bn)
+    if (a > 0.0 and b < 0.0) or (a < 0.0 and b > 0.0):
+        return float(a / (a - b))
+    return NOWHERE
+
+
+@kernel
+def is_left_of_wall(e: float, n: float, up: float, index: int, edges: Matrix) -> bool:
+    """Whether a place is level with a wall, below its top and west of it."""
+    pn, qn = edges[index, START_NORTH], edges[index, END_NORTH]
+    if (pn > n) == (qn > n) or up >= edges[index, TOP]:
+        return False
+    pe, qe = edges[index, START_EAST], edges[index, END_EAST]
+    return bool(e < (qe - pe) * (n - pn) / (qn - pn) + pe)
+
+
+@kernel
+def is_inside(e: float, n: float, up: float, edges: Matrix) -> bool:
+    """Whether a place is inside of an obstacle, by the crossing number."""
+    odd = False
+    for index in range(len(edges)):
+        if odd and edges[index, OWNER] != edges[index - 1, OWNER]:
+            return True
+        if is_left_of_wall(e, n, up, index, edges):
+            odd = not odd
+    return odd
+
+
+@kernel
+def holding(e: float, n: float, up: float, edges: Matrix) -> Flags:
+    """Which walls belong to an obstacle that a place is inside of, (k,)."""
+    flags = np.zeros(len(edges), np.bool_)
+    first, odd = 0, False
+    for index in range(len(edges)):
+        if edges[index, OWNER] != edges[first, OWNER]:
+            flags[first:index] = odd
+            first, odd = index, False
+        if is_left_of_wall(e, n, up, index, edges):
+            odd = not odd
+    flags[first:] = odd
+    return flags
+
+
+@kernel
+def is_blocked_in_space(
+    target_e: float,
+    target_n: float,
+    target_up: float,
+    e: float,
+    n: float,
+    up: float,
+    edges: Matrix,
+) -> bool:
+    """Whether an obstacle stands between target and sensor; the same from either end."""
+    if target_e > e or (target_e == e and target_n > n):
+        target_e, target_n, target_up, e, n, up = e, n, up, target_e, target_n, target_up
+    for index in range(len(edges)):
+        share = share_to_wall(target_e, target_n, e, n, index, edges)
+        if share != NOWHERE and target_up + share * (up - target_up) < edges[index, TOP]:
+            return True
+    return is_inside(target_e, target_n, target_up, edges) or is_inside(e, n, up, edges)
+
+
+@kernel
+def is_blocked(target_e: float, target_n: float, e: float, n: float, edges: Matrix) -> bool:
+    """The same in the plane, where an obstacle of any height blocks."""
+    return is_blocked_in_space(target_e, target_n, 0.0, e, n, 0.0, edges)
+
+
+@kernel
+def is_cut(ae: float, an: float, be: float, bn: float, edges: Matrix, lets_out: Flags) -> bool:
+    """Whether a leg in the plane meets a wall, those that let out aside."""
+    for index in range(len(edges)):
+        if not lets_out[index] and share_to_wall(ae, an, be, bn, index, edges) != NOWHERE:
+            return True
+    return False
+
+
+@kernel
+def ways_to(
+    target_e: float, target_n: float, corners: Matrix, edges: Matrix, lets_out: Flags
+) -> Vector:
+    """Lengths of the shortest ways from every corner to a target, (c,), metres; infinite: none.
+
+    Dijkstra's algorithm over the legs between corners that no wall cuts, each tested only if it
+    would shorten a way.
+
+    Args:
+        target_e: Of the target.
+        target_n: Of the target.
+        corners: (c, 2).
+        edges: (k, 6).
+        lets_out: (k,) walls of the obstacles that the target is inside of.
+    """
+    count = len(corners)
+    ways, open_ways = np.full(count, np.inf), np.full(count, np.inf)
+    for index in range(count):
+        e, n = corners[index, 0], corners[index, 1]
+        if not is_cut(target_e, target_n, e, n, edges, lets_out):
+            ways[index] = open_ways[index] = math.hypot(target_e - e, target_n - n)
+    for _ in range(count):
+        near = int(np.argmin(open_ways))
+        if open_ways[near] == np.inf:
+            break
+        open_ways[near] = np.inf
+        ne, nn = corners[near, 0], corners[near, 1]
+        for index in range(count):
+            e, n = corners[index, 0], corners[index, 1]
+            way = ways[near] + math.hypot(ne - e, nn - n)
+            if way < ways[index] and not is_cut(ne, nn, e, n, edges, lets_out):
+                ways[index] = open_ways[index] = way
+    return ways
+
+
+@kernel
+def way_around(
+    e: float, n: float, surroundings: Surroundings, lets_out: Flags
+) -> tuple[float, int]:
+    """Length of the shortest way in the plane, metres, and its first corner.
+
+    Args:
+        e: Of the sensor.
+        n: Of the sensor.
+        surroundings: The emitter and the obstacles.
+        lets_out: (k,) walls of the obstacles that either end is inside of.
+
+    Returns:
+        With the corner -1 if the way is straight, and the length infinite if there is none.
+    """
+    target_e, target_n, corners = surroundings.east_m, surroundings.north_m, surroundings.corners
+    edges = surroundings.edges
+    if not is_cut(target_e, target_n, e, n, edges, lets_out):
+        return math.hypot(target_e - e, target_n - n), -1
+    ways = np.empty(len(corners))
+    for index in range(len(corners)):
+        leg = math.hypot(corners[index, 0] - e, corners[index, 1] - n)
+        ways[index] = leg + corners[index, 2]
+    for _ in range(len(corners)):
+        best = int(np.argmin(ways))
+        if not is_cut(corners[best, 0], corners[best, 1], e, n, edges, lets_out):
+            return ways[best], best
+        ways[best] = np.inf
+    return np.inf, -1
+
+
+@kernel
+def taut_m(at_m: Vector, tops_m: Vector, start_up: float, length_m: float, end_up: float) -> float:
+    """Length of a taut string over roofs, metres.
+
+    Args:
+        at_m: (k,) how far from the start they are, on the ground.
+        tops_m: (k,) their heights, finite.
+        start_up: Height of the string's start.
+        length_m: How far its end is, on the ground.
+        end_up: Height of its end.
+    """
+    if length_m == 0.0:
+        return abs(end_up - start_up)
+    string_m, here_m, up = 0.0, 0.0, start_up
+    while here_m < length_m:
+        next_m, next_up = length_m, end_up
+        for index in range(len(at_m)):
+            step_m, rise_m = at_m[index] - here_m, tops_m[index] - up
+            is_steeper = rise_m * (next_m - here_m) > (next_up - up) * step_m
+            if step_m > 0.0 and at_m[index] < length_m and is_steeper:
+                next_m, next_up = at_m[index], tops_m[index]
+        string_m += math.hypot(next_m - here_m, next_up - up)
+        here_m, up = next_m, next_up
+    return string_m
+
+
+@kernel
+def way_over(e: float, n: float, up: float, surroundings: Surroundings, lets_out: Flags) -> float:
+    """Length of the shortest way straight over the roofs, metres; infinite: too high.
+
+    Args:
+        e: Of the sensor.
+        n: Of the sensor.
+        up: Of the sensor.
+        surroundings: The emitter and the obstacles.
+        lets_out: (k,) walls of the obstacles that either end is inside of.
+    """
+    target_e, target_n, edges = surroundings.east_m, surroundings.north_m, surroundings.edges
+    length_m = math.hypot(target_e - e, target_n - n)
+    at_m, tops_m = np.empty(len(edges)), np.empty(len(edges))
+    met = 0
+    for index in range(len(edges)):
+        share = share_to_wall(target_e, target_n, e, n, index, edges)
+        if share == NOWHERE or lets_out[index]:
+            continue
+        if edges[index, TOP] == np.inf:
+            return np.inf
+        at_m[met], tops_m[met] = share * length_m, edges[index, TOP]
+        met += 1
+    return taut_m(at_m[:met], tops_m[:met], surroundings.up_m, length_m, up)
+
+
+@kernel
+def detour(e: float, n: float, up: float, surroundings: Surroundings) -> tuple[float, float]:
+    """How much longer than straight a blocked signal goes, and how far its bearing is pulled.
+
+    Args:
+        e: Of the sensor.
+        n: Of the sensor.
+        up: Of the sensor.
+        surroundings: The emitter and the obstacles.
+
+    Returns:
+        Metres, never negative, and radians counter-clockwise in [-pi, pi]: from the direction of
+        the emitter to that of the way's first corner, zero for a way over the roofs.
+    """
+    de, dn = surroundings.east_m - e, surroundings.north_m - n
+    climb_m = surroundings.up_m - up
+    straight_m = math.hypot(math.hypot(de, dn), climb_m)
+    lets_out = surroundings.lets_out | holding(e, n, up, surroundings.edges)
+    around_m, first = way_around(e, n, surroundings, lets_out)
+    around_m = math.hypot(around_m, climb_m)
+    over_m = way_over(e, n, up, surroundings, lets_out)
+    excess_m = min(around_m, over_m) - straight_m
+    if excess_m == np.inf or first < 0 or over_m <= around_m:
+        return (0.0 if excess_m == np.inf else max(0.0, excess_m)), 0.0
+    ce, cn = surroundings.corners[first, 0] - e, surroundings.corners[first, 1] - n
+    return max(0.0, excess_m), math.atan2(de * cn - dn * ce, de * ce + dn * cn)
+
+
+def walls(polygon: Polygon, top_m: float, owner: int) -> list[tuple[float, ...]]:
+    """The rows of one obstacle."""
+    return [(*start, *end, top_m, float(owner)) for start, end in edges(polygon) if start != end]
+
+
+def turning_corners(polygon: Polygon) -> Iterator[Point]:
+    """The corners that a taut way can turn at, a hair outside the polygon."""
+    corners = [start for start, end in edges(polygon) if start != end]
+    if signed_area_m2(corners) < 0.0:
+        corners.reverse()
+    for index, (e, n) in enumerate(corners):
+        (be, bn), (ae, an) = corners[index - 1], corners[(index + 1) % len(corners)]
+        turn_rad = math.atan2(
+            (e - be) * (an - n) - (n - bn) * (ae - e), (e - be) * (ae - e) + (n - bn) * (an - n)
+        )
+        if turn_rad > 0.0:
+            outwards_rad = math.atan2(n - bn, e - be) + 0.5 * (turn_rad - math.pi)
+            yield (
+                e + CORNER_SLACK_M * math.cos(outwards_rad),
+                n + CORNER_SLACK_M * math.sin(outwards_rad),
+            )
+
+
+def surroundings_of(
+    target_enu_m: tuple[float, float, float], edges: Matrix, corners: Matrix
+) -> Surroundings:
+    """An emitter among obstacles, the ways from every corner to it found.
+
+    Args:
+        target_enu_m: The emitter.
+        edges: (k, 6) the walls.
+        corners: (c, 2) places that a way may turn at.
+    """
+    east, north, up = target_enu_m
+    lets_out = holding(east, north, up, edges)
+    ways = ways_to(east, north, corners, edges, lets_out)
+    reached = np.isfinite(ways)
+    table = np.column_stack([corners[reached], ways[reached]])
+    return Surroundings(east, north, up, edges, table, lets_out)
