@@ -21,9 +21,9 @@ from pathlib import Path
 
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
-from sim_link.conformance.frames import cut
-from sim_link.conformance.rules import Flavour
-from sim_link.evaluation.arguments import OneLineParser, positive
+from sim_link.lab.conformance.mavlink_oracle import cut
+from sim_link.lab.conformance.rules import Flavour
+from sim_link.lab.tool_console import OneLineParser, positive
 from tools.bench_sim import command, setpoint
 
 POSITION_ID = mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED

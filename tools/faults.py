@@ -17,12 +17,19 @@ os.environ.setdefault("NUMBA_DISABLE_JIT", "1")  # as on a vehicle, and no minut
 
 from companion.errors import CompanionError
 from companion.io.files import write_json_atomic
-from sim_link.campaign.parts import AMOUNTS, PARTS, trial_named, trials_of
-from sim_link.campaign.runner import Tally, run_all, run_one
-from sim_link.campaign.trial import Trial
-from sim_link.campaign.verdict import judge, report
-from sim_link.evaluation.arguments import OneLineParser, non_negative, positive
-from sim_link.evaluation.progress import shown
+from sim_link.lab.campaign.flights import Trial
+from sim_link.lab.campaign.runner import (
+    AMOUNTS,
+    PARTS,
+    Tally,
+    judge,
+    report,
+    run_all,
+    run_one,
+    trial_named,
+    trials_of,
+)
+from sim_link.lab.tool_console import OneLineParser, non_negative, positive, shown
 
 REPLAY = "python tools/faults.py --replay"
 SHOWN_FINDINGS = 20

@@ -6,8 +6,8 @@ import itertools
 import sys
 
 from companion.estimation.filters.kalman import KINDS
-from sim_link.evaluation.arguments import OneLineParser
-from sim_link.evaluation.hostile import MakeFilter, Outcome, run_campaign
+from sim_link.lab.evaluation.hostile import MakeFilter, SequenceOutcome, run_campaign
+from sim_link.lab.tool_console import OneLineParser
 
 CHUNKS = 20
 
@@ -19,7 +19,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()
     make: dict[str, MakeFilter] = {str(kind): maker for kind, maker in KINDS.items()}
-    total, count = Outcome(), arguments.sequences
+    total, count = SequenceOutcome(), arguments.sequences
     edges = [count * index // CHUNKS for index in range(CHUNKS + 1)]
     for first, end in itertools.pairwise(edges):
         total = total.joined(run_campaign(make, first, end - first, arguments.seed))

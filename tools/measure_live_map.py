@@ -51,7 +51,7 @@ from companion.io.shell import Clock, Shell, TimerStatistics
 from companion.web.live_map import WebView
 from companion.web.settings import web_settings
 from sim_link.autopilot.scenario import BatteryParams, Scenario
-from sim_link.lockstep.flight import Flight
+from sim_link.lab.lockstep.flight import Flight
 
 MOST_MS = 5.0
 SETTLE_S = 3.0

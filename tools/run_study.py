@@ -13,30 +13,31 @@ from pathlib import Path
 
 from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_json_atomic
-from sim_link.evaluation.arguments import OneLineParser, non_negative, positive
-from sim_link.evaluation.backends import connected
-from sim_link.evaluation.costs import costs_of
-from sim_link.evaluation.progress import shown
-from sim_link.evaluation.reporting.report import write_report
-from sim_link.evaluation.rows import rows_of
-from sim_link.evaluation.store import FILE_NAME, Store, opened
-from sim_link.evaluation.study_files import (
+from sim_link.lab.evaluation.backends import connected
+from sim_link.lab.evaluation.planner_bench import costs_of
+from sim_link.lab.evaluation.reporting.study_report import write_report
+from sim_link.lab.evaluation.reporting.study_tables import (
     check_folder,
     csv_text,
     make_folder,
+    rows_of,
     studies_of,
     write_text_atomic,
 )
-from sim_link.evaluation.study_run import (
+from sim_link.lab.evaluation.study_run import (
+    FILE_NAME,
     PlannedStudy,
+    Store,
     Work,
     carried_out,
     checks_of,
+    opened,
     planned,
     prepared,
     results_of,
     work_of,
 )
+from sim_link.lab.tool_console import OneLineParser, non_negative, positive, shown
 
 STUDIES = Path(__file__).resolve().parent.parent / "configs" / "studies"
 

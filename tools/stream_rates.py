@@ -20,12 +20,11 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
 from companion.mav.dialect import Message, mavlink
-from sim_link.conformance.frames import build_frame
-from sim_link.conformance.rules import Flavour, NotApplicable, Violation
-from sim_link.conformance.setpoints import LocalSetpoint
-from sim_link.conformance.vehicle_probe import VehicleProbe
-from sim_link.conformance.wire import open_link
-from sim_link.evaluation.arguments import OneLineParser
+from sim_link.lab.conformance.cli import open_link
+from sim_link.lab.conformance.mavlink_oracle import LocalSetpoint, build_frame
+from sim_link.lab.conformance.rules import Flavour, NotApplicable, Violation
+from sim_link.lab.conformance.vehicle_probe import VehicleProbe
+from sim_link.lab.tool_console import OneLineParser
 
 ASKED_HZ: dict[type[Message], tuple[float, float, float]] = {
     mavlink.MAVLink_attitude_message: (50.0, 20.0, 10.0),

@@ -12,8 +12,8 @@ from pathlib import Path
 
 from companion.errors import CompanionError
 from companion.io.files import check_writable, write_json_atomic
-from sim_link.evaluation.arguments import OneLineParser, non_negative, positive
-from sim_link.evaluation.verification import PARTS, Figure, verified
+from sim_link.lab.evaluation.verification import PARTS, Figure, verified
+from sim_link.lab.tool_console import OneLineParser, non_negative, positive
 
 
 def main() -> int:

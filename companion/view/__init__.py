@@ -1,1 +1,1 @@
-"""What operators are shown: snapshots as plain values, the terminal, log lines and Cursor on Target."""
+"""What operators are shown: snapshots, the terminal, log lines and Cursor on Target."""

@@ -1,4 +1,4 @@
-"""The files about one flight: its scenario read from YAML, its ground truth as plain JSON values."""
+"""Files about one flight: its scenario read from YAML, its ground truth as plain JSON."""
 
 from __future__ import annotations
 

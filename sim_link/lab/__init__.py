@@ -1,1 +1,1 @@
-"""TODO package docstring"""
+"""The laboratory: what flies, disturbs, judges and measures companion and simulator."""

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from typing import NoReturn, Protocol
 
 from companion.errors import ConfigError
-from sim_link.faults import proxy_cli
-from sim_link.mission import cli as mission_cli
-from sim_link.mission import radio_cli
+from sim_link.lab import radio_follower
+from sim_link.lab.faults import proxy
+from sim_link.lab.mission import mission_cli
 
 
 class _Parser(argparse.ArgumentParser):
@@ -56,8 +56,8 @@ def _parser() -> argparse.ArgumentParser:
     mission = commands.add_parser("mission", help="fly mission scripts")
     kinds = mission.add_subparsers(required=True, metavar="{run}")
     _add(kinds, "run", "fly scripts and tell pass or fail", mission_cli)
-    _add(commands, "radio", "a radio payload for a vehicle that has none", radio_cli)
-    _add(commands, "proxy", "a bad link between a vehicle and a companion", proxy_cli)
+    _add(commands, "radio", "a radio payload for a vehicle that has none", radio_follower)
+    _add(commands, "proxy", "a bad link between a vehicle and a companion", proxy)
     return parser
 
 

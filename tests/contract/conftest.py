@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from companion.estimation.filters.target_filter import FilterParams
-from sim_link.evaluation.hostile import MakeFilter
+from sim_link.lab.evaluation.hostile import MakeFilter
 from tests.contract.filter_helpers import FILTERS, VARIANTS
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from companion.estimation.filters.target_filter import FilterParams
-from sim_link.evaluation.hostile import MakeFilter
+from sim_link.lab.evaluation.hostile import MakeFilter
 from tests.contract.filter_helpers import assert_same, seen_at, state_of
 
 

@@ -25,7 +25,7 @@ from companion.link.recorders import Journal
 from companion.web.live_map import WebView
 from companion.web.settings import WebSettings, web_settings
 from sim_link.autopilot.scenario import Scenario
-from sim_link.lockstep.flight import Flight
+from sim_link.lab.lockstep.flight import Flight
 from tests.ports import free_port
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from sim_link.mission.over_udp import fly_over_udp
-from sim_link.mission.script_file import parse_mission
-from sim_link.monitor.scope import WIRE
+from sim_link.lab.mission.over_udp import fly_over_udp
+from sim_link.lab.mission.script_file import parse_mission
+from sim_link.lab.monitor.monitor import WIRE
 from tests.e2e.simulator_process import PATIENCE_S
 from tests.ports import free_port
 

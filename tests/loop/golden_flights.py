@@ -39,14 +39,10 @@ from companion.mav.endpoint import Chunk
 from companion.planning.crossing import LatchedCrossingParams
 from companion.replay.recorded_flight import Course, rerun
 from sim_link.autopilot.scenario import AutopilotParams, Incident, PilotMode, Scenario
-from sim_link.faults.faulty_link import FaultyLink
-from sim_link.faults.kinds import Fault
-from sim_link.faults.link_kinds import LinkDelay, LinkJitter, LinkLoss
-from sim_link.faults.schedule import Schedule
-from sim_link.lockstep.checkpoints import Checkpointing
-from sim_link.lockstep.flight import VEHICLE_PEER, Flight
-from sim_link.lockstep.journal import Notes
-from sim_link.lockstep.operator import Operator
+from sim_link.lab.faults.fault_models import Fault, LinkDelay, LinkJitter, LinkLoss, Schedule
+from sim_link.lab.faults.faulty_link import FaultyLink
+from sim_link.lab.lockstep.flight import VEHICLE_PEER, Flight, MemoryJournal
+from sim_link.lab.lockstep.flight_harness import Checkpointing, Operator
 from sim_link.world.environment import EmitterParams
 
 FOLDER = Path(__file__).parents[1] / "data" / "golden"
@@ -196,7 +192,9 @@ def fly(plan: Plan, directory: Path) -> Golden:
         return build_endpoint(config, journals[-1], links, recorder=journals[-1].inputs)
 
     wire = FaultyLink(Schedule(faults=plan.faults), 1)
-    flight = Flight(plan.config, plan.scenario, 1, Notes(), wire=wire, make_companion=companion)
+    flight = Flight(
+        plan.config, plan.scenario, 1, MemoryJournal(), wire=wire, make_companion=companion
+    )
     if plan.is_killed:
         Checkpointing(flight)
     for time_s, action in plan.happenings:

@@ -15,17 +15,23 @@ from companion.link.endpoint import CompanionEndpoint
 from companion.mav.dialect import Message
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import Scenario
-from sim_link.faults.faulty_link import FaultyLink
-from sim_link.faults.kinds import Fault
-from sim_link.faults.link_kinds import LinkDelay, LinkJitter, LinkLoss
-from sim_link.faults.schedule import Schedule
-from sim_link.lockstep.flight import Flight, MakeCompanion, Radio
-from sim_link.lockstep.journal import Notes
-from sim_link.lockstep.observer import Frame, Observer
-from sim_link.lockstep.operator import Operator
-from sim_link.lockstep.recorder import Recorder, Sent
+from sim_link.lab.faults.fault_models import Fault, LinkDelay, LinkJitter, LinkLoss, Schedule
+from sim_link.lab.faults.faulty_link import FaultyLink
+from sim_link.lab.lockstep.flight import Flight, MakeCompanion, MemoryJournal, Radio
+from sim_link.lab.lockstep.flight_harness import Operator
+from sim_link.lab.lockstep.observer import Frame, Observer, Recorder, Sent
 
-__all__ = ["AUTO", "Fault", "LinkFaults", "Loop", "Notes", "Radio", "Sent", "horizontal", "outside"]
+__all__ = [
+    "AUTO",
+    "Fault",
+    "LinkFaults",
+    "Loop",
+    "MemoryJournal",
+    "Radio",
+    "Sent",
+    "horizontal",
+    "outside",
+]
 
 AUTO = CompanionConfig(mission=SessionParams(engage="auto"))
 
@@ -78,7 +84,7 @@ class Loop:
     ) -> None:
         schedule = faults.schedule() if isinstance(faults, LinkFaults) else faults
         self.wire = FaultyLink(schedule or Schedule(), seed)
-        self.notes = Notes()
+        self.notes = MemoryJournal()
         self.flight = Flight(
             config,
             scenario or Scenario(),

@@ -17,12 +17,11 @@ from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk
 from companion.mav.flight_modes import autopilot_of, mode_of
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
-from sim_link.faults.injector import Injector
-from sim_link.faults.link_kinds import LinkBlackout
-from sim_link.faults.vehicle_kinds import (
+from sim_link.lab.faults.fault_models import (
     Battery,
     EkfPoor,
     GpsLoss,
+    LinkBlackout,
     ModeFlap,
     OriginShift,
     PilotSticks,
@@ -30,8 +29,9 @@ from sim_link.faults.vehicle_kinds import (
     VehicleFault,
     VehicleReboot,
 )
-from sim_link.lockstep.flight import VEHICLE_PEER
-from sim_link.lockstep.observer import Frame, Observer
+from sim_link.lab.faults.injector import Injector
+from sim_link.lab.lockstep.flight import VEHICLE_PEER
+from sim_link.lab.lockstep.observer import Frame, Observer
 from tests.loop.loop_helpers import LinkFaults, Loop
 
 FLAVOURS: tuple[FlavourName, ...] = get_args(FlavourName)

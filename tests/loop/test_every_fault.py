@@ -11,14 +11,12 @@ import pytest
 from companion.config.schema import CompanionConfig
 from companion.guidance.session_params import SessionParams
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, RcParams, Scenario
-from sim_link.campaign.flights import Monitored, monitored
-from sim_link.campaign.missions import Missions
-from sim_link.campaign.runner import run_one
-from sim_link.campaign.trial import Trial
-from sim_link.faults.injector import Injector
-from sim_link.faults.kinds import KINDS, Fault
-from sim_link.faults.schedule import Schedule, fault_from
-from sim_link.lockstep.observer import Frame, Observer
+from sim_link.lab.campaign.flights import Monitored, Trial, monitored
+from sim_link.lab.campaign.random_missions import Missions
+from sim_link.lab.campaign.runner import run_one
+from sim_link.lab.faults.fault_models import KINDS, Fault, Schedule, fault_from
+from sim_link.lab.faults.injector import Injector
+from sim_link.lab.lockstep.observer import Frame, Observer
 
 AUTO = CompanionConfig(mission=SessionParams(engage="auto", stop_confirm_s=1e6))
 ENGAGED_S, FAULT_S, AFTER_S = 13.0, 3.0, 4.0

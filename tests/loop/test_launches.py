@@ -12,7 +12,7 @@ from companion.guidance.authority.state_machine import Phase
 from companion.guidance.session_params import SessionParams
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
-from sim_link.faults.vehicle_kinds import Battery, EkfPoor, PilotSticks, VehicleFault
+from sim_link.lab.faults.fault_models import Battery, EkfPoor, PilotSticks, VehicleFault
 from tests.loop.loop_helpers import Loop
 from tests.loop.test_authority import ENDLESS, SET_MODE, TICK_S, inject
 

@@ -11,13 +11,12 @@ from companion.io.logs.log_files import read_tlog
 from companion.mav.dialect import MAVLink_radio_ranging_message as RadioRanging
 from companion.mav.framing import message_id, sender_of
 from sim_link.autopilot.scenario import FlavourName
-from sim_link.faults.planted import FliesAway
-from sim_link.mission.campaign import Campaign, fly_task, with_autopilot
-from sim_link.mission.expectations import Expectation
-from sim_link.mission.in_memory import fly_in_memory
-from sim_link.mission.result import MissionResult
-from sim_link.mission.script import Mission
-from sim_link.mission.script_file import load_mission, parse_mission
+from sim_link.lab.faults.planted import FliesAway
+from sim_link.lab.mission.batch import Campaign, fly_task, with_autopilot
+from sim_link.lab.mission.in_memory import fly_in_memory
+from sim_link.lab.mission.results import MissionResult
+from sim_link.lab.mission.script import Expectation, Mission
+from sim_link.lab.mission.script_file import load_mission, parse_mission
 
 LIBRARY = Path(__file__).parents[2] / "configs" / "missions"
 CANONICAL = LIBRARY / "canonical.yaml"

@@ -15,7 +15,7 @@ import sys
 import companion.run  # as the command loads it
 from companion.link.endpoint import CompanionEndpoint
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
-from sim_link.campaign.flights import monitored
+from sim_link.lab.campaign.flights import monitored
 from tests.loop.loop_helpers import AUTO
 
 def watched(name):

@@ -12,7 +12,7 @@ from companion.estimation.screening.validation import RejectReason
 from companion.guidance.authority.state_machine import FLYING, Phase
 from companion.guidance.session_params import SessionParams
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
-from sim_link.campaign.flights import monitored
+from sim_link.lab.campaign.flights import monitored
 from tests.loop.loop_helpers import AUTO, Loop, outside
 
 JUMPS: list[PositionEnu] = [

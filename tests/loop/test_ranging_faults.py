@@ -11,7 +11,9 @@ import pytest
 from companion.domain import EstimateState
 from companion.estimation.screening.validation import Objection, RejectReason
 from companion.guidance.authority.state_machine import FLYING, Phase
-from sim_link.faults.content_kinds import (
+from sim_link.lab.faults.fault_models import (
+    FaultRecord,
+    LinkHold,
     RangingDropout,
     RangingFreeze,
     RangingNan,
@@ -21,8 +23,6 @@ from sim_link.faults.content_kinds import (
     RangingStale,
     RangingWrongUnit,
 )
-from sim_link.faults.link_kinds import LinkHold
-from sim_link.faults.record import FaultRecord
 from tests.loop.loop_helpers import Loop, outside
 
 FACTORS = (0.001, 0.01, 57.3, 100.0, 1000.0)

@@ -31,9 +31,8 @@ from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk
 from companion.replay.flight_replay import replay_flight
 from sim_link.autopilot.scenario import Scenario
-from sim_link.lockstep.checkpoints import Checkpointing
-from sim_link.lockstep.flight import VEHICLE_PEER, Flight
-from sim_link.lockstep.journal import Notes
+from sim_link.lab.lockstep.flight import VEHICLE_PEER, Flight, MemoryJournal
+from sim_link.lab.lockstep.flight_harness import Checkpointing
 from sim_link.world.environment import EmitterParams
 
 AUTO = CompanionConfig(mission=SessionParams(engage="auto"))
@@ -181,7 +180,7 @@ def test_a_flight_that_took_up_the_memory_of_a_killed_process_is_the_same(tmp_pa
         journals.append(FlightJournal(folder, 1.8e9))
         return build_endpoint(config, journals[-1], links, recorder=journals[-1].inputs)
 
-    flight = Flight(AUTO, Scenario(), 3, Notes(), make_companion=companion)
+    flight = Flight(AUTO, Scenario(), 3, MemoryJournal(), make_companion=companion)
     Checkpointing(flight)
     flight.run(26.0)
     flight.kill_companion()

@@ -12,7 +12,7 @@ from companion.guidance.authority.state_machine import Phase
 from companion.guidance.session_params import SessionParams
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
-from sim_link.lockstep.checkpoints import Checkpointing
+from sim_link.lab.lockstep.flight_harness import Checkpointing
 from tests.loop.loop_helpers import AUTO, Loop
 
 MANUAL = CompanionConfig()

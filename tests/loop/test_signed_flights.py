@@ -15,9 +15,8 @@ from companion.mav.endpoint import Chunk
 from companion.mav.signing import ONE_LINK_EACH, Signing, SigningKey, is_signed
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import Scenario
-from sim_link.lockstep.flight import VEHICLE_PEER, Flight
-from sim_link.lockstep.journal import Notes
-from sim_link.lockstep.observer import Frame, Observer
+from sim_link.lab.lockstep.flight import VEHICLE_PEER, Flight, MemoryJournal
+from sim_link.lab.lockstep.observer import Frame, Observer
 from tests.loop.loop_helpers import AUTO
 
 KEY = SigningKey(bytes(range(1, 33)))
@@ -52,8 +51,8 @@ def companion(
     return build_endpoint(config, journal, links, signing=signing, started_unix_s=UNIX_S)
 
 
-def flight(key: SigningKey = KEY) -> tuple[Flight, Notes, Tape]:
-    notes, tape = Notes(), Tape()
+def flight(key: SigningKey = KEY) -> tuple[Flight, MemoryJournal, Tape]:
+    notes, tape = MemoryJournal(), Tape()
     make = partial(companion, key=key)
     made = Flight(AUTO, Scenario(), 1, notes, make_companion=make, make_simulator=vehicle)
     made.observers.append(tape)

@@ -41,13 +41,20 @@ from companion.planning.crossing_kernels import LATCH_SIZE
 from companion.planning.planner import Plan, Planner, PlanRequest
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import Scenario
-from sim_link.evaluation.case import Case
-from sim_link.evaluation.noise import TRUTH, channel_draws, measured, run_seeds, stream, truth_of
-from sim_link.evaluation.retrace import believed
-from sim_link.evaluation.systems import PlannerName, System, belief_of, pilot_of, steering_of
-from sim_link.evaluation.tracks import stepped
-from sim_link.evaluation.trial import TrialResult, flown_trial, run_trial, start_of
-from sim_link.evaluation.walk import next_place
+from sim_link.lab.evaluation.campaign import TrialResult, flown_trial, run_trial, start_of
+from sim_link.lab.evaluation.case import (
+    TRUTH,
+    Case,
+    channel_draws,
+    measured,
+    run_seeds,
+    stepped,
+    stream,
+    truth_of,
+)
+from sim_link.lab.evaluation.planner_bench import believed
+from sim_link.lab.evaluation.systems import PlannerName, System, belief_of, pilot_of, steering_of
+from sim_link.lab.evaluation.walk import next_place
 from sim_link.world.environment import EmitterParams
 from tests.loop.loop_helpers import Loop
 

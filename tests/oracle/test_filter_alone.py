@@ -11,10 +11,9 @@ import pytest
 from companion.domain import RangingMeasurement
 from companion.estimation.tracker import TargetTracker, TrackerParams
 from companion.estimation.window.window_map import WindowParams
-from sim_link.evaluation.case import Case
-from sim_link.evaluation.noise import channel_draws, measured, run_seeds
-from sim_link.evaluation.systems import PlannerName, System
-from sim_link.evaluation.trial import run_trial
+from sim_link.lab.evaluation.campaign import run_trial
+from sim_link.lab.evaluation.case import Case, channel_draws, measured, run_seeds
+from sim_link.lab.evaluation.systems import PlannerName, System
 
 CASE = Case()
 FILTER_ALONE = TrackerParams(

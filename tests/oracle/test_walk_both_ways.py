@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 
 from companion.kernel import Matrix
-from sim_link.evaluation.case import Case
-from sim_link.evaluation.noise import run_seeds
-from sim_link.evaluation.systems import system_named
-from sim_link.evaluation.trial import run_block
+from sim_link.lab.evaluation.campaign import run_block
+from sim_link.lab.evaluation.case import Case, run_seeds
+from sim_link.lab.evaluation.systems import system_named
 from sim_link.world.environment import ObstacleParams
 
 SYSTEMS = (

@@ -9,13 +9,12 @@ from companion.mav.endpoint import Endpoint
 from companion.mav.signing import Signing, SigningKey
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
-from sim_link.conformance.catalogue import all_rules
-from sim_link.conformance.memory import MemoryHub
-from sim_link.conformance.puppet import CompanionProbe, stay_silent
-from sim_link.conformance.rules import Flavour, Role, Rule
-from sim_link.conformance.runner import Outcome, try_rule
-from sim_link.conformance.vehicle_probe import VehicleProbe
-from sim_link.lockstep.journal import Notes
+from sim_link.lab.conformance.cli import all_rules
+from sim_link.lab.conformance.fuzz import MemoryHub
+from sim_link.lab.conformance.puppet import CompanionProbe, stay_silent
+from sim_link.lab.conformance.rules import Flavour, Role, Rule, RuleOutcome, try_rule
+from sim_link.lab.conformance.vehicle_probe import VehicleProbe
+from sim_link.lab.lockstep.flight import MemoryJournal
 
 SEED = 1
 KEY = bytes(range(7, 39))
@@ -47,7 +46,7 @@ def probe_of(
 
 def companion_probe(flavour: Flavour) -> CompanionProbe:
     """A vehicle on strings that the companion has heard."""
-    endpoint = build_endpoint(CompanionConfig(), Notes())
+    endpoint = build_endpoint(CompanionConfig(), MemoryJournal())
     probe = CompanionProbe(MemoryHub(endpoint).connect(), flavour)
     probe.attach()
     return probe
@@ -55,14 +54,14 @@ def companion_probe(flavour: Flavour) -> CompanionProbe:
 
 def unanswered_companion_probe(flavour: Flavour) -> CompanionProbe:
     """The same with a companion that launches by itself a vehicle that never answers."""
-    endpoint = build_endpoint(LAUNCHES_BY_ITSELF, Notes())
+    endpoint = build_endpoint(LAUNCHES_BY_ITSELF, MemoryJournal())
     link = MemoryHub(endpoint).connect()
     probe = CompanionProbe(link, flavour, stay_silent, is_flying=False)
     probe.attach()
     return probe
 
 
-def try_on_vehicle(rule: Rule, endpoint: Endpoint) -> Outcome:
+def try_on_vehicle(rule: Rule, endpoint: Endpoint) -> RuleOutcome:
     """How a rule goes with a vehicle in memory."""
     return try_rule(rule, probe_of(endpoint))
 

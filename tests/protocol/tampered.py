@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk, Endpoint
-from sim_link.conformance.frames import FrameSpec, build_raw
+from sim_link.lab.conformance.mavlink_oracle import FrameSpec, build_raw
 
 Edit = Callable[[bytes], list[bytes]]
 """What becomes of a frame."""

@@ -6,15 +6,15 @@ import pytest
 
 from companion.config.schema import CompanionConfig
 from companion.flight_setup import build_endpoint
-from sim_link.conformance.memory import MemoryHub
-from sim_link.conformance.puppet import CompanionProbe, accept
-from sim_link.conformance.rules import Flavour
-from sim_link.lockstep.journal import Notes
+from sim_link.lab.conformance.fuzz import MemoryHub
+from sim_link.lab.conformance.puppet import CompanionProbe, accept
+from sim_link.lab.conformance.rules import Flavour
+from sim_link.lab.lockstep.flight import MemoryJournal
 
 
 @pytest.mark.parametrize("system_id", [1, 7, 254])
 def test_it_takes_the_system_id_of_its_vehicle(system_id: int) -> None:
-    endpoint = build_endpoint(CompanionConfig(), Notes())
+    endpoint = build_endpoint(CompanionConfig(), MemoryJournal())
     probe = CompanionProbe(MemoryHub(endpoint).connect(), Flavour.PX4, accept, system_id)
     probe.attach()
     assert probe.companion == (system_id, 191)

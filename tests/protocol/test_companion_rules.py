@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sim_link.conformance.rules import Flavour, Role, Rule
-from sim_link.conformance.runner import Verdict, try_rule
+from sim_link.lab.conformance.rules import Flavour, Role, Rule, RuleVerdict, try_rule
 from tests.protocol.conformance_rigs import (
     case_id,
     cases,
@@ -24,7 +23,7 @@ def test_companion_keeps_the_rule(rule: Rule, flavour: Flavour) -> None:
     make_probe = unanswered_companion_probe if rule.rule_id == UNANSWERED else companion_probe
     outcome = try_rule(rule, make_probe(flavour))
     if rule.rule_id in NOT_DONE_BY_OURS:
-        assert outcome.verdict is Verdict.SKIP
+        assert outcome.verdict is RuleVerdict.SKIP
         assert NOT_DONE_BY_OURS[rule.rule_id] in outcome.detail
     else:
-        assert outcome.verdict is Verdict.PASS, outcome.detail
+        assert outcome.verdict is RuleVerdict.PASS, outcome.detail

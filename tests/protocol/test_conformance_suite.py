@@ -5,10 +5,9 @@ from __future__ import annotations
 import pytest
 
 from companion.mav.dialect import mavlink
-from sim_link.conformance.catalogue import all_rules
-from sim_link.conformance.frames import FrameSpec, build_raw
-from sim_link.conformance.rules import Flavour, Role
-from sim_link.conformance.runner import Verdict, try_rule
+from sim_link.lab.conformance.cli import all_rules
+from sim_link.lab.conformance.mavlink_oracle import FrameSpec, build_raw
+from sim_link.lab.conformance.rules import Flavour, Role, RuleVerdict, try_rule
 from tests.protocol.conformance_rigs import BY_ID, cases, probe_of, simulator, try_on_vehicle
 from tests.protocol.tampered import (
     Deaf,
@@ -194,14 +193,14 @@ DEFECTS: dict[str, tuple[str, Flavour, Edit, Edit]] = {
 def test_planted_defect_is_found(name: str) -> None:
     rule_id, flavour, inbound, outbound = DEFECTS[name]
     outcome = try_on_vehicle(BY_ID[rule_id], Tampered(simulator(flavour), inbound, outbound))
-    assert outcome.verdict is Verdict.FAIL
+    assert outcome.verdict is RuleVerdict.FAIL
     assert outcome.detail
 
 
 def test_tampering_with_nothing_is_no_defect() -> None:
     for rule_id in {entry[0] for entry in DEFECTS.values() if entry[1] is PX4}:
         outcome = try_on_vehicle(BY_ID[rule_id], Tampered(simulator(PX4)))
-        assert outcome.verdict is Verdict.PASS, f"{rule_id}: {outcome.detail}"
+        assert outcome.verdict is RuleVerdict.PASS, f"{rule_id}: {outcome.detail}"
 
 
 @pytest.mark.parametrize("magic", [0xFD, 0xFE])
@@ -210,10 +209,12 @@ def test_a_dropped_frame_with_a_magic_byte_in_it_is_no_defect_on_a_byte_stream(
     name: str, magic: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked = mavlink.MAVLink_timesync_message(0, 7_000_000_000 + magic)
-    monkeypatch.setattr("sim_link.conformance.vehicle_rules.frames.question", lambda _: asked)
+    monkeypatch.setattr(
+        "sim_link.lab.conformance.vehicle_rules.frame_rules.question", lambda _: asked
+    )
     rule = BY_ID[f"frames.{name}_is_dropped"]
     outcome = try_rule(rule, probe_of(simulator(PX4), is_datagram=False))
-    assert outcome.verdict is Verdict.PASS, outcome.detail
+    assert outcome.verdict is RuleVerdict.PASS, outcome.detail
 
 
 LISTENS_ONLY = {
@@ -238,14 +239,14 @@ LISTENS_ONLY = {
 def test_a_deaf_vehicle_breaks_every_rule_about_what_it_hears(
     flavour: Flavour, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for module in ("vehicle_station", "vehicle_probe"):
-        monkeypatch.setattr(f"sim_link.conformance.{module}.READY_S", 5.0)
-    monkeypatch.setattr("sim_link.conformance.parameter_client.LIST_S", 5.0)
+    for module in ("vehicle_probe",):
+        monkeypatch.setattr(f"sim_link.lab.conformance.{module}.READY_S", 5.0)
+    monkeypatch.setattr("sim_link.lab.conformance.protocol_clients.LIST_S", 5.0)
     recording = DeafRecording(simulator(flavour))
     kept = {
         rule.rule_id
         for rule, bound in cases(Role.VEHICLE)
-        if bound is flavour and try_on_vehicle(rule, Deaf(recording)).verdict is Verdict.PASS
+        if bound is flavour and try_on_vehicle(rule, Deaf(recording)).verdict is RuleVerdict.PASS
     }
     assert kept <= LISTENS_ONLY
 

@@ -8,8 +8,8 @@ import pytest
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk
-from sim_link.conformance.fuzz import FrameFuzzer, FuzzCampaign, FuzzFailure, Meant
-from sim_link.conformance.rules import Flavour
+from sim_link.lab.conformance.fuzz import FrameFuzzer, FuzzCampaign, FuzzFailure, Meant
+from sim_link.lab.conformance.rules import Flavour
 from tests.protocol.conformance_rigs import simulator
 from tests.protocol.tampered import Tampered, set_byte
 

@@ -7,11 +7,11 @@ import pytest
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
-from sim_link.conformance.frames import signature_of
-from sim_link.conformance.memory import MemoryHub
-from sim_link.conformance.rules import Flavour
-from sim_link.conformance.station import Signer
-from sim_link.conformance.vehicle_probe import VehicleProbe
+from sim_link.lab.conformance.fuzz import MemoryHub
+from sim_link.lab.conformance.mavlink_oracle import signature_of
+from sim_link.lab.conformance.rules import Flavour
+from sim_link.lab.conformance.station import Signer
+from sim_link.lab.conformance.vehicle_probe import VehicleProbe
 from tests.protocol.conformance_rigs import KEY, SEED
 
 FLAVOURS = pytest.mark.parametrize("flavour", list(Flavour), ids=lambda flavour: flavour.value)

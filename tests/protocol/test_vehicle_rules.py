@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sim_link.conformance.rules import Flavour, Role, Rule
-from sim_link.conformance.runner import Verdict, try_rule
+from sim_link.lab.conformance.rules import Flavour, Role, Rule, RuleVerdict, try_rule
 from tests.protocol.conformance_rigs import (
     KEY,
     case_id,
@@ -23,7 +22,7 @@ def test_simulator_keeps_the_rule(rule: Rule, flavour: Flavour) -> None:
         outcome = try_rule(rule, probe_of(signing_simulator(flavour), KEY))
     else:
         outcome = try_on_vehicle(rule, simulator(flavour))
-    assert outcome.verdict is Verdict.PASS, outcome.detail
+    assert outcome.verdict is RuleVerdict.PASS, outcome.detail
 
 
 @pytest.mark.parametrize(
@@ -33,4 +32,4 @@ def test_simulator_keeps_the_rule(rule: Rule, flavour: Flavour) -> None:
 )
 def test_simulator_keeps_the_rule_on_a_byte_stream(rule: Rule, flavour: Flavour) -> None:
     outcome = try_rule(rule, probe_of(simulator(flavour), is_datagram=False))
-    assert outcome.verdict is Verdict.PASS, outcome.detail
+    assert outcome.verdict is RuleVerdict.PASS, outcome.detail

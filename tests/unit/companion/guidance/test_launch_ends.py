@@ -23,9 +23,9 @@ from companion.guidance.events import (
     SticksReported,
     StopRequested,
 )
+from tests.unit.companion.guidance.authority.test_launch import AUTO, launching
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 from tests.unit.companion.guidance.session_helpers import silent_since
-from tests.unit.companion.guidance.test_launch import AUTO, launching
 
 AUTOPILOTS = [Autopilot.PX4, Autopilot.ARDUPILOT]
 

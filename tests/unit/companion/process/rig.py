@@ -10,12 +10,12 @@ from companion.link.endpoint import CompanionEndpoint
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk
-from sim_link.lockstep.journal import Notes
+from sim_link.lab.lockstep.flight import MemoryJournal
 
 PEER = ("127.0.0.1", 14580)
 
 
-class WatchedNotes(Notes):
+class WatchedNotes(MemoryJournal):
     """Notes whose disk does what the test says."""
 
     inputs = None
@@ -56,7 +56,7 @@ class StillLink(Link):
         """Nothing to close."""
 
 
-def an_endpoint(notes: Notes, config: CompanionConfig | None = None) -> CompanionEndpoint:
+def an_endpoint(notes: MemoryJournal, config: CompanionConfig | None = None) -> CompanionEndpoint:
     return build_endpoint(config or CompanionConfig(), notes)
 
 

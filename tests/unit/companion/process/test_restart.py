@@ -17,7 +17,7 @@ from companion.guidance.session_params import SessionParams
 from companion.io.state.checkpoints import Moment
 from companion.link.endpoint import CompanionEndpoint
 from companion.process.persistence import RestartKeeper, digests_of
-from sim_link.lockstep.checkpoints import MemoryStore
+from sim_link.lab.lockstep.flight_harness import MemoryStore
 from tests.unit.companion.process.rig import WatchedNotes, an_endpoint, hear_autopilot
 
 CONFIG = CompanionConfig()

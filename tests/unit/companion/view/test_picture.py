@@ -7,14 +7,13 @@ from companion.guidance.session_params import SessionParams
 from companion.io.files import plain
 from companion.view.snapshot import picture_of, scene_of
 from sim_link.autopilot.scenario import Scenario
-from sim_link.lockstep.flight import Flight
-from sim_link.lockstep.journal import Notes
+from sim_link.lab.lockstep.flight import Flight, MemoryJournal
 
 CONFIG = CompanionConfig(mission=SessionParams(engage="auto"))
 
 
 def test_an_autopilot_is_lost_only_if_it_was_heard() -> None:
-    flight = Flight(CONFIG, Scenario(), 1, Notes())
+    flight = Flight(CONFIG, Scenario(), 1, MemoryJournal())
     companion = flight.companion
     assert companion is not None
     assert picture_of(companion, 0.0)["is_link_lost"] is False
@@ -24,7 +23,7 @@ def test_an_autopilot_is_lost_only_if_it_was_heard() -> None:
 
 
 def test_a_picture_goes_into_json_and_stays_small() -> None:
-    flight = Flight(CONFIG, Scenario(), 1, Notes())
+    flight = Flight(CONFIG, Scenario(), 1, MemoryJournal())
     flight.run(20.0)
     assert flight.companion is not None
     picture = {**scene_of(CONFIG), **picture_of(flight.companion, flight.now_s)}

@@ -1,9 +1,0 @@
-"""`python -m sim_link.conformance`."""
-
-from __future__ import annotations
-
-import sys
-
-from sim_link.conformance.cli import main
-
-sys.exit(main())

@@ -1,1 +1,0 @@
-"""What a companion must do towards the vehicle that it serves."""

@@ -1,0 +1,345 @@
+"""Fuzzed frames and a day of flight: nothing may raise, grow or slow down.
+
+Random frames with a valid checksum, and signature where there is a key, against the companion.
+
+Half of the fields are random bytes, half are numbers that make more sense and do more harm. They
+come from the autopilot's own ids and address, because nobody else is listened to.
+
+A day of flight in minutes: memory, descriptors and queues stay as they are, the log in its cap.
+
+The companion flies and writes its real journal to a real disk; landed by a low battery it would
+end early, so the battery is endless. What grows is measured against invented time.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from companion.config.schema import CompanionConfig
+from companion.guidance.session_params import SessionParams
+from companion.io.logs.flight_recorder import FlightJournal
+from companion.mav.codec import CRC_EXTRA_BY_ID
+from companion.mav.dialect import Message, mavlink
+from companion.mav.endpoint import Chunk
+from companion.mav.framing import frame_crc
+from companion.mav.signing import Signing, timestamp_at
+from sim_link.autopilot.scenario import AutopilotParams, BatteryParams, FlavourName, Scenario
+from sim_link.lab.campaign.flights import (
+    KEY,
+    STARTED_UNIX_S,
+    Monitored,
+    Trial,
+    TrialOutcome,
+    findings_of,
+    monitored,
+    rules_of,
+    trial_seed,
+)
+from sim_link.lab.faults.fault_models import LinkBursts, LinkJitter, LinkLoss, Schedule
+from sim_link.lab.faults.faulty_link import FaultyLink
+from sim_link.lab.lockstep.flight import VEHICLE_PEER, Flight
+from sim_link.lab.monitor.monitor import Monitor
+
+FRAMES_PER_TRIAL = 20_000
+PER_TICK = 10
+SLOWEST_FRAME_S = 0.05
+MOST_GROWTH_MB = 24.0
+SIGNED_LINK = 9
+HEARD: tuple[type[Message], ...] = (
+    mavlink.MAVLink_heartbeat_message,
+    mavlink.MAVLink_local_position_ned_message,
+    mavlink.MAVLink_global_position_int_message,
+    mavlink.MAVLink_attitude_message,
+    mavlink.MAVLink_sys_status_message,
+    mavlink.MAVLink_battery_status_message,
+    mavlink.MAVLink_extended_sys_state_message,
+    mavlink.MAVLink_home_position_message,
+    mavlink.MAVLink_gps_global_origin_message,
+    mavlink.MAVLink_gps_raw_int_message,
+    mavlink.MAVLink_estimator_status_message,
+    mavlink.MAVLink_command_ack_message,
+    mavlink.MAVLink_command_long_message,
+    mavlink.MAVLink_command_int_message,
+    mavlink.MAVLink_statustext_message,
+    mavlink.MAVLink_timesync_message,
+    mavlink.MAVLink_param_value_message,
+    mavlink.MAVLink_mission_count_message,
+    mavlink.MAVLink_mission_item_int_message,
+    mavlink.MAVLink_position_target_local_ned_message,
+    mavlink.MAVLink_position_target_global_int_message,
+    mavlink.MAVLink_rc_channels_message,
+    mavlink.MAVLink_landing_target_message,
+    mavlink.MAVLink_ranging_beacon_message,
+    mavlink.mavlink_map[45010],
+)
+"""What a companion acts on; some frames are of any message of the dialect."""
+SPECIAL = (np.nan, np.inf, -np.inf, 0.0, -0.0, 1e30, -1.0, 1.0, 1e-42)
+
+
+class FrameMaker:
+    """Makes frames of the autopilot.
+
+    Args:
+        rng: Where all of it comes from.
+        signing: Signs them; None: unsigned.
+    """
+
+    def __init__(self, rng: np.random.Generator, signing: Signing | None) -> None:
+        self._rng = rng
+        self._signing = signing
+        self._all = list(mavlink.mavlink_map.values())
+        self._sequence = 0
+
+    def next(self) -> bytes:
+        """The next frame."""
+        rng = self._rng
+        kinds = HEARD if rng.random() < 0.85 else self._all
+        kind = kinds[int(rng.integers(len(kinds)))]
+        payload = self._payload(int(kind.unpacker.size)).rstrip(b"\0") or b"\0"
+        self._sequence = (self._sequence + 1) % 256
+        number = int(kind.id)
+        head = bytes((0xFD, len(payload), 0, 0, self._sequence, 1, 1)) + number.to_bytes(
+            3, "little"
+        )
+        frame = head + payload
+        frame += frame_crc(frame, CRC_EXTRA_BY_ID[number]).to_bytes(2, "little")
+        if self._signing is None:
+            return frame
+        return self._signing.sign(frame, SIGNED_LINK, CRC_EXTRA_BY_ID[number])
+
+    def _payload(self, size: int) -> bytes:
+        rng = self._rng
+        if rng.random() < 0.5:
+            return rng.bytes(size)
+        payload = bytearray(size)
+        for start in range(0, size - 3, 4):
+            draw = rng.random()
+            if draw < 0.5:
+                value = SPECIAL[int(rng.integers(len(SPECIAL)))]
+                payload[start : start + 4] = np.float32(value).tobytes()
+            elif draw < 0.8:
+                payload[start] = int(rng.integers(16))
+            else:
+                payload[start : start + 4] = np.float32(rng.normal(0.0, 100.0)).tobytes()
+        return bytes(payload)
+
+
+class Fuzzing:
+    """The part of the campaign that sends random frames."""
+
+    name = "fuzz"
+    title = "random frames with valid checksum and signature"
+
+    def trials(self, amount: float, seed: int) -> Sequence[Trial]:
+        """So many frames."""
+        count = -(-round(amount) // FRAMES_PER_TRIAL)
+        size = amount / count / FRAMES_PER_TRIAL
+        return [Trial(self.name, trial_seed(seed, index), size) for index in range(count)]
+
+    def cost(self, trial: Trial) -> float:
+        """Seconds of one core."""
+        return 5.0 * trial.size
+
+    def run(self, trial: Trial) -> TrialOutcome:
+        """Feed a companion that begins anew every so often, so that it is in every phase.
+
+        What the process has loaded is put aside from garbage collection, as the companion's own
+        process does before it flies.
+        """
+        gc.collect()
+        gc.freeze()
+        try:
+            return self._run(trial)
+        finally:
+            gc.unfreeze()
+
+    def _run(self, trial: Trial) -> TrialOutcome:
+        rng = np.random.default_rng((trial.seed, 0xF022))
+        is_signed = bool(trial.seed % 2)
+        signing = Signing(KEY, timestamp_at(STARTED_UNIX_S)) if is_signed else None
+        maker = FrameMaker(rng, signing)
+        slowest_s, sent, reached, findings = 0.0, 0, 0, list[str]()
+        settled_mb: float | None = None
+        while sent < trial.size * FRAMES_PER_TRIAL:
+            around = _fuzzed_flight(trial.seed + sent, is_signed=is_signed)
+            around.flight.run(float(rng.uniform(0.0, 20.0)))
+            for _ in range(round(trial.size * FRAMES_PER_TRIAL / 4 / PER_TICK)):
+                if signing is not None:
+                    signing.advance(STARTED_UNIX_S + around.flight.now_s)
+                for _ in range(PER_TICK):
+                    frame = maker.next()
+                    began_s = time.thread_time()
+                    around.flight.companion.receive(
+                        Chunk(0, frame, VEHICLE_PEER), around.flight.now_s
+                    )
+                    slowest_s = max(slowest_s, time.thread_time() - began_s)
+                    sent += 1
+                around.flight.run(0.05)
+            findings += [str(v) for v in around.monitor.violations if v.invariant in JUDGED]
+            reached += 1
+            if reached == 2:
+                settled_mb = resident_mb()
+        grown_mb = resident_mb() - (settled_mb or 0.0)
+        if slowest_s > SLOWEST_FRAME_S:
+            findings.append(f"a frame took {slowest_s:.3f} s")
+        if grown_mb > MOST_GROWTH_MB:
+            findings.append(f"memory grew by {grown_mb:.1f} MB")
+        return TrialOutcome(
+            trial,
+            tuple(findings),
+            sums={"fuzz_frames": float(sent)},
+            most={"fuzz_slowest_frame_s": slowest_s, "fuzz_growth_mb": max(0.0, grown_mb)},
+        )
+
+
+JUDGED = ("I6", "I8", "I9", "I11")
+"""Invariants that hold whatever a vehicle says; the others need one that tells the truth."""
+
+
+def _fuzzed_flight(seed: int, *, is_signed: bool) -> Monitored:
+    flavour: FlavourName = "px4" if seed % 4 < 2 else "ardupilot"
+    config = CompanionConfig(mission=SessionParams(engage="auto", stop_confirm_s=1e6))
+    scenario = Scenario(autopilot=AutopilotParams(flavour=flavour))
+    return monitored(config, scenario, seed, is_signed=is_signed)
+
+
+def resident_mb() -> float:
+    """Resident memory of this process."""
+    fields = Path("/proc/self/statm").read_text(encoding="ascii").split()
+    return int(fields[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+HOUR_S = 3600.0
+SAMPLE_S = 300.0
+SETTLED_H = 1.0
+"""The first hour may grow."""
+SLOPE_MB_PER_H = 0.1
+TOLD_FROM_H = 2.0
+"""A flight of more than so many hours tells of each, because it takes minutes."""
+LOG_CAP_BYTES = 20_000_000
+LOG_SLACK = 1.1
+"""The file that is being written, and the names of the others."""
+
+
+class Soak:
+    """The part of the campaign that flies for a day."""
+
+    name = "soak"
+    title = "24 simulated hours: memory, descriptors and log stay bounded"
+
+    def trials(self, amount: float, seed: int) -> Sequence[Trial]:
+        """One flight of so many hours."""
+        return [Trial(self.name, trial_seed(seed, 0), amount)] if amount else []
+
+    def cost(self, trial: Trial) -> float:
+        """Seconds of one core."""
+        return 90.0 * trial.size
+
+    def run(self, trial: Trial) -> TrialOutcome:
+        """Fly and measure."""
+        directory = Path(tempfile.mkdtemp(prefix="soak-"))
+        try:
+            return _soaked(trial, directory)
+        finally:
+            shutil.rmtree(directory, ignore_errors=True)
+
+
+@dataclass(slots=True)
+class Usage:
+    """What a process took of the machine, sample by sample."""
+
+    hours: list[float] = field(default_factory=list)
+    memory_mb: list[float] = field(default_factory=list)
+    descriptors: list[int] = field(default_factory=list)
+    log_bytes: int = 0
+
+    def sample(self, now_s: float) -> None:
+        """Look at this process."""
+        self.hours.append(now_s / HOUR_S)
+        self.memory_mb.append(resident_mb())
+        self.descriptors.append(len(os.listdir("/proc/self/fd")))
+
+    @property
+    def slope_mb_per_h(self) -> float:
+        """How memory grew once it had settled."""
+        settled_h = min(SETTLED_H, 0.5 * self.hours[-1])
+        return slope_after(self.hours, self.memory_mb, settled_h)
+
+    def findings(self) -> list[str]:
+        """What grew; memory is judged where there are enough hours to tell."""
+        findings = []
+        if self.slope_mb_per_h > SLOPE_MB_PER_H and self.hours[-1] > 2.0 * SETTLED_H:
+            findings.append(f"memory grows by {self.slope_mb_per_h:.3f} MB/h")
+        if self.descriptors[-1] != self.descriptors[0]:
+            findings.append(f"{self.descriptors[0]} descriptors became {self.descriptors[-1]}")
+        if self.log_bytes > LOG_SLACK * LOG_CAP_BYTES:
+            findings.append(f"the log has {self.log_bytes} bytes, its cap is {LOG_CAP_BYTES}")
+        return findings
+
+
+def _soaked(trial: Trial, directory: Path) -> TrialOutcome:
+    flight, monitor, journal = _soak_flight(trial.seed, directory)
+    usage = Usage()
+    while flight.now_s < trial.size * HOUR_S:
+        flight.run(min(SAMPLE_S, trial.size * HOUR_S - flight.now_s))
+        usage.sample(flight.now_s)
+        if trial.size > TOLD_FROM_H and len(usage.hours) % round(HOUR_S / SAMPLE_S) == 0:
+            hours, memory_mb = usage.hours[-1], usage.memory_mb[-1]
+            told = f"  soak: {hours:.0f} of {trial.size:g} h, {memory_mb:.1f} MB\n"
+            sys.stderr.write(told)
+            sys.stderr.flush()
+    files = (path for path in directory.rglob("*") if path.is_file())
+    usage.log_bytes = sum(path.stat().st_size for path in files)
+    journal.close()
+    return TrialOutcome(
+        trial,
+        (*findings_of(monitor.violations), *usage.findings()),
+        sums={"soak_hours": trial.size},
+        most={
+            "soak_slope_mb_per_h": usage.slope_mb_per_h,
+            "soak_log_bytes": float(usage.log_bytes),
+        },
+    )
+
+
+def slope_after(hours: Sequence[float], values: Sequence[float], since_h: float) -> float:
+    """The slope of a straight line through the values from a time on, per hour."""
+    chosen = [(h, v) for h, v in zip(hours, values, strict=True) if h >= since_h]
+    if len(chosen) < 2:
+        return 0.0
+    times, wanted = zip(*chosen, strict=True)
+    return float(np.polyfit(times, wanted, 1)[0])
+
+
+def _soak_flight(seed: int, directory: Path) -> tuple[Flight, Monitor, FlightJournal]:
+    """An endless search over a mediocre link."""
+    scenario = Scenario(
+        autopilot=AutopilotParams(flavour="px4" if seed % 2 else "ardupilot"),
+        battery=BatteryParams(endurance_s=1e7),
+    )
+    config = CompanionConfig(mission=SessionParams(engage="auto", stop_confirm_s=1e9))
+    faults = (
+        LinkLoss(share=0.05),
+        LinkJitter(jitter_s=0.05),
+        LinkBursts(mean_good_s=60.0, mean_bad_s=0.2),
+    )
+    link = FaultyLink(Schedule(faults=faults), seed)
+    journal = FlightJournal(directory, 1.795e9, LOG_CAP_BYTES)
+    flight = Flight(config, scenario, seed, journal, wire=link)
+    monitor = Monitor(
+        rules_of(config),
+        flight.sim.vehicle,
+        estimate=lambda: flight.companion.session.estimate,
+    )
+    flight.observers.append(monitor)
+    return flight, monitor, journal

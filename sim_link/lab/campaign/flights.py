@@ -1,0 +1,353 @@
+"""Trials of a campaign: what one is, the faults drawn for it, and the monitored flight it flies.
+
+What a campaign is made of: trials that can be run alone, and what they found.
+
+Signed flights: a key on both sides, and a companion that remembers across restarts.
+
+Flights as campaigns fly them: with faults, an operator and a monitor.
+
+Random faults, each with figures in a range that a vehicle may meet.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol, TypeVar
+
+import msgspec
+import numpy as np
+
+from companion.config.schema import CompanionConfig
+from companion.domain import FlightMode
+from companion.flight_setup import build_endpoint
+from companion.link.endpoint import CompanionEndpoint
+from companion.link.recorders import Journal
+from companion.mav.signing import ONE_LINK_EACH, LinkSigning, Signing, SigningKey, timestamp_at
+from sim_link.autopilot.endpoint import SimEndpoint
+from sim_link.autopilot.scenario import Scenario
+from sim_link.lab.faults import fault_models
+from sim_link.lab.faults.fault_models import Direction, Fault, RangingField, Schedule
+from sim_link.lab.faults.faulty_link import FaultyLink
+from sim_link.lab.faults.injector import Injector
+from sim_link.lab.lockstep.flight import Flight, MakeCompanion, MemoryJournal
+from sim_link.lab.lockstep.flight_harness import Checkpointing, Operator
+from sim_link.lab.monitor.monitor import Monitor
+from sim_link.lab.monitor.scene import Rules, Violation
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """One piece of work, which depends on these values only."""
+
+    part: str
+    seed: int
+    size: float = 1.0
+    """How long or how much, in the unit of the part; a replay uses the same."""
+
+    @property
+    def name(self) -> str:
+        """How a replay is asked for."""
+        return f"{self.part}:{self.seed}" + ("" if self.size == 1.0 else f":{self.size:g}")
+
+
+@dataclass(frozen=True, slots=True)
+class TrialFinding:
+    """Something that must not happen, and how to see it again."""
+
+    trial: str
+    what: str
+
+
+@dataclass(frozen=True, slots=True)
+class TrialOutcome:
+    """What a trial found and measured."""
+
+    trial: Trial
+    findings: tuple[str, ...] = ()
+    """What must not happen; empty: the trial passed."""
+    sums: Mapping[str, float] = field(default_factory=dict)
+    """Figures that are added over all trials."""
+    most: Mapping[str, float] = field(default_factory=dict)
+    """Figures of which the greatest counts."""
+    least: Mapping[str, float] = field(default_factory=dict)
+    """Figures of which the least counts."""
+    story: tuple[str, ...] = ()
+    """What happened, for whoever replays the trial."""
+
+
+class Part(Protocol):
+    """One part of a campaign."""
+
+    name: str
+    title: str
+
+    def trials(self, amount: float, seed: int) -> Sequence[Trial]:
+        """The trials of so much of it."""
+
+    def run(self, trial: Trial) -> TrialOutcome:
+        """Run one of them."""
+
+    def cost(self, trial: Trial) -> float:
+        """About how many seconds of one core it takes; for progress and fair shares."""
+
+
+def findings_of(violations: Sequence[Violation]) -> tuple[str, ...]:
+    """The violations of a flight as findings."""
+    return tuple(str(violation) for violation in violations)
+
+
+def trial_seed(seed: int, index: int) -> int:
+    """The seed of the `index`-th trial of a campaign."""
+    return seed * 1_000_000 + index
+
+
+KEY = SigningKey(bytes(range(100, 132)))
+STARTED_UNIX_S = 1.795e9
+STATION_LINK = 200
+
+
+class SignedPair:
+    """Makes the two ends of a signed link, and makes them anew."""
+
+    def __init__(self) -> None:
+        started = timestamp_at(STARTED_UNIX_S)
+        self._companion = Signing(KEY, started, rules=ONE_LINK_EACH)
+        self._vehicle = Signing(KEY, started)
+        self.station = LinkSigning(Signing(KEY, started), STATION_LINK)
+
+    def companion(self, config: CompanionConfig, journal: Journal, links: int) -> CompanionEndpoint:
+        """A companion that remembers what the one before stored at its end."""
+        before = self._companion
+        self._companion = Signing(KEY, before.timestamp, dict(before.streams), ONE_LINK_EACH)
+        return build_endpoint(
+            config, journal, links, signing=self._companion, started_unix_s=STARTED_UNIX_S
+        )
+
+    def simulator(self, scenario: Scenario, seed: int, now_s: float) -> SimEndpoint:
+        """A vehicle that goes on from its newest timestamp."""
+        self._vehicle = Signing(KEY, self._vehicle.timestamp)
+        return SimEndpoint(
+            scenario, seed, now_s, signing=self._vehicle, started_unix_s=STARTED_UNIX_S + now_s
+        )
+
+
+def rules_of(config: CompanionConfig) -> Rules:
+    """What a configuration promises, as the monitor judges it."""
+    limits = config.limits
+    return Rules(
+        fence_enu_m=limits.fence_enu_m,
+        system_id=config.vehicle.system_id,
+        keep_out_enu_m=limits.keep_out_enu_m,
+        altitude_min_m=limits.altitude_min_m,
+        altitude_max_m=limits.altitude_max_m,
+        speed_mps=limits.speed_mps,
+        climb_mps=limits.climb_mps,
+        acceleration_mps2=limits.acceleration_mps2,
+        step_m=limits.step_m,
+        latency_s=limits.latency_s,
+        navigation_sigma_m=limits.navigation_sigma_m,
+    )
+
+
+def snapshot_of(flight: Flight) -> object:
+    """What the companion acts by, to be compared."""
+    companion = flight.companion
+    session, vehicle = companion.session, companion.session.vehicle
+    return (
+        session.phase,
+        session.estimate,
+        vehicle.heartbeat,
+        vehicle.position_enu_m,
+        vehicle.home_enu_m,
+        vehicle.origin,
+        vehicle.landed,
+        companion.binding.system_id,
+        companion.binding.peer,
+        companion.binding.heard_s,
+    )
+
+
+@dataclass(slots=True)
+class Monitored:
+    """A flight and everybody around it."""
+
+    flight: Flight
+    link: FaultyLink
+    operator: Operator
+    injector: Injector
+    monitor: Monitor
+    notes: MemoryJournal
+    checkpointing: Checkpointing
+
+
+def monitored(
+    config: CompanionConfig,
+    scenario: Scenario,
+    seed: int,
+    *,
+    is_signed: bool = False,
+    is_spoofing: bool | None = None,
+    make_companion: MakeCompanion | None = None,
+) -> Monitored:
+    """A flight that has not begun yet.
+
+    Args:
+        config: The companion's.
+        scenario: The vehicle's.
+        seed: Of everything random.
+        is_signed: Whether the link is signed.
+        is_spoofing: Whether attackers use the vehicle's address; None: where the link is signed.
+        make_companion: Starts the companion, in place of the genuine one.
+    """
+    pair = SignedPair() if is_signed else None
+    key = KEY if is_signed else None
+    notes, link = MemoryJournal(), FaultyLink(Schedule(), seed, key=key)
+    genuine = build_endpoint if pair is None else pair.companion
+    flight = Flight(
+        config,
+        scenario,
+        seed,
+        notes,
+        wire=link,
+        make_companion=make_companion or genuine,
+        make_simulator=SimEndpoint if pair is None else pair.simulator,
+    )
+    operator = Operator(flight, pair.station if pair else None, STARTED_UNIX_S)
+    monitor = Monitor(
+        rules_of(config),
+        flight.sim.vehicle,
+        estimate=lambda: flight.companion.session.estimate,
+        snapshot=lambda: snapshot_of(flight),
+        key=key,
+        dropped=lambda: flight.companion.dropped_unread,
+    )
+    flight.observers.append(monitor)
+    injector = Injector(
+        flight, link, operator, is_spoofing=is_signed if is_spoofing is None else is_spoofing
+    )
+    checkpointing = Checkpointing(flight)
+    return Monitored(flight, link, operator, injector, monitor, notes, checkpointing)
+
+
+T = TypeVar("T")
+MODES = (FlightMode.HOLD, FlightMode.RETURN, FlightMode.LAND)
+UNIT_FACTORS = (0.001, 0.01, 180.0 / math.pi, 100.0, 1000.0)
+MUTED = ("LOCAL_POSITION_NED", "HEARTBEAT", "ATTITUDE", "HOME_POSITION", "EXTENDED_SYS_STATE")
+DIRECTIONS: tuple[Direction, ...] = ("both", "to_companion", "to_vehicle")
+FIELDS: tuple[RangingField, ...] = ("both", "range", "bearing")
+JUMP_M = 7.0
+EARLIEST_S, LATEST_S = 2.0, 30.0
+SHORTEST_S, LONGEST_S = 0.3, 15.0
+
+
+class Dice:
+    """Draws figures.
+
+    Args:
+        rng: Of one trial.
+    """
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self._rng = rng
+
+    def number(self, low: float, high: float) -> float:
+        """A number, evenly."""
+        return round(float(self._rng.uniform(low, high)), 3)
+
+    def spread(self, low: float, high: float) -> float:
+        """A number, evenly by its logarithm."""
+        return round(math.exp(float(self._rng.uniform(math.log(low), math.log(high)))), 3)
+
+    def one(self, choices: Sequence[T]) -> T:
+        """One of these."""
+        return choices[int(self._rng.integers(len(choices)))]
+
+    def happens(self, share: float) -> bool:
+        """True so often."""
+        return float(self._rng.random()) < share
+
+
+def _jump(dice: Dice) -> Fault:
+    heading = dice.number(-math.pi, math.pi)
+    size_m = dice.one((1.0, JUMP_M))
+    return fault_models.EkfJump(
+        east_m=round(size_m * math.cos(heading), 3),
+        north_m=round(size_m * math.sin(heading), 3),
+        yaw_deg=dice.one((0.0, 0.0, 30.0)),
+    )
+
+
+def _wind(dice: Dice) -> Fault:
+    heading = dice.number(-math.pi, math.pi)
+    return fault_models.Wind(
+        east_mps=round(12.0 * math.cos(heading), 3), north_mps=round(12.0 * math.sin(heading), 3)
+    )
+
+
+DRAWS: tuple[Callable[[Dice], Fault], ...] = (
+    lambda d: fault_models.LinkLoss(share=d.number(0.05, 0.6), direction=d.one(DIRECTIONS)),
+    lambda d: fault_models.LinkBursts(
+        mean_good_s=d.number(0.3, 3.0), mean_bad_s=d.number(0.05, 1.0), direction=d.one(DIRECTIONS)
+    ),
+    lambda d: fault_models.LinkBlackout(direction=d.one(DIRECTIONS)),
+    lambda d: fault_models.LinkDelay(delay_s=d.number(0.02, 0.25), direction=d.one(DIRECTIONS)),
+    lambda d: fault_models.LinkJitter(jitter_s=d.number(0.05, 0.3), direction=d.one(DIRECTIONS)),
+    lambda d: fault_models.LinkDuplicates(share=d.number(0.05, 0.5), copies=d.one((1, 2, 5))),
+    lambda d: fault_models.LinkBitFlips(share=d.number(0.01, 0.3), bits=d.one((1, 2, 8))),
+    lambda d: fault_models.LinkTruncation(share=d.number(0.01, 0.3)),
+    lambda d: fault_models.LinkGarbage(share=d.number(0.05, 0.5)),
+    lambda d: fault_models.LinkRateCap(bits_per_s=d.one((9600.0, 57_600.0, 115_200.0))),
+    lambda d: fault_models.LinkHold(direction=d.one(DIRECTIONS)),
+    lambda d: fault_models.StreamMute(message=d.one(MUTED)),
+    lambda d: fault_models.TelemetryNonsense(share=d.number(0.05, 0.5)),
+    lambda d: fault_models.RangingDropout(missing=d.one(FIELDS)),
+    lambda _: fault_models.RangingFreeze(),
+    lambda d: fault_models.RangingWrongUnit(of=d.one(FIELDS), factor=d.one(UNIT_FACTORS)),
+    lambda d: fault_models.RangingOutliers(
+        share=d.number(0.05, 0.4), excess_m=d.number(10.0, 80.0)
+    ),
+    lambda d: fault_models.RangingStale(age_s=d.number(0.3, 3.0)),
+    lambda d: fault_models.RangingOutOfOrder(window_s=d.number(0.2, 1.0)),
+    lambda d: fault_models.RangingSecondEmitter(
+        east_m=d.number(-20.0, 110.0),
+        north_m=d.number(-20.0, 110.0),
+        emitter_id=d.one((None, 0, 9)),
+    ),
+    lambda d: fault_models.RangingNan(share=d.number(0.1, 1.0)),
+    lambda d: fault_models.VehicleReboot(down_s=d.number(0.2, 3.0)),
+    _jump,
+    lambda d: fault_models.EkfPoor(ratio=d.number(1.1, 3.0)),
+    lambda _: fault_models.GpsLoss(),
+    _wind,
+    lambda d: fault_models.Battery(share=d.one((None, 0.14, 0.1, 0.06, 0.02))),
+    lambda d: fault_models.OriginShift(east_m=d.number(-12.0, 12.0), north_m=d.number(-12.0, 12.0)),
+    lambda d: fault_models.PilotMode(mode=d.one(MODES)),
+    lambda d: fault_models.PilotSticks(forward=d.number(-1.0, 1.0), right=d.number(-1.0, 1.0)),
+    lambda d: fault_models.ModeFlap(mode=d.one(MODES), period_s=d.number(0.3, 3.0)),
+    lambda d: fault_models.Failsafe(mode=d.one((FlightMode.RETURN, FlightMode.LAND))),
+    lambda _: fault_models.Disarm(),
+    lambda d: fault_models.SecondSender(
+        rate_hz=d.number(2.0, 30.0), east_m=d.number(0.0, 40.0), north_m=d.number(0.0, 40.0)
+    ),
+    lambda d: fault_models.CompanionKilled(down_s=d.spread(0.2, 10.0)),
+    lambda _: fault_models.CompanionStalled(),
+    lambda _: fault_models.CompanionTerminated(),
+    lambda d: fault_models.ForgedFrames(rate_hz=d.spread(10.0, 500.0)),
+    lambda d: fault_models.ReplayedFrames(rate_hz=d.spread(10.0, 500.0)),
+    lambda d: fault_models.UnsignedFrames(rate_hz=d.spread(10.0, 500.0)),
+    lambda d: fault_models.ForeignFrames(rate_hz=d.spread(10.0, 500.0)),
+)
+"""One per kind of fault, in the order of `kinds.Fault`."""
+
+
+def random_fault(rng: np.random.Generator) -> Fault:
+    """Any fault, at any time of a flight."""
+    dice = Dice(rng)
+    fault = dice.one(DRAWS)(dice)
+    times = {
+        "start_s": dice.number(EARLIEST_S, LATEST_S),
+        "duration_s": dice.spread(SHORTEST_S, LONGEST_S),
+    }
+    return msgspec.structs.replace(fault, **times)

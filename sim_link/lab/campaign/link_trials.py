@@ -1,0 +1,327 @@
+"""Trials of the link: long losses, stale positions, and floods of frames.
+
+Hours of flight over a bad link: how long the vehicle hears nothing, what is said of the link.
+
+A receiver that counts is all that is needed of the vehicle, so the flight is an endless hold: the
+companion is in control and waits for ranging that never comes, and the vehicle obeys.
+
+How soon the companion holds on a stale position, and declares a link lost that is.
+
+An attacker floods a signed link: nothing that is not proved changes anything.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from companion.config.schema import CompanionConfig
+from companion.domain import PositionEnu
+from companion.guidance.session_params import SessionParams
+from companion.mav.dialect import mavlink
+from sim_link.autopilot.scenario import (
+    AutopilotParams,
+    BatteryParams,
+    FlavourName,
+    PayloadParams,
+    Scenario,
+)
+from sim_link.lab.campaign.flights import (
+    Dice,
+    Monitored,
+    Trial,
+    TrialOutcome,
+    findings_of,
+    monitored,
+    trial_seed,
+)
+from sim_link.lab.faults.fault_models import (
+    Fault,
+    ForgedFrames,
+    LinkBlackout,
+    LinkLoss,
+    ReplayedFrames,
+    Schedule,
+    StreamMute,
+    UnsignedFrames,
+)
+from sim_link.lab.lockstep.observer import Frame, Observer
+
+SETTLING_S = 30.0
+"""The loss is known after this long."""
+LOSSES = (0.1, 0.3, 0.5)
+MOST_GAP_S = {0.1: 0.4, 0.3: 0.4, 0.5: 0.5}
+"""At the receiver."""
+HOUR_S = 3600.0
+PIECE_H = 0.25
+"""Hours of one trial."""
+MOST_FALSE_LOSSES_PER_10_H = 1.0
+SETPOINT = mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
+
+
+class Gaps(Observer):
+    """The setpoints that reach the vehicle, and what the companion says of its link."""
+
+    def __init__(self) -> None:
+        self.worst_s = 0.0
+        self.over_half_s = 0
+        self.false_losses = 0
+        self.is_counting = False
+        self._last_s: float | None = None
+
+    def vehicle_heard(self, frame: Frame) -> None:
+        """Measure from one setpoint to the next."""
+        if frame.number != SETPOINT or not frame.is_readable:
+            return
+        if self._last_s is not None and self.is_counting:
+            gap_s = frame.time_s - self._last_s
+            self.worst_s = max(self.worst_s, gap_s)
+            self.over_half_s += gap_s > 0.5
+        self._last_s = frame.time_s
+
+    def noted(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:  # noqa: ARG002
+        """Count links declared lost that never were."""
+        if self.is_counting and kind == "text" and "link lost" in str(fields.get("text")):
+            self.false_losses += 1
+
+
+def pauses_of(gaps: Gaps, share: float) -> list[str]:
+    """What is wrong with the stream at such a loss: that it paused for too long."""
+    if gaps.worst_s <= MOST_GAP_S[share]:
+        return []
+    return [f"gap of {gaps.worst_s:.3f} s at {share:.0%} loss"]
+
+
+class GapHours:
+    """The part of the campaign that flies for hours."""
+
+    name = "gaps"
+    title = "hours over a link that loses 10, 30 and 50 %"
+
+    def trials(self, amount: float, seed: int) -> Sequence[Trial]:
+        """So many hours at each loss, in quarters of an hour."""
+        pieces = max(1, math.ceil(amount / PIECE_H))
+        size = amount / pieces
+        count = len(LOSSES) * pieces
+        return [Trial(self.name, trial_seed(seed, index), size) for index in range(count)]
+
+    def cost(self, trial: Trial) -> float:
+        """Seconds of one core."""
+        return 30.0 * trial.size / PIECE_H
+
+    def run(self, trial: Trial) -> TrialOutcome:
+        """Fly for a while."""
+        share = LOSSES[trial.seed % len(LOSSES)]
+        around, gaps = flown(trial.seed, share, trial.size * HOUR_S)
+        name = f"{share:.0%}".replace("%", "_pct")
+        findings = pauses_of(gaps, share)
+        if not math.isfinite(around.monitor.fence.closest_m):
+            findings.append("the companion never was in control")
+        return TrialOutcome(
+            trial,
+            tuple(findings),
+            sums={
+                f"hours_{name}": trial.size,
+                f"false_losses_{name}": float(gaps.false_losses),
+                f"gaps_over_500_ms_{name}": float(gaps.over_half_s),
+            },
+            most={f"max_gap_s_{name}": gaps.worst_s, "max_gap_s": gaps.worst_s},
+        )
+
+
+def flown(seed: int, share: float, duration_s: float) -> tuple[Monitored, Gaps]:
+    """A flight that holds over a link that loses so much, in both directions."""
+    flavour: FlavourName = "px4" if seed % 2 else "ardupilot"
+    scenario = Scenario(
+        autopilot=AutopilotParams(flavour=flavour),
+        battery=BatteryParams(endurance_s=1e6),
+        payload=PayloadParams(max_range_m=0.001),
+    )
+    config = CompanionConfig(mission=SessionParams(engage="auto"))
+    around, gaps = monitored(config, scenario, seed), Gaps()
+    around.flight.observers.append(gaps)
+    around.flight.run(SETTLING_S)
+    around.injector.inject(Schedule(faults=(LinkLoss(share=share),)))
+    around.flight.run(SETTLING_S)
+    gaps.is_counting = True
+    around.flight.run(duration_s)
+    return around, gaps
+
+
+POSITION = mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED
+STALE_S, LOST_S, TICK_S = 0.5, 1.0, 0.05
+"""A position this old is not flown on; a link this silent is lost; a tick decides both."""
+STILL_M = 0.02
+BLIND_S = 3.0
+REACTION_ENGAGED_S = 14.0
+
+
+class ReactionWatch(Observer):
+    """When a position, anything, a moving setpoint and the word of a lost link came last."""
+
+    def __init__(self) -> None:
+        self.position_s = 0.0
+        self.heard_s = 0.0
+        self.moved_s = 0.0
+        self.lost_s: float | None = None
+        self._place: PositionEnu | None = None
+
+    def heard(self, frame: Frame) -> None:
+        """A frame of the autopilot."""
+        if frame.sender[1] != 1:
+            return
+        self.heard_s = frame.time_s
+        if frame.number == POSITION:
+            self.position_s = frame.time_s
+
+    def sent(self, frame: Frame) -> None:
+        """A setpoint, and whether it moved."""
+        message = frame.message
+        if not isinstance(message, mavlink.MAVLink_set_position_target_local_ned_message):
+            return
+        place = (message.x, message.y, message.z)
+        if self._place is not None:
+            step = max(abs(a - b) for a, b in zip(place, self._place, strict=True))
+            if step > STILL_M:
+                self.moved_s = frame.time_s
+        self._place = place
+
+    def noted(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
+        """What the companion says."""
+        if kind == "text" and "link lost" in str(fields.get("text")) and self.lost_s is None:
+            self.lost_s = now_s
+
+
+class Reactions:
+    """The part of the campaign that cuts at random instants."""
+
+    name = "reaction"
+    title = "hold within 0.5 s of a stale position, link lost at 1.0 s"
+
+    def trials(self, amount: float, seed: int) -> Sequence[Trial]:
+        """So many cuts."""
+        return [Trial(self.name, trial_seed(seed, index)) for index in range(round(amount))]
+
+    def cost(self, trial: Trial) -> float:  # noqa: ARG002
+        """Seconds of one core."""
+        return 0.5
+
+    def run(self, trial: Trial) -> TrialOutcome:
+        """Cut, and measure."""
+        dice = Dice(np.random.default_rng((trial.seed, 0x2EAC)))
+        flavour: FlavourName = "px4" if dice.happens(0.5) else "ardupilot"
+        config = CompanionConfig(mission=SessionParams(engage="auto", stop_confirm_s=1e6))
+        around = monitored(config, Scenario(autopilot=AutopilotParams(flavour=flavour)), trial.seed)
+        flight, watch = around.flight, ReactionWatch()
+        flight.observers.append(watch)
+        flight.run(REACTION_ENGAGED_S + dice.number(0.0, 10.0))
+        is_mute = dice.happens(0.5)
+        fault = StreamMute(duration_s=BLIND_S) if is_mute else LinkBlackout(duration_s=BLIND_S)
+        around.injector.inject(Schedule(faults=(fault,)))
+        watch.lost_s = None
+        flight.run(BLIND_S - TICK_S)
+        hold_s = max(0.0, watch.moved_s - watch.position_s)
+        findings = list(findings_of(around.monitor.violations))
+        most = {"hold_after_stale_s": hold_s}
+        if hold_s > STALE_S + TICK_S:
+            findings.append(f"moved {hold_s:.3f} s after the last position")
+        if not is_mute:
+            lost_s = flight.now_s if watch.lost_s is None else watch.lost_s
+            most["link_lost_s"] = lost_s - watch.heard_s
+            if not LOST_S <= most["link_lost_s"] <= LOST_S + 2.0 * TICK_S:
+                findings.append(
+                    f"link declared lost {most['link_lost_s']:.3f} s after silence began"
+                )
+        return TrialOutcome(trial, tuple(findings), sums={"cuts": 1.0}, most=most)
+
+
+RATE_HZ = 20_000.0
+FRAMES_PER_TRIAL = 50_000
+STATUSTEXT = mavlink.MAVLINK_MSG_ID_STATUSTEXT
+PAYLOAD = 10
+SLOWEST_FRAME_S = 0.05
+FLOOD_ENGAGED_S = 15.0
+
+
+class Output(Observer):
+    """All that the companion sent."""
+
+    def __init__(self) -> None:
+        self.acts: list[tuple[float, int, bytes]] = []
+        """Time, message and payload; texts for the operator tell of the attack and are left out."""
+        self.attacks = 0
+        self.slowest_s = 0.0
+        self._began_s = 0.0
+
+    def sent(self, frame: Frame) -> None:
+        """Keep it, without sequence number and signature."""
+        if frame.number != STATUSTEXT:
+            payload = frame.data[PAYLOAD : PAYLOAD + frame.data[1]]
+            self.acts.append((frame.time_s, frame.number, payload))
+
+    def heard(self, frame: Frame) -> None:
+        """Begin to measure."""
+        self.attacks += not frame.is_genuine
+        self._began_s = time.thread_time()
+
+    def read(self, frame: Frame) -> None:
+        """How long an attacker's frame took."""
+        if frame.is_genuine:
+            return
+        self.slowest_s = max(self.slowest_s, time.thread_time() - self._began_s)
+
+
+class Floods:
+    """The part of the campaign that forges, replays and leaves signatures out."""
+
+    name = "forged"
+    title = "forged, replayed and unsigned frames at 20,000 a second beside genuine traffic"
+
+    def trials(self, amount: float, seed: int) -> Sequence[Trial]:
+        """So many frames."""
+        count = -(-round(amount) // FRAMES_PER_TRIAL)
+        size = amount / count / FRAMES_PER_TRIAL
+        return [Trial(self.name, trial_seed(seed, index), size) for index in range(count)]
+
+    def cost(self, trial: Trial) -> float:
+        """Seconds of one core."""
+        return 1.5 + 3.0 * trial.size
+
+    def run(self, trial: Trial) -> TrialOutcome:
+        """Fly twice, once in peace; what is sent must be the same, byte for byte."""
+        duration_s = trial.size * FRAMES_PER_TRIAL / RATE_HZ
+        kinds: tuple[Fault, ...] = (
+            ForgedFrames(rate_hz=RATE_HZ, duration_s=duration_s),
+            ReplayedFrames(rate_hz=RATE_HZ, duration_s=duration_s),
+            UnsignedFrames(rate_hz=RATE_HZ, duration_s=duration_s),
+        )
+        fault = kinds[trial.seed % len(kinds)]
+        attacked, output = _flown(trial.seed, fault, duration_s)
+        _, peace = _flown(trial.seed, None, duration_s)
+        findings = list(findings_of(attacked.monitor.violations))
+        if output.acts != peace.acts:
+            findings.append("the companion sent something else under attack")
+        if output.slowest_s > SLOWEST_FRAME_S:
+            findings.append(f"a frame took {output.slowest_s:.3f} s")
+        return TrialOutcome(
+            trial,
+            tuple(findings),
+            sums={"attack_frames": float(output.attacks)},
+            most={"attack_slowest_frame_s": output.slowest_s},
+        )
+
+
+def _flown(seed: int, fault: Fault | None, duration_s: float) -> tuple[Monitored, Output]:
+    flavour: FlavourName = "px4" if seed % 2 else "ardupilot"
+    config = CompanionConfig(mission=SessionParams(engage="auto", stop_confirm_s=1e6))
+    scenario = Scenario(autopilot=AutopilotParams(flavour=flavour))
+    around, output = monitored(config, scenario, seed, is_signed=True, is_spoofing=False), Output()
+    around.flight.observers.append(output)
+    around.flight.run(FLOOD_ENGAGED_S)
+    if fault is not None:
+        around.injector.inject(Schedule(faults=(fault,)))
+    around.flight.run(duration_s + 1.0)
+    return around, output

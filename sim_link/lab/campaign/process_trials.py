@@ -1,0 +1,405 @@
+"""Trials of the process: kills, stops, damaged checkpoints and signals.
+
+The process is killed or told to stop at random instants, and its checkpoints are damaged.
+
+Signals to real processes: SIGTERM and SIGKILL at random instants of a flight over UDP.
+
+The same as `kill` and `stop`, which fly in lockstep, with everything between: interpreter, event
+loop, sockets, files. What the companion did is read from its event log, what became of the vehicle
+from the simulator's own report.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from companion.config.schema import CompanionConfig
+from companion.demo.simulator_process import free_udp_port
+from companion.domain import FlightMode
+from companion.errors import CompanionError
+from companion.guidance.session_params import SessionParams
+from companion.mav.dialect import mavlink
+from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
+from sim_link.lab.campaign.flights import (
+    Dice,
+    Monitored,
+    Trial,
+    TrialOutcome,
+    findings_of,
+    monitored,
+    trial_seed,
+)
+from sim_link.lab.lockstep.flight_harness import MemoryStore
+from sim_link.lab.lockstep.observer import Frame, Observer
+
+KILL_EARLIEST_S, KILL_LATEST_S = 1.0, 45.0
+KILL_AFTER_S = 12.0
+AIRBORNE_M = 0.5
+TAKES_CONTROL = (mavlink.MAV_CMD_COMPONENT_ARM_DISARM, mavlink.MAV_CMD_NAV_TAKEOFF)
+HOLD_S, EXIT_S = 1.0, 2.0
+"""After a stop: the autopilot's own hold is confirmed, and the process is gone."""
+CUTS_PER_TRIAL = 40
+"""Damaged checkpoints that one trial starts from."""
+
+
+class Taking(Observer):
+    """What a companion does to take a vehicle by itself."""
+
+    def __init__(self) -> None:
+        self.taken = 0
+        self.setpoints = 0
+
+    def sent(self, frame: Frame) -> None:
+        """Count requests and setpoints."""
+        message = frame.message
+        if isinstance(message, mavlink.MAVLink_set_position_target_local_ned_message):
+            self.setpoints += 1
+        if not isinstance(message, mavlink.MAVLink_command_long_message):
+            return
+        if message.command in TAKES_CONTROL:
+            self.taken += 1
+
+
+def flight_of(seed: int) -> tuple[Monitored, Dice]:
+    """A flight with checkpoints, either autopilot, launched by the companion."""
+    dice = Dice(np.random.default_rng((seed, 0x1C7)))
+    flavour: FlavourName = "px4" if dice.happens(0.5) else "ardupilot"
+    scenario = Scenario(autopilot=AutopilotParams(flavour=flavour))
+    config = CompanionConfig(mission=SessionParams(engage="auto", stop_confirm_s=1e6))
+    around = monitored(config, scenario, seed)
+    return around, dice
+
+
+class Kills:
+    """The part of the campaign that kills, damages and starts again."""
+
+    name = "kill"
+    title = "SIGKILL at random instants, checkpoints cut or flipped at every byte"
+
+    def trials(self, amount: float, seed: int) -> Sequence[Trial]:
+        """So many kills."""
+        return [Trial(self.name, trial_seed(seed, index)) for index in range(round(amount))]
+
+    def cost(self, trial: Trial) -> float:  # noqa: ARG002
+        """Seconds of one core."""
+        return 1.0
+
+    def run(self, trial: Trial) -> TrialOutcome:
+        """Kill, damage, start again, and watch who engages."""
+        around, dice = flight_of(trial.seed)
+        flight = around.flight
+        flight.run(dice.number(KILL_EARLIEST_S, KILL_LATEST_S))
+        flight.kill_companion()
+        was_airborne = flight.sim.vehicle.body.height_m > AIRBORNE_M
+        damaged = damages(around.checkpointing.store, trial.seed)
+        starts = self._starts(around.checkpointing.store, damaged)
+        flight.run(dice.number(0.1, 10.0))
+        is_flying = was_airborne and flight.sim.vehicle.is_armed
+        taking = Taking()
+        flight.observers.append(taking)
+        flight.start_companion()
+        flight.run(KILL_AFTER_S)
+        findings = list(findings_of(around.monitor.violations))
+        if is_flying and taking.taken:
+            findings.append(f"took the vehicle by itself after a restart ({taking.taken} requests)")
+        return TrialOutcome(
+            trial,
+            tuple(findings + starts),
+            sums={"kills": 1.0, "damaged_checkpoints": float(len(damaged))},
+            story=tuple(f"{t:8.2f} s  {text}" for t, text in around.notes.texts),
+        )
+
+    def _starts(self, store: MemoryStore, damaged: list[dict[int, bytes]]) -> list[str]:
+        """What goes wrong when a store is read that was damaged; nothing may."""
+        findings = []
+        whole = dict(store.slots)
+        for slots in damaged:
+            store.slots = slots
+            found = store.load()
+            if found.checkpoint is not None and len(slots) == 1:
+                findings.append("a damaged checkpoint was believed")
+            if slots and not found.has_files:
+                findings.append("a damaged checkpoint was taken for no checkpoint at all")
+        store.slots = damaged[-1] if damaged else whole
+        return findings
+
+
+def damages(store: MemoryStore, seed: int) -> list[dict[int, bytes]]:
+    """The larger checkpoint, alone, cut or flipped at places that go on from seed to seed.
+
+    Consecutive seeds take consecutive places, so that a campaign reaches every byte.
+    """
+    if not store.slots:
+        return []
+    rng = np.random.default_rng((seed, 0xDA))
+    number, data = max(store.slots.items(), key=lambda item: len(item[1]))
+    damaged = []
+    for count in range(CUTS_PER_TRIAL):
+        place = (seed * CUTS_PER_TRIAL + count) % len(data)
+        if count % 2:
+            broken = data[:place]
+        else:
+            flipped = data[place] ^ 1 << int(rng.integers(8))
+            broken = data[:place] + bytes((flipped,)) + data[place + 1 :]
+        damaged.append({number: broken})
+    return damaged
+
+
+class Stops:
+    """The part of the campaign that tells the process to stop."""
+
+    name = "stop"
+    title = "SIGTERM at random instants: hold confirmed in 1 s, gone in 2 s"
+
+    def trials(self, amount: float, seed: int) -> Sequence[Trial]:
+        """So many stops."""
+        return [Trial(self.name, trial_seed(seed, index)) for index in range(round(amount))]
+
+    def cost(self, trial: Trial) -> float:  # noqa: ARG002
+        """Seconds of one core."""
+        return 0.8
+
+    def run(self, trial: Trial) -> TrialOutcome:
+        """Stop, and watch the mode and the process."""
+        around, dice = flight_of(trial.seed)
+        flight = around.flight
+        flight.run(dice.number(KILL_EARLIEST_S, KILL_LATEST_S))
+        was_ours = flight.mode is FlightMode.OFFBOARD and flight.sim.vehicle.is_armed
+        stopped_s = flight.now_s
+        flight.stop_companion()
+        hold_s = gone_s = None
+        while flight.now_s - stopped_s < EXIT_S + 1.0 and (hold_s is None or gone_s is None):
+            if hold_s is None and flight.mode is not FlightMode.OFFBOARD:
+                hold_s = flight.now_s - stopped_s
+            if gone_s is None and not flight.is_companion_up:
+                gone_s = flight.now_s - stopped_s
+            flight.step()
+        findings = list(findings_of(around.monitor.violations))
+        if was_ours and (hold_s is None or hold_s > HOLD_S):
+            findings.append(f"hold not confirmed within {HOLD_S:g} s of a stop")
+        if gone_s is None or gone_s > EXIT_S:
+            findings.append(f"not gone within {EXIT_S:g} s of a stop")
+        return TrialOutcome(
+            trial,
+            tuple(findings),
+            sums={"stops": 1.0, "stops_in_control": float(was_ours)},
+            most={
+                "stop_hold_s": hold_s or 0.0 if was_ours else 0.0,
+                "stop_exit_s": gone_s if gone_s is not None else EXIT_S + 1.0,
+            },
+            story=tuple(f"{t:8.2f} s  {text}" for t, text in around.notes.texts),
+        )
+
+
+SPEED = 3.0
+SIGNAL_EARLIEST_S, SIGNAL_LATEST_S = 0.5, 36.0
+"""Instants, in seconds of the flight."""
+DOWN_S = (0.1, 1.0)
+"""Between a kill and the next start."""
+SIGNAL_AFTER_S = 6.0
+"""How long the next one is watched, in seconds of the flight."""
+START_S = 60.0
+"""Real time that a process may take to start on a busy machine."""
+
+
+class Signals:
+    """The part of the campaign that signals real processes."""
+
+    name = "signal"
+    title = "real processes: SIGTERM and SIGKILL at random instants, and started again"
+
+    def trials(self, amount: float, seed: int) -> Sequence[Trial]:
+        """So many signals, of both kinds by turns."""
+        return [Trial(self.name, trial_seed(seed, index)) for index in range(round(amount))]
+
+    def cost(self, trial: Trial) -> float:  # noqa: ARG002
+        """Seconds of one core."""
+        return 12.0
+
+    def run(self, trial: Trial) -> TrialOutcome:
+        """Fly, signal, and read what was left; a size below 1 signals earlier."""
+        dice = Dice(np.random.default_rng((trial.seed, 0x516)))
+        flavour = dice.one(FLAVOURS)
+        instant_s = dice.number(
+            SIGNAL_EARLIEST_S,
+            SIGNAL_EARLIEST_S + trial.size * (SIGNAL_LATEST_S - SIGNAL_EARLIEST_S),
+        )
+        with tempfile.TemporaryDirectory(prefix="signal-") as folder:
+            flight = _ProcessFlight(Path(folder), flavour)
+            try:
+                companion = flight.start_companion()
+                time.sleep(instant_s / SPEED)
+                if trial.seed % 2:
+                    return _stopped(trial, flight, companion)
+                return _killed(trial, flight, companion, dice.number(*DOWN_S))
+            finally:
+                flight.close()
+
+
+FLAVOURS: tuple[FlavourName, ...] = ("px4", "ardupilot")
+
+
+class _ProcessFlight:
+    """A simulator and companions in a folder; both end with this process."""
+
+    def __init__(self, folder: Path, flavour: str) -> None:
+        self._folder = folder
+        self._port = free_udp_port()
+        self._config = folder / "companion.yaml"
+        values = {
+            "mission": {"engage": "auto", "stop_confirm_s": 1e6},
+            "log": {"directory": str(folder / "flights")},
+            "process": {"state_directory": str(folder / "state")},
+        }
+        self._config.write_text(yaml.safe_dump(values))
+        self._companions: list[subprocess.Popen[bytes]] = []
+        arguments = ["sim_link", "--stop-on-eof", "--quiet", "--autopilot", flavour]
+        arguments += ["--speed", f"{SPEED:g}", "--report", str(folder / "truth.json")]
+        arguments += ["--listen", f"127.0.0.1:{free_udp_port()}"]
+        self._simulator = self._start([*arguments, "--send-to", f"127.0.0.1:{self._port}"])
+
+    def _start(self, arguments: list[str]) -> subprocess.Popen[bytes]:
+        return subprocess.Popen(
+            [sys.executable, "-m", *arguments],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
+            start_new_session=True,
+        )
+
+    def start_companion(self) -> subprocess.Popen[bytes]:
+        """Start one; back when its flight has begun.
+
+        Raises:
+            CompanionError: It does not start.
+        """
+        before = len(self._logs())
+        arguments = ["sim_link.lab.supervised_companion", "--config", str(self._config)]
+        arguments += ["--connect", f"udp:127.0.0.1:{self._port}", "--speed", f"{SPEED:g}"]
+        process = self._start(arguments)
+        self._companions.append(process)
+        deadline_s = time.monotonic() + START_S
+        while len(self._logs()) == before:
+            if process.poll() is not None or time.monotonic() > deadline_s:
+                raise CompanionError("the companion did not start")
+            time.sleep(0.01)
+        return process
+
+    def _logs(self) -> list[Path]:
+        return sorted(self._folder.glob("flights/*/events.jsonl"))
+
+    def events(self, number: int) -> list[dict[str, Any]]:
+        """What the n-th companion wrote; the last line of one that was killed may be torn."""
+        lines = self._logs()[number].read_bytes().split(b"\n")
+        return [json.loads(line) for line in lines[:-1]]
+
+    def land(self) -> list[str]:
+        """End the simulator; the modes that the vehicle was in."""
+        self._simulator.communicate(timeout=START_S)
+        truth = json.loads((self._folder / "truth.json").read_text())
+        return [change["mode"] for change in truth["mode_changes"]]
+
+    def close(self) -> None:
+        """End everything that still runs."""
+        for process in (*self._companions, self._simulator):
+            process.kill()
+            process.communicate()
+
+
+def _end(process: subprocess.Popen[bytes]) -> float:
+    """SIGTERM; how many seconds the process took to end."""
+    began_s = time.monotonic()
+    process.send_signal(signal.SIGTERM)
+    try:
+        process.wait(EXIT_S + 2.0)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+    return time.monotonic() - began_s
+
+
+def _stopped(
+    trial: Trial, flight: _ProcessFlight, companion: subprocess.Popen[bytes]
+) -> TrialOutcome:
+    took_s = _end(companion)
+    events, modes = flight.events(0), flight.land()
+    findings = [] if took_s <= EXIT_S else [f"gone {took_s:.2f} s after SIGTERM"]
+    if companion.returncode != 0:
+        findings.append(f"exit code {companion.returncode} after SIGTERM")
+    asked_s = _asked_s(events)
+    hold_s = 0.0
+    if asked_s is not None:
+        answered_s = _time_of(events, "answer", outcome="accepted", since_s=asked_s)
+        hold_s = took_s if answered_s is None else (answered_s - asked_s) / SPEED
+        if answered_s is None or hold_s > HOLD_S:
+            findings.append(f"hold not confirmed within {HOLD_S:g} s of SIGTERM")
+        if modes and modes[-1] != "hold":  # none: it was asked to hold before it left its hold
+            findings.append(f"stopped in control, and the vehicle is in {modes[-1]}")
+    return TrialOutcome(
+        trial,
+        tuple(findings),
+        sums={"signals": 1.0, "signals_in_control": float(asked_s is not None)},
+        most={"signal_exit_s": took_s, "signal_hold_s": hold_s},
+        story=_story(events),
+    )
+
+
+def _killed(
+    trial: Trial, flight: _ProcessFlight, companion: subprocess.Popen[bytes], down_s: float
+) -> TrialOutcome:
+    companion.kill()
+    companion.wait()
+    before = flight.events(0)
+    had_begun = _time_of(before, "phase", new="launching") is not None
+    time.sleep(down_s)
+    began_s = time.monotonic()
+    companion = flight.start_companion()
+    started_s = time.monotonic() - began_s
+    time.sleep(SIGNAL_AFTER_S / SPEED)
+    took_s = _end(companion)
+    after = flight.events(1)
+    asked = [event for event in after if event["kind"] == "answer"]
+    findings = [] if took_s <= EXIT_S else [f"gone {took_s:.2f} s after SIGTERM"]
+    if had_begun and asked:
+        findings.append(f"took the vehicle by itself after a kill ({len(asked)} requests)")
+    return TrialOutcome(
+        trial,
+        tuple(findings),
+        sums={"signals": 1.0, "signals_in_control": float(had_begun)},
+        most={"signal_exit_s": took_s, "signal_start_s": started_s},
+        story=(*_story(before), "SIGKILL", *_story(after)),
+    )
+
+
+def _time_of(
+    events: Sequence[dict[str, Any]], kind: str, since_s: float = 0.0, **fields: object
+) -> float | None:
+    """When something was written first."""
+    for event in events:
+        is_it = all(event.get(name) == value for name, value in fields.items())
+        if event["kind"] == kind and event["t_s"] >= since_s and is_it:
+            return float(event["t_s"])
+    return None
+
+
+def _asked_s(events: Sequence[dict[str, Any]]) -> float | None:
+    """When it began to hand the vehicle back; before that is armed there is nothing to ask for."""
+    is_asked = any(e["kind"] == "text" and e["text"].startswith("stopping: ") for e in events)
+    return _time_of(events, "phase", new="handback") if is_asked else None
+
+
+def _story(events: Sequence[dict[str, Any]]) -> tuple[str, ...]:
+    return tuple(f"{e['t_s']:8.2f} s  {e['text']}" for e in events if e["kind"] == "text")

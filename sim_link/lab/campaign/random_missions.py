@@ -1,0 +1,395 @@
+"""Random missions with faults, and pilot overrides at random instants.
+
+Where random missions are flown: fences of several shapes, with keep-outs and emitters.
+
+A random mission: place, vehicle, weather, link, companion, faults and people, from one seed.
+
+Random missions with one to four faults each, every invariant watched.
+
+The pilot takes over at a random instant: nothing may follow the frame that shows it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+
+from companion.config.schema import (
+    CompanionConfig,
+    CrossingKind,
+    LimitsConfig,
+    PatternKind,
+    PlannerConfig,
+)
+from companion.domain import FlightMode
+from companion.guidance.session_params import SessionParams
+from companion.link.binding import VehicleParams as CompanionVehicle
+from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
+from sim_link.lab.campaign.flights import (
+    Dice,
+    Monitored,
+    Trial,
+    TrialOutcome,
+    findings_of,
+    monitored,
+    random_fault,
+    trial_seed,
+)
+from sim_link.lab.faults.fault_models import (
+    Fault,
+    LinkDelay,
+    LinkJitter,
+    LinkLoss,
+    PilotMode,
+    Schedule,
+    fields_of,
+)
+from sim_link.world.environment import EmitterParams
+from sim_link.world.point_mass import VehicleParams, WindParams
+
+Corners = tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A fence, what must not be entered, and where people stand."""
+
+    name: str
+    fence_enu_m: Corners
+    keep_out_enu_m: tuple[Corners, ...]
+    start_enu_m: tuple[float, float]
+    emitter_box_m: tuple[float, float, float, float]
+    """West, south, east, north of where the emitter may be; may reach over the fence."""
+
+
+def box(west: float, south: float, east: float, north: float) -> Corners:
+    """A rectangle's corners."""
+    return ((west, south), (east, south), (east, north), (west, north))
+
+
+PLACES = (
+    Place("field", box(-40, -40, 110, 110), (), (10, 10), (-45, -45, 115, 115)),
+    Place("close", box(-15, -15, 60, 60), (), (10, 10), (-10, -10, 70, 70)),
+    Place(
+        "notch",
+        ((-20, -20), (100, -20), (100, 30), (45, 30), (45, 100), (-20, 100)),
+        (),
+        (10, 10),
+        (-15, -15, 95, 95),
+    ),
+    Place(
+        "masts",
+        box(-30, -30, 110, 110),
+        (box(38, 20, 46, 34), ((60, 60), (75, 62), (66, 78)), box(20, 70, 24, 74)),
+        (10, 10),
+        (0, 0, 100, 100),
+    ),
+    Place(
+        "wedge",
+        ((-25, -25), (120, -10), (40, 50), (-10, 120)),
+        (),
+        (5, 5),
+        (-20, -20, 110, 110),
+    ),
+    Place("strip", box(-20, -20, 140, 25), (), (0, 0), (10, -25, 150, 30)),
+)
+
+
+def emitter_of(place: Place, rng: np.random.Generator) -> tuple[float, float]:
+    """Somewhere in its box; not where the vehicle stands."""
+    west, south, east, north = place.emitter_box_m
+    while True:
+        e, n = float(rng.uniform(west, east)), float(rng.uniform(south, north))
+        away = ((e - place.start_enu_m[0]) ** 2 + (n - place.start_enu_m[1]) ** 2) ** 0.5
+        if away > 8.0:
+            return e, n
+
+
+MOST_FAULTS = 4
+LATENCY_S = 0.5
+"""Of both directions together."""
+WIND_MPS = 12.0
+SPEEDS_MPS = (3.0, 5.0, 8.0, 10.0)
+PLANNERS: tuple[CrossingKind | PatternKind, ...] = (
+    "latched_crossing",
+    "latched_crossing",
+    "reactive_crossing",
+    "fim",
+    "lawnmower",
+    "expanding_square",
+    "sector",
+)
+SIGNED_SHARE = 0.3
+OPERATED_SHARE = 0.4
+ALTITUDE_M = 15.0
+FLIGHT_S = 50.0
+"""From the moment at which the schedule begins."""
+
+
+@dataclass(frozen=True, slots=True)
+class MissionCase:
+    """Everything that one random mission is made of."""
+
+    seed: int
+    place: Place
+    config: CompanionConfig
+    scenario: Scenario
+    schedule: Schedule
+    is_signed: bool
+    is_operated: bool
+    """An operator takes off and gives the mode; otherwise the companion launches by itself."""
+    regrant_s: float | None
+    """So long after the schedule began the operator gives control again; None: never."""
+
+    def __str__(self) -> str:
+        flavour, wind = self.scenario.autopilot.flavour, self.scenario.wind
+        speed = math.hypot(wind.east_mps, wind.north_mps)
+        limits = self.config.limits
+        return (
+            f"{flavour}, {self.place.name}, {self.config.planner.kind}, {limits.speed_mps:g} m/s, "
+            f"wind {speed:.0f} m/s, {self.config.vehicle.setpoint}"
+            f"{', signed' if self.is_signed else ''}{', operated' if self.is_operated else ''}"
+        )
+
+
+def mission_case(seed: int) -> MissionCase:
+    """The mission of a seed."""
+    rng = np.random.default_rng((seed, 0xF11))
+    dice = Dice(rng)
+    place = dice.one(PLACES)
+    flavour: FlavourName = "px4" if dice.happens(0.5) else "ardupilot"
+    scenario = _scenario(dice, place, emitter_of(place, rng), flavour)
+    is_operated = dice.happens(OPERATED_SHARE)
+    config = _config(dice, place, is_operated=is_operated)
+    is_signed = dice.happens(SIGNED_SHARE)
+    faults: list[Fault] = [random_fault(rng) for _ in range(1 + int(rng.integers(MOST_FAULTS)))]
+    latency_s = dice.number(0.0, LATENCY_S)
+    share = dice.number(0.0, 1.0)
+    delays: list[Fault] = [
+        LinkDelay(delay_s=latency_s * share, direction="to_companion"),
+        LinkDelay(delay_s=latency_s * (1.0 - share), direction="to_vehicle"),
+    ]
+    return MissionCase(
+        seed=seed,
+        place=place,
+        config=config,
+        scenario=scenario,
+        schedule=Schedule(faults=tuple(delays + faults)),
+        is_signed=is_signed,
+        is_operated=is_operated,
+        regrant_s=dice.number(15.0, 40.0) if dice.happens(0.5) else None,
+    )
+
+
+def _scenario(
+    dice: Dice, place: Place, emitter: tuple[float, float], flavour: FlavourName
+) -> Scenario:
+    heading = dice.number(-math.pi, math.pi)
+    wind_mps = dice.one((0.0, dice.number(0.0, WIND_MPS), WIND_MPS))
+    return Scenario(
+        start_enu_m=place.start_enu_m,
+        emitter=EmitterParams(position_enu_m=emitter),
+        autopilot=AutopilotParams(flavour=flavour),
+        vehicle=VehicleParams(max_speed_mps=12.0),
+        wind=WindParams(
+            east_mps=wind_mps * math.cos(heading),
+            north_mps=wind_mps * math.sin(heading),
+            gust_sigma_mps=dice.one((0.0, 2.0)),
+        ),
+    )
+
+
+def _config(dice: Dice, place: Place, *, is_operated: bool) -> CompanionConfig:
+    limits = LimitsConfig(
+        fence_enu_m=place.fence_enu_m,
+        keep_out_enu_m=place.keep_out_enu_m,
+        speed_mps=dice.one(SPEEDS_MPS),
+        altitude_max_m=40.0,
+    )
+    mission = SessionParams(
+        engage="operator" if is_operated else "auto", altitude_m=ALTITUDE_M, stop_confirm_s=3.0
+    )
+    kind = dice.one(PLANNERS)
+    config = CompanionConfig(
+        mission=mission,
+        limits=limits,
+        planner=PlannerConfig(kind=kind),
+        vehicle=CompanionVehicle(setpoint=dice.one(("local_ned", "global_int"))),
+    )
+    if kind not in ("lawnmower", "expanding_square", "sector") and dice.happens(0.3):
+        planner = msgspec.structs.replace(config.planner, search="expanding_square")
+        config = msgspec.structs.replace(config, planner=planner)
+    return config
+
+
+SAID = 400
+"""Characters of the story's texts."""
+
+
+class Missions:
+    """The part of the campaign that flies missions."""
+
+    name = "missions"
+    title = "random missions with 1 to 4 faults"
+
+    def trials(self, amount: float, seed: int) -> Sequence[Trial]:
+        """So many missions."""
+        return [Trial(self.name, trial_seed(seed, index)) for index in range(round(amount))]
+
+    def cost(self, trial: Trial) -> float:  # noqa: ARG002
+        """Seconds of one core."""
+        return 0.8
+
+    def run(self, trial: Trial) -> TrialOutcome:
+        """Fly one."""
+        case = mission_case(trial.seed)
+        flown = fly(case)
+        return outcome_of(trial, case, flown)
+
+
+def fly(case: MissionCase) -> Monitored:
+    """Fly a mission to its end."""
+    around = monitored(case.config, case.scenario, case.seed, is_signed=case.is_signed)
+    flight = around.flight
+    if case.is_operated:
+        _take_off(around)
+    else:
+        flight.run(5.0)
+    around.injector.inject(case.schedule)
+    if case.regrant_s is not None:
+        flight.at(flight.now_s + case.regrant_s, lambda: _give_again(around))
+    flight.run(FLIGHT_S)
+    return around
+
+
+def _take_off(around: Monitored) -> None:
+    """The operator takes off and gives the mode, in the order that the autopilot wants."""
+    flight, operator = around.flight, around.operator
+    flight.run(3.0)
+    is_px4 = flight.scenario.autopilot.flavour == "px4"
+    if not is_px4:
+        operator.choose(FlightMode.OFFBOARD)
+    operator.arm()
+    height_m = flight.config.mission.altitude_m
+    up_m = flight.scenario.origin.altitude_m + height_m if is_px4 else height_m
+    operator.command(22, *[math.nan if is_px4 else 0.0] * 6, up_m)
+    flight.run(12.0)
+    if is_px4:
+        operator.choose(FlightMode.OFFBOARD)
+
+
+def _give_again(around: Monitored) -> None:
+    """The operator gives control again, if the vehicle flies and somebody else has it."""
+    flight = around.flight
+    if not flight.sim.vehicle.is_armed or flight.mode is FlightMode.OFFBOARD:
+        return
+    around.operator.grant()
+    flight.at(flight.now_s + 3.0, lambda: around.operator.choose(FlightMode.OFFBOARD))
+
+
+def outcome_of(trial: Trial, case: MissionCase, flown: Monitored) -> TrialOutcome:
+    """What a mission found."""
+    monitor, flight = flown.monitor, flown.flight
+    closest = monitor.fence.closest_m
+    return TrialOutcome(
+        trial,
+        findings_of(monitor.violations),
+        sums={
+            "missions": 1.0,
+            "fence_breaches": float(monitor.fence.breaches),
+            "mission_hours": flight.now_s / 3600.0,
+            "localised": float(bool(flown.notes.results)),
+            "engaged": float(math.isfinite(closest)),
+        },
+        most={"send_gap_s": monitor.stream.worst_gap_s},
+        least={"closest_approach_m": closest} if math.isfinite(closest) else {},
+        story=_story(case, flown),
+    )
+
+
+def _story(case: MissionCase, flown: Monitored) -> tuple[str, ...]:
+    lines = [str(case)]
+    lines += [f"fault {fields_of(fault)}" for fault in case.schedule.faults]
+    lines += [f"{time_s:8.2f} s  {text}"[:SAID] for time_s, text in flown.notes.texts]
+    return tuple(lines)
+
+
+LOSSES = (0.0, 0.1, 0.3)
+MODES = (FlightMode.HOLD, FlightMode.RETURN, FlightMode.LAND)
+BEFORE_S, OVER_S, AFTER_S = 14.0, 12.0, 4.0
+"""Boot and take-off; the time in which the pilot acts; how long silence is watched."""
+AGAIN = 10
+"""Take-overs in one flight: the operator gives control back in between."""
+GIVE_BACK_S = 3.0
+
+
+class Overrides:
+    """The part of the campaign that takes over."""
+
+    name = "override"
+    title = "pilot take-overs at random instants, 0, 10 and 30 % loss"
+
+    def trials(self, amount: float, seed: int) -> Sequence[Trial]:
+        """So many take-overs, ten in a flight."""
+        return [Trial(self.name, trial_seed(seed, i)) for i in range(-(-round(amount) // AGAIN))]
+
+    def cost(self, trial: Trial) -> float:  # noqa: ARG002
+        """Seconds of one core."""
+        return 1.5
+
+    def run(self, trial: Trial) -> TrialOutcome:
+        """Ten take-overs in one flight."""
+        rng = np.random.default_rng((trial.seed, 0x0E7))
+        dice = Dice(rng)
+        around = _flight(trial.seed, dice)
+        flight = around.flight
+        flight.run(BEFORE_S)
+        shown = 0
+        for _ in range(AGAIN):
+            if not _give_back(around):
+                continue
+            flight.run(dice.number(0.0, OVER_S / AGAIN * 2.0))
+            mode = dice.one(MODES)
+            around.injector.inject(Schedule(faults=(PilotMode(mode=mode),)))
+            flight.run(AFTER_S)
+            shown += 1
+        late = around.monitor.authority.late
+        return TrialOutcome(
+            trial,
+            findings_of(around.monitor.violations),
+            sums={"overrides": float(shown), "override_late_frames": float(late)},
+            most={"override_worst_late_s": around.monitor.authority.worst_late_s},
+            story=tuple(f"{t:8.2f} s  {text}" for t, text in around.notes.texts),
+        )
+
+
+def _flight(seed: int, dice: Dice) -> Monitored:
+    flavour: FlavourName = "px4" if dice.happens(0.5) else "ardupilot"
+    scenario = Scenario(autopilot=AutopilotParams(flavour=flavour))
+    mission = SessionParams(engage="auto", stop_confirm_s=1e6)
+    around = monitored(CompanionConfig(mission=mission), scenario, seed)
+    faults: list[Fault] = []
+    share = dice.one(LOSSES)
+    if share:
+        faults.append(LinkLoss(share=share))
+    if dice.happens(0.3):
+        faults.append(LinkJitter(jitter_s=0.15))
+    around.injector.inject(Schedule(faults=tuple(faults)))
+    return around
+
+
+def _give_back(around: Monitored) -> bool:
+    """Whether the vehicle obeys the companion, if need be after the operator gave it back."""
+    flight = around.flight
+    for _ in range(4):
+        if flight.mode is FlightMode.OFFBOARD and around.monitor.scene.told.is_ours:
+            return True
+        around.operator.grant()
+        flight.run(GIVE_BACK_S)
+        around.operator.choose(FlightMode.OFFBOARD)
+        flight.run(0.5)
+    return flight.mode is FlightMode.OFFBOARD

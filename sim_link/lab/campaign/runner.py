@@ -1,0 +1,311 @@
+"""The campaign as a whole: its parts, the processes that run them, and the verdict on all.
+
+All parts of a campaign, and how much of each the three sizes run.
+
+Runs trials on several processes, and adds up what they found.
+
+What no single trial can judge, and the report of a campaign.
+"""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import signal
+import traceback
+from collections.abc import Callable, Generator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from contextlib import closing
+from dataclasses import dataclass, field
+
+from companion.errors import ConfigError
+from sim_link.lab.campaign.endurance import Fuzzing, Soak
+from sim_link.lab.campaign.flights import Part, Trial, TrialFinding, TrialOutcome
+from sim_link.lab.campaign.link_trials import (
+    MOST_FALSE_LOSSES_PER_10_H,
+    Floods,
+    GapHours,
+    Reactions,
+)
+from sim_link.lab.campaign.process_trials import Kills, Signals, Stops
+from sim_link.lab.campaign.random_missions import Missions, Overrides
+
+ALL: tuple[Part, ...] = (
+    Missions(),
+    Overrides(),
+    GapHours(),
+    Kills(),
+    Stops(),
+    Signals(),
+    Floods(),
+    Fuzzing(),
+    Reactions(),
+    Soak(),
+)
+PARTS: Mapping[str, Part] = {part.name: part for part in ALL}
+
+AMOUNTS: Mapping[str, Mapping[str, float]] = {
+    "sample": {
+        "missions": 12,
+        "override": 20,
+        "gaps": 0.01,
+        "kill": 6,
+        "stop": 6,
+        "signal": 2,
+        "forged": 10_000,
+        "fuzz": 5_000,
+        "reaction": 6,
+        "soak": 0.02,
+    },
+    "ci": {
+        "missions": 500,
+        "override": 2000,
+        "gaps": 0.1,
+        "kill": 200,
+        "stop": 200,
+        "signal": 20,
+        "forged": 1_000_000,
+        "fuzz": 1_000_000,
+        "reaction": 100,
+        "soak": 0.2,
+    },
+    "long": {
+        "missions": 3000,
+        "override": 2000,
+        "gaps": 10.0,
+        "kill": 400,
+        "stop": 400,
+        "signal": 200,
+        "forged": 10_000_000,
+        "fuzz": 10_000_000,
+        "reaction": 500,
+        "soak": 24.0,
+    },
+    "release": {
+        "missions": 10_000,
+        "override": 4000,
+        "gaps": 10.0,
+        "kill": 1000,
+        "stop": 1000,
+        "signal": 400,
+        "forged": 10_000_000,
+        "fuzz": 100_000_000,
+        "reaction": 2000,
+        "soak": 24.0,
+    },
+}
+"""Missions; take-overs; hours at each loss; kills; stops; signals; frames; cuts; hours."""
+
+
+def trials_of(size: str, seed: int, only: Sequence[str] = ()) -> list[Trial]:
+    """The trials of a campaign, the longest first, so that no process ends long after the others.
+
+    Args:
+        size: Its name.
+        seed: Of the campaign.
+        only: Names of parts; none: all.
+
+    Raises:
+        ConfigError: No such part.
+    """
+    check_parts(only)
+    trials = [
+        (PARTS[name].cost(trial), trial)
+        for name, amount in AMOUNTS[size].items()
+        if not only or name in only
+        for trial in PARTS[name].trials(amount, seed)
+    ]
+    trials.sort(key=lambda pair: -pair[0])
+    return [trial for _, trial in trials]
+
+
+def check_parts(names: Sequence[str]) -> None:
+    """Refuse a part that does not exist.
+
+    Raises:
+        ConfigError: The text names those that do.
+    """
+    for name in names:
+        if name not in PARTS:
+            raise ConfigError(f"there is no part {name!r}; there are {', '.join(PARTS)}")
+
+
+def trial_named(text: str) -> Trial:
+    """The trial of `PART:SEED[:SIZE]`; a number alone is a mission's seed.
+
+    Raises:
+        ConfigError: It names none.
+    """
+    words = text.split(":")
+    if len(words) == 1:
+        words = ["missions", *words]
+    check_parts(words[:1])
+    try:
+        seed = int(words[1])
+        size = float(words[2]) if len(words) > 2 else 1.0
+    except (ValueError, IndexError):
+        raise ConfigError(f"{text!r} is no trial: PART:SEED or PART:SEED:SIZE") from None
+    if seed < 0 or not 0.0 < size < float("inf") or len(words) > 3:
+        raise ConfigError(f"{text!r} is no trial: PART:SEED or PART:SEED:SIZE")
+    return Trial(words[0], seed, size)
+
+
+AHEAD = 2
+"""Trials per process that wait their turn, so that an interruption need not finish many."""
+
+
+@dataclass(slots=True)
+class Tally:
+    """What all trials so far found and measured."""
+
+    trials: int = 0
+    findings: list[TrialFinding] = field(default_factory=list)
+    sums: dict[str, float] = field(default_factory=dict)
+    most: dict[str, float] = field(default_factory=dict)
+    least: dict[str, float] = field(default_factory=dict)
+    reached_in: dict[str, str] = field(default_factory=dict)
+    """The trial of each greatest and least figure; of equals the first by name."""
+
+    def add(self, outcome: TrialOutcome) -> None:
+        """One more trial."""
+        self.trials += 1
+        name = outcome.trial.name
+        self.findings += [TrialFinding(name, what) for what in outcome.findings]
+        for key, value in outcome.sums.items():
+            self.sums[key] = self.sums.get(key, 0.0) + value
+        for key, value in outcome.most.items():
+            self._reach(self.most, -1.0, key, value, name)
+        for key, value in outcome.least.items():
+            self._reach(self.least, 1.0, key, value, name)
+
+    def _reach(
+        self, figures: dict[str, float], sign: float, key: str, value: float, name: str
+    ) -> None:
+        rank = (sign * value, name)
+        if key not in figures or rank < (sign * figures[key], self.reached_in[key]):
+            figures[key], self.reached_in[key] = value, name
+
+    def figures(self) -> Mapping[str, float]:
+        """All figures, and the number of findings as `violations`."""
+        return {
+            **self.sums,
+            **self.most,
+            **self.least,
+            "violations": float(len(self.findings)),
+            "trials": float(self.trials),
+        }
+
+
+def run_one(trial: Trial) -> TrialOutcome:
+    """Run a trial; an exception is a finding like any other."""
+    try:
+        return PARTS[trial.part].run(trial)
+    except Exception as error:
+        where = traceback.format_exc(limit=-4)
+        what = f"{type(error).__name__}: {error}"
+        return TrialOutcome(trial, (what,), story=tuple(where.splitlines()))
+
+
+def run_all(
+    trials: Sequence[Trial], jobs: int, on_done: Callable[[TrialOutcome], None] | None = None
+) -> Tally:
+    """Run trials and add them up; an interruption ends early and keeps what was found.
+
+    Args:
+        trials: In the order of their start.
+        jobs: Processes; 1 runs them in this one.
+        on_done: Told of every trial that is done.
+
+    Raises:
+        KeyboardInterrupt: With the tally so far as its argument.
+    """
+    tally = Tally()
+    try:
+        with closing(_outcomes(trials, jobs)) as outcomes:
+            for outcome in outcomes:
+                tally.add(outcome)
+                if on_done is not None:
+                    on_done(outcome)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(tally) from None
+    return tally
+
+
+def _outcomes(trials: Sequence[Trial], jobs: int) -> Generator[TrialOutcome, None, None]:
+    if jobs <= 1:
+        yield from map(run_one, trials)
+        return
+    coming = iter(trials)
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_begin_worker)
+    running: set[Future[TrialOutcome]] = set()
+    try:
+        while True:
+            while len(running) < jobs * AHEAD:
+                trial = next(coming, None)
+                if trial is None:
+                    break
+                running.add(pool.submit(run_one, trial))
+            if not running:
+                break
+            done, running = wait(running, return_when=FIRST_COMPLETED)
+            for future in done:
+                yield future.result()
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for worker in multiprocessing.active_children():  # a trial may have hours to go
+            worker.terminate()
+        raise
+    pool.shutdown()
+
+
+def _begin_worker() -> None:
+    """Ctrl-C reaches the whole group, and only the parent answers it; flights keep quiet."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    logging.disable(logging.CRITICAL)
+
+
+ENOUGH_HOURS = 5.0
+"""From so many hours on a rate of rare events is judged as a rate."""
+JUDGED_LOSS = "30_pct"
+PROMISED = (
+    "missions",
+    "violations",
+    "fence_breaches",
+    "closest_approach_m",
+    "override_late_frames",
+    "max_gap_s",
+)
+"""Figures that every report has; null where nothing of their part was flown."""
+
+
+def judge(tally: Tally) -> None:
+    """Add what the sums show."""
+    sums = tally.sums
+    hours = sums.get(f"hours_{JUDGED_LOSS}", 0.0)
+    lost = sums.get(f"false_losses_{JUDGED_LOSS}", 0.0)
+    allowed = MOST_FALSE_LOSSES_PER_10_H * max(hours, ENOUGH_HOURS) / 10.0
+    if lost and lost >= allowed:
+        what = f"{lost:.0f} links falsely declared lost in {hours:.1f} h at 30 % loss"
+        tally.findings.append(TrialFinding("gaps", what))
+
+
+def report(tally: Tally, facts: Mapping[str, object], command: str) -> dict[str, object]:
+    """The campaign as one JSON object.
+
+    Args:
+        tally: Of all trials.
+        facts: What was run: its size, seed and duration.
+        command: How a trial is replayed, to be completed by its name.
+    """
+    figures = {
+        name: int(value) if value == int(value) and abs(value) < 1e15 else round(value, 6)
+        for name, value in sorted(tally.figures().items())
+    }
+    findings = [
+        {"trial": each.trial, "what": each.what, "replay": f"{command} {each.trial}"}
+        for each in tally.findings
+    ]
+    reached_in = dict(sorted(tally.reached_in.items()))
+    figures_of_all = {**facts, **dict.fromkeys(PROMISED), **figures}
+    return {**figures_of_all, "reached_in": reached_in, "findings": findings}

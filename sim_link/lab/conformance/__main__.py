@@ -1,0 +1,9 @@
+"""`python -m sim_link.conformance`."""
+
+from __future__ import annotations
+
+import sys
+
+from sim_link.lab.conformance.cli import main
+
+sys.exit(main())

@@ -1,0 +1,373 @@
+"""Random frames against an endpoint in memory.
+
+An endpoint in memory, on invented time, with any number of clients.
+
+Random frames against an endpoint in memory, and a twin that is spared some of them.
+
+Theory of operation. Two endpoints of the same seed run side by side. Both get what is addressed to
+the vehicle. The first one also gets what must not matter: frames for somebody else, and bytes that
+are no frame. What the two vehicles send of their own must then stay the same, byte for byte; what
+the first one forwards is not its own and is left out. An exception of either ends the campaign.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from companion.mav.dialect import Message, mavlink
+from companion.mav.endpoint import Address, Chunk, Endpoint
+from sim_link.lab.conformance.mavlink_oracle import FrameSpec, build_raw
+
+FIRST_PORT = 50_001
+
+
+class MemoryHub:
+    """Runs one endpoint and hands its chunks to the clients connected to it.
+
+    Args:
+        endpoint: The peer under test.
+        started_s: Its time at the start.
+    """
+
+    def __init__(self, endpoint: Endpoint, started_s: float = 0.0) -> None:
+        self.endpoint = endpoint
+        self.now_s = started_s
+        self._links: list[MemoryLink] = []
+
+    def connect(self, link_index: int = 0, *, is_datagram: bool = True) -> MemoryLink:
+        """A client with an address of its own.
+
+        Args:
+            link_index: The endpoint's link that it is on.
+            is_datagram: Whether its pieces keep their limits; otherwise it is a byte stream.
+        """
+        address = ("127.0.0.1", FIRST_PORT + len(self._links))
+        link = MemoryLink(self, address, link_index, is_datagram=is_datagram)
+        self._links.append(link)
+        return link
+
+    def receive(self, data: bytes, sender: MemoryLink) -> None:
+        """A client's bytes arrive at the endpoint."""
+        chunk = Chunk(sender.link_index, data, sender.address, is_datagram=sender.is_datagram)
+        self.endpoint.receive(chunk, self.now_s)
+        self._deliver()
+
+    def step(self, until_s: float) -> None:
+        """Let time pass to the endpoint's next timer, at the latest to `until_s`."""
+        due_s = self.endpoint.next_timer_s()
+        if due_s > until_s:
+            self.now_s = max(self.now_s, until_s)
+            return
+        self.now_s = max(self.now_s, due_s)
+        self.endpoint.handle_timer(self.now_s)
+        self._deliver()
+
+    def _deliver(self) -> None:
+        for chunk in self.endpoint.take_output():
+            for link in self._links:
+                if link.is_meant(chunk):
+                    link.inbox.append(chunk.data)
+
+
+class MemoryLink:
+    """One client of a `MemoryHub`; a `ProbeLink`.
+
+    Args:
+        hub: Whom it is connected to.
+        address: Where the endpoint sees it.
+        link_index: The endpoint's link that it is on.
+        is_datagram: Whether its pieces keep their limits.
+    """
+
+    def __init__(
+        self, hub: MemoryHub, address: Address, link_index: int, *, is_datagram: bool
+    ) -> None:
+        self.is_datagram = is_datagram
+        self.address = address
+        self.link_index = link_index
+        self.inbox: deque[bytes] = deque()
+        self._hub = hub
+
+    @property
+    def now_s(self) -> float:
+        """The endpoint's time."""
+        return self._hub.now_s
+
+    def send(self, data: bytes) -> None:
+        """Send a datagram."""
+        self._hub.receive(data, self)
+
+    def poll(self, until_s: float) -> list[bytes]:
+        """What arrives first, at the latest at `until_s`."""
+        while not self.inbox and self._hub.now_s < until_s:
+            self._hub.step(until_s)
+        arrived = list(self.inbox)
+        self.inbox.clear()
+        return arrived
+
+    def another(self) -> MemoryLink:
+        """A second client on the same link of the endpoint."""
+        return self._hub.connect(self.link_index, is_datagram=self.is_datagram)
+
+    def is_meant(self, chunk: Chunk) -> bool:
+        """Whether a chunk of the endpoint comes here."""
+        if chunk.link != self.link_index or self.address in chunk.except_peers:
+            return False
+        return chunk.peer in (None, self.address)
+
+
+PEER = ("127.0.0.1", 50_001)
+VEHICLE_SYSTEM = 1
+UNKNOWN_SYSTEMS = (2, 42, 77, 254)
+FOREIGN_COMPONENTS = (77, 100, 191)
+STEP_S = 0.02
+FRAMES_PER_STEP = 10
+SPECIAL_FLOATS = (math.nan, math.inf, -math.inf, 0.0, -0.0, 1e30, -1.0, 1.0, 21_196.0)
+NEVER_SENT = frozenset({mavlink.MAVLINK_MSG_ID_SETUP_SIGNING})
+"""A random key would silence everything after it."""
+HANDLED: tuple[type[Message], ...] = (
+    mavlink.MAVLink_command_long_message,
+    mavlink.MAVLink_command_int_message,
+    mavlink.MAVLink_set_position_target_local_ned_message,
+    mavlink.MAVLink_set_position_target_global_int_message,
+    mavlink.MAVLink_set_attitude_target_message,
+    mavlink.MAVLink_set_mode_message,
+    mavlink.MAVLink_param_set_message,
+    mavlink.MAVLink_param_request_read_message,
+    mavlink.MAVLink_param_request_list_message,
+    mavlink.MAVLink_mission_count_message,
+    mavlink.MAVLink_mission_item_int_message,
+    mavlink.MAVLink_mission_item_message,
+    mavlink.MAVLink_mission_request_int_message,
+    mavlink.MAVLink_mission_request_message,
+    mavlink.MAVLink_mission_request_list_message,
+    mavlink.MAVLink_mission_ack_message,
+    mavlink.MAVLink_mission_clear_all_message,
+    mavlink.MAVLink_mission_set_current_message,
+    mavlink.MAVLink_request_data_stream_message,
+    mavlink.MAVLink_set_gps_global_origin_message,
+    mavlink.MAVLink_rc_channels_override_message,
+    mavlink.MAVLink_manual_control_message,
+    mavlink.MAVLink_ping_message,
+    mavlink.MAVLink_timesync_message,
+)
+"""What an autopilot acts on; the other half of the frames is any message of the dialect."""
+COMMANDS = (16, 20, 21, 22, 92, 176, 178, 179, 192, 193, 224, 241, 246, 300, 400, 410, 510, 511)
+COMMANDS_ALL = (*COMMANDS, 512, 519, 520, 31_999)
+COMMAND_OFFSET = 28
+"""Of the command's number in the payload of COMMAND_LONG and COMMAND_INT."""
+
+
+class Meant(Enum):
+    """Whom a piece of bytes concerns."""
+
+    VEHICLE = "the vehicle"
+    OTHERS = "somebody else"
+    NOBODY = "nobody: no frame"
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """Bytes to send, and whom they concern."""
+
+    data: bytes
+    meant: Meant
+
+
+class FrameFuzzer:
+    """Makes frames with random fields, and bytes that are no frames.
+
+    Args:
+        rng: Where all of it comes from.
+    """
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self._rng = rng
+        self._kinds = [
+            kind for number, kind in mavlink.mavlink_map.items() if number not in NEVER_SENT
+        ]
+        self._sequence = 0
+
+    def next(self) -> Piece:
+        """The next piece."""
+        draw = self._rng.random()
+        kinds = HANDLED if draw < 0.7 else self._kinds
+        kind = kinds[int(self._rng.integers(len(kinds)))]
+        frame, meant = self._frame(kind)
+        if draw > 0.9:
+            return Piece(self._broken(frame), Meant.NOBODY)
+        return Piece(frame, meant)
+
+    def _frame(self, kind: type[Message]) -> tuple[bytes, Meant]:
+        payload = bytearray(self._fields(kind))
+        meant = Meant.VEHICLE
+        if "target_system" in kind.fieldnames:
+            meant = self._address(kind, payload)
+        if kind.id in (75, 76):
+            number = COMMANDS_ALL[int(self._rng.integers(len(COMMANDS_ALL)))]
+            payload[COMMAND_OFFSET : COMMAND_OFFSET + 2] = number.to_bytes(2, "little")
+        self._sequence = (self._sequence + 1) % 256
+        spec = FrameSpec(255, 190, self._sequence)
+        cut = bytes(payload).rstrip(b"\0") or b"\0"
+        return build_raw(int(kind.id), cut, int(kind.crc_extra), spec), meant
+
+    def _fields(self, kind: type[Message]) -> bytes:
+        """Random bytes, or floats and small integers that make more sense and do more harm."""
+        size = int(kind.unpacker.size)
+        if self._rng.random() < 0.5:
+            return self._rng.bytes(size)
+        payload = bytearray(size)
+        for start in range(0, size - 3, 4):
+            draw = self._rng.random()
+            if draw < 0.5:
+                value = SPECIAL_FLOATS[int(self._rng.integers(len(SPECIAL_FLOATS)))]
+                payload[start : start + 4] = np.float32(value).tobytes()
+            elif draw < 0.8:
+                payload[start] = int(self._rng.integers(16))
+            else:
+                value = float(self._rng.normal(0.0, 100.0))
+                payload[start : start + 4] = np.float32(value).tobytes()
+        return bytes(payload)
+
+    def _address(self, kind: type[Message], payload: bytearray) -> Meant:
+        draw = self._rng.random()
+        component = 0 if draw < 0.1 else 1
+        system, meant = VEHICLE_SYSTEM, Meant.VEHICLE
+        if draw > 0.85:
+            system, meant = (
+                UNKNOWN_SYSTEMS[int(self._rng.integers(len(UNKNOWN_SYSTEMS)))],
+                Meant.OTHERS,
+            )
+        elif draw > 0.7 and "target_component" in kind.fieldnames:
+            component = FOREIGN_COMPONENTS[int(self._rng.integers(len(FOREIGN_COMPONENTS)))]
+            meant = Meant.OTHERS
+        _set_field(kind, payload, "target_system", system)
+        if "target_component" in kind.fieldnames:
+            _set_field(kind, payload, "target_component", component)
+        return meant
+
+    def _broken(self, frame: bytes) -> bytes:
+        match int(self._rng.integers(6)):
+            case 0:
+                return self._rng.bytes(int(self._rng.integers(1, 300)))
+            case 1:
+                return frame[: int(self._rng.integers(1, len(frame)))]
+            case 2:
+                place = int(self._rng.integers(10, len(frame)))
+                flipped = frame[place] ^ (1 << int(self._rng.integers(8)))
+                return frame[:place] + bytes((flipped,)) + frame[place + 1 :]
+            case 3:
+                return frame[:1] + bytes((int(self._rng.integers(256)),)) + frame[2:-1]
+            case 4:
+                return frame[:2] + bytes((frame[2] | 0x40,)) + frame[3:]
+            case _:
+                return bytes((0xFD,)) * int(self._rng.integers(1, 40))
+
+
+def _set_field(kind: type[Message], payload: bytearray, name: str, value: int) -> None:
+    """Write a one-byte field at its place on the wire."""
+    place = 0
+    for field in kind.ordered_fieldnames:
+        index = kind.fieldnames.index(field)
+        count = max(1, int(kind.array_lengths[kind.ordered_fieldnames.index(field)]))
+        if field == name:
+            payload[place] = value
+            return
+        place += SIZES[str(kind.fieldtypes[index])] * count
+    raise KeyError(name)
+
+
+SIZES = {
+    "char": 1,
+    "int8_t": 1,
+    "uint8_t": 1,
+    "uint8_t_mavlink_version": 1,
+    "int16_t": 2,
+    "uint16_t": 2,
+    "int32_t": 4,
+    "uint32_t": 4,
+    "float": 4,
+    "int64_t": 8,
+    "uint64_t": 8,
+    "double": 8,
+}
+
+
+class FuzzFailure(Exception):  # noqa: N818
+    """What a campaign found; the text names the frame."""
+
+
+class FuzzCampaign:
+    """Feeds two twins.
+
+    Args:
+        make_endpoint: A new vehicle; called twice, both of the same seed.
+        rng: Where the frames come from.
+    """
+
+    def __init__(self, make_endpoint: Callable[[], Endpoint], rng: np.random.Generator) -> None:
+        self._fuzzer = FrameFuzzer(rng)
+        self._tried, self._spared = make_endpoint(), make_endpoint()
+        self.now_s = 0.0
+        self.frames = 0
+        self.answers = 0
+        """Frames that the vehicle sent of its own."""
+
+    def run(self, frames: int) -> None:
+        """Send so many more frames.
+
+        Raises:
+            FuzzFailure: An exception came out, or what must not matter did.
+        """
+        for _ in range(frames):
+            piece = self._fuzzer.next()
+            self.frames += 1
+            self._send(piece)
+            if self.frames % FRAMES_PER_STEP == 0:
+                self._step(piece)
+
+    def _send(self, piece: Piece) -> None:
+        chunk = Chunk(0, piece.data, PEER)
+        try:
+            self._tried.receive(chunk, self.now_s)
+            if piece.meant is Meant.VEHICLE:
+                self._spared.receive(chunk, self.now_s)
+        except Exception as error:
+            raise FuzzFailure(self._told(piece, f"{type(error).__name__}: {error}")) from error
+        self._compare(piece)
+
+    def _step(self, piece: Piece) -> None:
+        self.now_s += STEP_S
+        try:
+            self._tried.handle_timer(self.now_s)
+            self._spared.handle_timer(self.now_s)
+        except Exception as error:
+            problem = f"{type(error).__name__} in the step after it: {error}"
+            raise FuzzFailure(self._told(piece, problem)) from error
+        self._compare(piece)
+
+    def _compare(self, piece: Piece) -> None:
+        mine, its = own_frames(self._tried), own_frames(self._spared)
+        self.answers += len(mine)
+        if mine != its:
+            problem = f"meant for {piece.meant.value}, and the vehicle sends {len(mine)} frames "
+            problem += f"where its spared twin sends {len(its)}, or others"
+            raise FuzzFailure(self._told(piece, problem))
+
+    def _told(self, piece: Piece, problem: str) -> str:
+        return f"frame {self.frames} ({piece.data.hex()}): {problem}"
+
+
+def own_frames(endpoint: Endpoint) -> list[bytes]:
+    """What a vehicle sends that it has not only forwarded."""
+    return [
+        chunk.data
+        for chunk in endpoint.take_output()
+        if len(chunk.data) > 6 and chunk.data[5] == VEHICLE_SYSTEM
+    ]

@@ -1,0 +1,320 @@
+"""MAVLink written down a second time, apart from the codec and the simulator under test.
+
+Where rules come from that no document has.
+
+Results as numbers: the dialect does not have all of them yet.
+
+Source: MAVLink common, MAV_RESULT and MAV_MISSION_RESULT.
+
+Frames made by hand, right and wrong: the oracle for whoever reads frames.
+
+Nothing here is shared with the codec under test but the CRC_EXTRA of each message. Source: MAVLink
+guide, "Packet Serialization" and "Message Signing".
+
+Flight modes by the names that rules use, as each autopilot numbers them.
+
+Written down again here, apart from the simulator's own table: a probe must not agree with a wrong
+number. Source: PX4 `px4_custom_mode.h`; ArduPilot `ArduCopter/mode.h`.
+
+Setpoints as a client sends them, right and wrong.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import dataclass
+
+from companion.mav.dialect import Message, mavlink
+from sim_link.lab.conformance.rules import Flavour
+
+OBSERVED_PX4 = "PX4 1.15, observed in SITL"
+OBSERVED_ARDUPILOT = "ArduCopter 4.5, observed in SITL"
+
+
+ACCEPTED, TEMPORARILY_REJECTED, DENIED, UNSUPPORTED, FAILED = 0, 1, 2, 3, 4
+IN_PROGRESS, CANCELLED = 5, 6
+COMMAND_LONG_ONLY, COMMAND_INT_ONLY, UNSUPPORTED_FRAME = 7, 8, 9
+REFUSALS = (TEMPORARILY_REJECTED, DENIED, UNSUPPORTED, FAILED, 7, 8, 9, 10)
+
+PLAN_ERROR, PLAN_UNSUPPORTED_FRAME, PLAN_UNSUPPORTED = 1, 2, 3
+PLAN_NO_SPACE, PLAN_INVALID = 4, 5
+PLAN_INVALID_X, PLAN_INVALID_Z = 10, 12
+PLAN_INVALID_SEQUENCE, PLAN_DENIED, PLAN_CANCELLED = 13, 14, 15
+
+
+MAGIC_V1, MAGIC_V2 = 0xFE, 0xFD
+HEADER_LENGTH = {MAGIC_V1: 6, MAGIC_V2: 10}
+CRC_LENGTH = 2
+SIGNED = 0x01
+SIGNATURE_LENGTH = 13
+SIGNING_UNITS_PER_S = 100_000
+"""Signing counts units of 10 microseconds since 2015."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrameSpec:
+    """What is unusual about a frame."""
+
+    system_id: int = 255
+    component_id: int = 190
+    sequence: int = 0
+    version: int = 2
+    incompat: int = 0
+    compat: int = 0
+    trim: bool = True
+    """Whether trailing zeros of the payload are cut (MAVLink 2 only)."""
+    crc_change: int = 0
+    """Exclusive-or of the CRC with this."""
+
+
+def crc_x25(data: bytes) -> int:
+    """CRC-16/MCRF4XX."""
+    crc = 0xFFFF
+    for byte in data:
+        step = (byte ^ crc) & 0xFF
+        step = (step ^ (step << 4)) & 0xFF
+        crc = (crc >> 8) ^ (step << 8) ^ (step << 3) ^ (step >> 4)
+    return crc & 0xFFFF
+
+
+def payload_of(message: Message) -> bytes:
+    """The message's payload in MAVLink 2, with all its trailing zeros."""
+    frame = message.pack(mavlink.MAVLink(None, 1, 1))
+    cut = frame[10 : 10 + frame[1]]
+    full = type(message).unpacker.size
+    return bytes(cut) + bytes(full - len(cut))
+
+
+def base_length(message: Message) -> int:
+    """Payload length in MAVLink 1: the fields before the extensions."""
+    frame = message.pack(mavlink.MAVLink(None, 1, 1), force_mavlink1=True)
+    return int(frame[1])
+
+
+def build_frame(message: Message, spec: FrameSpec | None = None) -> bytes:
+    """The frame of a message, made as `spec` says."""
+    spec = spec or FrameSpec()
+    payload = payload_of(message)
+    if spec.version == 1:
+        payload = payload[: base_length(message)]
+    elif spec.trim:
+        payload = payload.rstrip(b"\0") or payload[:1]
+    return build_raw(message.get_msgId(), payload, type(message).crc_extra, spec)
+
+
+def build_raw(message_id: int, payload: bytes, crc_extra: int, spec: FrameSpec) -> bytes:
+    """A frame of any message id, known or not."""
+    head = bytes((spec.sequence, spec.system_id, spec.component_id))
+    if spec.version == 1:
+        body = bytes((len(payload),)) + head + bytes((message_id,)) + payload
+        magic = MAGIC_V1
+    else:
+        flags = bytes((len(payload), spec.incompat, spec.compat))
+        body = flags + head + message_id.to_bytes(3, "little") + payload
+        magic = MAGIC_V2
+    crc = crc_x25(body + bytes((crc_extra,))) ^ spec.crc_change
+    return bytes((magic,)) + body + crc.to_bytes(2, "little")
+
+
+def sign(frame: bytes, key: bytes, link_id: int, timestamp: int) -> bytes:
+    """A frame built with `incompat` 1, completed by its signature.
+
+    Args:
+        frame: Without signature.
+        key: 32 bytes.
+        link_id: Of the sender.
+        timestamp: In units of 10 microseconds since 2015.
+    """
+    tail = bytes((link_id,)) + timestamp.to_bytes(6, "little")
+    return frame + tail + hashlib.sha256(key + frame + tail).digest()[:6]
+
+
+@dataclass(frozen=True, slots=True)
+class Signature:
+    """The signature block of a signed frame."""
+
+    link_id: int
+    timestamp: int
+    is_right: bool
+
+
+def signature_of(frame: bytes, key: bytes) -> Signature | None:
+    """What a frame is signed with; None if it is not signed."""
+    if frame[0] != MAGIC_V2 or not frame[2] & SIGNED:
+        return None
+    body, block = frame[:-SIGNATURE_LENGTH], frame[-SIGNATURE_LENGTH:]
+    expected = hashlib.sha256(key + body + block[:7]).digest()[:6]
+    timestamp = int.from_bytes(block[1:7], "little")
+    return Signature(block[0], timestamp, block[7:] == expected)
+
+
+def cut(data: bytes) -> list[bytes]:
+    """The frames that bytes consist of, by the lengths in their headers; the rest is left out."""
+    frames = []
+    start = 0
+    while start + HEADER_LENGTH[MAGIC_V1] <= len(data):
+        magic = data[start]
+        if magic not in HEADER_LENGTH:
+            start += 1
+            continue
+        end = start + HEADER_LENGTH[magic] + data[start + 1] + CRC_LENGTH
+        if magic == MAGIC_V2 and data[start + 2] & SIGNED:
+            end += SIGNATURE_LENGTH
+        if end <= len(data):
+            frames.append(data[start:end])
+        start = end
+    return frames
+
+
+PX4_MAIN_SUB = {
+    "manual": (1, 0),
+    "altitude": (2, 0),
+    "position": (3, 0),
+    "takeoff": (4, 2),
+    "hold": (4, 3),
+    "mission": (4, 4),
+    "return": (4, 5),
+    "land": (4, 6),
+    "acro": (5, 0),
+    "offboard": (6, 0),
+    "stabilized": (7, 0),
+}
+ARDUCOPTER = {
+    "stabilized": 0,
+    "acro": 1,
+    "altitude": 2,
+    "mission": 3,
+    "offboard": 4,
+    "loiter": 5,
+    "return": 6,
+    "land": 9,
+    "position": 16,
+    "hold": 17,
+}
+"""`offboard` is GUIDED and `hold` BRAKE."""
+PX4_BASE_MODE = {"hold": 29, "takeoff": 29, "mission": 29, "return": 29, "land": 29} | {
+    "position": 81,
+    "altitude": 81,
+}
+"""HEARTBEAT.base_mode disarmed, as observed on PX4 1.15."""
+ARDUCOPTER_BASE_MODE = {"stabilized": 0x51, "altitude": 0x51, "land": 0x51} | {
+    "mission": 0x59,
+    "offboard": 0x59,
+    "loiter": 0x59,
+    "return": 0x59,
+    "position": 0x59,
+    "hold": 0x59,
+}
+"""HEARTBEAT.base_mode disarmed, as observed on ArduCopter 4.5."""
+AUTOPILOT_OF = {
+    Flavour.PX4: mavlink.MAV_AUTOPILOT_PX4,
+    Flavour.ARDUPILOT: mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA,
+}
+CUSTOM = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+
+
+def custom_mode(flavour: Flavour, mode: str) -> int:
+    """HEARTBEAT.custom_mode of a mode.
+
+    Raises:
+        KeyError: The autopilot has no such mode.
+    """
+    if flavour is Flavour.ARDUPILOT:
+        return ARDUCOPTER[mode]
+    main, sub = PX4_MAIN_SUB[mode]
+    return main << 16 | sub << 24
+
+
+def set_mode_params(flavour: Flavour, mode: str) -> tuple[float, float, float]:
+    """Parameters 1 to 3 of MAV_CMD_DO_SET_MODE."""
+    if flavour is Flavour.ARDUPILOT:
+        return (float(CUSTOM), float(ARDUCOPTER[mode]), 0.0)
+    main, sub = PX4_MAIN_SUB[mode]
+    return (float(CUSTOM), float(main), float(sub))
+
+
+POSITION = 0x0DF8
+POSITION_YAW = 0x09F8
+VELOCITY = 0x0DC7
+VELOCITY_YAW_RATE = 0x05C7
+POSITION_VELOCITY = 0x0DC0
+ACCELERATION = 0x0C3F
+NOTHING = 0x0FFF & ~0x0200
+FORCE = 0x0200
+LOCAL_NED = mavlink.MAV_FRAME_LOCAL_NED
+LOCAL_OFFSET = mavlink.MAV_FRAME_LOCAL_OFFSET_NED
+BODY_NED = mavlink.MAV_FRAME_BODY_NED
+BODY_OFFSET = mavlink.MAV_FRAME_BODY_OFFSET_NED
+METRES_PER_E7 = 0.011132
+"""Of latitude."""
+
+Triple = tuple[float, float, float]
+ZERO: Triple = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class LocalSetpoint:
+    """SET_POSITION_TARGET_LOCAL_NED; north, east, down."""
+
+    position_m: Triple = ZERO
+    velocity_mps: Triple = ZERO
+    acceleration_mps2: Triple = ZERO
+    yaw_rad: float = 0.0
+    yaw_rate_radps: float = 0.0
+    mask: int = POSITION
+    frame: int = LOCAL_NED
+
+    def message(self, target: tuple[int, int]) -> Message:
+        """The message for an autopilot."""
+        return mavlink.MAVLink_set_position_target_local_ned_message(
+            0,
+            *target,
+            self.frame,
+            self.mask,
+            *self.position_m,
+            *self.velocity_mps,
+            *self.acceleration_mps2,
+            self.yaw_rad,
+            self.yaw_rate_radps,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class GlobalSetpoint:
+    """SET_POSITION_TARGET_GLOBAL_INT."""
+
+    latitude_e7: int
+    longitude_e7: int
+    altitude_m: float
+    frame: int = mavlink.MAV_FRAME_GLOBAL_INT
+    mask: int = POSITION
+
+    def message(self, target: tuple[int, int]) -> Message:
+        """The message for an autopilot."""
+        return mavlink.MAVLink_set_position_target_global_int_message(
+            0,
+            *target,
+            self.frame,
+            self.mask,
+            self.latitude_e7,
+            self.longitude_e7,
+            self.altitude_m,
+            *[0.0] * 8,
+        )
+
+
+def moved_e7(latitude_e7: int, longitude_e7: int, north_m: float, east_m: float) -> tuple[int, int]:
+    """A place some metres away; flat earth."""
+    east_scale = METRES_PER_E7 * math.cos(math.radians(latitude_e7 / 1e7))
+    return (
+        latitude_e7 + round(north_m / METRES_PER_E7),
+        longitude_e7 + round(east_m / east_scale),
+    )
+
+
+def distance_m(start_e7: tuple[int, int], end_e7: tuple[int, int]) -> float:
+    """How far two places are from each other; flat earth."""
+    north_m = (end_e7[0] - start_e7[0]) * METRES_PER_E7
+    east_m = (end_e7[1] - start_e7[1]) * METRES_PER_E7
+    return math.hypot(north_m, east_m * math.cos(math.radians(start_e7[0] / 1e7)))

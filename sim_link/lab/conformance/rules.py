@@ -1,0 +1,282 @@
+"""Rules, how they are run against a peer, and how the outcome is told.
+
+What a rule is: one sentence, where it is written, whom it binds, and a probe that tries it.
+
+A probe returns when the rule holds, raises `Violation` when it does not, and `NotApplicable` when
+the peer gives no occasion to tell. Rules are made by decorating their probe:
+
+    book = RuleBook(Role.VEHICLE, "frames")
+
+    @book.rule("MAVLink guide, Packet Serialization")
+    def bad_crc_is_dropped(probe: VehicleProbe) -> None:
+        '''A frame whose CRC is wrong has no effect.'''
+
+The rule's id is `frames.bad_crc_is_dropped`, its statement the first line of the docstring.
+
+Runs rules against a peer and says how each went.
+
+Outcomes as lines for people and as JSON for tools.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from enum import Enum
+from fnmatch import fnmatchcase
+from typing import Any
+
+
+class Role(Enum):
+    """What the peer under test is."""
+
+    VEHICLE = "vehicle"
+    COMPANION = "companion"
+
+
+class Flavour(Enum):
+    """The autopilot: the one under test, or the one that a companion is shown."""
+
+    PX4 = "px4"
+    ARDUPILOT = "ardupilot"
+
+
+BOTH = frozenset(Flavour)
+PX4_ONLY = frozenset({Flavour.PX4})
+ARDUPILOT_ONLY = frozenset({Flavour.ARDUPILOT})
+
+
+class Effect(Enum):
+    """The most that a probe does to the vehicle; each includes the ones before it."""
+
+    ASKS = "asks"
+    """Nothing that outlasts the connection: asks, listens, changes stream rates."""
+    CHANGES = "changes"
+    """Overwrites what is stored (plans, parameters, home) or the mode, disarmed."""
+    FLIES = "flies"
+    """Arms or may arm: propellers off, or a simulator."""
+
+    def is_within(self, limit: Effect) -> bool:
+        """Whether a run that allows `limit` may do this."""
+        order = list(Effect)
+        return order.index(self) <= order.index(limit)
+
+
+class Violation(Exception):  # noqa: N818  what a rule finds is no error of ours
+    """The peer broke the rule; the text says how."""
+
+
+class NotApplicable(Exception):  # noqa: N818
+    """The peer gives no occasion to try the rule; the text says why."""
+
+
+Probe = Callable[[Any], None]
+"""Takes a `VehicleProbe` or a `CompanionProbe`, by the rule's role."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """One rule."""
+
+    rule_id: str
+    """`group.what_must_hold`."""
+    statement: str
+    source: str
+    role: Role
+    effect: Effect
+    flavours: frozenset[Flavour]
+    deviations: Mapping[Flavour, str]
+    """Where a real autopilot does something else, and what is asked of this flavour instead."""
+    probe: Probe = field(repr=False)
+
+
+class RuleBook:
+    """Collects the rules of one group, in the order of their definition.
+
+    Args:
+        role: Whom they bind.
+        group: First part of their ids.
+    """
+
+    def __init__(self, role: Role, group: str) -> None:
+        self.rules: list[Rule] = []
+        self._role = role
+        self._group = group
+
+    def rule(
+        self,
+        source: str,
+        *,
+        effect: Effect = Effect.ASKS,
+        flavours: Iterable[Flavour] = BOTH,
+        px4: str = "",
+        ardupilot: str = "",
+    ) -> Callable[[Probe], Probe]:
+        """Make the decorated probe a rule.
+
+        Args:
+            source: The page, file or measurement that says so.
+            effect: The most that the probe does to the vehicle.
+            flavours: Whom it is asked of.
+            px4: How PX4 deviates, if it does.
+            ardupilot: How ArduPilot deviates, if it does.
+        """
+        told = {Flavour.PX4: px4, Flavour.ARDUPILOT: ardupilot}
+        deviations = {flavour: text for flavour, text in told.items() if text}
+
+        def register(probe: Probe) -> Probe:
+            """Add the probe as a rule of its group."""
+            name = probe.__name__
+            statement = (probe.__doc__ or "").strip().partition("\n")[0]
+            self.rules.append(
+                Rule(
+                    f"{self._group}.{name}",
+                    statement,
+                    source,
+                    self._role,
+                    effect,
+                    frozenset(flavours),
+                    deviations,
+                    probe,
+                )
+            )
+            return probe
+
+        return register
+
+
+def require(condition: bool, problem: str) -> None:
+    """Raise `Violation` with `problem` unless the condition holds."""
+    if not condition:
+        raise Violation(problem)
+
+
+class RuleVerdict(Enum):
+    """How a rule went."""
+
+    PASS = "PASS"
+    FAIL = "FAIL"
+    SKIP = "SKIP"
+
+
+@dataclass(frozen=True, slots=True)
+class RuleOutcome:
+    """A rule and how it went."""
+
+    rule: Rule
+    verdict: RuleVerdict
+    detail: str = ""
+    """Why it failed or was left out."""
+    duration_s: float = 0.0
+    """Time of the link that it took."""
+
+
+def select(rules: Iterable[Rule], role: Role, pattern: str | None = None) -> list[Rule]:
+    """The rules of a role whose id or group matches a pattern (`*` and `?` are wildcards).
+
+    A pattern without wildcards also selects every id that begins with it.
+    """
+    chosen = [rule for rule in rules if rule.role is role]
+    if pattern is None:
+        return chosen
+    return [
+        rule
+        for rule in chosen
+        if fnmatchcase(rule.rule_id, pattern) or rule.rule_id.startswith(pattern)
+    ]
+
+
+def try_rule(rule: Rule, probe: Any) -> RuleOutcome:
+    """Try one rule with an attached probe; exceptions other than the verdicts are ours."""
+    started_s = probe.now_s
+    verdict, detail = RuleVerdict.PASS, ""
+    try:
+        rule.probe(probe)
+    except Violation as violation:
+        verdict, detail = RuleVerdict.FAIL, str(violation)
+    except NotApplicable as reason:
+        verdict, detail = RuleVerdict.SKIP, str(reason)
+    return RuleOutcome(rule, verdict, detail, probe.now_s - started_s)
+
+
+def run_rules(
+    rules: Iterable[Rule],
+    flavour: Flavour,
+    allowed: Effect,
+    make_probe: Callable[[], Any],
+) -> Iterator[RuleOutcome]:
+    """Try rules one after another.
+
+    Args:
+        rules: Which.
+        flavour: Of the vehicle, under test or shown.
+        allowed: The most that may be done to it.
+        make_probe: An attached probe for each rule.
+    """
+    base: tuple[int, int] | None = None
+    for rule in rules:
+        if flavour not in rule.flavours:
+            continue
+        if not rule.effect.is_within(allowed):
+            flag = "--allow-flight" if rule.effect is Effect.FLIES else "--allow-changes"
+            yield RuleOutcome(rule, RuleVerdict.SKIP, f"needs {flag}")
+            continue
+        probe = make_probe()
+        outcome = try_rule(rule, probe)
+        if rule.effect is Effect.FLIES:
+            with suppress(Violation, NotApplicable):
+                base = probe.come_to_rest(base)
+        yield outcome
+
+
+def line(outcome: RuleOutcome) -> str:
+    """One rule: its verdict, id and source, and why it failed or was left out."""
+    rule = outcome.rule
+    text = f"{outcome.verdict.value}  {rule.rule_id}  [{rule.source}]"
+    return f"{text}\n      {outcome.detail}" if outcome.detail else text
+
+
+def summary(outcomes: Sequence[RuleOutcome]) -> str:
+    """The closing line."""
+    counts = Counter(outcome.verdict for outcome in outcomes)
+    text = f"{counts[RuleVerdict.PASS]} passed, {counts[RuleVerdict.FAIL]} failed"
+    return f"{text}, {counts[RuleVerdict.SKIP]} skipped" if counts[RuleVerdict.SKIP] else text
+
+
+def listing(rules: Iterable[Rule]) -> list[str]:
+    """The rules in words: what they ask, of whom, from where, and each flavour's deviation."""
+    lines = []
+    for rule in rules:
+        flavours = ", ".join(sorted(flavour.value for flavour in rule.flavours))
+        lines.append(f"{rule.rule_id}  ({flavours}; {rule.effect.value})")
+        lines.append(f"    {rule.statement}")
+        lines.append(f"    source: {rule.source}")
+        lines += [f"    {flavour.value}: {text}" for flavour, text in rule.deviations.items()]
+    return lines
+
+
+def record(outcomes: Iterable[RuleOutcome], peer: str) -> dict[str, object]:
+    """All outcomes as JSON values.
+
+    Args:
+        outcomes: What to tell.
+        peer: Against whom they were found.
+    """
+    told = list(outcomes)
+    return {
+        "peer": peer,
+        "summary": summary(told),
+        "rules": [
+            {
+                "id": outcome.rule.rule_id,
+                "statement": outcome.rule.statement,
+                "source": outcome.rule.source,
+                "verdict": outcome.verdict.value,
+                "detail": outcome.detail,
+                "duration_s": round(outcome.duration_s, 3),
+            }
+            for outcome in told
+        ],
+    }

@@ -1,0 +1,347 @@
+"""A scripted MAVLink station on a link.
+
+What a probe needs of a link: send bytes, and wait for bytes until a time of the link.
+
+A MAVLink station that reads like a script: send, let time pass, expect.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol, TypeVar
+
+from companion.mav.codec import MavCodec
+from companion.mav.dialect import Message, mavlink
+from sim_link.lab.conformance.mavlink_oracle import (
+    SIGNED,
+    FrameSpec,
+    build_frame,
+    build_raw,
+    cut,
+    sign,
+)
+from sim_link.lab.conformance.rules import Violation
+
+
+class ProbeLink(Protocol):
+    """One client's connection to the peer under test.
+
+    Its time is the peer's own, in seconds: invented in memory, the wall clock on a real link.
+    """
+
+    @property
+    def now_s(self) -> float:
+        """The time of the link."""
+
+    @property
+    def is_datagram(self) -> bool:
+        """Whether one `send` arrives as one piece."""
+
+    def send(self, data: bytes) -> None:
+        """Send bytes as one piece."""
+
+    def poll(self, until_s: float) -> list[bytes]:
+        """Let time pass until something arrives, at the latest until `until_s`.
+
+        Returns:
+            What arrived, in order; empty when `until_s` is reached.
+        """
+
+    def another(self) -> ProbeLink | None:
+        """A second client of the same peer; None where the link has room for one only."""
+
+
+MAVLINK_VERSION = 3
+HEARTBEAT_PERIOD_S = 1.0
+
+M = TypeVar("M", bound=Message)
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """A message and when it came."""
+
+    time_s: float
+    message: Message
+
+    @property
+    def source(self) -> tuple[int, int]:
+        """System and component of the sender."""
+        return (self.message.get_srcSystem(), self.message.get_srcComponent())
+
+    @property
+    def frame(self) -> bytes:
+        """The bytes on the wire."""
+        return bytes(self.message.get_msgbuf())
+
+
+@dataclass(slots=True)
+class _Task:
+    period_s: float
+    due_s: float
+    action: Callable[[], None]
+
+
+@dataclass(slots=True)
+class Signer:
+    """Signs what a station sends."""
+
+    key: bytes
+    timestamp: int
+    link_id: int = 1
+
+    def sign(self, frame: bytes) -> bytes:
+        """A frame with the signed flag, completed; the timestamp moves on."""
+        self.timestamp += 1
+        return sign(frame, self.key, self.link_id, self.timestamp)
+
+
+class Station:
+    """One component on a link.
+
+    Args:
+        link: Its connection.
+        system_id: Its system.
+        component_id: Its component.
+        kind: MAV_TYPE of the heartbeat that it sends each second; None sends none.
+    """
+
+    def __init__(
+        self,
+        link: ProbeLink,
+        system_id: int = 255,
+        component_id: int = 190,
+        kind: int | None = mavlink.MAV_TYPE_GCS,
+    ) -> None:
+        self.link = link
+        self.system_id = system_id
+        self.component_id = component_id
+        self.inbox: list[Heard] = []
+        self.datagrams: list[tuple[float, bytes]] = []
+        """What arrived, as it arrived: on a byte stream in pieces of any length."""
+        self.reader = MavCodec(system_id, component_id)
+        self.signer: Signer | None = None
+        self.on_message: Callable[[Message], None] | None = None
+        self._pending: deque[bytes] = deque()
+        self._is_taking = False
+        """Told of each message as it arrives."""
+        self._sequence = 0
+        self._tasks: list[_Task] = []
+        self._kind = kind
+        self._stop_heartbeat: Callable[[], None] | None = None
+        self.be_heard()
+
+    def be_heard(self) -> None:
+        """Begin to send a heartbeat each second, or go on with it."""
+        kind = self._kind
+        if kind is not None and self._stop_heartbeat is None:
+            self._stop_heartbeat = self.repeat(lambda: heartbeat(kind), HEARTBEAT_PERIOD_S)
+
+    def be_silent(self) -> None:
+        """Send no heartbeat any more."""
+        if self._stop_heartbeat is not None:
+            self._stop_heartbeat()
+            self._stop_heartbeat = None
+
+    # Time
+
+    @property
+    def now_s(self) -> float:
+        """The time of the link."""
+        return self.link.now_s
+
+    def run(self, duration_s: float) -> None:
+        """Let time pass."""
+        until_s = self.now_s + duration_s
+        while self.now_s < until_s:
+            self._advance(until_s)
+
+    def run_until(self, condition: Callable[[], bool], within_s: float) -> bool:
+        """Let time pass until a condition holds; whether it did in time."""
+        until_s = self.now_s + within_s
+        while not condition():
+            if self.now_s >= until_s:
+                return False
+            self._advance(until_s)
+        return True
+
+    def repeat(self, build: Callable[[], Message], period_s: float) -> Callable[[], None]:
+        """Send a message now and each period while time passes.
+
+        Returns:
+            Ends it.
+        """
+        task = _Task(period_s, self.now_s, lambda: self.send(build()))
+        self._tasks.append(task)
+
+        def stop() -> None:
+            """Send no more of it."""
+            if task in self._tasks:
+                self._tasks.remove(task)
+
+        return stop
+
+    # Out
+
+    def send(self, message: Message, spec: FrameSpec | None = None) -> None:
+        """Send a message as this station, or as `spec` says."""
+        spec = spec or self.spec()
+        if self.signer is None:
+            self.send_raw(build_frame(message, spec))
+            return
+        frame = build_frame(
+            message, FrameSpec(spec.system_id, spec.component_id, spec.sequence, incompat=SIGNED)
+        )
+        self.send_raw(self.signer.sign(frame))
+
+    def spec(self, *, version: int = 2, incompat: int = 0, compat: int = 0) -> FrameSpec:
+        """A frame of this station with the next sequence number."""
+        sequence, self._sequence = self._sequence, (self._sequence + 1) % 256
+        return FrameSpec(self.system_id, self.component_id, sequence, version, incompat, compat)
+
+    def send_raw(self, data: bytes) -> None:
+        """Send bytes as they are."""
+        self.link.send(data)
+        self._take(self.link.poll(self.now_s))
+
+    def send_payload(self, kind: type[Message], payload: bytes) -> None:
+        """Send a message whose payload is given as bytes."""
+        cut = payload.rstrip(b"\0") or payload[:1]
+        self.send_raw(build_raw(int(kind.id), cut, int(kind.crc_extra), self.spec()))
+
+    # In
+
+    def heard(
+        self,
+        kind: type[M],
+        where: Callable[[M], bool] | None = None,
+        *,
+        since_s: float = -1.0,
+        source: tuple[int, int] | None = None,
+    ) -> list[M]:
+        """The messages of a kind that came so far.
+
+        Args:
+            kind: Their class.
+            where: Which of them.
+            since_s: Only what came at this time or later.
+            source: Only from this system and component.
+        """
+        return [
+            entry.message
+            for entry in self.inbox
+            if isinstance(entry.message, kind)
+            and entry.time_s >= since_s
+            and source in (None, entry.source)
+            and (where is None or where(entry.message))
+        ]
+
+    def heard_since(self, kind: type[M], mark: int) -> list[M]:
+        """The messages of a kind that came after a mark."""
+        return [e.message for e in self.inbox[mark:] if isinstance(e.message, kind)]
+
+    def expect(
+        self,
+        kind: type[M],
+        where: Callable[[M], bool] | None = None,
+        *,
+        within_s: float = 2.0,
+        mark: int | None = None,
+        what: str = "",
+    ) -> M:
+        """The first message of a kind after `mark` (default: from now on).
+
+        Raises:
+            Violation: None came in time.
+        """
+        found: list[M] = []
+        cursor = len(self.inbox) if mark is None else mark
+
+        def is_there() -> bool:
+            """Whether one came that is looked for."""
+            nonlocal cursor
+            while cursor < len(self.inbox) and not found:
+                message = self.inbox[cursor].message
+                cursor += 1
+                if isinstance(message, kind) and (where is None or where(message)):
+                    found.append(message)
+            return bool(found)
+
+        if not self.run_until(is_there, within_s):
+            raise Violation(f"no {what or name_of(kind)} within {within_s:g} s")
+        return found[0]
+
+    def expect_none(
+        self,
+        kind: type[M],
+        where: Callable[[M], bool] | None = None,
+        *,
+        for_s: float = 1.0,
+        mark: int | None = None,
+        what: str = "",
+    ) -> None:
+        """Let time pass; nothing of a kind may come after `mark` (default: from now on).
+
+        Raises:
+            Violation: Something came.
+        """
+        mark = len(self.inbox) if mark is None else mark
+        self.run(for_s)
+        for entry in self.inbox[mark:]:
+            message = entry.message
+            if isinstance(message, kind) and (where is None or where(message)):
+                raise Violation(f"{what or 'not to be sent'}: {brief(message)}")
+
+    @property
+    def mark(self) -> int:
+        """The place in the inbox after which messages are new."""
+        return len(self.inbox)
+
+    def frames_since(self, mark: int) -> list[bytes]:
+        """The frames in what arrived after so many pieces."""
+        return cut(b"".join(data for _, data in self.datagrams[mark:]))
+
+    def _advance(self, until_s: float) -> None:
+        due_s = min([until_s, *(task.due_s for task in self._tasks)])
+        if due_s > self.now_s:
+            self._take(self.link.poll(due_s))
+        for task in list(self._tasks):
+            if task.due_s <= self.now_s:
+                task.due_s = max(task.due_s + task.period_s, self.now_s)
+                task.action()
+
+    def _take(self, pieces: list[bytes]) -> None:
+        """Read what arrived; what an answer of ours calls forth is read after that."""
+        self._pending.extend(pieces)
+        if self._is_taking:
+            return
+        self._is_taking = True
+        while self._pending:
+            data = self._pending.popleft()
+            self.datagrams.append((self.now_s, data))
+            for message in self.reader.decode(data, is_datagram=self.link.is_datagram):
+                self.inbox.append(Heard(self.now_s, message))
+                if self.on_message is not None:
+                    self.on_message(message)
+        self._is_taking = False
+
+
+def heartbeat(kind: int, autopilot: int = mavlink.MAV_AUTOPILOT_INVALID) -> Message:
+    """HEARTBEAT of something that is no autopilot."""
+    return mavlink.MAVLink_heartbeat_message(
+        kind, autopilot, 0, 0, mavlink.MAV_STATE_ACTIVE, MAVLINK_VERSION
+    )
+
+
+def name_of(kind: type[Message]) -> str:
+    """A message class as the protocol calls it."""
+    return str(getattr(kind, "msgname", kind.__name__))
+
+
+def brief(message: Message) -> str:
+    """A message in one line."""
+    source = f"{message.get_srcSystem()}/{message.get_srcComponent()}"
+    text = str(message)
+    return f"{text if len(text) < 160 else text[:157] + '...'} from {source}"

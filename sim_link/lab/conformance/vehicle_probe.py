@@ -1,0 +1,449 @@
+"""A ground station that asks a vehicle, and one that flies it to try it.
+
+A ground station that asks a vehicle: who it is, commands, modes, and how it is.
+
+A ground station that flies a vehicle to try it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from companion.mav.dialect import Message, mavlink
+from sim_link.lab.conformance import mavlink_oracle
+from sim_link.lab.conformance.mavlink_oracle import distance_m
+from sim_link.lab.conformance.rules import Flavour, NotApplicable, Violation, require
+from sim_link.lab.conformance.station import M, ProbeLink, Station, heartbeat
+
+NAN = math.nan
+FIRST_HEARTBEAT_S = 10.0
+READY_S = 90.0
+"""A real autopilot needs 20 to 45 s from boot until it can be armed."""
+ACK_S = 2.0
+POSITION_INTERVAL_S = 0.05
+
+ACCEPTED = mavlink.MAV_RESULT_ACCEPTED
+ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+PADDING = 7
+
+
+class VehicleStation(Station):
+    """Asks one vehicle, as a ground station would.
+
+    Args:
+        link: A connection to it.
+        signing_key: The key that the vehicle was given; None: it has none.
+    """
+
+    def __init__(self, link: ProbeLink, signing_key: bytes | None = None) -> None:
+        super().__init__(link)
+        self.signing_key = signing_key
+        self.flavour = Flavour.PX4
+        self.target = (1, mavlink.MAV_COMP_ID_AUTOPILOT1)
+        self._others: list[Station] = []
+
+    # Who it is
+
+    def attach(self) -> None:
+        """Wait for the vehicle and learn its ids and flavour.
+
+        Raises:
+            NotApplicable: No autopilot is heard.
+        """
+        found: list[mavlink.MAVLink_heartbeat_message] = []
+
+        def is_there() -> bool:
+            """Whether an autopilot was heard."""
+            found.extend(
+                m
+                for m in self.heard(mavlink.MAVLink_heartbeat_message)
+                if m.autopilot != mavlink.MAV_AUTOPILOT_INVALID
+            )
+            return bool(found)
+
+        if not self.run_until(is_there, FIRST_HEARTBEAT_S):
+            raise NotApplicable(f"no autopilot heard within {FIRST_HEARTBEAT_S:g} s")
+        first = found[0]
+        self.target = (first.get_srcSystem(), first.get_srcComponent())
+        for flavour, number in mavlink_oracle.AUTOPILOT_OF.items():
+            if number == first.autopilot:
+                self.flavour = flavour
+
+    @property
+    def is_px4(self) -> bool:
+        """Whether it is a PX4."""
+        return self.flavour is Flavour.PX4
+
+    def from_vehicle(
+        self, kind: type[M], where: Callable[[M], bool] | None = None, since_s: float = -1.0
+    ) -> list[M]:
+        """The vehicle's own messages of a kind."""
+        return self.heard(kind, where, since_s=since_s, source=self.target)
+
+    def latest(self, kind: type[M]) -> M:
+        """The newest message of a kind; asked for if none came yet."""
+        known = self.from_vehicle(kind)
+        return known[-1] if known else self.request(kind)
+
+    def another(
+        self,
+        system_id: int = 254,
+        component_id: int = 190,
+        kind: int | None = mavlink.MAV_TYPE_GCS,
+    ) -> Station:
+        """A second station on a connection of its own, already heard by the vehicle.
+
+        Raises:
+            NotApplicable: The link has room for one client only.
+        """
+        link = self.link.another()
+        if link is None:
+            raise NotApplicable("this link has room for one client only")
+        other = Station(link, system_id, component_id, None)
+        if kind is not None:
+            other.send(heartbeat(kind))
+        return other
+
+    # Commands
+
+    def command(
+        self,
+        number: int,
+        *params: float,
+        target: tuple[int, int] | None = None,
+        confirmation: int = 0,
+    ) -> int:
+        """Send COMMAND_LONG, unused parameters NaN as MAVSDK does; the final MAV_RESULT."""
+        padded = [*params, *[NAN] * (PADDING - len(params))]
+        system, component = target or self.target
+        return self.result_of(
+            mavlink.MAVLink_command_long_message(system, component, number, confirmation, *padded),
+            number,
+        )
+
+    def command_int(
+        self,
+        number: int,
+        frame: int,
+        params: tuple[float, float, float, float] = (NAN, NAN, NAN, NAN),
+        place: tuple[int, int, float] = (0, 0, NAN),
+    ) -> int:
+        """Send COMMAND_INT; the final MAV_RESULT.
+
+        Args:
+            number: The command.
+            frame: MAV_FRAME of the place.
+            params: Parameters 1 to 4.
+            place: x and y, 1e-7 degrees in a global frame, and z.
+        """
+        return self.result_of(
+            mavlink.MAVLink_command_int_message(
+                *self.target, frame, number, 0, 0, *params, place[0], place[1], place[2]
+            ),
+            number,
+        )
+
+    def result_of(self, message: Message, number: int) -> int:
+        """Send a command; its result after any IN_PROGRESS.
+
+        Raises:
+            Violation: No ACK came.
+        """
+        mark = self.mark
+        self.send(message)
+        ack = self.expect(
+            mavlink.MAVLink_command_ack_message,
+            lambda m: m.command == number and m.result != mavlink.MAV_RESULT_IN_PROGRESS,
+            within_s=ACK_S,
+            mark=mark,
+            what=f"COMMAND_ACK of {number}",
+        )
+        return int(ack.result)
+
+    def request(self, kind: type[M], within_s: float = ACK_S) -> M:
+        """REQUEST_MESSAGE; the message.
+
+        Raises:
+            Violation: It is refused or does not come.
+        """
+        mark = self.mark
+        number = int(kind.id)
+        result = self.command(mavlink.MAV_CMD_REQUEST_MESSAGE, float(number))
+        require(result == ACCEPTED, f"REQUEST_MESSAGE {number} gave result {result}")
+        return self.expect(
+            kind,
+            lambda m: (m.get_srcSystem(), m.get_srcComponent()) == self.target,
+            within_s=within_s,
+            mark=mark,
+        )
+
+    def set_interval(self, number: int, interval_s: float) -> int:
+        """SET_MESSAGE_INTERVAL; its MAV_RESULT."""
+        microseconds = interval_s * 1e6 if interval_s > 0.0 else interval_s
+        return self.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, float(number), microseconds)
+
+    def watch(self, kind: type[M], interval_s: float = POSITION_INTERVAL_S) -> None:
+        """Make a message flow, and wait for the first."""
+        mark = self.mark
+        self.set_interval(int(kind.id), interval_s)
+        self.expect(kind, within_s=READY_S, mark=mark)
+
+    def is_alive(self) -> bool:
+        """Whether the vehicle still answers (TIMESYNC)."""
+        stamp = 1_000_000 + self.mark
+        mark = self.mark
+        self.send(mavlink.MAVLink_timesync_message(0, stamp))
+        return self.run_until(
+            lambda: any(
+                isinstance(entry.message, mavlink.MAVLink_timesync_message)
+                and entry.message.ts1 == stamp
+                for entry in self.inbox[mark:]
+            ),
+            ACK_S,
+        )
+
+    def require_hearing(self) -> None:
+        """After a probe for silence: the vehicle must be silent by choice, not deaf.
+
+        Raises:
+            Violation: It answers nothing.
+        """
+        require(self.is_alive(), "nothing is answered any more")
+
+    # State
+
+    def heartbeat(self) -> mavlink.MAVLink_heartbeat_message:
+        """A HEARTBEAT that is newer than this call."""
+        return self.expect(
+            mavlink.MAVLink_heartbeat_message,
+            lambda m: (m.get_srcSystem(), m.get_srcComponent()) == self.target,
+            within_s=3.0,
+            what="HEARTBEAT of the vehicle",
+        )
+
+    def is_armed(self) -> bool:
+        """Whether a new HEARTBEAT says armed."""
+        return bool(self.heartbeat().base_mode & ARMED)
+
+    def is_in(self, mode: str) -> bool:
+        """Whether a new HEARTBEAT shows a mode."""
+        return bool(self.heartbeat().custom_mode == mavlink_oracle.custom_mode(self.flavour, mode))
+
+    def await_mode(self, mode: str, within_s: float = 5.0) -> None:
+        """Let time pass until a HEARTBEAT shows a mode.
+
+        Raises:
+            Violation: None did in time.
+        """
+        wanted = mavlink_oracle.custom_mode(self.flavour, mode)
+        self.expect(
+            mavlink.MAVLink_heartbeat_message,
+            lambda m: (
+                (m.get_srcSystem(), m.get_srcComponent()) == self.target and m.custom_mode == wanted
+            ),
+            within_s=within_s,
+            what=f"HEARTBEAT in {mode}",
+        )
+
+    def await_disarmed(self, within_s: float) -> None:
+        """Let time pass until a HEARTBEAT says disarmed.
+
+        Raises:
+            Violation: None did in time.
+        """
+        self.expect(
+            mavlink.MAVLink_heartbeat_message,
+            lambda m: (
+                (m.get_srcSystem(), m.get_srcComponent()) == self.target and not m.base_mode & ARMED
+            ),
+            within_s=within_s,
+            what="HEARTBEAT of a disarmed vehicle",
+        )
+
+    def set_mode(self, mode: str) -> int:
+        """DO_SET_MODE; its MAV_RESULT."""
+        return self.command(
+            mavlink.MAV_CMD_DO_SET_MODE, *mavlink_oracle.set_mode_params(self.flavour, mode)
+        )
+
+    def place(self) -> tuple[float, float, float]:
+        """North, east and down of the newest LOCAL_POSITION_NED, after a step of time."""
+        report = self.expect(mavlink.MAVLink_local_position_ned_message, within_s=3.0)
+        return (report.x, report.y, report.z)
+
+    def speed(self) -> tuple[float, float, float]:
+        """Velocity north, east and down of the newest LOCAL_POSITION_NED."""
+        report = self.expect(mavlink.MAVLink_local_position_ned_message, within_s=3.0)
+        return (report.vx, report.vy, report.vz)
+
+    def home(self) -> mavlink.MAVLink_home_position_message:
+        """Home, asked for."""
+        return self.request(mavlink.MAVLink_home_position_message)
+
+    def origin(self) -> mavlink.MAVLink_gps_global_origin_message:
+        """The zero of the local frame, asked for."""
+        return self.request(mavlink.MAVLink_gps_global_origin_message)
+
+
+BOOT_S = 60.0
+SPENT_PERCENT = 30
+"""A battery that may not last for the next flight."""
+FLIGHT_HEIGHT_M = 10.0
+CLIMB_S = 40.0
+LAND_S = 60.0
+NEAR_M = 20.0
+GO_BACK_S = 60.0
+STREAM_PERIOD_S = 0.1
+
+ARM = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
+FORCE = 21196.0
+PREARM = mavlink.MAV_SYS_STATUS_PREARM_CHECK
+
+
+class VehicleProbe(VehicleStation):
+    """Tries one vehicle in short flights."""
+
+    def get_ready(self) -> None:
+        """Wait until it can be armed, in the mode that flights begin in.
+
+        Raises:
+            Violation: It never gets ready.
+        """
+        self._begin_flight()
+        if 0 <= self.latest(mavlink.MAVLink_sys_status_message).battery_remaining < SPENT_PERCENT:
+            self.reboot()
+            self._begin_flight()
+        self.await_prearm()
+        self.watch(mavlink.MAVLink_local_position_ned_message)
+
+    def _begin_flight(self) -> None:
+        self.set_mode("hold" if self.is_px4 else "offboard")
+        self.watch(mavlink.MAVLink_sys_status_message, 0.2)
+
+    def reboot(self) -> None:
+        """Restart the autopilot; a simulated one has a fresh battery then.
+
+        Raises:
+            Violation: It refuses, or does not come back.
+        """
+        result = self.command(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1.0, 0.0, 0.0)
+        require(result == ACCEPTED, f"the reboot gave result {result}")
+        mark = self.mark
+        back = self.run_until(
+            lambda: bool(self.heard_since(mavlink.MAVLink_heartbeat_message, mark)), BOOT_S
+        )
+        require(back, f"it did not come back within {BOOT_S:g} s of a reboot")
+
+    def await_prearm(self) -> None:
+        """Wait until SYS_STATUS says that it can be armed.
+
+        Raises:
+            Violation: It never does.
+        """
+        ready = self.run_until(self._is_ready, READY_S)
+        require(ready, f"not ready to arm within {READY_S:g} s (SYS_STATUS, PREARM_CHECK)")
+
+    def arm(self) -> None:
+        """Get ready and arm.
+
+        Raises:
+            Violation: It refuses.
+        """
+        self.get_ready()
+        result = self.command(ARM, 1.0, 0.0)
+        require(result == ACCEPTED, f"arming gave result {result}")
+
+    def take_off(self, height_m: float = FLIGHT_HEIGHT_M) -> None:
+        """Arm, climb above home and hover there.
+
+        Raises:
+            Violation: It does not get there.
+        """
+        self.arm()
+        altitude_m = height_m
+        unused = 0.0
+        if self.is_px4:
+            altitude_m += self.home().altitude / 1e3
+            unused = NAN
+        start_down_m = self.place()[2]
+        params = (*[unused] * 6, altitude_m)
+        result = self.command(mavlink.MAV_CMD_NAV_TAKEOFF, *params)
+        require(result == ACCEPTED, f"NAV_TAKEOFF gave result {result}")
+        climbed = self.run_until(lambda: start_down_m - self.place()[2] > height_m - 0.5, CLIMB_S)
+        require(climbed, f"did not climb {height_m:g} m within {CLIMB_S:g} s")
+        if self.is_px4:
+            self.await_mode("hold", CLIMB_S)
+        self.run(2.0)
+
+    def stream(self, build: Callable[[], Message]) -> Callable[[], None]:
+        """Send setpoints at 10 Hz until the returned function is called."""
+        return self.repeat(build, STREAM_PERIOD_S)
+
+    def enter_offboard(self, build: Callable[[], Message]) -> Callable[[], None]:
+        """In the air: stream setpoints and let the vehicle follow them.
+
+        Raises:
+            Violation: It refuses.
+        """
+        stop = self.stream(build)
+        self.run(1.2)
+        result = self.set_mode("offboard")
+        require(result == ACCEPTED, f"OFFBOARD or GUIDED gave result {result}")
+        self.await_mode("offboard")
+        return stop
+
+    def come_to_rest(self, base_e7: tuple[int, int] | None = None) -> tuple[int, int]:
+        """Land if it flies and wait until it is disarmed; for whoever tries the next rule.
+
+        Args:
+            base_e7: Where flights began, 1e-7 degrees: it goes back there from afar, or the next
+                flights would lead ever farther away. None: here.
+
+        Returns:
+            The base.
+        """
+        self.signer = None
+        here = self._where()
+        if not self.is_armed():
+            return base_e7 or here
+        if base_e7 is not None:
+            self._go_back(base_e7)
+        self.set_mode("land")
+        self.await_disarmed(LAND_S)
+        return base_e7 or here
+
+    def _where(self) -> tuple[int, int]:
+        report = self.request(mavlink.MAVLink_global_position_int_message)
+        return (report.lat, report.lon)
+
+    def _go_back(self, base_e7: tuple[int, int]) -> None:
+        """Fly to the base, unless it is near or the vehicle does not want to."""
+        if distance_m(self._where(), base_e7) < NEAR_M:
+            return
+        above_home_m = max(FLIGHT_HEIGHT_M, self.home().z - self.place()[2])
+        result = self.command_int(
+            mavlink.MAV_CMD_DO_REPOSITION,
+            mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
+            (-1.0, 1.0, 0.0, NAN),
+            (*base_e7, above_home_m),
+        )
+        if result == ACCEPTED:
+            self.run_until(lambda: self._is_near(base_e7), GO_BACK_S)
+
+    def _is_near(self, base_e7: tuple[int, int]) -> bool:
+        self.run(1.0)
+        return distance_m(self._where(), base_e7) < NEAR_M / 2.0
+
+    def _is_ready(self) -> bool:
+        status = self.from_vehicle(mavlink.MAVLink_sys_status_message)
+        return bool(status) and bool(status[-1].onboard_control_sensors_health & PREARM)
+
+
+def nothing_moved(
+    before: tuple[float, float, float], after: tuple[float, float, float], tolerance_m: float
+) -> None:
+    """Raise `Violation` if two places differ by more than a tolerance."""
+    moved_m = math.dist(before, after)
+    if moved_m > tolerance_m:
+        raise Violation(f"moved by {moved_m:.1f} m")

@@ -1,0 +1,343 @@
+"""What an update costs, beside filterpy's extended Kalman filter on the same measurements.
+
+The measurements are range and bearing of one run of the canonical lawnmower. Every contender goes
+through them from the same first fix; one after the other, again and again, so that whatever else
+the machine does hits all of them; a figure is the median over the rounds, per update.
+
+filterpy is used as its documentation has it: one filter object, range and bearing at once, model
+and Jacobian written in plain Python, prediction and update timed apart. The target lies still, so
+that our prediction has nothing to compute; filterpy's multiplies its matrices all the same.
+
+Compiled and plain kernels cannot live in one process. The plain ones are timed in a second one,
+with numba told not to compile, against filterpy timed there; both belong to the same run.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import importlib.util
+import json
+import math
+import os
+import platform
+import statistics
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from time import perf_counter
+
+import numpy as np
+from filterpy.kalman import ExtendedKalmanFilter
+
+from companion.domain import RangingMeasurement
+from companion.estimation.filters.robust_update import robust_update
+from companion.estimation.filters.target_filter import FilterState
+from companion.estimation.window.map_kernels import COLUMNS, DAMPING_START, map_minimum, map_step
+from companion.kernel import Matrix, Vector, kernel
+from sim_link.lab.evaluation.case import CHANNEL, TRUTH, Case, drawn, measured, stream, truth_of
+from sim_link.lab.evaluation.systems import System, belief_of, recursive_filter_of, track_of
+from sim_link.lab.evaluation.walk import Belief, first_fix, updated
+
+WINDOW = 200
+"""Measurements of the window whose solution is timed."""
+MAP_STEPS = 40
+"""Steps timed together; one is too short for the clock."""
+START_OFF_M = 2.0
+"""From the target to where a solution of the window starts, east and north."""
+ROUNDS = 25
+SEED = 1
+SYSTEM = System("asymmetric_huber", "passive")
+
+FILTERPY_PREDICT, FILTERPY_UPDATE = "filterpy predict", "filterpy update"
+LOOP, CALL, OBJECT = "update, in a kernel's loop", "update, kernel called", "TargetFilter.update"
+MAP_STEP, MAP_MINIMUM = f"MAP step of {WINDOW}", f"MAP minimum of {WINDOW}"
+
+Seconds = dict[str, float]
+"""Per update or step, by what was timed."""
+Contender = Callable[[], Seconds]
+
+
+@dataclass(frozen=True, slots=True)
+class Walk:
+    """What every contender is fed."""
+
+    case: Case
+    track_enu_m: Matrix
+    """(n, 2)"""
+    z: Matrix
+    """(n, 3) range, bearing and no elevation."""
+    belief: Belief
+
+    def first_fix(self) -> tuple[Vector, Matrix]:
+        """Mean and covariance that everyone starts from."""
+        (east_m, north_m), (range_m, bearing_rad, _) = self.track_enu_m[0], self.z[0]
+        return first_fix(east_m, north_m, range_m, bearing_rad, self.belief)
+
+
+@dataclass(frozen=True, slots=True)
+class Ratio:
+    """A cost beside what it must not exceed."""
+
+    name: str
+    cost_us: float
+    reference: str
+    reference_us: float
+    ratio: float
+    limit: float
+    is_met: bool
+
+
+@dataclass(frozen=True, slots=True)
+class FilterBench:
+    """Medians and ratios of one run."""
+
+    python: str
+    numpy: str
+    numba: str | None
+    """None: not installed, and nothing compiled was timed."""
+    updates: int
+    rounds: int
+    compiled_us: dict[str, float] | None
+    plain_us: dict[str, float]
+    ratios: list[Ratio]
+
+
+def bench_filters(rounds: int = ROUNDS) -> FilterBench:
+    """Time the filters, compiled where numba is installed, and plain."""
+    walk = canonical_walk()
+    has_numba = importlib.util.find_spec("numba") is not None
+    compiled = timed(contenders(walk), rounds) if has_numba else None
+    plain = _plain_in_a_process(rounds) if has_numba else timed(contenders(walk), rounds)
+    return FilterBench(
+        python=platform.python_version(),
+        numpy=np.__version__,
+        numba=importlib.metadata.version("numba") if has_numba else None,
+        updates=len(walk.z) - 1,
+        rounds=rounds,
+        compiled_us=compiled,
+        plain_us=plain,
+        ratios=ratios_of(compiled, plain),
+    )
+
+
+def ratios_of(compiled_us: dict[str, float] | None, plain_us: dict[str, float]) -> list[Ratio]:
+    """What is required of the costs, microseconds each."""
+    ratios = []
+    if compiled_us is not None:
+        both = [FILTERPY_PREDICT, FILTERPY_UPDATE]
+        ratios.append(_ratio("compiled", LOOP, compiled_us, both, 0.1))
+        ratios.append(_ratio("compiled", MAP_STEP, compiled_us, [FILTERPY_UPDATE], 5.0))
+    ratios.append(_ratio("plain", OBJECT, plain_us, [FILTERPY_UPDATE], 3.0))
+    return ratios
+
+
+def canonical_walk() -> Walk:
+    """The canonical lawnmower, measured once."""
+    case = Case()
+    track = track_of(case)
+    truth = truth_of(case, stream(SEED, TRUTH))
+    draws = drawn(stream(SEED, CHANNEL), case.steps)
+    z = [
+        (*measured(draw, east_m, north_m, truth), math.nan)
+        for draw, (east_m, north_m) in zip(draws, track.tolist(), strict=True)
+    ]
+    return Walk(case, track, np.array(z), belief_of(case, SYSTEM))
+
+
+def contenders(walk: Walk) -> list[Contender]:
+    """Everything that is timed, with the kernels as they are in this process."""
+    return [
+        lambda: filterpy_seconds(walk),
+        lambda: loop_seconds(walk),
+        lambda: call_seconds(walk),
+        lambda: object_seconds(walk),
+        lambda: window_seconds(walk),
+    ]
+
+
+def print_times(rounds: int) -> None:
+    """Write the medians of this process to its standard output, as JSON."""
+    sys.stdout.write(json.dumps(timed(contenders(canonical_walk()), rounds)))
+
+
+def timed(timers: Sequence[Contender], rounds: int) -> dict[str, float]:
+    """Medians over interleaved rounds, microseconds; the round that compiles does not count."""
+    for timer in timers:
+        timer()
+    found: dict[str, list[float]] = {}
+    for _ in range(rounds):
+        for timer in timers:
+            for name, seconds in timer().items():
+                found.setdefault(name, []).append(seconds)
+    return {name: 1e6 * statistics.median(values) for name, values in found.items()}
+
+
+def filterpy_seconds(walk: Walk) -> Seconds:
+    """One pass of filterpy's filter, prediction and update apart."""
+    mean, covariance = walk.first_fix()
+    ekf = ExtendedKalmanFilter(dim_x=4, dim_z=2)
+    ekf.x, ekf.P, ekf.F, ekf.Q = mean, covariance, np.eye(4), np.zeros((4, 4))
+    ekf.R = np.diag(walk.belief.sigma[:2] ** 2)
+    predicting = updating = 0.0
+    for place, z in zip(walk.track_enu_m[1:].tolist(), walk.z[1:, :2], strict=True):
+        at = tuple(place)
+        begun = perf_counter()
+        ekf.predict()
+        predicted = perf_counter()
+        ekf.update(z, _jacobian, _expected, args=at, hx_args=at, residual=_residual)
+        updating += perf_counter() - predicted
+        predicting += predicted - begun
+    updates = len(walk.z) - 1
+    return {FILTERPY_PREDICT: predicting / updates, FILTERPY_UPDATE: updating / updates}
+
+
+@kernel
+def filtered(track_enu_m: Matrix, z: Matrix, belief: Belief) -> Vector:
+    """The mean after a walk, (n,); the target lies still, so a prediction changes nothing.
+
+    Args:
+        track_enu_m: (n, 2).
+        z: (n, 3).
+        belief: What the filter believes.
+    """
+    mean, covariance = first_fix(track_enu_m[0, 0], track_enu_m[0, 1], z[0, 0], z[0, 1], belief)
+    sensor = np.zeros(3)
+    for step in range(1, z.shape[0]):
+        sensor[0], sensor[1] = track_enu_m[step, 0], track_enu_m[step, 1]
+        mean, covariance = updated(mean, covariance, sensor, z[step], belief)
+    return mean
+
+
+def loop_seconds(walk: Walk) -> Seconds:
+    """One pass as a loop inside a kernel, as the studies do it."""
+    begun = perf_counter()
+    filtered(walk.track_enu_m, walk.z, walk.belief)
+    return {LOOP: (perf_counter() - begun) / (len(walk.z) - 1)}
+
+
+def call_seconds(walk: Walk) -> Seconds:
+    """One pass with the update kernel called from Python each time."""
+    (mean, covariance), belief = walk.first_fix(), walk.belief
+    sensors = np.column_stack([walk.track_enu_m, np.zeros(len(walk.z))])
+    begun = perf_counter()
+    for sensor, z in zip(sensors[1:], walk.z[1:], strict=True):
+        mean, covariance, _, _ = robust_update(
+            mean,
+            covariance,
+            sensor,
+            z,
+            belief.sigma,
+            0.0,
+            belief.inflation,
+            belief.thresholds,
+            belief.bounds,
+            belief.model,
+        )
+    return {CALL: (perf_counter() - begun) / (len(walk.z) - 1)}
+
+
+def object_seconds(walk: Walk) -> Seconds:
+    """One pass of the filter class that flies, its report included."""
+    target_filter = recursive_filter_of(walk.case, SYSTEM)
+    state = FilterState.of(0.0, *walk.first_fix())
+    seen = [
+        ((*place, 0.0), RangingMeasurement(1, 0.0, range_m=z[0], bearing_enu_rad=z[1]))
+        for place, z in zip(walk.track_enu_m[1:].tolist(), walk.z[1:].tolist(), strict=True)
+    ]
+    begun = perf_counter()
+    for place, measurement in seen:
+        state = target_filter.update(state, measurement, place).state
+    return {OBJECT: (perf_counter() - begun) / len(seen)}
+
+
+@kernel
+def stepped_often(
+    rows: Matrix, start: Vector, belief: Belief, information: Matrix, pull: Vector, steps: int
+) -> float:
+    """The sum of the easts that so many first steps of the window end at."""
+    total = 0.0
+    for _ in range(steps):
+        moved, _ = map_step(
+            rows,
+            start,
+            DAMPING_START,
+            belief.thresholds,
+            belief.bounds,
+            information,
+            pull,
+            belief.model,
+        )
+        total += moved[0]
+    return total
+
+
+def window_seconds(walk: Walk) -> Seconds:
+    """The first step of a window's solution, and the whole solution from the same start."""
+    rows, belief = window_rows(walk), walk.belief
+    start = belief.prior_mean.copy()
+    start[:2] = np.array(walk.case.target_enu_m) + START_OFF_M
+    weights = 1.0 / belief.prior_sigmas**2
+    weights[:2] = 0.0
+    information, pull = np.diag(weights), weights * belief.prior_mean
+    begun = perf_counter()
+    stepped_often(rows, start, belief, information, pull, MAP_STEPS)
+    step_s = (perf_counter() - begun) / MAP_STEPS
+    begun = perf_counter()
+    map_minimum(rows, start, belief.thresholds, belief.bounds, information, pull, belief.model)
+    return {MAP_STEP: step_s, MAP_MINIMUM: perf_counter() - begun}
+
+
+def window_rows(walk: Walk) -> Matrix:
+    """The first measurements as a window holds them, (WINDOW, COLUMNS)."""
+    rows = np.zeros((WINDOW, COLUMNS))
+    rows[:, :2] = walk.track_enu_m[:WINDOW]
+    rows[:, 3:6] = walk.z[:WINDOW]
+    rows[:, 6:9] = walk.belief.sigma
+    rows[:, 9] = np.arange(WINDOW)
+    return rows
+
+
+def _ratio(
+    way: str, name: str, costs_us: dict[str, float], reference: Sequence[str], limit: float
+) -> Ratio:
+    reference_us = sum(costs_us[key] for key in reference)
+    ratio = costs_us[name] / reference_us
+    return Ratio(
+        f"{way} {name}",
+        costs_us[name],
+        " + ".join(reference),
+        reference_us,
+        ratio,
+        limit,
+        ratio <= limit,
+    )
+
+
+def _plain_in_a_process(rounds: int) -> dict[str, float]:
+    """The same with numba told not to compile, which makes kernels the plain functions."""
+    code = f"from {__name__} import print_times; print_times({rounds})"
+    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
+    )
+    plain_us: dict[str, float] = json.loads(done.stdout)
+    return plain_us
+
+
+def _expected(x: Vector, east_m: float, north_m: float) -> Vector:
+    de, dn = x[0] - east_m, x[1] - north_m
+    return np.array([math.sqrt(de * de + dn * dn) + x[2], math.atan2(dn, de) + x[3]])
+
+
+def _jacobian(x: Vector, east_m: float, north_m: float) -> Matrix:
+    de, dn = x[0] - east_m, x[1] - north_m
+    ground2 = de * de + dn * dn
+    ground = math.sqrt(ground2)
+    return np.array([[de / ground, dn / ground, 1.0, 0.0], [-dn / ground2, de / ground2, 0.0, 1.0]])
+
+
+def _residual(z: Vector, expected: Vector) -> Vector:
+    y: Vector = z - expected
+    y[1] = (y[1] + math.pi) % (2.0 * math.pi) - math.pi
+    return y

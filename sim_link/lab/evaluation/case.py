@@ -1,0 +1,377 @@
+"""A case of a study: the scene, the fixed track, and the randomness drawn ahead.
+
+One cell of a study: the scene, the true channel, what the filter believes, and the flight.
+
+The defaults are the paper's canonical scenario ("Simulation Setup"), and the choices below where
+the paper leaves something open:
+
+    bearing noise            sigma_theta = 2 deg
+    NLOS                     one draw per step decides for range and bearing together
+    Exp(8.0)                 mean 8 m
+    horizon                  500 steps, a measurement each, the first one at the start
+    first estimate           the first range and bearing, inverted; offsets zero;
+                             P0 = diag(30 m, 30 m, 5 m, 5 deg)^2; or a uniform draw over the area
+    thresholds               k_rtt = k_aoa = 1.5
+    FIM candidates           16 headings at the step length, and staying
+    lawnmower                5 m lanes over the whole area, the first at y = 2.5 m
+    eps_stop                 0
+    plane                    sensor and target at one height, the sensor's place known exactly
+
+Tracks that do not depend on the estimate, and steps towards a waypoint.
+
+The channel's randomness drawn ahead, so that every system of a run suffers the same.
+
+A run has three streams of its own, for the truth (offsets, first estimate), the channel and the
+planner. What the channel draws does not depend on the case: with the same seed, a run with more
+NLOS or less noise has the same obstructed paths and a few more, the same bends and the same noise
+on another scale. The numbers are those of `sim_link.world.radio_channel` for the same stream.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import Annotated, Literal, NamedTuple
+
+import msgspec
+import numpy as np
+
+from companion.domain import NonNegative, Params, Point, Positive
+from companion.estimation.filters.robust_update import wrapped
+from companion.estimation.filters.target_filter import FilterParams
+from companion.kernel import Matrix, Vector, kernel
+from companion.planning.crossing import LatchedCrossingParams
+from companion.planning.fim import HEADINGS
+from sim_link.world.environment import (
+    STUDY_SHADOW,
+    ChannelParams,
+    Environment,
+    ObstacleParams,
+    OpenPath,
+    Shadow,
+    ShadowMemory,
+    ShadowParams,
+    obstruction,
+)
+from sim_link.world.line_of_sight import Surroundings
+from sim_link.world.radio_channel import MIN_RANGE_M
+
+FirstEstimate = Literal["measured", "uniform"]
+Offsets = Literal["fixed", "prior"]
+NlosDraws = Literal["joint", "separate"]
+
+PAPER_BELIEF = FilterParams(own_position_sigma_m=0.0)
+"""What every filter believes in the canonical scenario."""
+
+
+class Case(Params, frozen=True):
+    """One cell of a study."""
+
+    area_m: tuple[Positive, Positive] = (100.0, 100.0)
+    """Width and depth, from the origin to the east and north."""
+    start_enu_m: Point = (10.0, 10.0)
+    target_enu_m: Point = (50.0, 50.0)
+    channel: ChannelParams = ChannelParams()
+    """The truth, outside of shadows."""
+    nlos_draws: NlosDraws = "joint"
+    """Whether one draw decides that both range and bearing are obstructed, or one each."""
+    obstacles: tuple[ObstacleParams, ...] = ()
+    """What blocks the radio, not the flight."""
+    shadow: ShadowParams = STUDY_SHADOW
+    """The truth behind them."""
+    belief: FilterParams = PAPER_BELIEF
+    """What the filter takes for the truth."""
+    steps: Annotated[int, msgspec.Meta(ge=1)] = 500
+    """Measurements of a run."""
+    step_m: Positive = 5.0
+    """Flown between two measurements. Paper: eta."""
+    first_estimate: FirstEstimate = "measured"
+    """The first measurement inverted, or a draw over the area that it then corrects."""
+    offsets: Offsets = "fixed"
+    """Those of the channel, or a draw from the filter's priors for each run."""
+    lane_spacing_m: Positive = 5.0
+    first_lane_north_m: NonNegative | None = None
+    """None: half a spacing inside the area."""
+    crossing_distance_m: Positive = 20.0
+    """Of reactive crossing. Paper: l."""
+    stop_distance_m: NonNegative = 0.0
+    """Of reactive crossing. Paper: eps_stop."""
+    latched: LatchedCrossingParams = LatchedCrossingParams()
+    fim_headings: Annotated[int, msgspec.Meta(ge=3, le=360)] = HEADINGS
+
+    def __post_init__(self) -> None:
+        """Refuse what the compiled walk does not do."""
+        if self.belief.process_noise_m_per_sqrt_s > 0.0:
+            raise ValueError("belief.process_noise_m_per_sqrt_s must be 0: the target lies still")
+        if self.belief.target_height_m != 0.0 or self.belief.target_height_sigma_m > 0.0:
+            raise ValueError("belief.target_height_m must be 0 and known: studies are plane")
+        if self.obstacles and self.nlos_draws == "separate":
+            raise ValueError("nlos_draws must be joint among obstacles: a shadow takes the path")
+
+
+def canonical_case(
+    *,
+    range_sigma_m: float = 1.5,
+    p_nlos: float = 0.9,
+    mean_bias_m: float = 8.0,
+    range_k: float = 1.5,
+) -> Case:
+    """The canonical scenario with what the paper's tables vary; the filter knows the noise.
+
+    Args:
+        range_sigma_m: Thermal noise of ranges, of the channel and in the filter.
+        p_nlos: Share of measurements on an obstructed path.
+        mean_bias_m: Mean NLOS bias of a range.
+        range_k: Threshold of ranges, in sigma. Paper: k_rtt.
+    """
+    channel = ChannelParams(
+        range_sigma_m=range_sigma_m, p_nlos=p_nlos, range_bias_mean_m=mean_bias_m
+    )
+    belief = msgspec.structs.replace(
+        PAPER_BELIEF, range_sigma_m=range_sigma_m, range_k_long=range_k
+    )
+    return Case(channel=channel, belief=belief)
+
+
+LANE_SLACK = 1e-9
+"""Share of a spacing by which the last lane may lie outside through rounding."""
+
+
+@kernel
+def stepped(
+    east_m: float, north_m: float, to_east_m: float, to_north_m: float, step_m: float
+) -> tuple[float, float]:
+    """The place one step on the way to a waypoint, or the waypoint where that is nearer."""
+    de, dn = to_east_m - east_m, to_north_m - north_m
+    distance_m = math.hypot(de, dn)
+    if distance_m <= step_m:
+        return to_east_m, to_north_m
+    share = step_m / distance_m
+    return east_m + share * de, north_m + share * dn
+
+
+def lane_corners(
+    area_m: tuple[float, float], spacing_m: float, first_north_m: float | None = None
+) -> list[Point]:
+    """Corners of east-west lanes over an area from the origin.
+
+    Args:
+        area_m: Width and depth of the area.
+        spacing_m: Of the lanes.
+        first_north_m: Of the first lane; None: half a spacing inside.
+    """
+    width_m, depth_m = area_m
+    if first_north_m is None:
+        first_north_m = 0.5 * spacing_m
+    corners: list[Point] = []
+    for lane in range(max(1, math.floor((depth_m - first_north_m) / spacing_m + LANE_SLACK) + 1)):
+        north_m = first_north_m + spacing_m * lane
+        ends = [(0.0, north_m), (width_m, north_m)]
+        corners += ends if lane % 2 == 0 else ends[::-1]
+    return corners
+
+
+def lawnmower_track(
+    area_m: tuple[float, float],
+    start_enu_m: Point,
+    spacing_m: float,
+    step_m: float,
+    steps: int,
+    first_north_m: float | None = None,
+) -> Matrix:
+    """Places on the lanes at even steps along them, (steps, 2).
+
+    The way from the start to the first lane is part of the track; at the end of the last lane it
+    turns around and goes back lane by lane.
+
+    Args:
+        area_m: Width and depth of the area.
+        start_enu_m: The first place.
+        spacing_m: Of the lanes.
+        step_m: Along the track.
+        steps: How many places.
+        first_north_m: Of the first lane; None: half a spacing inside.
+    """
+    sweep = lane_corners(area_m, spacing_m, first_north_m)
+    corners = [start_enu_m, *sweep]
+    length_m = step_m * (steps - 1)
+    turns = 0
+    while _length_m(corners) < length_m:
+        turns += 1
+        corners += (sweep[::-1] if turns % 2 else sweep)[1:]
+    return along(np.array(corners), step_m, steps)
+
+
+def along(corners: Matrix, step_m: float, steps: int) -> Matrix:
+    """Places at even steps along a polyline, (steps, 2), its last corner from its end on.
+
+    Args:
+        corners: (k, 2).
+        step_m: Along the polyline.
+        steps: How many places.
+    """
+    legs_m = np.hypot(*np.diff(corners, axis=0).T)
+    corner_at_m = np.concatenate([[0.0], np.cumsum(legs_m)])
+    at_m = step_m * np.arange(steps)
+    return np.column_stack([np.interp(at_m, corner_at_m, axis) for axis in corners.T])
+
+
+def _length_m(corners: list[Point]) -> float:
+    return sum(math.dist(a, b) for a, b in itertools.pairwise(corners))
+
+
+OBSTRUCTED, EXCESS, BEND, RANGE_NOISE, BEARING_NOISE, BENT = range(6)
+"""Columns of what is drawn: a uniform, a standard exponential, three standard normals, and the
+uniform that decides about the bearing, which is the first one again unless the case parts them."""
+COLUMNS = 6
+
+TRUTH, CHANNEL, PLANNER, BEARING_CHANNEL = range(4)
+"""Streams of a run."""
+
+RunSeed = int | np.random.SeedSequence
+"""What all randomness of one run follows from."""
+
+
+class Truth(NamedTuple):
+    """What is true in one run, as the kernels take it."""
+
+    east_m: float
+    """Of the target."""
+    north_m: float
+    range_offset_m: float
+    bearing_offset_rad: float
+    p_nlos: float
+    mean_bias_m: float
+    bend_sigma_rad: float
+    range_sigma_m: float
+    bearing_sigma_rad: float
+
+
+class Scene(NamedTuple):
+    """What stands between sensor and target, as the kernels take it."""
+
+    surroundings: Surroundings
+    shadow: Shadow
+
+
+def run_seeds(seed: int, runs: int, first: int = 0) -> list[np.random.SeedSequence]:
+    """The seeds of runs `first` to `first + runs` of a study; each its own whatever else is run."""
+    return [np.random.SeedSequence(seed, spawn_key=(run,)) for run in range(first, first + runs)]
+
+
+def stream(seed: RunSeed, which: int) -> np.random.Generator:
+    """One of the streams of a run, from its beginning."""
+    root = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
+    key = (*root.spawn_key, which)
+    return np.random.default_rng(np.random.SeedSequence(root.entropy, spawn_key=key))
+
+
+@kernel
+def drawn(rng: np.random.Generator, steps: int) -> Matrix:
+    """What the channel draws, (steps, 6)."""
+    draws = np.empty((steps, COLUMNS))
+    for index in range(steps):
+        draws[index, OBSTRUCTED] = rng.random()
+        draws[index, EXCESS] = rng.standard_exponential()
+        draws[index, BEND] = rng.standard_normal()
+        draws[index, RANGE_NOISE] = rng.standard_normal()
+        draws[index, BEARING_NOISE] = rng.standard_normal()
+        draws[index, BENT] = draws[index, OBSTRUCTED]
+    return draws
+
+
+def channel_draws(case: Case, seed: RunSeed) -> Matrix:
+    """What the channel of a run draws, (steps, 6)."""
+    draws = drawn(stream(seed, CHANNEL), case.steps)
+    if case.nlos_draws == "separate":
+        draws[:, BENT] = stream(seed, BEARING_CHANNEL).random(case.steps)
+    return draws
+
+
+@kernel
+def measured(draw: Vector, east_m: float, north_m: float, truth: Truth) -> tuple[float, float]:
+    """Range and bearing through the true channel, metres and radians in [-pi, pi).
+
+    Args:
+        draw: (6,).
+        east_m: Of the sensor.
+        north_m: Of the sensor.
+        truth: The constants.
+
+    Paper: eq. (1).
+    """
+    excess_m = truth.mean_bias_m * draw[EXCESS] if draw[OBSTRUCTED] < truth.p_nlos else 0.0
+    bend_rad = truth.bend_sigma_rad * draw[BEND] if draw[BENT] < truth.p_nlos else 0.0
+    return received(draw, east_m, north_m, truth, excess_m, bend_rad)
+
+
+@kernel
+def measured_in(
+    draw: Vector, east_m: float, north_m: float, truth: Truth, scene: Scene, memory: ShadowMemory
+) -> tuple[float, float, ShadowMemory]:
+    """The same among obstacles, and what the next shadowed measurement must remember.
+
+    Args:
+        draw: (6,).
+        east_m: Of the sensor.
+        north_m: Of the sensor.
+        truth: The constants.
+        scene: The obstacles, and what a path suffers that they block.
+        memory: Of the measurement before; `NO_MEMORY` at first.
+    """
+    if scene.surroundings.edges.shape[0] == 0:
+        range_m, bearing_rad = measured(draw, east_m, north_m, truth)
+        return range_m, bearing_rad, memory
+    excess_m, bend_rad, memory = obstruction(
+        draw[OBSTRUCTED],
+        draw[EXCESS],
+        draw[BEND],
+        east_m,
+        north_m,
+        0.0,
+        OpenPath(truth.p_nlos, truth.mean_bias_m, truth.bend_sigma_rad),
+        scene.shadow,
+        scene.surroundings,
+        memory,
+    )
+    range_m, bearing_rad = received(draw, east_m, north_m, truth, excess_m, bend_rad)
+    return range_m, bearing_rad, memory
+
+
+@kernel
+def received(
+    draw: Vector, east_m: float, north_m: float, truth: Truth, excess_m: float, bend_rad: float
+) -> tuple[float, float]:
+    """Range and bearing with their offsets, what stands in the way, and thermal noise."""
+    de, dn = truth.east_m - east_m, truth.north_m - north_m
+    range_m = math.hypot(de, dn) + truth.range_offset_m
+    bearing_rad = math.atan2(dn, de) + truth.bearing_offset_rad
+    range_m += excess_m + truth.range_sigma_m * draw[RANGE_NOISE]
+    bearing_rad += bend_rad + truth.bearing_sigma_rad * draw[BEARING_NOISE]
+    return max(MIN_RANGE_M, range_m), wrapped(bearing_rad)
+
+
+def scene_of(case: Case) -> Scene:
+    """The obstacles of a case about its target."""
+    environment = Environment(case.obstacles, case.shadow)
+    return Scene(environment.around((*case.target_enu_m, 0.0)), environment.shadow)
+
+
+def truth_of(case: Case, rng: np.random.Generator) -> Truth:
+    """What is true in a run; draws two numbers whether the case needs them or not."""
+    channel, belief = case.channel, case.belief
+    range_offset_m, bearing_offset_deg = channel.range_offset_m, channel.bearing_offset_deg
+    draws = rng.standard_normal(2)
+    if case.offsets == "prior":
+        range_offset_m = belief.range_offset_sigma_m * float(draws[0])
+        bearing_offset_deg = belief.bearing_offset_sigma_deg * float(draws[1])
+    return Truth(
+        *case.target_enu_m,
+        range_offset_m,
+        math.radians(bearing_offset_deg),
+        channel.p_nlos,
+        channel.range_bias_mean_m,
+        math.radians(channel.bearing_bias_sigma_deg),
+        channel.range_sigma_m,
+        math.radians(channel.bearing_sigma_deg),
+    )

@@ -1,0 +1,305 @@
+"""Errors, convergence and honesty of many runs, and the Cramer-Rao bound beside them.
+
+What is said of many runs: errors, convergence, and whether estimates are honest.
+
+Errors are (runs, steps) unless said otherwise.
+
+What no estimator can beat: Fisher information of the true channel, and the bound on a track.
+
+A measurement is y = (h_r(x) + delta_r, h_b(x) + delta_b) + e. One draw decides for range and
+bearing together whether the path is obstructed, so the two errors are not independent, and their
+joint density is the mixture
+
+    p(a, b) = (1 - p) N(a; 0, s_r^2) N(b; 0, s_b^2)
+                  + p E(a; s_r, mu)  N(b; 0, s_b^2 + w^2)
+
+with E the exponentially modified Gaussian of thermal noise and NLOS bias, and w the bend of an
+obstructed path. The information that one measurement has about its location (h + delta) is the
+expectation of the score's square; the density is even in b, so range and bearing do not mix:
+
+    J = diag( E[(d log p / da)^2], E[(d log p / db)^2] )
+
+and that of a track about [east, north, delta_r, delta_b] is the sum of H^T J H. The offsets are
+nuisance: the bound on the position is the position block of the inverse. For given offsets their
+priors do not count; where they are drawn from them, they do (van Trees).
+
+What is left out favours the bound: bearings do not wrap, and ranges are not cut at zero.
+
+Source: S. M. Kay, Fundamentals of Statistical Signal Processing: Estimation Theory (1993), ch. 3.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammaincinv, log_ndtr
+
+from companion.estimation.integrity.consistency import MIN_AXIS_RATIO, r95_of_covariance_m
+from companion.kernel import Matrix, Vector, kernel
+from sim_link.world.environment import ChannelParams
+
+SETTLED_M = 2.5
+"""Paper: Time-to-Threshold."""
+DIVERGED_M = 1.0
+"""A run that ends farther off than this counts as diverged."""
+POSITION_DIMENSIONS = 2
+R95_TABLE_SIZE = 513
+
+
+def rmse_m(errors_m: Matrix) -> Vector:
+    """Root mean square over runs after every step, (steps,)."""
+    return np.asarray(np.sqrt(np.mean(np.square(errors_m), axis=0)))
+
+
+def steps_to_settle(rmse_by_step_m: Vector, threshold_m: float = SETTLED_M) -> int | None:
+    """One more than the last step (from 1) with an RMSE not below the threshold.
+
+    None where the last step of all is not below it: the paper's ">500". Paper: "settle below".
+    """
+    above = np.flatnonzero(~(rmse_by_step_m < threshold_m))
+    if not above.size:
+        return 1
+    return None if above[-1] + 1 == rmse_by_step_m.size else int(above[-1]) + 2
+
+
+def diverged_count(final_errors_m: Vector, threshold_m: float = DIVERGED_M) -> int:
+    """Runs that ended farther off, or nowhere."""
+    return int(np.sum(~(final_errors_m <= threshold_m)))
+
+
+def bootstrap_rmse_m(
+    final_errors_m: Vector, rng: np.random.Generator, resamples: int = 2000
+) -> tuple[float, float]:
+    """The 95 % bootstrap percentile interval of the RMSE of (runs,) errors."""
+    runs = len(final_errors_m)
+    squares = np.square(final_errors_m)
+    picked = rng.multinomial(runs, np.full(runs, 1.0 / runs), size=resamples)
+    low, high = np.quantile(np.sqrt(picked @ squares / runs), (0.025, 0.975))
+    return float(low), float(high)
+
+
+def nees(errors_enu_m: Matrix, covariances_m2: Matrix) -> Vector:
+    """Normalised estimation errors squared e^T P^-1 e of the position, (...,).
+
+    Args:
+        errors_enu_m: (..., 2).
+        covariances_m2: (..., 3) the entries east-east, east-north, north-north.
+    """
+    e, n = errors_enu_m[..., 0], errors_enu_m[..., 1]
+    ee, en, nn = (covariances_m2[..., index] for index in range(3))
+    return np.asarray((e * e * nn - 2.0 * e * n * en + n * n * ee) / (ee * nn - en * en))
+
+
+def nees_band(runs: int, dimensions: int = POSITION_DIMENSIONS) -> tuple[float, float]:
+    """Where the mean NEES over independent runs is with a probability of 95 %, if honest.
+
+    Source: Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with Applications to Tracking and
+    Navigation (2001), section 5.4.
+    """
+    low, high = 2.0 * gammaincinv(0.5 * dimensions * runs, (0.025, 0.975)) / runs  # chi-square
+    return float(low), float(high)
+
+
+def r95_m(covariances_m2: Matrix) -> Vector:
+    """Radius of the circle about the mean that holds 95 % of a 2-D Gaussian, (...,), metres.
+
+    Args:
+        covariances_m2: (..., 3) the entries east-east, east-north, north-north.
+
+    By interpolation in `companion.estimation.consistency.r95_of_covariance_m`, within 1e-5.
+    """
+    ee, en, nn = (covariances_m2[..., index] for index in range(3))
+    half_trace, half_gap = 0.5 * (ee + nn), np.hypot(0.5 * (ee - nn), en)
+    high = np.maximum(half_trace + half_gap, 0.0)
+    low = np.maximum(half_trace - half_gap, 0.0)
+    sharpness = np.sqrt(np.divide(low, high, out=np.ones_like(high), where=high > 0.0))
+    return np.asarray(np.interp(sharpness, *_r95_table()) * np.sqrt(high))
+
+
+def coverage(errors_m: Matrix, radii_m: Matrix) -> Vector:
+    """Share of runs whose circle contains the target after every step, (steps,)."""
+    is_inside: NDArray[np.bool_] = errors_m <= radii_m
+    return np.asarray(np.mean(is_inside, axis=0))
+
+
+@lru_cache(maxsize=1)
+def _r95_table() -> tuple[Vector, Vector]:
+    """Ratios of the axes, and R95 in units of the longer one."""
+    sharpness = np.linspace(np.sqrt(MIN_AXIS_RATIO), 1.0, R95_TABLE_SIZE)
+    return sharpness, np.array([r95_of_covariance_m(np.diag([q * q, 1.0])) for q in sharpness])
+
+
+TAIL_SIGMAS = 9.0
+"""Gaussian tails are cut here."""
+TAIL_MEANS = 40.0
+"""Exponential tails are cut here, in means."""
+NO_BIAS_SIGMAS = 1e-4
+"""A mean bias smaller than this is none."""
+LEAST_SHARE = 1e-12
+"""Information below this share of what the known offsets would leave is rounding."""
+MIN_DISTANCE_M = 1e-3
+"""Nearer than this a direction has no meaning, and a measurement says nothing of the position."""
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelInformation:
+    """Fisher information of one measurement about where its error is centred."""
+
+    range_per_m2: float
+    bearing_per_rad2: float
+
+
+def channel_information(
+    channel: ChannelParams, points_per_sigma: int = 12, *, is_joint: bool = True
+) -> ChannelInformation:
+    """The information J of a channel, by quadrature over both errors.
+
+    Args:
+        channel: The truth.
+        points_per_sigma: Nodes of the trapezoidal rule per thermal standard deviation.
+        is_joint: Whether one draw decides for range and bearing; otherwise each has its own, the
+            errors are independent, and neither tells whether the other is long or bent.
+
+    Raises:
+        ValueError: A channel without thermal noise: information without limit.
+    """
+    if channel.range_sigma_m <= 0.0 or channel.bearing_sigma_deg <= 0.0:
+        raise ValueError("a channel without thermal noise has no bound")
+    information = _information if is_joint else _separate_information
+    return information(
+        channel.range_sigma_m,
+        math.radians(channel.bearing_sigma_deg),
+        channel.p_nlos,
+        channel.range_bias_mean_m,
+        math.radians(channel.bearing_bias_sigma_deg),
+        points_per_sigma,
+    )
+
+
+@lru_cache(maxsize=64)
+def _information(
+    range_sigma: float, bearing_sigma: float, p: float, mean_bias: float, bend: float, fineness: int
+) -> ChannelInformation:
+    """The trapezoidal rule converges faster than any power here: all is smooth and dies out."""
+    wide = math.hypot(bearing_sigma, bend)
+    da, db = range_sigma / fineness, bearing_sigma / fineness
+    farthest = TAIL_SIGMAS * range_sigma + TAIL_MEANS * mean_bias
+    a = np.arange(-TAIL_SIGMAS * range_sigma, farthest + da, da)
+    b = np.arange(0.0, TAIL_SIGMAS * wide + db, db)
+    weights = np.where(b == 0.0, da * db, 2.0 * da * db)  # even in b: half of the plane will do
+    clear_a, clear_da = normal(a, range_sigma)
+    blocked_a, blocked_da = modified_normal(a, range_sigma, mean_bias)
+    clear_b, clear_db = normal(b, bearing_sigma)
+    blocked_b, blocked_db = normal(b, wide)
+    by_range = by_bearing = 0.0
+    for index, weight in enumerate(weights.tolist()):
+        clear, blocked = (1.0 - p) * clear_b[index], p * blocked_b[index]
+        density = clear * clear_a + blocked * blocked_a
+        by_a = clear * clear_da + blocked * blocked_da
+        by_b = (1.0 - p) * clear_db[index] * clear_a + p * blocked_db[index] * blocked_a
+        inverse = np.divide(1.0, density, out=np.zeros_like(density), where=density > 1e-290)
+        by_range += weight * float(np.sum(by_a * by_a * inverse))
+        by_bearing += weight * float(np.sum(by_b * by_b * inverse))
+    return ChannelInformation(by_range, by_bearing)
+
+
+@lru_cache(maxsize=64)
+def _separate_information(
+    range_sigma: float, bearing_sigma: float, p: float, mean_bias: float, bend: float, fineness: int
+) -> ChannelInformation:
+    """Each of the two mixtures by itself."""
+    wide = math.hypot(bearing_sigma, bend)
+    da, db = range_sigma / fineness, bearing_sigma / fineness
+    farthest = TAIL_SIGMAS * range_sigma + TAIL_MEANS * mean_bias
+    a = np.arange(-TAIL_SIGMAS * range_sigma, farthest + da, da)
+    b = np.arange(-TAIL_SIGMAS * wide, TAIL_SIGMAS * wide + db, db)
+    clear_and_blocked = (
+        (normal(a, range_sigma), modified_normal(a, range_sigma, mean_bias), da),
+        (normal(b, bearing_sigma), normal(b, wide), db),
+    )
+    found = []
+    for (clear, clear_slope), (blocked, blocked_slope), width in clear_and_blocked:
+        density = (1.0 - p) * clear + p * blocked
+        slope = (1.0 - p) * clear_slope + p * blocked_slope
+        inverse = np.divide(1.0, density, out=np.zeros_like(density), where=density > 1e-290)
+        found.append(width * float(np.sum(slope * slope * inverse)))
+    return ChannelInformation(*found)
+
+
+def normal(x: Vector, sigma: float) -> tuple[Vector, Vector]:
+    """Density of a centred normal and its derivative."""
+    density = np.exp(-0.5 * (x / sigma) ** 2) / (sigma * math.sqrt(2.0 * math.pi))
+    return density, -x / sigma**2 * density
+
+
+def modified_normal(x: Vector, sigma: float, mean: float) -> tuple[Vector, Vector]:
+    """Density of a centred normal plus an exponential, and its derivative.
+
+    Args:
+        x: Where.
+        sigma: Of the normal.
+        mean: Of the exponential; 0: there is none.
+    """
+    if mean < NO_BIAS_SIGMAS * sigma:
+        return normal(x, sigma)
+    ratio = sigma / mean
+    density = np.exp(0.5 * ratio**2 - x / mean + log_ndtr(x / sigma - ratio)) / mean
+    return density, (normal(x, sigma)[0] - density) / mean
+
+
+@kernel
+def position_bounds_m2(
+    track_enu_m: Matrix,
+    target_enu_m: Vector,
+    range_per_m2: Vector,
+    bearing_per_rad2: Vector,
+    prior: Vector,
+) -> Vector:
+    """Least trace of the position's covariance after every place of a track, (steps,), m^2.
+
+    Infinite where it cannot be known. The information is summed up entry by entry: position,
+    position with each offset, offset; the offsets do not mix, so that the position's marginal
+    information is found without a matrix inverse.
+
+    Args:
+        track_enu_m: (steps, 2) where measurements are made.
+        target_enu_m: (2,).
+        range_per_m2: (steps,) information of each range.
+        bearing_per_rad2: (steps,) of each bearing.
+        prior: (2,) information about the offsets before the first, 1/m^2 and 1/rad^2; zeros where
+            they are unknown constants.
+    """
+    steps = track_enu_m.shape[0]
+    bounds = np.full(steps, np.inf)
+    ee = en = nn = er = nr = eb = nb = 0.0
+    rr, bb = prior[0], prior[1]
+    for step in range(steps):
+        by_range, by_bearing = range_per_m2[step], bearing_per_rad2[step]
+        de, dn = target_enu_m[0] - track_enu_m[step, 0], target_enu_m[1] - track_enu_m[step, 1]
+        distance = math.hypot(de, dn)
+        inverse = 1.0 / distance if distance > MIN_DISTANCE_M else 0.0
+        ue, un = de * inverse, dn * inverse
+        ve, vn = -un * inverse, ue * inverse
+        ee += by_range * ue * ue + by_bearing * ve * ve
+        en += by_range * ue * un + by_bearing * ve * vn
+        nn += by_range * un * un + by_bearing * vn * vn
+        er += by_range * ue
+        nr += by_range * un
+        eb += by_bearing * ve
+        nb += by_bearing * vn
+        rr += by_range
+        bb += by_bearing
+        if rr <= 0.0 or bb <= 0.0:
+            continue
+        me = ee - er * er / rr - eb * eb / bb
+        mn = nn - nr * nr / rr - nb * nb / bb
+        cross = en - er * nr / rr - eb * nb / bb
+        trace, det = me + mn, me * mn - cross * cross
+        least = LEAST_SHARE * (ee + nn)
+        if trace > least and det > least * trace:
+            bounds[step] = trace / det
+    return bounds

@@ -1,0 +1,407 @@
+"""What a step of filter and planner costs, on runs that are gone through again.
+
+Runs that are gone through again: the same measurements from the same places.
+
+Where the run went is where filter and planner fly again, so that a retraced run costs what the two
+of them cost, and nothing else.
+
+What a step costs, filter and planner, beside filterpy's update on the same measurements.
+
+Each system flies the canonical scenario once. That run, its places and its measurements, is then
+retraced again and again: the filter takes in each measurement and the planner says where to fly,
+which is where the run went, so that nothing is timed but the two of them. A decision is also timed
+alone, on the estimates of the run. filterpy's filter goes through measurements of the same run from
+the same places. All take turns; a figure is the median over the rounds, per step.
+
+On a busy machine a turn of the scheduler is as long as a few hundred steps. Ours are therefore
+timed by the processor's time that they take, which is the clock's where nothing else runs, and
+filterpy's updates, which are timed one by one, in turns too short to be interrupted often.
+
+What solves the whole run now and then (`map`) has no cost per step of its own: its run is timed as
+the studies do it, the simulation included.
+
+The paper prints one average cost per step and does not say what is in it. It is taken for filter
+and planner together, which is the harder reading of the limits.
+
+The rows of costs.csv: what a step takes on this machine, measured in this run.
+
+Times are not the same bytes twice, so they are kept apart from the results.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import platform
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from time import process_time
+from typing import NamedTuple
+
+import numpy as np
+
+from companion.estimation.filters.kalman import KINDS
+from companion.kernel import IS_COMPILED, Matrix, Vector, kernel
+from companion.planning.crossing_kernels import LATCH_SIZE
+from sim_link.lab.evaluation.bench import (
+    FILTERPY_UPDATE,
+    SEED,
+    Contender,
+    Walk,
+    filterpy_seconds,
+    timed,
+)
+from sim_link.lab.evaluation.campaign import run_trial
+from sim_link.lab.evaluation.case import PLANNER, Case, channel_draws, measured, stream
+from sim_link.lab.evaluation.reporting.study_tables import metrics_of, number, rows_about
+from sim_link.lab.evaluation.study import Cell, ResultRow, StudyResult, cells_of
+from sim_link.lab.evaluation.systems import System, belief_of, steering_of
+from sim_link.lab.evaluation.walk import FIXED, Belief, Steering, first_fix, next_place, updated
+
+
+class Beliefs(NamedTuple):
+    """What a recursive filter believed after every measurement of a run."""
+
+    means: Matrix
+    """(steps, n)"""
+    covariances: Matrix
+    """(steps, n, n)"""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedRun:
+    """A run of a system, as it is retraced."""
+
+    system: System
+    walk: Walk
+    steering: Steering
+    beliefs: Beliefs
+    picks: Vector
+    """(steps,) draws of the planner."""
+
+
+def recorded_run(case: Case, system: System) -> RecordedRun:
+    """One run of a system in a case, with all that it is retraced from.
+
+    Raises:
+        ValueError: There are no kernels for the system's filter.
+    """
+    belief, steering = belief_of(case, system), steering_of(case, system)
+    trial = run_trial(case, system, SEED)
+    draws = channel_draws(case, SEED)
+    z = np.full((case.steps, 3), np.nan)
+    for step, (east_m, north_m) in enumerate(trial.track_enu_m.tolist()):
+        z[step, :2] = measured(draws[step], east_m, north_m, trial.truth)
+    walk = Walk(case, np.ascontiguousarray(trial.track_enu_m), z, belief)
+    beliefs, picks = believed(walk.track_enu_m, z, belief), stream(SEED, PLANNER).random(case.steps)
+    return RecordedRun(system, walk, steering, beliefs, picks)
+
+
+@kernel
+def believed(track_enu_m: Matrix, z: Matrix, belief: Belief) -> Beliefs:
+    """What the recursive filter believes after every measurement of a run.
+
+    Args:
+        track_enu_m: (steps, 2).
+        z: (steps, 3).
+        belief: What it believes before.
+    """
+    mean, covariance = first_fix(track_enu_m[0, 0], track_enu_m[0, 1], z[0, 0], z[0, 1], belief)
+    steps, n = z.shape[0], mean.size
+    means, covariances = np.empty((steps, n)), np.empty((steps, n, n))
+    sensor = np.zeros(3)
+    means[0], covariances[0] = mean, covariance
+    for step in range(1, steps):
+        sensor[0], sensor[1] = track_enu_m[step, 0], track_enu_m[step, 1]
+        mean, covariance = updated(mean, covariance, sensor, z[step], belief)
+        means[step], covariances[step] = mean, covariance
+    return Beliefs(means, covariances)
+
+
+@kernel
+def retraced(
+    track_enu_m: Matrix, z: Matrix, picks: Vector, belief: Belief, steering: Steering
+) -> Matrix:
+    """Where filter and planner fly after every measurement but the first, (steps - 1, 2).
+
+    Args:
+        track_enu_m: (steps, 2) places of the run.
+        z: (steps, 3) its measurements.
+        picks: (steps,) draws of its planner.
+        belief: What the filter believes.
+        steering: Where it flies.
+    """
+    places = track_enu_m[1:].copy()
+    sensor, latch = np.zeros(3), np.zeros(LATCH_SIZE)
+    sensor[:2] = track_enu_m[0]
+    mean, covariance = first_fix(sensor[0], sensor[1], z[0, 0], z[0, 1], belief)
+    if steering.planner != FIXED:
+        _, _, latch = next_place(sensor, mean, covariance, picks[0], latch, belief, steering)
+    for step in range(1, z.shape[0]):
+        sensor[0], sensor[1] = track_enu_m[step, 0], track_enu_m[step, 1]
+        mean, covariance = updated(mean, covariance, sensor, z[step], belief)
+        if steering.planner != FIXED:
+            places[step - 1, 0], places[step - 1, 1], latch = next_place(
+                sensor, mean, covariance, picks[step], latch, belief, steering
+            )
+    return places
+
+
+@kernel
+def decided(
+    track_enu_m: Matrix,
+    beliefs: Beliefs,
+    picks: Vector,
+    belief: Belief,
+    steering: Steering,
+    passes: int,
+) -> Matrix:
+    """Where a planner flies from every estimate of a run but the last, (steps - 1, 2).
+
+    Args:
+        track_enu_m: (steps, 2) places of the run.
+        beliefs: The estimates.
+        picks: (steps,) draws of its planner.
+        belief: What the filter believes before.
+        steering: Of a planner that follows the estimate.
+        passes: How often to go through the run.
+    """
+    places = np.empty((track_enu_m.shape[0] - 1, 2))
+    sensor = np.zeros(3)
+    for _ in range(passes):
+        latch = np.zeros(LATCH_SIZE)
+        for step in range(places.shape[0]):
+            sensor[0], sensor[1] = track_enu_m[step, 0], track_enu_m[step, 1]
+            places[step, 0], places[step, 1], latch = next_place(
+                sensor,
+                beliefs.means[step],
+                beliefs.covariances[step],
+                picks[step],
+                latch,
+                belief,
+                steering,
+            )
+    return places
+
+
+ROUNDS = 75
+DECISION_PASSES = 4 if IS_COMPILED else 1
+"""Over a run, timed together: what the call of a compiled kernel takes is spread over them."""
+FILTERPY_UPDATES = 40
+"""Of a run, timed together."""
+
+FILTER_ALONE = System("asymmetric_huber", "passive")
+REACTIVE = System("asymmetric_huber", "reactive")
+LATCHED = System("asymmetric_huber", "latched")
+FIM = System("asymmetric_huber", "fim")
+PRINTED_FIM = System("asymmetric_huber", "fim_printed")
+HUBER_FIM = System("huber", "fim")
+ADMM_ALONE = System("admm", "passive")
+MAP_LATCHED = System("map", "latched")
+SYSTEMS = (
+    FILTER_ALONE,
+    REACTIVE,
+    LATCHED,
+    FIM,
+    PRINTED_FIM,
+    MAP_LATCHED,
+    HUBER_FIM,
+    ADMM_ALONE,
+)
+"""Ours, and the two others whose cost the paper prints."""
+
+LIMITS_MS = {REACTIVE: 0.003, LATCHED: 0.003, FIM: 0.015}
+"""What filter and decision together may take, compiled."""
+PAPER_MS = {REACTIVE: 0.012, FIM: 0.281, HUBER_FIM: 0.281, ADMM_ALONE: 0.002}
+"""Paper: table "Comprehensive Performance and Complexity", medium noise."""
+PAPER_FIM_OVER_REACTIVE = 23.0
+"""Paper: section VI-C, "over 23 times more efficient"."""
+
+
+@dataclass(frozen=True, slots=True)
+class StepCost:
+    """What one step of a system takes, milliseconds."""
+
+    system: str
+    step_ms: float
+    """Filter and decision; of `map` the simulation, too."""
+    decision_ms: float | None
+    """The planner alone; None: it decides nothing."""
+    filterpy_update_ms: float
+    """Of filterpy's filter on measurements of the same run, its prediction not counted."""
+    ratio: float
+    """Of the step to filterpy's update."""
+    paper_ms: float | None
+    """None: not printed."""
+    limit_ms: float | None
+    """None: none is set, or nothing is compiled."""
+    is_met: bool | None
+
+
+@dataclass(frozen=True, slots=True)
+class CostRatio:
+    """What FIM takes, by what reactive crossing takes."""
+
+    steps: float
+    """Filter and planner."""
+    decisions: float
+    """Planners alone."""
+    paper: float
+
+
+@dataclass(frozen=True, slots=True)
+class PlannerBench:
+    """Medians of one run."""
+
+    python: str
+    numpy: str
+    numba: str | None
+    """None: nothing was compiled, and no limit is judged."""
+    steps: int
+    rounds: int
+    costs: list[StepCost]
+    fim_over_reactive: CostRatio
+
+
+def bench_planners(
+    rounds: int = ROUNDS, case: Case | None = None, systems: Sequence[System] = SYSTEMS
+) -> PlannerBench:
+    """Time filters with their planners, compiled where numba is installed.
+
+    Args:
+        rounds: Medians are over so many.
+        case: What is flown, without its obstacles; None: the canonical scenario.
+        systems: What is reported, all of them compiled.
+
+    Raises:
+        ValueError: There are no kernels for a system's filter.
+    """
+    case = case or Case()
+    runs = [recorded_run(case, system) for system in {REACTIVE: 0, FIM: 0} | dict.fromkeys(systems)]
+    costs_us = timed([timer for run in runs for timer in contenders(run)], rounds)
+    return PlannerBench(
+        python=platform.python_version(),
+        numpy=np.__version__,
+        numba=importlib.metadata.version("numba") if IS_COMPILED else None,
+        steps=case.steps,
+        rounds=rounds,
+        costs=[step_cost(system, costs_us, is_compiled=IS_COMPILED) for system in systems],
+        fim_over_reactive=cost_ratio(costs_us),
+    )
+
+
+def contenders(run: RecordedRun) -> list[Contender]:
+    """What is timed of one run, each under the label of its system."""
+    walk, steering, label = run.walk, run.steering, run.system.label
+    track_enu_m, steps = walk.track_enu_m, len(walk.z) - 1
+    beginning = replace(
+        walk, track_enu_m=track_enu_m[: FILTERPY_UPDATES + 1], z=walk.z[: FILTERPY_UPDATES + 1]
+    )
+
+    def run_seconds() -> dict[str, float]:
+        """Of a whole run, per step."""
+        begun = process_time()
+        run_trial(walk.case, run.system, SEED)
+        return {step_of(label): (process_time() - begun) / walk.case.steps}
+
+    def step_seconds() -> dict[str, float]:
+        """Of the steps alone, per step."""
+        begun = process_time()
+        retraced(track_enu_m, walk.z, run.picks, walk.belief, steering)
+        return {step_of(label): (process_time() - begun) / steps}
+
+    def decision_seconds() -> dict[str, float]:
+        """Of the decisions alone, each."""
+        begun = process_time()
+        decided(track_enu_m, run.beliefs, run.picks, walk.belief, steering, DECISION_PASSES)
+        return {decision_of(label): (process_time() - begun) / (DECISION_PASSES * steps)}
+
+    def update_seconds() -> dict[str, float]:
+        """Of the update of filterpy."""
+        return {filterpy_of(label): filterpy_seconds(beginning)[FILTERPY_UPDATE]}
+
+    if run.system.filter not in KINDS:
+        return [run_seconds, update_seconds]
+    decisions = [] if steering.planner == FIXED else [decision_seconds]
+    return [step_seconds, update_seconds, *decisions]
+
+
+def step_cost(system: System, costs_us: dict[str, float], *, is_compiled: bool) -> StepCost:
+    """The costs of one system, judged where it is compiled.
+
+    Args:
+        system: Which.
+        costs_us: Medians by what was timed.
+        is_compiled: Whether kernels are.
+    """
+    label = system.label
+    step_ms, filterpy_ms = 1e-3 * costs_us[step_of(label)], 1e-3 * costs_us[filterpy_of(label)]
+    decision_us = costs_us.get(decision_of(label))
+    limit_ms = LIMITS_MS.get(system) if is_compiled else None
+    return StepCost(
+        system=label,
+        step_ms=step_ms,
+        decision_ms=None if decision_us is None else 1e-3 * decision_us,
+        filterpy_update_ms=filterpy_ms,
+        ratio=step_ms / filterpy_ms,
+        paper_ms=PAPER_MS.get(system),
+        limit_ms=limit_ms,
+        is_met=None if limit_ms is None else step_ms <= limit_ms,
+    )
+
+
+def cost_ratio(costs_us: dict[str, float]) -> CostRatio:
+    """FIM by reactive crossing, from medians by what was timed."""
+    fim, reactive = FIM.label, REACTIVE.label
+    return CostRatio(
+        steps=costs_us[step_of(fim)] / costs_us[step_of(reactive)],
+        decisions=costs_us[decision_of(fim)] / costs_us[decision_of(reactive)],
+        paper=PAPER_FIM_OVER_REACTIVE,
+    )
+
+
+def step_of(label: str) -> str:
+    """Under what the step of a system is timed."""
+    return f"{label}: step"
+
+
+def decision_of(label: str) -> str:
+    """Under what the decision of a system is timed."""
+    return f"{label}: decision"
+
+
+def filterpy_of(label: str) -> str:
+    """Under what filterpy's update on the measurements of a system is timed."""
+    return f"{label}: filterpy update"
+
+
+COST_ROUNDS = 5
+"""Enough for a median; `tools/bench.py planners` takes its time."""
+
+
+def costs_of(results: Sequence[StudyResult], rounds: int = COST_ROUNDS) -> list[ResultRow]:
+    """Cost of the systems that studies ask it of, beside filterpy's update.
+
+    Args:
+        results: Of the studies.
+        rounds: Medians are over so many.
+    """
+    rows: list[ResultRow] = []
+    for result in results:
+        asked = [
+            cell
+            for cell in cells_of(result.study)
+            if "cost_ms_per_step" in metrics_of(result, cell) and cell.system in SYSTEMS
+        ]
+        for case in dict.fromkeys(cell.case for cell in asked):
+            cells = [cell for cell in asked if cell.case == case]
+            costs = bench_planners(rounds, case, [cell.system for cell in cells]).costs
+            for cell, cost in zip(cells, costs, strict=True):
+                rows += _rows(cell, cost)
+    return rows
+
+
+def _rows(cell: Cell, cost: StepCost) -> list[ResultRow]:
+    rows = rows_about(cell, "cost_ms_per_step", number(cost.step_ms))
+    if cost.decision_ms is not None:
+        rows += rows_about(cell, "decision_ms", number(cost.decision_ms))
+    return rows + rows_about(cell, "filterpy_update_ms", number(cost.filterpy_update_ms))

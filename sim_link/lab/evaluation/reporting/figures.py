@@ -1,0 +1,363 @@
+"""The figures of a study by name, and those of places.
+
+Figures of places: what is flown, what is believed, and what stands in the way.
+
+The figures of a study, by the names that a study asks for them.
+
+    losses        loss functions and their influence
+    rmse          RMSE after every step, one figure for each value of the study
+    offsets       estimates of both offsets after every step
+    tracks        tracks of the planners, with obstacles and their shadow where there are any
+    gradients     how much FIM's candidates differ along flights
+    sensitivity   final RMSE over each parameter: measured, printed, and the bound
+
+A figure whose systems a study does not fly is left out.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Sequence
+
+import matplotlib.patheffects as effects
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from sim_link.lab.evaluation.case import Case
+from sim_link.lab.evaluation.reporting import plots
+from sim_link.lab.evaluation.reporting.figure_data import (
+    FlownTrack,
+    Watch,
+    cells_at,
+    flights_of,
+    numbers,
+    offset_curves,
+    rmse_curves,
+    sensitivities,
+    shadow_quads,
+    values_of,
+    watched,
+)
+from sim_link.lab.evaluation.reporting.plots import (
+    INK,
+    MUTED,
+    PAGE,
+    PLANNER_COLOURS,
+    SHADE,
+    SOLID,
+    TRUTH,
+    Drawing,
+    finished,
+    look,
+    new_figure,
+)
+from sim_link.lab.evaluation.reporting.tables import parameter_name, value_name
+from sim_link.lab.evaluation.study import ResultRow, StudyResult
+
+MARGIN_M = 4.0
+NEAR_M = 4.0
+"""Half the side of the enlarged surroundings of the target."""
+NEAR_SHARE = 0.36
+"""How much of the map's side they take."""
+NEAR_STEPS = 60
+"""The last steps, which are what is drawn there."""
+
+
+def tracks(flights: Sequence[FlownTrack], case: Case) -> Figure:
+    """Tracks with the estimates along them, one panel for each system.
+
+    Args:
+        flights: Of one seed.
+        case: Area, target and obstacles.
+    """
+    columns = min(len(flights), 3 if len(flights) > 4 else 2)
+    rows = -(-len(flights) // columns)
+    side_in = 3.6 if columns < 3 else 3.0
+    figure = new_figure(side_in * columns, (side_in + 0.15) * rows)
+    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    for axes, flight in zip(grid.flat, flights, strict=False):
+        _draw_map(axes, flight, case)
+    for axes in grid.flat[len(flights) :]:
+        axes.set_visible(False)
+    for axes in grid[:, 0]:
+        axes.set_ylabel("north, m")
+    for axes in grid[-1]:
+        axes.set_xlabel("east, m")
+    handles, names = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside lower center", ncols=len(names), handlelength=1.4)
+    return figure
+
+
+def draw_obstacles(axes: Axes, case: Case) -> None:
+    """The obstacles, and where they block the path to the target."""
+    for obstacle in case.obstacles:
+        for quad in shadow_quads(obstacle.corners_enu_m, case.target_enu_m):
+            axes.fill(*zip(*quad, strict=True), facecolor=SHADE, linewidth=0, zorder=0.2)
+    for obstacle in case.obstacles:
+        corners = zip(*obstacle.corners_enu_m, strict=True)
+        axes.fill(*corners, facecolor=SOLID, edgecolor=MUTED, linewidth=0.6, zorder=0.4)
+
+
+def _draw_map(axes: Axes, flight: FlownTrack, case: Case) -> None:
+    width_m, depth_m = case.area_m
+    axes.grid(visible=False)
+    _draw_flight(axes, flight, case, slice(None))
+    axes.set(xlim=(-MARGIN_M, width_m + MARGIN_M), ylim=(-MARGIN_M, depth_m + MARGIN_M))
+    axes.set_aspect("equal")
+    axes.set_title(f"{flight.system.label}\n", fontsize=9.0)
+    axes.text(
+        0.0,
+        1.025,
+        f"ends {_short(flight.final_error_m)} off",
+        transform=axes.transAxes,
+        color=MUTED,
+        fontsize=8.0,
+    )
+    if flight.system.planner != "passive":
+        _draw_near(axes, flight, case)
+
+
+def _draw_flight(axes: Axes, flight: FlownTrack, case: Case, part: slice) -> None:
+    colour = PLANNER_COLOURS[flight.system.planner]
+    draw_obstacles(axes, case)
+    estimates, track = flight.estimates_enu_m[part].T, flight.track_enu_m[part].T
+    axes.plot(*estimates, color=TRUTH, lw=0.7, alpha=0.75, label="estimate", zorder=2)
+    axes.plot(*track, color=colour, lw=1.0, label="vehicle", zorder=3)
+    axes.plot(*case.start_enu_m, "o", color=colour, mec=PAGE, ms=6, label="start", zorder=4, lw=0)
+    halo = [effects.withStroke(linewidth=3.0, foreground=PAGE)]
+    axes.plot(
+        *case.target_enu_m,
+        "x",
+        color=INK,
+        ms=7,
+        mew=1.6,
+        label="target",
+        zorder=5,
+        lw=0,
+        path_effects=halo,
+    )
+
+
+def _draw_near(axes: Axes, flight: FlownTrack, case: Case) -> None:
+    """The end of a flight about the target, enlarged, in the corner where least is flown."""
+    east, north = case.target_enu_m
+    near = axes.inset_axes((0.985 - NEAR_SHARE, 0.015, NEAR_SHARE, NEAR_SHARE))
+    near.set_facecolor(PAGE)
+    near.grid(visible=False)
+    _draw_flight(near, flight, case, slice(-NEAR_STEPS, None))
+    near.set(xlim=(east - NEAR_M, east + NEAR_M), ylim=(north - NEAR_M, north + NEAR_M))
+    near.set(xticks=[], yticks=[], aspect="equal")
+    for spine in near.spines.values():
+        spine.set(visible=True, color=MUTED, linewidth=0.7)
+    near.text(
+        0.5,
+        1.03,
+        f"{2 * NEAR_M:g} m",
+        transform=near.transAxes,
+        ha="center",
+        color=MUTED,
+        fontsize=7,
+    )
+
+
+def _short(metres: float) -> str:
+    return f"{100.0 * metres:.1f} cm" if metres < 0.1 else f"{metres:.2f} m"
+
+
+PAPER_OFFSET_M = 5.5
+"""Effective range offset that the paper's filter converges to, section "Bias Learning"."""
+
+EARLY_STEPS = 20
+"""In which a planner either leaves the shadow or stalls in it."""
+
+Maker = Callable[[StudyResult, Sequence[ResultRow]], list[Drawing]]
+
+
+def drawings_of(result: StudyResult, rows: Sequence[ResultRow]) -> list[Drawing]:
+    """Every figure that a study asks for, in its order; names unknown here are left out.
+
+    Args:
+        result: The study.
+        rows: Of all tables.
+    """
+    found: list[Drawing] = []
+    with look():
+        for name in result.study.figures:
+            if name in FIGURES:
+                found += FIGURES[name](result, rows)
+    return found
+
+
+def _losses(result: StudyResult, rows: Sequence[ResultRow]) -> list[Drawing]:
+    del rows
+    caption = (
+        "What a whitened residual costs, and how hard it pulls. A range can only be too long: the "
+        "one-sided loss of the paper is linear above k = 1.5 sigma and quadratic below. Huber's is "
+        "linear on both sides; ours can be linear below -3 sigma as well, for sensors with bursts "
+        "that are too short."
+    )
+    name = f"{result.study.table}_losses"
+    return [finished(plots.losses(), name, "Loss functions", caption)]
+
+
+def _rmse(result: StudyResult, rows: Sequence[ResultRow]) -> list[Drawing]:
+    found: list[Drawing] = []
+    for parameter, value in values_of(result):
+        cells = cells_at(result, parameter, value)
+        lines = rmse_curves(cells)
+        if not lines:
+            continue
+        table = next(iter(cells.values())).table
+        key = (table, parameter, value, "final_rmse_m")
+        shown = {line.system for line in lines}
+        printed = {
+            system: numbers(row.paper)
+            for row in rows
+            for system in shown
+            if (row.table, row.parameter, row.value, row.metric) == key
+            and row.system == system.label
+            and row.paper
+        }
+        where = _where(result, parameter, value)
+        title = f"Error after every step{where}"
+        diamonds = " Diamonds: final values that the paper prints." if printed else ""
+        caption = (
+            f"RMSE of {result.runs} runs on log axes. Dotted: what no estimator can beat on the "
+            f"tracks of that planner (early on it counts no prior).{diamonds}"
+        )
+        figure = plots.rmse(lines, title, printed)
+        found.append(finished(figure, _file(table, "rmse", parameter, value), title, caption))
+    return found
+
+
+def _offsets(result: StudyResult, rows: Sequence[ResultRow]) -> list[Drawing]:
+    del rows
+    parameter, value = _middle(result)
+    cells = cells_at(result, parameter, value)
+    lines = offset_curves(cells, bearing=False)
+    if not lines:
+        return []
+    channel = cells[lines[0].system].case.channel
+    where = _where(result, parameter, value)
+    ranges = plots.offsets(
+        lines,
+        f"Range offset{where}",
+        "m",
+        {
+            f"radio alone {channel.range_offset_m:g} m": channel.range_offset_m,
+            f"paper, about {PAPER_OFFSET_M:g} m": PAPER_OFFSET_M,
+        },
+    )
+    bearings = plots.offsets(
+        offset_curves(cells, bearing=True),
+        f"Bearing offset{where}",
+        "deg",
+        {f"true {channel.bearing_offset_deg:g} deg": channel.bearing_offset_deg},
+    )
+    table = result.study.table
+    return [
+        finished(
+            ranges,
+            f"{table}_range_offset",
+            "Range offset after every step",
+            "Mean of the estimates. Nine of ten ranges are too long, so what a robust filter takes "
+            "for the offset is the radio's plus the NLOS bias that is always there.",
+        ),
+        finished(
+            bearings,
+            f"{table}_bearing_offset",
+            "Bearing offset after every step",
+            "Mean of the estimates. Reflections bend to either side, so all converge to the truth.",
+        ),
+    ]
+
+
+def _tracks(result: StudyResult, rows: Sequence[ResultRow]) -> list[Drawing]:
+    del rows
+    parameter, value = _middle(result)
+    cells = cells_at(result, parameter, value)
+    case = next(iter(cells.values())).case
+    figure = tracks(flights_of(case, result.seed), case)
+    shadow = " Grey: the obstacle and its shadow." if case.obstacles else ""
+    caption = (
+        f"The first run of seed {result.seed}, {case.steps} steps, the same noise for all."
+        f"{shadow} Inset: the last {NEAR_STEPS} steps, {2 * NEAR_M:g} m wide."
+    )
+    title = f"Tracks{_where(result, parameter, value)}"
+    name = f"{result.study.table}_tracks"
+    return [finished(figure, name, title, caption, wide=True)]
+
+
+def _gradients(result: StudyResult, rows: Sequence[ResultRow]) -> list[Drawing]:
+    del rows
+    parameter, value = _middle(result)
+    case = next(iter(cells_at(result, parameter, value).values())).case
+    watches = watched(case, result.seed)
+    flat_m = case.belief.range_sigma_m / math.radians(case.belief.bearing_sigma_deg)
+    caption = (
+        "How far the best of FIM's candidates is ahead of the worst, as a share of the best: "
+        f"median and quartiles of {len(watches[0].gradient)} runs. Left with the filter's "
+        "covariance as prior and the offsets as nuisance, right as the paper prints it: flat "
+        f"nearer than {flat_m:.0f} m, where all candidates are alike and one is picked by chance. "
+        f"Median over the first {EARLY_STEPS} steps (printed criterion in brackets), and steps in "
+        f"the shadow: {'; '.join(_in_shadow(watch) for watch in watches)}."
+    )
+    title = "Why FIM stalls: the gradient over its candidates"
+    figure = plots.gradients(watches)
+    return [finished(figure, f"{result.study.table}_gradients", title, caption, wide=True)]
+
+
+def _in_shadow(watch: Watch) -> str:
+    early = slice(0, EARLY_STEPS)
+    own = 100.0 * float(np.median(watch.gradient[:, early]))
+    printed = 100.0 * float(np.median(watch.printed_gradient[:, early]))
+    steps = float(np.median(watch.steps_in_shadow))
+    return f"{watch.system.label} {own:.0f} % ({printed:.0f} %), {steps:g} steps"
+
+
+def _sensitivity(result: StudyResult, rows: Sequence[ResultRow]) -> list[Drawing]:
+    found: list[Drawing] = []
+    for parameter in dict.fromkeys(parameter for parameter, _ in values_of(result)):
+        lines = sensitivities(result, rows, parameter)
+        if not lines or np.isnan(lines[0].values).any() or len(lines[0].values) < 2:
+            continue
+        name = parameter_name(parameter)
+        table = next(cell.table for cell in result.cells if cell.parameter == parameter)
+        found.append(
+            finished(
+                plots.sensitivity(lines, name),
+                _file(table, "sensitivity", parameter),
+                f"Sensitivity: {name.partition(',')[0]}",
+                "Final RMSE measured (with its 95 % interval), as the paper prints it, and the "
+                "least that any estimator could reach on the same tracks.",
+                wide=True,
+            )
+        )
+    return found
+
+
+FIGURES: dict[str, Maker] = {
+    "losses": _losses,
+    "rmse": _rmse,
+    "offsets": _offsets,
+    "tracks": _tracks,
+    "gradients": _gradients,
+    "sensitivity": _sensitivity,
+}
+
+
+def _middle(result: StudyResult) -> tuple[str, str]:
+    """The case in the middle of a study: the canonical one of the paper's sweeps."""
+    values = values_of(result)
+    return values[(len(values) - 1) // 2]
+
+
+def _where(result: StudyResult, parameter: str, value: str) -> str:
+    """Which of several cases a figure shows."""
+    return f", {value_name(parameter, value)}" if len(values_of(result)) > 1 else ""
+
+
+def _file(*parts: str) -> str:
+    return re.sub(r"[^A-Za-z0-9.]+", "_", "_".join(parts))

@@ -1,0 +1,355 @@
+"""`report.html` of a study: the page, and what it says of the scenario.
+
+What the page says of the scenario: every open point of the paper, and how it is fixed here.
+
+Values are read from the canonical case, so that the page cannot tell another story than the code.
+
+`report.html`: one page with verdicts, tables and figures, complete in itself.
+
+The page needs no network and no scripts; it follows the reader's light or dark theme and prints.
+`page` is a pure function of what it is given; `write_report` asks for commit and versions.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import platform
+import subprocess
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from companion.errors import CompanionError
+from companion.kernel import IS_COMPILED
+from sim_link.lab.evaluation.case import Case
+from sim_link.lab.evaluation.reporting.claims import Claim, Findings, claims_of
+from sim_link.lab.evaluation.reporting.figures import drawings_of
+from sim_link.lab.evaluation.reporting.plots import Drawing, inline
+from sim_link.lab.evaluation.reporting.tables import (
+    TableView,
+    count_verdicts,
+    tables_of,
+    tornado_of,
+    typeset,
+)
+from sim_link.lab.evaluation.study import ResultRow, StudyResult
+from sim_link.world.environment import STUDY_SHADOW
+
+OpenPoint = tuple[str, str, str]
+"""The point, our choice, and why."""
+
+
+def open_points(case: Case) -> list[OpenPoint]:
+    """Every point that the paper leaves open.
+
+    Args:
+        case: The canonical one.
+    """
+    return [*_about_noise_and_filter(case), *_about_flight(case), *_about_tables()]
+
+
+def _about_noise_and_filter(case: Case) -> list[OpenPoint]:
+    channel, belief = case.channel, case.belief
+    position_sigma_m, *offset_sigmas = belief.prior[1][[0, 2]].tolist()
+    return [
+        (
+            "Bearing noise",
+            f"{channel.bearing_sigma_deg:g} deg",
+            "not given; with it the passive rows land near the paper's",
+        ),
+        (
+            "NLOS draw",
+            "one for range and bearing together"
+            if case.nlos_draws == "joint"
+            else "one each for range and bearing",
+            "one path carries both",
+        ),
+        (
+            "Exp(8.0)",
+            f"mean {channel.range_bias_mean_m:g} m",
+            "the tables call it the mean bias",
+        ),
+        ("Horizon", f"{case.steps} steps", 'the table\'s ">500"'),
+        (
+            "First estimate",
+            "first range and bearing, inverted; "
+            f"prior sigma {position_sigma_m:g} m of the position, {offset_sigmas[0]:g} m and "
+            f"{belief.bearing_offset_sigma_deg:g} deg of the offsets",
+            "the same for every filter",
+        ),
+        (
+            "Thresholds",
+            f"k = {belief.range_k_long:g} for ranges, {belief.bearing_k:g} for bearings",
+            "the paper's sweep is centred there",
+        ),
+    ]
+
+
+def _about_flight(case: Case) -> list[OpenPoint]:
+    width_m, depth_m = case.area_m
+    first_m = case.first_lane_north_m
+    first_m = 0.5 * case.lane_spacing_m if first_m is None else first_m
+    return [
+        (
+            "Lawnmower",
+            f"{case.lane_spacing_m:g} m lanes over {width_m:g} x {depth_m:g} m, "
+            f"the first at {first_m:g} m",
+            "a lane through the target would measure an accident",
+        ),
+        (
+            "FIM candidates",
+            f"{case.fim_headings} headings at the step length ({case.step_m:g} m), and staying",
+            '"candidate moves around the UAV"',
+        ),
+        (
+            "Stopping distance of reactive crossing",
+            f"{case.stop_distance_m:g} m",
+            "stopping near the estimate ends learning",
+        ),
+    ]
+
+
+def _about_tables() -> list[OpenPoint]:
+    shadow = STUDY_SHADOW
+    return [
+        (
+            "Steps to 2.5 m",
+            "one more than the last step with an RMSE of at least 2.5 m",
+            '"settle below"',
+        ),
+        (
+            "Structured obstacle",
+            "30 to 45 m east, 30 to 60 m north; behind it always NLOS, mean "
+            f"{shadow.extra_bias_mean_m:g} m, bend {shadow.bearing_bias_sigma_deg:g} deg; "
+            "elsewhere p = 0.1",
+            "the paper gives no numbers",
+        ),
+        (
+            "Sensitivity tables",
+            "p at mean 8 m; mean at p = 0.7; step and k at p = 0.9",
+            "read off the cells that repeat",
+        ),
+    ]
+
+
+FIGURES = "figures"
+"""Folder of the figures, beside the page."""
+SHOWN_VERSIONS = ("numpy", "scipy", "numba", "filterpy", "matplotlib")
+UNKNOWN = "unknown"
+GIT_LIMIT_S = 5.0
+ROOT = Path(__file__).resolve().parents[4]
+
+
+@dataclass(frozen=True, slots=True)
+class Provenance:
+    """Which code made the numbers, and with what."""
+
+    commit: str
+    versions: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """One study on the page."""
+
+    anchor: str
+    title: str
+    note: str
+    facts: str
+    drawings: tuple[Drawing, ...]
+    tables: tuple[TableView, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One check that the run made of itself."""
+
+    name: str
+    what: str
+    facts: tuple[tuple[str, str], ...]
+    is_met: bool | None
+
+
+def write_report(
+    out: Path,
+    results: Sequence[StudyResult],
+    rows: Sequence[ResultRow],
+    costs: Sequence[ResultRow],
+    checks: Mapping[str, object],
+) -> None:
+    """Write the figures, PNG and SVG, and `report.html`.
+
+    Args:
+        out: An existing folder.
+        results: Of all studies, in the order of the page.
+        rows: Of results.csv.
+        costs: Of costs.csv.
+        checks: Of checks.json.
+
+    Raises:
+        CompanionError: A file cannot be written.
+    """
+    sections = sections_of(results, rows)
+    folder = out / FIGURES
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise CompanionError(f"{folder}: cannot be made ({error.strerror})") from error
+    for drawing in (drawing for section in sections for drawing in section.drawings):
+        _write(folder / f"{drawing.name}.svg", drawing.svg.encode())
+        _write(folder / f"{drawing.name}.png", drawing.png)
+    text = page(results, sections, rows, costs, checks, provenance())
+    _write(out / "report.html", text.encode())
+
+
+def sections_of(results: Sequence[StudyResult], rows: Sequence[ResultRow]) -> list[Section]:
+    """The studies, drawn and tabled; a table that two studies share is shown by the first."""
+    tables = tables_of(rows)
+    taken: set[str] = set()
+    sections: list[Section] = []
+    for result in results:
+        names = {cell.table for cell in result.cells} - taken
+        taken |= names
+        sections.append(
+            Section(
+                anchor=result.study.table,
+                title=result.study.title,
+                note=result.study.note,
+                facts=f"{result.runs:,} runs of each system, seed {result.seed}",
+                drawings=tuple(drawings_of(result, rows)),
+                tables=tuple(table for table in tables if table.table in names),
+            )
+        )
+    return sections
+
+
+def page(
+    results: Sequence[StudyResult],
+    sections: Sequence[Section],
+    rows: Sequence[ResultRow],
+    costs: Sequence[ResultRow],
+    checks: Mapping[str, object],
+    made_with: Provenance,
+) -> str:
+    """The page as text.
+
+    Args:
+        results: Of all studies.
+        sections: The same, drawn and tabled.
+        rows: Of results.csv.
+        costs: Of costs.csv.
+        checks: Of checks.json.
+        made_with: Commit and versions.
+    """
+    environment = Environment(
+        loader=PackageLoader("sim_link.lab.evaluation.reporting"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=StrictUndefined,
+    )
+    environment.filters["set"] = typeset
+    environment.filters["inline"] = lambda drawing: Markup(inline(drawing))
+    environment.filters["factor"] = factor_text
+    cost_tables = tables_of(costs)
+    claims = claims_of(Findings(results, rows, costs))
+    return environment.get_template("report.html.j2").render(
+        title=title_of(results),
+        claims=claims,
+        verdict=verdict_line(claims),
+        counts=count_verdicts([table for section in sections for table in section.tables]),
+        sections=sections,
+        costs=cost_tables,
+        checks=checks_of(checks),
+        tornado=tornado_of(results),
+        open_points=open_points(Case()),
+        made_with=made_with,
+        runs=sorted({result.runs for result in results}),
+        seeds=sorted({result.seed for result in results}),
+    )
+
+
+def title_of(results: Sequence[StudyResult]) -> str:
+    """What the page is about."""
+    return results[0].study.title if len(results) == 1 else "The paper's evaluation, measured"
+
+
+def verdict_line(claims: Sequence[Claim]) -> str:
+    """How many of the claims are met, in words."""
+    if not claims:
+        return ""
+    met = sum(claim.is_met for claim in claims)
+    if met == len(claims):
+        return f"All {met} claims that this run can judge are met"
+    return f"{met} of {len(claims)} claims are met"
+
+
+def checks_of(checks: Mapping[str, object]) -> list[Check]:
+    """The checks as the page shows them: what is nested deeper is left to checks.json."""
+    found: list[Check] = []
+    for name, value in checks.items():
+        entries = dict(value) if isinstance(value, Mapping) else {"value": value}
+        what, is_met = entries.pop("what", ""), entries.pop("is_met", None)
+        facts = tuple(
+            (str(key).replace("_", " "), f"{item:.3g}" if isinstance(item, float) else str(item))
+            for key, item in entries.items()
+            if isinstance(item, str | int | float)
+        )
+        verdict = bool(is_met) if is_met is not None else None
+        found.append(Check(name.replace("_", " "), str(what), facts, verdict))
+    return found
+
+
+def factor_text(factor: float) -> str:
+    """A factor in as many digits as matter."""
+    digits = 2 if factor < 10.0 else 0
+    return f"{factor:.{digits}f}" if math.isfinite(factor) else "\N{INFINITY}"
+
+
+def provenance() -> Provenance:
+    """Of the code that runs now."""
+    versions = [("Python", platform.python_version())]
+    versions += [(name, _version(name)) for name in SHOWN_VERSIONS]
+    versions.append(("kernels", "compiled" if IS_COMPILED else "plain Python"))
+    return Provenance(_commit(ROOT), tuple(versions))
+
+
+def _commit(root: Path) -> str:
+    """The commit of the checkout, and whether files differ from it."""
+    commit = _git(root, "rev-parse", "--short=12", "HEAD")
+    if not commit or not (root / ".git").exists():
+        return UNKNOWN
+    changes = _git(root, "status", "--porcelain", "--untracked-files=no")
+    return f"{commit} with local changes" if changes else commit
+
+
+def _write(path: Path, data: bytes) -> None:
+    """Replace a file as a whole."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        temporary.write_bytes(data)
+        temporary.replace(path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise CompanionError(f"{path}: cannot be written ({error.strerror})") from error
+
+
+def _git(root: Path, *arguments: str) -> str:
+    command = ["git", "-C", str(root), *arguments]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=GIT_LIMIT_S)
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    return done.stdout.strip() if done.returncode == 0 else ""
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"

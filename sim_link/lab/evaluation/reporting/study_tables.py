@@ -1,0 +1,411 @@
+"""The rows of results.csv, and the files of studies and their tables.
+
+The rows of results.csv: definitions of the metrics, and numbers as they are written.
+
+    final_rmse_m         after the last step; bound: the Cramer-Rao RMSE bound of the same tracks
+    steps_to_2.5m        one more than the last step with an RMSE of at least 2.5 m; bound: that of
+                         the bound's own curve
+    rmse_after_N_steps_m after N steps; bound: at the same step
+    worst_final_m        the largest error of a run after its last step
+    diverged_runs        runs that end more than 1 m off
+    range_offset_m       mean of the estimates after the last step
+    bound_ratio          final RMSE by its bound
+    rmse_ratio           final RMSE by that of Proposed with the same planner and the same draws
+    nees_final           mean NEES of the position after the last step; bound: the band of an honest
+                         filter; nees_mean: over all steps after the 20th
+    coverage_min, _mean, _max
+                         share of runs whose R95 circle contains the target, over steps after the
+                         20th; bound: what is asked for
+
+Intervals are 95 % bootstrap percentiles; resamples are the same for all systems, so that those of
+a ratio are paired.
+
+Studies in YAML files, and the tables that come out of them.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import os
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import astuple, dataclass, fields
+from functools import lru_cache
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+
+from companion.config.loader import load_yaml
+from companion.errors import CompanionError, ConfigError
+from companion.kernel import Matrix, Vector
+from sim_link.lab.evaluation.campaign import Tally
+from sim_link.lab.evaluation.metrics import diverged_count, nees_band, steps_to_settle
+from sim_link.lab.evaluation.study import (
+    Cell,
+    FigureName,
+    Metric,
+    PaperValue,
+    ResultRow,
+    Study,
+    StudyResult,
+    Sweep,
+    SystemGrid,
+    cells_of,
+    hint,
+    names_of,
+)
+from sim_link.lab.evaluation.systems import FilterName, PlannerName
+from sim_link.lab.evaluation.verification import COVERAGE_BAND, SETTLED_STEP
+
+RESAMPLES = 2000
+BOOTSTRAP_SEED = 0
+DIGITS = 5
+REFERENCE_FILTER = "asymmetric_huber"
+
+Numbers = tuple[str, str, str, str]
+"""Metric, ours, its interval and its bound, as written."""
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What a metric may look at."""
+
+    result: StudyResult
+    cell: Cell
+    tally: Tally
+
+
+def rows_of(result: StudyResult) -> list[ResultRow]:
+    """The rows of a study, in the order of its tables; costs are not among them."""
+    rows: list[ResultRow] = []
+    cells = cells_of(result.study)
+    for cell, done in zip(cells, result.cells, strict=True):
+        for metric in metrics_of(result, cell):
+            if metric == "cost_ms_per_step":
+                continue
+            for name, *numbers in MEASURED[metric](Seen(result, cell, done.tally)):
+                rows += rows_about(cell, name, *numbers)
+    return rows
+
+
+def metrics_of(result: StudyResult, cell: Cell) -> Sequence[Metric]:
+    """What is said of a cell."""
+    return result.study.metrics if cell.sweep.metrics is None else cell.sweep.metrics
+
+
+def rows_about(
+    cell: Cell, metric: str, ours: str, ours_ci95: str = "", bound: str = ""
+) -> list[ResultRow]:
+    """The row about a cell, and another where the paper prints it under a second name."""
+    rows: list[ResultRow] = []
+    for name in names_of(cell.system):
+        paper = paper_text(cell, name, metric)
+        if name == cell.system.label or paper:
+            place = (cell.table, cell.parameter, cell.value, name)
+            rows.append(ResultRow(*place, metric, paper, ours, ours_ci95, bound))
+    return rows
+
+
+def paper_text(cell: Cell, name: str, metric: str) -> str:
+    """What the paper prints of a cell, or nothing."""
+    numbers = {str(key): of for key, of in cell.sweep.paper.get(name, {}).items()}
+    printed: PaperValue = numbers[metric][cell.index] if metric in numbers else None
+    return "" if printed is None else str(printed)
+
+
+def number(value: float) -> str:
+    """A number with the digits that mean something."""
+    return f"{value:.{DIGITS}g}"
+
+
+def bound_text(value: float) -> str:
+    """A bound, or nothing where none is known."""
+    return "" if math.isnan(value) else number(value)
+
+
+def interval(ends: tuple[float, float] | None) -> str:
+    """Both ends, or nothing."""
+    return "" if ends is None else f"{number(ends[0])}..{number(ends[1])}"
+
+
+def rmse_interval_m(errors_m: Vector) -> tuple[float, float] | None:
+    """The interval of the RMSE of (runs,) errors; None where one of them is not finite."""
+    if not np.isfinite(errors_m).all():
+        return None
+    means = np.einsum("ij,j->i", resamples(errors_m.size), np.square(errors_m))
+    return _ends(np.sqrt(means / errors_m.size))
+
+
+def ratio_interval(errors_m: Vector, others_m: Vector) -> tuple[float, float] | None:
+    """The interval of a ratio of RMSE, (runs,) errors of the same draws; None as above."""
+    if not (np.isfinite(errors_m).all() and np.isfinite(others_m).all()):
+        return None
+    picked = resamples(errors_m.size)
+    ours, theirs = (np.einsum("ij,j->i", picked, np.square(e)) for e in (errors_m, others_m))
+    return _ends(np.sqrt(ours / theirs))
+
+
+@lru_cache(maxsize=1)
+def resamples(runs: int) -> Matrix:
+    """How often each run is drawn in each resample, (RESAMPLES, runs)."""
+    rng = np.random.default_rng(BOOTSTRAP_SEED)
+    drawn = rng.multinomial(runs, np.full(runs, 1.0 / runs), size=RESAMPLES)
+    return drawn.astype(np.float64)
+
+
+def _ends(values: Vector) -> tuple[float, float]:
+    low, high = np.quantile(values, (0.025, 0.975))
+    return float(low), float(high)
+
+
+def _final_rmse(seen: Seen) -> list[Numbers]:
+    tally = seen.tally
+    ends = interval(rmse_interval_m(tally.final_errors_m))
+    return [("final_rmse_m", number(tally.rmse_m[-1]), ends, bound_text(tally.rmse_bound_m[-1]))]
+
+
+def _steps(seen: Seen) -> list[Numbers]:
+    ours, bound = seen.tally.rmse_m, seen.tally.rmse_bound_m
+    return [("steps_to_2.5m", _steps_text(ours), "", _steps_text(bound))]
+
+
+def _steps_text(rmse_by_step_m: Vector) -> str:
+    if np.isnan(rmse_by_step_m).all():
+        return ""
+    steps = steps_to_settle(rmse_by_step_m)
+    return f">{rmse_by_step_m.size}" if steps is None else str(steps)
+
+
+def _after_steps(seen: Seen) -> list[Numbers]:
+    steps = seen.cell.sweep.after_steps[seen.cell.index]
+    tally, index = seen.tally, min(steps, seen.tally.rmse_m.size) - 1
+    rmse_m, bound_m = tally.rmse_m[index], tally.rmse_bound_m[index]
+    return [(f"rmse_after_{steps}_steps_m", number(rmse_m), "", bound_text(bound_m))]
+
+
+def _worst(seen: Seen) -> list[Numbers]:
+    return [("worst_final_m", number(np.max(seen.tally.final_errors_m)), "", "")]
+
+
+def _diverged(seen: Seen) -> list[Numbers]:
+    return [("diverged_runs", str(diverged_count(seen.tally.final_errors_m)), "", "")]
+
+
+def _range_offset(seen: Seen) -> list[Numbers]:
+    mean_m = seen.tally.range_offset_m[-1] / seen.tally.runs
+    return [("range_offset_m", number(mean_m), "", "")]
+
+
+def _bound_ratio(seen: Seen) -> list[Numbers]:
+    tally = seen.tally
+    bound_m = float(tally.rmse_bound_m[-1])
+    ends = rmse_interval_m(tally.final_errors_m)
+    if not 0.0 < bound_m < math.inf:
+        return []
+    scaled = None if ends is None else (ends[0] / bound_m, ends[1] / bound_m)
+    return [("bound_ratio", number(tally.rmse_m[-1] / bound_m), interval(scaled), "1")]
+
+
+def _rmse_ratio(seen: Seen) -> list[Numbers]:
+    other = _reference(seen.result, seen.cell)
+    if other is None:
+        return []
+    ratio = float(seen.tally.rmse_m[-1] / other.rmse_m[-1])
+    ends = ratio_interval(seen.tally.final_errors_m, other.final_errors_m)
+    return [("rmse_ratio", number(ratio), interval(ends), "")]
+
+
+def _reference(result: StudyResult, cell: Cell) -> Tally | None:
+    """Proposed with the same planner in the same case, unless the cell is that itself."""
+    if cell.system.filter == REFERENCE_FILTER:
+        return None
+    for other in result.cells:
+        is_same = other.case == cell.case and other.system.planner == cell.system.planner
+        if is_same and other.system.filter == REFERENCE_FILTER:
+            return other.tally
+    return None
+
+
+def _nees(seen: Seen) -> list[Numbers]:
+    means, band = seen.tally.mean_nees, interval(nees_band(seen.tally.runs))
+    over_steps = float(np.mean(_settled(means)))
+    return [
+        ("nees_final", number(means[-1]), "", band),
+        ("nees_mean", number(over_steps), "", ""),
+    ]
+
+
+def _settled(by_step: Vector) -> Vector:
+    """Over the steps that count; of a short run the last one."""
+    return by_step[min(SETTLED_STEP, by_step.size - 1) :]
+
+
+def _coverage(seen: Seen) -> list[Numbers]:
+    shares, band = _settled(seen.tally.coverage), interval(COVERAGE_BAND)
+    found = {"min": shares.min(), "mean": shares.mean(), "max": shares.max()}
+    return [(f"coverage_{name}", number(float(share)), "", band) for name, share in found.items()]
+
+
+MEASURED: dict[Metric, Callable[[Seen], list[Numbers]]] = {
+    "final_rmse_m": _final_rmse,
+    "steps_to_2.5m": _steps,
+    "rmse_after_steps_m": _after_steps,
+    "worst_final_m": _worst,
+    "diverged_runs": _diverged,
+    "range_offset_m": _range_offset,
+    "bound_ratio": _bound_ratio,
+    "rmse_ratio": _rmse_ratio,
+    "nees": _nees,
+    "coverage": _coverage,
+}
+"""How each metric is measured; one may come to several rows."""
+
+
+SUFFIX = ".yaml"
+_UNKNOWN_KEY = re.compile(r"(?P<key>[^.\s]+): unknown key; ")
+_UNKNOWN_NAME = re.compile(
+    r"(?P<list>filters|planners|metrics|paper|figures)\S*: "
+    r"(?P<problem>Invalid enum value '(?P<name>.*)')"
+)
+_KNOWN: dict[str, tuple[str, ...]] = {
+    "filters": get_args(FilterName),
+    "planners": get_args(PlannerName),
+    "metrics": get_args(Metric),
+    "paper": get_args(Metric),
+    "figures": get_args(FigureName),
+}
+
+
+def studies_of(name: str, folder: Path) -> list[Study]:
+    """The studies of a name or file: itself, or those that it collects, each checked.
+
+    Args:
+        name: Of a study in the folder, or the path of a YAML file.
+        folder: Of the studies that come with the project.
+
+    Raises:
+        ConfigError: There is no such study, or it is wrong; one line says where.
+    """
+    return _collected(study_path(name, folder), folder, ())
+
+
+def study_path(name: str, folder: Path) -> Path:
+    """The file of a study.
+
+    Raises:
+        ConfigError: There is none.
+    """
+    if name.endswith((SUFFIX, ".yml")) or os.sep in name:
+        return Path(name)
+    path = folder / f"{name}{SUFFIX}"
+    if not path.is_file():
+        known = sorted(path.stem for path in folder.glob(f"*{SUFFIX}"))
+        raise ConfigError(f"study {name}: there is none of this name; {hint(name, known)}")
+    return path
+
+
+def load_study(path: Path) -> Study:
+    """The study in a file, all of its cells checked.
+
+    Raises:
+        ConfigError: The file cannot be read or does not hold a study; one line says where.
+    """
+    try:
+        study = load_yaml(path, Study)
+    except ConfigError as error:
+        raise ConfigError(_with_hint(str(error))) from None
+    if bool(study.studies) == bool(study.sweeps):
+        raise ConfigError(f"{path}: $: give `sweeps`, or `studies` of a collection")
+    try:
+        cells_of(study)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from None
+    return study
+
+
+def csv_text(rows: Sequence[ResultRow]) -> str:
+    """Rows as a CSV file has them, with their header."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([field.name for field in fields(ResultRow)])
+    writer.writerows(astuple(row) for row in rows)
+    return text.getvalue()
+
+
+def write_text_atomic(path: Path, text: str) -> None:
+    """Replace a text file as a whole: a reader sees the old one or the new one.
+
+    Raises:
+        CompanionError: It cannot be written; an old file is still there then.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with temporary.open("w", encoding="utf-8", newline="") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise CompanionError(f"{path}: cannot be written ({error.strerror})") from error
+
+
+def check_folder(path: Path) -> None:
+    """Make sure that a folder can be written into, or be made; nothing is made yet.
+
+    Raises:
+        ConfigError: It cannot.
+    """
+    place = path
+    while not place.exists() and place != place.parent:
+        place = place.parent
+    if not place.is_dir():
+        raise ConfigError(f"--out {path}: {place} is a file; choose a folder")
+    if not os.access(place, os.W_OK | os.X_OK):
+        raise ConfigError(f"--out {path}: {place} cannot be written; check its permissions")
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder with all above it, if it is not there.
+
+    Raises:
+        ConfigError: It cannot be made, or not be written into.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        probe = path / f".probe.{os.getpid()}"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise ConfigError(f"--out {path}: cannot be written ({error.strerror})") from None
+
+
+def _collected(path: Path, folder: Path, above: tuple[Path, ...]) -> list[Study]:
+    if path in above:
+        raise ConfigError(f"{path}: $.studies: the collection contains itself")
+    study = load_study(path)
+    if not study.studies:
+        return [study]
+    found: list[Study] = []
+    for name in study.studies:
+        try:
+            inner = study_path(name, folder)
+        except ConfigError as error:
+            raise ConfigError(f"{path}: $.studies: {error}") from None
+        found += _collected(inner, folder, (*above, path))
+    return found
+
+
+def _with_hint(problem: str) -> str:
+    """With what a misspelt key or name may have been meant to be."""
+    key, name = _UNKNOWN_KEY.search(problem), _UNKNOWN_NAME.search(problem)
+    if key:
+        names = [field for kind in (Study, Sweep, SystemGrid) for field in kind.__struct_fields__]
+        return f"{problem[: key.end()]}{hint(key['key'], names)}"
+    if name:
+        near = hint(name["name"], _KNOWN[name["list"]])
+        return f"{problem[: name.start('problem')]}there is no `{name['name']}`; {near}"
+    return problem

@@ -1,0 +1,329 @@
+"""Studies as data, and what comes out of them.
+
+Studies as data: which systems fly which cases, and what the paper prints about them.
+
+A study is one or more sweeps of the canonical case; a sweep's values are set at dotted fields of
+the case, or each is a variant with overrides of its own. A cell is one system in one case. A study
+may also be a collection of others.
+
+What comes out of a study: a tally for every cell, and the rows of its tables.
+"""
+
+from __future__ import annotations
+
+import difflib
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+import msgspec
+
+from companion.domain import Params
+from companion.errors import ConfigError
+from sim_link.lab.evaluation.campaign import Tally
+from sim_link.lab.evaluation.case import Case
+from sim_link.lab.evaluation.systems import (
+    FILTER_LABELS,
+    FilterName,
+    PlannerName,
+    System,
+    system_named,
+)
+
+Metric = Literal[
+    "final_rmse_m",
+    "steps_to_2.5m",
+    "worst_final_m",
+    "diverged_runs",
+    "range_offset_m",
+    "bound_ratio",
+    "rmse_ratio",
+    "rmse_after_steps_m",
+    "nees",
+    "coverage",
+    "cost_ms_per_step",
+]
+"""What is said of a cell; `results` has the definitions."""
+FigureName = Literal["losses", "rmse", "offsets", "tracks", "gradients", "sensitivity"]
+"""Figures of the report, see `reporting.figures`."""
+Value = float | int | str | bool | None
+"""What a sweep sets a field to; in tables as `value_text` has it."""
+PaperValue = float | int | str | None
+"""A number as the paper prints it, ">500", or nothing where it prints none."""
+Overrides = dict[str, Any]
+"""Nested fields of a case, with their values."""
+Count = Annotated[int, msgspec.Meta(ge=1)]
+
+
+class SystemGrid(Params, frozen=True):
+    """Every filter with every planner."""
+
+    filters: tuple[FilterName, ...]
+    planners: tuple[PlannerName, ...]
+
+
+Systems = SystemGrid | tuple[str, ...]
+"""A grid, or names like "asymmetric_huber/latched"."""
+
+
+class Sweep(Params, frozen=True):
+    """Rows of a table: one parameter, and what it takes on."""
+
+    parameter: str
+    """As the table calls it."""
+    table: str | None = None
+    """None: the study's."""
+    varies: tuple[str, ...] = ()
+    """Dotted fields of the case that a value is set at."""
+    values: tuple[Value, ...] = ()
+    variants: dict[str, Overrides] = msgspec.field(default_factory=dict)
+    """In the place of `varies` and `values`: overrides of the case by the value's name."""
+    case: Overrides = msgspec.field(default_factory=dict)
+    """Overrides of the canonical case for all values."""
+    systems: Systems | None = None
+    """None: the study's."""
+    metrics: tuple[Metric, ...] | None = None
+    """None: the study's."""
+    after_steps: tuple[Count, ...] = ()
+    """For `rmse_after_steps_m`: one number of steps for each value."""
+    paper: dict[str, dict[Metric, tuple[PaperValue, ...]]] = msgspec.field(default_factory=dict)
+    """By system and metric one number for each value."""
+
+
+class Study(Params, frozen=True):
+    """What is run and reported together."""
+
+    table: str
+    title: str
+    note: str = ""
+    runs: Count = 200
+    """Of every cell, unless whoever runs it says otherwise."""
+    systems: Systems = ()
+    metrics: tuple[Metric, ...] = ()
+    sweeps: tuple[Sweep, ...] = ()
+    figures: tuple[FigureName, ...] = ()
+    studies: tuple[str, ...] = ()
+    """Names of other studies: this one is their collection."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """One system in one case, with its place in the tables."""
+
+    sweep: Sweep
+    index: int
+    """Of the value in the sweep."""
+    table: str
+    parameter: str
+    value: str
+    case: Case
+    system: System
+
+
+def cells_of(study: Study) -> list[Cell]:
+    """The cells of a study in the order of its tables.
+
+    Raises:
+        ConfigError: A sweep does not describe cases and systems; the message begins with the
+            place in the study.
+    """
+    cells: list[Cell] = []
+    for number, sweep in enumerate(study.sweeps):
+        where = f"$.sweeps[{number}]"
+        systems = systems_of(study.systems if sweep.systems is None else sweep.systems, where)
+        labelled = cases_of(sweep, where)
+        _check_paper(sweep, systems, where)
+        metrics = study.metrics if sweep.metrics is None else sweep.metrics
+        is_needed = "rmse_after_steps_m" in metrics
+        _check_length("after_steps", sweep.after_steps, len(labelled), where, required=is_needed)
+        cells += [
+            Cell(sweep, index, sweep.table or study.table, sweep.parameter, value, case, system)
+            for (index, (value, case)), system in itertools.product(enumerate(labelled), systems)
+        ]
+    return cells
+
+
+def systems_of(systems: Systems, where: str) -> list[System]:
+    """The systems of a grid or of a list of names.
+
+    Raises:
+        ConfigError: There are none, one is twice in it, or there is no such filter or planner.
+    """
+    if isinstance(systems, SystemGrid):
+        pairs = itertools.product(systems.filters, systems.planners)
+        found = [System(name, planner) for name, planner in pairs]
+    else:
+        found = [_system_named(name, f"{where}.systems[{i}]") for i, name in enumerate(systems)]
+    if not found:
+        raise ConfigError(f"{where}.systems: at least one system is needed")
+    twice = next((one for one in found if found.count(one) > 1), None)
+    if twice is not None:
+        raise ConfigError(f"{where}.systems: {twice.label} is given twice")
+    return found
+
+
+def cases_of(sweep: Sweep, where: str) -> list[tuple[str, Case]]:
+    """The values of a sweep, as tables have them, with their cases.
+
+    Raises:
+        ConfigError: An override is no field of a case, or its value is out of bounds.
+    """
+    if bool(sweep.variants) == bool(sweep.values) or bool(sweep.values) != bool(sweep.varies):
+        raise ConfigError(f"{where}: give `varies` and `values`, or `variants`")
+    base = overridden(msgspec.to_builtins(Case()), sweep.case, f"{where}.case")
+    if sweep.variants:
+        labelled = [
+            (name, overridden(base, changes, f"{where}.variants.{name}"))
+            for name, changes in sweep.variants.items()
+        ]
+    else:
+        labelled = [
+            (value_text(value), _varied(base, sweep, value, where)) for value in sweep.values
+        ]
+    names = [name for name, _ in labelled]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise ConfigError(f"{where}.values: {twice} is given twice")
+    return [
+        (name, _case(fields, f"{where}, {sweep.parameter} {name}")) for name, fields in labelled
+    ]
+
+
+def overridden(base: Mapping[str, Any], changes: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Nested fields with some of them changed.
+
+    Raises:
+        ConfigError: A key that is no field.
+    """
+    result = dict(base)
+    for key, value in changes.items():
+        if key not in base:
+            raise ConfigError(f"{where}.{key}: unknown key; {hint(key, base)}")
+        if isinstance(base[key], dict) and isinstance(value, dict):
+            result[key] = overridden(base[key], value, f"{where}.{key}")
+        else:
+            result[key] = value
+    return result
+
+
+def names_of(system: System) -> tuple[str, ...]:
+    """What tables call a system; the paper means lanes where it names no planner."""
+    if system.planner == "passive":
+        return system.label, FILTER_LABELS[system.filter]
+    return (system.label,)
+
+
+def value_text(value: Value) -> str:
+    """A value as tables have it, for example 0.5."""
+    if value is None:
+        return "none"
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def hint(name: str, known: Iterable[str]) -> str:
+    """What a misspelt name may have been meant to be."""
+    names = list(dict.fromkeys(known))
+    near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+    return f"did you mean `{near[0]}`?" if near else f"known: {', '.join(names)}"
+
+
+def _varied(base: Mapping[str, Any], sweep: Sweep, value: Value, where: str) -> dict[str, Any]:
+    fields = dict(base)
+    for number, dotted in enumerate(sweep.varies):
+        changes: Any = value
+        for key in reversed(dotted.split(".")):
+            changes = {key: changes}
+        fields = overridden(fields, changes, f"{where}.varies[{number}]: case")
+    return fields
+
+
+def _case(fields: Mapping[str, Any], where: str) -> Case:
+    try:
+        case = msgspec.convert(fields, Case, strict=True)
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"{where}: {' '.join(str(error).split())}") from None
+    if not (case.channel.range_sigma_m > 0.0 and case.channel.bearing_sigma_deg > 0.0):
+        raise ConfigError(f"{where}: a channel without thermal noise has no bound; give it some")
+    return case
+
+
+def _system_named(name: str, where: str) -> System:
+    try:
+        return system_named(name)
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error}") from None
+
+
+def _check_paper(sweep: Sweep, systems: Sequence[System], where: str) -> None:
+    labels = [name for system in systems for name in names_of(system)]
+    for label, metrics in sweep.paper.items():
+        if label not in labels:
+            raise ConfigError(f"{where}.paper.{label}: no such system here; {hint(label, labels)}")
+        for metric, numbers in metrics.items():
+            size = len(sweep.variants or sweep.values)
+            _check_length(f"paper.{label}.{metric}", numbers, size, where, required=True)
+
+
+def _check_length(
+    name: str, numbers: Sequence[object], size: int, where: str, *, required: bool
+) -> None:
+    if len(numbers) != size and (required or numbers):
+        raise ConfigError(f"{where}.{name}: {len(numbers)} numbers for {size} values")
+
+
+@dataclass(frozen=True, slots=True)
+class CellResult:
+    """One system in one case, and what its runs came to."""
+
+    table: str
+    parameter: str
+    value: str
+    """As tables have it, for example 0.5."""
+    case: Case
+    system: System
+    tally: Tally
+
+
+@dataclass(frozen=True, slots=True)
+class StudyResult:
+    """The cells of a study, in the order of its tables."""
+
+    study: Study
+    runs: int
+    """Of every cell."""
+    seed: int
+    cells: tuple[CellResult, ...]
+
+    def find(self, value: str, label: str, parameter: str | None = None) -> CellResult | None:
+        """The first cell of that value and system.
+
+        Args:
+            value: As tables have it.
+            label: Of the system, as tables have it.
+            parameter: Of the sweep; None: of any.
+        """
+        for cell in self.cells:
+            is_here = cell.value == value and cell.system.label == label
+            if is_here and parameter in (None, cell.parameter):
+                return cell
+        return None
+
+
+@dataclass(frozen=True, slots=True)
+class ResultRow:
+    """One row of results.csv, as it is written there; empty where there is nothing to say."""
+
+    table: str
+    parameter: str
+    value: str
+    system: str
+    metric: str
+    paper: str
+    """What the paper prints."""
+    ours: str
+    ours_ci95: str
+    """The 95 % interval, for example 0.012..0.019."""
+    bound: str
+    """What no estimator can beat, of the same metric; for NEES and coverage what an honest one
+    stays within."""

@@ -1,0 +1,336 @@
+"""A run of a recursive filter as one compiled loop, with the paper's FIM planner as printed.
+
+The paper's FIM planner to the letter: what one expected measurement says of the position.
+
+    s* = argmax over s of lambda_min( H_p(s)^T R^-1 H_p(s) )
+
+H_p is the position's part of the partials, R the thermal variances. There is no prior information
+in it, and the offsets are taken for known. The partials of range and bearing are orthogonal, so the
+eigenvalues are theirs,
+
+    lambda_min = min( 1 / sigma_r^2,  1 / (distance sigma_theta)^2 ),
+
+and nearer to the estimate than sigma_r / sigma_theta (43 m in the canonical scenario) the criterion
+is flat: every candidate is as good as every other. One of the best is picked at random, as rounding
+does in an eigenvalue routine. The planner that flies, `companion.planning.fim`, asks for what the
+measurement adds to the information in the filter instead.
+
+Paper: eq. (FIM planning objective). Deviation: the paper leaves candidates and ties open; the
+candidates are those of `companion.planning.fim`.
+
+A run of a recursive filter as one compiled loop: measure, update, record, fly on.
+
+The loop calls the very kernels that the filter and planner classes are made of; `systems` has the
+same loop over those classes, for what is not a kernel.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.estimation.filters.kalman import admm_update
+from companion.estimation.filters.robust_update import robust_update
+from companion.estimation.measurement_model import RangingModel
+from companion.kernel import Matrix, Vector, kernel
+from companion.planning.crossing import reactive_step
+from companion.planning.crossing_kernels import LATCH_SIZE, LatchRule, latched_step, overshoot_m
+from companion.planning.fim import MIN_DISTANCE_M, STAY, best_candidate
+from sim_link.lab.evaluation.case import Scene, Truth, measured_in, stepped
+from sim_link.lab.evaluation.map_estimator import FIRST_COUNT, Window, next_solution, solved
+from sim_link.world.environment import NO_MEMORY
+
+FLAT_SHARE = 1e-9
+"""Candidates within this share of the best are as good."""
+
+
+@kernel
+def printed_criteria(
+    de_m: float, dn_m: float, ring_m: Matrix, range_sigma_m: float, bearing_sigma_rad: float
+) -> Vector:
+    """Smaller eigenvalue of the information at every candidate, (k + 1,), 1/m^2; last: staying.
+
+    Args:
+        de_m: From the vehicle to the estimate, east.
+        dn_m: The same, north.
+        ring_m: (k, 2) steps of the candidates.
+        range_sigma_m: Thermal noise.
+        bearing_sigma_rad: Thermal noise.
+    """
+    moves = ring_m.shape[0]
+    criteria = np.empty(moves + 1)
+    for index in range(moves + 1):
+        e_m, n_m = de_m, dn_m
+        if index < moves:
+            e_m -= ring_m[index, 0]
+            n_m -= ring_m[index, 1]
+        distance_m = max(math.hypot(e_m, n_m), MIN_DISTANCE_M)
+        worst_m = max(range_sigma_m, distance_m * bearing_sigma_rad)
+        criteria[index] = 1.0 / (worst_m * worst_m)
+    return criteria
+
+
+@kernel
+def printed_candidate(criteria: Vector, pick: float) -> int:
+    """Index of one of the best candidates: a row of the ring, or `STAY`.
+
+    Args:
+        criteria: (k + 1,) see `printed_criteria`.
+        pick: In [0, 1): which of them.
+    """
+    is_best = criteria >= criteria.max() * (1.0 - FLAT_SHARE)
+    left = int(pick * is_best.sum())
+    for index in range(criteria.size):
+        if is_best[index]:
+            if left == 0:
+                return index if index < criteria.size - 1 else STAY
+            left -= 1
+    return STAY
+
+
+def information_gradient(criteria: Vector) -> float:
+    """How much the best candidate is ahead of the worst, as a share of the best."""
+    best = float(criteria.max())
+    return (best - float(criteria.min())) / best
+
+
+FIXED, REACTIVE, LATCHED, FIM, PRINTED_FIM = range(5)
+"""Planners: a given track, or one of those that follow the estimate."""
+
+VEHICLE_EAST, VEHICLE_NORTH, TARGET_EAST, TARGET_NORTH, RANGE_OFFSET, BEARING_OFFSET = range(6)
+VARIANCE_EAST, COVARIANCE, VARIANCE_NORTH = range(6, 9)
+"""Columns of a record: the sensor's place, and the estimate after its measurement."""
+COLUMNS = 9
+
+
+class Belief(NamedTuple):
+    """What a recursive filter believes, as the kernels take it."""
+
+    sigma: Vector
+    """(3,) noise of range, bearing and elevation."""
+    thresholds: Matrix
+    """(3, 2)"""
+    bounds: Matrix
+    """(2, n)"""
+    prior_mean: Vector
+    """(n,)"""
+    prior_sigmas: Vector
+    """(n,)"""
+    inflation: Vector
+    """(3,) factors on the variances; ones, as the paper's filters have it."""
+    model: RangingModel
+    iterations: int
+    """Of the splitting; 0: the closed form."""
+    penalty: float
+    """Of the splitting."""
+
+
+class Steering(NamedTuple):
+    """A planner with its parameters, as the kernels take it."""
+
+    planner: int
+    step_m: float
+    crossing_distance_m: float
+    stop_distance_m: float
+    latch: LatchRule
+    ring_m: Matrix
+    """(k, 2) candidates of FIM."""
+    may_fly: NDArray[np.bool_]
+    """(k,)"""
+
+
+@kernel
+def first_fix(
+    east_m: float, north_m: float, range_m: float, bearing_rad: float, belief: Belief
+) -> tuple[Vector, Matrix]:
+    """Mean and covariance after the first measurement, inverted with the offsets' prior means."""
+    mean = belief.prior_mean.copy()
+    distance_m = max(range_m, 1.0)
+    mean[0] = east_m + distance_m * math.cos(bearing_rad)
+    mean[1] = north_m + distance_m * math.sin(bearing_rad)
+    return mean, np.diag(belief.prior_sigmas * belief.prior_sigmas)
+
+
+@kernel
+def updated(
+    mean: Vector, covariance: Matrix, sensor_enu_m: Vector, z: Vector, belief: Belief
+) -> tuple[Vector, Matrix]:
+    """Mean and covariance after a measurement; those given where it would spoil them."""
+    if belief.iterations > 0:
+        mean, covariance, _, _ = admm_update(
+            mean,
+            covariance,
+            sensor_enu_m,
+            z,
+            belief.sigma,
+            0.0,
+            belief.inflation,
+            belief.thresholds,
+            belief.bounds,
+            belief.model,
+            belief.iterations,
+            belief.penalty,
+        )
+        return mean, covariance
+    mean, covariance, _, _ = robust_update(
+        mean,
+        covariance,
+        sensor_enu_m,
+        z,
+        belief.sigma,
+        0.0,
+        belief.inflation,
+        belief.thresholds,
+        belief.bounds,
+        belief.model,
+    )
+    return mean, covariance
+
+
+@kernel
+def informed_place(
+    east_m: float,
+    north_m: float,
+    mean: Vector,
+    covariance: Matrix,
+    belief: Belief,
+    steering: Steering,
+) -> tuple[float, float]:
+    """Where the FIM planner flies next: the end of the best candidate, or nowhere."""
+    index = best_candidate(
+        covariance,
+        mean[0] - east_m,
+        mean[1] - north_m,
+        0.0,
+        steering.ring_m,
+        steering.may_fly,
+        belief.sigma[0] * belief.sigma[0],
+        belief.sigma[1] * belief.sigma[1],
+        True,
+    )
+    if index == STAY:
+        return east_m, north_m
+    return east_m + steering.ring_m[index, 0], north_m + steering.ring_m[index, 1]
+
+
+@kernel
+def printed_place(
+    sensor_enu_m: Vector, mean: Vector, pick: float, belief: Belief, steering: Steering
+) -> tuple[float, float]:
+    """Where the FIM planner as printed flies next: the end of a best candidate, or nowhere."""
+    east_m, north_m = sensor_enu_m[0], sensor_enu_m[1]
+    criteria = printed_criteria(
+        mean[0] - east_m, mean[1] - north_m, steering.ring_m, belief.sigma[0], belief.sigma[1]
+    )
+    index = printed_candidate(criteria, pick)
+    if index == STAY:
+        return east_m, north_m
+    return east_m + steering.ring_m[index, 0], north_m + steering.ring_m[index, 1]
+
+
+@kernel
+def next_place(
+    sensor_enu_m: Vector,
+    mean: Vector,
+    covariance: Matrix,
+    pick: float,
+    latch: Vector,
+    belief: Belief,
+    steering: Steering,
+) -> tuple[float, float, Vector]:
+    """Where a planner that follows the estimate flies next, and its latch."""
+    east_m, north_m = sensor_enu_m[0], sensor_enu_m[1]
+    if steering.planner == REACTIVE:
+        east_m, north_m = reactive_step(
+            east_m,
+            north_m,
+            mean[0],
+            mean[1],
+            steering.step_m,
+            steering.crossing_distance_m,
+            steering.stop_distance_m,
+        )
+        return east_m, north_m, latch
+    if steering.planner == LATCHED:
+        over_m = overshoot_m(
+            covariance[0, 0], covariance[0, 1], covariance[1, 1], 0.0, steering.latch
+        )
+        latch = latched_step(latch, east_m, north_m, mean[0], mean[1], over_m, True, steering.latch)
+        east_m, north_m = stepped(east_m, north_m, latch[0], latch[1], steering.step_m)
+        return east_m, north_m, latch
+    if steering.planner == PRINTED_FIM:
+        east_m, north_m = printed_place(sensor_enu_m, mean, pick, belief, steering)
+    else:
+        east_m, north_m = informed_place(east_m, north_m, mean, covariance, belief, steering)
+    return east_m, north_m, latch
+
+
+@kernel
+def write_down(row: Vector, sensor_enu_m: Vector, mean: Vector, covariance: Matrix) -> None:
+    """Fill one row of a record, in place."""
+    row[VEHICLE_EAST : VEHICLE_NORTH + 1] = sensor_enu_m[:2]
+    row[TARGET_EAST : BEARING_OFFSET + 1] = mean[:4]
+    row[VARIANCE_EAST] = covariance[0, 0]
+    row[COVARIANCE] = covariance[0, 1]
+    row[VARIANCE_NORTH] = covariance[1, 1]
+
+
+@kernel
+def walked(
+    draws: Matrix,
+    picks: Vector,
+    track: Matrix,
+    start: Vector,
+    truth: Truth,
+    scene: Scene,
+    belief: Belief,
+    window: Window,
+    steering: Steering,
+) -> Matrix:
+    """The record of a run, (steps, 9).
+
+    Args:
+        draws: (steps, 6) of the channel.
+        picks: (steps,) uniform draws of the planner, for one that must choose among equals.
+        track: (steps, 2) the places to measure from; of planners that follow the estimate only
+            the first counts.
+        start: (2,) place of the first estimate; NaN: from the first measurement.
+        truth: What is true.
+        scene: What stands in the way.
+        belief: What the filter believes.
+        window: The objective over the run that corrects the filter, or not.
+        steering: Where it flies.
+    """
+    steps = draws.shape[0]
+    record = np.empty((steps, COLUMNS))
+    mean, covariance = first_fix(0.0, 0.0, 1.0, 0.0, belief)
+    mean[:2] = start
+    latch = np.zeros(LATCH_SIZE)
+    east_m, north_m = float(track[0, 0]), float(track[0, 1])
+    z, sensor = np.full(3, np.nan), np.zeros(3)
+    memory = NO_MEMORY
+    rows = np.empty((steps, 4))
+    due, turn = FIRST_COUNT, 0
+    for step in range(steps):
+        if steering.planner == FIXED:
+            east_m, north_m = float(track[step, 0]), float(track[step, 1])
+        sensor[0], sensor[1] = east_m, north_m
+        z[0], z[1], memory = measured_in(draws[step], east_m, north_m, truth, scene, memory)
+        if math.isnan(mean[0]):
+            mean, covariance = first_fix(east_m, north_m, z[0], z[1], belief)
+        else:
+            mean, covariance = updated(mean, covariance, sensor, z, belief)
+        rows[step, :2], rows[step, 2:] = sensor[:2], z[:2]
+        if window.is_solved and step + 1 >= due:
+            turn += 1
+            mean, covariance = solved(rows[: step + 1], mean, turn, window)
+            due = next_solution(step + 1)
+        write_down(record[step], sensor, mean, covariance)
+        if steering.planner != FIXED:
+            east_m, north_m, latch = next_place(
+                sensor, mean, covariance, picks[step], latch, belief, steering
+            )
+    return record

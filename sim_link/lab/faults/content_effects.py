@@ -1,0 +1,354 @@
+"""What each content fault does to the frames that come from the vehicle and its radio.
+
+Another content in the same frame: ids, sequence number and, with the key, the signature stay.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from companion.mav.codec import CRC_EXTRA_BY_ID, MavCodec
+from companion.mav.dialect import MAVLink_radio_ranging_message as RadioRanging
+from companion.mav.dialect import mavlink
+from companion.mav.framing import (
+    CRC_LENGTH,
+    HEADER_LENGTH,
+    INCOMPAT_SIGNED,
+    MAGIC_V1,
+    MAGIC_V2,
+    SIGNATURE_LENGTH,
+    frame_crc,
+    message_id,
+)
+from companion.mav.signing import HASH_LENGTH, SigningKey, is_signed
+from sim_link.lab.faults.fault_models import (
+    FaultRecord,
+    RangingDropout,
+    RangingFreeze,
+    RangingNan,
+    RangingOutliers,
+    RangingOutOfOrder,
+    RangingSecondEmitter,
+    RangingStale,
+    RangingWrongUnit,
+    StreamMute,
+    TelemetryNonsense,
+)
+from sim_link.lab.faults.link_effects import Effect
+from sim_link.lab.lockstep.observer import Delivery
+
+_READER = MavCodec(9, 9)
+
+
+def rewritten(frame: bytes, change: Callable[[Any], None], key: SigningKey | None) -> bytes:
+    """The frame after a change of its fields; as it was if nobody may or can read it.
+
+    Args:
+        frame: One whole frame.
+        change: Sets fields of the message.
+        key: Signs the frame anew where it was signed; without it such a frame stays as it is.
+    """
+    if is_signed(frame) and key is None:
+        return frame
+    message = _READER.decode_frame(frame)
+    if message is None:
+        return frame
+    change(message)
+    mav = mavlink.MAVLink(
+        None, srcSystem=message.get_srcSystem(), srcComponent=message.get_srcComponent()
+    )
+    mav.seq = message.get_seq()
+    packed: bytes = message.pack(mav, force_mavlink1=frame[0] == MAGIC_V1)
+    return packed if not is_signed(frame) or key is None else _signed_as(packed, frame, key)
+
+
+def _signed_as(packed: bytes, model: bytes, key: SigningKey) -> bytes:
+    """`packed` with the link id and timestamp of `model`'s signature."""
+    end = HEADER_LENGTH[MAGIC_V2] + packed[1]
+    head = packed[:2] + bytes((packed[2] | INCOMPAT_SIGNED,)) + packed[3:end]
+    head += frame_crc(head, CRC_EXTRA_BY_ID[message_id(packed)]).to_bytes(CRC_LENGTH, "little")
+    head += model[-SIGNATURE_LENGTH:-HASH_LENGTH]
+    return head + key.signature_of(head)
+
+
+NOT_A_RANGE = (math.nan, math.inf, -math.inf, 0.0, -12.5, 1e-42, 1e30)
+NOT_A_BEARING = (math.nan, math.inf, -math.inf, 400.0, -1e9)
+REPORTS = frozenset(
+    {
+        mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+        mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
+        mavlink.MAVLINK_MSG_ID_ATTITUDE,
+        mavlink.MAVLINK_MSG_ID_SYS_STATUS,
+        mavlink.MAVLINK_MSG_ID_BATTERY_STATUS,
+        mavlink.MAVLINK_MSG_ID_HOME_POSITION,
+        mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
+        mavlink.MAVLINK_MSG_ID_GPS_RAW_INT,
+        mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS,
+    }
+)
+CLOCK_FIELDS = frozenset({"time_boot_ms", "time_usec"})
+INTEGER_LIMITS = {
+    "int8_t": (-(2**7), 2**7 - 1),
+    "uint8_t": (0, 2**8 - 1),
+    "int16_t": (-(2**15), 2**15 - 1),
+    "uint16_t": (0, 2**16 - 1),
+    "int32_t": (-(2**31), 2**31 - 1),
+    "uint32_t": (0, 2**32 - 1),
+}
+ABSURD_FLOATS = (math.nan, math.inf, -math.inf, 1e30)
+
+
+class ContentEffect(Effect):
+    """A fault in frames with certain message ids.
+
+    Args:
+        numbers: Those ids.
+        rng: Of this effect alone.
+        key: Signs changed frames anew; None where nothing is signed.
+    """
+
+    def __init__(
+        self, numbers: frozenset[int], rng: np.random.Generator, key: SigningKey | None
+    ) -> None:
+        super().__init__(rng)
+        self._numbers = numbers
+        self._key = key
+
+    def apply(self, deliveries: list[Delivery], now_s: float) -> list[Delivery]:  # noqa: ARG002
+        """Change what it is about, and let the rest pass."""
+        changed: list[Delivery] = []
+        for due_s, data in deliveries:
+            self.watch(data)
+            changed += self._alter(data, due_s) if self._is_meant(data) else [(due_s, data)]
+        return changed
+
+    def _is_meant(self, data: bytes) -> bool:
+        return len(data) > HEADER_LENGTH[MAGIC_V2] and message_id(data) in self._numbers
+
+    def _changed(self, data: bytes, due_s: float) -> list[Delivery]:
+        return [(due_s, rewritten(data, self._change, self._key))]
+
+    def _change(self, message: Any) -> None:
+        """Set the fields that are wrong."""
+
+    @abstractmethod
+    def _alter(self, data: bytes, due_s: float) -> list[Delivery]:
+        """What comes of a frame that it is about."""
+
+
+class Mute(ContentEffect):
+    """It does not come."""
+
+    def _alter(self, data: bytes, due_s: float) -> list[Delivery]:  # noqa: ARG002
+        return []
+
+
+class Nonsense(ContentEffect):
+    """A field of some reports is a sentinel or absurd."""
+
+    def __init__(self, share: float, rng: np.random.Generator, key: SigningKey | None) -> None:
+        super().__init__(REPORTS, rng, key)
+        self._share = share
+
+    def _alter(self, data: bytes, due_s: float) -> list[Delivery]:
+        return self._changed(data, due_s) if self._happens(self._share) else [(due_s, data)]
+
+    def _change(self, message: Any) -> None:
+        kinds = dict(zip(message.fieldnames, message.fieldtypes, strict=True))
+        names = [
+            name
+            for name in message.fieldnames
+            if name not in CLOCK_FIELDS and not isinstance(getattr(message, name), list)
+        ]
+        name = names[int(self._rng.integers(len(names)))]
+        choices = ABSURD_FLOATS if kinds[name] == "float" else INTEGER_LIMITS[kinds[name]]
+        setattr(message, name, choices[int(self._rng.integers(len(choices)))])
+
+
+class RangingEffect(ContentEffect):
+    """A fault of the radio."""
+
+    def __init__(self, rng: np.random.Generator, key: SigningKey | None) -> None:
+        super().__init__(frozenset({RadioRanging.id}), rng, key)
+
+    def _alter(self, data: bytes, due_s: float) -> list[Delivery]:
+        return self._changed(data, due_s)
+
+
+class Dropout(RangingEffect):
+    """Range, bearing or the whole answer is missing."""
+
+    def __init__(
+        self, fault: RangingDropout, rng: np.random.Generator, key: SigningKey | None
+    ) -> None:
+        super().__init__(rng, key)
+        self._missing = fault.missing
+
+    def _alter(self, data: bytes, due_s: float) -> list[Delivery]:
+        return [] if self._missing == "both" else self._changed(data, due_s)
+
+    def _change(self, message: Any) -> None:
+        setattr(message, self._missing, math.nan)
+
+
+class Freeze(RangingEffect):
+    """The last answer before the fault again and again, with fresh stamps."""
+
+    FIELDS = ("range", "range_std", "bearing", "bearing_std", "elevation", "elevation_std")
+
+    def __init__(self, rng: np.random.Generator, key: SigningKey | None) -> None:
+        super().__init__(rng, key)
+        self._kept: dict[str, float] | None = None
+
+    def _change(self, message: Any) -> None:
+        if self._kept is None:
+            self._kept = {name: getattr(message, name) for name in self.FIELDS}
+        for name, value in self._kept.items():
+            setattr(message, name, value)
+
+
+class WrongUnit(RangingEffect):
+    """Range or bearing times a factor."""
+
+    def __init__(
+        self, fault: RangingWrongUnit, rng: np.random.Generator, key: SigningKey | None
+    ) -> None:
+        super().__init__(rng, key)
+        self._fault = fault
+
+    def _change(self, message: Any) -> None:
+        for name in ("range", "bearing"):
+            if self._fault.of in (name, "both"):
+                setattr(message, name, getattr(message, name) * self._fault.factor)
+
+
+class Outliers(RangingEffect):
+    """Some answers grossly wrong: range too long or too short, a bearing from anywhere."""
+
+    SHORTEST_M = 0.1
+    """A range stays one, however much is taken away."""
+
+    def __init__(
+        self, fault: RangingOutliers, rng: np.random.Generator, key: SigningKey | None
+    ) -> None:
+        super().__init__(rng, key)
+        self._fault = fault
+        self._left = 0
+        """Answers of the present burst that are still to come."""
+
+    def _change(self, message: Any) -> None:
+        if self._left == 0 and self._happens(self._fault.share):
+            self._left = self._fault.burst
+        if self._left == 0:
+            return
+        self._left -= 1
+        mean_m = self._fault.excess_m
+        excess_m = math.copysign(float(self._rng.exponential(abs(mean_m))), mean_m)
+        message.range = max(self.SHORTEST_M, message.range + excess_m)
+        if self._fault.is_bearing_hit:
+            message.bearing = float(self._rng.uniform(-math.pi, math.pi))
+
+
+class NotNumbers(RangingEffect):
+    """Some answers are none."""
+
+    def __init__(self, fault: RangingNan, rng: np.random.Generator, key: SigningKey | None) -> None:
+        super().__init__(rng, key)
+        self._share = fault.share
+
+    def _change(self, message: Any) -> None:
+        if self._happens(self._share):
+            message.range = NOT_A_RANGE[int(self._rng.integers(len(NOT_A_RANGE)))]
+        if self._happens(self._share):
+            message.bearing = NOT_A_BEARING[int(self._rng.integers(len(NOT_A_BEARING)))]
+
+
+class Late(RangingEffect):
+    """Answers come later than they were made, all alike or each by its own time."""
+
+    def __init__(
+        self,
+        fault: RangingStale | RangingOutOfOrder,
+        rng: np.random.Generator,
+        key: SigningKey | None,
+    ) -> None:
+        super().__init__(rng, key)
+        self._fault = fault
+
+    def _alter(self, data: bytes, due_s: float) -> list[Delivery]:
+        match self._fault:
+            case RangingStale(age_s=age_s):
+                return [(due_s + age_s, data)]
+            case RangingOutOfOrder(window_s=window_s):
+                return [(due_s + float(self._rng.uniform(0.0, window_s)), data)]
+
+
+class SecondEmitter(RangingEffect):
+    """Every answer is followed by one of an emitter somewhere else."""
+
+    RANGE_SIGMA_M = 0.5
+    BEARING_SIGMA_RAD = 0.03
+
+    def __init__(
+        self, fault: RangingSecondEmitter, rng: np.random.Generator, key: SigningKey | None
+    ) -> None:
+        super().__init__(rng, key)
+        self._fault = fault
+        self._vehicle_ned_m: tuple[float, float, float] | None = None
+
+    def watch(self, data: bytes) -> None:
+        """Learn where the vehicle is from what it says."""
+        position = mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED
+        if len(data) > HEADER_LENGTH[MAGIC_V2] and message_id(data) == position:
+            rewritten(data, self._note_place, self._key)
+
+    def _note_place(self, message: Any) -> None:
+        self._vehicle_ned_m = (message.x, message.y, message.z)
+
+    def _alter(self, data: bytes, due_s: float) -> list[Delivery]:
+        if self._vehicle_ned_m is None:
+            return [(due_s, data)]
+        return [(due_s, data), *self._changed(data, due_s)]
+
+    def _change(self, message: Any) -> None:
+        assert self._vehicle_ned_m is not None
+        north, east, down = self._vehicle_ned_m
+        to_east, to_north = self._fault.east_m - east, self._fault.north_m - north
+        noise_m, noise_rad = self._rng.standard_normal(2).tolist()
+        message.range = math.hypot(to_east, to_north, down) + self.RANGE_SIGMA_M * noise_m
+        message.bearing = math.atan2(to_east, to_north) + self.BEARING_SIGMA_RAD * noise_rad
+        message.flags = 0
+        if self._fault.emitter_id is not None:
+            message.emitter_id = self._fault.emitter_id
+
+
+def content_effect(
+    fault: FaultRecord, rng: np.random.Generator, key: SigningKey | None
+) -> Effect | None:
+    """The effect of a content fault; None for any other fault."""
+    match fault:
+        case StreamMute(message=name):
+            number = mavlink.__dict__.get(f"MAVLINK_MSG_ID_{name}", -1)
+            return Mute(frozenset({int(number)}), rng, key)
+        case TelemetryNonsense(share=share):
+            return Nonsense(share, rng, key)
+        case RangingDropout():
+            return Dropout(fault, rng, key)
+        case RangingFreeze():
+            return Freeze(rng, key)
+        case RangingWrongUnit():
+            return WrongUnit(fault, rng, key)
+        case RangingOutliers():
+            return Outliers(fault, rng, key)
+        case RangingNan():
+            return NotNumbers(fault, rng, key)
+        case RangingStale() | RangingOutOfOrder():
+            return Late(fault, rng, key)
+        case RangingSecondEmitter():
+            return SecondEmitter(fault, rng, key)
+    return None

@@ -1,0 +1,449 @@
+"""Every fault as a frozen record: what goes wrong, when, and for how long.
+
+The same records drive the link in memory, the UDP proxy and the injector; a YAML file names one by
+its `kind`: `{kind: link_loss, share: 0.3, start_s: 20, duration_s: 5}`. Times are seconds since the
+schedule began. A fault without an end lasts until the schedule is over; an event (a reboot, a mode
+switch) happens at its start, and its duration means nothing.
+
+What every fault record has, and the types of their fields.
+
+What can go wrong between the two endpoints, in one direction or both.
+
+What can be wrong in frames that arrive: the radio's measurements and the vehicle's reports.
+
+What can happen to the companion's process, and who may attack it.
+
+What can happen to the vehicle, its autopilot, its pilot and the weather.
+
+Which faults act when.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal, get_args
+
+import msgspec
+
+from companion.domain import FlightMode, NonNegative, Params, Positive
+
+Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
+Count = Annotated[int, msgspec.Meta(ge=1, le=1000)]
+Length = Annotated[float, msgspec.Meta(ge=-1e5, le=1e5)]
+Rate = Annotated[float, msgspec.Meta(gt=0.0, le=100_000.0)]
+
+
+class FaultRecord(Params, frozen=True, tag_field="kind"):
+    """What every fault has."""
+
+    start_s: NonNegative = 0.0
+    duration_s: Positive = math.inf
+
+    @property
+    def end_s(self) -> float:
+        """When it is over."""
+        return self.start_s + self.duration_s
+
+    def is_active(self, time_s: float) -> bool:
+        """Whether it acts at a time since the schedule began."""
+        return self.start_s <= time_s < self.end_s
+
+
+Direction = Literal["both", "to_companion", "to_vehicle"]
+
+
+class LinkFault(FaultRecord, frozen=True):
+    """Something between the two, in one direction or both."""
+
+    direction: Direction = "both"
+
+
+class LinkLoss(LinkFault, frozen=True, tag="link_loss"):
+    """Each frame is lost by itself."""
+
+    share: Share = 0.3
+
+
+class LinkBursts(LinkFault, frozen=True, tag="link_bursts"):
+    """Gilbert-Elliott: the link changes between a good and a bad state, by time, not by frame."""
+
+    mean_good_s: Positive = 2.0
+    mean_bad_s: Positive = 0.2
+    loss_good: Share = 0.0
+    loss_bad: Share = 1.0
+
+
+class LinkBlackout(LinkFault, frozen=True, tag="link_blackout"):
+    """Nothing arrives; in one direction only, that is a one-way link."""
+
+
+class LinkDelay(LinkFault, frozen=True, tag="link_delay"):
+    """Every frame is late."""
+
+    delay_s: NonNegative = 0.1
+
+
+class LinkJitter(LinkFault, frozen=True, tag="link_jitter"):
+    """Some frames are late by a random time, so that others overtake them."""
+
+    jitter_s: Positive = 0.2
+    """Up to this much."""
+    share: Share = 1.0
+
+
+class LinkDuplicates(LinkFault, frozen=True, tag="link_duplicates"):
+    """Some frames arrive several times."""
+
+    share: Share = 0.1
+    copies: Count = 1
+    """Beside the frame itself."""
+    spread_s: NonNegative = 0.1
+    """Copies come up to this much later."""
+
+
+class LinkBitFlips(LinkFault, frozen=True, tag="link_bit_flips"):
+    """Some frames arrive with bits turned over."""
+
+    share: Share = 0.1
+    bits: Count = 1
+
+
+class LinkTruncation(LinkFault, frozen=True, tag="link_truncation"):
+    """Some frames lose their end."""
+
+    share: Share = 0.1
+
+
+class LinkGarbage(LinkFault, frozen=True, tag="link_garbage"):
+    """Bytes that are no frame stand before some frames, in the same datagram."""
+
+    share: Share = 0.1
+    most_bytes: Count = 40
+
+
+class LinkRateCap(LinkFault, frozen=True, tag="link_rate_cap"):
+    """A slow link with a queue; what does not fit into the queue is lost."""
+
+    bits_per_s: Positive = 57_600.0
+    queue_bytes: Annotated[int, msgspec.Meta(ge=1, le=10_000_000)] = 4096
+
+
+class LinkHold(LinkFault, frozen=True, tag="link_hold"):
+    """Nothing arrives until the fault is over; then everything at once."""
+
+
+RangingField = Literal["range", "bearing", "both"]
+
+
+class ContentFault(FaultRecord, frozen=True):
+    """Something in the frames themselves; no matter over which link they come."""
+
+
+class StreamMute(ContentFault, frozen=True, tag="stream_mute"):
+    """One message of the vehicle does not arrive."""
+
+    message: str = "LOCAL_POSITION_NED"
+    """Its MAVLink name."""
+
+
+class TelemetryNonsense(ContentFault, frozen=True, tag="telemetry_nonsense"):
+    """Some of the vehicle's reports carry a sentinel, no number or an absurd one in a field."""
+
+    share: Share = 0.3
+
+
+class RangingFault(ContentFault, frozen=True):
+    """Something with the radio's measurements."""
+
+
+class RangingDropout(RangingFault, frozen=True, tag="ranging_dropout"):
+    """Range, bearing or both are missing."""
+
+    missing: RangingField = "both"
+
+
+class RangingFreeze(RangingFault, frozen=True, tag="ranging_freeze"):
+    """The radio repeats its last measurement with fresh stamps."""
+
+
+class RangingWrongUnit(RangingFault, frozen=True, tag="ranging_wrong_unit"):
+    """Range or bearing comes in another unit."""
+
+    of: RangingField = "range"
+    factor: Positive = 100.0
+
+
+class RangingOutliers(RangingFault, frozen=True, tag="ranging_outliers"):
+    """Some measurements are grossly wrong: too long or too short, and a bearing from anywhere."""
+
+    share: Share = 0.3
+    """Of measurements outside of bursts, with which one begins."""
+    excess_m: Length = 40.0
+    """Mean of what is added to the range; negative: ranges are too short, as no reflection is."""
+    is_bearing_hit: bool = True
+    burst: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 1
+    """So many in a row."""
+
+
+class RangingStale(RangingFault, frozen=True, tag="ranging_stale"):
+    """Measurements arrive late, with the stamp of when they were made."""
+
+    age_s: Positive = 0.7
+
+
+class RangingOutOfOrder(RangingFault, frozen=True, tag="ranging_out_of_order"):
+    """Measurements overtake each other."""
+
+    window_s: Positive = 0.8
+
+
+class RangingSecondEmitter(RangingFault, frozen=True, tag="ranging_second_emitter"):
+    """Another emitter answers too; with the same id, it poses as ours."""
+
+    east_m: Length = 0.0
+    north_m: Length = 60.0
+    emitter_id: Annotated[int, msgspec.Meta(ge=0, le=65_535)] | None = None
+    """None: it uses ours."""
+
+
+class RangingNan(RangingFault, frozen=True, tag="ranging_nan"):
+    """Some measurements are no numbers, infinite, negative or absurd."""
+
+    share: Share = 0.5
+
+
+class ProcessFault(FaultRecord, frozen=True):
+    """Something with the companion's process or its host."""
+
+
+class CompanionKilled(ProcessFault, frozen=True, tag="companion_killed"):
+    """The process is killed, and started anew after a while; event."""
+
+    down_s: NonNegative = 1.0
+
+
+class CompanionStalled(ProcessFault, frozen=True, tag="companion_stalled"):
+    """The process gets no time (SIGSTOP, a starved host)."""
+
+    duration_s: Positive = 1.0
+
+
+class CompanionTerminated(ProcessFault, frozen=True, tag="companion_terminated"):
+    """The process is asked to end (SIGTERM); event."""
+
+
+class SecurityFault(FaultRecord, frozen=True):
+    """Somebody on the link who should not be there."""
+
+    rate_hz: Rate = 50.0
+
+
+class ForgedFrames(SecurityFault, frozen=True, tag="forged_frames"):
+    """Frames in the vehicle's name, signed with a wrong key where the link is signed."""
+
+
+class ReplayedFrames(SecurityFault, frozen=True, tag="replayed_frames"):
+    """Frames that the vehicle sent before, bit by bit."""
+
+
+class UnsignedFrames(SecurityFault, frozen=True, tag="unsigned_frames"):
+    """Frames in the vehicle's name without any signature."""
+
+
+class ForeignFrames(SecurityFault, frozen=True, tag="foreign_frames"):
+    """Frames of another vehicle on the same link, with an id of its own."""
+
+
+Angle = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
+Deflection = Annotated[float, msgspec.Meta(ge=-1.0, le=1.0)]
+WindSpeed = Annotated[float, msgspec.Meta(ge=-50.0, le=50.0)]
+
+
+class VehicleFault(FaultRecord, frozen=True):
+    """Something with the vehicle, its autopilot or the weather."""
+
+
+class VehicleReboot(VehicleFault, frozen=True, tag="vehicle_reboot"):
+    """The autopilot restarts, motors off; event."""
+
+    down_s: NonNegative = 1.0
+
+
+class EkfJump(VehicleFault, frozen=True, tag="ekf_jump"):
+    """The autopilot's estimator resets: from now on it reports this much more; event."""
+
+    east_m: Length = 7.0
+    north_m: Length = 0.0
+    up_m: Length = 0.0
+    yaw_deg: Angle = 0.0
+
+
+class EkfPoor(VehicleFault, frozen=True, tag="ekf_poor"):
+    """The autopilot says that measurements contradict its estimate."""
+
+    ratio: Positive = 1.5
+
+
+class GpsLoss(VehicleFault, frozen=True, tag="gps_loss"):
+    """No satellites: the fix is gone and the estimate wanders."""
+
+
+class Wind(VehicleFault, frozen=True, tag="wind"):
+    """Another wind, by where it blows to; calm when it is over."""
+
+    east_mps: WindSpeed = 12.0
+    north_mps: WindSpeed = 0.0
+
+
+class Battery(VehicleFault, frozen=True, tag="battery"):
+    """The charge changes at once; event."""
+
+    share: Share | None = 0.14
+    """None: nobody knows it any more."""
+
+
+class OriginShift(VehicleFault, frozen=True, tag="origin_shift"):
+    """The zero of the local frame moves; event."""
+
+    east_m: Length = 10.0
+    north_m: Length = 0.0
+
+
+class PilotMode(VehicleFault, frozen=True, tag="pilot_mode"):
+    """The pilot turns the mode switch; event."""
+
+    mode: FlightMode = FlightMode.HOLD
+
+
+class PilotSticks(VehicleFault, frozen=True, tag="pilot_sticks"):
+    """The pilot moves the sticks."""
+
+    forward: Deflection = 0.5
+    right: Deflection = 0.0
+
+
+class ModeFlap(VehicleFault, frozen=True, tag="mode_flap"):
+    """The mode switch goes to and fro."""
+
+    mode: FlightMode = FlightMode.HOLD
+    period_s: Positive = 0.5
+    duration_s: Positive = 4.0
+
+
+class Failsafe(VehicleFault, frozen=True, tag="failsafe"):
+    """The autopilot leaves by itself; event."""
+
+    mode: FlightMode = FlightMode.RETURN
+
+
+class Disarm(VehicleFault, frozen=True, tag="disarm"):
+    """The motors stop in the air; event."""
+
+
+class SecondSender(VehicleFault, frozen=True, tag="second_sender"):
+    """Somebody else sends setpoints to the vehicle."""
+
+    rate_hz: Rate = 10.0
+    east_m: Length = 20.0
+    north_m: Length = 20.0
+    up_m: Length = 15.0
+    duration_s: Positive = 3.0
+
+
+Fault = (
+    LinkLoss
+    | LinkBursts
+    | LinkBlackout
+    | LinkDelay
+    | LinkJitter
+    | LinkDuplicates
+    | LinkBitFlips
+    | LinkTruncation
+    | LinkGarbage
+    | LinkRateCap
+    | LinkHold
+    | StreamMute
+    | RangingDropout
+    | RangingFreeze
+    | RangingWrongUnit
+    | RangingOutliers
+    | RangingStale
+    | RangingOutOfOrder
+    | RangingSecondEmitter
+    | RangingNan
+    | VehicleReboot
+    | EkfJump
+    | EkfPoor
+    | GpsLoss
+    | Wind
+    | Battery
+    | OriginShift
+    | PilotMode
+    | PilotSticks
+    | ModeFlap
+    | Failsafe
+    | Disarm
+    | SecondSender
+    | TelemetryNonsense
+    | CompanionKilled
+    | CompanionStalled
+    | CompanionTerminated
+    | ForgedFrames
+    | ReplayedFrames
+    | UnsignedFrames
+    | ForeignFrames
+)
+"""Any fault, told apart by `kind` in a file."""
+
+KINDS: dict[str, type[FaultRecord]] = {
+    str(kind.__struct_config__.tag): kind for kind in get_args(Fault)
+}
+"""Every fault by the name that a file gives it."""
+
+
+class Schedule(Params, frozen=True):
+    """Faults, each with its start and duration, in seconds since the schedule began."""
+
+    faults: tuple[Fault, ...] = ()
+
+    def active(self, time_s: float) -> list[Fault]:
+        """What acts at a time."""
+        return [fault for fault in self.faults if fault.is_active(time_s)]
+
+    def shifted(self, by_s: float) -> Schedule:
+        """The same faults, later by so much."""
+        return Schedule(
+            faults=tuple(
+                msgspec.structs.replace(fault, start_s=fault.start_s + by_s)
+                for fault in self.faults
+            )
+        )
+
+    @property
+    def end_s(self) -> float:
+        """When the last fault that ends is over; faults without an end do not count."""
+        return max((f.end_s for f in self.faults if math.isfinite(f.end_s)), default=0.0)
+
+
+def fault_from(fields: dict[str, object]) -> Fault:
+    """The fault that a mapping names by its `kind`.
+
+    Raises:
+        msgspec.ValidationError: No such kind, or fields that it does not have or may not be.
+    """
+    fault: Fault = msgspec.convert(fields, Fault)
+    return fault
+
+
+def fields_of(fault: FaultRecord) -> dict[str, object]:
+    """The mapping that names a fault, without what is as by default."""
+    fields = {
+        name: value
+        for name, value in msgspec.to_builtins(fault).items()
+        if name == "kind" or value != _default_of(type(fault), name)
+    }
+    return dict(fields)
+
+
+def _default_of(kind: type[FaultRecord], name: str) -> object:
+    return msgspec.to_builtins(getattr(kind(), name))

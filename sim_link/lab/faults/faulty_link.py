@@ -1,0 +1,209 @@
+"""A link with faults, and the attacker who listens on it.
+
+A link that does what its schedule says, in memory on invented time, repeatable from its seed.
+
+Theory of operation. Every fault gets effects with a generator of their own, seeded by the link's
+seed and the fault's number: one per direction for a fault of the link, one for all frames of the
+vehicle and its radio for a fault of their content. A datagram passes the effects that act at the
+time it is sent, in a fixed order of kinds: first its content, then what is lost, then what is
+damaged, then copies, then what makes it late. A radio on a link of its own is touched by faults of
+content only.
+
+Frames of somebody who should not be there, made from what the vehicle sent.
+
+An attacker on the same network hears everything. It has no key: on a signed link its own frames
+carry a signature with a key of its own, none at all, or one that was used before.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from companion.mav.codec import CRC_EXTRA_BY_ID
+from companion.mav.dialect import mavlink
+from companion.mav.framing import frame_crc, message_id, without_signature
+from companion.mav.signing import MAX_HEARD, Signing, SigningKey
+from sim_link.lab.faults.content_effects import content_effect, rewritten
+from sim_link.lab.faults.fault_models import (
+    ContentFault,
+    FaultRecord,
+    ForeignFrames,
+    ForgedFrames,
+    LinkBitFlips,
+    LinkBlackout,
+    LinkBursts,
+    LinkDelay,
+    LinkDuplicates,
+    LinkFault,
+    LinkGarbage,
+    LinkHold,
+    LinkJitter,
+    LinkLoss,
+    LinkRateCap,
+    LinkTruncation,
+    ReplayedFrames,
+    Schedule,
+    SecurityFault,
+    UnsignedFrames,
+)
+from sim_link.lab.faults.link_effects import Effect, link_effect
+from sim_link.lab.lockstep.observer import Delivery, Lane
+
+LINK_LANES = {
+    "both": (Lane.TO_COMPANION, Lane.TO_VEHICLE),
+    "to_companion": (Lane.TO_COMPANION,),
+    "to_vehicle": (Lane.TO_VEHICLE,),
+}
+CONTENT_LANES = (Lane.TO_COMPANION, Lane.RANGING)
+LINK_ORDER: tuple[type[FaultRecord], ...] = (
+    LinkBlackout,
+    LinkLoss,
+    LinkBursts,
+    LinkBitFlips,
+    LinkTruncation,
+    LinkGarbage,
+    LinkDuplicates,
+    LinkDelay,
+    LinkJitter,
+    LinkRateCap,
+    LinkHold,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class _Acting:
+    start_s: float
+    end_s: float
+    rank: int
+    effect: Effect
+
+
+class FaultyLink:
+    """A wire with faults; a `sim_link.lockstep.wire.Wire`.
+
+    Args:
+        schedule: What goes wrong when; what is no fault of link or content is left to others.
+        seed: Of all that is random here.
+        began_s: The caller's time at which the schedule begins.
+        key: With which changed frames are signed anew, where frames are signed.
+    """
+
+    def __init__(
+        self,
+        schedule: Schedule,
+        seed: int,
+        began_s: float = 0.0,
+        key: SigningKey | None = None,
+    ) -> None:
+        self._seed = seed
+        self._key = key
+        self._count = 0
+        self._acting: dict[Lane, list[_Acting]] = {lane: [] for lane in Lane}
+        for fault in schedule.faults:
+            self.add(fault, began_s)
+
+    def add(self, fault: FaultRecord, began_s: float) -> None:
+        """One more fault, its times counted from `began_s`."""
+        self._count += 1
+        start_s, end_s = began_s + fault.start_s, began_s + fault.end_s
+        if isinstance(fault, ContentFault):
+            rng = np.random.default_rng((self._seed, self._count))
+            effect = content_effect(fault, rng, self._key)
+            assert effect is not None, fault
+            for lane in CONTENT_LANES:
+                self._put(lane, _Acting(start_s, end_s, -1, effect))
+        if isinstance(fault, LinkFault):
+            for lane in LINK_LANES[fault.direction]:
+                number = LINK_LANES["both"].index(lane)
+                rng = np.random.default_rng((self._seed, self._count, number))
+                effect = link_effect(fault, end_s, rng)
+                assert effect is not None, fault
+                rank = LINK_ORDER.index(type(fault))
+                self._put(lane, _Acting(start_s, end_s, rank, effect))
+
+    def _put(self, lane: Lane, acting: _Acting) -> None:
+        self._acting[lane].append(acting)
+        self._acting[lane].sort(key=lambda each: each.rank)
+
+    def carry(self, data: bytes, lane: Lane, now_s: float) -> list[Delivery]:
+        """What arrives of a datagram that is sent at `now_s`."""
+        deliveries: list[Delivery] = [(now_s, data)]
+        for acting in self._acting[lane]:
+            if acting.start_s <= now_s < acting.end_s:
+                deliveries = acting.effect.apply(deliveries, now_s)
+            else:
+                acting.effect.watch(data)
+        return deliveries
+
+
+MEMORY = 4000
+"""Frames that are kept for a replay."""
+WRONG_KEY = SigningKey(bytes(range(1, 33)))
+SYSTEM_BYTE = 5
+FOREIGN_SYSTEM = 77
+
+
+class Attacker:
+    """Makes frames.
+
+    Args:
+        rng: Of the attacker.
+    """
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self._rng = rng
+        self._heard: deque[bytes] = deque(maxlen=MEMORY)
+        self._signing = Signing(WRONG_KEY)
+
+    def overhear(self, frame: bytes) -> None:
+        """Remember what the vehicle sent."""
+        self._heard.append(frame)
+
+    def next(self, fault: SecurityFault) -> bytes | None:
+        """The next frame of an attack, or None while nothing was heard yet."""
+        if not self._heard:
+            return None
+        model = self._heard[int(self._rng.integers(len(self._heard)))]
+        match fault:
+            case ReplayedFrames():
+                return model
+            case UnsignedFrames():
+                return self._lie(model)
+            case ForeignFrames():
+                return self._from_elsewhere(model)
+            case ForgedFrames():
+                return self._forged(model)
+        return None
+
+    def _lie(self, model: bytes) -> bytes:
+        """The same kind of frame, unsigned, with other content."""
+        bare = without_signature(model, CRC_EXTRA_BY_ID.get(message_id(model)))
+        return rewritten(bare, self._change, None)
+
+    def _change(self, message: Any) -> None:
+        match message:
+            case mavlink.MAVLink_heartbeat_message():
+                message.custom_mode = int(self._rng.integers(0, 10)) << 16
+                message.base_mode = int(self._rng.integers(0, 256))
+            case mavlink.MAVLink_local_position_ned_message():
+                message.x += float(self._rng.normal(0.0, 50.0))
+                message.y += float(self._rng.normal(0.0, 50.0))
+            case mavlink.MAVLink_home_position_message():
+                message.latitude += 10_000
+            case mavlink.MAVLink_gps_global_origin_message():
+                message.latitude += 10_000
+
+    def _forged(self, model: bytes) -> bytes:
+        """Signed with a wrong key, with a timestamp from the past to the end of time."""
+        lie = self._lie(model)
+        self._signing = Signing(WRONG_KEY, int(self._rng.integers(0, MAX_HEARD)))
+        return self._signing.sign(lie, 0, CRC_EXTRA_BY_ID[message_id(lie)])
+
+    def _from_elsewhere(self, model: bytes) -> bytes:
+        bare = without_signature(model, CRC_EXTRA_BY_ID.get(message_id(model)))
+        head = bare[:SYSTEM_BYTE] + bytes((FOREIGN_SYSTEM,)) + bare[SYSTEM_BYTE + 1 : -2]
+        return head + frame_crc(head, CRC_EXTRA_BY_ID[message_id(bare)]).to_bytes(2, "little")

@@ -1,0 +1,212 @@
+"""Lets faults happen to a flight in lockstep, each at its time.
+
+Faults of link and content go to the flight's `FaultyLink`; those of vehicle and pilot become
+incidents of the simulator; those of the process kill, start and suspend the companion; attackers
+send from an address of their own, or, on a signed link, from the vehicle's.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from companion.domain import FlightMode
+from companion.mav.codec import MavCodec
+from companion.mav.dialect import POSITION_ONLY, mavlink
+from companion.mav.endpoint import Address, Chunk
+from sim_link.autopilot import scenario
+from sim_link.lab.faults.fault_models import (
+    Battery,
+    CompanionKilled,
+    CompanionStalled,
+    CompanionTerminated,
+    Disarm,
+    EkfJump,
+    EkfPoor,
+    Failsafe,
+    FaultRecord,
+    GpsLoss,
+    ModeFlap,
+    OriginShift,
+    PilotMode,
+    PilotSticks,
+    ProcessFault,
+    Schedule,
+    SecondSender,
+    SecurityFault,
+    VehicleFault,
+    VehicleReboot,
+    Wind,
+)
+from sim_link.lab.faults.faulty_link import Attacker, FaultyLink
+from sim_link.lab.lockstep.flight import VEHICLE_PEER, Flight
+from sim_link.lab.lockstep.flight_harness import Operator
+from sim_link.lab.lockstep.observer import Frame, Observer
+
+ATTACKER_PEER: Address = ("127.0.0.1", 16000)
+SENDER_PEER: Address = ("127.0.0.1", 17000)
+ATTACK_PERIOD_S = 0.02
+"""An attacker's frames come in groups this far apart."""
+
+
+class Injector(Observer):
+    """Applies a schedule to a flight.
+
+    Args:
+        flight: The flight; the injector becomes one of its observers.
+        link: The wire of that flight.
+        operator: Its operator.
+        is_spoofing: Attackers send from the vehicle's own address.
+    """
+
+    def __init__(
+        self, flight: Flight, link: FaultyLink, operator: Operator, *, is_spoofing: bool = False
+    ) -> None:
+        self._flight = flight
+        self._link = link
+        self._operator = operator
+        self._attacker = Attacker(np.random.default_rng((flight.seed, 0xA77)))
+        self._attack_peer = VEHICLE_PEER if is_spoofing else ATTACKER_PEER
+        self._other = MavCodec(254, mavlink.MAV_COMP_ID_ONBOARD_COMPUTER)
+        flight.observers.append(self)
+
+    def inject(self, schedule: Schedule) -> None:
+        """Let the schedule begin now; faults that are not on the link yet are put there too."""
+        for fault in schedule.faults:
+            self.add(fault)
+
+    def add(self, fault: FaultRecord) -> None:
+        """Let one fault happen, its times counted from now."""
+        began_s = self._flight.now_s
+        self._link.add(fault, began_s)
+        start_s = began_s + fault.start_s
+        match fault:
+            case VehicleFault():
+                self._flight.at(start_s, partial(self._happen, fault))
+            case ProcessFault():
+                self._flight.at(start_s, partial(self._hit, fault))
+            case SecurityFault():
+                self._flight.at(start_s, partial(self._attack, fault, began_s + fault.end_s, 0.0))
+
+    def vehicle_sent(self, frame: Frame) -> None:
+        """The attacker hears everything."""
+        self._attacker.overhear(frame.data)
+
+    # The vehicle
+
+    def _happen(self, fault: VehicleFault) -> None:
+        flight = self._flight
+        match fault:
+            case Disarm():
+                self._operator.disarm()
+            case ModeFlap():
+                self._flap(fault, flight.now_s + fault.duration_s, is_ours=True)
+            case SecondSender():
+                self._repeat(
+                    1.0 / fault.rate_hz,
+                    flight.now_s + fault.duration_s,
+                    partial(self._send_other, fault),
+                )
+            case Wind():
+                wind = scenario.WindChange(east_mps=fault.east_mps, north_mps=fault.north_mps)
+                flight.happen(wind)
+                self._calm(fault)
+            case _:
+                flight.happen(incident_of(fault))
+
+    def _calm(self, fault: Wind) -> None:
+        if not math.isfinite(fault.duration_s):
+            return
+        wind = self._flight.scenario.wind
+        before = scenario.WindChange(east_mps=wind.east_mps, north_mps=wind.north_mps)
+        end_s = self._flight.now_s + fault.duration_s
+        self._flight.at(end_s, partial(self._flight.happen, before))
+
+    def _flap(self, fault: ModeFlap, end_s: float, *, is_ours: bool) -> None:
+        now_s = self._flight.now_s
+        mode = fault.mode if is_ours else FlightMode.OFFBOARD
+        self._flight.happen(scenario.PilotMode(mode=mode))
+        if now_s < end_s or is_ours:
+            next_s = now_s + 0.5 * fault.period_s
+            self._flight.at(next_s, partial(self._flap, fault, end_s, is_ours=not is_ours))
+
+    def _send_other(self, fault: SecondSender) -> None:
+        flight = self._flight
+        message = mavlink.MAVLink_set_position_target_local_ned_message(
+            round(1e3 * flight.now_s),
+            flight.scenario.system_id,
+            1,
+            mavlink.MAV_FRAME_LOCAL_NED,
+            POSITION_ONLY,
+            *(fault.north_m, fault.east_m, -fault.up_m),
+            *[0.0] * 8,
+        )
+        flight.sim.receive(Chunk(0, self._other.encode(message), SENDER_PEER), flight.now_s)
+
+    # The process
+
+    def _hit(self, fault: ProcessFault) -> None:
+        flight = self._flight
+        match fault:
+            case CompanionKilled():
+                flight.kill_companion()
+                flight.at(flight.now_s + fault.down_s, self._start_again)
+            case CompanionStalled():
+                flight.suspend_companion(fault.duration_s)
+            case CompanionTerminated():
+                flight.stop_companion()
+
+    def _start_again(self) -> None:
+        if not self._flight.is_companion_up:
+            self._flight.start_companion()
+
+    # The attacker
+
+    def _attack(self, fault: SecurityFault, end_s: float, owed: float) -> None:
+        flight = self._flight
+        owed += fault.rate_hz * ATTACK_PERIOD_S
+        for _ in range(int(owed)):
+            data = self._attacker.next(fault)
+            if data is not None:
+                flight.attack(Chunk(0, data, self._attack_peer))
+        next_s = flight.now_s + ATTACK_PERIOD_S
+        if next_s < end_s:
+            flight.at(next_s, partial(self._attack, fault, end_s, owed - int(owed)))
+
+    def _repeat(self, period_s: float, end_s: float, action: Callable[[], None]) -> None:
+        action()
+        next_s = self._flight.now_s + period_s
+        if next_s < end_s:
+            self._flight.at(next_s, partial(self._repeat, period_s, end_s, action))
+
+
+def incident_of(fault: VehicleFault) -> scenario.Incident:
+    """The simulator's incident for a fault that is one.
+
+    Raises:
+        ValueError: It is none.
+    """
+    for_s = fault.duration_s
+    match fault:
+        case VehicleReboot(down_s=down_s):
+            return scenario.Reboot(down_s=down_s)
+        case EkfJump():
+            return scenario.EkfJump(
+                east_m=fault.east_m, north_m=fault.north_m, up_m=fault.up_m, yaw_deg=fault.yaw_deg
+            )
+        case EkfPoor(ratio=ratio):
+            return scenario.EkfPoor(ratio=ratio, for_s=for_s)
+        case GpsLoss():
+            return scenario.GpsLoss(for_s=for_s)
+        case Battery(share=share):
+            return scenario.BatteryCharge(share=share)
+        case OriginShift(east_m=east_m, north_m=north_m):
+            return scenario.OriginShift(east_m=east_m, north_m=north_m)
+        case PilotMode(mode=mode) | Failsafe(mode=mode):
+            return scenario.PilotMode(mode=mode)
+        case PilotSticks(forward=forward, right=right):
+            return scenario.PilotSticks(forward=forward, right=right, for_s=for_s)
+    raise ValueError(f"{type(fault).__name__} is no incident")

@@ -1,0 +1,310 @@
+"""`sim-link proxy`: faults between a real vehicle or simulator and a real companion on UDP.
+
+A UDP proxy with faults between a real vehicle or simulator and a real companion.
+
+    vehicle  <-->  vehicle_side | faults | companion_side  <-->  companion
+
+Theory of operation. The vehicle sends to the vehicle side as if that were the companion, and the
+companion hears and answers the companion side as if that were the vehicle. Every datagram passes a
+`FaultyLink`, the same as in memory, and what is late waits in a queue; attackers send to the
+companion from a socket of their own. One thread, no clock but the monotonic one. What the system
+refuses to send is counted and gone, as on any network.
+
+`sim-link proxy`: a bad link between a vehicle and a companion on UDP.
+"""
+
+from __future__ import annotations
+
+import argparse
+import heapq
+import selectors
+import signal
+import socket
+import time
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import yaml
+
+from companion.config.loader import load_yaml
+from companion.errors import ConfigError, LinkError
+from companion.mav.endpoint import Address
+from sim_link.lab.faults.fault_models import (
+    ContentFault,
+    Fault,
+    FaultRecord,
+    LinkFault,
+    Schedule,
+    SecurityFault,
+    fault_from,
+)
+from sim_link.lab.faults.faulty_link import Attacker, FaultyLink
+from sim_link.lab.lockstep.observer import Lane
+
+MAX_DATAGRAM = 65_535
+READS = 200
+"""Datagrams that are read at most before the queue is looked at again."""
+LONGEST_WAIT_S = 0.5
+BUFFER_BYTES = 1 << 21
+ATTACK_PERIOD_S = 0.02
+MOST_ATTACKS_AT_ONCE = 1000
+
+
+@dataclass(slots=True)
+class Counters:
+    """What passed so far."""
+
+    to_companion: int = 0
+    to_vehicle: int = 0
+    lost: int = 0
+    """Datagrams of which nothing arrived."""
+    refused: int = 0
+    """Datagrams that the system refused to send."""
+    attacks: int = 0
+
+
+@dataclass(order=True, slots=True)
+class _Waiting:
+    due_s: float
+    count: int
+    data: bytes = field(compare=False)
+    lane: Lane = field(compare=False)
+
+
+class FaultProxy:
+    """Two sockets and the faults between them; a context manager that closes them.
+
+    Args:
+        vehicle_side: Where the vehicle sends; port 0 takes any.
+        companion: Where the companion listens.
+        schedule: What goes wrong, from the start on.
+        seed: Of all that is random.
+
+    Raises:
+        LinkError: The address is taken, or not ours.
+    """
+
+    def __init__(
+        self, vehicle_side: Address, companion: Address, schedule: Schedule, seed: int
+    ) -> None:
+        self.counters = Counters()
+        self._companion = companion
+        self._vehicle: Address | None = None
+        self._vehicle_side = _bound(vehicle_side)
+        self._companion_side = _bound((companion[0], 0))
+        self._attack_side = _bound((companion[0], 0))
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self._vehicle_side, selectors.EVENT_READ, Lane.TO_COMPANION)
+        self._selector.register(self._companion_side, selectors.EVENT_READ, Lane.TO_VEHICLE)
+        self._began_s = time.monotonic()
+        self._link = FaultyLink(schedule, seed)
+        self._attacks = [f for f in schedule.faults if isinstance(f, SecurityFault)]
+        self._attacker = Attacker(np.random.default_rng((seed, 0xA77)))
+        self._attacked_s = 0.0
+        self._owed = 0.0
+        self._queue: list[_Waiting] = []
+        self._count = 0
+
+    @property
+    def vehicle_side(self) -> Address:
+        """Where the vehicle has to send."""
+        return _name(self._vehicle_side)
+
+    @property
+    def companion_side(self) -> Address:
+        """Whom the companion hears."""
+        return _name(self._companion_side)
+
+    def add(self, fault: FaultRecord) -> None:
+        """One more fault, its times counted from now."""
+        self._link.add(fault, self._now_s())
+
+    def run(self, duration_s: float) -> None:
+        """Carry datagrams for a while."""
+        until_s = self._now_s() + duration_s
+        while (now_s := self._now_s()) < until_s:
+            self._wait(min(until_s - now_s, LONGEST_WAIT_S))
+            self._attack()
+            self._deliver()
+
+    def close(self) -> None:
+        """Close everything; what waits is lost."""
+        self._selector.close()
+        for each in (self._vehicle_side, self._companion_side, self._attack_side):
+            each.close()
+
+    def __enter__(self) -> FaultProxy:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _now_s(self) -> float:
+        return time.monotonic() - self._began_s
+
+    def _wait(self, longest_s: float) -> None:
+        if self._queue:
+            longest_s = min(longest_s, max(0.0, self._queue[0].due_s - self._now_s()))
+        if self._attacks:
+            longest_s = min(longest_s, ATTACK_PERIOD_S)
+        for key, _ in self._selector.select(longest_s):
+            assert isinstance(key.fileobj, socket.socket)
+            self._read(key.fileobj, key.data)
+
+    def _read(self, source: socket.socket, lane: Lane) -> None:
+        for _ in range(READS):
+            try:
+                data, peer = source.recvfrom(MAX_DATAGRAM)
+            except BlockingIOError:
+                return
+            except OSError:  # an earlier datagram reached nobody
+                continue
+            now_s = self._now_s()
+            if lane is Lane.TO_COMPANION:
+                self._vehicle = peer
+                self._attacker.overhear(data)
+            elif peer != self._companion:
+                continue
+            arriving = self._link.carry(data, lane, now_s)
+            self.counters.lost += not arriving
+            for due_s, each in arriving:
+                self._count += 1
+                heapq.heappush(self._queue, _Waiting(due_s, self._count, each, lane))
+
+    def _deliver(self) -> None:
+        now_s = self._now_s()
+        while self._queue and self._queue[0].due_s <= now_s:
+            waiting = heapq.heappop(self._queue)
+            if waiting.lane is Lane.TO_COMPANION:
+                self.counters.to_companion += 1
+                self._send(self._companion_side, waiting.data, self._companion)
+            elif self._vehicle is not None:
+                self.counters.to_vehicle += 1
+                self._send(self._vehicle_side, waiting.data, self._vehicle)
+
+    def _attack(self) -> None:
+        now_s = self._now_s()
+        rates = [(f, f.rate_hz) for f in self._attacks if f.is_active(now_s)]
+        elapsed_s, self._attacked_s = now_s - self._attacked_s, now_s
+        for fault, rate_hz in rates:
+            self._owed = min(self._owed + rate_hz * elapsed_s, MOST_ATTACKS_AT_ONCE)
+            while self._owed >= 1.0:
+                self._owed -= 1.0
+                data = self._attacker.next(fault)
+                if data is not None:
+                    self.counters.attacks += 1
+                    self._send(self._attack_side, data, self._companion)
+
+    def _send(self, source: socket.socket, data: bytes, peer: Address) -> None:
+        try:
+            source.sendto(data, peer)
+        except OSError:
+            self.counters.refused += 1
+
+
+def _bound(address: Address) -> socket.socket:
+    bound = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    bound.setblocking(False)
+    with suppress(OSError):
+        bound.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER_BYTES)
+    try:
+        bound.bind(address)
+    except OSError as error:
+        bound.close()
+        raise LinkError(f"udp {address[0]}:{address[1]}: {error.strerror}") from error
+    return bound
+
+
+def _name(bound: socket.socket) -> Address:
+    host, port = bound.getsockname()[:2]
+    return str(host), int(port)
+
+
+DESCRIPTION = """
+Carry MAVLink between a vehicle and a companion over UDP, with faults: the vehicle sends to
+--listen as if that were the companion, and the companion hears the proxy as if it were the vehicle.
+"""
+EPILOG = """
+examples:
+  sim-link --send-to 127.0.0.1:14560          the vehicle
+  companion --connect udp:127.0.0.1:14550     the companion
+  sim-link proxy --fault '{kind: link_loss, share: 0.3}'
+  sim-link proxy --faults FILE.yaml           faults: [{kind: link_blackout, start_s: 20}]
+"""
+TICK_S = 0.2
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's own arguments."""
+    parser.add_argument("--listen", default="127.0.0.1:14560", metavar="HOST:PORT")
+    parser.add_argument("--companion", default="127.0.0.1:14550", metavar="HOST:PORT")
+    parser.add_argument("--fault", action="append", default=[], metavar="MAPPING")
+    parser.add_argument("--faults", type=Path, metavar="FILE", help="faults as YAML")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--for", dest="for_s", type=float, metavar="SECONDS", help="then end")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Carry datagrams until asked to stop.
+
+    Raises:
+        ConfigError: A bad address or fault.
+        LinkError: The address is taken.
+    """
+    schedule = _schedule(arguments.fault, arguments.faults)
+    listen, companion = address_of(arguments.listen), address_of(arguments.companion)
+    if arguments.seed < 0 or (arguments.for_s is not None and arguments.for_s <= 0.0):
+        raise ConfigError("--seed must not be negative, --for must be above 0")
+    with FaultProxy(listen, companion, schedule, arguments.seed) as proxy:
+        host, port = proxy.vehicle_side
+        print(f"proxy: vehicle to {host}:{port}, companion {arguments.companion}", flush=True)
+        with suppress(KeyboardInterrupt):
+            _carry(proxy, arguments.for_s)
+        print(f"proxy: {proxy.counters}", flush=True)
+    return 0
+
+
+def _carry(proxy: FaultProxy, for_s: float | None) -> None:
+    before = signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        if for_s is not None:
+            proxy.run(for_s)
+            return
+        while True:
+            proxy.run(TICK_S)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _interrupt(*_: object) -> None:
+    raise KeyboardInterrupt
+
+
+def _schedule(texts: list[str], path: Path | None) -> Schedule:
+    faults: list[Fault] = [] if path is None else list(load_yaml(path, Schedule).faults)
+    for text in texts:
+        try:
+            faults.append(fault_from(yaml.safe_load(text)))
+        except (yaml.YAMLError, msgspec.ValidationError) as error:
+            problem = " ".join(str(error).split())
+            raise ConfigError(f"--fault {text!r}: {problem}") from None
+    for fault in faults:
+        if not isinstance(fault, LinkFault | ContentFault | SecurityFault):
+            kind = fault.__struct_config__.tag
+            raise ConfigError(f"{kind} happens to a vehicle or a process, not to a link")
+    return Schedule(faults=tuple(faults))
+
+
+def address_of(text: str) -> Address:
+    """Host and port.
+
+    Raises:
+        ConfigError: It is no HOST:PORT.
+    """
+    host, _, port = text.rpartition(":")
+    if not host or not port.isdecimal() or int(port) > 65_535:
+        raise ConfigError(f"{text!r} is no HOST:PORT")
+    return host, int(port)

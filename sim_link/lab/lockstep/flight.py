@@ -1,0 +1,410 @@
+"""One flight in lockstep: a companion and a simulated vehicle, bytes between them, invented time.
+
+Theory of operation. Nothing moves until `run` lets time pass; then the earliest of what is due
+happens next: a datagram that arrives, an action that somebody scheduled, a physics step, the
+companion's control tick. At the same time it happens in this order: arrivals and actions in the
+order in which they were posted, physics, radio, control tick, then whatever those sent if the wire
+delivers it at once. So a flight depends on its configuration, scenario, seed, wire and actions
+only, and two of the same give the same bytes.
+
+The companion is treated as the process that it is: it may be killed, started anew, told to stop,
+and suspended. A suspended one gets what its socket held, in order, when it goes on; the socket
+holds no more than Linux gives it by default, and drops the rest.
+
+The companion's journal: in memory, and watched.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+
+from companion.config.schema import CompanionConfig
+from companion.domain import Autopilot, FlightMode
+from companion.flight_setup import build_endpoint
+from companion.guidance.authority.state_machine import Phase
+from companion.guidance.commands import ReportResult, Severity
+from companion.link.endpoint import CompanionEndpoint
+from companion.link.recorders import Journal
+from companion.mav.endpoint import Address, Chunk
+from sim_link.autopilot import radio_payload
+from sim_link.autopilot.endpoint import SimEndpoint
+from sim_link.autopilot.scenario import Incident, PilotMode, Reboot, Scenario
+from sim_link.lab.lockstep.observer import (
+    Frame,
+    Lane,
+    Observer,
+    Observers,
+    PerfectWire,
+    Wire,
+    frames_in,
+)
+
+
+class MemoryJournal:
+    """Everything that the endpoint reports, in the order of time."""
+
+    def __init__(self) -> None:
+        self.texts: list[tuple[float, str]] = []
+        self.records: list[tuple[float, str, Mapping[str, object]]] = []
+        self.results: list[tuple[float, ReportResult]] = []
+
+    def frame(self, data: bytes, now_s: float) -> None:
+        """Frames are recorded by whoever watches the flight."""
+
+    def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
+        """Keep an event."""
+        self.records.append((now_s, kind, fields))
+
+    def text(self, severity: Severity, text: str, now_s: float) -> None:
+        """Keep a text."""
+        del severity
+        self.texts.append((now_s, text))
+
+    def result(self, report: ReportResult, now_s: float) -> None:
+        """Keep a report."""
+        self.results.append((now_s, report))
+
+    def said(self, part: str) -> bool:
+        """Whether a text to the operator contained something."""
+        return any(part in text for _, text in self.texts)
+
+
+class WatchedJournal:
+    """Passes everything on, and tells observers of it.
+
+    Args:
+        journal: Where it goes.
+        observers: Who is told; may change meanwhile.
+    """
+
+    def __init__(self, journal: Journal, observers: Sequence[Observer]) -> None:
+        self._journal = journal
+        self._observers = observers
+
+    def frame(self, data: bytes, now_s: float) -> None:
+        """Pass a frame on."""
+        self._journal.frame(data, now_s)
+
+    def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
+        """Pass an event on."""
+        self._journal.record(kind, fields, now_s)
+        self._tell(kind, fields, now_s)
+
+    def text(self, severity: Severity, text: str, now_s: float) -> None:
+        """Pass a text on."""
+        self._journal.text(severity, text, now_s)
+        self._tell("text", {"severity": severity.name.lower(), "text": text}, now_s)
+
+    def result(self, report: ReportResult, now_s: float) -> None:
+        """Pass a report on."""
+        self._journal.result(report, now_s)
+        self._tell("result", {"r95_m": report.estimate.r95_m}, now_s)
+
+    def _tell(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
+        for observer in self._observers:
+            observer.noted(kind, fields, now_s)
+
+
+VEHICLE_PEER: Address = ("127.0.0.1", 14580)
+COMPANION_PEER: Address = ("127.0.0.1", 14550)
+RADIO_PEER: Address = ("127.0.0.1", 15000)
+COMPONENT_BYTE = 6
+"""Offset of the sender's component id in a MAVLink 2 frame."""
+SOCKET_BYTES = 212_992
+"""What a UDP socket holds (Linux net.core.rmem_default); it counts each datagram's overhead."""
+DATAGRAM_OVERHEAD = 512
+
+Radio = Callable[[SimEndpoint, float], bytes | None]
+"""What a radio on a link of its own sends at a time, given the simulated truth."""
+MakeCompanion = Callable[[CompanionConfig, Journal, int], CompanionEndpoint]
+"""Configuration, journal and number of ranging links to a companion that was just started."""
+MakeSimulator = Callable[[Scenario, int, float], SimEndpoint]
+"""Scenario, seed and time to a vehicle that was just switched on."""
+
+
+class Flight:
+    """One flight.
+
+    Args:
+        config: The companion's.
+        scenario: The vehicle's.
+        seed: Of the vehicle, its radio and the world.
+        journal: Where the companion reports.
+        wire: What lies between the two; None: a perfect one.
+        radio: A radio on a link of its own, instead of the simulator's.
+        radio_period_s: How often that measures.
+        make_companion: Starts the companion process, at the beginning and after a restart.
+        make_simulator: Switches the vehicle on.
+    """
+
+    def __init__(
+        self,
+        config: CompanionConfig,
+        scenario: Scenario,
+        seed: int,
+        journal: Journal,
+        *,
+        wire: Wire | None = None,
+        radio: Radio | None = None,
+        radio_period_s: float = 0.1,
+        make_companion: MakeCompanion = build_endpoint,
+        make_simulator: MakeSimulator = SimEndpoint,
+    ) -> None:
+        self.config = config
+        self.scenario = scenario
+        self.seed = seed
+        self.observers = Observers()
+        self.journal: Journal = WatchedJournal(journal, self.observers)
+        self.wire: Wire = PerfectWire() if wire is None else wire
+        self.now_s = 0.0
+        self.is_link_up = True
+        """False: the cable between the two is pulled."""
+        self.is_ranging_up = True
+        """False: the radio says nothing."""
+        self.is_companion_up = False
+        self._radio = radio
+        self._radio_period_s = radio_period_s
+        self._radio_due_s = 0.0
+        self._make_companion = make_companion
+        self._make_simulator = make_simulator
+        self._queue: list[tuple[float, int, Callable[[], None]]] = []
+        self._count = 0
+        self._suspended_until_s = 0.0
+        self._socket: deque[tuple[Chunk, bool, bool]] = deque()
+        self._socket_bytes = 0
+        self.sim = make_simulator(scenario, seed, 0.0)
+        self.start_companion()
+
+    # Time
+
+    def run(self, duration_s: float) -> None:
+        """Let time pass."""
+        until_s = self.now_s + duration_s
+        while self._next_s() <= until_s:
+            self.step()
+        self.now_s = until_s
+
+    def run_until(self, condition: Callable[[], bool], limit_s: float) -> float:
+        """Let time pass until a condition holds; how long it took.
+
+        Raises:
+            TimeoutError: It did not hold within `limit_s` seconds.
+        """
+        started_s = self.now_s
+        while not condition():
+            if self.now_s - started_s >= limit_s:
+                raise TimeoutError(f"the condition did not hold within {limit_s:g} s")
+            self.step()
+        return self.now_s - started_s
+
+    def step(self) -> None:
+        """Let the next thing happen, and everything that is due with it."""
+        self.now_s = max(self.now_s, self._next_s())
+        now_s = self.now_s
+        self._do_due()
+        if self.sim.next_timer_s() <= now_s:
+            self.sim.handle_timer(now_s)
+            for stepped in self.observers.of("stepped"):
+                stepped(self.sim.vehicle, now_s)
+            self._measure()
+        if self.is_companion_up and self._companion_due_s() <= now_s:
+            self._wake_companion()
+            self.companion.handle_timer(now_s)
+            for ticked in self.observers.of("ticked"):
+                ticked(now_s)
+        self._do_due()
+
+    def at(self, time_s: float, action: Callable[[], None]) -> None:
+        """Have something done at a time, or now if that is over."""
+        self._count += 1
+        heapq.heappush(self._queue, (max(time_s, self.now_s), self._count, action))
+
+    def _next_s(self) -> float:
+        due_s = self.sim.next_timer_s()
+        if self.is_companion_up:
+            due_s = min(due_s, self._companion_due_s())
+        if self._queue:
+            due_s = min(due_s, self._queue[0][0])
+        return max(0.0, due_s)
+
+    def _companion_due_s(self) -> float:
+        return max(self.companion.next_timer_s(), self._suspended_until_s)
+
+    def settle(self) -> None:
+        """Carry what was sent outside of a step, and deliver what is due of it."""
+        self._do_due()
+
+    def _do_due(self) -> None:
+        self._collect()
+        while self._queue and self._queue[0][0] <= self.now_s:
+            heapq.heappop(self._queue)[2]()
+            self._collect()
+
+    # The wire
+
+    def post(self, data: bytes, lane: Lane) -> None:
+        """Put a datagram on the wire."""
+        if not self.is_link_up and lane is not Lane.RANGING:
+            return
+        for due_s, arriving in self.wire.carry(data, lane, self.now_s):
+            self.at(due_s, partial(self._arrive, arriving, lane, is_intact=arriving is data))
+
+    def _arrive(self, data: bytes, lane: Lane, *, is_intact: bool) -> None:
+        if lane is Lane.TO_VEHICLE:
+            self._tell("vehicle_heard", data, lane)
+            self.sim.receive(Chunk(0, data, None), self.now_s)
+            return
+        is_ranging = lane is Lane.RANGING
+        chunk = Chunk(1, data, RADIO_PEER) if is_ranging else Chunk(0, data, VEHICLE_PEER)
+        self._reach_companion(chunk, is_genuine=True, is_intact=is_intact)
+
+    def attack(self, chunk: Chunk) -> None:
+        """Have a datagram of an attacker reach the companion now, whatever the wire does."""
+        self._reach_companion(chunk, is_genuine=False, is_intact=False)
+
+    def _reach_companion(self, chunk: Chunk, *, is_genuine: bool, is_intact: bool) -> None:
+        if not self.is_companion_up:
+            return
+        if self.now_s < self._suspended_until_s:
+            size = len(chunk.data) + DATAGRAM_OVERHEAD
+            if self._socket_bytes + size <= SOCKET_BYTES:
+                self._socket_bytes += size
+                self._socket.append((chunk, is_genuine, is_intact))
+            return
+        self._wake_companion()
+        self._give(chunk, is_genuine, is_intact)
+
+    def _give(self, chunk: Chunk, is_genuine: bool, is_intact: bool) -> None:
+        lane = Lane.TO_COMPANION if chunk.link == 0 else Lane.RANGING
+        hearing, reading = self.observers.of("heard"), self.observers.of("read")
+        frames = self._frames(chunk.data, lane) if hearing or reading else ()
+        for frame in frames:
+            frame.is_genuine, frame.is_intact = is_genuine, is_intact
+            for heard in hearing:
+                heard(frame)
+        self.companion.receive(chunk, self.now_s)
+        for frame in frames:
+            for read in reading:
+                read(frame)
+
+    def _wake_companion(self) -> None:
+        """What waited in the socket while the process was suspended."""
+        while self._socket:
+            self._give(*self._socket.popleft())
+        self._socket_bytes = 0
+
+    def _collect(self) -> None:
+        for chunk in self.sim.take_output():
+            if COMPANION_PEER in chunk.except_peers or chunk.peer not in (None, COMPANION_PEER):
+                continue  # forwarded to someone else
+            is_payload = chunk.data[COMPONENT_BYTE] == radio_payload.COMPONENT_ID
+            if is_payload and (self._radio is not None or not self.is_ranging_up):
+                continue
+            self._tell("vehicle_sent", chunk.data, Lane.TO_COMPANION)
+            self.post(chunk.data, Lane.TO_COMPANION)
+        if not self.is_companion_up:
+            return
+        for chunk in self.companion.take_output():
+            self._tell("sent", chunk.data, Lane.TO_VEHICLE)
+            self.post(chunk.data, Lane.TO_VEHICLE)
+        if self.companion.is_finished:
+            self._end_companion()
+
+    def _tell(self, what: str, data: bytes, lane: Lane) -> None:
+        """Tell who looks at it of the frames in a datagram."""
+        tellers = self.observers.of(what)
+        if tellers:
+            for frame in self._frames(data, lane):
+                for tell in tellers:
+                    tell(frame)
+
+    def _frames(self, data: bytes, lane: Lane) -> list[Frame]:
+        return [Frame(self.now_s, each, lane) for each in frames_in(data)]
+
+    def _measure(self) -> None:
+        if self._radio is None or self.now_s < self._radio_due_s - 1e-9:
+            return
+        self._radio_due_s = self.now_s + self._radio_period_s
+        data = self._radio(self.sim, self.now_s)
+        if data is not None and self.is_ranging_up:
+            for vehicle_sent in self.observers.of("vehicle_sent"):
+                vehicle_sent(Frame(self.now_s, data, Lane.RANGING))
+            self.post(data, Lane.RANGING)
+
+    # The companion as a process
+
+    def start_companion(self) -> None:
+        """Start the process, or a new one in place of one that ended."""
+        links = 0 if self._radio is None else 1
+        self.companion = self._make_companion(self.config, self.journal, links)
+        self.is_companion_up = True
+        for observer in self.observers:
+            observer.companion_started(self.now_s)
+
+    def kill_companion(self) -> None:
+        """End the process without a word (SIGKILL, power)."""
+        if self.is_companion_up:
+            self.companion.take_output()
+            self._end_companion()
+
+    def stop_companion(self) -> None:
+        """Ask the process to end (SIGTERM)."""
+        if self.is_companion_up:
+            self._wake_companion()
+            self.companion.request_stop(self.now_s)
+            self._collect()
+
+    def suspend_companion(self, duration_s: float) -> None:
+        """Give the process no time (SIGSTOP, starvation)."""
+        self._suspended_until_s = max(self._suspended_until_s, self.now_s + duration_s)
+        for observer in self.observers:
+            observer.companion_suspended(self.now_s, self._suspended_until_s)
+
+    def _end_companion(self) -> None:
+        self.is_companion_up = False
+        self._suspended_until_s = 0.0
+        self._socket.clear()
+        self._socket_bytes = 0
+        for observer in self.observers:
+            observer.companion_ended(self.now_s)
+
+    # The vehicle
+
+    def reboot(self) -> None:
+        """Another vehicle in its place: at home, on the ground, its clock at zero."""
+        self.sim = self._make_simulator(self.scenario, self.seed, self.now_s)
+        for observer in self.observers:
+            observer.vehicle_rebooted(self.now_s)
+
+    def happen(self, incident: Incident) -> None:
+        """Let something happen to the vehicle."""
+        self.sim.happen(incident, self.now_s)
+        if isinstance(incident, PilotMode):
+            self.tell_chosen(incident.mode)
+        if isinstance(incident, Reboot):
+            for observer in self.observers:
+                observer.vehicle_rebooted(self.now_s)
+
+    def tell_chosen(self, mode: FlightMode) -> None:
+        """Tell the observers that a person switched the mode."""
+        for observer in self.observers:
+            observer.mode_chosen(mode, self.now_s)
+
+    @property
+    def autopilot(self) -> Autopilot:
+        """Which one is simulated."""
+        is_px4 = self.scenario.autopilot.flavour == "px4"
+        return Autopilot.PX4 if is_px4 else Autopilot.ARDUPILOT
+
+    @property
+    def mode(self) -> FlightMode:
+        """The mode that the vehicle is truly in."""
+        return self.sim.vehicle.modes.mode
+
+    @property
+    def phase(self) -> Phase:
+        """Where the companion says it stands."""
+        return self.companion.session.phase

@@ -1,0 +1,210 @@
+"""What stands beside a flight in lockstep: the operator, and the checkpoints of its process.
+
+The people around a flight: whoever arms, takes off, switches modes and grants control.
+
+Checkpoints of a companion in lockstep: as a process keeps them, in memory, on invented time.
+
+What is kept are the bytes that would be on disk, so that a test can damage them between a kill and
+the next start.
+"""
+
+from __future__ import annotations
+
+import math
+
+from companion.domain import FlightMode
+from companion.io.state.checkpoints import (
+    Checkpoint,
+    CheckpointError,
+    Moment,
+    StoredCheckpoints,
+    decode_checkpoint,
+    encode_checkpoint,
+)
+from companion.mav.codec import MavCodec
+from companion.mav.dialect import Message, mavlink
+from companion.mav.endpoint import Address, Chunk
+from companion.mav.flight_modes import set_mode_params
+from companion.mav.signing import LinkSigning
+from companion.process.persistence import RestartKeeper, digests_of
+from sim_link.lab.lockstep.flight import Flight
+from sim_link.lab.lockstep.observer import Lane, Observer
+
+STATION_PEER: Address = ("127.0.0.1", 1)
+COMPANION_COMPONENT = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
+BOOT_S = 3.0
+"""After this long the simulated autopilot can be armed."""
+
+
+class Operator:
+    """A ground station with a link of its own to the vehicle, which no fault touches.
+
+    Args:
+        flight: The flight.
+        signing: Signs what the station sends, where the vehicle wants that.
+        started_unix_s: Unix time at the start of the flight, for signatures.
+    """
+
+    def __init__(
+        self, flight: Flight, signing: LinkSigning | None = None, started_unix_s: float = 0.0
+    ) -> None:
+        self._flight = flight
+        self._signing = signing
+        self._started_unix_s = started_unix_s
+        self._station = MavCodec(255, mavlink.MAV_COMP_ID_MISSIONPLANNER, signing)
+
+    def tell(self, message: Message) -> None:
+        """Send to the vehicle."""
+        self._send(message, STATION_PEER)
+
+    def command(self, number: int, *params: float) -> None:
+        """Command the vehicle; parameters that are left out are NaN."""
+        padded = [*params, *[math.nan] * (7 - len(params))]
+        system = self._flight.scenario.system_id
+        self.tell(mavlink.MAVLink_command_long_message(system, 1, number, 0, *padded))
+
+    def arm(self) -> None:
+        """Ask to arm."""
+        self.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
+
+    def disarm(self) -> None:
+        """Disarm by force, in the air too."""
+        self.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0, 21_196.0)
+
+    def choose(self, mode: FlightMode, *, is_told_at_once: bool = False) -> None:
+        """Switch the mode.
+
+        Args:
+            mode: The wanted one.
+            is_told_at_once: Whether the companion is told now: ArduPilot does so anyhow, PX4 tells
+                a new mode with its next HEARTBEAT only, unless it is asked.
+        """
+        flight = self._flight
+        is_armed = flight.sim.vehicle.modes.is_armed
+        params = set_mode_params(mode, flight.autopilot, is_armed=is_armed)
+        self.command(mavlink.MAV_CMD_DO_SET_MODE, *params)
+        flight.tell_chosen(mode)
+        if not is_told_at_once:
+            return
+        number, wanted = mavlink.MAV_CMD_REQUEST_MESSAGE, float(mavlink.MAVLINK_MSG_ID_HEARTBEAT)
+        system = flight.scenario.system_id
+        ask = mavlink.MAVLink_command_long_message(system, 1, number, 0, wanted, *[0.0] * 6)
+        self._send(ask, None)
+        flight.settle()
+
+    def grant(self) -> None:
+        """Give control back to the companion, through the autopilot, which forwards it."""
+        number, system = mavlink.MAV_CMD_NAV_GUIDED_ENABLE, self._flight.scenario.system_id
+        message = mavlink.MAVLink_command_long_message(
+            system, COMPANION_COMPONENT, number, 0, 1.0, *[0.0] * 6
+        )
+        self._flight.post(self._encoded(message), Lane.TO_COMPANION)
+
+    def take_off(self, height_m: float = 10.0) -> None:
+        """Arm and take off; the vehicle holds at the end.
+
+        Raises:
+            TimeoutError: It does not get there.
+        """
+        flight = self._flight
+        flight.run(BOOT_S)
+        self.arm()
+        ground_m = flight.scenario.origin.altitude_m
+        self.command(mavlink.MAV_CMD_NAV_TAKEOFF, *[math.nan] * 6, ground_m + height_m)
+        flight.run_until(lambda: flight.mode is FlightMode.HOLD, 60.0)
+
+    def _send(self, message: Message, peer: Address | None) -> None:
+        self._flight.sim.receive(Chunk(0, self._encoded(message), peer), self._flight.now_s)
+
+    def _encoded(self, message: Message) -> bytes:
+        if self._signing is not None:
+            self._signing.signing.advance(self._started_unix_s + self._flight.now_s)
+        return self._station.encode(message)
+
+
+MAX_AGE_S = 600.0
+
+
+class MemoryStore:
+    """Two generations of bytes."""
+
+    def __init__(self) -> None:
+        self.slots: dict[int, bytes] = {}
+
+    def load(self) -> StoredCheckpoints:
+        """What is there."""
+        whole, problems = [], []
+        for number, data in self.slots.items():
+            try:
+                whole.append(decode_checkpoint(data))
+            except CheckpointError as error:
+                problems.append(f"slot {number}: {error}")
+        newest = max(whole, key=lambda checkpoint: checkpoint.sequence, default=None)
+        return StoredCheckpoints(bool(self.slots), newest, tuple(problems))
+
+    def save(self, checkpoint: Checkpoint) -> None:
+        """Keep a checkpoint in place of the older one."""
+        self.slots[checkpoint.sequence % 2] = encode_checkpoint(checkpoint)
+
+    def discard(self) -> None:
+        """Forget both."""
+        self.slots.clear()
+
+    def close(self, timeout_s: float) -> None:
+        """Everything is kept already."""
+        del timeout_s
+
+
+class FlightClock:
+    """A flight's time as a shell's clock."""
+
+    speed = 1.0
+
+    def __init__(self, flight: Flight) -> None:
+        self._flight = flight
+
+    def now_s(self) -> float:
+        """Invented seconds."""
+        return self._flight.now_s
+
+
+class Checkpointing(Observer):
+    """An observer that gives a flight's companion what a process has beside it.
+
+    Args:
+        flight: Its companion is the first to be kept; each that is started later takes up what
+            the one before left.
+        max_age_s: A memory older than this means nothing.
+    """
+
+    def __init__(self, flight: Flight, max_age_s: float = MAX_AGE_S) -> None:
+        self.store = MemoryStore()
+        self._flight = flight
+        self._max_age_s = max_age_s
+        self._begin()
+        flight.observers.append(self)
+
+    def _begin(self) -> None:
+        flight = self._flight
+        self._keeper = RestartKeeper(
+            flight.companion,
+            self.store,
+            digests_of(flight.config),
+            FlightClock(flight),
+            self._max_age_s,
+            moment=lambda: Moment(flight.now_s, "lockstep", flight.now_s),
+        )
+
+    def companion_started(self, now_s: float) -> None:
+        """Another process: it looks back."""
+        del now_s
+        self._begin()
+
+    def companion_ended(self, now_s: float) -> None:
+        """In order or not."""
+        del now_s
+        self._keeper.close(0.0)
+
+    def ticked(self, now_s: float) -> None:
+        """The chores of a wake-up."""
+        self._keeper.run(now_s)

@@ -1,0 +1,244 @@
+"""The wire between companion and vehicle, and who watches the frames on it.
+
+What lies between the two endpoints: a datagram goes in, and comes out somewhen or never.
+
+Who watches a flight: every frame that was sent or heard, and every step of the truth.
+
+What a flight was: setpoints and commands on the wire, and where the vehicle truly was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Protocol, TypeVar
+
+from companion.domain import FlightMode, PositionEnu
+from companion.geometry.coordinates import enu_from_ned
+from companion.mav.codec import CRC_EXTRA_BY_ID, MavCodec
+from companion.mav.dialect import Message, mavlink
+from companion.mav.framing import (
+    CRC_LENGTH,
+    HEADER_LENGTH,
+    INCOMPAT_SIGNED,
+    MAGIC_V2,
+    SIGNATURE_LENGTH,
+    FrameSplitter,
+    message_id,
+)
+from sim_link.autopilot.vehicle import SimVehicle
+
+Delivery = tuple[float, bytes]
+"""When a datagram arrives, and its bytes."""
+
+
+class Lane(Enum):
+    """One direction of one link."""
+
+    TO_COMPANION = "vehicle to companion"
+    TO_VEHICLE = "companion to vehicle"
+    RANGING = "radio to companion, over a link of its own"
+
+
+class Wire(Protocol):
+    """Carries datagrams; what happens to them depends on its seed and on what it is given only."""
+
+    def carry(self, data: bytes, lane: Lane, now_s: float) -> list[Delivery]:
+        """What arrives of a datagram that is sent at `now_s`: nothing, it, or copies of it."""
+
+
+class PerfectWire:
+    """Everything arrives at once and as it was sent."""
+
+    def carry(self, data: bytes, lane: Lane, now_s: float) -> list[Delivery]:  # noqa: ARG002
+        """Deliver now."""
+        return [(now_s, data)]
+
+
+SHORTEST = 8
+"""Bytes of the shortest frame."""
+_READER = MavCodec(9, 9)
+_UNREAD = object()
+
+
+@dataclass(slots=True)
+class Frame:
+    """One frame at one end of the wire."""
+
+    time_s: float
+    data: bytes
+    lane: Lane
+    is_genuine: bool = True
+    """Whether it came from the other end of the wire, damaged or not, and not from an attacker."""
+    is_intact: bool = False
+    """Whether it is bit by bit as it was sent; otherwise only reading it tells."""
+    _message: object = field(default=_UNREAD, repr=False)
+
+    @property
+    def number(self) -> int:
+        """The message id, read from the header."""
+        return message_id(self.data)
+
+    @property
+    def sender(self) -> tuple[int, int]:
+        """System and component id, read from the header."""
+        start = 5 if self.data[0] == MAGIC_V2 else 3
+        return self.data[start], self.data[start + 1]
+
+    @property
+    def message(self) -> Message | None:
+        """What it says, decoded once; None if its checksum is wrong or it makes no sense."""
+        if self._message is _UNREAD:
+            self._message = _READER.decode_frame(self.data)
+        return self._message  # type: ignore[return-value]
+
+    @property
+    def is_readable(self) -> bool:
+        """Whether its checksum is right."""
+        return self.is_intact or self.message is not None
+
+
+class Observer:
+    """Watches a flight; a subclass overrides what it wants to see."""
+
+    def sent(self, frame: Frame) -> None:
+        """The companion sent this."""
+
+    def heard(self, frame: Frame) -> None:
+        """This reached the companion, which has not read it yet."""
+
+    def read(self, frame: Frame) -> None:
+        """The companion has read what it heard."""
+
+    def vehicle_sent(self, frame: Frame) -> None:
+        """The vehicle, or its radio, sent this."""
+
+    def vehicle_heard(self, frame: Frame) -> None:
+        """This reached the vehicle, which has not read it yet."""
+
+    def stepped(self, vehicle: SimVehicle, now_s: float) -> None:
+        """The vehicle moved by a physics step."""
+
+    def ticked(self, now_s: float) -> None:
+        """The companion's control tick is over."""
+
+    def noted(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
+        """The companion wrote this into its journal; texts and results are kinds as well."""
+
+    def companion_started(self, now_s: float) -> None:
+        """The companion process began, at the start or anew."""
+
+    def companion_suspended(self, now_s: float, until_s: float) -> None:
+        """The companion process gets no time until then."""
+
+    def companion_ended(self, now_s: float) -> None:
+        """The companion process ended or was killed."""
+
+    def mode_chosen(self, mode: FlightMode, now_s: float) -> None:
+        """A person switched the mode: the pilot or the operator."""
+
+    def vehicle_rebooted(self, now_s: float) -> None:
+        """The vehicle begins anew."""
+
+
+T = TypeVar("T")
+
+
+def overriding(objects: Iterable[T], base: type[T], what: str) -> list[T]:
+    """Those objects whose class has a method of its own in place of the base's."""
+    inherited = getattr(base, what)
+    return [each for each in objects if getattr(type(each), what) is not inherited]
+
+
+class Observers(list[Observer]):
+    """Who watches a flight; what happens often is told only to who looks at it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._told: list[Observer] = []
+        self._tellers: dict[str, list[Callable[..., None]]] = {}
+
+    def of(self, what: str) -> list[Callable[..., None]]:
+        """The methods to call when something happens, in the order of the observers.
+
+        Args:
+            what: The name of a method of `Observer`.
+        """
+        if self._told != self:
+            self._told = list(self)
+            self._tellers.clear()
+        tellers = self._tellers.get(what)
+        if tellers is None:
+            looking = overriding(self, Observer, what)
+            tellers = self._tellers[what] = [getattr(each, what) for each in looking]
+        return tellers
+
+
+def frames_in(data: bytes) -> list[bytes]:
+    """The frames of a datagram: by the lengths in their headers, or, among junk, by their CRC."""
+    frames = []
+    start = 0
+    while start + SHORTEST <= len(data) and data[start] in HEADER_LENGTH:
+        length = HEADER_LENGTH[data[start]] + data[start + 1] + CRC_LENGTH
+        if data[start] == MAGIC_V2 and data[start + 2] & INCOMPAT_SIGNED:
+            length += SIGNATURE_LENGTH
+        if start + length > len(data):
+            break
+        frames.append(data[start : start + length])
+        start += length
+    if start == len(data):
+        return frames
+    return FrameSplitter(CRC_EXTRA_BY_ID).split(data, is_datagram=True)
+
+
+@dataclass(frozen=True, slots=True)
+class Sent:
+    """A setpoint as decoded from the companion's bytes."""
+
+    time_s: float
+    position_enu_m: PositionEnu
+    """About the autopilot's local origin."""
+    vehicle_enu_m: PositionEnu
+    """Where the vehicle truly was."""
+
+
+class Recorder(Observer):
+    """Keeps what the companion wanted and what became of it.
+
+    Args:
+        vehicle: The vehicle as it stands at the start.
+    """
+
+    def __init__(self, vehicle: SimVehicle) -> None:
+        self._vehicle = vehicle
+        self.setpoints: list[Sent] = []
+        self.commands: list[tuple[float, int]] = []
+        """COMMAND_LONG that the companion sent, by number."""
+        self.true_positions: list[PositionEnu] = []
+
+    def sent(self, frame: Frame) -> None:
+        """Keep a setpoint or a command."""
+        message = frame.message
+        if isinstance(message, mavlink.MAVLink_command_long_message):
+            self.commands.append((frame.time_s, message.command))
+            return
+        place = self._place(message)
+        if place is not None:
+            at = self._vehicle.body.position_enu_m
+            self.setpoints.append(Sent(frame.time_s, place, at))
+
+    def stepped(self, vehicle: SimVehicle, now_s: float) -> None:  # noqa: ARG002
+        """Keep the place."""
+        self._vehicle = vehicle
+        self.true_positions.append(vehicle.body.position_enu_m)
+
+    def _place(self, message: Message | None) -> PositionEnu | None:
+        match message:
+            case mavlink.MAVLink_set_position_target_local_ned_message():
+                return enu_from_ned((message.x, message.y, message.z))
+            case mavlink.MAVLink_set_position_target_global_int_message():
+                return self._vehicle.origin.enu_from_geodetic(
+                    message.lat_int / 1e7, message.lon_int / 1e7, message.alt
+                )
+        return None

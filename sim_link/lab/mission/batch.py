@@ -1,0 +1,377 @@
+"""Many flights: every script with every seed, one after the other or several at once."""
+
+from __future__ import annotations
+
+import asyncio
+import concurrent.futures
+import importlib.util
+import multiprocessing
+import shutil
+import signal
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from multiprocessing.synchronize import Event
+from pathlib import Path
+
+import msgspec
+
+from companion.config.schema import CompanionConfig
+from companion.errors import CompanionError, ConfigError
+from companion.flight_setup import build_endpoint
+from companion.io.files import write_bytes_atomic, write_text_atomic
+from companion.io.links.specs import TcpClient, link_from_url, make_link
+from companion.io.links.urls import parse_link_url
+from companion.run import prepare
+from sim_link.autopilot.endpoint import SimEndpoint
+from sim_link.autopilot.scenario import FlavourName
+from sim_link.lab.lockstep.flight import MemoryJournal
+from sim_link.lab.mission.in_memory import Progress, fly_in_memory
+from sim_link.lab.mission.mavsdk_operator import check_installed
+from sim_link.lab.mission.mission_report import Summary, summary_of
+from sim_link.lab.mission.processes import check_faults
+from sim_link.lab.mission.results import MissionResult, flight_name, how_flown
+from sim_link.lab.mission.script import Mission
+from sim_link.lab.mission.script_file import flown_config, load_mission
+
+
+@dataclass(frozen=True, slots=True)
+class FlightTask:
+    """One flight that is to be flown."""
+
+    mission: Mission
+    file: str
+    seed: int
+    reports: str | None
+    """The folder of the reports; None: none are wanted."""
+    speed: float | None = None
+    """Times real time, with real processes; None: lockstep."""
+    connect: str | None = None
+    """The link to a vehicle that is there already."""
+
+    @property
+    def flight_name(self) -> str:
+        """What its folder is called while it is flown, when nobody knows yet who answers."""
+        flavour = self.mission.autopilot.flavour if self.connect is None else "vehicle"
+        how = how_flown(self.speed, self.connect)
+        return flight_name(self.mission.name, flavour, how, self.seed)
+
+
+Done = Callable[[int, Summary], None]
+"""Takes the position of a task and the summary of its flight."""
+
+
+def check_reports(folder: Path) -> None:
+    """Make sure, before any flight, that reports can be made and written.
+
+    Args:
+        folder: Where to; made if it is not there.
+
+    Raises:
+        ConfigError: A package is missing; the message says how to get it.
+        CompanionError: Nothing can be written there.
+    """
+    if importlib.util.find_spec("jinja2") is None:
+        text = "reports need jinja2: pip install 'companion-guidance[mission]'"
+        raise ConfigError(f"--report: {text}")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=folder):  # only trying tells, root may do anything
+            pass
+    except OSError as error:
+        raise CompanionError(f"--report {folder}: cannot be written ({error.strerror})") from error
+
+
+@dataclass(frozen=True, slots=True)
+class Campaign:
+    """What is to be flown."""
+
+    files: Sequence[Path]
+    seeds: Sequence[int] = (0,)
+    jobs: int = 1
+    autopilot: FlavourName | None = None
+    """In place of the scripts' own."""
+    reports: Path | None = None
+    speed: float | None = None
+    connect: str | None = None
+
+    def tasks(self) -> list[FlightTask]:
+        """Every flight, checked as far as that can be done without flying.
+
+        Raises:
+            ConfigError: A script is wrong; nothing was started.
+            LinkError: The vehicle's link cannot be opened.
+        """
+        loaded = [(path, mission) for path in self.files for mission in self._load(path)]
+        for path, mission in loaded:
+            check_flyable(mission, str(path))
+            if self.speed is not None:
+                check_faults(mission, str(path), is_our_vehicle=self.connect is None)
+        if self.speed is not None:
+            check_installed()
+        if self.connect is not None:
+            asyncio.run(_check_link(self.connect))
+        tasks = [
+            FlightTask(
+                mission=mission,
+                file=str(path),
+                seed=seed,
+                reports=None if self.reports is None else str(self.reports),
+                speed=self.speed,
+                connect=self.connect,
+            )
+            for path, mission in loaded
+            for seed in self.seeds
+        ]
+        if self.reports is not None:
+            _check_names(tasks)
+        return tasks
+
+    def _load(self, path: Path) -> list[Mission]:
+        """The script, once for every autopilot that it is to be flown on."""
+        mission = load_mission(path)
+        flavours = flavours_of(mission, str(path))
+        if self.connect is not None:
+            return [mission]
+        wanted = flavours if self.autopilot is None else (self.autopilot,)
+        return [with_autopilot(mission, flavour) for flavour in wanted]
+
+
+def flavours_of(mission: Mission, name: str) -> tuple[FlavourName, ...]:
+    """The autopilots that a script is to be flown on.
+
+    Raises:
+        ConfigError: It lists one twice.
+    """
+    flavours = tuple(mission.autopilots or (mission.autopilot.flavour,))
+    for flavour in set(flavours):
+        if flavours.count(flavour) > 1:
+            raise ConfigError(f"{name}: $.autopilots: {flavour} is listed more than once")
+    return flavours
+
+
+def _check_names(tasks: Sequence[FlightTask]) -> None:
+    """Make sure that no flight writes over the report of another.
+
+    Raises:
+        ConfigError: Two of them have one name.
+    """
+    files: dict[str, str] = {}
+    for task in tasks:
+        name = task.flight_name
+        if name in files:
+            raise ConfigError(
+                f"{task.file}: $.name: its report would be {name}, which is that of "
+                f"{files[name]}; give one of them another name, or fly them with two --report"
+            )
+        files[name] = task.file
+
+
+async def _check_link(text: str) -> None:
+    """Open the vehicle's link and close it again, before any process is started.
+
+    Raises:
+        ConfigError: It is no link.
+        LinkError: It cannot be opened.
+    """
+    spec = link_from_url(parse_link_url(text))
+    if isinstance(spec, TcpClient):
+        return  # waited for as long as it is not there, and a vehicle may serve one client only
+    link = make_link(spec, 0, lambda _: None)
+    await link.open()
+    link.close()
+
+
+def with_autopilot(mission: Mission, flavour: FlavourName) -> Mission:
+    """The mission on another autopilot."""
+    autopilot = msgspec.structs.replace(mission.autopilot, flavour=flavour)
+    return msgspec.structs.replace(mission, autopilot=autopilot)
+
+
+def check_flyable(mission: Mission, name: str) -> None:
+    """Build everything that a flight is made of, and throw it away.
+
+    Raises:
+        ConfigError: A part of it does not exist or is out of range.
+    """
+    try:
+        SimEndpoint(mission.scenario, 0)
+        build_endpoint(flown_config(mission), MemoryJournal())
+    except (ConfigError, ValueError) as error:
+        raise ConfigError(f"{name}: {error}") from error
+
+
+def warm_up(tasks: Sequence[FlightTask]) -> None:
+    """Compile what the flights need, once and before any process needs it at the same time."""
+    done: list[CompanionConfig] = []
+    for task in tasks:
+        config = flown_config(task.mission)
+        if config not in done:
+            done.append(config)
+            prepare(config)
+
+
+def fly_all(
+    tasks: Sequence[FlightTask], jobs: int, done: Done, progress: Progress | None = None
+) -> None:
+    """Fly them.
+
+    Args:
+        tasks: What to fly.
+        jobs: How many at once; 1: in this process.
+        done: Told the position of a task and its summary, as they come.
+        progress: Told of every slice where there is one job.
+
+    Raises:
+        KeyboardInterrupt: Of those that were not over by then nothing is told.
+    """
+    if jobs > 1 and len(tasks) > 1:
+        _fly_in_processes(tasks, jobs, done)
+        return
+    for position, task in enumerate(tasks):
+        _tell(done, position, fly_task(task, progress))
+
+
+def _tell(done: Done, position: int, summary: Summary) -> None:
+    done(position, summary)
+    if summary.is_interrupted:
+        raise KeyboardInterrupt
+
+
+def _fly_in_processes(tasks: Sequence[FlightTask], jobs: int, done: Done) -> None:
+    context = multiprocessing.get_context("spawn")
+    is_over = context.Event()
+    pool = concurrent.futures.ProcessPoolExecutor(
+        min(jobs, len(tasks)), mp_context=context, initializer=_begin_worker, initargs=(is_over,)
+    )
+    waiting = {pool.submit(_fly_in_worker, task): n for n, task in enumerate(tasks)}
+    try:
+        for future in concurrent.futures.as_completed(list(waiting)):
+            position = waiting[future]
+            _tell(done, position, _summary_of_worker(future, tasks[position]))
+            del waiting[future]
+    except KeyboardInterrupt:
+        is_over.set()
+        pool.shutdown(wait=True, cancel_futures=True)
+        for future, position in waiting.items():
+            if not future.cancelled() and future.exception() is None:
+                done(position, future.result())
+        raise
+    finally:
+        is_over.set()
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _summary_of_worker(future: concurrent.futures.Future[Summary], task: FlightTask) -> Summary:
+    try:
+        return future.result()
+    except concurrent.futures.BrokenExecutor:
+        return unflown(task, "a process ended by force; try fewer --jobs")
+
+
+_told_to_stop: list[Event] = []
+"""In a worker: set once the campaign is over."""
+
+
+def _begin_worker(is_over: Event) -> None:
+    """Leave interrupts to the parent, who tells of them."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _told_to_stop.append(is_over)
+
+
+def _fly_in_worker(task: FlightTask) -> Summary:
+    _stop_where_told()
+    return fly_task(task, lambda _runner, _situation: _stop_where_told())
+
+
+def _stop_where_told() -> None:
+    if any(is_over.is_set() for is_over in _told_to_stop):
+        raise KeyboardInterrupt
+
+
+def fly_task(task: FlightTask, progress: Progress | None = None) -> Summary:
+    """Fly one, and write its report; what goes wrong with that is the summary's error."""
+    try:
+        result = _fly(task, progress)
+    except (CompanionError, OSError) as error:
+        return unflown(task, str(error))
+    summary = summary_of(result)
+    if task.reports is None:
+        return summary
+    folder = Path(task.reports)
+    try:
+        if task.speed is not None:
+            _rename_folder(folder / task.flight_name, result.flight_name)
+        return replace(summary, report=write_report(folder, result))
+    except CompanionError as error:
+        return replace(summary, error=str(error))
+
+
+def unflown(task: FlightTask, error: str) -> Summary:
+    """What is told of a flight that did not come to an end, and why."""
+    return Summary(
+        name=task.mission.name,
+        flavour=task.mission.autopilot.flavour,
+        file=task.file,
+        seed=task.seed,
+        how=how_flown(task.speed, task.connect),
+        verdicts=(),
+        time_s=0.0,
+        distance_m=0.0,
+        final_error_m=None,
+        r95_m=None,
+        closest_approach_m=None,
+        wall_s=0.0,
+        error=error,
+    )
+
+
+def _fly(task: FlightTask, progress: Progress | None) -> MissionResult:
+    if task.speed is None:
+        return fly_in_memory(task.mission, task.seed, task.file, progress)
+    from sim_link.lab.mission.over_udp import fly_over_udp
+
+    keep = None if task.reports is None else Path(task.reports) / task.flight_name
+    return fly_over_udp(
+        task.mission,
+        task.seed,
+        task.file,
+        speed=task.speed,
+        connect=task.connect,
+        keep=keep,
+        progress=progress,
+    )
+
+
+def _rename_folder(folder: Path, name: str) -> None:
+    """Give a flight's folder the name of its report, in place of an earlier one of that name.
+
+    Raises:
+        CompanionError: That cannot be done.
+    """
+    target = folder.with_name(name)
+    if target == folder:
+        return
+    try:
+        if target.exists():
+            shutil.rmtree(target)
+        folder.rename(target)
+    except OSError as error:
+        raise CompanionError(f"{target}: cannot be replaced ({error.strerror})") from error
+
+
+def write_report(folder: Path, result: MissionResult) -> str:
+    """Write report and event log of a flight; the place of the report.
+
+    Raises:
+        CompanionError: A file cannot be written.
+    """
+    from sim_link.lab.mission.mission_report import report_page
+
+    name = result.flight_name
+    path = folder / f"{name}.html"
+    if result.record.frames:
+        write_bytes_atomic(folder / f"{name}.tlog", result.tlog)
+    write_text_atomic(folder / f"{name}.jsonl", result.event_log.decode("ascii"))
+    write_text_atomic(path, report_page(result))
+    return str(path)

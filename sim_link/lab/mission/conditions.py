@@ -1,0 +1,427 @@
+"""The language of conditions: `estimate.r95_m < 1 and vehicle.mode == hold`.
+
+Theory of operation. Python's own parser reads the text into a tree, so precedence, chained
+comparisons and parentheses are those that everybody knows; nothing is ever evaluated by Python.
+The tree is translated, once and with types, into closures over a `Situation`. What is not known is
+neither true nor false (Kleene's logic): `and` with something false is false, `or` with something
+true is true, everything else with an unknown is unknown, and an unknown condition does not hold.
+
+What is known of a flight at a moment, and what a condition may ask about it.
+
+The runner in memory and the one of real processes fill in the same record, so that a script means
+the same in both. What is not known (yet) is None.
+"""
+
+from __future__ import annotations
+
+import ast
+import difflib
+import math
+import operator
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any
+
+from companion.domain import EstimateState, FlightMode, LandedState, WaypointReason
+from companion.guidance.authority.state_machine import Phase
+
+
+@dataclass(slots=True)
+class VehicleSeen:
+    """The vehicle, as the operator's telemetry shows it."""
+
+    mode: str | None = None
+    is_armed: bool | None = None
+    is_ready: bool | None = None
+    is_failsafe: bool | None = None
+    landed: str | None = None
+    height_m: float | None = None
+    east_m: float | None = None
+    north_m: float | None = None
+    speed_mps: float | None = None
+    climb_mps: float | None = None
+    home_distance_m: float | None = None
+    distance_m: float | None = None
+    battery: float | None = None
+    has_fix: bool | None = None
+
+
+@dataclass(slots=True)
+class CompanionSeen:
+    """The companion, as its event log shows it."""
+
+    phase: str | None = None
+    is_in_control: bool | None = None
+    waypoint: str | None = None
+    measurements: int = 0
+    refused: int = 0
+    ranging_age_s: float | None = None
+    reported: int = 0
+    violations: int = 0
+
+
+@dataclass(slots=True)
+class EstimateSeen:
+    """The companion's estimate of the target that it looks for now."""
+
+    emitter: int | None = None
+    state: str | None = None
+    r95_m: float | None = None
+    east_m: float | None = None
+    north_m: float | None = None
+    error_m: float | None = None
+    range_offset_m: float | None = None
+    bearing_offset_deg: float | None = None
+
+
+@dataclass(slots=True)
+class MissionSeen:
+    """The mission itself."""
+
+    time_s: float = 0.0
+    step_time_s: float = 0.0
+
+
+@dataclass(slots=True)
+class Situation:
+    """Everything that a condition may ask about."""
+
+    vehicle: VehicleSeen = field(default_factory=VehicleSeen)
+    companion: CompanionSeen = field(default_factory=CompanionSeen)
+    estimate: EstimateSeen = field(default_factory=EstimateSeen)
+    mission: MissionSeen = field(default_factory=MissionSeen)
+    companion_texts: list[str] = field(default_factory=list)
+    autopilot_texts: list[str] = field(default_factory=list)
+
+
+class Kind(Enum):
+    """What a value is, so that only like is compared with like."""
+
+    NUMBER = "a number"
+    TRUTH = "true or false"
+    WORD = "a word"
+
+
+@dataclass(frozen=True, slots=True)
+class FieldInfo:
+    """One thing that a condition may ask about."""
+
+    kind: Kind
+    what: str
+    words: tuple[str, ...] = ()
+    """What a word may be."""
+
+
+def _number(what: str) -> FieldInfo:
+    return FieldInfo(Kind.NUMBER, what)
+
+
+def _truth(what: str) -> FieldInfo:
+    return FieldInfo(Kind.TRUTH, what)
+
+
+def _word(what: str, words: type[Enum]) -> FieldInfo:
+    names = tuple(str(w.value if isinstance(w.value, str) else w.name.lower()) for w in words)
+    return FieldInfo(Kind.WORD, what, names)
+
+
+FIELDS: dict[str, FieldInfo] = {
+    "vehicle.mode": _word("the autopilot's flight mode", FlightMode),
+    "vehicle.is_armed": _truth("whether the motors may turn"),
+    "vehicle.is_ready": _truth("whether it can be armed, or is"),
+    "vehicle.is_failsafe": _truth("whether the autopilot shows a failsafe"),
+    "vehicle.landed": _word("where it says it is", LandedState),
+    "vehicle.height_m": _number("above home"),
+    "vehicle.east_m": _number("of the local origin"),
+    "vehicle.north_m": _number("of the local origin"),
+    "vehicle.speed_mps": _number("horizontal"),
+    "vehicle.climb_mps": _number("upwards"),
+    "vehicle.home_distance_m": _number("horizontal"),
+    "vehicle.distance_m": _number("flown so far"),
+    "vehicle.battery": _number("charge, 0 to 1"),
+    "vehicle.has_fix": _truth("whether the satellites give a position"),
+    "companion.phase": _word("who flies, see flying.md", Phase),
+    "companion.is_in_control": _truth("whether the vehicle obeys its setpoints"),
+    "companion.waypoint": _word("why it flies where it flies", WaypointReason),
+    "companion.measurements": _number("ranging measurements used"),
+    "companion.refused": _number("ranging measurements refused"),
+    "companion.ranging_age_s": _number("since the last measurement that was used"),
+    "companion.reported": _number("targets reported"),
+    "companion.violations": _number(
+        "of the invariants, so far; with real processes 0 until the end"
+    ),
+    "estimate.emitter": _number("id of the emitter that is looked for now"),
+    "estimate.state": _word("how much is known", EstimateState),
+    "estimate.r95_m": _number("radius that holds the target with 95 % probability"),
+    "estimate.east_m": _number("of the local origin"),
+    "estimate.north_m": _number("of the local origin"),
+    "estimate.error_m": _number("distance from the true emitter"),
+    "estimate.range_offset_m": _number("as estimated"),
+    "estimate.bearing_offset_deg": _number("as estimated, counter-clockwise positive"),
+    "mission.time_s": _number("since the mission began"),
+    "mission.step_time_s": _number("since this step began"),
+}
+"""What a condition may ask about, by the name it has there."""
+
+
+Value = float | bool | str | None
+Getter = Callable[[Situation], Value]
+
+COMPARISONS: dict[type[ast.cmpop], tuple[str, Callable[[Any, Any], bool]]] = {
+    ast.Lt: ("<", operator.lt),
+    ast.LtE: ("<=", operator.le),
+    ast.Gt: (">", operator.gt),
+    ast.GtE: (">=", operator.ge),
+    ast.Eq: ("==", operator.eq),
+    ast.NotEq: ("!=", operator.ne),
+}
+EQUALITIES = (ast.Eq, ast.NotEq)
+ARITHMETIC: dict[type[ast.operator], Callable[[float, float], float]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+}
+TRUTHS = {"true": True, "false": False}
+MAX_LENGTH = 1000
+
+
+class ConditionError(ValueError):
+    """A condition is wrong; the message says where in the text and what is known instead."""
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """A condition that is ready to be asked."""
+
+    text: str
+    _get: Getter
+
+    def holds(self, situation: Situation) -> bool:
+        """Whether it holds now; what is unknown does not."""
+        return self._get(situation) is True
+
+    def is_false(self, situation: Situation) -> bool:
+        """Whether it is known not to hold."""
+        return self._get(situation) is False
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """A piece of the condition: its type, and how to get at its value."""
+
+    kind: Kind
+    get: Getter
+    node: ast.expr
+    words: tuple[str, ...] = ()
+    """What it may be, where it is a field that is a word."""
+    word: str | None = None
+    """The word itself, where it is none of the fields."""
+
+
+def parse_condition(text: str) -> Condition:
+    """The condition that a text says.
+
+    Raises:
+        ConditionError: It cannot be understood, asks about what does not exist, or compares what
+            cannot be compared.
+    """
+    if len(text) > MAX_LENGTH:
+        raise ConditionError(f"longer than {MAX_LENGTH} characters")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the parser's remarks about style are not for people
+            tree = ast.parse(text.strip(), mode="eval")
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        column = getattr(error, "offset", None) or 1
+        raise ConditionError(f"`{text}`: not a condition (column {column})") from None
+    try:
+        part = _truth_of(tree.body)
+    except RecursionError:
+        raise ConditionError("nested too deeply") from None
+    return Condition(text.strip(), part.get)
+
+
+def _lifted(function: Callable[..., Value], *parts: _Part) -> Getter:
+    """The function of the parts' values; unknown where one of them is."""
+    getters = tuple(part.get for part in parts)
+
+    def get(situation: Situation) -> Value:
+        """The value now; None: not known."""
+        values: list[Any] = [getter(situation) for getter in getters]
+        return None if None in values else function(*values)
+
+    return get
+
+
+def _truth_of(node: ast.expr) -> _Part:
+    """A part that is true or false.
+
+    Raises:
+        ConditionError: It is something else.
+    """
+    part = _part(node)
+    if part.word is not None:
+        raise _unknown(part)
+    if part.kind is not Kind.TRUTH:
+        raise _problem(node, f"is {part.kind.value}; compare it with something")
+    return part
+
+
+def _part(node: ast.expr) -> _Part:
+    match node:
+        case ast.BoolOp():
+            return _logic(node)
+        case ast.UnaryOp(op=ast.Not()):
+            return _Part(Kind.TRUTH, _lifted(operator.not_, _truth_of(node.operand)), node)
+        case ast.UnaryOp(op=ast.USub()):
+            return _Part(Kind.NUMBER, _lifted(operator.neg, _number_of(node.operand)), node)
+        case ast.Compare():
+            return _comparison(node)
+        case ast.BinOp():
+            return _arithmetic(node)
+        case ast.Constant():
+            return _constant(node)
+        case ast.Name() | ast.Attribute():
+            return _named(node)
+        case ast.Call():
+            return _call(node)
+    raise _problem(node, "is not part of the language of conditions")
+
+
+def _logic(node: ast.BoolOp) -> _Part:
+    getters = [_truth_of(value).get for value in node.values]
+    decisive = isinstance(node.op, ast.Or)
+
+    def get(situation: Situation) -> Value:
+        """The value now; None: not known."""
+        is_unknown = False
+        for getter in getters:
+            value = getter(situation)
+            if value is decisive:
+                return decisive
+            is_unknown = is_unknown or value is None
+        return None if is_unknown else not decisive
+
+    return _Part(Kind.TRUTH, get, node)
+
+
+def _comparison(node: ast.Compare) -> _Part:
+    parts = [_part(each) for each in (node.left, *node.comparators)]
+    getters = []
+    for left, op, right in zip(parts, node.ops, parts[1:], strict=False):
+        getters.append(_one_comparison(left, op, right, node))
+    if len(getters) == 1:
+        return _Part(Kind.TRUTH, getters[0], node)
+
+    def get(situation: Situation) -> Value:
+        """The value now; None: not known."""
+        values = [getter(situation) for getter in getters]
+        if False in values:
+            return False
+        return None if None in values else True
+
+    return _Part(Kind.TRUTH, get, node)
+
+
+def _one_comparison(left: _Part, op: ast.cmpop, right: _Part, node: ast.expr) -> Getter:
+    if type(op) not in COMPARISONS:
+        raise _problem(node, "compares with something else than < <= > >= == !=")
+    symbol, compare = COMPARISONS[type(op)]
+    _check_words(left, right)
+    _check_words(right, left)
+    if left.kind is not right.kind:
+        raise _problem(node, f"compares {left.kind.value} with {right.kind.value}")
+    if left.kind is not Kind.NUMBER and not isinstance(op, EQUALITIES):
+        raise _problem(node, f"{left.kind.value} has no order; use == or != in place of {symbol}")
+    return _lifted(compare, left, right)
+
+
+def _check_words(part: _Part, other: _Part) -> None:
+    """Refuse a word that the other side can never be, and one that stands for nothing."""
+    if part.word is None:
+        return
+    if not other.words:
+        raise _unknown(part)
+    if part.word not in other.words:
+        raise _problem(other.node, f"is never `{part.word}`; it is one of {', '.join(other.words)}")
+
+
+def _arithmetic(node: ast.BinOp) -> _Part:
+    if type(node.op) not in ARITHMETIC:
+        raise _problem(node, "calculates with something else than + - *")
+    combine = ARITHMETIC[type(node.op)]
+    get = _lifted(combine, _number_of(node.left), _number_of(node.right))
+    return _Part(Kind.NUMBER, get, node)
+
+
+def _number_of(node: ast.expr) -> _Part:
+    part = _part(node)
+    if part.word is not None:
+        raise _unknown(part)
+    if part.kind is not Kind.NUMBER:
+        raise _problem(node, f"is {part.kind.value}; a number is needed here")
+    return part
+
+
+def _constant(node: ast.Constant) -> _Part:
+    value = node.value
+    if isinstance(value, bool):
+        return _Part(Kind.TRUTH, lambda _: value, node)
+    if isinstance(value, int | float):
+        number = _finite(value)
+        if number is None:
+            raise ConditionError("a number in it is too large")
+        return _Part(Kind.NUMBER, lambda _: number, node)
+    if isinstance(value, str):
+        return _Part(Kind.WORD, lambda _: value, node, word=value)
+    raise _problem(node, "is no number, word, true or false")
+
+
+def _finite(value: int | float) -> float | None:
+    try:
+        number = float(value)
+    except OverflowError:
+        return None
+    return number if math.isfinite(number) else None
+
+
+def _named(node: ast.Name | ast.Attribute) -> _Part:
+    name = ast.unparse(node)
+    info = FIELDS.get(name)
+    if info is not None:
+        return _Part(info.kind, operator.attrgetter(name), node, info.words)
+    if isinstance(node, ast.Name):
+        if name in TRUTHS:
+            truth = TRUTHS[name]
+            return _Part(Kind.TRUTH, lambda _: truth, node)
+        return _Part(Kind.WORD, lambda _: name, node, word=name)
+    close = difflib.get_close_matches(name, FIELDS, n=1, cutoff=0.5)
+    hint = f"did you mean {close[0]}?" if close else f"known are {', '.join(FIELDS)}"
+    raise _problem(node, f"is not known; {hint}")
+
+
+def _call(node: ast.Call) -> _Part:
+    name = node.func.id if isinstance(node.func, ast.Name) else ""
+    if node.keywords or len(node.args) != 1 or name not in ("abs", "said", "autopilot_said"):
+        raise _problem(node, "is no function here: abs(), said() and autopilot_said() are")
+    if name == "abs":
+        return _Part(Kind.NUMBER, _lifted(abs, _number_of(node.args[0])), node)
+    argument = node.args[0]
+    if not (isinstance(argument, ast.Constant) and isinstance(argument.value, str)):
+        raise _problem(node, f'needs a text in quotes: {name}("LOCALISED")')
+    part = argument.value
+    if name == "said":
+        return _Part(Kind.TRUTH, lambda s: any(part in t for t in s.companion_texts), node)
+    return _Part(Kind.TRUTH, lambda s: any(part in t for t in s.autopilot_texts), node)
+
+
+def _unknown(part: _Part) -> ConditionError:
+    close = difflib.get_close_matches(str(part.word), FIELDS, n=1, cutoff=0.4)
+    hint = f"; did you mean {close[0]}?" if close else ""
+    return _problem(part.node, f"is not known here{hint}")
+
+
+def _problem(node: ast.expr, text: str) -> ConditionError:
+    return ConditionError(f"`{ast.unparse(node)}` {text}")

@@ -1,0 +1,360 @@
+"""Readers of a flight: the vehicle's telemetry, the companion's event log, the invariants' frames.
+
+The operator's telemetry: what a vehicle's frames say, whoever made it.
+
+The companion's event log, read as it is written: in memory, or line by line from its file.
+
+What real processes show of the invariants: recorded as they fly, judged at the end.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from companion.config.schema import CompanionConfig
+from companion.domain import Point, PositionEnu
+from companion.geometry.coordinates import LocalOrigin
+from companion.guidance.authority.state_machine import IN_CONTROL
+from companion.guidance.commands import ReportResult, Severity
+from companion.guidance.events import (
+    HeartbeatReceived,
+    HomeSet,
+    LandedStateChanged,
+    OriginSet,
+    VehicleMoved,
+)
+from companion.link.inbound import VehicleInbound
+from companion.mav.codec import MavCodec
+from companion.mav.dialect import Message, mavlink
+from companion.mav.flight_modes import autopilot_of
+from sim_link.lab.campaign.flights import rules_of
+from sim_link.lab.lockstep.observer import Frame, Lane
+from sim_link.lab.mission.conditions import Situation
+from sim_link.lab.mission.processes import PERIOD_S
+from sim_link.lab.mission.results import EstimatePoint, FlightRecord, Report, Said, Violated
+from sim_link.lab.monitor.monitor import WIRE
+from sim_link.lab.monitor.wire_monitor import Recording, WireMonitor
+
+COUNTED_STEP_M = 0.2
+"""Steps of the flown distance that are counted; less is the position's noise."""
+TRACK_PERIOD_S = 0.2
+GPS_FIX_3D = 3
+UNKNOWN_BATTERY = -1
+
+
+class TelemetryReader:
+    """Turns the vehicle's frames into the situation and the record of the flight.
+
+    Args:
+        record: Grows.
+        situation: Is kept up to date.
+    """
+
+    def __init__(self, record: FlightRecord, situation: Situation) -> None:
+        self._record = record
+        self._situation = situation
+        self._codec = MavCodec(0, 0)
+        self._inbound = VehicleInbound()
+        self._texts: dict[int, str] = {}
+        self._home_enu_m: PositionEnu | None = None
+        self._counted_at: PositionEnu | None = None
+        self._track_due_s = 0.0
+        self.origin: LocalOrigin | None = None
+        """Zero of the local frame."""
+        self.system_id: int | None = None
+        """Of the autopilot that was heard first."""
+        self.heartbeat: HeartbeatReceived | None = None
+        """The newest one of the autopilot."""
+
+    def take(self, frame: bytes, now_s: float) -> None:
+        """Take in a frame from the vehicle's link."""
+        message = self._codec.decode_frame(frame)
+        if message is None or not self._is_ours(message):
+            return
+        self._record.messages["autopilot", message.get_msgId()] += 1
+        self._take_plain(message, now_s)
+        for event in self._inbound.events(message, now_s):
+            match event:
+                case HeartbeatReceived():
+                    self.heartbeat = event
+                    seen = self._situation.vehicle
+                    seen.mode, seen.is_armed = event.mode.value, event.is_armed
+                    seen.is_failsafe = event.is_failsafe
+                case VehicleMoved():
+                    self._move(event, now_s)
+                case HomeSet():
+                    self._home_enu_m = event.position_enu_m
+                case OriginSet():
+                    self.origin = event.origin
+                case LandedStateChanged():
+                    self._situation.vehicle.landed = event.landed.name.lower()
+
+    def take_companion(self, frame: bytes) -> None:
+        """Count a frame that the companion sent."""
+        message = self._codec.decode_frame(frame)
+        if message is not None:
+            self._record.messages["companion", message.get_msgId()] += 1
+
+    def _is_ours(self, message: Message) -> bool:
+        """Whether the sender is on the vehicle that was heard first; its radio is, too."""
+        if self.system_id is None and _is_autopilots(message):
+            self.system_id = message.get_srcSystem()
+        return message.get_srcSystem() == self.system_id
+
+    def _take_plain(self, message: Message, now_s: float) -> None:
+        vehicle = self._situation.vehicle
+        match message:
+            case mavlink.MAVLink_statustext_message():
+                self._hear(message, now_s)
+            case mavlink.MAVLink_sys_status_message():
+                known = message.battery_remaining != UNKNOWN_BATTERY
+                vehicle.battery = message.battery_remaining / 100.0 if known else None
+            case mavlink.MAVLink_gps_raw_int_message():
+                vehicle.has_fix = message.fix_type >= GPS_FIX_3D
+
+    def _hear(self, message: mavlink.MAVLink_statustext_message, now_s: float) -> None:
+        """A text of the autopilot; one that comes in pieces counts when it is whole."""
+        if message.get_srcComponent() != mavlink.MAV_COMP_ID_AUTOPILOT1:
+            return
+        text, number = str(message.text), message.id
+        if number:
+            text = self._texts.get(number, "") + text
+            if len(str(message.text)) == 50:
+                self._texts[number] = text
+                return
+            self._texts.pop(number, None)
+        self._record.texts.append(Said(now_s, "autopilot", text))
+        self._situation.autopilot_texts.append(text)
+
+    def _move(self, event: VehicleMoved, now_s: float) -> None:
+        state, seen = event.state, self._situation.vehicle
+        place, velocity = state.position_enu_m, state.velocity_enu_mps
+        if not all(math.isfinite(value) for value in (*place, *velocity)):
+            return
+        seen.east_m, seen.north_m = place[:2]
+        seen.speed_mps, seen.climb_mps = math.hypot(*velocity[:2]), velocity[2]
+        home = self._home_enu_m
+        if home is not None:
+            seen.height_m = place[2] - home[2]
+            seen.home_distance_m = math.dist(place[:2], home[:2])
+        self._count(place)
+        seen.distance_m = self._record.distance_m
+        if now_s >= self._track_due_s:
+            self._track_due_s = now_s + TRACK_PERIOD_S
+            self._record.track.append((now_s, place))
+
+    def _count(self, place: PositionEnu) -> None:
+        if self._counted_at is None or not self._situation.vehicle.is_armed:
+            self._counted_at = place
+            return
+        step_m = math.dist(place, self._counted_at)
+        if step_m >= COUNTED_STEP_M:
+            self._record.distance_m += step_m
+            self._counted_at = place
+
+
+def _is_autopilots(message: Message) -> bool:
+    """Whether it is an autopilot's HEARTBEAT."""
+    if not isinstance(message, mavlink.MAVLink_heartbeat_message):
+        return False
+    return autopilot_of(message) is not None
+
+
+CONTROL_PHASES = frozenset(phase.value for phase in IN_CONTROL)
+
+
+class EventReader:
+    """Turns events of the companion into the record of the flight and the present situation.
+
+    It is a companion's `Journal`, so that a companion in memory writes straight into it.
+
+    Args:
+        record: Grows.
+        situation: Is kept up to date.
+        emitters: The true places, by id.
+        first_emitter: Whose estimate an event is that names no emitter.
+    """
+
+    def __init__(
+        self,
+        record: FlightRecord,
+        situation: Situation,
+        emitters: Mapping[int, Point],
+        first_emitter: int,
+    ) -> None:
+        self._record = record
+        self._situation = situation
+        self._emitters = emitters
+        self._first_emitter = first_emitter
+        self._ranging_heard_s: float | None = None
+
+    # What a companion in memory calls
+
+    def frame(self, data: bytes, now_s: float) -> None:
+        """Frames are watched on the wire."""
+
+    def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
+        """An event."""
+        self.take(kind, fields, now_s)
+
+    def text(self, severity: Severity, text: str, now_s: float) -> None:
+        """A text for the operator."""
+        self.take("text", {"severity": severity.name.lower(), "text": text}, now_s)
+
+    def result(self, report: ReportResult, now_s: float) -> None:
+        """A target that was found."""
+        estimate = report.estimate
+        east_m, north_m = estimate.position_enu_m
+        fields = {
+            "emitter_id": report.emitter_id,
+            "east_m": east_m,
+            "north_m": north_m,
+            "r95_m": estimate.r95_m,
+        }
+        self.take("result", fields, now_s)
+
+    # What both lead to
+
+    def take(self, kind: str, fields: Mapping[str, Any], time_s: float) -> None:
+        """Take in an event at a time since the mission began."""
+        self._record.events.append((time_s, kind, fields))
+        match kind:
+            case "estimate":
+                self._take_estimate(fields, time_s)
+            case "refused":
+                self._situation.companion.refused += int(fields["count"])
+            case "phase":
+                self._enter(fields["new"], time_s)
+            case "bound" if self._situation.companion.phase is None:
+                self._enter("waiting", time_s)
+            case "text":
+                self._record.texts.append(Said(time_s, "companion", fields["text"]))
+                self._situation.companion_texts.append(fields["text"])
+            case "waypoint":
+                self._situation.companion.waypoint = fields["reason"]
+                place = _point(fields["position_enu_m"])
+                self._record.waypoints.append((time_s, place, fields["reason"]))
+            case "result":
+                self._take_result(fields, time_s)
+
+    def age(self, now_s: float) -> None:
+        """Let what ages grow older."""
+        if self._ranging_heard_s is not None:
+            self._situation.companion.ranging_age_s = now_s - self._ranging_heard_s
+
+    def restarted(self) -> None:
+        """The companion's process ended: what it said of itself is over."""
+        companion = self._situation.companion
+        companion.phase = companion.is_in_control = companion.waypoint = None
+
+    def _enter(self, phase: str, time_s: float) -> None:
+        companion = self._situation.companion
+        companion.phase = phase
+        companion.is_in_control = phase in CONTROL_PHASES
+        self._record.phases.append((time_s, phase))
+        if companion.is_in_control and self._record.engaged_s is None:
+            self._record.engaged_s = time_s
+
+    def _take_estimate(self, fields: Mapping[str, Any], time_s: float) -> None:
+        self._ranging_heard_s = time_s
+        self._situation.companion.measurements += 1
+        emitter = fields.get("emitter_id", self._first_emitter)
+        place = _point(fields["position_enu_m"])
+        point = EstimatePoint(
+            time_s=time_s,
+            emitter=emitter,
+            state=fields["state"],
+            position_enu_m=place,
+            r95_m=fields["r95_m"],
+            range_innovation_m=fields.get("range_innovation"),
+            bearing_innovation_rad=fields.get("bearing_innovation"),
+        )
+        self._record.estimates.append(point)
+        seen, truth = self._situation.estimate, self._emitters.get(emitter)
+        seen.emitter, seen.state, seen.r95_m = emitter, point.state, point.r95_m
+        seen.east_m, seen.north_m = place
+        seen.error_m = None if truth is None else math.dist(place, truth)
+        seen.range_offset_m = fields["range_offset_m"]
+        seen.bearing_offset_deg = math.degrees(fields["bearing_offset_rad"])
+
+    def _take_result(self, fields: Mapping[str, Any], time_s: float) -> None:
+        emitter = fields.get("emitter_id")
+        if emitter is None:
+            emitter = self._situation.estimate.emitter
+        place = (float(fields["east_m"]), float(fields["north_m"]))
+        self._record.reports.append(Report(time_s, emitter, place, fields["r95_m"]))
+        self._situation.companion.reported += 1
+
+
+def _point(value: Any) -> Point:
+    east, north = value
+    return (float(east), float(north))
+
+
+MACHINE_S = 0.25
+"""Real time that a process may wait for its turn without anybody noticing."""
+
+
+class WireWatch:
+    """Records what passes the hub.
+
+    Args:
+        speed: Seconds of the flight per second.
+    """
+
+    def __init__(self, speed: float) -> None:
+        self.recording = Recording()
+        """Knows also of the companion's process."""
+        self._machine_s = MACHINE_S * speed
+        self._late_s = 0.0
+        self._looked_s: float | None = None
+        self._events: list[tuple[float, str, Mapping[str, Any]]] = []
+        """Of the companion's present process, at its own time."""
+
+    @property
+    def slack_s(self) -> float:
+        """By how much frames may be late, in seconds of flight: the hub itself was, too."""
+        return self._machine_s + self._late_s
+
+    def sent(self, frame: bytes, now_s: float) -> None:
+        """The companion sent this."""
+        self.recording.sent(Frame(now_s, frame, Lane.TO_VEHICLE))
+
+    def vehicle_sent(self, frame: bytes, now_s: float) -> None:
+        """The vehicle sent this."""
+        self.recording.vehicle_sent(Frame(now_s, frame, Lane.TO_COMPANION))
+
+    def delivered(self, frame: bytes, now_s: float) -> None:
+        """The companion is sent this."""
+        self.recording.heard(Frame(now_s, frame, Lane.TO_COMPANION))
+
+    def looked(self, now_s: float) -> None:
+        """The hub looks at the mission; what it comes too late by tells how busy the machine is."""
+        if self._looked_s is not None:
+            self._late_s = max(self._late_s, now_s - self._looked_s - PERIOD_S)
+        self._looked_s = now_s
+
+    def noted(self, kind: str, fields: Mapping[str, Any], companion_s: float) -> None:
+        """The companion wrote this into its log, at its own time."""
+        self._events.append((companion_s, kind, fields))
+
+    def date_events(self, offset_s: float | None) -> None:
+        """The log of a process is complete.
+
+        Args:
+            offset_s: The mission's time minus the companion's; None: nothing was read.
+        """
+        if offset_s is not None:
+            for time_s, kind, fields in self._events:
+                self.recording.noted(kind, fields, time_s + offset_s)
+        self._events.clear()
+
+    def judge(self, config: CompanionConfig, record: FlightRecord) -> None:
+        """Say in the record what was found, and what was judged."""
+        monitor = WireMonitor(rules_of(config), self.slack_s)
+        self.recording.play(monitor)
+        record.scope, record.slack_s, record.late_s = WIRE, self.slack_s, self._late_s
+        for found in monitor.violations:
+            record.violations.append(Violated(found.time_s, found.invariant, found.what))

@@ -1,0 +1,237 @@
+"""Flies a mission in lockstep: companion and vehicle in this process, on invented time.
+
+Theory of operation. Time passes in slices of 0.1 s: the flight is let run through one, then the
+step runner looks at the situation and asks for what is due. Nothing depends on the real clock, so
+a mission is repeated bit by bit by its seed.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+
+import msgspec
+
+from companion.domain import FlightMode
+from companion.flight_setup import build_endpoint
+from companion.mav.dialect import mavlink
+from sim_link.autopilot.scenario import Scenario
+from sim_link.lab.campaign.flights import rules_of
+from sim_link.lab.faults.fault_models import Fault, Schedule
+from sim_link.lab.faults.faulty_link import FaultyLink
+from sim_link.lab.faults.injector import Injector
+from sim_link.lab.lockstep.flight import Flight, MakeCompanion
+from sim_link.lab.lockstep.flight_harness import Operator as Station
+from sim_link.lab.lockstep.observer import Frame, Observer
+from sim_link.lab.mission.conditions import Situation
+from sim_link.lab.mission.flight_readers import EventReader
+from sim_link.lab.mission.results import (
+    FlightRecord,
+    Flown,
+    MissionResult,
+    Said,
+    Violated,
+    how_flown,
+    true_places,
+    verdicts_of,
+)
+from sim_link.lab.mission.script import Mission
+from sim_link.lab.mission.script_file import flown_config
+from sim_link.lab.mission.steps import Action, Arm, Grant, StepRunner, SwitchMode, TakeOff
+from sim_link.lab.monitor.monitor import LOCKSTEP, Monitor
+
+SLICE_S = 0.1
+TRACK_SLICES = 2
+"""The track has a point for so many slices."""
+Progress = Callable[[StepRunner, Situation], None]
+
+
+def fly_in_memory(
+    mission: Mission,
+    seed: int,
+    file: str = "",
+    progress: Progress | None = None,
+    make_companion: MakeCompanion = build_endpoint,
+) -> MissionResult:
+    """Fly a mission once.
+
+    Args:
+        mission: The script.
+        seed: Of everything that is random.
+        file: Where the script is from.
+        progress: Told after every slice.
+        make_companion: Starts the companion, which may be one that is to fail.
+    """
+    started, started_cpu = time.perf_counter(), time.process_time()
+    flight = _MissionFlight(mission, seed, make_companion)
+    flight.fly(progress)
+    record = flight.record
+    record.wall_s = time.perf_counter() - started
+    record.cpu_s = time.process_time() - started_cpu
+    verdicts = verdicts_of(Flown(mission, record, flight.situation))
+    return MissionResult(mission, file, seed, how_flown(None, None), record, tuple(verdicts))
+
+
+class _MissionFlight:
+    """One flight with everybody around it."""
+
+    def __init__(self, mission: Mission, seed: int, make_companion: MakeCompanion) -> None:
+        self.record = FlightRecord(autopilot=mission.autopilot.flavour, scope=LOCKSTEP)
+        self.situation = Situation()
+        emitters = true_places(mission)
+        self._reader = EventReader(
+            self.record, self.situation, emitters, mission.emitter.emitter_id
+        )
+        wire = FaultyLink(Schedule(), seed)
+        flight = Flight(
+            flown_config(mission),
+            _quiet(mission),
+            seed,
+            self._reader,
+            wire=wire,
+            make_companion=make_companion,
+        )
+        flight.observers.append(_Watcher(self.record, self.situation, self._reader))
+        self._monitor = Monitor(
+            rules_of(flight.config),
+            flight.sim.vehicle,
+            estimate=lambda: flight.companion.session.estimate,
+        )
+        flight.observers.append(self._monitor)
+        station = Station(flight)
+        harness = _Harness(Injector(flight, wire, station))
+        operator = _Operator(flight, station)
+        self._flight = flight
+        self._runner = StepRunner(mission, self.situation, self.record, operator, harness)
+        self._slices = 0
+
+    def fly(self, progress: Progress | None) -> None:
+        """From switching on to the last step."""
+        flight, runner = self._flight, self._runner
+        while True:
+            self._look()
+            runner.tick(flight.now_s)
+            if progress is not None:
+                progress(runner, self.situation)
+            if runner.is_over:
+                break
+            self._slices += 1
+            flight.run(self._slices * SLICE_S - flight.now_s)
+        self.record.ended_s = flight.now_s
+        self.record.distance_m = flight.sim.vehicle.distance_m
+        closest_m = self._monitor.fence.closest_m
+        self.record.closest_approach_m = closest_m if math.isfinite(closest_m) else None
+
+    def _look(self) -> None:
+        """Bring the situation up to date from the vehicle itself."""
+        flight, seen = self._flight, self.situation.vehicle
+        vehicle, now_s = flight.sim.vehicle, flight.now_s
+        self._reader.age(now_s)
+        seen.mode, seen.is_armed = vehicle.modes.mode.value, vehicle.is_armed
+        seen.is_failsafe, seen.landed = vehicle.modes.is_failsafe, vehicle.landed_state.name.lower()
+        seen.is_ready = vehicle.is_armed or (
+            vehicle.has_home and vehicle.modes.arming_refusal(vehicle.time_s) is None
+        )
+        east_m, north_m, up_m = place = vehicle.body.position_enu_m
+        velocity = vehicle.body.velocity_enu_mps
+        home = vehicle.home_enu_m
+        seen.east_m, seen.north_m, seen.height_m = east_m, north_m, up_m - home[2]
+        seen.speed_mps, seen.climb_mps = math.hypot(*velocity[:2]), velocity[2]
+        seen.home_distance_m = math.dist(place[:2], home[:2])
+        seen.distance_m, seen.battery = vehicle.distance_m, vehicle.battery.share
+        seen.has_fix = vehicle.estimator.has_fix
+        for found in self._monitor.violations[len(self.record.violations) :]:
+            self.record.violations.append(Violated(found.time_s, found.invariant, found.what))
+        self.situation.companion.violations = len(self.record.violations)
+        if self._slices % TRACK_SLICES == 0:
+            self.record.track.append((now_s, place))
+
+
+def _quiet(mission: Mission) -> Scenario:
+    """The scenario on a link that carries only what the companion asks for: it is all that counts.
+
+    PX4's 340 messages per second, most of them never looked at, are what takes the time.
+    """
+    autopilot = msgspec.structs.replace(mission.autopilot, streams="asked")
+    return msgspec.structs.replace(mission.scenario, autopilot=autopilot)
+
+
+class _Watcher(Observer):
+    """Keeps and counts messages, and hears what the autopilot says."""
+
+    def __init__(self, record: FlightRecord, situation: Situation, reader: EventReader) -> None:
+        self._record = record
+        self._situation = situation
+        self._reader = reader
+
+    def companion_ended(self, now_s: float) -> None:  # noqa: ARG002  the observer's protocol
+        """What it said of itself is over."""
+        self._reader.restarted()
+
+    def sent(self, frame: Frame) -> None:
+        """The companion sent this."""
+        self._record.frames.append((frame.time_s, frame.data))
+        self._record.messages["companion", frame.number] += 1
+
+    def vehicle_sent(self, frame: Frame) -> None:
+        """The vehicle sent this."""
+        self._record.frames.append((frame.time_s, frame.data))
+        self._record.messages["autopilot", frame.number] += 1
+        if frame.number != mavlink.MAVLINK_MSG_ID_STATUSTEXT:
+            return
+        message = frame.message
+        if isinstance(message, mavlink.MAVLink_statustext_message):
+            text = str(message.text)
+            self._record.texts.append(Said(frame.time_s, "autopilot", text))
+            self._situation.autopilot_texts.append(text)
+
+
+class _Operator:
+    """The operator of a flight in memory."""
+
+    def __init__(self, flight: Flight, station: Station) -> None:
+        self._flight = flight
+        self._station = station
+
+    def ask(self, action: Action) -> None:
+        """Do it at once."""
+        match action:
+            case Arm():
+                self._arm()
+            case TakeOff():
+                self._take_off(action.height_m)
+            case SwitchMode():
+                self._station.choose(action.mode, is_told_at_once=False)
+            case Grant():
+                self._station.grant()
+
+    def take_refusal(self) -> str | None:
+        """Refusals are seen in the autopilot's texts."""
+        return None
+
+    def _arm(self) -> None:
+        if self._flight.scenario.autopilot.flavour == "ardupilot":
+            self._station.choose(FlightMode.OFFBOARD, is_told_at_once=False)
+        self._station.arm()
+
+    def _take_off(self, height_m: float) -> None:
+        flight = self._flight
+        above = (
+            0.0
+            if flight.scenario.autopilot.flavour == "ardupilot"
+            else (flight.sim.vehicle.home_altitude_m)
+        )
+        rest = [math.nan] * 6 if above else [0.0] * 6
+        self._station.command(mavlink.MAV_CMD_NAV_TAKEOFF, *rest, above + height_m)
+
+
+class _Harness:
+    """Injects faults into a flight in memory."""
+
+    def __init__(self, injector: Injector) -> None:
+        self._injector = injector
+
+    def inject(self, fault: Fault, now_s: float) -> None:  # noqa: ARG002  the flight's own time
+        """Have it begin `fault.start_s` from now."""
+        self._injector.add(fault)

@@ -1,0 +1,415 @@
+"""`sim-link mission run`: arguments, progress on a terminal, JUnit XML and exit codes.
+
+What people see while missions fly: a live line on a terminal, plain lines anywhere else.
+
+JUnit XML, as continuous integration reads it: a suite per flight, a case per expectation.
+
+A flight that did not come to an end, or has no report, has a case with an error.
+
+`sim-link mission run`: arguments, lines for people and exit codes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import TextIO
+from xml.etree import ElementTree
+
+from companion.errors import ConfigError
+from companion.io.files import check_writable, write_text_atomic
+from companion.kernel import IS_COMPILED
+from sim_link.interrupts import is_interrupt
+from sim_link.lab.mission.batch import (
+    Campaign,
+    FlightTask,
+    check_reports,
+    fly_all,
+    unflown,
+    warm_up,
+)
+from sim_link.lab.mission.conditions import Situation
+from sim_link.lab.mission.mission_report import Summary, campaign_lines
+from sim_link.lab.mission.steps import StepRunner
+
+REFRESH_S = 0.1
+
+
+class PlainProgress:
+    """A line when a step begins, where there is no terminal, and one for every flight.
+
+    Args:
+        total: Flights to be flown.
+        output: Where the lines go.
+        is_detailed: Whether steps are told, too; there is one flight at a time then.
+    """
+
+    def __init__(self, total: int, output: TextIO, *, is_detailed: bool) -> None:
+        self._total = total
+        self._output = output
+        self._is_detailed = is_detailed
+        self._done = 0
+        self._step = 0
+        self._is_heard = True
+
+    def __enter__(self) -> PlainProgress:
+        """Begin."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """End."""
+
+    def moved(self, runner: StepRunner, situation: Situation) -> None:
+        """Time has passed."""
+        number, total, name = runner.progress
+        if not self._is_detailed or number == self._step:
+            return
+        self._step = number
+        self.say(f"{situation.mission.time_s:7.1f} s  step {number}/{total} {name}")
+
+    def finished(self, summary: Summary) -> None:
+        """A flight is over."""
+        self._done += 1
+        self._step = 0
+        self.say(flight_line(summary, self._done, self._total))
+        for verdict in summary.failed:
+            self.say(f"     {verdict.name}: {verdict.found}")
+        if summary.error:
+            self.say(f"     {summary.error}")
+        if summary.doubt:
+            self.say(f"     {summary.doubt}")
+
+    def say(self, line: str) -> None:
+        """Print a line, as long as somebody reads."""
+        if not self._is_heard:
+            return
+        try:
+            self._output.write(f"{line}\n")
+            self._output.flush()
+        except BrokenPipeError:
+            self._is_heard = False
+            if self._output is sys.stdout:  # what it still holds is not to be tried at the exit
+                sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115  stays open
+
+
+class LiveProgress(PlainProgress):
+    """The same with a line that is redrawn in place (rich).
+
+    Raises:
+        ImportError: rich is not installed.
+    """
+
+    def __init__(self, total: int, output: TextIO) -> None:
+        super().__init__(total, output, is_detailed=False)
+        from rich.console import Console
+        from rich.live import Live
+
+        self._console = Console(file=output)
+        self._live = Live(console=self._console, auto_refresh=False, transient=True)
+        self._due_s = 0.0
+
+    def __enter__(self) -> LiveProgress:
+        """Begin to draw."""
+        self._live.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Leave the terminal as it was."""
+        self._live.stop()
+
+    def moved(self, runner: StepRunner, situation: Situation) -> None:
+        """Redraw the line now and then."""
+        now_s = time.monotonic()
+        if now_s < self._due_s:
+            return
+        self._due_s = now_s + REFRESH_S
+        from rich.text import Text
+
+        self._live.update(Text(state_line(runner, situation), no_wrap=True), refresh=True)
+
+    def say(self, line: str) -> None:
+        """Print a line above the live one."""
+        self._console.print(line, highlight=False, markup=False, soft_wrap=True)
+
+
+def progress_for(total: int, jobs: int, output: TextIO | None = None) -> PlainProgress:
+    """What suits the output: live on a terminal with rich, plain lines otherwise.
+
+    Args:
+        total: Flights to be flown.
+        jobs: How many at once.
+        output: Where to; None: standard output.
+    """
+    stream = sys.stdout if output is None else output
+    if stream.isatty():
+        try:
+            return LiveProgress(total, stream)
+        except ImportError:
+            pass
+    return PlainProgress(total, stream, is_detailed=jobs == 1 and total == 1)
+
+
+def state_line(runner: StepRunner, situation: Situation) -> str:
+    """Where a flight stands, in a line."""
+    number, total, name = runner.progress
+    vehicle, companion, estimate = situation.vehicle, situation.companion, situation.estimate
+    parts = [
+        f"{situation.mission.time_s:7.1f} s  step {number}/{total} {name}",
+        companion.phase or "no companion",
+        f"vehicle in {vehicle.mode or '?'}",
+    ]
+    if vehicle.height_m is not None:
+        parts.append(f"height {vehicle.height_m:.1f} m")
+    if estimate.r95_m is not None:
+        parts.append(f"{estimate.state}, R95 {estimate.r95_m:.2f} m")
+    return ", ".join(parts)
+
+
+def flight_line(summary: Summary, number: int, total: int) -> str:
+    """How a flight ended, in a line."""
+    verdict = "PASS" if summary.is_passed else "FAIL"
+    if not summary.is_flown:
+        return f"{verdict} [{number}/{total}] {summary.title}: not flown to its end"
+    line = f"{verdict} [{number}/{total}] {summary.title}: {summary.time_s:.1f} s"
+    if summary.final_error_m is not None and summary.r95_m is not None:
+        line += f", error {summary.final_error_m:.2f} m, R95 {summary.r95_m:.2f} m"
+    return f"{line}, {summary.how}, {summary.times_real_time:.0f}x"
+
+
+def junit_xml(summaries: Sequence[Summary]) -> str:
+    """The document.
+
+    Args:
+        summaries: Of all flights, in the order of the document.
+    """
+    root = ElementTree.Element("testsuites", name="missions")
+    for summary in summaries:
+        root.append(_suite(summary))
+    cases = [verdict for summary in summaries for verdict in summary.verdicts]
+    root.set("tests", str(sum(_count(summary) for summary in summaries)))
+    root.set("failures", str(sum(not verdict.is_met for verdict in cases)))
+    root.set("errors", str(sum(bool(summary.error) for summary in summaries)))
+    root.set("time", f"{sum(summary.wall_s for summary in summaries):.3f}")
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def _suite(summary: Summary) -> ElementTree.Element:
+    suite = ElementTree.Element(
+        "testsuite",
+        name=_clean(summary.title),
+        file=_clean(summary.file),
+        tests=str(_count(summary)),
+        failures=str(len(summary.failed)),
+        errors=str(int(bool(summary.error))),
+        skipped="0",
+        time=f"{summary.wall_s:.3f}",
+    )
+    properties = ElementTree.SubElement(suite, "properties")
+    for name, value in _properties(summary).items():
+        ElementTree.SubElement(properties, "property", name=name, value=_clean(value))
+    for number, verdict in enumerate(summary.verdicts):
+        case = _case(suite, summary, verdict.name, summary.wall_s if number == 0 else 0.0)
+        if not verdict.is_met:
+            failure = ElementTree.SubElement(case, "failure", message=_clean(verdict.found))
+            failure.text = _clean(f"{verdict.name}: {verdict.found}")
+    if summary.error:
+        case = _case(suite, summary, "flight and report", 0.0)
+        ElementTree.SubElement(case, "error", message=_clean(summary.error))
+    return suite
+
+
+def _case(
+    suite: ElementTree.Element, summary: Summary, name: str, time_s: float
+) -> ElementTree.Element:
+    return ElementTree.SubElement(
+        suite,
+        "testcase",
+        classname=_clean(f"{summary.name}.{summary.flavour}.seed {summary.seed}"),
+        name=_clean(name),
+        time=f"{time_s:.3f}",
+    )
+
+
+def _count(summary: Summary) -> int:
+    """Cases: every expectation, and what went wrong beside them."""
+    return len(summary.verdicts) + bool(summary.error)
+
+
+def _properties(summary: Summary) -> dict[str, str]:
+    values = {
+        "seed": summary.seed,
+        "how": summary.how,
+        "flown_s": f"{summary.time_s:.1f}",
+        "distance_m": f"{summary.distance_m:.1f}",
+        "final_error_m": summary.final_error_m,
+        "r95_m": summary.r95_m,
+        "report": summary.report or None,
+    }
+    return {name: str(value) for name, value in values.items() if value is not None}
+
+
+def _clean(text: str) -> str:
+    """Without what XML 1.0 cannot hold."""
+    return "".join(c if c.isprintable() else " " for c in text)
+
+
+LOCKSTEP = "lockstep"
+MAX_SPEED = 1000.0
+EXIT_PASSED, EXIT_FAILED, EXIT_BAD_INPUT = 0, 1, 2
+
+DESCRIPTION = """\
+Fly mission scripts and tell pass or fail like a test.
+
+In lockstep (the default) companion and vehicle run in memory on a virtual clock. With --speed they
+are processes of their own over UDP, and the operator's side is flown through MAVSDK; --connect
+flies a vehicle that is there already, whoever made it."""
+EPILOG = """\
+examples:
+  sim-link mission run configs/missions/canonical.yaml
+  sim-link mission run configs/missions/*.yaml --repeat 20 --jobs 2 --junit missions.xml
+  sim-link mission run configs/missions/canonical.yaml --speed 4 --report reports
+  sim-link mission run configs/missions/canonical.yaml --connect udpin:127.0.0.1:14550
+
+exit code: 0 every expectation is met, 1 one is not, or a flight came to no end or has no report,
+2 a script or an argument is wrong (then nothing was started)"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `run`."""
+    parser.add_argument("files", metavar="FILE", nargs="+", type=Path, help="mission scripts")
+    parser.add_argument(
+        "--speed",
+        metavar="X|lockstep",
+        help="seconds of the flight per second, with real processes; default: lockstep",
+    )
+    parser.add_argument(
+        "--autopilot", choices=("px4", "ardupilot"), help="in place of the scripts' own"
+    )
+    parser.add_argument(
+        "--connect", metavar="URL", help="fly the vehicle on this link instead of a simulated one"
+    )
+    parser.add_argument("--seed", metavar="N", type=int, default=0, help="first seed (default 0)")
+    parser.add_argument(
+        "--repeat", metavar="N", type=int, default=1, help="with so many seeds (default 1)"
+    )
+    parser.add_argument("--jobs", metavar="J", type=int, default=1, help="so many at once")
+    parser.add_argument("--junit", metavar="FILE", type=Path, help="write JUnit XML")
+    parser.add_argument(
+        "--report", metavar="DIR", type=Path, help="write a report and logs of every flight"
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Fly what the arguments say.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        ConfigError: A script or an argument is wrong; nothing was started.
+        CompanionError: A file cannot be written or a link not be opened; nothing was started.
+    """
+    campaign = _campaign(arguments)
+    if campaign.reports is not None:
+        check_reports(campaign.reports)
+    if arguments.junit is not None:
+        check_writable(arguments.junit)
+    tasks = campaign.tasks()
+    progress = progress_for(len(tasks), campaign.jobs)
+    summaries: dict[int, Summary] = {}
+    try:
+        if _is_flown(tasks, campaign.jobs, progress, summaries):
+            for line in campaign_lines(_in_order(tasks, summaries)):
+                progress.say(line)
+        else:
+            done = sum(not summary.is_interrupted for summary in summaries.values())
+            print(f"sim-link: interrupted after {done} of {len(tasks)} flights", file=sys.stderr)
+    finally:
+        ordered = _in_order(tasks, summaries)
+        if arguments.junit is not None:
+            write_text_atomic(arguments.junit, junit_xml(ordered))
+    return EXIT_PASSED if all(summary.is_passed for summary in ordered) else EXIT_FAILED
+
+
+def _is_flown(
+    tasks: Sequence[FlightTask],
+    jobs: int,
+    progress: PlainProgress,
+    summaries: dict[int, Summary],
+) -> bool:
+    """Fly everything into `summaries`; whether nobody interrupted that."""
+
+    def done(position: int, summary: Summary) -> None:
+        """A flight is over."""
+        summaries[position] = summary
+        progress.finished(summary)
+
+    try:
+        if IS_COMPILED and sys.stdout.isatty():
+            print("compiling kernels: half a minute the first time")
+        warm_up(tasks)
+        with progress:
+            fly_all(tasks, jobs, done, progress.moved)
+    except (KeyboardInterrupt, SystemError) as error:
+        if not is_interrupt(error):
+            raise
+        return False
+    return True
+
+
+def _in_order(tasks: Sequence[FlightTask], summaries: dict[int, Summary]) -> list[Summary]:
+    """One for every task, also for those that were not over when the campaign ended."""
+    reason = "interrupted: the campaign ended before this flight was over"
+    return [summaries.get(n) or unflown(task, reason) for n, task in enumerate(tasks)]
+
+
+def _campaign(arguments: argparse.Namespace) -> Campaign:
+    if arguments.seed < 0:
+        raise ConfigError(f"--seed {arguments.seed}: give a number that is not negative")
+    for option in ("repeat", "jobs"):
+        if getattr(arguments, option) < 1:
+            raise ConfigError(f"--{option} {getattr(arguments, option)}: give at least 1")
+    if arguments.connect is not None and arguments.autopilot is not None:
+        raise ConfigError("--autopilot: with --connect the autopilot is whoever answers")
+    if arguments.connect is not None and arguments.jobs > 1:
+        raise ConfigError("--jobs: with --connect there is one vehicle")
+    return Campaign(
+        files=arguments.files,
+        seeds=range(arguments.seed, arguments.seed + arguments.repeat),
+        jobs=arguments.jobs,
+        autopilot=arguments.autopilot,
+        reports=arguments.report,
+        speed=_speed(arguments),
+        connect=arguments.connect,
+    )
+
+
+def _speed(arguments: argparse.Namespace) -> float | None:
+    """Times real time; None: lockstep."""
+    if arguments.speed in (None, LOCKSTEP):
+        if arguments.connect is not None and arguments.speed == LOCKSTEP:
+            raise ConfigError("--speed lockstep: not with --connect")
+        return None if arguments.connect is None else 1.0
+    try:
+        speed = float(arguments.speed)
+    except ValueError:
+        speed = 0.0
+    if not 0.0 < speed <= MAX_SPEED:
+        raise ConfigError(f"--speed {arguments.speed}: give lockstep, or 0 to {MAX_SPEED:g}")
+    return speed

@@ -1,0 +1,368 @@
+"""Flies a mission with real processes over UDP, the operator's side through MAVSDK.
+
+Theory of operation. The companion is the `companion` command in a process of its own. The vehicle
+is `sim-link` in another, or whoever answers on the link that was given. Between them stands the
+hub, in this process: it shares the vehicle's one link among companion, operator and radio, keeps
+the `.tlog`, injects the faults of the link, and looks at the mission ten times a second of flight.
+Everything starts before the first frame is passed on, so the mission's time is the companion's.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import shutil
+import signal
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import yaml
+
+from companion.demo.simulator_process import HOST, free_udp_ports
+from companion.domain import FlightMode
+from companion.errors import CompanionError
+from companion.io.links.specs import LinkSpec, UdpBind, UdpConnect, link_from_url
+from companion.io.links.urls import parse_link_url
+from companion.io.logs.log_files import TlogWriter
+from companion.io.shell import Clock, Shell
+from sim_link.lab.faults.fault_models import Schedule
+from sim_link.lab.faults.faulty_link import FaultyLink
+from sim_link.lab.mission.conditions import Situation
+from sim_link.lab.mission.flight_readers import EventReader, TelemetryReader, WireWatch
+from sim_link.lab.mission.in_memory import Progress
+from sim_link.lab.mission.mavsdk_operator import MavsdkOperator
+from sim_link.lab.mission.processes import (
+    COMPANION,
+    RADIO,
+    VEHICLE,
+    Child,
+    EventTail,
+    Hub,
+    ProcessHarness,
+)
+from sim_link.lab.mission.results import (
+    FlightRecord,
+    Flown,
+    MissionResult,
+    how_flown,
+    true_places,
+    verdicts_of,
+)
+from sim_link.lab.mission.script import Mission
+from sim_link.lab.mission.script_file import flown_config
+from sim_link.lab.mission.steps import StepRunner, SwitchMode
+
+START_S = 150.0
+"""Real time that a process may take to start; the first one of all compiles."""
+SILENCE_S = 15.0
+"""Real time without any frame of the vehicle after which the mission is given up."""
+HAND_BACK_S = 3.0
+"""Real time that the companion may take to hand the vehicle back."""
+HOME_S = 5.0
+"""Real time for asking a vehicle of others to come home after a mission that failed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ports:
+    """UDP ports of this machine for one flight."""
+
+    vehicle: int
+    """Where the hub hears a simulated vehicle."""
+    simulator: int
+    companion: int
+    operator: int
+    radio: int
+
+    @classmethod
+    def free(cls) -> Ports:
+        """Five that nobody has now."""
+        return cls(*free_udp_ports(5))
+
+
+def fly_over_udp(
+    mission: Mission,
+    seed: int,
+    file: str = "",
+    *,
+    speed: float = 1.0,
+    connect: str | None = None,
+    keep: Path | None = None,
+    progress: Progress | None = None,
+) -> MissionResult:
+    """Fly a mission once.
+
+    Args:
+        mission: The script.
+        seed: Of a simulated vehicle, its radio and its faults.
+        file: Where the script is from.
+        speed: Seconds of the flight per second.
+        connect: The vehicle's link; None: a simulated one is started.
+        keep: A folder for `.tlog`, event log and output of the processes; None: nothing is kept.
+        progress: Told after every look, and while processes start.
+
+    Raises:
+        CompanionError: A process does not start, or a link cannot be opened.
+    """
+    with tempfile.TemporaryDirectory(prefix="mission-") as temporary:
+        folder = Path(temporary) if keep is None else keep
+        folder.mkdir(parents=True, exist_ok=True)
+        flight = _UdpFlight(mission, seed, folder, speed, connect)
+        started = time.perf_counter()
+        try:
+            asyncio.run(flight.fly(progress))
+        finally:
+            flight.close()
+        flight.record.wall_s = time.perf_counter() - started
+        flight.judge()
+    how = how_flown(speed, connect)
+    verdicts = verdicts_of(Flown(mission, flight.record, flight.situation))
+    return MissionResult(mission, file, seed, how, flight.record, tuple(verdicts))
+
+
+class _UdpFlight:
+    """One flight with its processes."""
+
+    def __init__(
+        self, mission: Mission, seed: int, folder: Path, speed: float, connect: str | None
+    ) -> None:
+        self.record, self.situation = FlightRecord(), Situation()
+        self._mission, self._seed, self._folder = mission, seed, folder
+        self._speed, self._connect = speed, connect
+        self._ports = Ports.free()
+        self._flights = folder / "flights"
+        self._tail = EventTail(self._flights)
+        self._offset_s: float | None = None
+        """The mission's time minus the companion's."""
+        self._reader = EventReader(
+            self.record, self.situation, true_places(mission), mission.emitter.emitter_id
+        )
+        self._telemetry = TelemetryReader(self.record, self.situation)
+        self._wire = FaultyLink(Schedule(), seed)
+        self._companion = self._companion_child()
+        self._vehicle = self._vehicle_child() if connect is None else None
+        self._radio: Child | None = None
+        self._operator = MavsdkOperator(self._ports.operator, folder / "mavsdk.log")
+        self._watched = WireWatch(speed)
+        self._harness = harness = self._build_harness()
+        self._runner = StepRunner(mission, self.situation, self.record, self._operator, harness)
+        self._hub = self._build_hub()
+        self._end_wall_s: float | None = None
+        """When the end began."""
+        self._is_companion_told = False
+        self._clock = Clock(speed)
+        self._started_unix_s = time.time()
+        (folder / "flight.tlog").unlink(missing_ok=True)  # an earlier mission's; it is appended to
+        shutil.rmtree(folder / "state", ignore_errors=True)
+        self._tlog = TlogWriter(folder / "flight.tlog")
+        self._heard_wall_s = time.monotonic()
+        self._progress: Progress | None = None
+
+    def _build_harness(self) -> ProcessHarness:
+        recording = self._watched.recording
+        return ProcessHarness(self._mission, self._wire, self._vehicle, self._companion, recording)
+
+    def _build_hub(self) -> Hub:
+        return Hub(
+            self._wire,
+            self._watch,
+            self._look,
+            self._interrupt,
+            has_radio=self._connect is not None,
+            delivered=self._watched.delivered,
+        )
+
+    async def fly(self, progress: Progress | None) -> None:
+        """From starting the processes to the last step."""
+        self._progress = progress
+        self._companion.start()
+        await self._until_companion_waits()
+        await self._start_vehicle()
+        async with self._operator:
+            self._clock = Clock(self._speed)
+            self._started_unix_s = time.time()
+            self._heard_wall_s = time.monotonic()
+            shell = Shell(self._hub, self._links(), self._clock)
+            await shell.run()
+
+    def close(self) -> None:
+        """End what still runs."""
+        for child in (self._companion, self._radio, self._vehicle):
+            if child is not None:
+                child.stop()
+        self._take_events(self._clock.now_s())
+        self._tlog.close()
+
+    def judge(self) -> None:
+        """Look for violations of the invariants in what was recorded."""
+        self._watched.date_events(self._offset_s)
+        self._watched.judge(flown_config(self._mission), self.record)
+        self.situation.companion.violations = len(self.record.violations)
+
+    def _links(self) -> list[LinkSpec]:
+        ports = self._ports
+        vehicle: LinkSpec = UdpBind(HOST, ports.vehicle)
+        if self._connect is not None:
+            vehicle = link_from_url(parse_link_url(self._connect))
+        links = [vehicle, UdpConnect(HOST, ports.companion), UdpConnect(HOST, ports.operator)]
+        return links if self._connect is None else [*links, UdpConnect(HOST, ports.radio)]
+
+    # Processes
+
+    def _companion_child(self) -> Child:
+        config = flown_config(self._mission)
+        log = msgspec.structs.replace(config.log, directory=str(self._flights))
+        state = str(self._folder / "state")  # a checkpoint of another flight means nothing here
+        process = msgspec.structs.replace(config.process, state_directory=state)
+        path = self._folder / "companion.yaml"
+        _write_yaml(path, msgspec.structs.replace(config, log=log, process=process))
+        arguments = ["-m", "sim_link.lab.supervised_companion", "--config", str(path)]
+        arguments += ["--connect", f"udpin:{HOST}:{self._ports.companion}"]
+        arguments += ["--speed", f"{self._speed:g}"]
+        return Child("companion", arguments, self._folder / "companion.log")
+
+    def _vehicle_child(self) -> Child:
+        path = self._folder / "scenario.yaml"
+        _write_yaml(path, self._mission.scenario)
+        arguments = ["-m", "sim_link", "--stop-on-eof", "--scenario", str(path)]
+        arguments += ["--seed", str(self._seed), "--speed", f"{self._speed:g}"]
+        arguments += ["--listen", f"{HOST}:{self._ports.simulator}"]
+        arguments += ["--send-to", f"{HOST}:{self._ports.vehicle}"]
+        return Child("sim-link", arguments, self._folder / "vehicle.log")
+
+    def _radio_child(self) -> Child:
+        """The radio beside a vehicle that has none."""
+        path = self._folder / "scenario.yaml"
+        _write_yaml(path, self._mission.scenario)
+        arguments = ["-m", "sim_link", "radio", "--stop-on-eof", "--scenario", str(path)]
+        arguments += ["--follow", f"udpin:{HOST}:{self._ports.radio}"]
+        arguments += ["--seed", str(self._seed), "--speed", f"{self._speed:g}"]
+        return Child("radio", arguments, self._folder / "radio.log")
+
+    async def _until_companion_waits(self) -> None:
+        """Wait for its flight's folder: it compiles before its clock starts.
+
+        Raises:
+            CompanionError: It ended, or takes too long.
+        """
+        deadline = time.monotonic() + START_S
+        while not self._tail.look_for_flight():
+            self._tell_progress()
+            if not self._companion.is_alive or time.monotonic() > deadline:
+                words = self._companion.last_words.removeprefix("companion: ")
+                raise CompanionError(f"the companion did not start: {words}")
+            await asyncio.sleep(0.02)
+
+    async def _start_vehicle(self) -> None:
+        """Start the simulator, or the radio beside a vehicle that has none.
+
+        Raises:
+            CompanionError: It ended, or takes too long.
+        """
+        child = self._vehicle
+        if child is None:
+            child = self._radio = self._radio_child()
+        child.start()
+        deadline = time.monotonic() + START_S
+        while not child.first_words:
+            self._tell_progress()
+            if not child.is_alive or time.monotonic() > deadline:
+                raise CompanionError(f"{child.name} did not start: {child.last_words}")
+            await asyncio.sleep(0.02)
+
+    # What the hub calls
+
+    def _watch(self, link: int, frame: bytes, now_s: float) -> None:
+        self._tlog.write(frame, self._started_unix_s + now_s)
+        if link in (VEHICLE, RADIO):
+            self._heard_wall_s = time.monotonic()
+            self._telemetry.take(frame, now_s)
+            self._watched.vehicle_sent(frame, now_s)
+        elif link == COMPANION:
+            self._watched.sent(frame, now_s)
+            self._telemetry.take_companion(frame)
+
+    def _look(self, now_s: float) -> None:
+        self._watched.looked(now_s)
+        self._take_events(now_s)
+        self._reader.age(now_s)
+        vehicle, operator = self.situation.vehicle, self._operator
+        heartbeat = self._telemetry.heartbeat
+        if heartbeat is not None:
+            operator.autopilot, operator.is_heard = heartbeat.autopilot, True
+            self.record.autopilot = heartbeat.autopilot.name.lower()
+        operator.is_armed = bool(vehicle.is_armed)
+        vehicle.is_ready = operator.is_ready or operator.is_armed
+        self._harness.tick(now_s)
+        if self._end_wall_s is not None:
+            self._end()
+            return
+        self._check_children(now_s)
+        self._runner.tick(now_s)
+        self._tell_progress()
+        if self._runner.is_over:
+            self._begin_end(now_s)
+
+    def _tell_progress(self) -> None:
+        if self._progress is not None:
+            self._progress(self._runner, self.situation)
+
+    def _interrupt(self, now_s: float) -> None:
+        """A signal: leave the vehicle to its own hold, by way of the companion."""
+        if self._end_wall_s is None:
+            self.record.is_interrupted = True
+            self._runner.abandon("interrupted", now_s)
+            self._begin_end(now_s)
+
+    def _begin_end(self, now_s: float) -> None:
+        self.record.ended_s = now_s
+        self._end_wall_s = time.monotonic()
+
+    def _end(self) -> None:
+        """Bring a vehicle of others home, have the companion hand back, then let go."""
+        began = self._end_wall_s or 0.0
+        vehicle, waited_s = self.situation.vehicle, time.monotonic() - began
+        is_stranded = self._connect is not None and self._runner.failure and vehicle.is_armed
+        is_on_its_way = vehicle.mode in ("return", "land") or self.record.is_interrupted
+        if is_stranded and not is_on_its_way and waited_s < HOME_S:
+            self._operator.ask(SwitchMode(FlightMode.RETURN))
+            return
+        if not self._is_companion_told:  # a second signal would end it at once
+            self._is_companion_told = True
+            self._companion.signal(signal.SIGTERM)
+        if not self._companion.is_alive or waited_s > HOME_S + HAND_BACK_S:
+            self._hub.finish()
+
+    def _take_events(self, now_s: float) -> None:
+        if self._harness.has_restarted_companion and self._tail.look_for_flight():
+            self._harness.has_restarted_companion = False
+            self._reader.restarted()
+            self._watched.date_events(self._offset_s)
+            self._offset_s = None
+        events = self._tail.take()
+        if not events:
+            return
+        # an event is never read before it happened: the earliest one read is the best clock
+        offset_s = now_s - float(events[-1]["t_s"])
+        if self._offset_s is None or offset_s < self._offset_s:
+            self._offset_s = offset_s
+        for event in events:
+            time_s, kind = event.pop("t_s"), event.pop("kind")
+            self._watched.noted(kind, event, time_s)
+            self._reader.take(kind, event, max(0.0, time_s + self._offset_s))
+
+    def _check_children(self, now_s: float) -> None:
+        """End the mission when something that it needs is gone."""
+        silent_s = time.monotonic() - self._heard_wall_s
+        for child in (self._vehicle, self._radio):
+            if child is not None and not child.is_alive:
+                self._runner.abandon(f"{child.name} ended: {child.last_words}", now_s)
+        if not self._companion.is_alive and not self._harness.is_companion_down:
+            self._runner.abandon(f"the companion ended: {self._companion.last_words}", now_s)
+        if silent_s > SILENCE_S and self._telemetry.system_id is None:
+            self._runner.abandon(f"nothing heard of a vehicle for {SILENCE_S:g} s", now_s)
+
+
+def _write_yaml(path: Path, value: object) -> None:
+    path.write_text(yaml.safe_dump(msgspec.to_builtins(value), sort_keys=False), encoding="utf-8")

@@ -1,0 +1,411 @@
+"""The processes of a mission: child processes, the hub that links them, and their faults.
+
+One vehicle's link shared by companion, operator and radio, with faults on the companion's way.
+
+Theory of operation. The hub is a router: what the vehicle says goes to all of its clients, what a
+client says to the vehicle and to the other clients. It knows nothing about who the vehicle is; it
+answers to wherever that was heard. Between vehicle and companion lies a wire, which may be a
+`FaultyLink`: the operator's link is never touched by faults. A timer drives the mission.
+
+Processes of a mission: each ends with this one, whatever ends it.
+
+Faults of real processes: the hub's wire, signals, and incidents told to the simulator.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import heapq
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, TextIO
+
+import msgspec
+
+from companion.config.loader import read_text
+from companion.errors import CompanionError
+from companion.mav.codec import MavCodec
+from companion.mav.endpoint import Address, Chunk
+from sim_link.autopilot.scenario import Incident, WindChange
+from sim_link.lab.faults.fault_models import (
+    CompanionKilled,
+    CompanionStalled,
+    CompanionTerminated,
+    Fault,
+    SecurityFault,
+    VehicleFault,
+    Wind,
+)
+from sim_link.lab.faults.faulty_link import FaultyLink
+from sim_link.lab.faults.injector import incident_of
+from sim_link.lab.lockstep.observer import Lane, Observer, Wire
+from sim_link.lab.mission.script import Mission
+from sim_link.lab.mission.script_file import located
+
+VEHICLE, COMPANION, OPERATOR, RADIO = range(4)
+"""The hub's links."""
+PERIOD_S = 0.1
+"""Between two looks at the mission."""
+
+
+class Hub:
+    """Implements `companion.mav.endpoint.Endpoint`.
+
+    Args:
+        wire: What lies between vehicle and companion.
+        watch: Told of every frame with the link it came from and the time.
+        tick: Called every 0.1 s with the time; the mission.
+        stop: Called when an end is asked for; the mission then calls `finish`.
+        has_radio: Whether there is a radio beside the vehicle.
+        delivered: Told of every frame that goes to the companion, and when.
+    """
+
+    def __init__(
+        self,
+        wire: Wire,
+        watch: Callable[[int, bytes, float], None],
+        tick: Callable[[float], None],
+        stop: Callable[[float], None],
+        *,
+        has_radio: bool = False,
+        delivered: Callable[[bytes, float], None] | None = None,
+    ) -> None:
+        self._wire = wire
+        self._watch = watch
+        self._tick = tick
+        self._stop = stop
+        self._delivered = delivered
+        self._clients = (COMPANION, OPERATOR, RADIO) if has_radio else (COMPANION, OPERATOR)
+        self._splitters = [MavCodec(0, 0) for _ in range(4)]
+        self._peers: dict[int, Address] = {}
+        self._late: list[tuple[float, int, int, bytes]] = []
+        self._count = 0
+        self._due_s = 0.0
+        self._output: list[Chunk] = []
+        self._is_finished = False
+
+    def receive(self, chunk: Chunk, now_s: float) -> None:
+        """Route what arrived, frame by frame."""
+        if chunk.peer is not None:
+            self._peers[chunk.link] = chunk.peer
+        splitter = self._splitters[chunk.link]
+        for frame in splitter.split(chunk.data, is_datagram=chunk.is_datagram):
+            self._watch(chunk.link, frame, now_s)
+            for link in (VEHICLE, *self._clients):
+                if link != chunk.link:
+                    self._route(frame, chunk.link, link, now_s)
+
+    def _route(self, frame: bytes, source: int, target: int, now_s: float) -> None:
+        if target == COMPANION:
+            lane = Lane.TO_COMPANION
+        elif source == COMPANION and target == VEHICLE:
+            lane = Lane.TO_VEHICLE
+        else:
+            self._send(target, frame, now_s)
+            return
+        for due_s, data in self._wire.carry(frame, lane, now_s):
+            if due_s <= now_s:
+                self._send(target, data, now_s)
+            else:
+                self._count += 1
+                heapq.heappush(self._late, (due_s, self._count, target, data))
+
+    def _send(self, link: int, data: bytes, now_s: float) -> None:
+        if link == COMPANION and self._delivered is not None:
+            self._delivered(data, now_s)
+        self._output.append(Chunk(link, data, self._peers.get(link)))
+
+    def handle_timer(self, now_s: float) -> None:
+        """Deliver what was late, and look at the mission when that is due."""
+        while self._late and self._late[0][0] <= now_s:
+            _, _, link, data = heapq.heappop(self._late)
+            self._send(link, data, now_s)
+        if now_s >= self._due_s:
+            self._due_s = max(self._due_s + PERIOD_S, now_s)
+            self._tick(now_s)
+
+    def next_timer_s(self) -> float:
+        """When something is due."""
+        return min(self._due_s, self._late[0][0]) if self._late else self._due_s
+
+    def take_output(self) -> list[Chunk]:
+        """What is to be sent; taken once."""
+        output, self._output = self._output, []
+        return output
+
+    def request_stop(self, now_s: float) -> None:
+        """Ask the mission to end."""
+        self._stop(now_s)
+
+    def finish(self) -> None:
+        """End at once."""
+        self._is_finished = True
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether the mission is over."""
+        return self._is_finished
+
+
+LOGS = "*/events.jsonl"
+STOP_S = 5.0
+"""Real time that a process may take to end after SIGTERM."""
+
+
+class Child:
+    """One process with its own session, whose output goes to a file.
+
+    Args:
+        name: What people call it.
+        arguments: The module and its arguments, run with this interpreter.
+        log: Where its output goes.
+    """
+
+    def __init__(self, name: str, arguments: Sequence[str], log: Path) -> None:
+        self.name = name
+        self._arguments = [sys.executable, *arguments]
+        self._log = log
+        self._has_begun = False
+        self._file: TextIO | None = None
+        self._process: subprocess.Popen[str] | None = None
+
+    def start(self) -> None:
+        """Start it, or start it again.
+
+        Raises:
+            CompanionError: It cannot be started.
+        """
+        # what an earlier mission left there was said by another one
+        self._file = self._log.open("a" if self._has_begun else "w", encoding="utf-8")
+        self._has_begun = True
+        try:
+            self._process = subprocess.Popen(
+                self._arguments,
+                stdin=subprocess.PIPE,
+                stdout=self._file,
+                stderr=subprocess.STDOUT,
+                text=True,
+                start_new_session=True,
+            )
+        except OSError as error:
+            raise CompanionError(f"{self.name} cannot be started ({error.strerror})") from error
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether it runs."""
+        return self._process is not None and self._process.poll() is None
+
+    @property
+    def first_words(self) -> str:
+        """The first line of its output; empty: it has said nothing yet."""
+        return next(iter(self._lines()), "")
+
+    @property
+    def last_words(self) -> str:
+        """The last line of its output."""
+        return next(iter(self._lines()[::-1]), "")
+
+    def _lines(self) -> list[str]:
+        try:
+            return self._log.read_text(encoding="utf-8", errors="replace").splitlines()
+        except OSError:
+            return []
+
+    def tell(self, line: str) -> None:
+        """Write a line to its standard input."""
+        process = self._process
+        if process is not None and process.stdin is not None:
+            with contextlib.suppress(OSError, ValueError):
+                process.stdin.write(f"{line}\n")
+                process.stdin.flush()
+
+    def signal(self, number: int) -> None:
+        """Send it a signal; nothing happens to one that ended."""
+        if self._process is not None and self._process.poll() is None:
+            os.kill(self._process.pid, number)
+
+    def stop(self) -> None:
+        """End it, at the latest by force; a second call does nothing."""
+        process, self._process = self._process, None
+        if process is not None:
+            if process.poll() is None:
+                process.terminate()
+            try:
+                process.communicate(timeout=STOP_S)
+            except (subprocess.TimeoutExpired, ValueError):
+                process.kill()
+                process.wait()
+        if self._file is not None:
+            self._file.close()
+
+
+class EventTail:
+    """Reads the companion's event log while it is being written.
+
+    Args:
+        root: Where the companion makes the folder of its flight.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self._root = root
+        self._seen = set(root.glob(LOGS))
+        """What an earlier mission may have left there, and what was read."""
+        self._path: Path | None = None
+        self._offset = 0
+        self._rest = b""
+
+    def look_for_flight(self) -> bool:
+        """Whether a flight that was not there before has begun; it is the one that is read."""
+        for path in sorted(self._root.glob(LOGS)):
+            if path not in self._seen:
+                self._seen.add(path)
+                self._path, self._offset, self._rest = path, 0, b""
+                return True
+        return False
+
+    @property
+    def flight(self) -> Path | None:
+        """The folder of the flight."""
+        return None if self._path is None else self._path.parent
+
+    def take(self) -> list[dict[str, Any]]:
+        """The events since the last call; a line that is not whole yet waits."""
+        if self._path is None:
+            return []
+        with self._path.open("rb") as file:
+            file.seek(self._offset)
+            data = file.read()
+        self._offset += len(data)
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        return [json.loads(line) for line in lines if line]
+
+
+class ProcessHarness:
+    """Injects faults into a flight of real processes.
+
+    Args:
+        mission: The script, which knows the weather before a fault.
+        wire: Between vehicle and companion.
+        vehicle: The simulator; None: the vehicle is not ours.
+        companion: The companion.
+        watcher: Told when the companion's process stops and goes on.
+    """
+
+    def __init__(
+        self,
+        mission: Mission,
+        wire: FaultyLink,
+        vehicle: Child | None,
+        companion: Child,
+        watcher: Observer | None = None,
+    ) -> None:
+        self._mission = mission
+        self._wire = wire
+        self._vehicle = vehicle
+        self._companion = companion
+        self._watcher = Observer() if watcher is None else watcher
+        self._now_s = 0.0
+        self._due: list[tuple[float, int, Callable[[], None]]] = []
+        self._count = 0
+        self.is_companion_down = False
+        """Whether the companion is meant not to run."""
+        self.has_restarted_companion = False
+
+    def inject(self, fault: Fault, now_s: float) -> None:
+        """Have a fault begin `fault.start_s` from now."""
+        self._wire.add(fault, now_s)
+        start_s = now_s + fault.start_s
+        match fault:
+            case CompanionKilled(down_s=down_s):
+                self._at(start_s, self._kill)
+                self._at(start_s + down_s, self._restart)
+            case CompanionStalled(duration_s=duration_s):
+                self._at(start_s, partial(self._suspend, duration_s))
+                self._at(start_s + duration_s, partial(self._companion.signal, signal.SIGCONT))
+            case CompanionTerminated():
+                self._at(start_s, self._terminate)
+            case Wind():
+                wind = WindChange(east_mps=fault.east_mps, north_mps=fault.north_mps)
+                self._at(start_s, partial(self._tell, wind))
+                self._at(now_s + fault.end_s, self._calm)
+            case VehicleFault():
+                self._at(start_s, partial(self._tell, incident_of(fault)))
+
+    def tick(self, now_s: float) -> None:
+        """Do what is due."""
+        self._now_s = now_s
+        while self._due and self._due[0][0] <= now_s:
+            heapq.heappop(self._due)[2]()
+
+    def _at(self, time_s: float, action: Callable[[], None]) -> None:
+        self._count += 1
+        heapq.heappush(self._due, (time_s, self._count, action))
+
+    def _suspend(self, duration_s: float) -> None:
+        self._watcher.companion_suspended(self._now_s, self._now_s + duration_s)
+        self._companion.signal(signal.SIGSTOP)
+
+    def _kill(self) -> None:
+        self.is_companion_down = True
+        self._watcher.companion_ended(self._now_s)
+        self._companion.signal(signal.SIGKILL)
+
+    def _restart(self) -> None:
+        self._companion.stop()
+        self._companion.start()
+        self._watcher.companion_started(self._now_s)
+        self.is_companion_down, self.has_restarted_companion = False, True
+
+    def _terminate(self) -> None:
+        self.is_companion_down = True
+        self._watcher.companion_ended(self._now_s)
+        self._companion.signal(signal.SIGTERM)
+
+    def _calm(self) -> None:
+        wind = self._mission.wind
+        self._tell(WindChange(east_mps=wind.east_mps, north_mps=wind.north_mps))
+
+    def _tell(self, incident: Incident) -> None:
+        if self._vehicle is not None:
+            fields = msgspec.to_builtins(incident)
+            endless = {name for name, value in fields.items() if value == math.inf}
+            plain = {name: value for name, value in fields.items() if name not in endless}
+            self._vehicle.tell(json.dumps(plain))
+
+
+def check_faults(mission: Mission, name: str, *, is_our_vehicle: bool) -> None:
+    """Make sure, before anything starts, that every fault of a script can be injected.
+
+    Args:
+        mission: The script.
+        name: Its file.
+        is_our_vehicle: Whether the vehicle is simulated by us.
+
+    Raises:
+        ConfigError: One cannot.
+    """
+    for number, (_, step) in enumerate(mission.named_steps):
+        problem = None
+        if isinstance(step, SecurityFault):
+            problem = "only possible in lockstep"
+        elif isinstance(step, VehicleFault) and not is_our_vehicle:
+            problem = "a vehicle that is not ours cannot be broken"
+        elif isinstance(step, VehicleFault) and not _is_incident(step):
+            problem = "only possible in lockstep"
+        if problem is not None:
+            raise located(read_text(Path(name)), name, f"$.steps[{number}].inject", problem)
+
+
+def _is_incident(fault: VehicleFault) -> bool:
+    try:
+        incident_of(fault)
+    except ValueError:
+        return isinstance(fault, Wind)
+    return True

@@ -1,0 +1,419 @@
+"""What became of a mission flight: its record, the verdicts on it, and the result of both.
+
+What was seen of a flight: everything that verdicts and reports are made of.
+
+From the record of a flight to a verdict on every expectation, and on the steps.
+
+One flight of a mission with its verdicts.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+from companion.domain import Point, PositionEnu
+from companion.io.files import plain
+from companion.io.logs.log_files import tlog_record
+from sim_link.lab.mission.conditions import Situation, parse_condition
+from sim_link.lab.mission.script import (
+    Appears,
+    Bound,
+    EmitterBound,
+    Expectation,
+    Mission,
+    TextSeen,
+    Violations,
+    numbers_by_name,
+)
+from sim_link.lab.monitor.monitor import NOTHING, Scope
+
+
+@dataclass(frozen=True, slots=True)
+class StepOutcome:
+    """How a step ended."""
+
+    number: int
+    """From 1, as people count."""
+    name: str
+    what: str
+    """Its parameters that matter, in words."""
+    started_s: float
+    ended_s: float
+    failure: str = ""
+    """Empty: it is done."""
+
+    @property
+    def title(self) -> str:
+        """What reports call it."""
+        return f"step {self.number} {self.name}"
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatePoint:
+    """The estimate after a measurement, and the innovations that led to it."""
+
+    time_s: float
+    emitter: int | None
+    state: str
+    position_enu_m: Point
+    r95_m: float
+    range_innovation_m: float | None = None
+    bearing_innovation_rad: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """A target that the companion reported."""
+
+    time_s: float
+    emitter: int | None
+    position_enu_m: Point
+    r95_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Said:
+    """A text for the operator."""
+
+    time_s: float
+    source: str
+    """companion or autopilot."""
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Violated:
+    """An invariant that did not hold."""
+
+    time_s: float
+    invariant: str
+    text: str
+
+
+@dataclass(slots=True)
+class FlightRecord:
+    """One flight as it was seen; times are seconds since the mission began."""
+
+    steps: list[StepOutcome] = field(default_factory=list)
+    events: list[tuple[float, str, Mapping[str, object]]] = field(default_factory=list)
+    """The companion's event log and the mission's own events, in the order of time."""
+    estimates: list[EstimatePoint] = field(default_factory=list)
+    reports: list[Report] = field(default_factory=list)
+    texts: list[Said] = field(default_factory=list)
+    phases: list[tuple[float, str]] = field(default_factory=list)
+    waypoints: list[tuple[float, Point, str]] = field(default_factory=list)
+    track: list[tuple[float, PositionEnu]] = field(default_factory=list)
+    messages: Counter[tuple[str, int]] = field(default_factory=Counter)
+    """How often each sender's messages were seen, by message id."""
+    frames: list[tuple[float, bytes]] = field(default_factory=list)
+    """What companion and vehicle sent, where it was kept in memory."""
+    violations: list[Violated] = field(default_factory=list)
+    breaches: dict[str, float] = field(default_factory=dict)
+    """When an `always` was first false, by the expectation's name."""
+    engaged_s: float | None = None
+    """When control was first given."""
+    ended_s: float = 0.0
+    distance_m: float = 0.0
+    closest_approach_m: float | None = None
+    """To the fence, in the whole flight."""
+    failure: str = ""
+    """What ended the mission, beside a step; empty: nothing."""
+    autopilot: str = ""
+    """Who was flown: px4, ardupilot or other."""
+    scope: Scope = NOTHING
+    """Which invariants were judged, and why the others were not."""
+    slack_s: float = 0.0
+    """By how much limits of time were wider than in lockstep, in seconds of flight."""
+    late_s: float = 0.0
+    """How late the hub's turn came at most, in seconds of flight: how busy the machine was."""
+    is_interrupted: bool = False
+    """Somebody asked for the end."""
+    wall_s: float = 0.0
+    """Real time that it took; not part of the event log."""
+    cpu_s: float = 0.0
+    """Processor time that it took, where it was flown in one process; neither."""
+
+    def last_estimate(self, emitter: int) -> EstimatePoint | None:
+        """The last one of an emitter while it was looked for, which ends when it is reported.
+
+        On its way home a vehicle goes on measuring, low and behind whatever stands there. Whatever
+        has no id is of every emitter.
+        """
+        report = self.report_of(emitter)
+        until_s = math.inf if report is None else report.time_s
+        for point in reversed(self.estimates):
+            if point.emitter in (emitter, None) and point.time_s <= until_s:
+                return point
+        return None
+
+    def report_of(self, emitter: int) -> Report | None:
+        """The last report about an emitter."""
+        return next((r for r in reversed(self.reports) if r.emitter in (emitter, None)), None)
+
+
+STEPS = "all steps"
+"""The name of the verdict on the steps."""
+
+
+@dataclass(frozen=True, slots=True)
+class ExpectationVerdict:
+    """What became of one expectation."""
+
+    name: str
+    is_met: bool
+    found: str
+    """What was found, and what was expected of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Flown:
+    """What verdicts are made of."""
+
+    mission: Mission
+    record: FlightRecord
+    situation: Situation
+    """At the end."""
+
+
+def verdicts_of(flown: Flown) -> list[ExpectationVerdict]:
+    """The verdict on the steps first, then those on the expectations in the script's order."""
+    return [_on_steps(flown.record), *(_on(each, flown) for each in flown.mission.expectations)]
+
+
+def true_places(mission: Mission) -> dict[int, Point]:
+    """Where the emitters truly are, by id; the one that a script calls `emitter` first."""
+    emitters = (mission.emitter, *mission.emitters)
+    return {each.emitter_id: each.position_enu_m for each in emitters}
+
+
+def _on_steps(record: FlightRecord) -> ExpectationVerdict:
+    failed = next((step for step in record.steps if step.failure), None)
+    if failed is not None:
+        return ExpectationVerdict(STEPS, False, f"{failed.title}: {failed.failure}")
+    if record.failure:
+        return ExpectationVerdict(STEPS, False, record.failure)
+    return ExpectationVerdict(STEPS, True, f"{len(record.steps)} done in {record.ended_s:.1f} s")
+
+
+def _on(expectation: Expectation, flown: Flown) -> ExpectationVerdict:
+    if isinstance(expectation.always, str):
+        return ExpectationVerdict(expectation.name, *_always(expectation, flown))
+    judge = JUDGES[expectation.kind]
+    return ExpectationVerdict(
+        expectation.name, *judge(getattr(expectation, expectation.kind), flown)
+    )
+
+
+def _final_error(bound: EmitterBound, flown: Flown) -> tuple[bool, str]:
+    point, truth = _final(bound, flown)
+    if point is None:
+        return False, "there is no estimate"
+    return _bounded(math.dist(point.position_enu_m, truth), bound, "m")
+
+
+def _error_over_r95(bound: EmitterBound, flown: Flown) -> tuple[bool, str]:
+    point, truth = _final(bound, flown)
+    if point is None:
+        return False, "there is no estimate"
+    ratio = math.dist(point.position_enu_m, truth) / point.r95_m
+    return _bounded(ratio, bound, f"times the R95 of {point.r95_m:.2f} m")
+
+
+def _final(bound: EmitterBound, flown: Flown) -> tuple[EstimatePoint | None, Point]:
+    emitter = flown.mission.emitter.emitter_id if bound.emitter is None else bound.emitter
+    return flown.record.last_estimate(emitter), true_places(flown.mission)[emitter]
+
+
+def _reported(bound: EmitterBound, flown: Flown) -> tuple[bool, str]:
+    emitter = flown.mission.emitter.emitter_id if bound.emitter is None else bound.emitter
+    report, engaged_s = flown.record.report_of(emitter), flown.record.engaged_s
+    if report is None or engaged_s is None:
+        return False, "the target was not reported"
+    return _bounded(report.time_s - engaged_s, bound, "s")
+
+
+def _time(bound: Bound, flown: Flown) -> tuple[bool, str]:
+    return _bounded(flown.record.ended_s, bound, "s")
+
+
+def _distance(bound: Bound, flown: Flown) -> tuple[bool, str]:
+    return _bounded(flown.record.distance_m, bound, "m")
+
+
+def _violations(limit: Violations, flown: Flown) -> tuple[bool, str]:
+    unjudged = flown.record.scope.unjudged_of(limit.invariants)
+    if len(unjudged) == len(limit.invariants):
+        reasons = (f"{name} {flown.record.scope.unjudged[name]}" for name in unjudged)
+        return True, f"not judged: {'; '.join(reasons)}"
+    counted = [v for v in flown.record.violations if v.invariant in limit.invariants]
+    found = f"{len(counted)}, expected at most {limit.at_most}"
+    if counted:
+        first = counted[0]
+        found += f"; first {first.invariant} at {first.time_s:.2f} s: {first.text}"
+    if unjudged:
+        found += f"; not judged: {', '.join(unjudged)}"
+    return len(counted) <= limit.at_most, found
+
+
+def _appears(wanted: Appears, flown: Flown) -> tuple[bool, str]:
+    count, when = _seen(wanted, flown.record)
+    return count >= wanted.at_least, f"seen {_times(count)}{when}, expected {wanted.at_least}"
+
+
+def _never(unwanted: TextSeen, flown: Flown) -> tuple[bool, str]:
+    count, when = _seen(unwanted, flown.record)
+    return count == 0, f"seen {_times(count)}{when}, expected never"
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count} times"
+
+
+def _seen(wanted: TextSeen, record: FlightRecord) -> tuple[int, str]:
+    """How often, and when first."""
+    sources = ("companion", "autopilot") if wanted.from_ is None else (wanted.from_,)
+    if wanted.message is not None:
+        number = numbers_by_name()[wanted.message]
+        return sum(record.messages[source, number] for source in sources), ""
+    text = wanted.text or ""
+    said = [each for each in record.texts if each.source in sources and text in each.text]
+    return len(said), f", first at {said[0].time_s:.1f} s: {said[0].text}" if said else ""
+
+
+def _holds(condition: str, flown: Flown) -> tuple[bool, str]:
+    is_met = parse_condition(condition).holds(flown.situation)
+    return is_met, f"at the end {condition} {'holds' if is_met else 'does not hold'}"
+
+
+def _always(expectation: Expectation, flown: Flown) -> tuple[bool, str]:
+    broken_s = flown.record.breaches.get(expectation.name)
+    if broken_s is None:
+        return True, f"{expectation.always} was never false"
+    return False, f"{expectation.always} was false at {broken_s:.1f} s"
+
+
+def _bounded(value: float, bound: Bound, unit: str) -> tuple[bool, str]:
+    return bound.holds(value), f"{value:.2f} {unit}, expected {bound}"
+
+
+JUDGES: dict[str, Callable[..., tuple[bool, str]]] = {
+    "final_error_m": _final_error,
+    "error_over_r95": _error_over_r95,
+    "reported_s": _reported,
+    "time_s": _time,
+    "distance_m": _distance,
+    "violations": _violations,
+    "appears": _appears,
+    "never": _never,
+    "holds": _holds,
+}
+"""Each kind of expectation with its judge, but `always`, which is watched on the way."""
+
+
+EPOCH_S = 946_684_800.0
+"""2000-01-01 in Unix time: an invented clock has no date, and readers of tlogs want one."""
+
+
+MAX_SLUG = 80
+"""Characters; a file name has two of these and may have 255 in all."""
+
+
+def slug(name: str) -> str:
+    """A mission's name as part of a file name, cut to `MAX_SLUG`."""
+    return re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-")[:MAX_SLUG].strip("-") or "mission"
+
+
+def flight_name(mission: str, flavour: str, how: str, seed: int) -> str:
+    """What the files and the folder of a flight are called, without an ending."""
+    return f"{slug(mission)}-{flavour}-{slug(how)}-seed{seed}"
+
+
+def how_flown(speed: float | None, connect: str | None) -> str:
+    """`lockstep`, `speed 4`, or the link to a vehicle that is not ours.
+
+    Args:
+        speed: Times real time, with real processes; None: lockstep.
+        connect: The vehicle's link; None: it is a simulated one.
+    """
+    if connect is not None:
+        return connect
+    return "lockstep" if speed is None else f"speed {speed:g}"
+
+
+@dataclass(frozen=True, slots=True)
+class MissionResult:
+    """What a run came to; can be sent between processes."""
+
+    mission: Mission
+    file: str
+    seed: int
+    how: str
+    """See `how_flown`."""
+    record: FlightRecord
+    verdicts: tuple[ExpectationVerdict, ...]
+
+    @property
+    def is_passed(self) -> bool:
+        """Whether every expectation is met, and every step done."""
+        return all(verdict.is_met for verdict in self.verdicts)
+
+    @property
+    def failed(self) -> list[ExpectationVerdict]:
+        """Those that are not met."""
+        return [verdict for verdict in self.verdicts if not verdict.is_met]
+
+    @property
+    def title(self) -> str:
+        """What reports call it."""
+        return f"{self.mission.name} ({self.flavour}), seed {self.seed}"
+
+    @property
+    def flight_name(self) -> str:
+        """What its files are called, without an ending."""
+        return flight_name(self.mission.name, self.flavour, self.how, self.seed)
+
+    @property
+    def flavour(self) -> str:
+        """Whose autopilot was flown."""
+        return self.record.autopilot or self.mission.autopilot.flavour
+
+    @property
+    def final_error_m(self) -> float | None:
+        """Of the last estimate of the first emitter."""
+        emitter = self.mission.emitter.emitter_id
+        point = self.record.last_estimate(emitter)
+        if point is None:
+            return None
+        return math.dist(point.position_enu_m, true_places(self.mission)[emitter])
+
+    @property
+    def is_inside_r95(self) -> bool | None:
+        """Whether the true emitter is within R95 of the last estimate."""
+        point = self.record.last_estimate(self.mission.emitter.emitter_id)
+        error_m = self.final_error_m
+        return None if point is None or error_m is None else error_m <= point.r95_m
+
+    @property
+    def tlog(self) -> bytes:
+        """The frames as a `.tlog`, at times since 2000; empty where a file was written instead."""
+        records = (tlog_record(frame, EPOCH_S + time_s) for time_s, frame in self.record.frames)
+        return b"".join(record for record in records if record is not None)
+
+    @property
+    def event_log(self) -> bytes:
+        """The events as JSON lines; of two runs in lockstep with one seed these are the same."""
+        lines = [
+            {"t_s": round(time_s, 4), "kind": kind, **fields}
+            for time_s, kind, fields in self.record.events
+        ]
+        lines += [
+            {"kind": "verdict", "name": v.name, "is_met": v.is_met, "found": v.found}
+            for v in self.verdicts
+        ]
+        dumps = (json.dumps(plain(line), allow_nan=False, separators=(",", ":")) for line in lines)
+        return "".join(f"{line}\n" for line in dumps).encode("ascii")

@@ -1,0 +1,378 @@
+"""The mission script: steps, faults, companion configuration and what must come of it.
+
+What must have come of a flight: each expectation has a name, and a verdict at the end.
+
+The mission script: what one flight is made of, what is done, and what must come of it.
+
+A script is a scenario (place, vehicle, emitters, channel, obstacles, weather; all its keys are the
+script's own) with the companion's configuration, steps and expectations. `script_file` reads it
+from YAML and checks what no single record can see.
+
+MAVLink messages by their names, as scripts call them.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Annotated, Literal, Union
+
+import msgspec
+from msgspec import UNSET, UnsetType
+
+from companion.config.schema import CompanionConfig
+from companion.domain import Params
+from companion.mav.dialect import mavlink
+from companion.planning.search import Spacing
+from sim_link.autopilot.scenario import FlavourName, FlightAltitude, Scenario
+from sim_link.lab.faults.fault_models import Fault
+from sim_link.world.environment import Coordinate, EmitterId
+
+Source = Literal["companion", "autopilot"]
+INVARIANTS = tuple(f"I{number}" for number in range(1, 13))
+NEVER_JUDGED = {"I10", "I12"}
+"""What no flight alone can show: see missions.md."""
+NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
+
+
+class Bound(Params, frozen=True):
+    """Limits of a number that is never negative; one of them at least."""
+
+    at_most: NotNegative | None = None
+    at_least: NotNegative | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse a bound that bounds nothing, and one that nothing can keep."""
+        if self.at_most is None and self.at_least is None:
+            raise ValueError("give at_most, at_least or both")
+        if self.at_most is not None and self.at_least is not None and self.at_least > self.at_most:
+            raise ValueError("nothing is at least at_least and at most at_most: they are swapped")
+
+    def holds(self, value: float) -> bool:
+        """Whether a value is inside."""
+        is_low = self.at_most is None or value <= self.at_most
+        return is_low and (self.at_least is None or value >= self.at_least)
+
+    def __str__(self) -> str:
+        """In words."""
+        low = "" if self.at_least is None else f"at least {self.at_least:g}"
+        high = "" if self.at_most is None else f"at most {self.at_most:g}"
+        return " and ".join(part for part in (low, high) if part)
+
+
+class EmitterBound(Bound, frozen=True):
+    """A bound on what concerns one emitter."""
+
+    emitter: EmitterId | None = None
+    """Its id; null: the scenario's `emitter`."""
+
+
+class TextSeen(Params, frozen=True):
+    """A text for the operator, or a message by its MAVLink name."""
+
+    text: str | None = None
+    """Part of a STATUSTEXT."""
+    message: str | None = None
+    """For example RADIO_RANGING."""
+    from_: Source | None = msgspec.field(default=None, name="from")
+    """Who sent it; null: anybody."""
+
+    def __post_init__(self) -> None:
+        """Refuse none and both."""
+        if (self.text is None) == (self.message is None):
+            raise ValueError("give either text or message")
+        if not (self.text or self.message):
+            raise ValueError("an empty text is part of every text")
+
+
+class Appears(TextSeen, frozen=True):
+    """It must have been sent."""
+
+    at_least: Annotated[int, msgspec.Meta(ge=1)] = 1
+    """How often."""
+
+
+class Violations(Params, frozen=True):
+    """How often the invariants of the companion may have been violated."""
+
+    at_most: Annotated[int, msgspec.Meta(ge=0)] = 0
+    invariants: tuple[str, ...] = INVARIANTS
+    """Those that count."""
+
+    def __post_init__(self) -> None:
+        """Refuse invariants that do not exist."""
+        for name in self.invariants:
+            if name not in INVARIANTS:
+                raise ValueError(f"there is no invariant {name}: I1 to I12 are")
+        if not set(self.invariants) - NEVER_JUDGED:
+            raise ValueError("invariants: none that a flight can judge; leave the list out")
+
+
+class Expectation(Params, frozen=True, kw_only=True):
+    """One expectation: a name and exactly one of the other keys."""
+
+    name: Annotated[str, msgspec.Meta(min_length=1, max_length=100)]
+    final_error_m: EmitterBound | UnsetType = UNSET
+    """Distance of the last estimate from the true emitter."""
+    error_over_r95: EmitterBound | UnsetType = UNSET
+    """The same in R95: at most 1 in 95 of 100 flights if R95 is honest."""
+    reported_s: EmitterBound | UnsetType = UNSET
+    """When the target was reported, since control was first given."""
+    time_s: Bound | UnsetType = UNSET
+    """Of the whole mission."""
+    distance_m: Bound | UnsetType = UNSET
+    """Flown in the whole mission."""
+    violations: Violations | UnsetType = UNSET
+    """Of the invariants I1 to I12."""
+    appears: Appears | UnsetType = UNSET
+    never: TextSeen | UnsetType = UNSET
+    """It must not have been sent."""
+    holds: str | UnsetType = UNSET
+    """A condition that holds at the end."""
+    always: str | UnsetType = UNSET
+    """A condition that is never false, from the first step to the last."""
+
+    def __post_init__(self) -> None:
+        """Refuse none and several."""
+        names = [n for n in self.__struct_fields__ if n != "name"]
+        given = [name for name in names if getattr(self, name) is not UNSET]
+        if len(given) != 1:
+            found = " and ".join(given) if given else "none"
+            raise ValueError(f"an expectation is exactly one of its kinds, not {found}")
+
+    @property
+    def kind(self) -> str:
+        """Which of its kinds it is."""
+        names = (n for n in self.__struct_fields__ if n != "name")
+        return next(name for name in names if getattr(self, name) is not UNSET)
+
+
+PatternName = Literal["lawnmower", "expanding_square", "sector"]
+PilotMode = Literal["hold", "position", "altitude", "stabilized", "return", "land"]
+Corner = tuple[Coordinate, Coordinate]
+LONGEST_S = 86_400.0
+Limit = Annotated[float, msgspec.Meta(gt=0.0, le=LONGEST_S)]
+Duration = Annotated[float, msgspec.Meta(ge=0.0, le=LONGEST_S)]
+
+
+class ConnectStep(Params, frozen=True):
+    """Wait until operator and companion hear the autopilot."""
+
+    limit_s: Limit = 30.0
+
+
+class WaitReadyStep(Params, frozen=True):
+    """Wait until the autopilot can be armed and the companion stands by."""
+
+    limit_s: Limit = 120.0
+
+
+class ArmStep(Params, frozen=True):
+    """The operator arms."""
+
+    limit_s: Limit = 15.0
+
+
+class TakeoffStep(Params, frozen=True):
+    """The operator takes off; over once the height is reached."""
+
+    altitude_m: FlightAltitude | None = None
+    """Above home; null: the companion's search altitude."""
+    limit_s: Limit = 90.0
+
+
+class EngageStep(Params, frozen=True):
+    """The operator gives control (PX4 OFFBOARD, ArduPilot GUIDED); over once it is taken."""
+
+    limit_s: Limit = 10.0
+
+
+class GrantStep(Params, frozen=True):
+    """The operator lets a companion that yielded stand by, or fly, again (NAV_GUIDED_ENABLE)."""
+
+    limit_s: Limit = 10.0
+
+
+class SearchStep(Params, frozen=True):
+    """The companion flies a pattern; over with the first contact, or when the target is found.
+
+    The pattern becomes the companion's `planner.search`, so a script has one search at most.
+    """
+
+    pattern: PatternName = "lawnmower"
+    spacing_m: Spacing | None = None
+    """Between lanes or legs; null: the companion's own."""
+    area_enu_m: tuple[Corner, ...] | None = None
+    """Corners of what a lawnmower sweeps; null: the companion's own."""
+    until: Literal["contact", "reported"] = "contact"
+    limit_s: Limit = 120.0
+
+
+class WaitUntilStep(Params, frozen=True, kw_only=True):
+    """Wait until a condition holds."""
+
+    condition: str
+    limit_s: Limit
+    for_s: Duration = 0.0
+    """It must hold for this long without a break."""
+
+
+class WaitStep(Params, frozen=True, kw_only=True):
+    """Let time pass."""
+
+    for_s: Limit
+
+
+class PilotOverrideStep(Params, frozen=True):
+    """The pilot switches the mode; over once the vehicle is in it and the companion has yielded."""
+
+    mode: PilotMode = "hold"
+    limit_s: Limit = 10.0
+
+
+class HoldStep(Params, frozen=True):
+    """The operator has the vehicle hold its place, for a while."""
+
+    for_s: Duration = 0.0
+    limit_s: Limit = 15.0
+
+
+class ReturnStep(Params, frozen=True):
+    """The operator sends the vehicle home; over once it stands there, disarmed."""
+
+    limit_s: Limit = 240.0
+
+
+class LandStep(Params, frozen=True):
+    """The operator lands; over once the vehicle stands, disarmed."""
+
+    limit_s: Limit = 120.0
+
+
+StepWord = Literal[
+    "connect", "wait_ready", "arm", "takeoff", "engage", "grant", "search", "pilot_override",
+    "hold", "return", "land",
+]  # fmt: skip
+"""Steps that need no parameters may be a word alone."""
+
+
+class StepRecord(Params, frozen=True, rename={"return_": "return"}):
+    """One step: exactly one of these keys; its value may be left out where all have defaults."""
+
+    connect: ConnectStep | UnsetType | None = UNSET
+    wait_ready: WaitReadyStep | UnsetType | None = UNSET
+    arm: ArmStep | UnsetType | None = UNSET
+    takeoff: TakeoffStep | UnsetType | None = UNSET
+    engage: EngageStep | UnsetType | None = UNSET
+    grant: GrantStep | UnsetType | None = UNSET
+    search: SearchStep | UnsetType | None = UNSET
+    wait_until: WaitUntilStep | UnsetType = UNSET
+    wait: WaitStep | UnsetType = UNSET
+    pilot_override: PilotOverrideStep | UnsetType | None = UNSET
+    inject: Fault | UnsetType = UNSET
+    """A fault of the harness, beginning `start_s` after this step began; the mission goes on."""
+    hold: HoldStep | UnsetType | None = UNSET
+    return_: ReturnStep | UnsetType | None = UNSET
+    land: LandStep | UnsetType | None = UNSET
+
+    def __post_init__(self) -> None:
+        """Refuse none and several."""
+        given = self.given
+        if len(given) != 1:
+            found = " and ".join(given) if given else "none"
+            raise ValueError(f"a step is exactly one of its kinds, not {found}")
+
+    @property
+    def given(self) -> list[str]:
+        """The attributes that are."""
+        return [name for name in self.__struct_fields__ if getattr(self, name) is not UNSET]
+
+
+Step = (
+    ConnectStep
+    | WaitReadyStep
+    | ArmStep
+    | TakeoffStep
+    | EngageStep
+    | GrantStep
+    | SearchStep
+    | WaitUntilStep
+    | WaitStep
+    | PilotOverrideStep
+    | Fault
+    | HoldStep
+    | ReturnStep
+    | LandStep
+)
+"""A step's parameters; their type says which it is."""
+
+STEP_KINDS: dict[str, type[Params]] = {
+    "connect": ConnectStep,
+    "wait_ready": WaitReadyStep,
+    "arm": ArmStep,
+    "takeoff": TakeoffStep,
+    "engage": EngageStep,
+    "grant": GrantStep,
+    "search": SearchStep,
+    "wait_until": WaitUntilStep,
+    "wait": WaitStep,
+    "pilot_override": PilotOverrideStep,
+    "hold": HoldStep,
+    "return": ReturnStep,
+    "land": LandStep,
+}
+"""Every step but `inject` by the name that a script gives it."""
+
+
+class Mission(Scenario, frozen=True, kw_only=True):
+    """One flight from the first frame to the verdict; beside these all keys of a scenario."""
+
+    name: Annotated[str, msgspec.Meta(min_length=1, max_length=100)]
+    about: str = ""
+    """What it shows, in a sentence."""
+    autopilots: tuple[FlavourName, ...] = ()
+    """Flown on each of these; empty: on `autopilot.flavour`."""
+    companion: CompanionConfig | str = CompanionConfig()
+    """The companion's configuration (configuration.md), or the file that it is in."""
+    steps: Annotated[tuple[Union[StepRecord, StepWord], ...], msgspec.Meta(min_length=1)]  # noqa: UP007
+    expectations: tuple[Expectation, ...] = ()
+
+    @property
+    def named_steps(self) -> tuple[tuple[str, Step], ...]:
+        """Every step with its kind's name."""
+        return tuple(_named(step) for step in self.steps)
+
+    @property
+    def config(self) -> CompanionConfig:
+        """The companion's configuration as the script gives it.
+
+        Raises:
+            TypeError: It is a file that was not read yet.
+        """
+        if isinstance(self.companion, str):
+            raise TypeError(f"{self.companion} was not read; use load_mission")
+        return self.companion
+
+    @property
+    def scenario(self) -> Scenario:
+        """What the simulator is told."""
+        return Scenario(**{name: getattr(self, name) for name in Scenario.__struct_fields__})
+
+
+def _named(step: StepRecord | StepWord) -> tuple[str, Step]:
+    if isinstance(step, str):
+        return step, _plain_step(step)
+    (attribute,) = step.given
+    name = attribute.rstrip("_")
+    value: Step | None = getattr(step, attribute)
+    return name, _plain_step(name) if value is None else value
+
+
+def _plain_step(name: str) -> Step:
+    step: Step = STEP_KINDS[name]()  # type: ignore[assignment]
+    return step
+
+
+@lru_cache(maxsize=1)
+def numbers_by_name() -> dict[str, int]:
+    """The message ids of the dialect, our own messages included."""
+    return {str(kind.msgname): int(number) for number, kind in mavlink.mavlink_map.items()}

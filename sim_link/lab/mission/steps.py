@@ -1,0 +1,359 @@
+"""Flies a script: one step after the other, without a clock or a link of its own.
+
+Theory of operation. A tick looks at the situation and asks whether the step that is due is over.
+A step begins with what it asks of the operator, is asked again every two seconds while nothing of
+it shows (an autopilot that is not ready yet refuses, and a frame may be lost), and ends when its
+effect is seen, never by an answer alone. A step that takes longer than its limit, or the mission
+longer than its own, ends the mission.
+
+What the operator can be asked to do, whoever that is: MAVLink in memory, or MAVSDK.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from companion.domain import FlightMode
+from sim_link.lab.faults.fault_models import Fault, FaultRecord
+from sim_link.lab.mission import script
+from sim_link.lab.mission.conditions import Situation, parse_condition
+from sim_link.lab.mission.results import FlightRecord, StepOutcome
+from sim_link.lab.mission.script import Mission, Step
+
+
+@dataclass(frozen=True, slots=True)
+class Arm:
+    """Arm the motors."""
+
+
+@dataclass(frozen=True, slots=True)
+class TakeOff:
+    """Take off."""
+
+    height_m: float
+    """Above home."""
+
+
+@dataclass(frozen=True, slots=True)
+class SwitchMode:
+    """Switch the flight mode."""
+
+    mode: FlightMode
+
+
+@dataclass(frozen=True, slots=True)
+class Grant:
+    """Let a companion that yielded stand by again."""
+
+
+Action = Arm | TakeOff | SwitchMode | Grant
+
+
+class Operator(Protocol):
+    """Whoever holds the ground station."""
+
+    def ask(self, action: Action) -> None:
+        """Begin something; the one before is forgotten if it is not over."""
+
+    def take_refusal(self) -> str | None:
+        """Why the autopilot refused what was asked last, told once; None: it did not (yet)."""
+
+
+class Harness(Protocol):
+    """Whoever breaks things."""
+
+    def inject(self, fault: Fault, now_s: float) -> None:
+        """Have a fault begin `fault.start_s` from now."""
+
+
+ASK_AGAIN_S = 2.0
+ARRIVED_M = 0.5
+"""How far below its height a takeoff may end."""
+LIFTED_M = 0.3
+"""A vehicle this high has begun to take off."""
+ENDLESS_S = math.inf
+ROUNDING_S = 1e-9
+
+
+class StepRunner:
+    """Flies one mission.
+
+    Args:
+        mission: The script.
+        situation: Kept up to date by whoever runs this.
+        record: Where outcomes go.
+        operator: Does what the script asks of the operator.
+        harness: Injects what the script asks of it.
+    """
+
+    def __init__(
+        self,
+        mission: Mission,
+        situation: Situation,
+        record: FlightRecord,
+        operator: Operator,
+        harness: Harness,
+    ) -> None:
+        self._mission = mission
+        self._situation = situation
+        self._record = record
+        self._operator = operator
+        self._harness = harness
+        self._steps = mission.named_steps
+        self._current: _Running | None = None
+        self._next = 0
+        self._always = [
+            (each.name, parse_condition(each.always))
+            for each in mission.expectations
+            if isinstance(each.always, str)
+        ]
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the last step is done, or one has failed."""
+        return bool(self.failure) or (self._current is None and self._next >= len(self._steps))
+
+    @property
+    def failure(self) -> str:
+        """Why the mission ended early; empty: it did not."""
+        if self._record.failure:
+            return self._record.failure
+        last = self._record.steps[-1] if self._record.steps else None
+        return "" if last is None or not last.failure else f"{last.title}: {last.failure}"
+
+    @property
+    def progress(self) -> tuple[int, int, str]:
+        """Number of the step that is flown, of how many, and its name."""
+        number = min(self._next, len(self._steps))
+        name = self._steps[number - 1][0] if number else ""
+        return number, len(self._steps), name
+
+    def tick(self, now_s: float) -> None:
+        """Look at the situation, and do what is due."""
+        self._situation.mission.time_s = now_s
+        while not self.is_over:
+            current = self._current or self._begin(now_s)
+            self._situation.mission.step_time_s = now_s - current.started_s
+            self._watch(now_s)
+            if not self._advance(current, now_s):
+                return
+
+    def abandon(self, reason: str, now_s: float) -> None:
+        """End the mission for a reason outside of the script."""
+        if self._current is not None:
+            self._end(self._current, now_s, reason)
+        else:
+            self._record.failure = reason
+
+    def _watch(self, now_s: float) -> None:
+        for name, condition in self._always:
+            if name not in self._record.breaches and condition.is_false(self._situation):
+                self._record.breaches[name] = now_s
+
+    def _begin(self, now_s: float) -> _Running:
+        name, step = self._steps[self._next]
+        self._next += 1
+        running = _Running(self._next, name, step, _rule_of(step, self._mission), now_s)
+        self._current = running
+        fields = {"step": self._next, "name": name, "what": running.rule.what}
+        self._record.events.append((now_s, "step", fields))
+        if isinstance(step, FaultRecord):
+            self._harness.inject(step, now_s)
+        return running
+
+    def _advance(self, running: _Running, now_s: float) -> bool:
+        """Whether the step is over."""
+        rule = running.rule
+        if rule.is_met(self._situation):
+            running.met_s = now_s if running.met_s is None else running.met_s
+            if now_s - running.met_s >= rule.for_s - ROUNDING_S:
+                self._end(running, now_s, "")
+        else:
+            running.met_s = None
+            self._ask(running, now_s)
+            if now_s - running.started_s >= rule.limit_s:
+                self._end(running, now_s, self._why_late(running))
+        if self._current is not None and now_s >= self._mission.time_limit_s:
+            limit = f"the mission's time limit of {self._mission.time_limit_s:g} s"
+            self._end(running, now_s, limit)
+        return self._current is None
+
+    def _ask(self, running: _Running, now_s: float) -> None:
+        running.refusal = self._operator.take_refusal() or running.refusal
+        action, rule = running.rule.action, running.rule
+        if action is None or now_s < running.ask_due_s or rule.has_begun(self._situation):
+            return
+        running.ask_due_s = now_s + ASK_AGAIN_S
+        self._operator.ask(action)
+
+    def _why_late(self, running: _Running) -> str:
+        rule = running.rule
+        text = f"{rule.what} did not happen within {rule.limit_s:g} s"
+        refusal = running.refusal or self._operator.take_refusal()
+        return f"{text} ({refusal})" if refusal else text
+
+    def _end(self, running: _Running, now_s: float, failure: str) -> None:
+        outcome = StepOutcome(
+            running.number, running.name, running.rule.what, running.started_s, now_s, failure
+        )
+        self._record.steps.append(outcome)
+        fields = {"step": running.number, "name": running.name, "failure": failure}
+        self._record.events.append((now_s, "step ended", fields))
+        self._current = None
+
+
+def _no(_: Situation) -> bool:
+    return False
+
+
+def _yes(_: Situation) -> bool:
+    return True
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """What a step asks for and when it is over."""
+
+    what: str
+    """What it waits for, in words."""
+    is_met: Callable[[Situation], bool]
+    limit_s: float
+    action: Action | None = None
+    has_begun: Callable[[Situation], bool] = _no
+    """Whether the effect of the action shows already."""
+    for_s: float = 0.0
+    """How long it must be met."""
+
+
+@dataclass(slots=True)
+class _Running:
+    """A step that is being flown."""
+
+    number: int
+    name: str
+    step: Step
+    rule: Rule
+    started_s: float
+    met_s: float | None = None
+    ask_due_s: float = 0.0
+    refusal: str = ""
+
+
+def _rule_of(step: Step, mission: Mission) -> Rule:
+    match step:
+        case script.ConnectStep():
+            return Rule("hearing the autopilot", _is_connected, step.limit_s)
+        case script.WaitReadyStep():
+            return Rule("being ready to arm, the companion in standby", _is_ready, step.limit_s)
+        case script.ArmStep():
+            return Rule("arming", _is_armed, step.limit_s, Arm())
+        case script.TakeoffStep():
+            return _takeoff_rule(step, mission)
+        case script.EngageStep():
+            action = SwitchMode(FlightMode.OFFBOARD)
+            return Rule("the companion in control", _is_in_control, step.limit_s, action)
+        case script.GrantStep():
+            return Rule("the companion granted control", _is_granted, step.limit_s, Grant())
+        case script.SearchStep():
+            is_met = _is_reported if step.until == "reported" else _has_contact
+            return Rule(f"{step.until} in the {step.pattern}", is_met, step.limit_s)
+        case script.WaitUntilStep():
+            condition = parse_condition(step.condition)
+            return Rule(step.condition, condition.holds, step.limit_s, for_s=step.for_s)
+        case script.WaitStep():
+            return Rule(f"{step.for_s:g} s", _yes, ENDLESS_S, for_s=step.for_s)
+        case FaultRecord():
+            return Rule(str(type(step).__struct_config__.tag), _yes, ENDLESS_S)
+    return _mode_rule(step)
+
+
+def _mode_rule(step: Step) -> Rule:
+    match step:
+        case script.PilotOverrideStep():
+            mode = FlightMode(step.mode)
+            return Rule(
+                f"{step.mode} with the companion out of control",
+                lambda s: s.vehicle.mode == mode.value and s.companion.is_in_control is False,
+                step.limit_s,
+                SwitchMode(mode),
+                lambda s: s.vehicle.mode == mode.value,
+            )
+        case script.HoldStep():
+            return Rule(
+                "holding", _is_holding, step.limit_s, SwitchMode(FlightMode.HOLD), for_s=step.for_s
+            )
+        case script.ReturnStep():
+            action = SwitchMode(FlightMode.RETURN)
+            return Rule("standing at home", _is_down, step.limit_s, action, _is_returning)
+        case script.LandStep():
+            action = SwitchMode(FlightMode.LAND)
+            return Rule("standing, disarmed", _is_down, step.limit_s, action, _is_landing)
+    raise TypeError(f"{step} is no step")
+
+
+def _takeoff_rule(step: script.TakeoffStep, mission: Mission) -> Rule:
+    height_m = mission.config.mission.altitude_m if step.altitude_m is None else step.altitude_m
+    return Rule(
+        f"a height of {height_m:g} m",
+        lambda s: s.vehicle.height_m is not None and s.vehicle.height_m >= height_m - ARRIVED_M,
+        step.limit_s,
+        TakeOff(height_m),
+        lambda s: s.vehicle.height_m is not None and s.vehicle.height_m > LIFTED_M,
+    )
+
+
+def _is_connected(s: Situation) -> bool:
+    return s.vehicle.mode is not None and s.companion.phase is not None
+
+
+def _is_ready(s: Situation) -> bool:
+    return bool(s.vehicle.is_ready) and _is_granted(s)
+
+
+def _is_armed(s: Situation) -> bool:
+    return bool(s.vehicle.is_armed)
+
+
+def _is_in_control(s: Situation) -> bool:
+    return bool(s.companion.is_in_control)
+
+
+def _is_standby(s: Situation) -> bool:
+    return s.companion.phase == "standby"
+
+
+def _is_granted(s: Situation) -> bool:
+    """Stands by; or flies, where a PX4 that lost its setpoints returns to them by itself."""
+    return _is_standby(s) or _is_in_control(s)
+
+
+def _is_reported(s: Situation) -> bool:
+    return s.companion.reported > 0
+
+
+def _has_contact(s: Situation) -> bool:
+    return s.estimate.r95_m is not None and s.companion.waypoint in (
+        "approach",
+        "crossing",
+        "information",
+        "hold",
+    )
+
+
+def _is_holding(s: Situation) -> bool:
+    return s.vehicle.mode == "hold"
+
+
+def _is_returning(s: Situation) -> bool:
+    return s.vehicle.mode == "return"
+
+
+def _is_landing(s: Situation) -> bool:
+    return s.vehicle.mode == "land"
+
+
+def _is_down(s: Situation) -> bool:
+    return s.vehicle.is_armed is False

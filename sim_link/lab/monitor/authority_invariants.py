@@ -1,0 +1,294 @@
+"""I3, I7 and I8: who may send setpoints, that the stream does not pause, and that it ends."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from companion.domain import FlightMode
+from companion.mav.dialect import Message, mavlink
+from sim_link.lab.lockstep.observer import Frame
+from sim_link.lab.monitor.independent_checks import is_moved_inwards
+from sim_link.lab.monitor.scene import (
+    AUTOPILOT_COMPONENT,
+    PX4_OFFBOARD_MAIN,
+    TICK_S,
+    Invariant,
+    Scene,
+    Setpoint,
+    is_offboard,
+)
+
+EPSILON_S = 1e-6
+HERE_M = 2.0
+GRANT_S = 3.0
+"""A grant is of the time after a mode whose loss shows only this long after it."""
+RAISES = (
+    mavlink.MAV_CMD_DO_SET_MODE,
+    mavlink.MAV_CMD_COMPONENT_ARM_DISARM,
+    mavlink.MAV_CMD_NAV_TAKEOFF,
+)
+"""Commands that take control, or change who has it."""
+FAILSAFE = mavlink.MAV_STATE_CRITICAL
+HEARD = frozenset({mavlink.MAVLINK_MSG_ID_HEARTBEAT, mavlink.MAVLINK_MSG_ID_COMMAND_LONG})
+DATED = frozenset({mavlink.MAVLINK_MSG_ID_HEARTBEAT, mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED})
+PRESENT_S = 0.5
+"""Mode and place that arrive within this time of their sending are surely of the present."""
+
+
+class OnlyWithAuthority(Invariant):
+    """No setpoint and no request of a mode without the operator's consent."""
+
+    name = "I3"
+    title = "silence within a tick of the first foreign mode, and nothing is taken back"
+
+    def __init__(self, scene: Scene) -> None:
+        super().__init__(scene)
+        self.late = 0
+        """Setpoints and requests later than a tick after the frame that ended control."""
+        self.worst_late_s = 0.0
+        self._was_ours = False
+        self._ours_sent_at = (-1.0, 0)
+        self._lost_s: float | None = None
+        self._given_s = -1.0
+        """When a person gave the mode since it was lost, or since the process began."""
+        self._may_engage = True
+        self._granted_s = -math.inf
+        self._is_launching = False
+
+    def started(self) -> None:
+        """A process that starts beside a vehicle in the air never takes it by itself."""
+        self._was_ours, self._lost_s, self._given_s = False, None, -1.0
+        self._may_engage = not self.scene.is_flying
+        self._is_launching = False
+
+    def noted(self, kind: str, fields: Mapping[str, object]) -> None:
+        """What it gave up is lost although the mode is still its own: nobody gives that again."""
+        if kind != "phase":
+            return
+        self._is_launching = fields.get("new") == "launching"
+        if fields.get("new") == "yield" and self.scene.told.is_ours:
+            self._lose()
+
+    def _lose(self) -> None:
+        if self._lost_s is None:
+            self._lost_s, self._given_s = self.scene.now_s, -1.0
+
+    def mode_chosen(self, mode: FlightMode) -> None:
+        """An autopilot that goes back to offboard by itself gives nobody control."""
+        self._given_s = self.scene.now_s if mode is FlightMode.OFFBOARD else -1.0
+
+    def heard(self, frame: Frame) -> None:
+        """Follow the mode, and the operator's grants."""
+        if not self.scene.is_believable or frame.number not in HEARD:
+            return
+        message = frame.message
+        if isinstance(message, mavlink.MAVLink_command_long_message):
+            if message.command == mavlink.MAV_CMD_NAV_GUIDED_ENABLE and message.param1 == 1.0:
+                self._was_ours &= self._lost_s is None  # a grant takes nothing away
+                self._lost_s, self._may_engage = None, True
+                self._granted_s = self.scene.now_s
+            return
+        is_autopilot = frame.sender == (self.scene.system_id, AUTOPILOT_COMPONENT)
+        if is_autopilot and isinstance(message, mavlink.MAVLink_heartbeat_message):
+            self._follow(message, self.scene.sent_at(frame))
+
+    def _follow(
+        self, heartbeat: mavlink.MAVLink_heartbeat_message, sent_at: tuple[float, int]
+    ) -> None:
+        now_s = self.scene.now_s
+        is_armed = bool(heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+        if is_armed and self._is_launching and heartbeat.system_status == FAILSAFE:
+            self._lose()
+        if is_armed and is_offboard(heartbeat):
+            if sent_at[0] >= self._granted_s:
+                self._granted_s = -math.inf  # taken up
+            is_given = sent_at[0] >= self._given_s >= 0.0
+            if self._lost_s is None and (self._may_engage or is_given):
+                self._was_ours = True
+                self._ours_sent_at = max(self._ours_sent_at, sent_at)
+            elif is_given:
+                self._was_ours, self._lost_s, self._ours_sent_at = True, None, sent_at
+            return
+        if sent_at <= self._ours_sent_at:
+            return
+        if not is_armed:  # the flight is over, and the next one is a new one
+            self._was_ours, self._lost_s, self._may_engage = False, None, True
+        elif now_s - self._granted_s < GRANT_S:  # of a mode that was lost before the grant
+            self._was_ours = False
+        elif self._was_ours and self._lost_s is None:
+            self._lost_s = now_s
+
+    def setpoint(self, setpoint: Setpoint) -> None:
+        """Judge whether it may be sent at all."""
+        if self._is_late("a setpoint after the mode was lost"):
+            return
+        if self._was_ours or self.scene.is_lied_to:
+            return
+        told, rules = self.scene.told.position_enu_m, self.scene.rules
+        place = setpoint.place_enu_m[:2]
+        seen = [seen_enu_m[:2] for seen_enu_m, _ in self.scene.seen_at]
+        away = min((math.dist(place, there) for there in seen), default=math.inf)
+        if away <= HERE_M + rules.clearance_m:
+            return
+        fence, keep_outs = rules.fence_enu_m, rules.keep_out_enu_m
+        if told is None or not is_moved_inwards(fence, keep_outs, told[:2], place):
+            self.report("a setpoint that moves before control was given", away_m=away)
+
+    def sent(self, frame: Frame) -> None:
+        """Judge requests."""
+        message = frame.message
+        match message:
+            case mavlink.MAVLink_set_mode_message():
+                self._is_late("a mode request after the mode was lost")
+            case mavlink.MAVLink_command_long_message() | mavlink.MAVLink_command_int_message() if (
+                message.command in RAISES
+            ):
+                if self._is_late("a request after the mode was lost"):
+                    return
+                is_hand_back = message.command == mavlink.MAV_CMD_DO_SET_MODE
+                is_hand_back = is_hand_back and not self._asks_offboard(message)
+                if not self._may_engage and not is_hand_back:
+                    self.report("took a flying vehicle by itself", command=message.command)
+
+    def _asks_offboard(self, message: Message) -> bool:
+        main, number = float(PX4_OFFBOARD_MAIN), 4.0
+        return bool(getattr(message, "param2", 0.0) == (main if self.scene.is_px4 else number))
+
+    def _is_late(self, what: str) -> bool:
+        if self._lost_s is None:
+            return False
+        late_s = self.scene.now_s - self._lost_s
+        if late_s <= self.scene.rules.answer_s + EPSILON_S:
+            return False
+        self.late += 1
+        self.worst_late_s = max(self.worst_late_s, late_s)
+        self.report(what, late_s=late_s)
+        return True
+
+
+class KeepsStreaming(Invariant):
+    """In control, a setpoint leaves at least every 100 ms."""
+
+    name = "I7"
+    title = "in control the stream of setpoints does not pause"
+    PHASES = frozenset({"normal", "degraded", "hold"})
+
+    def __init__(self, scene: Scene) -> None:
+        super().__init__(scene)
+        self.worst_gap_s = 0.0
+        self._is_in_control = False
+        self._since_s = 0.0
+        self._last_s: float | None = None
+        self._has_setpoint = False
+        """It has something to stay at, whatever becomes of its position."""
+        self._is_mode_in_doubt = False
+        """It was suspended, or heard no mode for long: it looks first who flies now."""
+        self._placed_s = math.inf
+        """When a place of the present arrived, since the mode is in doubt."""
+        self._frame_sent_at = scene.told.frame_sent_at
+        self._frame_moved_s = -math.inf
+        """When it was told that the local frame moved: which places are of the new one, an order
+        of sending that was upset does not say at once."""
+
+    def noted(self, kind: str, fields: Mapping[str, object]) -> None:
+        """Follow what the companion claims to be."""
+        if kind == "phase":
+            was_in_control = self._is_in_control
+            self._is_in_control = fields.get("new") in self.PHASES
+            self._has_setpoint &= was_in_control
+            self._since_s = self.scene.now_s
+
+    def started(self) -> None:
+        """A new process claims nothing yet."""
+        self._is_in_control, self._last_s = False, None
+        self._has_setpoint = self._is_mode_in_doubt = False
+
+    def heard(self, frame: Frame) -> None:
+        """A mode is of the present beyond doubt after a place that is."""
+        if not self._is_mode_in_doubt or frame.number not in DATED:
+            return
+        scene = self.scene
+        now_s, place_s = scene.now_s, scene.told.position_s
+        is_autopilot = frame.sender == (scene.system_id, AUTOPILOT_COMPONENT)
+        is_late = now_s - scene.sent_at(frame)[0] > PRESENT_S
+        is_late |= now_s <= scene.suspended_until_s + TICK_S  # the socket kept it from the stall
+        if is_late or not (is_autopilot and scene.is_believable):
+            return
+        if frame.number == mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED:
+            self._placed_s = min(self._placed_s, now_s)
+        elif place_s is not None and now_s - place_s <= PRESENT_S:
+            self._is_mode_in_doubt = now_s - self._placed_s < TICK_S
+
+    def setpoint(self, setpoint: Setpoint) -> None:
+        """Remember it; judge the gap before it. Who sends has no doubt any more."""
+        self._judge(setpoint.time_s)
+        self._is_mode_in_doubt, self._has_setpoint = False, True
+        self._last_s = setpoint.time_s
+
+    def stepped(self) -> None:
+        """Time passes without a setpoint."""
+        self._judge(self.scene.now_s)
+
+    def _judge(self, now_s: float) -> None:
+        scene = self.scene
+        heartbeat_s = scene.told.heartbeat_s
+        if scene.suspended_until_s >= now_s:
+            self._is_mode_in_doubt, self._placed_s = True, math.inf
+        is_in_control = self._is_in_control and scene.is_companion_up and scene.told.is_ours
+        if not is_in_control or heartbeat_s is None:
+            self._last_s = None
+            return
+        if self._last_s is None:
+            self._last_s = now_s
+        is_mode_unknown = now_s - heartbeat_s >= scene.rules.silence_s - TICK_S
+        if is_mode_unknown:
+            self._is_mode_in_doubt, self._placed_s = True, math.inf
+        has_place = scene.told.position_s is not None  # none: of a frame that just moved
+        if scene.told.frame_sent_at != self._frame_sent_at:
+            self._frame_sent_at, self._frame_moved_s = scene.told.frame_sent_at, now_s
+            self._has_setpoint = False
+        self._has_setpoint &= has_place and not self._is_mode_in_doubt
+        age_s, most_s = now_s - scene.told.position_sent_s, scene.rules.state_age_s
+        is_blind = not self._has_setpoint and age_s > most_s - TICK_S
+        is_blind |= now_s - self._frame_moved_s <= most_s
+        is_blind |= scene.is_lied_to  # how old its places say they are, only the companion read
+        if self._is_mode_in_doubt or not has_place or is_blind:
+            self._last_s = now_s
+            return
+        gap_s = now_s - max(self._last_s, self._since_s, scene.suspended_until_s)
+        self.worst_gap_s = max(self.worst_gap_s, gap_s)
+        if gap_s > scene.rules.gap_s + EPSILON_S:
+            self.report("the stream paused while in control", gap_s=gap_s)
+            self._last_s = now_s
+
+
+class SilentWithoutTick(Invariant):
+    """Heartbeat and setpoints stop where the control tick stalls."""
+
+    name = "I8"
+    title = "without the control tick there is no heartbeat and no setpoint"
+
+    def __init__(self, scene: Scene) -> None:
+        super().__init__(scene)
+        self._started_s = 0.0
+
+    def started(self) -> None:
+        """The first tick is still to come."""
+        self._started_s = self.scene.now_s
+
+    def sent(self, frame: Frame) -> None:
+        """Judge by when the tick ran last."""
+        message = frame.message
+        is_vital = isinstance(
+            message,
+            mavlink.MAVLink_heartbeat_message
+            | mavlink.MAVLink_set_position_target_local_ned_message
+            | mavlink.MAVLink_set_position_target_global_int_message,
+        )
+        if not is_vital:
+            return
+        tick_s = self._started_s if self.scene.tick_s is None else self.scene.tick_s
+        stalled_s = frame.time_s - tick_s
+        if stalled_s > self.scene.rules.stall_s:
+            self.report("sent although the control tick stalled", stalled_s=stalled_s)

@@ -1,0 +1,357 @@
+"""I1 and I4: setpoints and the ways to them stay inside the fence, and each may be the last.
+
+Whether a companion chases a vehicle's own position that jumped: a part of I1.
+
+A jump is an error of the autopilot's, or the end of one; without the truth nobody can know which.
+So for two seconds nothing may be flown by the new position, and if that lies outside of fence or
+altitude band, nothing at all: the way back inside may be the way out.
+
+I1 and I4: no setpoint and no way to one leaves the fence, and each may be the last.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+
+from companion.domain import FlightMode, PositionEnu
+from companion.mav.dialect import POSITION_AND_YAW, POSITION_ONLY, mavlink
+from sim_link.lab.lockstep.observer import Frame
+from sim_link.lab.monitor.independent_checks import INWARDS_M, Point, depth_m, is_way_clear
+from sim_link.lab.monitor.scene import Invariant, Scene, Setpoint, TrueScene
+from sim_link.world.point_mass import PointMass, approach_velocity
+
+STEADY_S = 2.0
+BLIND_S = 0.9
+"""Reports farther apart than this cannot be compared, so a jump between them cannot be seen."""
+
+
+class OwnJumps:
+    """Follows the error of the autopilot's position.
+
+    Args:
+        scene: With the truth.
+    """
+
+    def __init__(self, scene: TrueScene) -> None:
+        self._scene = scene
+        self._bias = scene.vehicle.estimator.bias_enu_m
+        self._seemed: PositionEnu | None = None
+        """Where the vehicle seemed to be after the jump; None: nothing jumped."""
+        self._jumped_m = 0.0
+        self._jumped_s = 0.0
+        self._is_told = False
+
+    def stepped(self) -> None:
+        """The vehicle moved, and so may have its error."""
+        scene, bias = self._scene, self._scene.vehicle.estimator.bias_enu_m
+        before, self._bias = self._bias, bias
+        if bias != before and math.dist(bias, before) > INWARDS_M:
+            (e, n, u), (be, bn, bu) = scene.vehicle.body.position_enu_m, bias
+            self._seemed, self._jumped_m = (e + be, n + bn, u + bu), math.dist(bias, before)
+            self._jumped_s, self._is_told = scene.now_s, False
+        if self._seemed is not None and self._is_over():
+            self._seemed = None
+
+    def chased_m(self, setpoint: Setpoint) -> float | None:
+        """How far a setpoint is from where the vehicle seemed to be, if it must stay; else None."""
+        told = self._scene.told.position_enu_m
+        if self._seemed is None or told is None or self._scene.is_lied_to:
+            return None
+        self._is_told |= math.dist(told, self._seemed) < 0.5 * self._jumped_m
+        away_m = math.dist(setpoint.place_enu_m, self._seemed)
+        return away_m if self._is_told and away_m > self._scene.rules.step_m else None
+
+    def _is_over(self) -> bool:
+        """Whether the companion may fly again, does not, or could not see that anything jumped."""
+        scene, told = self._scene, self._scene.told
+        if not told.is_ours or not scene.is_companion_up or told.position_s is None:
+            return True
+        if not self._is_told and scene.now_s - told.position_s > BLIND_S:
+            return True
+        return scene.now_s - self._jumped_s > STEADY_S and self._seems_inside()
+
+    def _seems_inside(self) -> bool:
+        scene, rules = self._scene, self._scene.rules
+        assert self._seemed is not None
+        east, north, up = self._seemed
+        height_m = up - scene.vehicle.home_enu_m[2]
+        is_in_band = rules.altitude_min_m <= height_m <= rules.altitude_max_m
+        return is_in_band and depth_m(rules.fence_enu_m, rules.keep_out_enu_m, (east, north)) >= 0.0
+
+
+SETPOINTS = frozenset(
+    {
+        mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED,
+        mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT,
+    }
+)
+HEIGHT_ROUNDING_M = 0.05
+"""Home and height are told in millimetres and by a noisy estimate."""
+CONTROL_FADES_S = 5.0
+"""So long after it was in control the companion answers for where the vehicle is."""
+OUR_MOTION = frozenset({FlightMode.OFFBOARD, FlightMode.HOLD, FlightMode.LAND})
+"""Modes that fly our setpoints, or only brake what they began."""
+FREEZE_EVERY_S = 2.0
+FREEZE_FOR_S = 60.0
+FREEZE_STEP_S = 0.1
+KEPT_S = 2.5
+"""After a jump of the own position nothing moves for two seconds, wherever the setpoint is then."""
+SAFE_M = 1.0
+"""Farther inside than this need not be known exactly."""
+AT_REST_MPS, ARRIVED_M = 0.05, 0.2
+
+
+class SetpointsInside(Invariant):
+    """Setpoints and the ways to them are inside the fence."""
+
+    name = "I1"
+    title = "setpoints, the ways to them and the vehicle stay inside fence and altitude band"
+
+    def __init__(self, scene: Scene) -> None:
+        super().__init__(scene)
+        self._anchor: Point | None = None
+        """Where the setpoint stands, or stood last."""
+        self._near_s = -math.inf
+        """When the vehicle was told to be beyond the border, or nearly there."""
+
+    def setpoint(self, setpoint: Setpoint) -> None:
+        """Judge a setpoint by where the companion believed the vehicle to be.
+
+        Without control it repeats the vehicle's place, and for that of a stranger only he answers.
+        """
+        self._judge_height(setpoint.place_enu_m[2])
+        if not self.scene.is_lied_to or self.scene.told.is_ours:
+            self._judge_borders(setpoint)
+
+    def _judge_borders(self, setpoint: Setpoint) -> None:
+        rules, told = self.scene.rules, self.scene.told
+        place = setpoint.place_enu_m[:2]
+        depth = self._depth(place)
+        least = rules.clearance_m - setpoint.rounding_m
+        vehicle = None if self.scene.is_lied_to else told.position_enu_m
+        own_depth = math.inf if vehicle is None else self._depth(vehicle[:2])
+        anchor = self._anchor
+        is_still = anchor is not None and math.dist(place, anchor) <= setpoint.rounding_m
+        self._anchor = anchor if is_still else place
+        is_no_farther = depth >= min(own_depth, rules.clearance_m) - setpoint.rounding_m
+        if own_depth < rules.clearance_m:
+            self._near_s = setpoint.time_s
+        is_kept = is_still and setpoint.time_s - self._near_s <= KEPT_S
+        if depth < least and not is_no_farther and not is_kept:
+            self.report("setpoint too near to a border or beyond it", depth_m=depth)
+        if vehicle is not None and own_depth > 0.0 and depth > 0.0:
+            fence, keep_outs = rules.fence_enu_m, rules.keep_out_enu_m
+            if not is_way_clear(fence, keep_outs, vehicle[:2], place):
+                self.report("the way to a setpoint leaves the fence", depth_m=depth)
+
+    def _judge_height(self, up_m: float) -> None:
+        rules, home_m = self.scene.rules, self.scene.home_up_m
+        if home_m is None:
+            return
+        height, error_m = up_m - home_m, self.scene.height_error_m
+        if height < rules.altitude_min_m - HEIGHT_ROUNDING_M - error_m:
+            self.report("setpoint below the altitude band", height_m=height)
+        if height > rules.altitude_max_m + HEIGHT_ROUNDING_M + error_m:
+            self.report("setpoint above the altitude band", height_m=height)
+
+    def _depth(self, place: Point) -> float:
+        return depth_m(self.scene.rules.fence_enu_m, self.scene.rules.keep_out_enu_m, place)
+
+
+class InsideFence(SetpointsInside):
+    """Setpoint, way to it and place to stop are inside the fence, and so is the true vehicle."""
+
+    def __init__(self, scene: TrueScene) -> None:
+        super().__init__(scene)
+        self._truth = scene
+        self._jumps = OwnJumps(scene)
+        self.closest_m = math.inf
+        """Least true distance to a border while the companion answered for it."""
+        self.breaches = 0
+        """How often the true vehicle left the fence."""
+        self._is_out = False
+        self._in_control_s = -math.inf
+        self._reached = 0
+        """How many of our setpoints reached the vehicle since the last step."""
+        self._taken = 0
+        """How many it took from anybody, since it was switched on."""
+        self._is_dragged = False
+        """Whether it flies to a setpoint of somebody else."""
+        self._dragged_s = -math.inf
+        self._mode = FlightMode.OFFBOARD
+        self._is_taken_on = False
+        """Whether it left the mode, too, that it was in first after it was ours."""
+        self._has_yielded = False
+        """It says that somebody else flies, whatever mode is shown; I3 holds it to that ..."""
+        self._has_left = False
+        """... and the vehicle has left the mode since: until then it flies our last setpoint."""
+        self._known: tuple[Point, float] = ((0.0, 0.0), -math.inf)
+        """A place, and how deep inside it is."""
+
+    def setpoint(self, setpoint: Setpoint) -> None:
+        """Judge it by what is true, too."""
+        super().setpoint(setpoint)
+        chased_m = self._jumps.chased_m(setpoint)
+        if chased_m is not None:
+            self.report("a setpoint flies by a position that jumped", away_m=chased_m)
+
+    def noted(self, kind: str, fields: Mapping[str, object]) -> None:
+        """Follow whether it claims control."""
+        if kind == "phase":
+            self._has_yielded, self._has_left = fields.get("new") == "yield", False
+
+    def started(self) -> None:
+        """A new process has yielded nothing yet."""
+        self._has_yielded = self._has_left = False
+
+    def reached(self, frame: Frame) -> None:
+        """A frame of ours reached the vehicle."""
+        self._reached += frame.number in SETPOINTS and frame.is_readable
+
+    def _watch_others(self, taken: int) -> None:
+        """Whose setpoint the vehicle took last; one of somebody else counts until some time after.
+
+        Where it went for another sender is not the companion's doing; nor that it has to come back;
+        nor where the wind takes one that does not know its place any more.
+        """
+        new, self._taken = taken - self._taken, taken
+        ours, self._reached = self._reached, 0
+        if new > ours:
+            self._is_dragged = True
+        elif new > 0:
+            self._is_dragged = False
+        if self._is_dragged or not self._truth.vehicle.estimator.is_position_valid:
+            self._dragged_s = self._truth.now_s
+
+    @property
+    def is_dragged(self) -> bool:
+        """Whether somebody else moved the vehicle shortly before, or the wind alone."""
+        return self._truth.now_s - self._dragged_s < CONTROL_FADES_S
+
+    def _watch_mode(self) -> None:
+        """Which mode flies: the first after ours brakes what we began, others begin anew."""
+        mode, before = self._truth.vehicle.modes.mode, self._mode
+        self._has_left |= self._has_yielded and mode is not FlightMode.OFFBOARD
+        if mode is FlightMode.OFFBOARD and self._is_ours:
+            self._is_taken_on = False
+        elif mode is not before and before is not FlightMode.OFFBOARD:
+            self._is_taken_on = True
+        self._mode = mode
+
+    @property
+    def _is_ours(self) -> bool:
+        return self._truth.told.is_ours and not self._has_left
+
+    def stepped(self) -> None:
+        """Judge where the vehicle truly is and where it could stop."""
+        self._jumps.stepped()
+        scene, body = self._truth, self._truth.vehicle.body
+        if self._is_ours and scene.is_companion_up:
+            self._in_control_s = scene.now_s
+        if not scene.vehicle.is_armed:  # it falls, and nobody can do anything about it
+            self._in_control_s = -math.inf
+        self._watch_others(scene.vehicle.offboard.received)
+        self._watch_mode()
+        is_flown_by_others = self._mode not in OUR_MOTION or self._is_taken_on
+        is_flown_by_others |= self.is_dragged
+        has_faded = scene.now_s - self._in_control_s > CONTROL_FADES_S
+        place = body.position_enu_m[:2]
+        if body.is_on_ground or is_flown_by_others or has_faded:
+            is_up = not body.is_on_ground
+            self._is_out = is_up and self._depth(place) + scene.bias_m < 0.0  # by somebody else
+            return
+        at, known = self._known
+        if known - math.dist(place, at) > max(0.0, self.closest_m):
+            return  # it cannot have come nearer than it was
+        depth = self._depth(place) + scene.bias_m
+        self._known = (place, depth)
+        if self._is_out and depth < 0.0:
+            return
+        self.closest_m = min(self.closest_m, depth)
+        self._is_out = depth < 0.0
+        if self._is_out:
+            self.breaches += 1
+            self.report("the vehicle left the fence", depth_m=depth)
+
+
+class PlacesOnly(Invariant):
+    """No setpoint moves by itself."""
+
+    name = "I4"
+    title = "every setpoint may be the last one"
+
+    def setpoint(self, setpoint: Setpoint) -> None:
+        """Judge what it asks for."""
+        mask = getattr(setpoint.message, "type_mask", None)
+        if mask not in (POSITION_ONLY, POSITION_AND_YAW):
+            self.report("a setpoint that is no place", mask=float(mask or 0))
+
+
+class SafeToFreeze(PlacesOnly):
+    """Freezing any setpoint for 60 s is safe.
+
+    Args:
+        scene: With the truth.
+        is_dragged: Whether somebody else moved the vehicle: then stopping it is all one can do.
+    """
+
+    def __init__(self, scene: TrueScene, is_dragged: Callable[[], bool] = lambda: False) -> None:
+        super().__init__(scene)
+        self._is_dragged = is_dragged
+        self._truth = scene
+        self._frozen_s = -math.inf
+
+    def setpoint(self, setpoint: Setpoint) -> None:
+        """Fly on to it for a minute, every so often.
+
+        One that was given within the clearance may be taken out by a gust wherever it is held.
+        """
+        super().setpoint(setpoint)
+        scene = self._truth
+        if not scene.told.is_ours or scene.now_s - self._frozen_s < FREEZE_EVERY_S:
+            return
+        self._frozen_s = scene.now_s
+        bias = scene.vehicle.estimator.bias_enu_m
+        east, north, up = setpoint.place_enu_m
+        goal = (east - bias[0], north - bias[1], up - bias[2])
+        body, rules = scene.vehicle.body, scene.rules
+        own = self._depth(body.position_enu_m[:2]) + scene.bias_m
+        if 0.0 <= own < rules.clearance_m:
+            if self._depth(goal[:2]) + scene.bias_m < -setpoint.rounding_m:
+                self.report("a setpoint that freezes leads out of the fence", depth_m=own)
+            return
+        if own < 0.0:  # on its way back: the place itself must not lie farther out
+            depth, moved_m = self._depth(goal[:2]), math.hypot(*body.velocity_enu_mps[:2])
+            least_m = own - rules.clearance_m - moved_m * rules.latency_s
+            if depth + scene.bias_m < least_m:
+                self.report("a setpoint that freezes leads farther out", depth_m=depth)
+            return
+        least = self._least_depth(goal)
+        if least + scene.bias_m >= 0.0:
+            return
+        if self._is_dragged():
+            stopped = self._least_depth(body.position_enu_m)
+            if least >= stopped - setpoint.rounding_m:
+                return  # no farther than stopping at once does
+        self.report("a setpoint that freezes leads out of the fence", depth_m=least)
+
+    def _depth(self, place: Point) -> float:
+        return depth_m(self.scene.rules.fence_enu_m, self.scene.rules.keep_out_enu_m, place)
+
+    def _least_depth(self, goal: PositionEnu) -> float:
+        rules, truth = self.scene.rules, self._truth.vehicle.body
+        params = self._truth.vehicle.scenario.vehicle
+        body = PointMass(params, truth.wind, truth.position_enu_m, truth.ground_up_m)
+        body.velocity_enu_mps = truth.velocity_enu_mps
+        least, known, at = math.inf, -math.inf, (0.0, 0.0)
+        for _ in range(round(FREEZE_FOR_S / FREEZE_STEP_S)):
+            place = body.position_enu_m
+            if known - math.dist(at, place[:2]) < max(0.0, min(least, SAFE_M)):
+                known, at = depth_m(rules.fence_enu_m, rules.keep_out_enu_m, place[:2]), place[:2]
+                least = min(least, known)
+            is_there = math.dist(place, goal) < ARRIVED_M
+            if is_there and math.hypot(*body.velocity_enu_mps) < AT_REST_MPS:
+                break
+            body.step(approach_velocity(place, goal, params), None, FREEZE_STEP_S)
+        return least

@@ -1,0 +1,232 @@
+"""Geometry, signatures and sender trust, written for the monitor alone.
+
+Exact predicates on polygons, written for the monitor alone.
+
+The companion's guard has geometry of its own; nothing here is shared with it, so that a mistake in
+one does not excuse itself in the other. Points are east and north, metres.
+
+Whether a signed link had to believe a frame, by the letter of MAVLink's signing.
+
+Written for the monitor: nothing of the companion's own check is used but the key.
+
+Whose frames an unsigned companion must believe: one address's, until that was silent for long.
+
+The first autopilot that is heard is it, whatever its ids; a companion that was not told which one
+to follow, and begins anew beside two, follows for good the one that speaks first.
+
+Without a key an address is all that tells two senders of the same ids apart. The autopilot may come
+back from another one, when a router begins anew, so a companion has to follow after a silence; and
+then whoever speaks first is the autopilot, an attacker included. What it does from then on follows
+from what it had to believe. Only a key prevents that.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Sequence
+
+from companion.mav.dialect import mavlink
+from companion.mav.signing import SigningKey
+from sim_link.lab.lockstep.observer import Frame
+
+Point = tuple[float, float]
+Corners = Sequence[Point]
+
+BORDER_M = 4.0
+"""Nearer to a border than this, "here" may be moved inwards by the margin."""
+INWARDS_M = 2.0 * BORDER_M
+"""A place in a corner, or in the notch of one, may be moved by more than the margin."""
+
+
+def is_inside(corners: Corners, point: Point) -> bool:
+    """Whether a point is inside a polygon, by its winding number; so is its border."""
+    return border_distance_m(corners, point) == 0.0 or _is_wound_around(corners, point)
+
+
+def _is_wound_around(corners: Corners, point: Point) -> bool:
+    winding = 0
+    north = point[1]
+    a = corners[-1]
+    for b in corners:
+        if a[1] <= north:
+            if b[1] > north and _side(a, b, point) > 0.0:
+                winding += 1
+        elif b[1] <= north and _side(a, b, point) < 0.0:
+            winding -= 1
+        a = b
+    return winding != 0
+
+
+def border_distance_m(corners: Corners, point: Point) -> float:
+    """How far a point is from a polygon's border."""
+    least_m = math.inf
+    start = corners[-1]
+    for end in corners:
+        distance_m = _to_segment_m(start, end, point)
+        if distance_m < least_m:
+            least_m = distance_m
+        start = end
+    return least_m
+
+
+def depth_m(fence: Corners, keep_outs: Sequence[Corners], point: Point) -> float:
+    """How far inside the fence and outside of all keep-outs a point is; negative: it is not."""
+    depth = _inside_m(fence, point)
+    for keep_out in keep_outs:
+        depth = min(depth, -_inside_m(keep_out, point))
+    return depth
+
+
+def _inside_m(corners: Corners, point: Point) -> float:
+    """How far from its border a point is inside a polygon; negative: outside."""
+    away_m = border_distance_m(corners, point)
+    return away_m if _is_wound_around(corners, point) else -away_m
+
+
+def is_moved_inwards(
+    fence: Corners, keep_outs: Sequence[Corners], vehicle: Point, place: Point
+) -> bool:
+    """Whether `place` may be where a vehicle at a border, or beyond it, is to stay."""
+    depth = depth_m(fence, keep_outs, vehicle)
+    return depth < BORDER_M and math.dist(vehicle, place) <= INWARDS_M
+
+
+def is_way_clear(fence: Corners, keep_outs: Sequence[Corners], start: Point, end: Point) -> bool:
+    """Whether the straight way between two points inside crosses no border."""
+    return not any(
+        _cross(start, end, a, b) for corners in (fence, *keep_outs) for a, b in _edges(corners)
+    )
+
+
+def _edges(corners: Corners) -> list[tuple[Point, Point]]:
+    return [(corners[i - 1], corners[i]) for i in range(len(corners))]
+
+
+def _side(a: Point, b: Point, p: Point) -> float:
+    """Positive if `p` is left of the line from `a` to `b`."""
+    return (b[0] - a[0]) * (p[1] - a[1]) - (p[0] - a[0]) * (b[1] - a[1])
+
+
+def _to_segment_m(a: Point, b: Point, p: Point) -> float:
+    east, north = b[0] - a[0], b[1] - a[1]
+    to_east, to_north = p[0] - a[0], p[1] - a[1]
+    length2 = east * east + north * north
+    if length2 > 0.0:
+        share = (to_east * east + to_north * north) / length2
+        if share >= 1.0:
+            share = 1.0
+        if share > 0.0:
+            to_east -= share * east
+            to_north -= share * north
+    return math.hypot(to_east, to_north)
+
+
+def _cross(a: Point, b: Point, c: Point, d: Point) -> bool:
+    """Whether two segments cross properly."""
+    return _side(a, b, c) * _side(a, b, d) < 0.0 and _side(c, d, a) * _side(c, d, b) < 0.0
+
+
+SIGNATURE, TAG, STAMP = 13, 6, 6
+MAGIC_V2, SIGNED_FLAG = 0xFD, 0x01
+
+
+class Proof:
+    """Follows the newest timestamp of every component, of those that were read.
+
+    A frame that was dropped unread is as new as before, whoever sends a copy of it.
+
+    Args:
+        key: Of the link.
+    """
+
+    def __init__(self, key: SigningKey) -> None:
+        self._secret = key.secret
+        self._newest: dict[tuple[int, int], int] = {}
+        self._before: tuple[tuple[int, int], int] | None = None
+        """Sender of the frame that was accepted last, and what was its newest before that."""
+
+    def accepts(self, frame: bytes) -> bool:
+        """Whether it is signed with the key and newer than all before of its sender."""
+        self._before = None
+        if frame[0] != MAGIC_V2 or not frame[2] & SIGNED_FLAG:
+            return False
+        tag = hashlib.sha256(self._secret + frame[:-TAG]).digest()[:TAG]
+        if tag != frame[-TAG:]:
+            return False
+        sender = (frame[5], frame[6])
+        stamp = int.from_bytes(frame[-TAG - STAMP : -TAG], "little")
+        newest = self._newest.get(sender, -1)
+        if stamp <= newest:
+            return False
+        self._before = (sender, newest)
+        self._newest[sender] = stamp
+        return True
+
+    def unreadable(self) -> None:
+        """A frame came that nobody can read."""
+        self._before = None
+
+    def dropped(self) -> None:
+        """The frame that came last was not read."""
+        if self._before is not None:
+            sender, newest = self._before
+            self._newest[sender] = newest
+            self._before = None
+
+
+FOLLOWED = (mavlink.MAV_AUTOPILOT_PX4, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA)
+SILENCE_S = 3.0
+"""How long one address is silent before the other one is believed."""
+
+
+class SenderTrust:
+    """Follows one of several senders: the vehicle itself, somebody with its ids, or another one.
+
+    Args:
+        wanted_system_id: The only one that is followed; None: any.
+    """
+
+    def __init__(self, wanted_system_id: int | None = None) -> None:
+        self._wanted_system_id = wanted_system_id
+        self._ids: tuple[int, int] | None = None
+        """Of the autopilot that is followed; None: nobody is yet."""
+        self._is_genuine: bool | None = None
+        """Whether the vehicle itself is followed."""
+        self._heard_s = 0.0
+
+    @property
+    def is_a_stranger(self) -> bool:
+        """Whether somebody else than the vehicle is followed."""
+        return self._is_genuine is False
+
+    def is_beside_a_stranger(self, frame: Frame) -> bool:
+        """Whether a frame is of a payload of the stranger who is followed, as its ids say."""
+        is_of_it = self._ids is not None and frame.sender[0] == self._ids[0]
+        return self.is_a_stranger and is_of_it
+
+    def _may_follow(self, frame: Frame) -> bool:
+        message = frame.message
+        if not isinstance(message, mavlink.MAVLink_heartbeat_message):
+            return False
+        is_wanted = self._wanted_system_id in (None, frame.sender[0])
+        return is_wanted and message.autopilot in FOLLOWED
+
+    def restart(self) -> None:
+        """A companion that starts anew follows the first that it hears."""
+        self._ids = self._is_genuine = None
+
+    def believes(self, frame: Frame) -> bool:
+        """Whether a readable frame of an autopilot had to be believed."""
+        is_new = self._ids is None
+        if is_new and not self._may_follow(frame):
+            return frame.is_genuine
+        self._ids = self._ids or frame.sender
+        if frame.sender != self._ids:
+            return False
+        if is_new or frame.time_s - self._heard_s >= SILENCE_S:
+            self._is_genuine = frame.is_genuine
+        if frame.is_genuine is not self._is_genuine:
+            return False
+        self._heard_s = frame.time_s
+        return True

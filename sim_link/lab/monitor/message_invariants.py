@@ -1,0 +1,428 @@
+"""I2, I5, I6 and I9 to I12: motion of setpoints, frames on the wire, honest estimates.
+
+I2 and I5: how setpoints move, and that none moves on an old position.
+
+I6 and I11: what may be on the wire at all, and how much of it.
+
+I9, I10 and I12: an honest covariance, no state from unproved frames, the same bytes again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections import deque
+from collections.abc import Callable, Mapping
+
+from companion.domain import TargetEstimate
+from companion.mav.dialect import MAVLink_target_estimate_message, Message, mavlink
+from sim_link.lab.lockstep.observer import Frame
+from sim_link.lab.monitor.independent_checks import Point, is_moved_inwards
+from sim_link.lab.monitor.scene import FRAME_STEP_M, TICK_S, Invariant, Scene, Setpoint
+
+STREAM_BREAK_S = 0.35
+"""A longer pause begins a new stream, which starts where the vehicle is."""
+SHARE = 1.05
+TOLERANCE_M = 0.02
+"""Rounding on the wire, and ticks that are not exactly a period apart."""
+LATE_TICK_S = 0.2
+"""A control tick that comes later moves the setpoint no farther than one after this time."""
+HERE_M = 1.5
+"""How far from the vehicle's newest place "here" may be, beside what it moved meanwhile."""
+STILL_M = 0.02
+
+
+class WithinEnvelope(Invariant):
+    """Setpoints keep to speed, climb and acceleration, and begin where the vehicle is."""
+
+    name = "I2"
+    title = "setpoints move within speed, climb, acceleration and lead, and begin at the vehicle"
+
+    def __init__(self, scene: Scene) -> None:
+        super().__init__(scene)
+        self._last: Setpoint | None = None
+        self._origin_enu_m = scene.told.origin_enu_m
+        """Another frame begins another stream."""
+        self._velocity: Point | None = None
+        """Of the setpoint, once there were two."""
+        self._vehicle: Point | None = None
+        """Where the vehicle was told to be when the setpoint before was sent."""
+
+    def started(self) -> None:
+        """A new process begins a new stream."""
+        self._last = None
+
+    def setpoint(self, setpoint: Setpoint) -> None:
+        """Judge a setpoint by the one before."""
+        last, self._last = self._last, setpoint
+        vehicle, told = self._vehicle, self.scene.told.position_enu_m
+        self._vehicle = None if told is None else told[:2]
+        origin_enu_m = self.scene.told.origin_enu_m
+        is_new = last is None or setpoint.time_s - last.time_s > STREAM_BREAK_S
+        crept_m = math.dist(origin_enu_m, self._origin_enu_m)
+        is_new |= crept_m > FRAME_STEP_M
+        self._origin_enu_m = origin_enu_m
+        if last is None or is_new or not self.scene.told.is_ours:
+            self._velocity = None
+            self._judge_begin(setpoint)
+            return
+        dt_s = setpoint.time_s - last.time_s
+        moved = math.dist(setpoint.place_enu_m[:2], last.place_enu_m[:2])
+        rules = self.scene.rules
+        if moved > SHARE * rules.speed_mps * dt_s + TOLERANCE_M + crept_m:
+            self._velocity = None
+            if not self._is_here(setpoint):
+                self.report("setpoint too fast", step_m=moved, dt_s=dt_s)
+            return
+        climbed = abs(setpoint.place_enu_m[2] - last.place_enu_m[2])
+        most_m = SHARE * rules.climb_mps * dt_s + TOLERANCE_M + crept_m
+        if climbed > most_m and not self._is_here(setpoint):
+            self.report("setpoint climbs or sinks too fast", step_m=climbed, dt_s=dt_s)
+        if crept_m > 0.0:
+            self._velocity = None
+            return
+        is_slow_enough = moved <= self._moved_since(vehicle) + TOLERANCE_M
+        is_anew = self._is_at(self._vehicle, setpoint) and not self._is_at(vehicle, last)
+        self._judge_change(setpoint, last, dt_s, may_be_moved_along=is_slow_enough, is_anew=is_anew)
+
+    def _moved_since(self, vehicle: Point | None) -> float:
+        """How far the vehicle was told to have moved since the setpoint before."""
+        if vehicle is None or self._vehicle is None:
+            return 0.0
+        return math.dist(vehicle, self._vehicle)
+
+    def _judge_change(
+        self,
+        setpoint: Setpoint,
+        last: Setpoint,
+        dt_s: float,
+        *,
+        may_be_moved_along: bool,
+        is_anew: bool,
+    ) -> None:
+        """Faster by no more than the acceleration; stopping is allowed at once.
+
+        So is a new beginning at the very place of the vehicle, and moving along with one at a
+        border, no farther than that did: the place nearest to it that is allowed.
+        """
+        if dt_s <= 0.0:
+            return
+        place, before = setpoint.place_enu_m, last.place_enu_m
+        moved_s = min(dt_s, LATE_TICK_S)
+        velocity = ((place[0] - before[0]) / moved_s, (place[1] - before[1]) / moved_s)
+        last_velocity, self._velocity = self._velocity, velocity
+        if last_velocity is None:
+            return
+        change = math.dist(velocity, last_velocity)
+        most = SHARE * self.scene.rules.acceleration_mps2 * max(dt_s, TICK_S)
+        most += 2.0 * TOLERANCE_M / dt_s
+        is_slower = math.hypot(*velocity) <= math.hypot(*last_velocity)
+        if change <= most or is_slower:
+            return
+        if may_be_moved_along and self._is_moved_inwards(setpoint):
+            return
+        if is_anew:  # at rest
+            self._velocity = (0.0, 0.0)
+            return
+        if dt_s > LATE_TICK_S and self._is_here(setpoint):  # so late that it began anew
+            self._velocity = None
+        else:
+            self.report("setpoint accelerates too fast", change_mps=change, dt_s=dt_s)
+
+    def _judge_begin(self, setpoint: Setpoint) -> None:
+        if not self._is_here(setpoint):
+            told = self.scene.told.position_enu_m
+            away = math.inf if told is None else math.dist(setpoint.place_enu_m[:2], told[:2])
+            self.report("the first setpoint is not where the vehicle is", away_m=away)
+
+    def _is_here(self, setpoint: Setpoint) -> bool:
+        """Where the vehicle is, or, for one at a border, what is allowed next to that."""
+        if self.scene.is_lied_to:
+            return True
+        rules, place = self.scene.rules, setpoint.place_enu_m[:2]
+        speed_mps = math.hypot(*self.scene.told.velocity_enu_mps[:2])
+        for seen_enu_m, seen_s in self.scene.seen_at:
+            age_s = self.scene.now_s - seen_s
+            near_m = HERE_M + rules.clearance_m + speed_mps * (age_s + rules.latency_s)
+            if math.dist(place, seen_enu_m[:2]) <= near_m:
+                return True
+        return self._is_moved_inwards(setpoint)
+
+    def _is_at(self, vehicle: Point | None, setpoint: Setpoint) -> bool:
+        return vehicle is not None and math.dist(setpoint.place_enu_m[:2], vehicle) <= STILL_M
+
+    def _is_moved_inwards(self, setpoint: Setpoint) -> bool:
+        told, rules = self.scene.told.position_enu_m, self.scene.rules
+        if told is None:
+            return False
+        place = setpoint.place_enu_m[:2]
+        return is_moved_inwards(rules.fence_enu_m, rules.keep_out_enu_m, told[:2], place)
+
+
+class FreshState(Invariant):
+    """No setpoint moves on a position older than half a second."""
+
+    name = "I5"
+    title = "nothing moves on a stale position"
+
+    def __init__(self, scene: Scene) -> None:
+        super().__init__(scene)
+        self._last: Setpoint | None = None
+
+    def started(self) -> None:
+        """A new process begins a new stream."""
+        self._last = None
+
+    def setpoint(self, setpoint: Setpoint) -> None:
+        """Judge whether it moved, and what it stands on."""
+        last, self._last = self._last, setpoint
+        told = self.scene.told
+        age_s = math.inf if told.position_s is None else self.scene.now_s - told.position_s
+        if age_s <= self.scene.rules.state_age_s + TICK_S or last is None:
+            return
+        moved = math.dist(setpoint.place_enu_m, last.place_enu_m)
+        if moved > STILL_M:
+            self.report("a setpoint moved on a stale position", age_s=age_s, moved_m=moved)
+
+
+ALLOWED: frozenset[type[Message]] = frozenset(
+    {
+        mavlink.MAVLink_heartbeat_message,
+        mavlink.MAVLink_set_position_target_local_ned_message,
+        mavlink.MAVLink_set_position_target_global_int_message,
+        mavlink.MAVLink_command_long_message,
+        mavlink.MAVLink_command_ack_message,
+        mavlink.MAVLink_statustext_message,
+        mavlink.MAVLink_timesync_message,
+        mavlink.MAVLink_param_request_read_message,
+        mavlink.MAVLink_request_data_stream_message,
+        mavlink.MAVLink_mission_request_list_message,
+        mavlink.MAVLink_mission_request_int_message,
+        mavlink.MAVLink_mission_ack_message,
+        mavlink.MAVLink_named_value_float_message,
+        mavlink.MAVLink_param_value_message,
+        mavlink.MAVLink_param_error_message,
+        mavlink.MAVLink_autopilot_version_message,
+        MAVLink_target_estimate_message,
+    }
+)
+"""Messages that a companion has any business sending to a vehicle, and through it to others."""
+COMMANDS = frozenset(
+    {
+        mavlink.MAV_CMD_DO_SET_MODE,
+        mavlink.MAV_CMD_COMPONENT_ARM_DISARM,
+        mavlink.MAV_CMD_NAV_TAKEOFF,
+        mavlink.MAV_CMD_SET_MESSAGE_INTERVAL,
+        mavlink.MAV_CMD_REQUEST_MESSAGE,
+    }
+)
+FORCE = 21196.0
+"""Parameter 2 of an arming command that overrides every check."""
+FRAME_OF: dict[type[Message], tuple[int, ...]] = {
+    mavlink.MAVLink_set_position_target_local_ned_message: (mavlink.MAV_FRAME_LOCAL_NED,),
+    mavlink.MAVLink_set_position_target_global_int_message: (mavlink.MAV_FRAME_GLOBAL_INT,),
+}
+FARTHEST_M = 1e6
+WINDOW_S = 1.0
+RECORD_WINDOW_S = 10.0
+
+
+class KnownFrames(Invariant):
+    """Only finite values, in allowed messages, frames and commands."""
+
+    name = "I6"
+    title = "only allowed messages, frames and commands, and only finite values"
+
+    def sent(self, frame: Frame) -> None:
+        """Judge a frame."""
+        message = frame.message
+        if message is None:
+            self.report("a frame that cannot be read", number=float(frame.number))
+            return
+        if type(message) not in ALLOWED:
+            self.report("a message that is none of its business", number=float(frame.number))
+            return
+        frames = FRAME_OF.get(type(message))
+        if frames is not None:
+            self._judge_setpoint(message, frames)
+        if isinstance(message, mavlink.MAVLink_command_long_message):
+            self._judge_command(message)
+
+    def _judge_setpoint(self, message: Message, frames: tuple[int, ...]) -> None:
+        used = getattr(message, "coordinate_frame", -1)
+        if used not in frames:
+            self.report("a setpoint in a frame that is not allowed", frame=float(used))
+        for name, kind in zip(message.fieldnames, message.fieldtypes, strict=True):
+            value = getattr(message, name)
+            if kind == "float" and not math.isfinite(value):
+                self.report(f"a setpoint with a {name} that is no number")
+            elif kind == "float" and abs(value) > FARTHEST_M:
+                self.report(f"a setpoint with an absurd {name}", value=value)
+
+    def _judge_command(self, message: mavlink.MAVLink_command_long_message) -> None:
+        if message.command not in COMMANDS:
+            self.report("a command that is none of its business", command=float(message.command))
+        is_arming = message.command == mavlink.MAV_CMD_COMPONENT_ARM_DISARM
+        if is_arming and (message.param1 != 1.0 or message.param2 == FORCE):
+            self.report("disarmed or forced to arm", param1=message.param1)
+        params = [getattr(message, f"param{i}") for i in range(1, 8)]
+        if any(math.isinf(value) for value in params):
+            self.report("a command with an infinite parameter", command=float(message.command))
+
+
+class Bounded(Invariant):
+    """What is sent, written and kept stays within bounds.
+
+    Args:
+        scene: What all invariants share.
+        sizes: Lengths of the companion's queues by name, each with its bound; None: not known.
+    """
+
+    name = "I11"
+    title = "frames, log lines and queues stay within bounds"
+
+    def __init__(
+        self, scene: Scene, sizes: Callable[[], Mapping[str, tuple[int, int]]] | None = None
+    ) -> None:
+        super().__init__(scene)
+        self._sizes = sizes
+        self._sent: deque[tuple[float, int]] = deque()
+        self._sent_bytes = 0
+        self._records: deque[float] = deque()
+
+    def sent(self, frame: Frame) -> None:
+        """Count frames and bytes of the last second."""
+        self._sent.append((frame.time_s, len(frame.data)))
+        self._sent_bytes += len(frame.data)
+        while self._sent[0][0] < frame.time_s - WINDOW_S:
+            self._sent_bytes -= self._sent.popleft()[1]
+        rules = self.scene.rules
+        if len(self._sent) > rules.sent_frames_per_s * WINDOW_S:
+            self.report("too many frames in a second", frames=float(len(self._sent)))
+            self._sent.clear()
+            self._sent_bytes = 0
+        elif self._sent_bytes > rules.sent_bytes_per_s * WINDOW_S:
+            self.report("too many bytes in a second", sent_bytes=float(self._sent_bytes))
+            self._sent.clear()
+            self._sent_bytes = 0
+
+    def noted(self, kind: str, fields: Mapping[str, object]) -> None:  # noqa: ARG002
+        """Count lines of the journal."""
+        now_s = self.scene.now_s
+        self._records.append(now_s)
+        while self._records[0] < now_s - RECORD_WINDOW_S:
+            self._records.popleft()
+        if len(self._records) > self.scene.rules.records_per_s * RECORD_WINDOW_S:
+            self.report("too many lines in the journal", lines=float(len(self._records)))
+            self._records.clear()
+
+    def ticked(self) -> None:
+        """Look at the queues."""
+        if self._sizes is None:
+            return
+        for name, (size, bound) in self._sizes().items():
+            if size > bound:
+                self.report(f"the queue of {name} grows", size=float(size), bound=float(bound))
+
+
+SYMMETRY = 1e-6
+"""Relative difference of the two off-diagonal elements that rounding explains."""
+NEGATIVE = 1e-9
+"""Share of the larger eigenvalue by which rounding makes the smaller one negative."""
+
+Estimate = Callable[[], TargetEstimate | None]
+"""The companion's estimate of the target, as it shows it."""
+Snapshot = Callable[[], object]
+"""Something that compares equal as long as nothing changed that the companion acts by."""
+
+
+class HonestCovariance(Invariant):
+    """The covariance is symmetric, positive semidefinite and bounded, and R95 is a number."""
+
+    name = "I9"
+    title = "the covariance is symmetric, positive and bounded"
+
+    def __init__(self, scene: Scene, estimate: Estimate) -> None:
+        super().__init__(scene)
+        self._estimate = estimate
+        self._seen: TargetEstimate | None = None
+
+    def ticked(self) -> None:
+        """Judge a new estimate."""
+        estimate = self._estimate()
+        if estimate is None or estimate is self._seen:
+            return
+        self._seen = estimate
+        (a, b), (c, d) = estimate.covariance_m2
+        values = (a, b, c, d, estimate.r95_m, *estimate.position_enu_m)
+        if not all(map(math.isfinite, values)):
+            self.report("an estimate that is no number")
+            return
+        if abs(b - c) > SYMMETRY * max(abs(b), abs(c), 1e-12):
+            self.report("a covariance that is not symmetric", upper=b, lower=c)
+        middle, radius = 0.5 * (a + d), math.hypot(0.5 * (a - d), 0.5 * (b + c))
+        if middle - radius < -NEGATIVE * (middle + radius) or middle + radius < 0.0:
+            self.report("a covariance that is not positive", eigenvalue=middle - radius)
+        most = self.scene.rules.position_sigma_most_m
+        if middle + radius > most * most:
+            self.report("a covariance without bounds", sigma_m=math.sqrt(middle + radius))
+        if estimate.r95_m < 0.0:
+            self.report("a negative radius", r95_m=estimate.r95_m)
+
+
+class OnlyProvedFrames(Invariant):
+    """What is damaged, of a stranger or, with a key, not proved, changes nothing.
+
+    Args:
+        scene: What all invariants share.
+        snapshot: The companion's state.
+    """
+
+    name = "I10"
+    title = "no unproved frame changes any state"
+
+    def __init__(self, scene: Scene, snapshot: Snapshot) -> None:
+        super().__init__(scene)
+        self._snapshot = snapshot
+        self._before: object = None
+        self._is_unproved = False
+        self.unproved = 0
+        """Frames that had to change nothing."""
+
+    def heard(self, frame: Frame) -> None:  # noqa: ARG002
+        """Remember the state before a frame that must not change it."""
+        self._is_unproved = not self.scene.is_believable
+        if self._is_unproved:
+            self.unproved += 1
+            self._before = self._snapshot()
+
+    def read(self, frame: Frame) -> None:
+        """Compare afterwards."""
+        if self._is_unproved and self._snapshot() != self._before:
+            self.report("an unproved frame changed the state", number=float(frame.number))
+        self._is_unproved = False
+
+
+class Repeatable(Invariant):
+    """The digest of all that was sent: the same seed must give the same."""
+
+    name = "I12"
+    title = "the same seed gives the same bytes"
+
+    def __init__(self, scene: Scene) -> None:
+        super().__init__(scene)
+        self._hash = hashlib.blake2b(digest_size=16)
+
+    def sent(self, frame: Frame) -> None:
+        """Take it in."""
+        self._hash.update(frame.data)
+
+    @property
+    def digest(self) -> str:
+        """Of everything so far."""
+        return self._hash.hexdigest()
+
+    def compare(self, other: str) -> None:
+        """With the digest of another flight of the same seed."""
+        if self.digest != other:
+            self.report("two flights of the same seed differ")

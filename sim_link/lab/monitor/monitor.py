@@ -1,0 +1,311 @@
+"""The monitor: an observer of a flight that reports every invariant that does not hold.
+
+Theory of operation. One `Scene` keeps what the companion was told and what is true; twelve small
+invariants (I1 to I12) look at it whenever a frame is sent or heard, a tick is over or the vehicle
+moved. None of them uses the companion's own guard, estimator or guidance: the frames on the wire
+and the simulator's truth are enough, and where the companion's own word is asked for (its phase,
+its estimate) it is only held against it.
+
+Which invariants a kind of flight can be judged by, and why not by the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from companion.domain import FlightMode
+from companion.mav.signing import SigningKey
+from sim_link.autopilot.vehicle import SimVehicle
+from sim_link.lab.lockstep.observer import Frame, Observer, overriding
+from sim_link.lab.monitor.authority_invariants import (
+    KeepsStreaming,
+    OnlyWithAuthority,
+    SilentWithoutTick,
+)
+from sim_link.lab.monitor.fence_invariants import (
+    InsideFence,
+    PlacesOnly,
+    SafeToFreeze,
+    SetpointsInside,
+)
+from sim_link.lab.monitor.independent_checks import Proof, SenderTrust
+from sim_link.lab.monitor.message_invariants import (
+    Bounded,
+    Estimate,
+    FreshState,
+    HonestCovariance,
+    KnownFrames,
+    OnlyProvedFrames,
+    Repeatable,
+    Snapshot,
+    WithinEnvelope,
+)
+from sim_link.lab.monitor.scene import (
+    AUTOPILOT_COMPONENT,
+    Invariant,
+    ObservedState,
+    Rules,
+    Scene,
+    TrueScene,
+    Violation,
+)
+
+TITLES = {
+    kind.name: kind.title
+    for kind in (
+        SetpointsInside,
+        WithinEnvelope,
+        OnlyWithAuthority,
+        PlacesOnly,
+        FreshState,
+        KnownFrames,
+        KeepsStreaming,
+        SilentWithoutTick,
+        HonestCovariance,
+        OnlyProvedFrames,
+        Bounded,
+        Repeatable,
+    )
+}
+"""Every invariant by its name."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scope:
+    """What is judged, and what is not."""
+
+    judged: Mapping[str, str]
+    """How, by the invariant's name; empty: without any restriction."""
+    unjudged: Mapping[str, str]
+    """Why not, by the invariant's name."""
+
+    def unjudged_of(self, names: tuple[str, ...]) -> tuple[str, ...]:
+        """Those among some that are not judged."""
+        return tuple(name for name in names if name not in self.judged)
+
+
+NOTHING = Scope({}, dict.fromkeys(TITLES, "nobody watched"))
+_TWICE = "needs a second flight with the same seed"
+LOCKSTEP = Scope(
+    judged={
+        **dict.fromkeys(("I1", "I2", "I3", "I4", "I5", "I6", "I7", "I8", "I9"), ""),
+        "I11": "frames and lines of the log, not queues",
+    },
+    unjudged={
+        "I10": "needs the companion's whole state around every frame; fault campaigns compare it",
+        "I12": _TWICE,
+    },
+)
+"""A mission in memory: every frame, every step of the true vehicle and every control tick."""
+WIRE = Scope(
+    judged={
+        "I1": "setpoints and the ways to them, not the true vehicle",
+        "I2": "",
+        "I3": "whoever gave the mode back, a person or the autopilot by itself",
+        "I4": "every setpoint is a place; where it leads is not flown on",
+        "I5": "",
+        "I6": "",
+        "I7": "at the receiver, with the companion's log",
+        "I9": "as the companion's log has it",
+        "I11": "frames and lines of the log, not queues",
+    },
+    unjudged={
+        "I8": "the control tick does not show outside of the process",
+        "I10": "needs the companion's whole state around every frame",
+        "I12": "real clocks never repeat",
+    },
+)
+"""Real processes: the frames of both directions as they pass the hub, and the companion's log."""
+
+
+def no_estimate() -> None:
+    """Where nobody shows the companion's estimate."""
+
+
+class FrameMonitor(Observer):
+    """Shows a flight to invariants, as far as frames, journal and the companion's process tell it.
+
+    Args:
+        scene: What the invariants share.
+        invariants: Who judges.
+        key: Of the link, where it is signed.
+    """
+
+    def __init__(
+        self, scene: Scene, invariants: Sequence[Invariant], key: SigningKey | None = None
+    ) -> None:
+        self._shared = scene
+        self.invariants = list(invariants)
+        self._proof = None if key is None else Proof(key)
+        self._whose = SenderTrust(scene.rules.system_id)
+        self._hearing = self._looking_at("heard")
+        self._stepping = self._looking_at("stepped")
+        self._ticking = self._looking_at("ticked")
+        self._sending = self._looking_at("sent")
+        self._noting = self._looking_at("noted")
+
+    def _looking_at(self, what: str) -> list[Invariant]:
+        """Who wants to see something that happens a hundred times a second."""
+        return overriding(self.invariants, Invariant, what)
+
+    @property
+    def violations(self) -> list[Violation]:
+        """What did not hold, in the order of time; at most twenty of a kind."""
+        return self._shared.violations
+
+    # Observer
+
+    def sent(self, frame: Frame) -> None:
+        """The companion sent this."""
+        self._shared.now_s = frame.time_s
+        setpoint = self._shared.setpoint_of(frame)
+        if setpoint is None:
+            for invariant in self._sending:
+                invariant.sent(frame)
+            return
+        for invariant in self.invariants:
+            invariant.sent(frame)
+            invariant.setpoint(setpoint)
+
+    def heard(self, frame: Frame) -> None:
+        """This reaches the companion."""
+        scene = self._shared
+        scene.now_s = frame.time_s
+        if self._proof is not None and not frame.is_readable:
+            self._proof.unreadable()
+        scene.is_believable = frame.is_readable and self._is_believed(frame)
+        scene.is_lied_to = self._proof is None and self._whose.is_a_stranger
+        if scene.is_believable:
+            scene.tell(frame)
+        for invariant in self._hearing:
+            invariant.heard(frame)
+
+    def _is_believed(self, frame: Frame) -> bool:
+        if self._proof is not None:
+            return self._proof.accepts(frame.data)
+        if frame.sender[1] == AUTOPILOT_COMPONENT:
+            return self._whose.believes(frame)
+        return frame.is_genuine or self._whose.is_beside_a_stranger(frame)
+
+    def vehicle_sent(self, frame: Frame) -> None:
+        """The vehicle sent this."""
+        self._shared.remember(frame)
+
+    def noted(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
+        """The companion wrote into its journal."""
+        self._shared.now_s = now_s
+        for invariant in self._noting:
+            invariant.noted(kind, fields)
+
+    def companion_started(self, now_s: float) -> None:
+        """The companion process began anew."""
+        scene = self._shared
+        scene.now_s, scene.tick_s = now_s, None
+        scene.is_companion_up, scene.is_restarted = True, True
+        self._whose.restart()
+        scene.told = ObservedState(began_s=now_s, origin_enu_m=scene.told.origin_enu_m)
+        for invariant in self.invariants:
+            invariant.started()
+
+    def companion_suspended(self, now_s: float, until_s: float) -> None:  # noqa: ARG002
+        """The companion process gets no time."""
+        self._shared.suspended_until_s = max(self._shared.suspended_until_s, until_s)
+
+    def companion_ended(self, now_s: float) -> None:  # noqa: ARG002
+        """The companion process ended."""
+        self._shared.is_companion_up = False
+
+    def mode_chosen(self, mode: FlightMode, now_s: float) -> None:
+        """A person switched the mode."""
+        self._shared.now_s = now_s
+        for invariant in self.invariants:
+            invariant.mode_chosen(mode)
+
+    def vehicle_rebooted(self, now_s: float) -> None:
+        """The vehicle begins anew; what it said before means nothing."""
+        scene = self._shared
+        scene.now_s = now_s
+        scene.told.position_boot_ms = -1
+        scene.told.mode_sent_at = (-1.0, 0)
+        for invariant in self.invariants:
+            invariant.rebooted()
+
+
+class Monitor(FrameMonitor):
+    """Watches one flight of which the truth is known.
+
+    Args:
+        rules: What must hold.
+        vehicle: The true vehicle.
+        estimate: The companion's estimate of the target.
+        snapshot: The companion's state, for I10; None: I10 is not judged.
+        key: Of the link, where it is signed.
+        sizes: The companion's queues, for I11.
+        dropped: How many frames the companion has dropped unread so far.
+    """
+
+    def __init__(
+        self,
+        rules: Rules,
+        vehicle: SimVehicle,
+        *,
+        estimate: Estimate = no_estimate,
+        snapshot: Snapshot | None = None,
+        key: SigningKey | None = None,
+        sizes: Callable[[], Mapping[str, tuple[int, int]]] | None = None,
+        dropped: Callable[[], int] = lambda: 0,
+    ) -> None:
+        self.scene = scene = TrueScene(rules, vehicle=vehicle)
+        self.fence = InsideFence(scene)
+        self.authority = OnlyWithAuthority(scene)
+        self.stream = KeepsStreaming(scene)
+        self.repeat = Repeatable(scene)
+        self._dropped, self._dropped_before = dropped, 0
+        self._proved = None if snapshot is None else OnlyProvedFrames(scene, snapshot)
+        invariants: list[Invariant] = [
+            self.fence,
+            WithinEnvelope(scene),
+            self.authority,
+            SafeToFreeze(scene, lambda: self.fence.is_dragged),
+            FreshState(scene),
+            KnownFrames(scene),
+            self.stream,
+            SilentWithoutTick(scene),
+            HonestCovariance(scene, estimate),
+            Bounded(scene, sizes),
+            self.repeat,
+        ]
+        if self._proved is not None:
+            invariants.append(self._proved)
+        super().__init__(scene, invariants, key)
+
+    # Observer
+
+    def heard(self, frame: Frame) -> None:
+        """This reaches the companion."""
+        self._dropped_before = self._dropped()
+        super().heard(frame)
+
+    def read(self, frame: Frame) -> None:
+        """The companion has read it, or dropped it."""
+        if self._proof is not None and self._dropped() > self._dropped_before:
+            self._proof.dropped()
+        if self._proved is not None:
+            self._proved.read(frame)
+
+    def vehicle_heard(self, frame: Frame) -> None:
+        """A frame of the companion reached the vehicle."""
+        self.fence.reached(frame)
+
+    def stepped(self, vehicle: SimVehicle, now_s: float) -> None:
+        """The vehicle moved."""
+        self.scene.now_s, self.scene.vehicle = now_s, vehicle
+        for invariant in self._stepping:
+            invariant.stepped()
+
+    def ticked(self, now_s: float) -> None:
+        """The control tick is over."""
+        self.scene.now_s = self.scene.tick_s = now_s
+        for invariant in self._ticking:
+            invariant.ticked()

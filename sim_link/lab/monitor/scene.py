@@ -1,0 +1,435 @@
+"""What invariants are made of: rules, the observed scene, violations and the base class.
+
+The numbers that a monitor judges by.
+
+What a monitor reports.
+
+What the invariants look at: what the companion was told, what it sent, and what is true.
+
+Theory of operation. The companion is judged by what it could know. `ObservedState` keeps, from
+the frames that reached it and that it had to believe, the mode, the vehicle's place and the
+origin of the local frame; an attacker's frames and those that arrive damaged tell nothing. A
+report of the mode is dated by when the vehicle sent it, because frames overtake each other: an
+old one that arrives after a newer one takes nothing away and gives nothing back.
+
+The base of all invariants: what each may look at, and how it reports.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections import OrderedDict
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from companion.domain import FlightMode, NonNegative, Params, PositionEnu, Positive
+from companion.geometry.coordinates import LocalOrigin
+from companion.mav.dialect import Message, mavlink
+from sim_link.autopilot.vehicle import SimVehicle
+from sim_link.lab.lockstep.observer import Frame
+
+Corners = tuple[tuple[float, float], ...]
+
+TICK_S = 0.05
+"""One control tick, the slowest: how late an answer to a frame may be."""
+
+
+class Rules(Params, frozen=True):
+    """What must hold; positions in the world's frame, east and north about the first origin."""
+
+    fence_enu_m: Corners
+    system_id: int | None = None
+    """The vehicle that the companion was told to follow; None: the first that it hears."""
+    keep_out_enu_m: tuple[Corners, ...] = ()
+    altitude_min_m: Positive = 5.0
+    """Above home."""
+    altitude_max_m: Positive = 60.0
+    speed_mps: Positive = 5.0
+    climb_mps: Positive = 2.0
+    acceleration_mps2: Positive = 2.5
+    step_m: Positive = 8.0
+    latency_s: NonNegative = 0.5
+    """From a motion that is measured to a setpoint that is obeyed."""
+    navigation_sigma_m: NonNegative = 0.3
+    state_age_s: Positive = 0.5
+    """An own position older than this is not flown on."""
+    answer_s: Positive = TICK_S
+    """After a frame that ends control, this long a setpoint may still leave."""
+    gap_s: Positive = 0.1
+    """Longest silence of the setpoints while in control."""
+    silence_s: Positive = 10.0
+    """Without a HEARTBEAT for this long nobody knows who flies: the companion may fall silent."""
+    stall_s: Positive = 0.5
+    """A control tick later than this must have stopped heartbeat and setpoints."""
+    sent_frames_per_s: Positive = 150.0
+    sent_bytes_per_s: Positive = 15_000.0
+    records_per_s: Positive = 60.0
+    position_sigma_most_m: Positive = 2000.0
+    """Bound of the estimate's standard deviation."""
+
+    @property
+    def clearance_m(self) -> float:
+        """What every setpoint keeps from a border: three standard deviations."""
+        return 3.0 * self.navigation_sigma_m
+
+
+@dataclass(frozen=True, slots=True)
+class Violation:
+    """An invariant that did not hold."""
+
+    time_s: float
+    invariant: str
+    """I1 to I12."""
+    what: str
+    """One phrase, the same for the same kind of violation."""
+    numbers: Mapping[str, float] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        numbers = ", ".join(f"{name} {value:.4g}" for name, value in self.numbers.items())
+        return f"{self.time_s:.3f} s {self.invariant}: {self.what}" + (
+            f" ({numbers})" if numbers else ""
+        )
+
+
+AUTOPILOT_COMPONENT = 1
+OBSERVED_MESSAGES = frozenset(
+    {
+        mavlink.MAVLINK_MSG_ID_HEARTBEAT,
+        mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+        mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
+    }
+)
+"""Messages that `Told` keeps something of."""
+REMEMBERED = 6000
+"""Frames of the vehicle whose time of sending is known."""
+PX4_OFFBOARD_MAIN, ARDUPILOT_GUIDED = 6, 4
+FRAME_STEP_M = 1.0
+"""An origin that moves farther has taken the local frame with it."""
+METRES_ROUNDING_M = 2e-3
+"""Single precision, some kilometres from the origin."""
+DEGREES_ROUNDING_M = 9e-3
+"""Half a step of 1e-7 degrees is 5.6 mm, to the north and to the east, and what it is compared
+with is rounded, too."""
+MOST_OF_A_KIND = 20
+"""Violations of one kind that are kept; more are counted."""
+
+
+def is_offboard(heartbeat: mavlink.MAVLink_heartbeat_message) -> bool:
+    """Whether the mode obeys setpoints: PX4 main mode 6, ArduPilot mode 4."""
+    if heartbeat.autopilot == mavlink.MAV_AUTOPILOT_PX4:
+        return int(heartbeat.custom_mode) >> 16 & 0xFF == PX4_OFFBOARD_MAIN
+    return int(heartbeat.custom_mode) == ARDUPILOT_GUIDED
+
+
+@dataclass(slots=True)
+class ObservedState:
+    """What reached the companion since its process began."""
+
+    began_s: float = 0.0
+    heard_s: float | None = None
+    """Any frame of the autopilot."""
+    heartbeat_s: float | None = None
+    is_ours: bool = False
+    """The newest mode is ours and the vehicle is armed."""
+    is_armed: bool = False
+    mode_sent_at: tuple[float, int] = (-1.0, 0)
+    """When the newest report of the mode was sent."""
+    position_enu_m: PositionEnu | None = None
+    """In the world's frame, by the origin that was told."""
+    velocity_enu_mps: PositionEnu = (0.0, 0.0, 0.0)
+    position_s: float | None = None
+    """When the newest position arrived."""
+    position_sent_s: float = -math.inf
+    """When the vehicle sent it."""
+    position_boot_ms: int = -1
+    before_restart: tuple[PositionEnu, float] | None = None
+    """The last place before the vehicle's stamps went back, and when it arrived."""
+    origin_sent_at: tuple[float, int] = (-1.0, 0)
+    frame_sent_at: tuple[float, int] = (-1.0, 0)
+    """When the vehicle told that its origin moved; places from before are of another frame."""
+    origin_enu_m: PositionEnu = (0.0, 0.0, 0.0)
+    """Zero of the local frame, as it was told last."""
+
+
+@dataclass(slots=True)
+class Setpoint:
+    """A setpoint that the companion sent."""
+
+    time_s: float
+    place_enu_m: PositionEnu
+    """In the world's frame, as far as the companion can know."""
+    message: Message
+
+    @property
+    def rounding_m(self) -> float:
+        """How far the wire moves a place over the ground."""
+        is_global = isinstance(self.message, mavlink.MAVLink_set_position_target_global_int_message)
+        return DEGREES_ROUNDING_M if is_global else METRES_ROUNDING_M
+
+
+@dataclass(slots=True)
+class Scene(ABC):
+    """Shared by all invariants of one flight; subclasses know more or less of the vehicle.
+
+    Args:
+        rules: What must hold.
+    """
+
+    rules: Rules
+    now_s: float = 0.0
+    told: ObservedState = field(default_factory=ObservedState)
+    is_companion_up: bool = True
+    is_restarted: bool = False
+    """The companion process is not the first one."""
+    tick_s: float | None = None
+    """When the companion's control tick last ran."""
+    suspended_until_s: float = -1.0
+    """The companion process gets no time until then."""
+    is_believable: bool = True
+    """Whether the frame that was heard last had to be believed."""
+    is_lied_to: bool = False
+    """A stranger had to be believed: of a flood of its places nobody knows which counts."""
+    violations: list[Violation] = field(default_factory=list)
+    counts: dict[tuple[str, str], int] = field(default_factory=dict)
+    _sent_s: OrderedDict[bytes, tuple[float, int]] = field(default_factory=OrderedDict, repr=False)
+    _sent_count: int = 0
+
+    def report(self, invariant: str, what: str, numbers: Mapping[str, float] | None = None) -> None:
+        """An invariant does not hold now."""
+        kind = (invariant, what)
+        self.counts[kind] = self.counts.get(kind, 0) + 1
+        if self.counts[kind] <= MOST_OF_A_KIND:
+            self.violations.append(Violation(self.now_s, invariant, what, numbers or {}))
+
+    # What the vehicle sent and what reached the companion
+
+    def remember(self, frame: Frame) -> None:
+        """The vehicle sent this."""
+        self._sent_s.pop(frame.data, None)
+        self._sent_count += 1
+        self._sent_s[frame.data] = (frame.time_s, self._sent_count)
+        if len(self._sent_s) > REMEMBERED:
+            self._sent_s.popitem(last=False)
+
+    def sent_at(self, frame: Frame) -> tuple[float, int]:
+        """When, and as its how many-th, the vehicle sent a frame; now, if that is unknown."""
+        return self._sent_s.get(frame.data, (frame.time_s, self._sent_count))
+
+    def tell(self, frame: Frame) -> None:
+        """This reached the companion, which had to believe it."""
+        if frame.sender != (self.system_id, AUTOPILOT_COMPONENT):
+            return
+        told = self.told
+        told.heard_s = frame.time_s
+        if frame.number not in OBSERVED_MESSAGES:
+            return
+        message = frame.message
+        match message:
+            case mavlink.MAVLink_heartbeat_message():
+                told.heartbeat_s = frame.time_s
+                sent_at = self.sent_at(frame)
+                if sent_at >= told.mode_sent_at:
+                    told.mode_sent_at = sent_at
+                    told.is_armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+                    told.is_ours = told.is_armed and is_offboard(message)
+            case mavlink.MAVLink_local_position_ned_message():
+                self._tell_position(message, frame.time_s, self.sent_at(frame))
+            case mavlink.MAVLink_gps_global_origin_message():
+                place = (message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3)
+                world = self.world_origin
+                if world is not None and abs(place[0]) <= 90.0 and abs(place[1]) <= 180.0:
+                    self._tell_origin(world.enu_from_geodetic(*place), self.sent_at(frame))
+
+    def _tell_origin(self, origin_enu_m: PositionEnu, sent_at: tuple[float, int]) -> None:
+        told = self.told
+        if sent_at < told.origin_sent_at:
+            return
+        told.origin_sent_at = sent_at
+        if math.dist(origin_enu_m, told.origin_enu_m) > FRAME_STEP_M:
+            told.position_enu_m = told.position_s = None
+            told.frame_sent_at = sent_at
+        told.origin_enu_m = origin_enu_m
+
+    def _tell_position(
+        self,
+        message: mavlink.MAVLink_local_position_ned_message,
+        now_s: float,
+        sent_at: tuple[float, int],
+    ) -> None:
+        told = self.told
+        if sent_at < told.frame_sent_at:
+            return
+        values = (message.x, message.y, message.z, message.vx, message.vy, message.vz)
+        if not all(abs(value) < 1e5 for value in values):
+            return
+        has_rebooted = message.time_boot_ms < told.position_boot_ms - 5000
+        if message.time_boot_ms < told.position_boot_ms and not has_rebooted:
+            return
+        if has_rebooted and told.position_enu_m is not None and told.position_s is not None:
+            told.before_restart = (told.position_enu_m, told.position_s)
+        told.position_boot_ms = message.time_boot_ms
+        told.position_s, told.position_sent_s = now_s, sent_at[0]
+        told.position_enu_m = self.world_from_local((message.y, message.x, -message.z))
+        told.velocity_enu_mps = (message.vy, message.vx, -message.vz)
+
+    @property
+    def seen_at(self) -> tuple[tuple[PositionEnu, float], ...]:
+        """Places where the companion may take the vehicle to be, each with when it arrived.
+
+        That is the newest; and, while it would not be stale, the last one before the stamps went
+        back, because some such stamps are no proof yet that the vehicle restarted.
+        """
+        told, oldest_s = self.told, self.now_s - self.rules.state_age_s - TICK_S
+        newest, before = (told.position_enu_m, told.position_s), told.before_restart
+        places = [] if newest[0] is None or newest[1] is None else [(newest[0], newest[1])]
+        if before is not None and before[1] >= oldest_s:
+            places.append(before)
+        return tuple(places)
+
+    def world_from_local(self, enu_m: PositionEnu) -> PositionEnu:
+        """By the origin that the companion was told last."""
+        origin = self.told.origin_enu_m
+        return (enu_m[0] + origin[0], enu_m[1] + origin[1], enu_m[2] + origin[2])
+
+    def setpoint_of(self, frame: Frame) -> Setpoint | None:
+        """The setpoint in a frame that the companion sent, or None if it is none."""
+        message = frame.message
+        match message:
+            case mavlink.MAVLink_set_position_target_local_ned_message():
+                place = self.world_from_local((message.y, message.x, -message.z))
+            case mavlink.MAVLink_set_position_target_global_int_message():
+                world = self.world_origin
+                if world is None:
+                    return None
+                place = world.enu_from_geodetic(
+                    message.lat_int / 1e7, message.lon_int / 1e7, message.alt
+                )
+            case _:
+                return None
+        return Setpoint(frame.time_s, place, message)
+
+    # The vehicle
+
+    @property
+    @abstractmethod
+    def system_id(self) -> int | None:
+        """Of the vehicle; None: not known yet."""
+
+    @property
+    @abstractmethod
+    def world_origin(self) -> LocalOrigin | None:
+        """Zero of the world's frame; None: not known yet."""
+
+    @property
+    @abstractmethod
+    def home_up_m(self) -> float | None:
+        """Height of home in the world's frame; None: not known yet."""
+
+    @property
+    @abstractmethod
+    def height_error_m(self) -> float:
+        """How wrong the autopilot may be about its height."""
+
+    @property
+    @abstractmethod
+    def is_px4(self) -> bool:
+        """Whether modes are PX4's; ArduPilot's otherwise."""
+
+    @property
+    @abstractmethod
+    def is_flying(self) -> bool:
+        """Whether it is armed or in the air."""
+
+
+@dataclass(slots=True)
+class TrueScene(Scene):
+    """A scene in which the truth is known.
+
+    Args:
+        rules: What must hold.
+        vehicle: The truth.
+    """
+
+    vehicle: SimVehicle = field(kw_only=True)
+
+    @property
+    def system_id(self) -> int:
+        """Of the vehicle."""
+        return self.vehicle.system_id
+
+    @property
+    def world_origin(self) -> LocalOrigin:
+        """Zero of the world's frame."""
+        return self.vehicle.estimator.world_origin
+
+    @property
+    def home_up_m(self) -> float:
+        """Height of home in the world's frame."""
+        return self.vehicle.home_enu_m[2]
+
+    @property
+    def height_error_m(self) -> float:
+        """How wrong the autopilot is about its height."""
+        return abs(self.vehicle.estimator.bias_enu_m[2])
+
+    @property
+    def is_px4(self) -> bool:
+        """Whether modes are PX4's."""
+        return self.vehicle.scenario.autopilot.flavour == "px4"
+
+    @property
+    def is_flying(self) -> bool:
+        """Whether it is armed or in the air."""
+        return self.vehicle.is_armed or not self.vehicle.body.is_on_ground
+
+    @property
+    def bias_m(self) -> float:
+        """How wrong the autopilot is about the vehicle's horizontal place."""
+        east, north, _ = self.vehicle.estimator.bias_enu_m
+        return float((east * east + north * north) ** 0.5)
+
+
+class Invariant:
+    """One invariant of one flight; a subclass overrides what it looks at.
+
+    Args:
+        scene: What all invariants share.
+    """
+
+    name = "I0"
+    title = ""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+
+    def report(self, what: str, **numbers: float) -> None:
+        """It does not hold now."""
+        self.scene.report(self.name, what, numbers)
+
+    def setpoint(self, setpoint: Setpoint) -> None:
+        """The companion sent a setpoint."""
+
+    def sent(self, frame: Frame) -> None:
+        """The companion sent a frame, setpoints among them."""
+
+    def heard(self, frame: Frame) -> None:
+        """A frame reached the companion; the scene knows of it."""
+
+    def stepped(self) -> None:
+        """The vehicle moved."""
+
+    def ticked(self) -> None:
+        """The companion's control tick is over."""
+
+    def noted(self, kind: str, fields: Mapping[str, object]) -> None:
+        """The companion wrote something into its journal."""
+
+    def started(self) -> None:
+        """The companion process began."""
+
+    def mode_chosen(self, mode: FlightMode) -> None:
+        """A person switched the mode."""
+
+    def rebooted(self) -> None:
+        """The vehicle began anew."""

@@ -1,0 +1,286 @@
+"""The monitor of real processes: what was recorded on the wire, played back and judged.
+
+What an observer would have seen of a flight, kept to be shown later, in the order of time.
+
+Judges a flight of which only frames and the companion's log are known: real processes.
+
+Theory of operation. Nobody knows the truth here, so the vehicle is what it says of itself, and only
+those invariants are asked that need no more (see `monitor.WIRE`). Times are those at which frames
+passed the recorder, in another process than the sender's; on a busy machine they are late by what
+a process had to wait for its turn. Limits of time are wider by that much, and setpoints are
+compared by the stamps that the companion gave them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+
+from companion.domain import EstimateState, FlightMode, PositionEnu, TargetEstimate
+from companion.geometry.coordinates import LocalOrigin
+from companion.mav.dialect import Message, mavlink
+from sim_link.lab.lockstep.observer import Frame, Observer
+from sim_link.lab.monitor.authority_invariants import KeepsStreaming, OnlyWithAuthority
+from sim_link.lab.monitor.fence_invariants import PlacesOnly, SetpointsInside
+from sim_link.lab.monitor.message_invariants import (
+    Bounded,
+    FreshState,
+    HonestCovariance,
+    KnownFrames,
+    WithinEnvelope,
+)
+from sim_link.lab.monitor.monitor import FrameMonitor
+from sim_link.lab.monitor.scene import AUTOPILOT_COMPONENT, Rules, Scene, Setpoint, is_offboard
+
+TELLING = frozenset(
+    {
+        mavlink.MAVLINK_MSG_ID_HEARTBEAT,
+        mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+        mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
+        mavlink.MAVLINK_MSG_ID_HOME_POSITION,
+        mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
+        mavlink.MAVLINK_MSG_ID_COMMAND_LONG,
+    }
+)
+"""Messages to the companion that an invariant looks at; a real vehicle sends hundreds of others."""
+
+
+class Recording(Observer):
+    """Keeps frames, journal and the fate of the companion's process."""
+
+    def __init__(self) -> None:
+        self._seen: list[tuple[float, Callable[[Observer], None]]] = []
+
+    def play(self, observer: Observer) -> None:
+        """Show everything; what happened at the same time in the order of its coming."""
+        for _, show in sorted(self._seen, key=lambda seen: seen[0]):
+            show(observer)
+
+    def sent(self, frame: Frame) -> None:
+        """The companion sent this."""
+        self._seen.append((frame.time_s, lambda o: o.sent(frame)))
+
+    def heard(self, frame: Frame) -> None:
+        """This reaches the companion."""
+        if frame.number in TELLING:
+            self._seen.append((frame.time_s, lambda o: o.heard(frame)))
+
+    def vehicle_sent(self, frame: Frame) -> None:
+        """The vehicle sent this."""
+        if frame.number in TELLING:
+            self._seen.append((frame.time_s, lambda o: o.vehicle_sent(frame)))
+
+    def noted(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
+        """The companion wrote into its journal."""
+        self._seen.append((now_s, lambda o: o.noted(kind, fields, now_s)))
+
+    def companion_started(self, now_s: float) -> None:
+        """The companion process began anew."""
+        self._seen.append((now_s, lambda o: o.companion_started(now_s)))
+
+    def companion_suspended(self, now_s: float, until_s: float) -> None:
+        """The companion process gets no time."""
+        self._seen.append((now_s, lambda o: o.companion_suspended(now_s, until_s)))
+
+    def companion_ended(self, now_s: float) -> None:
+        """The companion process ended."""
+        self._seen.append((now_s, lambda o: o.companion_ended(now_s)))
+
+
+STOOD_STILL = "the computer stood still"
+"""So begins what a companion says that got no time: it is silent until it knows who flies."""
+
+
+def widened(rules: Rules, slack_s: float) -> Rules:
+    """The rules, where every frame may be late by so much."""
+    return msgspec.structs.replace(
+        rules,
+        answer_s=rules.answer_s + slack_s,
+        gap_s=rules.gap_s + slack_s,
+        state_age_s=rules.state_age_s + slack_s,
+        latency_s=rules.latency_s + slack_s,
+        sent_frames_per_s=rules.sent_frames_per_s * (1.0 + slack_s),
+        sent_bytes_per_s=rules.sent_bytes_per_s * (1.0 + slack_s),
+        records_per_s=rules.records_per_s * (1.0 + slack_s),
+    )
+
+
+@dataclass(slots=True)
+class HeardScene(Scene):
+    """A scene in which the vehicle is what it says of itself."""
+
+    _system_id: int | None = None
+    _is_px4: bool = True
+    _is_armed: bool = False
+    _is_in_air: bool = False
+    _world: LocalOrigin | None = None
+    _home: mavlink.MAVLink_home_position_message | None = None
+    _stamps_from_s: float | None = None
+    """Recorder's time minus that of the setpoints' stamps."""
+
+    def remember(self, frame: Frame) -> None:
+        """The vehicle sent this."""
+        super(HeardScene, self).remember(frame)  # slots make another class of this one
+        message = frame.message
+        match message:
+            case mavlink.MAVLink_heartbeat_message() if _is_autopilots(message, frame):
+                if self._system_id is None:
+                    self._system_id = frame.sender[0]
+                    self._is_px4 = message.autopilot == mavlink.MAV_AUTOPILOT_PX4
+                self._is_armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+            case mavlink.MAVLink_extended_sys_state_message():
+                self._is_in_air = message.landed_state != mavlink.MAV_LANDED_STATE_ON_GROUND
+
+    def tell(self, frame: Frame) -> None:
+        """This reached the companion, which had to believe it."""
+        if frame.sender == (self._system_id, AUTOPILOT_COMPONENT):
+            message = frame.message
+            match message:
+                case mavlink.MAVLink_gps_global_origin_message() if self._world is None:
+                    self._world = LocalOrigin(
+                        message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3
+                    )
+                case mavlink.MAVLink_home_position_message():
+                    self._home = message
+        super(HeardScene, self).tell(frame)
+
+    def setpoint_of(self, frame: Frame) -> Setpoint | None:
+        """The setpoint in a frame that the companion sent, at the time of its stamp."""
+        setpoint = super(HeardScene, self).setpoint_of(frame)
+        if setpoint is None:
+            return None
+        stamp_s = getattr(setpoint.message, "time_boot_ms", 0) / 1e3
+        if self._stamps_from_s is None:
+            self._stamps_from_s = setpoint.time_s - stamp_s
+        setpoint.time_s = self._stamps_from_s + stamp_s
+        return setpoint
+
+    def forget_stamps(self) -> None:
+        """Another process stamps by another clock."""
+        self._stamps_from_s = None
+
+    @property
+    def system_id(self) -> int | None:
+        """Of the autopilot that was heard first."""
+        return self._system_id
+
+    @property
+    def world_origin(self) -> LocalOrigin | None:
+        """The first origin that was told."""
+        return self._world
+
+    @property
+    def home_up_m(self) -> float | None:
+        """As it was told last."""
+        if self._home is None or self._world is None:
+            return None
+        home = self._home
+        place: PositionEnu = self._world.enu_from_geodetic(
+            home.latitude / 1e7, home.longitude / 1e7, home.altitude / 1e3
+        )
+        return place[2]
+
+    @property
+    def height_error_m(self) -> float:
+        """Setpoints and home are in the same frame."""
+        return 0.0
+
+    @property
+    def is_px4(self) -> bool:
+        """Whether it says so."""
+        return self._is_px4
+
+    @property
+    def is_flying(self) -> bool:
+        """Whether it says so."""
+        return self._is_armed or self._is_in_air
+
+
+class WireMonitor(FrameMonitor):
+    """Watches one flight by what passed the recorder.
+
+    Args:
+        rules: What must hold.
+        slack_s: By how much a frame may be late because machines are busy, in seconds of flight.
+    """
+
+    def __init__(self, rules: Rules, slack_s: float) -> None:
+        self.scene = scene = HeardScene(widened(rules, slack_s))
+        self._estimate: TargetEstimate | None = None
+        self._is_offboard: bool | None = None
+        self._stream = KeepsStreaming(scene)
+        self._covariance = HonestCovariance(scene, lambda: self._estimate)
+        invariants = [
+            SetpointsInside(scene),
+            WithinEnvelope(scene),
+            OnlyWithAuthority(scene),
+            PlacesOnly(scene),
+            FreshState(scene),
+            KnownFrames(scene),
+            self._stream,
+            self._covariance,
+            Bounded(scene),
+        ]
+        super().__init__(scene, invariants)
+
+    def vehicle_sent(self, frame: Frame) -> None:
+        """The vehicle sent this; a mode that changes was given by whoever may give it."""
+        super().vehicle_sent(frame)
+        message = frame.message
+        if not isinstance(message, mavlink.MAVLink_heartbeat_message):
+            return
+        if frame.sender != (self.scene.system_id, AUTOPILOT_COMPONENT):
+            return
+        now, before = is_offboard(message), self._is_offboard
+        self._is_offboard = now
+        if now != before:
+            self.mode_chosen(FlightMode.OFFBOARD if now else FlightMode.UNKNOWN, frame.time_s)
+
+    def heard(self, frame: Frame) -> None:
+        """This reaches the companion, and time has passed."""
+        super().heard(frame)
+        self._stream.stepped()
+
+    def noted(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
+        """The companion wrote into its log."""
+        super().noted(kind, fields, now_s)
+        if kind == "text" and str(fields["text"]).startswith(STOOD_STILL):
+            self.companion_suspended(now_s, now_s)
+        if kind == "estimate":
+            self._estimate = _estimate_from(fields, now_s)
+            self._covariance.ticked()
+
+    def companion_started(self, now_s: float) -> None:
+        """The companion process began anew."""
+        self.scene.forget_stamps()
+        super().companion_started(now_s)
+
+
+def _is_autopilots(message: Message, frame: Frame) -> bool:
+    """Whether a HEARTBEAT is an autopilot's, and no payload's or station's."""
+    is_invalid = getattr(message, "autopilot", None) == mavlink.MAV_AUTOPILOT_INVALID
+    return frame.sender[1] == AUTOPILOT_COMPONENT and not is_invalid
+
+
+def _estimate_from(fields: Mapping[str, Any], now_s: float) -> TargetEstimate:
+    """As far as its covariance is judged; a log has null for what is no number."""
+    (a, b), (c, d) = fields["covariance_m2"]
+    east_m, north_m = fields["position_enu_m"]
+    return TargetEstimate(
+        time_s=now_s,
+        state=EstimateState(fields["state"]),
+        position_enu_m=(_number(east_m), _number(north_m)),
+        covariance_m2=((_number(a), _number(b)), (_number(c), _number(d))),
+        r95_m=_number(fields["r95_m"]),
+        range_offset_m=0.0,
+        bearing_offset_rad=0.0,
+        measurements=0,
+    )
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else float(value)

@@ -1,0 +1,268 @@
+"""The pytest plugin: a marker that flies a mission, and fixtures to build tests of one's own.
+
+Everything heavy is imported when it is used, because every pytest on a machine where the project is
+installed loads the plugin.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, cast, get_args
+
+import pytest
+
+if TYPE_CHECKING:
+    from sim_link.autopilot.scenario import FlavourName
+    from sim_link.lab.faults.faulty_link import FaultyLink
+    from sim_link.lab.mission.processes import Child
+    from sim_link.lab.mission.results import MissionResult
+    from sim_link.lab.mission.script import Mission
+
+MARKER, VEHICLE = "mission", "sim_vehicle"
+START_S = 150.0
+"""Real time that a process may take to start; the first one of all compiles."""
+FLIGHT = pytest.StashKey["MissionResult"]()
+StartCompanion = Callable[..., "Child"]
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Make the marker known."""
+    text = "mission(script, seed=0, autopilot=None): fly a mission script in lockstep"
+    config.addinivalue_line("markers", text)
+    text = "sim_vehicle(scenario=None, seed=0, autopilot=None, speed=1): what sim_vehicle flies"
+    config.addinivalue_line("markers", text)
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """A test whose script lists several autopilots is one of each."""
+    marker = metafunc.definition.get_closest_marker(MARKER)
+    flavours = () if marker is None else _listed(marker, metafunc.definition.path.parent)
+    if len(flavours) > 1:
+        metafunc.parametrize("_mission_autopilot", flavours, indirect=True)
+
+
+@pytest.fixture
+def _mission_autopilot(request: pytest.FixtureRequest) -> FlavourName | None:
+    """The one of several that the script lists, None where there are not several."""
+    return getattr(request, "param", None)
+
+
+@pytest.fixture
+def mission_result(
+    request: pytest.FixtureRequest, _mission_autopilot: FlavourName | None
+) -> MissionResult:
+    """The flight of the test's `@pytest.mark.mission("script.yaml")`, met or not.
+
+    The script is looked for beside the test.
+    """
+    markers = list(request.node.iter_markers_with_node(MARKER))
+    if not markers:
+        pytest.fail('mission_result needs @pytest.mark.mission("script.yaml")', pytrace=False)
+    closest, marker = markers[0]
+    if sum(node is closest for node, _ in markers) > 1:
+        pytest.fail("mission: a test flies one script; write another test", pytrace=False)
+    result = flown(marker, request.path.parent, _mission_autopilot)
+    request.node.stash[FLIGHT] = result
+    return result
+
+
+@pytest.fixture(autouse=True)
+def _marked_mission(
+    request: pytest.FixtureRequest,
+    _mission_autopilot: FlavourName | None,  # so that pytest knows it for every test
+) -> None:
+    """A marked test flies, whether or not it wants to see the result."""
+    if request.node.get_closest_marker(MARKER) is not None:
+        request.getfixturevalue("mission_result")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_call(item: pytest.Item) -> None:
+    """A marked test fails by the names of the expectations that were not met."""
+    result = item.stash.get(FLIGHT, None)
+    if result is not None and not result.is_passed:
+        lines = [f"{verdict.name}: {verdict.found}" for verdict in result.failed]
+        pytest.fail("\n".join([result.title, *lines]), pytrace=False)
+
+
+def flown(marker: pytest.Mark, folder: Path, flavour: FlavourName | None = None) -> MissionResult:
+    """The flight that a marker asks for; a marker or script that is wrong fails the test.
+
+    Args:
+        marker: Of the test.
+        folder: Where its script is.
+        flavour: Of several autopilots that the script lists.
+    """
+    from companion.errors import CompanionError
+    from sim_link.lab.mission.in_memory import fly_in_memory
+
+    problem = ""
+    try:
+        mission, seed, path = _wanted(marker, folder, flavour)
+    except (CompanionError, TypeError, ValueError) as error:
+        problem = str(error)
+    if problem:  # outside of `except`, so that pytest shows the one line only
+        pytest.fail(problem, pytrace=False)
+    return fly_in_memory(mission, seed, str(path))
+
+
+def _listed(marker: pytest.Mark, folder: Path) -> tuple[FlavourName, ...]:
+    """The autopilots that a marker leaves to its script; of a wrong one none, the flight tells."""
+    from companion.errors import CompanionError
+    from sim_link.lab.mission.batch import flavours_of
+    from sim_link.lab.mission.script_file import load_mission
+
+    def mission(script: str, seed: object = 0, autopilot: object = None) -> tuple[str, object]:
+        """The arguments that count."""
+        del seed
+        return script, autopilot
+
+    try:
+        script, autopilot = mission(*marker.args, **marker.kwargs)
+        path = folder / str(script)
+        return flavours_of(load_mission(path), str(path)) if autopilot is None else ()
+    except (CompanionError, TypeError, ValueError):
+        return ()
+
+
+def _wanted(
+    marker: pytest.Mark, folder: Path, flavour: FlavourName | None
+) -> tuple[Mission, int, Path]:
+    """Script, seed and place of the script that a marker names.
+
+    Raises:
+        CompanionError: The script is wrong.
+        TypeError: An argument is missing, or there is no such argument.
+        ValueError: An argument has no value that there could be.
+    """
+    from sim_link.autopilot.scenario import FlavourName
+    from sim_link.lab.mission.batch import check_flyable, flavours_of, with_autopilot
+    from sim_link.lab.mission.script_file import load_mission
+
+    def mission(
+        script: str, seed: object = 0, autopilot: object = None
+    ) -> tuple[Mission, int, Path]:
+        """The arguments of the marker, checked."""
+        if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
+            raise ValueError(f"mission: seed {seed!r} is not a whole number from 0 up")
+        if autopilot not in (None, *get_args(FlavourName)):
+            known = " or ".join(get_args(FlavourName))
+            raise ValueError(f"mission: autopilot {autopilot!r} is not {known}")
+        path = folder / str(script)
+        loaded = load_mission(path)
+        flavours = flavours_of(loaded, str(path))
+        wanted = cast("FlavourName | None", autopilot) or flavour
+        if wanted is None and len(flavours) > 1:
+            raise ValueError(f"mission: {script} lists {', '.join(flavours)}: give one autopilot")
+        loaded = with_autopilot(loaded, wanted or flavours[0])
+        check_flyable(loaded, str(path))
+        return loaded, seed, path
+
+    mission.__qualname__ = MARKER  # what Python calls it where arguments are missing
+    return mission(*marker.args, **marker.kwargs)
+
+
+@pytest.fixture
+def faulty_link() -> FaultyLink:
+    """A wire without faults yet; `add(fault, began_s)` gives it some."""
+    from sim_link.lab.faults.fault_models import Schedule
+    from sim_link.lab.faults.faulty_link import FaultyLink
+
+    return FaultyLink(Schedule(), 0)
+
+
+@pytest.fixture
+def sim_vehicle(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
+    """A `sim-link` process of its own; the link on which it is heard, for `--connect`.
+
+    `@pytest.mark.sim_vehicle(scenario="calm.yaml", seed=3, autopilot="ardupilot", speed=4)` says
+    what it flies; the scenario is looked for beside the test.
+    """
+    from companion.demo.simulator_process import HOST, free_udp_port
+    from sim_link.lab.mission.processes import Child
+
+    port = free_udp_port()
+    arguments = ["-m", "sim_link", "--stop-on-eof", "--listen", f"{HOST}:{free_udp_port()}"]
+    arguments += ["--send-to", f"{HOST}:{port}"]
+    marker = request.node.get_closest_marker(VEHICLE)
+    if marker is not None:
+        arguments += _vehicle_options(marker, request.path.parent)
+    child = Child("sim-link", arguments, tmp_path / "sim-link.log")
+    child.start()
+    try:
+        deadline_s = time.monotonic() + START_S
+        while child.is_alive and "listening on" not in child.first_words:
+            if time.monotonic() > deadline_s:
+                pytest.fail(f"sim_vehicle: no start within {START_S:g} s", pytrace=False)
+            time.sleep(0.05)
+        if not child.is_alive:
+            pytest.fail(f"sim_vehicle: {child.last_words}", pytrace=False)
+        yield f"udpin:{HOST}:{port}"
+    finally:
+        child.stop()
+
+
+def _vehicle_options(marker: pytest.Mark, folder: Path) -> list[str]:
+    """What a marker says of the vehicle, as options of `sim-link`, which judges the values."""
+
+    def sim_vehicle(
+        *,
+        scenario: object = None,
+        seed: object = None,
+        autopilot: object = None,
+        speed: object = None,
+    ) -> dict[str, object]:
+        """The arguments of the marker."""
+        path = None if scenario is None else folder / str(scenario)
+        return {"scenario": path, "seed": seed, "autopilot": autopilot, "speed": speed}
+
+    problem = ""
+    try:
+        options = sim_vehicle(*marker.args, **marker.kwargs)
+    except TypeError as error:
+        problem = str(error).rpartition(".<locals>.")[2]
+    if problem:  # outside of `except`, so that pytest shows the one line only
+        pytest.fail(problem, pytrace=False)
+    given = [(name, value) for name, value in options.items() if value is not None]
+    return [text for name, value in given for text in (f"--{name}", str(value))]
+
+
+@pytest.fixture
+def companion_process(tmp_path: Path) -> Iterator[StartCompanion]:
+    """Starts `companion` with arguments of one's own; its output is in companion.log.
+
+    Without a `--config` of one's own its flights and its memory are kept below `tmp_path`.
+    """
+    from sim_link.lab.mission.processes import Child
+
+    started: list[Child] = []
+
+    def start(*arguments: str) -> Child:
+        """Start one more companion with these arguments."""
+        if not any(text.startswith("--config") for text in arguments):
+            arguments = ("--config", str(_default_config(tmp_path)), *arguments)
+        log = tmp_path / f"companion{len(started) or ''}.log"
+        child = Child("companion", ["-m", "sim_link.lab.supervised_companion", *arguments], log)
+        child.start()
+        started.append(child)
+        return child
+
+    try:
+        yield start
+    finally:
+        for child in started:
+            child.stop()
+
+
+def _default_config(folder: Path) -> Path:
+    """A configuration that says no more than where things are kept."""
+    kept = {
+        "log": {"directory": str(folder / "flights")},
+        "process": {"state_directory": str(folder / "state")},
+    }
+    path = folder / "companion.yaml"
+    path.write_text(json.dumps(kept), encoding="utf-8")  # JSON is YAML, too
+    return path

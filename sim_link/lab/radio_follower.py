@@ -1,0 +1,389 @@
+"""`sim-link radio`: a ranging radio that rides on a vehicle which is not simulated here.
+
+A radio payload that rides on a vehicle of others: it hears telemetry and sends RADIO_RANGING.
+
+Theory of operation. The radio knows where the vehicle is by LOCAL_POSITION_NED, and measures when
+such a frame arrives and a measurement is due, at the frame's own time and place: so its stamps
+are the autopilot's, and no delay of the link shifts a measurement. It asks for the stream and for
+the origin of the local frame while they are missing (MAVLink: SET_MESSAGE_INTERVAL,
+REQUEST_MESSAGE). Its frames bear the vehicle's system id, as those of a payload on board would.
+
+`sim-link radio`: arguments, lines for people and exit codes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import sys
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from companion.domain import PositionEnu
+from companion.errors import ConfigError
+from companion.geometry.coordinates import LocalOrigin, enu_from_ned
+from companion.io.links.specs import LinkSpec, UdpConnect, link_from_url
+from companion.io.links.urls import parse_link_url
+from companion.io.shell import Clock, Shell
+from companion.mav.codec import MavCodec
+from companion.mav.dialect import Message, mavlink
+from companion.mav.endpoint import Address, Chunk
+from companion.mav.flight_modes import autopilot_of
+from companion.mav.ranging import message_from_ranging
+from sim_link.autopilot.radio_payload import COMPONENT_ID, payload_heartbeat
+from sim_link.autopilot.scenario import PayloadParams, Scenario
+from sim_link.fleet.scenario_io import load_scenario
+from sim_link.world.environment import ChannelParams, Emitter, EmitterParams, Environment
+from sim_link.world.radio_channel import RadioChannel
+
+FOLLOW, SEND = 0, 1
+"""Links: where the vehicle is heard, and where measurements go to if that is another one."""
+HEARTBEAT_S = 1.0
+ASK_AGAIN_S = 2.0
+POSITION_INTERVAL_US = 50_000.0
+
+
+@dataclass(frozen=True, slots=True)
+class GeodeticEmitter:
+    """An emitter by its place on Earth."""
+
+    emitter_id: int
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float | None
+    """Above mean sea level; None: at the height of the local origin."""
+
+    def local(self, origin: LocalOrigin) -> Emitter:
+        """The same in the local frame."""
+        altitude_m = origin.altitude_m if self.altitude_m is None else self.altitude_m
+        east, north, up = origin.enu_from_geodetic(
+            self.latitude_deg, self.longitude_deg, altitude_m
+        )
+        height_m = 0.0 if self.altitude_m is None else up
+        return Emitter(
+            EmitterParams(
+                emitter_id=self.emitter_id, position_enu_m=(east, north), height_m=height_m
+            )
+        )
+
+
+class RadioFollower:
+    """Implements `companion.mav.endpoint.Endpoint`.
+
+    Args:
+        params: Rate and reach.
+        channel: The true channel.
+        emitters: Whom to hear; those with a place on Earth wait until the origin is known.
+        rng: The channel's own generator.
+        environment: The obstacles in the local frame; None: there are none.
+        has_own_link: Whether measurements go to link 1 instead of back to the vehicle's.
+    """
+
+    def __init__(
+        self,
+        params: PayloadParams,
+        channel: ChannelParams,
+        emitters: Sequence[Emitter | GeodeticEmitter],
+        rng: np.random.Generator,
+        environment: Environment | None = None,
+        *,
+        has_own_link: bool = False,
+    ) -> None:
+        self._params = params
+        self._channel = RadioChannel(channel, rng, environment)
+        self._wanted = tuple(emitters)
+        self._emitters = tuple(each for each in emitters if isinstance(each, Emitter))
+        for emitter in self._emitters:
+            self._channel.prepare(emitter)
+        self._link = SEND if has_own_link else FOLLOW
+        self._codec = MavCodec(1, COMPONENT_ID)
+        self._reader = MavCodec(0, 0)
+        self._peer: Address | None = None
+        self._system_id: int | None = None
+        self._ground_up_m = 0.0
+        self._position_heard_s = -math.inf
+        self._measured_at_s = -math.inf
+        self._next_s = 0.0
+        self._asked_s = -math.inf
+        self._is_finished = False
+        self._output: list[Chunk] = []
+        self.measurements = 0
+        """Sent so far."""
+
+    @property
+    def is_following(self) -> bool:
+        """Whether a vehicle is heard."""
+        return self._system_id is not None
+
+    @property
+    def needs_origin(self) -> bool:
+        """Whether emitters wait for the origin of the local frame."""
+        return len(self._emitters) < len(self._wanted)
+
+    def receive(self, chunk: Chunk, now_s: float) -> None:
+        """Hear the vehicle."""
+        if chunk.link != FOLLOW:
+            return
+        for message in self._reader.decode(chunk.data, is_datagram=chunk.is_datagram):
+            if self._is_the_vehicle(message):
+                self._peer = chunk.peer
+                self._take(message, now_s)
+
+    def _is_the_vehicle(self, message: Message) -> bool:
+        """Whether the autopilot that was heard first sent it."""
+        if message.get_srcComponent() != mavlink.MAV_COMP_ID_AUTOPILOT1:
+            return False
+        if self._system_id is None and _is_autopilots(message):
+            self._system_id = self._codec.system_id = message.get_srcSystem()
+        return message.get_srcSystem() == self._system_id
+
+    def _take(self, message: Message, now_s: float) -> None:
+        match message:
+            case mavlink.MAVLink_local_position_ned_message():
+                self._position_heard_s = now_s
+                place = enu_from_ned((message.x, message.y, message.z))
+                if all(math.isfinite(value) for value in place):
+                    self._measure(place, message.time_boot_ms / 1000.0)
+            case mavlink.MAVLink_home_position_message():
+                if math.isfinite(message.z):
+                    self._ground_up_m = -message.z
+            case mavlink.MAVLink_gps_global_origin_message() if self.needs_origin:
+                origin = LocalOrigin(
+                    message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1000.0
+                )
+                self._emitters = tuple(
+                    each if isinstance(each, Emitter) else each.local(origin)
+                    for each in self._wanted
+                )
+                for emitter in self._emitters:
+                    self._channel.prepare(emitter)
+
+    def _measure(self, place: PositionEnu, stamp_s: float) -> None:
+        period_s = 1.0 / self._params.rate_hz
+        if stamp_s < self._measured_at_s:  # the autopilot restarted
+            self._measured_at_s = -math.inf
+        if stamp_s - self._measured_at_s < period_s - 1e-3:
+            return
+        late_s = stamp_s - self._measured_at_s - period_s
+        # steady on average though positions come when they come
+        self._measured_at_s = stamp_s - late_s if 0.0 < late_s < period_s else stamp_s
+        if place[2] - self._ground_up_m < self._params.min_altitude_m:
+            return
+        for emitter in self._emitters:
+            if emitter.slant_range_m(place) <= self._params.max_range_m:
+                measurement = self._channel.measure(emitter, place, stamp_s)
+                self._send(message_from_ranging(measurement, round(1e6 * stamp_s)), self._link)
+                self.measurements += 1
+
+    def handle_timer(self, now_s: float) -> None:
+        """Heartbeat, and ask for what is missing."""
+        self._next_s = now_s + HEARTBEAT_S
+        if self._system_id is None:
+            return
+        self._send(payload_heartbeat(), self._link)
+        if now_s - self._asked_s < ASK_AGAIN_S:
+            return
+        self._asked_s = now_s
+        if now_s - self._position_heard_s > ASK_AGAIN_S:
+            number = float(mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED)
+            self._ask(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, POSITION_INTERVAL_US)
+        if self.needs_origin:
+            number = float(mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
+            self._ask(mavlink.MAV_CMD_REQUEST_MESSAGE, number, 0.0)
+
+    def _ask(self, command: int, param1: float, param2: float) -> None:
+        message = mavlink.MAVLink_command_long_message(
+            self._system_id or 1,
+            mavlink.MAV_COMP_ID_AUTOPILOT1,
+            command,
+            0,
+            param1,
+            param2,
+            *[0.0] * 5,
+        )
+        self._send(message, FOLLOW)
+
+    def _send(self, message: Message, link: int) -> None:
+        peer = self._peer if link == FOLLOW else None
+        self._output.append(Chunk(link, self._codec.encode(message), peer))
+
+    def next_timer_s(self) -> float:
+        """When the next heartbeat is due."""
+        return self._next_s
+
+    def take_output(self) -> list[Chunk]:
+        """What is to be sent; taken once."""
+        output, self._output = self._output, []
+        return output
+
+    def request_stop(self, now_s: float) -> None:  # noqa: ARG002  the protocol gives the time
+        """End at once."""
+        self._is_finished = True
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether it was asked to end."""
+        return self._is_finished
+
+
+def _is_autopilots(message: Message) -> bool:
+    """Whether it is an autopilot's HEARTBEAT."""
+    if not isinstance(message, mavlink.MAVLink_heartbeat_message):
+        return False
+    return autopilot_of(message) is not None
+
+
+SILENCE_S = 10.0
+"""Seconds without a vehicle after which somebody is told."""
+
+DESCRIPTION = """\
+Ride on a vehicle that is not simulated here: hear its telemetry and send RADIO_RANGING of an
+emitter that is not there, as a payload on board would."""
+EPILOG = """\
+example, beside PX4 SITL, for a companion started with --ranging udp:127.0.0.1:14600:
+  sim-link radio --follow udpin:127.0.0.1:14540 --emitter 47.3981,8.5462 \\
+                 --send-to 127.0.0.1:14600"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `radio`."""
+    parser.add_argument(
+        "--follow", metavar="URL", required=True, help="the link on which the vehicle is heard"
+    )
+    parser.add_argument(
+        "--emitter",
+        metavar="LAT,LON[,AMSL]",
+        action="append",
+        default=[],
+        help="where an emitter is, in degrees and metres; repeatable, ids count from 1 "
+        "(default: the scenario's, about the vehicle's local origin)",
+    )
+    parser.add_argument(
+        "--send-to", metavar="HOST:PORT", help="where measurements go (default: back to the link)"
+    )
+    parser.add_argument(
+        "--scenario", metavar="FILE", type=Path, help="channel, payload, obstacles and emitters"
+    )
+    parser.add_argument("--rate", metavar="HZ", type=float, help="measurements per second")
+    parser.add_argument("--seed", metavar="N", type=int, default=0, help="of all randomness")
+    parser.add_argument("--speed", metavar="X", type=float, default=1.0, help="of the simulator")
+    parser.add_argument("--stop-on-eof", action="store_true", help="stop when standard input ends")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Follow the vehicle until stopped.
+
+    Returns:
+        0 after a stop.
+
+    Raises:
+        ConfigError: An argument is wrong.
+        LinkError: A link cannot be opened.
+    """
+    follower, links, clock = _follower(arguments), _links(arguments), _clock(arguments.speed)
+    print(f"sim-link: radio on {arguments.follow}", flush=True)
+    hints = _Hints(follower, arguments.follow)
+    shell = Shell(follower, links, clock, hints.check)
+    if arguments.stop_on_eof:
+        threading.Thread(target=_stop_at_eof, args=(shell,), daemon=True).start()
+    shell.run_blocking()
+    print(f"sim-link: radio stopped after {follower.measurements} measurements")
+    return 0
+
+
+def _follower(arguments: argparse.Namespace) -> RadioFollower:
+    scenario = Scenario() if arguments.scenario is None else load_scenario(arguments.scenario)
+    if arguments.seed < 0:
+        raise ConfigError(f"--seed {arguments.seed}: give a number that is not negative")
+    payload = scenario.payload
+    if arguments.rate is not None:
+        if not 0.0 < arguments.rate <= 50.0:
+            raise ConfigError(f"--rate {arguments.rate:g}: give 0 to 50")
+        payload = msgspec.structs.replace(payload, rate_hz=arguments.rate)
+    emitters: list[Emitter | GeodeticEmitter] = [
+        parse_emitter(text, number) for number, text in enumerate(arguments.emitter, 1)
+    ]
+    if not emitters:
+        emitters = [Emitter(each) for each in (scenario.emitter, *scenario.emitters)]
+    return RadioFollower(
+        payload,
+        scenario.channel,
+        emitters,
+        np.random.default_rng(arguments.seed),
+        scenario.environment,
+        has_own_link=arguments.send_to is not None,
+    )
+
+
+def parse_emitter(text: str, number: int) -> GeodeticEmitter:
+    """The emitter of `LAT,LON[,AMSL]`.
+
+    Raises:
+        ConfigError: It is none.
+    """
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    is_place = (
+        len(values) in (2, 3)
+        and all(math.isfinite(value) for value in values)
+        and abs(values[0]) <= 89.0
+        and abs(values[1]) <= 180.0
+    )
+    if not is_place:
+        raise ConfigError(f"--emitter {text}: give LAT,LON or LAT,LON,AMSL, for example 47.4,8.55")
+    altitude_m = values[2] if len(values) == 3 else None
+    return GeodeticEmitter(number, values[0], values[1], altitude_m)
+
+
+def _links(arguments: argparse.Namespace) -> list[LinkSpec]:
+    links = [link_from_url(parse_link_url(arguments.follow))]
+    if arguments.send_to is not None:
+        try:
+            url = parse_link_url(f"udpout:{arguments.send_to}")
+        except ConfigError:
+            problem = f"--send-to {arguments.send_to}: give HOST:PORT, for example 127.0.0.1:14600"
+            raise ConfigError(problem) from None
+        links.append(UdpConnect(url.host, url.port))
+    return links
+
+
+def _clock(speed: float) -> Clock:
+    try:
+        return Clock(speed)
+    except ValueError:
+        raise ConfigError(f"--speed {speed:g}: give a number above 0") from None
+
+
+def _stop_at_eof(shell: Shell) -> None:
+    while os.read(sys.stdin.fileno(), 4096):
+        pass
+    shell.request_stop()
+
+
+class _Hints:
+    """Says that a vehicle is heard, or that none is."""
+
+    def __init__(self, follower: RadioFollower, link: str) -> None:
+        self._follower = follower
+        self._link = link
+        self._said = ""
+
+    def check(self, now_s: float) -> None:
+        """Say what is new."""
+        if self._follower.is_following:
+            self._say(f"following the vehicle on {self._link}")
+        elif now_s > SILENCE_S:
+            self._say(f"no autopilot heard on {self._link} yet")
+
+    def _say(self, text: str) -> None:
+        if text != self._said:
+            self._said = text
+            print(f"sim-link: {text}", flush=True)

@@ -1,0 +1,130 @@
+"""Console helpers of the command-line tools: argument types, one-line complaints, progress.
+
+Arguments that the tools share: a parser that complains in one line, and whole numbers.
+
+How far a long run is: a bar with the time left on a terminal, lines now and then elsewhere.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from time import monotonic
+from typing import NoReturn, TextIO
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    Progress,
+    TaskProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+EXIT_BAD_INPUT = 2
+
+
+class OneLineParser(argparse.ArgumentParser):
+    """Complains in one line, without the usage in front of it."""
+
+    def error(self, message: str) -> NoReturn:
+        """Refuse the arguments."""
+        name = self.prog.replace(".py", "")
+        self.exit(EXIT_BAD_INPUT, f"{name}: {message} (--help shows how)\n")
+
+
+def positive(text: str) -> int:
+    """A whole number of at least 1.
+
+    Raises:
+        argparse.ArgumentTypeError: It is less, or none.
+    """
+    return _at_least(1, text)
+
+
+def non_negative(text: str) -> int:
+    """A whole number of at least 0.
+
+    Raises:
+        argparse.ArgumentTypeError: It is less, or none.
+    """
+    return _at_least(0, text)
+
+
+def _at_least(least: int, text: str) -> int:
+    try:
+        value = int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number") from None
+    if value < least:
+        raise argparse.ArgumentTypeError(f"must be at least {least}")
+    return value
+
+
+LINE_EVERY_S = 15.0
+
+OnDone = Callable[[float], None]
+"""Told of so much work done, in the unit of the total."""
+
+
+@contextmanager
+def shown(total: float, stream: TextIO) -> Iterator[OnDone]:
+    """Show progress on a stream while work is done.
+
+    Args:
+        total: Of the work, in any unit that is proportional to time.
+        stream: Usually standard error.
+    """
+    if not stream.isatty():
+        yield Lines(total, stream, monotonic).done
+        return
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(file=stream)) as progress:
+        task = progress.add_task("runs", total=total)
+        yield lambda share: progress.advance(task, share)
+
+
+class Lines:
+    """Progress in lines of text, the first after some time.
+
+    Args:
+        total: Of the work.
+        stream: Where to.
+        clock: Seconds since whenever.
+    """
+
+    def __init__(self, total: float, stream: TextIO, clock: Callable[[], float]) -> None:
+        self._total = total
+        self._stream = stream
+        self._clock = clock
+        self._done = 0.0
+        self._begun_s = self._said_s = clock()
+
+    def done(self, share: float) -> None:
+        """So much more of the work is done."""
+        self._done += share
+        now_s = self._clock()
+        if now_s - self._said_s < LINE_EVERY_S:
+            return
+        self._said_s = now_s
+        left_s = (now_s - self._begun_s) * (self._total - self._done) / self._done
+        print(
+            f"{self._done / self._total:4.0%} done, about {span_text(left_s)} left",
+            file=self._stream,
+            flush=True,
+        )
+
+
+def span_text(seconds: float) -> str:
+    """A span of time for people."""
+    whole = round(seconds)
+    return f"{whole} s" if whole < 100 else f"{whole // 60} min {whole % 60:02d} s"

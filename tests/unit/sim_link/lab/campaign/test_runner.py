@@ -1,0 +1,170 @@
+"""Trials are named, run, added up and judged; an exception is a finding."""
+
+from __future__ import annotations
+
+import multiprocessing
+import time
+from collections.abc import Sequence
+
+import pytest
+
+from companion.errors import ConfigError
+from sim_link.lab.campaign import runner
+from sim_link.lab.campaign import runner as parts
+from sim_link.lab.campaign.flights import Trial, TrialOutcome
+from sim_link.lab.campaign.runner import (
+    AMOUNTS,
+    PARTS,
+    PROMISED,
+    Tally,
+    judge,
+    report,
+    run_all,
+    run_one,
+    trial_named,
+    trials_of,
+)
+
+
+class Dice:
+    """A part whose trial n fails for every fifth n, and breaks at 7."""
+
+    name = "dice"
+    title = "numbers"
+
+    def trials(self, amount: float, seed: int) -> Sequence[Trial]:
+        return [Trial(self.name, seed + i) for i in range(round(amount))]
+
+    def cost(self, trial: Trial) -> float:  # noqa: ARG002
+        return 1.0
+
+    def run(self, trial: Trial) -> TrialOutcome:
+        if trial.seed == 7:
+            raise ZeroDivisionError("seven")
+        if trial.seed == 99:
+            raise KeyboardInterrupt
+        findings = ("a fifth",) if trial.seed % 5 == 0 else ()
+        n = float(trial.seed)
+        return TrialOutcome(trial, findings, {"sum": n}, {"most": n}, {"least": n})
+
+
+@pytest.fixture(autouse=True)
+def dice(monkeypatch: pytest.MonkeyPatch) -> Dice:
+    part = Dice()
+    known = {**PARTS, part.name: part}
+    monkeypatch.setattr(runner, "PARTS", known)
+    monkeypatch.setattr(parts, "PARTS", known)
+    return part
+
+
+def test_figures_are_added_up_and_findings_name_their_trial(dice: Dice) -> None:
+    tally = run_all(dice.trials(6, 1), jobs=1)
+    assert tally.trials == 6
+    assert (tally.sums["sum"], tally.most["most"], tally.least["least"]) == (21.0, 6.0, 1.0)
+    assert [(each.trial, each.what) for each in tally.findings] == [("dice:5", "a fifth")]
+    summary = report(tally, {"campaign": "ci"}, "replay")
+    assert summary["violations"] == 1
+    assert summary["findings"] == [
+        {"trial": "dice:5", "what": "a fifth", "replay": "replay dice:5"}
+    ]
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_an_extreme_names_its_trial_and_of_equals_the_first(order: int) -> None:
+    tally = Tally()
+    values_m = [0.5, 0.2, 0.2]
+    for seed, value in list(enumerate(values_m, start=1))[::order]:
+        tally.add(
+            TrialOutcome(
+                Trial("dice", seed), most={"gap_s": value}, least={"closest_approach_m": value}
+            )
+        )
+    summary = report(tally, {}, "replay")
+    assert (summary["closest_approach_m"], summary["gap_s"]) == (0.2, 0.5)
+    assert summary["reached_in"] == {"closest_approach_m": "dice:2", "gap_s": "dice:1"}
+
+
+def test_an_exception_is_a_finding_with_its_place() -> None:
+    outcome = run_one(Trial("dice", 7))
+    assert outcome.findings == ("ZeroDivisionError: seven",)
+    assert any("test_runner" in line for line in outcome.story)
+
+
+def test_an_interruption_keeps_what_was_found(dice: Dice) -> None:
+    trials = [*dice.trials(5, 1), Trial("dice", 99), Trial("dice", 100)]
+    with pytest.raises(KeyboardInterrupt) as caught:
+        run_all(trials, jobs=1)
+    (tally,) = caught.value.args
+    assert isinstance(tally, Tally)
+    assert tally.trials == 5
+    assert len(tally.findings) == 1
+
+
+def test_a_report_has_every_promised_figure_and_null_for_what_was_not_flown() -> None:
+    tally = Tally()
+    tally.add(TrialOutcome(Trial("gaps", 1), most={"max_gap_s": 0.25}))
+    summary = report(tally, {}, "replay")
+    assert set(PROMISED) <= set(summary)
+    assert summary["max_gap_s"] == 0.25
+    assert summary["missions"] is None
+    assert summary["violations"] == 0
+
+
+def test_several_processes_find_what_one_finds() -> None:
+    trials = [Trial("reaction", 1), Trial("reaction", 2)]
+    alone, together = run_all(trials, jobs=1), run_all(trials, jobs=2)
+    assert alone.sums == pytest.approx(together.sums)
+    assert alone.most == pytest.approx(together.most)
+    assert alone.least == pytest.approx(together.least)
+
+
+@pytest.mark.parametrize("trial", [Trial("dice", 3), Trial("gaps", 1_000_002, 0.25)])
+def test_a_trial_is_found_by_its_name(trial: Trial) -> None:
+    assert trial_named(trial.name) == trial
+
+
+def test_a_number_alone_is_a_mission() -> None:
+    assert trial_named("12") == Trial("missions", 12)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "x", "nothing:1", "dice:x", "dice:1:2:3", "dice:-1", "dice:1:0"]
+)
+def test_what_names_no_trial_is_refused(text: str) -> None:
+    with pytest.raises(ConfigError):
+        trial_named(text)
+
+
+@pytest.mark.parametrize("size", AMOUNTS)
+def test_every_size_runs_every_part_with_seeds_of_its_own(size: str) -> None:
+    trials = trials_of(size, 1)
+    assert {trial.part for trial in trials} == set(AMOUNTS[size])
+    assert len({trial.name for trial in trials}) == len(trials)
+    assert {trial.name for trial in trials}.isdisjoint(t.name for t in trials_of(size, 2))
+    assert {trial.part for trial in trials_of(size, 1, ["override"])} == {"override"}
+
+
+def test_a_rate_of_false_losses_is_judged_over_hours() -> None:
+    rare, often = Tally(), Tally()
+    rare.sums.update(hours_30_pct=20.0, false_losses_30_pct=1.0)
+    often.sums.update(hours_30_pct=20.0, false_losses_30_pct=2.0)
+    judge(rare)
+    judge(often)
+    assert rare.findings == []
+    assert len(often.findings) == 1
+
+
+def test_an_interruption_does_not_wait_for_what_still_runs() -> None:
+    """What runs beside the first trial would take an hour."""
+    days = [Trial("soak", seed, 1000.0) for seed in range(3)]
+
+    def interrupt(_: TrialOutcome) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt) as caught:
+        run_all([Trial("reaction", 1), *days], jobs=2, on_done=interrupt)
+    assert caught.value.args[0].trials == 1
+    give_up_s = time.monotonic() + 120.0
+    while multiprocessing.active_children():  # the pool's own thread waits for them, too
+        assert time.monotonic() < give_up_s, "a worker goes on"
+        time.sleep(0.05)

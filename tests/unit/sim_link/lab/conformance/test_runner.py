@@ -1,0 +1,146 @@
+"""Selecting and running rules, and telling how they went."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import pytest
+
+from sim_link.lab.conformance.rules import (
+    ARDUPILOT_ONLY,
+    Effect,
+    Flavour,
+    NotApplicable,
+    Role,
+    Rule,
+    RuleBook,
+    RuleOutcome,
+    RuleVerdict,
+    Violation,
+    line,
+    listing,
+    record,
+    require,
+    run_rules,
+    select,
+    summary,
+)
+
+
+@dataclass
+class FakeProbe:
+    now_s: float = 0.0
+    rested: int = 0
+
+    def come_to_rest(self, base_e7: tuple[int, int] | None) -> tuple[int, int]:
+        self.rested += 1
+        return base_e7 or (1, 2)
+
+
+book = RuleBook(Role.VEHICLE, "samples")
+
+
+@book.rule("a page")
+def holds(probe: FakeProbe) -> None:
+    """It holds."""
+    probe.now_s += 2.0
+
+
+@book.rule("a page", px4="does not")
+def is_broken(probe: FakeProbe) -> None:
+    """It does not hold."""
+    require(probe.now_s < 0.0, "seen otherwise")
+
+
+@book.rule("a page", effect=Effect.CHANGES, flavours=ARDUPILOT_ONLY)
+def changes(probe: FakeProbe) -> None:
+    """It changes something."""
+    del probe
+    raise NotApplicable("no occasion")
+
+
+@book.rule("a page", effect=Effect.FLIES)
+def flies(probe: FakeProbe) -> None:
+    """It flies."""
+    del probe
+    raise Violation("it fell")
+
+
+def run(flavour: Flavour, allowed: Effect, probe: FakeProbe | None = None) -> list[RuleOutcome]:
+    return list(run_rules(book.rules, flavour, allowed, lambda: probe or FakeProbe()))
+
+
+def test_a_rule_is_named_after_its_book_and_probe() -> None:
+    first = book.rules[0]
+    assert (first.rule_id, first.statement, first.source) == (
+        "samples.holds",
+        "It holds.",
+        "a page",
+    )
+
+
+def test_verdicts() -> None:
+    outcomes = run(Flavour.ARDUPILOT, Effect.FLIES)
+    assert [o.verdict.value for o in outcomes] == ["PASS", "FAIL", "SKIP", "FAIL"]
+    assert outcomes[0].duration_s == 2.0
+    assert outcomes[1].detail == "seen otherwise"
+
+
+def test_a_rule_of_the_other_flavour_is_left_out() -> None:
+    assert [o.rule.rule_id for o in run(Flavour.PX4, Effect.FLIES)] == [
+        "samples.holds",
+        "samples.is_broken",
+        "samples.flies",
+    ]
+
+
+def test_what_is_not_allowed_is_skipped_and_says_how_to_allow_it() -> None:
+    outcomes = run(Flavour.ARDUPILOT, Effect.ASKS)
+    assert [o.detail for o in outcomes[2:]] == ["needs --allow-changes", "needs --allow-flight"]
+
+
+def test_a_vehicle_that_flew_is_brought_to_rest() -> None:
+    probe = FakeProbe()
+    run(Flavour.PX4, Effect.FLIES, probe)
+    assert probe.rested == 1
+
+
+@pytest.mark.parametrize(
+    ("pattern", "names"),
+    [
+        (None, ["holds", "is_broken", "changes", "flies"]),
+        ("samples.", ["holds", "is_broken", "changes", "flies"]),
+        ("samples.fl", ["flies"]),
+        ("*broken", ["is_broken"]),
+        ("others", []),
+    ],
+)
+def test_select(pattern: str | None, names: list[str]) -> None:
+    chosen: list[Rule] = select(book.rules, Role.VEHICLE, pattern)
+    assert [rule.rule_id.removeprefix("samples.") for rule in chosen] == names
+
+
+def test_select_by_role() -> None:
+    assert select(book.rules, Role.COMPANION) == []
+
+
+def test_lines_and_summary() -> None:
+    outcomes = run(Flavour.PX4, Effect.FLIES)
+    assert line(outcomes[0]) == "PASS  samples.holds  [a page]"
+    assert line(outcomes[1]).splitlines()[1].strip() == "seen otherwise"
+    assert summary(outcomes[:2]) == "1 passed, 1 failed"
+    assert summary(run(Flavour.PX4, Effect.ASKS)) == "1 passed, 1 failed, 1 skipped"
+
+
+def test_listing_tells_deviations() -> None:
+    text = "\n".join(listing(book.rules))
+    assert "samples.changes  (ardupilot; changes)" in text
+    assert "px4: does not" in text
+
+
+def test_record() -> None:
+    told = record(run(Flavour.PX4, Effect.ASKS), "udp:127.0.0.1:1")
+    assert told["peer"] == "udp:127.0.0.1:1"
+    rules = told["rules"]
+    assert isinstance(rules, list)
+    assert rules[1]["verdict"] == RuleVerdict.FAIL.value

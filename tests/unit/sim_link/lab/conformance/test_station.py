@@ -1,0 +1,36 @@
+from __future__ import annotations
+
+from companion.mav.codec import MavCodec
+from companion.mav.dialect import mavlink
+from sim_link.lab.conformance.station import ProbeLink, Station
+
+
+class Stream:
+    """A byte stream on which everything arrives at once, cut anywhere."""
+
+    is_datagram = False
+
+    def __init__(self, pieces: list[bytes]) -> None:
+        self.now_s = 0.0
+        self._pieces = pieces
+
+    def send(self, data: bytes) -> None:
+        """Nobody hears it."""
+
+    def poll(self, until_s: float) -> list[bytes]:
+        self.now_s = until_s
+        pieces, self._pieces = self._pieces, []
+        return pieces
+
+    def another(self) -> ProbeLink | None:
+        return None
+
+
+def test_frames_of_a_byte_stream_are_told_apart_however_it_is_cut() -> None:
+    codec = MavCodec(1, 1)
+    frames = [codec.encode(mavlink.MAVLink_timesync_message(0, 4_711 + i)) for i in range(3)]
+    together = b"".join(frames)
+    station = Station(Stream([together[:30], together[30:]]), kind=None)
+    station.run(0.1)
+    assert station.frames_since(0) == frames
+    assert len(station.inbox) == 3

@@ -1,0 +1,84 @@
+from __future__ import annotations
+
+import importlib.util
+import json
+
+import numpy as np
+import pytest
+
+from sim_link.lab.evaluation.bench import (
+    FILTERPY_PREDICT,
+    FILTERPY_UPDATE,
+    LOOP,
+    MAP_STEP,
+    OBJECT,
+    SYSTEM,
+    WINDOW,
+    Walk,
+    bench_filters,
+    canonical_walk,
+    contenders,
+    filtered,
+    print_times,
+    ratios_of,
+    timed,
+    window_rows,
+)
+from sim_link.lab.evaluation.campaign import run_trial
+from sim_link.lab.evaluation.case import Case
+
+COSTS_US = {FILTERPY_PREDICT: 4.0, FILTERPY_UPDATE: 16.0, LOOP: 2.0, OBJECT: 48.0, MAP_STEP: 80.0}
+
+
+@pytest.fixture
+def walk() -> Walk:
+    return canonical_walk()
+
+
+def test_limits_are_met_at_their_value() -> None:
+    ratios = ratios_of(COSTS_US, COSTS_US)
+    assert [(r.ratio, r.limit, r.is_met) for r in ratios] == [
+        (0.1, 0.1, True),
+        (5.0, 5.0, True),
+        (3.0, 3.0, True),
+    ]
+
+
+def test_without_numba_only_plain_python_is_judged() -> None:
+    (ratio,) = ratios_of(None, {**COSTS_US, OBJECT: 49.0})
+    assert not ratio.is_met
+    assert ratio.name.startswith("plain")
+
+
+def test_the_loop_ends_where_the_studies_walk_does(walk: Walk) -> None:
+    trial = run_trial(Case(), SYSTEM, 1)
+    mean = filtered(walk.track_enu_m, walk.z, walk.belief)
+    np.testing.assert_allclose(mean[:2], trial.estimates_enu_m[-1], rtol=1e-9)
+
+
+def test_the_window_holds_the_first_measurements(walk: Walk) -> None:
+    rows = window_rows(walk)
+    assert len(rows) == WINDOW
+    np.testing.assert_array_equal(rows[:, 3:5], walk.z[:WINDOW, :2])
+    assert np.isnan(rows[:, 5]).all()
+
+
+def test_everything_is_timed(walk: Walk) -> None:
+    costs_us = timed(contenders(walk), rounds=1)
+    assert set(COSTS_US) < set(costs_us)
+    assert all(cost > 0.0 for cost in costs_us.values())
+
+
+@pytest.mark.skipif(importlib.util.find_spec("numba") is not None, reason="would compile")
+def test_without_numba_the_bench_says_so() -> None:
+    bench = bench_filters(rounds=1)
+    assert bench.numba is None
+    assert bench.compiled_us is None
+    assert [ratio.name.split()[0] for ratio in bench.ratios] == ["plain"]
+
+
+def test_the_other_process_answers_in_json(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    print_times(1)
+    assert OBJECT in json.loads(capsys.readouterr().out)

@@ -1,0 +1,32 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sim_link.lab.evaluation.bench import SEED
+from sim_link.lab.evaluation.campaign import run_trial
+from sim_link.lab.evaluation.case import Case
+from sim_link.lab.evaluation.planner_bench import believed, decided, recorded_run, retraced
+from sim_link.lab.evaluation.systems import PlannerName, System
+
+SHORT = Case(steps=40)
+FILTER_ALONE = System("asymmetric_huber", "passive")
+
+
+@pytest.mark.parametrize("planner", ["reactive", "latched", "fim", "fim_printed"])
+def test_what_is_timed_flies_where_the_run_went(planner: PlannerName) -> None:
+    run = recorded_run(SHORT, System("asymmetric_huber", planner))
+    track, belief = run.walk.track_enu_m, run.walk.belief
+    places = retraced(track, run.walk.z, run.picks, belief, run.steering)
+    np.testing.assert_allclose(places[:-1], track[2:], atol=1e-9)
+    places = decided(track, run.beliefs, run.picks, belief, run.steering, 2)
+    np.testing.assert_allclose(places, track[1:], atol=1e-9)
+    assert np.ptp(track, axis=0).max() > SHORT.step_m
+
+
+def test_the_filter_believes_what_it_did_in_the_run() -> None:
+    run = recorded_run(SHORT, FILTER_ALONE)
+    beliefs = believed(run.walk.track_enu_m, run.walk.z, run.walk.belief)
+    trial = run_trial(SHORT, FILTER_ALONE, SEED)
+    np.testing.assert_allclose(beliefs.means[:, :2], trial.estimates_enu_m, atol=1e-9)
+    np.testing.assert_allclose(beliefs.covariances[:, 0, 1], trial.covariances_m2[:, 1], atol=1e-9)

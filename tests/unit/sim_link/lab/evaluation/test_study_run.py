@@ -1,0 +1,150 @@
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from companion.errors import CompanionError
+from sim_link.lab.evaluation.backends import LocalBackend
+from sim_link.lab.evaluation.campaign import Block, Campaign, tallies_of
+from sim_link.lab.evaluation.filterpy_ekf import EkfCheck
+from sim_link.lab.evaluation.study import Study
+from sim_link.lab.evaluation.study_run import (
+    FILE_NAME,
+    PlannedStudy,
+    Task,
+    carried_out,
+    checks_of,
+    cost_of,
+    opened,
+    planned,
+    results_of,
+    work_of,
+)
+
+SWEEP = {
+    "parameter": "p_nlos",
+    "case": {"steps": 6},
+    "varies": ["channel.p_nlos"],
+    "values": [0.1, 0.9],
+}
+RUNS, SEED = 60, 4
+
+
+def _study(*systems: str, **changes: Any) -> Study:
+    fields = {"table": "t", "title": "T", "systems": list(systems), "sweeps": [SWEEP]}
+    return msgspec.convert({**fields, **changes}, Study)
+
+
+def _planned(*systems: str) -> list[PlannedStudy]:
+    return planned([_study(*systems)], RUNS)
+
+
+class _Recorder:
+    """The local backend, with what was asked of it; gives up after some results."""
+
+    def __init__(self, gives_up_after: int | None = None) -> None:
+        self.asked: list[Task] = []
+        self._left = gives_up_after
+
+    def results(
+        self, work: Callable[[Any], Any], items: Sequence[Any]
+    ) -> Iterator[tuple[int, Any]]:
+        self.asked += items
+        for position, result in LocalBackend(1).results(work, items):
+            if self._left is not None:
+                self._left -= 1
+                if self._left < 0:
+                    raise CompanionError("gone")
+            yield position, result
+
+
+def _done(_: float) -> None:
+    pass
+
+
+def test_runs_are_the_studys_unless_somebody_says_otherwise() -> None:
+    study = _study("huber/passive", runs=7)
+    assert [planned([study], None)[0].runs, planned([study], 3)[0].runs] == [7, 3]
+
+
+def test_what_two_studies_share_is_done_once() -> None:
+    one = planned([_study("huber/passive", "huber/fim")], RUNS)
+    both = planned([_study("huber/passive", "huber/fim"), _study("huber/fim", table="u")], RUNS)
+    assert work_of(both, SEED).tasks.keys() == work_of(one, SEED).tasks.keys()
+    assert work_of(one, SEED + 1).tasks.keys().isdisjoint(work_of(one, SEED).tasks)
+
+
+def test_more_runs_keep_what_is_done() -> None:
+    studies = [_study("huber/passive")]
+    fewer, more = (work_of(planned(studies, runs), SEED) for runs in (100, 150))
+    assert set(fewer.tasks) < set(more.tasks)
+    assert len(more.without(fewer.tasks).tasks) == 2
+
+
+def test_every_ekf_cell_is_checked_against_filterpy() -> None:
+    tasks = work_of(_planned("ekf/passive", "huber/passive"), SEED).tasks.values()
+    assert sum(isinstance(task, EkfCheck) for task in tasks) == 2
+
+
+def test_results_are_those_of_the_campaigns(tmp_path: Path) -> None:
+    studies = _planned("asymmetric_huber/latched")
+    work = work_of(studies, SEED)
+    with opened(tmp_path / FILE_NAME) as store:
+        carried_out(work, LocalBackend(1), store, _done)
+        (result,) = results_of(studies, SEED, store)
+    campaigns = [Campaign(cell.case, cell.system, SEED, RUNS) for cell in result.cells]
+    for cell, tally in zip(
+        result.cells, tallies_of(campaigns, 1, lambda _d, _t: None), strict=True
+    ):
+        np.testing.assert_array_equal(cell.tally.final_errors_m, tally.final_errors_m)
+        np.testing.assert_array_equal(cell.tally.rmse_m, tally.rmse_m)
+    assert result.find("0.9", "Proposed (Latched)") is result.cells[1]
+    assert result.find("0.9", "Proposed (Latched)", "step_m") is None
+    assert result.find("0.5", "Proposed (Latched)") is None
+
+
+def test_what_was_kept_is_not_done_again(tmp_path: Path) -> None:
+    studies = _planned("huber/reactive")
+    work = work_of(studies, SEED)
+    first, second = _Recorder(gives_up_after=3), _Recorder()
+    with opened(tmp_path / FILE_NAME) as store:
+        with pytest.raises(CompanionError, match="gone"):
+            carried_out(work, first, store, _done)
+        with pytest.raises(KeyError):
+            results_of(studies, SEED, store)
+        carried_out(work.without(store.found(work.tasks)), second, store, _done)
+        results_of(studies, SEED, store)
+    assert len(first.asked) == len(work.tasks) == 4
+    assert second.asked == first.asked[3:]
+
+
+def test_the_longest_come_first_and_progress_adds_up(tmp_path: Path) -> None:
+    work = work_of(_planned("huber/passive", "admm/passive", "ekf/passive"), SEED)
+    recorder, done = _Recorder(), list[float]()
+    with opened(tmp_path / FILE_NAME) as store:
+        carried_out(work, recorder, store, done.append)
+    costs = [cost_of(task) for task in recorder.asked]
+    assert costs == sorted(costs, reverse=True)
+    assert sum(done) == pytest.approx(work.cost)
+    assert isinstance(recorder.asked[-1], Block)
+
+
+def test_the_check_is_met_and_says_how_well(tmp_path: Path) -> None:
+    work = work_of(_planned("ekf/reactive"), SEED)
+    with opened(tmp_path / FILE_NAME) as store:
+        carried_out(work, LocalBackend(1), store, _done)
+        check = checks_of(work, store)["ekf_is_filterpys"]
+    assert check["is_met"] is True
+    assert 0.0 < float(str(check["largest_difference_m"])) < 1e-9
+    assert (check["cells"], check["runs_of_each"]) == (2, 2)
+    assert check["worst_system"] == "EKF (Reactive)"
+
+
+def test_without_an_ekf_there_is_nothing_to_check(tmp_path: Path) -> None:
+    with opened(tmp_path / FILE_NAME) as store:
+        assert checks_of(work_of(_planned("huber/passive"), SEED), store) == {}

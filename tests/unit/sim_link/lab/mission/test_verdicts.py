@@ -1,0 +1,153 @@
+"""Verdicts: every kind of expectation, met and broken."""
+
+from __future__ import annotations
+
+import pytest
+
+from companion.mav.dialect import mavlink
+from sim_link.lab.mission.conditions import Situation
+from sim_link.lab.mission.results import (
+    STEPS,
+    EstimatePoint,
+    ExpectationVerdict,
+    FlightRecord,
+    Flown,
+    Report,
+    Said,
+    StepOutcome,
+    Violated,
+    verdicts_of,
+)
+from sim_link.lab.mission.script_file import parse_mission
+from sim_link.lab.monitor.monitor import NOTHING, WIRE
+
+
+def flown(expectation: str) -> Flown:
+    """A flight that found emitter 1 half a metre off, and was 100 s long."""
+    text = f"""\
+name: m
+emitters: [{{emitter_id: 2, position_enu_m: [10, 10]}}]
+steps: [connect]
+expectations: [{{name: it, {expectation}}}]
+"""
+    record = FlightRecord(
+        steps=[StepOutcome(1, "connect", "hearing", 0.0, 1.0)],
+        estimates=[
+            EstimatePoint(20.0, 1, "ambiguous", (90.0, 90.0), 30.0),
+            EstimatePoint(30.0, 1, "localised", (50.5, 50.0), 0.4),
+            EstimatePoint(31.0, 2, "searching", (10.0, 13.0), 2.0),
+        ],
+        reports=[Report(32.0, 1, (50.5, 50.0), 0.4)],
+        texts=[
+            Said(32.0, "companion", "LOCALISED 47 8 R95 0.4 m"),
+            Said(40.0, "autopilot", "Landing detected"),
+        ],
+        violations=[Violated(25.0, "I7", "gap of 0.3 s"), Violated(26.0, "I7", "gap of 0.2 s")],
+        breaches={"it": 12.0},
+        engaged_s=10.0,
+        ended_s=100.0,
+        distance_m=250.0,
+        scope=WIRE,
+    )
+    record.messages["companion", mavlink.MAVLINK_MSG_ID_HEARTBEAT] = 99
+    situation = Situation()
+    situation.vehicle.is_armed = False
+    return Flown(parse_mission(text, "m"), record, situation)
+
+
+def test_what_is_measured_after_the_report_is_no_longer_looked_for() -> None:
+    record = flown("final_error_m: {at_most: 1}").record
+    record.estimates.append(EstimatePoint(60.0, 1, "diverged", (20.0, 20.0), 15.0))
+    reported = record.last_estimate(1)
+    assert reported is not None
+    assert reported.time_s == 30.0
+    record.reports.clear()
+    last = record.last_estimate(1)
+    assert last is not None
+    assert last.time_s == 60.0
+
+
+def verdict(expectation: str) -> ExpectationVerdict:
+    steps, own = verdicts_of(flown(expectation))
+    assert steps.is_met
+    assert own.name == "it"
+    return own
+
+
+@pytest.mark.parametrize(
+    ("kind", "met", "broken", "found"),
+    [
+        ("final_error_m", "{at_most: 0.6}", "{at_most: 0.4}", "0.50 m"),
+        ("final_error_m", "{at_most: 4, emitter: 2}", "{at_most: 2, emitter: 2}", "3.00 m"),
+        ("error_over_r95", "{at_most: 1.3}", "{at_most: 1.2}", "1.25 times the R95 of 0.40 m"),
+        ("reported_s", "{at_most: 22}", "{at_most: 21}", "22.00 s"),
+        ("time_s", "{at_least: 90, at_most: 100}", "{at_most: 99}", "100.00 s"),
+        ("distance_m", "{at_most: 300}", "{at_least: 300}", "250.00 m"),
+        ("violations", "{at_most: 2}", "{at_most: 1}", "expected at most"),
+        ("violations", "{invariants: [I1]}", "{invariants: [I7]}", "expected at most 0"),
+        ("appears", "{text: LOCALISED}", "{text: LOCALISED, from: autopilot}", "seen"),
+        ("appears", "{message: HEARTBEAT}", "{message: HEARTBEAT, at_least: 100}", "seen 99 times"),
+        ("never", "{text: contradicted}", "{text: Landing}", "expected never"),
+        ("holds", "vehicle.is_armed == false", "vehicle.is_armed", "at the end"),
+    ],
+)
+def test_an_expectation_met_and_broken(kind: str, met: str, broken: str, found: str) -> None:
+    assert verdict(f"{kind}: {met}").is_met
+    failed = verdict(f"{kind}: {broken}")
+    assert not failed.is_met
+    assert found in failed.found
+
+
+def test_what_never_came_is_never_good_enough() -> None:
+    assert "no estimate" in _without("estimates", "final_error_m: {at_most: 1000}")
+    assert "no estimate" in _without("estimates", "error_over_r95: {at_most: 1000}")
+    assert "not reported" in _without("reports", "reported_s: {at_most: 1000}")
+
+
+def _without(what: str, expectation: str) -> str:
+    without = flown(expectation)
+    getattr(without.record, what).clear()
+    own = verdicts_of(without)[1]
+    assert not own.is_met
+    return own.found
+
+
+def test_an_always_is_broken_once_it_was_false() -> None:
+    assert verdict("always: vehicle.height_m < 40").found.endswith("was false at 12.0 s")
+    unbroken = flown("always: vehicle.height_m < 40")
+    unbroken.record.breaches.clear()
+    assert verdicts_of(unbroken)[1].is_met
+
+
+def test_violations_tell_the_first_one() -> None:
+    assert "first I7 at 25.00 s: gap of 0.3 s" in verdict("violations: {}").found
+
+
+def test_invariants_that_nobody_watched_are_not_judged() -> None:
+    unwatched = flown("violations: {}")
+    unwatched.record.scope = NOTHING
+    own = verdicts_of(unwatched)[1]
+    assert own.is_met
+    assert "not judged" in own.found
+
+
+def test_what_this_kind_of_flight_cannot_judge_is_named() -> None:
+    assert verdict("violations: {at_most: 2}").found.endswith("; not judged: I8, I10, I12")
+    only = verdict("violations: {invariants: [I8]}")
+    assert only.is_met
+    assert only.found == f"not judged: I8 {WIRE.unjudged['I8']}"
+    assert "not judged" not in verdict("violations: {invariants: [I1]}").found
+
+
+def test_a_failed_step_is_a_verdict_of_its_own() -> None:
+    failed = flown("time_s: {at_most: 200}")
+    failed.record.steps.append(StepOutcome(2, "arm", "arming", 1.0, 6.0, "refused"))
+    steps, own = verdicts_of(failed)
+    assert steps == ExpectationVerdict(STEPS, False, "step 2 arm: refused")
+    assert own.is_met
+
+
+def test_a_mission_that_ended_otherwise_says_so() -> None:
+    failed = flown("time_s: {at_most: 200}")
+    failed.record.failure = "interrupted"
+    assert verdicts_of(failed)[0] == ExpectationVerdict(STEPS, False, "interrupted")

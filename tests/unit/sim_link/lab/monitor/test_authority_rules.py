@@ -1,0 +1,127 @@
+"""Who gave the mode: a person's switch counts, an autopilot that goes back by itself does not."""
+
+from __future__ import annotations
+
+import pytest
+
+from companion.config.schema import CompanionConfig
+from companion.domain import FlightMode
+from companion.guidance.authority.control_authority import Authority
+from companion.guidance.authority.state_machine import Phase
+from companion.guidance.session_params import SessionParams
+from companion.mav.dialect import mavlink
+from companion.mav.framing import message_id
+from sim_link.autopilot.scenario import AutopilotParams, Scenario
+from sim_link.lab.campaign.flights import Monitored, monitored
+from sim_link.lab.faults.fault_models import Battery, CompanionKilled, Schedule
+from sim_link.lab.faults.planted import KeepsFlying, maker
+from sim_link.lab.lockstep.observer import Delivery, Lane
+
+HEARTBEAT = mavlink.MAVLINK_MSG_ID_HEARTBEAT
+COPTER = Scenario(autopilot=AutopilotParams(flavour="ardupilot"))
+AUTO = CompanionConfig(mission=SessionParams(engage="auto", stop_confirm_s=1e6))
+
+
+def taken_over(*, is_planted: bool = False) -> Monitored:
+    """A flight that the operator took over some seconds ago."""
+    around = monitored(AUTO, COPTER, 1, make_companion=maker(KeepsFlying) if is_planted else None)
+    around.flight.run(18.0)
+    around.operator.choose(FlightMode.HOLD)
+    around.flight.run(5.0)
+    return around
+
+
+def test_silence_after_a_take_over_breaks_nothing() -> None:
+    around = taken_over()
+    assert around.monitor.authority.late == 0
+    assert around.monitor.violations == []
+
+
+def test_what_is_sent_after_it_is_counted_with_how_late_it_was() -> None:
+    authority = taken_over(is_planted=True).monitor.authority
+    assert authority.late > 3
+    assert authority.worst_late_s == pytest.approx(4.5, abs=0.6)
+
+
+def test_a_mode_that_the_operator_gives_back_is_no_offence() -> None:
+    around = taken_over()
+    around.operator.grant()
+    around.operator.choose(FlightMode.OFFBOARD)
+    around.flight.run(6.0)
+    assert around.flight.mode is FlightMode.OFFBOARD
+    assert around.monitor.violations == []
+
+
+def test_a_mode_that_nobody_gave_back_gives_no_right_to_fly() -> None:
+    around = taken_over(is_planted=True)
+    before = around.monitor.authority.late
+    mode_s = around.flight.now_s
+    around.flight.sim.vehicle.flavour.pilot_chooses(FlightMode.OFFBOARD, mode_s)
+    around.flight.run(3.0)
+    assert around.monitor.authority.late > before
+
+
+class WithoutHeartbeats:
+    """A wire that loses all of the vehicle's heartbeats."""
+
+    def carry(self, data: bytes, lane: Lane, now_s: float) -> list[Delivery]:
+        is_lost = lane is Lane.TO_COMPANION and message_id(data) == HEARTBEAT
+        return [] if is_lost else [(now_s, data)]
+
+
+def test_a_grant_takes_nothing_away_from_who_could_not_know_of_the_take_over() -> None:
+    around = monitored(AUTO, COPTER, 1)
+    around.flight.run(16.0)
+    around.flight.wire = WithoutHeartbeats()
+    around.operator.choose(FlightMode.HOLD)
+    around.flight.run(1.5)
+    around.operator.grant()
+    around.flight.run(0.5)
+    assert around.flight.mode is FlightMode.HOLD
+    assert around.flight.phase in (Phase.NORMAL, Phase.HOLD)
+    assert around.monitor.violations == []
+
+
+def test_a_mode_that_ends_shortly_after_a_grant_was_given_back_before_it() -> None:
+    around = monitored(AUTO, COPTER, 1)
+    around.flight.run(16.0)
+    around.operator.grant()
+    around.flight.run(0.2)
+    around.operator.choose(FlightMode.HOLD)
+    around.flight.run(3.0)
+    assert around.monitor.violations == []
+
+
+@pytest.mark.parametrize("keeps_latch", [True, False])
+def test_guided_that_a_failed_launch_left_behind_gives_no_right_to_fly(
+    monkeypatch: pytest.MonkeyPatch, *, keeps_latch: bool
+) -> None:
+    if not keeps_latch:
+        monkeypatch.setattr(Authority, "may_take", property(lambda _: True))
+    around = monitored(AUTO, COPTER, 1)
+    around.flight.run(6.5)
+    around.injector.add(Battery(share=0.05))
+    around.flight.run(2.0)
+    assert around.flight.mode is FlightMode.OFFBOARD
+    around.flight.run(6.0)
+    found = {violation.invariant for violation in around.monitor.violations}
+    assert found == (set() if keeps_latch else {"I3"})
+
+
+@pytest.mark.parametrize("is_too_bold", [False, True])
+def test_a_companion_that_begins_anew_in_the_air_has_nothing_to_lose(
+    monkeypatch: pytest.MonkeyPatch, *, is_too_bold: bool
+) -> None:
+    """What it saw of the offboard mode was its predecessor's; the pilot's next mode frees it."""
+    around = monitored(AUTO, Scenario(autopilot=AutopilotParams(flavour="px4")), 1)
+    around.flight.run(16.3)
+    if is_too_bold:
+        monkeypatch.setattr(Authority, "may_begin", True)
+        monkeypatch.setattr(Authority, "may_take", True)
+    around.injector.inject(Schedule(faults=(CompanionKilled(down_s=0.1),)))
+    around.flight.run(6.0)
+    around.operator.choose(FlightMode.RETURN)
+    around.flight.run(4.0)
+    assert around.flight.phase is (Phase.YIELD if is_too_bold else Phase.STANDBY)
+    found = {violation.invariant for violation in around.monitor.violations}
+    assert ("I3" in found) is is_too_bold

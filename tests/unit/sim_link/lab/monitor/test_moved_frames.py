@@ -1,0 +1,101 @@
+"""A frame whose origin creeps, and an autopilot that restarts: what a companion cannot know yet."""
+
+from __future__ import annotations
+
+import pytest
+
+from companion.domain import PositionEnu
+from companion.mav.codec import MavCodec
+from companion.mav.dialect import mavlink
+from sim_link.autopilot.scenario import Scenario
+from sim_link.lab.campaign.flights import Monitored, monitored
+from sim_link.lab.lockstep.observer import Frame, Lane
+from sim_link.lab.monitor.authority_invariants import OnlyWithAuthority
+from sim_link.lab.monitor.message_invariants import WithinEnvelope
+from sim_link.lab.monitor.scene import Setpoint
+from tests.loop.loop_helpers import AUTO
+
+TICK_S = 0.05
+STEP_TICK = 10
+SPEED_MPS = 3.0
+LEAD_M = 4.0
+"""A setpoint that is followed is farther away than one that begins may be."""
+SETPOINT = mavlink.MAVLink_set_position_target_local_ned_message(
+    0, 1, 1, 1, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+)
+
+
+@pytest.fixture
+def around() -> Monitored:
+    return monitored(AUTO, Scenario(), 1)
+
+
+def found(around: Monitored) -> list[str]:
+    return [violation.what for violation in around.monitor.violations]
+
+
+def followed_while_origin_moves(around: Monitored, origin_m: float, step_m: float) -> list[str]:
+    """What is found of a setpoint that is stepped aside as the origin moves to the east."""
+    scene = around.monitor.scene
+    scene.told.is_ours = True
+    invariant = WithinEnvelope(scene)
+    for tick in range(20):
+        scene.now_s = tick * TICK_S
+        if tick == STEP_TICK:
+            scene.told.origin_enu_m = (origin_m, 0.0, 0.0)
+        east_m = SPEED_MPS * scene.now_s + (step_m if tick >= STEP_TICK else 0.0)
+        vehicle_east_m = east_m if tick == 0 else east_m - LEAD_M  # the first is where it is
+        scene.told.position_enu_m = (vehicle_east_m, 30.0, 15.0)
+        scene.told.position_s = scene.now_s
+        invariant.setpoint(Setpoint(scene.now_s, (east_m, 30.0, 15.0), SETPOINT))
+    return found(around)
+
+
+def test_a_setpoint_may_creep_along_with_the_origin(around: Monitored) -> None:
+    assert followed_while_origin_moves(around, 0.9, 0.9) == []
+
+
+def test_it_may_not_step_farther_than_that(around: Monitored) -> None:
+    assert followed_while_origin_moves(around, 0.9, 1.5) == ["setpoint too fast"]
+
+
+def test_an_origin_that_moved_farther_begins_another_stream(around: Monitored) -> None:
+    what = followed_while_origin_moves(around, 3.0, 0.0)
+    assert what == ["the first setpoint is not where the vehicle is"]
+
+
+def position(boot_s: float, place: PositionEnu, now_s: float) -> Frame:
+    """A local position that arrives."""
+    east_m, north_m, up_m = place
+    message = mavlink.MAVLink_local_position_ned_message(
+        round(1000 * boot_s), north_m, east_m, -up_m, 0.0, 0.0, 0.0
+    )
+    return Frame(now_s, MavCodec(1, 1).encode(message), Lane.TO_COMPANION)
+
+
+@pytest.mark.parametrize("invariant_type", [WithinEnvelope, OnlyWithAuthority])
+@pytest.mark.parametrize(
+    ("asked_s", "is_found"), [(0.1, False), (0.4, False), (0.6, True), (5.0, True)]
+)
+def test_before_a_restart_is_proved_the_vehicle_is_where_it_was(
+    around: Monitored,
+    invariant_type: type[WithinEnvelope | OnlyWithAuthority],
+    asked_s: float,
+    *,
+    is_found: bool,
+) -> None:
+    scene, before, after = around.monitor.scene, (0.0, 7.0, 15.0), (0.0, 0.0, 15.0)
+    scene.tell(position(42.0, before, now_s=42.0))
+    scene.tell(position(0.3, after, now_s=42.05))
+    scene.now_s = 42.0 + asked_s
+    invariant_type(scene).setpoint(Setpoint(scene.now_s, before, SETPOINT))
+    assert bool(found(around)) is is_found
+
+
+def test_where_it_is_since_is_never_an_offence(around: Monitored) -> None:
+    scene, after = around.monitor.scene, (0.0, 0.0, 15.0)
+    scene.tell(position(42.0, (0.0, 7.0, 15.0), now_s=42.0))
+    scene.tell(position(0.3, after, now_s=42.05))
+    scene.now_s = 42.1
+    WithinEnvelope(scene).setpoint(Setpoint(scene.now_s, after, SETPOINT))
+    assert found(around) == []

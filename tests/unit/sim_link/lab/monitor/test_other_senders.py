@@ -1,0 +1,193 @@
+"""What another sender does, to the vehicle or with its ids, is not the companion's doing."""
+
+from __future__ import annotations
+
+import pytest
+
+from companion.config.schema import CompanionConfig
+from companion.domain import FlightMode
+from companion.guidance.authority.state_machine import Phase
+from companion.guidance.session_params import SessionParams
+from companion.mav.codec import MavCodec
+from companion.mav.dialect import Message, mavlink
+from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
+from sim_link.lab.campaign.flights import Monitored, monitored, rules_of
+from sim_link.lab.faults.fault_models import (
+    Disarm,
+    ForgedFrames,
+    LinkBlackout,
+    Schedule,
+    SecondSender,
+    UnsignedFrames,
+)
+from sim_link.lab.lockstep.observer import Frame, Lane
+from sim_link.lab.monitor.independent_checks import SILENCE_S, SenderTrust, depth_m
+
+AUTO = CompanionConfig(mission=SessionParams(engage="auto"))
+HEARTBEAT = mavlink.MAVLink_heartbeat_message(2, 12, 81, 0, 4, 3)
+ATTITUDE = mavlink.MAVLink_attitude_message(1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def in_flight(flavour: FlavourName) -> Monitored:
+    around = monitored(AUTO, Scenario(autopilot=AutopilotParams(flavour=flavour)), 1)
+    around.flight.run(18.0)
+    return around
+
+
+def true_depth_m(around: Monitored) -> float:
+    place = around.flight.sim.vehicle.body.position_enu_m
+    return depth_m(rules_of(AUTO).fence_enu_m, rules_of(AUTO).keep_out_enu_m, place[:2])
+
+
+@pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
+def test_somebody_else_who_flies_it_out_of_the_fence_is_no_breach(flavour: FlavourName) -> None:
+    around = in_flight(flavour)
+    away = SecondSender(rate_hz=15.0, east_m=-200.0, north_m=-200.0, duration_s=40.0)
+    around.injector.inject(Schedule(faults=(away,)))
+    around.flight.run(60.0)
+    assert true_depth_m(around) < -5.0
+    assert around.notes.said("giving way")
+    assert around.monitor.fence.breaches == 0
+    assert around.monitor.violations == []
+
+
+def test_a_vehicle_that_its_own_return_took_out_is_not_out_by_the_companion() -> None:
+    around = in_flight("ardupilot")
+    around.operator.choose(FlightMode.RETURN)
+    around.flight.run(0.1)
+    body = around.flight.sim.vehicle.body
+    body.position_enu_m = (-200.0, -200.0, body.position_enu_m[2])
+    around.flight.run(0.1)
+    around.operator.choose(FlightMode.HOLD)
+    around.flight.run(1.0)
+    assert true_depth_m(around) < -5.0
+    assert around.monitor.fence.breaches == 0
+
+
+def test_who_yielded_answers_for_nothing_where_the_mode_flaps_back() -> None:
+    around = in_flight("ardupilot")
+    around.operator.choose(FlightMode.HOLD)
+    around.flight.run(1.2)
+    around.operator.choose(FlightMode.OFFBOARD)
+    around.flight.run(1.2)
+    assert around.flight.phase is Phase.YIELD
+    body = around.flight.sim.vehicle.body
+    body.position_enu_m = (-200.0, -200.0, body.position_enu_m[2])
+    around.flight.run(0.5)
+    assert around.monitor.fence.breaches == 0
+
+
+def test_a_vehicle_without_motors_falls_wherever_it_falls() -> None:
+    around = in_flight("ardupilot")
+    around.injector.inject(Schedule(faults=(Disarm(),)))
+    around.flight.run(0.3)
+    body = around.flight.sim.vehicle.body
+    body.position_enu_m = (-200.0, -200.0, body.position_enu_m[2])
+    around.flight.run(0.3)
+    assert not body.is_on_ground
+    assert around.monitor.fence.breaches == 0
+
+
+def test_its_own_way_out_of_the_fence_is_one() -> None:
+    around = in_flight("ardupilot")
+    body = around.flight.sim.vehicle.body
+    body.position_enu_m = (-200.0, -200.0, body.position_enu_m[2])
+    around.flight.run(1.0)
+    assert around.monitor.fence.breaches == 1
+
+
+def test_without_a_key_whoever_speaks_after_a_silence_is_believed() -> None:
+    around = in_flight("ardupilot")
+    silence = LinkBlackout(start_s=1.0, duration_s=12.0, direction="to_companion")
+    stranger = UnsignedFrames(start_s=6.0, duration_s=4.0, rate_hz=130.0)
+    around.injector.inject(Schedule(faults=(silence, stranger)))
+    around.flight.run(30.0)
+    assert around.notes.said("from another address")
+    assert [v for v in around.monitor.violations if v.invariant == "I10"] == []
+
+
+def test_places_in_a_flood_of_a_stranger_who_is_believed_are_no_measure() -> None:
+    around = in_flight("px4")
+    hold = LinkBlackout(start_s=1.0, duration_s=12.0, direction="to_companion")
+    liar = ForgedFrames(start_s=5.0, duration_s=7.0, rate_hz=400.0)
+    around.injector.inject(Schedule(faults=(hold, liar)))
+    around.flight.run(9.0)
+    assert around.monitor.scene.is_lied_to
+    around.flight.run(25.0)
+    assert not around.monitor.scene.is_lied_to
+    assert around.monitor.violations == []
+
+
+def frame(time_s: float, message: Message = ATTITUDE, *, is_genuine: bool = True) -> Frame:
+    data = MavCodec(1, 1).encode(message)
+    return Frame(time_s, data, Lane.TO_COMPANION, is_genuine=is_genuine)
+
+
+def followed() -> SenderTrust:
+    whose = SenderTrust()
+    assert whose.believes(frame(0.0, HEARTBEAT))
+    return whose
+
+
+def test_a_stranger_is_not_believed_beside_the_vehicle() -> None:
+    whose = followed()
+    assert not whose.believes(frame(SILENCE_S - 0.1, is_genuine=False))
+    assert whose.believes(frame(SILENCE_S - 0.05))
+
+
+def test_the_payload_of_a_stranger_is_believed_while_that_is_followed() -> None:
+    whose = followed()
+    payload = Frame(0.1, MavCodec(1, 158).encode(ATTITUDE), Lane.TO_COMPANION, is_genuine=False)
+    of_another = Frame(0.1, MavCodec(77, 158).encode(ATTITUDE), Lane.TO_COMPANION, is_genuine=False)
+    assert not whose.is_beside_a_stranger(payload)
+    assert whose.believes(frame(SILENCE_S, is_genuine=False))
+    assert whose.is_beside_a_stranger(payload)
+    assert not whose.is_beside_a_stranger(of_another)
+
+
+def test_a_stranger_is_followed_after_a_silence_and_the_vehicle_after_another() -> None:
+    whose = followed()
+    assert whose.believes(frame(SILENCE_S, is_genuine=False))
+    assert not whose.believes(frame(SILENCE_S + 0.1))
+    assert whose.believes(frame(2.0 * SILENCE_S + 0.1))
+
+
+def test_before_a_heartbeat_and_after_a_restart_nobody_is_followed_yet() -> None:
+    whose = followed()
+    whose.restart()
+    assert not whose.believes(frame(1.0, is_genuine=False))
+    assert whose.believes(frame(1.1, HEARTBEAT, is_genuine=False))
+    assert not whose.believes(frame(1.2))
+
+
+def test_of_two_autopilots_the_first_that_is_heard_is_followed_for_good() -> None:
+    whose = SenderTrust()
+    other = MavCodec(77, 1).encode(HEARTBEAT)
+    assert whose.believes(Frame(1.0, other, Lane.TO_COMPANION, is_genuine=False))
+    assert whose.is_a_stranger
+    assert not whose.believes(frame(1.1, HEARTBEAT))
+    assert not whose.believes(frame(1.0 + 2.0 * SILENCE_S, HEARTBEAT))
+    whose.restart()
+    assert whose.believes(frame(9.0, HEARTBEAT))
+    assert not whose.believes(Frame(20.0, other, Lane.TO_COMPANION, is_genuine=False))
+
+
+def test_a_station_and_a_vehicle_that_is_not_wanted_are_not_followed() -> None:
+    station = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
+    other = Frame(1.0, MavCodec(77, 1).encode(HEARTBEAT), Lane.TO_COMPANION, is_genuine=False)
+    whose = SenderTrust(wanted_system_id=1)
+    assert not whose.believes(frame(0.5, station, is_genuine=False))
+    assert not whose.believes(other)
+    assert whose.believes(frame(1.5, HEARTBEAT))
+    assert not whose.is_a_stranger
+
+
+def test_who_yields_answers_for_its_last_setpoint_while_that_is_flown() -> None:
+    """An ArduPilot that was left in GUIDED flies to it, however long nobody sends."""
+    around = in_flight("ardupilot")
+    around.monitor.noted("phase", {"new": "yield"}, around.flight.now_s)
+    around.flight.run(6.0)
+    body = around.flight.sim.vehicle.body
+    body.position_enu_m = (-200.0, -200.0, body.position_enu_m[2])
+    around.flight.run(0.1)
+    assert around.monitor.fence.breaches == 1

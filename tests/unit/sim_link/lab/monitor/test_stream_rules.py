@@ -1,0 +1,123 @@
+"""When the stream of setpoints may pause, and when a pause is an offence."""
+
+from __future__ import annotations
+
+import pytest
+
+from companion.mav.codec import MavCodec
+from companion.mav.dialect import Message, mavlink
+from sim_link.autopilot.scenario import Scenario
+from sim_link.lab.campaign.flights import monitored
+from sim_link.lab.lockstep.observer import Frame, Lane
+from sim_link.lab.monitor.authority_invariants import KeepsStreaming
+from sim_link.lab.monitor.scene import Scene, Setpoint
+from tests.loop.loop_helpers import AUTO
+
+STEP_S = 0.02
+SETPOINT = mavlink.MAVLink_set_position_target_local_ned_message(
+    0, 1, 1, 1, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+)
+HEARTBEAT = mavlink.MAVLink_heartbeat_message(2, 12, 128 + 1, 6 << 16, 4, 3)
+PLACE = mavlink.MAVLink_local_position_ned_message(11_000, 0.0, 0.0, -15.0, 0.0, 0.0, 0.0)
+
+
+class Stream:
+    """Setpoints of a companion in control, until it falls silent."""
+
+    def __init__(self) -> None:
+        self.scene: Scene = monitored(AUTO, Scenario(), 1).monitor.scene
+        self.invariant = KeepsStreaming(self.scene)
+        told = self.scene.told
+        told.is_ours, told.heartbeat_s, told.position_enu_m = True, 0.0, (0.0, 0.0, 15.0)
+        self.invariant.noted("phase", {"new": "hold"})
+
+    def lasts(self, until_s: float, *, is_silent: bool = False, is_fresh: bool = True) -> None:
+        """Time passes, with a place of the vehicle at every step."""
+        scene = self.scene
+        while scene.now_s < until_s:
+            scene.now_s += STEP_S
+            if is_fresh:
+                scene.told.position_s = scene.told.position_sent_s = scene.now_s
+            if not is_silent:
+                self.invariant.setpoint(Setpoint(scene.now_s, (0.0, 0.0, 15.0), SETPOINT))
+            self.invariant.stepped()
+
+    def hears(self, *messages: Message) -> None:
+        """They were sent just now."""
+        for message in messages:
+            frame = Frame(self.scene.now_s, MavCodec(1, 1).encode(message), Lane.TO_COMPANION)
+            self.scene.remember(frame)
+            self.invariant.heard(frame)
+
+    @property
+    def has_paused(self) -> bool:
+        return bool(self.scene.violations)
+
+
+@pytest.fixture
+def stream() -> Stream:
+    stream = Stream()
+    stream.lasts(1.0)
+    return stream
+
+
+def test_a_pause_without_a_reason_is_found(stream: Stream) -> None:
+    assert not stream.has_paused
+    stream.lasts(1.3, is_silent=True)
+    assert stream.has_paused
+
+
+def test_a_setpoint_that_was_sent_is_sent_on_whatever_becomes_of_the_position(
+    stream: Stream,
+) -> None:
+    stream.lasts(2.0, is_fresh=False)
+    assert not stream.has_paused
+    stream.lasts(2.3, is_silent=True, is_fresh=False)
+    assert stream.has_paused
+
+
+def test_how_old_the_places_of_a_stranger_are_only_the_companion_knows(stream: Stream) -> None:
+    stream.scene.is_lied_to = True
+    stream.lasts(1.5, is_silent=True)
+    assert not stream.has_paused
+    stream.scene.is_lied_to = False
+    stream.lasts(1.8, is_silent=True)
+    assert stream.has_paused
+
+
+@pytest.mark.parametrize(("until_s", "has_paused"), [(1.5, False), (1.8, True)])
+def test_a_frame_that_moved_settles_within_half_a_second(
+    stream: Stream, until_s: float, *, has_paused: bool
+) -> None:
+    stream.scene.told.frame_sent_at = (1.0, 100)
+    stream.lasts(until_s, is_silent=True)
+    assert stream.has_paused is has_paused
+
+
+def test_what_a_socket_kept_from_a_stall_does_not_say_who_flies(stream: Stream) -> None:
+    stream.scene.suspended_until_s = 2.0
+    stream.lasts(2.0, is_silent=True)
+    stream.hears(PLACE, HEARTBEAT)
+    stream.lasts(2.5, is_silent=True)
+    assert not stream.has_paused
+
+
+def test_what_comes_after_it_does(stream: Stream) -> None:
+    stream.scene.suspended_until_s = 2.0
+    stream.lasts(2.2, is_silent=True)
+    stream.hears(PLACE)
+    stream.lasts(2.3, is_silent=True)
+    stream.hears(HEARTBEAT)
+    assert not stream.has_paused
+    stream.lasts(2.6, is_silent=True)
+    assert stream.has_paused
+
+
+def test_a_stall_before_control_is_given_counts_too(stream: Stream) -> None:
+    stream.invariant.noted("phase", {"new": "launching"})
+    stream.scene.suspended_until_s = 2.0
+    stream.lasts(2.0, is_silent=True)
+    stream.invariant.noted("phase", {"new": "hold"})
+    stream.hears(PLACE, HEARTBEAT)
+    stream.lasts(2.5, is_silent=True)
+    assert not stream.has_paused
