@@ -98,8 +98,6 @@ def build_endpoint(
     """The companion as a MAVLink participant.
 
     Args:
-        config: The configuration.
-        journal: Where it reports.
         ranging_links: Links beside the vehicle's that carry only ranging.
         tunables: The parameters that ground stations may change; None: as the configuration is.
         gcs_links: Links to ground stations, behind the others.

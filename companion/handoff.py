@@ -57,14 +57,7 @@ def utc_text(unix_s: float) -> str:
 def handoff_of(
     emitter: str, estimate: TargetEstimate, origin: LocalOrigin, unix_s: float
 ) -> Handoff:
-    """The hand-off of an estimate.
-
-    Args:
-        emitter: Its id or name.
-        estimate: In the local frame.
-        origin: Zero of the local frame.
-        unix_s: Wall clock of the estimate.
-    """
+    """The hand-off of an estimate."""
     height_m = estimate.height_m
 
     def degrees(point: tuple[float, float]) -> Degrees:
@@ -98,7 +91,6 @@ def mgrs_text(place: Degrees, r95_m: float) -> str:
 
     Args:
         place: Latitude and longitude, WGS84; the poles are in UPS squares.
-        r95_m: Radius of the uncertainty.
     """
     digits = MAX_DIGITS - math.floor(math.log10(min(max(r95_m, 1.0), 1e4)))
     digits = min(max(digits, MIN_DIGITS), MAX_DIGITS)
@@ -220,12 +212,7 @@ class HandoffFiles:
         self._handoffs: dict[str, Handoff] = {}
 
     def files(self, report: ReportResult, unix_s: float) -> dict[str, str]:
-        """The files' contents after a report, by name; none without an origin.
-
-        Args:
-            report: Of one emitter.
-            unix_s: Wall clock of the report.
-        """
+        """The files' contents after a report, by name; none without an origin."""
         if report.origin is None:
             return {}
         emitter = "unknown" if report.emitter_id is None else str(report.emitter_id)

@@ -103,7 +103,6 @@ def open_journal(
     """The black box of a new flight.
 
     Args:
-        config: The configuration.
         links: All of them, the vehicle's included.
         gcs_links: How many of them lead to ground stations.
         parameters: What a ground station changed before.
@@ -181,9 +180,7 @@ def fly(
     """Fly until asked to stop; the endpoint as it was at the end.
 
     Args:
-        config: The configuration.
         links: The vehicle's link, then those that carry only ranging, then ground stations'.
-        clock: Where the time comes from.
         gcs_links: How many of the links lead to ground stations.
         once: End by itself once the target is reported and the vehicle handed over.
         is_fresh: Take up nothing of an earlier run.

@@ -107,7 +107,6 @@ def load_yaml(path: Path, kind: type[T]) -> T:
 
     Args:
         path: The file, UTF-8.
-        kind: A frozen msgspec Struct.
 
     Raises:
         ConfigError: The file cannot be read or does not hold a `kind`; a line for every problem.
@@ -117,10 +116,6 @@ def load_yaml(path: Path, kind: type[T]) -> T:
 
 def read_text(path: Path, max_bytes: int = MAX_BYTES) -> str:
     """The text of a UTF-8 file, without a byte order mark.
-
-    Args:
-        path: The file.
-        max_bytes: It may not be larger.
 
     Raises:
         ConfigError: It cannot be read, or is no UTF-8.
@@ -146,8 +141,6 @@ def parse_yaml(text: str, kind: type[T], name: str) -> T:
     """The record of type `kind` in YAML text; empty text is all defaults.
 
     Args:
-        text: One YAML document.
-        kind: A frozen msgspec Struct.
         name: What to call the text in errors, usually the file's path.
 
     Raises:

@@ -71,7 +71,6 @@ class Tunables:
     """The parameters of one run; a `companion.link.parameter_server.TunableBook`.
 
     Args:
-        config: As its file has it.
         build_planner: Makes the planner of a configuration.
     """
 

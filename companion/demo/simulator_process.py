@@ -46,10 +46,7 @@ class SimulatorProcess:
 
     Args:
         report: Where the simulator writes its report.
-        seed: Of all its randomness.
-        speed: Times real time.
         scenario: A scenario file; None: the canonical one.
-        companion_port: Where to send to.
         autopilot: px4 or ardupilot; None: the scenario's.
     """
 

@@ -48,7 +48,6 @@ def look_at_host(logs: Path, state: Path, key_file: str | None) -> HostFacts:
     """What there is.
 
     Args:
-        logs: Where flights are kept.
         state: Where checkpoints and locks are kept.
         key_file: Of the signing key; None: there is none.
     """
@@ -321,8 +320,6 @@ def run_doctor(config: CompanionConfig, link: LinkSpec, duration_s: float) -> li
 
     Args:
         config: Of the flight that is meant.
-        link: The vehicle's.
-        duration_s: How long streams are counted.
 
     Raises:
         LinkError: The link cannot be opened, or a companion flies on it.
@@ -342,9 +339,6 @@ def look_at_link(
 
     Args:
         config: Of the flight that is meant.
-        link: The vehicle's.
-        duration_s: How long streams are counted.
-        state: Where locks are.
         can_sign: Whether the key, if there is one, can be used.
     """
     name = link_name(link)

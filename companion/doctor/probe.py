@@ -66,8 +66,6 @@ class DoctorProbe:
     Args:
         name: Of the link, for the facts.
         system_id: The autopilot's; None: the first one heard.
-        authenticity: Signing.
-        duration_s: How long streams are counted.
     """
 
     def __init__(

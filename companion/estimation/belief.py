@@ -93,10 +93,8 @@ def hypotheses_of(
     """The hypotheses of a belief that nobody renewed for a while.
 
     Args:
-        belief: Without a problem.
         age_s: How long ago it was held.
         now_s: The present, on the tracker's clock.
-        params: How much the target moves.
     """
     walk = max(params.process_noise_m_per_sqrt_s, DRIFT_M_PER_SQRT_S)
     hypotheses = []

@@ -55,8 +55,6 @@ def update_hypotheses(
     """All hypotheses after a measurement.
 
     Args:
-        hypotheses: Before it.
-        target_filter: What each is run by.
         measurement: With its bearing, if any, in ENU.
         sensor_enu_m: Where the antenna was at its time.
         inflation: Variance inflation of range, bearing and elevation that the filter is told.
@@ -95,9 +93,7 @@ def log_likelihood(
     """Robust log-likelihood of all innovations of an update, tempered by the inflation.
 
     Args:
-        report: Of the update.
         thresholds: Long and short one of range, bearing and elevation.
-        inflation: Of their variances.
     """
     total = 0.0
     for row, (k_long, k_short), c in zip(report.modalities, thresholds, inflation, strict=True):
@@ -129,10 +125,7 @@ def estimate_of(
 
     Args:
         hypotheses: At least one, best first.
-        model: Layout of the state.
         localised_r95_m: The state is `localised` while R95 is at most this.
-        measurements: Accepted so far.
-        now_s: The present.
         is_diverged: Whether the filter was started anew a short while ago.
     """
     weights, best = probabilities(hypotheses), hypotheses[0]

@@ -71,9 +71,6 @@ def first_hypotheses(
 
     Args:
         measurement: With range, bearing in ENU, or both.
-        sensor_enu_m: Where the antenna was.
-        filter_params: Priors of position and offsets.
-        params: The layout.
     """
     if measurement.range_m is not None and measurement.bearing_enu_rad is not None:
         return _fix(measurement, sensor_enu_m, filter_params)
@@ -210,7 +207,6 @@ def state_step(params: FilterParams, shift_enu_m: PositionEnu, turn_rad: float) 
     """By how much each component of a state moves, (n,).
 
     Args:
-        params: Layout of the state.
         shift_enu_m: By how much the vehicle's reported position jumped.
         turn_rad: By how much bearings turned, counter-clockwise.
     """
@@ -226,7 +222,6 @@ def shift_hypothesis(hypothesis: Hypothesis, step: Vector) -> Hypothesis:
     """The hypothesis after a jump.
 
     Args:
-        hypothesis: Before it.
         step: (n,), see `state_step`.
     """
     state = hypothesis.state
@@ -248,7 +243,6 @@ def shift_rows(
         rows: (n, 10), see `map_kernels`.
         shift_enu_m: By how much the vehicle's reported position jumped.
         step: (n,), see `state_step`.
-        params: Layout of the state.
     """
     east_m, north_m, up_m = shift_enu_m
     after = np.array(rows)

@@ -78,7 +78,6 @@ def predicted(mean: Vector, sensor_enu_m: Vector, model: RangingModel) -> Vector
     Args:
         mean: (n,) state.
         sensor_enu_m: (3,).
-        model: The constants.
     """
     de = float(mean[0]) - float(sensor_enu_m[0])
     dn = float(mean[1]) - float(sensor_enu_m[1])
@@ -140,7 +139,6 @@ def variances(
         mean: (n,) state.
         sensor_enu_m: (3,).
         sigma: (3,) noise of the radio.
-        model: The constants.
     """
     de = float(mean[0]) - float(sensor_enu_m[0])
     dn = float(mean[1]) - float(sensor_enu_m[1])

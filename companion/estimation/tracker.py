@@ -112,7 +112,6 @@ class TargetTracker:
     """Tracks one emitter.
 
     Args:
-        params: Filter, plausibility and honesty.
         emitter_id: The emitter to follow; None: the first one heard.
     """
 
@@ -148,7 +147,6 @@ class TargetTracker:
         Args:
             measurement: Its bearing, if any, in ENU.
             sensor_enu_m: Where the antenna was at the time of the measurement; None: unknown.
-            now_s: The present.
         """
         refusal = self._refusal_of(measurement, sensor_enu_m, now_s)
         if refusal is not None or sensor_enu_m is None:

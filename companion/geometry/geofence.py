@@ -176,8 +176,6 @@ def difference(
     400 places).
 
     Args:
-        own: Ours.
-        other: The autopilot's.
         tolerance_m: How far apart borders may be.
         more_keep_out_enu_m: Keep-outs of ours that the autopilot need not have.
     """

@@ -45,7 +45,6 @@ class FreeSpace:
 
     Args:
         fence_enu_m: Corners of the fence; None: no fence.
-        keep_out_enu_m: Polygons to stay out of.
         margin_m: Distance to keep from every border, on its allowed side.
     """
 
@@ -221,9 +220,6 @@ def share_in_capsule(
     """The part of a leg that is closer to an edge than a radius, as shares of the leg's line.
 
     Args:
-        start: Of the leg.
-        end: Of the leg.
-        edge: With two different ends.
         radius_m: Of the capsule about the edge.
     """
     (ae, an), (be, bn) = edge
@@ -332,12 +328,6 @@ def leashed(start: Point, goal: Point, home: Point, reach_m: float) -> Point:
     """The farthest point of a straight way that is not too far from home.
 
     From a start that is too far already only what is nearer counts.
-
-    Args:
-        start: Where the way begins.
-        goal: Where it ends.
-        home: Where distances are measured from.
-        reach_m: How far is too far.
     """
     radius_m = max(reach_m, math.dist(start, home))
     de, dn = goal[0] - start[0], goal[1] - start[1]

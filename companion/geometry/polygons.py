@@ -208,7 +208,6 @@ def ellipse_95(centre_enu_m: Point, covariance_m2: Covariance) -> Ellipse:
     """The ellipse that holds 95 % of a plane normal distribution.
 
     Args:
-        centre_enu_m: Its mean.
         covariance_m2: Symmetric, east first; rounding that makes an axis negative counts as zero.
     """
     (east, cross), (_, north) = covariance_m2

@@ -27,11 +27,7 @@ START, GOAL = -1, -2
 
 
 class WayFinder:
-    """Finds ways through one free space.
-
-    Args:
-        space: Where the legs may be.
-    """
+    """Finds ways through one free space."""
 
     def __init__(self, space: FreeSpace) -> None:
         self.space = space
@@ -44,12 +40,7 @@ class WayFinder:
         self._legs: dict[int, tuple[tuple[int, float], ...]] = {}
 
     def way(self, start: Point, goal: Point) -> tuple[Point, ...] | None:
-        """The corners of the shortest way and its goal, or None if there is no way.
-
-        Args:
-            start: An allowed point.
-            goal: An allowed point.
-        """
+        """The corners of the shortest way and its goal, or None if there is no way."""
         if self.space.is_clear(start, goal):
             return (goal,)
         arrived: dict[int, int] = {}

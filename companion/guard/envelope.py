@@ -103,7 +103,6 @@ class Stopping:
         """The greatest speed from which `room_m` is enough: v wait + v^2 / 2a = room.
 
         Args:
-            room_m: Not negative.
             wait_s: How long the speed is kept before braking.
         """
         waiting_mps = self.deceleration_mps2 * wait_s

@@ -138,11 +138,7 @@ class _Step:
 
 
 class Guard:
-    """Turns goals into setpoints.
-
-    Args:
-        limits: What no setpoint may exceed.
-    """
+    """Turns goals into setpoints."""
 
     def __init__(self, limits: GuardLimits) -> None:
         self.use(limits)
@@ -198,9 +194,6 @@ class Guard:
 
         Args:
             goal_enu_m: Where the planner wants to be, at its altitude.
-            previous: The setpoint before.
-            motion: Of the vehicle.
-            dt_s: Time since the setpoint before.
             speed_cap_mps: No faster than this, where that is less than the limits.
 
         Raises:

@@ -105,11 +105,8 @@ class SessionContext:
     """The state of one session, and the commands that a call has collected so far.
 
     Args:
-        params: How the mission is flown.
         emitters: The estimates of the targets, and whose turn it is.
         planner: Where to fly, given the estimate.
-        guard: What may be sent.
-        fencing: Gives the guard its fence.
         needs_origin: Whether setpoints are global, so that nothing flies without an origin.
     """
 

@@ -48,9 +48,7 @@ class StopRule:
 
         Args:
             estimate: Of this moment; None breaks the run.
-            now_s: The present.
             radius_m: R95 must be at most this.
-            confirm_s: For this long.
         """
         if estimate is None or not _is_enough(estimate, radius_m):
             self._since_s = None
@@ -72,13 +70,7 @@ ENDED_EARLY = "SEARCH ENDED, battery low:"
 
 
 class Reporting:
-    """Reports each emitter once, and after the last one asks for the mode that follows.
-
-    Args:
-        situation: Of the session.
-        battery: Ends the mission early.
-        turns: Which emitter is looked for.
-    """
+    """Reports each emitter once, and after the last one asks for the mode that follows."""
 
     def __init__(
         self, situation: SessionContext, battery: BatteryWatch, turns: EmitterScheduler
@@ -164,14 +156,7 @@ SILENCE_S = 0.3
 
 
 class ControlTick:
-    """Runs 20 times a second; heartbeats and setpoints come from here and from nowhere else.
-
-    Args:
-        situation: Of the session.
-        watches: Say what is wrong.
-        handover: Lets the vehicle go.
-        turns: Which emitter is looked for.
-    """
+    """Runs 20 times a second; heartbeats and setpoints come from here and from nowhere else."""
 
     def __init__(
         self,

@@ -104,11 +104,8 @@ def result_of(
     """The result of the flight, and the operator's text about it.
 
     Args:
-        estimate: Where the target is.
         origin: Zero of the local frame; without it there are no degrees to tell.
         target_height_m: Of the target in the local frame.
-        emitter_id: Which emitter it is.
-        head: What the text begins with.
     """
     r95 = f"R95 {estimate.r95_m:.1f} m"
     if origin is None:
@@ -216,7 +213,6 @@ class MotionMessages:
         """What is news, mostly nothing.
 
         Args:
-            emitter_id: Whose motion.
             motion: How it walks; None: it lies still.
         """
         is_walking, was_walking = motion is not None, emitter_id in self._walking

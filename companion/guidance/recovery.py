@@ -41,11 +41,7 @@ def remembered(situation: SessionContext) -> SessionMemory:
 
 
 class Recollection:
-    """Takes up what an earlier session knew.
-
-    Args:
-        situation: Of the session.
-    """
+    """Takes up what an earlier session knew."""
 
     def __init__(self, situation: SessionContext) -> None:
         self._situation = situation
@@ -66,13 +62,7 @@ class Recollection:
         self._situation.has_launched = True
 
     def recall(self, memory: SessionMemory, age_s: float, now_s: float) -> None:
-        """Take up a memory.
-
-        Args:
-            memory: Without a problem.
-            age_s: How old it is.
-            now_s: The present.
-        """
+        """Take up a memory."""
         self.forbid_launch()
         situation = self._situation
         if memory.fence_anchor is not None:

@@ -181,10 +181,8 @@ class GuidanceSession:
     """Guides one vehicle to one emitter after the other.
 
     Args:
-        params: How the mission is flown.
         emitters: The estimates of the targets, and whose turn it is.
         planner: Where to fly, given the estimate.
-        guard: What may be sent.
         needs_origin: Whether setpoints are global, so that nothing flies without an origin.
         fence_plan: Where the guard's fence comes from; None: the guard has it already.
     """

@@ -60,7 +60,6 @@ class BackgroundFile:
     """An append-only file with a writer thread.
 
     Args:
-        path: The file; its directory exists.
         max_bytes: Cap of the file and its older part together; None: none.
 
     Raises:
@@ -255,7 +254,6 @@ class BackgroundReplacer:
     """Replaces files from one thread.
 
     Args:
-        name: Of the thread.
         mode: Who may read and write the files, less the umask.
     """
 

@@ -45,10 +45,6 @@ def plain(value: object) -> object:
 def write_json_atomic(path: Path, value: object) -> None:
     """Replace a JSON file as a whole: a reader, or a power cut, sees the old one or the new one.
 
-    Args:
-        path: The file; its directory exists.
-        value: Anything; see `plain`.
-
     Raises:
         CompanionError: It cannot be written; an old file is still there then.
     """
@@ -64,8 +60,6 @@ def write_bytes_atomic(path: Path, content: bytes, mode: int = 0o666) -> None:
     """Replace a file as a whole: a reader, or a power cut, sees the old one or the new one.
 
     Args:
-        path: The file; its directory exists.
-        content: All of it.
         mode: Who may read and write it, less the umask.
 
     Raises:

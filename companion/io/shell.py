@@ -109,9 +109,7 @@ class Shell:
     """Runs one endpoint on its links.
 
     Args:
-        endpoint: What to run.
         links: Its links; their places are the `link` numbers in the chunks.
-        clock: Where the time comes from.
         on_wakeup: Called at the end of every wake-up with its time, seconds of `clock`.
     """
 

@@ -192,11 +192,7 @@ class _Want:
 
 
 class StreamRequester:
-    """Keeps the streams flowing; at most one request per tick, with back-off per stream.
-
-    Args:
-        freshness: Of the autopilot's streams.
-    """
+    """Keeps the streams flowing; at most one request per tick, with back-off per stream."""
 
     def __init__(self, freshness: StreamFreshness) -> None:
         self._freshness = freshness
@@ -327,7 +323,6 @@ class AutopilotQueries:
     """All of them.
 
     Args:
-        binding: The autopilot that is asked.
         fencing: Says whether its fence is wanted.
     """
 
@@ -364,7 +359,6 @@ class AutopilotQueries:
         """The questions to ask now.
 
         Args:
-            now_s: The present.
             is_mode_wanted: Whether a HEARTBEAT is asked for until one comes that ends a doubt.
         """
         binding = self._binding

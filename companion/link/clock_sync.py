@@ -199,8 +199,6 @@ class SenderClock:
         """Local time of a remote stamp that arrived at `now_s`, both in seconds.
 
         Args:
-            remote_s: The stamp.
-            now_s: The present.
             late_confirm_s: How long stamps must be late before they are those of a new clock.
         """
         before_s = self._timebase.offset_s

@@ -55,13 +55,10 @@ class CompanionEndpoint:
     """The companion on the wire; implements `companion.mav.endpoint.Endpoint`.
 
     Args:
-        session: The guidance.
         params: Which autopilot, and how it is commanded.
-        journal: Where to report.
         links: Number of links, the vehicle's included.
         tunables: The parameters that ground stations may change.
         gcs_links: How many of the links, the last ones, lead to ground stations.
-        link_params: How the links are used.
         signing: Proves what arrives and signs what leaves; None: neither.
         started_unix_s: Unix time at `now_s` = 0, for the timestamps of signatures.
         recorder: Keeps what the endpoint is told, so that the flight can be run again.

@@ -40,13 +40,8 @@ class SessionExecutor:
     """Tells the session what happened and does what it wants.
 
     Args:
-        session: The guidance.
-        params: How the autopilot is commanded.
-        binding: The autopilot.
-        outlet: The way out.
         dialogues: What is asked beside the session's requests; begins anew after a restart.
         health: Of the line; begins anew, too.
-        journal: Where to report.
     """
 
     def __init__(
@@ -91,8 +86,6 @@ class SessionExecutor:
         """Take in an ACK of the autopilot that is for us.
 
         Args:
-            ack: The message.
-            now_s: When it came.
             order: Of its frame among the autopilot's, if that is known.
         """
         answer = self._requests.answered(ack, now_s)
@@ -163,16 +156,7 @@ TEXTS_PER_S, TEXT_BURST = 10, 30
 
 
 class VehicleReceiver:
-    """Sorts what arrives on the vehicle link.
-
-    Args:
-        binding: Says who the autopilot is.
-        executor: Takes the events.
-        dialogues: Hear the autopilot, too.
-        health: So does this.
-        outlet: The way back.
-        journal: Where to report.
-    """
+    """Sorts what arrives on the vehicle link."""
 
     def __init__(
         self,

@@ -85,7 +85,6 @@ class FenceDownload:
         """The message to send now, if any.
 
         Args:
-            now_s: The present.
             autopilot: System and component that are asked.
             is_wanted: Whether to begin when nothing is in flight.
         """
@@ -124,8 +123,6 @@ class FenceDownload:
         """Take in a message of the autopilot; its fence, once that is complete.
 
         Args:
-            message: Any message.
-            now_s: The present.
             own: System and component that answers must be for.
         """
         reading = self._reading

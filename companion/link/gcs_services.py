@@ -106,12 +106,8 @@ class ParameterServer:
     """Answers ground stations.
 
     Args:
-        book: The parameters.
         session: Knows what may be changed now.
         binding: The autopilot, whose encoding is used.
-        executor: Takes changes to the session.
-        outlet: The way out.
-        journal: Where changes are noted down.
     """
 
     def __init__(
@@ -271,8 +267,6 @@ class CommandHandler:
 
     Args:
         executor: Takes what they mean for the session.
-        parameters: Whose encoding our AUTOPILOT_VERSION tells.
-        outlet: The way out.
     """
 
     def __init__(
@@ -287,8 +281,6 @@ class CommandHandler:
         """Answer a command to this very component.
 
         Args:
-            message: Any command.
-            now_s: The present.
             may_grant: Whether its sender may give control.
         """
         if (message.target_system, message.target_component) != self._outlet.own_ids:

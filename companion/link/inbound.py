@@ -215,8 +215,6 @@ class VehicleInbound:
         position that was sent before the origin moved is of another frame.
 
         Args:
-            message: Of the autopilot.
-            now_s: When it came.
             number: Its place in the order of sending, from the sequence numbers.
         """
         if self._is_overtaken(message, number, now_s):
@@ -381,9 +379,6 @@ class RangingInbound:
         """The measurement in a message, if it is a ranging message.
 
         Args:
-            message: Any message.
-            link: Where it came from.
-            now_s: When it came.
             vehicle_offset_s: Local time minus the autopilot's, if that is known.
         """
         if not isinstance(message, RangingMessage):

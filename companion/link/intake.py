@@ -169,7 +169,6 @@ class Intake:
     """One link's way in.
 
     Args:
-        codec: Cuts, proves and decodes.
         binding: The autopilot, whose address has the large budget; None on links without one.
     """
 
@@ -218,12 +217,7 @@ SHARE_OF_SILENCE = 0.5
 
 
 class FloodShield:
-    """Looks at one link's budget once per control tick.
-
-    Args:
-        intake: Of the vehicle's link.
-        binding: The autopilot.
-    """
+    """Looks at one link's budget once per control tick."""
 
     def __init__(self, intake: Intake, binding: AutopilotBinding) -> None:
         self._intake = intake
@@ -256,7 +250,6 @@ class LinkAlarms:
 
     Args:
         binding: Who the autopilot is, and who else says so.
-        intakes: Of all links.
     """
 
     def __init__(self, binding: AutopilotBinding, intakes: Sequence[Intake]) -> None:

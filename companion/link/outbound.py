@@ -220,11 +220,7 @@ def take_off(
 
 
 def autopilot_version(param_capability: int) -> Message:
-    """AUTOPILOT_VERSION of the companion, which is none, for what it can do.
-
-    Args:
-        param_capability: MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE or _C_CAST.
-    """
+    """AUTOPILOT_VERSION of the companion, which is none, for what it can do."""
     return mavlink.MAVLink_autopilot_version_message(
         mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2 | param_capability,
         *(0,) * 4,
@@ -244,7 +240,6 @@ def status_text(severity: int, text: str, text_id: int) -> list[Message]:
     """STATUSTEXT, in chunks where it does not fit into one.
 
     Args:
-        severity: MAV_SEVERITY.
         text: What to say; longer than four chunks it is cut.
         text_id: Non-zero number that joins the chunks of one text.
     """

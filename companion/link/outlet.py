@@ -91,7 +91,6 @@ class Outlet:
     Args:
         codecs: Of all links; those that carry only ranging do not send.
         binding: The autopilot that everything goes to.
-        journal: Where to report.
         gcs_links: Numbers of the links to ground stations.
     """
 
@@ -133,8 +132,6 @@ class Outlet:
         """Queue a message for the autopilot's address.
 
         Args:
-            message: What to send.
-            now_s: The present.
             can_be_spared: A line that is too slow for everything does without it.
         """
         data = self._codec.encode(message)
@@ -149,8 +146,6 @@ class Outlet:
 
         Args:
             message: Without a target, or with that of a ground station.
-            now_s: The present.
-            can_be_spared: As of `send`.
         """
         self.send(message, now_s, can_be_spared=can_be_spared)
         self.send_to_stations(message)

@@ -51,8 +51,6 @@ class Presence:
     """Tells ground stations what there is.
 
     Args:
-        session: The guidance.
-        outlet: The way out.
         has_icon: Whether ground stations on links of their own get icons.
     """
 
@@ -97,10 +95,8 @@ def estimate_message(
     """TARGET_ESTIMATE: ENU to north and east, counter-clockwise to clockwise.
 
     Args:
-        emitter_id: Which emitter.
         estimate: Where it is believed to be.
         origin: Of the local frame; None: not known.
-        now_s: The present.
     """
     latitude_e7, longitude_e7 = INT32_UNKNOWN, INT32_UNKNOWN
     if origin is not None:

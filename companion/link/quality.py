@@ -194,11 +194,7 @@ class Pacing:
 
 
 class LinkHealth:
-    """What is known about the line to the bound autopilot.
-
-    Args:
-        params: How the line is used.
-    """
+    """What is known about the line to the bound autopilot."""
 
     def __init__(self, params: LinkParams) -> None:
         self.sequence = SequenceMonitor()
@@ -248,12 +244,6 @@ class LinkCounters:
 
     Args:
         session: The guidance, for what became of the measurements.
-        intakes: Of all links.
-        binding: The autopilot.
-        health: How well it is heard.
-        authenticity: Who was believed.
-        outlet: The way out.
-        journal: Where to report.
     """
 
     def __init__(

@@ -180,7 +180,6 @@ class MavCodec:
         """The frame of `message`, with the link's next sequence number, signed if signing is on.
 
         Args:
-            message: What to send.
             component_id: Sends as another component of ours over the same link.
             is_mavlink1: For a peer that cannot read MAVLink 2.
 

@@ -67,7 +67,6 @@ class FrameSplitter:
         """The frames completed by `data`.
 
         Args:
-            data: The bytes that arrived.
             is_datagram: Whether `data` is complete in itself; an unfinished frame at its end
                 is then junk instead of a beginning.
         """
@@ -148,7 +147,6 @@ def frame_end(buffer: bytes, start: int) -> int:
     """Where the frame that begins at `start` ends, by its header; beyond `buffer` without one.
 
     Args:
-        buffer: Any bytes.
         start: The place of a magic byte.
     """
     magic = buffer[start]
@@ -179,7 +177,6 @@ def frame_crc(frame: bytes, crc_extra: int) -> int:
 
     Args:
         frame: At least header and payload.
-        crc_extra: CRC_EXTRA of its message.
     """
     end = HEADER_LENGTH[frame[0]] + frame[1]
     return crc16.mcrf4xx(frame[1:end] + bytes((crc_extra,)))

@@ -81,9 +81,7 @@ def value_from_raw(raw: bytes, kind: ParamType, encoding: ParamEncoding) -> floa
     """The value of four bytes; NaN and infinity come out as they are.
 
     Args:
-        raw: Four bytes.
         kind: The parameter's type, by which a cast float becomes whole.
-        encoding: Of the autopilot.
 
     Returns:
         An `int` for integer types unless it is not finite; not yet compared with any bounds.
@@ -111,9 +109,6 @@ class RawParamValue(mavlink.MAVLink_param_value_message):
 
     Args:
         name: Up to 16 ASCII characters.
-        raw: Four bytes.
-        kind: MAV_PARAM_TYPE.
-        count: Of all parameters.
         index: Of this one; 65535 where it is not told.
     """
 

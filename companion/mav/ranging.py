@@ -69,7 +69,6 @@ def ranging_from_message(message: Message, measured_at_s: float) -> RangingMeasu
     """The measurement in a ranging message, or None if it is no ranging message.
 
     Args:
-        message: Any decoded message.
         measured_at_s: Its `time_usec` on the companion's clock.
     """
     match message:

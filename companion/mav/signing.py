@@ -139,10 +139,8 @@ class Signing:
     """Signs and verifies the frames of one system.
 
     Args:
-        key: The shared secret.
         stored_timestamp: The newest one that an earlier run stored; 0 if there is none.
         streams: The last timestamp of each stream, as an earlier run stored them.
-        rules: How strict the receiver is.
         stored_clock: The earlier run's `clock`; None: only its timestamp is known.
     """
 
@@ -236,7 +234,6 @@ class Signing:
         Args:
             frame: An unsigned MAVLink 2 frame of ours.
             link_id: Of the link it leaves by, 0 to 255; different links get different ids.
-            crc_extra: CRC_EXTRA of its message.
 
         Raises:
             LocalProtocolError: It is MAVLink 1, or signed already.
@@ -290,8 +287,6 @@ def setup_from(
 
     Args:
         message: As decoded, its frame accepted by `Signing.verify` if there is a key already.
-        system_id: Ours.
-        component_id: Ours.
         is_trusted_link: Whether the link it came by is a wire, or loopback.
     """
     if not isinstance(message, mavlink.MAVLink_setup_signing_message) or not is_trusted_link:

@@ -82,11 +82,7 @@ def overshoot_m(
     """How far beyond the estimate a crossing goes: the worst direction's sigmas, within limits.
 
     Args:
-        variance_east_m2: Of the estimate.
-        covariance_m2: Of its east and north.
-        variance_north_m2: Of the estimate.
         baseline_m: See `PlanRequest`; never shorter than this, within the upper limit.
-        rule: The parameters.
     """
     half_trace = 0.5 * (variance_east_m2 + variance_north_m2)
     half_gap = 0.5 * (variance_east_m2 - variance_north_m2)
@@ -193,13 +189,7 @@ def latched_step(
 
     Args:
         latch: (LATCH_SIZE,) the one flown so far; zeros: none.
-        east_m: Of the vehicle.
-        north_m: Of the vehicle.
-        target_east_m: Of the estimate.
-        target_north_m: Of the estimate.
-        over_m: The present overshoot.
         is_at_height: Whether the vehicle is at the height of the crossing; true in the plane.
-        rule: The parameters.
     """
     verdict = latch_verdict(
         latch, east_m, north_m, target_east_m, target_north_m, over_m, is_at_height, rule

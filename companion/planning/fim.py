@@ -72,9 +72,6 @@ def worst_variance_m2(
     Args:
         P: (4, 4) covariance of [east, north, range offset, bearing offset].
         de_m: From the place of the measurement to the estimate, east.
-        dn_m: The same, north.
-        du_m: The same, up.
-        range_variance_m2: Thermal noise.
         bearing_variance_rad2: Thermal noise; infinite: bearings are not measured.
         near_target_terms: Whether to add the second-order terms.
     """
@@ -123,13 +120,9 @@ def best_candidate(
     Args:
         P: (4, 4) covariance of [east, north, range offset, bearing offset].
         de_m: From the vehicle to the estimate, east.
-        dn_m: The same, north.
-        du_m: The same, up.
         ring_m: (k, 2) steps of the candidates.
         may_fly: (k,) whether a candidate may be flown to.
         range_variance_m2: See `worst_variance_m2`.
-        bearing_variance_rad2: See there.
-        near_target_terms: See there.
     """
     best = STAY
     least = worst_variance_m2(
@@ -161,7 +154,6 @@ class FimPlanner:
     """The information-theoretic benchmark; it needs no memory.
 
     Args:
-        params: Candidates and prior knowledge.
         range_sigma_m: Thermal noise of the expected range.
         bearing_sigma_rad: Thermal noise of the expected bearing.
     """

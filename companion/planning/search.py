@@ -109,11 +109,7 @@ class Pattern(Protocol):
 
 
 class SearchPlanner:
-    """Flies a pattern again and again, whatever the estimate.
-
-    Args:
-        pattern: What to fly.
-    """
+    """Flies a pattern again and again, whatever the estimate."""
 
     search_after_s: float | None = 0.0
 
@@ -353,7 +349,6 @@ class SearchThenCross(Generic[Crossing]):
 
     Args:
         search: Flies while there is no contact.
-        crossing: Flies while there is.
         lost_after_s: Without a usable measurement for this long, contact is lost.
     """
 

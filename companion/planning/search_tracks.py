@@ -76,7 +76,6 @@ def parallel_track(
         inset_m: What its border has already lost to a margin.
         spacing_m: Lanes are no farther apart than this.
         heading_rad: Of the lanes, clockwise from north.
-        spaces: Where the lanes may be.
         entry_enu_m: The track begins at the end of a lane that is nearest to this.
     """
     along = _unit(heading_rad)
@@ -105,11 +104,9 @@ def expanding_square(
     """A square spiral.
 
     Args:
-        datum_enu_m: Where it begins.
         spacing_m: Between neighbouring legs, and the length of the first.
         radius_m: Half the width of the square that it closes in the end, rounded down to spacings.
         heading_rad: Of the first leg, clockwise from north.
-        spaces: Where the legs may be.
     """
     legs, place = [], datum_enu_m
     rings = math.floor(radius_m / spacing_m + 1e-9)
@@ -129,9 +126,7 @@ def sector_search(
 
     Args:
         datum_enu_m: Centre of the circle that is searched.
-        radius_m: Of the circle.
         heading_rad: Of the first leg, clockwise from north.
-        spaces: Where the legs may be.
     """
     legs, place, course_rad = [], datum_enu_m, heading_rad
     for _ in range(3):

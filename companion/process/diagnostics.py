@@ -79,10 +79,7 @@ class ProcessDiagnostics:
     """Counts and tells.
 
     Args:
-        endpoint: Whose operator is told.
         journal: Where records go, and what is watched.
-        timing: Of the shell.
-        links: Of the shell.
         store: Where checkpoints go; None: nowhere.
         speed: Seconds of the clock per wall second.
     """
@@ -180,12 +177,7 @@ LINK_TEXTS_PER_S = 0.1
 
 
 class LinkWatch:
-    """Looks at the counters once a second.
-
-    Args:
-        links: Of a shell.
-        journal: Where to report.
-    """
+    """Looks at the counters once a second."""
 
     def __init__(self, links: Sequence[Link], journal: Journal) -> None:
         self._links = links

@@ -97,13 +97,8 @@ class RestartKeeper:
     """Keeps the memory of one flight, and recalls that of the one before.
 
     Args:
-        endpoint: The flight.
-        store: Where checkpoints are.
-        digests: Of the configuration.
-        clock: Of the shell.
         max_age_s: A memory older than this means nothing.
         is_fresh: Whether the operator says that there is nothing to take up.
-        moment: Tells the present.
     """
 
     def __init__(

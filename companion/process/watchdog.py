@@ -31,11 +31,7 @@ MAX_STATUS = 200
 
 
 class Supervisor:
-    """The service manager, or nobody.
-
-    Args:
-        environment: Of the process.
-    """
+    """The service manager, or nobody."""
 
     def __init__(self, environment: Mapping[str, str]) -> None:
         self.failed = 0
@@ -109,11 +105,6 @@ class Watchdog:
     """Tells the service manager how we are.
 
     Args:
-        supervisor: The manager, or nobody.
-        endpoint: The flight.
-        journal: The black box.
-        timing: Of the shell.
-        links: Of the shell.
         store: Where checkpoints go; None: nowhere.
     """
 
@@ -142,7 +133,6 @@ class Watchdog:
         """Say what is due.
 
         Args:
-            now_s: The session's time.
             wall_s: Monotonic wall seconds.
         """
         if not self._supervisor.is_there or self._timing.fired == 0:

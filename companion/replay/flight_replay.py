@@ -196,7 +196,6 @@ def replay_flight(
     Args:
         path: Its folder, a file in it, or an MCAP file.
         config: Another configuration; None: the flight's own.
-        say: Takes remarks for people.
         on_input: Sees the endpoint after every input.
         listen: Makes a journal that hears everything, too, and passes it on.
 
@@ -218,11 +217,7 @@ def replay_flight(
 
 
 class Pace:
-    """Lets a replay take its time, for people who watch.
-
-    Args:
-        speed: Times real time.
-    """
+    """Lets a replay take its time, for people who watch."""
 
     def __init__(self, speed: float) -> None:
         self._speed = speed
@@ -243,12 +238,7 @@ REFRESH_S = 0.25
 
 
 class MapOfReplay:
-    """Feeds the page from a replay, and goes on showing its last moment.
-
-    Args:
-        view: The page.
-        speed: Times real time.
-    """
+    """Feeds the page from a replay, and goes on showing its last moment."""
 
     def __init__(self, view: WebView, speed: float) -> None:
         self._view = view
@@ -262,11 +252,7 @@ class MapOfReplay:
         self._view.update(endpoint, now_s)
 
     def linger(self, is_over: Callable[[], bool] = lambda: False) -> None:
-        """Show the last moment until Ctrl-C, so that the page does not call it old.
-
-        Args:
-            is_over: Ends it, too.
-        """
+        """Show the last moment until Ctrl-C, so that the page does not call it old."""
         if self._last is None:
             return
         endpoint, ended_s = self._last
@@ -293,9 +279,7 @@ def replay_on_map(
     Args:
         path: Its folder, a file in it, or an MCAP file.
         config: Another configuration; None: the flight's own.
-        say: Takes remarks for people.
         settings: Of the page; there are no buttons, whatever they say.
-        speed: Times real time.
         done: Gets the result as soon as it is there.
 
     Raises:

@@ -106,9 +106,7 @@ def rerun(
     """Run a flight again.
 
     Args:
-        inputs: What the endpoint was told.
         config: The flight's, or another one to compare with.
-        facts: How it was flown.
         on_input: Sees the endpoint after every input.
         listen: Makes a journal that hears everything, too, and passes it on.
     """
@@ -192,12 +190,7 @@ def _of_mcap(found: McapFlight) -> Recording:
 
 
 def course_of(lines: Iterable[Json], frames: Iterable[bytes]) -> Course:
-    """The estimates and setpoints in a flight's logs.
-
-    Args:
-        lines: Of the event log.
-        frames: Sent and received.
-    """
+    """The estimates and setpoints in a flight's logs."""
     course = Course()
     for line in lines:
         if line.get("kind") == "estimate":

@@ -99,8 +99,6 @@ def replay_walk(
     """Run one tracker per target over a recorded walk.
 
     Args:
-        path: The CSV file.
-        params: As the companion flies with.
         progress: Called now and then with the number of rows done.
 
     Raises:

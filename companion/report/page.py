@@ -219,13 +219,7 @@ LINK_WORDS = {
 
 
 def report_page(story: FlightSummary, facts: FlightFacts, name: str) -> str:
-    """The page as text.
-
-    Args:
-        story: The flight.
-        facts: How it was flown.
-        name: Of the flight.
-    """
+    """The page as text."""
     environment = Environment(
         loader=PackageLoader("companion.report"),
         autoescape=True,

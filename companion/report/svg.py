@@ -53,10 +53,6 @@ class Drawing:
     """A plot with two axes.
 
     Args:
-        width: Of the whole drawing.
-        height: Of the whole drawing.
-        x: Lowest and highest value.
-        y: Lowest and highest value.
         title: For those who cannot see it.
         is_log: Whether the vertical axis is logarithmic.
     """

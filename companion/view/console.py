@@ -113,12 +113,7 @@ class PlainView:
         return journal
 
     def update(self, endpoint: CompanionEndpoint, now_s: float) -> None:
-        """Log a line, if it is time.
-
-        Args:
-            endpoint: The companion.
-            now_s: The present.
-        """
+        """Log a line, if it is time."""
         if now_s < self._next_s or endpoint.session.phase not in TOLD_PHASES:
             return
         self._next_s = now_s + PERIOD_S

@@ -39,7 +39,6 @@ def cot_event(handoff: Handoff, sender: str) -> bytes:
     """One event; an emitter keeps its `uid`, so the next event moves the same marker.
 
     Args:
-        handoff: What is known.
         sender: Distinguishes two vehicles that find the same emitter.
     """
     emitter = printable(handoff.emitter)
@@ -132,7 +131,6 @@ class CotView:
 
     Args:
         address: Host, or multicast group, and UDP port.
-        unix_s: The wall clock.
 
     Raises:
         LinkError: There is no such host.
@@ -159,12 +157,7 @@ class CotView:
         return journal
 
     def update(self, endpoint: CompanionEndpoint, now_s: float) -> None:
-        """Send what is due.
-
-        Args:
-            endpoint: The companion.
-            now_s: The present.
-        """
+        """Send what is due."""
         if now_s < self._next_s:
             return
         self._next_s = now_s + LOOK_S

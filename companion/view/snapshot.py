@@ -35,11 +35,7 @@ ESTIMATE_WORDS = {
 
 
 def scene_of(config: CompanionConfig) -> Json:
-    """What does not change during a flight.
-
-    Args:
-        config: Of the flight.
-    """
+    """What does not change during a flight."""
     mission = config.mission
     return {
         "stop_radius_m": mission.stop_radius_m,
@@ -52,12 +48,7 @@ def scene_of(config: CompanionConfig) -> Json:
 
 
 def picture_of(endpoint: CompanionEndpoint, now_s: float) -> Json:
-    """What is known now.
-
-    Args:
-        endpoint: The companion.
-        now_s: The present.
-    """
+    """What is known now."""
     session = endpoint.session
     status = session.status(now_s)
     vehicle = session.vehicle
@@ -217,7 +208,6 @@ class TimeToGo:
 
     Args:
         stop_radius_m: Reported once R95 stays under this.
-        confirm_s: For this long.
     """
 
     def __init__(self, stop_radius_m: float, confirm_s: float) -> None:
@@ -234,7 +224,6 @@ class TimeToGo:
         """The seconds to go, or None where nothing can be said.
 
         Args:
-            now_s: The present.
             r95_m: None without an estimate.
         """
         if r95_m is None or not r95_m > 0.0:

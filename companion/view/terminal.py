@@ -55,12 +55,7 @@ BAR_FULL_M = 50.0
 
 
 def screen(moment: FlightSnapshot, title: str) -> Panel:
-    """The whole screen for one moment.
-
-    Args:
-        moment: What to show.
-        title: Above it, before the time.
-    """
+    """The whole screen for one moment."""
     grid = Table.grid(padding=(0, 2))
     grid.add_column(style="dim", justify="right", no_wrap=True)
     grid.add_column(min_width=52)
@@ -178,11 +173,7 @@ CLOSE_S = 0.5
 
 
 class ConsoleStream(io.TextIOBase):
-    """A text stream whose lines appear above the screen.
-
-    Args:
-        console: Draws the screen.
-    """
+    """A text stream whose lines appear above the screen."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
@@ -195,12 +186,7 @@ class ConsoleStream(io.TextIOBase):
 
 
 class TerminalView:
-    """The screen of one flight; a `companion.run.FlightView`.
-
-    Args:
-        config: Of the flight.
-        stream: A terminal.
-    """
+    """The screen of one flight; a `companion.run.FlightView`."""
 
     def __init__(self, config: CompanionConfig, stream: TextIO | None = None) -> None:
         mission = config.mission
@@ -223,12 +209,7 @@ class TerminalView:
         return journal
 
     def update(self, endpoint: CompanionEndpoint, now_s: float) -> None:
-        """Leave the present moment to be drawn, if it is time.
-
-        Args:
-            endpoint: The companion.
-            now_s: The present.
-        """
+        """Leave the present moment to be drawn, if it is time."""
         wall_s = time.monotonic()
         if wall_s < self._next_wall_s:
             return

@@ -80,12 +80,7 @@ class Collector:
 
 
 class TeeJournal:
-    """Passes everything on to the flight log, and what views need to a collector.
-
-    Args:
-        journal: The flight log.
-        collector: For the views.
-    """
+    """Passes everything on to the flight log, and what views need to a collector."""
 
     def __init__(self, journal: Journal, collector: Collector) -> None:
         self._journal = journal
@@ -130,7 +125,6 @@ class WebProcess:
     """Serves the page from a child process.
 
     Args:
-        settings: Where, and for whom.
         scene: What does not change during the flight, for `companion.view`'s page.
 
     Raises:
@@ -179,7 +173,6 @@ class WebProcess:
         """Send a picture if one is due and the pipe has room; the buttons pressed meanwhile.
 
         Args:
-            now_s: The present.
             picture: Makes it; only called when it goes out.
             may_send: Whether there is time for one now; otherwise it waits for the next call.
         """
@@ -286,8 +279,6 @@ class WebView:
     """The live map of one flight.
 
     Args:
-        settings: Where, and for whom.
-        config: Of the flight.
         truth_enu_m: Where the emitter is, if somebody knows it (the simulator does).
 
     Raises:
@@ -325,7 +316,6 @@ class WebView:
 
         Args:
             endpoint: The companion; buttons go to it.
-            now_s: The present.
         """
         has_room = endpoint.next_timer_s() - now_s >= ROOM_S
         make = partial(self._picture, endpoint, now_s)
@@ -333,13 +323,7 @@ class WebView:
             endpoint.ask(OperatorCommand(name), now_s)
 
     def show(self, endpoint: CompanionEndpoint, now_s: float, clock_s: float) -> None:
-        """Show a moment that is over, whatever buttons are pressed.
-
-        Args:
-            endpoint: The companion.
-            now_s: The moment.
-            clock_s: Goes on.
-        """
+        """Show a moment that is over, whatever buttons are pressed."""
         self._process.update(clock_s, lambda: self._picture(endpoint, now_s))
 
     def close(self) -> None:

@@ -140,11 +140,7 @@ def _of_plan(picture: Json) -> dict[str, str]:
 
 
 class AgeBars:
-    """How old each input is; a bar that is full is too old, and red.
-
-    Args:
-        scene: What does not change.
-    """
+    """How old each input is; a bar that is full is too old, and red."""
 
     def __init__(self, scene: Json) -> None:
         self._old_after_s: Mapping[str, float] = scene.get("old_after_s", {})
@@ -244,11 +240,7 @@ GREY, LINE = "#7c8a9a", "#3b82f6"
 
 
 class Charts:
-    """Four small charts, side by side on a desk and one below the other on a phone.
-
-    Args:
-        scene: What does not change.
-    """
+    """Four small charts, side by side on a desk and one below the other on a phone."""
 
     def __init__(self, scene: Mapping[str, Any]) -> None:
         self._count = 0

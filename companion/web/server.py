@@ -39,11 +39,7 @@ CURVE_POINTS = 600
 
 
 class Hub:
-    """Takes pictures in; pages read it.
-
-    Args:
-        scene: What does not change.
-    """
+    """Takes pictures in; pages read it."""
 
     def __init__(self, scene: Mapping[str, Any]) -> None:
         self.scene = scene
@@ -150,7 +146,6 @@ class Page:
     """One browser's page.
 
     Args:
-        hub: What is known.
         tile_zooms: The least and the most zoom of the map tiles; None: there are none.
         press: Sends a button's name to the companion; None: no buttons.
         wall_s: The present, for noticing that pictures stopped.
@@ -237,12 +232,7 @@ Send = Callable[[Any], Awaitable[None]]
 
 
 class HostCheck:
-    """Refuses requests that foreign pages may have caused; see `companion.web.access`.
-
-    Args:
-        app: What is behind it.
-        access: The rules.
-    """
+    """Refuses requests that foreign pages may have caused; see `companion.web.access`."""
 
     def __init__(self, app: Any, access: Access) -> None:
         self._app = app
@@ -269,14 +259,7 @@ class HostCheck:
 def build_app(
     hub: Hub, access: Access, tiles: Path | None, press: Callable[[str], None]
 ) -> FastAPI:
-    """The web application.
-
-    Args:
-        hub: What is known.
-        access: Who may do what.
-        tiles: Folder of map tiles.
-        press: Passes a button on.
-    """
+    """The web application."""
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
     app.add_middleware(HostCheck, access=access)
     zooms = None if tiles is None else zooms_of(tiles)

@@ -156,9 +156,7 @@ def web_settings(
     Args:
         address: `PORT` or `HOST:PORT`; without a host only this computer is served.
         token: What clients must show; beyond loopback one is made up if none is given.
-        is_control_on: Whether there are buttons.
         is_view_open: Whether clients without the token may look.
-        tiles: Folder of map tiles.
 
     Raises:
         ConfigError: An option is wrong.

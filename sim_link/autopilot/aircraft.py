@@ -108,9 +108,6 @@ class Fence:
     """Areas that must or must not be flown in.
 
     Several inclusions together are one: inside any of them is inside (PX4 and ArduPilot alike).
-
-    Args:
-        areas: Their shapes.
     """
 
     def __init__(self, areas: Sequence[Area] = ()) -> None:
@@ -191,7 +188,6 @@ class Aircraft:
     """One multicopter.
 
     Args:
-        scenario: Place, limits and configuration.
         noise_rng: Generator of the reported position's noise, of drift and gusts.
         first_mission_item: Index of the first mission item that is flown.
         body: What restarts where it is; None: a new one, at the scenario's start.
@@ -260,7 +256,6 @@ class Aircraft:
         """Move for a physics step; no command means that the motors stand.
 
         Args:
-            command_enu_mps: The wanted velocity.
             yaw_ned_rad: The wanted heading, as the estimator counts; None keeps the present one.
         """
         before = self.body.position_enu_m

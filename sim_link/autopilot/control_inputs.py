@@ -158,11 +158,7 @@ def sticks_from(message: mavlink.MAVLink_manual_control_message) -> Sticks:
 
 
 class StickInput:
-    """Whoever holds the sticks now.
-
-    Args:
-        params: The transmitter.
-    """
+    """Whoever holds the sticks now."""
 
     def __init__(self, params: RcParams) -> None:
         self._params = params

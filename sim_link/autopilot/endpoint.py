@@ -45,11 +45,6 @@ class SimEndpoint:
     """A PX4-like or ArduPilot-like vehicle with a radio payload.
 
     Args:
-        scenario: What is flown where.
-        seed: Seed of all randomness.
-        started_s: The shell's time at boot.
-        links: How many links it has.
-        parameters: Stored parameters, lines `NAME VALUE`.
         parameters_name: What to call them in errors, usually a file.
         signing: Proves and signs; None: neither, until a client sets a key up.
         trusted_links: Links that nobody else can hear, where unsigned frames are welcome.

@@ -37,7 +37,6 @@ class Estimator:
         origin: Zero of the world's frame, and of the local frame at boot.
         gps: What follows when there is no fix.
         noise_m: Standard deviation per axis of the reported position.
-        rng: Generator of noise and drift.
     """
 
     def __init__(
@@ -190,11 +189,7 @@ class _Cube:
 
 
 class GeodeticReports:
-    """Converts places that follow each other.
-
-    Args:
-        origin: Zero of the local frame.
-    """
+    """Converts places that follow each other."""
 
     def __init__(self, origin: LocalOrigin) -> None:
         self._origin = origin

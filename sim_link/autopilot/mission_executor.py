@@ -49,7 +49,6 @@ class MissionRun:
     """Progress through one mission.
 
     Args:
-        locate: The place of an item.
         first: Index of the first item that is flown: 1 where item 0 is home (ArduPilot).
     """
 

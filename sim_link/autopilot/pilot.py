@@ -59,12 +59,7 @@ class SpeedLimits:
 
 
 class Pilot:
-    """Flies the tasks.
-
-    Args:
-        vehicle: Limits and response, for braking.
-        home_enu_m: Where RETURN goes at first.
-    """
+    """Flies the tasks."""
 
     def __init__(self, vehicle: VehicleParams, home_enu_m: PositionEnu) -> None:
         self._vehicle = vehicle
@@ -165,8 +160,6 @@ class Pilot:
         """The heading that the task wants now, clockwise from north; None keeps the present.
 
         Args:
-            setpoint: What FOLLOW follows.
-            sticks: What OBEY_STICKS obeys.
             heading_rad: The present one, as the estimator has it.
         """
         match self.task:

@@ -24,10 +24,6 @@ class RadioPayload:
     """Measures at a fixed rate while the vehicle is high and near enough.
 
     Args:
-        params: Rate and reach.
-        channel: The true channel.
-        emitters: Whom to hear.
-        rng: The payload's own generator.
         environment: The obstacles between the two; None: there are none.
     """
 

@@ -105,11 +105,7 @@ CALIBRATION_REPORT_S = 0.5
 
 
 class Calibration:
-    """At most one at a time.
-
-    Args:
-        commands: Keeps it open and answers.
-    """
+    """At most one at a time."""
 
     def __init__(self, commands: Commands) -> None:
         self._commands = commands
@@ -142,12 +138,7 @@ Handler = Callable[[Any, Partner, float], list[Outgoing]]
 
 
 class Services:
-    """Answers for one vehicle.
-
-    Args:
-        vehicle: Whom they are for.
-        links: How many links it has.
-    """
+    """Answers for one vehicle."""
 
     def __init__(self, vehicle: SimVehicle, links: int) -> None:
         self._vehicle = vehicle

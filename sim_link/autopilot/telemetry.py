@@ -284,11 +284,7 @@ BUILDERS: dict[int, Builder] = {
 
 
 class Telemetry:
-    """Builds messages of one vehicle.
-
-    Args:
-        vehicle: Whose state to show.
-    """
+    """Builds messages of one vehicle."""
 
     def __init__(self, vehicle: SimVehicle) -> None:
         self._vehicle = vehicle

@@ -46,7 +46,6 @@ def make_flavour(
     """The scenario's autopilot, on an aircraft of its own.
 
     Args:
-        scenario: Place, limits and configuration.
         noise_rng: Generator of noise, drift and gusts.
         body: What restarts where it is; None: a new one, at the scenario's start.
 
@@ -68,7 +67,6 @@ class SimVehicle:
     """One multicopter with its autopilot.
 
     Args:
-        scenario: Place, limits and configuration.
         noise_rng: Generator of the reported position's noise.
         body: What restarts where it is; None: a new one, at the scenario's start.
 
@@ -212,11 +210,7 @@ class SimVehicle:
 
 
 class IncidentSchedule:
-    """The incidents that are still to come.
-
-    Args:
-        incidents: In any order.
-    """
+    """The incidents that are still to come."""
 
     def __init__(self, incidents: Iterable[Incident]) -> None:
         self._coming = sorted(incidents, key=lambda incident: incident.time_s, reverse=True)
@@ -234,7 +228,6 @@ def apply_incident(incident: Incident, vehicle: SimVehicle, now_s: float) -> Non
 
     Args:
         incident: What; its `time_s` means nothing here.
-        vehicle: To whom.
         now_s: Seconds since the vehicle's boot.
     """
     aircraft, estimator = vehicle.aircraft, vehicle.aircraft.estimator

@@ -30,7 +30,6 @@ class Fleet:
     """Endpoints that share nothing but the loop; implements `companion.mav.endpoint.Endpoint`.
 
     Args:
-        endpoints: One per vehicle.
         links_each: How many links every one of them has; vehicle n has those from n times this on.
     """
 
@@ -210,12 +209,7 @@ def stored_parameters(path: Path | None) -> str:
 
 
 class FleetFiles:
-    """Reports, parameters and the key, written as they change.
-
-    Args:
-        wishes: Which there are.
-        endpoints: Whose they are.
-    """
+    """Reports, parameters and the key, written as they change."""
 
     def __init__(self, wishes: FleetOptions, endpoints: Sequence[SimEndpoint]) -> None:
         self._wishes = wishes

@@ -92,8 +92,6 @@ def flown(marker: pytest.Mark, folder: Path, flavour: FlavourName | None = None)
     """The flight that a marker asks for; a marker or script that is wrong fails the test.
 
     Args:
-        marker: Of the test.
-        folder: Where its script is.
         flavour: Of several autopilots that the script lists.
     """
     from companion.errors import CompanionError

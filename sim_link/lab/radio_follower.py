@@ -77,10 +77,7 @@ class RadioFollower:
     """Implements `companion.mav.endpoint.Endpoint`.
 
     Args:
-        params: Rate and reach.
-        channel: The true channel.
         emitters: Whom to hear; those with a place on Earth wait until the origin is known.
-        rng: The channel's own generator.
         environment: The obstacles in the local frame; None: there are none.
         has_own_link: Whether measurements go to link 1 instead of back to the vehicle's.
     """

@@ -23,9 +23,6 @@ class _Parser(argparse.ArgumentParser):
 def run_subcommand(argv: Sequence[str]) -> int:
     """Run it.
 
-    Args:
-        argv: Arguments without the program's name.
-
     Returns:
         The exit code.
 

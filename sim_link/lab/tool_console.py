@@ -75,7 +75,6 @@ def shown(total: float, stream: TextIO) -> Iterator[OnDone]:
 
     Args:
         total: Of the work, in any unit that is proportional to time.
-        stream: Usually standard error.
     """
     if not stream.isatty():
         yield Lines(total, stream, monotonic).done
@@ -97,8 +96,6 @@ class Lines:
     """Progress in lines of text, the first after some time.
 
     Args:
-        total: Of the work.
-        stream: Where to.
         clock: Seconds since whenever.
     """
 

@@ -69,11 +69,7 @@ class EmitterParams(Params, frozen=True):
 
 
 class Emitter:
-    """A radio that does not move.
-
-    Args:
-        params: Its identity and place.
-    """
+    """A radio that does not move."""
 
     def __init__(self, params: EmitterParams) -> None:
         self.emitter_id = params.emitter_id
@@ -188,8 +184,6 @@ def open_obstruction(
     Args:
         uniform: In [0, 1).
         exponential: Of mean 1.
-        normal: Standard.
-        open_path: What a path suffers there.
 
     Paper: b of eq. (1).
     """
@@ -214,12 +208,7 @@ def remembered(
     Args:
         uniform: In [0, 1).
         exponential: Of mean 1.
-        normal: Standard.
-        e: Of the sensor.
-        n: Of the sensor.
-        up: Of the sensor.
         correlation_m: Of both extra and bend; 0: none.
-        memory: Of the measurement before.
     """
     kept = 0.0
     if correlation_m > 0.0 and not math.isnan(memory.east_m):
@@ -255,13 +244,8 @@ def obstruction(
     Args:
         uniform: Drawn, in [0, 1).
         exponential: Drawn, of mean 1.
-        normal: Drawn, standard.
-        e: Of the sensor.
-        n: Of the sensor.
         up: Of the sensor; 0 in the plane.
         open_path: What a path suffers outside of all shadows.
-        shadow: What it suffers inside.
-        surroundings: The emitter and the obstacles.
         memory: Of the measurement before; `NO_MEMORY` at first.
 
     Returns:
@@ -306,7 +290,6 @@ class Environment:
     """The obstacles of a scene.
 
     Args:
-        obstacles: They may touch and overlap.
         shadow: What a path suffers that they block.
     """
 

@@ -166,8 +166,6 @@ def ways_to(
     would shorten a way.
 
     Args:
-        target_e: Of the target.
-        target_n: Of the target.
         corners: (c, 2).
         edges: (k, 6).
         lets_out: (k,) walls of the obstacles that the target is inside of.
@@ -199,9 +197,6 @@ def way_around(
     """Length of the shortest way in the plane, metres, and its first corner.
 
     Args:
-        e: Of the sensor.
-        n: Of the sensor.
-        surroundings: The emitter and the obstacles.
         lets_out: (k,) walls of the obstacles that either end is inside of.
 
     Returns:
@@ -230,9 +225,7 @@ def taut_m(at_m: Vector, tops_m: Vector, start_up: float, length_m: float, end_u
     Args:
         at_m: (k,) how far from the start they are, on the ground.
         tops_m: (k,) their heights, finite.
-        start_up: Height of the string's start.
         length_m: How far its end is, on the ground.
-        end_up: Height of its end.
     """
     if length_m == 0.0:
         return abs(end_up - start_up)
@@ -254,10 +247,6 @@ def way_over(e: float, n: float, up: float, surroundings: Surroundings, lets_out
     """Length of the shortest way straight over the roofs, metres; infinite: too high.
 
     Args:
-        e: Of the sensor.
-        n: Of the sensor.
-        up: Of the sensor.
-        surroundings: The emitter and the obstacles.
         lets_out: (k,) walls of the obstacles that either end is inside of.
     """
     target_e, target_n, edges = surroundings.east_m, surroundings.north_m, surroundings.edges
@@ -278,12 +267,6 @@ def way_over(e: float, n: float, up: float, surroundings: Surroundings, lets_out
 @kernel
 def detour(e: float, n: float, up: float, surroundings: Surroundings) -> tuple[float, float]:
     """How much longer than straight a blocked signal goes, and how far its bearing is pulled.
-
-    Args:
-        e: Of the sensor.
-        n: Of the sensor.
-        up: Of the sensor.
-        surroundings: The emitter and the obstacles.
 
     Returns:
         Metres, never negative, and radians counter-clockwise in [-pi, pi]: from the direction of
@@ -332,7 +315,6 @@ def surroundings_of(
     """An emitter among obstacles, the ways from every corner to it found.
 
     Args:
-        target_enu_m: The emitter.
         edges: (k, 6) the walls.
         corners: (c, 2) places that a way may turn at.
     """

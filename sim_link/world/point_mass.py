@@ -63,10 +63,8 @@ class PointMass:
     """The vehicle's true motion.
 
     Args:
-        params: Limits and response.
         wind: The wind, felt in the air only.
         position_enu_m: Where it stands at the start.
-        ground_up_m: Height of the flat ground.
     """
 
     def __init__(
@@ -97,12 +95,7 @@ class PointMass:
         return math.hypot(*self._drift)
 
     def blow(self, normals: tuple[float, float], dt_s: float) -> None:
-        """Let the gusts change for `dt_s` seconds.
-
-        Args:
-            normals: Two standard normal numbers.
-            dt_s: Length of the step.
-        """
+        """Let the gusts change for `dt_s` seconds."""
         wind = self._wind
         kept = math.exp(-dt_s / wind.gust_time_constant_s)
         fresh = wind.gust_sigma_mps * math.sqrt(1.0 - kept * kept)
@@ -143,7 +136,6 @@ class PointMass:
         Args:
             command_enu_mps: The wanted velocity; None stops the motors.
             yaw_ned_rad: The wanted heading; None keeps the present one.
-            dt_s: Length of the step.
         """
         if self.is_on_ground and (command_enu_mps is None or command_enu_mps[2] <= 0.0):
             self._rest()

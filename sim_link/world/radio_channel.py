@@ -70,7 +70,6 @@ class RadioChannel:
 
     Args:
         params: Offsets, obstruction and noise of emitters that have no channel of their own.
-        rng: The channel's own generator.
         environment: The obstacles; None: there are none.
     """
 
@@ -93,12 +92,7 @@ class RadioChannel:
         self._obstruction((0.5, 1.0, 0.0), emitter, emitter.position_enu_m)
 
     def draw(self, emitter: Emitter, sensor_enu_m: PositionEnu) -> ChannelDraw:
-        """The next random part; always consumes the same amount of randomness.
-
-        Args:
-            emitter: Whom to measure.
-            sensor_enu_m: True position of the sensor.
-        """
+        """The next random part; always consumes the same amount of randomness."""
         uniform = float(self._rng.random())
         exponential = float(self._rng.standard_exponential())
         bend, range_noise, bearing_noise = self._rng.standard_normal(3).tolist()
@@ -117,13 +111,7 @@ class RadioChannel:
     def measure(
         self, emitter: Emitter, sensor_enu_m: PositionEnu, time_s: float
     ) -> RangingMeasurement:
-        """One measurement of `emitter`; it does not tell whether the path was obstructed.
-
-        Args:
-            emitter: Whom to measure.
-            sensor_enu_m: True position of the sensor.
-            time_s: When, on the vehicle's clock.
-        """
+        """One measurement of `emitter`; it does not tell whether the path was obstructed."""
         draw, character = self.draw(emitter, sensor_enu_m), self._character(emitter)
         range_m = (
             emitter.slant_range_m(sensor_enu_m)

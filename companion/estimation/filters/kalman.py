@@ -59,11 +59,7 @@ KernelResult = tuple[Vector, Matrix, Matrix, bool]
 
 
 class RecursiveFilter:
-    """An extended Kalman filter whose rows are weighed by the params' thresholds.
-
-    Args:
-        params: Noise, thresholds, priors and bounds.
-    """
+    """An extended Kalman filter whose rows are weighed by the params' thresholds."""
 
     def __init__(self, params: FilterParams) -> None:
         self.params = params
@@ -157,11 +153,7 @@ class HuberEkf(RecursiveFilter):
 
 
 class Ekf(RecursiveFilter):
-    """The baseline that believes its measurements; thresholds in the params do not count.
-
-    Args:
-        params: Noise, priors and bounds.
-    """
+    """The baseline that believes its measurements; thresholds in the params do not count."""
 
     def __init__(self, params: FilterParams) -> None:
         super().__init__(
@@ -206,8 +198,6 @@ def split(
         y: (3,), whitened; zero where nothing was measured.
         thresholds: (3, 2).
         inflation: (3,) factors on the variances: the loss counts that much less.
-        iterations: How often.
-        penalty: kappa.
     """
     PHt = np.dot(P, H.T.copy())
     spread = np.dot(H, PHt)
@@ -284,7 +274,6 @@ class AdmmEkf(RecursiveFilter):
 
     Args:
         params: Noise, thresholds, priors and bounds, as for the AsymmetricHuberEKF.
-        admm: Iterations and penalty.
     """
 
     def __init__(self, params: FilterParams, admm: AdmmParams | None = None) -> None:

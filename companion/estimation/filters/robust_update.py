@@ -46,7 +46,6 @@ def joseph_row(P: Matrix, H: Vector, R: float) -> tuple[Vector, Matrix, float]:
     Args:
         P: (n, n), symmetric positive definite.
         H: (n,) row of partials.
-        R: Effective variance.
 
     Returns:
         K (n,), the new P (n, n), exactly symmetric, and S.
@@ -208,7 +207,6 @@ def robust_update(
         inflation: (3,) factors on the variances.
         thresholds: (3, 2) long and short threshold of each modality, in sigma; inf: none.
         bounds: (2, n) lower and upper bounds of the state.
-        model: The constants.
 
     Returns:
         Mean, covariance, report (3, 7) with the fields of `ModalityReport` in their order, the

@@ -298,10 +298,8 @@ class NisWindow:
         """Take in an update; whether the NIS has been above its band for too long.
 
         Args:
-            report: Of the update.
             inflation: Variance inflation of range, bearing and elevation that the run has shown,
                 whether or not the filter was told.
-            time_s: When it was measured.
         """
         shares = [_normalised2(row, c) for row, c in _telling(report, inflation)]
         if not shares:

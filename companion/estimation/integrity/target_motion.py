@@ -123,8 +123,6 @@ class MotionWatch:
         """Take in a measurement.
 
         Args:
-            time_s: When it was made.
-            sensor_enu_m: Where.
             z: (3,) range, bearing, elevation; NaN where not measured.
             sigma: (3,) thermal noise.
         """
@@ -152,7 +150,6 @@ class MotionWatch:
         """Look whether the target walks.
 
         Args:
-            window_map: Noise, thresholds, priors and bounds.
             mean: (k,) what is believed of a target that lies still.
         """
         found = self._found(window_map, mean)
@@ -204,7 +201,6 @@ def motion_of(window_map: WindowMap, rows: Matrix, mean: Vector) -> Motion | Non
     """How a target walks that is believed to lie at `mean`, (k,); None: nothing says that it does.
 
     Args:
-        window_map: Noise, thresholds, priors and bounds.
         rows: (n, 10), see `map_kernels`, the time in place of the sequence number.
         mean: (k,) where to start from.
     """

@@ -172,8 +172,6 @@ class Contradiction:
 
         Args:
             report: Of the update with all that was measured.
-            inflation: In force at the update.
-            gate: What of it was fused.
         """
         bearings, side, ranges = self.bearings, self.side, self.ranges
         refused_ranges, refused_bearings = self.refused_ranges, self.refused_bearings
@@ -249,9 +247,7 @@ class TrackIntegrity:
         """Note how a measurement agrees; whether the estimate should be given up.
 
         Args:
-            measurement: All that was measured.
             report: What all of it would do.
-            gate: What of it is fused.
             inflation: That the run has shown, whether or not the filter was told.
         """
         inflation = self.judging(inflation)

@@ -190,7 +190,6 @@ def fit_range_noise(
     Args:
         residuals_m: (n,) measured minus predicted ranges.
         start: Where EM starts, and the prior.
-        params: Prior's worth and bounds.
         max_iterations: EM is slow where biases are no larger than sigma.
         tolerance: Gain of the objective, per measurement, below which EM ends.
     """

@@ -59,8 +59,6 @@ def range_expectations(
     """What one residual says about its bias and noise, given the parameters (the E-step).
 
     Args:
-        residual_m: Measured minus predicted range.
-        sigma_m: Thermal noise.
         mean_bias_m: Mean 1/lambda of a reflection's bias.
         nlos_share: Probability p of a reflection, in (0, 1).
         offset_m: Location mu of the thermal noise.
@@ -126,11 +124,6 @@ def bearing_expectations(
 def mean_map_bias(threshold: float, k: float, nlos_share: float) -> float:
     """E[max(0, u - threshold)] of a residual of the range mixture, everything in sigma.
 
-    Args:
-        threshold: In sigma.
-        k: True lambda sigma.
-        nlos_share: Probability of a reflection.
-
     Both parts integrate in closed form: the normal's is phi(t) - t Phi(-t), a reflection's adds
     the mass of its bias beyond t, (Phi(-t) + exp(k^2/2 - k t) Phi(t - k)) / k.
     """
@@ -147,8 +140,6 @@ def one_sided_huber_variance(knot: float, k: float, nlos_share: float) -> tuple[
     Args:
         knot: Where the residuals' influence is cut off. The location settles at the mean of
             min(u, knot), which is what the filter's range offset takes up.
-        k: True lambda sigma.
-        nlos_share: Probability of a reflection.
 
     Returns:
         Number of measurements times the variance, and the threshold knot - location.
@@ -184,7 +175,6 @@ def huber_variance(k: float, wide_ratio: float, wide_share: float) -> float:
     Args:
         k: Threshold on both sides, in narrow sigma.
         wide_ratio: Wide over narrow sigma of a mixture of two zero-mean normals.
-        wide_share: Probability of the wide one.
 
     Returns:
         In squares of the narrow sigma: 1 is what least squares has without the wide normal.

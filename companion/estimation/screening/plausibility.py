@@ -52,13 +52,7 @@ class FrozenValue:
         self.clear()
 
     def add(self, value: float, time_s: float, sensor_enu_m: PositionEnu) -> bool:
-        """Take in a value; whether it is frozen.
-
-        Args:
-            value: As the radio has it.
-            time_s: When it was measured, allegedly.
-            sensor_enu_m: Where the antenna was then.
-        """
+        """Take in a value; whether it is frozen."""
         if value != self._value:
             self._value, self._count = value, 1
             self._since_s, self._since_enu_m = time_s, sensor_enu_m
@@ -113,14 +107,7 @@ class BearingCheck:
     def add(
         self, time_s: float, bearing_rad: float, sigma_rad: float, sensor_enu_m: PositionEnu
     ) -> None:
-        """Take in a bearing, and judge now and then.
-
-        Args:
-            time_s: When it was measured.
-            bearing_rad: As the radio has it.
-            sigma_rad: Its noise.
-            sensor_enu_m: Where the antenna was.
-        """
+        """Take in a bearing, and judge now and then."""
         self._samples.append((time_s, bearing_rad, sigma_rad, sensor_enu_m))
         while len(self._samples) > MIN_COUNT and self._samples[0][0] < time_s - RANDOM_S:
             self._samples.popleft()
@@ -204,7 +191,6 @@ class Plausibility:
 
     Args:
         params: What is believed of the radio.
-        max_range_m: No target is farther.
     """
 
     def __init__(self, params: FilterParams, max_range_m: float) -> None:
@@ -250,7 +236,6 @@ class Plausibility:
         Args:
             measurement: Its bearing, if any, in ENU, and in the body frame if it came in that.
             sensor_enu_m: Where the antenna was at its time.
-            now_s: The present.
         """
         range_reason = self._range_reason(measurement, sensor_enu_m, now_s)
         bearing_reason = self._bearing_reason(measurement, sensor_enu_m, now_s)

@@ -130,7 +130,6 @@ class UnitCheck:
 
     Args:
         params: Prior and bounds of the offset, and the target's height.
-        max_range_m: No target is farther.
     """
 
     def __init__(self, params: FilterParams, max_range_m: float) -> None:
@@ -165,9 +164,7 @@ class UnitCheck:
         """Take in a range, and judge now and then.
 
         Args:
-            time_s: When it was measured.
             range_m: As the radio has it; finite and positive.
-            sensor_enu_m: Where.
         """
         self._samples.append((time_s, range_m, sensor_enu_m))
         self._forget_other_sizes()

@@ -152,7 +152,6 @@ class Gate:
         """The gate's judgement of an update.
 
         Args:
-            report: Of the update.
             inflation: Variance inflation of range, bearing and elevation in force at the update.
         """
         ranged = _in_sigmas(report.range, inflation[0])

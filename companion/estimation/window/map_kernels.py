@@ -147,7 +147,6 @@ def normaliser(rows: Matrix, sigmas: Matrix, model: RangingModel) -> float:
     Args:
         rows: (n, 10).
         sigmas: (3, n) at the place.
-        model: The constants.
     """
     wider = np.log(sigmas[1] / rows[:, 7])
     return float(model.bearing_inflation * np.sum(np.where(np.isnan(rows[:, 4]), 0.0, wider)))
@@ -240,7 +239,6 @@ def map_minimum(
         bounds: (2, k).
         information: (k, k) of the Gaussian prior, L.
         pull: (k,) of the Gaussian prior, e = L times its mean.
-        model: The constants.
     """
     mean = np.minimum(np.maximum(start, bounds[0]), bounds[1])
     damping = DAMPING_START

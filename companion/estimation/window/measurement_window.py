@@ -97,7 +97,6 @@ class MeasurementWindow:
         """Take in a measurement; a full window is thinned first.
 
         Args:
-            sensor_enu_m: Where it was taken.
             z: (3,) range, bearing, elevation; NaN where not measured.
             sigma: (3,) thermal noise.
             target_enu_m: Where the target is believed to be, which decides what is alike.
@@ -124,8 +123,6 @@ def kept_by_thinning(rows: Matrix, target: int, centre: Point) -> NDArray[np.boo
 
     Args:
         rows: (n, 10), see `map_kernels`.
-        target: How many to keep.
-        centre: What is looked at.
     """
     east, north = rows[:, 0] - centre[0], rows[:, 1] - centre[1]
     sector = np.floor((np.arctan2(north, east) / (2.0 * math.pi) + 0.5) * SECTORS) % SECTORS
@@ -196,7 +193,6 @@ class OlderEvidence:
             rows: (m, 10), see `map_kernels`.
             mean: (k,).
             thresholds: (3, 2).
-            model: The constants.
         """
         sigmas = row_sigmas(rows, mean, model)
         u = row_residuals(rows, mean, sigmas, model)

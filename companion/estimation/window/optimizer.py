@@ -217,8 +217,6 @@ class WindowOptimizer:
         """The hypotheses after the window was solved.
 
         Args:
-            hypotheses: The filter's, best first.
-            accepted: Measurements so far.
             inflation: Of the variances of range, bearing and elevation, that the run has shown.
             is_white: Whether innovations know nothing of each other.
             fresh_starts: How many starts besides the hypotheses; None: as many as the evidence

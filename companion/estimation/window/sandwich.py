@@ -194,7 +194,6 @@ def pooled_variability(scores: Scores, A_inverse: Matrix, repetition: Vector) ->
     """B with pooled second moments, (k, k).
 
     Args:
-        scores: The linearised problem.
         A_inverse: (k, k).
         repetition: (3,) what each modality's residuals count more for repeating each other;
             ones: they know nothing of each other.

@@ -80,7 +80,6 @@ def stretch_covariance(covariance: Matrix, A: Matrix, mean: Vector, cost: Cost) 
         covariance: (k, k).
         A: (k, k) curvature of the cost at the optimum.
         mean: (k,) the optimum.
-        cost: The objective.
     """
     values, vectors = np.linalg.eigh(covariance[:2, :2])
     sigma_m = math.sqrt(max(float(values[1]), 0.0))
@@ -269,7 +268,6 @@ class WindowMap:
 
         Args:
             rows: (n, 10), see `map_kernels`.
-            optimum: Where they are judged from.
 
         Returns:
             (n, 10), NaN where something was taken out; None: nothing was, or more than a half.
@@ -291,7 +289,6 @@ class WindowMap:
 
         Args:
             rows: (n, 10).
-            direction_rad: Where to, counter-clockwise from east.
             spread: Which distance to take where there are no ranges to tell.
         """
         east, north, up = rows[:, 0].mean(), rows[:, 1].mean(), rows[:, 2].mean()

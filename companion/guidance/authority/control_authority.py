@@ -178,10 +178,7 @@ def is_search_due(
     """Whether the planner searches now, and needs neither contact nor an estimate.
 
     Args:
-        estimate: Of the target.
         ranging_heard_s: When the last usable measurement came.
-        search_after_s: See `Planner`.
-        now_s: The present.
     """
     if search_after_s is None:
         return False

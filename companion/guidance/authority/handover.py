@@ -43,9 +43,7 @@ class WaitingReason:
     """Finds the words for waiting.
 
     Args:
-        vehicle: What is known of it.
         authority: Whether it is ours to guide.
-        fencing: Whether there is a fence.
     """
 
     def __init__(self, vehicle: VehicleView, authority: Authority, fencing: Fencing) -> None:
@@ -90,11 +88,7 @@ GROUND_PATIENCE_S = 10.0
 
 
 class LaunchPermit:
-    """Looks at the vehicle before it is launched.
-
-    Args:
-        situation: Of the session.
-    """
+    """Looks at the vehicle before it is launched."""
 
     def __init__(self, situation: SessionContext) -> None:
         self._situation = situation
@@ -149,11 +143,7 @@ CHECKING = Finding(Verdict.HOLD, Reason.CHECKING, "checking its inputs")
 
 
 class Handover:
-    """Watches whose vehicle it is.
-
-    Args:
-        situation: Of the session.
-    """
+    """Watches whose vehicle it is."""
 
     def __init__(self, situation: SessionContext) -> None:
         self._situation = situation

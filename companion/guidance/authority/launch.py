@@ -71,7 +71,6 @@ class Launch:
 
     Args:
         altitude_m: Height above home to take off to.
-        started_s: When it begins.
     """
 
     def __init__(self, altitude_m: float, started_s: float) -> None:
@@ -113,7 +112,6 @@ class Launch:
         """Why a heartbeat ends the launch, or None: someone else took the vehicle.
 
         Args:
-            heartbeat: The newest.
             height_m: Above home; None: unknown.
         """
         if not self.has_asked:

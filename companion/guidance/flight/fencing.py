@@ -70,7 +70,6 @@ class Fencing:
     """Gives the guard its fence and says why it has none.
 
     Args:
-        guard: Whose fence it is.
         plan: Where it comes from; None: the guard has it already.
     """
 

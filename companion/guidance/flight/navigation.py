@@ -34,10 +34,8 @@ class FlightPlan:
     """The planner with its memory, and the waypoint that it wants now.
 
     Args:
-        planner: Where to fly.
         guard: Knows the fence with its keep-outs.
         emitters: The current one's estimate is planned on.
-        altitude_m: Search altitude above home.
     """
 
     def __init__(
@@ -93,7 +91,6 @@ class FlightPlan:
         """Ask the planner; what is to be told of its answer.
 
         Args:
-            now_s: The present.
             vehicle: Without a position nothing is planned.
             setpoint_enu_m: What it follows, where the leg to the waypoint begins; None: itself.
             estimate: Where the target is believed to be.
@@ -183,12 +180,7 @@ CLIMB_FIRST_M = 1.0
 
 
 class Steering:
-    """Walks the setpoint towards waypoints, always through the guard.
-
-    Args:
-        guard: What may be sent.
-        altitude_m: Search altitude above home.
-    """
+    """Walks the setpoint towards waypoints, always through the guard."""
 
     def __init__(self, guard: Guard, altitude_m: float) -> None:
         self._guard = guard

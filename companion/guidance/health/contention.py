@@ -188,11 +188,7 @@ STALE_S = 1.0
 
 
 class StickWatch:
-    """Watches the sticks.
-
-    Args:
-        reaction: What moved sticks mean.
-    """
+    """Watches the sticks."""
 
     def __init__(self, reaction: StickReaction) -> None:
         self._reaction = reaction

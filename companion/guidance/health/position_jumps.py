@@ -71,8 +71,6 @@ def position_jump_m(
     """How far a report lies from where the vehicle can have flown, ENU metres; None: no jump.
 
     Args:
-        before: The newest report until now.
-        after: A newer one.
         noise_m: What the velocities usually leave unexplained, per axis, one sigma.
     """
     jump = _unexplained_m(before, after)
@@ -112,7 +110,6 @@ def yaw_jump_rad(before: tuple[float, float], after: tuple[float, float]) -> flo
 
     Args:
         before: Time and heading of the newest report until now.
-        after: Of a newer one.
     """
     dt_s, turn_rad = after[0] - before[0], wrap_pi(after[1] - before[1])
     if not 0.0 < dt_s <= MAX_GAP_S:
@@ -126,7 +123,6 @@ def may_lead_out(limits: GuardLimits, motion: Motion, jump_enu_m: PositionEnu) -
     Args:
         limits: With the fence and the altitude band.
         motion: Of the vehicle, after the jump.
-        jump_enu_m: How far it jumped.
     """
     if jump_enu_m[2] > limits.envelope.altitude_min_m:
         return True
@@ -142,11 +138,7 @@ def may_lead_out(limits: GuardLimits, motion: Motion, jump_enu_m: PositionEnu) -
 
 
 class JumpWatch:
-    """Watches position and heading as they are reported.
-
-    Args:
-        situation: Of the session.
-    """
+    """Watches position and heading as they are reported."""
 
     def __init__(self, situation: SessionContext) -> None:
         self._situation = situation

@@ -46,11 +46,7 @@ COAST_SHARE = 0.5
 
 
 class InputWatch:
-    """Watches the inputs at every tick, in control or not.
-
-    Args:
-        situation: Of the session.
-    """
+    """Watches the inputs at every tick, in control or not."""
 
     def __init__(self, situation: SessionContext) -> None:
         self._situation = situation
@@ -189,9 +185,6 @@ class OperatorCommandWatch:
     """Remembers the operator's last wish while the companion is in control.
 
     A wish ends with the control it was made under: who gives the mode again wants to fly.
-
-    Args:
-        situation: Of the session.
     """
 
     def __init__(self, situation: SessionContext) -> None:
@@ -221,11 +214,7 @@ class OperatorCommandWatch:
 
 
 class Watches:
-    """All watches of one session.
-
-    Args:
-        situation: Of the session.
-    """
+    """All watches of one session."""
 
     def __init__(self, situation: SessionContext) -> None:
         params = situation.params

@@ -56,8 +56,6 @@ class EmitterQueue:
     """The filters of all emitters, and whose turn it is.
 
     Args:
-        trackers: Parameters of every filter.
-        params: Who comes when.
         emitter_id: The only one that counts, where the order is `first`; None: the first heard.
     """
 
@@ -149,7 +147,6 @@ class EmitterQueue:
         Args:
             measurement: Its bearing, if any, in ENU.
             sensor_enu_m: Where the antenna was; None: unknown.
-            now_s: The present.
         """
         if self.is_single:
             return self._current.fuse(measurement, sensor_enu_m, now_s)
@@ -169,7 +166,6 @@ class EmitterQueue:
         """Decide whose turn it is.
 
         Args:
-            now_s: The present.
             is_flying: Whether the vehicle flies at the current emitter, which then stays if it can.
         """
         if self.is_single:

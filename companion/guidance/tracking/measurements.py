@@ -51,8 +51,6 @@ class RangingListener:
     one from a time that will not come.
 
     Args:
-        fuser: Whom to feed.
-        track: The vehicle's own motion.
         patience_s: How long a measurement may wait.
     """
 
@@ -105,12 +103,7 @@ class RangingListener:
 
 
 class EmitterScheduler:
-    """Makes estimate, plan and watches those of the current emitter, and tells who it is.
-
-    Args:
-        situation: Of the session.
-        inputs: Judges the current emitter's ranging.
-    """
+    """Makes estimate, plan and watches those of the current emitter, and tells who it is."""
 
     def __init__(self, situation: SessionContext, inputs: InputWatch) -> None:
         self._situation = situation
@@ -154,9 +147,7 @@ class Measuring:
     """Feeds the filters, and tells of what they make of it.
 
     Args:
-        situation: Of the session.
         inputs: Is told what the current emitter's filter accepts.
-        turns: Decides which emitter that is.
     """
 
     def __init__(

@@ -69,7 +69,6 @@ class ByteStream:
 
     Args:
         handle: Anything with a `close`, kept open while the stream lives.
-        fd: Its descriptor, already non-blocking.
         received: Takes the pieces read in one wake-up.
         lost: Called once when the other end or the device is gone; the stream is closed then.
         bytes_per_s: Speed of a serial line, if it is one.

@@ -50,8 +50,6 @@ class Link(ABC):
 
     Args:
         name: The link in messages, for example `udp 127.0.0.1:14550`.
-        index: Its number in the chunks.
-        received: Takes what arrives.
     """
 
     def __init__(self, name: str, index: int, received: Received) -> None:
@@ -104,11 +102,7 @@ SPARE_SHARE = 0.25
 
 
 class SendQueue:
-    """Chunks in the order of their sending.
-
-    Args:
-        limit_bytes: How much may wait.
-    """
+    """Chunks in the order of their sending."""
 
     def __init__(self, limit_bytes: int) -> None:
         self.dropped = 0

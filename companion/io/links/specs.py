@@ -130,13 +130,7 @@ def shared_link_from_url(url: LinkUrl, remotes: tuple[Address, ...] = ()) -> Lin
 
 
 def make_link(spec: LinkSpec, index: int, received: Received) -> Link:
-    """The link of a spec, not yet open.
-
-    Args:
-        spec: What to open.
-        index: Its number in the chunks.
-        received: Takes what arrives.
-    """
+    """The link of a spec, not yet open."""
     match spec:
         case UdpBind():
             return UdpLink(spec.host, spec.port, index, received)

@@ -26,8 +26,6 @@ class _Port:
 
     Args:
         link: Whose it is; named in problems, and counts those that went away again.
-        host: Where to listen.
-        port: Where to listen.
     """
 
     def __init__(self, link: Link, host: str, port: int) -> None:

@@ -167,7 +167,6 @@ def check_exposure(links: Sequence[LinkUrl], *, has_key: bool, unsigned_ranging:
 
     Args:
         links: The vehicle's, then those that carry only ranging.
-        has_key: Whether frames must be signed.
         unsigned_ranging: Whether ranging links take unsigned ones all the same.
 
     Raises:

@@ -112,7 +112,6 @@ class FlightJournal:
     """Writes everything the endpoint reports into one flight directory, and never waits for it.
 
     Args:
-        directory: Exists already.
         started_unix_s: Wall clock at `now_s` = 0; wall time is used for logs and nothing else.
         max_bytes: What the flight may keep on disk, the newest of it; None: everything.
         mcap: Gets everything as well; it is closed with the journal.

@@ -139,7 +139,6 @@ class InputLog(BackgroundLog):
     """Writes inputs from a background thread; see `BackgroundLog`.
 
     Args:
-        path: The file; its directory exists.
         max_bytes: Its cap; None: none.
         also: Takes every record and its time, too (the MCAP file).
     """
@@ -207,10 +206,6 @@ def read_inputs(path: Path) -> Iterator[Input]:
 
 def parse_inputs(data: bytes, name: str) -> Iterator[Input]:
     """The inputs in some bytes; see `read_inputs`.
-
-    Args:
-        data: Records, one behind the other.
-        name: Of the file, for complaints.
 
     Raises:
         ConfigError: They are none of ours, or some are missing.

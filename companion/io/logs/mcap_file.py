@@ -128,7 +128,6 @@ class McapLog:
     """Writes one flight's MCAP file; a journal for the endpoint.
 
     Args:
-        path: The file; its directory exists.
         started_unix_s: Wall clock at `now_s` = 0.
         flight_json: How the flight is flown; kept as metadata, for a replay.
         max_bytes: The file ends when it has so many, and the rest is lost; None: no cap.

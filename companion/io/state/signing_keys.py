@@ -113,10 +113,6 @@ class _Slot(msgspec.Struct, frozen=True):
 class SigningStore:
     """The two slots of one key, `NAME.time-0` and `NAME.time-1` beside its file.
 
-    Args:
-        key_file: Where the key is.
-        key: Whose memory it is.
-
     Raises:
         ConfigError: The slots are there and none of them can be read.
     """
@@ -139,7 +135,6 @@ class SigningStore:
         """Which slot to replace now, and by what.
 
         Args:
-            signing: Whose state is stored.
             is_end: Nothing will be heard or signed after it.
         """
         generation = 1 if self._last is None else self._last.generation + 1
@@ -170,10 +165,6 @@ class SigningStore:
 
 class SigningKeeper:
     """Stores the state of signing: at once, then each second in the background, and at the end.
-
-    Args:
-        signing: Whose state.
-        store: Where to.
 
     Raises:
         CompanionError: It cannot be written.
@@ -213,8 +204,6 @@ def open_signing_keeper(
 
     Args:
         key_file: Beside which the memory is kept.
-        key: What it holds.
-        rules: How strict the receiver is.
 
     Raises:
         ConfigError: The memory cannot be read.

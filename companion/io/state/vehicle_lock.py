@@ -35,7 +35,6 @@ def state_directory(configured: str | None, environment: Mapping[str, str]) -> P
     Args:
         configured: What the configuration says; None: systemd's StateDirectory, or the XDG base
             directory specification's place (`~/.local/state/companion`).
-        environment: Of the process.
     """
     if configured is not None:
         return Path(configured).expanduser()

@@ -108,7 +108,6 @@ def set_home(
     """MAV_CMD_DO_SET_HOME: here, or at a place of any frame that the aircraft knows.
 
     Args:
-        aircraft: Whose home.
         command: The first parameter is 1 for the present place.
         refused: What this autopilot answers to a place that is none.
         lasts: Whether arming leaves a given home where it is.
@@ -177,12 +176,7 @@ class FenceState(NamedTuple):
 
 
 class Flavour(ABC):
-    """One autopilot on one aircraft.
-
-    Args:
-        aircraft: What it flies.
-        parameters: How it is set up.
-    """
+    """One autopilot on one aircraft."""
 
     identity: Identity
     rules: ProtocolRules

@@ -79,7 +79,6 @@ class StatusTexts:
         """STATUSTEXTs for one text.
 
         Args:
-            severity: MAV_SEVERITY.
             text: Any length; what is not ASCII becomes `?`, which every client shows, and a
                 text beyond 255 chunks is cut.
         """

@@ -26,10 +26,8 @@ class Clocks:
     """Answers for one vehicle.
 
     Args:
-        addressing: Whose requests are ours.
         names_targets: Whether a TIMESYNC answer names the asker, as the guide wants; ArduPilot
             sends the older form without targets.
-        answers_ping: ArduPilot does not.
     """
 
     addressing: Addressing
@@ -40,8 +38,6 @@ class Clocks:
         """The answer to a TIMESYNC; None for an answer to ours, or a request to another.
 
         Args:
-            message: A received TIMESYNC.
-            partner: Its sender.
             boot_s: Our clock, seconds since boot.
         """
         if not isinstance(message, mavlink.MAVLink_timesync_message) or message.tc1 != 0:

@@ -220,9 +220,7 @@ class Commands:
         """The ACK of a command.
 
         Args:
-            command: As `receive` gave it.
             result: MAV_RESULT; IN_PROGRESS leaves the command open.
-            now_s: When.
             progress: Percent of a command in progress; 255 for unknown.
             result_param2: What else a command has to tell.
         """

@@ -128,9 +128,7 @@ class Router:
     """Knows who was heard where.
 
     Args:
-        system_id: Of the vehicle.
         own_components: Components of the vehicle itself; what is for them stays here.
-        links: How many there are.
     """
 
     def __init__(self, system_id: int, own_components: tuple[int, ...], links: int = 1) -> None:
@@ -146,7 +144,6 @@ class Router:
 
         Args:
             frame: Whole, of a known message or not.
-            channel: Where it came from.
         """
         source = source_of(frame)
         if source[0] == 0 or is_secret(frame):
@@ -232,9 +229,7 @@ class LinkLayer:
     """All links of one vehicle.
 
     Args:
-        system_id: Of the vehicle.
         component_ids: Of its components, the autopilot first.
-        links: How many links there are.
         signing: The vehicle's, with its key; None to begin without.
         trusted_links: Links that nobody else can hear (a wire): unsigned frames are welcome
             there, and a key may be set up over them.

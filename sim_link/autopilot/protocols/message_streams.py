@@ -65,7 +65,6 @@ class StreamTable:
 
     Args:
         rules: Of the autopilot that is played.
-        started_s: When they begin.
     """
 
     def __init__(self, rules: StreamRules, started_s: float = 0.0) -> None:
@@ -113,7 +112,6 @@ class StreamTable:
         """Change a stream.
 
         Args:
-            number: Message id.
             interval_us: Microseconds; -1 stops the stream, 0 restores its default.
             now_s: When; the next message is due at once.
 
@@ -138,8 +136,6 @@ class StreamTable:
         Args:
             group: MAV_DATA_STREAM; 0 for all groups.
             rate_hz: Messages per second of each kind; 0 stops them too.
-            is_on: Whether to start.
-            now_s: When.
         """
         groups = self._rules.groups
         chosen = groups if group == mavlink.MAV_DATA_STREAM_ALL else {group} & groups.keys()
@@ -210,9 +206,6 @@ class MessageRequests:
 
     Args:
         streams: Of the autopilot that is played.
-        rules: Likewise.
-        build: Makes messages.
-        texts: Numbers texts.
     """
 
     def __init__(

@@ -57,7 +57,6 @@ class PlanUploads:
     """The uploads of all partners, each by itself.
 
     Args:
-        store: Where a plan goes.
         rules: Of the autopilot that is played.
         texts: Numbers the texts that say why a plan was refused.
     """
@@ -245,7 +244,6 @@ class PlanDownloads:
     """The downloads of all partners, each by itself.
 
     Args:
-        store: Where the plans are.
         rules: Of the autopilot that is played.
     """
 

@@ -83,7 +83,6 @@ class Parameters:
     """Serves one vehicle's parameters to all channels.
 
     Args:
-        store: The values.
         rules: Of the autopilot that is played.
         texts: Numbers the texts that say why something was refused.
     """

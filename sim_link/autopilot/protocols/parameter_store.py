@@ -185,7 +185,6 @@ class ParameterStore:
 
         Args:
             text: Lines `NAME VALUE`, a comma or any blanks between; `#` begins a comment.
-            where: The file, for messages.
 
         Raises:
             ConfigError: A line is no parameter of ours; the message names the file and the line.

@@ -128,10 +128,6 @@ def item_message(
     """MISSION_ITEM_INT.
 
     Args:
-        item: What to send.
-        seq: Its place.
-        plan_type: Of which plan.
-        target: System and component.
         is_current: Whether the vehicle is at it, or would begin with it.
     """
     return mavlink.MAVLink_mission_item_int_message(
@@ -226,9 +222,7 @@ class PlanStore:
         """Replace a plan as a whole.
 
         Args:
-            plan_type: Which.
             items: None for a plan that is cleared.
-            current: Where a mission begins.
         """
         self._plans[plan_type] = tuple(items)
         if plan_type is PlanType.MISSION:

@@ -194,10 +194,6 @@ def monitored(
     """A flight that has not begun yet.
 
     Args:
-        config: The companion's.
-        scenario: The vehicle's.
-        seed: Of everything random.
-        is_signed: Whether the link is signed.
         is_spoofing: Whether attackers use the vehicle's address; None: where the link is signed.
         make_companion: Starts the companion, in place of the genuine one.
     """
@@ -243,11 +239,7 @@ SHORTEST_S, LONGEST_S = 0.3, 15.0
 
 
 class Dice:
-    """Draws figures.
-
-    Args:
-        rng: Of one trial.
-    """
+    """Draws figures."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._rng = rng

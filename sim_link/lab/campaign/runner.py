@@ -101,8 +101,6 @@ def trials_of(size: str, seed: int, only: Sequence[str] = ()) -> list[Trial]:
     """The trials of a campaign, the longest first, so that no process ends long after the others.
 
     Args:
-        size: Its name.
-        seed: Of the campaign.
         only: Names of parts; none: all.
 
     Raises:
@@ -294,7 +292,6 @@ def report(tally: Tally, facts: Mapping[str, object], command: str) -> dict[str,
     """The campaign as one JSON object.
 
     Args:
-        tally: Of all trials.
         facts: What was run: its size, seed and duration.
         command: How a trial is replayed, to be completed by its name.
     """

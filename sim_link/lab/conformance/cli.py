@@ -105,12 +105,7 @@ CONNECT_GRACE_S = 0.3
 
 
 class WireLink:
-    """One open connection; a `ProbeLink`.
-
-    Args:
-        spec: What is opened.
-        loop: Runs while a probe waits.
-    """
+    """One open connection; a `ProbeLink`."""
 
     def __init__(self, spec: LinkSpec, loop: asyncio.AbstractEventLoop) -> None:
         self._spec = spec

@@ -28,12 +28,7 @@ FIRST_PORT = 50_001
 
 
 class MemoryHub:
-    """Runs one endpoint and hands its chunks to the clients connected to it.
-
-    Args:
-        endpoint: The peer under test.
-        started_s: Its time at the start.
-    """
+    """Runs one endpoint and hands its chunks to the clients connected to it."""
 
     def __init__(self, endpoint: Endpoint, started_s: float = 0.0) -> None:
         self.endpoint = endpoint
@@ -79,8 +74,6 @@ class MemoryLink:
     """One client of a `MemoryHub`; a `ProbeLink`.
 
     Args:
-        hub: Whom it is connected to.
-        address: Where the endpoint sees it.
         link_index: The endpoint's link that it is on.
         is_datagram: Whether its pieces keep their limits.
     """
@@ -308,7 +301,6 @@ class FuzzCampaign:
 
     Args:
         make_endpoint: A new vehicle; called twice, both of the same seed.
-        rng: Where the frames come from.
     """
 
     def __init__(self, make_endpoint: Callable[[], Endpoint], rng: np.random.Generator) -> None:

@@ -121,9 +121,7 @@ def sign(frame: bytes, key: bytes, link_id: int, timestamp: int) -> bytes:
     """A frame built with `incompat` 1, completed by its signature.
 
     Args:
-        frame: Without signature.
         key: 32 bytes.
-        link_id: Of the sender.
         timestamp: In units of 10 microseconds since 2015.
     """
     tail = bytes((link_id,)) + timestamp.to_bytes(6, "little")

@@ -55,10 +55,6 @@ class CompanionProbe(Station):
     """Plays the vehicle that a companion serves.
 
     Args:
-        link: A connection to the companion.
-        flavour: Which autopilot it shows.
-        policy: How it answers commands.
-        system_id: Its system.
         is_flying: Whether it hovers, armed; otherwise it stands on the ground, disarmed.
     """
 

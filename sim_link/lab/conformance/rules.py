@@ -93,12 +93,7 @@ class Rule:
 
 
 class RuleBook:
-    """Collects the rules of one group, in the order of their definition.
-
-    Args:
-        role: Whom they bind.
-        group: First part of their ids.
-    """
+    """Collects the rules of one group, in the order of their definition."""
 
     def __init__(self, role: Role, group: str) -> None:
         self.rules: list[Rule] = []
@@ -119,7 +114,6 @@ class RuleBook:
         Args:
             source: The page, file or measurement that says so.
             effect: The most that the probe does to the vehicle.
-            flavours: Whom it is asked of.
             px4: How PX4 deviates, if it does.
             ardupilot: How ArduPilot deviates, if it does.
         """
@@ -210,7 +204,6 @@ def run_rules(
     """Try rules one after another.
 
     Args:
-        rules: Which.
         flavour: Of the vehicle, under test or shown.
         allowed: The most that may be done to it.
         make_probe: An attached probe for each rule.
@@ -258,12 +251,7 @@ def listing(rules: Iterable[Rule]) -> list[str]:
 
 
 def record(outcomes: Iterable[RuleOutcome], peer: str) -> dict[str, object]:
-    """All outcomes as JSON values.
-
-    Args:
-        outcomes: What to tell.
-        peer: Against whom they were found.
-    """
+    """All outcomes as JSON values."""
     told = list(outcomes)
     return {
         "peer": peer,

@@ -102,9 +102,6 @@ class Station:
     """One component on a link.
 
     Args:
-        link: Its connection.
-        system_id: Its system.
-        component_id: Its component.
         kind: MAV_TYPE of the heartbeat that it sends each second; None sends none.
     """
 
@@ -224,8 +221,6 @@ class Station:
         """The messages of a kind that came so far.
 
         Args:
-            kind: Their class.
-            where: Which of them.
             since_s: Only what came at this time or later.
             source: Only from this system and component.
         """

@@ -32,7 +32,6 @@ class VehicleStation(Station):
     """Asks one vehicle, as a ground station would.
 
     Args:
-        link: A connection to it.
         signing_key: The key that the vehicle was given; None: it has none.
     """
 
@@ -132,8 +131,6 @@ class VehicleStation(Station):
         """Send COMMAND_INT; the final MAV_RESULT.
 
         Args:
-            number: The command.
-            frame: MAV_FRAME of the place.
             params: Parameters 1 to 4.
             place: x and y, 1e-7 degrees in a global frame, and z.
         """

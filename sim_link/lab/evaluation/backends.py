@@ -114,12 +114,7 @@ MOST_FRAMES = 1000
 
 
 class DaskBackend:
-    """The workers of a scheduler.
-
-    Args:
-        client: Connected to it.
-        address: For errors.
-    """
+    """The workers of a scheduler."""
 
     def __init__(self, client: Any, address: str) -> None:
         self._client = client
@@ -325,10 +320,6 @@ class LocalBackend:
 @contextmanager
 def connected(name: str, jobs: int) -> Iterator[Backend]:
     """The backend of a name: local, or dask://HOST:PORT.
-
-    Args:
-        name: Which.
-        jobs: Processes of the local one.
 
     Raises:
         ConfigError: There is no such backend, or nobody answers there.

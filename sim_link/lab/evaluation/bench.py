@@ -199,7 +199,6 @@ def filtered(track_enu_m: Matrix, z: Matrix, belief: Belief) -> Vector:
     Args:
         track_enu_m: (n, 2).
         z: (n, 3).
-        belief: What the filter believes.
     """
     mean, covariance = first_fix(track_enu_m[0, 0], track_enu_m[0, 1], z[0, 0], z[0, 1], belief)
     sensor = np.zeros(3)

@@ -177,10 +177,7 @@ def flown_trial(
     """A run over estimator and planner objects, whether or not there are kernels for it.
 
     Args:
-        case: The cell.
-        system: What flies.
         draws: (steps, 6) of the channel.
-        truth: What is true.
         start_enu_m: (2,) place of the first estimate; NaN: from the first measurement.
     """
     estimator, pilot = estimator_of(case, system, start_enu_m), pilot_of(case, system)
@@ -399,7 +396,6 @@ def tallies_of(
     """Do campaigns, all their blocks at once.
 
     Args:
-        campaigns: Whatever they are.
         jobs: Processes; 1: this one.
         on_block: Called with the blocks done so far and their total.
     """

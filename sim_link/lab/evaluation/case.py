@@ -157,7 +157,6 @@ def lane_corners(
 
     Args:
         area_m: Width and depth of the area.
-        spacing_m: Of the lanes.
         first_north_m: Of the first lane; None: half a spacing inside.
     """
     width_m, depth_m = area_m
@@ -186,10 +185,6 @@ def lawnmower_track(
 
     Args:
         area_m: Width and depth of the area.
-        start_enu_m: The first place.
-        spacing_m: Of the lanes.
-        step_m: Along the track.
-        steps: How many places.
         first_north_m: Of the first lane; None: half a spacing inside.
     """
     sweep = lane_corners(area_m, spacing_m, first_north_m)
@@ -207,8 +202,6 @@ def along(corners: Matrix, step_m: float, steps: int) -> Matrix:
 
     Args:
         corners: (k, 2).
-        step_m: Along the polyline.
-        steps: How many places.
     """
     legs_m = np.hypot(*np.diff(corners, axis=0).T)
     corner_at_m = np.concatenate([[0.0], np.cumsum(legs_m)])
@@ -294,9 +287,6 @@ def measured(draw: Vector, east_m: float, north_m: float, truth: Truth) -> tuple
 
     Args:
         draw: (6,).
-        east_m: Of the sensor.
-        north_m: Of the sensor.
-        truth: The constants.
 
     Paper: eq. (1).
     """
@@ -313,9 +303,6 @@ def measured_in(
 
     Args:
         draw: (6,).
-        east_m: Of the sensor.
-        north_m: Of the sensor.
-        truth: The constants.
         scene: The obstacles, and what a path suffers that they block.
         memory: Of the measurement before; `NO_MEMORY` at first.
     """

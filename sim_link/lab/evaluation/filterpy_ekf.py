@@ -72,11 +72,7 @@ Rows = list[int]
 
 
 class FilterpyEkf:
-    """The EKF of a library; thresholds in the params do not count.
-
-    Args:
-        params: Noise, priors and bounds.
-    """
+    """The EKF of a library; thresholds in the params do not count."""
 
     def __init__(self, params: FilterParams) -> None:
         self.params = params
@@ -162,8 +158,6 @@ def _reports(ekf: Any, rows: Rows, noise: Vector, effective: Vector) -> list[Mod
     """What each modality did, beside what those before it explained.
 
     Args:
-        ekf: After the update.
-        rows: What was measured.
         noise: (3,) variances.
         effective: (3,) the same with the inflation.
     """
@@ -219,9 +213,6 @@ def replayed(
         draws: (steps, 6) of the channel.
         track_enu_m: (steps, 2).
         start_enu_m: (2,) place of the first estimate; NaN: from the first measurement.
-        truth: What is true.
-        scene: What stands in the way.
-        b: What the filter believes.
     """
     steps, memory, sensor = draws.shape[0], NO_MEMORY, np.zeros(3)
     z, means = np.full((steps, 3), np.nan), np.empty((steps + 1, 4))

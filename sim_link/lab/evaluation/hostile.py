@@ -184,7 +184,6 @@ def fault_of(report: UpdateReport, prior: FilterState, bounds: Matrix) -> str | 
     """Which promise an update broke, or None.
 
     Args:
-        report: Of the update.
         prior: The state that it started from.
         bounds: (2, n) of the state.
     """
@@ -221,10 +220,7 @@ def run_campaign(make: dict[str, MakeFilter], first: int, count: int, seed: int)
     """Sequences `first` to `first + count`, the filters taking turns.
 
     Args:
-        make: The filters by name.
         first: Number of the first sequence; it decides, with the seed, what happens in it.
-        count: How many.
-        seed: Of the whole campaign.
     """
     total = SequenceOutcome()
     names = sorted(make)

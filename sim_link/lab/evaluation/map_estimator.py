@@ -93,7 +93,6 @@ def fresh_start(rows: Matrix, turn: int, prior_mean: Vector) -> Vector:
 
     Args:
         rows: (k, 4).
-        turn: Number of the solution.
         prior_mean: (4,).
     """
     direction_rad = GOLDEN_ANGLE_RAD * turn
@@ -117,7 +116,6 @@ def cost_of(rows: Matrix, mean: Vector, window: Window) -> float:
     Args:
         rows: (k, 4).
         mean: (4,).
-        window: The rest of the objective.
     """
     range_long, range_short = window.thresholds[0, 0], window.thresholds[0, 1]
     bearing_long, bearing_short = window.thresholds[1, 0], window.thresholds[1, 1]
@@ -255,7 +253,6 @@ def solved(rows: Matrix, mean: Vector, turn: int, window: Window) -> tuple[Vecto
         rows: (k, 4) the history so far.
         mean: (4,) of the filter.
         turn: Number of the solution: where the fresh start lies.
-        window: The rest of the objective.
     """
     best, cost = minimum(rows, mean, window)
     other, other_cost = minimum(rows, fresh_start(rows, turn, window.prior_mean), window)

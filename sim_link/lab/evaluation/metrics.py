@@ -159,7 +159,6 @@ def channel_information(
     """The information J of a channel, by quadrature over both errors.
 
     Args:
-        channel: The truth.
         points_per_sigma: Nodes of the trapezoidal rule per thermal standard deviation.
         is_joint: Whether one draw decides for range and bearing; otherwise each has its own, the
             errors are independent, and neither tells whether the other is long or bent.
@@ -240,8 +239,6 @@ def modified_normal(x: Vector, sigma: float, mean: float) -> tuple[Vector, Vecto
     """Density of a centred normal plus an exponential, and its derivative.
 
     Args:
-        x: Where.
-        sigma: Of the normal.
         mean: Of the exponential; 0: there is none.
     """
     if mean < NO_BIAS_SIGMAS * sigma:

@@ -103,7 +103,6 @@ def believed(track_enu_m: Matrix, z: Matrix, belief: Belief) -> Beliefs:
     Args:
         track_enu_m: (steps, 2).
         z: (steps, 3).
-        belief: What it believes before.
     """
     mean, covariance = first_fix(track_enu_m[0, 0], track_enu_m[0, 1], z[0, 0], z[0, 1], belief)
     steps, n = z.shape[0], mean.size
@@ -127,8 +126,6 @@ def retraced(
         track_enu_m: (steps, 2) places of the run.
         z: (steps, 3) its measurements.
         picks: (steps,) draws of its planner.
-        belief: What the filter believes.
-        steering: Where it flies.
     """
     places = track_enu_m[1:].copy()
     sensor, latch = np.zeros(3), np.zeros(LATCH_SIZE)
@@ -159,9 +156,7 @@ def decided(
 
     Args:
         track_enu_m: (steps, 2) places of the run.
-        beliefs: The estimates.
         picks: (steps,) draws of its planner.
-        belief: What the filter believes before.
         steering: Of a planner that follows the estimate.
         passes: How often to go through the run.
     """
@@ -268,7 +263,6 @@ def bench_planners(
     """Time filters with their planners, compiled where numba is installed.
 
     Args:
-        rounds: Medians are over so many.
         case: What is flown, without its obstacles; None: the canonical scenario.
         systems: What is reported, all of them compiled.
 
@@ -326,13 +320,7 @@ def contenders(run: RecordedRun) -> list[Contender]:
 
 
 def step_cost(system: System, costs_us: dict[str, float], *, is_compiled: bool) -> StepCost:
-    """The costs of one system, judged where it is compiled.
-
-    Args:
-        system: Which.
-        costs_us: Medians by what was timed.
-        is_compiled: Whether kernels are.
-    """
+    """The costs of one system, judged where it is compiled."""
     label = system.label
     step_ms, filterpy_ms = 1e-3 * costs_us[step_of(label)], 1e-3 * costs_us[filterpy_of(label)]
     decision_us = costs_us.get(decision_of(label))
@@ -379,12 +367,7 @@ COST_ROUNDS = 5
 
 
 def costs_of(results: Sequence[StudyResult], rounds: int = COST_ROUNDS) -> list[ResultRow]:
-    """Cost of the systems that studies ask it of, beside filterpy's update.
-
-    Args:
-        results: Of the studies.
-        rounds: Medians are over so many.
-    """
+    """Cost of the systems that studies ask it of, beside filterpy's update."""
     rows: list[ResultRow] = []
     for result in results:
         asked = [

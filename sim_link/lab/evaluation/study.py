@@ -299,7 +299,6 @@ class StudyResult:
         """The first cell of that value and system.
 
         Args:
-            value: As tables have it.
             label: Of the system, as tables have it.
             parameter: Of the sweep; None: of any.
         """

@@ -77,7 +77,6 @@ def warm_up(flown: Sequence[tuple[Case, System]], backend: Backend) -> None:
     """Call every kernel once that runs of some systems need.
 
     Args:
-        flown: Cases and systems.
         backend: Whose processes share a cache with those that will do the work.
     """
     if not IS_COMPILED or not flown:
@@ -153,12 +152,7 @@ def key_of(*parts: object) -> str:
 
 
 class Store:
-    """Results by key.
-
-    Args:
-        connection: To the file.
-        path: For errors.
-    """
+    """Results by key."""
 
     def __init__(self, connection: sqlite3.Connection, path: Path) -> None:
         self._connection = connection
@@ -267,7 +261,6 @@ def planned(studies: Sequence[Study], runs: int | None) -> list[PlannedStudy]:
     """Studies with their cells.
 
     Args:
-        studies: Which.
         runs: Of every cell; None: as many as each study says.
 
     Raises:
@@ -292,9 +285,6 @@ def carried_out(work: Work, backend: Backend, store: Store, on_done: OnDone) -> 
     """Do all of it, and keep it.
 
     Args:
-        work: What.
-        backend: Who does it.
-        store: Where it is kept.
         on_done: Told the cost of every task that is done.
 
     Raises:

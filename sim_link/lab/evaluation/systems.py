@@ -65,8 +65,6 @@ class FilterEstimator:
     """A recursive filter from its first fix on.
 
     Args:
-        target_filter: The filter.
-        params: Its priors.
         start_enu_m: Place of the first estimate; None: from the first measurement.
     """
 
@@ -113,11 +111,7 @@ class FilterEstimator:
 
 
 class TrackerEstimator:
-    """The companion's tracker, with its window and all else that makes it honest.
-
-    Args:
-        tracker: A fresh one.
-    """
+    """The companion's tracker, with its window and all else that makes it honest."""
 
     def __init__(self, tracker: TargetTracker) -> None:
         self._tracker = tracker
@@ -146,9 +140,6 @@ class Pilot(Protocol):
         """The place of step `step`, from the one before.
 
         Args:
-            step: Number of the next measurement.
-            place_enu_m: Of the last one.
-            estimate: After the last one.
             joint: (4, 4) covariance of position and offsets.
         """
 
@@ -172,12 +163,7 @@ class FixedPilot:
 
 
 class PlannerPilot:
-    """Flies a step towards the waypoint of a planner.
-
-    Args:
-        planner: Asked before every step.
-        step_m: Between two measurements.
-    """
+    """Flies a step towards the waypoint of a planner."""
 
     def __init__(self, planner: Planner[Any], step_m: float) -> None:
         self._planner = planner
@@ -213,11 +199,6 @@ def flown(
 
     Args:
         draws: (steps, 6) of the channel.
-        start_enu_m: Place of the first measurement.
-        truth: What is true.
-        scene: What stands in the way.
-        estimator: A fresh one.
-        pilot: A fresh one.
     """
     steps = len(draws)
     record, radii = np.empty((steps, COLUMNS)), np.empty(steps)
@@ -380,8 +361,6 @@ def estimator_of(case: Case, system: System, start_enu_m: Vector) -> Estimator:
     """A fresh estimator of the system; the tracker makes its own start.
 
     Args:
-        case: With what is believed.
-        system: Whose filter.
         start_enu_m: (2,) place of the first estimate; NaN: from the first measurement.
 
     Raises:

@@ -84,11 +84,7 @@ def verified(
     """Measure some of the parts.
 
     Args:
-        parts: Which.
-        runs: Of every system.
         seed: Of the campaign; every system gets the same draws.
-        jobs: Processes.
-        on_block: See `tallies_of`.
     """
     makers: dict[Part, Callable[[int, int], Plan]] = {
         "lawnmower": lawnmower_plan,

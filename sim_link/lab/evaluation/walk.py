@@ -55,10 +55,7 @@ def printed_criteria(
 
     Args:
         de_m: From the vehicle to the estimate, east.
-        dn_m: The same, north.
         ring_m: (k, 2) steps of the candidates.
-        range_sigma_m: Thermal noise.
-        bearing_sigma_rad: Thermal noise.
     """
     moves = ring_m.shape[0]
     criteria = np.empty(moves + 1)
@@ -298,11 +295,7 @@ def walked(
         track: (steps, 2) the places to measure from; of planners that follow the estimate only
             the first counts.
         start: (2,) place of the first estimate; NaN: from the first measurement.
-        truth: What is true.
-        scene: What stands in the way.
-        belief: What the filter believes.
         window: The objective over the run that corrects the filter, or not.
-        steering: Where it flies.
     """
     steps = draws.shape[0]
     record = np.empty((steps, COLUMNS))

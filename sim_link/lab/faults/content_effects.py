@@ -49,8 +49,6 @@ def rewritten(frame: bytes, change: Callable[[Any], None], key: SigningKey | Non
     """The frame after a change of its fields; as it was if nobody may or can read it.
 
     Args:
-        frame: One whole frame.
-        change: Sets fields of the message.
         key: Signs the frame anew where it was signed; without it such a frame stays as it is.
     """
     if is_signed(frame) and key is None:
@@ -107,8 +105,6 @@ class ContentEffect(Effect):
     """A fault in frames with certain message ids.
 
     Args:
-        numbers: Those ids.
-        rng: Of this effect alone.
         key: Signs changed frames anew; None where nothing is signed.
     """
 

@@ -148,11 +148,7 @@ FOREIGN_SYSTEM = 77
 
 
 class Attacker:
-    """Makes frames.
-
-    Args:
-        rng: Of the attacker.
-    """
+    """Makes frames."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._rng = rng

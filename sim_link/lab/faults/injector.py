@@ -57,8 +57,6 @@ class Injector(Observer):
 
     Args:
         flight: The flight; the injector becomes one of its observers.
-        link: The wire of that flight.
-        operator: Its operator.
         is_spoofing: Attackers send from the vehicle's own address.
     """
 

@@ -31,11 +31,7 @@ from sim_link.lab.lockstep.observer import Delivery
 
 
 class Effect(ABC):
-    """One fault, in one direction where it has one.
-
-    Args:
-        rng: Of this effect alone.
-    """
+    """One fault, in one direction where it has one."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._rng = rng
@@ -202,9 +198,7 @@ def link_effect(fault: FaultRecord, end_s: float, rng: np.random.Generator) -> E
     """The effect of a link fault; None for any other fault.
 
     Args:
-        fault: The record.
         end_s: When it is over, on the caller's clock.
-        rng: Of this effect alone.
     """
     match fault:
         case LinkLoss() | LinkBlackout():

@@ -79,9 +79,7 @@ class FaultProxy:
 
     Args:
         vehicle_side: Where the vehicle sends; port 0 takes any.
-        companion: Where the companion listens.
         schedule: What goes wrong, from the start on.
-        seed: Of all that is random.
 
     Raises:
         LinkError: The address is taken, or not ours.

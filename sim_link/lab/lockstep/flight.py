@@ -76,7 +76,6 @@ class WatchedJournal:
     """Passes everything on, and tells observers of it.
 
     Args:
-        journal: Where it goes.
         observers: Who is told; may change meanwhile.
     """
 
@@ -129,15 +128,10 @@ class Flight:
     """One flight.
 
     Args:
-        config: The companion's.
-        scenario: The vehicle's.
         seed: Of the vehicle, its radio and the world.
-        journal: Where the companion reports.
         wire: What lies between the two; None: a perfect one.
         radio: A radio on a link of its own, instead of the simulator's.
-        radio_period_s: How often that measures.
         make_companion: Starts the companion process, at the beginning and after a restart.
-        make_simulator: Switches the vehicle on.
     """
 
     def __init__(

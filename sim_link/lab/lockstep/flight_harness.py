@@ -40,7 +40,6 @@ class Operator:
     """A ground station with a link of its own to the vehicle, which no fault touches.
 
     Args:
-        flight: The flight.
         signing: Signs what the station sends, where the vehicle wants that.
         started_unix_s: Unix time at the start of the flight, for signatures.
     """
@@ -75,7 +74,6 @@ class Operator:
         """Switch the mode.
 
         Args:
-            mode: The wanted one.
             is_told_at_once: Whether the companion is told now: ArduPilot does so anyhow, PX4 tells
                 a new mode with its next HEARTBEAT only, unless it is asked.
         """

@@ -217,7 +217,6 @@ def fly_all(
     """Fly them.
 
     Args:
-        tasks: What to fly.
         jobs: How many at once; 1: in this process.
         done: Told the position of a task and its summary, as they come.
         progress: Told of every slice where there is one job.

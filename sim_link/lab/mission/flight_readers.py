@@ -45,12 +45,7 @@ UNKNOWN_BATTERY = -1
 
 
 class TelemetryReader:
-    """Turns the vehicle's frames into the situation and the record of the flight.
-
-    Args:
-        record: Grows.
-        situation: Is kept up to date.
-    """
+    """Turns the vehicle's frames into the situation and the record of the flight."""
 
     def __init__(self, record: FlightRecord, situation: Situation) -> None:
         self._record = record
@@ -171,9 +166,6 @@ class EventReader:
     It is a companion's `Journal`, so that a companion in memory writes straight into it.
 
     Args:
-        record: Grows.
-        situation: Is kept up to date.
-        emitters: The true places, by id.
         first_emitter: Whose estimate an event is that names no emitter.
     """
 

@@ -57,10 +57,6 @@ def fly_in_memory(
     """Fly a mission once.
 
     Args:
-        mission: The script.
-        seed: Of everything that is random.
-        file: Where the script is from.
-        progress: Told after every slice.
         make_companion: Starts the companion, which may be one that is to fail.
     """
     started, started_cpu = time.perf_counter(), time.process_time()

@@ -42,7 +42,6 @@ class MavsdkOperator:
 
     Args:
         port: Where it listens on this machine.
-        log: Where MAVSDK's remarks go.
     """
 
     def __init__(self, port: int, log: Path) -> None:

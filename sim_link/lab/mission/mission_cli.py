@@ -44,8 +44,6 @@ class PlainProgress:
     """A line when a step begins, where there is no terminal, and one for every flight.
 
     Args:
-        total: Flights to be flown.
-        output: Where the lines go.
         is_detailed: Whether steps are told, too; there is one flight at a time then.
     """
 
@@ -151,8 +149,6 @@ def progress_for(total: int, jobs: int, output: TextIO | None = None) -> PlainPr
     """What suits the output: live on a terminal with rich, plain lines otherwise.
 
     Args:
-        total: Flights to be flown.
-        jobs: How many at once.
         output: Where to; None: standard output.
     """
     stream = sys.stdout if output is None else output

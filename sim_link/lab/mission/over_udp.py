@@ -94,9 +94,7 @@ def fly_over_udp(
     """Fly a mission once.
 
     Args:
-        mission: The script.
         seed: Of a simulated vehicle, its radio and its faults.
-        file: Where the script is from.
         speed: Seconds of the flight per second.
         connect: The vehicle's link; None: a simulated one is started.
         keep: A folder for `.tlog`, event log and output of the processes; None: nothing is kept.

@@ -163,9 +163,7 @@ class Child:
     """One process with its own session, whose output goes to a file.
 
     Args:
-        name: What people call it.
         arguments: The module and its arguments, run with this interpreter.
-        log: Where its output goes.
     """
 
     def __init__(self, name: str, arguments: Sequence[str], log: Path) -> None:
@@ -292,9 +290,7 @@ class ProcessHarness:
 
     Args:
         mission: The script, which knows the weather before a fault.
-        wire: Between vehicle and companion.
         vehicle: The simulator; None: the vehicle is not ours.
-        companion: The companion.
         watcher: Told when the companion's process stops and goes on.
     """
 
@@ -384,8 +380,6 @@ def check_faults(mission: Mission, name: str, *, is_our_vehicle: bool) -> None:
     """Make sure, before anything starts, that every fault of a script can be injected.
 
     Args:
-        mission: The script.
-        name: Its file.
         is_our_vehicle: Whether the vehicle is simulated by us.
 
     Raises:

@@ -56,7 +56,6 @@ def parse_mission(text: str, name: str, folder: Path = Path()) -> Mission:
     """The mission in YAML text.
 
     Args:
-        text: One YAML document.
         name: What to call it in errors, usually the file's path.
         folder: Where the files are that it names.
 
@@ -119,10 +118,8 @@ def located(text: str, name: str, path: str, problem: str) -> ConfigError:
     """The error at a path of a script, with its line.
 
     Args:
-        text: The script.
         name: What to call it, usually its file.
         path: Like `$.steps[3].limit_s`.
-        problem: What is wrong there.
     """
     line = line_of(text, path)
     where = name if line is None else f"{name}:{line}"

@@ -82,9 +82,7 @@ class StepRunner:
     """Flies one mission.
 
     Args:
-        mission: The script.
         situation: Kept up to date by whoever runs this.
-        record: Where outcomes go.
         operator: Does what the script asks of the operator.
         harness: Injects what the script asks of it.
     """

@@ -27,11 +27,7 @@ BLIND_S = 0.9
 
 
 class OwnJumps:
-    """Follows the error of the autopilot's position.
-
-    Args:
-        scene: With the truth.
-    """
+    """Follows the error of the autopilot's position."""
 
     def __init__(self, scene: TrueScene) -> None:
         self._scene = scene
@@ -292,7 +288,6 @@ class SafeToFreeze(PlacesOnly):
     """Freezing any setpoint for 60 s is safe.
 
     Args:
-        scene: With the truth.
         is_dragged: Whether somebody else moved the vehicle: then stopping it is all one can do.
     """
 

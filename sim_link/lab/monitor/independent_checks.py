@@ -135,9 +135,6 @@ class Proof:
     """Follows the newest timestamp of every component, of those that were read.
 
     A frame that was dropped unread is as new as before, whoever sends a copy of it.
-
-    Args:
-        key: Of the link.
     """
 
     def __init__(self, key: SigningKey) -> None:

@@ -274,7 +274,6 @@ class Bounded(Invariant):
     """What is sent, written and kept stays within bounds.
 
     Args:
-        scene: What all invariants share.
         sizes: Lengths of the companion's queues by name, each with its bound; None: not known.
     """
 
@@ -371,12 +370,7 @@ class HonestCovariance(Invariant):
 
 
 class OnlyProvedFrames(Invariant):
-    """What is damaged, of a stranger or, with a key, not proved, changes nothing.
-
-    Args:
-        scene: What all invariants share.
-        snapshot: The companion's state.
-    """
+    """What is damaged, of a stranger or, with a key, not proved, changes nothing."""
 
     name = "I10"
     title = "no unproved frame changes any state"

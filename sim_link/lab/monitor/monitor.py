@@ -127,8 +127,6 @@ class FrameMonitor(Observer):
     """Shows a flight to invariants, as far as frames, journal and the companion's process tell it.
 
     Args:
-        scene: What the invariants share.
-        invariants: Who judges.
         key: Of the link, where it is signed.
     """
 
@@ -236,8 +234,6 @@ class Monitor(FrameMonitor):
     """Watches one flight of which the truth is known.
 
     Args:
-        rules: What must hold.
-        vehicle: The true vehicle.
         estimate: The companion's estimate of the target.
         snapshot: The companion's state, for I10; None: I10 is not judged.
         key: Of the link, where it is signed.

@@ -170,11 +170,7 @@ class Setpoint:
 
 @dataclass(slots=True)
 class Scene(ABC):
-    """Shared by all invariants of one flight; subclasses know more or less of the vehicle.
-
-    Args:
-        rules: What must hold.
-    """
+    """Shared by all invariants of one flight; subclasses know more or less of the vehicle."""
 
     rules: Rules
     now_s: float = 0.0
@@ -344,12 +340,7 @@ class Scene(ABC):
 
 @dataclass(slots=True)
 class TrueScene(Scene):
-    """A scene in which the truth is known.
-
-    Args:
-        rules: What must hold.
-        vehicle: The truth.
-    """
+    """A scene in which the truth is known."""
 
     vehicle: SimVehicle = field(kw_only=True)
 
@@ -391,11 +382,7 @@ class TrueScene(Scene):
 
 
 class Invariant:
-    """One invariant of one flight; a subclass overrides what it looks at.
-
-    Args:
-        scene: What all invariants share.
-    """
+    """One invariant of one flight; a subclass overrides what it looks at."""
 
     name = "I0"
     title = ""

@@ -204,7 +204,6 @@ class WireMonitor(FrameMonitor):
     """Watches one flight by what passed the recorder.
 
     Args:
-        rules: What must hold.
         slack_s: By how much a frame may be late because machines are busy, in seconds of flight.
     """
 

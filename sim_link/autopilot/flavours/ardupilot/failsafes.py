@@ -101,12 +101,7 @@ class FailsafeEvent:
 
 
 class Failsafes:
-    """Which failsafes are active.
-
-    Args:
-        aircraft: What is watched.
-        parameters: What is done about it.
-    """
+    """Which failsafes are active."""
 
     def __init__(self, aircraft: Aircraft, parameters: ParameterStore) -> None:
         self.active: set[str] = set()
@@ -124,7 +119,6 @@ class Failsafes:
         """What begins and ends in this physics step of an armed vehicle.
 
         Args:
-            mode: What is flown.
             margin_m: Distance of a place from a breach of the fence, negative in one.
             now_s: Seconds since boot.
         """

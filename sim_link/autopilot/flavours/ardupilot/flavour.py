@@ -62,12 +62,7 @@ CRITICAL, WARNING = mavlink.MAV_SEVERITY_CRITICAL, mavlink.MAV_SEVERITY_WARNING
 
 
 class ArduPilotFlavour(Flavour):
-    """ArduCopter 4.5.
-
-    Args:
-        aircraft: What it flies.
-        parameters: ArduCopter's.
-    """
+    """ArduCopter 4.5."""
 
     identity = Identity(mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, COPTER_VERSION, CAPABILITIES)
     rules = RULES

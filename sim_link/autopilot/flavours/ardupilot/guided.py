@@ -119,7 +119,6 @@ def _target(
     """The target of a message whose position is understood.
 
     Args:
-        message: The message.
         place: Its position in the world's frame, None if it gives none.
         body_yaw_rad: The heading that its vectors and yaw are about; None: north.
     """
@@ -210,11 +209,7 @@ class Guided:
         return self.state is GuidedState.FOLLOWING and self._kind is TargetKind.POSITION
 
     def echo(self, climb_goal_enu_m: PositionEnu | None) -> Echo:
-        """What POSITION_TARGET_* tells: a place, or a motion, which is 0 while it stays.
-
-        Args:
-            climb_goal_enu_m: Where a take-off goes.
-        """
+        """What POSITION_TARGET_* tells: a place, or a motion, which is 0 while it stays."""
         if self.state is GuidedState.CLIMBING and climb_goal_enu_m is not None:
             return Echo(climb_goal_enu_m)
         if self.state is not GuidedState.FOLLOWING:

@@ -124,9 +124,6 @@ class Failsafes:
         """Take in what is wrong; the causes that became active just now.
 
         Args:
-            findings: Everything that is watched.
-            dt_s: Time since the last call.
-            delay_s: COM_FAIL_ACT_T.
             can_hold: Whether the vehicle could hold a place.
         """
         before = self.flown
@@ -240,7 +237,6 @@ class FailsafeMonitor:
     """Looks at one aircraft.
 
     Args:
-        aircraft: Which.
         parameters: What is done about a finding.
     """
 
@@ -264,7 +260,6 @@ class FailsafeMonitor:
             intention: The mode that the operator chose.
             fence_margin_m: Distance from a breach, negative in one.
             now_s: Seconds since boot.
-            is_stream_alive: Whether setpoints come.
         """
         rules, aircraft = self._current_rules(), self._aircraft
         has_sticks = aircraft.sticks.read(now_s) is not None

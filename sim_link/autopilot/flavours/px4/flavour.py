@@ -75,7 +75,6 @@ class Px4Flavour(Flavour):
     """PX4 1.15, multicopter.
 
     Args:
-        aircraft: What it flies.
         parameters: PX4's.
     """
 

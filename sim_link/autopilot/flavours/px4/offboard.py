@@ -96,7 +96,6 @@ def _assemble(
     """The setpoint of a valid message.
 
     Args:
-        message: The message.
         enu_m: Its position in the world's frame, None if it gives none.
         body_yaw_rad: The heading that its vectors are about; None: they are north and east.
     """

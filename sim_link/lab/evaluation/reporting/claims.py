@@ -55,13 +55,7 @@ class Claim:
 
 
 class Findings:
-    """Everything measured in a run, by table and system.
-
-    Args:
-        results: Of all studies.
-        rows: Of all tables.
-        costs: Of the bench.
-    """
+    """Everything measured in a run, by table and system."""
 
     def __init__(
         self,

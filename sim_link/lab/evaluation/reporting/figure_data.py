@@ -151,12 +151,7 @@ def flights_of(case: Case, seed: int, systems: Sequence[System] = FLOWN) -> list
 
 
 def shadow_quads(corners: Sequence[Point], target_enu_m: Point) -> list[list[Point]]:
-    """Polygons that together are the shadow of an obstacle, as cast by a target outside of it.
-
-    Args:
-        corners: Of the obstacle.
-        target_enu_m: Where the light is.
-    """
+    """Polygons that together are the shadow of an obstacle, as cast by a target outside of it."""
     return [
         [a, b, _beyond(b, target_enu_m), _beyond(a, target_enu_m)]
         for a, b in zip(corners, [*corners[1:], corners[0]], strict=True)
@@ -253,7 +248,6 @@ class WatchingPilot:
 
     Args:
         track_enu_m: (steps, 2).
-        case: The cell.
     """
 
     def __init__(self, track_enu_m: Matrix, case: Case) -> None:
@@ -290,14 +284,7 @@ class WatchingPilot:
 def watched(
     case: Case, seed: int, runs: int = WATCHED_RUNS, steps: int = WATCHED_STEPS
 ) -> list[Watch]:
-    """The first runs of a study's seed, watched.
-
-    Args:
-        case: The cell.
-        seed: Of the study.
-        runs: How many.
-        steps: Of each run.
-    """
+    """The first runs of a study's seed, watched."""
     short = msgspec.structs.replace(case, steps=min(steps, case.steps))
     return [_watch(short, system, run_seeds(seed, runs)) for system in WATCHED]
 

@@ -66,12 +66,7 @@ NEAR_STEPS = 60
 
 
 def tracks(flights: Sequence[FlownTrack], case: Case) -> Figure:
-    """Tracks with the estimates along them, one panel for each system.
-
-    Args:
-        flights: Of one seed.
-        case: Area, target and obstacles.
-    """
+    """Tracks with the estimates along them, one panel for each system."""
     columns = min(len(flights), 3 if len(flights) > 4 else 2)
     rows = -(-len(flights) // columns)
     side_in = 3.6 if columns < 3 else 3.0
@@ -176,12 +171,7 @@ Maker = Callable[[StudyResult, Sequence[ResultRow]], list[Drawing]]
 
 
 def drawings_of(result: StudyResult, rows: Sequence[ResultRow]) -> list[Drawing]:
-    """Every figure that a study asks for, in its order; names unknown here are left out.
-
-    Args:
-        result: The study.
-        rows: Of all tables.
-    """
+    """Every figure that a study asks for, in its order; names unknown here are left out."""
     found: list[Drawing] = []
     with look():
         for name in result.study.figures:

@@ -175,10 +175,8 @@ def label_ends(
     """Write names at the right ends of lines, moved apart where they would collide.
 
     Args:
-        figure: Laid out.
         axes: With its limits and scales set.
         labels: Where in data (y), what, and in which colour.
-        least_gap_pt: Between two labels.
     """
     height_pt = axes.get_position().height * figure.get_figheight() * 72.0
     shares = axes.transAxes.inverted()
@@ -290,8 +288,6 @@ def rmse(curves: Sequence[Curve], title: str, printed: dict[System, float]) -> F
 
     Args:
         curves: RMSE and bounds, metres.
-        title: Of the figure.
-        printed: Final values of the paper.
     """
     figure = new_figure(*CURVES_IN)
     axes = figure.subplots()
@@ -322,9 +318,6 @@ def offsets(curves: Sequence[Curve], title: str, unit: str, marks: dict[str, flo
     """Mean estimate of an offset after every step.
 
     Args:
-        curves: In the unit.
-        title: Of the figure.
-        unit: For example m.
         marks: Values worth a line, with their names.
     """
     figure = new_figure(*CURVES_IN)

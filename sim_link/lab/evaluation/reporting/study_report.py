@@ -45,11 +45,7 @@ OpenPoint = tuple[str, str, str]
 
 
 def open_points(case: Case) -> list[OpenPoint]:
-    """Every point that the paper leaves open.
-
-    Args:
-        case: The canonical one.
-    """
+    """Every point that the paper leaves open."""
     return [*_about_noise_and_filter(case), *_about_flight(case), *_about_tables()]
 
 
@@ -185,11 +181,7 @@ def write_report(
     """Write the figures, PNG and SVG, and `report.html`.
 
     Args:
-        out: An existing folder.
         results: Of all studies, in the order of the page.
-        rows: Of results.csv.
-        costs: Of costs.csv.
-        checks: Of checks.json.
 
     Raises:
         CompanionError: A file cannot be written.
@@ -236,16 +228,7 @@ def page(
     checks: Mapping[str, object],
     made_with: Provenance,
 ) -> str:
-    """The page as text.
-
-    Args:
-        results: Of all studies.
-        sections: The same, drawn and tabled.
-        rows: Of results.csv.
-        costs: Of costs.csv.
-        checks: Of checks.json.
-        made_with: Commit and versions.
-    """
+    """The page as text."""
     environment = Environment(
         loader=PackageLoader("sim_link.lab.evaluation.reporting"),
         autoescape=True,
