@@ -1,4 +1,4 @@
-"""What the event log tells of a flight, sorted for its report."""
+"""What the event log of a flight holds, sorted for its report."""
 
 from __future__ import annotations
 
@@ -20,22 +20,23 @@ GUARD_WORDS = {reason.name.lower(): reason.value for reason in GuardReason}
 
 @dataclass(frozen=True, slots=True)
 class EstimatePoint:
-    """One estimate."""
+    """One estimate as the event log has it."""
 
     time_s: float
     place_enu_m: Point
     r95_m: float
     state: str
-    range_offset_m: float | None
-    range_innovation_m: float | None
-    range_weight: float | None
-    nis: float | None
-    covariance_m2: tuple[Point, Point] | None
+    range_offset_m: float | None = None
+    range_innovation_m: float | None = None
+    nis: float | None = None
+    covariance_m2: tuple[Point, Point] | None = None
+    emitter_id: int | None = None
+    """None: the log does not tell emitters apart."""
 
 
 @dataclass(frozen=True, slots=True)
-class SummaryLine:
-    """One line for people."""
+class EventRow:
+    """One line of the table of events."""
 
     time_s: float
     kind: str
@@ -44,14 +45,15 @@ class SummaryLine:
 
 @dataclass(slots=True)
 class FlightSummary:
-    """A flight as its event log tells it."""
+    """What the event log of a flight holds for its report."""
 
     estimates: list[EstimatePoint] = field(default_factory=list)
     track_enu_m: list[Point] = field(default_factory=list)
     """Where the vehicle was when it measured."""
     waypoints: list[tuple[float, Point, str]] = field(default_factory=list)
     """(time_s, place, why)"""
-    told: list[SummaryLine] = field(default_factory=list)
+    events: list[EventRow] = field(default_factory=list)
+    """Those of `SUMMARY_KINDS`."""
     fence: Polygons | None = None
     """The fence that the guard kept last, and its keep-outs, local east and north."""
     guard: Counter[str] = field(default_factory=Counter)
@@ -69,40 +71,51 @@ class FlightSummary:
 
 
 def summarize_events(lines: Iterable[Line]) -> FlightSummary:
-    """The story that an event log tells; unknown kinds are passed over."""
-    story = FlightSummary()
+    """The summary of an event log; unknown kinds are passed over.
+
+    Args:
+        lines: Its lines in JSON's own types (see `companion.io.files.plain`): `t_s`, `kind` and
+            the fields of that kind.
+    """
+    summary = FlightSummary()
     for line in lines:
         time_s = _number(line.get("t_s")) or 0.0
-        story.ended_s = max(story.ended_s, time_s)
+        summary.ended_s = max(summary.ended_s, time_s)
         kind = str(line.get("kind"))
-        if kind == "estimate":
-            _take_estimate(story, line, time_s)
-        elif kind == "waypoint" and (place := _point(line.get("position_enu_m"))) is not None:
-            story.waypoints.append((time_s, place, f"{line.get('reason')}: {line.get('detail')}"))
-        elif kind == "guard":
-            story.guard.update(_guard_words(line.get("reasons")))
-        elif kind == "fence":
-            story.fence = _fence(line) or story.fence
-        elif kind == "link":
-            story.links.append(line)
-        elif kind == "result" and line.get("emitter_id") not in _reported(story):
-            story.results.append(line)
         if kind in SUMMARY_KINDS:
-            story.told.append(SummaryLine(time_s, kind.replace("_", " "), _phrase(kind, line)))
-    return story
+            row = EventRow(time_s, kind.replace("_", " "), event_text(kind, line))
+            summary.events.append(row)
+        _take_line(summary, kind, line, time_s)
+    return summary
 
 
-def _reported(story: FlightSummary) -> list[object]:
-    return [result.get("emitter_id") for result in story.results]
+def _take_line(summary: FlightSummary, kind: str, line: Line, time_s: float) -> None:
+    match kind:
+        case "estimate":
+            _take_estimate(summary, line, time_s)
+        case "waypoint" if (place := _point(line.get("position_enu_m"))) is not None:
+            reason = f"{line.get('reason')}: {line.get('detail')}"
+            summary.waypoints.append((time_s, place, reason))
+        case "guard":
+            summary.guard.update(_guard_words(line.get("reasons")))
+        case "fence":
+            summary.fence = _fence(line) or summary.fence
+        case "link":
+            summary.links.append(line)
+        case "result":
+            emitter_id = line.get("emitter_id")
+            if all(result.get("emitter_id") != emitter_id for result in summary.results):
+                summary.results.append(line)
 
 
-def _take_estimate(story: FlightSummary, line: Line, time_s: float) -> None:
+def _take_estimate(summary: FlightSummary, line: Line, time_s: float) -> None:
     place, r95_m = _point(line.get("position_enu_m")), _number(line.get("r95_m"))
     if place is None or r95_m is None:
         return
     sensor = _point(line.get("sensor_enu_m"))
     if sensor is not None:
-        story.track_enu_m.append(sensor)
+        summary.track_enu_m.append(sensor)
+    emitter_id = line.get("emitter_id")
     point = EstimatePoint(
         time_s=time_s,
         place_enu_m=place,
@@ -110,28 +123,26 @@ def _take_estimate(story: FlightSummary, line: Line, time_s: float) -> None:
         state=str(line.get("state")),
         range_offset_m=_number(line.get("range_offset_m")),
         range_innovation_m=_number(line.get("range_innovation")),
-        range_weight=_number(line.get("range_weight")),
         nis=_number(line.get("nis")),
         covariance_m2=_covariance(line.get("covariance_m2")),
+        emitter_id=emitter_id if isinstance(emitter_id, int) else None,
     )
-    story.estimates.append(point)
+    summary.estimates.append(point)
 
 
-def _phrase(kind: str, line: Line) -> str:
+def event_text(kind: str, line: Line) -> str:
+    """An event in words, for the table of events."""
     if kind in ("text", "autopilot_text"):
         return str(line.get("text"))
     if kind == "phase":
         return f"{line.get('old')} → {line.get('new')} ({line.get('trigger')})"
     if kind == "result":
         r95_m = _number(line.get("r95_m")) or 0.0
-        return f"reported: {_of(line)}{line.get('state')}, R95 {r95_m:.2f} m"
-    shown = {name: value for name, value in line.items() if name not in ("t_s", "kind")}
-    return ", ".join(f"{name} {value}" for name, value in shown.items())
-
-
-def _of(line: Line) -> str:
-    emitter_id = line.get("emitter_id")
-    return "" if emitter_id is None else f"emitter {emitter_id}, "
+        emitter_id = line.get("emitter_id")
+        emitter = "" if emitter_id is None else f"emitter {emitter_id}, "
+        return f"reported: {emitter}{line.get('state')}, R95 {r95_m:.2f} m"
+    fields = {name: value for name, value in line.items() if name not in ("t_s", "kind")}
+    return ", ".join(f"{name} {value}" for name, value in fields.items())
 
 
 def _guard_words(reasons: object) -> list[str]:

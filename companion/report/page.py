@@ -1,13 +1,23 @@
-"""The flight report as a page with its drawings; complete in itself: no network, no scripts."""
+"""The report of a flight as an HTML page; complete in itself: no network, no scripts.
+
+Every page about one flight is made here. A `FlightPage` holds what all of them show: heading and
+verdict, figures, the map, charts and the table of events. `render_page` fills `page.html.j2` with
+it, or a template of another package that says `{% extends "page.html.j2" %}` and adds sections in
+the blocks `verdicts` (before the map) and `sections` (before the events). The blocks see `page`
+and whatever else is given by name; the classes `passed`, `failed`, `dim`, `number`, `state` and
+`scroll` of `page.css` serve their tables. The drawings come from `companion.report.charts`; their
+styles are `track`, `estimate`, `radius`, `truth`, `limit`, `residual` and `step`.
+A page that is not about one flight takes `page_environment` and includes `page.css`.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from companion import __version__
@@ -15,183 +25,16 @@ from companion.config.schema import CompanionConfig
 from companion.domain import Point
 from companion.estimation.filters.losses import asymmetric_huber_loss, threshold
 from companion.flight_setup import FlightFacts, open_flight
-from companion.geometry.polygons import CHI2_95_TWO, ellipse_95
+from companion.geometry.polygons import CHI2_95_TWO
 from companion.io.files import EVENTS, REPORT, write_text_atomic
 from companion.io.logs.log_files import event_lines
-from companion.report.flight_summary import EstimatePoint, FlightSummary, Line, summarize_events
-from companion.report.svg import Drawing, square_around
+from companion.report.charts import Chart, Curve, MapLayers, TimeCharts, flight_map, histogram
+from companion.report.flight_summary import EventRow, FlightSummary, Line, summarize_events
 
-MAP_SIZE = 640.0
-CHART_SIZE = (560.0, 220.0)
-BINS = 50
-ELLIPSES = 8
-"""Shown on the map, evenly over the flight; the newer, the stronger."""
-ELLIPSE_CORNERS = 90
-FAINTEST = 0.2
 LEAST_M = 1e-3
 """A logarithmic axis has no zero."""
-
-
-@dataclass(frozen=True, slots=True)
-class Chart:
-    """A drawing with its heading and how to read it."""
-
-    title: str
-    note: str
-    svg: str
-
-
-def flight_map(story: FlightSummary, config: CompanionConfig) -> str:
-    """The track, the estimates and their shrinking ellipses, inside the fence."""
-    limits = config.limits
-    points = [*story.track_enu_m, *(point.place_enu_m for point in story.estimates)]
-    points += [place for _, place, _ in story.waypoints]
-    fence, keep_outs = fence_of(story, config)
-    west, east, south, north = square_around(points or fence or limits.fence_enu_m, 10.0)
-    drawing = Drawing(MAP_SIZE, MAP_SIZE - 16.0, (west, east), (south, north), "Map of the flight")
-    if fence:
-        drawing.area(fence, "fence")
-    for polygon in keep_outs:
-        drawing.area(polygon, "obstacle")
-    _ellipses(drawing, story, east - west)
-    drawing.line(story.track_enu_m, "track")
-    drawing.dots([place for _, place, _ in story.waypoints], "waypoint", 3.0)
-    last = story.last
-    if last is not None:
-        drawing.circle(last.place_enu_m, last.r95_m, "radius", f"R95 {last.r95_m:.2f} m")
-        drawing.cross(last.place_enu_m, "place", "estimate")
-    return drawing.svg()
-
-
-def fence_of(
-    story: FlightSummary, config: CompanionConfig
-) -> tuple[Sequence[Point], Sequence[Sequence[Point]]]:
-    """The fence that the guard kept, and its keep-outs; empty where nobody knows.
-
-    A log without it is of a flight that never knew one, or of an earlier version: then the
-    configuration's counts, which has only a default where the fence comes from elsewhere.
-    """
-    limits = config.limits
-    if story.fence is not None:
-        return story.fence
-    return limits.fence_enu_m if limits.is_fence_local else (), limits.keep_out_enu_m
-
-
-def _ellipses(drawing: Drawing, story: FlightSummary, width_m: float) -> None:
-    """How the estimate shrank; an ellipse that is larger than the map would only tint it."""
-    spread = _spread([p for p in story.estimates if p.covariance_m2 is not None])
-    for number, point in enumerate(spread):
-        if point.covariance_m2 is None or 2.0 * point.r95_m > width_m:
-            continue
-        corners = ellipse_95(point.place_enu_m, point.covariance_m2).corners_enu_m(ELLIPSE_CORNERS)
-        strength = FAINTEST + (1.0 - FAINTEST) * number / max(1, len(spread) - 1)
-        drawing.area(corners, "ellipse", strength)
-
-
-def charts(story: FlightSummary, config: CompanionConfig) -> list[Chart]:
-    """R95, offset, residuals, their histogram beside the fitted loss, and NIS."""
-    found = [
-        _over_time(
-            story,
-            [(p.time_s, max(p.r95_m, LEAST_M)) for p in story.estimates],
-            "R95",
-            "metres over seconds, logarithmic",
-            is_log=True,
-        )
-    ]
-    offsets = [(p.time_s, v) for p in story.estimates if (v := p.range_offset_m) is not None]
-    found.append(_over_time(story, offsets, "Range offset", "metres over seconds"))
-    residuals = [(p.time_s, v) for p in story.estimates if (v := p.range_innovation_m) is not None]
-    found.append(_over_time(story, residuals, "Range residuals", "metres over seconds", dots=True))
-    found.append(_histogram([value for _, value in residuals], config))
-    found.append(_nis(story))
-    return [chart for chart in found if chart is not None]
-
-
-def _over_time(
-    story: FlightSummary,
-    points: list[Point],
-    title: str,
-    note: str,
-    *,
-    is_log: bool = False,
-    dots: bool = False,
-) -> Chart | None:
-    if not points:
-        return None
-    values = [value for _, value in points]
-    low, high = min(values), max(values)
-    span = (low / 1.5, high * 1.5) if is_log else (low - 0.5, high + 0.5)
-    drawing = Drawing(*CHART_SIZE, _time_span(story), span, title, is_log=is_log)
-    if dots:
-        drawing.dots(points, "estimate")
-    else:
-        drawing.line(points, "radius")
-    return Chart(title, note, drawing.svg())
-
-
-def _histogram(values: list[float], config: CompanionConfig) -> Chart | None:
-    """How often a range was how much too long, and what the filter's loss expects."""
-    if not values:
-        return None
-    low, high = min(values), max(values) + 1e-6
-    width = (high - low) / BINS
-    counts = [0] * BINS
-    for value in values:
-        counts[min(BINS - 1, int((value - low) / width))] += 1
-    places = [low + (high - low) * step / 200 for step in range(201)]
-    expected = [
-        (x, len(values) * width * y) for x, y in zip(places, _density(places, config), strict=True)
-    ]
-    top = max([*counts, *(y for _, y in expected)]) * 1.05
-    drawing = Drawing(*CHART_SIZE, (low, high), (0.0, top), "Histogram of range residuals")
-    for number, count in enumerate(counts):
-        left, right = low + number * width, low + (number + 1) * width
-        drawing.area([(left, 0.0), (left, count), (right, count), (right, 0.0)], "bar")
-    drawing.line(expected, "error")
-    note = "how many over metres; line: what the filter's loss expects of them"
-    return Chart("Residuals and fitted loss", note, drawing.svg())
-
-
-def _density(places: Sequence[float], config: CompanionConfig) -> list[float]:
-    """exp(-loss), normalised over the places."""
-    noise = config.estimation.filter
-    k_long, k_short = threshold(noise.range_k_long), threshold(noise.range_k_short)
-    sigma_m = noise.range_sigma_m
-    heights = [math.exp(-asymmetric_huber_loss(x / sigma_m, k_long, k_short)) for x in places]
-    step = places[1] - places[0]
-    return [height / (sum(heights) * step) for height in heights]
-
-
-def _nis(story: FlightSummary) -> Chart | None:
-    points = [(p.time_s, v) for p in story.estimates if (v := p.nis) is not None]
-    if not points:
-        return None
-    band = CHI2_95_TWO
-    top = max(band * 2.0, sorted(v for _, v in points)[int(0.98 * (len(points) - 1))] * 1.2)
-    drawing = Drawing(*CHART_SIZE, _time_span(story), (0.0, top), "NIS over time")
-    drawing.dots([(t, min(v, top)) for t, v in points], "estimate")
-    drawing.line([(0.0, band), (_time_span(story)[1], band)], "error")
-    share = sum(v <= band for _, v in points) / len(points)
-    note = (
-        f"over seconds; {100 * share:.0f} % under the line, 95 % are expected of range and bearing"
-    )
-    return Chart("NIS", note, drawing.svg())
-
-
-def _time_span(story: FlightSummary) -> Point:
-    return (0.0, max(story.ended_s, 1.0))
-
-
-def _spread(points: Sequence[EstimatePoint]) -> list[EstimatePoint]:
-    if len(points) <= ELLIPSES:
-        return list(points)
-    last = len(points) - 1
-    return [points[round(last * number / (ELLIPSES - 1))] for number in range(ELLIPSES)]
-
-
-MAX_TOLD = 500
-"""Lines of the table of events; the event log has all."""
+MAX_EVENTS = 500
+"""Rows of the table of events; the event log has all."""
 QUICK_BYTES = 3_000_000
 """An event log up to this, a quarter of an hour, is a report in well under a second."""
 
@@ -201,61 +44,201 @@ LINK_WORDS = {
     "lost": "frames lost",
     "late": "frames late",
     "duplicates": "frames received twice",
-    "overtaken": "frames overtaken by newer ones",
+    "overtaken": "frames out of order",
     "tick_s": "control tick, s",
     "missed_ticks": "control ticks missed",
-    "stalls": "times that the computer stood still",
-    "undecodable": "frames that could not be read",
-    "strangers": "frames of strangers",
-    "moves": "times that the autopilot's address changed",
-    "echoes": "own frames that came back",
+    "stalls": "control loop stalls",
+    "undecodable": "frames not decodable",
+    "strangers": "frames from unknown peers",
+    "moves": "changes of the autopilot's address",
+    "echoes": "own frames received back",
     "setpoints": "setpoints sent",
-    "setpoint_rate_hz": "setpoints a second, at the end",
+    "setpoint_rate_hz": "setpoint rate at the end, Hz",
     "accepted": "measurements accepted",
-    "refused": "measurements refused",
+    "refused": "measurements rejected",
     "restarts": "restarts of the autopilot",
 }
 """What the counters of the event log mean; one that is new has its own name."""
 
 
-def report_page(story: FlightSummary, facts: FlightFacts, name: str) -> str:
-    """The page as text."""
-    environment = Environment(
-        loader=PackageLoader("companion.report"),
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FlightPage:
+    """What every report of one flight shows."""
+
+    kind: str
+    """Stands above the heading, for example "Flight report"."""
+    name: str
+    verdict: str
+    is_passed: bool
+    """Whether the verdict is a good one."""
+    about: str = ""
+    """A sentence below the heading; empty: none."""
+    facts: Sequence[tuple[str, str]]
+    """(name, value) of the figures below the heading."""
+    map: Markup
+    map_note: str
+    charts: Sequence[Chart | None]
+    """Those that are None are left out."""
+    events: Sequence[EventRow]
+    """In the order of time; the first `MAX_EVENTS` are shown."""
+    footer: str
+
+
+def page_environment(package: str) -> Environment:
+    """Where templates come from: the package's `templates` first, then ours."""
+    return Environment(
+        loader=ChoiceLoader([PackageLoader(package), PackageLoader("companion.report")]),
         autoescape=True,
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=StrictUndefined,
     )
-    fence, keep_outs = fence_of(story, facts.config)
-    return environment.get_template("flight.html.j2").render(
-        name=name,
-        story=story,
-        facts=facts,
-        verdict=verdict_of(story),
-        link=story.links[-1] if story.links else None,
-        link_rows=_link_rows(story.links[-1]) if story.links else [],
-        has_fence=bool(fence),
-        has_keep_outs=bool(keep_outs),
-        map=Markup(flight_map(story, facts.config)),
-        charts=[
-            (chart.title, chart.note, Markup(chart.svg)) for chart in charts(story, facts.config)
-        ],
-        told=story.told[:MAX_TOLD],
-        guard=story.guard.most_common(),
-        version=__version__,
+
+
+def render_page(
+    page: FlightPage, template: str, package: str = "companion.report", **more: object
+) -> str:
+    """The page as text.
+
+    Args:
+        template: Its name in the package's folder `templates`; it extends `page.html.j2`.
+        more: What the template's own blocks need, by name.
+    """
+    return (
+        page_environment(package)
+        .get_template(template)
+        .render(
+            page=page,
+            charts=[chart for chart in page.charts if chart is not None],
+            events=page.events[:MAX_EVENTS],
+            **more,
+        )
     )
 
 
-def verdict_of(story: FlightSummary) -> str:
+def report_page(summary: FlightSummary, facts: FlightFacts, name: str) -> str:
+    """The page of a recorded flight as text."""
+    fence, keep_outs = fence_of(summary, facts.config)
+    layers = MapLayers(
+        track_enu_m=summary.track_enu_m,
+        estimates=summary.estimates,
+        waypoints_enu_m=[place for _, place, _ in summary.waypoints],
+        fence_enu_m=fence,
+        keep_outs_enu_m=keep_outs,
+    )
+    page = FlightPage(
+        kind="Flight report",
+        name=name,
+        verdict=verdict_of(summary),
+        is_passed=bool(summary.results),
+        facts=_figures(summary, facts.config),
+        map=flight_map(layers),
+        map_note="Blue: where the vehicle measured; red: 95 % ellipses over time, the newer the "
+        "stronger, and the last R95; gold: waypoints"
+        + ("; dashed green: the fence" if fence else "")
+        + ("; red areas: keep-outs." if keep_outs else "."),
+        charts=charts_of(summary, facts.config),
+        events=summary.events,
+        footer=f"companion {__version__}, flown with {facts.version} on Python {facts.python}; "
+        f"run it again with: companion replay {name}",
+    )
+    return render_page(
+        page,
+        "flight.html.j2",
+        guard=summary.guard.most_common(),
+        link_rows=_link_rows(summary.links[-1]) if summary.links else [],
+    )
+
+
+def verdict_of(summary: FlightSummary) -> str:
     """The flight in one phrase."""
-    if story.results:
-        sizes = [result.get("r95_m") for result in story.results]
-        told = " and ".join(f"{r95_m:.2f} m" for r95_m in sizes if isinstance(r95_m, float))
-        return f"localised, R95 {told}" if told else "localised"
-    if story.last is None:
-        return "nothing was heard of the emitter"
-    return f"not reported: {story.last.state}, R95 {story.last.r95_m:.1f} m"
+    if summary.results:
+        sizes = [result.get("r95_m") for result in summary.results]
+        radii = " and ".join(f"{r95_m:.2f} m" for r95_m in sizes if isinstance(r95_m, float))
+        return f"localised, R95 {radii}" if radii else "localised"
+    if summary.last is None:
+        return "no measurement of the emitter was used"
+    return f"not reported: {summary.last.state}, R95 {summary.last.r95_m:.1f} m"
+
+
+def _figures(summary: FlightSummary, config: CompanionConfig) -> list[tuple[str, str]]:
+    rows = [("Recorded", f"{summary.ended_s:.0f} s")]
+    for result in summary.results:
+        latitude_deg, longitude_deg = result.get("latitude_deg"), result.get("longitude_deg")
+        if isinstance(latitude_deg, float) and isinstance(longitude_deg, float):
+            emitter = f" {result.get('emitter_id')}" if len(summary.results) > 1 else ""
+            rows.append((f"Position{emitter}", f"{latitude_deg:.7f}, {longitude_deg:.7f}"))
+    if summary.last is not None:
+        east_m, north_m = summary.last.place_enu_m
+        rows.append(("Last estimate", f"east {east_m:.2f} m, north {north_m:.2f} m"))
+    rows.append(("Estimates", str(len(summary.estimates))))
+    rows.append(("Estimator", config.estimation.kind))
+    return [*rows, ("Planner", config.planner.kind)]
+
+
+def fence_of(
+    summary: FlightSummary, config: CompanionConfig
+) -> tuple[Sequence[Point], Sequence[Sequence[Point]]]:
+    """The fence that the guard kept, and its keep-outs; empty where nobody knows.
+
+    A log without it is of a flight that never knew one, or of an earlier version: then the
+    configuration's counts, which has only a default where the fence comes from elsewhere.
+    """
+    limits = config.limits
+    if summary.fence is not None:
+        return summary.fence
+    return limits.fence_enu_m if limits.is_fence_local else (), limits.keep_out_enu_m
+
+
+def charts_of(summary: FlightSummary, config: CompanionConfig) -> list[Chart | None]:
+    """R95, offset, residuals, their histogram beside the fitted loss, and NIS."""
+
+    def density(places: Sequence[float]) -> list[float]:
+        """What the filter's loss expects: exp(-loss), normalised over the places."""
+        noise = config.estimation.filter
+        k_long, k_short = threshold(noise.range_k_long), threshold(noise.range_k_short)
+        sigma_m = noise.range_sigma_m
+        heights = [math.exp(-asymmetric_huber_loss(x / sigma_m, k_long, k_short)) for x in places]
+        step = places[1] - places[0]
+        return [height / (sum(heights) * step) for height in heights]
+
+    over_time = TimeCharts(summary.ended_s)
+    points = summary.estimates
+    radii = [(p.time_s, max(p.r95_m, LEAST_M)) for p in points]
+    offsets = _known((p.time_s, p.range_offset_m) for p in points)
+    residuals = _known((p.time_s, p.range_innovation_m) for p in points)
+    metres = "metres over seconds"
+    return [
+        over_time.draw("R95", f"{metres}, logarithmic", Curve(radii, "radius"), is_log=True),
+        over_time.draw("Range offset", metres, Curve(offsets, "radius")),
+        over_time.draw("Range residuals", metres, Curve(residuals, "residual", is_dotted=True)),
+        histogram(
+            "Residuals and fitted loss",
+            "how many over metres; line: what the filter's loss expects of them",
+            [value for _, value in residuals],
+            density,
+        ),
+        _nis_chart(over_time, _known((p.time_s, p.nis) for p in points)),
+    ]
+
+
+def _known(points: Iterable[tuple[float, float | None]]) -> list[Point]:
+    return [(time_s, value) for time_s, value in points if value is not None]
+
+
+def _nis_chart(over_time: TimeCharts, points: list[Point]) -> Chart | None:
+    if not points:
+        return None
+    limit = CHI2_95_TWO
+    top = max(limit * 2.0, sorted(v for _, v in points)[int(0.98 * (len(points) - 1))] * 1.2)
+    share = sum(value <= limit for _, value in points) / len(points)
+    return over_time.draw(
+        "NIS",
+        f"over seconds; {100 * share:.0f} % under the line, 95 % are expected of range and bearing",
+        Curve([(time_s, min(value, top)) for time_s, value in points], "residual", is_dotted=True),
+        Curve([(0.0, limit), (max(over_time.ended_s, 1.0), limit)], "limit"),
+        span=(0.0, top),
+    )
 
 
 def write_report(flight: Path, output: Path | None = None) -> Path:
@@ -270,7 +253,8 @@ def write_report(flight: Path, output: Path | None = None) -> Path:
         CompanionError: The report cannot be written.
     """
     found = open_flight(flight)
-    lines = [*_older(found.directory), *event_lines(found.path(EVENTS))]
+    older = found.directory / "events.old.jsonl"  # put aside when the log reached half its cap
+    lines = [*(event_lines(older) if older.exists() else ()), *event_lines(found.path(EVENTS))]
     page = report_page(summarize_events(lines), found.facts, found.directory.resolve().name)
     path = found.path(REPORT) if output is None else output
     write_text_atomic(path, page)
@@ -285,22 +269,12 @@ def is_quick(flight: Path) -> bool:
         return False
 
 
-def _older(directory: Path) -> list[Line]:
-    """What was put aside when the log reached half its cap."""
-    path = directory / "events.old.jsonl"
-    if not path.exists():
-        return []
-    lines: list[Line] = list(event_lines(path))
-    return lines
-
-
 def _link_rows(link: Line) -> list[tuple[str, str]]:
-    rows = []
-    for name, value in link.items():
-        if name in ("t_s", "kind", "links"):
-            continue
-        rows.append((LINK_WORDS.get(name, name.replace("_", " ")), _value_text(value)))
-    return rows
+    return [
+        (LINK_WORDS.get(name, name.replace("_", " ")), _value_text(value))
+        for name, value in link.items()
+        if name not in ("t_s", "kind", "links")
+    ]
 
 
 def _value_text(value: object) -> str:

@@ -110,21 +110,21 @@ def test_counters_of_the_link_are_told_in_words() -> None:
     page = page_of([*FLIGHT, link])
     rows = dict(re.findall("<div><dt>([^<]*)</dt><dd>([^<]*)</dd></div>", page))
     assert rows["frames lost"] == "3"
-    assert rows["measurements refused"] == "none"
+    assert rows["measurements rejected"] == "none"
     assert rows["new one"] == "late: 2"
 
 
 def test_the_verdict_is_what_the_flight_came_to() -> None:
     assert verdict_of(summarize_events(FLIGHT)) == "localised, R95 0.40 m"
     assert verdict_of(summarize_events(FLIGHT[:-1])) == "not reported: searching, R95 0.5 m"
-    assert verdict_of(summarize_events([])) == "nothing was heard of the emitter"
+    assert verdict_of(summarize_events([])) == "no measurement of the emitter was used"
 
 
 def test_guard_interventions_are_counted() -> None:
     fence: Line = {"t_s": 1.0, "kind": "guard", "reasons": ["fence", "lagging"]}
     over: Line = {"t_s": 2.0, "kind": "guard", "reasons": []}
-    story = summarize_events([fence, over, fence, {**fence, "reasons": ["fence"]}, over])
-    assert story.guard.most_common(1) == [(GuardReason.FENCE.value, 3)]
+    summary = summarize_events([fence, over, fence, {**fence, "reasons": ["fence"]}, over])
+    assert summary.guard.most_common(1) == [(GuardReason.FENCE.value, 3)]
     assert GuardReason.FENCE.value in page_of([fence])
 
 
