@@ -19,7 +19,8 @@ from companion.io.links.urls import parse_link_url
 from companion.io.shell import Clock, Shell
 from companion.mav.endpoint import Address, Endpoint
 from sim_link.autopilot.endpoint import SimEndpoint
-from sim_link.autopilot.scenario import Incident, Scenario
+from sim_link.autopilot.incidents import Incident
+from sim_link.autopilot.scenario import Scenario
 from sim_link.fleet.scenario_io import load_scenario
 from sim_link.fleet.vehicles import (
     Fleet,

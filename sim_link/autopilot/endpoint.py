@@ -25,10 +25,11 @@ from companion.mav.framing import MAGIC_V1
 from companion.mav.signing import Signing
 from sim_link.autopilot import radio_payload
 from sim_link.autopilot.aircraft import Occurrence
+from sim_link.autopilot.incidents import IncidentRecord, VehicleReboot, WindChange
 from sim_link.autopilot.pilot import STEP_S
 from sim_link.autopilot.protocols.addressing import Channel, Outgoing
 from sim_link.autopilot.protocols.link_layer import LinkLayer
-from sim_link.autopilot.scenario import Incident, Reboot, Scenario
+from sim_link.autopilot.scenario import Scenario
 from sim_link.autopilot.services import Services
 from sim_link.autopilot.telemetry import Telemetry
 from sim_link.autopilot.vehicle import FlightRecorder, IncidentSchedule, SimVehicle, apply_incident
@@ -120,12 +121,20 @@ class SimEndpoint:
             if self._services.wants_reboot:
                 self._reboot(now_s, 0.0)
 
-    def happen(self, incident: Incident, now_s: float) -> None:
-        """Let something happen to the vehicle now, whatever its `time_s` says."""
-        if isinstance(incident, Reboot):
+    def happen(self, incident: IncidentRecord, now_s: float) -> None:
+        """Let something happen to the vehicle now, whatever its `start_s` says."""
+        if isinstance(incident, VehicleReboot):
             self._reboot(now_s, incident.down_s)
         elif now_s >= self._started_s:
             apply_incident(incident, self.vehicle, now_s - self._started_s)
+            if isinstance(incident, WindChange) and incident.duration_s < math.inf:
+                self._script.add(self._scenario_wind(now_s + incident.duration_s))
+
+    def _scenario_wind(self, time_s: float) -> WindChange:
+        wind = self._scenario.wind
+        return WindChange(
+            start_s=time_s - self._began_s, east_mps=wind.east_mps, north_mps=wind.north_mps
+        )
 
     def _reboot(self, now_s: float, down_s: float) -> None:
         """Restart where it is, motors off, deaf and silent for `down_s` seconds."""

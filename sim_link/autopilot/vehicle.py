@@ -22,21 +22,22 @@ from sim_link.autopilot.flavours.ardupilot.flavour import ArduPilotFlavour
 from sim_link.autopilot.flavours.base import Flavour
 from sim_link.autopilot.flavours.px4.firmware_profile import px4_parameters
 from sim_link.autopilot.flavours.px4.flavour import Px4Flavour
-from sim_link.autopilot.pilot import STEP_S, Pilot
-from sim_link.autopilot.scenario import (
+from sim_link.autopilot.incidents import (
     BatteryCharge,
     EkfJump,
     EkfPoor,
     GpsLoss,
     Incident,
+    IncidentRecord,
     OriginShift,
     PilotMode,
     PilotSticks,
     RcLoss,
-    Reboot,
-    Scenario,
+    VehicleReboot,
     WindChange,
 )
+from sim_link.autopilot.pilot import STEP_S, Pilot
+from sim_link.autopilot.scenario import Scenario
 from sim_link.world.point_mass import PointMass
 
 
@@ -213,21 +214,26 @@ class IncidentSchedule:
     """The incidents that are still to come."""
 
     def __init__(self, incidents: Iterable[Incident]) -> None:
-        self._coming = sorted(incidents, key=lambda incident: incident.time_s, reverse=True)
+        self._coming = sorted(incidents, key=lambda incident: incident.start_s, reverse=True)
+
+    def add(self, incident: Incident) -> None:
+        """One more."""
+        self._coming.append(incident)
+        self._coming.sort(key=lambda each: each.start_s, reverse=True)
 
     def take_due(self, now_s: float) -> list[Incident]:
         """Those whose time has come, `now_s` seconds since the simulator began."""
         due = []
-        while self._coming and self._coming[-1].time_s <= now_s + 0.5 * STEP_S:
+        while self._coming and self._coming[-1].start_s <= now_s + 0.5 * STEP_S:
             due.append(self._coming.pop())
         return due
 
 
-def apply_incident(incident: Incident, vehicle: SimVehicle, now_s: float) -> None:
+def apply_incident(incident: IncidentRecord, vehicle: SimVehicle, now_s: float) -> None:
     """Let an incident happen to a vehicle now; a reboot is its endpoint's business.
 
     Args:
-        incident: What; its `time_s` means nothing here.
+        incident: What; its `start_s` means nothing here.
         now_s: Seconds since the vehicle's boot.
     """
     aircraft, estimator = vehicle.aircraft, vehicle.aircraft.estimator
@@ -236,13 +242,13 @@ def apply_incident(incident: Incident, vehicle: SimVehicle, now_s: float) -> Non
             vehicle.flavour.pilot_chooses(incident.mode, now_s)
         case PilotSticks():
             sticks = Sticks(incident.forward, incident.right, incident.up, incident.yaw)
-            aircraft.sticks.move(sticks, now_s + incident.for_s)
+            aircraft.sticks.move(sticks, now_s + incident.duration_s)
         case RcLoss():
-            aircraft.sticks.lose(now_s + incident.for_s)
+            aircraft.sticks.lose(now_s + incident.duration_s)
         case GpsLoss():
-            estimator.lose_fix(now_s + incident.for_s)
+            estimator.lose_fix(now_s + incident.duration_s)
         case EkfPoor():
-            estimator.spoil(incident.ratio, now_s + incident.for_s)
+            estimator.spoil(incident.ratio, now_s + incident.duration_s)
         case EkfJump():
             offset = (incident.east_m, incident.north_m, incident.up_m)
             estimator.jump(offset, math.radians(incident.yaw_deg))
@@ -255,7 +261,7 @@ def apply_incident(incident: Incident, vehicle: SimVehicle, now_s: float) -> Non
                 aircraft.body.wind, east_mps=incident.east_mps, north_mps=incident.north_mps
             )
             aircraft.body.set_wind(wind)
-        case Reboot():
+        case VehicleReboot():
             return
     vehicle.flavour.note(now_s, f"incident: {incident.__struct_config__.tag}")
 

@@ -38,7 +38,8 @@ from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk
 from companion.planning.crossing import LatchedCrossingParams
 from companion.replay.recorded_flight import Course, rerun
-from sim_link.autopilot.scenario import AutopilotParams, Incident, PilotMode, Scenario
+from sim_link.autopilot.incidents import Incident, PilotMode
+from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from sim_link.lab.faults.fault_models import Fault, LinkDelay, LinkJitter, LinkLoss, Schedule
 from sim_link.lab.faults.faulty_link import FaultyLink
 from sim_link.lab.lockstep.flight import VEHICLE_PEER, Flight, MemoryJournal

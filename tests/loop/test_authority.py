@@ -16,19 +16,17 @@ from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk
 from companion.mav.flight_modes import autopilot_of, mode_of
-from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
-from sim_link.lab.faults.fault_models import (
-    Battery,
+from sim_link.autopilot.incidents import (
+    BatteryCharge,
     EkfPoor,
     GpsLoss,
-    LinkBlackout,
-    ModeFlap,
     OriginShift,
     PilotSticks,
-    SecondSender,
     VehicleFault,
     VehicleReboot,
 )
+from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
+from sim_link.lab.faults.fault_models import LinkBlackout, ModeFlap, SecondSender
 from sim_link.lab.faults.injector import Injector
 from sim_link.lab.lockstep.flight import VEHICLE_PEER
 from sim_link.lab.lockstep.observer import Frame, Observer
@@ -259,7 +257,7 @@ def test_a_lost_fix_is_held_on_within_a_second(flavour: FlavourName) -> None:
 @pytest.mark.parametrize("flavour", FLAVOURS)
 def test_a_low_battery_ends_the_search_in_good_order(flavour: FlavourName) -> None:
     loop = flying(flavour)
-    inject(loop, Battery(share=0.18))
+    inject(loop, BatteryCharge(share=0.18))
     loop.run_until(lambda: bool(loop.notes.results), 25.0)
     loop.run(2.0)
     assert loop.said("battery low, 18 %")
@@ -269,7 +267,7 @@ def test_a_low_battery_ends_the_search_in_good_order(flavour: FlavourName) -> No
 
 def test_a_low_charge_that_is_raised_in_flight_ends_the_search() -> None:
     loop = flying("px4")
-    inject(loop, Battery(share=0.48))
+    inject(loop, BatteryCharge(share=0.48))
     loop.run(3.0)
     assert loop.phase is Phase.NORMAL
     change = mavlink.MAVLink_param_set_message(1, 191, b"CMP_BAT_LOW", 50.0, 9)
@@ -285,7 +283,7 @@ def test_a_low_charge_that_is_raised_in_flight_ends_the_search() -> None:
 def test_a_critical_battery_is_handed_back_once(flavour: FlavourName) -> None:
     loop = flying(flavour)
     asked = len(loop.commands)
-    inject(loop, Battery(share=0.09))
+    inject(loop, BatteryCharge(share=0.09))
     loop.run_until(lambda: loop.phase is Phase.YIELD, 5.0)
     loop.run(2.0)
     assert loop.mode is FlightMode.RETURN

@@ -11,8 +11,8 @@ from companion.domain import FlightMode
 from companion.guidance.authority.state_machine import Phase
 from companion.guidance.session_params import SessionParams
 from companion.mav.dialect import mavlink
+from sim_link.autopilot.incidents import BatteryCharge, EkfPoor, PilotSticks, VehicleFault
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
-from sim_link.lab.faults.fault_models import Battery, EkfPoor, PilotSticks, VehicleFault
 from tests.loop.loop_helpers import Loop
 from tests.loop.test_authority import ENDLESS, SET_MODE, TICK_S, inject
 
@@ -47,7 +47,7 @@ def test_a_vehicle_whose_launch_a_failsafe_ended_is_not_taken(
     flavour: FlavourName, share: float, config: CompanionConfig
 ) -> None:
     loop = climbing(flavour, config)
-    inject(loop, Battery(share=share))
+    inject(loop, BatteryCharge(share=share))
     loop.run_until(lambda: loop.phase is Phase.YIELD, 3.0)
     assert loop.said("launch ended: failsafe")
     ended_s = loop.now_s
@@ -58,7 +58,7 @@ def test_a_vehicle_whose_launch_a_failsafe_ended_is_not_taken(
 
 def test_whoever_gives_guided_after_a_failed_launch_is_obeyed() -> None:
     loop = climbing("ardupilot", FRUGAL)
-    inject(loop, Battery(share=0.09), Battery(start_s=3.0, share=0.8))
+    inject(loop, BatteryCharge(share=0.09), BatteryCharge(start_s=3.0, share=0.8))
     loop.run_until(lambda: loop.phase is Phase.YIELD, 3.0)
     loop.run(12.0)
     loop.operator.choose(FlightMode.HOLD)

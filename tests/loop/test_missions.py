@@ -11,12 +11,12 @@ from companion.io.logs.log_files import read_tlog
 from companion.mav.dialect import MAVLink_radio_ranging_message as RadioRanging
 from companion.mav.framing import message_id, sender_of
 from sim_link.autopilot.scenario import FlavourName
-from sim_link.lab.faults.planted import FliesAway
 from sim_link.lab.mission.batch import Campaign, fly_task, with_autopilot
 from sim_link.lab.mission.in_memory import fly_in_memory
 from sim_link.lab.mission.results import MissionResult
 from sim_link.lab.mission.script import Expectation, Mission
 from sim_link.lab.mission.script_file import load_mission, parse_mission
+from tests.planted_companions import FliesAway
 
 LIBRARY = Path(__file__).parents[2] / "configs" / "missions"
 CANONICAL = LIBRARY / "canonical.yaml"

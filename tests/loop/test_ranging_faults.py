@@ -11,8 +11,8 @@ import pytest
 from companion.domain import EstimateState
 from companion.estimation.screening.validation import Objection, RejectReason
 from companion.guidance.authority.state_machine import FLYING, Phase
+from sim_link.autopilot.incidents import FaultRecord
 from sim_link.lab.faults.fault_models import (
-    FaultRecord,
     LinkHold,
     RangingDropout,
     RangingFreeze,

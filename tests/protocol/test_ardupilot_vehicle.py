@@ -8,7 +8,8 @@ import pytest
 
 from companion.mav import dialect
 from companion.mav.dialect import MAVLink_ekf_status_report_message, mavlink
-from sim_link.autopilot.scenario import AutopilotParams, FenceParams, GpsLoss, Scenario
+from sim_link.autopilot.incidents import GpsLoss
+from sim_link.autopilot.scenario import AutopilotParams, FenceParams, Scenario
 from tests.protocol.sim_helpers import (
     ACCEPTED,
     ARM,
@@ -158,7 +159,7 @@ def test_a_target_outside_the_fence_is_ignored_in_silence() -> None:
 
 
 def test_without_satellites_it_lands_and_the_ekf_report_says_why() -> None:
-    station = flying(incidents=(GpsLoss(time_s=20.0),))
+    station = flying(incidents=(GpsLoss(start_s=20.0),))
     station.run(26.5 - station.now_s)
     assert number_of(station) == LAND
     assert "EKF Failsafe: changed to LAND Mode" in texts(station)

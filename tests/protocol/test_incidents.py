@@ -10,8 +10,9 @@ import pytest
 from companion.domain import FlightMode
 from companion.mav import dialect
 from companion.mav.dialect import MAVLink_ekf_status_report_message, mavlink
-from sim_link.autopilot import scenario as incidents
-from sim_link.autopilot.scenario import AutopilotParams, Incident, RcParams, Scenario
+from sim_link.autopilot import incidents
+from sim_link.autopilot.incidents import Incident
+from sim_link.autopilot.scenario import AutopilotParams, RcParams, Scenario
 from tests.protocol.sim_helpers import ACCEPTED, ARM, DENIED, TAKEOFF, GroundStation, local_setpoint
 
 STABILIZE, GUIDED, LOITER, RTL, LAND, ALT_HOLD = 0, 4, 5, 6, 9, 2
@@ -54,8 +55,8 @@ def copter_mode(station: GroundStation) -> int:
 
 def test_a_script_happens_at_its_times_in_any_order() -> None:
     station = px4(
-        incidents.PilotMode(time_s=25.0, mode=FlightMode.LAND),
-        incidents.PilotMode(time_s=20.0, mode=FlightMode.RETURN),
+        incidents.PilotMode(start_s=25.0, mode=FlightMode.LAND),
+        incidents.PilotMode(start_s=20.0, mode=FlightMode.RETURN),
     )
     station.run(19.9 - station.now_s)
     assert mode_of(station) is FlightMode.HOLD
@@ -69,7 +70,7 @@ def test_a_pilot_without_a_transmitter_cannot_have_a_mode_for_sticks() -> None:
     station = px4()
     happen(station, incidents.PilotMode(mode=FlightMode.POSITION))
     assert mode_of(station) is FlightMode.HOLD
-    happen(station, incidents.PilotSticks())
+    happen(station, incidents.PilotSticks(forward=0.0))
     happen(station, incidents.PilotMode(mode=FlightMode.POSITION))
     assert mode_of(station) is FlightMode.POSITION
 
@@ -93,7 +94,7 @@ def test_sticks_show_in_rc_channels_and_fly_where_a_mode_obeys_them() -> None:
     station = px4(rc=RcParams(is_present=True))
     happen(station, incidents.PilotMode(mode=FlightMode.POSITION))
     before = station.place
-    happen(station, incidents.PilotSticks(forward=0.8, yaw=-0.5, for_s=2.0))
+    happen(station, incidents.PilotSticks(forward=0.8, yaw=-0.5, duration_s=2.0))
     station.run(1.0)
     assert station.command(mavlink.MAV_CMD_REQUEST_MESSAGE, RC_CHANNELS) == ACCEPTED
     channels = station.last(mavlink.MAVLink_rc_channels_message)
@@ -106,7 +107,7 @@ def test_sticks_show_in_rc_channels_and_fly_where_a_mode_obeys_them() -> None:
 
 def test_a_lost_transmitter_comes_back() -> None:
     station = px4(rc=RcParams(is_present=True))
-    happen(station, incidents.RcLoss(for_s=4.0))
+    happen(station, incidents.RcLoss(duration_s=4.0))
     station.run(1.0)
     assert station.status == mavlink.MAV_STATE_CRITICAL
     assert station.command(mavlink.MAV_CMD_REQUEST_MESSAGE, RC_CHANNELS) == DENIED
@@ -115,7 +116,7 @@ def test_a_lost_transmitter_comes_back() -> None:
 
 
 def test_a_poor_estimate_shows_in_estimator_status_and_ends() -> None:
-    station = px4(incidents.EkfPoor(time_s=20.0, ratio=2.0, for_s=5.0))
+    station = px4(incidents.EkfPoor(start_s=20.0, ratio=2.0, duration_s=5.0))
     station.run(22.0 - station.now_s)
     report = station.last(mavlink.MAVLink_estimator_status_message)
     assert report.pos_horiz_ratio == pytest.approx(2.0)
@@ -130,7 +131,7 @@ def test_a_jump_of_the_heading_shows_in_the_reports_and_turns_the_vehicle_back()
     station.stream = lambda: local_setpoint(yaw=0.0, mask=dialect.POSITION_AND_YAW)
     station.run(0.5)
     assert station.set_mode(FlightMode.OFFBOARD) == ACCEPTED
-    happen(station, incidents.EkfJump(yaw_deg=30.0))
+    happen(station, incidents.EkfJump(east_m=0.0, yaw_deg=30.0))
     station.run(0.1)
     told = station.last(mavlink.MAVLink_attitude_message).yaw
     assert told == pytest.approx(math.radians(30.0), abs=0.1)
@@ -160,7 +161,7 @@ def test_a_charge_changes_and_may_be_unknown() -> None:
     status = station.last(mavlink.MAVLink_sys_status_message)
     assert status.battery_remaining == 14
     assert station.last(mavlink.MAVLink_battery_status_message).battery_remaining == 14
-    happen(station, incidents.BatteryCharge())
+    happen(station, incidents.BatteryCharge(share=None))
     station.run(2.0)
     status = station.last(mavlink.MAVLink_sys_status_message)
     told = (status.voltage_battery, status.current_battery, status.battery_remaining)
@@ -184,7 +185,7 @@ def test_a_reboot_is_silent_falls_and_begins_a_new_clock(
 ) -> None:
     station = make()
     place = station.sim.vehicle.body.position_enu_m
-    happen(station, incidents.Reboot(down_s=2.0))
+    happen(station, incidents.VehicleReboot(down_s=2.0))
     station.inbox.clear()
     station.run(1.9)
     assert not station.inbox
@@ -199,7 +200,7 @@ def test_a_reboot_is_silent_falls_and_begins_a_new_clock(
 
 
 def test_a_scripted_reboot_happens_once() -> None:
-    station = px4(incidents.Reboot(time_s=20.0, down_s=1.0))
+    station = px4(incidents.VehicleReboot(start_s=20.0, down_s=1.0))
     station.run(20.5 - station.now_s)
     station.inbox.clear()
     station.run(10.0)
@@ -223,7 +224,7 @@ def test_arducopter_leaves_a_mode_without_position_alone_unless_told_otherwise(
     action: int, number: int
 ) -> None:
     station = copter({"FS_EKF_ACTION": action})
-    happen(station, incidents.PilotSticks())
+    happen(station, incidents.PilotSticks(forward=0.0))
     happen(station, incidents.PilotMode(mode=FlightMode.STABILIZED))
     happen(station, incidents.EkfPoor(ratio=0.9))
     station.run(1.5)

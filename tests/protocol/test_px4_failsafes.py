@@ -6,14 +6,12 @@ import pytest
 
 from companion.domain import FlightMode
 from companion.mav.dialect import mavlink
+from sim_link.autopilot.incidents import EkfJump, GpsLoss, RcLoss
 from sim_link.autopilot.scenario import (
     AutopilotParams,
     BatteryParams,
-    EkfJump,
     FenceParams,
-    GpsLoss,
     GpsParams,
-    RcLoss,
     RcParams,
     Scenario,
 )
@@ -122,7 +120,9 @@ def test_a_silent_ground_station_is_a_failsafe_only_if_asked_for() -> None:
 
 
 def test_a_transmitter_that_is_lost_returns_and_shows_in_the_health() -> None:
-    station = flying(rc=RcParams(is_present=True), incidents=(RcLoss(time_s=20.0, for_s=4.0),))
+    station = flying(
+        rc=RcParams(is_present=True), incidents=(RcLoss(start_s=20.0, duration_s=4.0),)
+    )
     report = station.last(mavlink.MAVLink_sys_status_message)
     assert report.onboard_control_sensors_health & mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
     station.run(21.2 - station.now_s)
@@ -139,7 +139,7 @@ def test_a_transmitter_that_is_lost_returns_and_shows_in_the_health() -> None:
 
 
 def test_a_failsafe_that_waits_in_hold_hears_no_sticks_but_a_mode() -> None:
-    station = flying(rc=RcParams(is_present=True), incidents=(RcLoss(time_s=20.0),))
+    station = flying(rc=RcParams(is_present=True), incidents=(RcLoss(start_s=20.0),))
     station.run(21.0 - station.now_s)
     station.send(manual(x=900))
     station.run(1.0)
@@ -213,7 +213,7 @@ def test_offboard_is_not_overridden_by_sticks_unless_its_bit_is_set() -> None:
 
 
 def test_without_satellites_it_drifts_then_lands_and_cannot_be_armed() -> None:
-    station = flying(gps=GpsParams(drift_mps=0.5), incidents=(GpsLoss(time_s=20.0),))
+    station = flying(gps=GpsParams(drift_mps=0.5), incidents=(GpsLoss(start_s=20.0),))
     station.run(21.0 - station.now_s)
     fix = station.last(mavlink.MAVLink_gps_raw_int_message)
     assert (fix.fix_type, fix.satellites_visible) == (mavlink.GPS_FIX_TYPE_NO_FIX, 0)
@@ -228,7 +228,7 @@ def test_without_satellites_it_drifts_then_lands_and_cannot_be_armed() -> None:
 
 
 def test_an_estimate_that_jumps_moves_what_is_reported_and_what_is_flown() -> None:
-    station = flying(incidents=(EkfJump(time_s=30.0, east_m=8.0),))
+    station = flying(incidents=(EkfJump(start_s=30.0, east_m=8.0),))
     held = station.sim.vehicle.body.position_enu_m
     station.run(31.0 - station.now_s)
     assert station.place[1] == pytest.approx(18.0, abs=0.1)

@@ -25,6 +25,7 @@ from companion.flight_setup import build_endpoint
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.recorders import Journal
 from companion.mav.signing import ONE_LINK_EACH, LinkSigning, Signing, SigningKey, timestamp_at
+from sim_link.autopilot import incidents
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import Scenario
 from sim_link.lab.faults import fault_models
@@ -264,7 +265,7 @@ class Dice:
 def _jump(dice: Dice) -> Fault:
     heading = dice.number(-math.pi, math.pi)
     size_m = dice.one((1.0, JUMP_M))
-    return fault_models.EkfJump(
+    return incidents.EkfJump(
         east_m=round(size_m * math.cos(heading), 3),
         north_m=round(size_m * math.sin(heading), 3),
         yaw_deg=dice.one((0.0, 0.0, 30.0)),
@@ -273,7 +274,7 @@ def _jump(dice: Dice) -> Fault:
 
 def _wind(dice: Dice) -> Fault:
     heading = dice.number(-math.pi, math.pi)
-    return fault_models.Wind(
+    return incidents.WindChange(
         east_mps=round(12.0 * math.cos(heading), 3), north_mps=round(12.0 * math.sin(heading), 3)
     )
 
@@ -308,17 +309,17 @@ DRAWS: tuple[Callable[[Dice], Fault], ...] = (
         emitter_id=d.one((None, 0, 9)),
     ),
     lambda d: fault_models.RangingNan(share=d.number(0.1, 1.0)),
-    lambda d: fault_models.VehicleReboot(down_s=d.number(0.2, 3.0)),
+    lambda d: incidents.VehicleReboot(down_s=d.number(0.2, 3.0)),
     _jump,
-    lambda d: fault_models.EkfPoor(ratio=d.number(1.1, 3.0)),
-    lambda _: fault_models.GpsLoss(),
+    lambda d: incidents.EkfPoor(ratio=d.number(1.1, 3.0)),
+    lambda _: incidents.GpsLoss(),
     _wind,
-    lambda d: fault_models.Battery(share=d.one((None, 0.14, 0.1, 0.06, 0.02))),
-    lambda d: fault_models.OriginShift(east_m=d.number(-12.0, 12.0), north_m=d.number(-12.0, 12.0)),
-    lambda d: fault_models.PilotMode(mode=d.one(MODES)),
-    lambda d: fault_models.PilotSticks(forward=d.number(-1.0, 1.0), right=d.number(-1.0, 1.0)),
+    lambda d: incidents.BatteryCharge(share=d.one((None, 0.14, 0.1, 0.06, 0.02))),
+    lambda d: incidents.OriginShift(east_m=d.number(-12.0, 12.0), north_m=d.number(-12.0, 12.0)),
+    lambda d: incidents.PilotMode(mode=d.one(MODES)),
+    lambda d: incidents.PilotSticks(forward=d.number(-1.0, 1.0), right=d.number(-1.0, 1.0)),
     lambda d: fault_models.ModeFlap(mode=d.one(MODES), period_s=d.number(0.3, 3.0)),
-    lambda d: fault_models.Failsafe(mode=d.one((FlightMode.RETURN, FlightMode.LAND))),
+    lambda d: incidents.Failsafe(mode=d.one((FlightMode.RETURN, FlightMode.LAND))),
     lambda _: fault_models.Disarm(),
     lambda d: fault_models.SecondSender(
         rate_hz=d.number(2.0, 30.0), east_m=d.number(0.0, 40.0), north_m=d.number(0.0, 40.0)

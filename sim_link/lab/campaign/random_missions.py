@@ -28,6 +28,7 @@ from companion.config.schema import (
 from companion.domain import FlightMode
 from companion.guidance.session_params import SessionParams
 from companion.link.binding import VehicleParams as CompanionVehicle
+from sim_link.autopilot.incidents import PilotMode
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.lab.campaign.flights import (
     Dice,
@@ -44,7 +45,6 @@ from sim_link.lab.faults.fault_models import (
     LinkDelay,
     LinkJitter,
     LinkLoss,
-    PilotMode,
     Schedule,
     fields_of,
 )

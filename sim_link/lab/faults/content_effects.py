@@ -26,8 +26,8 @@ from companion.mav.framing import (
     message_id,
 )
 from companion.mav.signing import HASH_LENGTH, SigningKey, is_signed
+from sim_link.autopilot.incidents import FaultRecord
 from sim_link.lab.faults.fault_models import (
-    FaultRecord,
     RangingDropout,
     RangingFreeze,
     RangingNan,

@@ -2,20 +2,7 @@
 
 The same records drive the link in memory, the UDP proxy and the injector; a YAML file names one by
 its `kind`: `{kind: link_loss, share: 0.3, start_s: 20, duration_s: 5}`. Times are seconds since the
-schedule began. A fault without an end lasts until the schedule is over; an event (a reboot, a mode
-switch) happens at its start, and its duration means nothing.
-
-What every fault record has, and the types of their fields.
-
-What can go wrong between the two endpoints, in one direction or both.
-
-What can be wrong in frames that arrive: the radio's measurements and the vehicle's reports.
-
-What can happen to the companion's process, and who may attack it.
-
-What can happen to the vehicle, its autopilot, its pilot and the weather.
-
-Which faults act when.
+schedule began. What happens to the vehicle itself is in `sim_link.autopilot.incidents`.
 """
 
 from __future__ import annotations
@@ -26,27 +13,11 @@ from typing import Annotated, Literal, get_args
 import msgspec
 
 from companion.domain import FlightMode, NonNegative, Params, Positive
+from sim_link.autopilot.incidents import FaultRecord, Incident, Share, VehicleFault
 
-Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 Count = Annotated[int, msgspec.Meta(ge=1, le=1000)]
 Length = Annotated[float, msgspec.Meta(ge=-1e5, le=1e5)]
 Rate = Annotated[float, msgspec.Meta(gt=0.0, le=100_000.0)]
-
-
-class FaultRecord(Params, frozen=True, tag_field="kind"):
-    """What every fault has."""
-
-    start_s: NonNegative = 0.0
-    duration_s: Positive = math.inf
-
-    @property
-    def end_s(self) -> float:
-        """When it is over."""
-        return self.start_s + self.duration_s
-
-    def is_active(self, time_s: float) -> bool:
-        """Whether it acts at a time since the schedule began."""
-        return self.start_s <= time_s < self.end_s
 
 
 Direction = Literal["both", "to_companion", "to_vehicle"]
@@ -254,86 +225,12 @@ class ForeignFrames(SecurityFault, frozen=True, tag="foreign_frames"):
     """Frames of another vehicle on the same link, with an id of its own."""
 
 
-Angle = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
-Deflection = Annotated[float, msgspec.Meta(ge=-1.0, le=1.0)]
-WindSpeed = Annotated[float, msgspec.Meta(ge=-50.0, le=50.0)]
-
-
-class VehicleFault(FaultRecord, frozen=True):
-    """Something with the vehicle, its autopilot or the weather."""
-
-
-class VehicleReboot(VehicleFault, frozen=True, tag="vehicle_reboot"):
-    """The autopilot restarts, motors off; event."""
-
-    down_s: NonNegative = 1.0
-
-
-class EkfJump(VehicleFault, frozen=True, tag="ekf_jump"):
-    """The autopilot's estimator resets: from now on it reports this much more; event."""
-
-    east_m: Length = 7.0
-    north_m: Length = 0.0
-    up_m: Length = 0.0
-    yaw_deg: Angle = 0.0
-
-
-class EkfPoor(VehicleFault, frozen=True, tag="ekf_poor"):
-    """The autopilot says that measurements contradict its estimate."""
-
-    ratio: Positive = 1.5
-
-
-class GpsLoss(VehicleFault, frozen=True, tag="gps_loss"):
-    """No satellites: the fix is gone and the estimate wanders."""
-
-
-class Wind(VehicleFault, frozen=True, tag="wind"):
-    """Another wind, by where it blows to; calm when it is over."""
-
-    east_mps: WindSpeed = 12.0
-    north_mps: WindSpeed = 0.0
-
-
-class Battery(VehicleFault, frozen=True, tag="battery"):
-    """The charge changes at once; event."""
-
-    share: Share | None = 0.14
-    """None: nobody knows it any more."""
-
-
-class OriginShift(VehicleFault, frozen=True, tag="origin_shift"):
-    """The zero of the local frame moves; event."""
-
-    east_m: Length = 10.0
-    north_m: Length = 0.0
-
-
-class PilotMode(VehicleFault, frozen=True, tag="pilot_mode"):
-    """The pilot turns the mode switch; event."""
-
-    mode: FlightMode = FlightMode.HOLD
-
-
-class PilotSticks(VehicleFault, frozen=True, tag="pilot_sticks"):
-    """The pilot moves the sticks."""
-
-    forward: Deflection = 0.5
-    right: Deflection = 0.0
-
-
 class ModeFlap(VehicleFault, frozen=True, tag="mode_flap"):
     """The mode switch goes to and fro."""
 
     mode: FlightMode = FlightMode.HOLD
     period_s: Positive = 0.5
     duration_s: Positive = 4.0
-
-
-class Failsafe(VehicleFault, frozen=True, tag="failsafe"):
-    """The autopilot leaves by itself; event."""
-
-    mode: FlightMode = FlightMode.RETURN
 
 
 class Disarm(VehicleFault, frozen=True, tag="disarm"):
@@ -371,17 +268,8 @@ Fault = (
     | RangingOutOfOrder
     | RangingSecondEmitter
     | RangingNan
-    | VehicleReboot
-    | EkfJump
-    | EkfPoor
-    | GpsLoss
-    | Wind
-    | Battery
-    | OriginShift
-    | PilotMode
-    | PilotSticks
+    | Incident
     | ModeFlap
-    | Failsafe
     | Disarm
     | SecondSender
     | TelemetryNonsense

@@ -27,10 +27,10 @@ from companion.mav.codec import CRC_EXTRA_BY_ID
 from companion.mav.dialect import mavlink
 from companion.mav.framing import frame_crc, message_id, without_signature
 from companion.mav.signing import MAX_HEARD, Signing, SigningKey
+from sim_link.autopilot.incidents import FaultRecord
 from sim_link.lab.faults.content_effects import content_effect, rewritten
 from sim_link.lab.faults.fault_models import (
     ContentFault,
-    FaultRecord,
     ForeignFrames,
     ForgedFrames,
     LinkBitFlips,

@@ -7,7 +7,6 @@ send from an address of their own, or, on a signed link, from the vehicle's.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from functools import partial
 
@@ -17,29 +16,17 @@ from companion.domain import FlightMode
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import POSITION_ONLY, mavlink
 from companion.mav.endpoint import Address, Chunk
-from sim_link.autopilot import scenario
+from sim_link.autopilot.incidents import FaultRecord, IncidentRecord, PilotMode, VehicleFault
 from sim_link.lab.faults.fault_models import (
-    Battery,
     CompanionKilled,
     CompanionStalled,
     CompanionTerminated,
     Disarm,
-    EkfJump,
-    EkfPoor,
-    Failsafe,
-    FaultRecord,
-    GpsLoss,
     ModeFlap,
-    OriginShift,
-    PilotMode,
-    PilotSticks,
     ProcessFault,
     Schedule,
     SecondSender,
     SecurityFault,
-    VehicleFault,
-    VehicleReboot,
-    Wind,
 )
 from sim_link.lab.faults.faulty_link import Attacker, FaultyLink
 from sim_link.lab.lockstep.flight import VEHICLE_PEER, Flight
@@ -108,25 +95,13 @@ class Injector(Observer):
                     flight.now_s + fault.duration_s,
                     partial(self._send_other, fault),
                 )
-            case Wind():
-                wind = scenario.WindChange(east_mps=fault.east_mps, north_mps=fault.north_mps)
-                flight.happen(wind)
-                self._calm(fault)
-            case _:
-                flight.happen(incident_of(fault))
-
-    def _calm(self, fault: Wind) -> None:
-        if not math.isfinite(fault.duration_s):
-            return
-        wind = self._flight.scenario.wind
-        before = scenario.WindChange(east_mps=wind.east_mps, north_mps=wind.north_mps)
-        end_s = self._flight.now_s + fault.duration_s
-        self._flight.at(end_s, partial(self._flight.happen, before))
+            case IncidentRecord():
+                flight.happen(fault)
 
     def _flap(self, fault: ModeFlap, end_s: float, *, is_ours: bool) -> None:
         now_s = self._flight.now_s
         mode = fault.mode if is_ours else FlightMode.OFFBOARD
-        self._flight.happen(scenario.PilotMode(mode=mode))
+        self._flight.happen(PilotMode(mode=mode))
         if now_s < end_s or is_ours:
             next_s = now_s + 0.5 * fault.period_s
             self._flight.at(next_s, partial(self._flap, fault, end_s, is_ours=not is_ours))
@@ -179,32 +154,3 @@ class Injector(Observer):
         next_s = self._flight.now_s + period_s
         if next_s < end_s:
             self._flight.at(next_s, partial(self._repeat, period_s, end_s, action))
-
-
-def incident_of(fault: VehicleFault) -> scenario.Incident:
-    """The simulator's incident for a fault that is one.
-
-    Raises:
-        ValueError: It is none.
-    """
-    for_s = fault.duration_s
-    match fault:
-        case VehicleReboot(down_s=down_s):
-            return scenario.Reboot(down_s=down_s)
-        case EkfJump():
-            return scenario.EkfJump(
-                east_m=fault.east_m, north_m=fault.north_m, up_m=fault.up_m, yaw_deg=fault.yaw_deg
-            )
-        case EkfPoor(ratio=ratio):
-            return scenario.EkfPoor(ratio=ratio, for_s=for_s)
-        case GpsLoss():
-            return scenario.GpsLoss(for_s=for_s)
-        case Battery(share=share):
-            return scenario.BatteryCharge(share=share)
-        case OriginShift(east_m=east_m, north_m=north_m):
-            return scenario.OriginShift(east_m=east_m, north_m=north_m)
-        case PilotMode(mode=mode) | Failsafe(mode=mode):
-            return scenario.PilotMode(mode=mode)
-        case PilotSticks(forward=forward, right=right):
-            return scenario.PilotSticks(forward=forward, right=right, for_s=for_s)
-    raise ValueError(f"{type(fault).__name__} is no incident")

@@ -13,8 +13,8 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
+from sim_link.autopilot.incidents import FaultRecord
 from sim_link.lab.faults.fault_models import (
-    FaultRecord,
     LinkBitFlips,
     LinkBlackout,
     LinkBursts,

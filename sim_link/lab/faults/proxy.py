@@ -32,10 +32,10 @@ import yaml
 from companion.config.loader import load_yaml
 from companion.errors import ConfigError, LinkError
 from companion.mav.endpoint import Address
+from sim_link.autopilot.incidents import FaultRecord
 from sim_link.lab.faults.fault_models import (
     ContentFault,
     Fault,
-    FaultRecord,
     LinkFault,
     Schedule,
     SecurityFault,

@@ -31,7 +31,8 @@ from companion.link.recorders import Journal
 from companion.mav.endpoint import Address, Chunk
 from sim_link.autopilot import radio_payload
 from sim_link.autopilot.endpoint import SimEndpoint
-from sim_link.autopilot.scenario import Incident, PilotMode, Reboot, Scenario
+from sim_link.autopilot.incidents import IncidentRecord, PilotMode, VehicleReboot
+from sim_link.autopilot.scenario import Scenario
 from sim_link.lab.lockstep.observer import (
     Frame,
     Lane,
@@ -373,12 +374,12 @@ class Flight:
         for observer in self.observers:
             observer.vehicle_rebooted(self.now_s)
 
-    def happen(self, incident: Incident) -> None:
+    def happen(self, incident: IncidentRecord) -> None:
         """Let something happen to the vehicle."""
         self.sim.happen(incident, self.now_s)
         if isinstance(incident, PilotMode):
             self.tell_chosen(incident.mode)
-        if isinstance(incident, Reboot):
+        if isinstance(incident, VehicleReboot):
             for observer in self.observers:
                 observer.vehicle_rebooted(self.now_s)
 

@@ -33,18 +33,15 @@ from companion.config.loader import read_text
 from companion.errors import CompanionError
 from companion.mav.codec import MavCodec
 from companion.mav.endpoint import Address, Chunk
-from sim_link.autopilot.scenario import Incident, WindChange
+from sim_link.autopilot.incidents import IncidentRecord, VehicleFault
 from sim_link.lab.faults.fault_models import (
     CompanionKilled,
     CompanionStalled,
     CompanionTerminated,
     Fault,
     SecurityFault,
-    VehicleFault,
-    Wind,
 )
 from sim_link.lab.faults.faulty_link import FaultyLink
-from sim_link.lab.faults.injector import incident_of
 from sim_link.lab.lockstep.observer import Lane, Observer, Wire
 from sim_link.lab.mission.script import Mission
 from sim_link.lab.mission.script_file import located
@@ -327,12 +324,8 @@ class ProcessHarness:
                 self._at(start_s + duration_s, partial(self._companion.signal, signal.SIGCONT))
             case CompanionTerminated():
                 self._at(start_s, self._terminate)
-            case Wind():
-                wind = WindChange(east_mps=fault.east_mps, north_mps=fault.north_mps)
-                self._at(start_s, partial(self._tell, wind))
-                self._at(now_s + fault.end_s, self._calm)
-            case VehicleFault():
-                self._at(start_s, partial(self._tell, incident_of(fault)))
+            case IncidentRecord():
+                self._at(start_s, partial(self._tell, fault))
 
     def tick(self, now_s: float) -> None:
         """Do what is due."""
@@ -364,11 +357,7 @@ class ProcessHarness:
         self._watcher.companion_ended(self._now_s)
         self._companion.signal(signal.SIGTERM)
 
-    def _calm(self) -> None:
-        wind = self._mission.wind
-        self._tell(WindChange(east_mps=wind.east_mps, north_mps=wind.north_mps))
-
-    def _tell(self, incident: Incident) -> None:
+    def _tell(self, incident: IncidentRecord) -> None:
         if self._vehicle is not None:
             fields = msgspec.to_builtins(incident)
             endless = {name for name, value in fields.items() if value == math.inf}
@@ -391,15 +380,7 @@ def check_faults(mission: Mission, name: str, *, is_our_vehicle: bool) -> None:
             problem = "only possible in lockstep"
         elif isinstance(step, VehicleFault) and not is_our_vehicle:
             problem = "a vehicle that is not ours cannot be broken"
-        elif isinstance(step, VehicleFault) and not _is_incident(step):
+        elif isinstance(step, VehicleFault) and not isinstance(step, IncidentRecord):
             problem = "only possible in lockstep"
         if problem is not None:
             raise located(read_text(Path(name)), name, f"$.steps[{number}].inject", problem)
-
-
-def _is_incident(fault: VehicleFault) -> bool:
-    try:
-        incident_of(fault)
-    except ValueError:
-        return isinstance(fault, Wind)
-    return True

@@ -17,7 +17,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from companion.domain import FlightMode
-from sim_link.lab.faults.fault_models import Fault, FaultRecord
+from sim_link.autopilot.incidents import FaultRecord
+from sim_link.lab.faults.fault_models import Fault
 from sim_link.lab.mission import script
 from sim_link.lab.mission.conditions import Situation, parse_condition
 from sim_link.lab.mission.results import FlightRecord, StepOutcome

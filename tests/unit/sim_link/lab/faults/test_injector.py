@@ -10,25 +10,27 @@ from companion.config.schema import CompanionConfig
 from companion.domain import FlightMode
 from companion.guidance.authority.state_machine import Phase
 from companion.guidance.session_params import SessionParams
+from sim_link.autopilot.incidents import (
+    BatteryCharge,
+    EkfJump,
+    Failsafe,
+    OriginShift,
+    PilotMode,
+    VehicleReboot,
+    WindChange,
+)
 from sim_link.autopilot.scenario import Scenario
 from sim_link.lab.faults.fault_models import (
-    Battery,
     CompanionKilled,
     CompanionStalled,
     CompanionTerminated,
     Disarm,
-    EkfJump,
-    Failsafe,
     Fault,
     ForgedFrames,
     LinkBlackout,
     ModeFlap,
-    OriginShift,
-    PilotMode,
     Schedule,
     SecondSender,
-    VehicleReboot,
-    Wind,
 )
 from sim_link.lab.faults.faulty_link import FaultyLink
 from sim_link.lab.faults.injector import Injector
@@ -113,7 +115,7 @@ def test_the_estimate_jumps_and_the_origin_moves() -> None:
 
 
 def test_the_wind_blows_and_calms_down() -> None:
-    flight, _, _ = flown(Wind(east_mps=12.0, duration_s=2.0))
+    flight, _, _ = flown(WindChange(east_mps=12.0, duration_s=2.0))
     flight.run(1.0)
     assert flight.sim.vehicle.body.wind.east_mps == 12.0
     flight.run(2.0)
@@ -121,7 +123,7 @@ def test_the_wind_blows_and_calms_down() -> None:
 
 
 def test_the_battery_drops() -> None:
-    flight, _, _ = flown(Battery(share=0.1))
+    flight, _, _ = flown(BatteryCharge(share=0.1))
     flight.run(0.1)
     assert flight.sim.vehicle.battery.share == pytest.approx(0.1, abs=0.01)
 

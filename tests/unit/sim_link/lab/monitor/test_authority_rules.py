@@ -11,11 +11,12 @@ from companion.guidance.authority.state_machine import Phase
 from companion.guidance.session_params import SessionParams
 from companion.mav.dialect import mavlink
 from companion.mav.framing import message_id
+from sim_link.autopilot.incidents import BatteryCharge
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from sim_link.lab.campaign.flights import Monitored, monitored
-from sim_link.lab.faults.fault_models import Battery, CompanionKilled, Schedule
-from sim_link.lab.faults.planted import KeepsFlying, maker
+from sim_link.lab.faults.fault_models import CompanionKilled, Schedule
 from sim_link.lab.lockstep.observer import Delivery, Lane
+from tests.planted_companions import KeepsFlying, maker
 
 HEARTBEAT = mavlink.MAVLINK_MSG_ID_HEARTBEAT
 COPTER = Scenario(autopilot=AutopilotParams(flavour="ardupilot"))
@@ -100,7 +101,7 @@ def test_guided_that_a_failed_launch_left_behind_gives_no_right_to_fly(
         monkeypatch.setattr(Authority, "may_take", property(lambda _: True))
     around = monitored(AUTO, COPTER, 1)
     around.flight.run(6.5)
-    around.injector.add(Battery(share=0.05))
+    around.injector.add(BatteryCharge(share=0.05))
     around.flight.run(2.0)
     assert around.flight.mode is FlightMode.OFFBOARD
     around.flight.run(6.0)

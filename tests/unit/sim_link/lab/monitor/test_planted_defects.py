@@ -9,20 +9,18 @@ import pytest
 from companion.config.schema import CompanionConfig, LimitsConfig
 from companion.domain import FlightMode
 from companion.guidance.session_params import SessionParams
+from sim_link.autopilot.incidents import EkfJump, GpsLoss, PilotMode, WindChange
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from sim_link.lab.campaign.flights import Monitored, monitored, rules_of
 from sim_link.lab.faults.fault_models import (
-    EkfJump,
     ForgedFrames,
-    GpsLoss,
     LinkBlackout,
     LinkDelay,
-    PilotMode,
     Schedule,
     UnsignedFrames,
-    Wind,
 )
-from sim_link.lab.faults.planted import (
+from sim_link.lab.monitor.monitor import Monitor
+from tests.planted_companions import (
     DEFECTS,
     ChasesJumps,
     HasMoods,
@@ -32,7 +30,6 @@ from sim_link.lab.faults.planted import (
     maker,
     twisted,
 )
-from sim_link.lab.monitor.monitor import Monitor
 
 AUTO = CompanionConfig(mission=SessionParams(engage="auto"))
 COPTER = Scenario(autopilot=AutopilotParams(flavour="ardupilot"))
@@ -171,7 +168,7 @@ def test_where_the_wind_takes_one_without_any_position_is_nobodys_doing() -> Non
     around = monitored(CompanionConfig(mission=AUTO.mission, limits=limits), COPTER, 2)
     flight = around.flight
     flight.run(18.0)
-    around.injector.add(Wind(duration_s=60.0, north_mps=12.0))
+    around.injector.add(WindChange(duration_s=60.0, north_mps=12.0))
     around.injector.add(GpsLoss(duration_s=60.0))
     flight.run(12.0)
     vehicle = flight.sim.vehicle

@@ -12,20 +12,20 @@ from companion.domain import FlightMode
 from companion.guidance.session_params import SessionParams
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
+from sim_link.autopilot.incidents import PilotMode
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from sim_link.lab.campaign.flights import monitored, rules_of
 from sim_link.lab.faults.fault_models import (
     CompanionKilled,
     CompanionStalled,
     LinkBlackout,
-    PilotMode,
     Schedule,
 )
-from sim_link.lab.faults.planted import DEFECTS, Planted, maker
 from sim_link.lab.lockstep.observer import Frame, Lane
 from sim_link.lab.monitor.monitor import LOCKSTEP, TITLES, WIRE
 from sim_link.lab.monitor.scene import Violation
 from sim_link.lab.monitor.wire_monitor import Recording, WireMonitor
+from tests.planted_companions import DEFECTS, Planted, maker
 
 AUTO = CompanionConfig(mission=SessionParams(engage="auto"))
 SCHEDULE = Schedule(

@@ -1,7 +1,6 @@
 """Companions with a bug each, which must be found: the test of the monitor and of the faults.
 
-Every class is the genuine companion with one thing spoilt at its edge. None of them is used by
-anything but tests and the self-check of a campaign.
+Every class is the genuine companion with one thing spoilt at its edge.
 """
 
 from __future__ import annotations

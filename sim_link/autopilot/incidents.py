@@ -1,0 +1,138 @@
+"""What may happen to a vehicle that no client asked for: pilot, satellites, weather and power.
+
+A scenario lists incidents with their times, a fault schedule holds them among other faults, and
+`SimEndpoint.happen` lets one happen at once. In YAML `kind` names the record:
+`{kind: gps_loss, start_s: 30, duration_s: 10}`. An event (a reboot, a mode switch) happens at its
+start, and its duration means nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+import msgspec
+
+from companion.domain import FlightMode, NonNegative, Params, Positive
+from sim_link.world.environment import Coordinate
+
+Deflection = Annotated[float, msgspec.Meta(ge=-1.0, le=1.0)]
+WindSpeed = Annotated[float, msgspec.Meta(ge=-50.0, le=50.0)]
+Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
+Angle = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
+
+
+class FaultRecord(Params, frozen=True, tag_field="kind"):
+    """What goes wrong, when, and for how long; without an end it lasts until the flight is over."""
+
+    start_s: NonNegative = 0.0
+    """Seconds since the simulator, or the schedule, began; a reboot does not begin them anew."""
+    duration_s: Positive = math.inf
+
+    @property
+    def end_s(self) -> float:
+        """When it is over."""
+        return self.start_s + self.duration_s
+
+    def is_active(self, time_s: float) -> bool:
+        """Whether it acts at a time since the schedule began."""
+        return self.start_s <= time_s < self.end_s
+
+
+class VehicleFault(FaultRecord, frozen=True):
+    """Something with the vehicle, its autopilot, its pilot or the weather."""
+
+
+class IncidentRecord(VehicleFault, frozen=True):
+    """What the simulated vehicle does by itself when it is told to."""
+
+
+class PilotMode(IncidentRecord, frozen=True, tag="pilot_mode"):
+    """The pilot turns the mode switch, refused where the autopilot would; event."""
+
+    mode: FlightMode = FlightMode.HOLD
+
+
+class Failsafe(PilotMode, frozen=True, tag="failsafe"):
+    """The mode leaves as by a failsafe, which the autopilot does not show; event."""
+
+    mode: FlightMode = FlightMode.RETURN
+
+
+class PilotSticks(IncidentRecord, frozen=True, tag="pilot_sticks"):
+    """The pilot moves the sticks; the transmitter is heard meanwhile."""
+
+    forward: Deflection = 0.5
+    right: Deflection = 0.0
+    up: Deflection = 0.0
+    yaw: Deflection = 0.0
+    """Clockwise positive."""
+
+
+class RcLoss(IncidentRecord, frozen=True, tag="rc_loss"):
+    """The transmitter is not heard."""
+
+
+class GpsLoss(IncidentRecord, frozen=True, tag="gps_loss"):
+    """No satellite is seen; the estimate wanders off, and ends being used after a while."""
+
+
+class EkfPoor(IncidentRecord, frozen=True, tag="ekf_poor"):
+    """The estimator reports that measurements contradict it; the position is told all the same."""
+
+    ratio: Positive = 1.5
+    """PX4's innovation test ratios, ArduPilot's variances; both doubt from 0.8 or 1 on."""
+
+
+class EkfJump(IncidentRecord, frozen=True, tag="ekf_jump"):
+    """A reset of the estimator: from now on it reports this much more; event."""
+
+    east_m: Coordinate = 7.0
+    north_m: Coordinate = 0.0
+    up_m: Coordinate = 0.0
+    yaw_deg: Angle = 0.0
+    """Clockwise."""
+
+
+class OriginShift(IncidentRecord, frozen=True, tag="origin_shift"):
+    """The zero of the local frame moves, the vehicle stays where it is; event."""
+
+    east_m: Coordinate = 10.0
+    north_m: Coordinate = 0.0
+    up_m: Coordinate = 0.0
+
+
+class BatteryCharge(IncidentRecord, frozen=True, tag="battery"):
+    """The charge changes at once; event."""
+
+    share: Share | None = 0.14
+    """0 to 1; None: from now on nobody knows it, and the reports say so."""
+
+
+class WindChange(IncidentRecord, frozen=True, tag="wind"):
+    """Another wind, by where it blows to, with the gusts as before; then the scenario's again."""
+
+    east_mps: WindSpeed = 12.0
+    north_mps: WindSpeed = 0.0
+
+
+class VehicleReboot(IncidentRecord, frozen=True, tag="vehicle_reboot"):
+    """The autopilot restarts: motors off, nothing heard or said meanwhile, its clock at zero."""
+
+    down_s: NonNegative = 1.0
+
+
+Incident = (
+    PilotMode
+    | Failsafe
+    | PilotSticks
+    | RcLoss
+    | GpsLoss
+    | EkfPoor
+    | EkfJump
+    | OriginShift
+    | BatteryCharge
+    | WindChange
+    | VehicleReboot
+)
+"""Any of them."""
