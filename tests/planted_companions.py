@@ -127,7 +127,7 @@ class ChasesJumps(Planted):
     invariant = "I1"
 
     def _spoil(self, frame: bytes) -> list[bytes]:
-        finding = self.session.situation.finding
+        finding = self.session.context.finding
         is_held = finding is not None and finding.reason is Reason.OWN_JUMP
         return [rewritten(frame, self._change, None)] if is_held and self._is_flying else [frame]
 
@@ -141,7 +141,7 @@ class RushesIn(Planted):
     invariant = "I2"
 
     def _spoil(self, frame: bytes) -> list[bytes]:
-        reasons = self.session.situation.steering.reasons
+        reasons = self.session.context.steering.reasons
         is_outside = GuardReason.OUTSIDE in reasons and self._is_flying
         return [rewritten(frame, self._change, None)] if is_outside else [frame]
 

@@ -1,5 +1,8 @@
 """What the parts of a session share: vehicle, estimate, phase, and commands collected so far.
 
+Every attribute of the context has one owner: itself. The parts read them, and say by a method what
+happened; only a component, such as the vehicle's view or the guard, is told things directly.
+
 Errors of the estimator and the planner end neither the process nor the control tick.
 
 The vehicle stays where it is: the guard needs neither of them. Three errors in ten seconds are no
@@ -11,7 +14,6 @@ from __future__ import annotations
 
 import traceback
 from collections import Counter, deque
-from collections.abc import Callable
 from pathlib import PurePath
 from typing import Any
 
@@ -50,7 +52,7 @@ ERROR_HOLD_S = 1.0
 """After an error nothing is flown on what failed for this long."""
 WINDOW_S = 10.0
 MOST_ERRORS = 3
-TELL_S = 10.0
+TELL_EVERY_S = 10.0
 """The same part is told of no more often."""
 
 
@@ -62,21 +64,6 @@ class Containment:
         """By part."""
         self._times_s: deque[float] = deque(maxlen=MOST_ERRORS)
         self._told_s: dict[str, float] = {}
-        self._news: list[Command] = []
-
-    def run(self, part: str, now_s: float, work: Callable[[], None]) -> bool:
-        """Let a part do its work; whether it did, without an error."""
-        try:
-            work()
-        except Exception as error:
-            self._note(part, error, now_s)
-            return False
-        return True
-
-    def take_news(self) -> list[Command]:
-        """What is to be told; taken once."""
-        news, self._news = self._news, []
-        return news
 
     def finding(self, now_s: float) -> Finding | None:
         """What the errors of late mean."""
@@ -88,17 +75,20 @@ class Containment:
             return Finding(Verdict.HOLD, Reason.INTERNAL_ERROR, "internal error")
         return None
 
-    def _note(self, part: str, error: Exception, now_s: float) -> None:
+    def note(self, part: str, error: Exception, now_s: float) -> list[Command]:
+        """A part raised an error; what is to be told of it."""
         self.errors[part] += 1
         self._times_s.append(now_s)
         what = f"{type(error).__name__}: {error}"
         last = traceback.extract_tb(error.__traceback__)[-1]
         where = f"{PurePath(last.filename).name}:{last.lineno}"
-        self._news.append(Record("internal_error", {"part": part, "error": what, "where": where}))
+        fields = {"part": part, "error": what, "where": where}
+        messages: list[Command] = [Record("internal_error", fields)]
         told_s = self._told_s.get(part)
-        if told_s is None or now_s - told_s >= TELL_S:
+        if told_s is None or now_s - told_s >= TELL_EVERY_S:
             self._told_s[part] = now_s
-            self._news.append(Announce(Severity.ERROR, f"internal error in the {part}: {what}"))
+            messages.append(Announce(Severity.ERROR, f"internal error in the {part}: {what}"))
+        return messages
 
 
 class SessionContext:
@@ -128,20 +118,20 @@ class SessionContext:
         self.fencing = fencing
         self.steering = Steering(guard, params.altitude_m)
         self.authority = Authority()
+        self.containment = Containment()
         self.estimate: TargetEstimate | None = None
         self.reports: dict[int | None, ReportResult] = {}
         """What was reported of each emitter, the newest last."""
         self.launch: Launch | None = None
         self.has_launched = False
-        self.is_stopping = False
-        """Whether the process ends as soon as the vehicle is not in our hands."""
+        """Whether the vehicle is not launched by itself any more."""
         self.finding: Finding | None = None
         """What is wrong now."""
         self.reasons: Counter[Reason] = Counter()
         """How often each reason was what is wrong."""
-        self._finding_news = FindingMessages()
-        self.containment = Containment()
-        self.commands: list[Command] = []
+        self._is_stopping = False
+        self._finding_messages = FindingMessages()
+        self._commands: list[Command] = []
         self._passing: tuple[Finding, float] | None = None
 
     @property
@@ -161,8 +151,8 @@ class SessionContext:
 
     def take_commands(self) -> list[Command]:
         """What was collected; the next call begins with nothing."""
-        commands, self.commands = self.commands, []
-        return commands + self.containment.take_news()
+        commands, self._commands = self._commands, []
+        return commands
 
     def enter(self, trigger: Trigger, now_s: float) -> bool:
         """Apply a trigger; whether the phase changed."""
@@ -173,24 +163,40 @@ class SessionContext:
         if self.phase in OUT_OF_CONTROL:
             self.withdraw()
         if self.phase not in IN_CONTROL:
-            self._finding_news = FindingMessages()
+            self._finding_messages = FindingMessages()
         if not (left in IN_CONTROL and self.phase in STREAMING):
             self.steering.forget_setpoint()
+        if trigger is Trigger.MODE_GIVEN:
+            self.launch, self.has_launched = None, True
         self.vehicle.keep_home(self.phase in HAS_VEHICLE)
-        if self.is_stopping and self.phase in OUT_OF_CONTROL:
+        if self._is_stopping and self.phase in OUT_OF_CONTROL:
             self.enter(Trigger.STOP, now_s)
         return True
 
-    def find(self, finding: Finding | None, now_s: float) -> bool:
-        """Take note of what is wrong now, or that nothing is; whether that is news."""
+    def begin_launch(self, now_s: float) -> None:
+        """Launch the vehicle, which is tried only once."""
+        self.has_launched = True
+        self.launch = Launch(self.params.altitude_m, now_s)
+        self.enter(Trigger.LAUNCH, now_s)
+
+    def forbid_launch(self) -> None:
+        """The vehicle is not launched by itself any more: the operator gives control."""
+        self.has_launched = True
+
+    def stop(self, now_s: float) -> bool:
+        """End as soon as the vehicle is not in our hands; whether it is to be handed back first."""
+        self._is_stopping = True
+        return self.enter(Trigger.STOP, now_s) and self.phase is Phase.HANDBACK
+
+    def record_finding(self, finding: Finding | None, now_s: float) -> bool:
+        """Take note of what is wrong now, or that nothing is; whether that is to be told."""
         self.finding = finding
-        if not self._finding_news.is_due(finding, now_s):
+        if not self._finding_messages.take(finding, now_s):
             return False
-        if finding is None:
-            return True
-        self.reasons[finding.reason] += 1
-        verdict = finding.verdict.name.lower()
-        self.record("finding", verdict=verdict, reason=finding.reason.value, text=finding.text)
+        if finding is not None:
+            self.reasons[finding.reason] += 1
+            verdict = finding.verdict.name.lower()
+            self.record("finding", verdict=verdict, reason=finding.reason.value, text=finding.text)
         return True
 
     def hold_until(self, finding: Finding, until_s: float) -> None:
@@ -203,35 +209,47 @@ class SessionContext:
             return None
         return self._passing[0]
 
+    def send(self, *commands: Command) -> None:
+        """Collect what is to be done."""
+        self._commands += commands
+
     def announce(self, severity: Severity, text: str) -> None:
         """A text for the operator."""
-        self.commands.append(Announce(severity, text))
+        self.send(Announce(severity, text))
 
     def record(self, kind: str, **fields: object) -> None:
         """A line for the event log."""
-        self.commands.append(Record(kind, fields))
+        self.send(Record(kind, fields))
 
     def ask_mode(self, mode: FlightMode) -> None:
         """Ask the autopilot for a mode."""
-        self.commands.append(SetMode(mode, self.vehicle.is_armed))
+        self.send(SetMode(mode, self.vehicle.is_armed))
 
     def report(self, result: ReportResult) -> None:
         """Tell where an emitter is."""
         self.reports.pop(result.emitter_id, None)
         self.reports[result.emitter_id] = result
-        self.commands.append(result)
+        self.send(result)
 
     def withdraw(self) -> None:
         """What was asked and not answered must not be sent again."""
-        self.commands.append(WithdrawRequest())
+        self.send(WithdrawRequest())
+
+    def believe(self, estimate: TargetEstimate | None) -> None:
+        """The filter of the current emitter has another estimate."""
+        self.estimate = estimate
 
     def plan_now(self, now_s: float) -> None:
         """Renew the plan; without one, after an error, the vehicle will stay."""
-        self.containment.run("planner", now_s, lambda: self._renew_plan(now_s))
-
-    def _renew_plan(self, now_s: float) -> None:
         setpoint = self.steering.setpoint_enu_m
-        self.commands += self.flight_plan.renew(now_s, self.vehicle, setpoint, self.estimate)
+        try:
+            self.send(*self.flight_plan.renew(now_s, self.vehicle, setpoint, self.estimate))
+        except Exception as error:
+            self.contain("planner", error, now_s)
+
+    def contain(self, part: str, error: Exception, now_s: float) -> None:
+        """A part raised an error, which ends nothing but its own work."""
+        self.send(*self.containment.note(part, error, now_s))
 
     def retune(self, tuning: Tuning) -> None:
         """Go on with other parameters."""

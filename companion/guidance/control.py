@@ -19,7 +19,7 @@ from companion.estimation.tracker import TargetTracker
 from companion.guard.gate import GuardReason
 from companion.guidance.authority.control_authority import is_silence_due
 from companion.guidance.authority.handover import Handover, LaunchPermit, WaitingReason
-from companion.guidance.authority.launch import Launch, LaunchView
+from companion.guidance.authority.launch import LaunchView
 from companion.guidance.authority.state_machine import FLYING, IN_CONTROL, Phase, Trigger
 from companion.guidance.commands import SendHeartbeat, SendSetpoint, Severity
 from companion.guidance.context import SessionContext
@@ -73,28 +73,28 @@ class Reporting:
     """Reports each emitter once, and after the last one asks for the mode that follows."""
 
     def __init__(
-        self, situation: SessionContext, battery: BatteryWatch, turns: EmitterScheduler
+        self, context: SessionContext, battery: BatteryWatch, scheduler: EmitterScheduler
     ) -> None:
-        self._situation = situation
+        self._context = context
         self._battery = battery
-        self._turns = turns
+        self._scheduler = scheduler
         self._stop_rule = StopRule()
         self._leg: tuple[float, PositionEnu | None] | None = None
         """When the battery was found low, and the waypoint flown at then."""
 
     def tick(self, now_s: float) -> None:
         """Report if it is due."""
-        situation, params = self._situation, self._situation.params
-        heard_s = situation.tracker.last_accepted_s
+        context, params = self._context, self._context.params
+        heard_s = context.tracker.last_accepted_s
         is_fresh = heard_s is not None and now_s - heard_s <= params.ranging_timeout_s
-        flown = situation.estimate if situation.phase in FLYING and is_fresh else None
+        flown = context.estimate if context.phase in FLYING and is_fresh else None
         radius_m, confirm_s = params.stop_radius_m, params.stop_confirm_s
         is_met = self._stop_rule.is_met(flown, now_s, radius_m, confirm_s)
         if is_met and flown is not None:
-            self._report(situation.tracker, flown, "LOCALISED")
-            if situation.emitters.report_current():
+            self._report(context.tracker, flown, "LOCALISED")
+            if context.emitters.report_current():
                 self._stop_rule.begin_anew()
-                self._turns.follow(now_s)
+                self._scheduler.follow(now_s)
             else:
                 self._finish(FOLLOW_UP_MODE[params.on_localised], now_s)
         elif self._is_battery_end(now_s):
@@ -105,18 +105,18 @@ class Reporting:
 
     def _is_battery_end(self, now_s: float) -> bool:
         """Whether the battery is low and the leg that was flown is finished."""
-        situation = self._situation
-        if situation.phase not in IN_CONTROL or not self._battery.ends_mission:
+        context = self._context
+        if context.phase not in IN_CONTROL or not self._battery.ends_mission:
             self._leg = None
             return False
-        if not situation.vehicle.mode_watch.may_be_asked(now_s):
+        if not context.vehicle.mode_watch.may_be_asked(now_s):
             return False  # a pilot may have it, from whom the return would take it
-        waypoint, vehicle = situation.flight_plan.waypoint, situation.vehicle.position_enu_m
+        waypoint, vehicle = context.flight_plan.waypoint, context.vehicle.position_enu_m
         goal = None if waypoint is None else (*waypoint.position_enu_m, 0.0)
         if self._leg is None:
             self._leg = (now_s, goal)
         began_s, begun = self._leg
-        if situation.phase not in FLYING or goal is None or begun is None or vehicle is None:
+        if context.phase not in FLYING or goal is None or begun is None or vehicle is None:
             return True
         is_next = math.dist(goal, begun) > SAME_LEG_M
         is_there = math.dist(goal[:2], vehicle[:2]) <= REACHED_M
@@ -124,7 +124,7 @@ class Reporting:
 
     def _report_rest(self, now_s: float) -> None:
         """What is known of everybody who was not reported, the current emitter last."""
-        emitters = self._situation.emitters
+        emitters = self._context.emitters
         waiting = [emitters.tracker_of(n) for n in reversed(emitters.waiting)]
         believed = [(each, each.estimate(now_s)) for each in (*waiting, emitters.current)]
         known = [(tracker, estimate) for tracker, estimate in believed if estimate is not None]
@@ -132,20 +132,20 @@ class Reporting:
             self._report(tracker, estimate, ENDED_EARLY)
         emitters.note_reported(t.emitter_id for t, _ in known if t.emitter_id is not None)
         if not known:
-            self._situation.announce(Severity.NOTICE, f"{ENDED_EARLY} nothing was found")
+            self._context.announce(Severity.NOTICE, f"{ENDED_EARLY} nothing was found")
 
     def _report(self, tracker: TargetTracker, estimate: TargetEstimate, head: str) -> None:
-        situation = self._situation
-        if not situation.emitters.is_single:
+        context = self._context
+        if not context.emitters.is_single:
             head = f"{head} emitter {tracker.emitter_id}:"
-        height_m, origin = tracker.params.filter.target_height_m, situation.vehicle.origin
+        height_m, origin = tracker.params.filter.target_height_m, context.vehicle.origin
         result, text = result_of(estimate, origin, height_m, tracker.emitter_id, head)
-        situation.report(result)
-        situation.announce(Severity.NOTICE, text)
+        context.report(result)
+        context.announce(Severity.NOTICE, text)
 
     def _finish(self, mode: FlightMode, now_s: float) -> None:
-        self._situation.enter(Trigger.LOCALISED, now_s)
-        self._situation.ask_mode(mode)
+        self._context.enter(Trigger.LOCALISED, now_s)
+        self._context.ask_mode(mode)
 
 
 TICK_S = 0.05
@@ -160,18 +160,18 @@ class ControlTick:
 
     def __init__(
         self,
-        situation: SessionContext,
+        context: SessionContext,
         watches: Watches,
         handover: Handover,
-        turns: EmitterScheduler,
+        scheduler: EmitterScheduler,
     ) -> None:
-        self._situation = situation
+        self._context = context
         self._watches = watches
         self._handover = handover
-        self._turns = turns
-        self._reporting = Reporting(situation, watches.battery, turns)
-        self._permit = LaunchPermit(situation)
-        self._waiting = WaitingReason(situation.vehicle, situation.authority, situation.fencing)
+        self._scheduler = scheduler
+        self._reporting = Reporting(context, watches.battery, scheduler)
+        self._permit = LaunchPermit(context)
+        self._waiting = WaitingReason(context.vehicle, context.authority, context.fencing)
         self._guard_news = GuardMessages()
         self._fence_news = FenceMessages()
         self._tick_s: float | None = None
@@ -182,56 +182,54 @@ class ControlTick:
 
     def run(self, now_s: float) -> None:
         """Decide and send."""
-        situation = self._situation
+        context = self._context
         dt_s = TICK_S if self._tick_s is None else now_s - self._tick_s
         self._tick_s = now_s
         self._watches.tick(now_s)
         self._advance_phase(now_s)
-        fence = self._fence_news.record(situation.guard.limits.fence)
+        fence = self._fence_news.record(context.guard.limits.fence)
         if fence is not None:
-            situation.record("fence", **fence)
-        if situation.phase in FLYING and situation.flight_plan.is_due(now_s):
-            situation.plan_now(now_s)
+            context.record("fence", **fence)
+        if context.phase in FLYING and context.flight_plan.is_due(now_s):
+            context.plan_now(now_s)
         if now_s >= self._next_heartbeat_s:
             self._next_heartbeat_s = now_s + HEARTBEAT_PERIOD_S
-            situation.commands.append(SendHeartbeat())
+            context.send(SendHeartbeat())
         if now_s - self._sent_s > SILENCE_S and self._may_begin_anew(now_s):
-            situation.steering.forget_setpoint()
+            context.steering.forget_setpoint()
         setpoint = self._setpoint(now_s, dt_s)
         self._is_silent = setpoint is None
         if setpoint is None:
             return
         self._sent_s = now_s
-        if situation.phase in IN_CONTROL:
-            self._tell_reasons(situation.steering.reasons, now_s)
-        situation.commands.append(SendSetpoint(setpoint))
+        if context.phase in IN_CONTROL:
+            self._tell_reasons(context.steering.reasons, now_s)
+        context.send(SendSetpoint(setpoint))
         self._watches.sent(setpoint.position_enu_m, now_s)
 
     def _may_begin_anew(self, now_s: float) -> bool:
         """Not after a mere pause on a stale position: what was sent last is safer than that."""
-        return self._is_silent or self._situation.vehicle.is_position_fresh(now_s)
+        return self._is_silent or self._context.vehicle.is_position_fresh(now_s)
 
     def _tell_reasons(self, reasons: tuple[GuardReason, ...], now_s: float) -> None:
         """Why the setpoint is not where the planner wants it."""
         for text in self._guard_news.texts(reasons, now_s):
-            self._situation.announce(Severity.WARNING, text)
+            self._context.announce(Severity.WARNING, text)
         names = self._guard_news.record(reasons, now_s)
         if names is not None:
-            self._situation.record("guard", reasons=names)
+            self._context.record("guard", reasons=names)
 
     def _advance_phase(self, now_s: float) -> None:
-        situation = self._situation
-        if situation.phase in (Phase.WAITING, Phase.STANDBY):
+        context = self._context
+        if context.phase in (Phase.WAITING, Phase.STANDBY):
             self._permit.tick(now_s)
-        match situation.phase:
+        match context.phase:
             case Phase.WAITING:
                 self._wait(now_s)
-            case Phase.STANDBY if not situation.fencing.is_ready:
-                situation.enter(Trigger.FENCE_LOST, now_s)
+            case Phase.STANDBY if not context.fencing.is_ready:
+                context.enter(Trigger.FENCE_LOST, now_s)
             case Phase.STANDBY if self._permit.is_given:
-                situation.has_launched = True
-                situation.launch = Launch(situation.params.altitude_m, now_s)
-                situation.enter(Trigger.LAUNCH, now_s)
+                context.begin_launch(now_s)
             case Phase.LAUNCHING:
                 self._advance_launch(now_s)
             case Phase.NORMAL | Phase.DEGRADED | Phase.HOLD:
@@ -239,24 +237,24 @@ class ControlTick:
             case Phase.HANDBACK:
                 self._handover.go_on_handing_back(now_s)
         self._reporting.tick(now_s)
-        self._turns.tell()
+        self._scheduler.tell()
 
     def _wait(self, now_s: float) -> None:
-        situation = self._situation
+        context = self._context
         reason = self._waiting.news(now_s)
         if reason is not None:
-            situation.announce(Severity.WARNING, reason)
-        authority = situation.authority
-        is_ready = situation.vehicle.is_usable(now_s) and situation.fencing.is_ready
-        if is_ready and authority.may_begin and not authority.has_twin(now_s):
-            situation.enter(Trigger.READY, now_s)
-            guided = f"ready: switch to {situation.vehicle.guided_name} to give control"
+            context.announce(Severity.WARNING, reason)
+        authority = context.authority
+        is_ready = context.vehicle.is_usable(now_s) and context.fencing.is_ready
+        if is_ready and authority.may_begin and not authority.has_id_conflict(now_s):
+            context.enter(Trigger.READY, now_s)
+            guided = f"ready: switch to {context.vehicle.guided_name} to give control"
             text = "ready: launching by itself" if self._permit.is_wanted else guided
-            situation.announce(Severity.INFO, text)
+            context.announce(Severity.INFO, text)
 
     def _advance_launch(self, now_s: float) -> None:
-        situation = self._situation
-        launch, vehicle = situation.launch, situation.vehicle
+        context = self._context
+        launch, vehicle = context.launch, context.vehicle
         heartbeat, height_m, home = vehicle.heartbeat, vehicle.height_m, vehicle.home_enu_m
         if launch is None:
             return
@@ -268,28 +266,28 @@ class ControlTick:
         else:
             has_origin = vehicle.origin is not None
             view = LaunchView(now_s, heartbeat, height_m, home[2], has_origin)
-            situation.commands += launch.tick(view)
+            context.send(*launch.tick(view))
         if launch.failure is not None:
-            situation.announce(Severity.ERROR, f"launch gave up: {launch.failure}")
-            situation.enter(Trigger.LAUNCH_FAILED, now_s)
+            context.announce(Severity.ERROR, f"launch gave up: {launch.failure}")
+            context.enter(Trigger.LAUNCH_FAILED, now_s)
 
     def _judge(self, now_s: float) -> None:
         """Fly the plan, fly it slower, stay, or let go, by the worst that is wrong now."""
-        situation, finding = self._situation, self._watches.finding(now_s)
+        context, finding = self._context, self._watches.finding(now_s)
         if finding is not None and finding.verdict is Verdict.HAND_BACK:
             finding = self._handover.unless_in_doubt(finding, now_s)
-        is_news = situation.find(finding, now_s)
+        is_news = context.record_finding(finding, now_s)
         if finding is None:
-            if situation.enter(Trigger.INPUT_BACK, now_s):
-                situation.plan_now(now_s)
+            if context.enter(Trigger.INPUT_BACK, now_s):
+                context.plan_now(now_s)
             if is_news:
-                situation.announce(Severity.INFO, "flying the plan")
+                context.announce(Severity.INFO, "flying the plan")
             return
         match finding.verdict:
             case Verdict.SLOW:
-                situation.enter(Trigger.INPUT_AGES, now_s)
+                context.enter(Trigger.INPUT_AGES, now_s)
             case Verdict.HOLD:
-                situation.enter(Trigger.INPUT_LOST, now_s)
+                context.enter(Trigger.INPUT_LOST, now_s)
             case Verdict.HAND_BACK:
                 self._handover.hand_back(finding, now_s)
                 self._watches.handed_back(finding)
@@ -299,27 +297,27 @@ class ControlTick:
                 return
         if is_news:
             word = "degraded" if finding.verdict is Verdict.SLOW else "hold"
-            situation.announce(Severity.WARNING, f"{word}: {finding.text}")
+            context.announce(Severity.WARNING, f"{word}: {finding.text}")
 
     def _setpoint(self, now_s: float, dt_s: float) -> PositionSetpoint | None:
         """The setpoint of this tick, or None where silence is due."""
-        situation = self._situation
-        steering, vehicle = situation.steering, situation.vehicle
+        context = self._context
+        steering, vehicle = context.steering, context.vehicle
         motion = vehicle.motion
         if motion is None:
             return None
-        if is_silence_due(situation.authority, vehicle, situation.launch, now_s):
+        if is_silence_due(context.authority, vehicle, context.launch, now_s):
             return None
         is_fresh = vehicle.is_position_fresh(now_s)
-        match situation.phase:
+        match context.phase:
             case Phase.STANDBY if vehicle.is_ours:  # granted while the mode was still to be left
                 return steering.stay(motion, dt_s)
             case Phase.STANDBY | Phase.LAUNCHING:
                 return steering.stay_with(motion)
             case Phase.NORMAL | Phase.DEGRADED:
-                limit_mps = situation.guard.limits.envelope.speed_mps
+                limit_mps = context.guard.limits.envelope.speed_mps
                 cap_mps = limit_mps * self._watches.inputs.speed_share(now_s)
-                return steering.follow(situation.flight_plan.waypoint, motion, dt_s, cap_mps)
+                return steering.follow(context.flight_plan.waypoint, motion, dt_s, cap_mps)
             case Phase.HOLD | Phase.FINISHED | Phase.HANDBACK:
                 if steering.setpoint_enu_m is None and not is_fresh:
                     return None  # there is nothing to stay at but a place of the past

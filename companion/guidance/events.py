@@ -6,7 +6,7 @@ Among them is what an earlier session knew, as a value that outlives its process
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 
 from companion.domain import (
@@ -62,10 +62,24 @@ def _problem(origin: LocalOrigin | None) -> str | None:
 
 
 @dataclass(frozen=True, slots=True)
-class HeartbeatReceived:
-    """The bound autopilot's HEARTBEAT."""
+class Event:
+    """Anything that the session is told."""
 
     time_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class OrderedEvent(Event):
+    """Something that may be overtaken on its way."""
+
+    order: int | None = field(default=None, kw_only=True)
+    """Of the frame among the sender's frames; None: unknown."""
+
+
+@dataclass(frozen=True, slots=True)
+class HeartbeatReceived(OrderedEvent):
+    """The bound autopilot's HEARTBEAT."""
+
     autopilot: Autopilot
     mode: FlightMode
     is_armed: bool
@@ -74,88 +88,71 @@ class HeartbeatReceived:
     is_failsafe: bool
     is_terminated: bool = False
     """The motors were stopped for good: kill switch, flight termination."""
-    order: int | None = None
-    """Of the frame among the sender's frames; None: unknown."""
 
 
 @dataclass(frozen=True, slots=True)
-class VehicleMoved:
+class VehicleMoved(OrderedEvent):
     """A new own position; `state.time_s` is the time of its measurement."""
 
-    time_s: float
     state: VehicleState
-    order: int | None = None
-    """As of HeartbeatReceived."""
 
 
 @dataclass(frozen=True, slots=True)
-class YawMeasured:
+class YawMeasured(OrderedEvent):
     """A new own heading, clockwise from north."""
 
-    time_s: float
     measured_at_s: float
     yaw_ned_rad: float
-    order: int | None = None
-    """As of HeartbeatReceived."""
 
 
 @dataclass(frozen=True, slots=True)
-class OriginSet:
+class OriginSet(Event):
     """Where the local frame has its zero."""
 
-    time_s: float
     origin: LocalOrigin
 
 
 @dataclass(frozen=True, slots=True)
-class HomeSet:
+class HomeSet(Event):
     """Launch-and-return point in the local frame."""
 
-    time_s: float
     position_enu_m: PositionEnu
 
 
 @dataclass(frozen=True, slots=True)
-class LandedStateChanged:
+class LandedStateChanged(OrderedEvent):
     """Whether the vehicle is on the ground."""
 
-    time_s: float
     landed: LandedState
-    order: int | None = None
-    """As of HeartbeatReceived."""
 
 
 @dataclass(frozen=True, slots=True)
-class SetpointEchoed:
+class SetpointEchoed(Event):
     """The autopilot tells the target that it follows."""
 
-    time_s: float
     position_enu_m: PositionEnu | None
     """None: it follows no position, but a velocity, for example."""
 
 
 @dataclass(frozen=True, slots=True)
-class EstimatorRated:
+class EstimatorRated(Event):
     """How well the autopilot's estimator agrees with its sensors."""
 
-    time_s: float
     worst: float
     """The worst of its test ratios, in units of what its maker calls bad; 1 and more is poor."""
 
 
 @dataclass(frozen=True, slots=True)
-class FixReported:
+class FixReported(Event):
     """Whether the satellites give a position."""
 
-    time_s: float
     has_fix: bool
 
 
 @dataclass(frozen=True, slots=True)
-class BatteryReported:
+class BatteryReported(Event):
     """The charge, as the autopilot knows it."""
 
-    time_s: float
     charge_pct: float | None
     """0 to 100; None: unknown."""
     level: BatteryLevel
@@ -163,19 +160,17 @@ class BatteryReported:
 
 
 @dataclass(frozen=True, slots=True)
-class SticksReported:
+class SticksReported(Event):
     """Where the pilot's sticks are."""
 
-    time_s: float
     deflections: tuple[float, ...]
     """Of the first four channels, -1 to 1."""
 
 
 @dataclass(frozen=True, slots=True)
-class RangingReceived:
+class RangingReceived(Event):
     """A measurement of the radio; its bearing may still be in the body frame."""
 
-    time_s: float
     measurement: RangingMeasurement
 
 
@@ -196,31 +191,25 @@ class RequestKind(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class RequestAnswered:
+class RequestAnswered(OrderedEvent):
     """The autopilot answered a request, or did not within the retries."""
 
-    time_s: float
     kind: RequestKind
     outcome: Outcome
     detail: str = ""
-    order: int | None = None
-    """As of HeartbeatReceived."""
     is_repeated: bool = False
     """It was sent more than once, so that an earlier sending may have been obeyed."""
 
 
 @dataclass(frozen=True, slots=True)
-class AutopilotRestarted:
+class AutopilotRestarted(Event):
     """The autopilot's clock went back."""
-
-    time_s: float
 
 
 @dataclass(frozen=True, slots=True)
-class AutopilotFenceRead:
+class AutopilotFenceRead(Event):
     """The autopilot told its own fence, or did not."""
 
-    time_s: float
     fence: GeoFence | None = None
     """None: it has none, if there was no problem."""
     problem: str | None = None
@@ -230,10 +219,8 @@ class AutopilotFenceRead:
 
 
 @dataclass(frozen=True, slots=True)
-class ControlGranted:
+class ControlGranted(Event):
     """The operator gives control back after a yield (MAV_CMD_NAV_GUIDED_ENABLE to us)."""
-
-    time_s: float
 
 
 class OperatorCommand(Enum):
@@ -245,91 +232,52 @@ class OperatorCommand(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class OperatorAsked:
+class OperatorAsked(Event):
     """A button of the live map was pressed and confirmed."""
 
-    time_s: float
-    wish: OperatorCommand
+    command: OperatorCommand
 
 
 @dataclass(frozen=True, slots=True)
-class Retuned:
+class Retuned(Event):
     """Parameters of the mission were changed by a ground station."""
 
-    time_s: float
     tuning: Tuning
 
 
 @dataclass(frozen=True, slots=True)
-class TimerFired:
+class TimerFired(Event):
     """The control tick, 20 times a second."""
 
-    time_s: float
     heard_s: float | None
     """When the last valid frame of the autopilot arrived."""
 
 
 @dataclass(frozen=True, slots=True)
-class ControlStalled:
+class ControlStalled(Event):
     """The control tick stood still (suspended, starved): mode and position are of the past."""
 
-    time_s: float
     stalled_s: float
 
 
 @dataclass(frozen=True, slots=True)
-class StopRequested:
+class StopRequested(Event):
     """The process is asked to end."""
 
-    time_s: float
-
 
 @dataclass(frozen=True, slots=True)
-class EarlierRunFound:
+class EarlierRunFound(Event):
     """An earlier process of ours did not end in order; see `guidance.memory`."""
 
-    time_s: float
-
 
 @dataclass(frozen=True, slots=True)
-class MemoryRecalled:
+class MemoryRecalled(Event):
     """What the earlier process knew of this very vehicle, fence and mission."""
 
-    time_s: float
     memory: SessionMemory
     age_s: float
 
 
 @dataclass(frozen=True, slots=True)
-class IdConflictHeard:
+class IdConflictHeard(Event):
     """Somebody else, such as a second companion, sends under our own system and component id."""
-
-    time_s: float
-
-
-Event = (
-    HeartbeatReceived
-    | VehicleMoved
-    | YawMeasured
-    | OriginSet
-    | HomeSet
-    | LandedStateChanged
-    | SetpointEchoed
-    | EstimatorRated
-    | FixReported
-    | BatteryReported
-    | SticksReported
-    | RangingReceived
-    | RequestAnswered
-    | AutopilotRestarted
-    | AutopilotFenceRead
-    | ControlGranted
-    | OperatorAsked
-    | Retuned
-    | TimerFired
-    | ControlStalled
-    | StopRequested
-    | EarlierRunFound
-    | MemoryRecalled
-    | IdConflictHeard
-)

@@ -133,8 +133,8 @@ class FindingMessages:
         """When what was told was so last."""
         self._told_s: dict[Reason | None, float] = {}
 
-    def is_due(self, finding: Finding | None, now_s: float) -> bool:
-        """Whether what is wrong now, or that nothing is, is to be told."""
+    def take(self, finding: Finding | None, now_s: float) -> bool:
+        """Take in what is wrong now, or that nothing is; whether that is to be told."""
         reason = None if finding is None else finding.reason
         if reason is self._told:
             self._seen_s = now_s

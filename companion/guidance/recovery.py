@@ -25,26 +25,26 @@ ORIGIN_PATIENCE_S = 15.0
 """How long a belief waits for the origin of the frame that it is in."""
 
 
-def remembered(situation: SessionContext) -> SessionMemory:
+def remembered(context: SessionContext) -> SessionMemory:
     """What a later session would need to know."""
-    current = situation.tracker
-    others = (each.belief for each in situation.emitters.trackers if each is not current)
+    current = context.tracker
+    others = (each.belief for each in context.emitters.trackers if each is not current)
     return SessionMemory(
-        phase=situation.phase,
-        origin=situation.vehicle.origin,
+        phase=context.phase,
+        origin=context.vehicle.origin,
         belief=current.belief,
-        report=situation.result,
-        fence_anchor=situation.fencing.anchor,
+        report=context.result,
+        fence_anchor=context.fencing.anchor,
         others=tuple(belief for belief in others if belief is not None),
-        earlier=tuple(situation.reports.values())[:-1],
+        earlier=tuple(context.reports.values())[:-1],
     )
 
 
 class Recollection:
     """Takes up what an earlier session knew."""
 
-    def __init__(self, situation: SessionContext) -> None:
-        self._situation = situation
+    def __init__(self, context: SessionContext) -> None:
+        self._context = context
         self._beliefs: tuple[Belief, ...] = ()
         """Of all emitters, that of the one that was looked for last."""
         self._origin: LocalOrigin | None = None
@@ -59,22 +59,22 @@ class Recollection:
 
     def forbid_launch(self) -> None:
         """There was an earlier session: control comes from the operator and from nobody else."""
-        self._situation.has_launched = True
+        self._context.forbid_launch()
 
     def recall(self, memory: SessionMemory, age_s: float, now_s: float) -> None:
         """Take up a memory."""
         self.forbid_launch()
-        situation = self._situation
+        context = self._context
         if memory.fence_anchor is not None:
-            situation.fencing.recall(memory.fence_anchor)
+            context.fencing.recall(memory.fence_anchor)
         was = f"resumed after {age_s:.0f} s: it was in {memory.phase.value}"
-        situation.announce(Severity.NOTICE, f"{was}; nothing engages by itself")
+        context.announce(Severity.NOTICE, f"{was}; nothing engages by itself")
         if memory.phase is Phase.YIELD:
-            situation.enter(Trigger.YIELD_RECALLED, now_s)
+            context.enter(Trigger.YIELD_RECALLED, now_s)
         if memory.report is not None:
             self._recall_reports((*memory.earlier, memory.report))
-            if situation.emitters.is_single or memory.phase is Phase.FINISHED:
-                situation.enter(Trigger.REPORT_RECALLED, now_s)
+            if context.emitters.is_single or memory.phase is Phase.FINISHED:
+                context.enter(Trigger.REPORT_RECALLED, now_s)
         beliefs = memory.others if memory.belief is None else (*memory.others, memory.belief)
         if beliefs:
             self._beliefs, self._origin = beliefs, memory.origin
@@ -85,11 +85,11 @@ class Recollection:
         """Take up the beliefs once their frame is known to be the present one."""
         if not self._beliefs:
             return
-        origin, situation = self._situation.vehicle.origin, self._situation
+        origin, context = self._context.vehicle.origin, self._context
         if self._origin is None:
             self._begin_anew("its local frame was not known")
         elif origin is not None:
-            step_m = situation.vehicle.origin_step_m(self._origin)
+            step_m = context.vehicle.origin_step_m(self._origin)
             if step_m > ORIGIN_STEP_M:
                 self._begin_anew(f"the local frame moved by {step_m:.0f} m")
             else:
@@ -102,31 +102,31 @@ class Recollection:
         self._beliefs = ()
 
     def _recall_reports(self, reports: tuple[ReportResult, ...]) -> None:
-        situation = self._situation
+        context = self._context
         for report in reports:
-            situation.report(report)
+            context.report(report)
         ids = [report.emitter_id for report in reports if report.emitter_id is not None]
-        situation.emitters.note_reported(ids)
-        one, r95_m = situation.emitters.is_single, reports[-1].estimate.r95_m
+        context.emitters.note_reported(ids)
+        one, r95_m = context.emitters.is_single, reports[-1].estimate.r95_m
         who = "the target was" if one else f"emitters {', '.join(map(str, ids))} were"
-        situation.announce(Severity.NOTICE, f"{who} reported already, R95 {r95_m:.1f} m")
+        context.announce(Severity.NOTICE, f"{who} reported already, R95 {r95_m:.1f} m")
 
     def _resume(self, now_s: float) -> None:
         beliefs, self._beliefs = self._beliefs, ()
-        situation = self._situation
+        context = self._context
         for belief in beliefs:
-            problem = situation.emitters.resume(belief, now_s - self._held_at_s, now_s)
+            problem = context.emitters.resume(belief, now_s - self._held_at_s, now_s)
             if problem is not None:
-                situation.announce(Severity.WARNING, f"estimate begins anew: it held {problem}")
+                context.announce(Severity.WARNING, f"estimate begins anew: it held {problem}")
             else:
                 self._resumed(belief, now_s)
 
     def _resumed(self, belief: Belief, now_s: float) -> None:
-        situation = self._situation
-        estimate = situation.estimate = situation.tracker.estimate(now_s)
+        context, estimate = self._context, self._context.tracker.estimate(now_s)
+        context.believe(estimate)
         if estimate is None:
             return
-        situation.record(
+        context.record(
             "resumed",
             state=estimate.state.value,
             position_enu_m=estimate.position_enu_m,
@@ -134,8 +134,8 @@ class Recollection:
             measurements=belief.measurements,
         )
         text = f"estimate resumed: {estimate.state.value}, R95 {estimate.r95_m:.1f} m"
-        situation.announce(Severity.NOTICE, text)
+        context.announce(Severity.NOTICE, text)
 
     def _begin_anew(self, reason: str) -> None:
         self._beliefs = ()
-        self._situation.announce(Severity.WARNING, f"estimate begins anew: {reason}")
+        self._context.announce(Severity.WARNING, f"estimate begins anew: {reason}")

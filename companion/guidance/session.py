@@ -10,7 +10,7 @@ The status is a snapshot of the session for views and logs.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 from companion.domain import FlightMode, PositionEnu, TargetEstimate, Waypoint
@@ -111,62 +111,62 @@ class GuidanceStatus:
     """0 to 100; None: unknown."""
 
 
-def snapshot(now_s: float, situation: SessionContext) -> GuidanceStatus:
+def snapshot(now_s: float, context: SessionContext) -> GuidanceStatus:
     """The status that the parts of a session add up to."""
-    vehicle, steering, tracker = situation.vehicle, situation.steering, situation.tracker
+    vehicle, steering, tracker = context.vehicle, context.steering, context.tracker
     objection = tracker.objection(now_s)
     return GuidanceStatus(
         time_s=now_s,
-        phase=situation.phase,
-        detail=_detail(situation),
+        phase=context.phase,
+        detail=_detail(context),
         mode=vehicle.mode,
         is_armed=vehicle.is_armed,
         is_link_lost=vehicle.is_link_lost(now_s),
         vehicle_enu_m=vehicle.position_enu_m,
         height_m=vehicle.height_m,
         distance_m=vehicle.distance_m,
-        estimate=situation.estimate,
-        emitters=emitter_statuses(situation, now_s),
-        waypoint=situation.flight_plan.waypoint,
+        estimate=context.estimate,
+        emitters=emitter_statuses(context, now_s),
+        waypoint=context.flight_plan.waypoint,
         setpoint_enu_m=steering.setpoint_enu_m,
         guard=tuple(reason.value for reason in steering.reasons),
-        is_target_outside=situation.flight_plan.is_target_outside,
+        is_target_outside=context.flight_plan.is_target_outside,
         health=tracker.health,
         objection=None if objection is None else objection.value,
         range_age_s=tracker.contact.range_age_s(now_s),
         bearing_age_s=tracker.contact.bearing_age_s(now_s),
-        accepted=situation.emitters.accepted,
-        refused={reason.value: count for reason, count in situation.emitters.refusals.items()},
-        internal_errors=dict(situation.containment.errors),
+        accepted=context.emitters.accepted,
+        refused={reason.value: count for reason, count in context.emitters.refusals.items()},
+        internal_errors=dict(context.containment.errors),
         battery_pct=vehicle.battery_pct,
-        reasons={reason.value: count for reason, count in situation.reasons.items()},
+        reasons={reason.value: count for reason, count in context.reasons.items()},
     )
 
 
-def emitter_statuses(situation: SessionContext, now_s: float) -> tuple[EmitterStatus, ...]:
+def emitter_statuses(context: SessionContext, now_s: float) -> tuple[EmitterStatus, ...]:
     """What is known of every emitter that was heard or listed."""
-    current = situation.tracker
+    current = context.tracker
     return tuple(
         EmitterStatus(
             tracker.emitter_id,
-            situation.estimate if tracker is current else tracker.estimate(now_s),
+            context.estimate if tracker is current else tracker.estimate(now_s),
             is_current=tracker is current,
-            is_reported=tracker.emitter_id in situation.reports,
+            is_reported=tracker.emitter_id in context.reports,
         )
-        for tracker in situation.emitters.trackers
+        for tracker in context.emitters.trackers
         if tracker.emitter_id is not None
     )
 
 
-def _detail(situation: SessionContext) -> str:
+def _detail(context: SessionContext) -> str:
     """Why it waits or holds, how far the launch is, or what it flies at."""
-    phase, launch = situation.phase, situation.launch
-    waypoint = situation.flight_plan.waypoint
-    if phase is Phase.WAITING and not situation.authority.may_begin:
-        guided_name = situation.vehicle.guided_name
+    phase, launch = context.phase, context.launch
+    waypoint = context.flight_plan.waypoint
+    if phase is Phase.WAITING and not context.authority.may_begin:
+        guided_name = context.vehicle.guided_name
         return f"found in {guided_name} or in a failsafe: change its mode, or grant control"
-    if phase in (Phase.DEGRADED, Phase.HOLD) and situation.finding is not None:
-        return situation.finding.text
+    if phase in (Phase.DEGRADED, Phase.HOLD) and context.finding is not None:
+        return context.finding.text
     if phase is Phase.LAUNCHING and launch is not None:
         return launch.stage.value
     if phase is Phase.NORMAL and waypoint is not None:
@@ -198,39 +198,41 @@ class GuidanceSession:
         fence_plan: FencePlan | None = None,
     ) -> None:
         fencing = Fencing(guard, fence_plan)
-        self.situation = SessionContext(
+        self.context = SessionContext(
             params, emitters, planner, guard, fencing, needs_origin=needs_origin
         )
-        self.handover = Handover(self.situation)
-        self._watches = Watches(self.situation)
-        turns = EmitterScheduler(self.situation, self._watches.inputs)
-        self._measuring = Measuring(self.situation, self._watches.inputs, turns)
-        self._control = ControlTick(self.situation, self._watches, self.handover, turns)
-        self._recollection = Recollection(self.situation)
+        self.handover = Handover(self.context)
+        self._watches = Watches(self.context)
+        scheduler = EmitterScheduler(self.context, self._watches.inputs)
+        self._measuring = Measuring(self.context, self._watches.inputs, scheduler)
+        self._control = ControlTick(self.context, self._watches, self.handover, scheduler)
+        self._recollection = Recollection(self.context)
 
     def handle(self, event: Event) -> list[Command]:
         """What is to be done about an event."""
-        if isinstance(event, MODE_EVENTS) and self.authority.is_overtaken(event):
-            self.situation.record("overtaken", what=type(event).__name__)
-            return self.situation.take_commands()
-        self._note(event)
-        self._react(event)
-        return self.situation.take_commands()
+        if isinstance(event, RangingReceived):
+            self._measuring.receive(event.measurement, event.time_s)
+        elif isinstance(event, MODE_EVENTS) and self.authority.is_overtaken(event):
+            self.context.record("overtaken", what=type(event).__name__)
+        else:
+            self._note(event)
+            self._react(event)
+        return self.context.take_commands()
 
     def _note(self, event: Event) -> None:
         """What is known of the vehicle and its surroundings after an event."""
-        if isinstance(event, OriginSet):
-            if self.handover.check_frame(event):
-                self._watches.frame_moved(event.time_s)
-            if event.origin != self.vehicle.origin:
-                self.situation.record("origin", **asdict(event.origin))
-        if isinstance(event, HomeSet):
-            self.handover.check_home(event)
-        if isinstance(event, VehicleMoved):
-            self._watches.jumps.moved(event)
-        if isinstance(event, YawMeasured):
-            self._watches.jumps.turned(event)
-        self.vehicle.handle(event)
+        match event:
+            case OriginSet():
+                if self.handover.take_origin(event):
+                    self._watches.frame_moved(event.time_s)
+            case HomeSet():
+                self.handover.take_home(event)
+            case VehicleMoved():
+                self._watches.jumps.take_position(event)
+            case YawMeasured():
+                self._watches.jumps.take_heading(event)
+            case _:
+                self.vehicle.handle(event)
         self._watches.handle(event)
 
     def _react(self, event: Event) -> None:
@@ -242,8 +244,6 @@ class GuidanceSession:
                 self.handover.heartbeat(event)
             case LandedStateChanged():
                 self.handover.landed(event)
-            case RangingReceived():
-                self._measuring.receive(event.measurement, event.time_s)
             case VehicleMoved():
                 self._measuring.fuse_due(event.time_s)
             case RequestAnswered():
@@ -251,20 +251,20 @@ class GuidanceSession:
             case ControlGranted():
                 self.handover.granted(event.time_s)
             case OperatorAsked():
-                self._watches.wishes.ask(event.wish)
+                self._watches.operator.ask(event.command)
             case Retuned():
-                self.situation.retune(event.tuning)
+                self.context.retune(event.tuning)
             case AutopilotRestarted():
                 self.handover.restarted(event.time_s)
                 self._recollection.forget()
             case ControlStalled():
                 self.handover.stalled(event)
             case IdConflictHeard():
-                self.handover.twin_heard(event.time_s)
+                self.handover.id_conflict_heard(event.time_s)
             case StopRequested():
                 self.handover.stop(event.time_s)
             case EarlierRunFound():
-                self._recollection.forbid_launch()
+                self.context.forbid_launch()
             case MemoryRecalled():
                 self._recollection.recall(event.memory, event.age_s, event.time_s)
             case TimerFired():
@@ -275,62 +275,62 @@ class GuidanceSession:
     @property
     def params(self) -> SessionParams:
         """How the mission is flown."""
-        return self.situation.params
+        return self.context.params
 
     @property
     def tracker(self) -> TargetTracker:
         """What is believed of the target."""
-        return self.situation.tracker
+        return self.context.tracker
 
     @property
     def vehicle(self) -> VehicleView:
         """What is known of the vehicle."""
-        return self.situation.vehicle
+        return self.context.vehicle
 
     @property
     def flight_plan(self) -> FlightPlan:
         """Where it wants to fly."""
-        return self.situation.flight_plan
+        return self.context.flight_plan
 
     @property
     def steering(self) -> Steering:
         """The setpoint sent last, and what the guard did to it."""
-        return self.situation.steering
+        return self.context.steering
 
     @property
     def authority(self) -> Authority:
         """Who may fly."""
-        return self.situation.authority
+        return self.context.authority
 
     @property
     def fencing(self) -> Fencing:
         """Which fence the guard keeps."""
-        return self.situation.fencing
+        return self.context.fencing
 
     @property
     def estimate(self) -> TargetEstimate | None:
         """The estimate after the newest measurement."""
-        return self.situation.estimate
+        return self.context.estimate
 
     @property
     def result(self) -> ReportResult | None:
         """What was reported last, once something was."""
-        return self.situation.result
+        return self.context.result
 
     @property
     def has_found_all(self) -> bool:
         """Whether something was reported and nobody else is to be found."""
-        return self.result is not None and self.situation.emitters.are_all_reported
+        return self.result is not None and self.context.emitters.are_all_reported
 
     @property
     def phase(self) -> Phase:
         """Where the session stands."""
-        return self.situation.phase
+        return self.context.phase
 
     @property
     def memory(self) -> SessionMemory:
         """What a later session would need to know."""
-        return remembered(self.situation)
+        return remembered(self.context)
 
     @property
     def is_recalling(self) -> bool:
@@ -348,8 +348,8 @@ class GuidanceSession:
 
     def emitters(self, now_s: float) -> tuple[EmitterStatus, ...]:
         """What is known of every emitter; a part of `status` that costs little."""
-        return emitter_statuses(self.situation, now_s)
+        return emitter_statuses(self.context, now_s)
 
     def status(self, now_s: float) -> GuidanceStatus:
         """A snapshot for views and logs."""
-        return snapshot(now_s, self.situation)
+        return snapshot(now_s, self.context)

@@ -186,10 +186,10 @@ class CompanionEndpoint:
         self._recorder.stop(now_s)
         self.executor.handle(StopRequested(now_s), now_s)
 
-    def ask(self, wish: OperatorCommand, now_s: float) -> None:
+    def ask(self, command: OperatorCommand, now_s: float) -> None:
         """Take in what the operator asks for beside the mode switch."""
-        self._recorder.wish(wish, now_s)
-        self.executor.handle(OperatorAsked(now_s, wish), now_s)
+        self._recorder.operator_command(command, now_s)
+        self.executor.handle(OperatorAsked(now_s, command), now_s)
 
     def found_earlier_run(self, now_s: float) -> None:
         """An earlier process of ours did not end in order."""

@@ -230,15 +230,17 @@ class VehicleInbound:
                     enu_from_ned((message.x, message.y, message.z)),
                     enu_from_ned((message.vx, message.vy, message.vz)),
                 )
-                return self._with_restart(reading, VehicleMoved(now_s, state, number))
+                return self._with_restart(reading, VehicleMoved(now_s, state, order=number))
             case mavlink.MAVLink_attitude_message():
                 if not abs(message.yaw) <= MAX_YAW_RAD:
                     return []
                 reading = self._read(message.time_boot_ms, now_s)
-                yaw = YawMeasured(now_s, reading.time_s, message.yaw, number)
+                yaw = YawMeasured(now_s, reading.time_s, message.yaw, order=number)
                 return self._with_restart(reading, yaw)
             case mavlink.MAVLink_extended_sys_state_message():
-                return [LandedStateChanged(now_s, _landed_state(message.landed_state), number)]
+                return [
+                    LandedStateChanged(now_s, _landed_state(message.landed_state), order=number)
+                ]
             case mavlink.MAVLink_sys_status_message():
                 present = message.onboard_control_sensors_present & PREARM_BIT
                 health = message.onboard_control_sensors_health & PREARM_BIT

@@ -286,7 +286,7 @@ class LinkCounters:
 
     def _link_record(self, now_s: float) -> dict[str, object]:
         """Counters of all links, and what became of the measurements."""
-        emitters = self._session.situation.emitters
+        emitters = self._session.context.emitters
         return {
             "links": [
                 asdict(intake.codec.counters) | {"over_budget": intake.budget.dropped}

@@ -38,7 +38,7 @@ class InputRecorder(Protocol):
     def stop(self, now_s: float) -> None:
         """The process was asked to end."""
 
-    def wish(self, wish: OperatorCommand, now_s: float) -> None:
+    def operator_command(self, command: OperatorCommand, now_s: float) -> None:
         """The operator asked for something."""
 
     def earlier_run(self, now_s: float) -> None:
@@ -60,8 +60,8 @@ class NoRecorder:
     def stop(self, now_s: float) -> None:
         """Forget a stop."""
 
-    def wish(self, wish: OperatorCommand, now_s: float) -> None:
-        """Forget a wish."""
+    def operator_command(self, command: OperatorCommand, now_s: float) -> None:
+        """Forget a command."""
 
     def earlier_run(self, now_s: float) -> None:
         """Forget an earlier run."""

@@ -131,7 +131,7 @@ def rerun(
                 endpoint.handle_timer(value.time_s)
             case InputKind.STOP:
                 endpoint.request_stop(value.time_s)
-            case InputKind.WISH:
+            case InputKind.OPERATOR_COMMAND:
                 endpoint.ask(OperatorCommand(value.data.decode()), value.time_s)
             case InputKind.EARLIER_RUN:
                 endpoint.found_earlier_run(value.time_s)

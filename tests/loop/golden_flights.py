@@ -207,8 +207,8 @@ def fly(plan: Plan, directory: Path) -> Golden:
     return Golden(facts=open_flight(folder).facts, inputs=(folder / INPUTS).read_bytes())
 
 
-def ask(wish: OperatorCommand, flight: Flight) -> None:
-    flight.companion.ask(wish, flight.now_s)
+def ask(command: OperatorCommand, flight: Flight) -> None:
+    flight.companion.ask(command, flight.now_s)
 
 
 def set_parameter(name: bytes, value: float, flight: Flight) -> None:

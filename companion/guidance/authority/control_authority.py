@@ -26,7 +26,7 @@ from a mode that flaps: it must have been left for as long."""
 LATE_S = 1.0
 """A frame from before control was given may come this much later, and ends nothing."""
 ID_CONFLICT_S = 10.0
-"""A twin that was heard may be silent as long: over a bad link half of its HEARTBEATs get lost."""
+"""An id conflict may be silent as long: over a bad link half of its HEARTBEATs get lost."""
 NOT_LEFT = frozenset({Trigger.HANDED_BACK, Trigger.GIVE_WAY, Trigger.LANDED, Trigger.LAUNCH_FAILED})
 """They end control while the mode may still be offboard, which nobody gave again then."""
 
@@ -49,7 +49,7 @@ class Authority:
         self._given_s = -math.inf
         """When control was given last."""
         self._newest: HeartbeatReceived | None = None
-        self._twin_s = -math.inf
+        self._id_conflict_s = -math.inf
 
     def enter(self, trigger: Trigger, now_s: float) -> Phase | None:
         """Apply a trigger; the phase that was left, or None if nothing changed."""
@@ -115,16 +115,16 @@ class Authority:
         elif not is_offboard and not heartbeat.is_failsafe:
             self._must_leave_offboard = False
 
-    def twin_heard(self, now_s: float) -> None:
+    def id_conflict_heard(self, now_s: float) -> None:
         """Somebody sends under our ids: offboard, seen while we do not fly, is that one's."""
-        self._twin_s = now_s
+        self._id_conflict_s = now_s
         is_offboard = self._newest is not None and self._newest.mode is FlightMode.OFFBOARD
         if is_offboard and self.phase in (*OUT_OF_CONTROL, Phase.STANDBY):
             self._must_leave_offboard = True
 
-    def has_twin(self, now_s: float) -> bool:
+    def has_id_conflict(self, now_s: float) -> bool:
         """Whether somebody else sends under our ids: of two that are given control, both fly."""
-        return now_s - self._twin_s <= ID_CONFLICT_S
+        return now_s - self._id_conflict_s <= ID_CONFLICT_S
 
     def disarmed_in(self, mode: FlightMode) -> None:
         """The flight ended; offboard left over from it does not count for the next one."""

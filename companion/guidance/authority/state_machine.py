@@ -69,7 +69,7 @@ class Trigger(Enum):
 
     READY = "autopilot, position, home and fence are known"
     FENCE_LOST = "the fence is not known any more, or refused"
-    TWIN_HEARD = "somebody else sends under our ids"
+    ID_CONFLICT = "somebody else sends under our ids"
     LAUNCH = "automatic launch begins"
     LAUNCH_FAILED = "automatic launch gave up"
     MODE_GIVEN = "offboard and armed"
@@ -113,7 +113,7 @@ OUT_OF_CONTROL = frozenset({Phase.WAITING, Phase.YIELD, Phase.STOPPED})
 TRANSITIONS: dict[tuple[Phase, Trigger], Phase] = {
     (Phase.WAITING, Trigger.READY): Phase.STANDBY,
     (Phase.STANDBY, Trigger.FENCE_LOST): Phase.WAITING,
-    (Phase.STANDBY, Trigger.TWIN_HEARD): Phase.WAITING,
+    (Phase.STANDBY, Trigger.ID_CONFLICT): Phase.WAITING,
     (Phase.STANDBY, Trigger.LAUNCH): Phase.LAUNCHING,
     (Phase.STANDBY, Trigger.MODE_GIVEN): Phase.HOLD,
     (Phase.LAUNCHING, Trigger.MODE_GIVEN): Phase.HOLD,

@@ -144,6 +144,8 @@ class _Trouble:
 
     def note(self, is_bad: bool, now_s: float) -> None:
         """It was told to be so."""
+        if self._is_over(now_s):
+            self.clear()
         if is_bad:
             self._good_s, self._bad_s = None, now_s
             if self._since_s is None:
@@ -153,15 +155,16 @@ class _Trouble:
 
     def lasted_s(self, now_s: float) -> float | None:
         """For how long it was so; None once it has stayed away."""
-        if self._good_s is not None and now_s - self._good_s >= GOOD_S:
-            self.clear()
-        if self._since_s is None:
+        if self._since_s is None or self._is_over(now_s):
             return None
         return (now_s if self._good_s is None else self._bad_s) - self._since_s
 
     def clear(self) -> None:
         """Forget it."""
         self._since_s = self._good_s = None
+
+    def _is_over(self, now_s: float) -> bool:
+        return self._good_s is not None and now_s - self._good_s >= GOOD_S
 
 
 class HealthWatch:

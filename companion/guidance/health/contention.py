@@ -114,17 +114,21 @@ class EchoWatch:
         else:
             self._lag_s = now_s - on_way_s
 
+    def tick(self, now_s: float) -> None:
+        """Forget foreign echoes of long ago, and note since when there is a second source."""
+        self._foreign_s = [echo for echo in self._foreign_s if echo[1] >= now_s]
+        if not self._is_disputed(now_s):
+            self._disputed_s = None
+        elif self._disputed_s is None:
+            self._disputed_s = now_s
+
     def finding(self, now_s: float) -> Finding | None:
         """What the echoes say at a tick in control."""
-        self._foreign_s = [echo for echo in self._foreign_s if echo[1] >= now_s]
-        if self._is_disputed(now_s):
-            if self._disputed_s is None:
-                self._disputed_s = now_s
+        if self._disputed_s is not None:
             went_on = self._foreign_s[-1][0] - self._disputed_s >= GOES_ON_S
             is_over = now_s - self._disputed_s >= HOLD_S
             verdict = Verdict.GIVE_WAY if went_on and is_over else Verdict.HOLD
             return Finding(verdict, Reason.SECOND_SOURCE, "somebody else sends setpoints")
-        self._disputed_s = None
         if self._echo_s is None:
             return None
         if now_s - self._echo_s > MAX_LAG_S:
@@ -221,13 +225,16 @@ class StickWatch:
             self._moved_s = event.time_s
         self._seen_moved_s = event.time_s
 
+    def tick(self, now_s: float) -> None:
+        """Sticks that are not reported any more are not moved."""
+        if self._latest is not None and now_s - self._latest.time_s > STALE_S:
+            self._moved_s = None
+
     def finding(self, now_s: float) -> Finding | None:
         """What the sticks mean at a tick in control."""
         seen_s, latest = self._seen_moved_s, self._latest
         if self._reaction == "ignore" or seen_s is None or latest is None:
             return None
-        if now_s - latest.time_s > STALE_S:
-            self._moved_s = None
         moved_s = self._moved_s
         if moved_s is None:
             is_held = now_s - seen_s < RELEASED_S

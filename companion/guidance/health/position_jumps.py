@@ -24,7 +24,7 @@ import math
 from companion.domain import PositionEnu, VehicleState
 from companion.geometry.coordinates import wrap_pi
 from companion.guard.gate import GuardLimits, Motion
-from companion.guidance.authority.state_machine import HAS_VEHICLE, Trigger
+from companion.guidance.authority.state_machine import HAS_VEHICLE, IN_CONTROL, Trigger
 from companion.guidance.commands import Severity
 from companion.guidance.context import SessionContext
 from companion.guidance.events import VehicleMoved, YawMeasured
@@ -117,7 +117,7 @@ def yaw_jump_rad(before: tuple[float, float], after: tuple[float, float]) -> flo
     return turn_rad if abs(turn_rad) > LEAST_TURN_RAD + MAX_TURN_RADPS * dt_s else None
 
 
-def may_lead_out(limits: GuardLimits, motion: Motion, jump_enu_m: PositionEnu) -> bool:
+def may_breach(limits: GuardLimits, motion: Motion, jump_enu_m: PositionEnu) -> bool:
     """Whether flying on could lead out, or down, should the position before a jump be right.
 
     Args:
@@ -140,8 +140,8 @@ def may_lead_out(limits: GuardLimits, motion: Motion, jump_enu_m: PositionEnu) -
 class JumpWatch:
     """Watches position and heading as they are reported."""
 
-    def __init__(self, situation: SessionContext) -> None:
-        self._situation = situation
+    def __init__(self, context: SessionContext) -> None:
+        self._context = context
         self._noise = PositionNoise()
         self._first_s = -math.inf
         """When the present jumps began."""
@@ -155,47 +155,65 @@ class JumpWatch:
         return self._jumped_m is not None
 
     def tick(self, now_s: float) -> None:
-        """Whoever gives us a vehicle that does not jump any more knows where it is."""
-        if self._is_steady(now_s) and self._situation.phase not in HAS_VEHICLE:
+        """A position that is steady is believed again, unless going by it may breach the fence.
+
+        Whoever gives us a vehicle that does not jump any more knows where it is.
+        """
+        phase, is_placed = self._context.phase, self._context.vehicle.motion is not None
+        if self._jumped_m is None or not self._is_steady(now_s):
+            return
+        is_safe = phase in IN_CONTROL and is_placed and not self._may_breach()
+        if is_safe or phase not in HAS_VEHICLE:
             self._jumped_m = None
 
     def finding(self, now_s: float) -> Finding | None:
         """What jumps that are over mean for the way back inside."""
-        motion = self._situation.vehicle.motion
-        if self._jumped_m is None or motion is None or not self._is_steady(now_s):
+        if self._jumped_m is None or not self._is_steady(now_s) or not self._may_breach():
             return None
-        if not may_lead_out(self._situation.guard.limits, motion, self._jumped_m):
-            self._jumped_m = None
-            return None
-        jump_m = math.hypot(*self._jumped_m)
-        text = f"own position jumped by {jump_m:.0f} m: flying by it may lead out"
+        text = f"own position jumped by {math.hypot(*self._jumped_m):.0f} m: may breach fence"
         return Finding(Verdict.HAND_BACK, Reason.OWN_JUMP, text)
+
+    def _may_breach(self) -> bool:
+        motion, limits = self._context.vehicle.motion, self._context.guard.limits
+        if self._jumped_m is None or motion is None:
+            return False
+        return may_breach(limits, motion, self._jumped_m)
 
     def _is_steady(self, now_s: float) -> bool:
         return now_s - self._last_s >= STEADY_S
 
-    def moved(self, event: VehicleMoved) -> None:
-        """A position is reported; to be called before the vehicle takes it in."""
-        track = self._situation.vehicle.track
-        if track.latest is None or not is_plausible(event.state):
+    def take_position(self, event: VehicleMoved) -> None:
+        """Compare a reported position with those before, and let the vehicle take it in."""
+        if is_plausible(event.state):
+            self._compare_position(event)
+        self._context.vehicle.handle(event)
+
+    def take_heading(self, event: YawMeasured) -> None:
+        """Compare a reported heading with the one before, and let the vehicle take it in."""
+        if math.isfinite(event.yaw_ned_rad):
+            self._compare_heading(event)
+        self._context.vehicle.handle(event)
+
+    def _compare_position(self, event: VehicleMoved) -> None:
+        track = self._context.vehicle.track
+        if track.latest is None:
             return
         jump_m = position_jump_m(track.latest, event.state, self._noise.sigma_m)
         if jump_m is None:
             self._noise.add(track.latest, event.state)
             return
         before_s = track.latest.time_s
-        self._situation.vehicle.shift(jump_m)
+        self._context.vehicle.shift(jump_m)
         self._move_targets(jump_m, 0.0)
-        self._situation.steering.forget_setpoint()
+        self._context.steering.forget_setpoint()
         (e, n, u), (de, dn, du) = self._jumped_m or (0.0, 0.0, 0.0), jump_m
         self._jumped_m = (e + de, n + dn, u + du)
         text = f"own position jumped by {math.hypot(*jump_m):.1f} m"
         self._hold(text, before_s, event.time_s)
 
-    def turned(self, event: YawMeasured) -> None:
-        """A heading is reported; to be called before the vehicle takes it in."""
-        track = self._situation.vehicle.track
-        if track.latest_yaw is None or not math.isfinite(event.yaw_ned_rad):
+    def _compare_heading(self, event: YawMeasured) -> None:
+        track = self._context.vehicle.track
+        if track.latest_yaw is None:
             return
         before_s = track.latest_yaw[0]
         jump_rad = yaw_jump_rad(track.latest_yaw, (event.measured_at_s, event.yaw_ned_rad))
@@ -207,25 +225,25 @@ class JumpWatch:
         self._hold(text, before_s, event.time_s)
 
     def _move_targets(self, shift_enu_m: PositionEnu, turn_rad: float) -> None:
-        for tracker in self._situation.emitters.trackers:
+        for tracker in self._context.emitters.trackers:
             tracker.move(shift_enu_m, turn_rad)
 
     def _hold(self, text: str, before_s: float, now_s: float) -> None:
-        situation = self._situation
+        context = self._context
         is_first = now_s - self._last_s > STEADY_S
         if is_first:
             self._first_s = now_s
         self._last_s = now_s
-        situation.vehicle.track.distrust(before_s, now_s + STEADY_S)
-        situation.flight_plan.forget()
-        situation.estimate = situation.tracker.estimate(now_s)
+        context.vehicle.track.distrust(before_s, now_s + STEADY_S)
+        context.flight_plan.forget()
+        context.believe(context.tracker.estimate(now_s))
         verdict, reason = Verdict.HOLD, Reason.OWN_JUMP
         finding = Finding(verdict, reason, f"{text}: waiting until it is steady")
         if now_s - self._first_s > PATIENCE_S:
             finding = Finding(Verdict.HAND_BACK, reason, "own position or heading keeps jumping")
-        situation.find(finding, now_s)
-        situation.hold_until(finding, now_s + STEADY_S)
-        situation.enter(Trigger.INPUT_LOST, now_s)
-        situation.record("own_jump", text=text)
+        context.record_finding(finding, now_s)
+        context.hold_until(finding, now_s + STEADY_S)
+        context.enter(Trigger.INPUT_LOST, now_s)
+        context.record("own_jump", text=text)
         if is_first:
-            situation.announce(Severity.WARNING, f"{text}: the estimate moves along")
+            context.announce(Severity.WARNING, f"{text}: the estimate moves along")

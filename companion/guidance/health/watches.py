@@ -48,8 +48,8 @@ COAST_SHARE = 0.5
 class InputWatch:
     """Watches the inputs at every tick, in control or not."""
 
-    def __init__(self, situation: SessionContext) -> None:
-        self._situation = situation
+    def __init__(self, context: SessionContext) -> None:
+        self._context = context
         self._lost: Finding | None = None
         """What of link, mode and position is missing, or was within the last second."""
         self._lost_s = 0.0
@@ -89,8 +89,8 @@ class InputWatch:
         """The worst that is wrong with the inputs."""
         if self._lost is not None:
             return self._lost
-        situation = self._situation
-        estimate, heard_s = situation.estimate, situation.tracker.last_accepted_s
+        context = self._context
+        estimate, heard_s = context.estimate, context.tracker.last_accepted_s
         if self._is_searching(now_s):
             return None
         if estimate is None or heard_s is None:
@@ -99,7 +99,7 @@ class InputWatch:
 
     def coasting_sigma_m(self, estimate: TargetEstimate, age_s: float) -> float:
         """How wrong the estimate may be after no ranging for a while, one sigma."""
-        drift_m = self._situation.params.coast_drift_mps * age_s
+        drift_m = self._context.params.coast_drift_mps * age_s
         return math.hypot(estimate.r95_m / R95_OF_SIGMA, drift_m)
 
     def speed_share(self, now_s: float) -> float:
@@ -107,24 +107,24 @@ class InputWatch:
 
         All of it while a pattern is searched: that stands on no estimate.
         """
-        situation = self._situation
-        estimate, heard_s = situation.estimate, situation.tracker.last_accepted_s
+        context = self._context
+        estimate, heard_s = context.estimate, context.tracker.last_accepted_s
         if estimate is None or heard_s is None or self._is_searching(now_s):
             return 1.0
         age_s = now_s - heard_s
-        if age_s <= situation.params.degraded_after_s:
+        if age_s <= context.params.degraded_after_s:
             return 1.0
-        limit_m = situation.params.coast_sigma_max_m
+        limit_m = context.params.coast_sigma_max_m
         return COAST_SHARE * max(0.0, 1.0 - self.coasting_sigma_m(estimate, age_s) / limit_m)
 
     def _is_searching(self, now_s: float) -> bool:
-        situation = self._situation
-        search_after_s = situation.flight_plan.search_after_s
-        heard_s = situation.tracker.last_accepted_s
-        return is_search_due(situation.estimate, heard_s, search_after_s, now_s)
+        context = self._context
+        search_after_s = context.flight_plan.search_after_s
+        heard_s = context.tracker.last_accepted_s
+        return is_search_due(context.estimate, heard_s, search_after_s, now_s)
 
     def _missing(self, now_s: float) -> Finding | None:
-        vehicle = self._situation.vehicle
+        vehicle = self._context.vehicle
         if vehicle.is_link_lost(now_s):
             reason = Reason.NO_LINK
         elif not vehicle.is_mode_known(now_s):
@@ -139,24 +139,24 @@ class InputWatch:
         """Link and position are there; a lost link must show its mode anew, too."""
         if self._back_s is None:
             self._back_s = now_s
-        heartbeat = self._situation.vehicle.heartbeat
+        heartbeat = self._context.vehicle.heartbeat
         was_deaf = self._lost is not None and self._lost.reason is not Reason.POSITION_STALE
         is_mode_seen = heartbeat is not None and heartbeat.time_s > self._lost_s
         if now_s - self._back_s >= REGAIN_S and (is_mode_seen or not was_deaf):
             self._lost = self._back_s = None
 
     def _is_ranging_lost(self, now_s: float) -> bool:
-        heard_s = self._situation.tracker.last_accepted_s
-        return heard_s is None or now_s - heard_s > self._situation.params.ranging_timeout_s
+        heard_s = self._context.tracker.last_accepted_s
+        return heard_s is None or now_s - heard_s > self._context.params.ranging_timeout_s
 
     def _ranging_finding(
         self, estimate: TargetEstimate, heard_s: float, now_s: float
     ) -> Finding | None:
-        params, age_s = self._situation.params, now_s - heard_s
+        params, age_s = self._context.params, now_s - heard_s
         if age_s > params.ranging_timeout_s:
             text = f"no ranging for {params.ranging_timeout_s:g} s"
             return Finding(Verdict.HOLD, Reason.NO_RANGING, text)
-        objection = self._situation.tracker.objection(now_s)
+        objection = self._context.tracker.objection(now_s)
         if objection is not None:
             is_unit = objection in (Objection.RANGE_UNIT, Objection.BEARING_UNIT)
             reason = Reason.WRONG_UNIT if is_unit else Reason.FILTER_DIVERGED
@@ -187,15 +187,15 @@ class OperatorCommandWatch:
     A wish ends with the control it was made under: who gives the mode again wants to fly.
     """
 
-    def __init__(self, situation: SessionContext) -> None:
-        self._situation = situation
+    def __init__(self, context: SessionContext) -> None:
+        self._context = context
         self._finding: Finding | None = None
 
-    def ask(self, wish: OperatorCommand) -> None:
+    def ask(self, command: OperatorCommand) -> None:
         """Take in a wish; without control there is nothing to hold or to return."""
-        if self._situation.phase not in IN_CONTROL:
+        if self._context.phase not in IN_CONTROL:
             return
-        match wish:
+        match command:
             case OperatorCommand.HOLD:
                 self._finding = HELD
             case OperatorCommand.RESUME:
@@ -205,7 +205,7 @@ class OperatorCommandWatch:
 
     def tick(self) -> None:
         """Forget a wish when the control it was made under has ended."""
-        if self._situation.phase not in IN_CONTROL:
+        if self._context.phase not in IN_CONTROL:
             self._finding = None
 
     def finding(self) -> Finding | None:
@@ -216,13 +216,13 @@ class OperatorCommandWatch:
 class Watches:
     """All watches of one session."""
 
-    def __init__(self, situation: SessionContext) -> None:
-        params = situation.params
-        self.inputs = InputWatch(situation)
+    def __init__(self, context: SessionContext) -> None:
+        params = context.params
+        self.inputs = InputWatch(context)
         self.battery = BatteryWatch(params.battery_low_pct, params.battery_critical_pct)
-        self.wishes = OperatorCommandWatch(situation)
-        self.jumps = JumpWatch(situation)
-        self._situation = situation
+        self.operator = OperatorCommandWatch(context)
+        self.jumps = JumpWatch(context)
+        self._context = context
         self._echo = EchoWatch()
         self._sticks = StickWatch(params.on_sticks)
         self._health = HealthWatch()
@@ -255,9 +255,9 @@ class Watches:
     def tick(self, now_s: float) -> None:
         """Take note of what is there, and of control that begins or ends."""
         self.inputs.tick(now_s)
-        self.wishes.tick()
+        self.operator.tick()
         self.jumps.tick(now_s)
-        phase = self._situation.phase
+        phase = self._context.phase
         is_in_control = phase in IN_CONTROL
         if is_in_control and not self._was_in_control:
             self._begin(now_s)
@@ -267,6 +267,8 @@ class Watches:
             self._sticks.begin(now_s)
         if phase is Phase.WAITING:
             self.battery.flight_over()
+        self._echo.tick(now_s)
+        self._sticks.tick(now_s)
         self._was_in_control, self._was_launching = is_in_control, phase is Phase.LAUNCHING
 
     def handed_back(self, finding: Finding) -> None:
@@ -283,10 +285,10 @@ class Watches:
         return worst(
             (
                 self._echo.finding(now_s),
-                self.wishes.finding(),
+                self.operator.finding(),
                 self.launch_finding(now_s),
                 self.jumps.finding(now_s),
-                self._situation.passing_finding(now_s),
+                self._context.passing_finding(now_s),
                 self.inputs.finding(now_s),
             )
         )
@@ -298,7 +300,7 @@ class Watches:
             (
                 self._sticks.finding(now_s),
                 self.battery.finding(),
-                self._situation.containment.finding(now_s),
+                self._context.containment.finding(now_s),
                 *health,
             )
         )
@@ -309,7 +311,7 @@ class Watches:
         self._health.begin()
         if self.battery.level is BatteryLevel.UNKNOWN and not self._is_battery_told:
             self._is_battery_told = True
-            self._situation.announce(Severity.WARNING, "charge of the battery is unknown")
+            self._context.announce(Severity.WARNING, "charge of the battery is unknown")
 
     def _tell_battery(self) -> None:
         level = self.battery.level
@@ -317,4 +319,4 @@ class Watches:
             return
         severity = Severity.ERROR if level is BatteryLevel.CRITICAL else Severity.WARNING
         self._is_battery_told = True
-        self._situation.announce(severity, self.battery.text())
+        self._context.announce(severity, self.battery.text())

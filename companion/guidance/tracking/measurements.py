@@ -7,7 +7,8 @@ the scheduler makes everything about the one whose turn it is.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Protocol
 
@@ -105,119 +106,119 @@ class RangingListener:
 class EmitterScheduler:
     """Makes estimate, plan and watches those of the current emitter, and tells who it is."""
 
-    def __init__(self, situation: SessionContext, inputs: InputWatch) -> None:
-        self._situation = situation
+    def __init__(self, context: SessionContext, inputs: InputWatch) -> None:
+        self._context = context
         self._inputs = inputs
-        self._followed = situation.tracker
+        self._followed = context.tracker
         self._told: int | None = None
 
     def choose(self, now_s: float) -> None:
         """Decide whose turn it is, and follow."""
-        situation = self._situation
-        situation.emitters.choose(now_s, is_flying=situation.phase in IN_CONTROL)
+        context = self._context
+        context.emitters.choose(now_s, is_flying=context.phase in IN_CONTROL)
         self.follow(now_s)
 
     def follow(self, now_s: float) -> None:
         """If it is another emitter's turn, everything is about that one from now on."""
-        situation = self._situation
-        tracker = situation.tracker
+        context = self._context
+        tracker = context.tracker
         if tracker is self._followed:
             return
         self._followed = tracker
-        situation.estimate = tracker.estimate(now_s)
-        situation.flight_plan.forget()
+        context.believe(tracker.estimate(now_s))
+        context.flight_plan.forget()
         self._inputs.switched(tracker.contact.agreeing_since_gap(now_s))
-        if situation.phase in FLYING:
-            situation.plan_now(now_s)
+        if context.phase in FLYING:
+            context.plan_now(now_s)
 
     def tell(self) -> None:
         """Say whose turn it is, once for each turn that is flown."""
-        situation, emitters = self._situation, self._situation.emitters
+        context, emitters = self._context, self._context.emitters
         current = emitters.current.emitter_id
-        if emitters.is_single or situation.phase not in IN_CONTROL or current == self._told:
+        if emitters.is_single or context.phase not in IN_CONTROL or current == self._told:
             return
         self._told = current
         waiting = emitters.waiting
-        situation.record("turn", emitter_id=current, waiting=waiting)
+        context.record("turn", emitter_id=current, waiting=waiting)
         then = f", then {', '.join(str(each) for each in waiting)}" if waiting else ""
-        situation.announce(Severity.NOTICE, f"looking for emitter {current}{then}")
+        context.announce(Severity.NOTICE, f"looking for emitter {current}{then}")
 
 
 class Measuring:
-    """Feeds the filters, and tells of what they make of it.
+    """Feeds the filters, and tells of what they make of it; their errors end nothing else.
 
     Args:
         inputs: Is told what the current emitter's filter accepts.
     """
 
     def __init__(
-        self, situation: SessionContext, inputs: InputWatch, turns: EmitterScheduler
+        self, context: SessionContext, inputs: InputWatch, scheduler: EmitterScheduler
     ) -> None:
-        self._situation = situation
+        self._context = context
         self._inputs = inputs
-        self._turns = turns
-        self._news = RejectMessages()
-        self._motion_news = MotionMessages()
-        self._listener = RangingListener(situation.emitters, situation.vehicle.track)
+        self._scheduler = scheduler
+        self._rejects = RejectMessages()
+        self._motions = MotionMessages()
+        self._listener = RangingListener(context.emitters, context.vehicle.track)
 
     def receive(self, measurement: RangingMeasurement, now_s: float) -> None:
         """Take in a measurement."""
-        if self._situation.phase is Phase.FINISHED:
+        if self._context.authority.phase is Phase.FINISHED:
             return  # parked on the estimate there is nothing to learn, only to unlearn
-        self._contained(lambda: self._fused(self._listener.receive(measurement), now_s), now_s)
+        with self._contained(now_s):
+            refused = self._listener.receive(measurement)
+            if refused:
+                self._follow_reports(refused, now_s)
         self.fuse_due(now_s)
 
     def fuse_due(self, now_s: float) -> None:
         """Fuse what waited for an own position."""
-        self._contained(lambda: self._fused(self._listener.fuse_due(now_s), now_s), now_s)
+        with self._contained(now_s):
+            reports = self._listener.fuse_due(now_s)
+            if reports:
+                self._follow_reports(reports, now_s)
 
-    def _contained(self, work: Callable[[], None], now_s: float) -> None:
-        if not self._situation.containment.run("estimator", now_s, work):
+    @contextmanager
+    def _contained(self, now_s: float) -> Iterator[None]:
+        try:
+            yield
+        except Exception as error:
+            self._context.contain("estimator", error, now_s)
             self._inputs.rejected()
 
-    def _fused(self, reports: list[FusionReport], now_s: float) -> None:
-        situation = self._situation
-        if reports:
-            self._turns.choose(now_s)
+    def _follow_reports(self, reports: list[FusionReport], now_s: float) -> None:
+        context = self._context
+        self._scheduler.choose(now_s)
         for report in reports:
-            if report.refusal is not None:
-                situation.commands += self._news.refused(report.refusal, now_s)
-                continue
             measured = report.measurement
-            if measured is not None and not situation.emitters.is_current(measured.emitter_id):
-                self._note_waiting(measured.emitter_id, now_s)
-                continue
-            if report.restarted:
-                self._inputs.rejected()
-                text = "the filter contradicted its measurements and was started anew"
-                situation.announce(Severity.WARNING, text)
-                situation.flight_plan.forget()
-            elif report.agrees:
-                self._inputs.accepted()
-            self._tell_motion()
-            self._replan(report, now_s)
+            if report.refusal is not None:
+                context.send(*self._rejects.refused(report.refusal, now_s))
+            elif measured is not None and not context.emitters.is_current(measured.emitter_id):
+                estimate = context.emitters.tracker_of(measured.emitter_id).estimate(now_s)
+                if estimate is not None:
+                    context.send(waiting_record(measured.emitter_id, estimate))
+            else:
+                self._follow_current(report, now_s)
 
-    def _tell_motion(self) -> None:
-        situation, tracker = self._situation, self._situation.tracker
+    def _follow_current(self, report: FusionReport, now_s: float) -> None:
+        """What a measurement of the emitter that is looked for changes."""
+        context, tracker = self._context, self._context.tracker
+        if report.restarted:
+            self._inputs.rejected()
+            text = "the filter contradicted its measurements and was started anew"
+            context.announce(Severity.WARNING, text)
+            context.flight_plan.forget()
+        elif report.agrees:
+            self._inputs.accepted()
         if tracker.emitter_id is not None:
-            for news in self._motion_news.told(tracker.emitter_id, tracker.watch.motion):
-                situation.announce(news.severity, news.text)
-
-    def _note_waiting(self, emitter_id: int, now_s: float) -> None:
-        """Something was learnt of an emitter whose turn it is not."""
-        estimate = self._situation.emitters.tracker_of(emitter_id).estimate(now_s)
-        if estimate is not None:
-            self._situation.commands.append(waiting_record(emitter_id, estimate))
-
-    def _replan(self, report: FusionReport, now_s: float) -> None:
-        situation = self._situation
-        estimate = situation.tracker.estimate(now_s)
+            context.send(*self._motions.told(tracker.emitter_id, tracker.watch.motion))
+        before, estimate = context.estimate, tracker.estimate(now_s)
         if estimate is None:
             return
-        if situation.estimate is None or estimate.state is not situation.estimate.state:
+        if before is None or estimate.state is not before.state:
             text = f"{estimate.state.value}: R95 {estimate.r95_m:.1f} m"
-            situation.announce(Severity.INFO, text)
-        situation.estimate = estimate
-        situation.commands.append(estimate_record(report, estimate))
-        if situation.phase in FLYING:
-            situation.plan_now(now_s)
+            context.announce(Severity.INFO, text)
+        context.believe(estimate)
+        context.send(estimate_record(report, estimate))
+        if context.phase in FLYING:
+            context.plan_now(now_s)

@@ -111,7 +111,7 @@ class InputKind(IntEnum):
     FRAME = 1
     TICK = 2
     STOP = 3
-    WISH = 4
+    OPERATOR_COMMAND = 4
     """Its data name what the operator asked for."""
     EARLIER_RUN = 5
     """An earlier process did not end in order."""
@@ -166,9 +166,9 @@ class InputLog(BackgroundLog):
         """Keep a stop."""
         self._append(Input(InputKind.STOP, now_s))
 
-    def wish(self, wish: OperatorCommand, now_s: float) -> None:
+    def operator_command(self, command: OperatorCommand, now_s: float) -> None:
         """Keep what the operator asked for."""
-        self._append(Input(InputKind.WISH, now_s, data=wish.value.encode()))
+        self._append(Input(InputKind.OPERATOR_COMMAND, now_s, data=command.value.encode()))
 
     def earlier_run(self, now_s: float) -> None:
         """Keep that there was an earlier process."""

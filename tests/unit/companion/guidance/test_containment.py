@@ -88,7 +88,7 @@ def test_errors_far_apart_are_no_reason_to_hand_back(monkeypatch: pytest.MonkeyP
 
 def test_an_error_of_the_guard_is_not_contained(monkeypatch: pytest.MonkeyPatch) -> None:
     flight = ScriptedFlight().in_control()
-    broken = now_and_then(flight.session.situation.guard.towards, itertools.repeat(True))
-    monkeypatch.setattr(flight.session.situation.guard, "towards", broken)
+    broken = now_and_then(flight.session.context.guard.towards, itertools.repeat(True))
+    monkeypatch.setattr(flight.session.context.guard, "towards", broken)
     with pytest.raises(ValueError, match="of the test"):
         flight.fly(TICK_S)

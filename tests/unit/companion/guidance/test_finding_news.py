@@ -17,7 +17,7 @@ def told(
     news: FindingMessages, findings: Sequence[Finding | None], since_s: float = 0.0
 ) -> list[int]:
     """Which of some findings, one a tick, are told."""
-    return [i for i, each in enumerate(findings) if news.is_due(each, since_s + i * TICK_S)]
+    return [i for i, each in enumerate(findings) if news.take(each, since_s + i * TICK_S)]
 
 
 def test_a_reason_is_told_at_once_and_once() -> None:
@@ -53,7 +53,7 @@ def test_a_lost_link_never_waits() -> None:
 
 
 def test_reasons_that_take_turns_in_flight_are_told_calmly() -> None:
-    """The operator's wish hides the missing ranging in every other tick."""
+    """The operator's command hides the missing ranging in every other tick."""
     flight = ScriptedFlight().in_control()
     flight.has_ranging = False
     flight.fly(6.0)

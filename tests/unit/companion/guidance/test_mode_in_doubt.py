@@ -75,7 +75,7 @@ def shown(flight: ScriptedFlight, order: int) -> bool:
 
 def place(flight: ScriptedFlight, order: int, behind_s: float = 0.0) -> VehicleMoved:
     state = VehicleState(flight.now_s - behind_s, flight.place, (0.0, 0.0, 0.0))
-    return VehicleMoved(flight.now_s, state, order)
+    return VehicleMoved(flight.now_s, state, order=order)
 
 
 @pytest.mark.parametrize(("ahead", "ends"), [(-10, False), (10, True)])

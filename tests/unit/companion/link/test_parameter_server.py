@@ -104,7 +104,7 @@ def test_a_change_is_told_noted_and_flown() -> None:
     wire = Wire().bound()
     sent = ask(wire, param_set("CMP_SPEED", 2.5))
     assert values(sent) == {"CMP_SPEED": 2.5}
-    assert wire.endpoint.session.situation.guard.limits.envelope.speed_mps == 2.5
+    assert wire.endpoint.session.context.guard.limits.envelope.speed_mps == 2.5
     noted = [fields for kind, fields in wire.journal.records if kind == "parameter"]
     assert noted == [{"name": "CMP_SPEED", "old": 5.0, "new": 2.5, "sender": (255, 190)}]
     assert "parameter CMP_SPEED: 5 -> 2.5" in wire.journal.texts
@@ -156,7 +156,7 @@ def test_a_limit_is_raised_again_as_far_as_the_file_has_it() -> None:
     wire = Wire(CompanionConfig()).bound()
     ask(wire, param_set("CMP_SPEED", 1.0))
     assert values(ask(wire, param_set("CMP_SPEED", 5.0))) == {"CMP_SPEED": 5.0}
-    assert wire.endpoint.session.situation.guard.limits.envelope.speed_mps == 5.0
+    assert wire.endpoint.session.context.guard.limits.envelope.speed_mps == 5.0
 
 
 def test_charge_for_the_way_home_is_raised_and_lowered_again_as_far_as_the_file_has_it() -> None:
@@ -174,7 +174,7 @@ def test_charge_for_the_way_home_is_raised_and_lowered_again_as_far_as_the_file_
             assert values(ask(wire, param_set(name, value))) == {name: value}
         assert session.params.battery_low_pct == low_pct
         assert session.params.battery_critical_pct == critical_pct
-        reserve = session.situation.guard.limits.reserve
+        reserve = session.context.guard.limits.reserve
         assert reserve is not None
         assert reserve.reserve_pct == reserve_pct
 
@@ -221,7 +221,7 @@ def test_a_stranger_changes_nothing() -> None:
     wire = Wire().bound()
     sent = wire.say(param_set("CMP_SPEED", 2.0), sender=STATION, peer=STRANGER)
     assert sent == []
-    assert wire.endpoint.session.situation.guard.limits.envelope.speed_mps == 5.0
+    assert wire.endpoint.session.context.guard.limits.envelope.speed_mps == 5.0
 
 
 def test_a_flood_of_reads_is_answered_in_part() -> None:
@@ -254,7 +254,7 @@ def test_integers_go_as_autopilot_version_says(autopilot: int) -> None:
 def test_a_ground_station_on_its_own_link_is_served_there() -> None:
     wire = Wire(gcs_links=1).bound()
     wire.say(param_set("CMP_SPEED", 3.0), sender=STATION, peer=None, link=1)
-    assert wire.endpoint.session.situation.guard.limits.envelope.speed_mps == 3.0
+    assert wire.endpoint.session.context.guard.limits.envelope.speed_mps == 3.0
     told = [c for c in wire.raw if c.link == 1]
     kinds = {m.get_type() for c in told for m in wire.reader.decode(c.data)}
     assert {"PARAM_VALUE", "STATUSTEXT"} <= kinds

@@ -160,6 +160,6 @@ def test_every_change_of_the_phase_is_told() -> None:
 
 def test_a_change_that_came_without_a_reason_is_told_in_words() -> None:
     wire = Wire().ready()
-    wire.endpoint.session.situation.enter(Trigger.LAUNCH, wire.now_s)
+    wire.endpoint.session.context.enter(Trigger.LAUNCH, wire.now_s)
     wire.wait(0.05)
     assert wire.journal.texts[-1] == "launching"

@@ -138,7 +138,7 @@ def test_a_memory_of_something_else_is_told_and_not_taken_up(
     assert process.said(f"restarted, with {reason}: starting anew, without engaging by itself")
     assert not process.said("resumed")
     assert process.endpoint is not None
-    assert process.endpoint.session.situation.has_launched
+    assert process.endpoint.session.context.has_launched
 
 
 def test_where_logs_go_is_no_other_mission(process: Process) -> None:
@@ -156,7 +156,7 @@ def test_a_memory_that_is_too_old_is_as_none(
     assert "610 s old, beyond process.resume_max_age_s: starting anew" in caplog.text
     assert not keeper.is_restart
     assert process.endpoint is not None
-    assert not process.endpoint.session.situation.has_launched
+    assert not process.endpoint.session.context.has_launched
 
 
 @pytest.mark.parametrize(
@@ -172,7 +172,7 @@ def test_a_memory_of_unknown_age_is_not_taken_up_and_nothing_engages(
     process.fly(keeper)
     assert not process.said("resumed")
     assert process.endpoint is not None
-    assert process.endpoint.session.situation.has_launched
+    assert process.endpoint.session.context.has_launched
 
 
 def test_after_a_restart_of_the_computer_the_wall_clock_tells_the_age(process: Process) -> None:
@@ -189,7 +189,7 @@ def test_damaged_files_mean_a_cold_start_that_engages_nothing(
     assert keeper.is_restart
     assert "none is whole: starting anew, without engaging by itself" in caplog.text
     assert process.endpoint is not None
-    assert process.endpoint.session.situation.has_launched
+    assert process.endpoint.session.context.has_launched
     process.fly(keeper)
     assert process.store.load().checkpoint is not None
 
@@ -199,7 +199,7 @@ def test_an_operator_may_say_that_there_is_nothing_to_take_up(process: Process) 
     assert not keeper.is_restart
     assert not process.store.slots
     assert process.endpoint is not None
-    assert not process.endpoint.session.situation.has_launched
+    assert not process.endpoint.session.context.has_launched
 
 
 def test_in_a_fast_simulation_the_age_is_in_its_seconds(process: Process) -> None:

@@ -13,7 +13,7 @@ from companion.guidance.authority.state_machine import (
 )
 
 TABLE = """
-          READY   FENCE_LOST TWIN_HEARD LAUNCH    LAUNCH_FAILED MODE_GIVEN MODE_LOST GRANTED DISARMED LANDED INPUT_AGES INPUT_LOST INPUT_BACK LOCALISED GIVE_UP  GIVE_WAY RESTARTED STOP     HANDED_BACK YIELD_RECALLED REPORT_RECALLED
+          READY   FENCE_LOST ID_CONFLICT LAUNCH    LAUNCH_FAILED MODE_GIVEN MODE_LOST GRANTED DISARMED LANDED INPUT_AGES INPUT_LOST INPUT_BACK LOCALISED GIVE_UP  GIVE_WAY RESTARTED STOP     HANDED_BACK YIELD_RECALLED REPORT_RECALLED
 WAITING   STANDBY .          .          .         .             .          .         .       .        .      .          .          .          .         .        .        .         STOPPED  .           YIELD          FINISHED
 STANDBY   .       WAITING    WAITING    LAUNCHING .             HOLD       .         .       .        .      .          .          .          .         .        .        WAITING   STOPPED  .           YIELD          FINISHED
 LAUNCHING .       .          .          .         YIELD         HOLD       YIELD     .       WAITING  .      .          .          .          .         .        .        WAITING   HANDBACK .           .              .

@@ -46,6 +46,7 @@ class Line:
             self._ticks += 1
             self.now_s = self._ticks * TICK_S
             self._carry()
+            self.watch.tick(self.now_s)
             finding = self.watch.finding(self.now_s)
             if finding is not None:
                 self.findings.append((self.now_s, finding))
@@ -121,6 +122,7 @@ def test_a_second_source_that_stops_is_forgotten() -> None:
     line.intruder_hz = 0.0
     line.run(6.0)
     assert line.first(Verdict.GIVE_WAY) == math.inf
+    line.watch.tick(line.now_s)
     assert line.watch.finding(line.now_s) is None
 
 
@@ -154,8 +156,10 @@ def test_a_slow_source_that_stops_is_not_held_on_for_longer_than_it_was_there() 
     for _ in range(3):
         line.watch.echoed(SetpointEchoed(line.now_s, FOREIGN))
         line.run(4.0)
+    line.watch.tick(line.now_s)
     assert line.watch.finding(line.now_s) is not None
     line.run(5.0)
+    line.watch.tick(line.now_s)
     assert line.watch.finding(line.now_s) is None
     assert line.first(Verdict.GIVE_WAY) == math.inf
 
@@ -188,6 +192,7 @@ def test_setpoints_that_do_not_arrive_are_noticed_within_two_seconds() -> None:
     assert line.findings[0][0] - cut_s <= 2.5
     line.is_uplink_up = True
     line.run(1.0)
+    line.watch.tick(line.now_s)
     assert line.watch.finding(line.now_s) is None
 
 
@@ -215,6 +220,7 @@ def test_what_was_flown_before_control_began_is_not_held_against_it() -> None:
         now_s = 100.0 + TICK_S * tick
         watch.sent((0.0, 0.0, 20.0), now_s)
         watch.echoed(SetpointEchoed(now_s, FOREIGN))
+        watch.tick(now_s)
         assert watch.finding(now_s) is None
 
 
@@ -225,4 +231,5 @@ def test_a_frame_that_moved_begins_anew() -> None:
     for _ in range(20):
         line.watch.echoed(SetpointEchoed(line.now_s, FOREIGN))
         line.now_s += 0.05
+    line.watch.tick(line.now_s)
     assert line.watch.finding(line.now_s) is None

@@ -104,7 +104,7 @@ def test_a_vague_estimate_is_not_coasted_on() -> None:
     estimate = flight.session.estimate
     assert estimate is not None
     flight.has_ranging = False
-    flight.session.situation.estimate = replace(estimate, r95_m=60.0)
+    flight.session.context.estimate = replace(estimate, r95_m=60.0)
     flight.fly(1.9)
     assert flight.is_in(Phase.NORMAL)
     seconds_until(flight, Phase.HOLD)

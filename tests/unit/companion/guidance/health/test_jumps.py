@@ -16,7 +16,7 @@ from companion.guidance.events import VehicleMoved
 from companion.guidance.health.position_jumps import (
     MAX_ACCELERATION_MPS2,
     MAX_GAP_S,
-    may_lead_out,
+    may_breach,
     position_jump_m,
     yaw_jump_rad,
 )
@@ -124,7 +124,7 @@ def test_the_past_moves_along_and_the_time_about_the_jump_is_not_trusted() -> No
 
 
 @pytest.mark.parametrize(
-    ("place", "jump_m", "leads_out"),
+    ("place", "jump_m", "breaches"),
     [
         ((90.0, 0.0, 30.0), (80.0, 0.0, 0.0), False),
         ((101.0, 0.0, 30.0), (80.0, 0.0, 0.0), True),
@@ -140,7 +140,7 @@ def test_the_past_moves_along_and_the_time_about_the_jump_is_not_trusted() -> No
     ],
 )
 def test_what_may_be_flown_by_a_position_that_jumped(
-    place: PositionEnu, jump_m: PositionEnu, *, leads_out: bool
+    place: PositionEnu, jump_m: PositionEnu, *, breaches: bool
 ) -> None:
     """Back inside the margin (5 m), or 3 sigma in height (3 m); no lower than the floor (5 m)."""
-    assert may_lead_out(LIMITS, Motion(place, (0.0, 0.0, 0.0), HOME), jump_m) is leads_out
+    assert may_breach(LIMITS, Motion(place, (0.0, 0.0, 0.0), HOME), jump_m) is breaches

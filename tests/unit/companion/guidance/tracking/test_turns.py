@@ -109,7 +109,7 @@ def test_the_status_names_all_of_them() -> None:
         (7, True, True),
         (3, False, True),
     ]
-    assert status.accepted == sum(t.accepted for t in flight.session.situation.emitters.trackers)
+    assert status.accepted == sum(t.accepted for t in flight.session.context.emitters.trackers)
     assert flight.session.has_found_all
 
 

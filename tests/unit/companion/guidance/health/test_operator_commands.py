@@ -14,8 +14,8 @@ def flying() -> ScriptedFlight:
     return flight
 
 
-def ask(flight: ScriptedFlight, wish: OperatorCommand) -> None:
-    flight.give(OperatorAsked(flight.now_s, wish))
+def ask(flight: ScriptedFlight, command: OperatorCommand) -> None:
+    flight.give(OperatorAsked(flight.now_s, command))
 
 
 def test_hold_holds_at_the_next_tick_until_resume() -> None:
@@ -46,10 +46,10 @@ def test_return_asks_for_the_mode_once_and_gives_the_vehicle_up() -> None:
     assert flight.asked_modes(since_s) == [FlightMode.RETURN]
 
 
-def test_without_control_a_wish_means_nothing() -> None:
+def test_without_control_a_command_means_nothing() -> None:
     flight = ScriptedFlight().ready()
-    for wish in OperatorCommand:
-        ask(flight, wish)
+    for command in OperatorCommand:
+        ask(flight, command)
         flight.fly(1.0)
         assert flight.is_in(Phase.STANDBY)
     assert flight.asked_modes() == []
