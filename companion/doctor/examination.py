@@ -248,7 +248,7 @@ def _check_loss(link: LinkFacts, facts: AutopilotFacts) -> Finding:
     loss = facts.loss or 0.0
     text = f"{link.name}: {100.0 * loss:.1f} % lost, {link.bad_frames} bad frames"
     if loss > MUCH_LOSS:
-        return fail("link", text, "mend the radio or the cable; beyond 30 % flights suffer")
+        return fail("link", text, "check the radio or the cable; beyond 30 % flights suffer")
     if loss > NOTICED_LOSS or link.bad_frames > 0:
         return warn("link", text, "look at antennas, cables, serial speed and rates")
     return ok("link", text)

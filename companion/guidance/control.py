@@ -132,7 +132,7 @@ class Reporting:
             self._report(tracker, estimate, ENDED_EARLY)
         emitters.note_reported(t.emitter_id for t, _ in known if t.emitter_id is not None)
         if not known:
-            self._context.announce(Severity.NOTICE, f"{ENDED_EARLY} nothing was found")
+            self._context.announce(Severity.NOTICE, f"{ENDED_EARLY} no emitter found")
 
     def _report(self, tracker: TargetTracker, estimate: TargetEstimate, head: str) -> None:
         context = self._context
@@ -249,7 +249,7 @@ class ControlTick:
         if is_ready and authority.may_begin and not authority.has_id_conflict(now_s):
             context.enter(Trigger.READY, now_s)
             guided = f"ready: switch to {context.vehicle.guided_name} to give control"
-            text = "ready: launching by itself" if self._permit.is_wanted else guided
+            text = "ready: automatic takeoff begins" if self._permit.is_wanted else guided
             context.announce(Severity.INFO, text)
 
     def _advance_launch(self, now_s: float) -> None:
@@ -268,7 +268,7 @@ class ControlTick:
             view = LaunchView(now_s, heartbeat, height_m, home[2], has_origin)
             context.send(*launch.tick(view))
         if launch.failure is not None:
-            context.announce(Severity.ERROR, f"launch gave up: {launch.failure}")
+            context.announce(Severity.ERROR, f"takeoff aborted: {launch.failure}")
             context.enter(Trigger.LAUNCH_FAILED, now_s)
 
     def _judge(self, now_s: float) -> None:

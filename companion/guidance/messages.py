@@ -220,10 +220,10 @@ class MotionMessages:
             return []
         if motion is None:
             self._walking.remove(emitter_id)
-            return [Announce(Severity.INFO, "the target seems to lie still again")]
+            return [Announce(Severity.INFO, "target seems stationary again")]
         self._walking.add(emitter_id)
         pace = f"{motion.speed_mps:.1f} m/s"
-        text = f"the target seems to walk at {pace}, or is shadowed: look from all sides"
+        text = f"target seems to move at {pace}, or is shadowed"
         return [Announce(Severity.WARNING, text)]
 
 
@@ -263,7 +263,7 @@ class RejectMessages:
             commands.append(Record("refused", fields))
             entry.recorded_s, entry.pending = now_s, 0
         if self._is_worth_a_text(reason, entry, now_s):
-            text = f"measurements refused: {reason.value}, {MANY} within {MANY_WITHIN_S:g} s"
+            text = f"measurements rejected: {reason.value}; check the radio"
             commands.append(Announce(Severity.WARNING, text))
             entry.texted_s = now_s
         return commands

@@ -67,8 +67,8 @@ class Recollection:
         context = self._context
         if memory.fence_anchor is not None:
             context.fencing.recall(memory.fence_anchor)
-        was = f"resumed after {age_s:.0f} s: it was in {memory.phase.value}"
-        context.announce(Severity.NOTICE, f"{was}; nothing engages by itself")
+        was = f"resumed after {age_s:.0f} s in {memory.phase.value}"
+        context.announce(Severity.NOTICE, f"{was}: give the mode again to fly")
         if memory.phase is Phase.YIELD:
             context.enter(Trigger.YIELD_RECALLED, now_s)
         if memory.report is not None:
@@ -117,7 +117,7 @@ class Recollection:
         for belief in beliefs:
             problem = context.emitters.resume(belief, now_s - self._held_at_s, now_s)
             if problem is not None:
-                context.announce(Severity.WARNING, f"estimate begins anew: it held {problem}")
+                context.announce(Severity.WARNING, f"estimate reset: it held {problem}")
             else:
                 self._resumed(belief, now_s)
 
@@ -138,4 +138,4 @@ class Recollection:
 
     def _begin_anew(self, reason: str) -> None:
         self._beliefs = ()
-        self._context.announce(Severity.WARNING, f"estimate begins anew: {reason}")
+        self._context.announce(Severity.WARNING, f"estimate reset: {reason}")

@@ -148,7 +148,7 @@ def test_without_ranging_its_bar_turns_red_and_hold_holds(browser: Browser, tmp_
         expect(phase).to_contain_text(FLYING, timeout=PATIENCE_MS)
         page.locator("#button-hold").click()
         page.locator("#confirm-hold").click()
-        expect(phase).to_contain_text("the operator asked to hold", timeout=PATIENCE_MS)
+        expect(phase).to_contain_text("operator requested hold", timeout=PATIENCE_MS)
         held_s, held_at = live.flight.now_s, live.vehicle_enu_m
         live.flight.is_ranging_up = False
         bar = page.locator("#age-ranging")

@@ -129,5 +129,5 @@ def test_an_open_map_has_buttons_only_with_the_token_and_lays_it_on_tiles(
         pressing.page.locator("#button-hold").click()
         pressing.page.locator("#confirm-hold").click()
         phase = looking.page.locator("#phase")
-        expect(phase).to_contain_text("the operator asked to hold", timeout=PATIENCE_MS)
+        expect(phase).to_contain_text("operator requested hold", timeout=PATIENCE_MS)
         assert [looking.complaints, pressing.complaints] == [[], []]

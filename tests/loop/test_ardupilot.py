@@ -118,7 +118,7 @@ def test_a_stop_is_commanded_because_no_target_ever_times_out(seed: int) -> None
     loop.companion.request_stop(loop.now_s)
     loop.run_until(lambda: loop.companion.is_finished, 2.0)
     assert loop.mode is FlightMode.HOLD
-    assert loop.said("asking the autopilot to BRAKE")
+    assert loop.said("requesting BRAKE")
     at_stop = loop.sim.vehicle.body.position_enu_m
     loop.run(20.0)
     assert math.dist(loop.sim.vehicle.body.position_enu_m, at_stop) < 10.0

@@ -163,7 +163,7 @@ def test_a_pilot_who_moves_the_sticks_gets_the_vehicle(flavour: FlavourName) -> 
     asked = loop.commands.copy()
     assert loop.run_until(lambda: loop.phase is Phase.HOLD, 1.0) <= 0.4
     assert loop.run_until(lambda: loop.phase is Phase.YIELD, 2.0) <= 1.0
-    assert loop.said("giving way: the pilot moves the sticks")
+    assert loop.said("control yielded: pilot moves the sticks")
     gave_s = loop.now_s
     loop.run(5.0)
     assert loop.setpoints_since(gave_s) == []
@@ -186,7 +186,7 @@ def test_a_second_sender_is_given_way_to(
     held_s = loop.now_s
     loop.run_until(lambda: loop.phase is Phase.YIELD, 5.0)
     assert loop.now_s - held_s >= 0.9
-    assert loop.said("giving way: somebody else sends setpoints")
+    assert loop.said("control yielded: second source of setpoints")
     assert reasons(loop)[Reason.SECOND_SOURCE.value] == 1
     loop.run(0.1)
     gave_s = loop.now_s
@@ -206,7 +206,7 @@ def test_a_second_sender_in_step_with_us_is_given_way_to(
     inject(loop, SecondSender(rate_hz=rate_hz, east_m=60.0, north_m=-40.0, duration_s=30.0))
     loop.run_until(lambda: loop.phase is Phase.HOLD, limit_s)
     loop.run_until(lambda: loop.phase is Phase.YIELD, 5.0)
-    assert loop.said("giving way: somebody else sends setpoints")
+    assert loop.said("control yielded: second source of setpoints")
 
 
 @pytest.mark.parametrize("flavour", FLAVOURS)
@@ -224,7 +224,7 @@ def test_setpoints_that_do_not_arrive_are_told_of() -> None:
     loop = flying("ardupilot")
     inject(loop, LinkBlackout(direction="to_vehicle", duration_s=10.0))
     assert loop.run_until(lambda: loop.phase is Phase.HOLD, 3.0) <= 2.6
-    assert loop.said("hold: setpoints do not arrive for 2 s")
+    assert loop.said("hold: setpoints not received for 2 s")
     loop.run_until(lambda: loop.phase is Phase.NORMAL, 10.0)
 
 
@@ -241,7 +241,7 @@ def test_an_estimator_that_doubts_is_held_on_and_then_handed_back(flavour: Flavo
     loop.run_until(lambda: loop.phase is Phase.HOLD, 1.5)
     loop.run_until(lambda: loop.phase is Phase.YIELD, 5.0)
     loop.run(1.0)
-    assert loop.said("handing back: the autopilot doubts its own position for 5 s")
+    assert loop.said("handing back: autopilot's position estimate is poor for 5 s")
     assert loop.mode is FlightMode.HOLD
 
 
@@ -294,7 +294,7 @@ def test_a_critical_battery_is_handed_back_once(flavour: FlavourName) -> None:
 def test_an_origin_that_moved_is_held_on_for_two_seconds(flavour: FlavourName) -> None:
     loop = flying(flavour)
     inject(loop, OriginShift(east_m=10.0))
-    loop.run_until(lambda: loop.said("local origin moved by 10 m"), 20.0)
+    loop.run_until(lambda: loop.said("local origin moved 10 m"), 20.0)
     assert loop.run_until(lambda: loop.phase is Phase.NORMAL, 5.0) >= 1.9
 
 

@@ -127,7 +127,7 @@ def test_an_origin_that_moves_in_flight_is_held_on_and_flown_anew() -> None:
     loop.is_ranging_up = False
     loop.command(REQUEST_MESSAGE, float(mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN))
     loop.run(2.0)
-    assert loop.said("local origin moved by 12 m")
+    assert loop.said("local origin moved 12 m")
     assert loop.phase is Phase.HOLD
     assert loop.companion.session.estimate is None
     held = loop.setpoints_since(loop.now_s - 1.0)

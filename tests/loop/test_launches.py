@@ -49,7 +49,7 @@ def test_a_vehicle_whose_launch_a_failsafe_ended_is_not_taken(
     loop = climbing(flavour, config)
     inject(loop, BatteryCharge(share=share))
     loop.run_until(lambda: loop.phase is Phase.YIELD, 3.0)
-    assert loop.said("launch ended: failsafe")
+    assert loop.said("takeoff aborted: failsafe")
     ended_s = loop.now_s
     loop.run(15.0)
     assert_left_alone(loop, ended_s)
@@ -78,7 +78,7 @@ def test_a_pilot_who_holds_a_px4_during_its_climb_keeps_it(climbed_s: float) -> 
     loop.operator.choose(FlightMode.HOLD, is_told_at_once=True)
     loop.run(2 * TICK_S)
     assert loop.phase is Phase.YIELD
-    assert loop.said("launch ended: mode is hold")
+    assert loop.said("takeoff aborted: mode is hold")
     held_s = loop.now_s
     loop.run(2.0)
     reposition(loop, 19.5)
@@ -103,8 +103,8 @@ def reposition(loop: Loop, height_m: float) -> None:
 @pytest.mark.parametrize(
     ("flavour", "fault", "words"),
     [
-        ("px4", EkfPoor(duration_s=30.0), "the autopilot doubts its own position"),
-        ("ardupilot", PilotSticks(forward=0.8, duration_s=6.0), "the pilot moves the sticks"),
+        ("px4", EkfPoor(duration_s=30.0), "autopilot's position estimate is poor"),
+        ("ardupilot", PilotSticks(forward=0.8, duration_s=6.0), "pilot moves the sticks"),
     ],
 )
 def test_what_is_wrong_during_the_climb_ends_the_launch(
@@ -113,7 +113,7 @@ def test_what_is_wrong_during_the_climb_ends_the_launch(
     loop = climbing(flavour)
     inject(loop, fault)
     loop.run_until(lambda: loop.phase is Phase.YIELD, 2.0)
-    assert loop.said(f"launch gave up: {words}")
+    assert loop.said(f"takeoff aborted: {words}")
     ended_s = loop.now_s
     loop.run(10.0)
     assert_left_alone(loop, ended_s)

@@ -73,7 +73,7 @@ def test_an_emitter_out_of_reach_is_searched_for_and_found(search: PatternKind) 
     assert _reasons(loop)[-1] == "approach"
     assert _distance_m(loop) <= REACH_M
     loop.run_until(lambda: bool(loop.notes.results), 120.0)
-    assert loop.said("contact: flying at the target")
+    assert loop.said("contact: flying to the target")
     assert loop.error_m <= 1.5
     _check_places(loop)
 

@@ -65,14 +65,14 @@ def test_the_operator_is_told_of_a_target_that_walks(speed_mps: float) -> None:
     walk = circle(speed_mps)
     loop = Loop(seed=4, payload_source=WalkingRadio(walk, seed=4))
     loop.run(80.0)
-    assert loop.notes.said("the target seems to walk")
+    assert loop.notes.said("target seems to move")
 
 
 def test_a_target_that_lies_still_is_found_and_nothing_is_told_of_a_walk() -> None:
     loop = Loop(seed=3, payload_source=WalkingRadio(lambda _: (50.0, 50.0), seed=3))
     loop.run_until(lambda: bool(loop.notes.results), 120.0)
     assert loop.error_m <= 1.5
-    assert not loop.notes.said("the target seems to walk")
+    assert not loop.notes.said("target seems to move")
 
 
 def away(time_s: float) -> Point:

@@ -64,7 +64,7 @@ class WaitingReason:
 
     def _text(self, now_s: float) -> str | None:
         if self._authority.has_id_conflict(now_s):
-            return "not offered: someone else sends under our ids; stop one of the two"
+            return "id conflict: another system uses our ids; stop one"
         missing = self._vehicle.missing(now_s)
         missing += [part for part in self._fencing.missing if part not in missing]
         if self._vehicle.heartbeat is None or not missing:
@@ -73,14 +73,14 @@ class WaitingReason:
             if self._authority.may_begin:
                 return None
             mode = self._vehicle.name_of(self._vehicle.mode)
-            return f"left alone: in {mode}, not given; switch to another mode"
+            return f"no control: found in {mode}; switch to another mode"
         if self._vehicle.heartbeat is None:
             return None
         if self._missing_since_s is None:
             self._missing_since_s = now_s
         if now_s - self._missing_since_s < MISSING_PATIENCE_S:
             return None
-        return f"still waiting for {' and '.join(missing)}"
+        return f"waiting for {' and '.join(missing)}"
 
 
 FLIES = frozenset({LandedState.IN_AIR, LandedState.TAKEOFF, LandedState.LANDING})
@@ -117,8 +117,8 @@ class LaunchPermit:
         if vehicle.is_armed or vehicle.landed in FLIES:
             context.forbid_launch()
             found = "armed" if vehicle.is_armed else "in the air"
-            text = f"not launching by itself: the vehicle was found {found}"
-            context.announce(Severity.WARNING, f"{text}; give {vehicle.guided_name} to engage")
+            text = f"no automatic takeoff: vehicle was found {found}"
+            context.announce(Severity.WARNING, f"{text}; switch to {vehicle.guided_name}")
         elif vehicle.landed is LandedState.UNKNOWN and vehicle.is_usable(now_s):
             self._wait_for_the_ground(now_s)
         else:
@@ -130,7 +130,7 @@ class LaunchPermit:
         if now_s - self._silent_since_s < GROUND_PATIENCE_S or self._is_silence_told:
             return
         self._is_silence_told = True
-        text = "not launching by itself: the autopilot does not tell that it is on the ground"
+        text = "no automatic takeoff: autopilot reports no landed state"
         self._context.announce(Severity.WARNING, text)
 
 
@@ -170,7 +170,7 @@ class Handover:
                 self._flight_over(event)
         elif objection is not None:
             context.enter(Trigger.LAUNCH_FAILED, now_s)
-            context.announce(Severity.WARNING, f"launch ended: {objection}")
+            context.announce(Severity.WARNING, f"takeoff aborted: {objection}")
         elif event.mode is FlightMode.OFFBOARD:
             self._offboard(now_s)
         elif launch is None:
@@ -185,8 +185,10 @@ class Handover:
         if not is_down and event.landed is not LandedState.LANDING:
             return
         if context.enter(Trigger.LANDED, event.time_s):
-            text = "on the ground" if is_down else "the autopilot is landing"
-            context.announce(Severity.WARNING, f"control lost: {text}; silent until given back")
+            text = "on the ground" if is_down else "autopilot is landing"
+            context.announce(
+                Severity.WARNING, f"control lost: {text}; give the mode again to resume"
+            )
 
     def _foreign(self, event: HeartbeatReceived) -> None:
         context, left = self._context, self._context.phase
@@ -197,14 +199,14 @@ class Handover:
         if left is Phase.HANDBACK:
             context.announce(Severity.NOTICE, f"handed back: autopilot is in {name}")
             return
-        text = f"control lost: autopilot went to {name}; silent until given back"
+        text = f"control lost: autopilot went to {name}; give the mode again to resume"
         context.announce(Severity.WARNING, text)
 
     def _flight_over(self, event: HeartbeatReceived) -> None:
         if self._context.enter(Trigger.DISARMED, event.time_s):
             self._context.authority.disarmed_in(event.mode)
             why = "flight terminated" if event.is_terminated else "disarmed"
-            self._context.announce(Severity.NOTICE, f"{why}: the flight is over")
+            self._context.announce(Severity.NOTICE, f"{why}: flight over")
 
     def _offboard(self, now_s: float) -> None:
         context = self._context
@@ -233,10 +235,10 @@ class Handover:
         if self._was_told or not (authority.came_too_soon or authority.came_by_itself):
             return
         self._was_told = True
-        text = f"{name} came too soon: leave it for {REGAIN_QUIET_S:g} s, or grant control"
+        text = f"{name} too soon: leave it for {REGAIN_QUIET_S:g} s, or grant control"
         if authority.came_by_itself:
-            how = "first choose a mode without one, or grant control"
-            text = f"{name} is back after a failsafe: {how}"
+            how = "choose another mode first, or grant"
+            text = f"{name} after a failsafe is no operator grant: {how}"
         context.announce(Severity.WARNING, text)
 
     def id_conflict_heard(self, now_s: float) -> None:
@@ -261,7 +263,7 @@ class Handover:
         """The operator gives control back."""
         context = self._context
         if context.enter(Trigger.GRANTED, now_s):
-            text = f"granted again: switch to {context.vehicle.guided_name}"
+            text = f"control granted: switch to {context.vehicle.guided_name}"
             context.announce(Severity.NOTICE, text)
 
     def take_origin(self, event: OriginSet) -> bool:
@@ -288,7 +290,7 @@ class Handover:
         context.record_finding(finding, event.time_s)
         context.hold_until(finding, event.time_s + SETTLE_S)
         context.enter(Trigger.INPUT_LOST, event.time_s)
-        text = f"local origin moved by {step_m:.0f} m: fence kept in its place, estimate forgotten"
+        text = f"local origin moved {step_m:.0f} m: fence kept in place, estimate reset"
         context.announce(Severity.WARNING, text)
 
     def take_home(self, event: HomeSet) -> None:
@@ -303,7 +305,7 @@ class Handover:
         step_m = math.dist(before, event.position_enu_m)
         if not step_m > ORIGIN_STEP_M:
             return
-        text = f"home moved by {step_m:.0f} m; heights stay above the home of the take-over"
+        text = f"home moved {step_m:.0f} m: heights stay above the old home"
         context.announce(Severity.WARNING, text)
         finding = Finding(Verdict.HOLD, Reason.HOME_MOVED, "home moved")
         context.hold_until(finding, event.time_s + SETTLE_S)
@@ -333,7 +335,7 @@ class Handover:
         context.forget_target()
         context.authority.restarted()
         context.enter(Trigger.RESTARTED, now_s)
-        text = "autopilot restarted: holding until the operator engages"
+        text = "autopilot restarted: give the mode again to resume"
         context.announce(Severity.WARNING, text)
 
     def unless_in_doubt(self, finding: Finding, now_s: float) -> Finding:
@@ -349,14 +351,14 @@ class Handover:
             return
         self._hand_back_mode, self._asked_s = finding.mode, None
         name = context.vehicle.name_of(finding.mode)
-        text = f"handing back: {finding.text}; asking the autopilot to {name}"
+        text = f"handing back: {finding.text}; requesting {name}"
         context.announce(Severity.ERROR, text)
         self.go_on_handing_back(now_s)
 
     def give_way(self, finding: Finding, now_s: float) -> None:
         """Somebody else commands: silence."""
         if self._context.enter(Trigger.GIVE_WAY, now_s):
-            text = f"giving way: {finding.text}; silent until given back"
+            text = f"control yielded: {finding.text}; give the mode again to resume"
             self._context.announce(Severity.ERROR, text)
 
     def stalled(self, event: ControlStalled) -> None:
@@ -370,9 +372,9 @@ class Handover:
         context.steering.forget_setpoint()
         context.withdraw()
         self._asked_s = None
-        text = f"the computer stood still for {event.stalled_s:.1f} s: looking where we are"
+        text = f"control loop stalled {event.stalled_s:.1f} s: reacquiring state"
         if context.enter(Trigger.LAUNCH_FAILED, event.time_s):
-            text += f"; launch ended: give {context.vehicle.guided_name} again, or grant control"
+            text += f"; takeoff aborted: give {context.vehicle.guided_name} again, or grant"
         context.announce(Severity.WARNING, text)
 
     def stop(self, now_s: float) -> None:
@@ -388,8 +390,8 @@ class Handover:
         self._hand_back_mode, self._asked_s = mode, None
         name = context.vehicle.name_of(mode)
         is_known = context.vehicle.mode_watch.may_be_asked(now_s)
-        asking = "asking the autopilot" if is_known else "looking who flies, before asking"
-        context.announce(Severity.NOTICE, f"stopping: {asking} to {name}")
+        asking = "requesting" if is_known else "reacquiring state before requesting"
+        context.announce(Severity.NOTICE, f"stopping: {asking} {name}")
         self.go_on_handing_back(now_s)
 
     def go_on_handing_back(self, now_s: float) -> None:
@@ -401,5 +403,5 @@ class Handover:
             context.ask_mode(self._hand_back_mode)
         asked_s = since_s if self._asked_s is None else self._asked_s
         if now_s > min(asked_s + HAND_BACK_S, since_s + LONGEST_HAND_BACK_S):
-            context.announce(Severity.ERROR, "hand-back: not confirmed in time")
+            context.announce(Severity.ERROR, "hand-back not confirmed: take over now")
             context.enter(Trigger.HANDED_BACK, now_s)

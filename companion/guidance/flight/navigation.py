@@ -143,7 +143,7 @@ class FlightPlan:
         if self._is_searching is was_searching:
             return []
         if not self._is_searching:
-            return [Announce(Severity.INFO, "contact: flying at the target")]
+            return [Announce(Severity.INFO, "contact: flying to the target")]
         if heard_s is None:
             return [Announce(Severity.INFO, "no contact yet: flying the search pattern")]
         text = f"no contact for {after_s:g} s: back to the search pattern"
@@ -171,8 +171,8 @@ def _forbidden_place(fence: Fence, place: Point) -> str:
     if fence.allows(place):
         return ""
     if depth_m(fence.polygon_enu_m, place) < fence.margin_m:
-        return "the estimate is outside the fence: it can only be looked at from inside"
-    return "the estimate is in a keep-out: it can only be looked at from around it"
+        return "estimate is outside the fence: observing from inside"
+    return "estimate is in a keep-out: observing from around it"
 
 
 CLIMB_FIRST_M = 1.0

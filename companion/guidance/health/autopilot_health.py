@@ -205,13 +205,13 @@ class HealthWatch:
         found = []
         doubt_s, no_fix_s = self._doubt.lasted_s(now_s), self._no_fix.lasted_s(now_s)
         if no_fix_s is not None:
-            text = "the autopilot has lost its satellites"
+            text = "autopilot lost GNSS fix"
             found.append(_finding(Reason.NO_FIX, text, no_fix_s))
         if doubt_s is not None and doubt_s >= DOUBT_S:
-            text = "the autopilot doubts its own position"
+            text = "autopilot's position estimate is poor"
             found.append(_finding(Reason.ESTIMATOR_POOR, text, doubt_s))
         if self._is_failsafe and not self._accepted_failsafe and not is_battery_low:
-            text = "the autopilot reports a failsafe"
+            text = "autopilot failsafe active"
             found.append(Finding(Verdict.HOLD, Reason.FAILSAFE, text))
         return found
 

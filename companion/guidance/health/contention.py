@@ -128,14 +128,14 @@ class EchoWatch:
             went_on = self._foreign_s[-1][0] - self._disputed_s >= GOES_ON_S
             is_over = now_s - self._disputed_s >= HOLD_S
             verdict = Verdict.GIVE_WAY if went_on and is_over else Verdict.HOLD
-            return Finding(verdict, Reason.SECOND_SOURCE, "somebody else sends setpoints")
+            return Finding(verdict, Reason.SECOND_SOURCE, "second source of setpoints")
         if self._echo_s is None:
             return None
         if now_s - self._echo_s > MAX_LAG_S:
-            text = f"setpoints are not echoed for {MAX_LAG_S:g} s"
+            text = f"no setpoint echo for {MAX_LAG_S:g} s"
             return Finding(Verdict.HOLD, Reason.NO_ECHO, text)
         if self._lag_s > MAX_LAG_S:
-            text = f"setpoints do not arrive for {MAX_LAG_S:g} s"
+            text = f"setpoints not received for {MAX_LAG_S:g} s"
             return Finding(Verdict.HOLD, Reason.SETPOINTS_LOST, text)
         return None
 
@@ -249,4 +249,4 @@ class StickWatch:
 
 
 def _finding(verdict: Verdict) -> Finding:
-    return Finding(verdict, Reason.STICKS, "the pilot moves the sticks")
+    return Finding(verdict, Reason.STICKS, "pilot moves the sticks")

@@ -246,4 +246,4 @@ class JumpWatch:
         context.enter(Trigger.INPUT_LOST, now_s)
         context.record("own_jump", text=text)
         if is_first:
-            context.announce(Severity.WARNING, f"{text}: the estimate moves along")
+            context.announce(Severity.WARNING, f"{text}: estimate shifted with it")

@@ -162,22 +162,20 @@ class InputWatch:
             reason = Reason.WRONG_UNIT if is_unit else Reason.FILTER_DIVERGED
             return Finding(Verdict.HOLD, reason, objection.value)
         if self._is_dropout and self._agreed < AGREEING:
-            text = f"waiting for {AGREEING} measurements that agree"
+            text = f"waiting for {AGREEING} consistent measurements"
             return Finding(Verdict.HOLD, Reason.RANGING_IS_BACK, text)
         if age_s <= params.degraded_after_s:
             return None
         if self.coasting_sigma_m(estimate, age_s) > params.coast_sigma_max_m:
-            text = (
-                f"the estimate is too vague to fly on without ranging: R95 {estimate.r95_m:.0f} m"
-            )
+            text = f"estimate too uncertain to coast: R95 {estimate.r95_m:.0f} m"
             return Finding(Verdict.HOLD, Reason.ESTIMATE_VAGUE, text)
-        text = f"no ranging for {params.degraded_after_s:g} s: flying on, slower"
+        text = f"no ranging for {params.degraded_after_s:g} s: coasting, slower"
         return Finding(Verdict.SLOW, Reason.RANGING_AGES, text)
 
 
-HELD = Finding(Verdict.HOLD, Reason.OPERATOR_HOLDS, "the operator asked to hold")
+HELD = Finding(Verdict.HOLD, Reason.OPERATOR_HOLDS, "operator requested hold")
 RETURNS = Finding(
-    Verdict.HAND_BACK, Reason.OPERATOR_RETURNS, "the operator asked to return", FlightMode.RETURN
+    Verdict.HAND_BACK, Reason.OPERATOR_RETURNS, "operator requested return", FlightMode.RETURN
 )
 
 
@@ -311,7 +309,7 @@ class Watches:
         self._health.begin()
         if self.battery.level is BatteryLevel.UNKNOWN and not self._is_battery_told:
             self._is_battery_told = True
-            self._context.announce(Severity.WARNING, "charge of the battery is unknown")
+            self._context.announce(Severity.WARNING, "battery charge unknown: watch it yourself")
 
     def _tell_battery(self) -> None:
         level = self.battery.level

@@ -141,7 +141,7 @@ class EmitterScheduler:
         waiting = emitters.waiting
         context.record("turn", emitter_id=current, waiting=waiting)
         then = f", then {', '.join(str(each) for each in waiting)}" if waiting else ""
-        context.announce(Severity.NOTICE, f"looking for emitter {current}{then}")
+        context.announce(Severity.NOTICE, f"searching for emitter {current}{then}")
 
 
 class Measuring:
@@ -205,7 +205,7 @@ class Measuring:
         context, tracker = self._context, self._context.tracker
         if report.restarted:
             self._inputs.rejected()
-            text = "the filter contradicted its measurements and was started anew"
+            text = "filter diverged from its measurements: restarted"
             context.announce(Severity.WARNING, text)
             context.flight_plan.forget()
         elif report.agrees:

@@ -1,6 +1,6 @@
 """The wire between companion and vehicle, and who watches the frames on it.
 
-What lies between the two endpoints: a datagram goes in, and comes out somewhen or never.
+What lies between the two endpoints: a datagram goes in, and is delayed or dropped, or comes out.
 
 Who watches a flight: every frame that was sent or heard, and every step of the truth.
 

@@ -91,7 +91,7 @@ class Recording(Observer):
         self._seen.append((now_s, lambda o: o.companion_ended(now_s)))
 
 
-STOOD_STILL = "the computer stood still"
+STALLED = "control loop stalled"
 """So begins what a companion says that got no time: it is silent until it knows who flies."""
 
 
@@ -247,7 +247,7 @@ class WireMonitor(FrameMonitor):
     def noted(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
         """The companion wrote into its log."""
         super().noted(kind, fields, now_s)
-        if kind == "text" and str(fields["text"]).startswith(STOOD_STILL):
+        if kind == "text" and str(fields["text"]).startswith(STALLED):
             self.companion_suspended(now_s, now_s)
         if kind == "estimate":
             self._estimate = _estimate_from(fields, now_s)

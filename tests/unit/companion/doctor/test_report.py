@@ -9,7 +9,7 @@ from companion.doctor.findings import as_json, as_lines, fail, ok, warn
 FINDINGS = [
     ok("autopilot", "PX4, system 1"),
     warn("GF_ACTION", "0: does nothing", "set GF_ACTION to 2"),
-    fail("link", "50.0 % lost", "mend the radio"),
+    fail("link", "50.0 % lost", "check the radio"),
 ]
 
 
@@ -19,7 +19,7 @@ def test_each_finding_has_a_line_and_what_mends_it_another() -> None:
         "WARN  GF_ACTION                0: does nothing",
         "                               -> set GF_ACTION to 2",
         "FAIL  link                     50.0 % lost",
-        "                               -> mend the radio",
+        "                               -> check the radio",
         "do not fly like this: 1 ok, 1 warnings, 1 failures",
     ]
     assert as_lines(FINDINGS[:2])[-1] == "fit to fly: 1 ok, 1 warnings, 0 failures"

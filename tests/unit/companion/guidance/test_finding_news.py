@@ -63,5 +63,5 @@ def test_reasons_that_take_turns_in_flight_are_told_calmly() -> None:
         flight.fly(TICK_S)
         flight.give(OperatorAsked(flight.now_s, OperatorCommand.RESUME))
         flight.fly(TICK_S)
-    assert flight.texts[since:] == ["hold: the operator asked to hold"]
+    assert flight.texts[since:] == ["hold: operator requested hold"]
     assert len(flight.records("finding")) < 10

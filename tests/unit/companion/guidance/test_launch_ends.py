@@ -73,7 +73,7 @@ def test_offboard_that_was_asked_for_before_the_launch_ended_was_not_given(order
         flight.show(FlightMode.POSITION)
     else:
         flight.give(ControlStalled(flight.now_s, 1.0))
-        assert flight.texts[-1].endswith("launch ended: give offboard mode again, or grant control")
+        assert flight.texts[-1].endswith("takeoff aborted: give offboard mode again, or grant")
         flight.show(FlightMode.TAKEOFF)
     assert flight.is_in(Phase.YIELD)
     ended_s = flight.now_s
@@ -166,7 +166,7 @@ def test_hold_after_the_takeoff_was_accepted_is_a_pilots() -> None:
 def test_a_pilot_who_holds_a_px4_during_its_climb_keeps_it() -> None:
     flight = launching()
     flight.show(FlightMode.HOLD)
-    assert "launch ended: mode is hold" in flight.texts
+    assert "takeoff aborted: mode is hold" in flight.texts
     assert_left_alone(flight, 30.0)
 
 
@@ -206,9 +206,9 @@ def fly_with(flight: ScriptedFlight, trouble: Trouble, duration_s: float) -> Non
 
 
 TROUBLES = [
-    (moved_sticks, "the pilot moves the sticks"),
-    (doubt, "the autopilot doubts its own position"),
-    (no_fix, "the autopilot has lost its satellites"),
+    (moved_sticks, "pilot moves the sticks"),
+    (doubt, "autopilot's position estimate is poor"),
+    (no_fix, "autopilot lost GNSS fix"),
     (empty_battery, "battery critical, 5 %"),
 ]
 
@@ -221,7 +221,7 @@ def test_what_would_be_held_on_in_control_ends_a_launch(
     flight = launching(autopilot)
     well(flight)
     fly_with(flight, trouble, 1.4)
-    assert f"launch gave up: {words}" in flight.texts
+    assert f"takeoff aborted: {words}" in flight.texts
     assert_left_alone(flight)
 
 
@@ -246,5 +246,5 @@ def test_what_does_not_pass_on_the_ground_is_named() -> None:
     flight.has_ranging = False
     flight.on_the_ground()
     fly_with(flight, doubt, 122.0)
-    assert "launch gave up: the autopilot doubts its own position for 5 s" in flight.texts
+    assert "takeoff aborted: autopilot's position estimate is poor for 5 s" in flight.texts
     assert not flight.sent(Arm)

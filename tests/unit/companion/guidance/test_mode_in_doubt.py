@@ -161,7 +161,7 @@ def test_a_battery_that_is_low_takes_the_vehicle_from_nobody(
 def test_a_stop_looks_first_who_flies_and_then_asks() -> None:
     flight = in_doubt(ScriptedFlight().in_control())
     flight.give(StopRequested(flight.now_s))
-    assert flight.texts[-1] == "stopping: looking who flies, before asking to hold"
+    assert flight.texts[-1] == "stopping: reacquiring state before requesting hold"
     flight.fly(0.3)
     assert flight.asked_modes() == []
     flight.show(FlightMode.OFFBOARD)

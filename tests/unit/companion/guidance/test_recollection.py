@@ -163,7 +163,7 @@ def test_a_belief_of_another_frame_is_not_believed(origin: LocalOrigin | None, r
     recall(flight, replace(memory_of_a_flight(), origin=origin))
     flight.ready()
     assert flight.session.estimate is None
-    assert f"estimate begins anew: {reason}" in flight.texts
+    assert f"estimate reset: {reason}" in flight.texts
 
 
 def test_a_belief_does_not_wait_for_ever_for_its_frame() -> None:
@@ -173,7 +173,7 @@ def test_a_belief_does_not_wait_for_ever_for_its_frame() -> None:
     flight.fly(ORIGIN_PATIENCE_S + 0.2)
     flight.ready()
     assert flight.session.estimate is None
-    assert "estimate begins anew: the autopilot does not tell its origin" in flight.texts
+    assert "estimate reset: the autopilot does not tell its origin" in flight.texts
 
 
 def test_an_autopilot_that_restarts_meanwhile_ends_the_wait() -> None:
@@ -193,7 +193,7 @@ def test_an_impossible_belief_is_refused_in_words() -> None:
     recall(flight, replace(memory, belief=replace(memory.belief, places=())))
     flight.ready()
     assert flight.session.estimate is None
-    assert "estimate begins anew: it held 0 places" in flight.texts
+    assert "estimate reset: it held 0 places" in flight.texts
 
 
 def fly_until_localised(flight: ScriptedFlight) -> float:

@@ -28,7 +28,7 @@ def test_each_reason_has_a_rhythm_of_its_own() -> None:
 def test_many_are_told_to_people_once_a_minute() -> None:
     _, texts = told(RejectReason.NOT_FINITE, [0.1 * step for step in range(1000)])
     assert len(texts) == 1 + int((99.9 - 0.1 * MANY) // TEXT_PERIOD_S)
-    assert texts[0].text == "measurements refused: not finite, 20 within 10 s"
+    assert texts[0].text == "measurements rejected: not finite; check the radio"
 
 
 def test_a_few_are_not_nor_what_says_nothing_against_the_radio() -> None:

@@ -233,8 +233,8 @@ def test_a_vehicle_that_is_left_alone_is_told_so_once() -> None:
     flight.locate()
     flight.fly(30.0)
     assert flight.is_in(Phase.WAITING)
-    assert [text for text in flight.texts if text.startswith("left alone")] == [
-        "left alone: in offboard, not given; switch to another mode"
+    assert [text for text in flight.texts if text.startswith("no control")] == [
+        "no control: found in offboard; switch to another mode"
     ]
 
 
@@ -245,7 +245,7 @@ def test_what_is_missing_is_named_after_a_while() -> None:
     assert not any("waiting for" in text for text in flight.texts)
     flight.fly(3.0)
     assert [text for text in flight.texts if "waiting for" in text] == [
-        "still waiting for a home position"
+        "waiting for a home position"
     ]
 
 
@@ -261,7 +261,7 @@ def test_positions_that_are_always_late_are_told_apart_from_none() -> None:
         flight.fly(0.05)
     assert flight.is_in(Phase.WAITING)
     assert [text for text in flight.texts if "waiting for" in text] == [
-        "still waiting for a local position that is not 0.5 s late (is the link slow?)"
+        "waiting for a local position that is not 0.5 s late (is the link slow?)"
     ]
 
 

@@ -92,7 +92,7 @@ def test_a_stop_that_nobody_confirms_ends_within_a_second_and_a_half() -> None:
     while not flight.session.is_stopped:
         flight.fly(0.05)
     assert flight.now_s - asked_s <= 1.5 + 1e-9
-    assert flight.texts[-1] == "hand-back: not confirmed in time"
+    assert flight.texts[-1] == "hand-back not confirmed: take over now"
 
 
 @pytest.mark.parametrize("situation", ["waiting", "standby", "yield"])

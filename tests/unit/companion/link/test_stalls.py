@@ -170,7 +170,7 @@ def test_a_stall_is_told_and_counted_and_no_tick_is_made_up_for() -> None:
     wire.journal.texts.clear()
     sent = stall(wire, 5.0)
     assert sum(m.get_type() == "HEARTBEAT" for m in sent) == 1
-    assert wire.journal.texts[0] == "the computer stood still for 5.0 s: looking where we are"
+    assert wire.journal.texts[0] == "control loop stalled 5.0 s: reacquiring state"
     wire.wait(11.0)
     record = [fields for kind, fields in wire.journal.records if kind == "link"][-1]
     assert (record["stalls"], record["missed_ticks"]) == (1, 99)

@@ -110,7 +110,7 @@ def test_the_memory_of_the_same_mission_is_taken_up_when_the_vehicle_is_heard(
     keeper.run(0.0)
     assert not process.said("resumed")
     process.fly(keeper)
-    assert process.said("resumed after 10 s: it was in waiting; nothing engages by itself")
+    assert process.said("resumed after 10 s in waiting: give the mode again to fly")
 
 
 def test_the_sequence_goes_on_after_a_restart(process: Process) -> None:

@@ -308,7 +308,7 @@ def test_a_pilot_who_takes_over_during_the_launch_keeps_the_vehicle(
     flight.fly(30.0)
     assert flight.sent(SendSetpoint, taken_s) == []
     assert len(flight.asked_modes()) == asked
-    assert f"launch ended: mode is {mode_name(mode, autopilot)}" in flight.texts
+    assert f"takeoff aborted: mode is {mode_name(mode, autopilot)}" in flight.texts
 
 
 def test_braking_an_ardupilot_during_its_climb_is_taking_over() -> None:
@@ -331,7 +331,7 @@ def test_a_launch_that_gives_up_leaves_the_vehicle_alone() -> None:
     flight = launching()
     flight.fly(95.0)
     assert flight.is_in(Phase.YIELD)
-    assert "launch gave up: the vehicle did not climb to its altitude" in flight.texts
+    assert "takeoff aborted: the vehicle did not climb to its altitude" in flight.texts
 
 
 @pytest.mark.parametrize("what", ["has_position", "has_link"])
@@ -342,7 +342,7 @@ def test_a_vehicle_that_is_not_seen_any_more_is_not_launched_for_ever(what: str)
     assert flight.is_in(Phase.LAUNCHING)
     flight.fly(1.5)
     assert flight.is_in(Phase.YIELD)
-    assert "launch gave up: no link, mode or fresh position for 10 s" in flight.texts
+    assert "takeoff aborted: no link, mode or fresh position for 10 s" in flight.texts
 
 
 def test_a_stop_during_the_climb_asks_for_hold() -> None:

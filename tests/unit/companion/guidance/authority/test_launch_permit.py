@@ -23,7 +23,7 @@ def asked(flight: ScriptedFlight) -> bool:
 def test_disarmed_on_the_ground_it_is_launched(autopilot: Autopilot) -> None:
     flight = ScriptedFlight(AUTO, autopilot).on_the_ground()
     assert flight.is_in(Phase.LAUNCHING)
-    assert "ready: launching by itself" in flight.texts
+    assert "ready: automatic takeoff begins" in flight.texts
     assert asked(flight)
 
 
@@ -37,9 +37,9 @@ def test_found_armed_in_hold_it_is_left_to_the_operator(
     flight.ready().fly(30.0)
     assert flight.is_in(Phase.STANDBY)
     assert not asked(flight)
-    assert any("not launching by itself: the vehicle was found armed" in t for t in flight.texts)
+    assert any("no automatic takeoff: vehicle was found armed" in t for t in flight.texts)
     assert any(text.startswith("ready: switch to") for text in flight.texts)
-    assert "ready: launching by itself" not in flight.texts
+    assert "ready: automatic takeoff begins" not in flight.texts
 
 
 def test_found_in_the_air_it_is_left_alone_even_if_it_seems_disarmed() -> None:

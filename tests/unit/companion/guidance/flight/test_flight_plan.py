@@ -58,7 +58,7 @@ def test_the_first_contact_ends_the_search() -> None:
     flight.fly(0.5)
     assert flight.session.flight_plan.waypoint is not None
     assert flight.session.flight_plan.waypoint.reason is WaypointReason.APPROACH
-    assert "contact: flying at the target" in flight.texts
+    assert "contact: flying to the target" in flight.texts
     flight.fly_until_reported()
 
 
@@ -77,7 +77,7 @@ def test_contact_lost_is_waited_for_and_then_searched_for() -> None:
     flight.has_ranging = True
     flight.fly(0.5)
     assert _waypoints(flight)[-1] in ("approach", "crossing")
-    assert flight.texts.count("contact: flying at the target") == 2
+    assert flight.texts.count("contact: flying to the target") == 2
 
 
 def test_what_was_believed_before_contact_was_lost_is_not_reported() -> None:

@@ -44,7 +44,7 @@ def test_a_dropout_degrades_after_two_seconds_and_holds_after_five(start_s: floa
     flight.fly(start_s)
     flight.has_ranging = False
     assert seconds_until(flight, Phase.DEGRADED) == pytest.approx(2.05, abs=TICK_S)
-    assert flight.texts[-1] == "degraded: no ranging for 2 s: flying on, slower"
+    assert flight.texts[-1] == "degraded: no ranging for 2 s: coasting, slower"
     assert seconds_until(flight, Phase.HOLD) == pytest.approx(3.0, abs=TICK_S)
     assert flight.texts[-1] == "hold: no ranging for 5 s"
 
@@ -78,7 +78,7 @@ def test_a_hold_for_ranging_ends_with_five_measurements_that_agree() -> None:
         flight.measure()
     flight.fly(0.5)
     assert flight.is_in(Phase.HOLD)
-    assert flight.texts[-1] == "hold: waiting for 5 measurements that agree"
+    assert flight.texts[-1] == "hold: waiting for 5 consistent measurements"
     flight.measure()
     flight.fly(TICK_S)
     assert flight.is_in(Phase.NORMAL)
@@ -108,7 +108,7 @@ def test_a_vague_estimate_is_not_coasted_on() -> None:
     flight.fly(1.9)
     assert flight.is_in(Phase.NORMAL)
     seconds_until(flight, Phase.HOLD)
-    assert flight.texts[-1] == "hold: the estimate is too vague to fly on without ranging: R95 60 m"
+    assert flight.texts[-1] == "hold: estimate too uncertain to coast: R95 60 m"
     assert Phase.DEGRADED.value not in [record["new"] for record in flight.records("phase")]
 
 

@@ -86,7 +86,7 @@ def test_it_says_whose_turn_it_is_and_flies_there() -> None:
         {"emitter_id": 3, "waiting": [7]},
         {"emitter_id": 7, "waiting": []},
     ]
-    assert "looking for emitter 3, then 7" in flight.texts
+    assert "searching for emitter 3, then 7" in flight.texts
     assert math.dist(flight.place[:2], FAR[:2]) < math.dist(flight.place[:2], NEAR[:2])
 
 
@@ -184,7 +184,7 @@ def test_a_belief_that_makes_no_sense_does_not_take_the_others_with_it() -> None
     broken = replace(memory, others=(replace(other, places=()),))
     flight.give(MemoryRecalled(0.0, broken, 5.0))
     flight.ready()
-    assert any("estimate begins anew: it held 0 places" in text for text in flight.texts)
+    assert any("estimate reset: it held 0 places" in text for text in flight.texts)
     estimate = flight.session.estimate
     assert estimate is not None
     assert estimate.position_enu_m == pytest.approx(FAR[:2], abs=5.0)

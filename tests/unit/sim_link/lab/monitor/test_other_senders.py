@@ -46,7 +46,7 @@ def test_somebody_else_who_flies_it_out_of_the_fence_is_no_breach(flavour: Flavo
     around.injector.inject(Schedule(faults=(away,)))
     around.flight.run(60.0)
     assert true_depth_m(around) < -5.0
-    assert around.notes.said("giving way")
+    assert around.notes.said("control yielded")
     assert around.monitor.fence.breaches == 0
     assert around.monitor.violations == []
 

@@ -147,7 +147,7 @@ def in_control(monitor: WireMonitor, text: str) -> None:
 
 def test_a_companion_that_stood_still_may_look_first_who_flies() -> None:
     monitor = WireMonitor(rules_of(AUTO), LITTLE_S)
-    in_control(monitor, "the computer stood still for 0.7 s: looking where we are")
+    in_control(monitor, "control loop stalled 0.7 s: reacquiring state")
     assert [str(violation) for violation in monitor.violations] == []
 
 

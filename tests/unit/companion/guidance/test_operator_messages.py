@@ -1,0 +1,96 @@
+"""The list of operator messages against the source: neither has a text that the other lacks."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import companion
+from companion.guard.gate import GuardReason
+from companion.guidance.health.findings import Reason
+from companion.guidance.messages import SILENT
+
+GUIDANCE = Path(companion.__file__).parent / "guidance"
+PAGE = Path(__file__).parents[4] / "docs" / "messages.md"
+SPEAKERS = {"announce", "Announce", "Finding", "_finding"}
+"""What is called with a text for the operator."""
+FAILURES = {"failure", "refusal", "note"}
+"""Attributes whose text becomes part of one."""
+UNWORDED = (Reason.NO_LINK, Reason.MODE_UNKNOWN, Reason.POSITION_STALE)
+"""Told by their names."""
+BLANK = "…"
+"""What a text fills in."""
+
+
+def texts_of(expression: ast.expr, function: ast.AST) -> Iterator[str]:
+    """All that an expression may say, with blanks for what is filled in."""
+    match expression:
+        case ast.Constant(value=str(text)):
+            yield text
+        case ast.JoinedStr(values=parts):
+            yield "".join(
+                str(part.value) if isinstance(part, ast.Constant) else BLANK for part in parts
+            )
+        case ast.IfExp(body=body, orelse=orelse):
+            yield from texts_of(body, function)
+            yield from texts_of(orelse, function)
+        case ast.Name(id=name):
+            for node in ast.walk(function):
+                if isinstance(node, ast.Assign | ast.AugAssign):
+                    targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+                    if any(isinstance(each, ast.Name) and each.id == name for each in targets):
+                        yield from texts_of(node.value, function)
+
+
+def said_in(module: ast.Module) -> Iterator[str]:
+    """Every text for the operator in a module."""
+    for function in ast.walk(module):
+        if not isinstance(function, ast.FunctionDef):
+            continue
+        for node in ast.walk(function):
+            if isinstance(node, ast.Call) and called(node) in SPEAKERS:
+                for argument in node.args:
+                    yield from texts_of(argument, function)
+            if isinstance(node, ast.Assign) and any(
+                isinstance(target, ast.Attribute) and target.attr in FAILURES
+                for target in node.targets
+            ):
+                yield from texts_of(node.value, function)
+
+
+def called(node: ast.Call) -> str:
+    return node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+
+
+def listed() -> set[str]:
+    """What the page lists: the code in the first column of its tables."""
+    rows = re.findall(r"^\| (`.*?`) \|", PAGE.read_text(), flags=re.MULTILINE)
+    return {row.strip("`") for row in rows}
+
+
+def sources(*folders: str) -> list[ast.Module]:
+    root = GUIDANCE.parent
+    paths = [path for folder in folders for path in sorted((root / folder).rglob("*.py"))]
+    return [ast.parse(path.read_text()) for path in paths]
+
+
+def test_every_text_of_the_session_is_listed() -> None:
+    said = {text for module in sources("guidance") for text in said_in(module)}
+    said |= {f"{reason.value}" for reason in GuardReason if reason not in SILENT}
+    said |= {reason.value for reason in UNWORDED}
+    with_words = {text for text in said if re.search(r"\w", text)}
+    assert sorted(with_words - listed()) == []
+
+
+def test_no_text_is_listed_that_nobody_says() -> None:
+    constants = {
+        node.value
+        for module in sources("guidance", "guard")
+        for node in ast.walk(module)
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    }
+    for text in listed():
+        for words in filter(None, text.split(BLANK)):
+            assert any(words in constant for constant in constants), text
