@@ -1,7 +1,7 @@
 # Everything here works on a machine with Python 3.11 or newer, pip and make; `make help` lists it.
 
 .DEFAULT_GOAL := help
-.PHONY: help demo missions test faults check clean venv-demo venv-dev
+.PHONY: help demo missions test faults check dist clean venv-demo venv-dev
 
 BIN := .venv/bin
 DEMO_ARGS ?= --speed 4
@@ -18,6 +18,7 @@ help:
 	@echo "make test    run all tests"
 	@echo "make faults  fly hundreds of missions with faults, every invariant watched (FAULTS_ARGS)"
 	@echo "make check   format, lint, types and import rules"
+	@echo "make dist    sdist and wheel of both distributions, into dist/"
 	@echo "make clean   remove .venv and every cache"
 	@echo "Each makes .venv by itself when needed; PYTHON=... chooses the interpreter."
 
@@ -38,6 +39,11 @@ check: venv-dev
 	$(BIN)/ruff check .
 	$(BIN)/mypy --strict
 	$(BIN)/lint-imports
+
+dist: venv-dev
+	rm -rf dist
+	$(BIN)/python -m build --no-isolation --outdir dist .
+	$(BIN)/python -m build --no-isolation --outdir dist sim_link
 
 venv-demo venv-dev: venv-%:
 	@tools/make_venv.sh $*

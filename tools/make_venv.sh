@@ -1,5 +1,6 @@
 #!/bin/sh
-# Makes .venv with the project (editable) and one of its extras; does nothing if it is there.
+# Makes .venv with both distributions (editable) and one extra of the first; does nothing if it is
+# there.
 #
 #   tools/make_venv.sh demo|dev
 #
@@ -37,10 +38,14 @@ find_python() {
     fail "no Python of at least 3.11 found; install one, or name it: make PYTHON=/path/to/python3 ..."
 }
 
-# A stamp is the pyproject.toml that was installed: a changed file is installed again, one that
-# was only checked out again is not. Everything of demo is part of dev.
+# A stamp is what was installed, the pyproject.toml of both distributions: a changed file is
+# installed again, one that was only checked out again is not. Everything of demo is part of dev.
+print_stamp() {
+    cat pyproject.toml sim_link/pyproject.toml
+}
+
 is_installed() {
-    cmp -s pyproject.toml "$venv/.installed-$1"
+    print_stamp | cmp -s - "$venv/.installed-$1"
 }
 
 # A virtual environment knows its path by heart: one that was moved or copied is made again.
@@ -92,6 +97,8 @@ fi
 
 echo "installing the project and its $extra packages into $venv (once)"
 rm -f "$venv/.installed-$extra"
-install install --quiet --editable ".[$extra]" || fail "the install failed, see above; run it again"
-cp pyproject.toml "$venv/.installed-$extra.part"
+# In one command: then pip finds companion-sim-link here, and looks for it nowhere else.
+install install --quiet --editable ".[$extra]" --editable ./sim_link ||
+    fail "the install failed, see above; run it again"
+print_stamp >"$venv/.installed-$extra.part"
 mv "$venv/.installed-$extra.part" "$venv/.installed-$extra"

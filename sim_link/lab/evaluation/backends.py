@@ -223,7 +223,7 @@ def _client(address: str) -> Any:
         from distributed import Client
     except ImportError:
         raise ConfigError(
-            f"--backend {address}: dask is not installed; pip install 'companion-guidance[cluster]'"
+            f"--backend {address}: dask is not installed; pip install 'companion-sim-link[cluster]'"
         ) from None
     host, _, port = address.removeprefix(SCHEME).rpartition(":")
     try:

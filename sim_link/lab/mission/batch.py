@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import concurrent.futures
-import importlib.util
 import multiprocessing
 import shutil
 import signal
@@ -62,18 +61,14 @@ Done = Callable[[int, Summary], None]
 
 
 def check_reports(folder: Path) -> None:
-    """Make sure, before any flight, that reports can be made and written.
+    """Make sure, before any flight, that reports can be written.
 
     Args:
         folder: Where to; made if it is not there.
 
     Raises:
-        ConfigError: A package is missing; the message says how to get it.
         CompanionError: Nothing can be written there.
     """
-    if importlib.util.find_spec("jinja2") is None:
-        text = "reports need jinja2: pip install 'companion-guidance[mission]'"
-        raise ConfigError(f"--report: {text}")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=folder):  # only trying tells, root may do anything

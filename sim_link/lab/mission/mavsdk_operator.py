@@ -33,7 +33,7 @@ def check_installed() -> None:
     try:
         import mavsdk.asyncio  # noqa: F401  only whether it is there
     except ImportError as error:
-        text = "real processes need MAVSDK: pip install 'companion-guidance[mission]'"
+        text = "real processes need MAVSDK: pip install 'companion-sim-link[mission]'"
         raise ConfigError(text) from error
 
 
