@@ -31,9 +31,10 @@ RAISES = (
 """Commands that take control, or change who has it."""
 FAILSAFE = mavlink.MAV_STATE_CRITICAL
 HEARD = frozenset({mavlink.MAVLINK_MSG_ID_HEARTBEAT, mavlink.MAVLINK_MSG_ID_COMMAND_LONG})
-DATED = frozenset({mavlink.MAVLINK_MSG_ID_HEARTBEAT, mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED})
-PRESENT_S = 0.5
-"""Mode and place that arrive within this time of their sending are surely of the present."""
+RECOVERY_S = 2.0
+"""A stalled companion asks for the mode every 250 ms, over a link that may lose it."""
+HEARTBEATS_S = 1.5
+"""Autopilots send one every second."""
 
 
 class OnlyWithAuthority(Invariant):
@@ -168,7 +169,12 @@ class OnlyWithAuthority(Invariant):
 
 
 class KeepsStreaming(Invariant):
-    """In control, a setpoint leaves at least every 100 ms."""
+    """In control, a setpoint leaves at least every 100 ms, outside of stalls.
+
+    In a stall the companion first has to learn again who flies and where it is: its process got no
+    time, no mode was heard for long, the local frame moved, or it took control a moment ago. A
+    stall ends with the next setpoint, or a while after the companion has all that it needs.
+    """
 
     name = "I7"
     title = "in control the stream of setpoints does not pause"
@@ -180,50 +186,27 @@ class KeepsStreaming(Invariant):
         self._is_in_control = False
         self._since_s = 0.0
         self._last_s: float | None = None
-        self._has_setpoint = False
-        """It has something to stay at, whatever becomes of its position."""
-        self._is_mode_in_doubt = False
-        """It was suspended, or heard no mode for long: it looks first who flies now."""
-        self._placed_s = math.inf
-        """When a place of the present arrived, since the mode is in doubt."""
+        self._is_stalled = False
+        self._excused_s = self._settled_s = -math.inf
+        """Until then a pause is excused by a stall, or by a local frame that moved."""
         self._frame_sent_at = scene.told.frame_sent_at
-        self._frame_moved_s = -math.inf
-        """When it was told that the local frame moved: which places are of the new one, an order
-        of sending that was upset does not say at once."""
 
     def noted(self, kind: str, fields: Mapping[str, object]) -> None:
         """Follow what the companion claims to be."""
         if kind == "phase":
-            was_in_control = self._is_in_control
+            self._is_stalled |= not self._is_in_control
             self._is_in_control = fields.get("new") in self.PHASES
-            self._has_setpoint &= was_in_control
             self._since_s = self.scene.now_s
 
     def started(self) -> None:
         """A new process claims nothing yet."""
         self._is_in_control, self._last_s = False, None
-        self._has_setpoint = self._is_mode_in_doubt = False
-
-    def heard(self, frame: Frame) -> None:
-        """A mode is of the present beyond doubt after a place that is."""
-        if not self._is_mode_in_doubt or frame.number not in DATED:
-            return
-        scene = self.scene
-        now_s, place_s = scene.now_s, scene.told.position_s
-        is_autopilot = frame.sender == (scene.system_id, AUTOPILOT_COMPONENT)
-        is_late = now_s - scene.sent_at(frame)[0] > PRESENT_S
-        is_late |= now_s <= scene.suspended_until_s + TICK_S  # the socket kept it from the stall
-        if is_late or not (is_autopilot and scene.is_believable):
-            return
-        if frame.number == mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED:
-            self._placed_s = min(self._placed_s, now_s)
-        elif place_s is not None and now_s - place_s <= PRESENT_S:
-            self._is_mode_in_doubt = now_s - self._placed_s < TICK_S
+        self._is_stalled, self._excused_s = False, -math.inf
 
     def setpoint(self, setpoint: Setpoint) -> None:
-        """Remember it; judge the gap before it. Who sends has no doubt any more."""
+        """Judge the gap before it; whoever sends is in no stall any more."""
         self._judge(setpoint.time_s)
-        self._is_mode_in_doubt, self._has_setpoint = False, True
+        self._is_stalled, self._excused_s = False, -math.inf
         self._last_s = setpoint.time_s
 
     def stepped(self) -> None:
@@ -232,28 +215,13 @@ class KeepsStreaming(Invariant):
 
     def _judge(self, now_s: float) -> None:
         scene = self.scene
-        heartbeat_s = scene.told.heartbeat_s
-        if scene.suspended_until_s >= now_s:
-            self._is_mode_in_doubt, self._placed_s = True, math.inf
+        self._look_for_stall(now_s)
         is_in_control = self._is_in_control and scene.is_companion_up and scene.told.is_ours
-        if not is_in_control or heartbeat_s is None:
+        if not is_in_control or scene.told.heartbeat_s is None:
             self._last_s = None
             return
-        if self._last_s is None:
-            self._last_s = now_s
-        is_mode_unknown = now_s - heartbeat_s >= scene.rules.silence_s - TICK_S
-        if is_mode_unknown:
-            self._is_mode_in_doubt, self._placed_s = True, math.inf
-        has_place = scene.told.position_s is not None  # none: of a frame that just moved
-        if scene.told.frame_sent_at != self._frame_sent_at:
-            self._frame_sent_at, self._frame_moved_s = scene.told.frame_sent_at, now_s
-            self._has_setpoint = False
-        self._has_setpoint &= has_place and not self._is_mode_in_doubt
-        age_s, most_s = now_s - scene.told.position_sent_s, scene.rules.state_age_s
-        is_blind = not self._has_setpoint and age_s > most_s - TICK_S
-        is_blind |= now_s - self._frame_moved_s <= most_s
-        is_blind |= scene.is_lied_to  # how old its places say they are, only the companion read
-        if self._is_mode_in_doubt or not has_place or is_blind:
+        is_excused = scene.is_lied_to or now_s <= max(self._excused_s, self._settled_s)
+        if self._last_s is None or is_excused:
             self._last_s = now_s
             return
         gap_s = now_s - max(self._last_s, self._since_s, scene.suspended_until_s)
@@ -261,6 +229,19 @@ class KeepsStreaming(Invariant):
         if gap_s > scene.rules.gap_s + EPSILON_S:
             self.report("the stream paused while in control", gap_s=gap_s)
             self._last_s = now_s
+
+    def _look_for_stall(self, now_s: float) -> None:
+        scene, told = self.scene, self.scene.told
+        silent_s = 0.0 if told.heartbeat_s is None else now_s - told.heartbeat_s
+        if scene.suspended_until_s >= now_s or silent_s >= scene.rules.silence_s - TICK_S:
+            self._is_stalled, self._excused_s = True, now_s + RECOVERY_S
+        most_s = scene.rules.state_age_s
+        if told.frame_sent_at != self._frame_sent_at:
+            self._frame_sent_at = told.frame_sent_at
+            self._is_stalled, self._settled_s = True, now_s + most_s
+        is_lost = told.position_s is None or now_s - told.position_sent_s > most_s - TICK_S
+        if self._is_stalled and (is_lost or silent_s > HEARTBEATS_S):
+            self._excused_s = now_s + RECOVERY_S
 
 
 class SilentWithoutTick(Invariant):

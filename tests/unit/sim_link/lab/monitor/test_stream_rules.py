@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from companion.mav.codec import MavCodec
-from companion.mav.dialect import Message, mavlink
+from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import Scenario
 from sim_link.lab.campaign.flights import monitored
-from sim_link.lab.lockstep.observer import Frame, Lane
 from sim_link.lab.monitor.authority_invariants import KeepsStreaming
 from sim_link.lab.monitor.scene import Scene, Setpoint
 from tests.loop.loop_helpers import AUTO
@@ -17,8 +15,6 @@ STEP_S = 0.02
 SETPOINT = mavlink.MAVLink_set_position_target_local_ned_message(
     0, 1, 1, 1, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
 )
-HEARTBEAT = mavlink.MAVLink_heartbeat_message(2, 12, 128 + 1, 6 << 16, 4, 3)
-PLACE = mavlink.MAVLink_local_position_ned_message(11_000, 0.0, 0.0, -15.0, 0.0, 0.0, 0.0)
 
 
 class Stream:
@@ -31,23 +27,25 @@ class Stream:
         told.is_ours, told.heartbeat_s, told.position_enu_m = True, 0.0, (0.0, 0.0, 15.0)
         self.invariant.noted("phase", {"new": "hold"})
 
-    def lasts(self, until_s: float, *, is_silent: bool = False, is_fresh: bool = True) -> None:
-        """Time passes, with a place of the vehicle at every step."""
+    def lasts(
+        self,
+        until_s: float,
+        *,
+        is_silent: bool = False,
+        is_fresh: bool = True,
+        is_mode_heard: bool = True,
+    ) -> None:
+        """Time passes, with mode and place of the vehicle at every step."""
         scene = self.scene
         while scene.now_s < until_s:
             scene.now_s += STEP_S
+            if is_mode_heard:
+                scene.told.heartbeat_s = scene.now_s
             if is_fresh:
                 scene.told.position_s = scene.told.position_sent_s = scene.now_s
             if not is_silent:
                 self.invariant.setpoint(Setpoint(scene.now_s, (0.0, 0.0, 15.0), SETPOINT))
             self.invariant.stepped()
-
-    def hears(self, *messages: Message) -> None:
-        """They were sent just now."""
-        for message in messages:
-            frame = Frame(self.scene.now_s, MavCodec(1, 1).encode(message), Lane.TO_COMPANION)
-            self.scene.remember(frame)
-            self.invariant.heard(frame)
 
     @property
     def has_paused(self) -> bool:
@@ -94,22 +92,30 @@ def test_a_frame_that_moved_settles_within_half_a_second(
     assert stream.has_paused is has_paused
 
 
-def test_what_a_socket_kept_from_a_stall_does_not_say_who_flies(stream: Stream) -> None:
+def test_after_a_stall_it_has_two_seconds_to_learn_who_flies(stream: Stream) -> None:
+    stream.scene.suspended_until_s = 2.0
+    stream.lasts(3.9, is_silent=True)
+    assert not stream.has_paused
+    stream.lasts(4.3, is_silent=True)
+    assert stream.has_paused
+
+
+@pytest.mark.parametrize("missing", ["is_fresh", "is_mode_heard"])
+def test_and_as_long_as_mode_or_place_are_missing(stream: Stream, missing: str) -> None:
     stream.scene.suspended_until_s = 2.0
     stream.lasts(2.0, is_silent=True)
-    stream.hears(PLACE, HEARTBEAT)
-    stream.lasts(2.5, is_silent=True)
+    stream.lasts(9.0, is_silent=True, **{missing: False})
     assert not stream.has_paused
+    stream.lasts(11.5, is_silent=True)
+    assert stream.has_paused
 
 
-def test_what_comes_after_it_does(stream: Stream) -> None:
+def test_who_sends_is_in_no_stall_any_more(stream: Stream) -> None:
     stream.scene.suspended_until_s = 2.0
-    stream.lasts(2.2, is_silent=True)
-    stream.hears(PLACE)
-    stream.lasts(2.3, is_silent=True)
-    stream.hears(HEARTBEAT)
+    stream.lasts(2.1, is_silent=True)
+    stream.lasts(2.2)
     assert not stream.has_paused
-    stream.lasts(2.6, is_silent=True)
+    stream.lasts(2.5, is_silent=True)
     assert stream.has_paused
 
 
@@ -118,6 +124,5 @@ def test_a_stall_before_control_is_given_counts_too(stream: Stream) -> None:
     stream.scene.suspended_until_s = 2.0
     stream.lasts(2.0, is_silent=True)
     stream.invariant.noted("phase", {"new": "hold"})
-    stream.hears(PLACE, HEARTBEAT)
     stream.lasts(2.5, is_silent=True)
     assert not stream.has_paused
