@@ -27,7 +27,7 @@ from sim_link.autopilot.scenario import FlavourName
 from sim_link.lab.lockstep.flight import MemoryJournal
 from sim_link.lab.mission.in_memory import Progress, fly_in_memory
 from sim_link.lab.mission.mavsdk_operator import check_installed
-from sim_link.lab.mission.mission_report import Summary, summary_of
+from sim_link.lab.mission.mission_report import report_page
 from sim_link.lab.mission.processes import check_faults
 from sim_link.lab.mission.results import MissionResult, flight_name, how_flown
 from sim_link.lab.mission.script import Mission
@@ -56,8 +56,8 @@ class FlightTask:
         return flight_name(self.mission.name, flavour, how, self.seed)
 
 
-Done = Callable[[int, Summary], None]
-"""Takes the position of a task and the summary of its flight."""
+Done = Callable[[int, MissionResult], None]
+"""Takes the position of a task and its result, without the flight's history."""
 
 
 def check_reports(folder: Path) -> None:
@@ -213,7 +213,7 @@ def fly_all(
 
     Args:
         jobs: How many at once; 1: in this process.
-        done: Told the position of a task and its summary, as they come.
+        done: Told the position of a task and its result, as they come.
         progress: Told of every slice where there is one job.
 
     Raises:
@@ -226,9 +226,9 @@ def fly_all(
         _tell(done, position, fly_task(task, progress))
 
 
-def _tell(done: Done, position: int, summary: Summary) -> None:
+def _tell(done: Done, position: int, summary: MissionResult) -> None:
     done(position, summary)
-    if summary.is_interrupted:
+    if summary.record.is_interrupted:
         raise KeyboardInterrupt
 
 
@@ -256,7 +256,9 @@ def _fly_in_processes(tasks: Sequence[FlightTask], jobs: int, done: Done) -> Non
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _summary_of_worker(future: concurrent.futures.Future[Summary], task: FlightTask) -> Summary:
+def _summary_of_worker(
+    future: concurrent.futures.Future[MissionResult], task: FlightTask
+) -> MissionResult:
     try:
         return future.result()
     except concurrent.futures.BrokenExecutor:
@@ -273,7 +275,7 @@ def _begin_worker(is_over: Event) -> None:
     _told_to_stop.append(is_over)
 
 
-def _fly_in_worker(task: FlightTask) -> Summary:
+def _fly_in_worker(task: FlightTask) -> MissionResult:
     _stop_where_told()
     return fly_task(task, lambda _runner, _situation: _stop_where_told())
 
@@ -283,41 +285,28 @@ def _stop_where_told() -> None:
         raise KeyboardInterrupt
 
 
-def fly_task(task: FlightTask, progress: Progress | None = None) -> Summary:
-    """Fly one, and write its report; what goes wrong with that is the summary's error."""
+def fly_task(task: FlightTask, progress: Progress | None = None) -> MissionResult:
+    """Fly one, and write its report; what goes wrong with that is the result's error."""
     try:
         result = _fly(task, progress)
     except (CompanionError, OSError) as error:
         return unflown(task, str(error))
-    summary = summary_of(result)
+    kept = result.without_history()
     if task.reports is None:
-        return summary
+        return kept
     folder = Path(task.reports)
     try:
         if task.speed is not None:
             _rename_folder(folder / task.flight_name, result.flight_name)
-        return replace(summary, report=write_report(folder, result))
+        return replace(kept, report=write_report(folder, result))
     except CompanionError as error:
-        return replace(summary, error=str(error))
+        return replace(kept, error=str(error))
 
 
-def unflown(task: FlightTask, error: str) -> Summary:
+def unflown(task: FlightTask, error: str) -> MissionResult:
     """What is told of a flight that did not come to an end, and why."""
-    return Summary(
-        name=task.mission.name,
-        flavour=task.mission.autopilot.flavour,
-        file=task.file,
-        seed=task.seed,
-        how=how_flown(task.speed, task.connect),
-        verdicts=(),
-        time_s=0.0,
-        distance_m=0.0,
-        final_error_m=None,
-        r95_m=None,
-        closest_approach_m=None,
-        wall_s=0.0,
-        error=error,
-    )
+    how = how_flown(task.speed, task.connect)
+    return MissionResult(task.mission, task.file, task.seed, how, error=error)
 
 
 def _fly(task: FlightTask, progress: Progress | None) -> MissionResult:
@@ -360,8 +349,6 @@ def write_report(folder: Path, result: MissionResult) -> str:
     Raises:
         CompanionError: A file cannot be written.
     """
-    from sim_link.lab.mission.mission_report import report_page
-
     name = result.flight_name
     path = folder / f"{name}.html"
     if result.record.frames:

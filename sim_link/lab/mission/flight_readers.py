@@ -1,11 +1,4 @@
-"""Readers of a flight: the vehicle's telemetry, the companion's event log, the invariants' frames.
-
-The operator's telemetry: what a vehicle's frames say, whoever made it.
-
-The companion's event log, read as it is written: in memory, or line by line from its file.
-
-What real processes show of the invariants: recorded as they fly, judged at the end.
-"""
+"""Readers of a flight: the vehicle's telemetry, the companion's event log, recorded frames."""
 
 from __future__ import annotations
 
@@ -29,11 +22,11 @@ from companion.link.inbound import VehicleInbound
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.flight_modes import autopilot_of
+from companion.report.flight_summary import EstimatePoint
 from sim_link.lab.campaign.flights import rules_of
 from sim_link.lab.lockstep.observer import Frame, Lane
-from sim_link.lab.mission.conditions import Situation
 from sim_link.lab.mission.processes import PERIOD_S
-from sim_link.lab.mission.results import EstimatePoint, FlightRecord, Report, Said, Violated
+from sim_link.lab.mission.results import FlightRecord, OperatorText, Report
 from sim_link.lab.monitor.monitor import WIRE
 from sim_link.lab.monitor.wire_monitor import Recording, WireMonitor
 
@@ -47,9 +40,9 @@ UNKNOWN_BATTERY = -1
 class TelemetryReader:
     """Turns the vehicle's frames into the situation and the record of the flight."""
 
-    def __init__(self, record: FlightRecord, situation: Situation) -> None:
+    def __init__(self, record: FlightRecord) -> None:
         self._record = record
-        self._situation = situation
+        self._situation = record.situation
         self._codec = MavCodec(0, 0)
         self._inbound = VehicleInbound()
         self._texts: dict[int, str] = {}
@@ -120,7 +113,7 @@ class TelemetryReader:
                 self._texts[number] = text
                 return
             self._texts.pop(number, None)
-        self._record.texts.append(Said(now_s, "autopilot", text))
+        self._record.texts.append(OperatorText(now_s, "autopilot", text))
         self._situation.autopilot_texts.append(text)
 
     def _move(self, event: VehicleMoved, now_s: float) -> None:
@@ -172,12 +165,11 @@ class EventReader:
     def __init__(
         self,
         record: FlightRecord,
-        situation: Situation,
         emitters: Mapping[int, Point],
         first_emitter: int,
     ) -> None:
         self._record = record
-        self._situation = situation
+        self._situation = record.situation
         self._emitters = emitters
         self._first_emitter = first_emitter
         self._ranging_heard_s: float | None = None
@@ -222,7 +214,7 @@ class EventReader:
             case "bound" if self._situation.companion.phase is None:
                 self._enter("waiting", time_s)
             case "text":
-                self._record.texts.append(Said(time_s, "companion", fields["text"]))
+                self._record.texts.append(OperatorText(time_s, "companion", fields["text"]))
                 self._situation.companion_texts.append(fields["text"])
             case "waypoint":
                 self._situation.companion.waypoint = fields["reason"]
@@ -245,7 +237,6 @@ class EventReader:
         companion = self._situation.companion
         companion.phase = phase
         companion.is_in_control = phase in CONTROL_PHASES
-        self._record.phases.append((time_s, phase))
         if companion.is_in_control and self._record.engaged_s is None:
             self._record.engaged_s = time_s
 
@@ -256,12 +247,12 @@ class EventReader:
         place = _point(fields["position_enu_m"])
         point = EstimatePoint(
             time_s=time_s,
-            emitter=emitter,
-            state=fields["state"],
-            position_enu_m=place,
+            place_enu_m=place,
             r95_m=fields["r95_m"],
+            state=fields["state"],
             range_innovation_m=fields.get("range_innovation"),
-            bearing_innovation_rad=fields.get("bearing_innovation"),
+            covariance_m2=fields.get("covariance_m2"),
+            emitter_id=emitter,
         )
         self._record.estimates.append(point)
         seen, truth = self._situation.estimate, self._emitters.get(emitter)
@@ -348,5 +339,4 @@ class WireWatch:
         monitor = WireMonitor(rules_of(config), self.slack_s)
         self.recording.play(monitor)
         record.scope, record.slack_s, record.late_s = WIRE, self.slack_s, self._late_s
-        for found in monitor.violations:
-            record.violations.append(Violated(found.time_s, found.invariant, found.what))
+        record.violations += monitor.violations

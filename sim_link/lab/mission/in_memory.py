@@ -28,10 +28,8 @@ from sim_link.lab.mission.conditions import Situation
 from sim_link.lab.mission.flight_readers import EventReader
 from sim_link.lab.mission.results import (
     FlightRecord,
-    Flown,
     MissionResult,
-    Said,
-    Violated,
+    OperatorText,
     how_flown,
     true_places,
     verdicts_of,
@@ -65,8 +63,8 @@ def fly_in_memory(
     record = flight.record
     record.wall_s = time.perf_counter() - started
     record.cpu_s = time.process_time() - started_cpu
-    verdicts = verdicts_of(Flown(mission, record, flight.situation))
-    return MissionResult(mission, file, seed, how_flown(None, None), record, tuple(verdicts))
+    verdicts = verdicts_of(mission, record)
+    return MissionResult(mission, file, seed, how_flown(None, None), record, verdicts)
 
 
 class _MissionFlight:
@@ -74,11 +72,8 @@ class _MissionFlight:
 
     def __init__(self, mission: Mission, seed: int, make_companion: MakeCompanion) -> None:
         self.record = FlightRecord(autopilot=mission.autopilot.flavour, scope=LOCKSTEP)
-        self.situation = Situation()
         emitters = true_places(mission)
-        self._reader = EventReader(
-            self.record, self.situation, emitters, mission.emitter.emitter_id
-        )
+        self._reader = EventReader(self.record, emitters, mission.emitter.emitter_id)
         wire = FaultyLink(Schedule(), seed)
         flight = Flight(
             flown_config(mission),
@@ -88,7 +83,7 @@ class _MissionFlight:
             wire=wire,
             make_companion=make_companion,
         )
-        flight.observers.append(_Watcher(self.record, self.situation, self._reader))
+        flight.observers.append(_Watcher(self.record, self._reader))
         self._monitor = Monitor(
             rules_of(flight.config),
             flight.sim.vehicle,
@@ -99,7 +94,7 @@ class _MissionFlight:
         harness = _Harness(Injector(flight, wire, station))
         operator = _Operator(flight, station)
         self._flight = flight
-        self._runner = StepRunner(mission, self.situation, self.record, operator, harness)
+        self._runner = StepRunner(mission, self.record, operator, harness)
         self._slices = 0
 
     def fly(self, progress: Progress | None) -> None:
@@ -109,7 +104,7 @@ class _MissionFlight:
             self._look()
             runner.tick(flight.now_s)
             if progress is not None:
-                progress(runner, self.situation)
+                progress(runner, self.record.situation)
             if runner.is_over:
                 break
             self._slices += 1
@@ -121,7 +116,7 @@ class _MissionFlight:
 
     def _look(self) -> None:
         """Bring the situation up to date from the vehicle itself."""
-        flight, seen = self._flight, self.situation.vehicle
+        flight, seen = self._flight, self.record.situation.vehicle
         vehicle, now_s = flight.sim.vehicle, flight.now_s
         self._reader.age(now_s)
         seen.mode, seen.is_armed = vehicle.modes.mode.value, vehicle.is_armed
@@ -137,9 +132,8 @@ class _MissionFlight:
         seen.home_distance_m = math.dist(place[:2], home[:2])
         seen.distance_m, seen.battery = vehicle.distance_m, vehicle.battery.share
         seen.has_fix = vehicle.estimator.has_fix
-        for found in self._monitor.violations[len(self.record.violations) :]:
-            self.record.violations.append(Violated(found.time_s, found.invariant, found.what))
-        self.situation.companion.violations = len(self.record.violations)
+        self.record.violations += self._monitor.violations[len(self.record.violations) :]
+        self.record.situation.companion.violations = len(self.record.violations)
         if self._slices % TRACK_SLICES == 0:
             self.record.track.append((now_s, place))
 
@@ -156,9 +150,8 @@ def _quiet(mission: Mission) -> Scenario:
 class _Watcher(Observer):
     """Keeps and counts messages, and hears what the autopilot says."""
 
-    def __init__(self, record: FlightRecord, situation: Situation, reader: EventReader) -> None:
+    def __init__(self, record: FlightRecord, reader: EventReader) -> None:
         self._record = record
-        self._situation = situation
         self._reader = reader
 
     def companion_ended(self, now_s: float) -> None:  # noqa: ARG002  the observer's protocol
@@ -179,8 +172,8 @@ class _Watcher(Observer):
         message = frame.message
         if isinstance(message, mavlink.MAVLink_statustext_message):
             text = str(message.text)
-            self._record.texts.append(Said(frame.time_s, "autopilot", text))
-            self._situation.autopilot_texts.append(text)
+            self._record.texts.append(OperatorText(frame.time_s, "autopilot", text))
+            self._record.situation.autopilot_texts.append(text)
 
 
 class _Operator:

@@ -34,7 +34,8 @@ from sim_link.lab.mission.batch import (
     warm_up,
 )
 from sim_link.lab.mission.conditions import Situation
-from sim_link.lab.mission.mission_report import Summary, campaign_lines
+from sim_link.lab.mission.mission_report import campaign_lines
+from sim_link.lab.mission.results import MissionResult
 from sim_link.lab.mission.steps import StepRunner
 
 REFRESH_S = 0.1
@@ -75,17 +76,17 @@ class PlainProgress:
         self._step = number
         self.say(f"{situation.mission.time_s:7.1f} s  step {number}/{total} {name}")
 
-    def finished(self, summary: Summary) -> None:
+    def finished(self, result: MissionResult) -> None:
         """A flight is over."""
         self._done += 1
         self._step = 0
-        self.say(flight_line(summary, self._done, self._total))
-        for verdict in summary.failed:
+        self.say(flight_line(result, self._done, self._total))
+        for verdict in result.failed:
             self.say(f"     {verdict.name}: {verdict.found}")
-        if summary.error:
-            self.say(f"     {summary.error}")
-        if summary.doubt:
-            self.say(f"     {summary.doubt}")
+        if result.error:
+            self.say(f"     {result.error}")
+        if result.doubt:
+            self.say(f"     {result.doubt}")
 
     def say(self, line: str) -> None:
         """Print a line, as long as somebody reads."""
@@ -176,86 +177,87 @@ def state_line(runner: StepRunner, situation: Situation) -> str:
     return ", ".join(parts)
 
 
-def flight_line(summary: Summary, number: int, total: int) -> str:
+def flight_line(result: MissionResult, number: int, total: int) -> str:
     """How a flight ended, in a line."""
-    verdict = "PASS" if summary.is_passed else "FAIL"
-    if not summary.is_flown:
-        return f"{verdict} [{number}/{total}] {summary.title}: not flown to its end"
-    line = f"{verdict} [{number}/{total}] {summary.title}: {summary.time_s:.1f} s"
-    if summary.final_error_m is not None and summary.r95_m is not None:
-        line += f", error {summary.final_error_m:.2f} m, R95 {summary.r95_m:.2f} m"
-    return f"{line}, {summary.how}, {summary.times_real_time:.0f}x"
+    verdict = "PASS" if result.is_passed else "FAIL"
+    if not result.verdicts:
+        return f"{verdict} [{number}/{total}] {result.title}: not flown to its end"
+    line = f"{verdict} [{number}/{total}] {result.title}: {result.record.ended_s:.1f} s"
+    last = result.last_estimate
+    if last is not None:
+        line += f", error {result.error_m(last):.2f} m, R95 {last.r95_m:.2f} m"
+    return f"{line}, {result.how}, {result.times_real_time:.0f}x"
 
 
-def junit_xml(summaries: Sequence[Summary]) -> str:
+def junit_xml(results: Sequence[MissionResult]) -> str:
     """The document.
 
     Args:
-        summaries: Of all flights, in the order of the document.
+        results: Of all flights, in the order of the document.
     """
     root = ElementTree.Element("testsuites", name="missions")
-    for summary in summaries:
-        root.append(_suite(summary))
-    cases = [verdict for summary in summaries for verdict in summary.verdicts]
-    root.set("tests", str(sum(_count(summary) for summary in summaries)))
+    for result in results:
+        root.append(_suite(result))
+    cases = [verdict for result in results for verdict in result.verdicts]
+    root.set("tests", str(sum(_count(result) for result in results)))
     root.set("failures", str(sum(not verdict.is_met for verdict in cases)))
-    root.set("errors", str(sum(bool(summary.error) for summary in summaries)))
-    root.set("time", f"{sum(summary.wall_s for summary in summaries):.3f}")
+    root.set("errors", str(sum(bool(result.error) for result in results)))
+    root.set("time", f"{sum(result.record.wall_s for result in results):.3f}")
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
 
 
-def _suite(summary: Summary) -> ElementTree.Element:
+def _suite(result: MissionResult) -> ElementTree.Element:
     suite = ElementTree.Element(
         "testsuite",
-        name=_clean(summary.title),
-        file=_clean(summary.file),
-        tests=str(_count(summary)),
-        failures=str(len(summary.failed)),
-        errors=str(int(bool(summary.error))),
+        name=_clean(result.title),
+        file=_clean(result.file),
+        tests=str(_count(result)),
+        failures=str(len(result.failed)),
+        errors=str(int(bool(result.error))),
         skipped="0",
-        time=f"{summary.wall_s:.3f}",
+        time=f"{result.record.wall_s:.3f}",
     )
     properties = ElementTree.SubElement(suite, "properties")
-    for name, value in _properties(summary).items():
+    for name, value in _properties(result).items():
         ElementTree.SubElement(properties, "property", name=name, value=_clean(value))
-    for number, verdict in enumerate(summary.verdicts):
-        case = _case(suite, summary, verdict.name, summary.wall_s if number == 0 else 0.0)
+    for number, verdict in enumerate(result.verdicts):
+        case = _case(suite, result, verdict.name, result.record.wall_s if number == 0 else 0.0)
         if not verdict.is_met:
             failure = ElementTree.SubElement(case, "failure", message=_clean(verdict.found))
             failure.text = _clean(f"{verdict.name}: {verdict.found}")
-    if summary.error:
-        case = _case(suite, summary, "flight and report", 0.0)
-        ElementTree.SubElement(case, "error", message=_clean(summary.error))
+    if result.error:
+        case = _case(suite, result, "flight and report", 0.0)
+        ElementTree.SubElement(case, "error", message=_clean(result.error))
     return suite
 
 
 def _case(
-    suite: ElementTree.Element, summary: Summary, name: str, time_s: float
+    suite: ElementTree.Element, result: MissionResult, name: str, time_s: float
 ) -> ElementTree.Element:
     return ElementTree.SubElement(
         suite,
         "testcase",
-        classname=_clean(f"{summary.name}.{summary.flavour}.seed {summary.seed}"),
+        classname=_clean(f"{result.mission.name}.{result.flavour}.seed {result.seed}"),
         name=_clean(name),
         time=f"{time_s:.3f}",
     )
 
 
-def _count(summary: Summary) -> int:
+def _count(result: MissionResult) -> int:
     """Cases: every expectation, and what went wrong beside them."""
-    return len(summary.verdicts) + bool(summary.error)
+    return len(result.verdicts) + bool(result.error)
 
 
-def _properties(summary: Summary) -> dict[str, str]:
+def _properties(result: MissionResult) -> dict[str, str]:
     values = {
-        "seed": summary.seed,
-        "how": summary.how,
-        "flown_s": f"{summary.time_s:.1f}",
-        "distance_m": f"{summary.distance_m:.1f}",
-        "final_error_m": summary.final_error_m,
-        "r95_m": summary.r95_m,
-        "report": summary.report or None,
+        "seed": result.seed,
+        "how": result.how,
+        "flown_s": f"{result.record.ended_s:.1f}",
+        "distance_m": f"{result.record.distance_m:.1f}",
+        "final_error_m": result.final_error_m,
+        "r95_m": None if result.last_estimate is None else result.last_estimate.r95_m,
+        "report": result.report or None,
     }
     return {name: str(value) for name, value in values.items() if value is not None}
 
@@ -328,33 +330,33 @@ def run(arguments: argparse.Namespace) -> int:
         check_writable(arguments.junit)
     tasks = campaign.tasks()
     progress = progress_for(len(tasks), campaign.jobs)
-    summaries: dict[int, Summary] = {}
+    results: dict[int, MissionResult] = {}
     try:
-        if _is_flown(tasks, campaign.jobs, progress, summaries):
-            for line in campaign_lines(_in_order(tasks, summaries)):
+        if _is_flown(tasks, campaign.jobs, progress, results):
+            for line in campaign_lines(_in_order(tasks, results)):
                 progress.say(line)
         else:
-            done = sum(not summary.is_interrupted for summary in summaries.values())
+            done = sum(not result.record.is_interrupted for result in results.values())
             print(f"sim-link: interrupted after {done} of {len(tasks)} flights", file=sys.stderr)
     finally:
-        ordered = _in_order(tasks, summaries)
+        ordered = _in_order(tasks, results)
         if arguments.junit is not None:
             write_text_atomic(arguments.junit, junit_xml(ordered))
-    return EXIT_PASSED if all(summary.is_passed for summary in ordered) else EXIT_FAILED
+    return EXIT_PASSED if all(result.is_passed for result in ordered) else EXIT_FAILED
 
 
 def _is_flown(
     tasks: Sequence[FlightTask],
     jobs: int,
     progress: PlainProgress,
-    summaries: dict[int, Summary],
+    results: dict[int, MissionResult],
 ) -> bool:
-    """Fly everything into `summaries`; whether nobody interrupted that."""
+    """Fly everything into `results`; whether nobody interrupted that."""
 
-    def done(position: int, summary: Summary) -> None:
+    def done(position: int, result: MissionResult) -> None:
         """A flight is over."""
-        summaries[position] = summary
-        progress.finished(summary)
+        results[position] = result
+        progress.finished(result)
 
     try:
         if IS_COMPILED and sys.stdout.isatty():
@@ -369,10 +371,12 @@ def _is_flown(
     return True
 
 
-def _in_order(tasks: Sequence[FlightTask], summaries: dict[int, Summary]) -> list[Summary]:
+def _in_order(
+    tasks: Sequence[FlightTask], results: dict[int, MissionResult]
+) -> list[MissionResult]:
     """One for every task, also for those that were not over when the campaign ended."""
     reason = "interrupted: the campaign ended before this flight was over"
-    return [summaries.get(n) or unflown(task, reason) for n, task in enumerate(tasks)]
+    return [results.get(n) or unflown(task, reason) for n, task in enumerate(tasks)]
 
 
 def _campaign(arguments: argparse.Namespace) -> Campaign:

@@ -29,7 +29,6 @@ from companion.io.logs.log_files import TlogWriter
 from companion.io.shell import Clock, Shell
 from sim_link.lab.faults.fault_models import Schedule
 from sim_link.lab.faults.faulty_link import FaultyLink
-from sim_link.lab.mission.conditions import Situation
 from sim_link.lab.mission.flight_readers import EventReader, TelemetryReader, WireWatch
 from sim_link.lab.mission.in_memory import Progress
 from sim_link.lab.mission.mavsdk_operator import MavsdkOperator
@@ -44,7 +43,6 @@ from sim_link.lab.mission.processes import (
 )
 from sim_link.lab.mission.results import (
     FlightRecord,
-    Flown,
     MissionResult,
     how_flown,
     true_places,
@@ -115,8 +113,8 @@ def fly_over_udp(
         flight.record.wall_s = time.perf_counter() - started
         flight.judge()
     how = how_flown(speed, connect)
-    verdicts = verdicts_of(Flown(mission, flight.record, flight.situation))
-    return MissionResult(mission, file, seed, how, flight.record, tuple(verdicts))
+    verdicts = verdicts_of(mission, flight.record)
+    return MissionResult(mission, file, seed, how, flight.record, verdicts)
 
 
 class _UdpFlight:
@@ -125,7 +123,7 @@ class _UdpFlight:
     def __init__(
         self, mission: Mission, seed: int, folder: Path, speed: float, connect: str | None
     ) -> None:
-        self.record, self.situation = FlightRecord(), Situation()
+        self.record = FlightRecord()
         self._mission, self._seed, self._folder = mission, seed, folder
         self._speed, self._connect = speed, connect
         self._ports = Ports.free()
@@ -133,10 +131,8 @@ class _UdpFlight:
         self._tail = EventTail(self._flights)
         self._offset_s: float | None = None
         """The mission's time minus the companion's."""
-        self._reader = EventReader(
-            self.record, self.situation, true_places(mission), mission.emitter.emitter_id
-        )
-        self._telemetry = TelemetryReader(self.record, self.situation)
+        self._reader = EventReader(self.record, true_places(mission), mission.emitter.emitter_id)
+        self._telemetry = TelemetryReader(self.record)
         self._wire = FaultyLink(Schedule(), seed)
         self._companion = self._companion_child()
         self._vehicle = self._vehicle_child() if connect is None else None
@@ -144,7 +140,7 @@ class _UdpFlight:
         self._operator = MavsdkOperator(self._ports.operator, folder / "mavsdk.log")
         self._watched = WireWatch(speed)
         self._harness = harness = self._build_harness()
-        self._runner = StepRunner(mission, self.situation, self.record, self._operator, harness)
+        self._runner = StepRunner(mission, self.record, self._operator, harness)
         self._hub = self._build_hub()
         self._end_wall_s: float | None = None
         """When the end began."""
@@ -196,7 +192,7 @@ class _UdpFlight:
         """Look for violations of the invariants in what was recorded."""
         self._watched.date_events(self._offset_s)
         self._watched.judge(flown_config(self._mission), self.record)
-        self.situation.companion.violations = len(self.record.violations)
+        self.record.situation.companion.violations = len(self.record.violations)
 
     def _links(self) -> list[LinkSpec]:
         ports = self._ports
@@ -285,7 +281,7 @@ class _UdpFlight:
         self._watched.looked(now_s)
         self._take_events(now_s)
         self._reader.age(now_s)
-        vehicle, operator = self.situation.vehicle, self._operator
+        vehicle, operator = self.record.situation.vehicle, self._operator
         heartbeat = self._telemetry.heartbeat
         if heartbeat is not None:
             operator.autopilot, operator.is_heard = heartbeat.autopilot, True
@@ -304,7 +300,7 @@ class _UdpFlight:
 
     def _tell_progress(self) -> None:
         if self._progress is not None:
-            self._progress(self._runner, self.situation)
+            self._progress(self._runner, self.record.situation)
 
     def _interrupt(self, now_s: float) -> None:
         """A signal: leave the vehicle to its own hold, by way of the companion."""
@@ -320,7 +316,7 @@ class _UdpFlight:
     def _end(self) -> None:
         """Bring a vehicle of others home, have the companion hand back, then let go."""
         began = self._end_wall_s or 0.0
-        vehicle, waited_s = self.situation.vehicle, time.monotonic() - began
+        vehicle, waited_s = self.record.situation.vehicle, time.monotonic() - began
         is_stranded = self._connect is not None and self._runner.failure and vehicle.is_armed
         is_on_its_way = vehicle.mode in ("return", "land") or self.record.is_interrupted
         if is_stranded and not is_on_its_way and waited_s < HOME_S:

@@ -1,10 +1,8 @@
-"""What became of a mission flight: its record, the verdicts on it, and the result of both.
+"""What became of a mission flight: the record of it, and the result with the verdicts on it.
 
-What was seen of a flight: everything that verdicts and reports are made of.
-
-From the record of a flight to a verdict on every expectation, and on the steps.
-
-One flight of a mission with its verdicts.
+Theory of operation. Whoever flies a mission fills a `FlightRecord`, whose `situation` is the
+present moment as conditions see it. At the end every expectation gets a verdict, the steps
+together get one, and record and verdicts are a `MissionResult`.
 """
 
 from __future__ import annotations
@@ -14,11 +12,12 @@ import math
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from companion.domain import Point, PositionEnu
 from companion.io.files import plain
 from companion.io.logs.log_files import tlog_record
+from companion.report.flight_summary import EstimatePoint
 from sim_link.lab.mission.conditions import Situation, parse_condition
 from sim_link.lab.mission.script import (
     Appears,
@@ -31,6 +30,7 @@ from sim_link.lab.mission.script import (
     numbers_by_name,
 )
 from sim_link.lab.monitor.monitor import NOTHING, Scope
+from sim_link.lab.monitor.scene import Violation
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,19 +54,6 @@ class StepOutcome:
 
 
 @dataclass(frozen=True, slots=True)
-class EstimatePoint:
-    """The estimate after a measurement, and the innovations that led to it."""
-
-    time_s: float
-    emitter: int | None
-    state: str
-    position_enu_m: Point
-    r95_m: float
-    range_innovation_m: float | None = None
-    bearing_innovation_rad: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
 class Report:
     """A target that the companion reported."""
 
@@ -77,7 +64,7 @@ class Report:
 
 
 @dataclass(frozen=True, slots=True)
-class Said:
+class OperatorText:
     """A text for the operator."""
 
     time_s: float
@@ -86,33 +73,25 @@ class Said:
     text: str
 
 
-@dataclass(frozen=True, slots=True)
-class Violated:
-    """An invariant that did not hold."""
-
-    time_s: float
-    invariant: str
-    text: str
-
-
 @dataclass(slots=True)
 class FlightRecord:
     """One flight as it was seen; times are seconds since the mission began."""
 
+    situation: Situation = field(default_factory=Situation)
+    """What is known at the moment; at the end, of the end."""
     steps: list[StepOutcome] = field(default_factory=list)
     events: list[tuple[float, str, Mapping[str, object]]] = field(default_factory=list)
     """The companion's event log and the mission's own events, in the order of time."""
     estimates: list[EstimatePoint] = field(default_factory=list)
     reports: list[Report] = field(default_factory=list)
-    texts: list[Said] = field(default_factory=list)
-    phases: list[tuple[float, str]] = field(default_factory=list)
+    texts: list[OperatorText] = field(default_factory=list)
     waypoints: list[tuple[float, Point, str]] = field(default_factory=list)
     track: list[tuple[float, PositionEnu]] = field(default_factory=list)
     messages: Counter[tuple[str, int]] = field(default_factory=Counter)
     """How often each sender's messages were seen, by message id."""
     frames: list[tuple[float, bytes]] = field(default_factory=list)
     """What companion and vehicle sent, where it was kept in memory."""
-    violations: list[Violated] = field(default_factory=list)
+    violations: list[Violation] = field(default_factory=list)
     breaches: dict[str, float] = field(default_factory=dict)
     """When an `always` was first false, by the expectation's name."""
     engaged_s: float | None = None
@@ -147,13 +126,31 @@ class FlightRecord:
         report = self.report_of(emitter)
         until_s = math.inf if report is None else report.time_s
         for point in reversed(self.estimates):
-            if point.emitter in (emitter, None) and point.time_s <= until_s:
+            if point.emitter_id in (emitter, None) and point.time_s <= until_s:
                 return point
         return None
 
     def report_of(self, emitter: int) -> Report | None:
         """The last report about an emitter."""
         return next((r for r in reversed(self.reports) if r.emitter in (emitter, None)), None)
+
+    def without_history(self, emitter: int) -> FlightRecord:
+        """Its figures and the last estimate of an emitter: small enough to be kept of hundreds."""
+        last, report = self.last_estimate(emitter), self.report_of(emitter)
+        return replace(
+            self,
+            situation=Situation(),
+            steps=[],
+            events=[],
+            estimates=[] if last is None else [last],
+            reports=[] if report is None else [report],
+            texts=[],
+            waypoints=[],
+            track=[],
+            messages=Counter(),
+            frames=[],
+            violations=[],
+        )
 
 
 STEPS = "all steps"
@@ -170,19 +167,10 @@ class ExpectationVerdict:
     """What was found, and what was expected of it."""
 
 
-@dataclass(frozen=True, slots=True)
-class Flown:
-    """What verdicts are made of."""
-
-    mission: Mission
-    record: FlightRecord
-    situation: Situation
-    """At the end."""
-
-
-def verdicts_of(flown: Flown) -> list[ExpectationVerdict]:
+def verdicts_of(mission: Mission, record: FlightRecord) -> tuple[ExpectationVerdict, ...]:
     """The verdict on the steps first, then those on the expectations in the script's order."""
-    return [_on_steps(flown.record), *(_on(each, flown) for each in flown.mission.expectations)]
+    judged = (_judge(expectation, mission, record) for expectation in mission.expectations)
+    return (_judge_steps(record), *judged)
 
 
 def true_places(mission: Mission) -> dict[int, Point]:
@@ -191,7 +179,7 @@ def true_places(mission: Mission) -> dict[int, Point]:
     return {each.emitter_id: each.position_enu_m for each in emitters}
 
 
-def _on_steps(record: FlightRecord) -> ExpectationVerdict:
+def _judge_steps(record: FlightRecord) -> ExpectationVerdict:
     failed = next((step for step in record.steps if step.failure), None)
     if failed is not None:
         return ExpectationVerdict(STEPS, False, f"{failed.title}: {failed.failure}")
@@ -200,73 +188,72 @@ def _on_steps(record: FlightRecord) -> ExpectationVerdict:
     return ExpectationVerdict(STEPS, True, f"{len(record.steps)} done in {record.ended_s:.1f} s")
 
 
-def _on(expectation: Expectation, flown: Flown) -> ExpectationVerdict:
+def _judge(expectation: Expectation, mission: Mission, record: FlightRecord) -> ExpectationVerdict:
     if isinstance(expectation.always, str):
-        return ExpectationVerdict(expectation.name, *_always(expectation, flown))
-    judge = JUDGES[expectation.kind]
-    return ExpectationVerdict(
-        expectation.name, *judge(getattr(expectation, expectation.kind), flown)
-    )
+        return ExpectationVerdict(expectation.name, *_always(expectation, record))
+    value = getattr(expectation, expectation.kind)
+    return ExpectationVerdict(expectation.name, *JUDGES[expectation.kind](value, mission, record))
 
 
-def _final_error(bound: EmitterBound, flown: Flown) -> tuple[bool, str]:
-    point, truth = _final(bound, flown)
+Judged = tuple[bool, str]
+"""Whether an expectation is met, and what was found."""
+
+
+def _final_error(bound: EmitterBound, mission: Mission, record: FlightRecord) -> Judged:
+    point, truth = _final(bound, mission, record)
     if point is None:
         return False, "there is no estimate"
-    return _bounded(math.dist(point.position_enu_m, truth), bound, "m")
+    return _bounded(math.dist(point.place_enu_m, truth), bound, "m")
 
 
-def _error_over_r95(bound: EmitterBound, flown: Flown) -> tuple[bool, str]:
-    point, truth = _final(bound, flown)
+def _error_over_r95(bound: EmitterBound, mission: Mission, record: FlightRecord) -> Judged:
+    point, truth = _final(bound, mission, record)
     if point is None:
         return False, "there is no estimate"
-    ratio = math.dist(point.position_enu_m, truth) / point.r95_m
+    ratio = math.dist(point.place_enu_m, truth) / point.r95_m
     return _bounded(ratio, bound, f"times the R95 of {point.r95_m:.2f} m")
 
 
-def _final(bound: EmitterBound, flown: Flown) -> tuple[EstimatePoint | None, Point]:
-    emitter = flown.mission.emitter.emitter_id if bound.emitter is None else bound.emitter
-    return flown.record.last_estimate(emitter), true_places(flown.mission)[emitter]
+def _final(
+    bound: EmitterBound, mission: Mission, record: FlightRecord
+) -> tuple[EstimatePoint | None, Point]:
+    emitter = _emitter_of(bound, mission)
+    return record.last_estimate(emitter), true_places(mission)[emitter]
 
 
-def _reported(bound: EmitterBound, flown: Flown) -> tuple[bool, str]:
-    emitter = flown.mission.emitter.emitter_id if bound.emitter is None else bound.emitter
-    report, engaged_s = flown.record.report_of(emitter), flown.record.engaged_s
+def _emitter_of(bound: EmitterBound, mission: Mission) -> int:
+    return mission.emitter.emitter_id if bound.emitter is None else bound.emitter
+
+
+def _reported(bound: EmitterBound, mission: Mission, record: FlightRecord) -> Judged:
+    report, engaged_s = record.report_of(_emitter_of(bound, mission)), record.engaged_s
     if report is None or engaged_s is None:
         return False, "the target was not reported"
     return _bounded(report.time_s - engaged_s, bound, "s")
 
 
-def _time(bound: Bound, flown: Flown) -> tuple[bool, str]:
-    return _bounded(flown.record.ended_s, bound, "s")
-
-
-def _distance(bound: Bound, flown: Flown) -> tuple[bool, str]:
-    return _bounded(flown.record.distance_m, bound, "m")
-
-
-def _violations(limit: Violations, flown: Flown) -> tuple[bool, str]:
-    unjudged = flown.record.scope.unjudged_of(limit.invariants)
+def _violations(limit: Violations, _mission: Mission, record: FlightRecord) -> Judged:
+    unjudged = record.scope.unjudged_of(limit.invariants)
     if len(unjudged) == len(limit.invariants):
-        reasons = (f"{name} {flown.record.scope.unjudged[name]}" for name in unjudged)
+        reasons = (f"{name} {record.scope.unjudged[name]}" for name in unjudged)
         return True, f"not judged: {'; '.join(reasons)}"
-    counted = [v for v in flown.record.violations if v.invariant in limit.invariants]
+    counted = [v for v in record.violations if v.invariant in limit.invariants]
     found = f"{len(counted)}, expected at most {limit.at_most}"
     if counted:
         first = counted[0]
-        found += f"; first {first.invariant} at {first.time_s:.2f} s: {first.text}"
+        found += f"; first {first.invariant} at {first.time_s:.2f} s: {first.what}"
     if unjudged:
         found += f"; not judged: {', '.join(unjudged)}"
     return len(counted) <= limit.at_most, found
 
 
-def _appears(wanted: Appears, flown: Flown) -> tuple[bool, str]:
-    count, when = _seen(wanted, flown.record)
+def _appears(wanted: Appears, _mission: Mission, record: FlightRecord) -> Judged:
+    count, when = _seen(wanted, record)
     return count >= wanted.at_least, f"seen {_times(count)}{when}, expected {wanted.at_least}"
 
 
-def _never(unwanted: TextSeen, flown: Flown) -> tuple[bool, str]:
-    count, when = _seen(unwanted, flown.record)
+def _never(unwanted: TextSeen, _mission: Mission, record: FlightRecord) -> Judged:
+    count, when = _seen(unwanted, record)
     return count == 0, f"seen {_times(count)}{when}, expected never"
 
 
@@ -285,28 +272,28 @@ def _seen(wanted: TextSeen, record: FlightRecord) -> tuple[int, str]:
     return len(said), f", first at {said[0].time_s:.1f} s: {said[0].text}" if said else ""
 
 
-def _holds(condition: str, flown: Flown) -> tuple[bool, str]:
-    is_met = parse_condition(condition).holds(flown.situation)
+def _holds(condition: str, _mission: Mission, record: FlightRecord) -> Judged:
+    is_met = parse_condition(condition).holds(record.situation)
     return is_met, f"at the end {condition} {'holds' if is_met else 'does not hold'}"
 
 
-def _always(expectation: Expectation, flown: Flown) -> tuple[bool, str]:
-    broken_s = flown.record.breaches.get(expectation.name)
+def _always(expectation: Expectation, record: FlightRecord) -> Judged:
+    broken_s = record.breaches.get(expectation.name)
     if broken_s is None:
         return True, f"{expectation.always} was never false"
     return False, f"{expectation.always} was false at {broken_s:.1f} s"
 
 
-def _bounded(value: float, bound: Bound, unit: str) -> tuple[bool, str]:
+def _bounded(value: float, bound: Bound, unit: str) -> Judged:
     return bound.holds(value), f"{value:.2f} {unit}, expected {bound}"
 
 
-JUDGES: dict[str, Callable[..., tuple[bool, str]]] = {
+JUDGES: dict[str, Callable[..., Judged]] = {
     "final_error_m": _final_error,
     "error_over_r95": _error_over_r95,
     "reported_s": _reported,
-    "time_s": _time,
-    "distance_m": _distance,
+    "time_s": lambda bound, _, record: _bounded(record.ended_s, bound, "s"),
+    "distance_m": lambda bound, _, record: _bounded(record.distance_m, bound, "m"),
     "violations": _violations,
     "appears": _appears,
     "never": _never,
@@ -345,6 +332,10 @@ def how_flown(speed: float | None, connect: str | None) -> str:
     return "lockstep" if speed is None else f"speed {speed:g}"
 
 
+BUSY_S = 0.2
+"""Processes that wait so long for their turn cost setpoints and positions."""
+
+
 @dataclass(frozen=True, slots=True)
 class MissionResult:
     """What a run came to; can be sent between processes."""
@@ -354,17 +345,27 @@ class MissionResult:
     seed: int
     how: str
     """See `how_flown`."""
-    record: FlightRecord
-    verdicts: tuple[ExpectationVerdict, ...]
+    record: FlightRecord = field(default_factory=FlightRecord)
+    verdicts: tuple[ExpectationVerdict, ...] = ()
+    """Empty: it did not come to an end."""
+    report: str = ""
+    """Where the report is; empty: there is none."""
+    error: str = ""
+    """Why it did not come to an end, or has no report; empty: nothing went wrong."""
+
+    def without_history(self) -> MissionResult:
+        """The figures of the flight only, small enough to be kept of hundreds."""
+        emitter = self.mission.emitter.emitter_id
+        return replace(self, record=self.record.without_history(emitter))
 
     @property
     def is_passed(self) -> bool:
-        """Whether every expectation is met, and every step done."""
-        return all(verdict.is_met for verdict in self.verdicts)
+        """Whether every expectation is met, every step done, and nothing went wrong."""
+        return not self.failed and not self.error
 
     @property
     def failed(self) -> list[ExpectationVerdict]:
-        """Those that are not met."""
+        """Verdicts that are not met."""
         return [verdict for verdict in self.verdicts if not verdict.is_met]
 
     @property
@@ -383,20 +384,45 @@ class MissionResult:
         return self.record.autopilot or self.mission.autopilot.flavour
 
     @property
+    def last_estimate(self) -> EstimatePoint | None:
+        """Of the first emitter."""
+        return self.record.last_estimate(self.mission.emitter.emitter_id)
+
+    @property
     def final_error_m(self) -> float | None:
         """Of the last estimate of the first emitter."""
-        emitter = self.mission.emitter.emitter_id
-        point = self.record.last_estimate(emitter)
-        if point is None:
-            return None
-        return math.dist(point.position_enu_m, true_places(self.mission)[emitter])
+        point = self.last_estimate
+        return None if point is None else self.error_m(point)
+
+    def error_m(self, point: EstimatePoint) -> float:
+        """How far an estimate is from its emitter; without an id it is of the first one."""
+        truth = true_places(self.mission)
+        first = truth[self.mission.emitter.emitter_id]
+        emitter = point.emitter_id
+        place = first if emitter is None else truth.get(emitter, first)
+        return math.dist(point.place_enu_m, place)
 
     @property
     def is_inside_r95(self) -> bool | None:
         """Whether the true emitter is within R95 of the last estimate."""
-        point = self.record.last_estimate(self.mission.emitter.emitter_id)
-        error_m = self.final_error_m
-        return None if point is None or error_m is None else error_m <= point.r95_m
+        point = self.last_estimate
+        return None if point is None else self.error_m(point) <= point.r95_m
+
+    @property
+    def doubt(self) -> str:
+        """Why a failure may be the machine's, and what to do; empty: nothing says so."""
+        if self.is_passed or self.record.late_s <= BUSY_S:
+            return ""
+        return (
+            f"this computer was too busy: a turn came {self.record.late_s:.1f} s of flight late; "
+            "try a lower --speed, or lockstep"
+        )
+
+    @property
+    def times_real_time(self) -> float:
+        """Simulated seconds per second."""
+        wall_s = self.record.wall_s
+        return self.record.ended_s / wall_s if wall_s > 0.0 else math.inf
 
     @property
     def tlog(self) -> bytes:

@@ -83,7 +83,7 @@ class StepRunner:
     """Flies one mission.
 
     Args:
-        situation: Kept up to date by whoever runs this.
+        record: Its situation is kept up to date by whoever runs this.
         operator: Does what the script asks of the operator.
         harness: Injects what the script asks of it.
     """
@@ -91,13 +91,12 @@ class StepRunner:
     def __init__(
         self,
         mission: Mission,
-        situation: Situation,
         record: FlightRecord,
         operator: Operator,
         harness: Harness,
     ) -> None:
         self._mission = mission
-        self._situation = situation
+        self._situation = record.situation
         self._record = record
         self._operator = operator
         self._harness = harness

@@ -21,7 +21,6 @@ from sim_link.interrupts import is_interrupt
 from sim_link.lab.mission.batch import Campaign, fly_all
 from sim_link.lab.mission.conditions import Situation
 from sim_link.lab.mission.in_memory import Progress, fly_in_memory
-from sim_link.lab.mission.mission_report import Summary
 from sim_link.lab.mission.results import MissionResult
 from sim_link.lab.mission.script import Mission
 from sim_link.lab.mission.steps import StepRunner
@@ -185,7 +184,7 @@ def test_what_was_flown_before_an_interrupt_is_kept(tmp_path: Path) -> None:
     tasks = Campaign([path], seeds=range(3)).tasks()
     told: list[int] = []
 
-    def done(position: int, summary: Summary) -> None:
+    def done(position: int, summary: MissionResult) -> None:
         assert summary.is_passed
         told.append(position)
 

@@ -6,7 +6,6 @@ import pytest
 
 from companion.domain import EstimateState, TargetEstimate
 from companion.guidance.commands import ReportResult, Severity
-from sim_link.lab.mission.conditions import Situation
 from sim_link.lab.mission.flight_readers import EventReader
 from sim_link.lab.mission.results import FlightRecord
 
@@ -24,9 +23,10 @@ class Read:
     """A reader with what it fills."""
 
     def __init__(self) -> None:
-        self.record, self.situation = FlightRecord(), Situation()
+        self.record = FlightRecord()
+        self.situation = self.record.situation
         emitters = {4: (50.0, 50.0), 5: (0.0, 0.0)}
-        self.reader = EventReader(self.record, self.situation, emitters, 4)
+        self.reader = EventReader(self.record, emitters, 4)
 
 
 @pytest.fixture

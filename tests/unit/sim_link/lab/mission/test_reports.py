@@ -11,27 +11,25 @@ from xml.etree import ElementTree
 import msgspec
 import pytest
 
+from companion.report.flight_summary import EstimatePoint
 from companion.report.svg import MAX_POINTS, Drawing, square_around, thin_points
 from sim_link.lab.mission.mission_cli import PlainProgress, junit_xml, progress_for
 from sim_link.lab.mission.mission_report import (
-    Summary,
     campaign_lines,
     invariants_of,
     report_page,
-    summary_of,
 )
 from sim_link.lab.mission.results import (
-    EstimatePoint,
     ExpectationVerdict,
     FlightRecord,
     MissionResult,
+    OperatorText,
     Report,
-    Said,
     StepOutcome,
-    Violated,
 )
 from sim_link.lab.mission.script_file import parse_mission
 from sim_link.lab.monitor.monitor import WIRE
+from sim_link.lab.monitor.scene import Violation
 
 HOSTILE = '<script>alert("x")</script> & \x07'
 
@@ -48,12 +46,19 @@ def result_of(is_met: bool = True, seed: int = 3, text: str = "LOCALISED") -> Mi
             (4.0, "result", {"r95_m": 0.5}),
         ],
         estimates=[
-            EstimatePoint(t / 10, 1, "ambiguous", (50.0 + 10 / t, 50.0), 20 / t, 5 / t)
+            EstimatePoint(
+                t / 10,
+                (50.0 + 10 / t, 50.0),
+                20 / t,
+                "ambiguous",
+                range_innovation_m=5 / t,
+                emitter_id=1,
+            )
             for t in range(1, 100)
         ],
         reports=[Report(10.0, 1, (50.1, 50.0), 0.5)],
-        texts=[Said(3.0, "companion", text), Said(5.0, "autopilot", HOSTILE)],
-        violations=[Violated(6.0, "I7", "a gap")],
+        texts=[OperatorText(3.0, "companion", text), OperatorText(5.0, "autopilot", HOSTILE)],
+        violations=[Violation(6.0, "I7", "a gap")],
         track=[(t / 5, (float(t), float(t), 20.0)) for t in range(50)],
         ended_s=12.0,
         distance_m=99.0,
@@ -149,7 +154,7 @@ def test_a_reports_name_is_a_file_name() -> None:
 
 
 def test_junit_counts_cases_and_names_failures() -> None:
-    summaries = [summary_of(result_of()), summary_of(result_of(is_met=False, seed=4))]
+    summaries = [result_of().without_history(), result_of(is_met=False, seed=4).without_history()]
     root = ElementTree.fromstring(junit_xml(summaries))
     assert (root.get("tests"), root.get("failures")) == ("4", "1")
     failed = [case for case in root.iter("testcase") if case.find("failure") is not None]
@@ -161,9 +166,14 @@ def test_junit_counts_cases_and_names_failures() -> None:
 
 
 def test_a_flight_that_came_to_no_end_is_an_error_and_no_pass() -> None:
-    whole = summary_of(result_of())
+    whole = result_of().without_history()
     unwritten = replace(whole, error="disk full")
-    unflown = replace(whole, error="port taken", verdicts=(), time_s=0.0, wall_s=0.0)
+    unflown = replace(
+        whole,
+        error="port taken",
+        verdicts=(),
+        record=replace(whole.record, ended_s=0.0, wall_s=0.0),
+    )
     assert whole.is_passed
     assert not unwritten.is_passed
     assert not unflown.is_passed
@@ -205,8 +215,8 @@ def test_a_result_measures_against_the_truth() -> None:
 
 
 def test_a_campaign_is_summed_up_by_mission() -> None:
-    summaries = [summary_of(result_of(seed=seed)) for seed in range(3)]
-    summaries.append(summary_of(result_of(is_met=False, seed=3)))
+    summaries = [result_of(seed=seed).without_history() for seed in range(3)]
+    summaries.append(result_of(is_met=False, seed=3).without_history())
     lines = campaign_lines(summaries)
     assert lines[0].startswith("two <rubble> heaps (px4): 3/4 passed, error at most 0.10 m, 4/4")
     assert lines[1].startswith("3 of 4 flights passed")
@@ -217,8 +227,8 @@ def test_a_campaign_is_summed_up_by_mission() -> None:
 def test_plain_progress_tells_steps_of_one_flight_and_results_of_many() -> None:
     output = io.StringIO()
     with progress_for(2, 1, output) as progress:
-        progress.finished(summary_of(result_of()))
-        progress.finished(summary_of(result_of(is_met=False)))
+        progress.finished(result_of().without_history())
+        progress.finished(result_of(is_met=False).without_history())
     lines = output.getvalue().splitlines()
     assert lines[0].startswith("PASS [1/2] two <rubble> heaps (px4), seed 3: 12.0 s, error 0.10 m")
     assert lines[1].startswith("FAIL [2/2]")
@@ -230,14 +240,14 @@ def test_a_failure_on_a_busy_computer_comes_with_what_to_do(late_s: float, is_to
     result = result_of(is_met=False)
     result.record.late_s = late_s
     output = io.StringIO()
-    PlainProgress(1, output, is_detailed=True).finished(summary_of(result))
+    PlainProgress(1, output, is_detailed=True).finished(result.without_history())
     assert ("too busy" in output.getvalue()) is is_told
 
 
 def test_a_busy_computer_is_no_news_where_the_mission_passed() -> None:
     result = result_of()
     result.record.late_s = 0.9
-    assert summary_of(result).doubt == ""
+    assert result.without_history().doubt == ""
 
 
 def test_a_reader_who_goes_away_does_not_end_the_flights() -> None:
@@ -245,11 +255,11 @@ def test_a_reader_who_goes_away_does_not_end_the_flights() -> None:
         def write(self, text: str) -> int:
             raise BrokenPipeError(text)
 
-    PlainProgress(1, Closed(), is_detailed=True).finished(summary_of(result_of()))
+    PlainProgress(1, Closed(), is_detailed=True).finished(result_of().without_history())
 
 
 def test_a_summary_knows_its_report_and_its_speed() -> None:
-    summary: Summary = replace(summary_of(result_of()), report="a.html")
+    summary = replace(result_of().without_history(), report="a.html")
     assert 'value="a.html"' in junit_xml([summary])
     assert summary.times_real_time == pytest.approx(240.0)
 

@@ -6,7 +6,6 @@ import pytest
 
 from companion.domain import FlightMode
 from sim_link.lab.faults.fault_models import Fault, LinkBlackout
-from sim_link.lab.mission.conditions import Situation
 from sim_link.lab.mission.results import FlightRecord
 from sim_link.lab.mission.script import STEP_KINDS
 from sim_link.lab.mission.script_file import parse_mission
@@ -44,8 +43,9 @@ class Flown:
 
     def __init__(self, steps: str, more: str = "") -> None:
         self.mission = parse_mission(f"name: m\n{more}\nsteps: {steps}\n", "m")
-        self.situation, self.record, self.crew = Situation(), FlightRecord(), Crew()
-        self.runner = StepRunner(self.mission, self.situation, self.record, self.crew, self.crew)
+        self.record, self.crew = FlightRecord(), Crew()
+        self.situation = self.record.situation
+        self.runner = StepRunner(self.mission, self.record, self.crew, self.crew)
 
     def tick(self, now_s: float) -> None:
         self.runner.tick(now_s)

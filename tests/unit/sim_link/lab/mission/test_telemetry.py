@@ -10,7 +10,6 @@ from companion.domain import Autopilot, FlightMode
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.flight_modes import px4_custom_mode
-from sim_link.lab.mission.conditions import Situation
 from sim_link.lab.mission.flight_readers import TelemetryReader
 from sim_link.lab.mission.results import FlightRecord
 
@@ -19,8 +18,9 @@ class Heard:
     """A reader that hears system 9."""
 
     def __init__(self) -> None:
-        self.record, self.situation = FlightRecord(), Situation()
-        self.reader = TelemetryReader(self.record, self.situation)
+        self.record = FlightRecord()
+        self.situation = self.record.situation
+        self.reader = TelemetryReader(self.record)
         self._codec = MavCodec(9, 1)
         self.beat(FlightMode.HOLD, is_armed=False)
 

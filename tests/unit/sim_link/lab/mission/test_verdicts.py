@@ -5,24 +5,23 @@ from __future__ import annotations
 import pytest
 
 from companion.mav.dialect import mavlink
-from sim_link.lab.mission.conditions import Situation
+from companion.report.flight_summary import EstimatePoint
 from sim_link.lab.mission.results import (
     STEPS,
-    EstimatePoint,
     ExpectationVerdict,
     FlightRecord,
-    Flown,
+    OperatorText,
     Report,
-    Said,
     StepOutcome,
-    Violated,
     verdicts_of,
 )
+from sim_link.lab.mission.script import Mission
 from sim_link.lab.mission.script_file import parse_mission
 from sim_link.lab.monitor.monitor import NOTHING, WIRE
+from sim_link.lab.monitor.scene import Violation
 
 
-def flown(expectation: str) -> Flown:
+def flown(expectation: str) -> tuple[Mission, FlightRecord]:
     """A flight that found emitter 1 half a metre off, and was 100 s long."""
     text = f"""\
 name: m
@@ -33,16 +32,16 @@ expectations: [{{name: it, {expectation}}}]
     record = FlightRecord(
         steps=[StepOutcome(1, "connect", "hearing", 0.0, 1.0)],
         estimates=[
-            EstimatePoint(20.0, 1, "ambiguous", (90.0, 90.0), 30.0),
-            EstimatePoint(30.0, 1, "localised", (50.5, 50.0), 0.4),
-            EstimatePoint(31.0, 2, "searching", (10.0, 13.0), 2.0),
+            EstimatePoint(20.0, (90.0, 90.0), 30.0, "ambiguous", emitter_id=1),
+            EstimatePoint(30.0, (50.5, 50.0), 0.4, "localised", emitter_id=1),
+            EstimatePoint(31.0, (10.0, 13.0), 2.0, "searching", emitter_id=2),
         ],
         reports=[Report(32.0, 1, (50.5, 50.0), 0.4)],
         texts=[
-            Said(32.0, "companion", "LOCALISED 47 8 R95 0.4 m"),
-            Said(40.0, "autopilot", "Landing detected"),
+            OperatorText(32.0, "companion", "LOCALISED 47 8 R95 0.4 m"),
+            OperatorText(40.0, "autopilot", "Landing detected"),
         ],
-        violations=[Violated(25.0, "I7", "gap of 0.3 s"), Violated(26.0, "I7", "gap of 0.2 s")],
+        violations=[Violation(25.0, "I7", "gap of 0.3 s"), Violation(26.0, "I7", "gap of 0.2 s")],
         breaches={"it": 12.0},
         engaged_s=10.0,
         ended_s=100.0,
@@ -50,14 +49,13 @@ expectations: [{{name: it, {expectation}}}]
         scope=WIRE,
     )
     record.messages["companion", mavlink.MAVLINK_MSG_ID_HEARTBEAT] = 99
-    situation = Situation()
-    situation.vehicle.is_armed = False
-    return Flown(parse_mission(text, "m"), record, situation)
+    record.situation.vehicle.is_armed = False
+    return parse_mission(text, "m"), record
 
 
 def test_what_is_measured_after_the_report_is_no_longer_looked_for() -> None:
-    record = flown("final_error_m: {at_most: 1}").record
-    record.estimates.append(EstimatePoint(60.0, 1, "diverged", (20.0, 20.0), 15.0))
+    _, record = flown("final_error_m: {at_most: 1}")
+    record.estimates.append(EstimatePoint(60.0, (20.0, 20.0), 15.0, "diverged", emitter_id=1))
     reported = record.last_estimate(1)
     assert reported is not None
     assert reported.time_s == 30.0
@@ -68,7 +66,7 @@ def test_what_is_measured_after_the_report_is_no_longer_looked_for() -> None:
 
 
 def verdict(expectation: str) -> ExpectationVerdict:
-    steps, own = verdicts_of(flown(expectation))
+    steps, own = verdicts_of(*flown(expectation))
     assert steps.is_met
     assert own.name == "it"
     return own
@@ -105,18 +103,18 @@ def test_what_never_came_is_never_good_enough() -> None:
 
 
 def _without(what: str, expectation: str) -> str:
-    without = flown(expectation)
-    getattr(without.record, what).clear()
-    own = verdicts_of(without)[1]
+    mission, without = flown(expectation)
+    getattr(without, what).clear()
+    own = verdicts_of(mission, without)[1]
     assert not own.is_met
     return own.found
 
 
 def test_an_always_is_broken_once_it_was_false() -> None:
     assert verdict("always: vehicle.height_m < 40").found.endswith("was false at 12.0 s")
-    unbroken = flown("always: vehicle.height_m < 40")
-    unbroken.record.breaches.clear()
-    assert verdicts_of(unbroken)[1].is_met
+    mission, unbroken = flown("always: vehicle.height_m < 40")
+    unbroken.breaches.clear()
+    assert verdicts_of(mission, unbroken)[1].is_met
 
 
 def test_violations_tell_the_first_one() -> None:
@@ -124,9 +122,9 @@ def test_violations_tell_the_first_one() -> None:
 
 
 def test_invariants_that_nobody_watched_are_not_judged() -> None:
-    unwatched = flown("violations: {}")
-    unwatched.record.scope = NOTHING
-    own = verdicts_of(unwatched)[1]
+    mission, unwatched = flown("violations: {}")
+    unwatched.scope = NOTHING
+    own = verdicts_of(mission, unwatched)[1]
     assert own.is_met
     assert "not judged" in own.found
 
@@ -140,14 +138,14 @@ def test_what_this_kind_of_flight_cannot_judge_is_named() -> None:
 
 
 def test_a_failed_step_is_a_verdict_of_its_own() -> None:
-    failed = flown("time_s: {at_most: 200}")
-    failed.record.steps.append(StepOutcome(2, "arm", "arming", 1.0, 6.0, "refused"))
-    steps, own = verdicts_of(failed)
+    mission, failed = flown("time_s: {at_most: 200}")
+    failed.steps.append(StepOutcome(2, "arm", "arming", 1.0, 6.0, "refused"))
+    steps, own = verdicts_of(mission, failed)
     assert steps == ExpectationVerdict(STEPS, False, "step 2 arm: refused")
     assert own.is_met
 
 
 def test_a_mission_that_ended_otherwise_says_so() -> None:
-    failed = flown("time_s: {at_most: 200}")
-    failed.record.failure = "interrupted"
-    assert verdicts_of(failed)[0] == ExpectationVerdict(STEPS, False, "interrupted")
+    mission, failed = flown("time_s: {at_most: 200}")
+    failed.failure = "interrupted"
+    assert verdicts_of(mission, failed)[0] == ExpectationVerdict(STEPS, False, "interrupted")
