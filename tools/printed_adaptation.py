@@ -26,20 +26,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.estimation.filters.losses import map_bias_m
 from companion.estimation.noise.adaptation import (
     DEFAULTS,
     AdaptationParams,
     RangeNoise,
-    fit_range_noise,
 )
 from companion.estimation.noise.mixtures import mean_map_bias
 from companion.kernel import Vector
+from tools.range_noise_fit import fit_range_noise
 
 COLLAPSED = 0.05
 """A mean bias below this many sigma is on its way to 0: b* is 0 for all within 20 sigma."""
 SETTLED = 1e-10
 """Relative change of the mean bias at which an iteration ends."""
+
+
+def map_bias_m(residual_m: float, rate_per_m: float, sigma_m: float) -> float:
+    """The most probable bias b* = max(0, r - lambda sigma^2), metres. Paper: eq. (6)."""
+    return max(0.0, residual_m - rate_per_m * sigma_m**2)
 
 
 @dataclass(frozen=True, slots=True)

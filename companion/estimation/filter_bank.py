@@ -15,7 +15,7 @@ import numpy as np
 
 from companion.domain import EstimateState, PositionEnu, RangingMeasurement, TargetEstimate
 from companion.estimation.filters.kalman import RecursiveFilter
-from companion.estimation.filters.losses import asymmetric_huber_loss
+from companion.estimation.filters.robust_update import asymmetric_huber_loss
 from companion.estimation.filters.target_filter import Inflation, UpdateReport
 from companion.estimation.hypotheses import Hypothesis, probabilities
 from companion.estimation.integrity.consistency import r95_of_covariance_m, r95_of_mixture_m

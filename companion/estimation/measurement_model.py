@@ -26,8 +26,8 @@ from companion.kernel import Matrix, Vector, kernel
 EAST, NORTH, RANGE_OFFSET, BEARING_OFFSET = 0, 1, 2, 3
 """Places in the state that always exist."""
 
-RANGE, BEARING, ELEVATION = 0, 1, 2
-"""Rows of a measurement."""
+RANGE, BEARING = 0, 1
+"""Rows of a measurement; the third is the elevation."""
 MODALITIES = 3
 
 ABSENT = -1

@@ -11,8 +11,11 @@ import pytest
 
 from companion.domain import PositionEnu, RangingMeasurement
 from companion.estimation.filters.kalman import AsymmetricHuberEkf
-from companion.estimation.filters.losses import asymmetric_huber_weight, threshold
-from companion.estimation.filters.robust_update import joseph_row
+from companion.estimation.filters.robust_update import (
+    asymmetric_huber_weight,
+    joseph_row,
+    threshold,
+)
 from companion.estimation.filters.target_filter import FilterParams, FilterState
 from companion.estimation.measurement_model import predicted
 from companion.kernel import Vector

@@ -10,12 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from companion.estimation.filters.kalman import admm_update
-from companion.estimation.filters.losses import (
+from companion.estimation.filters.robust_update import (
     asymmetric_huber_influence,
     asymmetric_huber_loss,
     asymmetric_huber_weight,
-)
-from companion.estimation.filters.robust_update import (
     innovations,
     is_positive_definite,
     joseph_row,

@@ -12,12 +12,7 @@ from scipy.optimize import minimize
 from scipy.special import log_ndtr
 from scipy.stats import exponnorm, norm
 
-from companion.estimation.noise.adaptation import (
-    AdaptationParams,
-    RangeNoise,
-    fit_range_noise,
-    log_prior,
-)
+from companion.estimation.noise.adaptation import AdaptationParams, RangeNoise
 from companion.estimation.noise.mixtures import (
     TAIL,
     bearing_expectations,
@@ -27,10 +22,10 @@ from companion.estimation.noise.mixtures import (
     mean_map_bias,
     one_sided_huber_variance,
     range_expectations,
-    summed_range_expectations,
     truncated_normal,
 )
 from companion.kernel import Vector
+from tools.range_noise_fit import fit_range_noise, log_prior, summed_range_expectations
 
 ARGUMENTS = [
     *(-np.logspace(8.0, -3.0, 45)),

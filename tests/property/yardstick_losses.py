@@ -1,6 +1,6 @@
-"""Losses that the Huber family is compared with: Cauchy, Tukey and a smoothed quantile loss.
+"""Robust losses as values, so that one test takes any: Huber's family and what it is compared with.
 
-Theory of operation. As in `losses`, u is the whitened residual and a loss is the trio loss,
+Theory of operation. As in `robust_update`, u is the whitened residual and a loss is the trio loss,
 influence, weight. With x = (u / c)^2, and c the scale of the side that u is on,
 
     Cauchy      loss c^2/2 log(1 + x)            influence u / (1 + x)       weight 1 / (1 + x)
@@ -31,12 +31,65 @@ the logistic case of X. He, X. Pan, K. M. Tan and W.-X. Zhou, J. Econometrics 23
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
 
-from companion.estimation.filters.losses import RobustLoss
+from companion.estimation.filters.robust_update import (
+    asymmetric_huber_influence,
+    asymmetric_huber_loss,
+    asymmetric_huber_weight,
+)
 from companion.kernel import kernel
 
 TINY_SQUARE = 1e-12
 """Squares of u / c below this are taken as 0: log(1 + x) / x is 1 to the last digits that count."""
+
+
+@dataclass(frozen=True, slots=True)
+class RobustLoss:
+    """A loss with its thresholds filled in, as functions of the whitened residual u alone.
+
+    The three belong together: influence = d loss / du = weight (u - centre). Re-weighted least
+    squares with these weights, applied to u - centre, therefore stands still where the sum of the
+    losses does.
+    """
+
+    name: str
+    loss: Callable[[float], float]
+    influence: Callable[[float], float]
+    weight: Callable[[float], float]
+    is_convex: bool = True
+    """False for those that can have several minima."""
+    knots: tuple[float, ...] = ()
+    """Where the formula changes; the loss is continuously differentiable there too."""
+    centre: float = 0.0
+    """The residual that costs least."""
+
+
+def quadratic() -> RobustLoss:
+    """Least squares: every residual counts in full."""
+    return asymmetric_huber(math.inf, math.inf, name="quadratic")
+
+
+def symmetric_huber(k: float) -> RobustLoss:
+    """Huber's loss, quadratic up to `k` sigma on both sides. Paper: eq. (8)."""
+    return asymmetric_huber(k, k, name=f"symmetric Huber k={k:g}")
+
+
+def one_sided_huber(k: float) -> RobustLoss:
+    """The paper's loss, linear above `k` sigma and quadratic below. Paper: eq. (7)."""
+    return asymmetric_huber(k, math.inf, name=f"one-sided Huber k={k:g}")
+
+
+def asymmetric_huber(k_long: float, k_short: float, name: str | None = None) -> RobustLoss:
+    """Linear above `k_long` sigma and below -`k_short` sigma; infinity: quadratic on that side."""
+    return RobustLoss(
+        name=name or f"asymmetric Huber k={k_long:g}/{k_short:g}",
+        loss=lambda u: float(asymmetric_huber_loss(u, k_long, k_short)),
+        influence=lambda u: float(asymmetric_huber_influence(u, k_long, k_short)),
+        weight=lambda u: float(asymmetric_huber_weight(u, k_long, k_short)),
+        knots=tuple(k for k in (-k_short, k_long) if math.isfinite(k)),
+    )
 
 
 @kernel

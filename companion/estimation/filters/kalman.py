@@ -34,8 +34,8 @@ import msgspec
 import numpy as np
 
 from companion.domain import Params, PositionEnu, Positive, RangingMeasurement
-from companion.estimation.filters.losses import asymmetric_huber_weight
 from companion.estimation.filters.robust_update import (
+    asymmetric_huber_weight,
     innovations,
     is_positive_definite,
     joseph_row,

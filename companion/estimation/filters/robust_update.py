@@ -1,6 +1,20 @@
-"""The measurement update that the recursive filters share, as kernels in Joseph form.
+"""Robust losses, and the measurement update that the recursive filters share, as kernels.
 
-With whitened innovations u = y / sqrt(R) and the weights w(u) of `losses`,
+Losses. A reflected path is longer than the straight one, never shorter, so the bias b of a range is
+non-negative. With an exponential prior of rate lambda on it, the MAP bias of one measurement is the
+soft threshold b* = max(0, r - lambda sigma^2), and putting it back gives a loss that is quadratic
+up to tau = lambda sigma^2 and linear above: the one-sided Huber loss. Over the whitened residual
+u = r / sigma the threshold is k = tau / sigma = lambda sigma, and
+
+    loss       u^2/2           -k_short <= u <= k_long       k_long  (u - k_long/2)   above
+    influence  u                                             k_long                   above
+    weight     1                                             k_long / u               above
+
+and the mirror image below -k_short. k_short = infinity is the one-sided loss of the paper,
+k_short = k_long the symmetric Huber loss, both infinite the quadratic loss. A finite k_short serves
+sensors whose gross errors are short (recorded UWB shows bursts of them).
+
+The update in Joseph form. With whitened innovations u = y / sqrt(R) and the weights w(u),
 
     R_eff = c R / w                          the same R_eff in S, K and the Joseph form
     S     = H P H^T + R_eff
@@ -12,9 +26,7 @@ where c is the inflation. Range, bearing and elevation have independent noise, s
 is done row by row with all rows linearised at the same prior mean, which is the same thing without
 a matrix inverse.
 
-Paper: eqs. (7) to (9), used recursively.
-
-The Kalman arithmetic beneath it is one row in Joseph form, with hard bounds.
+Paper: eqs. (6) to (10), Propositions A.1 to A.4, used recursively.
 """
 
 from __future__ import annotations
@@ -23,7 +35,6 @@ import math
 
 import numpy as np
 
-from companion.estimation.filters.losses import asymmetric_huber_weight
 from companion.estimation.measurement_model import RangingModel, jacobian, predicted, variances
 from companion.kernel import IS_COMPILED, Matrix, Vector, kernel
 
@@ -33,6 +44,37 @@ DEFINITE_MARGIN = 1e-14
 Twice what rounding can do to a factor of 6 components (N. J. Higham, Accuracy and Stability of
 Numerical Algorithms, theorem 10.7), so that two computers never differ about what was accepted.
 """
+
+
+@kernel
+def asymmetric_huber_loss(u: float, k_long: float, k_short: float) -> float:
+    """Loss of a whitened residual; convex and continuously differentiable. Paper: eqs. (7), (8)."""
+    if u > k_long:
+        return k_long * (u - 0.5 * k_long)
+    if u < -k_short:
+        return k_short * (-u - 0.5 * k_short)
+    return 0.5 * u * u
+
+
+@kernel
+def asymmetric_huber_influence(u: float, k_long: float, k_short: float) -> float:
+    """Derivative of the loss: the residual, clipped to [-k_short, k_long]."""
+    return min(max(u, -k_short), k_long)
+
+
+@kernel
+def asymmetric_huber_weight(u: float, k_long: float, k_short: float) -> float:
+    """Influence over residual, in (0, 1]: how much of the measurement counts."""
+    if u > k_long:
+        return k_long / u
+    if u < -k_short:
+        return -k_short / u
+    return 1.0
+
+
+def threshold(k: float | None) -> float:
+    """A configured threshold as a number: none at all is infinity."""
+    return math.inf if k is None else k
 
 
 def joseph_row(P: Matrix, H: Vector, R: float) -> tuple[Vector, Matrix, float]:

@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from companion.domain import NonNegative, Params, PositionEnu, Positive, RangingMeasurement
-from companion.estimation.filters.losses import threshold
+from companion.estimation.filters.robust_update import threshold
 from companion.estimation.measurement_model import (
     ABSENT,
     BEARING_OFFSET,

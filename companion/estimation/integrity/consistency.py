@@ -39,7 +39,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from companion.estimation.filters.losses import asymmetric_huber_influence
+from companion.estimation.filters.robust_update import asymmetric_huber_influence
 from companion.estimation.filters.target_filter import Inflation, ModalityReport, UpdateReport
 from companion.kernel import Matrix, Vector
 

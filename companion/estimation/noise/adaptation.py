@@ -35,15 +35,12 @@ from typing import Annotated
 import msgspec
 
 from companion.domain import Params, Positive
-from companion.estimation.filters.losses import threshold_k_from_lambda
 from companion.estimation.noise.mixtures import (
     bearing_expectations,
     least_variance_k,
     least_variance_k_long,
     range_expectations,
-    summed_range_expectations,
 )
-from companion.kernel import Vector
 
 SHORTEST_U = 3.0
 """Ranges shorter than this many sigma are learnt from as if no shorter: the mixture has no place
@@ -112,7 +109,12 @@ class RangeNoise:
     @property
     def k(self) -> float:
         """Threshold lambda sigma of the paper's loss. Paper: eq. (10)."""
-        return threshold_k_from_lambda(1.0 / self.mean_bias_m, self.sigma_m)
+        return 1.0 / self.mean_bias_m * self.sigma_m
+
+    @property
+    def parameters(self) -> tuple[float, float, float, float]:
+        """As the kernels of `mixtures` take them."""
+        return (self.sigma_m, self.mean_bias_m, self.nlos_share, self.offset_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,57 +156,6 @@ class RangeSums:
         )
 
 
-def log_prior(noise: RangeNoise, prior: RangeNoise, params: AdaptationParams) -> float:
-    """Log of the prior density of `noise`, but for a constant: conjugate, so that EM has it free.
-
-    Beta for the share, gamma for the rate of the biases, normal and inverse gamma for the noise.
-    """
-    from_prior_m = noise.offset_m - prior.offset_m
-    square = (prior.sigma_m**2 + from_prior_m**2) / noise.sigma_m**2
-    body = prior.nlos_share * math.log(noise.nlos_share)
-    body += (1.0 - prior.nlos_share) * math.log1p(-noise.nlos_share)
-    body -= math.log(noise.sigma_m) + 0.5 * square
-    tail = -math.log(noise.mean_bias_m) - prior.mean_bias_m / noise.mean_bias_m
-    return params.prior_count * body + params.tail_prior_count * tail
-
-
-@dataclass(frozen=True, slots=True)
-class RangeFit:
-    """A batch fit."""
-
-    noise: RangeNoise
-    objectives: tuple[float, ...]
-    """Log-likelihood plus log prior (but for a constant) before each iteration; never falls."""
-    is_converged: bool
-
-
-def fit_range_noise(
-    residuals_m: Vector,
-    start: RangeNoise,
-    params: AdaptationParams = DEFAULTS,
-    max_iterations: int = 1000,
-    tolerance: float = 1e-8,
-) -> RangeFit:
-    """The noise that explains these residuals best, by EM.
-
-    Args:
-        residuals_m: (n,) measured minus predicted ranges.
-        start: Where EM starts, and the prior.
-        max_iterations: EM is slow where biases are no larger than sigma.
-        tolerance: Gain of the objective, per measurement, below which EM ends.
-    """
-    noise = RangeSums().most_likely(start, params)
-    objectives: list[float] = []
-    while len(objectives) < max_iterations:
-        *sums, log_likelihood = summed_range_expectations(residuals_m, *_parameters(noise))
-        objectives.append(log_likelihood + log_prior(noise, start, params))
-        noise = RangeSums(len(residuals_m), *sums).most_likely(start, params)
-        gain = math.inf if len(objectives) < 2 else objectives[-1] - objectives[-2]
-        if gain <= tolerance * (len(residuals_m) + 1.0):
-            return RangeFit(noise, tuple(objectives), True)
-    return RangeFit(noise, tuple(objectives), False)
-
-
 @dataclass(frozen=True, slots=True)
 class AdaptiveRangeNoise:
     """One emitter's range noise, learnt measurement by measurement."""
@@ -224,7 +175,7 @@ class AdaptiveRangeNoise:
     def after(self, residual_m: float) -> AdaptiveRangeNoise:
         """The noise after one more residual, measured minus predicted range."""
         shortest_m = self.noise.offset_m - SHORTEST_U * self.noise.sigma_m
-        *sums, _ = range_expectations(max(residual_m, shortest_m), *_parameters(self.noise))
+        *sums, _ = range_expectations(max(residual_m, shortest_m), *self.noise.parameters)
         learnt = self.learnt.forgotten(self.params.forgetting, RangeSums(1.0, *sums))
         noise = learnt.most_likely(self.prior, self.params)
         return AdaptiveRangeNoise(self.params, self.prior, noise, learnt)
@@ -328,10 +279,6 @@ def thresholds_of(
         bearing_sigma_rad=bearings.sigma_rad,
         bearing_k=float(least_variance_k(ratio, bearings.wide_share, low, high)),
     )
-
-
-def _parameters(noise: RangeNoise) -> tuple[float, float, float, float]:
-    return (noise.sigma_m, noise.mean_bias_m, noise.nlos_share, noise.offset_m)
 
 
 def _clipped(value: float, low: float, high: float) -> float:

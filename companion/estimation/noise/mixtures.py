@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 
-from companion.kernel import Vector, kernel
+from companion.kernel import kernel
 
 HALF_LOG_2_PI = 0.5 * math.log(2.0 * math.pi)
 TAIL = 4.0
@@ -90,22 +90,6 @@ def range_expectations(
     noise2_m2 = offset_m * offset_m + sigma_m * (2.0 * offset_m * noise + sigma_m * noise2)
     bias_m = nlos * sigma_m * mean
     return nlos, bias_m, offset_m + sigma_m * noise, noise2_m2, log_density
-
-
-@kernel
-def summed_range_expectations(
-    residuals_m: Vector, sigma_m: float, mean_bias_m: float, nlos_share: float, offset_m: float
-) -> tuple[float, float, float, float, float]:
-    """The sums of `range_expectations` over residuals (n,)."""
-    nlos, bias_m, noise_m, noise2_m2, log_density = 0.0, 0.0, 0.0, 0.0, 0.0
-    for residual_m in residuals_m:
-        one = range_expectations(float(residual_m), sigma_m, mean_bias_m, nlos_share, offset_m)
-        nlos += one[0]
-        bias_m += one[1]
-        noise_m += one[2]
-        noise2_m2 += one[3]
-        log_density += one[4]
-    return nlos, bias_m, noise_m, noise2_m2, log_density
 
 
 @kernel

@@ -30,12 +30,9 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from companion.estimation.filters.losses import (
-    RobustLoss,
-    asymmetric_huber,
-    one_sided_huber,
-    quadratic,
-    symmetric_huber,
+from companion.estimation.filters.robust_update import (
+    asymmetric_huber_influence,
+    asymmetric_huber_loss,
 )
 from sim_link.lab.evaluation.metrics import SETTLED_M
 from sim_link.lab.evaluation.reporting.figure_data import Curve, Sensitivity, Watch
@@ -249,12 +246,13 @@ METRE_TICKS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
 BOUND = typeset("Cramer-Rao")
 OURS = System("map", "latched")
 
-LOSSES: tuple[tuple[RobustLoss, str, tuple[float, ...]], ...] = (
-    (one_sided_huber(1.5), LATCHED, ()),
-    (quadratic(), MUTED, (5.0, 1.6)),
-    (asymmetric_huber(1.5, 3.0), FIM, (2.4, 1.4)),
-    (symmetric_huber(1.5), PASSIVE, (5.0, 1.6, 1.2, 1.6)),
+LOSSES: tuple[tuple[float, float, str, tuple[float, ...]], ...] = (
+    (1.5, math.inf, LATCHED, ()),
+    (math.inf, math.inf, MUTED, (5.0, 1.6)),
+    (1.5, 3.0, FIM, (2.4, 1.4)),
+    (1.5, 1.5, PASSIVE, (5.0, 1.6, 1.2, 1.6)),
 )
+"""Long and short threshold, colour and dashes of each."""
 LOSS_NAMES: tuple[tuple[str, float, float, str], ...] = (
     ("one-sided Huber", -4.1, -4.75, LATCHED),
     ("asymmetric Huber", -2.7, -3.2, FIM),
@@ -269,10 +267,12 @@ def losses() -> Figure:
     figure = new_figure(5.6, 2.6)
     left, right = figure.subplots(1, 2)
     u = np.linspace(-5.0, 5.0, 401)
-    for loss, colour, dashes in LOSSES:
+    for k_long, k_short, colour, dashes in LOSSES:
         width = 1.5 if dashes else 3.0  # the others stay visible where they lie upon it
-        left.plot(u, [loss.loss(x) for x in u], color=colour, dashes=dashes, lw=width)
-        right.plot(u, [loss.influence(x) for x in u], color=colour, dashes=dashes, lw=width)
+        loss = [asymmetric_huber_loss(x, k_long, k_short) for x in u]
+        influence = [asymmetric_huber_influence(x, k_long, k_short) for x in u]
+        left.plot(u, loss, color=colour, dashes=dashes, lw=width)
+        right.plot(u, influence, color=colour, dashes=dashes, lw=width)
     left.set(title="Loss", ylim=(0.0, 8.0), xlim=(-5.0, 5.0), xlabel="residual, in sigma")
     right.set(title="Influence: its derivative", ylim=(-5.2, 5.2), xlim=(-5.0, 5.0))
     right.set_xlabel("residual, in sigma")

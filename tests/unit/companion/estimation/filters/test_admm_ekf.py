@@ -17,7 +17,10 @@ from companion.estimation.filters.kalman import (
     proximal_residual,
     split,
 )
-from companion.estimation.filters.losses import asymmetric_huber_influence, asymmetric_huber_loss
+from companion.estimation.filters.robust_update import (
+    asymmetric_huber_influence,
+    asymmetric_huber_loss,
+)
 from companion.estimation.filters.target_filter import FilterParams, FilterState
 from companion.kernel import Matrix, Vector
 

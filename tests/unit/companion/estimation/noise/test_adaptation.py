@@ -19,7 +19,6 @@ from companion.estimation.noise.adaptation import (
     AdaptiveRangeNoise,
     BearingNoise,
     RangeNoise,
-    fit_range_noise,
     thresholds_of,
 )
 from companion.estimation.noise.mixtures import range_expectations
@@ -31,6 +30,7 @@ from tools.printed_adaptation import (
     printed_fixed_point_m,
     printed_mean_bias_m,
 )
+from tools.range_noise_fit import fit_range_noise
 
 START = RangeNoise(sigma_m=1.5, mean_bias_m=5.0, nlos_share=0.5)
 BEARING_START = BearingNoise(math.radians(2.0), math.radians(15.0), 0.2)
