@@ -6,11 +6,8 @@ Another content in the same frame: ids, sequence number and, with the key, the s
 from __future__ import annotations
 
 import math
-from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any
-
-import numpy as np
 
 from companion.mav.codec import CRC_EXTRA_BY_ID, MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message as RadioRanging
@@ -27,19 +24,8 @@ from companion.mav.framing import (
 )
 from companion.mav.signing import HASH_LENGTH, SigningKey, is_signed
 from sim_link.autopilot.incidents import FaultRecord
-from sim_link.lab.faults.fault_models import (
-    RangingDropout,
-    RangingFreeze,
-    RangingNan,
-    RangingOutliers,
-    RangingOutOfOrder,
-    RangingSecondEmitter,
-    RangingStale,
-    RangingWrongUnit,
-    StreamMute,
-    TelemetryNonsense,
-)
-from sim_link.lab.faults.link_effects import Effect
+from sim_link.lab.faults import fault_models as faults
+from sim_link.lab.faults.link_effects import Effect, F
 from sim_link.lab.lockstep.observer import Delivery
 
 _READER = MavCodec(9, 9)
@@ -101,58 +87,49 @@ INTEGER_LIMITS = {
 ABSURD_FLOATS = (math.nan, math.inf, -math.inf, 1e30)
 
 
-class ContentEffect(Effect):
-    """A fault in frames with certain message ids.
-
-    Args:
-        key: Signs changed frames anew; None where nothing is signed.
-    """
-
-    def __init__(
-        self, numbers: frozenset[int], rng: np.random.Generator, key: SigningKey | None
-    ) -> None:
-        super().__init__(rng)
-        self._numbers = numbers
-        self._key = key
+class ContentEffect(Effect[F]):
+    """A fault in frames with certain message ids; of the radio, where nothing else is said."""
 
     def apply(self, deliveries: list[Delivery], now_s: float) -> list[Delivery]:  # noqa: ARG002
         """Change what it is about, and let the rest pass."""
-        changed: list[Delivery] = []
+        arriving: list[Delivery] = []
         for due_s, data in deliveries:
             self.watch(data)
-            changed += self._alter(data, due_s) if self._is_meant(data) else [(due_s, data)]
-        return changed
+            is_long = len(data) > HEADER_LENGTH[MAGIC_V2]
+            is_meant = is_long and self._is_about(message_id(data))
+            arriving += self._alter(data, due_s) if is_meant else [(due_s, data)]
+        return arriving
 
-    def _is_meant(self, data: bytes) -> bool:
-        return len(data) > HEADER_LENGTH[MAGIC_V2] and message_id(data) in self._numbers
+    def _is_about(self, number: int) -> bool:
+        return number == RadioRanging.id
 
-    def _changed(self, data: bytes, due_s: float) -> list[Delivery]:
+    def _alter(self, data: bytes, due_s: float) -> list[Delivery]:
+        """What comes of a frame that it is about."""
         return [(due_s, rewritten(data, self._change, self._key))]
 
     def _change(self, message: Any) -> None:
         """Set the fields that are wrong."""
 
-    @abstractmethod
-    def _alter(self, data: bytes, due_s: float) -> list[Delivery]:
-        """What comes of a frame that it is about."""
 
-
-class Mute(ContentEffect):
+class Mute(ContentEffect[faults.StreamMute]):
     """It does not come."""
+
+    def _is_about(self, number: int) -> bool:
+        return bool(number == getattr(mavlink, f"MAVLINK_MSG_ID_{self._fault.message}", -1))
 
     def _alter(self, data: bytes, due_s: float) -> list[Delivery]:  # noqa: ARG002
         return []
 
 
-class Nonsense(ContentEffect):
+class Nonsense(ContentEffect[faults.TelemetryNonsense]):
     """A field of some reports is a sentinel or absurd."""
 
-    def __init__(self, share: float, rng: np.random.Generator, key: SigningKey | None) -> None:
-        super().__init__(REPORTS, rng, key)
-        self._share = share
+    def _is_about(self, number: int) -> bool:
+        return number in REPORTS
 
     def _alter(self, data: bytes, due_s: float) -> list[Delivery]:
-        return self._changed(data, due_s) if self._happens(self._share) else [(due_s, data)]
+        is_hit = self._happens(self._fault.share)
+        return super()._alter(data, due_s) if is_hit else [(due_s, data)]
 
     def _change(self, message: Any) -> None:
         kinds = dict(zip(message.fieldnames, message.fieldtypes, strict=True))
@@ -166,40 +143,21 @@ class Nonsense(ContentEffect):
         setattr(message, name, choices[int(self._rng.integers(len(choices)))])
 
 
-class RangingEffect(ContentEffect):
-    """A fault of the radio."""
-
-    def __init__(self, rng: np.random.Generator, key: SigningKey | None) -> None:
-        super().__init__(frozenset({RadioRanging.id}), rng, key)
-
-    def _alter(self, data: bytes, due_s: float) -> list[Delivery]:
-        return self._changed(data, due_s)
-
-
-class Dropout(RangingEffect):
+class Dropout(ContentEffect[faults.RangingDropout]):
     """Range, bearing or the whole answer is missing."""
 
-    def __init__(
-        self, fault: RangingDropout, rng: np.random.Generator, key: SigningKey | None
-    ) -> None:
-        super().__init__(rng, key)
-        self._missing = fault.missing
-
     def _alter(self, data: bytes, due_s: float) -> list[Delivery]:
-        return [] if self._missing == "both" else self._changed(data, due_s)
+        return [] if self._fault.missing == "both" else super()._alter(data, due_s)
 
     def _change(self, message: Any) -> None:
-        setattr(message, self._missing, math.nan)
+        setattr(message, self._fault.missing, math.nan)
 
 
-class Freeze(RangingEffect):
+class Freeze(ContentEffect[faults.RangingFreeze]):
     """The last answer before the fault again and again, with fresh stamps."""
 
     FIELDS = ("range", "range_std", "bearing", "bearing_std", "elevation", "elevation_std")
-
-    def __init__(self, rng: np.random.Generator, key: SigningKey | None) -> None:
-        super().__init__(rng, key)
-        self._kept: dict[str, float] | None = None
+    _kept: dict[str, float] | None = None
 
     def _change(self, message: Any) -> None:
         if self._kept is None:
@@ -208,14 +166,8 @@ class Freeze(RangingEffect):
             setattr(message, name, value)
 
 
-class WrongUnit(RangingEffect):
+class WrongUnit(ContentEffect[faults.RangingWrongUnit]):
     """Range or bearing times a factor."""
-
-    def __init__(
-        self, fault: RangingWrongUnit, rng: np.random.Generator, key: SigningKey | None
-    ) -> None:
-        super().__init__(rng, key)
-        self._fault = fault
 
     def _change(self, message: Any) -> None:
         for name in ("range", "bearing"):
@@ -223,19 +175,13 @@ class WrongUnit(RangingEffect):
                 setattr(message, name, getattr(message, name) * self._fault.factor)
 
 
-class Outliers(RangingEffect):
+class Outliers(ContentEffect[faults.RangingOutliers]):
     """Some answers grossly wrong: range too long or too short, a bearing from anywhere."""
 
     SHORTEST_M = 0.1
     """A range stays one, however much is taken away."""
-
-    def __init__(
-        self, fault: RangingOutliers, rng: np.random.Generator, key: SigningKey | None
-    ) -> None:
-        super().__init__(rng, key)
-        self._fault = fault
-        self._left = 0
-        """Answers of the present burst that are still to come."""
+    _left = 0
+    """Answers of the present burst that are still to come."""
 
     def _change(self, message: Any) -> None:
         if self._left == 0 and self._happens(self._fault.share):
@@ -250,52 +196,36 @@ class Outliers(RangingEffect):
             message.bearing = float(self._rng.uniform(-math.pi, math.pi))
 
 
-class NotNumbers(RangingEffect):
+class NotNumbers(ContentEffect[faults.RangingNan]):
     """Some answers are none."""
 
-    def __init__(self, fault: RangingNan, rng: np.random.Generator, key: SigningKey | None) -> None:
-        super().__init__(rng, key)
-        self._share = fault.share
-
     def _change(self, message: Any) -> None:
-        if self._happens(self._share):
+        if self._happens(self._fault.share):
             message.range = NOT_A_RANGE[int(self._rng.integers(len(NOT_A_RANGE)))]
-        if self._happens(self._share):
+        if self._happens(self._fault.share):
             message.bearing = NOT_A_BEARING[int(self._rng.integers(len(NOT_A_BEARING)))]
 
 
-class Late(RangingEffect):
-    """Answers come later than they were made, all alike or each by its own time."""
-
-    def __init__(
-        self,
-        fault: RangingStale | RangingOutOfOrder,
-        rng: np.random.Generator,
-        key: SigningKey | None,
-    ) -> None:
-        super().__init__(rng, key)
-        self._fault = fault
+class Stale(ContentEffect[faults.RangingStale]):
+    """Answers come later than they were made."""
 
     def _alter(self, data: bytes, due_s: float) -> list[Delivery]:
-        match self._fault:
-            case RangingStale(age_s=age_s):
-                return [(due_s + age_s, data)]
-            case RangingOutOfOrder(window_s=window_s):
-                return [(due_s + float(self._rng.uniform(0.0, window_s)), data)]
+        return [(due_s + self._fault.age_s, data)]
 
 
-class SecondEmitter(RangingEffect):
+class OutOfOrder(ContentEffect[faults.RangingOutOfOrder]):
+    """Each answer comes late by its own time."""
+
+    def _alter(self, data: bytes, due_s: float) -> list[Delivery]:
+        return [(due_s + float(self._rng.uniform(0.0, self._fault.window_s)), data)]
+
+
+class SecondEmitter(ContentEffect[faults.RangingSecondEmitter]):
     """Every answer is followed by one of an emitter somewhere else."""
 
     RANGE_SIGMA_M = 0.5
     BEARING_SIGMA_RAD = 0.03
-
-    def __init__(
-        self, fault: RangingSecondEmitter, rng: np.random.Generator, key: SigningKey | None
-    ) -> None:
-        super().__init__(rng, key)
-        self._fault = fault
-        self._vehicle_ned_m: tuple[float, float, float] | None = None
+    _vehicle_ned_m: tuple[float, float, float] | None = None
 
     def watch(self, data: bytes) -> None:
         """Learn where the vehicle is from what it says."""
@@ -307,9 +237,8 @@ class SecondEmitter(RangingEffect):
         self._vehicle_ned_m = (message.x, message.y, message.z)
 
     def _alter(self, data: bytes, due_s: float) -> list[Delivery]:
-        if self._vehicle_ned_m is None:
-            return [(due_s, data)]
-        return [(due_s, data), *self._changed(data, due_s)]
+        is_placed = self._vehicle_ned_m is not None
+        return [(due_s, data), *(super()._alter(data, due_s) if is_placed else ())]
 
     def _change(self, message: Any) -> None:
         assert self._vehicle_ned_m is not None
@@ -323,28 +252,16 @@ class SecondEmitter(RangingEffect):
             message.emitter_id = self._fault.emitter_id
 
 
-def content_effect(
-    fault: FaultRecord, rng: np.random.Generator, key: SigningKey | None
-) -> Effect | None:
-    """The effect of a content fault; None for any other fault."""
-    match fault:
-        case StreamMute(message=name):
-            number = mavlink.__dict__.get(f"MAVLINK_MSG_ID_{name}", -1)
-            return Mute(frozenset({int(number)}), rng, key)
-        case TelemetryNonsense(share=share):
-            return Nonsense(share, rng, key)
-        case RangingDropout():
-            return Dropout(fault, rng, key)
-        case RangingFreeze():
-            return Freeze(rng, key)
-        case RangingWrongUnit():
-            return WrongUnit(fault, rng, key)
-        case RangingOutliers():
-            return Outliers(fault, rng, key)
-        case RangingNan():
-            return NotNumbers(fault, rng, key)
-        case RangingStale() | RangingOutOfOrder():
-            return Late(fault, rng, key)
-        case RangingSecondEmitter():
-            return SecondEmitter(fault, rng, key)
-    return None
+CONTENT_EFFECTS: dict[type[FaultRecord], type[Effect[Any]]] = {
+    faults.StreamMute: Mute,
+    faults.TelemetryNonsense: Nonsense,
+    faults.RangingDropout: Dropout,
+    faults.RangingFreeze: Freeze,
+    faults.RangingWrongUnit: WrongUnit,
+    faults.RangingOutliers: Outliers,
+    faults.RangingNan: NotNumbers,
+    faults.RangingStale: Stale,
+    faults.RangingOutOfOrder: OutOfOrder,
+    faults.RangingSecondEmitter: SecondEmitter,
+}
+"""By fault."""

@@ -294,19 +294,6 @@ class Schedule(Params, frozen=True):
 
     faults: tuple[Fault, ...] = ()
 
-    def active(self, time_s: float) -> list[Fault]:
-        """What acts at a time."""
-        return [fault for fault in self.faults if fault.is_active(time_s)]
-
-    def shifted(self, by_s: float) -> Schedule:
-        """The same faults, later by so much."""
-        return Schedule(
-            faults=tuple(
-                msgspec.structs.replace(fault, start_s=fault.start_s + by_s)
-                for fault in self.faults
-            )
-        )
-
     @property
     def end_s(self) -> float:
         """When the last fault that ends is over; faults without an end do not count."""

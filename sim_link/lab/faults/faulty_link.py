@@ -1,6 +1,4 @@
-"""A link with faults, and the attacker who listens on it.
-
-A link that does what its schedule says, in memory on invented time, repeatable from its seed.
+"""A link with faults, in memory on invented time, repeatable from its seed; and the attacker on it.
 
 Theory of operation. Every fault gets effects with a generator of their own, seeded by the link's
 seed and the fault's number: one per direction for a fault of the link, one for all frames of the
@@ -8,8 +6,6 @@ vehicle and its radio for a fault of their content. A datagram passes the effect
 time it is sent, in a fixed order of kinds: first its content, then what is lost, then what is
 damaged, then copies, then what makes it late. A radio on a link of its own is touched by faults of
 content only.
-
-Frames of somebody who should not be there, made from what the vehicle sent.
 
 An attacker on the same network hears everything. It has no key: on a signed link its own frames
 carry a signature with a key of its own, none at all, or one that was used before.
@@ -28,29 +24,17 @@ from companion.mav.dialect import mavlink
 from companion.mav.framing import frame_crc, message_id, without_signature
 from companion.mav.signing import MAX_HEARD, Signing, SigningKey
 from sim_link.autopilot.incidents import FaultRecord
-from sim_link.lab.faults.content_effects import content_effect, rewritten
+from sim_link.lab.faults.content_effects import CONTENT_EFFECTS, rewritten
 from sim_link.lab.faults.fault_models import (
-    ContentFault,
     ForeignFrames,
     ForgedFrames,
-    LinkBitFlips,
-    LinkBlackout,
-    LinkBursts,
-    LinkDelay,
-    LinkDuplicates,
     LinkFault,
-    LinkGarbage,
-    LinkHold,
-    LinkJitter,
-    LinkLoss,
-    LinkRateCap,
-    LinkTruncation,
     ReplayedFrames,
     Schedule,
     SecurityFault,
     UnsignedFrames,
 )
-from sim_link.lab.faults.link_effects import Effect, link_effect
+from sim_link.lab.faults.link_effects import LINK_EFFECTS, Effect
 from sim_link.lab.lockstep.observer import Delivery, Lane
 
 LINK_LANES = {
@@ -59,19 +43,7 @@ LINK_LANES = {
     "to_vehicle": (Lane.TO_VEHICLE,),
 }
 CONTENT_LANES = (Lane.TO_COMPANION, Lane.RANGING)
-LINK_ORDER: tuple[type[FaultRecord], ...] = (
-    LinkBlackout,
-    LinkLoss,
-    LinkBursts,
-    LinkBitFlips,
-    LinkTruncation,
-    LinkGarbage,
-    LinkDuplicates,
-    LinkDelay,
-    LinkJitter,
-    LinkRateCap,
-    LinkHold,
-)
+LINK_ORDER = list(LINK_EFFECTS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,11 +51,11 @@ class _Acting:
     start_s: float
     end_s: float
     rank: int
-    effect: Effect
+    effect: Effect[Any]
 
 
 class FaultyLink:
-    """A wire with faults; a `sim_link.lockstep.wire.Wire`.
+    """A wire with faults; an `observer.Wire`.
 
     Args:
         schedule: What goes wrong when; what is no fault of link or content is left to others.
@@ -110,19 +82,18 @@ class FaultyLink:
         """One more fault, its times counted from `began_s`."""
         self._count += 1
         start_s, end_s = began_s + fault.start_s, began_s + fault.end_s
-        if isinstance(fault, ContentFault):
+        content = CONTENT_EFFECTS.get(type(fault))
+        if content is not None:
             rng = np.random.default_rng((self._seed, self._count))
-            effect = content_effect(fault, rng, self._key)
-            assert effect is not None, fault
+            effect = content(fault, rng, end_s, self._key)
             for lane in CONTENT_LANES:
                 self._put(lane, _Acting(start_s, end_s, -1, effect))
         if isinstance(fault, LinkFault):
+            rank = LINK_ORDER.index(type(fault))
             for lane in LINK_LANES[fault.direction]:
                 number = LINK_LANES["both"].index(lane)
                 rng = np.random.default_rng((self._seed, self._count, number))
-                effect = link_effect(fault, end_s, rng)
-                assert effect is not None, fault
-                rank = LINK_ORDER.index(type(fault))
+                effect = LINK_EFFECTS[type(fault)](fault, rng, end_s)
                 self._put(lane, _Acting(start_s, end_s, rank, effect))
 
     def _put(self, lane: Lane, acting: _Acting) -> None:

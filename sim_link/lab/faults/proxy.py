@@ -1,7 +1,5 @@
 """`sim-link proxy`: faults between a real vehicle or simulator and a real companion on UDP.
 
-A UDP proxy with faults between a real vehicle or simulator and a real companion.
-
     vehicle  <-->  vehicle_side | faults | companion_side  <-->  companion
 
 Theory of operation. The vehicle sends to the vehicle side as if that were the companion, and the
@@ -9,8 +7,6 @@ companion hears and answers the companion side as if that were the vehicle. Ever
 `FaultyLink`, the same as in memory, and what is late waits in a queue; attackers send to the
 companion from a socket of their own. One thread, no clock but the monotonic one. What the system
 refuses to send is counted and gone, as on any network.
-
-`sim-link proxy`: a bad link between a vehicle and a companion on UDP.
 """
 
 from __future__ import annotations
@@ -22,7 +18,7 @@ import signal
 import socket
 import time
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
@@ -66,14 +62,6 @@ class Counters:
     attacks: int = 0
 
 
-@dataclass(order=True, slots=True)
-class _Waiting:
-    due_s: float
-    count: int
-    data: bytes = field(compare=False)
-    lane: Lane = field(compare=False)
-
-
 class FaultProxy:
     """Two sockets and the faults between them; a context manager that closes them.
 
@@ -103,7 +91,7 @@ class FaultProxy:
         self._attacker = Attacker(np.random.default_rng((seed, 0xA77)))
         self._attacked_s = 0.0
         self._owed = 0.0
-        self._queue: list[_Waiting] = []
+        self._queue: list[tuple[float, int, bytes, Lane]] = []
         self._count = 0
 
     @property
@@ -145,7 +133,7 @@ class FaultProxy:
 
     def _wait(self, longest_s: float) -> None:
         if self._queue:
-            longest_s = min(longest_s, max(0.0, self._queue[0].due_s - self._now_s()))
+            longest_s = min(longest_s, max(0.0, self._queue[0][0] - self._now_s()))
         if self._attacks:
             longest_s = min(longest_s, ATTACK_PERIOD_S)
         for key, _ in self._selector.select(longest_s):
@@ -170,25 +158,24 @@ class FaultProxy:
             self.counters.lost += not arriving
             for due_s, each in arriving:
                 self._count += 1
-                heapq.heappush(self._queue, _Waiting(due_s, self._count, each, lane))
+                heapq.heappush(self._queue, (due_s, self._count, each, lane))
 
     def _deliver(self) -> None:
         now_s = self._now_s()
-        while self._queue and self._queue[0].due_s <= now_s:
-            waiting = heapq.heappop(self._queue)
-            if waiting.lane is Lane.TO_COMPANION:
+        while self._queue and self._queue[0][0] <= now_s:
+            _, _, data, lane = heapq.heappop(self._queue)
+            if lane is Lane.TO_COMPANION:
                 self.counters.to_companion += 1
-                self._send(self._companion_side, waiting.data, self._companion)
+                self._send(self._companion_side, data, self._companion)
             elif self._vehicle is not None:
                 self.counters.to_vehicle += 1
-                self._send(self._vehicle_side, waiting.data, self._vehicle)
+                self._send(self._vehicle_side, data, self._vehicle)
 
     def _attack(self) -> None:
         now_s = self._now_s()
-        rates = [(f, f.rate_hz) for f in self._attacks if f.is_active(now_s)]
         elapsed_s, self._attacked_s = now_s - self._attacked_s, now_s
-        for fault, rate_hz in rates:
-            self._owed = min(self._owed + rate_hz * elapsed_s, MOST_ATTACKS_AT_ONCE)
+        for fault in (each for each in self._attacks if each.is_active(now_s)):
+            self._owed = min(self._owed + fault.rate_hz * elapsed_s, MOST_ATTACKS_AT_ONCE)
             while self._owed >= 1.0:
                 self._owed -= 1.0
                 data = self._attacker.next(fault)
