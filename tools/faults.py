@@ -6,6 +6,7 @@ again), 2 for bad arguments, 130 after Ctrl-C, with what was found until then.
 
 from __future__ import annotations
 
+import argparse
 import logging
 import os
 import sys
@@ -29,6 +30,7 @@ from sim_link.lab.campaign.runner import (
     trial_named,
     trials_of,
 )
+from sim_link.lab.pool import LOCAL
 from sim_link.lab.tool_console import OneLineParser, non_negative, positive, shown
 
 REPLAY = "python tools/faults.py --replay"
@@ -43,6 +45,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--only", action="append", default=[], metavar="PART", help="this part")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures there")
     parser.add_argument("--jobs", type=positive, default=os.cpu_count() or 1, metavar="N")
+    parser.add_argument("--backend", default=LOCAL, help="local, or dask://HOST:PORT")
     parser.add_argument("--seed", type=non_negative, default=1, metavar="N")
     parser.add_argument("--replay", metavar="PART:SEED", help="one trial, with its story")
     arguments = parser.parse_args(argv)
@@ -52,7 +55,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             return replay(trial_named(arguments.replay))
         trials = trials_of(arguments.campaign, arguments.seed, arguments.only)
         facts = {"campaign": arguments.campaign, "seed": arguments.seed}
-        return campaign(trials, arguments.jobs, facts, arguments.json)
+        return campaign(trials, arguments, facts)
     except CompanionError as error:
         parser.error(str(error))
 
@@ -61,21 +64,27 @@ def _epilog() -> str:
     return "parts: " + "; ".join(f"{part.name}: {part.title}" for part in PARTS.values())
 
 
-def campaign(trials: list[Trial], jobs: int, facts: dict[str, object], path: Path | None) -> int:
+def campaign(trials: list[Trial], arguments: argparse.Namespace, facts: dict[str, object]) -> int:
     """Run all trials, print and write the figures; the exit code."""
+    costs = {trial: PARTS[trial.part].cost(trial) for trial in trials}
     started_s = time.monotonic()
     code = 0
     try:
-        with shown(sum(PARTS[trial.part].cost(trial) for trial in trials), sys.stderr) as done:
-            tally = run_all(trials, jobs, lambda o: done(PARTS[o.trial.part].cost(o.trial)))
+        with shown(sum(costs.values()), sys.stderr) as done:
+            tally = run_all(
+                trials, arguments.jobs, lambda o: done(costs[o.trial]), arguments.backend
+            )
     except KeyboardInterrupt as interruption:
         tally = interruption.args[0] if interruption.args else Tally()
         code = INTERRUPTED
     judge(tally)
-    facts |= {"wall_s": round(time.monotonic() - started_s, 1), "is_complete": code == 0}
+    facts |= {
+        "wall_s": round(time.monotonic() - started_s, 1),
+        "is_complete": tally.trials == len(trials),
+    }
     summary = report(tally, facts, REPLAY)
-    if path is not None:
-        write_json_atomic(path, summary)
+    if arguments.json is not None:
+        write_json_atomic(arguments.json, summary)
     for name, value in summary.items():
         if name not in ("findings", "reached_in"):
             trial = tally.reached_in.get(name)

@@ -13,7 +13,6 @@ from pathlib import Path
 
 from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_json_atomic
-from sim_link.lab.evaluation.backends import connected
 from sim_link.lab.evaluation.planner_bench import costs_of
 from sim_link.lab.evaluation.reporting.study_report import write_report
 from sim_link.lab.evaluation.reporting.study_tables import (
@@ -37,6 +36,7 @@ from sim_link.lab.evaluation.study_run import (
     results_of,
     work_of,
 )
+from sim_link.lab.pool import WorkerLostError, open_pool
 from sim_link.lab.tool_console import OneLineParser, non_negative, positive, shown
 
 STUDIES = Path(__file__).resolve().parent.parent / "configs" / "studies"
@@ -54,6 +54,9 @@ def main() -> int:
     except ConfigError as error:
         print(f"run_study: {error}", file=sys.stderr)
         return 2
+    except WorkerLostError as error:
+        print(f"run_study: {error}; run the same command again to go on", file=sys.stderr)
+        return 1
     except CompanionError as error:
         print(f"run_study: {error}", file=sys.stderr)
         return 1
@@ -80,7 +83,7 @@ def parsed() -> argparse.Namespace:
 def run(studies: list[PlannedStudy], arguments: argparse.Namespace, out: Path) -> int:
     """Everything after the arguments: nothing is made before the backend is there."""
     work = work_of(studies, arguments.seed)
-    with connected(arguments.backend, arguments.jobs) as backend:
+    with open_pool(arguments.backend, arguments.jobs) as pool:
         make_folder(out)
         with opened(out / FILE_NAME) as store:
             kept = store.found(work.tasks)
@@ -88,9 +91,9 @@ def run(studies: list[PlannedStudy], arguments: argparse.Namespace, out: Path) -
             left = work.without(kept)
             if left.tasks:
                 say("getting the compiled kernels ready")
-                prepared(left, backend)
+                prepared(left, pool)
                 with shown(left.cost, sys.stderr) as on_done:
-                    carried_out(left, backend, store, on_done)
+                    carried_out(left, pool, store, on_done)
             return written(studies, work, store, arguments.seed, out)
 
 

@@ -7,14 +7,12 @@ import signal
 import sqlite3
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
+from tests.e2e.dask_rig import LIMIT_S, ROOT, dask_cluster, started, until
+
 TOOL = ROOT / "tools" / "run_study.py"
 STUDY = """
 table: small
@@ -33,9 +31,6 @@ BLOCKS = 2 * (3 * 2 + 1)
 """Two cases with three systems of two blocks, and a check of the EKF."""
 BEGUN = 2
 """Blocks after which a run is stopped: most are left, however late somebody looks."""
-LIMIT_S = 300.0
-
-Process = subprocess.Popen[str]
 
 
 def _command(study: Path | str, out: Path, *arguments: str) -> list[str]:
@@ -45,27 +40,6 @@ def _command(study: Path | str, out: Path, *arguments: str) -> list[str]:
 def _run(study: Path | str, out: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     command = _command(study, out, *arguments)
     return subprocess.run(command, capture_output=True, text=True, check=False, timeout=LIMIT_S)
-
-
-@contextmanager
-def _started(command: list[str]) -> Iterator[Process]:
-    process = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT
-    )
-    try:
-        yield process
-    finally:
-        if process.poll() is None:
-            process.kill()
-        process.communicate()
-
-
-def _until(is_so: Callable[[], bool], process: Process) -> None:
-    give_up_s = time.monotonic() + LIMIT_S
-    while not is_so():
-        assert time.monotonic() < give_up_s, "it takes too long"
-        assert process.poll() is None, "it ended too early"
-        time.sleep(0.02)
 
 
 def _kept(out: Path) -> int:
@@ -124,8 +98,8 @@ def test_processes_make_the_same_bytes(study: Path, expected: bytes, tmp_path: P
 def test_a_stopped_run_goes_on(
     how: signal.Signals, study: Path, expected: bytes, tmp_path: Path
 ) -> None:
-    with _started(_command(study, tmp_path, "--jobs", "2")) as process:
-        _until(lambda: _kept(tmp_path) >= BEGUN, process)
+    with started(_command(study, tmp_path, "--jobs", "2")) as process:
+        until(lambda: _kept(tmp_path) >= BEGUN, process)
         process.send_signal(how)
         _, errors = process.communicate(timeout=LIMIT_S)
     if how != signal.SIGKILL:
@@ -143,29 +117,14 @@ def test_a_stopped_run_goes_on(
     assert (tmp_path / "results.csv").read_bytes() == expected
 
 
-def _address(place: Path) -> str | None:
-    """Where a scheduler serves, once its file is there and whole."""
-    try:
-        address: str = json.loads(place.read_text())["address"]
-    except (OSError, json.JSONDecodeError):
-        return None
-    return address.removeprefix("tcp://")
-
-
 def test_a_cluster_makes_the_same_bytes_though_a_worker_is_killed(
     study: Path, expected: bytes, tmp_path: Path
 ) -> None:
-    out, place = tmp_path / "out", tmp_path / "scheduler.json"
-    dask = [sys.executable, "-m", "dask"]
-    where = ["--scheduler-file", str(place)]
-    serve = [*dask, "scheduler", *where, "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
-    work = [*dask, "worker", *where, "--nthreads", "1", "--no-nanny", "--no-dashboard"]
-    with _started(serve) as scheduler:
-        _until(lambda: _address(place) is not None, scheduler)
-        address = _address(place)
-        command = _command(study, out, "--backend", f"dask://{address}")
-        with _started(work) as one, _started(work) as other, _started(command) as process:
-            _until(lambda: _kept(out) >= BEGUN, process)
+    out = tmp_path / "out"
+    with dask_cluster(tmp_path, 2) as cluster:
+        one, other = cluster.workers
+        with started(_command(study, out, "--backend", cluster.url)) as process:
+            until(lambda: _kept(out) >= BEGUN, process)
             one.kill()
             assert _kept(out) < BLOCKS
             _, errors = process.communicate(timeout=LIMIT_S)

@@ -10,13 +10,10 @@ What no single trial can judge, and the report of a campaign.
 from __future__ import annotations
 
 import logging
-import multiprocessing
-import signal
 import traceback
-from collections.abc import Callable, Generator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from companion.errors import ConfigError
 from sim_link.lab.campaign.endurance import Fuzzing, Soak
@@ -29,6 +26,7 @@ from sim_link.lab.campaign.link_trials import (
 )
 from sim_link.lab.campaign.process_trials import Kills, Signals, Stops
 from sim_link.lab.campaign.random_missions import Missions, Overrides
+from sim_link.lab.pool import LOCAL, WorkerLostError, open_pool
 
 ALL: tuple[Part, ...] = (
     Missions(),
@@ -148,10 +146,6 @@ def trial_named(text: str) -> Trial:
     return Trial(words[0], seed, size)
 
 
-AHEAD = 2
-"""Trials per process that wait their turn, so that an interruption need not finish many."""
-
-
 @dataclass(slots=True)
 class Tally:
     """What all trials so far found and measured."""
@@ -205,62 +199,59 @@ def run_one(trial: Trial) -> TrialOutcome:
 
 
 def run_all(
-    trials: Sequence[Trial], jobs: int, on_done: Callable[[TrialOutcome], None] | None = None
+    trials: Sequence[Trial],
+    jobs: int,
+    on_done: Callable[[TrialOutcome], None] | None = None,
+    backend: str = LOCAL,
 ) -> Tally:
-    """Run trials and add them up; an interruption ends early and keeps what was found.
+    """Run trials and add them up in their order; an interruption keeps what was found.
+
+    A trial whose process may have ended by force is a finding, and those after it are not run.
 
     Args:
         trials: In the order of their start.
         jobs: Processes; 1 runs them in this one.
         on_done: Told of every trial that is done.
+        backend: See `open_pool`.
 
     Raises:
         KeyboardInterrupt: With the tally so far as its argument.
     """
-    tally = Tally()
+    outcomes: dict[int, TrialOutcome] = {}
+    lost: list[TrialFinding] = []
     try:
-        with closing(_outcomes(trials, jobs)) as outcomes:
-            for outcome in outcomes:
-                tally.add(outcome)
+        with (
+            open_pool(backend, min(jobs, len(trials))) as pool,
+            closing(pool.results(_run_quietly, trials)) as results,
+        ):
+            for position, outcome in results:
+                outcomes[position] = outcome
                 if on_done is not None:
                     on_done(outcome)
+    except WorkerLostError as error:
+        lost = [TrialFinding(trials[n].name, f"lost: {error}") for n in error.positions]
     except KeyboardInterrupt:
-        raise KeyboardInterrupt(tally) from None
+        raise KeyboardInterrupt(_tally_of(outcomes)) from None
+    tally = _tally_of(outcomes)
+    tally.findings += lost
     return tally
 
 
-def _outcomes(trials: Sequence[Trial], jobs: int) -> Generator[TrialOutcome, None, None]:
-    if jobs <= 1:
-        yield from map(run_one, trials)
-        return
-    coming = iter(trials)
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_begin_worker)
-    running: set[Future[TrialOutcome]] = set()
-    try:
-        while True:
-            while len(running) < jobs * AHEAD:
-                trial = next(coming, None)
-                if trial is None:
-                    break
-                running.add(pool.submit(run_one, trial))
-            if not running:
-                break
-            done, running = wait(running, return_when=FIRST_COMPLETED)
-            for future in done:
-                yield future.result()
-    except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
-        for worker in multiprocessing.active_children():  # a trial may have hours to go
-            worker.terminate()
-        raise
-    pool.shutdown()
-
-
-def _begin_worker() -> None:
-    """Ctrl-C reaches the whole group, and only the parent answers it; flights keep quiet."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+def _run_quietly(trial: Trial) -> TrialOutcome:
+    """The outcome without its story, and without what flights log."""
+    before = logging.root.manager.disable
     logging.disable(logging.CRITICAL)
+    try:
+        return replace(run_one(trial), story=())
+    finally:
+        logging.disable(before)
+
+
+def _tally_of(outcomes: Mapping[int, TrialOutcome]) -> Tally:
+    tally = Tally()
+    for position in sorted(outcomes):
+        tally.add(outcomes[position])
+    return tally
 
 
 ENOUGH_HOURS = 5.0

@@ -21,7 +21,6 @@ import msgspec
 import numpy as np
 
 from companion.kernel import Matrix, Vector, kernel
-from sim_link.lab.evaluation.backends import LocalBackend
 from sim_link.lab.evaluation.case import (
     PLANNER,
     TRUTH,
@@ -62,6 +61,7 @@ from sim_link.lab.evaluation.walk import (
     VEHICLE_NORTH,
     walked,
 )
+from sim_link.lab.pool import open_pool
 from sim_link.world.environment import ChannelParams, ShadowParams
 from sim_link.world.line_of_sight import Surroundings, is_blocked_in_space
 
@@ -401,9 +401,10 @@ def tallies_of(
     """
     blocks = [(index, block) for index, c in enumerate(campaigns) for block in c.blocks()]
     done: dict[int, Tally] = {}
-    for position, tally in LocalBackend(jobs).results(tally_of, [block for _, block in blocks]):
-        done[position] = tally
-        on_block(len(done), len(blocks))
+    with open_pool(jobs=min(jobs, len(blocks))) as pool:
+        for position, tally in pool.results(tally_of, [block for _, block in blocks]):
+            done[position] = tally
+            on_block(len(done), len(blocks))
     return [
         joined_in_order(done[p] for p, (owner, _) in enumerate(blocks) if owner == index)
         for index in range(len(campaigns))

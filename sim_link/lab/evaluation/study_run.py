@@ -29,7 +29,6 @@ import numpy as np
 from companion.errors import CompanionError, ConfigError
 from companion.kernel import IS_COMPILED
 from companion.planning.crossing_kernels import LATCH_SIZE
-from sim_link.lab.evaluation.backends import Backend, sources_digest
 from sim_link.lab.evaluation.campaign import (
     Block,
     Campaign,
@@ -64,6 +63,7 @@ from sim_link.lab.evaluation.systems import (
     window_of_system,
 )
 from sim_link.lab.evaluation.walk import first_fix, next_place, updated
+from sim_link.lab.pool import Pool, sources_digest
 from sim_link.world.environment import NO_MEMORY
 
 STEPS = 12
@@ -73,11 +73,11 @@ Stage = Sequence[tuple[str, Case, System]]
 """What may be done at once: the name of a part, and what it is called with."""
 
 
-def warm_up(flown: Sequence[tuple[Case, System]], backend: Backend) -> None:
+def warm_up(flown: Sequence[tuple[Case, System]], pool: Pool) -> None:
     """Call every kernel once that runs of some systems need.
 
     Args:
-        backend: Whose processes share a cache with those that will do the work.
+        pool: Whose processes share a cache with those that will do the work.
     """
     if not IS_COMPILED or not flown:
         return
@@ -91,7 +91,7 @@ def warm_up(flown: Sequence[tuple[Case, System]], backend: Backend) -> None:
         stages.append([("filters", *walked[0]), ("window", *walked[0])])
     stages.append([("run", *pair) for pair in kinds.values()])
     for stage in stages:
-        for _ in backend.results(_called, stage):
+        for _ in pool.results(_called, stage):
             pass
 
 
@@ -281,17 +281,17 @@ def work_of(studies: Iterable[PlannedStudy], seed: int) -> Work:
     return Work(tasks)
 
 
-def carried_out(work: Work, backend: Backend, store: Store, on_done: OnDone) -> None:
+def carried_out(work: Work, pool: Pool, store: Store, on_done: OnDone) -> None:
     """Do all of it, and keep it.
 
     Args:
         on_done: Told the cost of every task that is done.
 
     Raises:
-        CompanionError: The backend or the store gave out; what was done is kept.
+        CompanionError: The pool or the store gave out; what was done is kept.
     """
     pending = sorted(work.tasks.items(), key=lambda item: -cost_of(item[1]))
-    for position, result in backend.results(performed, [task for _, task in pending]):
+    for position, result in pool.results(performed, [task for _, task in pending]):
         key, task = pending[position]
         store.keep(key, result)
         on_done(cost_of(task))
@@ -348,12 +348,12 @@ def checks_of(work: Work, store: Store) -> dict[str, dict[str, object]]:
     }
 
 
-def prepared(work: Work, backend: Backend) -> None:
+def prepared(work: Work, pool: Pool) -> None:
     """Compile every kernel, so that processes find them ready.
 
     The first time after a change of the sources this takes the better part of a minute.
     """
-    warm_up([_flown(task) for task in work.tasks.values()], backend)
+    warm_up([_flown(task) for task in work.tasks.values()], pool)
 
 
 def task_key(task: Task) -> str:

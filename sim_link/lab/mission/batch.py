@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import concurrent.futures
-import multiprocessing
 import shutil
-import signal
 import tempfile
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
-from multiprocessing.synchronize import Event
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -32,6 +30,7 @@ from sim_link.lab.mission.processes import check_faults
 from sim_link.lab.mission.results import MissionResult, flight_name, how_flown
 from sim_link.lab.mission.script import Mission
 from sim_link.lab.mission.script_file import flown_config, load_mission
+from sim_link.lab.pool import LOCAL, WorkerLostError, open_pool
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,82 +206,38 @@ def warm_up(tasks: Sequence[FlightTask]) -> None:
 
 
 def fly_all(
-    tasks: Sequence[FlightTask], jobs: int, done: Done, progress: Progress | None = None
+    tasks: Sequence[FlightTask],
+    jobs: int,
+    done: Done,
+    progress: Progress | None = None,
+    backend: str = LOCAL,
 ) -> None:
     """Fly them.
 
     Args:
         jobs: How many at once; 1: in this process.
         done: Told the position of a task and its result, as they come.
-        progress: Told of every slice where there is one job.
+        progress: Told of every slice where flights are flown in this process.
+        backend: See `open_pool`.
 
     Raises:
+        ConfigError: The backend is not there.
         KeyboardInterrupt: Of those that were not over by then nothing is told.
     """
-    if jobs > 1 and len(tasks) > 1:
-        _fly_in_processes(tasks, jobs, done)
-        return
-    for position, task in enumerate(tasks):
-        _tell(done, position, fly_task(task, progress))
-
-
-def _tell(done: Done, position: int, summary: MissionResult) -> None:
-    done(position, summary)
-    if summary.record.is_interrupted:
-        raise KeyboardInterrupt
-
-
-def _fly_in_processes(tasks: Sequence[FlightTask], jobs: int, done: Done) -> None:
-    context = multiprocessing.get_context("spawn")
-    is_over = context.Event()
-    pool = concurrent.futures.ProcessPoolExecutor(
-        min(jobs, len(tasks)), mp_context=context, initializer=_begin_worker, initargs=(is_over,)
-    )
-    waiting = {pool.submit(_fly_in_worker, task): n for n, task in enumerate(tasks)}
+    jobs = min(jobs, len(tasks))
+    is_here = jobs <= 1 and backend == LOCAL
+    fly = partial(fly_task, progress=progress) if is_here else fly_task
+    left = set(range(len(tasks)))
     try:
-        for future in concurrent.futures.as_completed(list(waiting)):
-            position = waiting[future]
-            _tell(done, position, _summary_of_worker(future, tasks[position]))
-            del waiting[future]
-    except KeyboardInterrupt:
-        is_over.set()
-        pool.shutdown(wait=True, cancel_futures=True)
-        for future, position in waiting.items():
-            if not future.cancelled() and future.exception() is None:
-                done(position, future.result())
-        raise
-    finally:
-        is_over.set()
-        pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _summary_of_worker(
-    future: concurrent.futures.Future[MissionResult], task: FlightTask
-) -> MissionResult:
-    try:
-        return future.result()
-    except concurrent.futures.BrokenExecutor:
-        return unflown(task, "a process ended by force; try fewer --jobs")
-
-
-_told_to_stop: list[Event] = []
-"""In a worker: set once the campaign is over."""
-
-
-def _begin_worker(is_over: Event) -> None:
-    """Leave interrupts to the parent, who tells of them."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _told_to_stop.append(is_over)
-
-
-def _fly_in_worker(task: FlightTask) -> MissionResult:
-    _stop_where_told()
-    return fly_task(task, lambda _runner, _situation: _stop_where_told())
-
-
-def _stop_where_told() -> None:
-    if any(is_over.is_set() for is_over in _told_to_stop):
-        raise KeyboardInterrupt
+        with open_pool(backend, jobs) as pool, closing(pool.results(fly, tasks)) as results:
+            for position, result in results:
+                left.discard(position)
+                done(position, result)
+                if result.record.is_interrupted:
+                    raise KeyboardInterrupt
+    except WorkerLostError as error:
+        for position in sorted(left):
+            done(position, unflown(tasks[position], str(error)))
 
 
 def fly_task(task: FlightTask, progress: Progress | None = None) -> MissionResult:

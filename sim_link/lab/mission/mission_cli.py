@@ -37,6 +37,7 @@ from sim_link.lab.mission.conditions import Situation
 from sim_link.lab.mission.mission_report import campaign_lines
 from sim_link.lab.mission.results import MissionResult
 from sim_link.lab.mission.steps import StepRunner
+from sim_link.lab.pool import LOCAL
 
 REFRESH_S = 0.1
 
@@ -307,6 +308,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--repeat", metavar="N", type=int, default=1, help="with so many seeds (default 1)"
     )
     parser.add_argument("--jobs", metavar="J", type=int, default=1, help="so many at once")
+    parser.add_argument(
+        "--backend", metavar="URL", default=LOCAL, help="fly on a cluster: dask://HOST:PORT"
+    )
     parser.add_argument("--junit", metavar="FILE", type=Path, help="write JUnit XML")
     parser.add_argument(
         "--report", metavar="DIR", type=Path, help="write a report and logs of every flight"
@@ -332,7 +336,7 @@ def run(arguments: argparse.Namespace) -> int:
     progress = progress_for(len(tasks), campaign.jobs)
     results: dict[int, MissionResult] = {}
     try:
-        if _is_flown(tasks, campaign.jobs, progress, results):
+        if _is_flown(tasks, arguments, progress, results):
             for line in campaign_lines(_in_order(tasks, results)):
                 progress.say(line)
         else:
@@ -347,7 +351,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _is_flown(
     tasks: Sequence[FlightTask],
-    jobs: int,
+    arguments: argparse.Namespace,
     progress: PlainProgress,
     results: dict[int, MissionResult],
 ) -> bool:
@@ -363,7 +367,7 @@ def _is_flown(
             print("compiling kernels: half a minute the first time")
         warm_up(tasks)
         with progress:
-            fly_all(tasks, jobs, done, progress.moved)
+            fly_all(tasks, arguments.jobs, done, progress.moved, arguments.backend)
     except (KeyboardInterrupt, SystemError) as error:
         if not is_interrupt(error):
             raise
@@ -389,13 +393,19 @@ def _campaign(arguments: argparse.Namespace) -> Campaign:
         raise ConfigError("--autopilot: with --connect the autopilot is whoever answers")
     if arguments.connect is not None and arguments.jobs > 1:
         raise ConfigError("--jobs: with --connect there is one vehicle")
+    speed = _speed(arguments)
+    reports = arguments.report
+    if arguments.backend != LOCAL:
+        if speed is not None:
+            raise ConfigError(f"--backend {arguments.backend}: a cluster flies in lockstep only")
+        reports = None if reports is None else reports.resolve()  # workers are elsewhere
     return Campaign(
         files=arguments.files,
         seeds=range(arguments.seed, arguments.seed + arguments.repeat),
         jobs=arguments.jobs,
         autopilot=arguments.autopilot,
-        reports=arguments.report,
-        speed=_speed(arguments),
+        reports=reports,
+        speed=speed,
         connect=arguments.connect,
     )
 

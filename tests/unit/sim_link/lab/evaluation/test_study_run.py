@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from companion.errors import CompanionError
-from sim_link.lab.evaluation.backends import LocalBackend
 from sim_link.lab.evaluation.campaign import Block, Campaign, tallies_of
 from sim_link.lab.evaluation.filterpy_ekf import EkfCheck
 from sim_link.lab.evaluation.study import Study
@@ -25,6 +24,7 @@ from sim_link.lab.evaluation.study_run import (
     results_of,
     work_of,
 )
+from sim_link.lab.pool import Pool
 
 SWEEP = {
     "parameter": "p_nlos",
@@ -44,18 +44,19 @@ def _planned(*systems: str) -> list[PlannedStudy]:
     return planned([_study(*systems)], RUNS)
 
 
-class _Recorder:
-    """The local backend, with what was asked of it; gives up after some results."""
+class _Recorder(Pool):
+    """This process, with what was asked of it; gives up after some results."""
 
     def __init__(self, gives_up_after: int | None = None) -> None:
+        super().__init__()
         self.asked: list[Task] = []
         self._left = gives_up_after
 
     def results(
         self, work: Callable[[Any], Any], items: Sequence[Any]
-    ) -> Iterator[tuple[int, Any]]:
+    ) -> Generator[tuple[int, Any], None, None]:
         self.asked += items
-        for position, result in LocalBackend(1).results(work, items):
+        for position, result in super().results(work, items):
             if self._left is not None:
                 self._left -= 1
                 if self._left < 0:
@@ -95,7 +96,7 @@ def test_results_are_those_of_the_campaigns(tmp_path: Path) -> None:
     studies = _planned("asymmetric_huber/latched")
     work = work_of(studies, SEED)
     with opened(tmp_path / FILE_NAME) as store:
-        carried_out(work, LocalBackend(1), store, _done)
+        carried_out(work, Pool(), store, _done)
         (result,) = results_of(studies, SEED, store)
     campaigns = [Campaign(cell.case, cell.system, SEED, RUNS) for cell in result.cells]
     for cell, tally in zip(
@@ -137,7 +138,7 @@ def test_the_longest_come_first_and_progress_adds_up(tmp_path: Path) -> None:
 def test_the_check_is_met_and_says_how_well(tmp_path: Path) -> None:
     work = work_of(_planned("ekf/reactive"), SEED)
     with opened(tmp_path / FILE_NAME) as store:
-        carried_out(work, LocalBackend(1), store, _done)
+        carried_out(work, Pool(), store, _done)
         check = checks_of(work, store)["ekf_is_filterpys"]
     assert check["is_met"] is True
     assert 0.0 < float(str(check["largest_difference_m"])) < 1e-9
