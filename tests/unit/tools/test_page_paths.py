@@ -1,0 +1,63 @@
+"""Every path, module and link that a page names is there."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[3]
+ROOTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "sim_link" / "README.md"]
+PAGES = sorted([*ROOTS, *ROOT.glob("docs/*.md")])
+FOLDERS = "companion|sim_link|tests|tools|configs|docs"
+PATH = re.compile(rf"(?<![\w./-])(?:{FOLDERS})/[\w./*{{}},-]*")
+FILE = re.compile(r"(?<![\w./*-])[A-Za-z][\w-]*(?:/[\w-]+)*\.(?:py|sh|toml)\b")
+MODULE = re.compile(r"(?<![\w./-])(?:companion|sim_link)(?:\.[A-Za-z_]\w*)+")
+LINK = re.compile(r"\]\(([^)#:]+)(?:#[^)]*)?\)")
+CONDITION = re.compile(r"\bcompanion\.\w+")
+"""What a mission waits for is called like a module."""
+NO_PATHS = {"companion/doctor"}
+"""What only looks like one: alternatives."""
+OF_USERS = {"test_own.py", "conftest.py", "test_search.py"}
+"""Files that a reader is to make."""
+
+
+def has_path(text: str) -> bool:
+    """Whether it is there, as a pattern with * or {a,b} or as it stands."""
+    choice = re.search(r"\{([^}]*)\}", text)
+    if choice is not None:
+        parts = choice[1].split(",")
+        return all(has_path(text[: choice.start()] + p + text[choice.end() :]) for p in parts)
+    return any(ROOT.glob(text.rstrip("/."))) if "*" in text else (ROOT / text).exists()
+
+
+def has_file(text: str) -> bool:
+    """Whether the end of some path of the product, the tests or the tools is this."""
+    return (ROOT / text).exists() or any(
+        path.match(text)
+        for folder in FOLDERS.split("|")
+        for path in (ROOT / folder).rglob(Path(text).name)
+    )
+
+
+def has_module(text: str) -> bool:
+    """Whether it is a package, a module, or a name that a module defines."""
+    *folders, last = text.split(".")
+    if ROOT.joinpath(*folders, last).is_dir() or ROOT.joinpath(*folders, last + ".py").exists():
+        return True
+    module = ROOT.joinpath(*folders).with_suffix(".py")
+    return module.exists() and re.search(rf"\b{last}\b", module.read_text()) is not None
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_what_a_page_names_is_there(page: Path) -> None:
+    text = page.read_text()
+    if page.name == "missions.md":
+        text = CONDITION.sub("", text)
+    paths = {match.rstrip(".,") for match in PATH.findall(text)} - NO_PATHS
+    missing = [path for path in paths if not has_path(path)]
+    missing += [name for name in set(FILE.findall(text)) - OF_USERS if not has_file(name)]
+    missing += [name for name in set(MODULE.findall(text)) if not has_module(name)]
+    missing += [link for link in LINK.findall(text) if not (page.parent / link.strip()).exists()]
+    assert sorted(set(missing)) == []
