@@ -1,14 +1,12 @@
 """Fuzzed frames and a day of flight: nothing may raise, grow or slow down.
 
-Random frames with a valid checksum, and signature where there is a key, against the companion.
+Random frames have a valid checksum, and a signature where there is a key. Half of the fields are
+random bytes, half are numbers that make more sense and do more harm. They come from the
+autopilot's own ids and address, because nobody else is listened to.
 
-Half of the fields are random bytes, half are numbers that make more sense and do more harm. They
-come from the autopilot's own ids and address, because nobody else is listened to.
-
-A day of flight in minutes: memory, descriptors and queues stay as they are, the log in its cap.
-
-The companion flies and writes its real journal to a real disk; landed by a low battery it would
-end early, so the battery is endless. What grows is measured against invented time.
+In the day of flight, in minutes, the companion flies and writes its real journal to a real disk;
+landed by a low battery it would end early, so the battery is endless. What grows is measured
+against invented time.
 """
 
 from __future__ import annotations
@@ -35,15 +33,17 @@ from companion.mav.framing import frame_crc
 from companion.mav.signing import Signing, timestamp_at
 from sim_link.autopilot.scenario import AutopilotParams, BatteryParams, FlavourName, Scenario
 from sim_link.lab.campaign.flights import (
+    ENDLESS,
     KEY,
     STARTED_UNIX_S,
+    FramesPart,
     Monitored,
+    Part,
     Trial,
     TrialOutcome,
-    findings_of,
+    flavour_of,
     monitored,
     rules_of,
-    trial_seed,
 )
 from sim_link.lab.faults.fault_models import LinkBursts, LinkJitter, LinkLoss, Schedule
 from sim_link.lab.faults.faulty_link import FaultyLink
@@ -134,21 +134,13 @@ class FrameMaker:
         return bytes(payload)
 
 
-class Fuzzing:
+class Fuzzing(FramesPart):
     """The part of the campaign that sends random frames."""
 
     name = "fuzz"
     title = "random frames with valid checksum and signature"
-
-    def trials(self, amount: float, seed: int) -> Sequence[Trial]:
-        """So many frames."""
-        count = -(-round(amount) // FRAMES_PER_TRIAL)
-        size = amount / count / FRAMES_PER_TRIAL
-        return [Trial(self.name, trial_seed(seed, index), size) for index in range(count)]
-
-    def cost(self, trial: Trial) -> float:
-        """Seconds of one core."""
-        return 5.0 * trial.size
+    cost_s = 5.0
+    frames_per_trial = FRAMES_PER_TRIAL
 
     def run(self, trial: Trial) -> TrialOutcome:
         """Feed a companion that begins anew every so often, so that it is in every phase.
@@ -208,9 +200,8 @@ JUDGED = ("I6", "I8", "I9", "I11")
 
 def _fuzzed_flight(seed: int, *, is_signed: bool) -> Monitored:
     flavour: FlavourName = "px4" if seed % 4 < 2 else "ardupilot"
-    config = CompanionConfig(mission=SessionParams(engage="auto", stop_confirm_s=1e6))
     scenario = Scenario(autopilot=AutopilotParams(flavour=flavour))
-    return monitored(config, scenario, seed, is_signed=is_signed)
+    return monitored(ENDLESS, scenario, seed, is_signed=is_signed)
 
 
 def resident_mb() -> float:
@@ -231,19 +222,16 @@ LOG_SLACK = 1.1
 """The file that is being written, and the names of the others."""
 
 
-class Soak:
+class Soak(Part):
     """The part of the campaign that flies for a day."""
 
     name = "soak"
     title = "24 simulated hours: memory, descriptors and log stay bounded"
+    cost_s = 90.0
 
     def trials(self, amount: float, seed: int) -> Sequence[Trial]:
         """One flight of so many hours."""
-        return [Trial(self.name, trial_seed(seed, 0), amount)] if amount else []
-
-    def cost(self, trial: Trial) -> float:
-        """Seconds of one core."""
-        return 90.0 * trial.size
+        return self.numbered_trials(1, seed, amount) if amount else []
 
     def run(self, trial: Trial) -> TrialOutcome:
         """Fly and measure."""
@@ -303,7 +291,7 @@ def _soaked(trial: Trial, directory: Path) -> TrialOutcome:
     journal.close()
     return TrialOutcome(
         trial,
-        (*findings_of(monitor.violations), *usage.findings()),
+        (*map(str, monitor.violations), *usage.findings()),
         sums={"soak_hours": trial.size},
         most={
             "soak_slope_mb_per_h": usage.slope_mb_per_h,
@@ -324,7 +312,7 @@ def slope_after(hours: Sequence[float], values: Sequence[float], since_h: float)
 def _soak_flight(seed: int, directory: Path) -> tuple[Flight, Monitor, FlightJournal]:
     """An endless search over a mediocre link."""
     scenario = Scenario(
-        autopilot=AutopilotParams(flavour="px4" if seed % 2 else "ardupilot"),
+        autopilot=AutopilotParams(flavour=flavour_of(seed)),
         battery=BatteryParams(endurance_s=1e7),
     )
     config = CompanionConfig(mission=SessionParams(engage="auto", stop_confirm_s=1e9))

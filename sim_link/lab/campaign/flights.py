@@ -1,20 +1,12 @@
-"""Trials of a campaign: what one is, the faults drawn for it, and the monitored flight it flies.
-
-What a campaign is made of: trials that can be run alone, and what they found.
-
-Signed flights: a key on both sides, and a companion that remembers across restarts.
-
-Flights as campaigns fly them: with faults, an operator and a monitor.
-
-Random faults, each with figures in a range that a vehicle may meet.
-"""
+"""Trials of a campaign: what one is, the faults drawn for it, and the monitored flight it flies."""
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import msgspec
 import numpy as np
@@ -22,20 +14,22 @@ import numpy as np
 from companion.config.schema import CompanionConfig
 from companion.domain import FlightMode
 from companion.flight_setup import build_endpoint
+from companion.guidance.session_params import SessionParams
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.recorders import Journal
 from companion.mav.signing import ONE_LINK_EACH, LinkSigning, Signing, SigningKey, timestamp_at
 from sim_link.autopilot import incidents
 from sim_link.autopilot.endpoint import SimEndpoint
-from sim_link.autopilot.scenario import Scenario
-from sim_link.lab.faults import fault_models
+from sim_link.autopilot.incidents import FaultRecord
+from sim_link.autopilot.scenario import FlavourName, Scenario
+from sim_link.lab.faults import fault_models as faults
 from sim_link.lab.faults.fault_models import Direction, Fault, RangingField, Schedule
 from sim_link.lab.faults.faulty_link import FaultyLink
 from sim_link.lab.faults.injector import Injector
 from sim_link.lab.lockstep.flight import Flight, MakeCompanion, MemoryJournal
 from sim_link.lab.lockstep.flight_harness import Checkpointing, Operator
 from sim_link.lab.monitor.monitor import Monitor
-from sim_link.lab.monitor.scene import Rules, Violation
+from sim_link.lab.monitor.scene import Rules
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,30 +72,40 @@ class TrialOutcome:
     """What happened, for whoever replays the trial."""
 
 
-class Part(Protocol):
+class Part(ABC):
     """One part of a campaign."""
 
-    name: str
-    title: str
+    name = ""
+    title = ""
+    cost_s = 1.0
+    """About how long a trial of size 1 takes one core; for progress and fair shares."""
 
     def trials(self, amount: float, seed: int) -> Sequence[Trial]:
-        """The trials of so much of it."""
+        """The trials of so much of it; here, so many."""
+        return self.numbered_trials(round(amount), seed)
 
+    def numbered_trials(self, count: int, seed: int, size: float = 1.0) -> list[Trial]:
+        """So many, each with a seed of its own."""
+        return [Trial(self.name, seed * 1_000_000 + index, size) for index in range(count)]
+
+    def cost(self, trial: Trial) -> float:
+        """About how many seconds of one core it takes."""
+        return self.cost_s * trial.size
+
+    @abstractmethod
     def run(self, trial: Trial) -> TrialOutcome:
         """Run one of them."""
 
-    def cost(self, trial: Trial) -> float:
-        """About how many seconds of one core it takes; for progress and fair shares."""
 
+class FramesPart(Part):
+    """A part that is counted in frames, many to a trial."""
 
-def findings_of(violations: Sequence[Violation]) -> tuple[str, ...]:
-    """The violations of a flight as findings."""
-    return tuple(str(violation) for violation in violations)
+    frames_per_trial = 1
 
-
-def trial_seed(seed: int, index: int) -> int:
-    """The seed of the `index`-th trial of a campaign."""
-    return seed * 1_000_000 + index
+    def trials(self, amount: float, seed: int) -> Sequence[Trial]:
+        """So many frames."""
+        count = -(-round(amount) // self.frames_per_trial)
+        return self.numbered_trials(count, seed, amount / count / self.frames_per_trial)
 
 
 KEY = SigningKey(bytes(range(100, 132)))
@@ -170,6 +174,15 @@ def snapshot_of(flight: Flight) -> object:
     )
 
 
+ENDLESS = CompanionConfig(mission=SessionParams(engage="auto", stop_confirm_s=1e6))
+"""A companion that launches by itself and never has enough of its target."""
+
+
+def flavour_of(seed: int) -> FlavourName:
+    """Both autopilots by turns."""
+    return "px4" if seed % 2 else "ardupilot"
+
+
 @dataclass(slots=True)
 class Monitored:
     """A flight and everybody around it."""
@@ -181,6 +194,21 @@ class Monitored:
     monitor: Monitor
     notes: MemoryJournal
     checkpointing: Checkpointing
+
+    def inject(self, *faults: FaultRecord) -> None:
+        """Have faults happen, their times counted from now."""
+        for fault in faults:
+            self.injector.add(fault)
+
+    @property
+    def findings(self) -> list[str]:
+        """The violations so far."""
+        return [str(violation) for violation in self.monitor.violations]
+
+    @property
+    def story(self) -> tuple[str, ...]:
+        """What the companion told the operator."""
+        return tuple(f"{time_s:8.2f} s  {text}" for time_s, text in self.notes.texts)
 
 
 def monitored(
@@ -261,6 +289,10 @@ class Dice:
         """True so often."""
         return float(self._rng.random()) < share
 
+    def flavour(self) -> FlavourName:
+        """Either autopilot."""
+        return "px4" if self.happens(0.5) else "ardupilot"
+
 
 def _jump(dice: Dice) -> Fault:
     heading = dice.number(-math.pi, math.pi)
@@ -280,35 +312,33 @@ def _wind(dice: Dice) -> Fault:
 
 
 DRAWS: tuple[Callable[[Dice], Fault], ...] = (
-    lambda d: fault_models.LinkLoss(share=d.number(0.05, 0.6), direction=d.one(DIRECTIONS)),
-    lambda d: fault_models.LinkBursts(
+    lambda d: faults.LinkLoss(share=d.number(0.05, 0.6), direction=d.one(DIRECTIONS)),
+    lambda d: faults.LinkBursts(
         mean_good_s=d.number(0.3, 3.0), mean_bad_s=d.number(0.05, 1.0), direction=d.one(DIRECTIONS)
     ),
-    lambda d: fault_models.LinkBlackout(direction=d.one(DIRECTIONS)),
-    lambda d: fault_models.LinkDelay(delay_s=d.number(0.02, 0.25), direction=d.one(DIRECTIONS)),
-    lambda d: fault_models.LinkJitter(jitter_s=d.number(0.05, 0.3), direction=d.one(DIRECTIONS)),
-    lambda d: fault_models.LinkDuplicates(share=d.number(0.05, 0.5), copies=d.one((1, 2, 5))),
-    lambda d: fault_models.LinkBitFlips(share=d.number(0.01, 0.3), bits=d.one((1, 2, 8))),
-    lambda d: fault_models.LinkTruncation(share=d.number(0.01, 0.3)),
-    lambda d: fault_models.LinkGarbage(share=d.number(0.05, 0.5)),
-    lambda d: fault_models.LinkRateCap(bits_per_s=d.one((9600.0, 57_600.0, 115_200.0))),
-    lambda d: fault_models.LinkHold(direction=d.one(DIRECTIONS)),
-    lambda d: fault_models.StreamMute(message=d.one(MUTED)),
-    lambda d: fault_models.TelemetryNonsense(share=d.number(0.05, 0.5)),
-    lambda d: fault_models.RangingDropout(missing=d.one(FIELDS)),
-    lambda _: fault_models.RangingFreeze(),
-    lambda d: fault_models.RangingWrongUnit(of=d.one(FIELDS), factor=d.one(UNIT_FACTORS)),
-    lambda d: fault_models.RangingOutliers(
-        share=d.number(0.05, 0.4), excess_m=d.number(10.0, 80.0)
-    ),
-    lambda d: fault_models.RangingStale(age_s=d.number(0.3, 3.0)),
-    lambda d: fault_models.RangingOutOfOrder(window_s=d.number(0.2, 1.0)),
-    lambda d: fault_models.RangingSecondEmitter(
+    lambda d: faults.LinkBlackout(direction=d.one(DIRECTIONS)),
+    lambda d: faults.LinkDelay(delay_s=d.number(0.02, 0.25), direction=d.one(DIRECTIONS)),
+    lambda d: faults.LinkJitter(jitter_s=d.number(0.05, 0.3), direction=d.one(DIRECTIONS)),
+    lambda d: faults.LinkDuplicates(share=d.number(0.05, 0.5), copies=d.one((1, 2, 5))),
+    lambda d: faults.LinkBitFlips(share=d.number(0.01, 0.3), bits=d.one((1, 2, 8))),
+    lambda d: faults.LinkTruncation(share=d.number(0.01, 0.3)),
+    lambda d: faults.LinkGarbage(share=d.number(0.05, 0.5)),
+    lambda d: faults.LinkRateCap(bits_per_s=d.one((9600.0, 57_600.0, 115_200.0))),
+    lambda d: faults.LinkHold(direction=d.one(DIRECTIONS)),
+    lambda d: faults.StreamMute(message=d.one(MUTED)),
+    lambda d: faults.TelemetryNonsense(share=d.number(0.05, 0.5)),
+    lambda d: faults.RangingDropout(missing=d.one(FIELDS)),
+    lambda _: faults.RangingFreeze(),
+    lambda d: faults.RangingWrongUnit(of=d.one(FIELDS), factor=d.one(UNIT_FACTORS)),
+    lambda d: faults.RangingOutliers(share=d.number(0.05, 0.4), excess_m=d.number(10.0, 80.0)),
+    lambda d: faults.RangingStale(age_s=d.number(0.3, 3.0)),
+    lambda d: faults.RangingOutOfOrder(window_s=d.number(0.2, 1.0)),
+    lambda d: faults.RangingSecondEmitter(
         east_m=d.number(-20.0, 110.0),
         north_m=d.number(-20.0, 110.0),
         emitter_id=d.one((None, 0, 9)),
     ),
-    lambda d: fault_models.RangingNan(share=d.number(0.1, 1.0)),
+    lambda d: faults.RangingNan(share=d.number(0.1, 1.0)),
     lambda d: incidents.VehicleReboot(down_s=d.number(0.2, 3.0)),
     _jump,
     lambda d: incidents.EkfPoor(ratio=d.number(1.1, 3.0)),
@@ -318,21 +348,21 @@ DRAWS: tuple[Callable[[Dice], Fault], ...] = (
     lambda d: incidents.OriginShift(east_m=d.number(-12.0, 12.0), north_m=d.number(-12.0, 12.0)),
     lambda d: incidents.PilotMode(mode=d.one(MODES)),
     lambda d: incidents.PilotSticks(forward=d.number(-1.0, 1.0), right=d.number(-1.0, 1.0)),
-    lambda d: fault_models.ModeFlap(mode=d.one(MODES), period_s=d.number(0.3, 3.0)),
+    lambda d: faults.ModeFlap(mode=d.one(MODES), period_s=d.number(0.3, 3.0)),
     lambda d: incidents.Failsafe(mode=d.one((FlightMode.RETURN, FlightMode.LAND))),
-    lambda _: fault_models.Disarm(),
-    lambda d: fault_models.SecondSender(
+    lambda _: faults.Disarm(),
+    lambda d: faults.SecondSender(
         rate_hz=d.number(2.0, 30.0), east_m=d.number(0.0, 40.0), north_m=d.number(0.0, 40.0)
     ),
-    lambda d: fault_models.CompanionKilled(down_s=d.spread(0.2, 10.0)),
-    lambda _: fault_models.CompanionStalled(),
-    lambda _: fault_models.CompanionTerminated(),
-    lambda d: fault_models.ForgedFrames(rate_hz=d.spread(10.0, 500.0)),
-    lambda d: fault_models.ReplayedFrames(rate_hz=d.spread(10.0, 500.0)),
-    lambda d: fault_models.UnsignedFrames(rate_hz=d.spread(10.0, 500.0)),
-    lambda d: fault_models.ForeignFrames(rate_hz=d.spread(10.0, 500.0)),
+    lambda d: faults.CompanionKilled(down_s=d.spread(0.2, 10.0)),
+    lambda _: faults.CompanionStalled(),
+    lambda _: faults.CompanionTerminated(),
+    lambda d: faults.ForgedFrames(rate_hz=d.spread(10.0, 500.0)),
+    lambda d: faults.ReplayedFrames(rate_hz=d.spread(10.0, 500.0)),
+    lambda d: faults.UnsignedFrames(rate_hz=d.spread(10.0, 500.0)),
+    lambda d: faults.ForeignFrames(rate_hz=d.spread(10.0, 500.0)),
 )
-"""One per kind of fault, in the order of `kinds.Fault`."""
+"""One per kind of fault in the order of `Fault`, but for the transmitter, which nobody holds."""
 
 
 def random_fault(rng: np.random.Generator) -> Fault:

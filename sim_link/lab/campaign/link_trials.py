@@ -1,13 +1,8 @@
 """Trials of the link: long losses, stale positions, and floods of frames.
 
-Hours of flight over a bad link: how long the vehicle hears nothing, what is said of the link.
-
-A receiver that counts is all that is needed of the vehicle, so the flight is an endless hold: the
-companion is in control and waits for ranging that never comes, and the vehicle obeys.
-
-How soon the companion holds on a stale position, and declares a link lost that is.
-
-An attacker floods a signed link: nothing that is not proved changes anything.
+For the gaps, a receiver that counts is all that is needed of the vehicle, so the flight is an
+endless hold: the companion is in control and waits for ranging that never comes, and the vehicle
+obeys. The floods are an attacker's on a signed link: nothing that is not proved changes anything.
 """
 
 from __future__ import annotations
@@ -22,32 +17,20 @@ from companion.config.schema import CompanionConfig
 from companion.domain import PositionEnu
 from companion.guidance.session_params import SessionParams
 from companion.mav.dialect import mavlink
-from sim_link.autopilot.scenario import (
-    AutopilotParams,
-    BatteryParams,
-    FlavourName,
-    PayloadParams,
-    Scenario,
-)
+from sim_link.autopilot.incidents import FaultRecord
+from sim_link.autopilot.scenario import AutopilotParams, BatteryParams, PayloadParams, Scenario
 from sim_link.lab.campaign.flights import (
+    ENDLESS,
     Dice,
+    FramesPart,
     Monitored,
+    Part,
     Trial,
     TrialOutcome,
-    findings_of,
+    flavour_of,
     monitored,
-    trial_seed,
 )
-from sim_link.lab.faults.fault_models import (
-    Fault,
-    ForgedFrames,
-    LinkBlackout,
-    LinkLoss,
-    ReplayedFrames,
-    Schedule,
-    StreamMute,
-    UnsignedFrames,
-)
+from sim_link.lab.faults import fault_models as faults
 from sim_link.lab.lockstep.observer import Frame, Observer
 
 SETTLING_S = 30.0
@@ -95,27 +78,22 @@ def pauses_of(gaps: Gaps, share: float) -> list[str]:
     return [f"gap of {gaps.worst_s:.3f} s at {share:.0%} loss"]
 
 
-class GapHours:
+class GapHours(Part):
     """The part of the campaign that flies for hours."""
 
     name = "gaps"
     title = "hours over a link that loses 10, 30 and 50 %"
+    cost_s = 30.0 / PIECE_H
 
     def trials(self, amount: float, seed: int) -> Sequence[Trial]:
         """So many hours at each loss, in quarters of an hour."""
         pieces = max(1, math.ceil(amount / PIECE_H))
-        size = amount / pieces
-        count = len(LOSSES) * pieces
-        return [Trial(self.name, trial_seed(seed, index), size) for index in range(count)]
-
-    def cost(self, trial: Trial) -> float:
-        """Seconds of one core."""
-        return 30.0 * trial.size / PIECE_H
+        return self.numbered_trials(len(LOSSES) * pieces, seed, amount / pieces)
 
     def run(self, trial: Trial) -> TrialOutcome:
         """Fly for a while."""
         share = LOSSES[trial.seed % len(LOSSES)]
-        around, gaps = flown(trial.seed, share, trial.size * HOUR_S)
+        around, gaps = hold_over(trial.seed, share, trial.size * HOUR_S)
         name = f"{share:.0%}".replace("%", "_pct")
         findings = pauses_of(gaps, share)
         if not math.isfinite(around.monitor.fence.closest_m):
@@ -132,11 +110,10 @@ class GapHours:
         )
 
 
-def flown(seed: int, share: float, duration_s: float) -> tuple[Monitored, Gaps]:
+def hold_over(seed: int, share: float, duration_s: float) -> tuple[Monitored, Gaps]:
     """A flight that holds over a link that loses so much, in both directions."""
-    flavour: FlavourName = "px4" if seed % 2 else "ardupilot"
     scenario = Scenario(
-        autopilot=AutopilotParams(flavour=flavour),
+        autopilot=AutopilotParams(flavour=flavour_of(seed)),
         battery=BatteryParams(endurance_s=1e6),
         payload=PayloadParams(max_range_m=0.001),
     )
@@ -144,7 +121,7 @@ def flown(seed: int, share: float, duration_s: float) -> tuple[Monitored, Gaps]:
     around, gaps = monitored(config, scenario, seed), Gaps()
     around.flight.observers.append(gaps)
     around.flight.run(SETTLING_S)
-    around.injector.inject(Schedule(faults=(LinkLoss(share=share),)))
+    around.inject(faults.LinkLoss(share=share))
     around.flight.run(SETTLING_S)
     gaps.is_counting = True
     around.flight.run(duration_s)
@@ -195,46 +172,36 @@ class ReactionWatch(Observer):
             self.lost_s = now_s
 
 
-class Reactions:
+class Reactions(Part):
     """The part of the campaign that cuts at random instants."""
 
     name = "reaction"
     title = "hold within 0.5 s of a stale position, link lost at 1.0 s"
-
-    def trials(self, amount: float, seed: int) -> Sequence[Trial]:
-        """So many cuts."""
-        return [Trial(self.name, trial_seed(seed, index)) for index in range(round(amount))]
-
-    def cost(self, trial: Trial) -> float:  # noqa: ARG002
-        """Seconds of one core."""
-        return 0.5
+    cost_s = 0.5
 
     def run(self, trial: Trial) -> TrialOutcome:
         """Cut, and measure."""
         dice = Dice(np.random.default_rng((trial.seed, 0x2EAC)))
-        flavour: FlavourName = "px4" if dice.happens(0.5) else "ardupilot"
-        config = CompanionConfig(mission=SessionParams(engage="auto", stop_confirm_s=1e6))
-        around = monitored(config, Scenario(autopilot=AutopilotParams(flavour=flavour)), trial.seed)
+        scenario = Scenario(autopilot=AutopilotParams(flavour=dice.flavour()))
+        around = monitored(ENDLESS, scenario, trial.seed)
         flight, watch = around.flight, ReactionWatch()
         flight.observers.append(watch)
         flight.run(REACTION_ENGAGED_S + dice.number(0.0, 10.0))
         is_mute = dice.happens(0.5)
-        fault = StreamMute(duration_s=BLIND_S) if is_mute else LinkBlackout(duration_s=BLIND_S)
-        around.injector.inject(Schedule(faults=(fault,)))
+        cut = faults.StreamMute if is_mute else faults.LinkBlackout
+        around.inject(cut(duration_s=BLIND_S))
         watch.lost_s = None
         flight.run(BLIND_S - TICK_S)
         hold_s = max(0.0, watch.moved_s - watch.position_s)
-        findings = list(findings_of(around.monitor.violations))
+        findings = around.findings
         most = {"hold_after_stale_s": hold_s}
         if hold_s > STALE_S + TICK_S:
             findings.append(f"moved {hold_s:.3f} s after the last position")
         if not is_mute:
             lost_s = flight.now_s if watch.lost_s is None else watch.lost_s
-            most["link_lost_s"] = lost_s - watch.heard_s
-            if not LOST_S <= most["link_lost_s"] <= LOST_S + 2.0 * TICK_S:
-                findings.append(
-                    f"link declared lost {most['link_lost_s']:.3f} s after silence began"
-                )
+            silent_s = most["link_lost_s"] = lost_s - watch.heard_s
+            if not LOST_S <= silent_s <= LOST_S + 2.0 * TICK_S:
+                findings.append(f"link declared lost {silent_s:.3f} s after silence began")
         return TrialOutcome(trial, tuple(findings), sums={"cuts": 1.0}, most=most)
 
 
@@ -274,17 +241,13 @@ class Output(Observer):
         self.slowest_s = max(self.slowest_s, time.thread_time() - self._began_s)
 
 
-class Floods:
+class Floods(FramesPart):
     """The part of the campaign that forges, replays and leaves signatures out."""
 
     name = "forged"
     title = "forged, replayed and unsigned frames at 20,000 a second beside genuine traffic"
-
-    def trials(self, amount: float, seed: int) -> Sequence[Trial]:
-        """So many frames."""
-        count = -(-round(amount) // FRAMES_PER_TRIAL)
-        size = amount / count / FRAMES_PER_TRIAL
-        return [Trial(self.name, trial_seed(seed, index), size) for index in range(count)]
+    frames_per_trial = FRAMES_PER_TRIAL
+    KINDS = (faults.ForgedFrames, faults.ReplayedFrames, faults.UnsignedFrames)
 
     def cost(self, trial: Trial) -> float:
         """Seconds of one core."""
@@ -293,15 +256,11 @@ class Floods:
     def run(self, trial: Trial) -> TrialOutcome:
         """Fly twice, once in peace; what is sent must be the same, byte for byte."""
         duration_s = trial.size * FRAMES_PER_TRIAL / RATE_HZ
-        kinds: tuple[Fault, ...] = (
-            ForgedFrames(rate_hz=RATE_HZ, duration_s=duration_s),
-            ReplayedFrames(rate_hz=RATE_HZ, duration_s=duration_s),
-            UnsignedFrames(rate_hz=RATE_HZ, duration_s=duration_s),
-        )
-        fault = kinds[trial.seed % len(kinds)]
-        attacked, output = _flown(trial.seed, fault, duration_s)
-        _, peace = _flown(trial.seed, None, duration_s)
-        findings = list(findings_of(attacked.monitor.violations))
+        kind = self.KINDS[trial.seed % len(self.KINDS)]
+        fault = kind(rate_hz=RATE_HZ, duration_s=duration_s)
+        attacked, output = _fly(trial.seed, fault, duration_s)
+        _, peace = _fly(trial.seed, None, duration_s)
+        findings = attacked.findings
         if output.acts != peace.acts:
             findings.append("the companion sent something else under attack")
         if output.slowest_s > SLOWEST_FRAME_S:
@@ -314,14 +273,12 @@ class Floods:
         )
 
 
-def _flown(seed: int, fault: Fault | None, duration_s: float) -> tuple[Monitored, Output]:
-    flavour: FlavourName = "px4" if seed % 2 else "ardupilot"
-    config = CompanionConfig(mission=SessionParams(engage="auto", stop_confirm_s=1e6))
-    scenario = Scenario(autopilot=AutopilotParams(flavour=flavour))
-    around, output = monitored(config, scenario, seed, is_signed=True, is_spoofing=False), Output()
+def _fly(seed: int, fault: FaultRecord | None, duration_s: float) -> tuple[Monitored, Output]:
+    scenario = Scenario(autopilot=AutopilotParams(flavour=flavour_of(seed)))
+    around, output = monitored(ENDLESS, scenario, seed, is_signed=True, is_spoofing=False), Output()
     around.flight.observers.append(output)
     around.flight.run(FLOOD_ENGAGED_S)
     if fault is not None:
-        around.injector.inject(Schedule(faults=(fault,)))
+        around.inject(fault)
     around.flight.run(duration_s + 1.0)
     return around, output

@@ -1,12 +1,8 @@
-"""Trials of the process: kills, stops, damaged checkpoints and signals.
+"""Trials of the process: kills, stops, damaged checkpoints and signals at random instants.
 
-The process is killed or told to stop at random instants, and its checkpoints are damaged.
-
-Signals to real processes: SIGTERM and SIGKILL at random instants of a flight over UDP.
-
-The same as `kill` and `stop`, which fly in lockstep, with everything between: interpreter, event
-loop, sockets, files. What the companion did is read from its event log, what became of the vehicle
-from the simulator's own report.
+Kills and stops fly in lockstep; the signals, SIGTERM and SIGKILL, reach real processes over UDP,
+with everything between: interpreter, event loop, sockets, files. There, what the companion did is
+read from its event log, what became of the vehicle from the simulator's own report.
 """
 
 from __future__ import annotations
@@ -25,21 +21,19 @@ from typing import Any
 import numpy as np
 import yaml
 
-from companion.config.schema import CompanionConfig
 from companion.demo.simulator_process import free_udp_port
 from companion.domain import FlightMode
 from companion.errors import CompanionError
-from companion.guidance.session_params import SessionParams
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.lab.campaign.flights import (
+    ENDLESS,
     Dice,
     Monitored,
+    Part,
     Trial,
     TrialOutcome,
-    findings_of,
     monitored,
-    trial_seed,
 )
 from sim_link.lab.lockstep.flight_harness import MemoryStore
 from sim_link.lab.lockstep.observer import Frame, Observer
@@ -75,26 +69,15 @@ class Taking(Observer):
 def flight_of(seed: int) -> tuple[Monitored, Dice]:
     """A flight with checkpoints, either autopilot, launched by the companion."""
     dice = Dice(np.random.default_rng((seed, 0x1C7)))
-    flavour: FlavourName = "px4" if dice.happens(0.5) else "ardupilot"
-    scenario = Scenario(autopilot=AutopilotParams(flavour=flavour))
-    config = CompanionConfig(mission=SessionParams(engage="auto", stop_confirm_s=1e6))
-    around = monitored(config, scenario, seed)
-    return around, dice
+    scenario = Scenario(autopilot=AutopilotParams(flavour=dice.flavour()))
+    return monitored(ENDLESS, scenario, seed), dice
 
 
-class Kills:
+class Kills(Part):
     """The part of the campaign that kills, damages and starts again."""
 
     name = "kill"
     title = "SIGKILL at random instants, checkpoints cut or flipped at every byte"
-
-    def trials(self, amount: float, seed: int) -> Sequence[Trial]:
-        """So many kills."""
-        return [Trial(self.name, trial_seed(seed, index)) for index in range(round(amount))]
-
-    def cost(self, trial: Trial) -> float:  # noqa: ARG002
-        """Seconds of one core."""
-        return 1.0
 
     def run(self, trial: Trial) -> TrialOutcome:
         """Kill, damage, start again, and watch who engages."""
@@ -111,14 +94,14 @@ class Kills:
         flight.observers.append(taking)
         flight.start_companion()
         flight.run(KILL_AFTER_S)
-        findings = list(findings_of(around.monitor.violations))
+        findings = around.findings
         if is_flying and taking.taken:
             findings.append(f"took the vehicle by itself after a restart ({taking.taken} requests)")
         return TrialOutcome(
             trial,
             tuple(findings + starts),
             sums={"kills": 1.0, "damaged_checkpoints": float(len(damaged))},
-            story=tuple(f"{t:8.2f} s  {text}" for t, text in around.notes.texts),
+            story=around.story,
         )
 
     def _starts(self, store: MemoryStore, damaged: list[dict[int, bytes]]) -> list[str]:
@@ -157,19 +140,12 @@ def damages(store: MemoryStore, seed: int) -> list[dict[int, bytes]]:
     return damaged
 
 
-class Stops:
+class Stops(Part):
     """The part of the campaign that tells the process to stop."""
 
     name = "stop"
     title = "SIGTERM at random instants: hold confirmed in 1 s, gone in 2 s"
-
-    def trials(self, amount: float, seed: int) -> Sequence[Trial]:
-        """So many stops."""
-        return [Trial(self.name, trial_seed(seed, index)) for index in range(round(amount))]
-
-    def cost(self, trial: Trial) -> float:  # noqa: ARG002
-        """Seconds of one core."""
-        return 0.8
+    cost_s = 0.8
 
     def run(self, trial: Trial) -> TrialOutcome:
         """Stop, and watch the mode and the process."""
@@ -186,7 +162,7 @@ class Stops:
             if gone_s is None and not flight.is_companion_up:
                 gone_s = flight.now_s - stopped_s
             flight.step()
-        findings = list(findings_of(around.monitor.violations))
+        findings = around.findings
         if was_ours and (hold_s is None or hold_s > HOLD_S):
             findings.append(f"hold not confirmed within {HOLD_S:g} s of a stop")
         if gone_s is None or gone_s > EXIT_S:
@@ -199,7 +175,7 @@ class Stops:
                 "stop_hold_s": hold_s or 0.0 if was_ours else 0.0,
                 "stop_exit_s": gone_s if gone_s is not None else EXIT_S + 1.0,
             },
-            story=tuple(f"{t:8.2f} s  {text}" for t, text in around.notes.texts),
+            story=around.story,
         )
 
 
@@ -214,22 +190,15 @@ START_S = 60.0
 """Real time that a process may take to start on a busy machine."""
 
 
-class Signals:
+class Signals(Part):
     """The part of the campaign that signals real processes."""
 
     name = "signal"
     title = "real processes: SIGTERM and SIGKILL at random instants, and started again"
-
-    def trials(self, amount: float, seed: int) -> Sequence[Trial]:
-        """So many signals, of both kinds by turns."""
-        return [Trial(self.name, trial_seed(seed, index)) for index in range(round(amount))]
-
-    def cost(self, trial: Trial) -> float:  # noqa: ARG002
-        """Seconds of one core."""
-        return 12.0
+    cost_s = 12.0
 
     def run(self, trial: Trial) -> TrialOutcome:
-        """Fly, signal, and read what was left; a size below 1 signals earlier."""
+        """Fly, signal, and read what was left; a size below 1 signals earlier, of both by turns."""
         dice = Dice(np.random.default_rng((trial.seed, 0x516)))
         flavour = dice.one(FLAVOURS)
         instant_s = dice.number(

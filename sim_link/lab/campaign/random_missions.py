@@ -1,12 +1,8 @@
-"""Random missions with faults, and pilot overrides at random instants.
+"""Random missions with one to four faults each, and pilot overrides at random instants.
 
-Where random missions are flown: fences of several shapes, with keep-outs and emitters.
-
-A random mission: place, vehicle, weather, link, companion, faults and people, from one seed.
-
-Random missions with one to four faults each, every invariant watched.
-
-The pilot takes over at a random instant: nothing may follow the frame that shows it.
+A random mission is place, vehicle, weather, link, companion, faults and people, all from one seed;
+its fence has one of several shapes, some with keep-outs. After an override nothing may follow the
+frame that shows it.
 """
 
 from __future__ import annotations
@@ -31,14 +27,15 @@ from companion.link.binding import VehicleParams as CompanionVehicle
 from sim_link.autopilot.incidents import PilotMode
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.lab.campaign.flights import (
+    ENDLESS,
+    MODES,
     Dice,
     Monitored,
+    Part,
     Trial,
     TrialOutcome,
-    findings_of,
     monitored,
     random_fault,
-    trial_seed,
 )
 from sim_link.lab.faults.fault_models import (
     Fault,
@@ -161,7 +158,7 @@ def mission_case(seed: int) -> MissionCase:
     rng = np.random.default_rng((seed, 0xF11))
     dice = Dice(rng)
     place = dice.one(PLACES)
-    flavour: FlavourName = "px4" if dice.happens(0.5) else "ardupilot"
+    flavour = dice.flavour()
     scenario = _scenario(dice, place, emitter_of(place, rng), flavour)
     is_operated = dice.happens(OPERATED_SHARE)
     config = _config(dice, place, is_operated=is_operated)
@@ -230,25 +227,34 @@ SAID = 400
 """Characters of the story's texts."""
 
 
-class Missions:
+class Missions(Part):
     """The part of the campaign that flies missions."""
 
     name = "missions"
     title = "random missions with 1 to 4 faults"
-
-    def trials(self, amount: float, seed: int) -> Sequence[Trial]:
-        """So many missions."""
-        return [Trial(self.name, trial_seed(seed, index)) for index in range(round(amount))]
-
-    def cost(self, trial: Trial) -> float:  # noqa: ARG002
-        """Seconds of one core."""
-        return 0.8
+    cost_s = 0.8
 
     def run(self, trial: Trial) -> TrialOutcome:
         """Fly one."""
         case = mission_case(trial.seed)
-        flown = fly(case)
-        return outcome_of(trial, case, flown)
+        around = fly(case)
+        monitor = around.monitor
+        closest_m = monitor.fence.closest_m
+        lines = [str(case), *(f"fault {fields_of(fault)}" for fault in case.schedule.faults)]
+        return TrialOutcome(
+            trial,
+            tuple(around.findings),
+            sums={
+                "missions": 1.0,
+                "fence_breaches": float(monitor.fence.breaches),
+                "mission_hours": around.flight.now_s / 3600.0,
+                "localised": float(bool(around.notes.results)),
+                "engaged": float(math.isfinite(closest_m)),
+            },
+            most={"send_gap_s": monitor.stream.worst_gap_s},
+            least={"closest_approach_m": closest_m} if math.isfinite(closest_m) else {},
+            story=(*lines, *(line[:SAID] for line in around.story)),
+        )
 
 
 def fly(case: MissionCase) -> Monitored:
@@ -291,35 +297,7 @@ def _give_again(around: Monitored) -> None:
     flight.at(flight.now_s + 3.0, lambda: around.operator.choose(FlightMode.OFFBOARD))
 
 
-def outcome_of(trial: Trial, case: MissionCase, flown: Monitored) -> TrialOutcome:
-    """What a mission found."""
-    monitor, flight = flown.monitor, flown.flight
-    closest = monitor.fence.closest_m
-    return TrialOutcome(
-        trial,
-        findings_of(monitor.violations),
-        sums={
-            "missions": 1.0,
-            "fence_breaches": float(monitor.fence.breaches),
-            "mission_hours": flight.now_s / 3600.0,
-            "localised": float(bool(flown.notes.results)),
-            "engaged": float(math.isfinite(closest)),
-        },
-        most={"send_gap_s": monitor.stream.worst_gap_s},
-        least={"closest_approach_m": closest} if math.isfinite(closest) else {},
-        story=_story(case, flown),
-    )
-
-
-def _story(case: MissionCase, flown: Monitored) -> tuple[str, ...]:
-    lines = [str(case)]
-    lines += [f"fault {fields_of(fault)}" for fault in case.schedule.faults]
-    lines += [f"{time_s:8.2f} s  {text}"[:SAID] for time_s, text in flown.notes.texts]
-    return tuple(lines)
-
-
 LOSSES = (0.0, 0.1, 0.3)
-MODES = (FlightMode.HOLD, FlightMode.RETURN, FlightMode.LAND)
 BEFORE_S, OVER_S, AFTER_S = 14.0, 12.0, 4.0
 """Boot and take-off; the time in which the pilot acts; how long silence is watched."""
 AGAIN = 10
@@ -327,59 +305,45 @@ AGAIN = 10
 GIVE_BACK_S = 3.0
 
 
-class Overrides:
+class Overrides(Part):
     """The part of the campaign that takes over."""
 
     name = "override"
     title = "pilot take-overs at random instants, 0, 10 and 30 % loss"
+    cost_s = 1.5
 
     def trials(self, amount: float, seed: int) -> Sequence[Trial]:
         """So many take-overs, ten in a flight."""
-        return [Trial(self.name, trial_seed(seed, i)) for i in range(-(-round(amount) // AGAIN))]
-
-    def cost(self, trial: Trial) -> float:  # noqa: ARG002
-        """Seconds of one core."""
-        return 1.5
+        return self.numbered_trials(-(-round(amount) // AGAIN), seed)
 
     def run(self, trial: Trial) -> TrialOutcome:
         """Ten take-overs in one flight."""
-        rng = np.random.default_rng((trial.seed, 0x0E7))
-        dice = Dice(rng)
-        around = _flight(trial.seed, dice)
+        dice = Dice(np.random.default_rng((trial.seed, 0x0E7)))
+        scenario = Scenario(autopilot=AutopilotParams(flavour=dice.flavour()))
+        around = monitored(ENDLESS, scenario, trial.seed)
         flight = around.flight
+        share = dice.one(LOSSES)
+        if share:
+            around.inject(LinkLoss(share=share))
+        if dice.happens(0.3):
+            around.inject(LinkJitter(jitter_s=0.15))
         flight.run(BEFORE_S)
-        shown = 0
+        taken = 0
         for _ in range(AGAIN):
             if not _give_back(around):
                 continue
             flight.run(dice.number(0.0, OVER_S / AGAIN * 2.0))
-            mode = dice.one(MODES)
-            around.injector.inject(Schedule(faults=(PilotMode(mode=mode),)))
+            around.inject(PilotMode(mode=dice.one(MODES)))
             flight.run(AFTER_S)
-            shown += 1
-        late = around.monitor.authority.late
+            taken += 1
+        authority = around.monitor.authority
         return TrialOutcome(
             trial,
-            findings_of(around.monitor.violations),
-            sums={"overrides": float(shown), "override_late_frames": float(late)},
-            most={"override_worst_late_s": around.monitor.authority.worst_late_s},
-            story=tuple(f"{t:8.2f} s  {text}" for t, text in around.notes.texts),
+            tuple(around.findings),
+            sums={"overrides": float(taken), "override_late_frames": float(authority.late)},
+            most={"override_worst_late_s": authority.worst_late_s},
+            story=around.story,
         )
-
-
-def _flight(seed: int, dice: Dice) -> Monitored:
-    flavour: FlavourName = "px4" if dice.happens(0.5) else "ardupilot"
-    scenario = Scenario(autopilot=AutopilotParams(flavour=flavour))
-    mission = SessionParams(engage="auto", stop_confirm_s=1e6)
-    around = monitored(CompanionConfig(mission=mission), scenario, seed)
-    faults: list[Fault] = []
-    share = dice.one(LOSSES)
-    if share:
-        faults.append(LinkLoss(share=share))
-    if dice.happens(0.3):
-        faults.append(LinkJitter(jitter_s=0.15))
-    around.injector.inject(Schedule(faults=tuple(faults)))
-    return around
 
 
 def _give_back(around: Monitored) -> bool:

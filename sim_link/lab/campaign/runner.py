@@ -1,11 +1,4 @@
-"""The campaign as a whole: its parts, the processes that run them, and the verdict on all.
-
-All parts of a campaign, and how much of each the three sizes run.
-
-Runs trials on several processes, and adds up what they found.
-
-What no single trial can judge, and the report of a campaign.
-"""
+"""The campaign as a whole: its parts, the processes that run them, and the verdict on all."""
 
 from __future__ import annotations
 
@@ -42,57 +35,25 @@ ALL: tuple[Part, ...] = (
 )
 PARTS: Mapping[str, Part] = {part.name: part for part in ALL}
 
-AMOUNTS: Mapping[str, Mapping[str, float]] = {
-    "sample": {
-        "missions": 12,
-        "override": 20,
-        "gaps": 0.01,
-        "kill": 6,
-        "stop": 6,
-        "signal": 2,
-        "forged": 10_000,
-        "fuzz": 5_000,
-        "reaction": 6,
-        "soak": 0.02,
-    },
-    "ci": {
-        "missions": 500,
-        "override": 2000,
-        "gaps": 0.1,
-        "kill": 200,
-        "stop": 200,
-        "signal": 20,
-        "forged": 1_000_000,
-        "fuzz": 1_000_000,
-        "reaction": 100,
-        "soak": 0.2,
-    },
-    "long": {
-        "missions": 3000,
-        "override": 2000,
-        "gaps": 10.0,
-        "kill": 400,
-        "stop": 400,
-        "signal": 200,
-        "forged": 10_000_000,
-        "fuzz": 10_000_000,
-        "reaction": 500,
-        "soak": 24.0,
-    },
-    "release": {
-        "missions": 10_000,
-        "override": 4000,
-        "gaps": 10.0,
-        "kill": 1000,
-        "stop": 1000,
-        "signal": 400,
-        "forged": 10_000_000,
-        "fuzz": 100_000_000,
-        "reaction": 2000,
-        "soak": 24.0,
-    },
+SIZES = ("sample", "ci", "long", "release")
+AMOUNTS_BY_PART: Mapping[str, tuple[float, float, float, float]] = {
+    "missions": (12, 500, 3000, 10_000),
+    "override": (20, 2000, 2000, 4000),
+    "gaps": (0.01, 0.1, 10.0, 10.0),
+    "kill": (6, 200, 400, 1000),
+    "stop": (6, 200, 400, 1000),
+    "signal": (2, 20, 200, 400),
+    "forged": (10_000, 1_000_000, 10_000_000, 10_000_000),
+    "fuzz": (5_000, 1_000_000, 10_000_000, 100_000_000),
+    "reaction": (6, 100, 500, 2000),
+    "soak": (0.02, 0.2, 24.0, 24.0),
 }
-"""Missions; take-overs; hours at each loss; kills; stops; signals; frames; cuts; hours."""
+"""Of each part in a campaign of each size: missions; take-overs; hours at each loss; kills; stops;
+signals; frames; cuts; hours."""
+AMOUNTS: Mapping[str, Mapping[str, float]] = {
+    size: {name: amounts[index] for name, amounts in AMOUNTS_BY_PART.items()}
+    for index, size in enumerate(SIZES)
+}
 
 
 def trials_of(size: str, seed: int, only: Sequence[str] = ()) -> list[Trial]:

@@ -42,7 +42,7 @@ def test_a_short_trial_of_every_part_finds_nothing(name: str) -> None:
 def test_random_missions_meet_every_fault_autopilot_and_planner() -> None:
     cases = [mission_case(seed) for seed in range(400)]
     kinds = {f.__struct_config__.tag for case in cases for f in case.schedule.faults}
-    assert kinds == set(KINDS)
+    assert kinds == set(KINDS) - {"rc_loss"}  # nobody holds a transmitter
     assert {case.scenario.autopilot.flavour for case in cases} == {"px4", "ardupilot"}
     assert len({case.config.planner.kind for case in cases}) == 6
     assert {len(case.schedule.faults) - 2 for case in cases} == set(range(1, MOST_FAULTS + 1))

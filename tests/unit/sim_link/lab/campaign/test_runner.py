@@ -11,7 +11,7 @@ import pytest
 from companion.errors import ConfigError
 from sim_link.lab.campaign import runner
 from sim_link.lab.campaign import runner as parts
-from sim_link.lab.campaign.flights import Trial, TrialOutcome
+from sim_link.lab.campaign.flights import Part, Trial, TrialOutcome
 from sim_link.lab.campaign.runner import (
     AMOUNTS,
     PARTS,
@@ -26,7 +26,7 @@ from sim_link.lab.campaign.runner import (
 )
 
 
-class Dice:
+class Dice(Part):
     """A part whose trial n fails for every fifth n, and breaks at 7."""
 
     name = "dice"
@@ -34,9 +34,6 @@ class Dice:
 
     def trials(self, amount: float, seed: int) -> Sequence[Trial]:
         return [Trial(self.name, seed + i) for i in range(round(amount))]
-
-    def cost(self, trial: Trial) -> float:  # noqa: ARG002
-        return 1.0
 
     def run(self, trial: Trial) -> TrialOutcome:
         if trial.seed == 7:
