@@ -10,8 +10,6 @@ only, and two of the same give the same bytes.
 The companion is treated as the process that it is: it may be killed, started anew, told to stop,
 and suspended. A suspended one gets what its socket held, in order, when it goes on; the socket
 holds no more than Linux gives it by default, and drops the rest.
-
-The companion's journal: in memory, and watched.
 """
 
 from __future__ import annotations

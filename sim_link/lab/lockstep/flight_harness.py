@@ -1,11 +1,8 @@
 """What stands beside a flight in lockstep: the operator, and the checkpoints of its process.
 
-The people around a flight: whoever arms, takes off, switches modes and grants control.
-
-Checkpoints of a companion in lockstep: as a process keeps them, in memory, on invented time.
-
-What is kept are the bytes that would be on disk, so that a test can damage them between a kill and
-the next start.
+The operator is whoever arms, takes off, switches modes and grants control. Checkpoints are kept in
+memory, as the bytes that would be on disk, so that a test can damage them between a kill and the
+next start.
 """
 
 from __future__ import annotations

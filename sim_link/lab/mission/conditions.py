@@ -6,10 +6,9 @@ The tree is translated, once and with types, into closures over a `Situation`. W
 neither true nor false (Kleene's logic): `and` with something false is false, `or` with something
 true is true, everything else with an unknown is unknown, and an unknown condition does not hold.
 
-What is known of a flight at a moment, and what a condition may ask about it.
-
-The runner in memory and the one of real processes fill in the same record, so that a script means
-the same in both. What is not known (yet) is None.
+A `Situation` is what is known of a flight at a moment; what is not known (yet) is None. The runner
+in memory and the one of real processes fill in the same one, so that a script means the same in
+both. What is said of its fields is what documentation and errors say of them.
 """
 
 from __future__ import annotations
@@ -19,81 +18,13 @@ import difflib
 import math
 import operator
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any
+from typing import Annotated, Any, get_args, get_type_hints
 
 from companion.domain import EstimateState, FlightMode, LandedState, WaypointReason
 from companion.guidance.authority.state_machine import Phase
-
-
-@dataclass(slots=True)
-class VehicleSeen:
-    """The vehicle, as the operator's telemetry shows it."""
-
-    mode: str | None = None
-    is_armed: bool | None = None
-    is_ready: bool | None = None
-    is_failsafe: bool | None = None
-    landed: str | None = None
-    height_m: float | None = None
-    east_m: float | None = None
-    north_m: float | None = None
-    speed_mps: float | None = None
-    climb_mps: float | None = None
-    home_distance_m: float | None = None
-    distance_m: float | None = None
-    battery: float | None = None
-    has_fix: bool | None = None
-
-
-@dataclass(slots=True)
-class CompanionSeen:
-    """The companion, as its event log shows it."""
-
-    phase: str | None = None
-    is_in_control: bool | None = None
-    waypoint: str | None = None
-    measurements: int = 0
-    refused: int = 0
-    ranging_age_s: float | None = None
-    reported: int = 0
-    violations: int = 0
-
-
-@dataclass(slots=True)
-class EstimateSeen:
-    """The companion's estimate of the target that it looks for now."""
-
-    emitter: int | None = None
-    state: str | None = None
-    r95_m: float | None = None
-    east_m: float | None = None
-    north_m: float | None = None
-    error_m: float | None = None
-    range_offset_m: float | None = None
-    bearing_offset_deg: float | None = None
-
-
-@dataclass(slots=True)
-class MissionSeen:
-    """The mission itself."""
-
-    time_s: float = 0.0
-    step_time_s: float = 0.0
-
-
-@dataclass(slots=True)
-class Situation:
-    """Everything that a condition may ask about."""
-
-    vehicle: VehicleSeen = field(default_factory=VehicleSeen)
-    companion: CompanionSeen = field(default_factory=CompanionSeen)
-    estimate: EstimateSeen = field(default_factory=EstimateSeen)
-    mission: MissionSeen = field(default_factory=MissionSeen)
-    companion_texts: list[str] = field(default_factory=list)
-    autopilot_texts: list[str] = field(default_factory=list)
 
 
 class Kind(Enum):
@@ -114,55 +45,94 @@ class FieldInfo:
     """What a word may be."""
 
 
-def _number(what: str) -> FieldInfo:
-    return FieldInfo(Kind.NUMBER, what)
-
-
-def _truth(what: str) -> FieldInfo:
-    return FieldInfo(Kind.TRUTH, what)
-
-
 def _word(what: str, words: type[Enum]) -> FieldInfo:
     names = tuple(str(w.value if isinstance(w.value, str) else w.name.lower()) for w in words)
     return FieldInfo(Kind.WORD, what, names)
 
 
-FIELDS: dict[str, FieldInfo] = {
-    "vehicle.mode": _word("the autopilot's flight mode", FlightMode),
-    "vehicle.is_armed": _truth("whether the motors may turn"),
-    "vehicle.is_ready": _truth("whether it can be armed, or is"),
-    "vehicle.is_failsafe": _truth("whether the autopilot shows a failsafe"),
-    "vehicle.landed": _word("where it says it is", LandedState),
-    "vehicle.height_m": _number("above home"),
-    "vehicle.east_m": _number("of the local origin"),
-    "vehicle.north_m": _number("of the local origin"),
-    "vehicle.speed_mps": _number("horizontal"),
-    "vehicle.climb_mps": _number("upwards"),
-    "vehicle.home_distance_m": _number("horizontal"),
-    "vehicle.distance_m": _number("flown so far"),
-    "vehicle.battery": _number("charge, 0 to 1"),
-    "vehicle.has_fix": _truth("whether the satellites give a position"),
-    "companion.phase": _word("who flies, see flying.md", Phase),
-    "companion.is_in_control": _truth("whether the vehicle obeys its setpoints"),
-    "companion.waypoint": _word("why it flies where it flies", WaypointReason),
-    "companion.measurements": _number("ranging measurements used"),
-    "companion.refused": _number("ranging measurements refused"),
-    "companion.ranging_age_s": _number("since the last measurement that was used"),
-    "companion.reported": _number("targets reported"),
-    "companion.violations": _number(
-        "of the invariants, so far; with real processes 0 until the end"
-    ),
-    "estimate.emitter": _number("id of the emitter that is looked for now"),
-    "estimate.state": _word("how much is known", EstimateState),
-    "estimate.r95_m": _number("radius that holds the target with 95 % probability"),
-    "estimate.east_m": _number("of the local origin"),
-    "estimate.north_m": _number("of the local origin"),
-    "estimate.error_m": _number("distance from the true emitter"),
-    "estimate.range_offset_m": _number("as estimated"),
-    "estimate.bearing_offset_deg": _number("as estimated, counter-clockwise positive"),
-    "mission.time_s": _number("since the mission began"),
-    "mission.step_time_s": _number("since this step began"),
-}
+Number = float | None
+Truth = bool | None
+Word = str | None
+
+
+@dataclass(slots=True)
+class VehicleSeen:
+    """The vehicle, as the operator's telemetry shows it."""
+
+    mode: Annotated[Word, _word("the autopilot's flight mode", FlightMode)] = None
+    is_armed: Annotated[Truth, "whether the motors may turn"] = None
+    is_ready: Annotated[Truth, "whether it can be armed, or is"] = None
+    is_failsafe: Annotated[Truth, "whether the autopilot shows a failsafe"] = None
+    landed: Annotated[Word, _word("where it says it is", LandedState)] = None
+    height_m: Annotated[Number, "above home"] = None
+    east_m: Annotated[Number, "of the local origin"] = None
+    north_m: Annotated[Number, "of the local origin"] = None
+    speed_mps: Annotated[Number, "horizontal"] = None
+    climb_mps: Annotated[Number, "upwards"] = None
+    home_distance_m: Annotated[Number, "horizontal"] = None
+    distance_m: Annotated[Number, "flown so far"] = None
+    battery: Annotated[Number, "charge, 0 to 1"] = None
+    has_fix: Annotated[Truth, "whether the satellites give a position"] = None
+
+
+@dataclass(slots=True)
+class CompanionSeen:
+    """The companion, as its event log shows it."""
+
+    phase: Annotated[Word, _word("who flies, see flying.md", Phase)] = None
+    is_in_control: Annotated[Truth, "whether the vehicle obeys its setpoints"] = None
+    waypoint: Annotated[Word, _word("why it flies where it flies", WaypointReason)] = None
+    measurements: Annotated[int, "ranging measurements used"] = 0
+    refused: Annotated[int, "ranging measurements refused"] = 0
+    ranging_age_s: Annotated[Number, "since the last measurement that was used"] = None
+    reported: Annotated[int, "targets reported"] = 0
+    violations: Annotated[int, "of the invariants, so far; with real processes 0 until the end"] = 0
+
+
+@dataclass(slots=True)
+class EstimateSeen:
+    """The companion's estimate of the target that it looks for now."""
+
+    emitter: Annotated[int | None, "id of the emitter that is looked for now"] = None
+    state: Annotated[Word, _word("how much is known", EstimateState)] = None
+    r95_m: Annotated[Number, "radius that holds the target with 95 % probability"] = None
+    east_m: Annotated[Number, "of the local origin"] = None
+    north_m: Annotated[Number, "of the local origin"] = None
+    error_m: Annotated[Number, "distance from the true emitter"] = None
+    range_offset_m: Annotated[Number, "as estimated"] = None
+    bearing_offset_deg: Annotated[Number, "as estimated, counter-clockwise positive"] = None
+
+
+@dataclass(slots=True)
+class MissionSeen:
+    """The mission itself."""
+
+    time_s: Annotated[float, "since the mission began"] = 0.0
+    step_time_s: Annotated[float, "since this step began"] = 0.0
+
+
+@dataclass(slots=True)
+class Situation:
+    """Everything that a condition may ask about."""
+
+    vehicle: VehicleSeen = field(default_factory=VehicleSeen)
+    companion: CompanionSeen = field(default_factory=CompanionSeen)
+    estimate: EstimateSeen = field(default_factory=EstimateSeen)
+    mission: MissionSeen = field(default_factory=MissionSeen)
+    companion_texts: list[str] = field(default_factory=list)
+    autopilot_texts: list[str] = field(default_factory=list)
+
+
+def _infos() -> Iterator[tuple[str, FieldInfo]]:
+    for part in (VehicleSeen, CompanionSeen, EstimateSeen, MissionSeen):
+        for name, hint in get_type_hints(part, include_extras=True).items():
+            (what,) = hint.__metadata__
+            kind = Kind.TRUTH if bool in get_args(hint.__origin__) else Kind.NUMBER
+            info = what if isinstance(what, FieldInfo) else FieldInfo(kind, what)
+            yield f"{part.__name__.removesuffix('Seen').lower()}.{name}", info
+
+
+FIELDS: dict[str, FieldInfo] = dict(_infos())
 """What a condition may ask about, by the name it has there."""
 
 

@@ -1,12 +1,7 @@
 """`sim-link mission run`: arguments, progress on a terminal, JUnit XML and exit codes.
 
-What people see while missions fly: a live line on a terminal, plain lines anywhere else.
-
-JUnit XML, as continuous integration reads it: a suite per flight, a case per expectation.
-
-A flight that did not come to an end, or has no report, has a case with an error.
-
-`sim-link mission run`: arguments, lines for people and exit codes.
+In JUnit XML, as continuous integration reads it, a flight is a suite and an expectation a case; a
+flight that did not come to an end, or has no report, has a case with an error.
 """
 
 from __future__ import annotations

@@ -1,15 +1,10 @@
 """The processes of a mission: child processes, the hub that links them, and their faults.
 
-One vehicle's link shared by companion, operator and radio, with faults on the companion's way.
-
 Theory of operation. The hub is a router: what the vehicle says goes to all of its clients, what a
 client says to the vehicle and to the other clients. It knows nothing about who the vehicle is; it
 answers to wherever that was heard. Between vehicle and companion lies a wire, which may be a
-`FaultyLink`: the operator's link is never touched by faults. A timer drives the mission.
-
-Processes of a mission: each ends with this one, whatever ends it.
-
-Faults of real processes: the hub's wire, signals, and incidents told to the simulator.
+`FaultyLink`: the operator's link is never touched by faults. A timer drives the mission. Faults of
+the processes are signals, those of the vehicle incidents told to the simulator.
 """
 
 from __future__ import annotations

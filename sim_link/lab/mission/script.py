@@ -1,14 +1,9 @@
-"""The mission script: steps, faults, companion configuration and what must come of it.
-
-What must have come of a flight: each expectation has a name, and a verdict at the end.
-
-The mission script: what one flight is made of, what is done, and what must come of it.
+"""The mission script: what one flight is made of, what is done, and what must come of it.
 
 A script is a scenario (place, vehicle, emitters, channel, obstacles, weather; all its keys are the
-script's own) with the companion's configuration, steps and expectations. `script_file` reads it
-from YAML and checks what no single record can see.
-
-MAVLink messages by their names, as scripts call them.
+script's own) with the companion's configuration, steps and expectations, each of which has a name
+and gets a verdict at the end. `script_file` reads it from YAML and checks what no single record
+can see.
 """
 
 from __future__ import annotations
@@ -154,25 +149,29 @@ Limit = Annotated[float, msgspec.Meta(gt=0.0, le=LONGEST_S)]
 Duration = Annotated[float, msgspec.Meta(ge=0.0, le=LONGEST_S)]
 
 
-class ConnectStep(Params, frozen=True):
+class StepParams(Params, frozen=True):
+    """The parameters of a step; their type says which it is."""
+
+
+class ConnectStep(StepParams, frozen=True):
     """Wait until operator and companion hear the autopilot."""
 
     limit_s: Limit = 30.0
 
 
-class WaitReadyStep(Params, frozen=True):
+class WaitReadyStep(StepParams, frozen=True):
     """Wait until the autopilot can be armed and the companion stands by."""
 
     limit_s: Limit = 120.0
 
 
-class ArmStep(Params, frozen=True):
+class ArmStep(StepParams, frozen=True):
     """The operator arms."""
 
     limit_s: Limit = 15.0
 
 
-class TakeoffStep(Params, frozen=True):
+class TakeoffStep(StepParams, frozen=True):
     """The operator takes off; over once the height is reached."""
 
     altitude_m: FlightAltitude | None = None
@@ -180,19 +179,19 @@ class TakeoffStep(Params, frozen=True):
     limit_s: Limit = 90.0
 
 
-class EngageStep(Params, frozen=True):
+class EngageStep(StepParams, frozen=True):
     """The operator gives control (PX4 OFFBOARD, ArduPilot GUIDED); over once it is taken."""
 
     limit_s: Limit = 10.0
 
 
-class GrantStep(Params, frozen=True):
+class GrantStep(StepParams, frozen=True):
     """The operator lets a companion that yielded stand by, or fly, again (NAV_GUIDED_ENABLE)."""
 
     limit_s: Limit = 10.0
 
 
-class SearchStep(Params, frozen=True):
+class SearchStep(StepParams, frozen=True):
     """The companion flies a pattern; over with the first contact, or when the target is found.
 
     The pattern becomes the companion's `planner.search`, so a script has one search at most.
@@ -207,7 +206,7 @@ class SearchStep(Params, frozen=True):
     limit_s: Limit = 120.0
 
 
-class WaitUntilStep(Params, frozen=True, kw_only=True):
+class WaitUntilStep(StepParams, frozen=True, kw_only=True):
     """Wait until a condition holds."""
 
     condition: str
@@ -216,33 +215,33 @@ class WaitUntilStep(Params, frozen=True, kw_only=True):
     """It must hold for this long without a break."""
 
 
-class WaitStep(Params, frozen=True, kw_only=True):
+class WaitStep(StepParams, frozen=True, kw_only=True):
     """Let time pass."""
 
     for_s: Limit
 
 
-class PilotOverrideStep(Params, frozen=True):
+class PilotOverrideStep(StepParams, frozen=True):
     """The pilot switches the mode; over once the vehicle is in it and the companion has yielded."""
 
     mode: PilotMode = "hold"
     limit_s: Limit = 10.0
 
 
-class HoldStep(Params, frozen=True):
+class HoldStep(StepParams, frozen=True):
     """The operator has the vehicle hold its place, for a while."""
 
     for_s: Duration = 0.0
     limit_s: Limit = 15.0
 
 
-class ReturnStep(Params, frozen=True):
+class ReturnStep(StepParams, frozen=True):
     """The operator sends the vehicle home; over once it stands there, disarmed."""
 
     limit_s: Limit = 240.0
 
 
-class LandStep(Params, frozen=True):
+class LandStep(StepParams, frozen=True):
     """The operator lands; over once the vehicle stands, disarmed."""
 
     limit_s: Limit = 120.0
@@ -287,25 +286,9 @@ class StepRecord(Params, frozen=True, rename={"return_": "return"}):
         return [name for name in self.__struct_fields__ if getattr(self, name) is not UNSET]
 
 
-Step = (
-    ConnectStep
-    | WaitReadyStep
-    | ArmStep
-    | TakeoffStep
-    | EngageStep
-    | GrantStep
-    | SearchStep
-    | WaitUntilStep
-    | WaitStep
-    | PilotOverrideStep
-    | Fault
-    | HoldStep
-    | ReturnStep
-    | LandStep
-)
-"""A step's parameters; their type says which it is."""
+Step = StepParams | Fault
 
-STEP_KINDS: dict[str, type[Params]] = {
+STEP_KINDS: dict[str, type[StepParams]] = {
     "connect": ConnectStep,
     "wait_ready": WaitReadyStep,
     "arm": ArmStep,
@@ -368,8 +351,7 @@ def _named(step: StepRecord | StepWord) -> tuple[str, Step]:
 
 
 def _plain_step(name: str) -> Step:
-    step: Step = STEP_KINDS[name]()  # type: ignore[assignment]
-    return step
+    return STEP_KINDS[name]()
 
 
 @lru_cache(maxsize=1)

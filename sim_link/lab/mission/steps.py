@@ -5,14 +5,11 @@ A step begins with what it asks of the operator, is asked again every two second
 it shows (an autopilot that is not ready yet refuses, and a frame may be lost), and ends when its
 effect is seen, never by an answer alone. A step that takes longer than its limit, or the mission
 longer than its own, ends the mission.
-
-What the operator can be asked to do, whoever that is: MAVLink in memory, or MAVSDK.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -20,7 +17,7 @@ from companion.domain import FlightMode
 from sim_link.autopilot.incidents import FaultRecord
 from sim_link.lab.faults.fault_models import Fault
 from sim_link.lab.mission import script
-from sim_link.lab.mission.conditions import Situation, parse_condition
+from sim_link.lab.mission.conditions import Condition, parse_condition
 from sim_link.lab.mission.results import FlightRecord, StepOutcome
 from sim_link.lab.mission.script import Mission, Step
 
@@ -165,7 +162,7 @@ class StepRunner:
     def _advance(self, running: _Running, now_s: float) -> bool:
         """Whether the step is over."""
         rule = running.rule
-        if rule.is_met(self._situation):
+        if rule.is_met.holds(self._situation):
             running.met_s = now_s if running.met_s is None else running.met_s
             if now_s - running.met_s >= rule.for_s - ROUNDING_S:
                 self._end(running, now_s, "")
@@ -182,7 +179,9 @@ class StepRunner:
     def _ask(self, running: _Running, now_s: float) -> None:
         running.refusal = self._operator.take_refusal() or running.refusal
         action, rule = running.rule.action, running.rule
-        if action is None or now_s < running.ask_due_s or rule.has_begun(self._situation):
+        if action is None or now_s < running.ask_due_s:
+            return
+        if rule.has_begun is not None and rule.has_begun.holds(self._situation):
             return
         running.ask_due_s = now_s + ASK_AGAIN_S
         self._operator.ask(action)
@@ -203,25 +202,17 @@ class StepRunner:
         self._current = None
 
 
-def _no(_: Situation) -> bool:
-    return False
-
-
-def _yes(_: Situation) -> bool:
-    return True
-
-
 @dataclass(frozen=True, slots=True)
 class Rule:
     """What a step asks for and when it is over."""
 
     what: str
     """What it waits for, in words."""
-    is_met: Callable[[Situation], bool]
-    limit_s: float
+    is_met: Condition
+    limit_s: float = ENDLESS_S
     action: Action | None = None
-    has_begun: Callable[[Situation], bool] = _no
-    """Whether the effect of the action shows already."""
+    has_begun: Condition | None = None
+    """Whether the effect of the action shows already; None: nothing shows before it is met."""
     for_s: float = 0.0
     """How long it must be met."""
 
@@ -240,55 +231,74 @@ class _Running:
     refusal: str = ""
 
 
+ALWAYS = parse_condition("true")
+CONNECTED = parse_condition("vehicle.mode == vehicle.mode and companion.phase == companion.phase")
+"""Both are known: what is unknown equals nothing, not even itself."""
+ARMED, DISARMED = parse_condition("vehicle.is_armed"), parse_condition("not vehicle.is_armed")
+IN_CONTROL = parse_condition("companion.is_in_control")
+GRANTED = parse_condition("companion.phase == standby or companion.is_in_control")
+"""Stands by; or flies, where a PX4 that lost its setpoints returns to them by itself."""
+READY = parse_condition(f"vehicle.is_ready and ({GRANTED.text})")
+RETURNING = parse_condition('vehicle.mode == "return"')
+LANDING = parse_condition("vehicle.mode == land")
+REPORTED = parse_condition("companion.reported > 0")
+CONTACT = parse_condition(
+    "estimate.r95_m >= 0 and (companion.waypoint == approach or companion.waypoint == crossing or "
+    "companion.waypoint == information or companion.waypoint == hold)"
+)
+
+
 def _rule_of(step: Step, mission: Mission) -> Rule:
     match step:
         case script.ConnectStep():
-            return Rule("hearing the autopilot", _is_connected, step.limit_s)
+            return Rule("hearing the autopilot", CONNECTED, step.limit_s)
         case script.WaitReadyStep():
-            return Rule("being ready to arm, the companion in standby", _is_ready, step.limit_s)
+            return Rule("being ready to arm, the companion in standby", READY, step.limit_s)
         case script.ArmStep():
-            return Rule("arming", _is_armed, step.limit_s, Arm())
+            return Rule("arming", ARMED, step.limit_s, Arm())
         case script.TakeoffStep():
             return _takeoff_rule(step, mission)
         case script.EngageStep():
             action = SwitchMode(FlightMode.OFFBOARD)
-            return Rule("the companion in control", _is_in_control, step.limit_s, action)
+            return Rule("the companion in control", IN_CONTROL, step.limit_s, action)
         case script.GrantStep():
-            return Rule("the companion granted control", _is_granted, step.limit_s, Grant())
+            return Rule("the companion granted control", GRANTED, step.limit_s, Grant())
         case script.SearchStep():
-            is_met = _is_reported if step.until == "reported" else _has_contact
+            is_met = REPORTED if step.until == "reported" else CONTACT
             return Rule(f"{step.until} in the {step.pattern}", is_met, step.limit_s)
         case script.WaitUntilStep():
             condition = parse_condition(step.condition)
-            return Rule(step.condition, condition.holds, step.limit_s, for_s=step.for_s)
+            return Rule(step.condition, condition, step.limit_s, for_s=step.for_s)
         case script.WaitStep():
-            return Rule(f"{step.for_s:g} s", _yes, ENDLESS_S, for_s=step.for_s)
+            return Rule(f"{step.for_s:g} s", ALWAYS, for_s=step.for_s)
         case FaultRecord():
-            return Rule(str(type(step).__struct_config__.tag), _yes, ENDLESS_S)
+            return Rule(str(type(step).__struct_config__.tag), ALWAYS)
     return _mode_rule(step)
 
 
 def _mode_rule(step: Step) -> Rule:
     match step:
         case script.PilotOverrideStep():
-            mode = FlightMode(step.mode)
+            shown = f'vehicle.mode == "{step.mode}"'
             return Rule(
                 f"{step.mode} with the companion out of control",
-                lambda s: s.vehicle.mode == mode.value and s.companion.is_in_control is False,
+                parse_condition(f"{shown} and not companion.is_in_control"),
                 step.limit_s,
-                SwitchMode(mode),
-                lambda s: s.vehicle.mode == mode.value,
+                SwitchMode(FlightMode(step.mode)),
+                parse_condition(shown),
             )
         case script.HoldStep():
-            return Rule(
-                "holding", _is_holding, step.limit_s, SwitchMode(FlightMode.HOLD), for_s=step.for_s
-            )
+            action, shown = SwitchMode(FlightMode.HOLD), "vehicle.mode == hold"
+            return Rule("holding", parse_condition(shown), step.limit_s, action, for_s=step.for_s)
         case script.ReturnStep():
-            action = SwitchMode(FlightMode.RETURN)
-            return Rule("standing at home", _is_down, step.limit_s, action, _is_returning)
+            action, begun = (
+                SwitchMode(FlightMode.RETURN),
+                parse_condition('vehicle.mode == "return"'),
+            )
+            return Rule("standing at home", DISARMED, step.limit_s, action, begun)
         case script.LandStep():
-            action = SwitchMode(FlightMode.LAND)
-            return Rule("standing, disarmed", _is_down, step.limit_s, action, _is_landing)
+            action, begun = SwitchMode(FlightMode.LAND), parse_condition("vehicle.mode == land")
+            return Rule("standing, disarmed", DISARMED, step.limit_s, action, begun)
     raise TypeError(f"{step} is no step")
 
 
@@ -296,62 +306,8 @@ def _takeoff_rule(step: script.TakeoffStep, mission: Mission) -> Rule:
     height_m = mission.config.mission.altitude_m if step.altitude_m is None else step.altitude_m
     return Rule(
         f"a height of {height_m:g} m",
-        lambda s: s.vehicle.height_m is not None and s.vehicle.height_m >= height_m - ARRIVED_M,
+        parse_condition(f"vehicle.height_m >= {height_m - ARRIVED_M}"),
         step.limit_s,
         TakeOff(height_m),
-        lambda s: s.vehicle.height_m is not None and s.vehicle.height_m > LIFTED_M,
+        parse_condition(f"vehicle.height_m > {LIFTED_M}"),
     )
-
-
-def _is_connected(s: Situation) -> bool:
-    return s.vehicle.mode is not None and s.companion.phase is not None
-
-
-def _is_ready(s: Situation) -> bool:
-    return bool(s.vehicle.is_ready) and _is_granted(s)
-
-
-def _is_armed(s: Situation) -> bool:
-    return bool(s.vehicle.is_armed)
-
-
-def _is_in_control(s: Situation) -> bool:
-    return bool(s.companion.is_in_control)
-
-
-def _is_standby(s: Situation) -> bool:
-    return s.companion.phase == "standby"
-
-
-def _is_granted(s: Situation) -> bool:
-    """Stands by; or flies, where a PX4 that lost its setpoints returns to them by itself."""
-    return _is_standby(s) or _is_in_control(s)
-
-
-def _is_reported(s: Situation) -> bool:
-    return s.companion.reported > 0
-
-
-def _has_contact(s: Situation) -> bool:
-    return s.estimate.r95_m is not None and s.companion.waypoint in (
-        "approach",
-        "crossing",
-        "information",
-        "hold",
-    )
-
-
-def _is_holding(s: Situation) -> bool:
-    return s.vehicle.mode == "hold"
-
-
-def _is_returning(s: Situation) -> bool:
-    return s.vehicle.mode == "return"
-
-
-def _is_landing(s: Situation) -> bool:
-    return s.vehicle.mode == "land"
-
-
-def _is_down(s: Situation) -> bool:
-    return s.vehicle.is_armed is False

@@ -1,12 +1,8 @@
 """I1 and I4: setpoints and the ways to them stay inside the fence, and each may be the last.
 
-Whether a companion chases a vehicle's own position that jumped: a part of I1.
-
-A jump is an error of the autopilot's, or the end of one; without the truth nobody can know which.
-So for two seconds nothing may be flown by the new position, and if that lies outside of fence or
-altitude band, nothing at all: the way back inside may be the way out.
-
-I1 and I4: no setpoint and no way to one leaves the fence, and each may be the last.
+A jump of the vehicle's own position is an error of the autopilot's, or the end of one; without the
+truth nobody can know which. So for two seconds nothing may be flown by the new position, and if
+that lies outside of fence or altitude band, nothing at all: the way back inside may be the way out.
 """
 
 from __future__ import annotations

@@ -1,23 +1,12 @@
 """Geometry, signatures and sender trust, written for the monitor alone.
 
-Exact predicates on polygons, written for the monitor alone.
+Nothing here is shared with the companion's guard and codec but the key, so that a mistake in one
+does not excuse itself in the other. Points are east and north, metres.
 
-The companion's guard has geometry of its own; nothing here is shared with it, so that a mistake in
-one does not excuse itself in the other. Points are east and north, metres.
-
-Whether a signed link had to believe a frame, by the letter of MAVLink's signing.
-
-Written for the monitor: nothing of the companion's own check is used but the key.
-
-Whose frames an unsigned companion must believe: one address's, until that was silent for long.
-
-The first autopilot that is heard is it, whatever its ids; a companion that was not told which one
-to follow, and begins anew beside two, follows for good the one that speaks first.
-
-Without a key an address is all that tells two senders of the same ids apart. The autopilot may come
-back from another one, when a router begins anew, so a companion has to follow after a silence; and
-then whoever speaks first is the autopilot, an attacker included. What it does from then on follows
-from what it had to believe. Only a key prevents that.
+Without a key an address is all that tells two senders of the same ids apart. The first autopilot
+that is heard is followed, whatever its ids. It may come back from another address, when a router
+begins anew, so a companion has to follow after a silence; and then whoever speaks first is the
+autopilot, an attacker included. What it does from then on follows from what it had to believe.
 """
 
 from __future__ import annotations

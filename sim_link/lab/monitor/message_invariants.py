@@ -1,11 +1,4 @@
-"""I2, I5, I6 and I9 to I12: motion of setpoints, frames on the wire, honest estimates.
-
-I2 and I5: how setpoints move, and that none moves on an old position.
-
-I6 and I11: what may be on the wire at all, and how much of it.
-
-I9, I10 and I12: an honest covariance, no state from unproved frames, the same bytes again.
-"""
+"""I2, I5, I6 and I9 to I12: motion of setpoints, frames on the wire, honest estimates."""
 
 from __future__ import annotations
 

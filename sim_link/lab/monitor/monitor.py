@@ -4,9 +4,8 @@ Theory of operation. One `Scene` keeps what the companion was told and what is t
 invariants (I1 to I12) look at it whenever a frame is sent or heard, a tick is over or the vehicle
 moved. None of them uses the companion's own guard, estimator or guidance: the frames on the wire
 and the simulator's truth are enough, and where the companion's own word is asked for (its phase,
-its estimate) it is only held against it.
-
-Which invariants a kind of flight can be judged by, and why not by the others.
+its estimate) it is only held against it. A `Scope` says which invariants a kind of flight can be
+judged by, and why not by the others.
 """
 
 from __future__ import annotations

@@ -1,18 +1,10 @@
 """What invariants are made of: rules, the observed scene, violations and the base class.
 
-The numbers that a monitor judges by.
-
-What a monitor reports.
-
-What the invariants look at: what the companion was told, what it sent, and what is true.
-
 Theory of operation. The companion is judged by what it could know. `ObservedState` keeps, from
 the frames that reached it and that it had to believe, the mode, the vehicle's place and the
 origin of the local frame; an attacker's frames and those that arrive damaged tell nothing. A
 report of the mode is dated by when the vehicle sent it, because frames overtake each other: an
 old one that arrives after a newer one takes nothing away and gives nothing back.
-
-The base of all invariants: what each may look at, and how it reports.
 """
 
 from __future__ import annotations

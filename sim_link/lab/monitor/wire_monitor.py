@@ -1,9 +1,5 @@
 """The monitor of real processes: what was recorded on the wire, played back and judged.
 
-What an observer would have seen of a flight, kept to be shown later, in the order of time.
-
-Judges a flight of which only frames and the companion's log are known: real processes.
-
 Theory of operation. Nobody knows the truth here, so the vehicle is what it says of itself, and only
 those invariants are asked that need no more (see `monitor.WIRE`). Times are those at which frames
 passed the recorder, in another process than the sender's; on a busy machine they are late by what
