@@ -1,8 +1,6 @@
 """Files that are written without ever making the caller wait: appended to, or replaced.
 
-`BackgroundFile` is appended to and never grows beyond its cap. Records go through a bounded queue
-to a daemon thread. A full queue (a stalled disk) and a failed write (a full one) cost records,
-which are counted, and never an exception or a pause of the caller. A record is written whole or not
+`BackgroundFile` is appended to and never grows beyond its cap. A record is written whole or not
 at all: after a partial write the file is cut back, so that one bad moment does not spoil what is
 recorded after it. Of a capped file the newest part is kept: at half the cap it becomes
 `NAME.old.SUFFIX`, in place of the one before, and a new file begins. A reader joins the two in this
@@ -18,48 +16,30 @@ from __future__ import annotations
 
 import logging
 import os
-import queue
 import threading
 import time
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 from companion.errors import CompanionError
 from companion.io.files import write_bytes_atomic
+from companion.io.writer_thread import CLOSE_TIMEOUT_S, WriterThread
 
 logger = logging.getLogger("companion.io")
 
 MAX_QUEUED = 10_000
-MAX_BATCH = 256
 GATHER_S = 0.05
-"""Records are written so much later, many at a time: a thread that wakes for each of them takes the
-interpreter from the control tick a hundred times a second."""
+"""A thread that wakes for each record takes the interpreter from the control tick a hundred times
+a second."""
 SYNC_PERIOD_S = 1.0
-CLOSE_TIMEOUT_S = 1.0
 _FLAGS = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC
 
 
-@dataclass(frozen=True, slots=True)
-class FileHealth:
-    """How a background file is doing."""
-
-    queued: int
-    """Records that wait for the disk."""
-    dropped: int
-    """Records lost so far, to a full queue or a failed write."""
-    bytes_kept: int
-    """On disk, the older part included."""
-    silent_s: float
-    """How long the disk has not answered; 0 while nothing is being written."""
-    is_alive: bool
-    """Whether there still is somebody to write."""
-
-
-class BackgroundFile:
+class BackgroundFile(WriterThread[bytes]):
     """An append-only file with a writer thread.
 
     Args:
+        path: The file; its directory exists. An existing one is continued.
         max_bytes: Cap of the file and its older part together; None: none.
 
     Raises:
@@ -70,14 +50,9 @@ class BackgroundFile:
         self.path = path
         self.older_path = path.with_name(f"{path.stem}.old{path.suffix}")
         self._part_bytes = None if max_bytes is None else max(1, max_bytes // 2)
-        self._queue: queue.Queue[bytes | None] = queue.Queue(MAX_QUEUED)
-        self._overflowed = 0
-        self._failed = 0
         self._has_warned = False
-        self._is_closed = False
-        self._is_ending = threading.Event()
-        self._busy_since_s: float | None = None
         self._older_bytes = 0
+        self._synced_s = time.monotonic()
         try:
             self._fd = os.open(path, _FLAGS, 0o644)
             self._bytes = os.fstat(self._fd).st_size
@@ -85,90 +60,39 @@ class BackgroundFile:
             raise CompanionError(
                 f"{path}: cannot be opened ({error.strerror}); choose another place for the log"
             ) from error
-        self._thread = threading.Thread(target=self._run, name=f"write {path.name}", daemon=True)
-        self._thread.start()
+        super().__init__(f"write {path.name}", MAX_QUEUED, GATHER_S)
+        self.bytes_kept = self._bytes
 
-    @property
-    def dropped(self) -> int:
-        """Records lost so far, to a full queue or a failed write."""
-        return self._overflowed + self._failed
+    def append(self, item: bytes) -> bool:
+        """Queue a record; the first that is lost to a slow disk is told."""
+        is_queued = super().append(item)
+        if not is_queued and self.overflowed == 1 and not self._is_closed:
+            logger.warning("%s: the disk is too slow, records are lost", self.path)
+        return is_queued
 
-    @property
-    def health(self) -> FileHealth:
-        """How it is doing, without waiting for the writer."""
-        since_s = self._busy_since_s
-        return FileHealth(
-            queued=self._queue.qsize(),
-            dropped=self.dropped,
-            bytes_kept=self._bytes + self._older_bytes,
-            silent_s=0.0 if since_s is None else time.monotonic() - since_s,
-            is_alive=self._thread.is_alive(),
-        )
-
-    def append(self, record: bytes) -> None:
-        """Queue a record; counted instead if the queue is full or the file closed."""
-        if self._is_closed:
-            self._overflowed += 1
-            return
-        try:
-            self._queue.put_nowait(record)
-        except queue.Full:
-            self._overflowed += 1
-            if self._overflowed == 1:
-                logger.warning("%s: the disk is too slow, records are lost", self.path)
-
-    def finish(self) -> None:
-        """Ask the writer to write what is queued and end; does not wait, see `close`."""
-        if self._is_closed:
-            return
-        self._is_closed = True
-        self._is_ending.set()
-        while True:
-            try:
-                self._queue.put_nowait(None)
-            except queue.Full:  # the newest record gives way, or nobody would ever end
-                with suppress(queue.Empty):
-                    self._queue.get_nowait()
-                    self._overflowed += 1
-            else:
-                return
-
-    def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> None:
+    def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> bool:
         """Write what is queued, for so long at most, and close."""
-        self.finish()
-        self._thread.join(timeout_s)
-        if self._thread.is_alive():
+        is_written = super().close(timeout_s)
+        if not is_written:
             logger.warning("%s: the disk hangs, the end of the log is lost", self.path)
+        return is_written
 
-    def _run(self) -> None:
-        synced_s = time.monotonic()
-        is_last = False
-        while not is_last:
-            batch, is_last = self._next_batch()
-            self._busy_since_s = time.monotonic()
-            self._write(batch)
-            if is_last or time.monotonic() - synced_s >= SYNC_PERIOD_S:
-                with suppress(OSError):  # pipes and devices cannot be synced
-                    os.fsync(self._fd)
-                synced_s = time.monotonic()
-            self._busy_since_s = None
+    def write_batch(self, batch: list[bytes]) -> None:
+        """Write some records, and bring them to the disk now and then."""
+        self._write(batch)
+        self.bytes_kept = self._bytes + self._older_bytes
+        if time.monotonic() - self._synced_s >= SYNC_PERIOD_S:
+            self._sync()
+
+    def end(self) -> None:
+        """Bring everything to the disk and close the file."""
+        self._sync()
         os.close(self._fd)
 
-    def _next_batch(self) -> tuple[list[bytes], bool]:
-        """At least one record, waiting for it, and whether the file is to be closed after it."""
-        batch: list[bytes] = []
-        item = self._queue.get()
-        if self._queue.qsize() < MAX_BATCH:
-            self._is_ending.wait(GATHER_S)
-        while item is not None:
-            batch.append(item)
-            if len(batch) == MAX_BATCH:
-                return batch, False
-            try:
-                item = self._queue.get_nowait()
-            except queue.Empty:
-                return batch, False
-        return batch, True
+    def _sync(self) -> None:
+        with suppress(OSError):  # pipes and devices cannot be synced
+            os.fsync(self._fd)
+        self._synced_s = time.monotonic()
 
     def _write(self, batch: list[bytes]) -> None:
         joined = b"".join(batch)
@@ -179,7 +103,7 @@ class BackgroundFile:
             if not self._has_room(len(record)):
                 self._begin_new_part()
             if not (self._has_room(len(record)) and self._write_whole(record)):
-                self._failed += 1
+                self.failed += 1
 
     def _has_room(self, size: int) -> bool:
         return self._part_bytes is None or self._bytes + size <= self._part_bytes
@@ -215,39 +139,6 @@ class BackgroundFile:
         if not self._has_warned:
             self._has_warned = True
             logger.warning("%s: cannot be written (%s), records are lost", self.path, error)
-
-
-class BackgroundLog:
-    """What the flight's logs share: a file that never makes the caller wait.
-
-    Args:
-        path: The file; its directory exists. An existing one is continued.
-        max_bytes: Cap of the file and its older part together; None: none.
-
-    Raises:
-        CompanionError: The file cannot be opened.
-    """
-
-    def __init__(self, path: Path, max_bytes: int | None = None) -> None:
-        self._file = BackgroundFile(path, max_bytes)
-
-    @property
-    def dropped(self) -> int:
-        """Entries lost to a slow or full disk."""
-        return self._file.dropped
-
-    @property
-    def health(self) -> FileHealth:
-        """How it is doing, without waiting for the writer."""
-        return self._file.health
-
-    def finish(self) -> None:
-        """Ask for the end, without waiting for it."""
-        self._file.finish()
-
-    def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> None:
-        """Write what is queued, for so long at most, and close."""
-        self._file.close(timeout_s)
 
 
 class BackgroundReplacer:

@@ -13,13 +13,12 @@ import io
 import logging
 import math
 import os
-import queue
-import threading
 from contextlib import suppress
 from typing import TextIO
 
 from companion.guidance.authority.state_machine import HAS_VEHICLE, Phase
 from companion.guidance.session import GuidanceStatus
+from companion.io.writer_thread import WriterThread
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.recorders import Journal
 
@@ -27,52 +26,23 @@ MAX_QUEUED = 1000
 CLOSE_TIMEOUT_S = 0.3
 
 
-class ConsoleHandler(logging.Handler):
-    """Hands log lines to a writer thread.
+class _LineWriter(WriterThread[str]):
+    """Writes lines to a stream; one with a descriptor past its own buffer.
 
-    Args:
-        stream: Where the lines go. One with a descriptor is written past its own buffer, whose
-            lock a writer that hangs would otherwise keep through the end of the process.
+    A writer that hangs would otherwise keep the buffer's lock through the end of the process.
     """
 
     def __init__(self, stream: TextIO | io.TextIOBase) -> None:
-        super().__init__()
-        self.dropped = 0
-        self._told = 0
         self._stream = stream
         try:
             self._fd: int | None = stream.fileno()
         except (io.UnsupportedOperation, ValueError, AttributeError):
             self._fd = None
-        self._queue: queue.Queue[str | None] = queue.Queue(MAX_QUEUED)
-        self._thread = threading.Thread(target=self._run, name="console", daemon=True)
-        self._thread.start()
+        super().__init__("console", MAX_QUEUED)
 
-    def emit(self, record: logging.LogRecord) -> None:
-        """Queue a line; counted instead if the queue is full."""
-        try:
-            line = self.format(record)
-            if self.dropped > self._told:
-                line = f"({self.dropped - self._told} lines were lost here)\n{line}"
-            self._queue.put_nowait(line)
-            self._told = self.dropped
-        except queue.Full:
-            self.dropped += 1
-        except Exception:  # the same as the standard handlers: a bad record is no reason to fall
-            self.handleError(record)
-
-    def close(self) -> None:
-        """Write what is queued, for a moment at most."""
-        with suppress(queue.Full):
-            self._queue.put_nowait(None)
-        self._thread.join(CLOSE_TIMEOUT_S)
-        super().close()
-
-    def _run(self) -> None:
-        while True:
-            line = self._queue.get()
-            if line is None:
-                return
+    def write_batch(self, batch: list[str]) -> None:
+        """Write some lines."""
+        for line in batch:
             with suppress(OSError, ValueError):  # nobody reads: then there is nobody to tell
                 self._write(f"{line}\n")
 
@@ -84,6 +54,33 @@ class ConsoleHandler(logging.Handler):
         data = text.encode("utf-8", errors="backslashreplace")
         while data:
             data = data[os.write(self._fd, data) :]
+
+
+class ConsoleHandler(logging.Handler):
+    """Hands log lines to a writer thread."""
+
+    def __init__(self, stream: TextIO | io.TextIOBase) -> None:
+        super().__init__()
+        self.writer = _LineWriter(stream)
+        self._reported = 0
+        """Lost lines that the log has mentioned."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Queue a line; counted instead if the queue is full."""
+        try:
+            line = self.format(record)
+            dropped = self.writer.dropped
+            if dropped > self._reported:
+                line = f"({dropped - self._reported} lines were lost here)\n{line}"
+            if self.writer.append(line):
+                self._reported = dropped
+        except Exception:  # the same as the standard handlers: a bad record is no reason to fall
+            self.handleError(record)
+
+    def close(self) -> None:
+        """Write what is queued, for a moment at most."""
+        self.writer.close(CLOSE_TIMEOUT_S)
+        super().close()
 
 
 log = logging.getLogger("companion.view")

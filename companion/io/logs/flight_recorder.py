@@ -7,16 +7,16 @@ import logging
 import shutil
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
 from companion.guidance.commands import ReportResult, Severity
 from companion.handoff import HandoffFiles
-from companion.io.background_files import CLOSE_TIMEOUT_S, BackgroundReplacer
+from companion.io.background_files import BackgroundReplacer
 from companion.io.files import EVENTS, INPUTS, RESULT, TLOG, plain
 from companion.io.logs.log_files import EventLog, InputLog, TlogWriter
 from companion.io.logs.mcap_file import McapLog
+from companion.io.writer_thread import CLOSE_TIMEOUT_S, WriterHealth
 from companion.link.recorders import InputRecorder, Journal
 
 log = logging.getLogger("companion.flight")
@@ -32,22 +32,6 @@ INPUTS_SHARE = 0.45
 """Of a flight's cap; the tlog takes the rest, which is as much."""
 
 
-@dataclass(frozen=True, slots=True)
-class JournalHealth:
-    """How the black box is doing."""
-
-    queued: int
-    """Records that wait for the disk."""
-    dropped: int
-    """Records and files lost so far."""
-    bytes_kept: int
-    """Of the flight, on disk."""
-    silent_s: float
-    """How long the disk has not answered."""
-    is_alive: bool
-    """Whether every writer still runs."""
-
-
 class BlackBox(Journal, Protocol):
     """A journal that a process owns."""
 
@@ -56,7 +40,7 @@ class BlackBox(Journal, Protocol):
         """What the endpoint is told goes here."""
 
     @property
-    def health(self) -> JournalHealth:
+    def health(self) -> WriterHealth:
         """How it is doing, without waiting for any writer."""
 
     def discard(self) -> None:
@@ -96,9 +80,9 @@ class MissingJournal:
         _show(Severity.NOTICE, f"result: {plain(report)}", now_s)
 
     @property
-    def health(self) -> JournalHealth:
+    def health(self) -> WriterHealth:
         """It loses everything, reliably."""
-        return JournalHealth(0, self._dropped, 0, 0.0, is_alive=True)
+        return WriterHealth(0, self._dropped, 0, 0.0, is_alive=True)
 
     def discard(self) -> None:
         """There is nothing to leave."""
@@ -186,10 +170,10 @@ class FlightJournal:
             self._results.replace(self.directory / name, content.encode())
 
     @property
-    def health(self) -> JournalHealth:
+    def health(self) -> WriterHealth:
         """How it is doing, without waiting for any writer."""
         logs = [log_file.health for log_file in self._logs]
-        return JournalHealth(
+        return WriterHealth(
             queued=sum(one.queued for one in logs),
             dropped=sum(one.dropped for one in logs) + self._results.failed,
             bytes_kept=sum(one.bytes_kept for one in logs),

@@ -22,7 +22,7 @@ from pathlib import Path
 
 from companion.errors import ConfigError
 from companion.guidance.events import OperatorCommand, SessionMemory
-from companion.io.background_files import BackgroundLog
+from companion.io.background_files import BackgroundFile
 from companion.io.files import plain
 from companion.io.state.checkpoints import CheckpointError, decode_memory, encode_memory
 from companion.mav.codec import CRC_EXTRA_BY_ID
@@ -33,8 +33,8 @@ from companion.mav.signing import is_secret
 _STAMP = struct.Struct(">Q")
 
 
-class TlogWriter(BackgroundLog):
-    """Writes frames from a background thread; see `BackgroundLog`."""
+class TlogWriter(BackgroundFile):
+    """A tlog that is written from a background thread."""
 
     def write(self, frame: bytes, unix_s: float) -> None:
         """Record one whole frame; its signature, if any, is left out, a SETUP_SIGNING altogether.
@@ -45,20 +45,24 @@ class TlogWriter(BackgroundLog):
         """
         record = tlog_record(frame, unix_s)
         if record is not None:
-            self._file.append(record)
+            self.append(record)
 
 
 def tlog_record(frame: bytes, unix_s: float) -> bytes | None:
-    """A frame as a tlog has it; None: it holds a secret, and no tlog may have it.
+    """A frame as a tlog has it, see `frame_for_log`.
 
     Args:
-        frame: A whole frame as it was on the wire; its signature, if any, is left out.
         unix_s: When it was sent or received, seconds since 1970.
     """
+    kept = frame_for_log(frame)
+    return None if kept is None else _STAMP.pack(max(0, round(unix_s * 1e6))) + kept
+
+
+def frame_for_log(frame: bytes) -> bytes | None:
+    """A whole frame without its signature; None: it holds a key, and no log may have it."""
     if is_secret(frame):
         return None
-    unsigned = without_signature(frame, CRC_EXTRA_BY_ID.get(message_id(frame)))
-    return _STAMP.pack(max(0, round(unix_s * 1e6))) + unsigned
+    return without_signature(frame, CRC_EXTRA_BY_ID.get(message_id(frame)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,8 +139,8 @@ class Input:
     data: bytes = b""
 
 
-class InputLog(BackgroundLog):
-    """Writes inputs from a background thread; see `BackgroundLog`.
+class InputLog(BackgroundFile):
+    """The inputs, written from a background thread.
 
     Args:
         max_bytes: Its cap; None: none.
@@ -149,44 +153,43 @@ class InputLog(BackgroundLog):
         super().__init__(path, max_bytes)
         self._number = 0
         self._also = also
-        self._append(Input(InputKind.BEGIN, 0.0, data=FORMAT))
+        self._keep(Input(InputKind.BEGIN, 0.0, data=FORMAT))
 
     def frame(self, data: bytes, link: int, peer: Address | None, now_s: float) -> None:
         """Keep a frame; its signature, if any, is left out, a SETUP_SIGNING altogether."""
-        if is_secret(data):
-            return
-        unsigned = without_signature(data, CRC_EXTRA_BY_ID.get(message_id(data)))
-        self._append(Input(InputKind.FRAME, now_s, link, peer, unsigned))
+        kept = frame_for_log(data)
+        if kept is not None:
+            self._keep(Input(InputKind.FRAME, now_s, link, peer, kept))
 
     def tick(self, now_s: float) -> None:
         """Keep a tick."""
-        self._append(Input(InputKind.TICK, now_s))
+        self._keep(Input(InputKind.TICK, now_s))
 
     def stop(self, now_s: float) -> None:
         """Keep a stop."""
-        self._append(Input(InputKind.STOP, now_s))
+        self._keep(Input(InputKind.STOP, now_s))
 
     def operator_command(self, command: OperatorCommand, now_s: float) -> None:
         """Keep what the operator asked for."""
-        self._append(Input(InputKind.OPERATOR_COMMAND, now_s, data=command.value.encode()))
+        self._keep(Input(InputKind.OPERATOR_COMMAND, now_s, data=command.value.encode()))
 
     def earlier_run(self, now_s: float) -> None:
         """Keep that there was an earlier process."""
-        self._append(Input(InputKind.EARLIER_RUN, now_s))
+        self._keep(Input(InputKind.EARLIER_RUN, now_s))
 
     def recall(self, memory: SessionMemory, age_s: float, now_s: float) -> None:
         """Keep what it knew."""
         data = _AGE.pack(age_s) + encode_memory(memory)
-        self._append(Input(InputKind.RECALL, now_s, data=data))
+        self._keep(Input(InputKind.RECALL, now_s, data=data))
 
-    def _append(self, value: Input) -> None:
+    def _keep(self, value: Input) -> None:
         peer = b"" if value.peer is None else f"{value.peer[0]} {value.peer[1]}".encode()[:255]
         header = _HEADER.pack(
             self._number, value.time_s, value.kind, value.link, len(peer), len(value.data)
         )
         self._number = (self._number + 1) & 0xFFFFFFFF
         record = header + peer + value.data
-        self._file.append(record)
+        self.append(record)
         if self._also is not None:
             self._also(record, value.time_s)
 
@@ -250,13 +253,13 @@ def _peer(text: bytes) -> Address | None:
     return (host, int(port)) if port.isdecimal() else None
 
 
-class EventLog(BackgroundLog):
-    """Writes records from a background thread; see `BackgroundLog`."""
+class EventLog(BackgroundFile):
+    """The events, written from a background thread."""
 
     def write(self, record: Mapping[str, object]) -> None:
         """Record one event; NaN and infinity become null, control characters are escaped."""
         line = json.dumps(plain(record), allow_nan=False, separators=(",", ":"))
-        self._file.append(line.encode("ascii") + b"\n")
+        self.append(line.encode("ascii") + b"\n")
 
 
 def event_lines(path: Path) -> list[dict[str, object]]:

@@ -15,11 +15,8 @@ from __future__ import annotations
 import json
 import logging
 import math
-import queue
 import struct
-import threading
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -27,11 +24,9 @@ from companion.errors import CompanionError, ConfigError
 from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.polygons import ellipse_95
 from companion.guidance.commands import ReportResult, Severity
-from companion.io.background_files import CLOSE_TIMEOUT_S
 from companion.io.files import plain
-from companion.mav.codec import CRC_EXTRA_BY_ID
-from companion.mav.framing import message_id, without_signature
-from companion.mav.signing import is_secret
+from companion.io.logs.log_files import frame_for_log
+from companion.io.writer_thread import CLOSE_TIMEOUT_S, WriterThread
 
 FRAME_CHANNEL, INPUT_CHANNEL = "/mavlink", "/companion/inputs"
 
@@ -124,7 +119,7 @@ Message = tuple[str, bytes, int]
 """Channel, data, nanoseconds since 1970."""
 
 
-class McapLog:
+class McapLog(WriterThread[Message]):
     """Writes one flight's MCAP file; a journal for the endpoint.
 
     Args:
@@ -144,25 +139,20 @@ class McapLog:
         max_bytes: int | None = None,
     ) -> None:
         self.path = path
-        self.dropped = 0
         self._started_ns = 1000 * round(started_unix_s * 1e6)
         self._origin: LocalOrigin | None = None
-        self._queue: queue.Queue[Message | None] = queue.Queue(MAX_QUEUED)
         self._room = math.inf if max_bytes is None else max_bytes
-        self._failed: Exception | None = None
-        write, finish = _open(path, flight_json)
-        self._write, self._finish = write, finish
-        self._thread = threading.Thread(target=self._run, name=f"write {path.name}", daemon=True)
-        self._thread.start()
+        self._error: Exception | None = None
+        self._write, self._finish = _open(path, flight_json)
+        super().__init__(f"write {path.name}", MAX_QUEUED)
 
     # The endpoint's journal
 
     def frame(self, data: bytes, now_s: float) -> None:
         """Keep a raw frame, without its signature; one that carries a key not at all."""
-        if is_secret(data):
-            return
-        unsigned = without_signature(data, CRC_EXTRA_BY_ID.get(message_id(data)))
-        self._put(FRAME_CHANNEL, unsigned, now_s)
+        kept = frame_for_log(data)
+        if kept is not None:
+            self._put(FRAME_CHANNEL, kept, now_s)
 
     def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
         """Keep an event; an estimate becomes poses, a place on the map and residuals, too."""
@@ -191,13 +181,31 @@ class McapLog:
         """Keep an input, in the form of `companion.io.inputs`."""
         self._put(INPUT_CHANNEL, record, now_s)
 
-    def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> None:
+    def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> bool:
         """Write what is queued, for so long at most, and finish the file."""
-        with suppress(queue.Full):
-            self._queue.put(None, timeout=timeout_s)
-        self._thread.join(timeout_s)
-        if self.dropped or self._failed is not None or self._thread.is_alive():
-            log.warning("%s: %d messages lost, %s", self.path, self.dropped, self._failed or "slow")
+        is_written = super().close(timeout_s)
+        if self.dropped or not is_written:
+            log.warning("%s: %d messages lost, %s", self.path, self.dropped, self._error or "slow")
+        return is_written
+
+    def write_batch(self, batch: list[Message]) -> None:
+        """Add some messages to the file; after the first failure none is any more."""
+        for message in batch:
+            self._attempt(self._write, message)
+
+    def end(self) -> None:
+        """Finish the file."""
+        self._attempt(self._finish)
+
+    def _attempt(self, action: Callable[..., None], *values: Message) -> None:
+        if self._error is None:
+            try:
+                action(*values)
+            except Exception as error:
+                self._error = error
+                log.warning("%s: cannot be written (%s), the rest is lost", self.path, error)
+        if self._error is not None:
+            self.failed += 1
 
     # Messages
 
@@ -233,21 +241,9 @@ class McapLog:
         stamp_ns = self._stamp_ns(now_s)
         self._room -= len(data) + MESSAGE_OVERHEAD
         if self._room < 0:  # compressed it is less: the cap is kept with room to spare
-            self.dropped += 1
-            return
-        try:
-            self._queue.put_nowait((channel, data, stamp_ns))
-        except queue.Full:
-            self.dropped += 1
-
-    def _run(self) -> None:
-        try:
-            while (message := self._queue.get()) is not None:
-                self._write(message)
-            self._finish()
-        except Exception as error:
-            self._failed = error
-            log.warning("%s: cannot be written (%s), the rest is lost", self.path, error)
+            self.overflowed += 1
+        else:
+            self.append((channel, data, stamp_ns))
 
 
 def _open(path: Path, flight_json: str) -> tuple[Callable[[Message], None], Callable[[], None]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from companion.config.schema import CompanionConfig
 from companion.flight_setup import build_endpoint
 from companion.io.links.link import Link
-from companion.io.logs.flight_recorder import JournalHealth
+from companion.io.writer_thread import WriterHealth
 from companion.link.endpoint import CompanionEndpoint
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
@@ -22,7 +22,7 @@ class WatchedNotes(MemoryJournal):
 
     def __init__(self) -> None:
         super().__init__()
-        self.health = JournalHealth(0, 0, 0, 0.0, is_alive=True)
+        self.health = WriterHealth(0, 0, 0, 0.0, is_alive=True)
 
     def discard(self) -> None:
         """There is no directory."""

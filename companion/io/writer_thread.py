@@ -1,0 +1,141 @@
+"""A bounded queue that a daemon thread empties, so that whoever writes never waits.
+
+A full queue (a disk, a terminal or a pipe that hangs) costs items, which are counted, and never an
+exception or a pause of the caller.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+T = TypeVar("T")
+
+MAX_BATCH = 256
+CLOSE_TIMEOUT_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class WriterHealth:
+    """How a writer, or several together, are doing."""
+
+    queued: int
+    """Items that wait."""
+    dropped: int
+    """Items lost so far, to a full queue or a failed write."""
+    bytes_kept: int
+    """On disk, older parts included."""
+    silent_s: float
+    """How long the disk has not answered; 0 while nothing is being written."""
+    is_alive: bool
+    """Whether there still is somebody to write."""
+
+
+class WriterThread(Generic[T]):
+    """The queue and its thread; a subclass says in `write_batch` what becomes of the items.
+
+    A subclass is whole before it calls this constructor, which starts the thread.
+
+    Args:
+        gather_s: Items are written so much later, many at a time; 0: at once.
+    """
+
+    def __init__(self, name: str, max_queued: int, gather_s: float = 0.0) -> None:
+        self.bytes_kept = 0
+        self.overflowed = 0
+        """Lost to a full queue."""
+        self.failed = 0
+        """Lost to a failed write."""
+        self._gather_s = gather_s
+        self._queue: queue.Queue[T | None] = queue.Queue(max_queued)
+        self._is_closed = False
+        self._is_ending = threading.Event()
+        self._busy_since_s: float | None = None
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    def write_batch(self, batch: list[T]) -> None:
+        """Write some items; runs on the thread and does not raise."""
+        raise NotImplementedError
+
+    def end(self) -> None:
+        """Called last on the thread."""
+
+    @property
+    def dropped(self) -> int:
+        """Items lost so far, to a full queue or a failed write."""
+        return self.overflowed + self.failed
+
+    @property
+    def health(self) -> WriterHealth:
+        """How it is doing, without waiting for the thread."""
+        since_s = self._busy_since_s
+        return WriterHealth(
+            queued=self._queue.qsize(),
+            dropped=self.dropped,
+            bytes_kept=self.bytes_kept,
+            silent_s=0.0 if since_s is None else time.monotonic() - since_s,
+            is_alive=self._thread.is_alive(),
+        )
+
+    def append(self, item: T) -> bool:
+        """Queue an item; counted instead if the queue is full or closed. Whether it was queued."""
+        if not self._is_closed:
+            with suppress(queue.Full):
+                self._queue.put_nowait(item)
+                return True
+        self.overflowed += 1
+        return False
+
+    def finish(self) -> None:
+        """Ask the thread to write what is queued and end; does not wait, see `close`."""
+        if self._is_closed:
+            return
+        self._is_closed = True
+        self._is_ending.set()
+        while True:
+            try:
+                self._queue.put_nowait(None)
+            except queue.Full:  # an item gives way, or nobody would ever end
+                with suppress(queue.Empty):
+                    self._queue.get_nowait()
+                    self.overflowed += 1
+            else:
+                return
+
+    def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> bool:
+        """Write what is queued, for so long at most; whether all of it was written."""
+        self.finish()
+        self._thread.join(timeout_s)
+        return not self._thread.is_alive()
+
+    def _run(self) -> None:
+        is_last = False
+        while not is_last:
+            batch, is_last = self._next_batch()
+            self._busy_since_s = time.monotonic()
+            if batch:
+                self.write_batch(batch)
+            if is_last:
+                self.end()
+            self._busy_since_s = None
+
+    def _next_batch(self) -> tuple[list[T], bool]:
+        """What is queued, waiting for it, and whether the end was asked for."""
+        batch: list[T] = []
+        item = self._queue.get()
+        if self._gather_s and self._queue.qsize() < MAX_BATCH:
+            self._is_ending.wait(self._gather_s)
+        while item is not None:
+            batch.append(item)
+            if len(batch) == MAX_BATCH:
+                return batch, False
+            try:
+                item = self._queue.get_nowait()
+            except queue.Empty:
+                return batch, False
+        return batch, True
