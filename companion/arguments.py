@@ -181,8 +181,8 @@ def _add_doctor(commands: argparse._SubParsersAction[_Parser]) -> None:
     doctor = commands.add_parser(
         "doctor",
         help="look at autopilot, link and computer before a flight",
-        description="Look at autopilot, link and computer as a flight needs them, and say what "
-        "mends what is wrong. Nothing is armed, switched or set. Exit code 1: do not fly.",
+        description="Check autopilot, link and computer as a flight needs them, and name the "
+        "remedy for what is wrong. Nothing is armed, switched or set. Exit code 1: do not fly.",
     )
     doctor.add_argument(
         "--connect", dest="link", metavar="URL", required=True, help="link to the autopilot"

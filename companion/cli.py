@@ -153,15 +153,21 @@ def _views(
     if arguments.cot is not None:
         views.append(CotView(cot_address(arguments.cot)))
     if settings is not None:
-        page = WebView(settings, config)
-        views.append(page)
-        print(f"live map: {page.url}", file=sys.stderr)
+        views.append(_web_view(settings, config))
     if not arguments.quiet:
-        views.append(_console_view(config))
+        views.append(_console_view())
     return views
 
 
-def _console_view(config: CompanionConfig) -> FlightView:
+def _web_view(
+    settings: WebSettings, config: CompanionConfig, truth_enu_m: tuple[float, float] | None = None
+) -> WebView:
+    page = WebView(settings, config, truth_enu_m)
+    print(f"live map: {page.url}", file=sys.stderr)
+    return page
+
+
+def _console_view() -> FlightView:
     """The screen on a terminal, lines elsewhere."""
     if not sys.stderr.isatty() or os.environ.get("TERM", "dumb") == "dumb":
         return PlainView()
@@ -170,7 +176,7 @@ def _console_view(config: CompanionConfig) -> FlightView:
     except ImportError:
         print("for the live screen: pip install 'companion-guidance[demo]'", file=sys.stderr)
         return PlainView()
-    view = TerminalView(config)
+    view = TerminalView()
     _set_up_logging(quiet=False, stream=view.stream)
     return view
 
@@ -222,7 +228,7 @@ def _replay(arguments: argparse.Namespace) -> int:
             raise ConfigError("--web: a walk has no map; leave it out")
         return _replay_walk(arguments, config or CompanionConfig())
 
-    def tell(replay: FlightReplay) -> None:
+    def report(replay: FlightReplay) -> None:
         """Print how exact it was, and write the figures if asked to."""
         print(replay.comparison.table())
         print(replay.verdict, flush=True)
@@ -233,11 +239,11 @@ def _replay(arguments: argparse.Namespace) -> int:
     if arguments.replay_web is not None:
         settings = web_settings(arguments.replay_web)
         speed = arguments.speed or 1.0
-        replay = replay_on_map(arguments.file, config, print, settings, speed, tell)
+        replay = replay_on_map(arguments.file, config, print, settings, speed, report)
     else:
         pace = None if arguments.speed is None else Pace(arguments.speed)
         replay = replay_flight(arguments.file, config, print, pace)
-        tell(replay)
+        report(replay)
     return EXIT_FAILED if replay.is_failed else 0
 
 
@@ -265,12 +271,18 @@ def _demo(arguments: argparse.Namespace) -> int:
         speed=arguments.speed,
         scenario=arguments.scenario,
         autopilot=arguments.autopilot,
-        config=arguments.config,
         json=arguments.json,
         plot=None if arguments.no_plot else arguments.plot,
-        web=None if arguments.web is None else web_settings(arguments.web, is_control_on=True),
     )
-    return 0 if run_demo(options) else EXIT_FAILED
+    settings = None if arguments.web is None else web_settings(arguments.web, is_control_on=True)
+
+    def make_views(config: CompanionConfig, truth_enu_m: tuple[float, float]) -> list[FlightView]:
+        """The screen, and the map with the emitter's true place for comparison."""
+        page = [] if settings is None else [_web_view(settings, config, truth_enu_m)]
+        return [*page, _console_view()]
+
+    is_found = run_demo(options, load_config(arguments.config), make_views, _report_flight)
+    return 0 if is_found else EXIT_FAILED
 
 
 def _doctor(arguments: argparse.Namespace) -> int:

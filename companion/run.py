@@ -12,7 +12,7 @@ import logging
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Protocol
 
@@ -151,8 +151,13 @@ def _open_black_box(open_it: Callable[[], FlightJournal], *, is_restart: bool) -
 def prepare(config: CompanionConfig) -> None:
     """Compile what a flight needs, before its clock starts; nothing to do without numba."""
     if IS_COMPILED:
-        log.info("compiling kernels, before any link is opened: half a minute the first time")
+        _announce_compiling()
     warm_up(config.estimation, build_planner(config))
+
+
+@cache
+def _announce_compiling() -> None:
+    log.info("compiling kernels, before any link is opened: half a minute the first time")
 
 
 def link_name(link: LinkSpec) -> str:
@@ -198,6 +203,7 @@ def fly(
     lock = VehicleLock(state, name, config.vehicle.system_id, place_of(links[0]))
     try:
         prepare(config)
+        clock = Clock(clock.speed)  # what was compiled is no part of the flight
         store = CheckpointStore(state, lock_name(name)) if config.process.checkpoint else None
         tunables = Tunables(config, build_planner)
         parameters = ParameterKeeper(tunables, state / f"{lock_name(name)}.parameters.json")

@@ -221,7 +221,7 @@ class PlannerConfig(Params, frozen=True):
 
 
 class CompanionConfig(Params, frozen=True):
-    """Everything the companion can be told by a file."""
+    """Everything that a file can configure."""
 
     mission: SessionParams = SessionParams()
     emitter_id: Annotated[int, msgspec.Meta(ge=0, le=65535)] | None = None

@@ -116,7 +116,7 @@ class Tunables:
         return Tuning(config.mission, config.limits.guard_limits(), self._build_planner(config))
 
     def restore(self, values: Mapping[str, float]) -> list[str]:
-        """Take up what an earlier run was told; what cannot be, in words.
+        """Take up what was changed in an earlier run; what cannot be, in words.
 
         Args:
             values: By name, as `changed` had them.

@@ -1,31 +1,33 @@
-"""Runs the demonstration and says how well it went."""
+"""Flies the demonstration on the simulator and says how well it went."""
 
 from __future__ import annotations
 
+import importlib.util
 import math
+import signal
+import sys
 import tempfile
 import time
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from companion.config.schema import CompanionConfig, load_config
-from companion.demo.screens import LiveScreen, PlainLines, RecordingJournal, best_screen, say
+from companion.config.schema import CompanionConfig
 from companion.demo.simulator_process import HOST, SimulatorProcess, free_udp_port
 from companion.domain import TargetEstimate
 from companion.errors import CompanionError, ConfigError
-from companion.flight_setup import FlightFacts, build_endpoint, write_facts
 from companion.guidance.authority.state_machine import Phase
-from companion.io.files import check_writable, new_flight_directory, write_json_atomic
+from companion.guidance.commands import Severity
+from companion.io.files import check_writable, write_json_atomic
 from companion.io.links.specs import UdpBind
-from companion.io.shell import Clock, Shell
-from companion.kernel import IS_COMPILED
+from companion.io.shell import Clock
 from companion.link.endpoint import CompanionEndpoint
-from companion.run import is_handed_over, prepare
-from companion.web.live_map import WebView
-from companion.web.settings import WebSettings
+from companion.link.recorders import Journal
+from companion.run import FlightView, fly, is_handed_over, prepare
+from companion.view.snapshot import TeeJournal
 
 FENCE_AROUND_AREA_M = 10.0
 OBSTACLE_CLEARANCE_M = 5.0
@@ -34,7 +36,11 @@ PICTURE_SUFFIXES = (".png", ".svg", ".pdf")
 SILENCE_LIMIT_S = 10.0
 """Real seconds after which a simulator that is not heard is given up."""
 LATE_S = 0.5
-"""Of the flight: a control tick later than this can cost the autopilot's mode."""
+"""Of the flight: a wake-up later than this can cost the autopilot's mode."""
+
+Point = tuple[float, float]
+MakeViews = Callable[[CompanionConfig, Point], list[FlightView]]
+"""Who watches a flight, by its configuration and the emitter's true place."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,11 +52,76 @@ class DemoOptions:
     scenario: Path | None
     autopilot: str | None
     """px4 or ardupilot; None: the scenario's."""
-    config: Path | None
     json: Path | None
     plot: Path | None
-    web: WebSettings | None = None
-    """Where to serve the live map; None: nowhere."""
+
+
+class DemoWatch:
+    """Ends the flight once there is a reason, and keeps what is drawn; a `run.FlightView`."""
+
+    def __init__(self, simulator: SimulatorProcess, limit_s: float) -> None:
+        self._simulator = simulator
+        self._limit_s = limit_s
+        self._began_wall_s: float | None = None
+        self.ended = ""
+        """Why; empty: somebody interrupted it."""
+        self.time_s = 0.0
+        """Of the companion, at the last wake-up before the end."""
+        self.worst_gap_s = 0.0
+        """Of the flight, between two wake-ups."""
+        self.estimates: list[tuple[float, float, float, float]] = []
+        """(time_s, east_m, north_m, r95_m)"""
+        self.crossings_enu_m: list[Point] = []
+
+    @property
+    def wall_s(self) -> float:
+        """Real time since the flight began."""
+        return 0.0 if self._began_wall_s is None else time.monotonic() - self._began_wall_s
+
+    def listen(self, journal: Journal) -> Journal:
+        """A journal that passes events on to us."""
+        return TeeJournal(journal, self)
+
+    def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
+        """Keep the estimates, and the crossing points chosen."""
+        place, r95_m = fields.get("position_enu_m"), fields.get("r95_m")
+        if kind == "estimate" and isinstance(place, tuple) and isinstance(r95_m, float):
+            self.estimates.append((now_s, place[0], place[1], r95_m))
+        elif kind == "waypoint" and isinstance(place, tuple):
+            self.crossings_enu_m.append((place[0], place[1]))
+
+    def text(self, severity: Severity, text: str, now_s: float) -> None:
+        """Texts are log lines already."""
+
+    def update(self, endpoint: CompanionEndpoint, now_s: float) -> None:
+        """Ask for the end, as Ctrl-C does, if there is a reason."""
+        if self.ended:
+            return
+        if self._began_wall_s is None:
+            self._began_wall_s = time.monotonic()
+        elif endpoint.binding.is_bound:
+            self.worst_gap_s = max(self.worst_gap_s, now_s - self.time_s)
+        self.time_s = now_s
+        reason = self._end_reason(endpoint, now_s)
+        if reason is not None:
+            self.ended = reason
+            signal.raise_signal(signal.SIGINT)
+
+    def close(self) -> None:
+        """There is nothing to close."""
+
+    def _end_reason(self, endpoint: CompanionEndpoint, now_s: float) -> str | None:
+        if is_handed_over(endpoint):
+            return "localised"
+        if endpoint.session.phase is Phase.YIELD:
+            return f"the autopilot left {endpoint.session.vehicle.guided_name}"
+        if now_s > self._limit_s:
+            return f"time limit of {self._limit_s:g} s"
+        if not self._simulator.is_alive:
+            return "the simulator ended"
+        if endpoint.binding.heard_s is None and self.wall_s > SILENCE_LIMIT_S:
+            return "nothing heard from the simulator; is the loopback interface up?"
+        return None
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,22 +135,28 @@ class DemoResult:
     """Of the companion, at the report or at the end."""
     wall_s: float
     """Real time that the flight took."""
+    error_m: float | None
+    """Of the estimate, against the truth."""
 
 
-def run_demo(options: DemoOptions) -> bool:
+def run_demo(
+    options: DemoOptions,
+    config: CompanionConfig,
+    make_views: MakeViews,
+    at_end: Callable[[Path], None] | None = None,
+) -> bool:
     """Fly it, print how it went, write what was asked for; whether the target was found.
 
+    Args:
+        at_end: Gets the flight's directory once everything is written.
+
     Raises:
-        CompanionError: Bad input, or the simulator does not start.
+        CompanionError: Bad input, or the simulator is not installed or does not start.
     """
-    config = load_config(options.config)
+    if importlib.util.find_spec("sim_link") is None:
+        raise CompanionError("the demo needs the simulator: pip install companion-sim-link")
     _check_outputs(options)
-    if IS_COMPILED:
-        say("compiling kernels: half a minute the first time, then a second")
-    prepare(config)
-    show = best_screen()
-    started_unix_s = time.time()
-    directory = new_flight_directory(Path(config.log.directory), started_unix_s)
+    prepare(config)  # before the simulator starts to count its time
     port = free_udp_port()
     with tempfile.TemporaryDirectory() as temporary:
         report = Path(temporary) / "sim-link.json"
@@ -88,20 +165,20 @@ def run_demo(options: DemoOptions) -> bool:
         )
         with simulator:
             truth = simulator.started_report()
-            config = _demo_config(config, truth)
-            facts = FlightFacts(started_unix_s=started_unix_s, links=1, config=config)
-            write_facts(directory, facts)
-            journal = RecordingJournal(directory, started_unix_s, config.log.max_bytes)
-            page = _open_page(options.web, config, truth)
-            try:
-                result = _fly(config, options, journal, simulator, port, truth, show, page)
-            finally:
-                journal.close()
-                if page is not None:
-                    page.close()
+            config = _demo_config(config, truth, temporary)
+            watch = DemoWatch(simulator, float(truth["time_limit_s"]))
+            links, clock = [UdpBind(HOST, port)], Clock(options.speed)
+            views = [watch, *make_views(config, _emitter_enu_m(truth))]
+            endpoint = fly(config, links, clock, views=views, at_end=at_end)
             simulator.stop()
-            _conclude(options, config, journal, result, simulator.report())
+            result = _result(options, watch, endpoint, _emitter_enu_m(truth))
+            _conclude(options, config, watch, result, simulator.report())
     return result.is_localised
+
+
+def _emitter_enu_m(report: Mapping[str, Any]) -> Point:
+    east_m, north_m = report["emitter"]["enu_m"][:2]
+    return (float(east_m), float(north_m))
 
 
 def _check_outputs(options: DemoOptions) -> None:
@@ -114,167 +191,108 @@ def _check_outputs(options: DemoOptions) -> None:
         raise ConfigError(f"--plot {options.plot}: the name must end in {known}")
 
 
-def _demo_config(config: CompanionConfig, truth: dict[str, Any]) -> CompanionConfig:
+def _demo_config(
+    config: CompanionConfig, truth: Mapping[str, Any], state_directory: str
+) -> CompanionConfig:
     """The configuration, engaging by itself, fenced in around the scenario's area.
 
-    It keeps out of the obstacles that reach its altitude, as an operator would tell it to.
+    It keeps out of the obstacles that reach its altitude, as an operator would configure it. The
+    simulator has no key, and nothing is taken up from an earlier run or left for a later one.
 
     Raises:
         ConfigError: The fence and the obstacles leave nothing to fly in.
     """
-    mission = msgspec.structs.replace(config.mission, engage="auto")
-    east, north = (float(size) for size in truth["area_m"])
-    low, margin = -FENCE_AROUND_AREA_M, FENCE_AROUND_AREA_M
-    fence = (
-        (low, low),
-        (east + margin, low),
-        (east + margin, north + margin),
-        (low, north + margin),
-    )
+    low = -FENCE_AROUND_AREA_M
+    east, north = (float(size) + FENCE_AROUND_AREA_M for size in truth["area_m"])
     keep_out = tuple(
         tuple((float(east), float(north)) for east, north in obstacle["corners_enu_m"])
         for obstacle in truth["obstacles"]
         if obstacle["height_m"] is None
         or obstacle["height_m"] > config.mission.altitude_m - OBSTACLE_CLEARANCE_M
     )
+    change = msgspec.structs.replace
     try:
-        limits = msgspec.structs.replace(
+        limits = change(
             config.limits,
-            fence_enu_m=fence,
+            fence_enu_m=((low, low), (east, low), (east, north), (low, north)),
             keep_out_enu_m=(*config.limits.keep_out_enu_m, *keep_out),
         )
     except ValueError as error:
         raise ConfigError(f"scenario {truth['scenario']}: {error}") from error
-    return msgspec.structs.replace(config, mission=mission, limits=limits)
-
-
-def _fly(
-    config: CompanionConfig,
-    options: DemoOptions,
-    journal: RecordingJournal,
-    simulator: SimulatorProcess,
-    port: int,
-    truth: dict[str, Any],
-    view: LiveScreen | PlainLines,
-    page: WebView | None,
-) -> DemoResult:
-    listens = journal if page is None else page.listen(journal)
-    endpoint = build_endpoint(config, listens, recorder=journal.inputs)
-    journal.is_quiet = isinstance(view, LiveScreen)
-    limit_s = float(truth["time_limit_s"])
-    ended: list[tuple[str, float]] = []
-    latest = [0.0]
-
-    def on_wakeup(now_s: float) -> None:
-        """Show the flight, and end it once there is a reason."""
-        view(endpoint, journal, now_s)
-        if page is not None:
-            page.update(endpoint, now_s)
-        latest[0] = now_s
-        reason = _end_reason(endpoint, simulator, now_s, limit_s)
-        if endpoint.binding.heard_s is None and time.monotonic() - started > SILENCE_LIMIT_S:
-            reason = "nothing heard from the simulator; is the loopback interface up?"
-        if reason is not None and not ended:
-            ended.append((reason, now_s))
-            shell.request_stop()
-
-    shell = Shell(endpoint, [UdpBind(HOST, port)], Clock(options.speed), on_wakeup)
-    started = time.monotonic()
-    with view:
-        shell.run_blocking()
-    result = endpoint.session.result
-    reason, now_s = ended[0] if ended else ("interrupted", latest[0])
-    if endpoint.session.phase is Phase.YIELD:
-        reason += busy_hint(options.speed, shell.timing.worst_late_s)
-    return DemoResult(
-        is_localised=result is not None,
-        estimate=endpoint.session.estimate if result is None else result.estimate,
-        ended=reason,
-        time_s=now_s if result is None else result.estimate.time_s,
-        wall_s=time.monotonic() - started,
+    return change(
+        config,
+        mission=change(config.mission, engage="auto"),
+        limits=limits,
+        link=change(config.link, signing_key_file=None),
+        process=change(config.process, checkpoint=False, state_directory=state_directory),
     )
 
 
-def busy_hint(speed: float, worst_late_s: float) -> str:
+def _result(
+    options: DemoOptions, watch: DemoWatch, endpoint: CompanionEndpoint, truth: Point
+) -> DemoResult:
+    session = endpoint.session
+    report = session.result
+    estimate = session.estimate if report is None else report.estimate
+    ended = watch.ended or "interrupted"
+    if ended.startswith("the autopilot left"):
+        ended += busy_hint(options.speed, watch.worst_gap_s)
+    return DemoResult(
+        is_localised=report is not None,
+        estimate=estimate,
+        ended=ended,
+        time_s=watch.time_s if report is None else report.estimate.time_s,
+        wall_s=watch.wall_s,
+        error_m=None if estimate is None else math.dist(estimate.position_enu_m, truth),
+    )
+
+
+def busy_hint(speed: float, late_s: float) -> str:
     """What to do about a mode that was lost, where the computer was too busy; or nothing.
 
     Args:
         speed: How much faster than real time the flight was.
-        worst_late_s: How late a control tick came at most, in real seconds.
+        late_s: How late a wake-up came at most, in seconds of the flight.
     """
-    late_s = worst_late_s * speed
     if speed <= 1.0 or late_s <= LATE_S:
         return ""
     late = f"a control tick came {late_s:.1f} s late"
     return f"; this computer is too busy for --speed {speed:g} ({late}): try --speed 1"
 
 
-def _open_page(
-    settings: WebSettings | None, config: CompanionConfig, truth: dict[str, Any]
-) -> WebView | None:
-    """The live map, with the emitter's true place for comparison.
-
-    Raises:
-        CompanionError: The port is taken, or the extra `web` is not installed.
-    """
-    if settings is None:
-        return None
-    east, north = truth["emitter"]["enu_m"][:2]
-    page = WebView(settings, config, (float(east), float(north)))
-    say(f"live map: {page.url}")
-    return page
-
-
-def _end_reason(
-    endpoint: CompanionEndpoint, simulator: SimulatorProcess, now_s: float, limit_s: float
-) -> str | None:
-    if is_handed_over(endpoint):
-        return "localised"
-    if endpoint.session.phase is Phase.YIELD:
-        return f"the autopilot left {endpoint.session.vehicle.guided_name}"
-    if now_s > limit_s:
-        return f"time limit of {limit_s:g} s"
-    if not simulator.is_alive:
-        return "the simulator ended"
-    return None
-
-
 def _conclude(
     options: DemoOptions,
     config: CompanionConfig,
-    journal: RecordingJournal,
+    watch: DemoWatch,
     result: DemoResult,
-    report: dict[str, Any],
+    report: Mapping[str, Any],
 ) -> None:
-    truth = (float(report["emitter"]["enu_m"][0]), float(report["emitter"]["enu_m"][1]))
-    estimate = result.estimate
-    error_m = None if estimate is None else math.dist(estimate.position_enu_m, truth)
-    say(_summary(result, error_m, report))
-    say(f"flight log: {journal.directory}")
+    _say(_summary(result, report))
     if options.json is not None:
-        write_json_atomic(options.json, _as_json(options, result, error_m, report))
-        say(f"result: {options.json}")
-    if options.plot is not None and estimate is not None:
-        _draw(options.plot, options, config, journal, estimate, truth, report)
+        write_json_atomic(options.json, _as_json(options, result, report))
+        _say(f"result: {options.json}")
+    if options.plot is not None and result.estimate is not None:
+        _draw(options, config, watch, result.estimate, report)
 
 
-def _summary(result: DemoResult, error_m: float | None, report: dict[str, Any]) -> str:
-    if result.estimate is None or error_m is None:
+def _summary(result: DemoResult, report: Mapping[str, Any]) -> str:
+    if result.estimate is None:
         return f"NOT LOCALISED ({result.ended}): no measurement was used"
     head = "LOCALISED" if result.is_localised else f"NOT LOCALISED ({result.ended})"
     east, north = result.estimate.position_enu_m
     return (
         f"{head}: east {east:.2f} m, north {north:.2f} m, R95 {result.estimate.r95_m:.2f} m, "
-        f"error against the truth {error_m:.2f} m\n"
+        f"error against the truth {result.error_m:.2f} m\n"
         f"after {result.time_s:.1f} s and {report['distance_m']:.0f} m of flight, "
         f"{result.wall_s:.1f} s of real time"
     )
 
 
 def _as_json(
-    options: DemoOptions, result: DemoResult, error_m: float | None, report: dict[str, Any]
+    options: DemoOptions, result: DemoResult, report: Mapping[str, Any]
 ) -> dict[str, object]:
     estimate = result.estimate
+    east_m, north_m = (None, None) if estimate is None else estimate.position_enu_m
     return {
         "seed": options.seed,
         "speed": options.speed,
@@ -282,10 +300,10 @@ def _as_json(
         "state": "searching" if estimate is None else estimate.state.value,
         "localised": result.is_localised,
         "ended": result.ended,
-        "final_error_m": error_m,
+        "final_error_m": result.error_m,
         "r95_m": None if estimate is None else estimate.r95_m,
-        "east_m": None if estimate is None else estimate.position_enu_m[0],
-        "north_m": None if estimate is None else estimate.position_enu_m[1],
+        "east_m": east_m,
+        "north_m": north_m,
         "range_offset_m": None if estimate is None else estimate.range_offset_m,
         "bearing_offset_rad": None if estimate is None else estimate.bearing_offset_rad,
         "time_s": result.time_s,
@@ -296,25 +314,25 @@ def _as_json(
 
 
 def _draw(
-    path: Path,
     options: DemoOptions,
     config: CompanionConfig,
-    journal: RecordingJournal,
+    watch: DemoWatch,
     estimate: TargetEstimate,
-    truth: tuple[float, float],
-    report: dict[str, Any],
+    report: Mapping[str, Any],
 ) -> None:
     try:
         from companion.demo.track_plot import Obstacle, PlottedFlight, draw
     except ImportError:
-        say("no picture: pip install 'companion-guidance[demo]' brings matplotlib")
+        _say("no picture: pip install 'companion-guidance[demo]' brings matplotlib")
         return
+    truth = _emitter_enu_m(report)
+    error_m = math.dist(estimate.position_enu_m, truth)
     flight = PlottedFlight(
         track_enu_m=[(point[1], point[2]) for point in report["track"]],
-        estimates_enu_m=[(e, n) for _, e, n, _ in journal.estimates],
-        r95=[(t, r95_m) for t, _, _, r95_m in journal.estimates],
-        errors=[(t, math.dist((e, n), truth)) for t, e, n, _ in journal.estimates],
-        crossings_enu_m=[(e, n) for _, e, n in journal.crossings],
+        estimates_enu_m=[(e, n) for _, e, n, _ in watch.estimates],
+        r95=[(t, r95_m) for t, _, _, r95_m in watch.estimates],
+        errors=[(t, math.dist((e, n), truth)) for t, e, n, _ in watch.estimates],
+        crossings_enu_m=watch.crossings_enu_m,
         fence_enu_m=config.limits.fence_enu_m,
         obstacles=[
             Obstacle(obstacle["name"], obstacle["corners_enu_m"], obstacle["height_m"])
@@ -322,11 +340,16 @@ def _draw(
         ],
         truth_enu_m=truth,
         final=estimate,
-        title=f"{report['scenario']}, seed {options.seed}: "
-        f"error {math.dist(estimate.position_enu_m, truth):.2f} m",
+        title=f"{report['scenario']}, seed {options.seed}: error {error_m:.2f} m",
     )
+    assert options.plot is not None
     try:
-        draw(path, flight)
+        draw(options.plot, flight)
     except OSError as error:
-        raise CompanionError(f"{path}: cannot be written: {error.strerror}") from error
-    say(f"picture: {path}")
+        raise CompanionError(f"{options.plot}: cannot be written: {error.strerror}") from error
+    _say(f"picture: {options.plot}")
+
+
+def _say(line: str) -> None:
+    sys.stdout.write(f"{line}\n")
+    sys.stdout.flush()

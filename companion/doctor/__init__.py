@@ -1,1 +1,1 @@
-"""`companion doctor`: is everything as a flight needs it, and if not, what mends it."""
+"""`companion doctor`: is everything as a flight needs it, and if not, the remedy."""

@@ -1,6 +1,6 @@
 """The doctor put together: this computer and the link to facts, facts to findings.
 
-`examine` is pure: what the facts mean is a line each, and what mends it.
+`examine` is pure: what the facts mean is a line each, and the remedy.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from companion.config.schema import CompanionConfig
 from companion.doctor.autopilot_settings import check_fence, check_parameters
 from companion.doctor.findings import (
     AutopilotFacts,
+    CheckResult,
     Facts,
-    Finding,
     HostFacts,
     Level,
     LinkFacts,
@@ -100,7 +100,7 @@ def _key_problem(path: Path) -> str | None:
 
 
 def _is_clock_synchronised() -> bool | None:
-    """As far as the file system tells."""
+    """As far as the file system knows."""
     if _SYNCHRONISED.exists():
         return True
     return None if not any(path.exists() for path in _SYNCHRONISERS) else False
@@ -121,7 +121,7 @@ A_RECENT_TIME_S = 1.735e9
 """2024-12-24; a clock before that was never set."""
 
 
-def examine(facts: Facts, config: CompanionConfig) -> list[Finding]:
+def examine(facts: Facts, config: CompanionConfig) -> list[CheckResult]:
     """Every finding, in the order of a checklist."""
     return [
         *_check_host(facts.host, config),
@@ -129,7 +129,7 @@ def examine(facts: Facts, config: CompanionConfig) -> list[Finding]:
     ]
 
 
-def exit_code(findings: list[Finding]) -> int:
+def exit_code(findings: list[CheckResult]) -> int:
     """0 if nothing keeps from flying, 1 otherwise."""
     return int(any(finding.level is Level.FAIL for finding in findings))
 
@@ -137,7 +137,7 @@ def exit_code(findings: list[Finding]) -> int:
 # The computer
 
 
-def _check_host(host: HostFacts, config: CompanionConfig) -> Iterator[Finding]:
+def _check_host(host: HostFacts, config: CompanionConfig) -> Iterator[CheckResult]:
     version = ".".join(str(part) for part in host.python)
     compiled = f"numba {host.numba}" if host.numba else "no numba: kernels run as plain Python"
     yield ok("python", f"{version}, numpy {host.numpy}, {compiled}")
@@ -147,10 +147,10 @@ def _check_host(host: HostFacts, config: CompanionConfig) -> Iterator[Finding]:
     yield _check_clock(host)
 
 
-def _check_logs(place: PlaceFacts, config: CompanionConfig) -> Finding:
+def _check_logs(place: PlaceFacts, config: CompanionConfig) -> CheckResult:
     if place.problem is not None:
         text = f"{place.path}: {place.problem}"
-        return fail("log.directory", text, "choose another place in log.directory, or mend it")
+        return fail("log.directory", text, "choose another place in log.directory, or repair it")
     free_mb, took_s = place.free_mb or 0.0, place.synced_write_s or 0.0
     text = f"{place.path}: {free_mb:.0f} MB free, a megabyte takes {took_s:.2f} s"
     if free_mb < LEAST_FREE_MB:
@@ -163,23 +163,23 @@ def _check_logs(place: PlaceFacts, config: CompanionConfig) -> Finding:
     return ok("log.directory", text)
 
 
-def _check_state(place: PlaceFacts) -> Finding:
+def _check_state(place: PlaceFacts) -> CheckResult:
     if place.problem is not None:
         text = f"{place.path}: {place.problem}: no restart in flight, and no lock"
-        return warn("process.state_directory", text, "choose another place, or mend it")
+        return warn("process.state_directory", text, "choose another place, or repair it")
     return ok("process.state_directory", place.path)
 
 
-def _check_key(host: HostFacts) -> Finding:
+def _check_key(host: HostFacts) -> CheckResult:
     if not host.has_key:
         text = "none: whoever reaches the link may command the vehicle"
         return warn("signing key", text, "make one, and set it up on both sides; docs/flying.md")
     if host.key_problem is not None:
-        return fail("signing key", host.key_problem, "mend the file, or choose another")
+        return fail("signing key", host.key_problem, "repair the file, or choose another")
     return ok("signing key", "readable by its owner only")
 
 
-def _check_clock(host: HostFacts) -> Finding:
+def _check_clock(host: HostFacts) -> CheckResult:
     if host.unix_s < A_RECENT_TIME_S:
         text = "this computer's clock was never set"
         return (fail if host.has_key else warn)("clock", text, "set it, by NTP or GPS")
@@ -191,7 +191,7 @@ def _check_clock(host: HostFacts) -> Finding:
 # The link
 
 
-def _check_link(link: LinkFacts, config: CompanionConfig) -> Iterator[Finding]:
+def _check_link(link: LinkFacts, config: CompanionConfig) -> Iterator[CheckResult]:
     autopilot = link.autopilot
     if autopilot is None:
         yield _nobody(link, config)
@@ -208,22 +208,24 @@ def _check_link(link: LinkFacts, config: CompanionConfig) -> Iterator[Finding]:
     yield from check_fence(autopilot, config)
 
 
-def _nobody(link: LinkFacts, config: CompanionConfig) -> Finding:
+def _nobody(link: LinkFacts, config: CompanionConfig) -> CheckResult:
     text = f"{link.name}: no autopilot heard in {link.waited_s:.0f} s"
     if link.unproved_frames:
         fix = "set the same signing key up on both sides"
-        return fail("autopilot", f"{text}; {link.unproved_frames} frames without our key", fix)
+        return fail(
+            "autopilot", f"{text}; {link.unproved_frames} frames not signed with our key", fix
+        )
     if link.other_autopilots:
         heard = ", ".join(str(number) for number in link.other_autopilots)
         fix = f"set vehicle.system_id ({config.vehicle.system_id}) to one of them"
         return fail("autopilot", f"{text}, but system {heard}", fix)
     if link.bytes_received:
-        fix = "is it MAVLink, and the serial speed right?"
-        return fail("autopilot", f"{text}; {link.bytes_received} bytes of something else", fix)
-    return fail("autopilot", text, "does it send there, and is the port the right one?")
+        fix = "check the protocol and the serial speed"
+        return fail("autopilot", f"{text}; {link.bytes_received} bytes that are not MAVLink", fix)
+    return fail("autopilot", text, "check that the autopilot sends there, and the port")
 
 
-def _check_identity(facts: AutopilotFacts) -> Finding:
+def _check_identity(facts: AutopilotFacts) -> CheckResult:
     ids = f"system {facts.system_id}, component {facts.component_id}"
     state = "armed" if facts.is_armed else "disarmed"
     text = f"{facts.autopilot.value}, {ids}, {state}, in {facts.mode}"
@@ -234,27 +236,29 @@ def _check_identity(facts: AutopilotFacts) -> Finding:
 
 def _check_company(
     link: LinkFacts, facts: AutopilotFacts, config: CompanionConfig
-) -> Iterator[Finding]:
+) -> Iterator[CheckResult]:
     if link.other_autopilots and config.vehicle.system_id is None:
         heard = ", ".join(str(number) for number in link.other_autopilots)
-        text = f"system {heard} speaks here, too"
+        text = f"system {heard} sends on this link, too"
         yield fail("vehicle.system_id", text, "set it, or the first one heard is flown")
     if facts.system_id in link.other_companions:
-        text = "another component 191 of this vehicle speaks here"
+        text = "another component 191 of this vehicle sends on this link"
         yield fail("companion", text, "stop the other companion, or give it another id")
 
 
-def _check_loss(link: LinkFacts, facts: AutopilotFacts) -> Finding:
+def _check_loss(link: LinkFacts, facts: AutopilotFacts) -> CheckResult:
     loss = facts.loss or 0.0
     text = f"{link.name}: {100.0 * loss:.1f} % lost, {link.bad_frames} bad frames"
     if loss > MUCH_LOSS:
-        return fail("link", text, "check the radio or the cable; beyond 30 % flights suffer")
+        return fail(
+            "link", text, "check the radio and the cable; above 30 % loss no flight is reliable"
+        )
     if loss > NOTICED_LOSS or link.bad_frames > 0:
         return warn("link", text, "look at antennas, cables, serial speed and rates")
     return ok("link", text)
 
 
-def _check_rate(rate: StreamRate) -> Finding:
+def _check_rate(rate: StreamRate) -> CheckResult:
     text = f"{rate.measured_hz:.1f} Hz, asked for {rate.asked_hz:g}"
     fix = "raise the link's rate (PX4: MAV_x_RATE, ArduPilot: SRx_*), or use a faster link"
     if rate.measured_hz < NEEDED_STREAMS.get(rate.name, 0.0) or rate.count == 0:
@@ -279,19 +283,19 @@ def _is_enough(rate: StreamRate) -> bool:
     return rate.count >= ENOUGH_SHARE * rate.asked_hz * rate.seconds - 1.0
 
 
-def _check_time(facts: AutopilotFacts) -> Finding:
+def _check_time(facts: AutopilotFacts) -> CheckResult:
     if facts.round_trip_s is None or facts.clock_offset_s is None:
         text = "the autopilot does not answer TIMESYNC: arrival counts as the time of measurement"
-        return warn("time", text, "update the autopilot, or live with some metres in fast flight")
+        return warn("time", text, "update the autopilot, or accept errors of metres in fast flight")
     text = f"round trip {1e3 * facts.round_trip_s:.1f} ms, offset {facts.clock_offset_s:.3f} s"
     if facts.round_trip_s > USELESS_ROUND_TRIP_S:
-        return fail("time", text, "use a faster link: the guard reckons with limits.latency_s")
+        return fail("time", text, "use a faster link: the guard assumes limits.latency_s")
     if facts.round_trip_s > SLOW_ROUND_TRIP_S:
         return warn("time", text, "use a faster link, or raise limits.latency_s")
     return ok("time", text)
 
 
-def _check_readiness(facts: AutopilotFacts) -> Iterator[Finding]:
+def _check_readiness(facts: AutopilotFacts) -> Iterator[CheckResult]:
     missing = [
         name
         for name, is_there in (
@@ -311,11 +315,11 @@ def _check_readiness(facts: AutopilotFacts) -> Iterator[Finding]:
     if facts.battery_pct is not None and facts.battery_pct < LOW_BATTERY_PCT:
         yield warn("battery", f"{facts.battery_pct} %", "charge it")
     none = "none: only a ground station's mode switch can take over"
-    rc = {True: "heard", False: none, None: "the autopilot does not tell"}[facts.has_rc]
+    rc = {True: "heard", False: none, None: "the autopilot does not report it"}[facts.has_rc]
     yield ok("RC", rc)
 
 
-def run_doctor(config: CompanionConfig, link: LinkSpec, duration_s: float) -> list[Finding]:
+def run_doctor(config: CompanionConfig, link: LinkSpec, duration_s: float) -> list[CheckResult]:
     """Look at everything.
 
     Args:

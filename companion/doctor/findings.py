@@ -41,15 +41,15 @@ class AutopilotFacts:
     is_armed: bool
     rates: tuple[StreamRate, ...]
     parameters: Mapping[str, float | None]
-    """Those that were asked for; None: it does not tell."""
+    """Those that were asked for; None: it does not report it."""
     has_rc: bool | None
-    """Whether it hears a transmitter; None: it does not tell."""
+    """Whether it hears a transmitter; None: it does not report it."""
     has_position: bool
     has_home: bool
     origin: LocalOrigin | None
-    """Of the local frame; None: it does not know it, or does not tell."""
+    """Of the local frame; None: it does not know it, or does not report it."""
     gps_fix: int | None
-    """GPS_FIX_TYPE; None: it does not tell."""
+    """GPS_FIX_TYPE; None: it does not report it."""
     battery_pct: int | None
     round_trip_s: float | None
     clock_offset_s: float | None
@@ -106,7 +106,7 @@ class HostFacts:
     has_key: bool
     unix_s: float
     is_clock_synchronised: bool | None
-    """Whether the system keeps its clock by others; None: it does not tell."""
+    """Whether the system keeps its clock by others; None: it does not report it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +128,7 @@ class Level(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class CheckResult:
     """One line."""
 
     level: Level
@@ -136,41 +136,41 @@ class Finding:
     text: str
     """What was found."""
     fix: str = ""
-    """What mends it."""
+    """The remedy."""
 
 
-def ok(subject: str, text: str) -> Finding:
-    """Nothing to mend."""
-    return Finding(Level.OK, subject, text)
+def ok(subject: str, text: str) -> CheckResult:
+    """Nothing to do."""
+    return CheckResult(Level.OK, subject, text)
 
 
-def warn(subject: str, text: str, fix: str) -> Finding:
-    """Something to mend."""
-    return Finding(Level.WARN, subject, text, fix)
+def warn(subject: str, text: str, fix: str) -> CheckResult:
+    """Something to correct."""
+    return CheckResult(Level.WARN, subject, text, fix)
 
 
-def fail(subject: str, text: str, fix: str) -> Finding:
-    """Something to mend before any flight."""
-    return Finding(Level.FAIL, subject, text, fix)
+def fail(subject: str, text: str, fix: str) -> CheckResult:
+    """Something to correct before any flight."""
+    return CheckResult(Level.FAIL, subject, text, fix)
 
 
 SUBJECT_WIDTH = 24
 
 
-def as_lines(findings: Sequence[Finding]) -> list[str]:
-    """A line per finding, one below it for what mends it, and a last one that adds up."""
+def as_lines(findings: Sequence[CheckResult]) -> list[str]:
+    """A line per finding, one below it for the remedy, and a last one that adds up."""
     lines = []
     for finding in findings:
         lines.append(f"{finding.level.value:<5} {finding.subject:<{SUBJECT_WIDTH}} {finding.text}")
         if finding.fix:
             lines.append(f"{'':<5} {'':<{SUBJECT_WIDTH}} -> {finding.fix}")
     counts = {level: sum(f.level is level for f in findings) for level in Level}
-    verdict = "do not fly like this" if counts[Level.FAIL] else "fit to fly"
+    verdict = "do not fly" if counts[Level.FAIL] else "fit to fly"
     counted = f"{counts[Level.OK]} ok, {counts[Level.WARN]} warnings, {counts[Level.FAIL]} failures"
     return [*lines, f"{verdict}: {counted}"]
 
 
-def as_json(findings: Sequence[Finding]) -> dict[str, object]:
+def as_json(findings: Sequence[CheckResult]) -> dict[str, object]:
     """Plain values."""
     return {
         "is_fit": not any(finding.level is Level.FAIL for finding in findings),

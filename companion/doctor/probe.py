@@ -153,8 +153,8 @@ class DoctorProbe:
         if self._bound_s is None:
             return self._began_s is not None and self._now_s - self._began_s > PATIENCE_S
         is_counted = self._now_s - self._bound_s >= SETTLE_S + self._duration_s
-        is_told = not any(question.is_open for question in self._questions)
-        return is_counted and is_told and self._fence is not None
+        is_answered = not any(question.is_open for question in self._questions)
+        return is_counted and is_answered and self._fence is not None
 
     # What was found
 
@@ -262,8 +262,8 @@ class DoctorProbe:
         return None
 
     def _take_parameter(self, message: mavlink.MAVLink_param_value_message) -> None:
-        told: bytes | str = message.param_id  # annotated as str, decoded as bytes
-        name = (told if isinstance(told, str) else told.decode("ascii", "replace")).rstrip("\0")
+        raw: bytes | str = message.param_id  # annotated as str, decoded as bytes
+        name = (raw if isinstance(raw, str) else raw.decode("ascii", "replace")).rstrip("\0")
         is_cast = self._binding.autopilot is Autopilot.ARDUPILOT
         encoding = ParamEncoding.C_CAST if is_cast else ParamEncoding.BYTEWISE
         try:

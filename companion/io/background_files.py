@@ -8,7 +8,7 @@ order.
 
 `BackgroundReplacer` replaces whole files. Each replacement is atomic (see
 `files.write_bytes_atomic`) and runs in a daemon thread. Of what waits for one file only the newest
-content is written, so that a slow disk costs history and never memory. A failure is counted, told
+content is written, so that a slow disk costs history and never memory. A failure is counted, reported
 once and tried again only with the next content.
 """
 
@@ -64,7 +64,7 @@ class BackgroundFile(WriterThread[bytes]):
         self.bytes_kept = self._bytes
 
     def append(self, item: bytes) -> bool:
-        """Queue a record; the first that is lost to a slow disk is told."""
+        """Queue a record; the first that is lost to a slow disk is reported."""
         is_queued = super().append(item)
         if not is_queued and self.overflowed == 1 and not self._is_closed:
             logger.warning("%s: the disk is too slow, records are lost", self.path)

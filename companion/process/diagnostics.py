@@ -1,9 +1,9 @@
 """Diagnostics of the process and its links: for the event log, and what operators must know.
 
 Memory, descriptors, threads and processor time are read from /proc where there is one, otherwise as
-far as the standard library tells.
+far as the standard library knows.
 
-A link that refuses what is sent is told of. A refused frame is not sent again: the next control
+A link that refuses what is sent is reported. A refused frame is not sent again: the next control
 tick brings a newer one.
 """
 
@@ -38,9 +38,9 @@ class ProcessUse:
     """What the process holds at a moment."""
 
     resident_mb: float
-    """Memory in RAM now; the peak where the system does not tell."""
+    """Memory in RAM now; the peak where the system does not say."""
     descriptors: int | None
-    """Open files and sockets; None where the system does not tell."""
+    """Open files and sockets; None where the system does not say."""
     threads: int
     processor_s: float
     """User and system time since the start."""
@@ -71,12 +71,12 @@ def _peak_mb() -> float:
 RECORD_PERIOD_S = 10.0
 SILENT_DISK_S = 2.0
 MISSED_TICKS = 10
-"""Within a period, before anybody is told."""
+"""Within a period, before it is reported."""
 TICK_S = 0.05
 
 
 class ProcessDiagnostics:
-    """Counts and tells.
+    """Counts, records and reports.
 
     Args:
         journal: Where records go, and what is watched.
@@ -100,12 +100,12 @@ class ProcessDiagnostics:
         self._store = store
         self._speed = speed
         self._next_s = -math.inf
-        self._told_dropped = 0
+        self._reported_dropped = 0
         self._is_disk_silent = False
         self._late_total_s = 0.0
 
     def run(self, now_s: float) -> None:
-        """Record and tell what is due."""
+        """Record and report what is due."""
         self._check_disk(now_s)
         if now_s / self._speed < self._next_s:
             return
@@ -146,27 +146,27 @@ class ProcessDiagnostics:
         self._is_disk_silent = is_silent
         if is_silent:
             text = f"the disk has not answered for {SILENT_DISK_S:g} s: flying on, the log waits"
-            self._tell(Severity.WARNING, text, now_s)
+            self._announce(Severity.WARNING, text, now_s)
         else:
-            self._tell(Severity.NOTICE, "the disk answers again", now_s)
+            self._announce(Severity.NOTICE, "the disk answers again", now_s)
 
     def _check_losses(self, now_s: float) -> None:
         dropped = self._journal.health.dropped
         writer = None if self._store is None else self._store.writer
         dropped += 0 if writer is None else writer.failed
-        if dropped > self._told_dropped:
-            self._told_dropped = dropped
+        if dropped > self._reported_dropped:
+            self._reported_dropped = dropped
             text = f"{dropped} log entries lost: the disk is full, broken or too slow; flying on"
-            self._tell(Severity.WARNING, text, now_s)
+            self._announce(Severity.WARNING, text, now_s)
 
     def _check_punctuality(self, now_s: float) -> None:
         missed = round((self._timing.late_total_s - self._late_total_s) / TICK_S)
         self._late_total_s = self._timing.late_total_s
         if missed > MISSED_TICKS:
             text = f"the computer is too slow: {missed} control ticks missed in 10 s"
-            self._tell(Severity.WARNING, text, now_s)
+            self._announce(Severity.WARNING, text, now_s)
 
-    def _tell(self, severity: Severity, text: str, now_s: float) -> None:
+    def _announce(self, severity: Severity, text: str, now_s: float) -> None:
         self._endpoint.executor.execute(Announce(severity, text), now_s)
 
 
@@ -182,8 +182,8 @@ class LinkWatch:
     def __init__(self, links: Sequence[Link], journal: Journal) -> None:
         self._links = links
         self._journal = journal
-        self._told = [(0, 0) for _ in links]
-        self._may_tell = [RateLimit(LINK_TEXTS_PER_S) for _ in links]
+        self._reported = [(0, 0) for _ in links]
+        self._may_report = [RateLimit(LINK_TEXTS_PER_S) for _ in links]
         self._next_look_s = 0.0
         self._next_record_s = 0.0
 
@@ -200,20 +200,20 @@ class LinkWatch:
             self._journal.record("io", fields, now_s)
 
     def _check(self, number: int, link: Link, now_s: float) -> None:
-        counters, (errors, dropped) = link.counters, self._told[number]
+        counters, (errors, dropped) = link.counters, self._reported[number]
         is_slow = isinstance(link, StreamLink) and link.is_connected
         if not is_slow:  # nobody is there: what was dropped is no news
             dropped = counters.dropped
         refused, lost = counters.send_errors - errors, counters.dropped - dropped
         if not refused and not lost:
-            self._told[number] = (errors, dropped)
+            self._reported[number] = (errors, dropped)
             return
-        if not self._may_tell[number].allows(now_s):
+        if not self._may_report[number].allows(now_s):
             return
-        self._told[number] = (counters.send_errors, counters.dropped)
+        self._reported[number] = (counters.send_errors, counters.dropped)
         parts = []
         if refused:
-            parts.append(f"the system refused {refused} frames ({counters.last_error})")
+            parts.append(f"the system rejected {refused} frames ({counters.last_error})")
         if lost:
-            parts.append(f"{lost} frames were given up, the line is too slow")
+            parts.append(f"{lost} frames dropped, the link is too slow")
         self._journal.text(Severity.WARNING, f"{link.name}: {'; '.join(parts)}", now_s)

@@ -4,7 +4,7 @@ Surviving a restart: the mission's memory is kept once a second, and given back 
 
 Theory of operation. Files of an earlier run that did not end in order, readable or not, mean that
 something may be in the air: then nothing engages by itself, whatever the configuration says. What a
-whole checkpoint holds is given to the session when the autopilot is heard (and has told its fence,
+whole checkpoint holds is given to the session when the autopilot is heard (and has reported its fence,
 where that is the one to keep), and only if vehicle, limits, fence, mission and age are right;
 otherwise the flight begins anew, with a line that says why. An orderly end deletes the files,
 unless the vehicle was left armed in mid-mission.
@@ -243,7 +243,7 @@ class ParameterKeeper:
             return
         self._kept = dict(self._tunables.changed)
         if self._writer is None:
-            with suppress(OSError):  # the writer tells what is wrong, once
+            with suppress(OSError):  # the writer warns, once
                 self._path.parent.mkdir(parents=True, exist_ok=True)
             self._writer = BackgroundReplacer("write parameters")
         content = msgspec.json.format(msgspec.json.encode(self._kept), indent=2) + b"\n"
@@ -255,7 +255,7 @@ class ParameterKeeper:
             self._writer.close(timeout_s)
 
     def _load(self) -> dict[str, float]:
-        """What was kept; a file that cannot be read is told and means nothing."""
+        """What was kept; a file that cannot be read is reported and means nothing."""
         try:
             with self._path.open("rb") as file:
                 data = file.read(MAX_BYTES)

@@ -1,6 +1,6 @@
-"""The service manager: what it is told (`sd_notify`), and its watchdog.
+"""The service manager: what it is notified of (`sd_notify`), and its watchdog.
 
-It is told that we are ready, alive or stopping, and what we are doing.
+It is notified that we are ready, alive or stopping, and what we are doing.
 The protocol is systemd's `sd_notify`: datagrams of `KEY=VALUE` lines to the socket named by
 NOTIFY_SOCKET, a path or, with a leading `@`, a name in the abstract namespace. Nothing is sent
 where the variable is not set. The socket never blocks: a manager that does not read costs words
@@ -96,13 +96,13 @@ def _watchdog_s(environment: Mapping[str, str]) -> float | None:
     return int(microseconds) / MICROSECONDS
 
 
-STROKES_PER_PATIENCE = 4.0
-"""Strokes within the manager's patience."""
+FEEDS_PER_TIMEOUT = 4.0
+"""Times that the watchdog is fed within the manager's timeout."""
 STATUS_PERIOD_S = 1.0
 
 
 class Watchdog:
-    """Tells the service manager how we are.
+    """Feeds the manager's watchdog and reports the status.
 
     Args:
         store: Where checkpoints go; None: nowhere.
@@ -125,7 +125,7 @@ class Watchdog:
         self._store = store
         self._is_ready = False
         self._ticks = 0
-        self._next_stroke_s = 0.0
+        self._next_feed_s = 0.0
         self._next_status_s = 0.0
         self._status = ""
 
@@ -141,17 +141,17 @@ class Watchdog:
             self._is_ready = True
             self._supervisor.ready()
         missing = self.missing()
-        if wall_s >= self._next_stroke_s and missing is None:
-            patience_s = self._supervisor.watchdog_s or STATUS_PERIOD_S
-            self._next_stroke_s = wall_s + patience_s / STROKES_PER_PATIENCE
+        if wall_s >= self._next_feed_s and missing is None:
+            timeout_s = self._supervisor.watchdog_s or STATUS_PERIOD_S
+            self._next_feed_s = wall_s + timeout_s / FEEDS_PER_TIMEOUT
             self._ticks = self._timing.fired
             self._supervisor.alive()
         if wall_s >= self._next_status_s:
             self._next_status_s = wall_s + STATUS_PERIOD_S
-            self._tell_status(now_s, missing)
+            self._report_status(now_s, missing)
 
     def missing(self) -> str | None:
-        """Which part did not answer since the last stroke, in words, or None."""
+        """Which part did not answer since it was last fed, in words, or None."""
         if self._timing.fired == self._ticks:
             return "the control tick"
         if not self._journal.health.is_alive:
@@ -162,7 +162,7 @@ class Watchdog:
         closed = next((link.name for link in self._links if not link.is_open), None)
         return None if closed is None else f"link {closed}"
 
-    def _tell_status(self, now_s: float, missing: str | None) -> None:
+    def _report_status(self, now_s: float, missing: str | None) -> None:
         status = self._endpoint.session.status(now_s)
         text = f"{status.phase.value}: {status.detail}" if status.detail else status.phase.value
         if missing is not None and missing != "the control tick":

@@ -84,7 +84,7 @@ def apart_m(recorded: Sequence[Json], replayed: Sequence[Json]) -> tuple[float, 
 
 
 def _by_time(lines: Sequence[Json]) -> dict[tuple[object, int], tuple[float, float]]:
-    """Places by time; the number tells several estimates of one time apart."""
+    """Places by time; the number separates estimates of one time."""
     places: dict[tuple[object, int], tuple[float, float]] = {}
     seen: Counter[object] = Counter()
     for line in lines:

@@ -1,6 +1,6 @@
-"""A recorded flight as its logs tell it, and through the same endpoint once more.
+"""A recorded flight from its logs, and through the same endpoint once more.
 
-What the endpoint was told is in `flight.inputs`, so the replay takes the very same way: frames,
+The endpoint's inputs are in `flight.inputs`, so the replay does the very same: frames,
 ticks and stops at their own times, and nothing else. With the configuration of the flight it gives
 the same estimates and the same setpoints, byte for byte; `flight_replay` looks whether
 that is so.

@@ -55,7 +55,7 @@ class TargetResult:
     estimate: TargetEstimate | None = None
     truth_enu_m: tuple[float, float] | None = None
     observability: Observability | None = None
-    """What the track let the measurements tell."""
+    """What the track made observable."""
 
     @property
     def state(self) -> str:
@@ -64,7 +64,7 @@ class TargetResult:
 
     @property
     def error_m(self) -> float | None:
-        """Distance of the estimate from the truth, where the file tells it."""
+        """Distance of the estimate from the truth, where the file has it."""
         if self.estimate is None or self.truth_enu_m is None:
             return None
         return math.dist(self.estimate.position_enu_m, self.truth_enu_m)

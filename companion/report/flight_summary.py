@@ -31,7 +31,7 @@ class EstimatePoint:
     nis: float | None = None
     covariance_m2: tuple[Point, Point] | None = None
     emitter_id: int | None = None
-    """None: the log does not tell emitters apart."""
+    """None: the log does not separate emitters."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,7 @@
 
 A terminal that was stopped (Ctrl-S), a pipe that nobody reads and a journal daemon that hangs all
 block a write for good. Lines therefore go through a bounded queue to a daemon thread; what does
-not fit is counted, and told with the next line that does.
+not fit is counted, and reported with the next line that does.
 
 Where the output is no terminal, the flight is a line now and then.
 """
@@ -43,7 +43,7 @@ class _LineWriter(WriterThread[str]):
     def write_batch(self, batch: list[str]) -> None:
         """Write some lines."""
         for line in batch:
-            with suppress(OSError, ValueError):  # nobody reads: then there is nobody to tell
+            with suppress(OSError, ValueError):  # nobody reads: then nobody misses it
                 self._write(f"{line}\n")
 
     def _write(self, text: str) -> None:
@@ -87,7 +87,7 @@ log = logging.getLogger("companion.view")
 
 PERIOD_S = 15.0
 """Seconds of the flight between two lines."""
-TOLD_PHASES = HAS_VEHICLE | {Phase.LAUNCHING}
+REPORTED_PHASES = HAS_VEHICLE | {Phase.LAUNCHING}
 """On the ground whatever happens has a text of its own, and a log must not grow for nothing."""
 
 
@@ -111,7 +111,7 @@ class PlainView:
 
     def update(self, endpoint: CompanionEndpoint, now_s: float) -> None:
         """Log a line, if it is time."""
-        if now_s < self._next_s or endpoint.session.phase not in TOLD_PHASES:
+        if now_s < self._next_s or endpoint.session.phase not in REPORTED_PHASES:
             return
         self._next_s = now_s + PERIOD_S
         log.info("%s", plain_line(endpoint.session.status(now_s)))

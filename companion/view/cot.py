@@ -109,7 +109,7 @@ class CotRule:
         last = self._sent.get(emitter.emitter_id)
         is_found = estimate.state is EstimateState.LOCALISED or emitter.is_reported
         if last is None and not is_found:
-            return False  # one that was found once is told of to its end, whatever its state
+            return False  # one that was found once is reported to its end, whatever its state
         if last is not None:
             sent_s, before = last
             since_s = now_s - sent_s

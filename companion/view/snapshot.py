@@ -4,7 +4,7 @@ Lengths are metres in the local frame, east first; times are seconds of the comp
 value that is not known is None. Texts are as they came: whoever shows them escapes them.
 
 The page has its picture, of JSON values; a terminal its `FlightSnapshot`. When the target will be
-reported is extrapolated as far as the shrinking radius tells.
+reported is extrapolated from the shrinking radius.
 """
 
 from __future__ import annotations
@@ -13,16 +13,18 @@ import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Protocol
 
 from companion.config.schema import CompanionConfig
 from companion.domain import EstimateState, TargetEstimate
 from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.polygons import ellipse_95
 from companion.guidance.authority.state_machine import PHASE_WORDS, Phase
-from companion.guidance.commands import Severity
+from companion.guidance.commands import ReportResult, Severity
 from companion.guidance.flight.fencing import Fencing
 from companion.guidance.session import EmitterStatus, GuidanceStatus
 from companion.link.endpoint import CompanionEndpoint
+from companion.link.recorders import Journal
 
 Json = dict[str, object]
 
@@ -159,10 +161,6 @@ def ages_s(endpoint: CompanionEndpoint, now_s: float) -> Mapping[str, float | No
     }
 
 
-OperatorText = tuple[float, Severity, str]
-"""Time in seconds, severity and text."""
-
-
 @dataclass(frozen=True, slots=True)
 class FlightSnapshot:
     """What a terminal shows."""
@@ -174,15 +172,10 @@ class FlightSnapshot:
     ages_s: Mapping[str, float | None]
     """How long ago each input was last heard; None: never."""
     time_to_go_s: float | None = None
-    texts: tuple[OperatorText, ...] = ()
-    """Shown below the figures, where there is no log beside them."""
 
 
 def flight_snapshot(
-    endpoint: CompanionEndpoint,
-    now_s: float,
-    time_to_go_s: float | None = None,
-    texts: tuple[OperatorText, ...] = (),
+    endpoint: CompanionEndpoint, now_s: float, time_to_go_s: float | None = None
 ) -> FlightSnapshot:
     """The present moment of a flight."""
     return FlightSnapshot(
@@ -192,7 +185,6 @@ def flight_snapshot(
         stop_radius_m=endpoint.session.params.stop_radius_m,
         ages_s=ages_s(endpoint, now_s),
         time_to_go_s=time_to_go_s,
-        texts=texts,
     )
 
 
@@ -210,15 +202,17 @@ class TimeToGo:
         stop_radius_m: Reported once R95 stays under this.
     """
 
-    def __init__(self, stop_radius_m: float, confirm_s: float) -> None:
+    def __init__(self, stop_radius_m: float = 1.0, confirm_s: float = 0.0) -> None:
         self._stop_radius_m = stop_radius_m
         self._confirm_s = confirm_s
         self._radii: deque[tuple[float, float]] = deque()
         self._under_since_s: float | None = None
 
-    def aim(self, stop_radius_m: float, confirm_s: float) -> None:
-        """Another end from now on: ground stations may change it."""
-        self._stop_radius_m, self._confirm_s = stop_radius_m, confirm_s
+    def of_flight(self, endpoint: CompanionEndpoint, now_s: float) -> float | None:
+        """The seconds to go of a flight, whose end a ground station may change."""
+        params, estimate = endpoint.session.params, endpoint.session.estimate
+        self._stop_radius_m, self._confirm_s = params.stop_radius_m, params.stop_confirm_s
+        return self.observe(now_s, None if estimate is None else estimate.r95_m)
 
     def observe(self, now_s: float, r95_m: float | None) -> float | None:
         """The seconds to go, or None where nothing can be said.
@@ -249,3 +243,39 @@ class TimeToGo:
             return None
         to_go_s = (log_r95 - math.log(self._stop_radius_m)) / rate + self._confirm_s
         return to_go_s if to_go_s <= MAX_S else None
+
+
+class Listener(Protocol):
+    """A view that hears what goes into the flight log."""
+
+    def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
+        """Take in an event."""
+
+    def text(self, severity: Severity, text: str, now_s: float) -> None:
+        """Take in a text for the operator."""
+
+
+class TeeJournal:
+    """Passes everything on to the flight log, and events and texts to a listener."""
+
+    def __init__(self, journal: Journal, listener: Listener) -> None:
+        self._journal = journal
+        self._listener = listener
+
+    def frame(self, data: bytes, now_s: float) -> None:
+        """Pass a raw frame on."""
+        self._journal.frame(data, now_s)
+
+    def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
+        """Pass an event on, twice."""
+        self._journal.record(kind, fields, now_s)
+        self._listener.record(kind, fields, now_s)
+
+    def text(self, severity: Severity, text: str, now_s: float) -> None:
+        """Pass a text on, twice."""
+        self._journal.text(severity, text, now_s)
+        self._listener.text(severity, text, now_s)
+
+    def result(self, report: ReportResult, now_s: float) -> None:
+        """Pass the result on."""
+        self._journal.result(report, now_s)

@@ -16,21 +16,19 @@ import time
 from collections.abc import Sequence
 from typing import TextIO
 
-from rich.console import Console, Group
+from rich.console import Console
 from rich.live import Live
 from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from companion.config.schema import CompanionConfig
 from companion.domain import EstimateState
 from companion.estimation.noise.innovations import TrackerHealth
 from companion.guidance.authority.state_machine import IN_CONTROL, Phase
-from companion.guidance.commands import Severity
 from companion.guidance.session import EmitterStatus, GuidanceStatus
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.recorders import Journal
-from companion.view.snapshot import FlightSnapshot, OperatorText, TimeToGo, flight_snapshot
+from companion.view.snapshot import FlightSnapshot, TimeToGo, flight_snapshot
 
 PHASE_STYLE = {
     Phase.NORMAL: "bold green",
@@ -45,7 +43,6 @@ STATE_STYLE = {
     EstimateState.LOCALISED: "bold green",
     EstimateState.DIVERGED: "bold red",
 }
-SEVERITY_STYLE = {Severity.ERROR: "bold red", Severity.WARNING: "yellow"}
 WIDTH = 78
 """Of the whole screen, so that it fits an 80-column terminal and does not jump."""
 OLD_AFTER_S = {"autopilot": 1.0, "position": 0.5, "ranging": 5.0}
@@ -62,7 +59,7 @@ def screen(moment: FlightSnapshot, title: str) -> Panel:
     for name, value in _rows(moment):
         grid.add_row(name, value)
     title = f"{title}, {moment.status.time_s:.0f} s"
-    return Panel(Group(grid, *_texts(moment.texts)), title=title, width=WIDTH)
+    return Panel(grid, title=title, width=WIDTH)
 
 
 def _rows(moment: FlightSnapshot) -> list[tuple[str, Text]]:
@@ -158,14 +155,6 @@ def _estimate_rows(status: GuidanceStatus, stop_radius_m: float) -> list[tuple[s
     return [("estimate", where), ("R95", bar), ("offsets", Text(offsets))]
 
 
-def _texts(texts: Sequence[OperatorText]) -> list[Text]:
-    lines = [
-        Text(f"{time_s:6.1f} s  {text}", SEVERITY_STYLE.get(severity, "default"))
-        for time_s, severity, text in texts
-    ]
-    return [Text(), *lines] if lines else []
-
-
 REFRESH_S = 0.5
 """Wall seconds between two pictures; each costs a slow computer some milliseconds."""
 CLOSE_S = 0.5
@@ -188,9 +177,8 @@ class ConsoleStream(io.TextIOBase):
 class TerminalView:
     """The screen of one flight; a `companion.run.FlightView`."""
 
-    def __init__(self, config: CompanionConfig, stream: TextIO | None = None) -> None:
-        mission = config.mission
-        self._time_to_go = TimeToGo(mission.stop_radius_m, mission.stop_confirm_s)
+    def __init__(self, stream: TextIO | None = None) -> None:
+        self._time_to_go = TimeToGo()
         self.console = Console(file=sys.stderr if stream is None else stream)
         self.stream = ConsoleStream(self.console)
         """For log lines."""
@@ -214,10 +202,8 @@ class TerminalView:
         if wall_s < self._next_wall_s:
             return
         self._next_wall_s = wall_s + REFRESH_S
-        params, estimate = endpoint.session.params, endpoint.session.estimate
-        self._time_to_go.aim(params.stop_radius_m, params.stop_confirm_s)
-        r95_m = None if estimate is None else estimate.r95_m
-        moment = flight_snapshot(endpoint, now_s, self._time_to_go.observe(now_s, r95_m))
+        to_go_s = self._time_to_go.of_flight(endpoint, now_s)
+        moment = flight_snapshot(endpoint, now_s, to_go_s)
         with self._changed:
             self._newest = moment
             self._changed.notify()

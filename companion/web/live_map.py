@@ -28,12 +28,12 @@ from functools import partial
 
 from companion.config.schema import CompanionConfig
 from companion.errors import CompanionError
-from companion.guidance.commands import ReportResult, Severity
+from companion.guidance.commands import Severity
 from companion.guidance.events import OperatorCommand
 from companion.io.files import plain
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.recorders import Journal
-from companion.view.snapshot import Json, TimeToGo, picture_of, scene_of
+from companion.view.snapshot import Json, TeeJournal, TimeToGo, picture_of, scene_of
 from companion.web.settings import WebSettings
 
 TEXTS = 50
@@ -59,7 +59,7 @@ class Collector:
         self._next_point_s = 0.0
 
     def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
-        """Take in what the flight log is told; only estimates matter here."""
+        """Take in an event of the flight log; only estimates matter here."""
         if kind != "estimate":
             return
         if fields.get("sensor_enu_m") is not None:
@@ -77,32 +77,6 @@ class Collector:
         points = list(self._curve)
         self._curve.clear()
         return points
-
-
-class TeeJournal:
-    """Passes everything on to the flight log, and what views need to a collector."""
-
-    def __init__(self, journal: Journal, collector: Collector) -> None:
-        self._journal = journal
-        self._collector = collector
-
-    def frame(self, data: bytes, now_s: float) -> None:
-        """Pass a raw frame on."""
-        self._journal.frame(data, now_s)
-
-    def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
-        """Pass an event on, and show it."""
-        self._journal.record(kind, fields, now_s)
-        self._collector.record(kind, fields, now_s)
-
-    def text(self, severity: Severity, text: str, now_s: float) -> None:
-        """Pass a text on, and show it."""
-        self._journal.text(severity, text, now_s)
-        self._collector.text(severity, text, now_s)
-
-    def result(self, report: ReportResult, now_s: float) -> None:
-        """Pass the result on."""
-        self._journal.result(report, now_s)
 
 
 log = logging.getLogger("companion.web")
@@ -248,7 +222,7 @@ def listening_socket(settings: WebSettings) -> socket.socket:
     return listener
 
 
-def url_to_tell(settings: WebSettings) -> str:
+def announced_url(settings: WebSettings) -> str:
     """What to type into a browser, also of another device where the network is served."""
     try:
         if not ipaddress.ip_address(settings.host).is_unspecified:
@@ -293,14 +267,13 @@ class WebView:
     ) -> None:
         self._settings = settings
         self._collector = Collector()
-        mission = config.mission
-        self._time_to_go = TimeToGo(mission.stop_radius_m, mission.stop_confirm_s)
+        self._time_to_go = TimeToGo()
         self._process = WebProcess(settings, {**scene_of(config), "truth": truth_enu_m})
 
     @property
     def url(self) -> str:
         """Where the page is, for people."""
-        return url_to_tell(self._settings)
+        return announced_url(self._settings)
 
     @property
     def process_id(self) -> int:
@@ -308,7 +281,7 @@ class WebView:
         return self._process.process_id
 
     def listen(self, journal: Journal) -> Journal:
-        """A journal that tells the page what it tells the flight log."""
+        """A journal that passes events and texts on to the page."""
         return TeeJournal(journal, self._collector)
 
     def update(self, endpoint: CompanionEndpoint, now_s: float) -> None:
@@ -331,12 +304,9 @@ class WebView:
         self._process.close()
 
     def _picture(self, endpoint: CompanionEndpoint, now_s: float) -> Json:
-        params, estimate = endpoint.session.params, endpoint.session.estimate
-        self._time_to_go.aim(params.stop_radius_m, params.stop_confirm_s)
-        r95_m = None if estimate is None else estimate.r95_m
         return {
             **picture_of(endpoint, now_s),
-            "time_to_go_s": self._time_to_go.observe(now_s, r95_m),
+            "time_to_go_s": self._time_to_go.of_flight(endpoint, now_s),
             "texts": list(self._collector.texts),
             "marks": list(self._collector.marks),
             "curve": self._collector.take_curve(),

@@ -37,7 +37,7 @@ class BlackBox(Journal, Protocol):
 
     @property
     def inputs(self) -> InputRecorder | None:
-        """What the endpoint is told goes here."""
+        """The endpoint's inputs go here."""
 
     @property
     def health(self) -> WriterHealth:
@@ -122,7 +122,7 @@ class FlightJournal:
         self._mcap = mcap
         also = None if mcap is None else mcap.input
         self.inputs = InputLog(directory / INPUTS, inputs_bytes, also)
-        """What the endpoint is told goes here; see `CompanionEndpoint`."""
+        """The endpoint's inputs go here; see `CompanionEndpoint`."""
         self._results = BackgroundReplacer("write result.json")
         self._handoff = HandoffFiles()
 
@@ -191,7 +191,7 @@ class FlightJournal:
         shutil.rmtree(self.directory, ignore_errors=True)
 
     def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> None:
-        """Write what is queued, for so long at most in all, and close; losses are told."""
+        """Write what is queued, for so long at most in all, and close; losses are reported."""
         deadline_s = time.monotonic() + timeout_s
         for log_file in self._logs:
             log_file.finish()

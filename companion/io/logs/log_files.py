@@ -2,7 +2,7 @@
 
 `flight.tlog` is what MAVLink tools read: 8-byte big-endian microseconds since 1970, raw frame.
 
-`flight.inputs`: what the endpoint was told, exactly and in order, to replay a flight from.
+`flight.inputs`: the endpoint's inputs, exactly and in order, to replay a flight from.
 
 A record is a header of fixed size (`_HEADER`), the sender's address as text, and the data. Times
 are the endpoint's own float64 seconds, because a replay is only the same to the last bit if they
@@ -108,7 +108,7 @@ _AGE = struct.Struct("<d")
 
 
 class InputKind(IntEnum):
-    """What the endpoint was told."""
+    """What the endpoint received."""
 
     BEGIN = 0
     """The first record; its data name the format."""
@@ -130,7 +130,7 @@ _KINDS = frozenset(int(kind) for kind in InputKind)
 
 @dataclass(frozen=True, slots=True)
 class Input:
-    """One thing that the endpoint was told."""
+    """One thing that the endpoint received."""
 
     kind: InputKind
     time_s: float

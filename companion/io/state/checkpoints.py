@@ -46,7 +46,7 @@ class Moment:
     unix_s: float
     """Wall clock, which may jump."""
     boot_id: str
-    """Of the running kernel; empty where the system does not tell."""
+    """Of the running kernel; empty where the system does not say."""
     boot_s: float
     """Seconds since it started, suspended ones included; never jumps, ends with the kernel."""
 
@@ -126,7 +126,7 @@ def decode_memory(data: bytes) -> SessionMemory:
 
 
 def age_s(then: Moment, now: Moment) -> float | None:
-    """Seconds between two moments; None where no clock tells.
+    """Seconds between two moments; None where no clock knows.
 
     Under one kernel its own clock is exact. Otherwise the wall clock is believed, unless it went
     back: computers without a clock of their own start in the past.
@@ -237,7 +237,7 @@ class CheckpointStore:
 
     def _begin(self) -> None:
         directory = self.paths[0].parent
-        with suppress(OSError):  # the writer tells what is wrong, once
+        with suppress(OSError):  # the writer warns, once
             directory.mkdir(parents=True, exist_ok=True)
         self._sweep(directory)
         self._writer = BackgroundReplacer("write checkpoint", MODE)

@@ -99,7 +99,7 @@ class _Slot(msgspec.Struct, frozen=True):
 
     version: int
     key: str
-    """Which key, by a name that does not tell it."""
+    """Which key, by a name that does not reveal it."""
     generation: int
     """Rises with every storing."""
     is_end: bool

@@ -9,7 +9,7 @@ import pytest
 
 from companion.config.schema import CompanionConfig, LogConfig
 from companion.doctor.examination import examine, exit_code
-from companion.doctor.findings import Facts, Finding, Level, PlaceFacts, StreamRate
+from companion.doctor.findings import CheckResult, Facts, Level, PlaceFacts, StreamRate
 from companion.domain import Autopilot
 from companion.link.binding import VehicleParams
 from tests.unit.companion.doctor.examples import FIT, HOST, LINK, PX4
@@ -17,7 +17,7 @@ from tests.unit.companion.doctor.examples import FIT, HOST, LINK, PX4
 CONFIG = CompanionConfig()
 
 
-def finding_about(subject: str, facts: Facts, config: CompanionConfig = CONFIG) -> Finding:
+def finding_about(subject: str, facts: Facts, config: CompanionConfig = CONFIG) -> CheckResult:
     (found,) = [finding for finding in examine(facts, config) if finding.subject == subject]
     return found
 
@@ -89,7 +89,7 @@ LINK_CASES = [
     ),
     ("GPS", autopilot_with(gps_fix=1), Level.WARN, "no 3D fix"),
     ("battery", autopilot_with(battery_pct=12), Level.WARN, "12 %"),
-    ("RC", autopilot_with(has_rc=None), Level.OK, "does not tell"),
+    ("RC", autopilot_with(has_rc=None), Level.OK, "does not report"),
 ]
 
 
@@ -136,9 +136,9 @@ def test_a_stream_is_judged_by_what_is_flown_on_and_what_was_asked_for(
 @pytest.mark.parametrize(
     ("changes", "text", "fix"),
     [
-        ({"bytes_received": 0}, "no autopilot heard in 8 s", "is the port the right one"),
-        ({}, "50000 bytes of something else", "is it MAVLink"),
-        ({"unproved_frames": 40}, "40 frames without our key", "the same signing key"),
+        ({"bytes_received": 0}, "no autopilot heard in 8 s", "and the port"),
+        ({}, "50000 bytes that are not MAVLink", "check the protocol"),
+        ({"unproved_frames": 40}, "40 frames not signed with our key", "the same signing key"),
         ({"other_autopilots": (7,)}, "but system 7", "vehicle.system_id"),
     ],
 )

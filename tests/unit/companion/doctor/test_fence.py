@@ -8,7 +8,7 @@ import pytest
 
 from companion.config.schema import DEFAULT_FENCE, CompanionConfig, LimitsConfig
 from companion.doctor.examination import examine, exit_code
-from companion.doctor.findings import AutopilotFacts, Facts, Finding, Level
+from companion.doctor.findings import AutopilotFacts, CheckResult, Facts, Level
 from companion.guidance.events import AutopilotFenceRead
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk
@@ -24,7 +24,7 @@ FENCE = mavlink.MAV_MISSION_TYPE_FENCE
 
 def finding_about_fence(
     autopilot: AutopilotFacts, policy: str = "compare"
-) -> tuple[Finding, list[Finding]]:
+) -> tuple[CheckResult, list[CheckResult]]:
     limits = LimitsConfig(autopilot_fence=policy)  # type: ignore[arg-type]
     facts = replace(FIT, link=replace(LINK, autopilot=autopilot))
     findings = examine(facts, CompanionConfig(limits=limits))
@@ -38,7 +38,7 @@ def finding_about_fence(
         (PX4.fence, "compare", Level.OK, "4 corners, 0 keep-outs, margin 3.0 m; the autopilot's"),
         (PX4.fence, "require", Level.OK, "the autopilot's is the same"),
         (PX4.fence, "use", Level.OK, "the autopilot's own"),
-        (PX4.fence, "ignore", Level.OK, "not looked at"),
+        (PX4.fence, "ignore", Level.OK, "not checked"),
         (OTHER, "compare", Level.FAIL, "borders up to 30.0 m apart"),
         (OTHER, "require", Level.FAIL, "borders up to 30.0 m apart"),
         (NONE, "compare", Level.WARN, "the autopilot has no fence of its own"),

@@ -8,7 +8,7 @@ import pytest
 
 from companion.config.schema import CompanionConfig, LimitsConfig
 from companion.doctor.autopilot_settings import check_parameters, needed_parameters
-from companion.doctor.findings import AutopilotFacts, Finding, Level
+from companion.doctor.findings import AutopilotFacts, CheckResult, Level
 from companion.domain import Autopilot
 from tests.unit.companion.doctor.examples import ARDUPILOT_PARAMETERS, PX4, PX4_PARAMETERS
 
@@ -20,7 +20,7 @@ def with_value(facts: AutopilotFacts, name: str, value: float | None) -> Autopil
     return replace(facts, parameters={**facts.parameters, name: value})
 
 
-def findings_about(name: str, facts: AutopilotFacts) -> list[Finding]:
+def findings_about(name: str, facts: AutopilotFacts) -> list[CheckResult]:
     return [f for f in check_parameters(facts, CompanionConfig()) if f.subject == name]
 
 
@@ -52,7 +52,7 @@ def test_good_parameters_need_no_mending(facts: AutopilotFacts) -> None:
         ("GF_MAX_VER_DIST", 10.0, True, Level.WARN, "limits.altitude_max_m is 60"),
         ("GF_MAX_VER_DIST", 60.0, True, Level.OK, "60 m above home"),
         ("MPC_XY_VEL_MAX", 3.0, True, Level.WARN, "slower than limits.speed_mps (5)"),
-        ("MPC_XY_VEL_MAX", None, True, Level.WARN, "does not tell"),
+        ("MPC_XY_VEL_MAX", None, True, Level.WARN, "does not report"),
     ],
 )
 def test_px4(name: str, value: float | None, has_rc: bool | None, level: Level, text: str) -> None:
@@ -76,7 +76,7 @@ def test_px4(name: str, value: float | None, has_rc: bool | None, level: Level, 
         ("FENCE_ENABLE", 0, Level.WARN, "own fence is off"),
         ("FENCE_ACTION", 0, Level.WARN, "only reports"),
         ("WPNAV_SPEED", 300.0, Level.WARN, "3 m/s: slower"),
-        ("FS_GCS_TIMEOUT", None, Level.WARN, "does not tell"),
+        ("FS_GCS_TIMEOUT", None, Level.WARN, "does not report"),
     ],
 )
 def test_ardupilot(name: str, value: float | None, level: Level, text: str) -> None:

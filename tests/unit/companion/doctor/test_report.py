@@ -20,7 +20,7 @@ def test_each_finding_has_a_line_and_what_mends_it_another() -> None:
         "                               -> set GF_ACTION to 2",
         "FAIL  link                     50.0 % lost",
         "                               -> check the radio",
-        "do not fly like this: 1 ok, 1 warnings, 1 failures",
+        "do not fly: 1 ok, 1 warnings, 1 failures",
     ]
     assert as_lines(FINDINGS[:2])[-1] == "fit to fly: 1 ok, 1 warnings, 0 failures"
 

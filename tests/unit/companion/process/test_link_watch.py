@@ -35,7 +35,7 @@ def test_a_link_that_refuses_is_told_with_the_reason() -> None:
     link.counters.send_errors, link.counters.last_error = 3, "Connection refused"
     watch.check(1.0)
     assert journal.texts == [
-        "udp 127.0.0.1:14550: the system refused 3 frames (Connection refused)"
+        "udp 127.0.0.1:14550: the system rejected 3 frames (Connection refused)"
     ]
 
 
@@ -65,7 +65,7 @@ def test_a_line_that_is_too_slow_is_told() -> None:
     watch.check(0.0)
     link.counters.dropped = 7
     watch.check(1.0)
-    assert journal.texts == ["tcp 127.0.0.1:5760: 7 frames were given up, the line is too slow"]
+    assert journal.texts == ["tcp 127.0.0.1:5760: 7 frames dropped, the link is too slow"]
 
 
 def test_the_counters_are_in_the_event_log_every_ten_seconds() -> None:

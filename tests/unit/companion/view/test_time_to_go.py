@@ -1,6 +1,8 @@
 """The time to go: extrapolated while R95 shrinks, counted down once it is small enough."""
 
 import math
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -35,7 +37,12 @@ def test_no_radius_no_time(r95_m: float | None) -> None:
 
 
 def test_another_radius_counts_at_once() -> None:
-    rule = TimeToGo(1.0, 10.0)
-    assert rule.observe(0.0, 1.5) is None
-    rule.aim(2.0, 4.0)
-    assert rule.observe(1.0, 1.5) == 4.0
+    session = SimpleNamespace(
+        params=SimpleNamespace(stop_radius_m=1.0, stop_confirm_s=10.0),
+        estimate=SimpleNamespace(r95_m=1.5),
+    )
+    flight: Any = SimpleNamespace(session=session)
+    rule = TimeToGo()
+    assert rule.of_flight(flight, 0.0) is None
+    session.params = SimpleNamespace(stop_radius_m=2.0, stop_confirm_s=4.0)
+    assert rule.of_flight(flight, 1.0) == 4.0

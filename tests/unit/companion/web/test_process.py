@@ -11,7 +11,7 @@ from unittest.mock import Mock
 import pytest
 
 from companion.errors import CompanionError
-from companion.web.live_map import WebProcess, listening_socket, url_to_tell
+from companion.web.live_map import WebProcess, listening_socket, announced_url
 from companion.web.settings import web_settings
 
 WHOLE = (
@@ -59,21 +59,21 @@ def test_without_the_extra_it_says_how_to_install_it(monkeypatch: pytest.MonkeyP
 def test_the_address_that_is_told_is_the_one_that_is_served() -> None:
     for address in ("8080", "192.168.1.7:8080", "field-laptop:8080"):
         settings = web_settings(address)
-        assert url_to_tell(settings) == settings.url
+        assert announced_url(settings) == settings.url
 
 
 def test_without_a_network_the_address_stays_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     refusal = Mock(side_effect=OSError(errno.ENETUNREACH, "Network is unreachable"))
     monkeypatch.setattr(socket.socket, "connect", refusal)
     settings = web_settings("0.0.0.0:8080")
-    assert url_to_tell(settings) == settings.url
+    assert announced_url(settings) == settings.url
 
 
 def test_beside_the_network_the_address_is_the_way_out(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(socket.socket, "connect", Mock())
     monkeypatch.setattr(socket.socket, "getsockname", Mock(return_value=("192.168.1.7", 4)))
     settings = web_settings("0.0.0.0:8080", token="12345678")
-    assert url_to_tell(settings) == "http://192.168.1.7:8080/?token=12345678"
+    assert announced_url(settings) == "http://192.168.1.7:8080/?token=12345678"
 
 
 @pytest.mark.parametrize("words", ["", '{"fd": 3, "ho', WHOLE, WHOLE + '{"t_s": 1.0, "ve'])
