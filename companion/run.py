@@ -379,6 +379,6 @@ class _Hints:
         self._has_warned = True
         if not self._endpoint.binding.is_bound:
             log.warning(
-                "no autopilot heard on %s yet: does it send there, and is the port the right one?",
+                "no autopilot heard on %s yet: check that it sends there, and the port",
                 self._link_name,
             )

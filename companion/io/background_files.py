@@ -8,8 +8,8 @@ order.
 
 `BackgroundReplacer` replaces whole files. Each replacement is atomic (see
 `files.write_bytes_atomic`) and runs in a daemon thread. Of what waits for one file only the newest
-content is written, so that a slow disk costs history and never memory. A failure is counted, reported
-once and tried again only with the next content.
+content is written, so that a slow disk costs history and never memory. A failure is counted,
+reported once and tried again only with the next content.
 """
 
 from __future__ import annotations

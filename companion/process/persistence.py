@@ -4,8 +4,8 @@ Surviving a restart: the mission's memory is kept once a second, and given back 
 
 Theory of operation. Files of an earlier run that did not end in order, readable or not, mean that
 something may be in the air: then nothing engages by itself, whatever the configuration says. What a
-whole checkpoint holds is given to the session when the autopilot is heard (and has reported its fence,
-where that is the one to keep), and only if vehicle, limits, fence, mission and age are right;
+whole checkpoint holds is given to the session when the autopilot is heard (and has reported
+its fence, where that is the one to keep), and only if vehicle, limits, fence, mission and age are right;
 otherwise the flight begins anew, with a line that says why. An orderly end deletes the files,
 unless the vehicle was left armed in mid-mission.
 

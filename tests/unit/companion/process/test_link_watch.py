@@ -46,7 +46,7 @@ def test_it_is_told_rarely_and_nothing_is_left_out_of_the_sum() -> None:
         link.counters.send_errors += 1
         watch.check(tenth / 10.0)
     assert len(journal.texts) in (9, 10)
-    told = sum(int(text.split("refused ")[1].split()[0]) for text in journal.texts)
+    told = sum(int(text.split("rejected ")[1].split()[0]) for text in journal.texts)
     assert told > 900
 
 

@@ -11,7 +11,7 @@ from unittest.mock import Mock
 import pytest
 
 from companion.errors import CompanionError
-from companion.web.live_map import WebProcess, listening_socket, announced_url
+from companion.web.live_map import WebProcess, announced_url, listening_socket
 from companion.web.settings import web_settings
 
 WHOLE = (
