@@ -1,19 +1,15 @@
-"""What outlives the process: the mission's memory, and parameters that were changed.
-
-Surviving a restart: the mission's memory is kept once a second, and given back to a new process.
+"""What outlives the process: the mission's memory, kept once a second, and changed parameters.
 
 Theory of operation. Files of an earlier run that did not end in order, readable or not, mean that
 something may be in the air: then nothing engages by itself, whatever the configuration says. What a
-whole checkpoint holds is given to the session when the autopilot is heard (and has reported
-its fence, where that is the one to keep), and only if vehicle, limits, fence, mission and age are right;
-otherwise the flight begins anew, with a line that says why. An orderly end deletes the files,
-unless the vehicle was left armed in mid-mission.
+whole checkpoint holds is given to the session when the autopilot is heard (and has reported its
+fence, where that is the one to keep), and only if vehicle, limits, fence, mission and age are
+right; otherwise the flight begins anew, with a line that says why. An orderly end deletes the
+files, unless the vehicle was left armed in mid-mission.
 
-Parameters that were changed from a ground station outlive the process.
-
-They are kept beside the checkpoints, a file for each vehicle's link, and are taken up at the next
-start as far as the configuration's rules allow; what is the same as in the configuration's file is
-not kept.
+Parameters that a ground station changed are kept beside the checkpoints, a file for each vehicle's
+link, and are taken up at the next start as far as the configuration's rules allow; what is the same
+as in the configuration's file is not kept.
 """
 
 from __future__ import annotations
