@@ -9,7 +9,6 @@ import sys
 import threading
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NoReturn
 
 import msgspec
 
@@ -21,6 +20,7 @@ from companion.mav.endpoint import Address, Endpoint
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.incidents import Incident
 from sim_link.autopilot.scenario import Scenario
+from sim_link.fleet.console import ComplaintParser, is_interrupt
 from sim_link.fleet.scenario_io import load_scenario
 from sim_link.fleet.vehicles import (
     Fleet,
@@ -30,7 +30,6 @@ from sim_link.fleet.vehicles import (
     link_specs,
     make_vehicles,
 )
-from sim_link.interrupts import is_interrupt
 
 DEFAULT_LISTEN = "127.0.0.1:14580"
 DEFAULT_SEND_TO = ("127.0.0.1:14550", "127.0.0.1:14540")
@@ -56,14 +55,6 @@ more:
   sim-link mission run FILE...   fly mission scripts and tell pass or fail
   sim-link radio --follow URL    a radio payload for a vehicle that has none
   sim-link proxy --fault MAPPING  a bad link between a vehicle and a companion"""
-
-
-class _Parser(argparse.ArgumentParser):
-    """Raises what argparse would print, so that every complaint is one line."""
-
-    def error(self, message: str) -> NoReturn:
-        """Refuse the arguments."""
-        raise ConfigError(f"{message} (sim-link --help shows how)")
 
 
 class _LinePrinter:
@@ -111,7 +102,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
-    parser = _Parser(
+    parser = ComplaintParser(
         prog="sim-link",
         description=DESCRIPTION,
         epilog=EPILOG,
@@ -219,10 +210,10 @@ def _add_files(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    wishes = _fleet_options(arguments)
-    endpoints = make_vehicles(wishes)
-    specs = [link_specs(wishes, number) for number in range(len(endpoints))]
-    voice, files = _LinePrinter(), FleetFiles(wishes, endpoints)
+    options = _fleet_options(arguments)
+    endpoints = make_vehicles(options)
+    specs = [link_specs(options, number) for number in range(len(endpoints))]
+    voice, files = _LinePrinter(), FleetFiles(options, endpoints)
     files.begin()
 
     orders: queue.SimpleQueue[bytes] = queue.SimpleQueue()
@@ -237,13 +228,13 @@ def _run(arguments: argparse.Namespace) -> int:
                 if not arguments.quiet:
                     voice.say(f"{occurrence.time_s:8.2f} s  {who}{occurrence.text}")
 
-    voice.say(_start_line(wishes))
-    for line in _notes(wishes):
+    voice.say(_start_line(options))
+    for line in _notes(options):
         voice.say(line)
     fleet: Endpoint = endpoints[0] if len(endpoints) == 1 else Fleet(endpoints, len(specs[0]))
     links = [spec for own in specs for spec in own]
     try:
-        shell = Shell(fleet, links, Clock(wishes.speed), on_wakeup)
+        shell = Shell(fleet, links, Clock(options.speed), on_wakeup)
         if arguments.stop_on_eof:
             threading.Thread(target=_read_input, args=(shell, orders), daemon=True).start()
         shell.run_blocking()
@@ -305,7 +296,7 @@ def _apply_incidents(endpoint: SimEndpoint, orders: queue.SimpleQueue[bytes], no
     while not orders.empty():
         line = orders.get()
         try:
-            endpoint.happen(msgspec.json.decode(line, type=Incident), now_s)
+            endpoint.apply_incident(msgspec.json.decode(line, type=Incident), now_s)
         except (msgspec.DecodeError, ValueError) as error:
             print(f"sim-link: {line!r} is no incident: {error}", file=sys.stderr)
 
@@ -331,34 +322,34 @@ def _address(option: str, text: str) -> Address:
     return (url.host, url.port)
 
 
-def _start_line(wishes: FleetOptions) -> str:
-    scenario, listen = wishes.scenario, wishes.listen
-    targets = ", ".join(f"{host}:{port}" for host, port in wishes.send_to)
+def _start_line(options: FleetOptions) -> str:
+    scenario, listen = options.scenario, options.listen
+    targets = ", ".join(f"{host}:{port}" for host, port in options.send_to)
     count = f"{scenario.vehicles} vehicles, " if scenario.vehicles > 1 else ""
-    also = "".join(f", {url}" for url in wishes.links)
+    also = "".join(f", {url}" for url in options.links)
     return (
         f"sim-link: {count}{scenario.autopilot.flavour}, scenario {scenario.name}, "
-        f"seed {wishes.seed}, speed {wishes.speed:g}x; "
+        f"seed {options.seed}, speed {options.speed:g}x; "
         f"sending to {targets}; listening on {listen[0]}:{listen[1]}{also}"
     )
 
 
-def _notes(wishes: FleetOptions) -> list[str]:
+def _notes(options: FleetOptions) -> list[str]:
     """What a user may have meant otherwise."""
     notes = []
-    if wishes.parameters is not None and not wishes.parameters.exists():
+    if options.parameters is not None and not options.parameters.exists():
         notes.append(
-            f"sim-link: {wishes.parameters} is not there yet; changes will be stored there"
+            f"sim-link: {options.parameters} is not there yet; changes will be stored there"
         )
-    if wishes.signing_key is not None and has_signing_ended(wishes.signing_key):
-        notes.append(f"sim-link: signing is off, a client ended it ({wishes.signing_key})")
+    if options.signing_key is not None and has_signing_ended(options.signing_key):
+        notes.append(f"sim-link: signing is off, a client ended it ({options.signing_key})")
     return notes
 
 
 def _summary(endpoint: SimEndpoint) -> str:
-    vehicle = endpoint.vehicle
+    vehicle, aircraft = endpoint.vehicle, endpoint.vehicle.aircraft
     return (
-        f"sim-link: stopped after {vehicle.time_s:.1f} s; flew {vehicle.flight_time_s:.1f} s "
-        f"and {vehicle.distance_m:.0f} m; {vehicle.offboard.received} setpoints received, "
-        f"{vehicle.offboard.refused} refused"
+        f"sim-link: stopped after {vehicle.time_s:.1f} s; flew {aircraft.flight_time_s:.1f} s "
+        f"and {aircraft.distance_m:.0f} m; {vehicle.setpoints.received} setpoints received, "
+        f"{vehicle.setpoints.refused} refused"
     )

@@ -15,7 +15,7 @@ from __future__ import annotations
 import struct
 
 from companion.mav.dialect import Message, mavlink
-from companion.mav.framing import CRC_LENGTH, HEADER_LENGTH, MAGIC_V1, SIGNATURE_LENGTH, message_id
+from companion.mav.framing import CRC_LENGTH, HEADER_LENGTH, SIGNATURE_LENGTH, message_id
 from companion.mav.signing import is_signed
 
 TARGETS_AT = 16
@@ -75,12 +75,6 @@ def _offsets() -> dict[int, tuple[int, int | None]]:
 
 
 _OFFSETS = _offsets()
-
-
-def source_of(frame: bytes) -> tuple[int, int]:
-    """System and component that a frame says it is from."""
-    at = 3 if frame[0] == MAGIC_V1 else 5
-    return frame[at], frame[at + 1]
 
 
 def targets_of_frame(frame: bytes) -> tuple[int, int]:

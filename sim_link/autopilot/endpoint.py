@@ -32,7 +32,12 @@ from sim_link.autopilot.protocols.link_layer import LinkLayer
 from sim_link.autopilot.scenario import Scenario
 from sim_link.autopilot.services import Services
 from sim_link.autopilot.telemetry import Telemetry
-from sim_link.autopilot.vehicle import FlightRecorder, IncidentSchedule, SimVehicle, apply_incident
+from sim_link.autopilot.vehicle import (
+    FlightRecorder,
+    IncidentSchedule,
+    SimVehicle,
+    apply_to_vehicle,
+)
 from sim_link.world.environment import Emitter
 from sim_link.world.point_mass import PointMass
 
@@ -83,7 +88,7 @@ class SimEndpoint:
         )
         self.recorder = FlightRecorder()
         self._began_s = started_s
-        self._script = IncidentSchedule(scenario.incidents)
+        self._schedule = IncidentSchedule(scenario.incidents)
         self._boot(started_s, parameters, parameters_name)
 
     def _boot(
@@ -121,14 +126,14 @@ class SimEndpoint:
             if self._services.wants_reboot:
                 self._reboot(now_s, 0.0)
 
-    def happen(self, incident: IncidentRecord, now_s: float) -> None:
+    def apply_incident(self, incident: IncidentRecord, now_s: float) -> None:
         """Let something happen to the vehicle now, whatever its `start_s` says."""
         if isinstance(incident, VehicleReboot):
             self._reboot(now_s, incident.down_s)
         elif now_s >= self._started_s:
-            apply_incident(incident, self.vehicle, now_s - self._started_s)
+            apply_to_vehicle(incident, self.vehicle, now_s - self._started_s)
             if isinstance(incident, WindChange) and incident.duration_s < math.inf:
-                self._script.add(self._scenario_wind(now_s + incident.duration_s))
+                self._schedule.add(self._scenario_wind(now_s + incident.duration_s))
 
     def _scenario_wind(self, time_s: float) -> WindChange:
         wind = self._scenario.wind
@@ -155,7 +160,7 @@ class SimEndpoint:
         if self.links.signing is not None:
             self.links.signing.advance(now_s + self._unix_minus_local_s)
         while self._next_step <= self._last_step(now_s):
-            self._happen_by_script(self.next_timer_s())
+            self._apply_scheduled(self.next_timer_s())
             if self._next_step <= self._last_step(now_s):  # no reboot
                 self._step(self._next_step * STEP_S)
                 self._next_step += 1
@@ -163,9 +168,9 @@ class SimEndpoint:
     def _last_step(self, now_s: float) -> int:
         return math.floor((now_s - self._started_s) / STEP_S + STEP_TOLERANCE)
 
-    def _happen_by_script(self, now_s: float) -> None:
-        for incident in self._script.take_due(now_s - self._began_s):
-            self.happen(incident, now_s)
+    def _apply_scheduled(self, now_s: float) -> None:
+        for incident in self._schedule.take_due(now_s - self._began_s):
+            self.apply_incident(incident, now_s)
 
     def next_timer_s(self) -> float:
         """The time of the next physics step."""

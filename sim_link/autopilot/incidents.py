@@ -1,7 +1,7 @@
 """What may happen to a vehicle that no client asked for: pilot, satellites, weather and power.
 
 A scenario lists incidents with their times, a fault schedule holds them among other faults, and
-`SimEndpoint.happen` lets one happen at once. In YAML `kind` names the record:
+`SimEndpoint.apply_incident` lets one happen at once. In YAML `kind` names the record:
 `{kind: gps_loss, start_s: 30, duration_s: 10}`. An event (a reboot, a mode switch) happens at its
 start, and its duration means nothing.
 """

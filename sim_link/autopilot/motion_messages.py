@@ -135,7 +135,7 @@ def global_position_int(vehicle: SimVehicle) -> Message | None:
         lat,
         lon,
         alt,
-        to_int32(alt - 1e3 * vehicle.home_altitude_m),
+        to_int32(alt - 1e3 * vehicle.aircraft.home_altitude_m),
         to_int16(1e2 * v_north),
         to_int16(1e2 * v_east),
         to_int16(1e2 * v_down),

@@ -43,7 +43,7 @@ class Task(Enum):
     RETURN = "return"
     FLY_MISSION = "fly mission"
     FOLLOW = "follow setpoints"
-    OBEY_STICKS = "obey sticks"
+    FLY_BY_STICKS = "fly by sticks"
     CIRCLE = "circle"
     DESCEND = "descend"
     """Without a position to hold."""
@@ -81,7 +81,8 @@ class Pilot:
         self.limits = SpeedLimits()
         self.hold_yaw_ned_rad: float | None = None
         self.hold_speed_mps: float | None = None
-        self._hold_enu_m = home_enu_m
+        self.hold_enu_m = home_enu_m
+        """Where it stays."""
         self._cruise_up_m: float | None = None
         self._loitered_s = 0.0
         self._velocity: PositionEnu = (0.0, 0.0, 0.0)
@@ -105,17 +106,12 @@ class Pilot:
             self._begin_return(body)
         if task is Task.CIRCLE:
             ahead = turned(self.circle_radius_m, 0.0, body.yaw_ned_rad)
-            self._circle_centre = (self._hold_enu_m[0] + ahead[0], self._hold_enu_m[1] + ahead[1])
+            self._circle_centre = (self.hold_enu_m[0] + ahead[0], self.hold_enu_m[1] + ahead[1])
 
     def go_to(self, goal_enu_m: PositionEnu, speed_mps: float | None, yaw: float | None) -> None:
         """Stay at another place from now on; needs the task STAY."""
-        self._hold_enu_m = goal_enu_m
+        self.hold_enu_m = goal_enu_m
         self.hold_speed_mps, self.hold_yaw_ned_rad = speed_mps, yaw
-
-    @property
-    def hold_enu_m(self) -> PositionEnu:
-        """Where it stays."""
-        return self._hold_enu_m
 
     def has_taken_off(self, body: PointMass) -> bool:
         """Whether the takeoff height is reached."""
@@ -137,8 +133,8 @@ class Pilot:
             case Task.FOLLOW:
                 return self._follow(setpoint, body)
             case Task.TAKE_OFF:
-                east, north, _ = self._hold_enu_m
-                up_m = max(self.takeoff_up_m, self._hold_enu_m[2])
+                east, north, _ = self.hold_enu_m
+                up_m = max(self.takeoff_up_m, self.hold_enu_m[2])
                 return self._towards((east, north, up_m), body)
             case Task.LAND:
                 return self._land(body)
@@ -149,9 +145,9 @@ class Pilot:
             case Task.CIRCLE:
                 return self._circle(body)
             case Task.STAY | Task.FLY_MISSION:
-                return self._towards(self._hold_enu_m, body, self.hold_speed_mps)
-            case Task.OBEY_STICKS if sticks is not None:
-                return self._obey(sticks, body)
+                return self._towards(self.hold_enu_m, body, self.hold_speed_mps)
+            case Task.FLY_BY_STICKS if sticks is not None:
+                return self._fly_by_sticks(sticks, body)
         return (0.0, 0.0, -SINK_WITHOUT_STICKS_MPS)
 
     def yaw_ned_rad(
@@ -173,18 +169,21 @@ class Pilot:
                 return self._circle_yaw_ned_rad
             case Task.FLY_MISSION if self._leg is not None:
                 return self._leg.yaw_ned_rad
-            case Task.OBEY_STICKS if sticks is not None and sticks.yaw:
+            case Task.FLY_BY_STICKS if sticks is not None and sticks.yaw:
                 rate_radps = sticks.yaw * self._vehicle.max_yaw_rate_radps
                 return wrap_pi(heading_rad + rate_radps * STEP_S)
         return None
 
-    def stay_here(self, body: PointMass) -> None:
-        """Move the hold point to where a braking vehicle comes to rest."""
-        self._stay(body)
-
     def _stay(self, body: PointMass) -> None:
         east, north, up = stopping_point(body.position_enu_m, body.velocity_enu_mps, self._vehicle)
-        self._hold_enu_m = (east, north, max(up, body.ground_up_m))
+        self.hold_enu_m = (east, north, max(up, body.ground_up_m))
+
+    def _come_to_rest(self, body: PointMass) -> PositionEnu:
+        """To where it stays since nothing is asked."""
+        if not self._is_staying:
+            self._stay(body)
+            self._is_staying = True
+        return self._towards(self.hold_enu_m, body)
 
     def _towards(
         self, goal_enu_m: PositionEnu, body: PointMass, speed_mps: float | None = None
@@ -198,16 +197,16 @@ class Pilot:
         return (east * scale, north * scale, max(-limits.descent_mps, min(limits.climb_mps, up)))
 
     def _land(self, body: PointMass) -> PositionEnu:
-        east, north, _ = self._towards(self._hold_enu_m, body)
+        east, north, _ = self._towards(self.hold_enu_m, body)
         if body.height_m > SLOW_DESCENT_BELOW_M:
             return (east, north, -self._vehicle.max_descent_mps)
         return (east, north, -self._vehicle.landing_speed_mps)
 
     def _fly_leg(self, leg: Leg, body: PointMass) -> PositionEnu:
         if leg.kind is LegKind.LAND:
-            self._hold_enu_m = (*leg.goal_enu_m[:2], body.ground_up_m)
+            self.hold_enu_m = (*leg.goal_enu_m[:2], body.ground_up_m)
             return self._land(body)
-        self._hold_enu_m = leg.goal_enu_m
+        self.hold_enu_m = leg.goal_enu_m
         return self._towards(leg.goal_enu_m, body, leg.speed_mps)
 
     def _circle(self, body: PointMass) -> PositionEnu:
@@ -216,7 +215,7 @@ class Pilot:
         angle = math.atan2(east - centre_e, north - centre_n)
         radius_m, speed_mps = self.circle_radius_m, self.circle_radius_m * self.circle_rate_radps
         place = (centre_e + radius_m * math.sin(angle), centre_n + radius_m * math.cos(angle))
-        back = self._towards((*place, self._hold_enu_m[2]), body)
+        back = self._towards((*place, self.hold_enu_m[2]), body)
         along = (speed_mps * math.cos(angle), -speed_mps * math.sin(angle))
         self._circle_yaw_ned_rad = wrap_pi(angle + math.pi)
         return (back[0] + along[0], back[1] + along[1], back[2])
@@ -231,10 +230,10 @@ class Pilot:
                 return self._towards((*self.home_enu_m[:2], self.final_up_m), body)
             return self._land(body)
         if body.position_enu_m[2] < self._cruise_up_m - CLIMBED_M:
-            east, north, _ = self._hold_enu_m
+            east, north, _ = self.hold_enu_m
             return self._towards((east, north, self._cruise_up_m), body)
         if self._is_over_home(body):
-            self._hold_enu_m = self.home_enu_m
+            self.hold_enu_m = self.home_enu_m
             self._loitered_s += STEP_S
             if self._loitered_s > self.return_loiter_s:
                 self._cruise_up_m = None
@@ -247,14 +246,11 @@ class Pilot:
         slack_mps = body.drift_mps + self._vehicle.position_gain_per_s * HOME_REACHED_M
         return approach_speed_mps(distance_m, self._vehicle) <= slack_mps
 
-    def _obey(self, sticks: Sticks, body: PointMass) -> PositionEnu:
+    def _fly_by_sticks(self, sticks: Sticks, body: PointMass) -> PositionEnu:
         """Velocities by deflection; let go, it stays where it comes to rest."""
         vehicle = self._vehicle
         if sticks.are_let_go:
-            if not self._is_staying:
-                self._stay(body)
-                self._is_staying = True
-            return self._towards(self._hold_enu_m, body)
+            return self._come_to_rest(body)
         self._is_staying = False
         east, north = turned(
             sticks.forward * vehicle.max_speed_mps,
@@ -275,10 +271,7 @@ class Pilot:
             return self._accelerate(setpoint.acceleration_enu_mps2)
         self._velocity = body.velocity_enu_mps
         if gives_nothing:
-            if not self._is_staying:
-                self._stay(body)
-                self._is_staying = True
-            return self._towards(self._hold_enu_m, body)
+            return self._come_to_rest(body)
         self._is_staying = False
         own_east, own_north, own_up = body.position_enu_m
         east, north = setpoint.position_en_m or (own_east, own_north)
@@ -294,12 +287,11 @@ class Pilot:
     def _accelerate(self, acceleration_enu_mps2: PositionEnu) -> PositionEnu:
         """A velocity that grows by what is asked, up to the vehicle's limits."""
         self._is_staying = False
-        limits = (self._vehicle.max_speed_mps, self._vehicle.max_speed_mps)
+        limit = self._vehicle.max_speed_mps
         ve, vn, vu = (
             v + a * STEP_S for v, a in zip(self._velocity, acceleration_enu_mps2, strict=True)
         )
-        ve = min(limits[0], max(-limits[0], ve))
-        vn = min(limits[1], max(-limits[1], vn))
+        ve, vn = min(limit, max(-limit, ve)), min(limit, max(-limit, vn))
         vu = min(self._vehicle.max_climb_mps, max(-self._vehicle.max_descent_mps, vu))
         self._velocity = (ve, vn, vu)
         return self._velocity

@@ -134,7 +134,13 @@ class Calibration:
 
 
 NEUTRAL_US, RANGE_US = 1500.0, 500.0
-Handler = Callable[[Any, Partner, float], list[Outgoing]]
+COMMANDS = (
+    mavlink.MAVLink_command_long_message,
+    mavlink.MAVLink_command_int_message,
+    mavlink.MAVLink_set_mode_message,
+    MAVLink_command_cancel_message,
+)
+Handler = Callable[[Any, Partner, float], Message | None]
 
 
 class Services:
@@ -174,22 +180,31 @@ class Services:
         self._handlers = self._handlers_by_type()
 
     def _handlers_by_type(self) -> dict[type[Message], Handler]:
-        flavour = self._vehicle.flavour
+        """What takes each message; what it returns is answered on the sender's channel."""
+        flavour, clocks, requests = self._vehicle.flavour, self._clocks, self.requests
         return {
-            mavlink.MAVLink_set_position_target_local_ned_message: _taking(flavour.take_local),
-            mavlink.MAVLink_set_position_target_global_int_message: _taking(flavour.take_global),
-            mavlink.MAVLink_set_attitude_target_message: _taking(flavour.take_attitude),
-            mavlink.MAVLink_command_long_message: self._take_command,
-            mavlink.MAVLink_command_int_message: self._take_command,
-            mavlink.MAVLink_set_mode_message: self._take_command,
-            MAVLink_command_cancel_message: self._take_command,
+            mavlink.MAVLink_set_position_target_local_ned_message: (
+                lambda message, _, now_s: flavour.take_local(message, now_s)
+            ),
+            mavlink.MAVLink_set_position_target_global_int_message: (
+                lambda message, _, now_s: flavour.take_global(message, now_s)
+            ),
+            mavlink.MAVLink_set_attitude_target_message: (
+                lambda message, _, now_s: flavour.take_attitude(message, now_s)
+            ),
             mavlink.MAVLink_heartbeat_message: self._take_heartbeat,
-            mavlink.MAVLink_timesync_message: self._take_timesync,
-            mavlink.MAVLink_ping_message: self._take_ping,
-            mavlink.MAVLink_manual_control_message: self._take_manual_control,
-            mavlink.MAVLink_rc_channels_override_message: self._take_rc_override,
-            mavlink.MAVLink_set_gps_global_origin_message: self._take_origin,
-            mavlink.MAVLink_request_data_stream_message: self._take_data_stream,
+            mavlink.MAVLink_timesync_message: clocks.timesync,
+            mavlink.MAVLink_ping_message: lambda message, partner, _: clocks.ping(message, partner),
+            mavlink.MAVLink_manual_control_message: (
+                lambda message, _, now_s: self._take_manual_control(message, now_s)
+            ),
+            mavlink.MAVLink_rc_channels_override_message: (
+                lambda message, _, now_s: self._take_rc_override(message, now_s)
+            ),
+            mavlink.MAVLink_set_gps_global_origin_message: (
+                lambda message, *_: self._take_origin(message)
+            ),
+            mavlink.MAVLink_request_data_stream_message: requests.set_data_stream,
         }
 
     def handle(self, message: Message, channel: Channel, now_s: float) -> list[Outgoing]:
@@ -199,20 +214,24 @@ class Services:
         partner = partner_of(message, channel)
         handler = self._handlers.get(type(message))
         if handler is not None:
-            return handler(message, partner, now_s) + self.news()
+            answer = handler(message, partner, now_s)
+            answers = [] if answer is None else [Outgoing(answer, channel)]
+            return answers + self.announcements()
+        if isinstance(message, COMMANDS):
+            return self._take_command(message, partner, now_s) + self.announcements()
         outgoing = self._parameters.handle(message, partner, now_s)
         outgoing += self._plans.handle(message, partner, now_s)
         self._take_plan_events()
-        return outgoing + reject_unsupported_service(message, partner) + self.news()
+        return outgoing + reject_unsupported_service(message, partner) + self.announcements()
 
     def step(self, now_s: float) -> list[Outgoing]:
         """What is due by itself at a physics step."""
         outgoing = self._parameters.handle_timer(now_s) + self._plans.handle_timer(now_s)
         outgoing += self._calibration.step(now_s)
         outgoing += [Outgoing(each) for each in self._clock_requests.take_due(now_s)]
-        return outgoing + self.news()
+        return outgoing + self.announcements()
 
-    def news(self) -> list[Outgoing]:
+    def announcements(self) -> list[Outgoing]:
         """Texts, and what is told when it changes."""
         vehicle, aircraft = self._vehicle, self._vehicle.aircraft
         messages: list[Message] = []
@@ -253,8 +272,9 @@ class Services:
             case None:
                 return outgoing
             case Cancel():
-                return outgoing + self._commands.cancelled(command.number, now_s)
-        answer = self.requests.obey(command, now_s)
+                cancelled = CommandResult.CANCELLED
+                return outgoing + self._commands.finish(command.number, cancelled, now_s)
+        answer = self.requests.handle_command(command, now_s)
         result, replies = (self._command(command, now_s), []) if answer is None else answer
         progress = 0 if result == CommandResult.IN_PROGRESS else UNKNOWN_PROGRESS
         acknowledgement = self._commands.answer(command, result, now_s, progress=progress)
@@ -320,42 +340,19 @@ class Services:
 
     def _take_heartbeat(
         self, message: mavlink.MAVLink_heartbeat_message, partner: Partner, now_s: float
-    ) -> list[Outgoing]:
+    ) -> None:
         if message.type == mavlink.MAV_TYPE_GCS:
             self._vehicle.aircraft.hear_station(partner.system_id, now_s)
-        return []
-
-    def _take_timesync(
-        self, message: mavlink.MAVLink_timesync_message, partner: Partner, now_s: float
-    ) -> list[Outgoing]:
-        answer = self._clocks.timesync(message, partner, now_s)
-        return [] if answer is None else [Outgoing(answer, partner.channel)]
-
-    def _take_ping(
-        self,
-        message: mavlink.MAVLink_ping_message,
-        partner: Partner,
-        now_s: float,  # noqa: ARG002  a PING carries its own time
-    ) -> list[Outgoing]:
-        answer = self._clocks.ping(message, partner)
-        return [] if answer is None else [Outgoing(answer, partner.channel)]
 
     def _take_manual_control(
-        self,
-        message: mavlink.MAVLink_manual_control_message,
-        partner: Partner,  # noqa: ARG002  whoever sends one
-        now_s: float,
-    ) -> list[Outgoing]:
+        self, message: mavlink.MAVLink_manual_control_message, now_s: float
+    ) -> None:
         if message.target == self._vehicle.system_id:
             self._vehicle.sticks.take_joystick(sticks_from(message), now_s)
-        return []
 
     def _take_rc_override(
-        self,
-        message: mavlink.MAVLink_rc_channels_override_message,
-        partner: Partner,  # noqa: ARG002  whoever sends one
-        now_s: float,
-    ) -> list[Outgoing]:
+        self, message: mavlink.MAVLink_rc_channels_override_message, now_s: float
+    ) -> None:
         raw = (message.chan1_raw, message.chan2_raw, message.chan3_raw, message.chan4_raw)
         if self._rules.tells_mode_at_once and any(800 <= value <= 2200 for value in raw):
             roll, pitch, throttle, yaw = (
@@ -365,35 +362,7 @@ class Services:
                 for value in raw
             )
             self._vehicle.sticks.take_joystick(Sticks(-pitch, roll, throttle, yaw), now_s)
-        return []
 
-    def _take_origin(
-        self,
-        message: mavlink.MAVLink_set_gps_global_origin_message,
-        partner: Partner,  # noqa: ARG002  the answer is for everyone
-        now_s: float,  # noqa: ARG002  at once
-    ) -> list[Outgoing]:
-        if not is_on_earth(message.latitude, message.longitude):
-            return []
-        self._vehicle.flavour.set_origin(message.latitude, message.longitude, message.altitude)
-        return []
-
-    def _take_data_stream(
-        self,
-        message: mavlink.MAVLink_request_data_stream_message,
-        partner: Partner,
-        now_s: float,
-    ) -> list[Outgoing]:
-        self.requests.obey_data_stream(message, partner, now_s)
-        return []
-
-
-def _taking(take: Callable[[Any, float], None]) -> Handler:
-    """A handler of setpoints: whoever sends one, nothing is answered."""
-
-    def handler(message: Message, _: Partner, now_s: float) -> list[Outgoing]:
-        """Take the message in and answer nothing."""
-        take(message, now_s)
-        return []
-
-    return handler
+    def _take_origin(self, message: mavlink.MAVLink_set_gps_global_origin_message) -> None:
+        if is_on_earth(message.latitude, message.longitude):
+            self._vehicle.flavour.set_origin(message.latitude, message.longitude, message.altitude)

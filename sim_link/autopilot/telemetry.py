@@ -57,13 +57,13 @@ BLIND_ESTIMATE = (
 
 def heartbeat(vehicle: SimVehicle) -> Message:
     """HEARTBEAT of the autopilot."""
-    shown = vehicle.flavour.shown(vehicle.time_s)
+    state = vehicle.flavour.heartbeat_state(vehicle.time_s)
     return mavlink.MAVLink_heartbeat_message(
         mavlink.MAV_TYPE_QUADROTOR,
         vehicle.flavour.identity.autopilot,
-        shown.base_mode,
-        shown.custom_mode,
-        shown.system_status,
+        state.base_mode,
+        state.custom_mode,
+        state.system_status,
         MAVLINK_VERSION,
     )
 
@@ -110,7 +110,7 @@ def system_time(vehicle: SimVehicle) -> Message:
 def extended_sys_state(vehicle: SimVehicle) -> Message:
     """EXTENDED_SYS_STATE."""
     return mavlink.MAVLink_extended_sys_state_message(
-        mavlink.MAV_VTOL_STATE_UNDEFINED, vehicle.landed_state.value
+        mavlink.MAV_VTOL_STATE_UNDEFINED, vehicle.flavour.landed_state.value
     )
 
 

@@ -12,11 +12,11 @@ from collections.abc import Iterable
 import msgspec
 import numpy as np
 
-from companion.domain import FlightMode, LandedState, PositionEnu
+from companion.domain import FlightMode, PositionEnu
 from companion.geometry.coordinates import LocalOrigin
-from sim_link.autopilot.aircraft import Aircraft, Battery, Occurrence
-from sim_link.autopilot.control_inputs import SetpointMonitor, StickInput, Sticks
-from sim_link.autopilot.estimator import Estimator, GeodeticReports
+from sim_link.autopilot.aircraft import Aircraft, Occurrence
+from sim_link.autopilot.control_inputs import Sticks
+from sim_link.autopilot.estimator import GeodeticReports
 from sim_link.autopilot.flavours.ardupilot.firmware_profile import ardupilot_parameters
 from sim_link.autopilot.flavours.ardupilot.flavour import ArduPilotFlavour
 from sim_link.autopilot.flavours.base import Flavour
@@ -36,7 +36,7 @@ from sim_link.autopilot.incidents import (
     VehicleReboot,
     WindChange,
 )
-from sim_link.autopilot.pilot import STEP_S, Pilot
+from sim_link.autopilot.pilot import STEP_S
 from sim_link.autopilot.scenario import Scenario
 from sim_link.world.point_mass import PointMass
 
@@ -61,9 +61,6 @@ def make_flavour(
     return Px4Flavour(Aircraft(scenario, noise_rng, body=body), px4_parameters(scenario))
 
 
-__all__ = ["STEP_S", "Occurrence", "SimVehicle"]
-
-
 class SimVehicle:
     """One multicopter with its autopilot.
 
@@ -81,7 +78,14 @@ class SimVehicle:
         self.scenario = scenario
         self.system_id = scenario.system_id
         self.flavour: Flavour = make_flavour(scenario, noise_rng, body)
-        self.aircraft: Aircraft = self.flavour.aircraft
+        self.aircraft = self.flavour.aircraft
+        self.body = self.aircraft.body
+        """The true motion."""
+        self.estimator = self.aircraft.estimator
+        self.battery = self.aircraft.battery
+        self.sticks = self.aircraft.sticks
+        self.setpoints = self.flavour.setpoints
+        """The streamed ones."""
         self._reports = GeodeticReports(self.aircraft.estimator.world_origin)
         self._geodetic_at_s = -1.0
         self._geodetic = (0.0, 0.0, 0.0)
@@ -98,54 +102,14 @@ class SimVehicle:
         return self.aircraft.time_s
 
     @property
-    def modes(self) -> Flavour:
-        """Mode, arming and failsafe."""
-        return self.flavour
-
-    @property
     def is_armed(self) -> bool:
         """Whether the motors may turn."""
         return self.aircraft.is_armed
 
     @property
-    def offboard(self) -> SetpointMonitor:
-        """The streamed setpoints."""
-        return self.flavour.setpoints
-
-    @property
-    def occurrences(self) -> list[Occurrence]:
-        """Since the list was last emptied by its reader."""
-        return self.flavour.occurrences
-
-    @property
-    def body(self) -> PointMass:
-        """The true motion."""
-        return self.aircraft.body
-
-    @property
     def heading_ned_rad(self) -> float:
         """Where its nose points as it believes, clockwise from north."""
         return self.aircraft.heading_ned_rad
-
-    @property
-    def estimator(self) -> Estimator:
-        """What the autopilot believes about its position."""
-        return self.aircraft.estimator
-
-    @property
-    def battery(self) -> Battery:
-        """The pack."""
-        return self.aircraft.battery
-
-    @property
-    def sticks(self) -> StickInput:
-        """Who holds them."""
-        return self.aircraft.sticks
-
-    @property
-    def pilot(self) -> Pilot:
-        """Flies the tasks."""
-        return self.aircraft.pilot
 
     @property
     def origin(self) -> LocalOrigin:
@@ -158,11 +122,6 @@ class SimVehicle:
         return self.aircraft.home_enu_m
 
     @property
-    def home_altitude_m(self) -> float:
-        """Home above mean sea level."""
-        return self.aircraft.home_altitude_m
-
-    @property
     def has_home(self) -> bool:
         """Whether origin and home are known yet."""
         return self.flavour.has_home(self.time_s)
@@ -173,24 +132,10 @@ class SimVehicle:
         return self.flavour.has_position(self.time_s)
 
     @property
-    def landed_state(self) -> LandedState:
-        """EXTENDED_SYS_STATE.landed_state."""
-        return self.flavour.landed_state
-
-    @property
-    def flight_time_s(self) -> float:
-        """In the air so far."""
-        return self.aircraft.flight_time_s
-
-    @property
-    def distance_m(self) -> float:
-        """Flown so far."""
-        return self.aircraft.distance_m
-
-    @property
     def goal_enu_m(self) -> PositionEnu:
         """Where it goes."""
-        return self.pilot.goal_enu_m or self.pilot.hold_enu_m
+        pilot = self.aircraft.pilot
+        return pilot.goal_enu_m or pilot.hold_enu_m
 
     @property
     def geodetic(self) -> tuple[float, float, float]:
@@ -229,7 +174,7 @@ class IncidentSchedule:
         return due
 
 
-def apply_incident(incident: IncidentRecord, vehicle: SimVehicle, now_s: float) -> None:
+def apply_to_vehicle(incident: IncidentRecord, vehicle: SimVehicle, now_s: float) -> None:
     """Let an incident happen to a vehicle now; a reboot is its endpoint's business.
 
     Args:
@@ -293,12 +238,12 @@ class FlightRecorder:
                 self.track = self.track[::2]
                 self._period_s *= 2.0
             self._track_due_s = max(self._track_due_s, vehicle.time_s) + self._period_s
-        for occurrence in vehicle.occurrences:
+        for occurrence in vehicle.flavour.occurrences:
             self._fresh = [*self._fresh[-MAX_OCCURRENCES:], occurrence]
             if occurrence.mode is not self._mode and len(self.mode_changes) < MAX_OCCURRENCES:
                 self.mode_changes.append(occurrence)
             self._mode = occurrence.mode
-        vehicle.occurrences.clear()
+        vehicle.flavour.occurrences.clear()
 
     def take_occurrences(self) -> list[Occurrence]:
         """The occurrences since the last call."""

@@ -60,11 +60,11 @@ def end_report(endpoint: SimEndpoint, seed: int, speed: float) -> dict[str, obje
     return start_report(endpoint, seed, speed) | {
         "state": "ended",
         "simulated_s": vehicle.time_s,
-        "distance_m": vehicle.distance_m,
-        "flight_time_s": vehicle.flight_time_s,
-        "is_armed": vehicle.modes.is_armed,
-        "setpoints_received": vehicle.offboard.received,
-        "setpoints_refused": vehicle.offboard.refused,
+        "distance_m": vehicle.aircraft.distance_m,
+        "flight_time_s": vehicle.aircraft.flight_time_s,
+        "is_armed": vehicle.is_armed,
+        "setpoints_received": vehicle.setpoints.received,
+        "setpoints_refused": vehicle.setpoints.refused,
         "mode_changes": [
             {"time_s": change.time_s, "mode": change.mode.value, "text": change.text}
             for change in recorder.mode_changes

@@ -112,30 +112,30 @@ class FleetOptions:
     report: Path | None = None
 
 
-def make_vehicles(wishes: FleetOptions) -> list[SimEndpoint]:
+def make_vehicles(options: FleetOptions) -> list[SimEndpoint]:
     """One endpoint per vehicle.
 
     Raises:
         ConfigError: A parameter or its file is bad, a key cannot be read, or an id is too high.
     """
-    scenario = wishes.scenario
+    scenario = options.scenario
     last = scenario.system_id + scenario.vehicles - 1
     if last > MAX_SYSTEM_ID:
         raise ConfigError(f"{scenario.vehicles} vehicles: system ids would go beyond 255")
-    lines = frozenset(index for index, url in enumerate(wishes.links, 1) if url.kind in WIRED)
-    loopback = frozenset({UDP_LINK} if wishes.listen[0] == "127.0.0.1" else ())
+    lines = frozenset(index for index, url in enumerate(options.links, 1) if url.kind in WIRED)
+    loopback = frozenset({UDP_LINK} if options.listen[0] == "127.0.0.1" else ())
     endpoints = []
     for number in range(scenario.vehicles):
-        path = numbered_path(wishes.parameters, number)
+        path = numbered_path(options.parameters, number)
         own = msgspec.structs.replace(scenario, system_id=scenario.system_id + number)
         endpoints.append(
             SimEndpoint(
                 own,
-                wishes.seed + number,
-                links=1 + len(wishes.links),
+                options.seed + number,
+                links=1 + len(options.links),
                 parameters=stored_parameters(path),
                 parameters_name=str(path),
-                signing=_signing(wishes.signing_key),
+                signing=_signing(options.signing_key),
                 trusted_links=lines,
                 setup_links=loopback,
                 started_unix_s=time.time(),
@@ -156,20 +156,20 @@ def has_signing_ended(path: Path) -> bool:
         return False  # whoever loads the key says what is wrong
 
 
-def link_specs(wishes: FleetOptions, number: int) -> list[LinkSpec]:
+def link_specs(options: FleetOptions, number: int) -> list[LinkSpec]:
     """The links of vehicle `number`.
 
     Raises:
         ConfigError: A port would be too high, or a line is to serve several vehicles.
     """
-    host, port = wishes.listen
+    host, port = options.listen
     remotes = tuple(
         address if address[1] == STATION_PORT else (address[0], _port(address[1] + number))
-        for address in wishes.send_to
+        for address in options.send_to
     )
     specs: list[LinkSpec] = [UdpFanOut(host, _port(port + number), remotes)]
-    for url in wishes.links:
-        if url.kind in WIRED and wishes.scenario.vehicles > 1:
+    for url in options.links:
+        if url.kind in WIRED and options.scenario.vehicles > 1:
             raise ConfigError(f"--link {url}: a line is for one vehicle only")
         own = url if url.kind in WIRED else replace(url, port=_port(url.port + number))
         specs.append(shared_link_from_url(own))
@@ -211,10 +211,10 @@ def stored_parameters(path: Path | None) -> str:
 class FleetFiles:
     """Reports, parameters and the key, written as they change."""
 
-    def __init__(self, wishes: FleetOptions, endpoints: Sequence[SimEndpoint]) -> None:
-        self._wishes = wishes
+    def __init__(self, options: FleetOptions, endpoints: Sequence[SimEndpoint]) -> None:
+        self._options = options
         self._endpoints = endpoints
-        self._saved = ["" if wishes.parameters is None else e.parameters_text for e in endpoints]
+        self._saved = ["" if options.parameters is None else e.parameters_text for e in endpoints]
         self._next_save_s = 0.0
 
     def begin(self) -> None:
@@ -224,20 +224,20 @@ class FleetFiles:
             ConfigError: They cannot be written.
         """
         for number, endpoint in enumerate(self._endpoints):
-            path = numbered_path(self._wishes.report, number)
+            path = numbered_path(self._options.report, number)
             if path is not None:
-                report = start_report(endpoint, self._wishes.seed + number, self._wishes.speed)
+                report = start_report(endpoint, self._options.seed + number, self._options.speed)
                 write_json_atomic(path, report)
 
     def keep(self, now_s: float) -> None:
         """Store a new key at once, and parameters that changed at most once a second."""
         self._keep_key()
-        if self._wishes.parameters is None or now_s < self._next_save_s:
+        if self._options.parameters is None or now_s < self._next_save_s:
             return
         self._next_save_s = now_s + SAVE_PERIOD_S
         for number, endpoint in enumerate(self._endpoints):
             text = endpoint.parameters_text
-            path = numbered_path(self._wishes.parameters, number)
+            path = numbered_path(self._options.parameters, number)
             if path is not None and text != self._saved[number]:
                 write_text_atomic(path, text)
                 self._saved[number] = text
@@ -246,7 +246,7 @@ class FleetFiles:
         """A key that a client set up, or the end of signing, where there is a file."""
         for endpoint in self._endpoints:
             setup = endpoint.links.take_setup()
-            path = self._wishes.signing_key
+            path = self._options.signing_key
             if setup is None or path is None:
                 continue
             if setup.key is None:
@@ -259,7 +259,7 @@ class FleetFiles:
         self._next_save_s = 0.0
         self.keep(0.0)
         for number, endpoint in enumerate(self._endpoints):
-            path = numbered_path(self._wishes.report, number)
+            path = numbered_path(self._options.report, number)
             if path is not None:
-                seed = self._wishes.seed + number
-                write_json_atomic(path, end_report(endpoint, seed, self._wishes.speed))
+                seed = self._options.seed + number
+                write_json_atomic(path, end_report(endpoint, seed, self._options.speed))

@@ -4,20 +4,12 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from typing import NoReturn, Protocol
+from typing import Protocol
 
-from companion.errors import ConfigError
+from sim_link.fleet.console import ComplaintParser
 from sim_link.lab import radio_follower
 from sim_link.lab.faults import proxy
 from sim_link.lab.mission import mission_cli
-
-
-class _Parser(argparse.ArgumentParser):
-    """Raises what argparse would print, so that every complaint is one line."""
-
-    def error(self, message: str) -> NoReturn:
-        """Refuse the arguments."""
-        raise ConfigError(f"{message} ({self.prog} --help shows how)")
 
 
 def run_subcommand(argv: Sequence[str]) -> int:
@@ -48,7 +40,7 @@ class _Subcommand(Protocol):
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(prog="sim-link")
+    parser = ComplaintParser(prog="sim-link")
     commands = parser.add_subparsers(required=True, metavar="{mission,radio,proxy}")
     mission = commands.add_parser("mission", help="fly mission scripts")
     kinds = mission.add_subparsers(required=True, metavar="{run}")
@@ -59,7 +51,10 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add(
-    commands: argparse._SubParsersAction[_Parser], name: str, summary: str, module: _Subcommand
+    commands: argparse._SubParsersAction[ComplaintParser],
+    name: str,
+    summary: str,
+    module: _Subcommand,
 ) -> None:
     parser = commands.add_parser(
         name,

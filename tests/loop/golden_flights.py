@@ -222,7 +222,7 @@ def cut_ranging(is_up: bool, flight: Flight) -> None:
 
 
 def happen(incident: Incident, flight: Flight) -> None:
-    flight.happen(incident)
+    flight.apply_incident(incident)
 
 
 def choose(mode: FlightMode, flight: Flight) -> None:

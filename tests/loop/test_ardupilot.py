@@ -50,7 +50,7 @@ def test_takes_off_in_guided_finds_the_emitter_and_brakes(seed: int) -> None:
     loop.run_until(lambda: bool(loop.notes.results), 90.0)
     assert loop.error_m <= 1.0
     loop.run_until(lambda: loop.mode is FlightMode.HOLD, 2.0)
-    assert loop.sim.vehicle.modes.shown(loop.now_s).custom_mode == 17
+    assert loop.sim.vehicle.flavour.heartbeat_state(loop.now_s).custom_mode == 17
     assert [number for _, number in loop.commands if number in (ARM, TAKEOFF)] == [ARM, TAKEOFF]
 
 

@@ -104,7 +104,7 @@ def test_a_reboot_in_flight_ends_control_and_nothing_is_launched_again() -> None
     loop.run(30.0)
     assert loop.said("autopilot restarted")
     assert loop.phase is Phase.STANDBY
-    assert not loop.sim.vehicle.modes.is_armed
+    assert not loop.sim.vehicle.flavour.is_armed
     later = [command for _, command in loop.commands[asked:]]
     assert SET_MODE not in later
     assert ARM not in later

@@ -88,7 +88,7 @@ def test_a_stop_in_flight_ends_in_hold_within_two_seconds(seed: int) -> None:
     asked_s = loop.now_s
     took_s = loop.run_until(lambda: loop.companion.is_finished, 2.0)
     assert loop.mode is FlightMode.HOLD
-    assert loop.sim.vehicle.modes.is_failsafe is False
+    assert loop.sim.vehicle.flavour.is_failsafe is False
     assert took_s <= 0.2
     assert len(loop.setpoints_since(asked_s)) >= 1
     finished_s = loop.now_s

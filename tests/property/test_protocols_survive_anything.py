@@ -85,11 +85,11 @@ class Services:
     def handle(self, message: Message, partner: Partner, now_s: float) -> list[Outgoing]:
         outgoing = self.parameters.handle(message, partner, now_s)
         outgoing += self.plans.handle(message, partner, now_s)
-        self.requests.obey_data_stream(message, partner, now_s)
+        self.requests.set_data_stream(message, partner, now_s)
         todo, answers = self.commands.receive(message, partner, now_s)
         outgoing += answers
         if isinstance(todo, Command):
-            asked = self.requests.obey(todo, now_s)
+            asked = self.requests.handle_command(todo, now_s)
             result, replies = asked or (CommandResult.IN_PROGRESS, [])
             outgoing += [*replies, self.commands.answer(todo, result, now_s)]
         for answer in (

@@ -10,11 +10,11 @@ from companion.mav.signing import Signing, SigningKey
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from sim_link.lab.conformance.cli import all_rules
-from sim_link.lab.conformance.fuzz import MemoryHub
 from sim_link.lab.conformance.puppet import CompanionProbe, stay_silent
 from sim_link.lab.conformance.rules import Flavour, Role, Rule, RuleOutcome, try_rule
 from sim_link.lab.conformance.vehicle_probe import VehicleProbe
 from sim_link.lab.lockstep.flight import MemoryJournal
+from tests.protocol.memory_link import MemoryHub
 
 SEED = 1
 KEY = bytes(range(7, 39))

@@ -6,10 +6,10 @@ import pytest
 
 from companion.config.schema import CompanionConfig
 from companion.flight_setup import build_endpoint
-from sim_link.lab.conformance.fuzz import MemoryHub
 from sim_link.lab.conformance.puppet import CompanionProbe, accept
 from sim_link.lab.conformance.rules import Flavour
 from sim_link.lab.lockstep.flight import MemoryJournal
+from tests.protocol.memory_link import MemoryHub
 
 
 @pytest.mark.parametrize("system_id", [1, 7, 254])

@@ -41,7 +41,7 @@ def copter(parameters: dict[str, float] | None = None) -> GroundStation:
 
 
 def happen(station: GroundStation, incident: Incident) -> None:
-    station.sim.happen(incident, station.now_s)
+    station.sim.apply_incident(incident, station.now_s)
 
 
 def mode_of(station: GroundStation) -> FlightMode:

@@ -7,12 +7,12 @@ import pytest
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
-from sim_link.lab.conformance.fuzz import MemoryHub
 from sim_link.lab.conformance.mavlink_oracle import signature_of
 from sim_link.lab.conformance.rules import Flavour
 from sim_link.lab.conformance.station import Signer
 from sim_link.lab.conformance.vehicle_probe import VehicleProbe
 from tests.protocol.conformance_rigs import KEY, SEED
+from tests.protocol.memory_link import MemoryHub
 
 FLAVOURS = pytest.mark.parametrize("flavour", list(Flavour), ids=lambda flavour: flavour.value)
 TIMESTAMP = 50_000_000_000

@@ -302,7 +302,7 @@ def test_random_and_truncated_datagrams_change_nothing() -> None:
             broken[int(rng.integers(0, len(broken)))] ^= 0xFF
             data = bytes(broken)
         station.send_bytes(data)
-    assert station.sim.vehicle.offboard.received == 0
+    assert station.sim.vehicle.setpoints.received == 0
     assert station.command(ARM, 1.0) == ACCEPTED
 
 
@@ -441,4 +441,4 @@ def test_a_cut_frame_on_a_stream_link_is_completed_by_the_next_chunk() -> None:
     frame = station.sender.encode(local_setpoint())
     for part in (frame[:20], frame[20:]):
         station.sim.receive(Chunk(0, part, None, is_datagram=False), station.now_s)
-    assert station.sim.vehicle.offboard.received == 1
+    assert station.sim.vehicle.setpoints.received == 1

@@ -81,7 +81,7 @@ def test_every_waypoint_is_reached_in_order_and_told(flavour: FlavourName) -> No
     station.run(5.0)
     assert state(station) == 5
     assert station.place == pytest.approx((40.0, 40.0, -15.0), abs=0.5)
-    assert station.sim.vehicle.modes.mode is (
+    assert station.sim.vehicle.flavour.mode is (
         FlightMode.HOLD if flavour == "px4" else FlightMode.MISSION
     )
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from companion.domain import FlightMode, LandedState, PositionEnu
 from companion.mav.dialect import mavlink
@@ -37,10 +37,7 @@ from sim_link.autopilot.protocols.message_streams import RequestRules, StreamRul
 from sim_link.autopilot.protocols.parameter_protocol import ParameterRules
 from sim_link.autopilot.protocols.parameter_store import ParameterStore
 from sim_link.autopilot.protocols.plan_items import MissionState
-from sim_link.autopilot.protocols.plan_rules import PlanRules
-
-if TYPE_CHECKING:
-    from sim_link.autopilot.aircraft import Aircraft
+from sim_link.autopilot.protocols.plan_rules import MAX_ALTITUDE_M, PlanRules
 
 ACCEPTED = CommandResult.ACCEPTED
 TEMPORARILY_REJECTED = CommandResult.TEMPORARILY_REJECTED
@@ -49,8 +46,6 @@ UNSUPPORTED = CommandResult.UNSUPPORTED
 FAILED = CommandResult.FAILED
 UNSUPPORTED_MAV_FRAME = CommandResult.UNSUPPORTED_MAV_FRAME
 
-MAX_ALTITUDE_M = 83_000.0
-"""ArduPilot's limit of a stored altitude, LOCATION_ALT_MAX_M."""
 MAX_DISTANCE_M = 1e5
 MAX_HEIGHT_M = 1000.0
 """Above home, of a take-off or a place to go to."""
@@ -232,7 +227,7 @@ class Flavour(ABC):
         """Whether there is a fence, and whether a place is in breach of it."""
 
     @abstractmethod
-    def shown(self, now_s: float) -> HeartbeatState:
+    def heartbeat_state(self, now_s: float) -> HeartbeatState:
         """What HEARTBEAT shows."""
 
     @abstractmethod
@@ -240,8 +235,8 @@ class Flavour(ABC):
         """The pilot turns the mode switch."""
 
     @abstractmethod
-    def command(self, command: Command, now_s: float) -> int:
-        """Obey a command; a MAV_RESULT."""
+    def _handle_command(self, command: Command, now_s: float) -> int:
+        """Do what a command asks; a MAV_RESULT."""
 
     @abstractmethod
     def take_local(self, message: LocalTarget, now_s: float) -> None:
@@ -312,6 +307,12 @@ class Flavour(ABC):
         self.settle(now_s)
         self._watch_ground(now_s)
 
+    def command(self, command: Command, now_s: float) -> int:
+        """A command arrived; a MAV_RESULT."""
+        result = self._handle_command(command, now_s)
+        self.settle(now_s, "commanded")
+        return result
+
     def settle(self, now_s: float, why: str = "") -> None:
         """Tell the pilot of a changed task and note what changed; called after every change."""
         seen = (self.mode, self.aircraft.is_armed, self.task)
@@ -369,7 +370,7 @@ class Flavour(ABC):
         if pilot.task is Task.FLY_MISSION:
             place, is_on_ground = body.position_enu_m, body.is_on_ground
             self.leg = aircraft.mission.leg(place, is_on_ground and aircraft.has_flown, now_s)
-        sticks = aircraft.sticks.read(now_s) if pilot.task is Task.OBEY_STICKS else None
+        sticks = aircraft.sticks.read(now_s) if pilot.task is Task.FLY_BY_STICKS else None
         setpoint = self._flown_setpoint(now_s)
         aircraft.move(
             pilot.command(setpoint, self.leg, sticks, body),

@@ -42,21 +42,17 @@ class Outgoing(NamedTuple):
 class Addressing:
     """Which messages are for us.
 
-    Source: MAVLink developer guide, "Routing": 0 is everyone. ArduPilot 4.5 also obeys what is
-    for another component of its system.
+    Source: MAVLink developer guide, "Routing": 0 is everyone.
     """
 
     system_id: int
     component_id: int = mavlink.MAV_COMP_ID_AUTOPILOT1
-    obeys_any_component: bool = False
 
     def is_for_us(self, message: Message) -> bool:
         """Whether a message is a broadcast or names us."""
         system_id = int(getattr(message, "target_system", 0))
         component_id = int(getattr(message, "target_component", 0))
-        if system_id not in (0, self.system_id):
-            return False
-        return self.obeys_any_component or component_id in (0, self.component_id)
+        return system_id in (0, self.system_id) and component_id in (0, self.component_id)
 
 
 def partner_of(message: Message, channel: Channel) -> Partner:

@@ -1,4 +1,4 @@
-"""TIMESYNC, PING and SYSTEM_TIME: what clocks say to each other.
+"""TIMESYNC and PING: what clocks say to each other.
 
 Source: MAVLink developer guide, "Time Synchronization" and "Ping Protocol"; PX4 1.15 and
 ArduCopter 4.5 as observed.
@@ -15,7 +15,6 @@ from sim_link.autopilot.protocols.addressing import Addressing, Partner
 
 NS_PER_S = 1_000_000_000
 US_PER_S = 1_000_000
-MS_PER_S = 1000
 UINT32 = 0xFFFF_FFFF
 TOLERANCE_S = 1e-6
 """A clock of whole steps may be early by rounding."""
@@ -90,14 +89,3 @@ class ClockRequests:
             )
             self._pings = (self._pings + 1) & UINT32
         return messages
-
-
-def system_time(boot_s: float, unix_s: float | None) -> Message:
-    """SYSTEM_TIME.
-
-    Args:
-        boot_s: Seconds since boot; the field starts again at zero after 49.7 days.
-        unix_s: Seconds since 1970; None while unknown, before the first fix.
-    """
-    unix_us = 0 if unix_s is None else round(US_PER_S * unix_s)
-    return mavlink.MAVLink_system_time_message(unix_us, round(MS_PER_S * boot_s) & UINT32)

@@ -17,9 +17,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from companion.mav.dialect import MAVLink_command_cancel_message, Message, mavlink
-from sim_link.autopilot.protocols.addressing import Channel, Outgoing, Partner
+from sim_link.autopilot.protocols.addressing import Outgoing, Partner
 
-PARAM_COUNT = 7
 DEGREE = 1e7
 NO_VALUE = 2**31 - 1
 """Stands for NaN in COMMAND_INT's integers."""
@@ -45,7 +44,6 @@ class CommandResult(IntEnum):
     COMMAND_LONG_ONLY = 7
     COMMAND_INT_ONLY = 8
     UNSUPPORTED_MAV_FRAME = 9
-    NOT_IN_CONTROL = 10
 
 
 ASKS_FOR_A_MESSAGE = frozenset(
@@ -73,15 +71,6 @@ class Command:
     frame: int | None = None
     """MAV_FRAME of a COMMAND_INT; None for COMMAND_LONG, which has none."""
     confirmation: int = 0
-
-    def flag(self, place: int) -> bool | None:
-        """A parameter that must be 0 or 1; None if it is anything else, NaN among it.
-
-        Args:
-            place: 1 to 7, as the specification counts.
-        """
-        value = self.params[place - 1]
-        return bool(value) if value in (0.0, 1.0) else None
 
     def whole(self, place: int, default: int | None = None) -> int | None:
         """A parameter that must be a whole number; None if it is not, `default` if it is NaN."""
@@ -119,7 +108,6 @@ class CommandForms:
     """Which commands come in one form only, and how SET_MODE is understood."""
 
     int_only: frozenset[int] = frozenset()
-    long_only: frozenset[int] = frozenset()
     splits_custom_mode: bool = True
     """PX4's DO_SET_MODE has main and sub mode apart; ArduPilot's the whole custom mode."""
 
@@ -130,20 +118,9 @@ def command_from(
     """The command that a message is; None if it is none."""
     match message:
         case mavlink.MAVLink_command_long_message():
-            return Command(
-                message.command,
-                (
-                    message.param1,
-                    message.param2,
-                    message.param3,
-                    message.param4,
-                    message.param5,
-                    message.param6,
-                    message.param7,
-                ),
-                partner,
-                confirmation=message.confirmation,
-            )
+            four = (message.param1, message.param2, message.param3, message.param4)
+            params: Params = (*four, message.param5, message.param6, message.param7)
+            return Command(message.command, params, partner, confirmation=message.confirmation)
         case mavlink.MAVLink_command_int_message():
             x, y = float(message.x), float(message.y)
             four = (message.param1, message.param2, message.param3, message.param4)
@@ -192,7 +169,7 @@ class Commands:
         """Take a message that is for us.
 
         Returns:
-            What the vehicle is to do, to be answered by `answer` (a `Cancel` by `cancelled`, or
+            What the vehicle is to do, to be answered by `answer` (a `Cancel` by `finish`, or
             not at all); and what was answered already.
         """
         if isinstance(message, MAVLink_command_cancel_message):
@@ -215,14 +192,12 @@ class Commands:
         now_s: float,
         *,
         progress: int = UNKNOWN_PROGRESS,
-        result_param2: int = 0,
     ) -> Outgoing:
         """The ACK of a command.
 
         Args:
             result: MAV_RESULT; IN_PROGRESS leaves the command open.
             progress: Percent of a command in progress; 255 for unknown.
-            result_param2: What else a command has to tell.
         """
         if result == CommandResult.IN_PROGRESS:
             if command.number in self._running or len(self._running) < MAX_RUNNING:
@@ -231,7 +206,7 @@ class Commands:
             self._running.pop(command.number, None)
         if result in (CommandResult.ACCEPTED, CommandResult.IN_PROGRESS):
             self._remember(command, now_s)
-        return _ack(command, result, progress, result_param2)
+        return _ack(command, result, progress)
 
     def report(self, number: int, progress: int, now_s: float) -> list[Outgoing]:
         """IN_PROGRESS for a command that is under way; nothing if it is not."""
@@ -246,24 +221,13 @@ class Commands:
         running = self._running.get(number)
         return [] if running is None else [self.answer(running.command, result, now_s)]
 
-    def cancelled(self, number: int, now_s: float) -> list[Outgoing]:
-        """The last ACK of a command whose `Cancel` the vehicle obeyed."""
-        return self.finish(number, CommandResult.CANCELLED, now_s)
-
     def is_running(self, number: int) -> bool:
         """Whether a command is under way."""
         return number in self._running
 
-    def forget(self, channel: Channel) -> None:
-        """Drop what is remembered of a channel that is gone; commands under way go on."""
-        for partner in [each for each in self._answered if each.channel == channel]:
-            del self._answered[partner]
-
     def _refusal(self, command: Command, now_s: float) -> CommandResult | None:
         if command.frame is None and command.number in self._forms.int_only:
             return CommandResult.COMMAND_INT_ONLY
-        if command.frame is not None and command.number in self._forms.long_only:
-            return CommandResult.COMMAND_LONG_ONLY
         is_repeated = self._is_repeated(command, now_s)
         if command.number in self._running:
             own = self._running[command.number].command.partner == command.partner
@@ -298,12 +262,12 @@ def _key(command: Command) -> tuple[int, int | None, bytes]:
     return command.number, command.frame, repr(command.params).encode()
 
 
-def _ack(command: Command, result: int, progress: int, result_param2: int = 0) -> Outgoing:
+def _ack(command: Command, result: int, progress: int) -> Outgoing:
     message = mavlink.MAVLink_command_ack_message(
         command.number,
         result,
         progress if result == CommandResult.IN_PROGRESS else 0,
-        result_param2,
+        0,
         command.partner.system_id,
         command.partner.component_id,
     )

@@ -26,11 +26,11 @@ from collections import OrderedDict
 from collections.abc import Collection
 from dataclasses import dataclass
 
-from companion.mav.addressing import boot_ms_of, source_of, targets_of_frame
+from companion.mav.addressing import boot_ms_of, targets_of_frame
 from companion.mav.codec import CRC_EXTRA_BY_ID, MAX_MAVLINK1_ID, MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address, Chunk
-from companion.mav.framing import MAGIC_V2, FrameSplitter
+from companion.mav.framing import MAGIC_V2, FrameSplitter, sender_of
 from companion.mav.signing import LinkSigning, Signing, SigningSetup, is_secret, setup_from
 from sim_link.autopilot.protocols.addressing import Channel, Outgoing
 
@@ -137,7 +137,6 @@ class Router:
         self._links = range(links)
         self._routes: OrderedDict[Component, OrderedDict[Channel, None]] = OrderedDict()
         self._boot_ms: OrderedDict[Component, int] = OrderedDict()
-        self._rebooted: list[int] = []
 
     def route(self, frame: bytes, channel: Channel) -> list[Chunk]:
         """The chunks by which a received frame is passed on.
@@ -145,7 +144,7 @@ class Router:
         Args:
             frame: Whole, of a known message or not.
         """
-        source = source_of(frame)
+        source = sender_of(frame)
         if source[0] == 0 or is_secret(frame):
             return []
         self._notice_reboot(source, frame)
@@ -160,11 +159,6 @@ class Router:
             for each in self._channels_of(system_id, component_id)
             if each != channel
         ]
-
-    def take_rebooted(self) -> list[int]:
-        """Systems that restarted since the last call; what was known of them is out of date."""
-        rebooted, self._rebooted = self._rebooted, []
-        return rebooted
 
     def forget(self, channel: Channel) -> None:
         """Drop the routes over a channel that is gone."""
@@ -214,7 +208,6 @@ class Router:
         if REBOOT_BACKWARD_MS < back_ms < WRAP_MS - MAX_WRAP_GAP_MS:
             for known in [each for each in self._routes if each[0] == source[0]]:
                 del self._routes[known]
-            self._rebooted.append(source[0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -277,7 +270,7 @@ class LinkLayer:
         arrivals: list[Arrival] = []
         forwarded = [each for frame in unknown for each in self.router.route(frame, channel)]
         for frame in frames:
-            if source_of(frame)[0] == 0:
+            if sender_of(frame)[0] == 0:
                 continue  # 0 is no source (MAVLink developer guide, "Packet Serialization")
             forwarded += self.router.route(frame, channel)
             codec = self._codecs[Channel(chunk.link), self._component_ids[0]]

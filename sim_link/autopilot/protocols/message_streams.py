@@ -89,10 +89,6 @@ class StreamTable:
             due.append(number)
         return due
 
-    def next_due_s(self) -> float:
-        """When the next message is due, or a little before; infinity if every stream is off."""
-        return self._queue[0][0] if self._queue else math.inf
-
     def knows(self, number: int) -> bool:
         """Whether the autopilot has such a message."""
         return number in self._rules.default_rates_hz
@@ -243,12 +239,10 @@ class MessageRequests:
             for number in table.take_due(now_s)
         ]
 
-    def next_timer_s(self) -> float:
-        """When the next message of any channel is due; infinity if all is quiet."""
-        return min((table.next_due_s() for table in self._tables.values()), default=math.inf)
-
-    def obey(self, command: Command, now_s: float) -> tuple[CommandResult, list[Outgoing]] | None:
-        """Obey a command about messages.
+    def handle_command(
+        self, command: Command, now_s: float
+    ) -> tuple[CommandResult, list[Outgoing]] | None:
+        """Do what a command about messages asks.
 
         Returns:
             Its result and what to send before the ACK; None if it is about something else.
@@ -263,7 +257,7 @@ class MessageRequests:
         shorthand = SHORTHANDS.get(command.number)
         return None if shorthand is None else self._send(shorthand, command.partner)
 
-    def obey_data_stream(self, message: Message, partner: Partner, now_s: float) -> None:
+    def set_data_stream(self, message: Message, partner: Partner, now_s: float) -> None:
         """Obey a REQUEST_DATA_STREAM that is for us; it has no answer."""
         if isinstance(message, mavlink.MAVLink_request_data_stream_message):
             self._table(partner.channel, now_s).set_group(

@@ -24,7 +24,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from companion.mav.dialect import Message, mavlink
-from sim_link.autopilot.protocols.addressing import Channel, Outgoing, Partner, StatusTexts
+from sim_link.autopilot.protocols.addressing import Outgoing, Partner, StatusTexts
 from sim_link.autopilot.protocols.plan_items import (
     ALL_TYPES,
     ItemMessage,
@@ -127,28 +127,11 @@ class PlanUploads:
                 outgoing.append(self._ask(upload, partner, now_s))
         return outgoing
 
-    def next_timer_s(self) -> float:
-        """When `handle_timer` has something to do; infinity if nothing is running."""
-        return min(
-            (
-                min(upload.active_s + self._rules.timeout_s, upload.asked_s + self._rules.retry_s)
-                for upload in self._uploads.values()
-            ),
-            default=math.inf,
-        )
-
     def drop(self, partner: Partner, plan_types: tuple[PlanType, ...] = tuple(PlanType)) -> None:
         """End a partner's upload, of some plans or any, without a word."""
         upload = self._uploads.get(partner)
         if upload is not None and upload.plan_type in plan_types:
             del self._uploads[partner]
-
-    def forget(self, channel: Channel) -> None:
-        """End what runs on a channel that is gone."""
-        for partner in [each for each in self._uploads if each.channel == channel]:
-            del self._uploads[partner]
-        for partner in [each for each in self._finished if each.channel == channel]:
-            del self._finished[partner]
 
     def _refusal(self, plan_type: PlanType, count: int, partner: Partner) -> PlanResult | None:
         if self._rules.is_one_at_a_time and self.is_anyone_uploading(plan_type, partner):
@@ -299,18 +282,6 @@ class PlanDownloads:
             if now_s >= download.active_s + self._rules.timeout_s:
                 del self._downloads[partner]
 
-    def next_timer_s(self) -> float:
-        """When `handle_timer` has something to do; infinity if nothing is running."""
-        return min(
-            (each.active_s + self._rules.timeout_s for each in self._downloads.values()),
-            default=math.inf,
-        )
-
-    def forget(self, channel: Channel) -> None:
-        """End what runs on a channel that is gone."""
-        for partner in [each for each in self._downloads if each.channel == channel]:
-            del self._downloads[partner]
-
 
 GUIDED_ITEM = 2
 """MISSION_ITEM.current of an item that ArduPilot flies to at once, in GUIDED."""
@@ -376,15 +347,6 @@ class Plans:
         """Ask again for what is late; end what has been silent for too long."""
         self._downloads.handle_timer(now_s)
         return self._uploads.handle_timer(now_s)
-
-    def next_timer_s(self) -> float:
-        """When `handle_timer` has something to do; infinity if no transfer is running."""
-        return min(self._uploads.next_timer_s(), self._downloads.next_timer_s())
-
-    def forget(self, channel: Channel) -> None:
-        """End what runs on a channel that is gone."""
-        self._uploads.forget(channel)
-        self._downloads.forget(channel)
 
     def _count(
         self, message: mavlink.MAVLink_mission_count_message, partner: Partner, now_s: float

@@ -120,20 +120,6 @@ class Parameters:
                 del self._listings[channel]
         return outgoing
 
-    def next_timer_s(self) -> float:
-        """When `handle_timer` has something to send; infinity if no list is running."""
-        return min(
-            (
-                listing.started_s + listing.sent / self._rules.list_rate_hz
-                for listing in self._listings.values()
-            ),
-            default=math.inf,
-        )
-
-    def forget(self, channel: Channel) -> None:
-        """End what runs on a channel that is gone."""
-        self._listings.pop(channel, None)
-
     def change(self, name: str, value: float) -> list[Outgoing]:
         """Change a value for the vehicle's own reasons, and tell everyone.
 

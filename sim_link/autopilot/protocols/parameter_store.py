@@ -126,9 +126,6 @@ class ParameterStore:
     def __len__(self) -> int:
         return len(self.specs)
 
-    def __contains__(self, name: str) -> bool:
-        return name in self._index
-
     def __getitem__(self, name: str) -> float:
         """The value of a parameter that exists; an `int` if its type is whole."""
         return self._values[self._index[name]]
@@ -136,10 +133,6 @@ class ParameterStore:
     def index_of(self, name: str) -> int | None:
         """The index of a name; None if there is no such parameter."""
         return self._index.get(name)
-
-    def value_at(self, index: int) -> float:
-        """The value at an index."""
-        return self._values[index]
 
     def set(self, name: str, value: float) -> None:
         """Change a value, read-only or not.

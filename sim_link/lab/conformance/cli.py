@@ -1,13 +1,7 @@
 """The `companion-conformance` command: its rules, the real link, arguments and exit codes.
 
-All rules, in the order in which they are tried.
-
-The real link: any address that the companion understands, in real time.
-
 The links of `companion.io` run on an event loop; a probe reads like a script. So a loop of our own
 runs only while a probe waits.
-
-The `companion-conformance` command: arguments, lines for people and exit codes.
 """
 
 from __future__ import annotations
@@ -19,7 +13,6 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NoReturn
 
 from companion import __version__
 from companion.errors import CompanionError, ConfigError
@@ -37,6 +30,7 @@ from companion.io.links.specs import (
 from companion.io.links.urls import parse_link_url
 from companion.io.state.signing_keys import load_signing_key
 from companion.mav.endpoint import Address, Chunk
+from sim_link.fleet.console import ComplaintParser
 from sim_link.lab.conformance import companion_identity_rules, companion_setpoint_rules
 from sim_link.lab.conformance.puppet import CompanionProbe
 from sim_link.lab.conformance.rules import (
@@ -245,14 +239,6 @@ examples:
 exit code: 0 all passed, 1 a rule failed, 2 bad input or nobody there"""
 
 
-class _Parser(argparse.ArgumentParser):
-    """Raises what argparse would print, so that every complaint is one line."""
-
-    def error(self, message: str) -> NoReturn:
-        """Refuse the arguments."""
-        raise ConfigError(f"{message} (companion-conformance --help shows how)")
-
-
 def main(argv: Sequence[str] | None = None) -> int:
     """Try the rules.
 
@@ -273,7 +259,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
-    parser = _Parser(
+    parser = ComplaintParser(
         prog="companion-conformance",
         description=DESCRIPTION,
         epilog=EPILOG,

@@ -1,9 +1,4 @@
-"""Rules for a companion: its identity, and the commands that it answers and sends.
-
-Who a companion says it is, how often, and whom it listens to.
-
-Commands to a companion, and the commands that it sends.
-"""
+"""Rules for a companion: its identity, and the commands that it answers and sends."""
 
 from __future__ import annotations
 
@@ -11,7 +6,7 @@ import itertools
 from collections import Counter
 
 from companion.mav.dialect import mavlink
-from sim_link.lab.conformance.mavlink_oracle import MAGIC_V2, build_frame
+from sim_link.lab.conformance.mavlink_oracle import ACCEPTED, MAGIC_V2, UNSUPPORTED, build_frame
 from sim_link.lab.conformance.puppet import (
     CommandMessage,
     CompanionProbe,
@@ -53,12 +48,10 @@ def is_an_onboard_computer(probe: CompanionProbe) -> None:
 @identity_book.rule(HEARTBEAT_SERVICE)
 def tells_an_onboard_controller(probe: CompanionProbe) -> None:
     """HEARTBEAT tells ONBOARD_CONTROLLER, no autopilot, no mode, ACTIVE and version 3."""
-    message = newest(probe)
-    require(message.type == mavlink.MAV_TYPE_ONBOARD_CONTROLLER, brief(message))
-    require(message.autopilot == mavlink.MAV_AUTOPILOT_INVALID, brief(message))
-    require(message.base_mode == 0 and message.custom_mode == 0, brief(message))
-    require(message.system_status == mavlink.MAV_STATE_ACTIVE, brief(message))
-    require(message.mavlink_version == 3, brief(message))
+    m = newest(probe)
+    told = (m.type, m.autopilot, m.base_mode, m.custom_mode, m.system_status, m.mavlink_version)
+    kind, none = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID
+    require(told == (kind, none, 0, 0, mavlink.MAV_STATE_ACTIVE, 3), brief(m))
 
 
 @identity_book.rule(HEARTBEAT_SERVICE)
@@ -66,7 +59,7 @@ def says_so_once_a_second(probe: CompanionProbe) -> None:
     """HEARTBEAT comes once a second."""
     mark = probe.mark
     probe.run(LISTEN_S)
-    times = [e.time_s for e in probe.inbox[mark:] if isinstance(e.message, Heartbeat)]
+    times = probe.times(Heartbeat, mark)
     require(len(times) >= LISTEN_S - 1, f"{len(times)} in {LISTEN_S:g} s")
     for earlier, later in itertools.pairwise(times):
         require(0.7 < later - earlier < 1.4, f"{later - earlier:.2f} s between two")
@@ -189,7 +182,6 @@ ASKS_FOR_STREAMS = (
     mavlink.MAV_CMD_REQUEST_MESSAGE,
     mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES,
 )
-ACCEPTED, TEMPORARILY_REJECTED, UNSUPPORTED = 0, 1, 3
 MAX_RATE_HZ = 25.0
 MAX_REPEATS = 10
 

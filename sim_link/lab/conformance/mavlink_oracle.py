@@ -1,22 +1,11 @@
-"""MAVLink written down a second time, apart from the codec and the simulator under test.
+"""MAVLink written down a second time: frames, results, modes and setpoints, right and wrong.
 
-Where rules come from that no document has.
+The oracle for whoever reads frames: nothing here is shared with the codec under test but the
+CRC_EXTRA of each message, and modes have a table apart from the simulator's, so that a probe does
+not agree with a wrong number. Results are numbers because the dialect does not have all of them.
 
-Results as numbers: the dialect does not have all of them yet.
-
-Source: MAVLink common, MAV_RESULT and MAV_MISSION_RESULT.
-
-Frames made by hand, right and wrong: the oracle for whoever reads frames.
-
-Nothing here is shared with the codec under test but the CRC_EXTRA of each message. Source: MAVLink
-guide, "Packet Serialization" and "Message Signing".
-
-Flight modes by the names that rules use, as each autopilot numbers them.
-
-Written down again here, apart from the simulator's own table: a probe must not agree with a wrong
-number. Source: PX4 `px4_custom_mode.h`; ArduPilot `ArduCopter/mode.h`.
-
-Setpoints as a client sends them, right and wrong.
+Source: MAVLink guide, "Packet Serialization" and "Message Signing"; MAVLink common, MAV_RESULT and
+MAV_MISSION_RESULT; PX4 `px4_custom_mode.h`; ArduPilot `ArduCopter/mode.h`.
 """
 
 from __future__ import annotations
@@ -40,7 +29,7 @@ REFUSALS = (TEMPORARILY_REJECTED, DENIED, UNSUPPORTED, FAILED, 7, 8, 9, 10)
 PLAN_ERROR, PLAN_UNSUPPORTED_FRAME, PLAN_UNSUPPORTED = 1, 2, 3
 PLAN_NO_SPACE, PLAN_INVALID = 4, 5
 PLAN_INVALID_X, PLAN_INVALID_Z = 10, 12
-PLAN_INVALID_SEQUENCE, PLAN_DENIED, PLAN_CANCELLED = 13, 14, 15
+PLAN_INVALID_SEQUENCE, PLAN_CANCELLED = 13, 15
 
 
 MAGIC_V1, MAGIC_V2 = 0xFE, 0xFD
@@ -191,19 +180,12 @@ ARDUCOPTER = {
     "hold": 17,
 }
 """`offboard` is GUIDED and `hold` BRAKE."""
-PX4_BASE_MODE = {"hold": 29, "takeoff": 29, "mission": 29, "return": 29, "land": 29} | {
-    "position": 81,
-    "altitude": 81,
-}
+PX4_BASE_MODE = dict.fromkeys(("hold", "takeoff", "mission", "return", "land"), 29)
+PX4_BASE_MODE |= {"position": 81, "altitude": 81}
 """HEARTBEAT.base_mode disarmed, as observed on PX4 1.15."""
-ARDUCOPTER_BASE_MODE = {"stabilized": 0x51, "altitude": 0x51, "land": 0x51} | {
-    "mission": 0x59,
-    "offboard": 0x59,
-    "loiter": 0x59,
-    "return": 0x59,
-    "position": 0x59,
-    "hold": 0x59,
-}
+ARDUCOPTER_BASE_MODE = dict.fromkeys(("stabilized", "altitude", "land"), 0x51) | dict.fromkeys(
+    ("mission", "offboard", "loiter", "return", "position", "hold"), 0x59
+)
 """HEARTBEAT.base_mode disarmed, as observed on ArduCopter 4.5."""
 AUTOPILOT_OF = {
     Flavour.PX4: mavlink.MAV_AUTOPILOT_PX4,

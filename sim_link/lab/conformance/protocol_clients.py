@@ -1,18 +1,15 @@
 """Clients of the parameter and mission protocols, in steps that a probe can each do wrong.
 
-The client's side of the parameter protocol; values are kept as the bytes on the wire.
-
-The client's side of the mission protocol, in steps that a probe can each do wrong.
-
-Missions, fences and rally points about home, as probes upload them.
+Parameter values are kept as the bytes on the wire. Plans lie about home.
 """
 
 from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 
 from companion.mav.dialect import Message, mavlink
 from sim_link.lab.conformance.rules import Violation, require
@@ -90,11 +87,36 @@ def await_value(probe: VehicleProbe, mark: int, name: str) -> Parameter:
     return values_since(probe, mark, name)[-1]
 
 
+@contextmanager
+def restored(probe: VehicleProbe, name: str) -> Iterator[Parameter]:
+    """A parameter as it is; at the end it is written back."""
+    before = read(probe, name)
+    try:
+        yield before
+    finally:
+        write(probe, name, before.value(probe), before.kind)
+        probe.run(0.2)
+
+
+@contextmanager
+def parameter_set(probe: VehicleProbe, name: str, value: float) -> Iterator[None]:
+    """A parameter that has another value for a while."""
+    with restored(probe, name) as before:
+        await_value(probe, write(probe, name, value, before.kind), name)
+        yield
+
+
+def request_read(probe: VehicleProbe, name: str, index: int = -1) -> int:
+    """PARAM_REQUEST_READ by name or index; the mark before it."""
+    mark = probe.mark
+    message = mavlink.MAVLink_param_request_read_message(*probe.target, name.encode(), index)
+    probe.send(message)
+    return mark
+
+
 def read(probe: VehicleProbe, name: str) -> Parameter:
     """PARAM_REQUEST_READ by name."""
-    mark = probe.mark
-    probe.send(mavlink.MAVLink_param_request_read_message(*probe.target, name.encode(), -1))
-    return await_value(probe, mark, name)
+    return await_value(probe, request_read(probe, name), name)
 
 
 def write(
@@ -211,43 +233,45 @@ def send_count(probe: VehicleProbe, count: int, kind: int) -> int:
     return mark
 
 
-def await_request(
-    probe: VehicleProbe, mark: int, sequence: int | None = None, within_s: float = STEP_TIMEOUT_S
-) -> Request:
+def await_request(probe: VehicleProbe, mark: int, sequence: int) -> Request:
     """The next request of an item, with either message.
 
     Raises:
         Violation: Another message, or nothing, came.
     """
-    found: list[Message] = []
-
-    def is_there() -> bool:
-        """Whether a message of the transfer came."""
-        for entry in probe.inbox[mark + len(found) :]:
-            found.append(entry.message)
-            if isinstance(entry.message, (*REQUESTS, Ack)):
-                return True
-        return False
-
-    if not probe.run_until(is_there, within_s):
-        raise Violation(f"no request of an item within {within_s:g} s")
-    last = found[-1]
+    last = next_step(probe, mark)
     if isinstance(last, Ack):
         raise Violation(f"ACK {last.type} instead of a request")
-    assert isinstance(last, REQUESTS)
-    require(sequence in (None, last.seq), f"item {last.seq} requested, not {sequence}")
+    require(sequence == last.seq, f"item {last.seq} requested, not {sequence}")
     return last
 
 
-def await_ack(probe: VehicleProbe, mark: int, within_s: float = STEP_TIMEOUT_S) -> int:
+def await_ack(probe: VehicleProbe, mark: int) -> int:
     """The type of the next MISSION_ACK for us."""
-    ack = probe.expect(
-        Ack,
-        lambda m: m.target_system in (0, probe.system_id),
-        mark=mark,
-        within_s=within_s,
-    )
+    ids = (0, probe.system_id)
+    ack = probe.expect(Ack, lambda m: m.target_system in ids, mark=mark, within_s=STEP_TIMEOUT_S)
     return int(ack.type)
+
+
+def result_of(probe: VehicleProbe, message: Message) -> int:
+    """Send a message; the type of the MISSION_ACK that follows."""
+    mark = probe.mark
+    probe.send(message)
+    return await_ack(probe, mark)
+
+
+def send_item(probe: VehicleProbe, item: PlanItem, sequence: int, kind: int = MISSION) -> int:
+    """One item; the mark before it."""
+    mark = probe.mark
+    probe.send(item.message(probe, sequence, kind))
+    return mark
+
+
+def begin_upload(probe: VehicleProbe, count: int) -> int:
+    """MISSION_COUNT, and the request of the first item; the mark before both."""
+    mark = send_count(probe, count, MISSION)
+    await_request(probe, mark, 0)
+    return mark
 
 
 def upload(probe: VehicleProbe, items: Sequence[PlanItem], kind: int = MISSION) -> int:
@@ -258,29 +282,16 @@ def upload(probe: VehicleProbe, items: Sequence[PlanItem], kind: int = MISSION) 
         if isinstance(step, Ack):
             return int(step.type)
         require(step.seq < len(items), f"item {step.seq} of {len(items)} requested")
-        mark = probe.mark
-        probe.send(items[step.seq].message(probe, step.seq, kind))
+        mark = send_item(probe, items[step.seq], step.seq, kind)
     raise Violation("the upload does not end")
 
 
 def next_step(probe: VehicleProbe, mark: int) -> Request | Ack:
     """The vehicle's next request or ACK."""
-    cursor = mark
-    found: list[Request | Ack] = []
-
-    def is_there() -> bool:
-        """Whether a message of the transfer came."""
-        nonlocal cursor
-        while cursor < len(probe.inbox) and not found:
-            message = probe.inbox[cursor].message
-            cursor += 1
-            if isinstance(message, (*REQUESTS, Ack)):
-                found.append(message)
-        return bool(found)
-
-    if not probe.run_until(is_there, STEP_TIMEOUT_S):
-        raise Violation(f"neither request nor ACK within {STEP_TIMEOUT_S:g} s")
-    return found[0]
+    kinds = (*REQUESTS, Ack)
+    step = probe.expect(kinds, mark=mark, within_s=STEP_TIMEOUT_S, what="request or MISSION_ACK")
+    assert isinstance(step, kinds)
+    return step
 
 
 def require_upload(probe: VehicleProbe, items: Sequence[PlanItem], kind: int = MISSION) -> None:
@@ -291,11 +302,9 @@ def require_upload(probe: VehicleProbe, items: Sequence[PlanItem], kind: int = M
 
 def begin_download(probe: VehicleProbe, kind: int = MISSION) -> int:
     """MISSION_REQUEST_LIST; how many items there are."""
-    mark = probe.mark
-    probe.send(mavlink.MAVLink_mission_request_list_message(*probe.target, kind))
-    return probe.expect(
-        Count, lambda m: m.mission_type == kind, mark=mark, within_s=STEP_TIMEOUT_S
-    ).count
+    request = mavlink.MAVLink_mission_request_list_message(*probe.target, kind)
+    answer = probe.ask(request, Count, lambda m: m.mission_type == kind, within_s=STEP_TIMEOUT_S)
+    return int(answer.count)
 
 
 def download(probe: VehicleProbe, kind: int = MISSION) -> list[PlanItem]:
@@ -308,12 +317,10 @@ def download(probe: VehicleProbe, kind: int = MISSION) -> list[PlanItem]:
 
 def request_item(probe: VehicleProbe, sequence: int, kind: int) -> PlanItem:
     """MISSION_REQUEST_INT; the item."""
-    mark = probe.mark
-    probe.send(mavlink.MAVLink_mission_request_int_message(*probe.target, sequence, kind))
-    item = probe.expect(
+    item = probe.ask(
+        mavlink.MAVLink_mission_request_int_message(*probe.target, sequence, kind),
         Item,
         lambda m: m.seq == sequence and m.mission_type == kind,
-        mark=mark,
         within_s=STEP_TIMEOUT_S,
     )
     return item_of(item)
@@ -326,9 +333,7 @@ def finish_download(probe: VehicleProbe, kind: int) -> None:
 
 def clear(probe: VehicleProbe, kind: int = MISSION) -> int:
     """MISSION_CLEAR_ALL; the type of its ACK."""
-    mark = probe.mark
-    probe.send(mavlink.MAVLink_mission_clear_all_message(*probe.target, kind))
-    return await_ack(probe, mark)
+    return result_of(probe, mavlink.MAVLink_mission_clear_all_message(*probe.target, kind))
 
 
 def with_home(probe: VehicleProbe, items: Sequence[PlanItem]) -> list[PlanItem]:
@@ -342,11 +347,6 @@ def with_home(probe: VehicleProbe, items: Sequence[PlanItem]) -> list[PlanItem]:
 def without_home(probe: VehicleProbe, items: Sequence[PlanItem]) -> list[PlanItem]:
     """A downloaded mission without ArduPilot's item 0."""
     return list(items) if probe.is_px4 else list(items[1:])
-
-
-def changed(item: PlanItem, **what: object) -> PlanItem:
-    """The item with some fields changed."""
-    return replace(item, **what)  # type: ignore[arg-type]
 
 
 def square(probe: VehicleProbe, count: int = 4, height_m: float = 10.0) -> list[PlanItem]:
@@ -365,9 +365,15 @@ def stored(probe: VehicleProbe) -> list[PlanItem]:
     return without_home(probe, download(probe))
 
 
-def places(items: list[PlanItem]) -> list[tuple[int, int, int, float]]:
+def places(items: Sequence[PlanItem]) -> list[tuple[int, int, int, float]]:
     """What must survive a round trip on either flavour."""
     return [(item.command, item.x, item.y, round(item.z, 3)) for item in items]
+
+
+def require_stored(probe: VehicleProbe, wanted: Sequence[PlanItem]) -> None:
+    """The vehicle must have this mission, ArduPilot's home item aside."""
+    found = places(stored(probe))
+    require(found == places(wanted), f"the mission is {found}, not {places(wanted)}")
 
 
 def prepare(probe: VehicleProbe, count: int = 3) -> list[PlanItem]:
@@ -380,16 +386,14 @@ def prepare(probe: VehicleProbe, count: int = 3) -> list[PlanItem]:
 
 def circle(probe: VehicleProbe, radius_m: float = 500.0) -> list[PlanItem]:
     """A circular inclusion fence about home."""
-    home = probe.home()
-    return [
-        PlanItem(
-            mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION,
-            mavlink.MAV_FRAME_GLOBAL_INT if probe.is_px4 else mavlink.MAV_FRAME_GLOBAL,
-            (radius_m, 0.0, 0.0, 0.0),
-            home.latitude,
-            home.longitude,
-        )
-    ]
+    home, command = probe.home(), mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION
+    params = (radius_m, 0.0, 0.0, 0.0)
+    return [PlanItem(command, fence_frame(probe), params, home.latitude, home.longitude)]
+
+
+def fence_frame(probe: VehicleProbe) -> int:
+    """In which frame the flavour's clients send a fence."""
+    return mavlink.MAV_FRAME_GLOBAL_INT if probe.is_px4 else mavlink.MAV_FRAME_GLOBAL
 
 
 def polygon(probe: VehicleProbe, told: float = 4.0, half: int = 30_000) -> list[PlanItem]:
@@ -399,7 +403,7 @@ def polygon(probe: VehicleProbe, told: float = 4.0, half: int = 30_000) -> list[
     return [
         PlanItem(
             mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION,
-            mavlink.MAV_FRAME_GLOBAL_INT if probe.is_px4 else mavlink.MAV_FRAME_GLOBAL,
+            fence_frame(probe),
             (told, 0.0, 0.0, 0.0),
             home.latitude + north * half,
             home.longitude + east * half,
@@ -410,16 +414,9 @@ def polygon(probe: VehicleProbe, told: float = 4.0, half: int = 30_000) -> list[
 
 def rally(probe: VehicleProbe) -> list[PlanItem]:
     """One rally point near home."""
-    home = probe.home()
-    return [
-        PlanItem(
-            mavlink.MAV_CMD_NAV_RALLY_POINT,
-            mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
-            if probe.is_px4
-            else mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT,
-            (0.0, 0.0, 0.0, 0.0),
-            home.latitude + 900,
-            home.longitude,
-            15.0,
-        )
-    ]
+    home, command = probe.home(), mavlink.MAV_CMD_NAV_RALLY_POINT
+    frame = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
+    if not probe.is_px4:
+        frame = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT
+    place = (home.latitude + 900, home.longitude, 15.0)
+    return [PlanItem(command, frame, (0.0, 0.0, 0.0, 0.0), *place)]

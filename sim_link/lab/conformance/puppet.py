@@ -24,16 +24,14 @@ SETTLE_S = 2.0
 ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
 SENSORS = 1 | 2 | 4 | 8 | 32 | 0x200000 | 0x2000000 | mavlink.MAV_SYS_STATUS_PREARM_CHECK
 
-SetpointMessage = (
-    mavlink.MAVLink_set_position_target_local_ned_message
-    | mavlink.MAVLink_set_position_target_global_int_message
-)
-SETPOINTS = (
-    mavlink.MAVLink_set_position_target_local_ned_message,
-    mavlink.MAVLink_set_position_target_global_int_message,
-)
+LocalTarget = mavlink.MAVLink_set_position_target_local_ned_message
+GlobalTarget = mavlink.MAVLink_set_position_target_global_int_message
+SetpointMessage = LocalTarget | GlobalTarget
+SETPOINTS = (LocalTarget, GlobalTarget)
 CommandMessage = mavlink.MAVLink_command_long_message | mavlink.MAVLink_command_int_message
 COMMANDS = (mavlink.MAVLink_command_long_message, mavlink.MAVLink_command_int_message)
+Heartbeat = mavlink.MAVLink_heartbeat_message
+Ack = mavlink.MAVLink_command_ack_message
 PlanRequest = mavlink.MAVLink_mission_request_list_message
 Policy = Callable[[CommandMessage], int | None]
 """The MAV_RESULT of a command; None answers nothing."""
@@ -119,15 +117,11 @@ class CompanionProbe(Station):
         Raises:
             NotApplicable: Nobody does.
         """
-        sources = [
-            entry.source
-            for entry in self.inbox
-            if isinstance(entry.message, mavlink.MAVLink_heartbeat_message)
-            and entry.message.autopilot == mavlink.MAV_AUTOPILOT_INVALID
-        ]
-        if not sources:
+        none = mavlink.MAV_AUTOPILOT_INVALID
+        beats = [m for m in self.heard(Heartbeat) if m.autopilot == none]
+        if not beats:
             raise NotApplicable("no companion heard")
-        return sources[-1]
+        return (beats[-1].get_srcSystem(), beats[-1].get_srcComponent())
 
     def attach(self) -> None:
         """Wait for the companion's first heartbeat, and until it knows the vehicle.
@@ -135,10 +129,7 @@ class CompanionProbe(Station):
         Raises:
             NotApplicable: No companion is heard.
         """
-        heard = self.run_until(
-            lambda: bool(self.heard(mavlink.MAVLink_heartbeat_message)), FIRST_WORD_S
-        )
-        if not heard:
+        if not self.run_until(lambda: bool(self.heard(Heartbeat)), FIRST_WORD_S):
             raise NotApplicable(f"no companion heard within {FIRST_WORD_S:g} s")
         self.run(SETTLE_S)
 
@@ -196,12 +187,7 @@ class CompanionProbe(Station):
         mark = self.mark
         self.send_as(mavlink.MAVLink_command_long_message(*target, number, 0, *padded), 255, 190)
         self.run(1.0)
-        acks = [
-            entry.message
-            for entry in self.inbox[mark:]
-            if isinstance(entry.message, mavlink.MAVLink_command_ack_message)
-            and entry.message.command == number
-        ]
+        acks = [m for m in self.heard(Ack, mark) if m.command == number]
         if len(acks) > 1:
             raise Violation(f"{len(acks)} acknowledgements")
         return int(acks[0].result) if acks else None
@@ -211,10 +197,8 @@ class CompanionProbe(Station):
     def _answer(self, message: Message) -> None:
         if not isinstance(message, (*COMMANDS, PlanRequest)):
             return
-        if (message.target_system, message.target_component) not in (
-            (self.system_id, self.component_id),
-            (self.system_id, 0),
-        ):
+        target = (message.target_system, message.target_component)
+        if target not in ((self.system_id, self.component_id), (self.system_id, 0)):
             return
         if isinstance(message, PlanRequest):
             self.send(_no_plan(message))
@@ -222,16 +206,8 @@ class CompanionProbe(Station):
         result = self.policy(message)
         if result is None:
             return
-        self.send(
-            mavlink.MAVLink_command_ack_message(
-                message.command,
-                result,
-                255,
-                0,
-                message.get_srcSystem(),
-                message.get_srcComponent(),
-            )
-        )
+        asker = (message.get_srcSystem(), message.get_srcComponent())
+        self.send(Ack(message.command, result, 255, 0, *asker))
 
     @property
     def boot_ms(self) -> int:
@@ -242,7 +218,7 @@ class CompanionProbe(Station):
         state = mavlink.MAV_STATE_ACTIVE if self.is_armed else mavlink.MAV_STATE_STANDBY
         if self.is_failsafe:
             state = mavlink.MAV_STATE_CRITICAL
-        return mavlink.MAVLink_heartbeat_message(
+        return Heartbeat(
             mavlink.MAV_TYPE_QUADROTOR,
             mavlink_oracle.AUTOPILOT_OF[self.flavour],
             mavlink_oracle.CUSTOM | (ARMED if self.is_armed else 0),

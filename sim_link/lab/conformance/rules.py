@@ -1,9 +1,8 @@
-"""Rules, how they are run against a peer, and how the outcome is told.
+"""Rules, how they are run against a peer, and how the outcome is told to people and to tools.
 
-What a rule is: one sentence, where it is written, whom it binds, and a probe that tries it.
-
-A probe returns when the rule holds, raises `Violation` when it does not, and `NotApplicable` when
-the peer gives no occasion to tell. Rules are made by decorating their probe:
+A rule is one sentence, where it is written, whom it binds, and a probe that tries it. The probe
+returns when the rule holds, raises `Violation` when it does not, and `NotApplicable` when the peer
+gives no occasion to tell. Rules are made by decorating their probe:
 
     book = RuleBook(Role.VEHICLE, "frames")
 
@@ -12,10 +11,6 @@ the peer gives no occasion to tell. Rules are made by decorating their probe:
         '''A frame whose CRC is wrong has no effect.'''
 
 The rule's id is `frames.bad_crc_is_dropped`, its statement the first line of the docstring.
-
-Runs rules against a peer and says how each went.
-
-Outcomes as lines for people and as JSON for tools.
 """
 
 from __future__ import annotations
@@ -64,6 +59,9 @@ class Effect(Enum):
         return order.index(self) <= order.index(limit)
 
 
+ASKS, CHANGES, FLIES = Effect
+
+
 class Violation(Exception):  # noqa: N818  what a rule finds is no error of ours
     """The peer broke the rule; the text says how."""
 
@@ -93,49 +91,57 @@ class Rule:
 
 
 class RuleBook:
-    """Collects the rules of one group, in the order of their definition."""
+    """Collects the rules of one group, in the order of their definition.
 
-    def __init__(self, role: Role, group: str) -> None:
+    Args:
+        effect: The most that a probe does to the vehicle, unless its rule says otherwise.
+        flavours: Whom the rules bind, unless one says otherwise.
+    """
+
+    def __init__(
+        self,
+        role: Role,
+        group: str,
+        effect: Effect = Effect.ASKS,
+        flavours: frozenset[Flavour] = BOTH,
+    ) -> None:
         self.rules: list[Rule] = []
         self._role = role
         self._group = group
+        self._effect = effect
+        self._flavours = flavours
 
     def rule(
         self,
         source: str,
         *,
-        effect: Effect = Effect.ASKS,
-        flavours: Iterable[Flavour] = BOTH,
+        effect: Effect | None = None,
+        flavours: frozenset[Flavour] | None = None,
         px4: str = "",
         ardupilot: str = "",
     ) -> Callable[[Probe], Probe]:
-        """Make the decorated probe a rule.
+        """Make the decorated probe a rule, named as it is and stated by its docstring.
 
         Args:
             source: The page, file or measurement that says so.
-            effect: The most that the probe does to the vehicle.
             px4: How PX4 deviates, if it does.
             ardupilot: How ArduPilot deviates, if it does.
         """
         told = {Flavour.PX4: px4, Flavour.ARDUPILOT: ardupilot}
-        deviations = {flavour: text for flavour, text in told.items() if text}
 
         def register(probe: Probe) -> Probe:
             """Add the probe as a rule of its group."""
-            name = probe.__name__
-            statement = (probe.__doc__ or "").strip().partition("\n")[0]
-            self.rules.append(
-                Rule(
-                    f"{self._group}.{name}",
-                    statement,
-                    source,
-                    self._role,
-                    effect,
-                    frozenset(flavours),
-                    deviations,
-                    probe,
-                )
+            rule = Rule(
+                f"{self._group}.{probe.__name__}",
+                (probe.__doc__ or "").strip().partition("\n")[0],
+                source,
+                self._role,
+                self._effect if effect is None else effect,
+                self._flavours if flavours is None else flavours,
+                {flavour: text for flavour, text in told.items() if text},
+                probe,
             )
+            self.rules.append(rule)
             return probe
 
         return register

@@ -1,8 +1,6 @@
-"""A scripted MAVLink station on a link.
+"""A MAVLink station that reads like a script: send, let time pass, expect.
 
-What a probe needs of a link: send bytes, and wait for bytes until a time of the link.
-
-A MAVLink station that reads like a script: send, let time pass, expect.
+`ProbeLink` is what it needs of a link: to send bytes, and to wait for bytes until a time.
 """
 
 from __future__ import annotations
@@ -121,9 +119,9 @@ class Station:
         self.reader = MavCodec(system_id, component_id)
         self.signer: Signer | None = None
         self.on_message: Callable[[Message], None] | None = None
+        """Told of each message as it arrives."""
         self._pending: deque[bytes] = deque()
         self._is_taking = False
-        """Told of each message as it arrives."""
         self._sequence = 0
         self._tasks: list[_Task] = []
         self._kind = kind
@@ -210,36 +208,17 @@ class Station:
 
     # In
 
-    def heard(
-        self,
-        kind: type[M],
-        where: Callable[[M], bool] | None = None,
-        *,
-        since_s: float = -1.0,
-        source: tuple[int, int] | None = None,
-    ) -> list[M]:
-        """The messages of a kind that came so far.
-
-        Args:
-            since_s: Only what came at this time or later.
-            source: Only from this system and component.
-        """
-        return [
-            entry.message
-            for entry in self.inbox
-            if isinstance(entry.message, kind)
-            and entry.time_s >= since_s
-            and source in (None, entry.source)
-            and (where is None or where(entry.message))
-        ]
-
-    def heard_since(self, kind: type[M], mark: int) -> list[M]:
+    def heard(self, kind: type[M], mark: int = 0) -> list[M]:
         """The messages of a kind that came after a mark."""
         return [e.message for e in self.inbox[mark:] if isinstance(e.message, kind)]
 
+    def times(self, kind: type[M] | tuple[type[M], ...], mark: int = 0) -> list[float]:
+        """When the messages of a kind came after a mark."""
+        return [e.time_s for e in self.inbox[mark:] if isinstance(e.message, kind)]
+
     def expect(
         self,
-        kind: type[M],
+        kind: type[M] | tuple[type[M], ...],
         where: Callable[[M], bool] | None = None,
         *,
         within_s: float = 2.0,
@@ -268,6 +247,24 @@ class Station:
             raise Violation(f"no {what or name_of(kind)} within {within_s:g} s")
         return found[0]
 
+    def ask(
+        self,
+        message: Message,
+        kind: type[M],
+        where: Callable[[M], bool] | None = None,
+        *,
+        within_s: float = 2.0,
+        what: str = "",
+    ) -> M:
+        """Send a message; the first of a kind after it.
+
+        Raises:
+            Violation: None came in time.
+        """
+        mark = self.mark
+        self.send(message)
+        return self.expect(kind, where, within_s=within_s, mark=mark, what=what)
+
     def expect_none(
         self,
         kind: type[M],
@@ -284,9 +281,8 @@ class Station:
         """
         mark = len(self.inbox) if mark is None else mark
         self.run(for_s)
-        for entry in self.inbox[mark:]:
-            message = entry.message
-            if isinstance(message, kind) and (where is None or where(message)):
+        for message in self.heard(kind, mark):
+            if where is None or where(message):
                 raise Violation(f"{what or 'not to be sent'}: {brief(message)}")
 
     @property
@@ -330,9 +326,10 @@ def heartbeat(kind: int, autopilot: int = mavlink.MAV_AUTOPILOT_INVALID) -> Mess
     )
 
 
-def name_of(kind: type[Message]) -> str:
-    """A message class as the protocol calls it."""
-    return str(getattr(kind, "msgname", kind.__name__))
+def name_of(kind: type[Message] | tuple[type[Message], ...]) -> str:
+    """A message class, or the first of several, as the protocol calls it."""
+    first = kind[0] if isinstance(kind, tuple) else kind
+    return str(getattr(first, "msgname", first.__name__))
 
 
 def brief(message: Message) -> str:

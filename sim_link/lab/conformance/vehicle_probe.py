@@ -1,19 +1,14 @@
-"""A ground station that asks a vehicle, and one that flies it to try it.
-
-A ground station that asks a vehicle: who it is, commands, modes, and how it is.
-
-A ground station that flies a vehicle to try it.
-"""
+"""A ground station that asks a vehicle, and flies it to try it."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from companion.mav.dialect import Message, mavlink
 from sim_link.lab.conformance import mavlink_oracle
-from sim_link.lab.conformance.mavlink_oracle import distance_m
-from sim_link.lab.conformance.rules import Flavour, NotApplicable, Violation, require
+from sim_link.lab.conformance.mavlink_oracle import Triple, distance_m
+from sim_link.lab.conformance.rules import Flavour, NotApplicable, require
 from sim_link.lab.conformance.station import M, ProbeLink, Station, heartbeat
 
 NAN = math.nan
@@ -22,14 +17,29 @@ READY_S = 90.0
 """A real autopilot needs 20 to 45 s from boot until it can be armed."""
 ACK_S = 2.0
 POSITION_INTERVAL_S = 0.05
+BOOT_S = 60.0
+SPENT_PERCENT = 30
+"""A battery that may not last for the next flight."""
+FLIGHT_HEIGHT_M = 10.0
+CLIMB_S = 40.0
+LAND_S = 60.0
+NEAR_M = 20.0
+GO_BACK_S = 60.0
+STREAM_PERIOD_S = 0.1
+
+ARM = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
+FORCE = 21196.0
+PREARM = mavlink.MAV_SYS_STATUS_PREARM_CHECK
 
 ACCEPTED = mavlink.MAV_RESULT_ACCEPTED
 ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
 PADDING = 7
+SysStatus = mavlink.MAVLink_sys_status_message
+Heartbeat = mavlink.MAVLink_heartbeat_message
 
 
-class VehicleStation(Station):
-    """Asks one vehicle, as a ground station would.
+class VehicleProbe(Station):
+    """Asks one vehicle, as a ground station would, and tries it in short flights.
 
     Args:
         signing_key: The key that the vehicle was given; None: it has none.
@@ -40,7 +50,6 @@ class VehicleStation(Station):
         self.signing_key = signing_key
         self.flavour = Flavour.PX4
         self.target = (1, mavlink.MAV_COMP_ID_AUTOPILOT1)
-        self._others: list[Station] = []
 
     # Who it is
 
@@ -50,15 +59,12 @@ class VehicleStation(Station):
         Raises:
             NotApplicable: No autopilot is heard.
         """
-        found: list[mavlink.MAVLink_heartbeat_message] = []
+        found: list[Heartbeat] = []
 
         def is_there() -> bool:
             """Whether an autopilot was heard."""
-            found.extend(
-                m
-                for m in self.heard(mavlink.MAVLink_heartbeat_message)
-                if m.autopilot != mavlink.MAV_AUTOPILOT_INVALID
-            )
+            beats = self.heard(Heartbeat)
+            found.extend(m for m in beats if m.autopilot != mavlink.MAV_AUTOPILOT_INVALID)
             return bool(found)
 
         if not self.run_until(is_there, FIRST_HEARTBEAT_S):
@@ -74,11 +80,13 @@ class VehicleStation(Station):
         """Whether it is a PX4."""
         return self.flavour is Flavour.PX4
 
-    def from_vehicle(
-        self, kind: type[M], where: Callable[[M], bool] | None = None, since_s: float = -1.0
-    ) -> list[M]:
+    def is_own(self, message: Message) -> bool:
+        """Whether the vehicle's autopilot said it."""
+        return (message.get_srcSystem(), message.get_srcComponent()) == self.target
+
+    def from_vehicle(self, kind: type[M], mark: int = 0) -> list[M]:
         """The vehicle's own messages of a kind."""
-        return self.heard(kind, where, since_s=since_s, source=self.target)
+        return [message for message in self.heard(kind, mark) if self.is_own(message)]
 
     def latest(self, kind: type[M]) -> M:
         """The newest message of a kind; asked for if none came yet."""
@@ -106,18 +114,11 @@ class VehicleStation(Station):
 
     # Commands
 
-    def command(
-        self,
-        number: int,
-        *params: float,
-        target: tuple[int, int] | None = None,
-        confirmation: int = 0,
-    ) -> int:
+    def command(self, number: int, *params: float, confirmation: int = 0) -> int:
         """Send COMMAND_LONG, unused parameters NaN as MAVSDK does; the final MAV_RESULT."""
         padded = [*params, *[NAN] * (PADDING - len(params))]
-        system, component = target or self.target
         return self.result_of(
-            mavlink.MAVLink_command_long_message(system, component, number, confirmation, *padded),
+            mavlink.MAVLink_command_long_message(*self.target, number, confirmation, *padded),
             number,
         )
 
@@ -147,16 +148,24 @@ class VehicleStation(Station):
         Raises:
             Violation: No ACK came.
         """
-        mark = self.mark
-        self.send(message)
-        ack = self.expect(
+        ack = self.ask(
+            message,
             mavlink.MAVLink_command_ack_message,
             lambda m: m.command == number and m.result != mavlink.MAV_RESULT_IN_PROGRESS,
             within_s=ACK_S,
-            mark=mark,
             what=f"COMMAND_ACK of {number}",
         )
         return int(ack.result)
+
+    def require_result(self, wanted: int | tuple[int, ...], number: int, *params: float) -> None:
+        """Send COMMAND_LONG; its MAV_RESULT must be the wanted one, or one of several.
+
+        Raises:
+            Violation: It is another.
+        """
+        result = self.command(number, *params)
+        results = (wanted,) if isinstance(wanted, int) else wanted
+        require(result in results, f"command {number} {params}: result {result}, not {wanted}")
 
     def request(self, kind: type[M], within_s: float = ACK_S) -> M:
         """REQUEST_MESSAGE; the message.
@@ -165,15 +174,8 @@ class VehicleStation(Station):
             Violation: It is refused or does not come.
         """
         mark = self.mark
-        number = int(kind.id)
-        result = self.command(mavlink.MAV_CMD_REQUEST_MESSAGE, float(number))
-        require(result == ACCEPTED, f"REQUEST_MESSAGE {number} gave result {result}")
-        return self.expect(
-            kind,
-            lambda m: (m.get_srcSystem(), m.get_srcComponent()) == self.target,
-            within_s=within_s,
-            mark=mark,
-        )
+        self.require_result(ACCEPTED, mavlink.MAV_CMD_REQUEST_MESSAGE, float(kind.id))
+        return self.expect(kind, self.is_own, within_s=within_s, mark=mark)
 
     def set_interval(self, number: int, interval_s: float) -> int:
         """SET_MESSAGE_INTERVAL; its MAV_RESULT."""
@@ -191,14 +193,12 @@ class VehicleStation(Station):
         stamp = 1_000_000 + self.mark
         mark = self.mark
         self.send(mavlink.MAVLink_timesync_message(0, stamp))
-        return self.run_until(
-            lambda: any(
-                isinstance(entry.message, mavlink.MAVLink_timesync_message)
-                and entry.message.ts1 == stamp
-                for entry in self.inbox[mark:]
-            ),
-            ACK_S,
-        )
+        return self.is_synchronised(stamp, mark, ACK_S)
+
+    def is_synchronised(self, stamp: int, mark: int, within_s: float) -> bool:
+        """Let time pass; whether a TIMESYNC with `ts1` = `stamp` comes after a mark."""
+        kind = mavlink.MAVLink_timesync_message
+        return self.run_until(lambda: any(m.ts1 == stamp for m in self.heard(kind, mark)), within_s)
 
     def require_hearing(self) -> None:
         """After a probe for silence: the vehicle must be silent by choice, not deaf.
@@ -208,15 +208,41 @@ class VehicleStation(Station):
         """
         require(self.is_alive(), "nothing is answered any more")
 
+    def require_no_answer(
+        self,
+        messages: Message | Sequence[Message],
+        kind: type[M],
+        where: Callable[[M], bool] | None = None,
+    ) -> None:
+        """Send messages that nothing of a kind may follow, though the vehicle hears us.
+
+        Raises:
+            Violation: Something came, or it is deaf.
+        """
+        mark = self.mark
+        for message in messages if isinstance(messages, Sequence) else (messages,):
+            self.send(message)
+        self.expect_none(kind, where, mark=mark, what="answered")
+        self.require_hearing()
+
     # State
 
-    def heartbeat(self) -> mavlink.MAVLink_heartbeat_message:
-        """A HEARTBEAT that is newer than this call."""
+    def heartbeat(
+        self,
+        where: Callable[[Heartbeat], bool] | None = None,
+        within_s: float = 3.0,
+        what: str = "",
+    ) -> Heartbeat:
+        """A HEARTBEAT of the vehicle that is newer than this call.
+
+        Raises:
+            Violation: None came in time.
+        """
         return self.expect(
-            mavlink.MAVLink_heartbeat_message,
-            lambda m: (m.get_srcSystem(), m.get_srcComponent()) == self.target,
-            within_s=3.0,
-            what="HEARTBEAT of the vehicle",
+            Heartbeat,
+            lambda m: self.is_own(m) and (where is None or where(m)),
+            within_s=within_s,
+            what=f"HEARTBEAT {what or 'of the vehicle'}",
         )
 
     def is_armed(self) -> bool:
@@ -234,14 +260,7 @@ class VehicleStation(Station):
             Violation: None did in time.
         """
         wanted = mavlink_oracle.custom_mode(self.flavour, mode)
-        self.expect(
-            mavlink.MAVLink_heartbeat_message,
-            lambda m: (
-                (m.get_srcSystem(), m.get_srcComponent()) == self.target and m.custom_mode == wanted
-            ),
-            within_s=within_s,
-            what=f"HEARTBEAT in {mode}",
-        )
+        self.heartbeat(lambda m: m.custom_mode == wanted, within_s, f"in {mode}")
 
     def await_disarmed(self, within_s: float) -> None:
         """Let time pass until a HEARTBEAT says disarmed.
@@ -249,30 +268,49 @@ class VehicleStation(Station):
         Raises:
             Violation: None did in time.
         """
-        self.expect(
-            mavlink.MAVLink_heartbeat_message,
-            lambda m: (
-                (m.get_srcSystem(), m.get_srcComponent()) == self.target and not m.base_mode & ARMED
-            ),
-            within_s=within_s,
-            what="HEARTBEAT of a disarmed vehicle",
-        )
+        self.heartbeat(lambda m: not m.base_mode & ARMED, within_s, "of a disarmed vehicle")
 
     def set_mode(self, mode: str) -> int:
         """DO_SET_MODE; its MAV_RESULT."""
-        return self.command(
-            mavlink.MAV_CMD_DO_SET_MODE, *mavlink_oracle.set_mode_params(self.flavour, mode)
-        )
+        params = mavlink_oracle.set_mode_params(self.flavour, mode)
+        return self.command(mavlink.MAV_CMD_DO_SET_MODE, *params)
 
-    def place(self) -> tuple[float, float, float]:
+    def require_mode(self, mode: str) -> None:
+        """DO_SET_MODE, which must be accepted.
+
+        Raises:
+            Violation: It is refused.
+        """
+        result = self.set_mode(mode)
+        require(result == ACCEPTED, f"{mode}: result {result}")
+
+    def require_disarmed(self) -> None:
+        """For a rule that is tried on the ground.
+
+        Raises:
+            NotApplicable: It is armed.
+        """
+        if self.is_armed():
+            raise NotApplicable("the vehicle is armed")
+
+    def place(self) -> Triple:
         """North, east and down of the newest LOCAL_POSITION_NED, after a step of time."""
         report = self.expect(mavlink.MAVLink_local_position_ned_message, within_s=3.0)
         return (report.x, report.y, report.z)
 
-    def speed(self) -> tuple[float, float, float]:
+    def yaw(self) -> float:
+        """ATTITUDE.yaw, asked for."""
+        return float(self.request(mavlink.MAVLink_attitude_message).yaw)
+
+    def speed(self) -> Triple:
         """Velocity north, east and down of the newest LOCAL_POSITION_NED."""
         report = self.expect(mavlink.MAVLink_local_position_ned_message, within_s=3.0)
         return (report.vx, report.vy, report.vz)
+
+    def set_home(self, place: tuple[int, int, float], frame: int = mavlink.MAV_FRAME_GLOBAL) -> int:
+        """DO_SET_HOME as COMMAND_INT; its MAV_RESULT."""
+        params = (0.0, 0.0, 0.0, 0.0)
+        return self.command_int(mavlink.MAV_CMD_DO_SET_HOME, frame, params, place)
 
     def home(self) -> mavlink.MAVLink_home_position_message:
         """Home, asked for."""
@@ -282,24 +320,7 @@ class VehicleStation(Station):
         """The zero of the local frame, asked for."""
         return self.request(mavlink.MAVLink_gps_global_origin_message)
 
-
-BOOT_S = 60.0
-SPENT_PERCENT = 30
-"""A battery that may not last for the next flight."""
-FLIGHT_HEIGHT_M = 10.0
-CLIMB_S = 40.0
-LAND_S = 60.0
-NEAR_M = 20.0
-GO_BACK_S = 60.0
-STREAM_PERIOD_S = 0.1
-
-ARM = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
-FORCE = 21196.0
-PREARM = mavlink.MAV_SYS_STATUS_PREARM_CHECK
-
-
-class VehicleProbe(VehicleStation):
-    """Tries one vehicle in short flights."""
+    # Flights
 
     def get_ready(self) -> None:
         """Wait until it can be armed, in the mode that flights begin in.
@@ -308,7 +329,7 @@ class VehicleProbe(VehicleStation):
             Violation: It never gets ready.
         """
         self._begin_flight()
-        if 0 <= self.latest(mavlink.MAVLink_sys_status_message).battery_remaining < SPENT_PERCENT:
+        if 0 <= self.latest(SysStatus).battery_remaining < SPENT_PERCENT:
             self.reboot()
             self._begin_flight()
         self.await_prearm()
@@ -316,7 +337,7 @@ class VehicleProbe(VehicleStation):
 
     def _begin_flight(self) -> None:
         self.set_mode("hold" if self.is_px4 else "offboard")
-        self.watch(mavlink.MAVLink_sys_status_message, 0.2)
+        self.watch(SysStatus, 0.2)
 
     def reboot(self) -> None:
         """Restart the autopilot; a simulated one has a fresh battery then.
@@ -324,12 +345,9 @@ class VehicleProbe(VehicleStation):
         Raises:
             Violation: It refuses, or does not come back.
         """
-        result = self.command(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1.0, 0.0, 0.0)
-        require(result == ACCEPTED, f"the reboot gave result {result}")
+        self.require_result(ACCEPTED, mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1.0, 0.0, 0.0)
         mark = self.mark
-        back = self.run_until(
-            lambda: bool(self.heard_since(mavlink.MAVLink_heartbeat_message, mark)), BOOT_S
-        )
+        back = self.run_until(lambda: bool(self.heard(Heartbeat, mark)), BOOT_S)
         require(back, f"it did not come back within {BOOT_S:g} s of a reboot")
 
     def await_prearm(self) -> None:
@@ -348,8 +366,7 @@ class VehicleProbe(VehicleStation):
             Violation: It refuses.
         """
         self.get_ready()
-        result = self.command(ARM, 1.0, 0.0)
-        require(result == ACCEPTED, f"arming gave result {result}")
+        self.require_result(ACCEPTED, ARM, 1.0, 0.0)
 
     def take_off(self, height_m: float = FLIGHT_HEIGHT_M) -> None:
         """Arm, climb above home and hover there.
@@ -364,9 +381,7 @@ class VehicleProbe(VehicleStation):
             altitude_m += self.home().altitude / 1e3
             unused = NAN
         start_down_m = self.place()[2]
-        params = (*[unused] * 6, altitude_m)
-        result = self.command(mavlink.MAV_CMD_NAV_TAKEOFF, *params)
-        require(result == ACCEPTED, f"NAV_TAKEOFF gave result {result}")
+        self.require_result(ACCEPTED, mavlink.MAV_CMD_NAV_TAKEOFF, *[unused] * 6, altitude_m)
         climbed = self.run_until(lambda: start_down_m - self.place()[2] > height_m - 0.5, CLIMB_S)
         require(climbed, f"did not climb {height_m:g} m within {CLIMB_S:g} s")
         if self.is_px4:
@@ -385,10 +400,15 @@ class VehicleProbe(VehicleStation):
         """
         stop = self.stream(build)
         self.run(1.2)
-        result = self.set_mode("offboard")
-        require(result == ACCEPTED, f"OFFBOARD or GUIDED gave result {result}")
+        self.require_mode("offboard")
         self.await_mode("offboard")
         return stop
+
+    def reposition(self, frame: int, place: tuple[int, int, float], flags: float = 1.0) -> int:
+        """DO_REPOSITION as COMMAND_INT; its MAV_RESULT."""
+        return self.command_int(
+            mavlink.MAV_CMD_DO_REPOSITION, frame, (-1.0, flags, 0.0, NAN), place
+        )
 
     def come_to_rest(self, base_e7: tuple[int, int] | None = None) -> tuple[int, int]:
         """Land if it flies and wait until it is disarmed; for whoever tries the next rule.
@@ -419,13 +439,8 @@ class VehicleProbe(VehicleStation):
         if distance_m(self._where(), base_e7) < NEAR_M:
             return
         above_home_m = max(FLIGHT_HEIGHT_M, self.home().z - self.place()[2])
-        result = self.command_int(
-            mavlink.MAV_CMD_DO_REPOSITION,
-            mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
-            (-1.0, 1.0, 0.0, NAN),
-            (*base_e7, above_home_m),
-        )
-        if result == ACCEPTED:
+        frame = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
+        if self.reposition(frame, (*base_e7, above_home_m)) == ACCEPTED:
             self.run_until(lambda: self._is_near(base_e7), GO_BACK_S)
 
     def _is_near(self, base_e7: tuple[int, int]) -> bool:
@@ -433,14 +448,11 @@ class VehicleProbe(VehicleStation):
         return distance_m(self._where(), base_e7) < NEAR_M / 2.0
 
     def _is_ready(self) -> bool:
-        status = self.from_vehicle(mavlink.MAVLink_sys_status_message)
+        status = self.from_vehicle(SysStatus)
         return bool(status) and bool(status[-1].onboard_control_sensors_health & PREARM)
 
 
-def nothing_moved(
-    before: tuple[float, float, float], after: tuple[float, float, float], tolerance_m: float
-) -> None:
+def nothing_moved(before: Triple, after: Triple, tolerance_m: float) -> None:
     """Raise `Violation` if two places differ by more than a tolerance."""
     moved_m = math.dist(before, after)
-    if moved_m > tolerance_m:
-        raise Violation(f"moved by {moved_m:.1f} m")
+    require(moved_m <= tolerance_m, f"moved by {moved_m:.1f} m")

@@ -96,12 +96,12 @@ class Injector(Observer):
                     partial(self._send_other, fault),
                 )
             case IncidentRecord():
-                flight.happen(fault)
+                flight.apply_incident(fault)
 
     def _flap(self, fault: ModeFlap, end_s: float, *, is_ours: bool) -> None:
         now_s = self._flight.now_s
         mode = fault.mode if is_ours else FlightMode.OFFBOARD
-        self._flight.happen(PilotMode(mode=mode))
+        self._flight.apply_incident(PilotMode(mode=mode))
         if now_s < end_s or is_ours:
             next_s = now_s + 0.5 * fault.period_s
             self._flight.at(next_s, partial(self._flap, fault, end_s, is_ours=not is_ours))

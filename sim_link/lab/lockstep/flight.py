@@ -372,9 +372,9 @@ class Flight:
         for observer in self.observers:
             observer.vehicle_rebooted(self.now_s)
 
-    def happen(self, incident: IncidentRecord) -> None:
+    def apply_incident(self, incident: IncidentRecord) -> None:
         """Let something happen to the vehicle."""
-        self.sim.happen(incident, self.now_s)
+        self.sim.apply_incident(incident, self.now_s)
         if isinstance(incident, PilotMode):
             self.tell_chosen(incident.mode)
         if isinstance(incident, VehicleReboot):
@@ -395,7 +395,7 @@ class Flight:
     @property
     def mode(self) -> FlightMode:
         """The mode that the vehicle is truly in."""
-        return self.sim.vehicle.modes.mode
+        return self.sim.vehicle.flavour.mode
 
     @property
     def phase(self) -> Phase:

@@ -75,7 +75,7 @@ class Operator:
                 a new mode with its next HEARTBEAT only, unless it is asked.
         """
         flight = self._flight
-        is_armed = flight.sim.vehicle.modes.is_armed
+        is_armed = flight.sim.vehicle.flavour.is_armed
         params = set_mode_params(mode, flight.autopilot, is_armed=is_armed)
         self.command(mavlink.MAV_CMD_DO_SET_MODE, *params)
         flight.tell_chosen(mode)

@@ -110,7 +110,7 @@ class _MissionFlight:
             self._slices += 1
             flight.run(self._slices * SLICE_S - flight.now_s)
         self.record.ended_s = flight.now_s
-        self.record.distance_m = flight.sim.vehicle.distance_m
+        self.record.distance_m = flight.sim.vehicle.aircraft.distance_m
         closest_m = self._monitor.fence.closest_m
         self.record.closest_approach_m = closest_m if math.isfinite(closest_m) else None
 
@@ -119,10 +119,13 @@ class _MissionFlight:
         flight, seen = self._flight, self.record.situation.vehicle
         vehicle, now_s = flight.sim.vehicle, flight.now_s
         self._reader.age(now_s)
-        seen.mode, seen.is_armed = vehicle.modes.mode.value, vehicle.is_armed
-        seen.is_failsafe, seen.landed = vehicle.modes.is_failsafe, vehicle.landed_state.name.lower()
+        seen.mode, seen.is_armed = vehicle.flavour.mode.value, vehicle.is_armed
+        seen.is_failsafe, seen.landed = (
+            vehicle.flavour.is_failsafe,
+            vehicle.flavour.landed_state.name.lower(),
+        )
         seen.is_ready = vehicle.is_armed or (
-            vehicle.has_home and vehicle.modes.arming_refusal(vehicle.time_s) is None
+            vehicle.has_home and vehicle.flavour.arming_refusal(vehicle.time_s) is None
         )
         east_m, north_m, up_m = place = vehicle.body.position_enu_m
         velocity = vehicle.body.velocity_enu_mps
@@ -130,7 +133,7 @@ class _MissionFlight:
         seen.east_m, seen.north_m, seen.height_m = east_m, north_m, up_m - home[2]
         seen.speed_mps, seen.climb_mps = math.hypot(*velocity[:2]), velocity[2]
         seen.home_distance_m = math.dist(place[:2], home[:2])
-        seen.distance_m, seen.battery = vehicle.distance_m, vehicle.battery.share
+        seen.distance_m, seen.battery = vehicle.aircraft.distance_m, vehicle.battery.share
         seen.has_fix = vehicle.estimator.has_fix
         self.record.violations += self._monitor.violations[len(self.record.violations) :]
         self.record.situation.companion.violations = len(self.record.violations)
@@ -209,7 +212,7 @@ class _Operator:
         above = (
             0.0
             if flight.scenario.autopilot.flavour == "ardupilot"
-            else (flight.sim.vehicle.home_altitude_m)
+            else (flight.sim.vehicle.aircraft.home_altitude_m)
         )
         rest = [math.nan] * 6 if above else [0.0] * 6
         self._station.command(mavlink.MAV_CMD_NAV_TAKEOFF, *rest, above + height_m)

@@ -19,7 +19,7 @@ from xml.etree import ElementTree
 from companion.errors import ConfigError
 from companion.io.files import check_writable, write_text_atomic
 from companion.kernel import IS_COMPILED
-from sim_link.interrupts import is_interrupt
+from sim_link.fleet.console import is_interrupt
 from sim_link.lab.mission.batch import (
     Campaign,
     FlightTask,

@@ -223,7 +223,7 @@ class InsideFence(SetpointsInside):
 
     def _watch_mode(self) -> None:
         """Which mode flies: the first after ours brakes what we began, others begin anew."""
-        mode, before = self._truth.vehicle.modes.mode, self._mode
+        mode, before = self._truth.vehicle.flavour.mode, self._mode
         self._has_left |= self._has_yielded and mode is not FlightMode.OFFBOARD
         if mode is FlightMode.OFFBOARD and self._is_ours:
             self._is_taken_on = False
@@ -243,7 +243,7 @@ class InsideFence(SetpointsInside):
             self._in_control_s = scene.now_s
         if not scene.vehicle.is_armed:  # it falls, and nobody can do anything about it
             self._in_control_s = -math.inf
-        self._watch_others(scene.vehicle.offboard.received)
+        self._watch_others(scene.vehicle.setpoints.received)
         self._watch_mode()
         is_flown_by_others = self._mode not in OUR_MOTION or self._is_taken_on
         is_flown_by_others |= self.is_dragged

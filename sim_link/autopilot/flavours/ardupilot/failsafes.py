@@ -16,12 +16,18 @@ from dataclasses import dataclass
 
 from companion.domain import PositionEnu
 from sim_link.autopilot.aircraft import CELLS, Aircraft
-from sim_link.autopilot.flavours.ardupilot import flight_modes
-from sim_link.autopilot.flavours.ardupilot.flight_modes import CopterMode
+from sim_link.autopilot.flavours.ardupilot.flight_modes import (
+    ALT_HOLD,
+    BRAKE,
+    LAND,
+    RTL,
+    SMART_RTL,
+    CopterMode,
+)
 from sim_link.autopilot.pilot import STEP_S
 from sim_link.autopilot.protocols.parameter_store import ParameterStore
 
-ALTITUDE_MAX, CIRCLE, POLYGON, ALTITUDE_MIN = 1, 2, 4, 8
+ALTITUDE_MAX, CIRCLE, POLYGON = 1, 2, 4
 """Bits of FENCE_TYPE."""
 
 
@@ -41,43 +47,16 @@ def fence_margin_m(place: PositionEnu, aircraft: Aircraft, parameters: Parameter
     return margin
 
 
-STATION_MODES = {
-    **{
-        1: flight_modes.RTL,
-        2: flight_modes.RTL,
-        3: flight_modes.SMART_RTL,
-        4: flight_modes.SMART_RTL,
-    },
-    **{5: flight_modes.LAND, 6: flight_modes.RTL, 7: flight_modes.BRAKE},
-}
+STATION_MODES = dict(enumerate((RTL, RTL, SMART_RTL, SMART_RTL, LAND, RTL, BRAKE), 1))
 """FS_GCS_ENABLE; 0: nothing."""
-STICK_MODES = {
-    **{1: flight_modes.RTL, 2: flight_modes.RTL, 3: flight_modes.LAND, 4: flight_modes.SMART_RTL},
-    **{5: flight_modes.SMART_RTL, 6: flight_modes.RTL, 7: flight_modes.BRAKE},
-}
+STICK_MODES = dict(enumerate((RTL, RTL, LAND, SMART_RTL, SMART_RTL, RTL, BRAKE), 1))
 """FS_THR_ENABLE; 0: nothing."""
-BATTERY_MODES = {
-    **{
-        1: flight_modes.LAND,
-        2: flight_modes.RTL,
-        3: flight_modes.SMART_RTL,
-        4: flight_modes.SMART_RTL,
-    },
-    **{6: flight_modes.RTL, 7: flight_modes.BRAKE},
-}
+BATTERY_MODES = {1: LAND, 2: RTL, 3: SMART_RTL, 4: SMART_RTL, 6: RTL, 7: BRAKE}
 """BATT_FS_LOW_ACT and BATT_FS_CRT_ACT; 0: only a text."""
 TERMINATE = 5
-FENCE_MODES = {
-    **{
-        1: flight_modes.RTL,
-        2: flight_modes.LAND,
-        3: flight_modes.SMART_RTL,
-        4: flight_modes.BRAKE,
-        5: flight_modes.SMART_RTL,
-    },
-}
+FENCE_MODES = {1: RTL, 2: LAND, 3: SMART_RTL, 4: BRAKE, 5: SMART_RTL}
 """FENCE_ACTION; 0: only a text."""
-EKF_MODES = {1: flight_modes.LAND, 2: flight_modes.ALT_HOLD, 3: flight_modes.LAND}
+EKF_MODES = {1: LAND, 2: ALT_HOLD, 3: LAND}
 """FS_EKF_ACTION; 3 also where no position is needed."""
 EVEN_WITHOUT_POSITION = 3
 EKF_PATIENCE_S = 1.0
@@ -170,7 +149,7 @@ class Failsafes:
         limit_s = ROUNDING_S if EKF in self.active else EKF_PATIENCE_S - ROUNDING_S
         number = int(value["FS_EKF_ACTION"])
         concerns = mode.needs_position or number == EVEN_WITHOUT_POSITION
-        action = EKF_MODES.get(number, flight_modes.LAND) if concerns else None
+        action = EKF_MODES.get(number, LAND) if concerns else None
         event = FailsafeEvent(EKF, action, tells_mode=action is not None)
         yield from self._note(EKF, self._bad_estimate_s >= limit_s, event)
 

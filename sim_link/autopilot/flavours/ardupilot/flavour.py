@@ -96,7 +96,7 @@ class ArduPilotFlavour(Flavour):
     def task(self) -> Task:
         """What the pilot is to do."""
         mode = self.copter_mode
-        if not self.aircraft.estimator.is_position_valid and mode.task is not Task.OBEY_STICKS:
+        if not self.aircraft.estimator.is_position_valid and mode.task is not Task.FLY_BY_STICKS:
             return Task.DESCEND
         if mode is flight_modes.GUIDED:
             return self.guided.task
@@ -140,11 +140,8 @@ class ArduPilotFlavour(Flavour):
 
     # Commands
 
-    def command(self, command: Command, now_s: float) -> int:
-        """Obey a command; a MAV_RESULT."""
-        result = flight_modes.handle_command(self, command, now_s)
-        self.settle(now_s, "commanded")
-        return result
+    def _handle_command(self, command: Command, now_s: float) -> int:
+        return flight_modes.handle_command(self, command, now_s)
 
     def choose(self, mode: CopterMode, now_s: float) -> int:
         """Change the mode; a MAV_RESULT, and the reason as a text if refused."""
@@ -189,14 +186,14 @@ class ArduPilotFlavour(Flavour):
             not is_forced and self.arming_refusal(now_s) is not None
         )
         if is_refused:
-            self.tell_refusal("Arm", now_s)
+            self.send_rejection("Arm", now_s)
             return FAILED
         self.aircraft.is_armed = True
         self.guided.enter()
         self.aircraft.say(mavlink.MAV_SEVERITY_INFO, "Arming motors")
         return ACCEPTED
 
-    def tell_refusal(self, prefix: str, now_s: float) -> None:
+    def send_rejection(self, prefix: str, now_s: float) -> None:
         """Say why it cannot be armed."""
         why = self.arming_refusal(now_s)
         if why is not None:
@@ -371,7 +368,7 @@ class ArduPilotFlavour(Flavour):
 
     # HEARTBEAT
 
-    def shown(self, now_s: float) -> HeartbeatState:  # noqa: ARG002  the base gives the time
+    def heartbeat_state(self, now_s: float) -> HeartbeatState:  # noqa: ARG002  the base gives the time
         """What HEARTBEAT shows: on the ground STANDBY, also when armed."""
         base_mode = self.copter_mode.flags | (ARMED_FLAG if self.is_armed else 0)
         status = mavlink.MAV_STATE_STANDBY

@@ -51,34 +51,21 @@ class CopterMode:
     mode: FlightMode
     """What it does, in the words that both autopilots share."""
     task: Task
-    needs_position: bool
-    is_armable: bool
-    flags: int
+    needs_position: bool = True
+    is_armable: bool = True
+    flags: int = GUIDED_FLAGS
     """HEARTBEAT.base_mode while disarmed."""
 
 
-def _mode(
-    number: int,
-    name: str,
-    mode: FlightMode,
-    task: Task,
-    *,
-    needs_position: bool = True,
-    is_armable: bool = True,
-    flags: int = GUIDED_FLAGS,
-) -> CopterMode:
-    return CopterMode(number, name, mode, task, needs_position, is_armable, flags)
-
-
-_STICKS = Task.OBEY_STICKS
-STABILIZE = _mode(
+_STICKS = Task.FLY_BY_STICKS
+STABILIZE = CopterMode(
     0, "STABILIZE", FlightMode.STABILIZED, _STICKS, needs_position=False, flags=PLAIN_FLAGS
 )
-AUTO = _mode(3, "AUTO", FlightMode.MISSION, Task.FLY_MISSION, is_armable=False)
-GUIDED = _mode(4, "GUIDED", FlightMode.OFFBOARD, Task.FOLLOW)
-LOITER = _mode(5, "LOITER", FlightMode.POSITION, _STICKS)
-RTL = _mode(6, "RTL", FlightMode.RETURN, Task.RETURN, is_armable=False)
-LAND = _mode(
+AUTO = CopterMode(3, "AUTO", FlightMode.MISSION, Task.FLY_MISSION, is_armable=False)
+GUIDED = CopterMode(4, "GUIDED", FlightMode.OFFBOARD, Task.FOLLOW)
+LOITER = CopterMode(5, "LOITER", FlightMode.POSITION, _STICKS)
+RTL = CopterMode(6, "RTL", FlightMode.RETURN, Task.RETURN, is_armable=False)
+LAND = CopterMode(
     9,
     "LAND",
     FlightMode.LAND,
@@ -87,25 +74,25 @@ LAND = _mode(
     is_armable=False,
     flags=PLAIN_FLAGS,
 )
-ALT_HOLD = _mode(
+ALT_HOLD = CopterMode(
     2, "ALT_HOLD", FlightMode.ALTITUDE, _STICKS, needs_position=False, flags=PLAIN_FLAGS
 )
-SMART_RTL = _mode(21, "SMART_RTL", FlightMode.RETURN, Task.RETURN, is_armable=False)
-BRAKE = _mode(17, "BRAKE", FlightMode.HOLD, Task.STAY, is_armable=False)
+SMART_RTL = CopterMode(21, "SMART_RTL", FlightMode.RETURN, Task.RETURN, is_armable=False)
+BRAKE = CopterMode(17, "BRAKE", FlightMode.HOLD, Task.STAY, is_armable=False)
 
 MODES: dict[int, CopterMode] = {
     mode.number: mode
     for mode in (
         STABILIZE,
-        _mode(1, "ACRO", FlightMode.ACRO, _STICKS, needs_position=False, flags=PLAIN_FLAGS),
+        CopterMode(1, "ACRO", FlightMode.ACRO, _STICKS, needs_position=False, flags=PLAIN_FLAGS),
         ALT_HOLD,
         AUTO,
         GUIDED,
         LOITER,
         RTL,
-        _mode(7, "CIRCLE", FlightMode.HOLD, Task.CIRCLE, is_armable=False),
+        CopterMode(7, "CIRCLE", FlightMode.HOLD, Task.CIRCLE, is_armable=False),
         LAND,
-        _mode(16, "POSHOLD", FlightMode.POSITION, _STICKS),
+        CopterMode(16, "POSHOLD", FlightMode.POSITION, _STICKS),
         BRAKE,
         SMART_RTL,
     )
@@ -122,7 +109,6 @@ BY_WHAT_IT_DOES: dict[FlightMode, CopterMode] = {
 if TYPE_CHECKING:
     from sim_link.autopilot.flavours.ardupilot.flavour import ArduPilotFlavour
 
-GLOBAL = mavlink.MAV_FRAME_GLOBAL
 TAKEOFF_FRAMES = (mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT,)
 ERROR = mavlink.MAV_SEVERITY_ERROR
 
@@ -168,7 +154,7 @@ def _handle_other_command(flavour: ArduPilotFlavour, command: Command, now_s: fl
         case mavlink.MAV_CMD_RUN_PREARM_CHECKS:
             if flavour.is_armed:
                 return mavlink.MAV_RESULT_TEMPORARILY_REJECTED
-            flavour.tell_refusal("PreArm", now_s)
+            flavour.send_rejection("PreArm", now_s)
             return ACCEPTED
     return UNSUPPORTED
 

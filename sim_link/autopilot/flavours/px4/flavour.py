@@ -111,7 +111,7 @@ class Px4Flavour(Flavour):
     @property
     def task(self) -> Task:
         """What the pilot is to do."""
-        task = TASKS.get(self.mode, Task.OBEY_STICKS)
+        task = TASKS.get(self.mode, Task.FLY_BY_STICKS)
         needs_position = self.mode not in STICK_MODES
         if needs_position and not self.aircraft.estimator.is_position_valid:
             return Task.DESCEND
@@ -177,11 +177,8 @@ class Px4Flavour(Flavour):
 
     # Commands
 
-    def command(self, command: Command, now_s: float) -> int:
-        """Obey a command; a MAV_RESULT."""
-        result = flight_modes.handle_command(self, command, now_s)
-        self.settle(now_s, "commanded")
-        return result
+    def _handle_command(self, command: Command, now_s: float) -> int:
+        return flight_modes.handle_command(self, command, now_s)
 
     def choose(self, mode: FlightMode | None, now_s: float) -> int:
         """The operator chooses a mode; a MAV_RESULT, and the reason as a text if refused."""
@@ -212,7 +209,7 @@ class Px4Flavour(Flavour):
         situation = self.situation(now_s)
         result = self.modes.arm(situation)
         if result != ACCEPTED:
-            self.tell_refusal(now_s)
+            self.send_rejection(now_s)
         self.aircraft.is_armed = self.modes.is_armed
         return result
 
@@ -225,7 +222,7 @@ class Px4Flavour(Flavour):
             self.modes.intention = FlightMode.MISSION
         return result
 
-    def tell_refusal(self, now_s: float) -> None:
+    def send_rejection(self, now_s: float) -> None:
         """Say why it cannot be armed."""
         why = self.arming_refusal(now_s)
         if why is not None:
@@ -370,7 +367,7 @@ class Px4Flavour(Flavour):
 
     # HEARTBEAT
 
-    def shown(self, now_s: float) -> HeartbeatState:
+    def heartbeat_state(self, now_s: float) -> HeartbeatState:
         """What HEARTBEAT shows."""
         return flight_modes.heartbeat_state(
             self.mode,

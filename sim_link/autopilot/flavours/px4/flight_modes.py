@@ -251,7 +251,7 @@ def handle_command(flavour: Px4Flavour, command: Command, now_s: float) -> int:
         case mavlink.MAV_CMD_DO_FLIGHTTERMINATION:
             return _terminate(flavour, command, now_s)
         case mavlink.MAV_CMD_RUN_PREARM_CHECKS:
-            flavour.tell_refusal(now_s)
+            flavour.send_rejection(now_s)
             return ACCEPTED
     return UNSUPPORTED
 

@@ -1,9 +1,4 @@
-"""HEARTBEAT and routing: who a vehicle is, who is addressed, and what is passed on.
-
-HEARTBEAT: how often, who says it, and how mode, arming and state are told.
-
-Routing: who is addressed, and what is passed on to whom.
-"""
+"""HEARTBEAT and routing: who a vehicle is, who is addressed, and what is passed on to whom."""
 
 from __future__ import annotations
 
@@ -22,8 +17,9 @@ from sim_link.lab.conformance.mavlink_oracle import (
 from sim_link.lab.conformance.protocol_clients import float_name, read, write
 from sim_link.lab.conformance.rules import (
     ARDUPILOT_ONLY,
+    CHANGES,
+    FLIES,
     PX4_ONLY,
-    Effect,
     NotApplicable,
     Role,
     RuleBook,
@@ -33,6 +29,7 @@ from sim_link.lab.conformance.station import Station, brief, heartbeat
 from sim_link.lab.conformance.vehicle_probe import ACCEPTED, ARM, ARMED, FORCE, PREARM, VehicleProbe
 
 heartbeat_book = RuleBook(Role.VEHICLE, "heartbeat")
+Heartbeat = mavlink.MAVLink_heartbeat_message
 SERVICE = "MAVLink guide, Heartbeat/Connection Protocol"
 PX4_MODES = "PX4 px4_custom_mode.h; MAVSDK px4_custom_mode.h"
 ARDUPILOT_MODES = "ArduPilot ArduCopter/mode.h"
@@ -52,12 +49,8 @@ JITTER_S = 0.25
 def once_a_second(probe: VehicleProbe) -> None:
     """HEARTBEAT comes once a second."""
     probe.run(PERIODS + 1.0)
-    times = [
-        entry.time_s
-        for entry in probe.inbox
-        if isinstance(entry.message, mavlink.MAVLink_heartbeat_message)
-        and entry.source == probe.target
-    ]
+    beats = [e for e in probe.inbox if isinstance(e.message, Heartbeat)]
+    times = [e.time_s for e in beats if e.source == probe.target]
     require(len(times) >= PERIODS, f"{len(times)} in {PERIODS + 1} s")
     for first, second in itertools.pairwise(times):
         gap_s = second - first
@@ -75,10 +68,8 @@ def tells_type_and_autopilot(probe: VehicleProbe) -> None:
     """HEARTBEAT tells a multicopter, the flavour's autopilot and MAVLink version 3."""
     message = probe.heartbeat()
     require(message.type in COPTERS, f"type {message.type}")
-    require(
-        message.autopilot == mavlink_oracle.AUTOPILOT_OF[probe.flavour],
-        f"autopilot {message.autopilot}",
-    )
+    wanted = mavlink_oracle.AUTOPILOT_OF[probe.flavour]
+    require(message.autopilot == wanted, f"autopilot {message.autopilot}")
     require(message.mavlink_version == 3, f"mavlink_version {message.mavlink_version}")
 
 
@@ -97,12 +88,10 @@ def custom_mode_flag_is_set(probe: VehicleProbe) -> None:
 
 def check_modes(probe: VehicleProbe, table: dict[str, int]) -> None:
     """Choose each mode of a table, disarmed; HEARTBEAT must show it."""
-    if probe.is_armed():
-        raise NotApplicable("the vehicle is armed")
+    probe.require_disarmed()
     try:
         for mode, base_mode in table.items():
-            result = probe.set_mode(mode)
-            require(result == ACCEPTED, f"{mode}: result {result}")
+            probe.require_mode(mode)
             probe.await_mode(mode, 3.0)
             shown = probe.heartbeat().base_mode & ~mavlink.MAV_MODE_FLAG_HIL_ENABLED
             require(shown == base_mode, f"{mode}: base_mode {shown:#x}, not {base_mode:#x}")
@@ -110,14 +99,14 @@ def check_modes(probe: VehicleProbe, table: dict[str, int]) -> None:
         probe.set_mode("hold" if probe.is_px4 else "stabilized")
 
 
-@heartbeat_book.rule(f"{PX4_MODES}; {OBSERVED_PX4}", effect=Effect.CHANGES, flavours=PX4_ONLY)
+@heartbeat_book.rule(f"{PX4_MODES}; {OBSERVED_PX4}", effect=CHANGES, flavours=PX4_ONLY)
 def px4_modes_are_packed(probe: VehicleProbe) -> None:
     """custom_mode is main << 16 | sub << 24, and base_mode has the flags that PX4 sends."""
     names = ("hold", "land", "return", "takeoff")
     check_modes(probe, {name: mavlink_oracle.PX4_BASE_MODE[name] for name in names})
 
 
-@heartbeat_book.rule(f"{PX4_MODES}; {OBSERVED_PX4}", effect=Effect.CHANGES, flavours=PX4_ONLY)
+@heartbeat_book.rule(f"{PX4_MODES}; {OBSERVED_PX4}", effect=CHANGES, flavours=PX4_ONLY)
 def px4_stick_modes_are_packed(probe: VehicleProbe) -> None:
     """POSCTL and ALTCTL are shown with the manual-input and stabilise flags."""
     names = ("position", "altitude")
@@ -125,7 +114,7 @@ def px4_stick_modes_are_packed(probe: VehicleProbe) -> None:
 
 
 @heartbeat_book.rule(
-    f"{ARDUPILOT_MODES}; {OBSERVED_ARDUPILOT}", effect=Effect.CHANGES, flavours=ARDUPILOT_ONLY
+    f"{ARDUPILOT_MODES}; {OBSERVED_ARDUPILOT}", effect=CHANGES, flavours=ARDUPILOT_ONLY
 )
 def ardupilot_modes_are_numbered(probe: VehicleProbe) -> None:
     """custom_mode is ArduCopter's mode number, and base_mode has the flags that it sends."""
@@ -135,20 +124,15 @@ def ardupilot_modes_are_numbered(probe: VehicleProbe) -> None:
     )
 
 
-@heartbeat_book.rule(OBSERVED_ARDUPILOT, effect=Effect.CHANGES, flavours=ARDUPILOT_ONLY)
+@heartbeat_book.rule(OBSERVED_ARDUPILOT, effect=CHANGES, flavours=ARDUPILOT_ONLY)
 def mode_change_is_told_at_once(probe: VehicleProbe) -> None:
     """A changed mode is told by a HEARTBEAT of its own, without waiting for the next second."""
     probe.set_mode("stabilized")
     probe.heartbeat()
     probe.run(0.2)
-    mark = probe.mark
+    mark, number = probe.mark, mavlink_oracle.ARDUCOPTER["altitude"]
     probe.set_mode("altitude")
-    probe.expect(
-        mavlink.MAVLink_heartbeat_message,
-        lambda m: m.custom_mode == mavlink_oracle.ARDUCOPTER["altitude"],
-        within_s=0.4,
-        mark=mark,
-    )
+    probe.expect(Heartbeat, lambda m: m.custom_mode == number, within_s=0.4, mark=mark)
     probe.set_mode("stabilized")
 
 
@@ -166,23 +150,23 @@ def not_ready_is_uninit(probe: VehicleProbe) -> None:
     status = probe.expect(mavlink.MAVLink_sys_status_message, within_s=3.0)
     if status.onboard_control_sensors_health & PREARM:
         raise NotApplicable("it is ready already; seen only right after boot")
-    message = probe.from_vehicle(mavlink.MAVLink_heartbeat_message)[-1]
+    message = probe.from_vehicle(Heartbeat)[-1]
     require(message.system_status == mavlink.MAV_STATE_UNINIT, brief(message))
 
 
-@heartbeat_book.rule("MAVLink common, MAV_MODE_FLAG_SAFETY_ARMED", effect=Effect.FLIES)
+@heartbeat_book.rule("MAVLink common, MAV_MODE_FLAG_SAFETY_ARMED", effect=FLIES)
 def armed_flag_follows_arming(probe: VehicleProbe) -> None:
     """base_mode has SAFETY_ARMED exactly while the vehicle is armed."""
     require(not probe.is_armed(), "SAFETY_ARMED before arming")
     probe.arm()
     require(probe.is_armed(), "no SAFETY_ARMED after arming")
-    require(probe.command(ARM, 0.0, FORCE) == ACCEPTED, "a forced disarm is refused")
+    probe.require_result(ACCEPTED, ARM, 0.0, FORCE)
     require(not probe.is_armed(), "SAFETY_ARMED after disarming")
 
 
 @heartbeat_book.rule(
     "MAVLink common, MAV_STATE",
-    effect=Effect.FLIES,
+    effect=FLIES,
     ardupilot="ArduCopter stays STANDBY while armed on the ground, ACTIVE in the air",
 )
 def armed_and_flying_is_active(probe: VehicleProbe) -> None:
@@ -202,6 +186,7 @@ ROUTING = "MAVLink guide, Routing"
 REQUEST = mavlink.MAV_CMD_REQUEST_MESSAGE
 VERSION_ID = float(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
 Ack = mavlink.MAVLink_command_ack_message
+CommandLong = mavlink.MAVLink_command_long_message
 Version = mavlink.MAVLink_autopilot_version_message
 UNKNOWN_ID = 45_998
 FOREIGN_KEY = b"\x5a" * 32
@@ -210,9 +195,7 @@ SETTLE_S = 0.3
 
 def request_version(system: int, component: int) -> Message:
     """A command that is harmless wherever it is obeyed."""
-    return mavlink.MAVLink_command_long_message(
-        system, component, REQUEST, 0, VERSION_ID, 0, 0, 0, 0, 0, 0
-    )
+    return CommandLong(system, component, REQUEST, 0, VERSION_ID, 0, 0, 0, 0, 0, 0)
 
 
 def stranger(probe: VehicleProbe) -> int:
@@ -232,8 +215,7 @@ def require_ignored(probe: VehicleProbe, system: int, component: int) -> None:
 def require_obeyed(probe: VehicleProbe, system: int, component: int) -> None:
     """A command to an address must be obeyed and acknowledged."""
     mark = probe.mark
-    probe.send(request_version(system, component))
-    probe.expect(Version, mark=mark)
+    probe.ask(request_version(system, component), Version)
     probe.expect(Ack, lambda m: m.command == REQUEST and m.result == 0, mark=mark)
 
 
@@ -274,17 +256,38 @@ def system_zero_is_obeyed(probe: VehicleProbe) -> None:
 @routing_book.rule("MAVLink guide, Command Protocol")
 def acknowledgement_names_the_asker(probe: VehicleProbe) -> None:
     """COMMAND_ACK has the sender of the command as its target."""
-    mark = probe.mark
-    probe.send(request_version(*probe.target))
-    ack = probe.expect(Ack, lambda m: m.command == REQUEST, mark=mark)
+    ack = probe.ask(request_version(*probe.target), Ack, lambda m: m.command == REQUEST)
     target = (ack.target_system, ack.target_component)
     require(target == (probe.system_id, probe.component_id), f"target {target}")
 
 
-def frames_at(station: Station, mark: int) -> list[bytes]:
-    """The frames that a second station got since `mark`."""
+def frames_at(station: Station, mark: int, containing: bytes) -> list[bytes]:
+    """The frames with certain bytes in them that a station got since `mark`."""
     station.run(SETTLE_S)
-    return station.frames_since(mark)
+    return [frame for frame in station.frames_since(mark) if containing in frame]
+
+
+def text_message(text: bytes) -> Message:
+    """A STATUSTEXT, which is for everyone."""
+    return mavlink.MAVLink_statustext_message(6, text, 0, 0)
+
+
+def require_not_forwarded(
+    probe: VehicleProbe, other: Station, target: tuple[int, int], what: str = "forwarded"
+) -> None:
+    """A command for a target must not reach a second station."""
+    mark = other.mark
+    probe.send(request_version(*target))
+    other.expect_none(CommandLong, mark=mark, what=what)
+    probe.require_hearing()
+
+
+def require_forwarded(probe: VehicleProbe, frame: bytes) -> None:
+    """A frame must reach a companion as it is."""
+    other = companion_of(probe)
+    mark = len(other.datagrams)
+    probe.send_raw(frame)
+    require(bool(frames_at(other, mark, frame)), "it was not forwarded")
 
 
 def companion_of(probe: VehicleProbe) -> Station:
@@ -297,10 +300,8 @@ def broadcast_is_forwarded_unaltered(probe: VehicleProbe) -> None:
     """A broadcast of one client reaches the others byte for byte."""
     other = companion_of(probe)
     mark = len(other.datagrams)
-    text = mavlink.MAVLink_statustext_message(6, b"forward me", 0, 0)
-    probe.send(text)
-    sent = b"forward me"
-    arrived = [data for data in frames_at(other, mark) if sent in data]
+    probe.send(text_message(b"forward me"))
+    arrived = frames_at(other, mark, b"forward me")
     require(len(arrived) >= 1, "the other client did not get it")
     require(len(arrived) == 1, f"the other client got it {len(arrived)} times")
     source = (arrived[0][5], arrived[0][6])
@@ -313,10 +314,9 @@ def heartbeats_of_others_are_forwarded(probe: VehicleProbe) -> None:
     mark = probe.mark
     other = companion_of(probe)
     other.send(heartbeat(mavlink.MAV_TYPE_ONBOARD_CONTROLLER))
+    source = (probe.target[0], 191)
     probe.expect(
-        mavlink.MAVLink_heartbeat_message,
-        lambda m: (m.get_srcSystem(), m.get_srcComponent()) == (probe.target[0], 191),
-        mark=mark,
+        Heartbeat, lambda m: (m.get_srcSystem(), m.get_srcComponent()) == source, mark=mark
     )
 
 
@@ -326,7 +326,7 @@ def addressed_message_reaches_its_target(probe: VehicleProbe) -> None:
     other = companion_of(probe)
     mark = other.mark
     probe.send(request_version(probe.target[0], 191))
-    other.expect(mavlink.MAVLink_command_long_message, mark=mark)
+    other.expect(CommandLong, mark=mark)
 
 
 @routing_book.rule(ROUTING)
@@ -338,39 +338,27 @@ def component_zero_reaches_the_whole_system(probe: VehicleProbe) -> None:
     marks = [station.mark for station in (first, second, other)]
     probe.send(request_version(42, 0))
     for station, mark in ((first, marks[0]), (second, marks[1])):
-        station.expect(mavlink.MAVLink_command_long_message, mark=mark)
-    other.expect_none(mavlink.MAVLink_command_long_message, mark=marks[2], what="leaked")
+        station.expect(CommandLong, mark=mark)
+    other.expect_none(CommandLong, mark=marks[2], what="leaked")
 
 
 @routing_book.rule(ROUTING)
 def addressed_message_reaches_nobody_else(probe: VehicleProbe) -> None:
     """A command for one component is not sent to where others were heard."""
     companion_of(probe)
-    third = probe.another(253, 190)
-    mark = third.mark
-    probe.send(request_version(probe.target[0], 191))
-    third.expect_none(mavlink.MAVLink_command_long_message, mark=mark, what="leaked")
-    probe.require_hearing()
+    require_not_forwarded(probe, probe.another(253, 190), (probe.target[0], 191), "leaked")
 
 
 @routing_book.rule(ROUTING)
 def message_for_the_vehicle_stays_with_it(probe: VehicleProbe) -> None:
     """A command for the vehicle is not forwarded to its other clients."""
-    other = companion_of(probe)
-    mark = other.mark
-    probe.send(request_version(*probe.target))
-    other.expect_none(mavlink.MAVLink_command_long_message, mark=mark, what="forwarded")
-    probe.require_hearing()
+    require_not_forwarded(probe, companion_of(probe), probe.target)
 
 
 @routing_book.rule(ROUTING)
 def unknown_target_reaches_nobody(probe: VehicleProbe) -> None:
     """A command for a system that was never heard is not forwarded."""
-    other = companion_of(probe)
-    mark = other.mark
-    probe.send(request_version(stranger(probe), 1))
-    other.expect_none(mavlink.MAVLink_command_long_message, mark=mark, what="forwarded")
-    probe.require_hearing()
+    require_not_forwarded(probe, companion_of(probe), (stranger(probe), 1))
 
 
 @routing_book.rule(ROUTING)
@@ -378,32 +366,22 @@ def own_message_never_returns(probe: VehicleProbe) -> None:
     """What a client sends is not sent back to it."""
     companion_of(probe)
     mark = len(probe.datagrams)
-    probe.send(mavlink.MAVLink_statustext_message(6, b"no echo please", 0, 0))
-    probe.run(SETTLE_S)
-    back = [data for data in probe.frames_since(mark) if b"no echo please" in data]
-    require(not back, "it came back")
+    probe.send(text_message(b"no echo please"))
+    require(not frames_at(probe, mark, b"no echo please"), "it came back")
     probe.require_hearing()
 
 
 @routing_book.rule(ROUTING)
 def unknown_message_is_forwarded(probe: VehicleProbe) -> None:
     """A message that the vehicle cannot decode is forwarded all the same."""
-    other = companion_of(probe)
-    mark = len(other.datagrams)
-    frame = build_raw(UNKNOWN_ID, b"\x01\x02\x03\x04\x05", 17, probe.spec())
-    probe.send_raw(frame)
-    require(any(frame in data for data in frames_at(other, mark)), "it was not forwarded")
+    require_forwarded(probe, build_raw(UNKNOWN_ID, b"\x01\x02\x03\x04\x05", 17, probe.spec()))
 
 
 @routing_book.rule(ROUTING)
 def unauthenticated_frame_is_forwarded_unaltered(probe: VehicleProbe) -> None:
     """A frame signed with a key that the vehicle does not have goes on, signature and all."""
-    other = companion_of(probe)
-    mark = len(other.datagrams)
-    text = mavlink.MAVLink_statustext_message(6, b"signed by a stranger", 0, 0)
-    frame = sign(build_frame(text, probe.spec(incompat=SIGNED)), FOREIGN_KEY, 3, 10**13)
-    probe.send_raw(frame)
-    require(any(frame in data for data in frames_at(other, mark)), "it was not forwarded")
+    frame = build_frame(text_message(b"signed by a stranger"), probe.spec(incompat=SIGNED))
+    require_forwarded(probe, sign(frame, FOREIGN_KEY, 3, 10**13))
 
 
 @routing_book.rule(ROUTING + "; MAVLink guide, Message Signing")
@@ -414,7 +392,7 @@ def signing_setup_is_never_forwarded(probe: VehicleProbe) -> None:
     key = bytes(range(1, 33))
     for target in ((probe.target[0], 191), (stranger(probe), 1)):
         probe.send(mavlink.MAVLink_setup_signing_message(*target, list(key), 0))
-    require(not any(key in data for data in frames_at(other, mark)), "the key was passed on")
+    require(not frames_at(other, mark, key), "the key was passed on")
     probe.require_hearing()
 
 
@@ -427,16 +405,16 @@ def reboot_of_a_system_clears_its_routes(probe: VehicleProbe) -> None:
     mark = behind.mark
     probe.send(request_version(42, 7))
     behind.run(SETTLE_S)
-    if not behind.heard(mavlink.MAVLink_command_long_message):
+    if not behind.heard(CommandLong):
         raise NotApplicable("commands are not forwarded to components behind a client")
     other.send(mavlink.MAVLink_system_time_message(0, 500_000))
     other.send(mavlink.MAVLink_system_time_message(0, 1_000))
     mark = behind.mark
     probe.send(request_version(42, 7))
-    behind.expect_none(mavlink.MAVLink_command_long_message, mark=mark, what="still routed")
+    behind.expect_none(CommandLong, mark=mark, what="still routed")
 
 
-@routing_book.rule(ROUTING, effect=Effect.CHANGES)
+@routing_book.rule(ROUTING, effect=CHANGES)
 def parameter_change_reaches_all_clients(probe: VehicleProbe) -> None:
     """A changed parameter is told to every client."""
     other = companion_of(probe)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from collections import defaultdict
 from dataclasses import replace
 
 from companion.mav.dialect import mavlink
@@ -47,14 +46,7 @@ def is_answered(
     probe.send_raw(data)
     if has_junk:
         push_through(probe)
-    return probe.run_until(
-        lambda: any(
-            isinstance(entry.message, mavlink.MAVLink_timesync_message)
-            and entry.message.ts1 == asked
-            for entry in probe.inbox[mark:]
-        ),
-        within_s,
-    )
+    return probe.is_synchronised(asked, mark, within_s)
 
 
 def push_through(probe: VehicleProbe) -> None:
@@ -118,36 +110,32 @@ def trailing_zeros_are_cut(probe: VehicleProbe) -> None:
     for entry in probe.inbox:
         frame = entry.frame
         if frame[0] == MAGIC_V2 and entry.source == probe.target:
-            payload = frame[10 : 10 + frame[1]]
-            require(
-                len(payload) >= 1 and (len(payload) == 1 or payload[-1] != 0),
-                f"{entry.message.get_type()} carries {len(payload)} bytes, the last one zero",
-            )
+            payload, name = frame[10 : 10 + frame[1]], entry.message.get_type()
+            is_cut = len(payload) >= 1 and (len(payload) == 1 or payload[-1] != 0)
+            require(is_cut, f"{name} carries {len(payload)} bytes, the last one zero")
 
 
-@book.rule(SERIALIZATION)
-def uncut_payload_is_accepted(probe: VehicleProbe) -> None:
-    """A payload whose trailing zeros were not cut is understood."""
-    spec = replace(probe.spec(), trim=False)
-    number = float(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
-    command = mavlink.MAVLink_command_long_message(
-        *probe.target, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, number, 0, 0, 0, 0, 0, 0
-    )
+def require_obeyed(
+    probe: VehicleProbe, target: tuple[int, int], spec: FrameSpec | None = None
+) -> None:
+    """A REQUEST_MESSAGE to a target, sent as `spec` says, must be obeyed."""
+    number, request = mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, mavlink.MAV_CMD_REQUEST_MESSAGE
+    command = mavlink.MAVLink_command_long_message(*target, request, 0, number, *[0] * 6)
     mark = probe.mark
     probe.send(command, spec)
     probe.expect(mavlink.MAVLink_autopilot_version_message, mark=mark)
 
 
 @book.rule(SERIALIZATION)
+def uncut_payload_is_accepted(probe: VehicleProbe) -> None:
+    """A payload whose trailing zeros were not cut is understood."""
+    require_obeyed(probe, probe.target, replace(probe.spec(), trim=False))
+
+
+@book.rule(SERIALIZATION)
 def cut_payload_is_accepted(probe: VehicleProbe) -> None:
     """A payload whose trailing zeros were cut is understood."""
-    number = float(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
-    command = mavlink.MAVLink_command_long_message(
-        0, 0, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, number, 0, 0, 0, 0, 0, 0
-    )
-    mark = probe.mark
-    probe.send(command)
-    probe.expect(mavlink.MAVLink_autopilot_version_message, mark=mark)
+    require_obeyed(probe, (0, 0))
 
 
 @book.rule(SERIALIZATION + " (extension fields are no part of CRC_EXTRA)")
@@ -240,12 +228,8 @@ def source_component_zero_is_heard(probe: VehicleProbe) -> None:
 def sequence_counts_every_message(probe: VehicleProbe) -> None:
     """The sequence number goes up by one, modulo 256, with each message of a component."""
     probe.run(LISTEN_S)
-    by_source: dict[tuple[int, int], list[int]] = defaultdict(list)
-    for entry in probe.inbox:
-        if entry.source[0] == probe.target[0]:
-            by_source[entry.source].append(entry.message.get_seq())
-    require(len(by_source[probe.target]) > 2, "too few messages to tell")
-    counts = by_source[probe.target]
+    counts = [e.message.get_seq() for e in probe.inbox if e.source == probe.target]
+    require(len(counts) > 2, "too few messages to tell")
     for first, second in itertools.pairwise(counts):
         require(second == (first + 1) % 256, f"sequence {first} is followed by {second}")
 
@@ -255,11 +239,9 @@ def garbage_costs_nothing(probe: VehicleProbe) -> None:
     """A good frame behind garbage is found."""
     for garbage in (b"\x00\x01\x02", bytes((MAGIC_V2,)), bytes((MAGIC_V1, 3)), b"\xff" * 40):
         message = question(probe)
-        frame = build_frame(message, probe.spec())
-        require(
-            is_answered(probe, garbage + frame, message.ts1, has_junk=True),
-            f"not found behind {garbage[:4].hex()}... ({len(garbage)} bytes)",
-        )
+        data = garbage + build_frame(message, probe.spec())
+        is_found = is_answered(probe, data, message.ts1, has_junk=True)
+        require(is_found, f"not found behind {garbage[:4].hex()}... ({len(garbage)} bytes)")
 
 
 @book.rule(SERIALIZATION + " (resynchronising is this project's own rule)")
@@ -268,10 +250,8 @@ def truncated_frame_costs_nothing(probe: VehicleProbe) -> None:
     for share in (5, 11, 20):
         message = question(probe)
         frame = build_frame(message, probe.spec())
-        require(
-            is_answered(probe, frame[:share] + frame, message.ts1, has_junk=True),
-            f"not found behind the first {share} bytes of another",
-        )
+        is_found = is_answered(probe, frame[:share] + frame, message.ts1, has_junk=True)
+        require(is_found, f"not found behind the first {share} bytes of another")
 
 
 @book.rule(SERIALIZATION)
@@ -282,11 +262,7 @@ def several_frames_in_one_piece(probe: VehicleProbe) -> None:
     mark = probe.mark
     probe.send_raw(build_frame(first, probe.spec()) + build_frame(second, probe.spec()))
     for stamp in (first.ts1, second.ts1):
-        probe.expect(
-            mavlink.MAVLink_timesync_message,
-            lambda m, stamp=stamp: m.ts1 == stamp,  # type: ignore[misc]
-            mark=mark,
-        )
+        require(probe.is_synchronised(stamp, mark, ACK_S), f"{stamp} is not answered")
 
 
 @book.rule(SERIALIZATION)
@@ -300,10 +276,9 @@ def unknown_message_id_is_ignored(probe: VehicleProbe) -> None:
 def every_sent_frame_has_a_right_crc(probe: VehicleProbe) -> None:
     """What the vehicle sends passes its CRC."""
     probe.run(LISTEN_S)
-    require(probe.reader.counters.good > 0, "nothing was heard")
-    require(
-        probe.reader.counters.bad_crc == 0, f"{probe.reader.counters.bad_crc} frames are broken"
-    )
+    counters = probe.reader.counters
+    require(counters.good > 0, "nothing was heard")
+    require(counters.bad_crc == 0, f"{counters.bad_crc} frames are broken")
 
 
 @book.rule("MAVLink guide, MAVLink IDs")

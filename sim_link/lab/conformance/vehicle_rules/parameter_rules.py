@@ -22,13 +22,16 @@ from sim_link.lab.conformance.protocol_clients import (
     integer_name,
     read,
     read_all,
+    request_read,
+    restored,
     values_since,
     write,
 )
 from sim_link.lab.conformance.rules import (
     ARDUPILOT_ONLY,
+    CHANGES,
+    FLIES,
     PX4_ONLY,
-    Effect,
     NotApplicable,
     Role,
     RuleBook,
@@ -55,7 +58,7 @@ def list_is_paced(probe: VehicleProbe) -> None:
     """The list does not come in one burst, and the heartbeat goes on meanwhile."""
     mark = probe.mark
     found = read_all(probe)
-    times = [e.time_s for e in probe.inbox[mark:] if isinstance(e.message, Value)]
+    times = probe.times(Value, mark)
     if len(found) < 20:
         raise NotApplicable("too few parameters to tell")
     require(len(set(times)) > 3, f"{len(found)} parameters in {len(set(times))} moments")
@@ -100,9 +103,7 @@ def needed_parameters_exist(probe: VehicleProbe) -> None:
 def read_by_index_and_by_name_agree(probe: VehicleProbe) -> None:
     """A parameter read by index is the same as by name."""
     for listed in read_all(probe)[::7][:10]:
-        mark = probe.mark
-        probe.send(mavlink.MAVLink_param_request_read_message(*probe.target, b"", listed.index))
-        by_index = await_value(probe, mark, listed.name)
+        by_index = await_value(probe, request_read(probe, "", listed.index), listed.name)
         by_name = read(probe, listed.name)
         same = (by_index.raw, by_index.kind) == (by_name.raw, by_name.kind)
         require(same and by_index.count == listed.count, f"{listed.name} differs")
@@ -117,23 +118,19 @@ def longest_names_are_found(probe: VehicleProbe) -> None:
     read(probe, names[0])
 
 
-@book.rule(SERVICE, effect=Effect.CHANGES)
+@book.rule(SERVICE, effect=CHANGES)
 def set_is_echoed_and_kept(probe: VehicleProbe) -> None:
     """PARAM_SET is answered by PARAM_VALUE with the new value, and a read shows it."""
     for name, value in ((float_name(probe), 4.25), (integer_name(probe), 1.0)):
-        before = read(probe, name)
-        try:
+        with restored(probe, name) as before:
             mark = write(probe, name, value, before.kind)
             echoed = await_value(probe, mark, name)
             require(echoed.value(probe) == value, f"{name}: echo {echoed.value(probe)}")
             require(echoed.kind == before.kind, f"{name}: type {echoed.kind}")
             require(read(probe, name).value(probe) == value, f"{name} was not kept")
-        finally:
-            write(probe, name, before.value(probe), before.kind)
-            probe.run(0.2)
 
 
-@book.rule(SERVICE, effect=Effect.CHANGES)
+@book.rule(SERVICE, effect=CHANGES)
 def set_of_an_equal_value_is_echoed(probe: VehicleProbe) -> None:
     """PARAM_SET with the present value is echoed, too."""
     name = float_name(probe)
@@ -142,23 +139,24 @@ def set_of_an_equal_value_is_echoed(probe: VehicleProbe) -> None:
     require(await_value(probe, mark, name).raw == before.raw, "another value")
 
 
-@book.rule(f"{SERVICE} (bytewise encoding)", effect=Effect.CHANGES, flavours=PX4_ONLY)
+def require_encoded(
+    probe: VehicleProbe, kinds: tuple[int, ...], value: float, wanted: bytes
+) -> None:
+    """An integer of one of the types must be told as certain bytes."""
+    name = integer_name(probe)
+    with restored(probe, name) as before:
+        require(before.kind in kinds, f"{name} has type {before.kind}")
+        told = await_value(probe, write(probe, name, value, before.kind), name)
+        require(told.raw == wanted, f"{value:g} is sent as {told.raw.hex()}")
+
+
+@book.rule(f"{SERVICE} (bytewise encoding)", effect=CHANGES, flavours=PX4_ONLY)
 def integers_are_encoded_bytewise(probe: VehicleProbe) -> None:
     """An INT32 travels as its four bytes in the float field."""
-    name = integer_name(probe)
-    before = read(probe, name)
-    require(before.kind == INT32, f"{name} has type {before.kind}")
-    try:
-        mark = write(probe, name, 3.0, INT32)
-        require(
-            await_value(probe, mark, name).raw == b"\x03\x00\x00\x00", "not the integer's bytes"
-        )
-    finally:
-        write(probe, name, before.value(probe), INT32)
-        probe.run(0.2)
+    require_encoded(probe, (INT32,), 3.0, b"\x03\x00\x00\x00")
 
 
-@book.rule(f"{SERVICE} (bytewise encoding)", effect=Effect.CHANGES, flavours=PX4_ONLY)
+@book.rule(f"{SERVICE} (bytewise encoding)", effect=CHANGES, flavours=PX4_ONLY)
 def negative_integers_survive(probe: VehicleProbe) -> None:
     """A negative INT32, whose bytes are a NaN, survives set, echo and read."""
     names = [p for p in read_all(probe) if p.kind == INT32 and p.value(probe) < 0.0]
@@ -173,27 +171,17 @@ def negative_integers_survive(probe: VehicleProbe) -> None:
 
 @book.rule(
     f"{SERVICE} (C-cast encoding); {OBSERVED_ARDUPILOT}",
-    effect=Effect.CHANGES,
+    effect=CHANGES,
     flavours=ARDUPILOT_ONLY,
 )
 def integers_are_cast_to_float(probe: VehicleProbe) -> None:
     """An integer travels as the float of the same value."""
-    name = integer_name(probe)
-    before = read(probe, name)
-    require(before.kind in (2, 4, INT32), f"{name} has type {before.kind}")
-    try:
-        mark = write(probe, name, 1.0, before.kind)
-        require(await_value(probe, mark, name).raw == struct.pack("<f", 1.0), "not 1.0 as a float")
-    finally:
-        write(probe, name, before.value(probe), before.kind)
-        probe.run(0.2)
+    require_encoded(probe, (2, 4, INT32), 1.0, struct.pack("<f", 1.0))
 
 
 def require_unknown(probe: VehicleProbe, mark: int, what: str) -> None:
     """PARAM_ERROR must follow (ArduPilot may be silent), and no PARAM_VALUE."""
-    told = probe.run_until(
-        lambda: any(isinstance(e.message, Error) for e in probe.inbox[mark:]), ANSWER_S
-    )
+    told = probe.run_until(lambda: bool(probe.heard(Error, mark)), ANSWER_S)
     require(not values_since(probe, mark), f"{what}: a value is told")
     require(told or not probe.is_px4, f"{what}: no PARAM_ERROR")
     read(probe, float_name(probe))
@@ -206,21 +194,17 @@ SILENT = "may be silent, as ArduCopter 4.5 is"
 @book.rule("MAVLink common, PARAM_ERROR; MAVSDK 4.1 reports it", px4=STRICTER, ardupilot=SILENT)
 def unknown_name_is_an_error(probe: VehicleProbe) -> None:
     """Reading a name that there is not is answered by PARAM_ERROR."""
-    mark = probe.mark
-    probe.send(mavlink.MAVLink_param_request_read_message(*probe.target, b"NO_SUCH_PARAM", -1))
-    require_unknown(probe, mark, "read by name")
+    require_unknown(probe, request_read(probe, "NO_SUCH_PARAM"), "read by name")
 
 
 @book.rule("MAVLink common, PARAM_ERROR; MAVSDK 4.1 reports it", px4=STRICTER, ardupilot=SILENT)
 def unknown_index_is_an_error(probe: VehicleProbe) -> None:
     """Reading an index that there is not is answered by PARAM_ERROR."""
     for index in (30_000, 32_767):
-        mark = probe.mark
-        probe.send(mavlink.MAVLink_param_request_read_message(*probe.target, b"", index))
-        require_unknown(probe, mark, f"index {index}")
+        require_unknown(probe, request_read(probe, "", index), f"index {index}")
 
 
-@book.rule(SERVICE, effect=Effect.CHANGES, px4=STRICTER, ardupilot=SILENT)
+@book.rule(SERVICE, effect=CHANGES, px4=STRICTER, ardupilot=SILENT)
 def set_never_creates_a_parameter(probe: VehicleProbe) -> None:
     """Setting a name that there is not creates nothing and is answered by PARAM_ERROR."""
     count = read(probe, float_name(probe)).count
@@ -229,25 +213,29 @@ def set_never_creates_a_parameter(probe: VehicleProbe) -> None:
     require(read(probe, float_name(probe)).count == count, "there is one more")
 
 
+def require_kept(probe: VehicleProbe, name: str, wait_s: float, *values: float) -> None:
+    """A parameter must keep its value when others, of type REAL32, are set."""
+    before = read(probe, name)
+    for value in values:
+        write(probe, name, value, REAL32)
+        probe.run(wait_s)
+        require(read(probe, name).raw == before.raw, f"{name}: {value} was stored")
+
+
 @book.rule(
     f"{SERVICE} {STRICT}",
-    effect=Effect.CHANGES,
+    effect=CHANGES,
     px4="PX4 1.15 stores a NaN",
     ardupilot="silent, value kept",
 )
 def nan_is_refused(probe: VehicleProbe) -> None:
     """NaN and infinity are not stored."""
-    name = float_name(probe)
-    before = read(probe, name)
-    for value in (NAN, math.inf, -math.inf):
-        write(probe, name, value, REAL32)
-        probe.run(0.3)
-        require(read(probe, name).raw == before.raw, f"{value} was stored")
+    require_kept(probe, float_name(probe), 0.3, NAN, math.inf, -math.inf)
 
 
 @book.rule(
     f"{SERVICE} {STRICT}",
-    effect=Effect.CHANGES,
+    effect=CHANGES,
     px4="PX4 1.15 stores a NaN",
     ardupilot="silent, as ArduCopter 4.5 is, or the old value",
 )
@@ -273,38 +261,30 @@ def unknown_name_is_told_in_words(probe: VehicleProbe) -> None:
         mark = probe.mark
         probe.send(message)
         probe.run(ANSWER_S)
-        texts = probe.heard_since(mavlink.MAVLink_statustext_message, mark)
+        texts = probe.heard(mavlink.MAVLink_statustext_message, mark)
         told = any("NO_SUCH_PARAM" in text.text for text in texts)
         require(told or not probe.is_px4, f"{message.get_type()}: no text")
     probe.require_hearing()
 
 
-@book.rule(f"{SERVICE}; {OBSERVED_PX4}", effect=Effect.CHANGES, flavours=PX4_ONLY)
+@book.rule(f"{SERVICE}; {OBSERVED_PX4}", effect=CHANGES, flavours=PX4_ONLY)
 def wrong_type_is_refused(probe: VehicleProbe) -> None:
     """A value of another type is not stored."""
-    name = integer_name(probe)
-    before = read(probe, name)
-    write(probe, name, 1.5, REAL32)
-    probe.run(0.5)
-    require(read(probe, name).raw == before.raw, "it was stored")
+    require_kept(probe, integer_name(probe), 0.5, 1.5)
 
 
 @book.rule(
     f"{SERVICE} {STRICT}",
-    effect=Effect.CHANGES,
+    effect=CHANGES,
     flavours=PX4_ONLY,
     px4="PX4 1.15 stores what is out of range",
 )
 def value_out_of_range_is_refused(probe: VehicleProbe) -> None:
     """A value outside the parameter's range is not stored."""
-    name = "COM_OF_LOSS_T"
-    before = read(probe, name)
-    write(probe, name, -5.0, REAL32)
-    probe.run(0.5)
-    require(read(probe, name).raw == before.raw, "-5 s was stored")
+    require_kept(probe, "COM_OF_LOSS_T", 0.5, -5.0)
 
 
-@book.rule("MAVLink guide, Routing", effect=Effect.CHANGES)
+@book.rule("MAVLink guide, Routing", effect=CHANGES)
 def other_systems_parameters_are_left_alone(probe: VehicleProbe) -> None:
     """PARAM_SET and PARAM_REQUEST_READ for another system are ignored."""
     name = float_name(probe)
@@ -320,12 +300,12 @@ def other_systems_parameters_are_left_alone(probe: VehicleProbe) -> None:
 def broadcast_read_is_answered(probe: VehicleProbe) -> None:
     """A read for component 0 is answered."""
     name = float_name(probe)
-    mark = probe.mark
-    probe.send(mavlink.MAVLink_param_request_read_message(probe.target[0], 0, name.encode(), -1))
+    mark, system = probe.mark, probe.target[0]
+    probe.send(mavlink.MAVLink_param_request_read_message(system, 0, name.encode(), -1))
     await_value(probe, mark, name)
 
 
-@book.rule(SERVICE, effect=Effect.FLIES, flavours=PX4_ONLY)
+@book.rule(SERVICE, effect=FLIES, flavours=PX4_ONLY)
 def changed_takeoff_altitude_is_flown(probe: VehicleProbe) -> None:
     """A take-off without altitude climbs to MIS_TAKEOFF_ALT as it was set."""
     before = read(probe, "MIS_TAKEOFF_ALT")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from companion.mav.dialect import Message, mavlink
+from companion.mav.dialect import mavlink
 from sim_link.lab.conformance.mavlink_oracle import (
     ACCELERATION,
     BODY_NED,
@@ -17,21 +17,19 @@ from sim_link.lab.conformance.mavlink_oracle import (
     VELOCITY_YAW_RATE,
     GlobalSetpoint,
     LocalSetpoint,
+    Triple,
     moved_e7,
 )
-from sim_link.lab.conformance.rules import Effect, Role, RuleBook, require
-from sim_link.lab.conformance.vehicle_probe import ACCEPTED, NAN, VehicleProbe, nothing_moved
+from sim_link.lab.conformance.rules import FLIES, Role, RuleBook, require
+from sim_link.lab.conformance.vehicle_probe import NAN, VehicleProbe, nothing_moved
 
-book = RuleBook(Role.VEHICLE, "offboard")
+book = RuleBook(Role.VEHICLE, "offboard", FLIES)
 PX4_PAGE = "PX4 user guide, Offboard Mode"
 COMMON = "MAVLink common, SET_POSITION_TARGET_LOCAL_NED"
 GLOBAL = "MAVLink common, SET_POSITION_TARGET_GLOBAL_INT"
 OBSERVED = "PX4 1.15, observed in SITL"
 BOTH_OBSERVED = "PX4 1.15 and ArduCopter 4.5, observed in SITL"
-FLIES = Effect.FLIES
-TEMPORARILY_REJECTED = 1
-CRITICAL, ACTIVE = mavlink.MAV_STATE_CRITICAL, mavlink.MAV_STATE_ACTIVE
-LOSS_MODES = {0: "position", 3: "return", 4: "land", 5: "hold"}
+LOCAL = f"{COMMON}; {BOTH_OBSERVED}"
 
 
 def here(probe: VehicleProbe) -> LocalSetpoint:
@@ -48,11 +46,25 @@ def begin(probe: VehicleProbe) -> Callable[[], None]:
     return stop
 
 
-def fly(probe: VehicleProbe, setpoint: LocalSetpoint | GlobalSetpoint, duration_s: float) -> None:
-    """Stream one setpoint for a while."""
-    stop = probe.stream(lambda: setpoint.message(probe.target))
+def fly(
+    probe: VehicleProbe,
+    setpoint: LocalSetpoint | GlobalSetpoint,
+    duration_s: float,
+    target: tuple[int, int] | None = None,
+) -> None:
+    """Stream one setpoint for a while, to the vehicle or to another target."""
+    stop = probe.stream(lambda: setpoint.message(target or probe.target))
     probe.run(duration_s)
     stop()
+
+
+def measure_speed(probe: VehicleProbe, setpoint: LocalSetpoint) -> Triple:
+    """Stream one setpoint for 4 s; the velocity then, while it still flows."""
+    stop = probe.stream(lambda: setpoint.message(probe.target))
+    probe.run(4.0)
+    speed = probe.speed()
+    stop()
+    return speed
 
 
 def follow(probe: VehicleProbe, setpoint: LocalSetpoint, duration_s: float) -> None:
@@ -63,13 +75,13 @@ def follow(probe: VehicleProbe, setpoint: LocalSetpoint, duration_s: float) -> N
     stop()
 
 
-def require_place(probe: VehicleProbe, wanted: tuple[float, float, float], what: str) -> None:
+def require_place(probe: VehicleProbe, wanted: Triple, what: str) -> None:
     """The vehicle must be at a place, to half a metre and what is left of the wind."""
     off_m = math.dist(probe.place(), wanted)
     require(off_m < 1.0, f"{what}: {off_m:.1f} m off")
 
 
-@book.rule(f"{COMMON}; {BOTH_OBSERVED}", effect=FLIES)
+@book.rule(LOCAL)
 def position_is_flown(probe: VehicleProbe) -> None:
     """A position setpoint in LOCAL_NED is flown to."""
     begin(probe)()
@@ -79,23 +91,17 @@ def position_is_flown(probe: VehicleProbe) -> None:
     require_place(probe, wanted, "local position")
 
 
-@book.rule(f"{COMMON}; {BOTH_OBSERVED}", effect=FLIES)
+@book.rule(LOCAL)
 def velocity_is_flown(probe: VehicleProbe) -> None:
     """A velocity setpoint is flown: north, east and down."""
     begin(probe)()
     for wanted in ((2.0, 0.0, 0.0), (0.0, -2.0, 0.0), (0.0, 0.0, -1.0)):
-        stop = probe.stream(
-            lambda wanted=wanted: LocalSetpoint(velocity_mps=wanted, mask=VELOCITY).message(  # type: ignore[misc]
-                probe.target
-            )
-        )
-        probe.run(4.0)
-        off_mps = math.dist(probe.speed(), wanted)
-        stop()
+        speed = measure_speed(probe, LocalSetpoint(velocity_mps=wanted, mask=VELOCITY))
+        off_mps = math.dist(speed, wanted)
         require(off_mps < 0.5, f"{wanted}: off by {off_mps:.1f} m/s")
 
 
-@book.rule(f"{COMMON}; {BOTH_OBSERVED}", effect=FLIES)
+@book.rule(LOCAL)
 def position_with_velocity_is_flown(probe: VehicleProbe) -> None:
     """Position and velocity together are accepted, and the vehicle nears the position."""
     begin(probe)()
@@ -105,7 +111,7 @@ def position_with_velocity_is_flown(probe: VehicleProbe) -> None:
     require(math.dist(probe.place(), wanted) < 3.0, "it did not get near")
 
 
-@book.rule(f"{COMMON}; {BOTH_OBSERVED}", effect=FLIES)
+@book.rule(LOCAL)
 def acceleration_is_flown(probe: VehicleProbe) -> None:
     """An acceleration setpoint makes the vehicle faster that way."""
     begin(probe)()
@@ -113,43 +119,39 @@ def acceleration_is_flown(probe: VehicleProbe) -> None:
     require(probe.speed()[0] > 0.5, f"{probe.speed()[0]:.1f} m/s north after 2 s")
 
 
-@book.rule(f"{COMMON} (yaw: 0 is north, clockwise)", effect=FLIES)
+@book.rule(f"{COMMON} (yaw: 0 is north, clockwise)")
 def yaw_is_flown(probe: VehicleProbe) -> None:
     """A position with a yaw turns the nose there."""
     begin(probe)()
     place = probe.place()
     for yaw in (math.pi / 2.0, -2.0):
         fly(probe, LocalSetpoint(place, yaw_rad=yaw, mask=POSITION_YAW), 8.0)
-        shown = probe.request(mavlink.MAVLink_attitude_message).yaw
+        shown = probe.yaw()
         off = math.remainder(shown - yaw, math.tau)
         require(abs(off) < 0.15, f"yaw {shown:.2f}, not {yaw:.2f} rad")
 
 
-@book.rule(f"{COMMON} (yaw rate: clockwise)", effect=FLIES)
+@book.rule(f"{COMMON} (yaw rate: clockwise)")
 def yaw_rate_is_flown(probe: VehicleProbe) -> None:
     """A velocity with a yaw rate keeps turning the nose."""
     begin(probe)()
-    before = probe.request(mavlink.MAVLink_attitude_message).yaw
-    turning = LocalSetpoint(yaw_rate_radps=0.3, mask=VELOCITY_YAW_RATE)
-    fly(probe, turning, 4.0)
-    turned = math.remainder(probe.request(mavlink.MAVLink_attitude_message).yaw - before, math.tau)
+    before = probe.yaw()
+    fly(probe, LocalSetpoint(yaw_rate_radps=0.3, mask=VELOCITY_YAW_RATE), 4.0)
+    turned = math.remainder(probe.yaw() - before, math.tau)
     require(0.5 < turned < 1.8, f"turned by {turned:.2f} rad in 4 s at 0.3 rad/s")
 
 
-@book.rule(f"{COMMON} (frame BODY_NED: relative to the nose)", effect=FLIES)
+@book.rule(f"{COMMON} (frame BODY_NED: relative to the nose)")
 def body_velocity_is_relative_to_the_nose(probe: VehicleProbe) -> None:
     """A velocity in BODY_NED is flown relative to the nose."""
     begin(probe)()
     fly(probe, LocalSetpoint(probe.place(), yaw_rad=math.pi / 2.0, mask=POSITION_YAW), 8.0)
     forward = LocalSetpoint(velocity_mps=(2.0, 0.0, 0.0), mask=VELOCITY, frame=BODY_NED)
-    stop = probe.stream(lambda: forward.message(probe.target))
-    probe.run(4.0)
-    north, east, _ = probe.speed()
-    stop()
+    north, east, _ = measure_speed(probe, forward)
     require(east > 1.3 and abs(north) < 0.8, f"{north:.1f} m/s north, {east:.1f} east")
 
 
-@book.rule(f"{GLOBAL}; {BOTH_OBSERVED}", effect=FLIES)
+@book.rule(f"{GLOBAL}; {BOTH_OBSERVED}")
 def global_position_is_flown(probe: VehicleProbe) -> None:
     """A global setpoint above sea level (frame GLOBAL_INT) is flown to."""
     begin(probe)()
@@ -159,7 +161,7 @@ def global_position_is_flown(probe: VehicleProbe) -> None:
     require_place(probe, wanted, "frame 5")
 
 
-@book.rule(GLOBAL, effect=FLIES, px4="PX4 1.15 is wrong by twice the difference of origin and home")
+@book.rule(GLOBAL, px4="PX4 1.15 is wrong by twice the difference of origin and home")
 def relative_altitude_is_above_home(probe: VehicleProbe) -> None:
     """A global setpoint in GLOBAL_RELATIVE_ALT_INT has its altitude above home."""
     begin(probe)()
@@ -170,7 +172,7 @@ def relative_altitude_is_above_home(probe: VehicleProbe) -> None:
     require_place(probe, wanted, "frame 6")
 
 
-def target_north_east(probe: VehicleProbe) -> tuple[tuple[float, float, float], int, int]:
+def target_north_east(probe: VehicleProbe) -> tuple[Triple, int, int]:
     """A place 8 m north, 6 m east and 3 m higher: local, latitude and longitude."""
     north, east, down = probe.place()
     origin = probe.origin()
@@ -178,7 +180,7 @@ def target_north_east(probe: VehicleProbe) -> tuple[tuple[float, float, float], 
     return wanted, *moved_e7(origin.latitude, origin.longitude, wanted[0], wanted[1])
 
 
-@book.rule(f"{COMMON}, POSITION_TARGET_LOCAL_NED", effect=FLIES)
+@book.rule(f"{COMMON}, POSITION_TARGET_LOCAL_NED")
 def flown_target_is_told(probe: VehicleProbe) -> None:
     """POSITION_TARGET_LOCAL_NED tells the target that is flown."""
     begin(probe)()
@@ -191,7 +193,7 @@ def flown_target_is_told(probe: VehicleProbe) -> None:
     require(off_m < 1.0, f"told {off_m:.1f} m off")
 
 
-@book.rule("MAVLink guide, Routing", effect=FLIES)
+@book.rule("MAVLink guide, Routing")
 def setpoint_for_another_system_is_ignored(probe: VehicleProbe) -> None:
     """Setpoints for another system or component move nothing."""
     stop = begin(probe)
@@ -200,37 +202,33 @@ def setpoint_for_another_system_is_ignored(probe: VehicleProbe) -> None:
     for target in ((77, 1), (probe.target[0], 77)):
         if target[0] == probe.target[0] and not probe.is_px4:
             continue  # ArduCopter 4.5 obeys any component of its system
-        foreign = probe.stream(lambda target=target: far.message(target))  # type: ignore[misc]
-        probe.run(3.0)
-        foreign()
+        fly(probe, far, 3.0, target)
     stop()
     nothing_moved(before, probe.place(), 1.5)
 
 
-@book.rule(f"MAVLink guide, Routing; {BOTH_OBSERVED}", effect=FLIES)
+@book.rule(f"MAVLink guide, Routing; {BOTH_OBSERVED}")
 def broadcast_setpoint_is_flown(probe: VehicleProbe) -> None:
     """A setpoint for system 0 and component 0 is flown."""
     begin(probe)()
     north, east, down = probe.place()
     setpoint = LocalSetpoint((north + 6.0, east, down))
-    stop = probe.stream(lambda: setpoint.message((0, 0)))
-    probe.run(9.0)
-    stop()
+    fly(probe, setpoint, 9.0, (0, 0))
     require_place(probe, setpoint.position_m, "broadcast")
 
 
-@book.rule(f"{PX4_PAGE}; {BOTH_OBSERVED}", effect=FLIES)
+@book.rule(f"{PX4_PAGE}; {BOTH_OBSERVED}")
 def setpoints_outside_the_mode_move_nothing(probe: VehicleProbe) -> None:
     """Outside OFFBOARD or GUIDED setpoints do not move the vehicle."""
     probe.take_off()
-    require(probe.set_mode("hold" if probe.is_px4 else "loiter") == ACCEPTED, "mode refused")
+    probe.require_mode("hold" if probe.is_px4 else "loiter")
     probe.run(1.0)
     before = probe.place()
     fly(probe, LocalSetpoint((before[0] + 30.0, before[1], before[2])), 5.0)
     nothing_moved((*before[:2], 0.0), (*probe.place()[:2], 0.0), 1.5)
 
 
-@book.rule(f"{COMMON} {BOTH_OBSERVED}", effect=FLIES)
+@book.rule(f"{COMMON} {BOTH_OBSERVED}")
 def setpoint_before_arming_moves_nothing(probe: VehicleProbe) -> None:
     """Disarmed, setpoints neither arm nor move anything."""
     probe.get_ready()
@@ -241,12 +239,12 @@ def setpoint_before_arming_moves_nothing(probe: VehicleProbe) -> None:
 
 
 def invalid_setpoints(
-    probe: VehicleProbe, place: tuple[float, float, float]
-) -> dict[str, Callable[[], Message]]:
-    """Messages that ask for nothing sensible, by what is wrong with them."""
-    north, east, down = place
-    far = (north + 40.0, east, down)
-    local: dict[str, LocalSetpoint] = {
+    probe: VehicleProbe, place: Triple
+) -> dict[str, LocalSetpoint | GlobalSetpoint]:
+    """Setpoints that ask for nothing sensible, by what is wrong with them."""
+    far = (place[0] + 40.0, place[1], place[2])
+    origin = probe.origin()
+    cases: dict[str, LocalSetpoint | GlobalSetpoint] = {
         "x is NaN": LocalSetpoint((NAN, *far[1:])),
         "z is infinite": LocalSetpoint((*far[:2], -math.inf)),
         "velocity is NaN": LocalSetpoint(velocity_mps=(NAN, 0.0, 0.0), mask=VELOCITY),
@@ -258,37 +256,26 @@ def invalid_setpoints(
         "frame 99": LocalSetpoint(far, frame=99),
     }
     if probe.is_px4:
-        local["position in BODY_NED"] = LocalSetpoint(far, frame=BODY_NED)
-        local["frame 7"] = LocalSetpoint(far, frame=7)
-    origin = probe.origin()
-    glob = {
-        "latitude 100 degrees": GlobalSetpoint(1_000_000_000, origin.longitude, 500.0),
-        "altitude is NaN": GlobalSetpoint(origin.latitude, origin.longitude, NAN),
-    }
+        cases["position in BODY_NED"] = LocalSetpoint(far, frame=BODY_NED)
+        cases["frame 7"] = LocalSetpoint(far, frame=7)
+    cases["latitude 100 degrees"] = GlobalSetpoint(1_000_000_000, origin.longitude, 500.0)
+    cases["altitude is NaN"] = GlobalSetpoint(origin.latitude, origin.longitude, NAN)
     if not probe.is_px4:  # PX4 knows terrain altitudes, and flies to 0/0 as to anywhere
-        terrain = mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT
-        glob["terrain altitude without terrain"] = GlobalSetpoint(
-            origin.latitude, origin.longitude, 10.0, terrain
+        cases["terrain altitude without terrain"] = GlobalSetpoint(
+            origin.latitude, origin.longitude, 10.0, mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT
         )
-        glob["latitude and longitude 0"] = GlobalSetpoint(0, 0, origin.altitude / 1e3 + 10.0)
-    builds: dict[str, Callable[[], Message]] = {}
-    for name, setpoint in (local | glob).items():
-        builds[name] = lambda setpoint=setpoint: setpoint.message(probe.target)  # type: ignore[misc]
-    return builds
+        cases["latitude and longitude 0"] = GlobalSetpoint(0, 0, origin.altitude / 1e3 + 10.0)
+    return cases
 
 
-@book.rule(
-    f"{COMMON}; {BOTH_OBSERVED} (stricter: no terrain or 0/0 without terrain data)", effect=FLIES
-)
+@book.rule(f"{COMMON}; {BOTH_OBSERVED} (stricter: no terrain or 0/0 without terrain data)")
 def senseless_setpoint_moves_nothing(probe: VehicleProbe) -> None:
     """NaN, a foreign frame, an empty mask, 0/0 or no latitude never moves the vehicle."""
     begin(probe)()
     before = probe.place()
     hold = LocalSetpoint(before)
-    for name, build in invalid_setpoints(probe, before).items():
-        stop = probe.stream(build)
-        probe.run(2.5)
-        stop()
+    for name, setpoint in invalid_setpoints(probe, before).items():
+        fly(probe, setpoint, 2.5)
         off_m = math.dist(before, probe.place())
         require(off_m < 4.0, f"{name}: moved by {off_m:.1f} m")
         follow(probe, hold, 3.0)

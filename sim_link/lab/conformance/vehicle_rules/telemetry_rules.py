@@ -1,9 +1,4 @@
-"""Streams, their rates, and what telemetry says.
-
-Streams and messages that the vehicle must have, their rates and what they say.
-
-What telemetry says: sensors, positions, attitude, origin and home, texts.
-"""
+"""Streams, their rates, and what telemetry says."""
 
 from __future__ import annotations
 
@@ -14,8 +9,9 @@ from companion.mav.dialect import Message, mavlink
 from sim_link.lab.conformance.mavlink_oracle import OBSERVED_ARDUPILOT, OBSERVED_PX4
 from sim_link.lab.conformance.rules import (
     ARDUPILOT_ONLY,
+    CHANGES,
+    FLIES,
     PX4_ONLY,
-    Effect,
     NotApplicable,
     Role,
     RuleBook,
@@ -23,9 +19,10 @@ from sim_link.lab.conformance.rules import (
     require,
 )
 from sim_link.lab.conformance.station import brief
-from sim_link.lab.conformance.vehicle_probe import ACCEPTED, PREARM, VehicleProbe
+from sim_link.lab.conformance.vehicle_probe import ACCEPTED, ARM, PREARM, VehicleProbe
 
 stream_book = RuleBook(Role.VEHICLE, "streams")
+DATA_STREAM = f"MAVLink common, REQUEST_DATA_STREAM; {OBSERVED_ARDUPILOT}"
 INTERVALS = "MAVLink common, MAV_CMD_SET_MESSAGE_INTERVAL"
 NEEDED_HZ = {
     "HEARTBEAT": 1.0,
@@ -59,9 +56,14 @@ def rates_hz(probe: VehicleProbe, duration_s: float = LISTEN_S) -> Counter[str]:
     """Messages of the vehicle per name over a while."""
     mark = probe.mark
     probe.run(duration_s)
-    return Counter(
-        entry.message.get_type() for entry in probe.inbox[mark:] if entry.source == probe.target
-    )
+    return Counter(e.message.get_type() for e in probe.inbox[mark:] if e.source == probe.target)
+
+
+def require_rate(counts: Counter[str], wanted_hz: float, slack_hz: float, *names: str) -> None:
+    """Every one of the messages must have come at a rate."""
+    for name in names:
+        rate_hz = counts[name] / LISTEN_S
+        require(abs(rate_hz - wanted_hz) <= slack_hz, f"{name}: {rate_hz:.2f} Hz")
 
 
 @stream_book.rule("PX4 1.15, observed in SITL; MAVSDK telemetry_impl.cpp", flavours=PX4_ONLY)
@@ -86,45 +88,36 @@ def nothing_flows_until_asked(probe: VehicleProbe) -> None:
         raise Violation(f"unasked: {', '.join(sorted(extra))}")
 
 
-@stream_book.rule(
-    "MAVLink common, REQUEST_DATA_STREAM; " + OBSERVED_ARDUPILOT, flavours=ARDUPILOT_ONLY
-)
+@stream_book.rule(DATA_STREAM, flavours=ARDUPILOT_ONLY)
 def data_streams_can_be_asked_for(probe: VehicleProbe) -> None:
     """REQUEST_DATA_STREAM (0, 4 Hz) starts all groups, and 0 stops them."""
     probe.get_ready()
-    send_data_stream(probe, 0, 4, start=True)
+    send_data_stream(probe, 0, 4)
     probe.run(1.0)
     counts = rates_hz(probe)
-    for name in ("ATTITUDE", "GLOBAL_POSITION_INT", "VFR_HUD", "GPS_RAW_INT"):
-        rate_hz = counts[name] / LISTEN_S
-        require(abs(rate_hz - 4.0) <= 0.25, f"{name}: {rate_hz:.2f} Hz")
-    send_data_stream(probe, 0, 0, start=False)
+    require_rate(counts, 4.0, 0.25, "ATTITUDE", "GLOBAL_POSITION_INT", "VFR_HUD", "GPS_RAW_INT")
+    send_data_stream(probe, 0, 0)
     probe.run(1.0)
     counts = rates_hz(probe, 3.0)
     require(counts["ATTITUDE"] == 0, "ATTITUDE still flows")
 
 
-@stream_book.rule(
-    "MAVLink common, REQUEST_DATA_STREAM; " + OBSERVED_ARDUPILOT, flavours=ARDUPILOT_ONLY
-)
+@stream_book.rule(DATA_STREAM, flavours=ARDUPILOT_ONLY)
 def position_group_is_its_own(probe: VehicleProbe) -> None:
     """REQUEST_DATA_STREAM (6, 10 Hz) starts the positions at 10 Hz."""
     probe.get_ready()
     probe.set_interval(int(Local.id), 0.0)
-    send_data_stream(probe, mavlink.MAV_DATA_STREAM_POSITION, 10, start=True)
+    send_data_stream(probe, 6, 10)
     probe.run(1.0)
     counts = rates_hz(probe)
-    send_data_stream(probe, mavlink.MAV_DATA_STREAM_POSITION, 0, start=False)
-    for name in ("GLOBAL_POSITION_INT", "LOCAL_POSITION_NED"):
-        rate_hz = counts[name] / LISTEN_S
-        require(abs(rate_hz - 10.0) <= 0.5, f"{name}: {rate_hz:.2f} Hz")
+    send_data_stream(probe, 6, 0)
+    require_rate(counts, 10.0, 0.5, "GLOBAL_POSITION_INT", "LOCAL_POSITION_NED")
 
 
-def send_data_stream(probe: VehicleProbe, group: int, rate_hz: int, *, start: bool) -> None:
-    """REQUEST_DATA_STREAM of a group."""
-    probe.send(
-        mavlink.MAVLink_request_data_stream_message(*probe.target, group, rate_hz, int(start))
-    )
+def send_data_stream(probe: VehicleProbe, group: int, rate_hz: int) -> None:
+    """REQUEST_DATA_STREAM of a group; 0 Hz stops it."""
+    start = int(rate_hz > 0)
+    probe.send(mavlink.MAVLink_request_data_stream_message(*probe.target, group, rate_hz, start))
 
 
 @stream_book.rule(INTERVALS)
@@ -169,8 +162,7 @@ def ekf_status_comes_on_request(probe: VehicleProbe) -> None:
     """EKF_STATUS_REPORT (193) comes when it is asked for."""
     probe.get_ready()
     mark = len(probe.datagrams)
-    result = probe.command(mavlink.MAV_CMD_REQUEST_MESSAGE, 193.0)
-    require(result == ACCEPTED, f"result {result}")
+    probe.require_result(ACCEPTED, mavlink.MAV_CMD_REQUEST_MESSAGE, 193.0)
     probe.run(0.5)
     ids = {data[7] | data[8] << 8 | data[9] << 16 for data in probe.frames_since(mark)}
     require(193 in ids, "it did not come")
@@ -178,8 +170,8 @@ def ekf_status_comes_on_request(probe: VehicleProbe) -> None:
 
 telemetry_book = RuleBook(Role.VEHICLE, "telemetry")
 COMMON = "MAVLink common"
-
-
+SetOrigin = mavlink.MAVLink_set_gps_global_origin_message
+Home = mavlink.MAVLink_home_position_message
 Global = mavlink.MAVLink_global_position_int_message
 
 
@@ -206,8 +198,7 @@ def battery_makes_sense(probe: VehicleProbe) -> None:
 @telemetry_book.rule(f"{COMMON}, MAV_LANDED_STATE")
 def landed_state_on_the_ground(probe: VehicleProbe) -> None:
     """On the ground EXTENDED_SYS_STATE says ON_GROUND."""
-    if probe.is_armed():
-        raise NotApplicable("the vehicle is armed")
+    probe.require_disarmed()
     probe.get_ready()
     state = probe.request(mavlink.MAVLink_extended_sys_state_message)
     require(state.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND, brief(state))
@@ -325,70 +316,64 @@ def origin_and_home_come_on_request(probe: VehicleProbe) -> None:
 
 @telemetry_book.rule(
     f"{COMMON}, SET_GPS_GLOBAL_ORIGIN; MAVSDK waits for exactly these numbers",
-    effect=Effect.CHANGES,
+    effect=CHANGES,
     ardupilot="ArduCopter keeps its first origin",
 )
 def origin_can_be_set(probe: VehicleProbe) -> None:
     """SET_GPS_GLOBAL_ORIGIN is answered by GPS_GLOBAL_ORIGIN with exactly its numbers."""
     probe.get_ready()
     before = probe.origin()
+    kept = (before.latitude, before.longitude, before.altitude)
     wanted = (before.latitude + 17, before.longitude - 13, before.altitude + 11)
     mark = probe.mark
-    probe.send(mavlink.MAVLink_set_gps_global_origin_message(probe.target[0], *wanted))
+    probe.send(SetOrigin(probe.target[0], *wanted))
     if not probe.is_px4:
         probe.run(0.5)
         after = probe.origin()
-        kept = (before.latitude, before.longitude, before.altitude)
         require((after.latitude, after.longitude, after.altitude) == kept, "the origin moved")
         return
     answer = probe.expect(mavlink.MAVLink_gps_global_origin_message, mark=mark)
     told = (answer.latitude, answer.longitude, answer.altitude)
     require(told == wanted, f"{told}, not {wanted}")
-    probe.send(
-        mavlink.MAVLink_set_gps_global_origin_message(
-            probe.target[0], before.latitude, before.longitude, before.altitude
-        )
-    )
+    probe.send(SetOrigin(probe.target[0], *kept))
     probe.run(0.2)
 
 
-@telemetry_book.rule(f"{COMMON}, HOME_POSITION (sent when it changes)", effect=Effect.CHANGES)
+def require_home_told(probe: VehicleProbe, home: Home, latitude: int) -> None:
+    """Home moved to a latitude must be told by itself."""
+    mark = probe.mark
+    result = probe.set_home((latitude, home.longitude, home.altitude / 1e3))
+    require(result == ACCEPTED, f"DO_SET_HOME gave result {result}")
+    probe.expect(Home, lambda m: abs(m.latitude - latitude) < 10, mark=mark)
+
+
+@telemetry_book.rule(f"{COMMON}, HOME_POSITION (sent when it changes)", effect=CHANGES)
 def moved_home_is_told_unasked(probe: VehicleProbe) -> None:
     """After DO_SET_HOME a HOME_POSITION with the new place comes by itself."""
     probe.get_ready()
     home = probe.home()
     probe.set_interval(mavlink.MAVLINK_MSG_ID_HOME_POSITION, -1.0)
-    moved = (home.latitude + 450, home.longitude, home.altitude / 1e3)
-    mark = probe.mark
-    for place, latitude in ((moved, moved[0]), ((home.latitude, *moved[1:]), home.latitude)):
-        number, frame = mavlink.MAV_CMD_DO_SET_HOME, mavlink.MAV_FRAME_GLOBAL
-        result = probe.command_int(number, frame, (0.0, 0.0, 0.0, 0.0), place)
-        require(result == ACCEPTED, f"DO_SET_HOME gave result {result}")
-        probe.expect(
-            mavlink.MAVLink_home_position_message,
-            lambda m, latitude=latitude: abs(m.latitude - latitude) < 10,  # type: ignore[misc]
-            mark=mark,
-        )
-        mark = probe.mark
+    require_home_told(probe, home, home.latitude + 450)
+    require_home_told(probe, home, home.latitude)
     probe.set_interval(mavlink.MAVLINK_MSG_ID_HOME_POSITION, 0.0)
 
 
-@telemetry_book.rule("MAVLink guide, Routing", effect=Effect.CHANGES)
+@telemetry_book.rule("MAVLink guide, Routing", effect=CHANGES)
 def origin_for_another_system_is_ignored(probe: VehicleProbe) -> None:
     """SET_GPS_GLOBAL_ORIGIN for another system changes nothing."""
     probe.get_ready()
     before = probe.origin()
-    probe.send(mavlink.MAVLink_set_gps_global_origin_message(77, 100_000_000, 0, 0))
+    probe.send(SetOrigin(77, 100_000_000, 0, 0))
     probe.run(0.5)
     require(probe.origin().latitude == before.latitude, "the origin moved")
 
 
-@telemetry_book.rule(f"{COMMON}, STATUSTEXT (chunks)", effect=Effect.FLIES)
+@telemetry_book.rule(f"{COMMON}, STATUSTEXT (chunks)", effect=FLIES)
 def texts_are_well_formed(probe: VehicleProbe) -> None:
     """A text is one message with id 0, or chunks 0, 1, ... of one id that end short."""
-    probe.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, 0.0)
+    probe.command(ARM, 1.0, 0.0)
     probe.set_mode("land")
-    probe.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, 0.0)
+    probe.command(ARM, 1.0, 0.0)
     probe.run(2.0)
     texts = probe.from_vehicle(mavlink.MAVLink_statustext_message)
     if not texts:
@@ -404,7 +389,7 @@ def texts_are_well_formed(probe: VehicleProbe) -> None:
         expected[text.id] = number + 1
 
 
-@telemetry_book.rule(f"{COMMON}, EXTENDED_SYS_STATE", effect=Effect.FLIES)
+@telemetry_book.rule(f"{COMMON}, EXTENDED_SYS_STATE", effect=FLIES)
 def landed_state_in_the_air(probe: VehicleProbe) -> None:
     """In the air EXTENDED_SYS_STATE says IN_AIR."""
     probe.take_off(5.0)
@@ -412,7 +397,7 @@ def landed_state_in_the_air(probe: VehicleProbe) -> None:
     require(state.landed_state == mavlink.MAV_LANDED_STATE_IN_AIR, brief(state))
 
 
-@telemetry_book.rule(f"{COMMON}, SYS_STATUS", effect=Effect.FLIES)
+@telemetry_book.rule(f"{COMMON}, SYS_STATUS", effect=FLIES)
 def flying_drains_the_battery(probe: VehicleProbe) -> None:
     """Flying for a while leaves less in the battery."""
     before = probe.request(mavlink.MAVLink_battery_status_message)

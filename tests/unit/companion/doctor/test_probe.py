@@ -118,7 +118,7 @@ def test_nothing_is_armed_switched_or_set(practice: Practice) -> None:
         if isinstance(message, mavlink.MAVLink_command_long_message):
             assert message.command in HARMLESS_COMMANDS
     assert practice.sim is not None
-    assert not practice.sim.vehicle.modes.is_armed
+    assert not practice.sim.vehicle.flavour.is_armed
 
 
 def test_a_simulated_vehicle_on_the_ground_is_fit_to_fly(practice: Practice) -> None:

@@ -2,9 +2,10 @@ from __future__ import annotations
 
 import pytest
 
-from companion.mav.addressing import TargetedTimesync, boot_ms_of, source_of, targets_of_frame
+from companion.mav.addressing import TargetedTimesync, boot_ms_of, targets_of_frame
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
+from companion.mav.framing import sender_of
 from companion.mav.signing import LinkSigning, Signing, SigningKey
 
 
@@ -61,7 +62,7 @@ def test_source_and_target_are_found_in_either_version_signed_or_not() -> None:
         MavCodec(3, 4).encode(ping, is_mavlink1=True),
         MavCodec(3, 4, signing).encode(ping),
     ]
-    assert [source_of(frame) for frame in frames] == [(3, 4)] * 3
+    assert [sender_of(frame) for frame in frames] == [(3, 4)] * 3
     assert [targets_of_frame(frame) for frame in frames] == [(7, 9)] * 3
 
 

@@ -9,10 +9,10 @@ import pytest
 from companion.errors import ConfigError
 from companion.io.links.urls import parse_link_url
 from companion.io.state.signing_keys import load_signing_key, store_signing_key
-from companion.mav.addressing import source_of
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk
+from companion.mav.framing import sender_of
 from companion.mav.signing import SigningKey
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import Scenario
@@ -46,7 +46,7 @@ def set_up(wanted: FleetOptions, key: bytes, link: int) -> None:
 
 def answers(endpoint: SimEndpoint) -> list[bytes]:
     """What the autopilot itself sends; unproved frames are passed on all the same."""
-    return [chunk.data for chunk in endpoint.take_output() if source_of(chunk.data) == (1, 1)]
+    return [chunk.data for chunk in endpoint.take_output() if sender_of(chunk.data) == (1, 1)]
 
 
 def key_file(folder: Path) -> Path:

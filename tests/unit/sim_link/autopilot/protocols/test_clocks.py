@@ -6,7 +6,7 @@ from companion.mav.addressing import TargetedTimesync, targets_of
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from sim_link.autopilot.protocols.addressing import Addressing
-from sim_link.autopilot.protocols.clock_protocols import ClockRequests, Clocks, system_time
+from sim_link.autopilot.protocols.clock_protocols import ClockRequests, Clocks
 from tests.unit.sim_link.autopilot.protocols.wire import STATION, received, said
 
 PX4 = Clocks(Addressing(1))
@@ -96,15 +96,3 @@ def test_a_ping_with_a_target_is_an_answer_and_never_answered(targets: tuple[int
 
 def test_ardupilot_does_not_answer_a_ping() -> None:
     assert ARDUPILOT.ping(received(mavlink.MAVLink_ping_message(123, 7, 0, 0)), STATION) is None
-
-
-# SYSTEM_TIME
-
-
-def test_system_time_wraps_and_knows_no_date_before_the_first_fix() -> None:
-    message = said(system_time(2**32 / 1000 + 1.5, None))
-    assert isinstance(message, mavlink.MAVLink_system_time_message)
-    assert (message.time_boot_ms, message.time_unix_usec) == (1500, 0)
-    dated = said(system_time(1.5, 1_800_000_000.25))
-    assert isinstance(dated, mavlink.MAVLink_system_time_message)
-    assert dated.time_unix_usec == 1_800_000_000_250_000

@@ -57,7 +57,7 @@ def command(number: int, first: float = NAN, second: float = NAN) -> Command:
 def obey(
     made: MessageRequests, number: int, first: float = NAN, second: float = NAN
 ) -> tuple[int, list[Outgoing]]:
-    answer = made.obey(command(number, first, second), 0.0)
+    answer = made.handle_command(command(number, first, second), 0.0)
     assert answer is not None
     return answer
 
@@ -151,7 +151,7 @@ def test_an_interval_that_makes_no_sense_is_denied(interval_us: float) -> None:
 def test_a_data_stream_request_is_obeyed_on_its_channel() -> None:
     made = requests()
     asked = mavlink.MAVLink_request_data_stream_message(1, 1, 10, 4, 1)
-    made.obey_data_stream(received(asked, COMPANION), COMPANION, 0.0)
+    made.set_data_stream(received(asked, COMPANION), COMPANION, 0.0)
     counts = due(made, 2.0)
     assert (counts[STATION, ATTITUDE], counts[COMPANION, ATTITUDE]) == (20, 8)
 
@@ -161,7 +161,7 @@ def test_a_channel_that_is_gone_gets_nothing() -> None:
     made.forget(STATION_CHANNEL)
     assert due(made, 2.0)[STATION, ATTITUDE] == 0
     made.forget(COMPANION_CHANNEL)
-    assert made.next_timer_s() == math.inf
+    assert made.take_due(2.0) == []
 
 
 def test_opening_a_channel_again_does_not_reset_it() -> None:
@@ -172,7 +172,7 @@ def test_opening_a_channel_again_does_not_reset_it() -> None:
 
 
 def test_other_commands_are_for_the_vehicle() -> None:
-    assert requests().obey(command(400, 1.0), 0.0) is None
+    assert requests().handle_command(command(400, 1.0), 0.0) is None
 
 
 def test_a_stranger_with_many_ports_gets_a_bounded_number_of_streams() -> None:

@@ -275,7 +275,7 @@ def test_strangers_cannot_fill_the_memory() -> None:
     for system in range(1, 100):
         client.ask_list(partner=type(STATION)(STATION.channel, system, 1))
     assert results(client.ask_list()) == [PlanResult.DENIED]
-    client.plans.forget(STATION_CHANNEL)
+    client.plans.handle_timer(100.0)
     assert results(client.ask_list()) == []
 
 

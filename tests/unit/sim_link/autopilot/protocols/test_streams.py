@@ -140,13 +140,6 @@ def test_an_unknown_group_changes_nothing() -> None:
     assert table.interval_us(POSITION) == round(1e6 / 30)
 
 
-def test_the_next_time_is_known_without_asking_every_step() -> None:
-    table = StreamTable(StreamRules({POSITION: 10.0}, min_interval_s=0.004))
-    table.take_due(0.0)
-    assert table.next_due_s() == pytest.approx(0.1)
-    assert StreamTable(StreamRules({}, 0.004)).next_due_s() == math.inf
-
-
 def test_a_client_that_changes_rates_for_ever_does_not_fill_the_memory() -> None:
     table = StreamTable(RULES)
     for step in range(20_000):

@@ -10,8 +10,8 @@ import pytest
 from companion.errors import ConfigError, LinkError
 from companion.mav.endpoint import Chunk
 from sim_link.lab.conformance.cli import open_link
-from sim_link.lab.conformance.fuzz import MemoryHub
 from tests.ports import free_port
+from tests.protocol.memory_link import MemoryHub
 
 PATIENCE_S = 30.0
 

@@ -17,7 +17,7 @@ import pytest
 from companion.config.schema import CompanionConfig
 from companion.errors import CompanionError, ConfigError
 from sim_link import cli
-from sim_link.interrupts import is_interrupt
+from sim_link.fleet.console import is_interrupt
 from sim_link.lab.mission.batch import Campaign, fly_all
 from sim_link.lab.mission.conditions import Situation
 from sim_link.lab.mission.in_memory import Progress, fly_in_memory
