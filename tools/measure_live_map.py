@@ -42,9 +42,9 @@ from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed
 
 from companion.config.schema import CompanionConfig, LimitsConfig
-from companion.demo.simulator_process import free_udp_port
 from companion.flight_setup import build_endpoint
 from companion.guidance.session_params import SessionParams
+from companion.io.child_process import free_udp_port
 from companion.io.links.specs import UdpBind
 from companion.io.logs.flight_recorder import FlightJournal
 from companion.io.shell import Clock, Shell, TimerStatistics

@@ -16,7 +16,8 @@ from typing import Any
 import msgspec
 
 from companion.config.schema import CompanionConfig
-from companion.demo.simulator_process import HOST, SimulatorProcess, free_udp_port
+from companion.demo.simulator_process import SimulatorProcess
+from companion.io.child_process import HOST, free_udp_port
 from companion.domain import TargetEstimate
 from companion.errors import CompanionError, ConfigError
 from companion.guidance.authority.state_machine import Phase

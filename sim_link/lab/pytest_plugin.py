@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, cast, get_args
 import pytest
 
 if TYPE_CHECKING:
+    from companion.io.child_process import ChildProcess
     from sim_link.autopilot.scenario import FlavourName
     from sim_link.lab.faults.faulty_link import FaultyLink
-    from sim_link.lab.mission.processes import Child
     from sim_link.lab.mission.results import MissionResult
     from sim_link.lab.mission.script import Mission
 
@@ -25,7 +25,7 @@ MARKER, VEHICLE = "mission", "sim_vehicle"
 START_S = 150.0
 """Real time that a process may take to start; the first one of all compiles."""
 FLIGHT = pytest.StashKey["MissionResult"]()
-StartCompanion = Callable[..., "Child"]
+StartCompanion = Callable[..., "ChildProcess"]
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -179,8 +179,7 @@ def sim_vehicle(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]
     `@pytest.mark.sim_vehicle(scenario="calm.yaml", seed=3, autopilot="ardupilot", speed=4)` says
     what it flies; the scenario is looked for beside the test.
     """
-    from companion.demo.simulator_process import HOST, free_udp_port
-    from sim_link.lab.mission.processes import Child
+    from companion.io.child_process import HOST, ChildProcess, free_udp_port
 
     port = free_udp_port()
     arguments = ["-m", "sim_link", "--stop-on-eof", "--listen", f"{HOST}:{free_udp_port()}"]
@@ -188,7 +187,7 @@ def sim_vehicle(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]
     marker = request.node.get_closest_marker(VEHICLE)
     if marker is not None:
         arguments += _vehicle_options(marker, request.path.parent)
-    child = Child("sim-link", arguments, tmp_path / "sim-link.log")
+    child = ChildProcess("sim-link", arguments, tmp_path / "sim-link.log")
     child.start()
     try:
         deadline_s = time.monotonic() + START_S
@@ -234,16 +233,18 @@ def companion_process(tmp_path: Path) -> Iterator[StartCompanion]:
 
     Without a `--config` of one's own its flights and its memory are kept below `tmp_path`.
     """
-    from sim_link.lab.mission.processes import Child
+    from companion.io.child_process import ChildProcess
 
-    started: list[Child] = []
+    started: list[ChildProcess] = []
 
-    def start(*arguments: str) -> Child:
+    def start(*arguments: str) -> ChildProcess:
         """Start one more companion with these arguments."""
         if not any(text.startswith("--config") for text in arguments):
             arguments = ("--config", str(_default_config(tmp_path)), *arguments)
         log = tmp_path / f"companion{len(started) or ''}.log"
-        child = Child("companion", ["-m", "sim_link.lab.supervised_companion", *arguments], log)
+        child = ChildProcess(
+            "companion", ["-m", "sim_link.lab.supervised_companion", *arguments], log
+        )
         child.start()
         started.append(child)
         return child

@@ -8,10 +8,7 @@ read from its event log, what became of the vehicle from the simulator's own rep
 from __future__ import annotations
 
 import json
-import os
 import signal
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Sequence
@@ -21,9 +18,9 @@ from typing import Any
 import numpy as np
 import yaml
 
-from companion.demo.simulator_process import free_udp_port
 from companion.domain import FlightMode
 from companion.errors import CompanionError
+from companion.io.child_process import HOST, ChildProcess, free_udp_ports
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.lab.campaign.flights import (
@@ -35,6 +32,7 @@ from sim_link.lab.campaign.flights import (
     TrialOutcome,
     monitored,
 )
+from sim_link.lab.event_tail import EventTail
 from sim_link.lab.lockstep.flight_harness import MemoryStore
 from sim_link.lab.lockstep.observer import Frame, Observer
 
@@ -211,8 +209,8 @@ class Signals(Part):
                 companion = flight.start_companion()
                 time.sleep(instant_s / SPEED)
                 if trial.seed % 2:
-                    return _stopped(trial, flight, companion)
-                return _killed(trial, flight, companion, dice.number(*DOWN_S))
+                    return _stop(trial, flight, companion)
+                return _kill(trial, flight, companion, dice.number(*DOWN_S))
             finally:
                 flight.close()
 
@@ -225,7 +223,7 @@ class _ProcessFlight:
 
     def __init__(self, folder: Path, flavour: str) -> None:
         self._folder = folder
-        self._port = free_udp_port()
+        self._port, listen = free_udp_ports(2)
         self._config = folder / "companion.yaml"
         values = {
             "mission": {"engage": "auto", "stop_confirm_s": 1e6},
@@ -233,81 +231,65 @@ class _ProcessFlight:
             "process": {"state_directory": str(folder / "state")},
         }
         self._config.write_text(yaml.safe_dump(values))
-        self._companions: list[subprocess.Popen[bytes]] = []
+        self._tail = EventTail(folder / "flights")
+        self._companions: list[ChildProcess] = []
         arguments = ["sim_link", "--stop-on-eof", "--quiet", "--autopilot", flavour]
         arguments += ["--speed", f"{SPEED:g}", "--report", str(folder / "truth.json")]
-        arguments += ["--listen", f"127.0.0.1:{free_udp_port()}"]
-        self._simulator = self._start([*arguments, "--send-to", f"127.0.0.1:{self._port}"])
+        arguments += ["--listen", f"{HOST}:{listen}", "--send-to", f"{HOST}:{self._port}"]
+        self._simulator = self._start("sim-link", arguments)
 
-    def _start(self, arguments: list[str]) -> subprocess.Popen[bytes]:
-        return subprocess.Popen(
-            [sys.executable, "-m", *arguments],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
-            start_new_session=True,
-        )
+    def _start(self, name: str, arguments: list[str]) -> ChildProcess:
+        env = {"NUMBA_DISABLE_JIT": "1"}
+        child = ChildProcess(name, ["-m", *arguments], self._folder / f"{name}.log", env)
+        child.start()
+        return child
 
-    def start_companion(self) -> subprocess.Popen[bytes]:
+    def start_companion(self) -> ChildProcess:
         """Start one; back when its flight has begun.
 
         Raises:
             CompanionError: It does not start.
         """
-        before = len(self._logs())
         arguments = ["sim_link.lab.supervised_companion", "--config", str(self._config)]
-        arguments += ["--connect", f"udp:127.0.0.1:{self._port}", "--speed", f"{SPEED:g}"]
-        process = self._start(arguments)
-        self._companions.append(process)
+        arguments += ["--connect", f"udp:{HOST}:{self._port}", "--speed", f"{SPEED:g}"]
+        child = self._start(f"companion{len(self._companions)}", arguments)
+        self._companions.append(child)
         deadline_s = time.monotonic() + START_S
-        while len(self._logs()) == before:
-            if process.poll() is not None or time.monotonic() > deadline_s:
-                raise CompanionError("the companion did not start")
+        while not self._tail.look_for_flight():
+            if not child.is_alive or time.monotonic() > deadline_s:
+                raise CompanionError(f"the companion did not start: {child.last_words}")
             time.sleep(0.01)
-        return process
+        return child
 
-    def _logs(self) -> list[Path]:
-        return sorted(self._folder.glob("flights/*/events.jsonl"))
-
-    def events(self, number: int) -> list[dict[str, Any]]:
-        """What the n-th companion wrote; the last line of one that was killed may be torn."""
-        lines = self._logs()[number].read_bytes().split(b"\n")
-        return [json.loads(line) for line in lines[:-1]]
+    def take_events(self) -> list[dict[str, Any]]:
+        """What the newest companion wrote; the last line of one that was killed may be torn."""
+        return self._tail.take()
 
     def land(self) -> list[str]:
         """End the simulator; the modes that the vehicle was in."""
-        self._simulator.communicate(timeout=START_S)
+        self._simulator.stop(START_S)
         truth = json.loads((self._folder / "truth.json").read_text())
         return [change["mode"] for change in truth["mode_changes"]]
 
     def close(self) -> None:
         """End everything that still runs."""
-        for process in (*self._companions, self._simulator):
-            process.kill()
-            process.communicate()
+        for child in (*self._companions, self._simulator):
+            child.signal(signal.SIGKILL)
+            child.stop()
 
 
-def _end(process: subprocess.Popen[bytes]) -> float:
-    """SIGTERM; how many seconds the process took to end."""
+def _end(child: ChildProcess) -> tuple[int | None, float]:
+    """SIGTERM; the exit code, and how many seconds the process took to end."""
     began_s = time.monotonic()
-    process.send_signal(signal.SIGTERM)
-    try:
-        process.wait(EXIT_S + 2.0)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
-    return time.monotonic() - began_s
+    return child.end(EXIT_S + 2.0), time.monotonic() - began_s
 
 
-def _stopped(
-    trial: Trial, flight: _ProcessFlight, companion: subprocess.Popen[bytes]
-) -> TrialOutcome:
-    took_s = _end(companion)
-    events, modes = flight.events(0), flight.land()
+def _stop(trial: Trial, flight: _ProcessFlight, companion: ChildProcess) -> TrialOutcome:
+    code, took_s = _end(companion)
+    events, modes = flight.take_events(), flight.land()
     findings = [] if took_s <= EXIT_S else [f"gone {took_s:.2f} s after SIGTERM"]
-    if companion.returncode != 0:
-        findings.append(f"exit code {companion.returncode} after SIGTERM")
+    if code != 0:
+        findings.append(f"exit code {code} after SIGTERM")
     asked_s = _asked_s(events)
     hold_s = 0.0
     if asked_s is not None:
@@ -326,20 +308,20 @@ def _stopped(
     )
 
 
-def _killed(
-    trial: Trial, flight: _ProcessFlight, companion: subprocess.Popen[bytes], down_s: float
+def _kill(
+    trial: Trial, flight: _ProcessFlight, companion: ChildProcess, down_s: float
 ) -> TrialOutcome:
-    companion.kill()
-    companion.wait()
-    before = flight.events(0)
+    companion.signal(signal.SIGKILL)
+    companion.stop()
+    before = flight.take_events()
     had_begun = _time_of(before, "phase", new="launching") is not None
     time.sleep(down_s)
     began_s = time.monotonic()
     companion = flight.start_companion()
     started_s = time.monotonic() - began_s
     time.sleep(SIGNAL_AFTER_S / SPEED)
-    took_s = _end(companion)
-    after = flight.events(1)
+    _, took_s = _end(companion)
+    after = flight.take_events()
     asked = [event for event in after if event["kind"] == "answer"]
     findings = [] if took_s <= EXIT_S else [f"gone {took_s:.2f} s after SIGTERM"]
     if had_begun and asked:

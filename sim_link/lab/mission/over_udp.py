@@ -20,13 +20,14 @@ from pathlib import Path
 import msgspec
 import yaml
 
-from companion.demo.simulator_process import HOST, free_udp_ports
 from companion.domain import FlightMode
 from companion.errors import CompanionError
+from companion.io.child_process import HOST, ChildProcess, free_udp_ports
 from companion.io.links.specs import LinkSpec, UdpBind, UdpConnect, link_from_url
 from companion.io.links.urls import parse_link_url
 from companion.io.logs.log_files import TlogWriter
 from companion.io.shell import Clock, Shell
+from sim_link.lab.event_tail import EventTail
 from sim_link.lab.faults.fault_models import Schedule
 from sim_link.lab.faults.faulty_link import FaultyLink
 from sim_link.lab.mission.flight_readers import EventReader, TelemetryReader, WireWatch
@@ -36,8 +37,6 @@ from sim_link.lab.mission.processes import (
     COMPANION,
     RADIO,
     VEHICLE,
-    Child,
-    EventTail,
     Hub,
     ProcessHarness,
 )
@@ -136,7 +135,7 @@ class _UdpFlight:
         self._wire = FaultyLink(Schedule(), seed)
         self._companion = self._companion_child()
         self._vehicle = self._vehicle_child() if connect is None else None
-        self._radio: Child | None = None
+        self._radio: ChildProcess | None = None
         self._operator = MavsdkOperator(self._ports.operator, folder / "mavsdk.log")
         self._watched = WireWatch(speed)
         self._harness = harness = self._build_harness()
@@ -204,7 +203,7 @@ class _UdpFlight:
 
     # Processes
 
-    def _companion_child(self) -> Child:
+    def _companion_child(self) -> ChildProcess:
         config = flown_config(self._mission)
         log = msgspec.structs.replace(config.log, directory=str(self._flights))
         state = str(self._folder / "state")  # a checkpoint of another flight means nothing here
@@ -214,25 +213,25 @@ class _UdpFlight:
         arguments = ["-m", "sim_link.lab.supervised_companion", "--config", str(path)]
         arguments += ["--connect", f"udpin:{HOST}:{self._ports.companion}"]
         arguments += ["--speed", f"{self._speed:g}"]
-        return Child("companion", arguments, self._folder / "companion.log")
+        return ChildProcess("companion", arguments, self._folder / "companion.log")
 
-    def _vehicle_child(self) -> Child:
+    def _vehicle_child(self) -> ChildProcess:
         path = self._folder / "scenario.yaml"
         _write_yaml(path, self._mission.scenario)
         arguments = ["-m", "sim_link", "--stop-on-eof", "--scenario", str(path)]
         arguments += ["--seed", str(self._seed), "--speed", f"{self._speed:g}"]
         arguments += ["--listen", f"{HOST}:{self._ports.simulator}"]
         arguments += ["--send-to", f"{HOST}:{self._ports.vehicle}"]
-        return Child("sim-link", arguments, self._folder / "vehicle.log")
+        return ChildProcess("sim-link", arguments, self._folder / "vehicle.log")
 
-    def _radio_child(self) -> Child:
+    def _radio_child(self) -> ChildProcess:
         """The radio beside a vehicle that has none."""
         path = self._folder / "scenario.yaml"
         _write_yaml(path, self._mission.scenario)
         arguments = ["-m", "sim_link", "radio", "--stop-on-eof", "--scenario", str(path)]
         arguments += ["--follow", f"udpin:{HOST}:{self._ports.radio}"]
         arguments += ["--seed", str(self._seed), "--speed", f"{self._speed:g}"]
-        return Child("radio", arguments, self._folder / "radio.log")
+        return ChildProcess("radio", arguments, self._folder / "radio.log")
 
     async def _until_companion_waits(self) -> None:
         """Wait for its flight's folder: it compiles before its clock starts.

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from sim_link.lab.mission.processes import Child, EventTail
+from companion.io.child_process import ChildProcess
+from sim_link.lab.event_tail import EventTail
 
 
 def flight(root: Path, name: str, text: str) -> Path:
@@ -18,7 +19,7 @@ def flight(root: Path, name: str, text: str) -> Path:
 def test_the_words_of_a_process_are_its_own(tmp_path: Path) -> None:
     log = tmp_path / "child.log"
     log.write_text("said by an earlier one\n")
-    child = Child("child", ["-c", "print('hello', flush=True); input()"], log)
+    child = ChildProcess("child", ["-c", "print('hello', flush=True); input()"], log)
     child.start()
     while child.is_alive and not child.first_words:
         pass

@@ -1,0 +1,45 @@
+"""A companion's event log, read while the process that flies writes it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+LOGS = "*/events.jsonl"
+
+
+class EventTail:
+    """Reads the companion's event log while it is being written.
+
+    Args:
+        root: Where the companion makes the folder of its flight.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self._root = root
+        self._seen = set(root.glob(LOGS))
+        """What an earlier mission may have left there, and what was read."""
+        self._path: Path | None = None
+        self._offset = 0
+        self._rest = b""
+
+    def look_for_flight(self) -> bool:
+        """Whether a flight that was not there before has begun; it is the one that is read."""
+        for path in sorted(self._root.glob(LOGS)):
+            if path not in self._seen:
+                self._seen.add(path)
+                self._path, self._offset, self._rest = path, 0, b""
+                return True
+        return False
+
+    def take(self) -> list[dict[str, Any]]:
+        """The events since the last call; a line that is not whole yet waits."""
+        if self._path is None:
+            return []
+        with self._path.open("rb") as file:
+            file.seek(self._offset)
+            data = file.read()
+        self._offset += len(data)
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        return [json.loads(line) for line in lines if line]
