@@ -239,6 +239,7 @@ IN_CONTROL = parse_condition("companion.is_in_control")
 GRANTED = parse_condition("companion.phase == standby or companion.is_in_control")
 """Stands by; or flies, where a PX4 that lost its setpoints returns to them by itself."""
 READY = parse_condition(f"vehicle.is_ready and ({GRANTED.text})")
+HOLDING = parse_condition("vehicle.mode == hold")
 RETURNING = parse_condition('vehicle.mode == "return"')
 LANDING = parse_condition("vehicle.mode == land")
 REPORTED = parse_condition("companion.reported > 0")
@@ -288,17 +289,14 @@ def _mode_rule(step: Step) -> Rule:
                 parse_condition(shown),
             )
         case script.HoldStep():
-            action, shown = SwitchMode(FlightMode.HOLD), "vehicle.mode == hold"
-            return Rule("holding", parse_condition(shown), step.limit_s, action, for_s=step.for_s)
+            action = SwitchMode(FlightMode.HOLD)
+            return Rule("holding", HOLDING, step.limit_s, action, for_s=step.for_s)
         case script.ReturnStep():
-            action, begun = (
-                SwitchMode(FlightMode.RETURN),
-                parse_condition('vehicle.mode == "return"'),
-            )
-            return Rule("standing at home", DISARMED, step.limit_s, action, begun)
+            action = SwitchMode(FlightMode.RETURN)
+            return Rule("standing at home", DISARMED, step.limit_s, action, RETURNING)
         case script.LandStep():
-            action, begun = SwitchMode(FlightMode.LAND), parse_condition("vehicle.mode == land")
-            return Rule("standing, disarmed", DISARMED, step.limit_s, action, begun)
+            action = SwitchMode(FlightMode.LAND)
+            return Rule("standing, disarmed", DISARMED, step.limit_s, action, LANDING)
     raise TypeError(f"{step} is no step")
 
 

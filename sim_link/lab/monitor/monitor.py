@@ -136,15 +136,16 @@ class FrameMonitor(Observer):
         self.invariants = list(invariants)
         self._proof = None if key is None else Proof(key)
         self._whose = SenderTrust(scene.rules.system_id)
-        self._hearing = self._looking_at("heard")
-        self._stepping = self._looking_at("stepped")
-        self._ticking = self._looking_at("ticked")
-        self._sending = self._looking_at("sent")
-        self._noting = self._looking_at("noted")
+        self._hooks = {
+            name: [getattr(each, name) for each in overriding(self.invariants, Invariant, name)]
+            for name, hook in vars(Invariant).items()
+            if callable(hook) and not name.startswith("_")
+        }
 
-    def _looking_at(self, what: str) -> list[Invariant]:
-        """Who wants to see something that happens a hundred times a second."""
-        return overriding(self.invariants, Invariant, what)
+    def _show(self, what: str, *values: object) -> None:
+        """Show something to the invariants that look at it."""
+        for hook in self._hooks[what]:
+            hook(*values)
 
     @property
     def violations(self) -> list[Violation]:
@@ -157,13 +158,9 @@ class FrameMonitor(Observer):
         """The companion sent this."""
         self._shared.now_s = frame.time_s
         setpoint = self._shared.setpoint_of(frame)
-        if setpoint is None:
-            for invariant in self._sending:
-                invariant.sent(frame)
-            return
-        for invariant in self.invariants:
-            invariant.sent(frame)
-            invariant.setpoint(setpoint)
+        self._show("sent", frame)
+        if setpoint is not None:
+            self._show("setpoint", setpoint)
 
     def heard(self, frame: Frame) -> None:
         """This reaches the companion."""
@@ -175,8 +172,7 @@ class FrameMonitor(Observer):
         scene.is_lied_to = self._proof is None and self._whose.is_a_stranger
         if scene.is_believable:
             scene.tell(frame)
-        for invariant in self._hearing:
-            invariant.heard(frame)
+        self._show("heard", frame)
 
     def _is_believed(self, frame: Frame) -> bool:
         if self._proof is not None:
@@ -192,8 +188,7 @@ class FrameMonitor(Observer):
     def noted(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
         """The companion wrote into its journal."""
         self._shared.now_s = now_s
-        for invariant in self._noting:
-            invariant.noted(kind, fields)
+        self._show("noted", kind, fields)
 
     def companion_started(self, now_s: float) -> None:
         """The companion process began anew."""
@@ -202,8 +197,7 @@ class FrameMonitor(Observer):
         scene.is_companion_up, scene.is_restarted = True, True
         self._whose.restart()
         scene.told = ObservedState(began_s=now_s, origin_enu_m=scene.told.origin_enu_m)
-        for invariant in self.invariants:
-            invariant.started()
+        self._show("started")
 
     def companion_suspended(self, now_s: float, until_s: float) -> None:  # noqa: ARG002
         """The companion process gets no time."""
@@ -216,8 +210,7 @@ class FrameMonitor(Observer):
     def mode_chosen(self, mode: FlightMode, now_s: float) -> None:
         """A person switched the mode."""
         self._shared.now_s = now_s
-        for invariant in self.invariants:
-            invariant.mode_chosen(mode)
+        self._show("mode_chosen", mode)
 
     def vehicle_rebooted(self, now_s: float) -> None:
         """The vehicle begins anew; what it said before means nothing."""
@@ -225,8 +218,6 @@ class FrameMonitor(Observer):
         scene.now_s = now_s
         scene.told.position_boot_ms = -1
         scene.told.mode_sent_at = (-1.0, 0)
-        for invariant in self.invariants:
-            invariant.rebooted()
 
 
 class Monitor(FrameMonitor):
@@ -295,12 +286,11 @@ class Monitor(FrameMonitor):
 
     def stepped(self, vehicle: SimVehicle, now_s: float) -> None:
         """The vehicle moved."""
-        self.scene.now_s, self.scene.vehicle = now_s, vehicle
-        for invariant in self._stepping:
-            invariant.stepped()
+        self.scene.now_s = now_s
+        self.scene.look_at(vehicle)
+        self._show("stepped")
 
     def ticked(self, now_s: float) -> None:
         """The control tick is over."""
         self.scene.now_s = self.scene.tick_s = now_s
-        for invariant in self._ticking:
-            invariant.ticked()
+        self._show("ticked")

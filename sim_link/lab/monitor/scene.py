@@ -10,7 +10,6 @@ old one that arrives after a newer one takes nothing away and gives nothing back
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -161,10 +160,22 @@ class Setpoint:
 
 
 @dataclass(slots=True)
-class Scene(ABC):
+class Scene:
     """Shared by all invariants of one flight; subclasses know more or less of the vehicle."""
 
     rules: Rules
+    system_id: int | None = None
+    """Of the vehicle; None: not known yet."""
+    is_px4: bool = True
+    """Whether modes are PX4's; ArduPilot's otherwise."""
+    world_origin: LocalOrigin | None = None
+    """Zero of the world's frame; None: not known yet."""
+    home_up_m: float | None = None
+    """Height of home in the world's frame; None: not known yet."""
+    height_error_m: float = 0.0
+    """How wrong the autopilot may be about its height."""
+    is_flying: bool = False
+    """Whether the vehicle is armed or in the air."""
     now_s: float = 0.0
     told: ObservedState = field(default_factory=ObservedState)
     is_companion_up: bool = True
@@ -297,38 +308,6 @@ class Scene(ABC):
                 return None
         return Setpoint(frame.time_s, place, message)
 
-    # The vehicle
-
-    @property
-    @abstractmethod
-    def system_id(self) -> int | None:
-        """Of the vehicle; None: not known yet."""
-
-    @property
-    @abstractmethod
-    def world_origin(self) -> LocalOrigin | None:
-        """Zero of the world's frame; None: not known yet."""
-
-    @property
-    @abstractmethod
-    def home_up_m(self) -> float | None:
-        """Height of home in the world's frame; None: not known yet."""
-
-    @property
-    @abstractmethod
-    def height_error_m(self) -> float:
-        """How wrong the autopilot may be about its height."""
-
-    @property
-    @abstractmethod
-    def is_px4(self) -> bool:
-        """Whether modes are PX4's; ArduPilot's otherwise."""
-
-    @property
-    @abstractmethod
-    def is_flying(self) -> bool:
-        """Whether it is armed or in the air."""
-
 
 @dataclass(slots=True)
 class TrueScene(Scene):
@@ -336,41 +315,24 @@ class TrueScene(Scene):
 
     vehicle: SimVehicle = field(kw_only=True)
 
-    @property
-    def system_id(self) -> int:
-        """Of the vehicle."""
-        return self.vehicle.system_id
+    def __post_init__(self) -> None:
+        """Begin with the vehicle as it stands."""
+        self.look_at(self.vehicle)
 
-    @property
-    def world_origin(self) -> LocalOrigin:
-        """Zero of the world's frame."""
-        return self.vehicle.estimator.world_origin
-
-    @property
-    def home_up_m(self) -> float:
-        """Height of home in the world's frame."""
-        return self.vehicle.home_enu_m[2]
-
-    @property
-    def height_error_m(self) -> float:
-        """How wrong the autopilot is about its height."""
-        return abs(self.vehicle.estimator.bias_enu_m[2])
-
-    @property
-    def is_px4(self) -> bool:
-        """Whether modes are PX4's."""
-        return self.vehicle.scenario.autopilot.flavour == "px4"
-
-    @property
-    def is_flying(self) -> bool:
-        """Whether it is armed or in the air."""
-        return self.vehicle.is_armed or not self.vehicle.body.is_on_ground
+    def look_at(self, vehicle: SimVehicle) -> None:
+        """The vehicle as it is now."""
+        self.vehicle = vehicle
+        self.system_id = vehicle.system_id
+        self.is_px4 = vehicle.scenario.autopilot.flavour == "px4"
+        self.world_origin = vehicle.estimator.world_origin
+        self.home_up_m = vehicle.home_enu_m[2]
+        self.height_error_m = abs(vehicle.estimator.bias_enu_m[2])
+        self.is_flying = vehicle.is_armed or not vehicle.body.is_on_ground
 
     @property
     def bias_m(self) -> float:
         """How wrong the autopilot is about the vehicle's horizontal place."""
-        east, north, _ = self.vehicle.estimator.bias_enu_m
-        return float((east * east + north * north) ** 0.5)
+        return math.hypot(*self.vehicle.estimator.bias_enu_m[:2])
 
 
 class Invariant:
@@ -409,6 +371,3 @@ class Invariant:
 
     def mode_chosen(self, mode: FlightMode) -> None:
         """A person switched the mode."""
-
-    def rebooted(self) -> None:
-        """The vehicle began anew."""

@@ -10,13 +10,13 @@ compared by the stamps that the companion gave them.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import msgspec
 
-from companion.domain import EstimateState, FlightMode, PositionEnu, TargetEstimate
+from companion.domain import EstimateState, FlightMode, TargetEstimate
 from companion.geometry.coordinates import LocalOrigin
 from companion.mav.dialect import Message, mavlink
 from sim_link.lab.lockstep.observer import Frame, Observer
@@ -49,42 +49,45 @@ class Recording(Observer):
     """Keeps frames, journal and the fate of the companion's process."""
 
     def __init__(self) -> None:
-        self._seen: list[tuple[float, Callable[[Observer], None]]] = []
+        self._seen: list[tuple[float, str, tuple[Any, ...]]] = []
 
     def play(self, observer: Observer) -> None:
         """Show everything; what happened at the same time in the order of its coming."""
-        for _, show in sorted(self._seen, key=lambda seen: seen[0]):
-            show(observer)
+        for _, what, values in sorted(self._seen, key=lambda seen: seen[0]):
+            getattr(observer, what)(*values)
+
+    def _keep(self, time_s: float, what: str, *values: object) -> None:
+        self._seen.append((time_s, what, values))
 
     def sent(self, frame: Frame) -> None:
         """The companion sent this."""
-        self._seen.append((frame.time_s, lambda o: o.sent(frame)))
+        self._keep(frame.time_s, "sent", frame)
 
     def heard(self, frame: Frame) -> None:
         """This reaches the companion."""
         if frame.number in TELLING:
-            self._seen.append((frame.time_s, lambda o: o.heard(frame)))
+            self._keep(frame.time_s, "heard", frame)
 
     def vehicle_sent(self, frame: Frame) -> None:
         """The vehicle sent this."""
         if frame.number in TELLING:
-            self._seen.append((frame.time_s, lambda o: o.vehicle_sent(frame)))
+            self._keep(frame.time_s, "vehicle_sent", frame)
 
     def noted(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
         """The companion wrote into its journal."""
-        self._seen.append((now_s, lambda o: o.noted(kind, fields, now_s)))
+        self._keep(now_s, "noted", kind, fields, now_s)
 
     def companion_started(self, now_s: float) -> None:
         """The companion process began anew."""
-        self._seen.append((now_s, lambda o: o.companion_started(now_s)))
+        self._keep(now_s, "companion_started", now_s)
 
     def companion_suspended(self, now_s: float, until_s: float) -> None:
         """The companion process gets no time."""
-        self._seen.append((now_s, lambda o: o.companion_suspended(now_s, until_s)))
+        self._keep(now_s, "companion_suspended", now_s, until_s)
 
     def companion_ended(self, now_s: float) -> None:
         """The companion process ended."""
-        self._seen.append((now_s, lambda o: o.companion_ended(now_s)))
+        self._keep(now_s, "companion_ended", now_s)
 
 
 STALLED = "control loop stalled"
@@ -109,11 +112,8 @@ def widened(rules: Rules, slack_s: float) -> Rules:
 class HeardScene(Scene):
     """A scene in which the vehicle is what it says of itself."""
 
-    _system_id: int | None = None
-    _is_px4: bool = True
     _is_armed: bool = False
     _is_in_air: bool = False
-    _world: LocalOrigin | None = None
     _home: mavlink.MAVLink_home_position_message | None = None
     _stamps_from_s: float | None = None
     """Recorder's time minus that of the setpoints' stamps."""
@@ -124,24 +124,26 @@ class HeardScene(Scene):
         message = frame.message
         match message:
             case mavlink.MAVLink_heartbeat_message() if _is_autopilots(message, frame):
-                if self._system_id is None:
-                    self._system_id = frame.sender[0]
-                    self._is_px4 = message.autopilot == mavlink.MAV_AUTOPILOT_PX4
+                if self.system_id is None:
+                    self.system_id = frame.sender[0]
+                    self.is_px4 = message.autopilot == mavlink.MAV_AUTOPILOT_PX4
                 self._is_armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
             case mavlink.MAVLink_extended_sys_state_message():
                 self._is_in_air = message.landed_state != mavlink.MAV_LANDED_STATE_ON_GROUND
+        self.is_flying = self._is_armed or self._is_in_air
 
     def tell(self, frame: Frame) -> None:
         """This reached the companion, which had to believe it."""
-        if frame.sender == (self._system_id, AUTOPILOT_COMPONENT):
+        if frame.sender == (self.system_id, AUTOPILOT_COMPONENT):
             message = frame.message
             match message:
-                case mavlink.MAVLink_gps_global_origin_message() if self._world is None:
-                    self._world = LocalOrigin(
+                case mavlink.MAVLink_gps_global_origin_message() if self.world_origin is None:
+                    self.world_origin = LocalOrigin(
                         message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3
                     )
                 case mavlink.MAVLink_home_position_message():
                     self._home = message
+            self._look_for_home()
         super(HeardScene, self).tell(frame)
 
     def setpoint_of(self, frame: Frame) -> Setpoint | None:
@@ -159,41 +161,13 @@ class HeardScene(Scene):
         """Another process stamps by another clock."""
         self._stamps_from_s = None
 
-    @property
-    def system_id(self) -> int | None:
-        """Of the autopilot that was heard first."""
-        return self._system_id
-
-    @property
-    def world_origin(self) -> LocalOrigin | None:
-        """The first origin that was told."""
-        return self._world
-
-    @property
-    def home_up_m(self) -> float | None:
-        """As it was told last."""
-        if self._home is None or self._world is None:
-            return None
-        home = self._home
-        place: PositionEnu = self._world.enu_from_geodetic(
-            home.latitude / 1e7, home.longitude / 1e7, home.altitude / 1e3
-        )
-        return place[2]
-
-    @property
-    def height_error_m(self) -> float:
-        """Setpoints and home are in the same frame."""
-        return 0.0
-
-    @property
-    def is_px4(self) -> bool:
-        """Whether it says so."""
-        return self._is_px4
-
-    @property
-    def is_flying(self) -> bool:
-        """Whether it says so."""
-        return self._is_armed or self._is_in_air
+    def _look_for_home(self) -> None:
+        home, world = self._home, self.world_origin
+        if home is not None and world is not None:
+            place = world.enu_from_geodetic(
+                home.latitude / 1e7, home.longitude / 1e7, home.altitude / 1e3
+            )
+            self.home_up_m = place[2]
 
 
 class WireMonitor(FrameMonitor):
