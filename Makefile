@@ -1,7 +1,7 @@
 # Everything here works on a machine with Python 3.11 or newer, pip and make; `make help` lists it.
 
 .DEFAULT_GOAL := help
-.PHONY: help demo missions test faults check dist clean venv-demo venv-dev
+.PHONY: help demo missions test test-all faults check dist clean venv-demo venv-dev
 
 BIN := .venv/bin
 DEMO_ARGS ?= --speed 4
@@ -15,7 +15,8 @@ endif
 help:
 	@echo "make demo    fly the simulated search and watch it (DEMO_ARGS='$(DEMO_ARGS)')"
 	@echo "make missions  fly the library of missions in lockstep (MISSION_ARGS='$(MISSION_ARGS)')"
-	@echo "make test    run all tests"
+	@echo "make test    run the tests of every day, some minutes; one: PYTEST_ARGS='-k crossing'"
+	@echo "make test-all  run all tests, the slow ones too"
 	@echo "make faults  fly hundreds of missions with faults, every invariant watched (FAULTS_ARGS)"
 	@echo "make check   format, lint, types and import rules"
 	@echo "make dist    sdist and wheel of both distributions, into dist/"
@@ -29,6 +30,9 @@ missions: venv-dev
 	@$(BIN)/sim-link mission run configs/missions/*.yaml $(MISSION_ARGS)
 
 test: venv-dev
+	$(BIN)/python -m pytest -n auto -m "not slow" $(PYTEST_ARGS)
+
+test-all: venv-dev
 	$(BIN)/python -m pytest -n auto $(PYTEST_ARGS)
 
 faults: venv-dev
