@@ -1,0 +1,48 @@
+"""The house stays learnable: few thick rooms, each name for one thing."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from statistics import median
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[3]
+PACKAGES = ("companion", "sim_link")
+PYTHONS_OWN = {"__init__.py", "__main__.py"}
+MODULES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+MOST_MODULES, MOST_LINES = 330, 60_000
+MOST_LINES_OF_A_MODULE = 500
+MOST_FILES_OF_A_FOLDER = 15
+MOST_OF_ONE_NAME = 3
+
+
+def lines_of(path: Path) -> int:
+    return path.read_text(encoding="utf-8").count("\n")
+
+
+def test_the_product_is_no_larger_than_it_must_be() -> None:
+    assert len(MODULES) <= MOST_MODULES
+    assert sum(map(lines_of, MODULES)) <= MOST_LINES
+
+
+def test_modules_are_rooms_and_not_fragments() -> None:
+    lines = [lines_of(path) for path in MODULES if path.name not in PYTHONS_OWN]
+    assert 130 <= median(lines) <= 250
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_no_module_outgrows_its_room(package: str) -> None:
+    sizes = {str(path.relative_to(ROOT)): lines_of(path) for path in (ROOT / package).rglob("*.py")}
+    assert {name: n for name, n in sizes.items() if n > MOST_LINES_OF_A_MODULE} == {}
+
+
+def test_no_folder_has_more_files_than_one_can_see_at_once() -> None:
+    folders = Counter(path.parent.relative_to(ROOT).as_posix() for path in MODULES)
+    assert {name: n for name, n in folders.items() if n > MOST_FILES_OF_A_FOLDER} == {}
+
+
+def test_a_module_is_found_by_its_name() -> None:
+    names = Counter(path.name for path in MODULES if path.name not in PYTHONS_OWN)
+    assert {name: n for name, n in names.items() if n > MOST_OF_ONE_NAME} == {}
