@@ -8,16 +8,17 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from typing import Any
 from xml.etree import ElementTree as ET
 
 import mgrs
 
 from companion.domain import TargetEstimate
 from companion.geometry.coordinates import LocalOrigin
-from companion.geometry.polygons import ellipse_95
+from companion.geometry.polygons import Point, ellipse_95
 from companion.guidance.commands import ReportResult
 
 Degrees = tuple[float, float]
@@ -60,10 +61,8 @@ def handoff_of(
     """The hand-off of an estimate."""
     height_m = estimate.height_m
 
-    def degrees(point: tuple[float, float]) -> Degrees:
-        """A local point on the globe."""
-        latitude_deg, longitude_deg, _ = origin.geodetic_from_enu((*point, height_m))
-        return (latitude_deg, longitude_deg)
+    def degrees(point: Point) -> Degrees:
+        return origin.geodetic_from_enu((*point, height_m))[:2]
 
     alternative = estimate.alternative_enu_m
     ellipse = ellipse_95(estimate.position_enu_m, estimate.covariance_m2)
@@ -120,21 +119,20 @@ def _features(handoff: Handoff) -> list[dict[str, object]]:
     }
     # A ring is closed, and its inside lies to the left (RFC 7946 section 3.1.6).
     ring = [_position(point) for point in (*handoff.ellipse_deg, handoff.ellipse_deg[0])]
-    features = [
-        _feature(
-            {"type": "Point", "coordinates": _position(handoff.place_deg)},
-            {**about, "kind": "estimate"},
-        ),
-        _feature({"type": "Polygon", "coordinates": [ring]}, {**about, "kind": "ellipse_95"}),
+    shapes: list[tuple[str, str, list[Any]]] = [
+        ("estimate", "Point", _position(handoff.place_deg)),
+        ("ellipse_95", "Polygon", [ring]),
     ]
     if handoff.alternative_deg is not None:
-        other = {"type": "Point", "coordinates": _position(handoff.alternative_deg)}
-        features.append(_feature(other, {**about, "kind": "alternative"}))
-    return features
-
-
-def _feature(geometry: Mapping[str, object], properties: Mapping[str, object]) -> dict[str, object]:
-    return {"type": "Feature", "geometry": geometry, "properties": properties}
+        shapes.append(("alternative", "Point", _position(handoff.alternative_deg)))
+    return [
+        {
+            "type": "Feature",
+            "geometry": {"type": shape, "coordinates": coordinates},
+            "properties": {**about, "kind": kind},
+        }
+        for kind, shape, coordinates in shapes
+    ]
 
 
 def _position(point: Degrees) -> list[float]:
@@ -152,44 +150,43 @@ def kml(handoffs: Iterable[Handoff]) -> str:
     """A document with a placemark per place and one per ellipse."""
     root = ET.Element("kml", xmlns=NAMESPACE)
     document = ET.SubElement(root, "Document")
-    ET.SubElement(document, "name").text = "Emitters"
+    _add_text(document, "name", "Emitters")
     style = ET.SubElement(document, "Style", id="ellipse")
-    ET.SubElement(ET.SubElement(style, "LineStyle"), "color").text = ELLIPSE_LINE
-    ET.SubElement(ET.SubElement(style, "PolyStyle"), "color").text = ELLIPSE_FILL
+    _add_text(ET.SubElement(style, "LineStyle"), "color", ELLIPSE_LINE)
+    _add_text(ET.SubElement(style, "PolyStyle"), "color", ELLIPSE_FILL)
     for handoff in handoffs:
-        _add(document, handoff)
+        _add_placemarks(document, handoff)
     ET.indent(root)
     return ET.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
 
 
-def _add(document: ET.Element, handoff: Handoff) -> None:
-    name = printable(handoff.emitter)
+def _add_placemarks(document: ET.Element, handoff: Handoff) -> None:
     about = (
         f"{handoff.state}, R95 {handoff.r95_m:.1f} m, "
         f"{handoff.measurements} measurements, {handoff.time_utc}"
     )
-    _add_point(document, f"emitter {name}", about, handoff.place_deg)
-    if handoff.alternative_deg is not None:
-        text = f"emitter {name}, second place"
-        _add_point(document, text, about, handoff.alternative_deg)
-    placemark = _placemark(document, f"emitter {name}, 95 %", about)
-    ET.SubElement(placemark, "styleUrl").text = "#ellipse"
-    polygon = ET.SubElement(placemark, "Polygon")
-    boundary = ET.SubElement(ET.SubElement(polygon, "outerBoundaryIs"), "LinearRing")
+
+    def placemark(suffix: str) -> ET.Element:
+        element = ET.SubElement(document, "Placemark")
+        _add_text(element, "name", f"emitter {printable(handoff.emitter)}{suffix}")
+        _add_text(element, "description", about)
+        return element
+
+    points = {"": handoff.place_deg, ", second place": handoff.alternative_deg}
+    for suffix, place in points.items():
+        if place is not None:
+            point = ET.SubElement(placemark(suffix), "Point")
+            _add_text(point, "coordinates", _coordinates(place))
+    ellipse = placemark(", 95 %")
+    _add_text(ellipse, "styleUrl", "#ellipse")
+    boundary = ET.SubElement(ET.SubElement(ellipse, "Polygon"), "outerBoundaryIs")
     ring = (*handoff.ellipse_deg, handoff.ellipse_deg[0])
-    ET.SubElement(boundary, "coordinates").text = " ".join(map(_coordinates, ring))
+    text = " ".join(map(_coordinates, ring))
+    _add_text(ET.SubElement(boundary, "LinearRing"), "coordinates", text)
 
 
-def _add_point(document: ET.Element, name: str, about: str, place: Degrees) -> None:
-    placemark = _placemark(document, name, about)
-    ET.SubElement(ET.SubElement(placemark, "Point"), "coordinates").text = _coordinates(place)
-
-
-def _placemark(document: ET.Element, name: str, about: str) -> ET.Element:
-    placemark = ET.SubElement(document, "Placemark")
-    ET.SubElement(placemark, "name").text = name
-    ET.SubElement(placemark, "description").text = about
-    return placemark
+def _add_text(parent: ET.Element, tag: str, text: str) -> None:
+    ET.SubElement(parent, tag).text = text
 
 
 def _coordinates(place: Degrees) -> str:

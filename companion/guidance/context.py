@@ -42,7 +42,7 @@ from companion.guidance.commands import (
 from companion.guidance.flight.fencing import Fencing
 from companion.guidance.flight.navigation import FlightPlan, Steering
 from companion.guidance.flight.vehicle import VehicleView
-from companion.guidance.health.findings import Finding, Reason, Verdict
+from companion.guidance.health.findings import Finding, Reason, Verdict, Watch
 from companion.guidance.messages import FindingMessages
 from companion.guidance.session_params import SessionParams, Tuning
 from companion.guidance.tracking.emitters import EmitterQueue
@@ -56,7 +56,7 @@ TELL_EVERY_S = 10.0
 """The same part is told of no more often."""
 
 
-class Containment:
+class Containment(Watch):
     """Keeps the errors of parts."""
 
     def __init__(self) -> None:
@@ -91,12 +91,26 @@ class Containment:
         return messages
 
 
+class PassingHold(Watch):
+    """Something that happened and is over already, but is held on for a while."""
+
+    def __init__(self) -> None:
+        self._finding: Finding | None = None
+        self._until_s = 0.0
+
+    def hold(self, finding: Finding, until_s: float) -> None:
+        """Something happened."""
+        self._finding, self._until_s = finding, until_s
+
+    def finding(self, now_s: float) -> Finding | None:
+        """What is held on, if that is not over."""
+        return self._finding if now_s < self._until_s else None
+
+
 class SessionContext:
     """The state of one session, and the commands that a call has collected so far.
 
     Args:
-        emitters: The estimates of the targets, and whose turn it is.
-        planner: Where to fly, given the estimate.
         needs_origin: Whether setpoints are global, so that nothing flies without an origin.
     """
 
@@ -119,6 +133,7 @@ class SessionContext:
         self.steering = Steering(guard, params.altitude_m)
         self.authority = Authority()
         self.containment = Containment()
+        self.passing = PassingHold()
         self.estimate: TargetEstimate | None = None
         self.reports: dict[int | None, ReportResult] = {}
         """What was reported of each emitter, the newest last."""
@@ -132,7 +147,6 @@ class SessionContext:
         self._is_stopping = False
         self._finding_messages = FindingMessages()
         self._commands: list[Command] = []
-        self._passing: tuple[Finding, float] | None = None
 
     @property
     def phase(self) -> Phase:
@@ -198,16 +212,6 @@ class SessionContext:
             verdict = finding.verdict.name.lower()
             self.record("finding", verdict=verdict, reason=finding.reason.value, text=finding.text)
         return True
-
-    def hold_until(self, finding: Finding, until_s: float) -> None:
-        """Something happened that is over already, but shall be held on for a while."""
-        self._passing = (finding, until_s)
-
-    def passing_finding(self, now_s: float) -> Finding | None:
-        """What is held on for a while, if that is not over."""
-        if self._passing is None or now_s >= self._passing[1]:
-            return None
-        return self._passing[0]
 
     def send(self, *commands: Command) -> None:
         """Collect what is to be done."""

@@ -17,39 +17,14 @@ from companion.domain import FlightMode, PositionEnu, TargetEstimate, Waypoint
 from companion.estimation.noise.innovations import TrackerHealth
 from companion.estimation.tracker import TargetTracker
 from companion.guard.gate import Guard
-from companion.guidance.authority.control_authority import Authority
+from companion.guidance import events
 from companion.guidance.authority.handover import Handover
 from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import Command, ReportResult
 from companion.guidance.context import SessionContext
 from companion.guidance.control import TICK_S as TICK_S
 from companion.guidance.control import ControlTick
-from companion.guidance.events import (
-    AutopilotFenceRead,
-    AutopilotRestarted,
-    ControlGranted,
-    ControlStalled,
-    EarlierRunFound,
-    Event,
-    HeartbeatReceived,
-    HomeSet,
-    IdConflictHeard,
-    LandedStateChanged,
-    MemoryRecalled,
-    OperatorAsked,
-    OriginSet,
-    RangingReceived,
-    RequestAnswered,
-    Retuned,
-    SessionMemory,
-    StopRequested,
-    TimerFired,
-    VehicleMoved,
-    YawMeasured,
-)
 from companion.guidance.flight.fencing import FencePlan, Fencing
-from companion.guidance.flight.navigation import FlightPlan, Steering
-from companion.guidance.flight.vehicle import VehicleView
 from companion.guidance.health.watches import Watches
 from companion.guidance.recovery import Recollection, remembered
 from companion.guidance.session_params import SessionParams, When, objection_to_change
@@ -174,15 +149,13 @@ def _detail(context: SessionContext) -> str:
     return ""
 
 
-MODE_EVENTS = (HeartbeatReceived, LandedStateChanged)
+MODE_EVENTS = (events.HeartbeatReceived, events.LandedStateChanged)
 
 
 class GuidanceSession:
     """Guides one vehicle to one emitter after the other.
 
     Args:
-        emitters: The estimates of the targets, and whose turn it is.
-        planner: Where to fly, given the estimate.
         needs_origin: Whether setpoints are global, so that nothing flies without an origin.
         fence_plan: Where the guard's fence comes from; None: the guard has it already.
     """
@@ -198,9 +171,11 @@ class GuidanceSession:
         fence_plan: FencePlan | None = None,
     ) -> None:
         fencing = Fencing(guard, fence_plan)
-        self.context = SessionContext(
+        self.context = context = SessionContext(
             params, emitters, planner, guard, fencing, needs_origin=needs_origin
         )
+        self.vehicle, self.fencing, self.authority = context.vehicle, fencing, context.authority
+        self.flight_plan, self.steering = context.flight_plan, context.steering
         self.handover = Handover(self.context)
         self._watches = Watches(self.context)
         scheduler = EmitterScheduler(self.context, self._watches.inputs)
@@ -208,9 +183,9 @@ class GuidanceSession:
         self._control = ControlTick(self.context, self._watches, self.handover, scheduler)
         self._recollection = Recollection(self.context)
 
-    def handle(self, event: Event) -> list[Command]:
+    def handle(self, event: events.Event) -> list[Command]:
         """What is to be done about an event."""
-        if isinstance(event, RangingReceived):
+        if isinstance(event, events.RangingReceived):
             self._measuring.receive(event.measurement, event.time_s)
         elif isinstance(event, MODE_EVENTS) and self.authority.is_overtaken(event):
             self.context.record("overtaken", what=type(event).__name__)
@@ -219,55 +194,53 @@ class GuidanceSession:
             self._react(event)
         return self.context.take_commands()
 
-    def _note(self, event: Event) -> None:
+    def _note(self, event: events.Event) -> None:
         """What is known of the vehicle and its surroundings after an event."""
         match event:
-            case OriginSet():
+            case events.OriginSet():
                 if self.handover.take_origin(event):
                     self._watches.frame_moved(event.time_s)
-            case HomeSet():
+            case events.HomeSet():
                 self.handover.take_home(event)
-            case VehicleMoved():
+            case events.VehicleMoved():
                 self._watches.jumps.take_position(event)
-            case YawMeasured():
+            case events.YawMeasured():
                 self._watches.jumps.take_heading(event)
             case _:
                 self.vehicle.handle(event)
         self._watches.handle(event)
 
-    def _react(self, event: Event) -> None:
+    def _react(self, event: events.Event) -> None:
         """What an event is the occasion for."""
         match event:
-            case OriginSet() | AutopilotFenceRead():
+            case events.OriginSet() | events.AutopilotFenceRead():
                 self.handover.fence(event)
-            case HeartbeatReceived():
+            case events.HeartbeatReceived():
                 self.handover.heartbeat(event)
-            case LandedStateChanged():
+            case events.LandedStateChanged():
                 self.handover.landed(event)
-            case VehicleMoved():
+            case events.VehicleMoved():
                 self._measuring.fuse_due(event.time_s)
-            case RequestAnswered():
+            case events.RequestAnswered():
                 self.handover.answered(event)
-            case ControlGranted():
+            case events.ControlGranted():
                 self.handover.granted(event.time_s)
-            case OperatorAsked():
-                self._watches.operator.ask(event.command)
-            case Retuned():
+            case events.Retuned():
                 self.context.retune(event.tuning)
-            case AutopilotRestarted():
+            case events.AutopilotRestarted():
                 self.handover.restarted(event.time_s)
                 self._recollection.forget()
-            case ControlStalled():
+            case events.ControlStalled():
                 self.handover.stalled(event)
-            case IdConflictHeard():
+            case events.IdConflictHeard():
                 self.handover.id_conflict_heard(event.time_s)
-            case StopRequested():
+            case events.StopRequested():
                 self.handover.stop(event.time_s)
-            case EarlierRunFound():
+            case events.EarlierRunFound():
                 self.context.forbid_launch()
-            case MemoryRecalled():
+            case events.MemoryRecalled():
                 self._recollection.recall(event.memory, event.age_s, event.time_s)
-            case TimerFired():
+            case events.TimerFired():
                 self._recollection.advance(event.time_s)
                 self._measuring.fuse_due(event.time_s)
                 self._control.run(event.time_s)
@@ -281,31 +254,6 @@ class GuidanceSession:
     def tracker(self) -> TargetTracker:
         """What is believed of the target."""
         return self.context.tracker
-
-    @property
-    def vehicle(self) -> VehicleView:
-        """What is known of the vehicle."""
-        return self.context.vehicle
-
-    @property
-    def flight_plan(self) -> FlightPlan:
-        """Where it wants to fly."""
-        return self.context.flight_plan
-
-    @property
-    def steering(self) -> Steering:
-        """The setpoint sent last, and what the guard did to it."""
-        return self.context.steering
-
-    @property
-    def authority(self) -> Authority:
-        """Who may fly."""
-        return self.context.authority
-
-    @property
-    def fencing(self) -> Fencing:
-        """Which fence the guard keeps."""
-        return self.context.fencing
 
     @property
     def estimate(self) -> TargetEstimate | None:
@@ -328,7 +276,7 @@ class GuidanceSession:
         return self.context.phase
 
     @property
-    def memory(self) -> SessionMemory:
+    def memory(self) -> events.SessionMemory:
         """What a later session would need to know."""
         return remembered(self.context)
 

@@ -16,21 +16,11 @@ import math
 from dataclasses import asdict
 
 from companion.domain import FlightMode, LandedState
+from companion.guidance import events
 from companion.guidance.authority.control_authority import REGAIN_QUIET_S, Authority, hand_back_mode
 from companion.guidance.authority.state_machine import HAS_VEHICLE, Phase, Trigger
 from companion.guidance.commands import Severity
 from companion.guidance.context import SessionContext
-from companion.guidance.events import (
-    AutopilotFenceRead,
-    ControlStalled,
-    HeartbeatReceived,
-    HomeSet,
-    LandedStateChanged,
-    OriginSet,
-    Outcome,
-    RequestAnswered,
-    RequestKind,
-)
 from companion.guidance.flight.fencing import Fencing
 from companion.guidance.flight.vehicle import ORIGIN_STEP_M, VehicleView
 from companion.guidance.health.findings import Finding, Reason, Verdict
@@ -156,7 +146,7 @@ class Handover:
         self._asked_s: float | None = None
         """... and when it was; None: not yet, because it is not known who flies."""
 
-    def heartbeat(self, event: HeartbeatReceived) -> None:
+    def heartbeat(self, event: events.HeartbeatReceived) -> None:
         """The autopilot shows its mode."""
         context, now_s = self._context, event.time_s
         had_let_go = context.authority.has_let_go
@@ -176,7 +166,7 @@ class Handover:
         elif launch is None:
             self._foreign(event)
 
-    def landed(self, event: LandedStateChanged) -> None:
+    def landed(self, event: events.LandedStateChanged) -> None:
         """The autopilot tells whether it flies; landing means that somebody else decides."""
         context = self._context
         if event.landed is LandedState.IN_AIR:
@@ -190,7 +180,7 @@ class Handover:
                 Severity.WARNING, f"control lost: {text}; give the mode again to resume"
             )
 
-    def _foreign(self, event: HeartbeatReceived) -> None:
+    def _foreign(self, event: events.HeartbeatReceived) -> None:
         context, left = self._context, self._context.phase
         if not context.enter(Trigger.MODE_LOST, event.time_s):
             return
@@ -202,7 +192,7 @@ class Handover:
         text = f"control lost: autopilot went to {name}; give the mode again to resume"
         context.announce(Severity.WARNING, text)
 
-    def _flight_over(self, event: HeartbeatReceived) -> None:
+    def _flight_over(self, event: events.HeartbeatReceived) -> None:
         if self._context.enter(Trigger.DISARMED, event.time_s):
             self._context.authority.disarmed_in(event.mode)
             why = "flight terminated" if event.is_terminated else "disarmed"
@@ -246,17 +236,17 @@ class Handover:
         self._context.authority.id_conflict_heard(now_s)
         self._context.enter(Trigger.ID_CONFLICT, now_s)
 
-    def answered(self, event: RequestAnswered) -> None:
+    def answered(self, event: events.RequestAnswered) -> None:
         """The autopilot answered a request, or did not."""
         context = self._context
         context.record("answer", request=event.kind.value, outcome=event.outcome.value)
         if context.phase is Phase.LAUNCHING and context.launch is not None:
             context.launch.answered(event)
-        elif context.phase is Phase.HANDBACK and event.kind is RequestKind.SET_MODE:
-            if event.outcome is not Outcome.ACCEPTED:
+        elif context.phase is Phase.HANDBACK and event.kind is events.RequestKind.SET_MODE:
+            if event.outcome is not events.Outcome.ACCEPTED:
                 context.announce(Severity.ERROR, f"hand-back: {event.outcome.value}")
             context.enter(Trigger.HANDED_BACK, event.time_s)
-        elif context.phase is Phase.FINISHED and event.outcome is not Outcome.ACCEPTED:
+        elif context.phase is Phase.FINISHED and event.outcome is not events.Outcome.ACCEPTED:
             context.announce(Severity.ERROR, f"{event.kind.value}: {event.outcome.value}")
 
     def granted(self, now_s: float) -> None:
@@ -266,7 +256,7 @@ class Handover:
             text = f"control granted: switch to {context.vehicle.guided_name}"
             context.announce(Severity.NOTICE, text)
 
-    def take_origin(self, event: OriginSet) -> bool:
+    def take_origin(self, event: events.OriginSet) -> bool:
         """Let the vehicle take an origin in; whether it moved.
 
         One that moved has moved every local position: start anew in the new frame.
@@ -281,19 +271,19 @@ class Handover:
         context.vehicle.handle(event)
         return has_moved
 
-    def _move_frame(self, event: OriginSet, step_m: float) -> None:
+    def _move_frame(self, event: events.OriginSet, step_m: float) -> None:
         context = self._context
         context.vehicle.move_frame(event.origin)
         context.forget_target()
         context.steering.forget_setpoint()
         finding = Finding(Verdict.HOLD, Reason.FRAME_MOVED, "the local frame moved")
         context.record_finding(finding, event.time_s)
-        context.hold_until(finding, event.time_s + SETTLE_S)
+        context.passing.hold(finding, event.time_s + SETTLE_S)
         context.enter(Trigger.INPUT_LOST, event.time_s)
         text = f"local origin moved {step_m:.0f} m: fence kept in place, estimate reset"
         context.announce(Severity.WARNING, text)
 
-    def take_home(self, event: HomeSet) -> None:
+    def take_home(self, event: events.HomeSet) -> None:
         """Let the vehicle take a home in; one that moves in flight is held on, and told.
 
         It changes neither the plan nor its height.
@@ -308,13 +298,13 @@ class Handover:
         text = f"home moved {step_m:.0f} m: heights stay above the old home"
         context.announce(Severity.WARNING, text)
         finding = Finding(Verdict.HOLD, Reason.HOME_MOVED, "home moved")
-        context.hold_until(finding, event.time_s + SETTLE_S)
+        context.passing.hold(finding, event.time_s + SETTLE_S)
 
-    def fence(self, event: OriginSet | AutopilotFenceRead) -> None:
+    def fence(self, event: events.OriginSet | events.AutopilotFenceRead) -> None:
         """What the guard's fence stands on became known, or another one."""
         context, fencing = self._context, self._context.fencing
         before = (fencing.refusal, fencing.note, fencing.is_ready)
-        if isinstance(event, OriginSet):
+        if isinstance(event, events.OriginSet):
             fencing.set_origin(event.origin)
         else:
             fencing.take(event)
@@ -361,7 +351,7 @@ class Handover:
             text = f"control yielded: {finding.text}; give the mode again to resume"
             self._context.announce(Severity.ERROR, text)
 
-    def stalled(self, event: ControlStalled) -> None:
+    def stalled(self, event: events.ControlStalled) -> None:
         """The tick stood still: nothing is sent until mode and position were heard anew.
 
         What was asked before is not asked again, because whoever flies may have changed since; to

@@ -20,17 +20,7 @@ from collections import deque
 from companion.domain import Autopilot, FlightMode, LandedState, PositionEnu
 from companion.geometry.coordinates import LocalOrigin
 from companion.guard.gate import Motion
-from companion.guidance.events import (
-    BatteryReported,
-    Event,
-    HeartbeatReceived,
-    HomeSet,
-    LandedStateChanged,
-    OriginSet,
-    TimerFired,
-    VehicleMoved,
-    YawMeasured,
-)
+from companion.guidance import events
 from companion.guidance.tracking.vehicle_track import VehicleTrack, is_plausible
 
 ARDUPILOT_NAMES: dict[FlightMode, str] = {
@@ -73,7 +63,7 @@ class ModeWatch:
         self.is_in_doubt = False
         self._since_s = -math.inf
         """When the doubt began."""
-        self._shown: HeartbeatReceived | None = None
+        self._shown: events.HeartbeatReceived | None = None
         self._stamped: deque[tuple[float, int | None]] = deque(maxlen=MOST_STAMPED)
         """Time, and place in the order of sending, of the last stamped messages."""
 
@@ -81,7 +71,7 @@ class ModeWatch:
         """A message came that tells when it was sent."""
         self._stamped.append((measured_at_s, order))
 
-    def shown(self, heartbeat: HeartbeatReceived) -> None:
+    def shown(self, heartbeat: events.HeartbeatReceived) -> None:
         """A HEARTBEAT came."""
         self._shown = heartbeat
         self.is_in_doubt = self.is_in_doubt and not self._is_recent(heartbeat)
@@ -117,7 +107,7 @@ class ModeWatch:
     def _is_silent(self, now_s: float) -> bool:
         return self._shown is not None and now_s - self._shown.time_s > MODE_UNKNOWN_AFTER_S
 
-    def _is_recent(self, heartbeat: HeartbeatReceived) -> bool:
+    def _is_recent(self, heartbeat: events.HeartbeatReceived) -> bool:
         """Whether one that was sent before it is: what overtook it on the way says nothing."""
         order = heartbeat.order
         return any(
@@ -145,7 +135,7 @@ class VehicleView:
     def __init__(self, *, needs_origin: bool = False) -> None:
         self.track = VehicleTrack()
         self.mode_watch = ModeWatch()
-        self.heartbeat: HeartbeatReceived | None = None
+        self.heartbeat: events.HeartbeatReceived | None = None
         self.origin: LocalOrigin | None = None
         self.frame: LocalOrigin | None = None
         """The origin when local positions were last begun anew; it may have crept since."""
@@ -161,27 +151,27 @@ class VehicleView:
         self._needs_origin = needs_origin
         self._keeps_home = False
 
-    def handle(self, event: Event) -> None:
+    def handle(self, event: events.Event) -> None:
         """Take in an event about the vehicle; others change nothing."""
         match event:
-            case HeartbeatReceived():
+            case events.HeartbeatReceived():
                 self.heartbeat = event
                 self.mode_watch.shown(event)
-            case VehicleMoved():
+            case events.VehicleMoved():
                 self._move(event)
-            case YawMeasured() if math.isfinite(event.yaw_ned_rad):
+            case events.YawMeasured() if math.isfinite(event.yaw_ned_rad):
                 self.track.add_yaw(event.measured_at_s, event.yaw_ned_rad)
                 self.mode_watch.stamped(event.measured_at_s, event.order)
-            case OriginSet():
+            case events.OriginSet():
                 self.origin = event.origin
                 self.frame = self.frame or event.origin
-            case HomeSet() if all(math.isfinite(v) for v in event.position_enu_m):
+            case events.HomeSet() if all(math.isfinite(v) for v in event.position_enu_m):
                 self._set_home(event.position_enu_m)
-            case BatteryReported():
+            case events.BatteryReported():
                 self.battery_pct = event.charge_pct
-            case LandedStateChanged():
+            case events.LandedStateChanged():
                 self.landed = event.landed
-            case TimerFired():
+            case events.TimerFired():
                 self.heard_s = event.heard_s
                 self.mode_watch.tick(event.time_s)
 
@@ -357,7 +347,7 @@ class VehicleView:
             return "a local position"
         return f"a local position that is not {STALE_STATE_S:g} s late (is the link slow?)"
 
-    def _move(self, event: VehicleMoved) -> None:
+    def _move(self, event: events.VehicleMoved) -> None:
         if not is_plausible(event.state):
             return
         self.track.add(event.state)

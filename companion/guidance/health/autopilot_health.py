@@ -24,13 +24,15 @@ from __future__ import annotations
 
 from companion.domain import BatteryLevel, FlightMode
 from companion.guidance.events import (
+    AutopilotRestarted,
     BatteryReported,
     EstimatorRated,
     Event,
     FixReported,
     HeartbeatReceived,
+    Retuned,
 )
-from companion.guidance.health.findings import Finding, Reason, Verdict
+from companion.guidance.health.findings import Finding, Reason, Verdict, Watch, worst
 
 CONFIRMED_BY = 2
 """Reports that must agree."""
@@ -38,7 +40,7 @@ LEG_S = 20.0
 """A leg that takes longer is not finished on a low battery."""
 
 
-class BatteryWatch:
+class BatteryWatch(Watch):
     """Watches the charge.
 
     Args:
@@ -57,26 +59,36 @@ class BatteryWatch:
         self._was_handed_back = False
         self._has_ended_mission = False
 
-    def aim(self, low_pct: float, critical_pct: float) -> None:
-        """Other charges from the next reports on; two of them must agree again."""
-        self._low_pct, self._critical_pct = low_pct, critical_pct
-        self._agreed = 0
+    def handle(self, event: Event) -> None:
+        """Take in what concerns the battery."""
+        match event:
+            case BatteryReported():
+                self._note_report(event)
+            case Retuned(tuning=tuning):
+                self.aim(tuning.params.battery_low_pct, tuning.params.battery_critical_pct)
+            case AutopilotRestarted():
+                self.level = self._candidate = BatteryLevel.UNKNOWN
+                self.charge_pct = None
+                self._agreed = 0
+                self.flight_over()
 
     @property
     def is_low(self) -> bool:
         """Whether it is low, or worse."""
         return self.level >= BatteryLevel.LOW
 
-    def reported(self, event: BatteryReported) -> bool:
-        """Take in a report; whether the level changed."""
+    def aim(self, low_pct: float, critical_pct: float) -> None:
+        """Other charges from the next reports on; two of them must agree again."""
+        self._low_pct, self._critical_pct = low_pct, critical_pct
+        self._agreed = 0
+
+    def _note_report(self, event: BatteryReported) -> None:
         self.charge_pct = event.charge_pct
         level = max(self._level_of(event.charge_pct), event.level)
         self._agreed = self._agreed + 1 if level is self._candidate else 1
         self._candidate = level
-        if level is self.level or self._agreed < CONFIRMED_BY:
-            return False
-        self.level = level
-        return True
+        if self._agreed >= CONFIRMED_BY:
+            self.level = level
 
     @property
     def ends_mission(self) -> bool:
@@ -95,15 +107,9 @@ class BatteryWatch:
         """The next flight is a new one."""
         self._was_handed_back = self._has_ended_mission = False
 
-    def forget(self) -> None:
-        """The autopilot restarted: nothing is known."""
-        self.level = self._candidate = BatteryLevel.UNKNOWN
-        self.charge_pct = None
-        self._agreed = 0
-        self.flight_over()
-
-    def finding(self) -> Finding | None:
+    def finding(self, now_s: float) -> Finding | None:
         """What a critical charge asks for."""
+        del now_s
         if self.level is not BatteryLevel.CRITICAL:
             return None
         verdict = Verdict.HOLD if self._was_handed_back else Verdict.HAND_BACK
@@ -167,10 +173,15 @@ class _Trouble:
         return self._good_s is not None and now_s - self._good_s >= GOOD_S
 
 
-class HealthWatch:
-    """Watches what the autopilot tells of itself."""
+class HealthWatch(Watch):
+    """Watches what the autopilot tells of itself.
 
-    def __init__(self) -> None:
+    Args:
+        battery: A low one explains a failsafe.
+    """
+
+    def __init__(self, battery: BatteryWatch) -> None:
+        self._battery = battery
         self._doubt = _Trouble()
         self._no_fix = _Trouble()
         self._had_fix = False
@@ -189,19 +200,22 @@ class HealthWatch:
             case HeartbeatReceived():
                 self._is_failsafe = event.is_failsafe
                 self._accepted_failsafe = self._accepted_failsafe and event.is_failsafe
+            case AutopilotRestarted():
+                self._doubt.clear()
+                self._no_fix.clear()
+                self._had_fix = self._is_failsafe = self._accepted_failsafe = False
 
-    def begin(self) -> None:
+    def begin(self, now_s: float) -> None:
         """Control begins."""
+        del now_s
         self._accepted_failsafe = self._is_failsafe
 
-    def forget(self) -> None:
-        """The autopilot restarted."""
-        self._doubt.clear()
-        self._no_fix.clear()
-        self._had_fix = self._is_failsafe = self._accepted_failsafe = False
+    def finding(self, now_s: float) -> Finding | None:
+        """The worst that is wrong now."""
+        return worst(self.findings(now_s))
 
-    def findings(self, now_s: float, *, is_battery_low: bool) -> list[Finding]:
-        """What is wrong now."""
+    def findings(self, now_s: float) -> list[Finding]:
+        """All that is wrong now."""
         found = []
         doubt_s, no_fix_s = self._doubt.lasted_s(now_s), self._no_fix.lasted_s(now_s)
         if no_fix_s is not None:
@@ -210,7 +224,7 @@ class HealthWatch:
         if doubt_s is not None and doubt_s >= DOUBT_S:
             text = "autopilot's position estimate is poor"
             found.append(_finding(Reason.ESTIMATOR_POOR, text, doubt_s))
-        if self._is_failsafe and not self._accepted_failsafe and not is_battery_low:
+        if self._is_failsafe and not self._accepted_failsafe and not self._battery.is_low:
             text = "autopilot failsafe active"
             found.append(Finding(Verdict.HOLD, Reason.FAILSAFE, text))
         return found

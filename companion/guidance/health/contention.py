@@ -37,8 +37,13 @@ import math
 from collections import deque
 
 from companion.domain import PositionEnu
-from companion.guidance.events import SetpointEchoed, SticksReported
-from companion.guidance.health.findings import Finding, Reason, Verdict
+from companion.guidance.events import (
+    AutopilotRestarted,
+    Event,
+    SetpointEchoed,
+    SticksReported,
+)
+from companion.guidance.health.findings import Finding, Reason, Verdict, Watch
 from companion.guidance.session_params import StickReaction
 
 TOLERANCE_M = 1.5
@@ -62,7 +67,7 @@ GOES_ON_S = 0.4
 """... to a source that was still there after this much of it."""
 
 
-class EchoWatch:
+class EchoWatch(Watch):
     """Compares what is echoed with what was sent."""
 
     def __init__(self) -> None:
@@ -101,8 +106,15 @@ class EchoWatch:
         while self._way[0][1] < now_s - MEMORY_S:
             self._way.popleft()
 
-    def echoed(self, event: SetpointEchoed) -> None:
-        """The autopilot told what it follows."""
+    def handle(self, event: Event) -> None:
+        """Take in what the autopilot follows; after a restart of it every place is another one."""
+        match event:
+            case SetpointEchoed():
+                self._note_echo(event)
+            case AutopilotRestarted():
+                self.frame_moved(event.time_s)
+
+    def _note_echo(self, event: SetpointEchoed) -> None:
         now_s = event.time_s
         if self._control_s is None or now_s - self._control_s < GRACE_S or not self._way:
             return
@@ -191,7 +203,7 @@ STALE_S = 1.0
 """An older report says nothing: there is no transmitter."""
 
 
-class StickWatch:
+class StickWatch(Watch):
     """Watches the sticks."""
 
     def __init__(self, reaction: StickReaction) -> None:
@@ -210,8 +222,10 @@ class StickWatch:
         self._rest = latest.deflections if latest is not None and is_fresh else None
         self._moved_s = self._seen_moved_s = None
 
-    def reported(self, event: SticksReported) -> None:
+    def handle(self, event: Event) -> None:
         """Take in where they are."""
+        if not isinstance(event, SticksReported):
+            return
         self._latest = event
         if self._rest is None:
             throttle = event.deflections[THROTTLE]

@@ -1,7 +1,8 @@
 """What the watches of a session find wrong, and how much that changes.
 
 Every tick each watch says what it finds; the worst finding decides what is flown. A finding has a
-reason, which is counted, and words, which are told.
+reason, which is counted, and words, which are told. A new failsafe is a reason here, a `Watch` in
+this folder, and its place among the `Watches`.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from dataclasses import dataclass
 from enum import Enum, IntEnum
 
 from companion.domain import FlightMode
+from companion.guidance.events import Event
 
 
 class Verdict(IntEnum):
@@ -70,6 +72,22 @@ class Finding:
     """For the operator."""
     mode: FlightMode = FlightMode.HOLD
     """What to ask the autopilot for when it is handed back."""
+
+
+class Watch:
+    """Something that is watched; every method does nothing unless a watch needs it."""
+
+    def handle(self, event: Event) -> None:
+        """Take in an event."""
+
+    def begin(self, now_s: float) -> None:
+        """Control begins."""
+
+    def tick(self, now_s: float) -> None:
+        """Take note of the time, in control or not."""
+
+    def finding(self, now_s: float) -> Finding | None:
+        """The worst that is wrong now."""
 
 
 def worst(findings: Iterable[Finding | None]) -> Finding | None:

@@ -28,7 +28,7 @@ from companion.guidance.authority.state_machine import HAS_VEHICLE, IN_CONTROL, 
 from companion.guidance.commands import Severity
 from companion.guidance.context import SessionContext
 from companion.guidance.events import VehicleMoved, YawMeasured
-from companion.guidance.health.findings import Finding, Reason, Verdict
+from companion.guidance.health.findings import Finding, Reason, Verdict, Watch
 from companion.guidance.tracking.vehicle_track import is_plausible
 
 LEAST_STEP_M = 0.5
@@ -137,7 +137,7 @@ def may_breach(limits: GuardLimits, motion: Motion, jump_enu_m: PositionEnu) -> 
     return min(climb_m, abs(jump_enu_m[2])) > limits.stopping.clearance_m
 
 
-class JumpWatch:
+class JumpWatch(Watch):
     """Watches position and heading as they are reported."""
 
     def __init__(self, context: SessionContext) -> None:
@@ -242,7 +242,7 @@ class JumpWatch:
         if now_s - self._first_s > PATIENCE_S:
             finding = Finding(Verdict.HAND_BACK, reason, "own position or heading keeps jumping")
         context.record_finding(finding, now_s)
-        context.hold_until(finding, now_s + STEADY_S)
+        context.passing.hold(finding, now_s + STEADY_S)
         context.enter(Trigger.INPUT_LOST, now_s)
         context.record("own_jump", text=text)
         if is_first:

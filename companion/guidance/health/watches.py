@@ -17,22 +17,14 @@ import math
 
 from companion.domain import BatteryLevel, FlightMode, PositionEnu, TargetEstimate
 from companion.estimation.screening.validation import Objection
+from companion.guidance import events
 from companion.guidance.authority.control_authority import is_search_due
 from companion.guidance.authority.state_machine import IN_CONTROL, Phase
 from companion.guidance.commands import Severity
 from companion.guidance.context import SessionContext
-from companion.guidance.events import (
-    AutopilotRestarted,
-    BatteryReported,
-    Event,
-    OperatorCommand,
-    Retuned,
-    SetpointEchoed,
-    SticksReported,
-)
 from companion.guidance.health.autopilot_health import BatteryWatch, HealthWatch
 from companion.guidance.health.contention import EchoWatch, StickWatch
-from companion.guidance.health.findings import Finding, Reason, Verdict, worst
+from companion.guidance.health.findings import Finding, Reason, Verdict, Watch, worst
 from companion.guidance.health.position_jumps import JumpWatch
 
 REGAIN_S = 1.0
@@ -45,7 +37,7 @@ COAST_SHARE = 0.5
 """Of the speed limit that is flown at most while ranging ages."""
 
 
-class InputWatch:
+class InputWatch(Watch):
     """Watches the inputs at every tick, in control or not."""
 
     def __init__(self, context: SessionContext) -> None:
@@ -179,35 +171,37 @@ RETURNS = Finding(
 )
 
 
-class OperatorCommandWatch:
-    """Remembers the operator's last wish while the companion is in control.
+class OperatorCommandWatch(Watch):
+    """Remembers the operator's last command while the companion is in control.
 
-    A wish ends with the control it was made under: who gives the mode again wants to fly.
+    It ends with the control it was given under: who gives the mode again wants to fly.
     """
 
     def __init__(self, context: SessionContext) -> None:
         self._context = context
         self._finding: Finding | None = None
 
-    def ask(self, command: OperatorCommand) -> None:
-        """Take in a wish; without control there is nothing to hold or to return."""
-        if self._context.phase not in IN_CONTROL:
+    def handle(self, event: events.Event) -> None:
+        """Take in a command; without control there is nothing to hold or to return."""
+        if not isinstance(event, events.OperatorAsked) or self._context.phase not in IN_CONTROL:
             return
-        match command:
-            case OperatorCommand.HOLD:
+        match event.command:
+            case events.OperatorCommand.HOLD:
                 self._finding = HELD
-            case OperatorCommand.RESUME:
+            case events.OperatorCommand.RESUME:
                 self._finding = None
-            case OperatorCommand.RETURN:
+            case events.OperatorCommand.RETURN:
                 self._finding = RETURNS
 
-    def tick(self) -> None:
-        """Forget a wish when the control it was made under has ended."""
+    def tick(self, now_s: float) -> None:
+        """Forget a command when the control it was given under has ended."""
+        del now_s
         if self._context.phase not in IN_CONTROL:
             self._finding = None
 
-    def finding(self) -> Finding | None:
+    def finding(self, now_s: float) -> Finding | None:
         """What the operator wants instead of the plan."""
+        del now_s
         return self._finding
 
 
@@ -223,28 +217,31 @@ class Watches:
         self._context = context
         self._echo = EchoWatch()
         self._sticks = StickWatch(params.on_sticks)
-        self._health = HealthWatch()
+        self._for_launch = (
+            self._sticks,
+            self.battery,
+            context.containment,
+            HealthWatch(self.battery),
+        )
+        """Whatever no vehicle is launched with, the first of equal ones told."""
+        self._all = (
+            self._echo,
+            self.operator,
+            *self._for_launch,
+            self.jumps,
+            context.passing,
+            self.inputs,
+        )
         self._was_in_control = self._was_launching = False
         self._is_battery_told = False
 
-    def handle(self, event: Event) -> None:
+    def handle(self, event: events.Event) -> None:
         """Take in what concerns one of them; other events change nothing."""
-        self._health.handle(event)
-        match event:
-            case SetpointEchoed():
-                self._echo.echoed(event)
-            case SticksReported():
-                self._sticks.reported(event)
-            case BatteryReported():
-                if self.battery.reported(event):
-                    self._tell_battery()
-            case Retuned(tuning=tuning):
-                params = tuning.params
-                self.battery.aim(params.battery_low_pct, params.battery_critical_pct)
-            case AutopilotRestarted():
-                self._health.forget()
-                self.battery.forget()
-                self._echo.frame_moved(event.time_s)
+        before = self.battery.level
+        for watch in self._all:
+            watch.handle(event)
+        if isinstance(event, events.BatteryReported) and self.battery.level is not before:
+            self._tell_battery()
 
     def frame_moved(self, now_s: float) -> None:
         """The local frame has another zero."""
@@ -252,9 +249,8 @@ class Watches:
 
     def tick(self, now_s: float) -> None:
         """Take note of what is there, and of control that begins or ends."""
-        self.inputs.tick(now_s)
-        self.operator.tick()
-        self.jumps.tick(now_s)
+        for watch in self._all:
+            watch.tick(now_s)
         phase = self._context.phase
         is_in_control = phase in IN_CONTROL
         if is_in_control and not self._was_in_control:
@@ -265,8 +261,6 @@ class Watches:
             self._sticks.begin(now_s)
         if phase is Phase.WAITING:
             self.battery.flight_over()
-        self._echo.tick(now_s)
-        self._sticks.tick(now_s)
         self._was_in_control, self._was_launching = is_in_control, phase is Phase.LAUNCHING
 
     def handed_back(self, finding: Finding) -> None:
@@ -280,33 +274,15 @@ class Watches:
 
     def finding(self, now_s: float) -> Finding | None:
         """The worst that is wrong at a tick in control."""
-        return worst(
-            (
-                self._echo.finding(now_s),
-                self.operator.finding(),
-                self.launch_finding(now_s),
-                self.jumps.finding(now_s),
-                self._context.passing_finding(now_s),
-                self.inputs.finding(now_s),
-            )
-        )
+        return worst(watch.finding(now_s) for watch in self._all)
 
     def launch_finding(self, now_s: float) -> Finding | None:
         """The worst that is wrong, in control or not, of what no vehicle is launched with."""
-        health = self._health.findings(now_s, is_battery_low=self.battery.is_low)
-        return worst(
-            (
-                self._sticks.finding(now_s),
-                self.battery.finding(),
-                self._context.containment.finding(now_s),
-                *health,
-            )
-        )
+        return worst(watch.finding(now_s) for watch in self._for_launch)
 
     def _begin(self, now_s: float) -> None:
-        self._echo.begin(now_s)
-        self._sticks.begin(now_s)
-        self._health.begin()
+        for watch in self._all:
+            watch.begin(now_s)
         if self.battery.level is BatteryLevel.UNKNOWN and not self._is_battery_told:
             self._is_battery_told = True
             self._context.announce(Severity.WARNING, "battery charge unknown: watch it yourself")

@@ -15,7 +15,7 @@ def watch_at(
 ) -> BatteryWatch:
     watch = BatteryWatch(low_pct=20.0, critical_pct=10.0)
     for number in range(reports):
-        watch.reported(BatteryReported(float(number), charge_pct, level))
+        watch.handle(BatteryReported(float(number), charge_pct, level))
     return watch
 
 
@@ -44,34 +44,34 @@ def test_unknown_is_not_full() -> None:
 
 def test_one_report_is_not_believed() -> None:
     watch = watch_at(80.0)
-    watch.reported(BatteryReported(5.0, 3.0, BatteryLevel.CRITICAL))
+    watch.handle(BatteryReported(5.0, 3.0, BatteryLevel.CRITICAL))
     levels = [watch.level]
-    watch.reported(BatteryReported(6.0, 79.0, BatteryLevel.GOOD))
-    watch.reported(BatteryReported(7.0, 3.0, BatteryLevel.CRITICAL))
+    watch.handle(BatteryReported(6.0, 79.0, BatteryLevel.GOOD))
+    watch.handle(BatteryReported(7.0, 3.0, BatteryLevel.CRITICAL))
     levels.append(watch.level)
-    watch.reported(BatteryReported(8.0, 3.0, BatteryLevel.CRITICAL))
+    watch.handle(BatteryReported(8.0, 3.0, BatteryLevel.CRITICAL))
     levels.append(watch.level)
     assert levels == [BatteryLevel.GOOD, BatteryLevel.GOOD, BatteryLevel.CRITICAL]
 
 
 def test_critical_is_handed_back_once_in_a_flight() -> None:
     watch = watch_at(5.0)
-    finding = watch.finding()
+    finding = watch.finding(0.0)
     assert finding is not None
     assert (finding.verdict, finding.mode) == (Verdict.HAND_BACK, FlightMode.RETURN)
     watch.handed_back()
-    finding = watch.finding()
+    finding = watch.finding(0.0)
     assert finding is not None
     assert finding.verdict is Verdict.HOLD
     watch.flight_over()
-    finding = watch.finding()
+    finding = watch.finding(0.0)
     assert finding is not None
     assert finding.verdict is Verdict.HAND_BACK
 
 
 def test_low_ends_a_mission_once_in_a_flight() -> None:
     watch = watch_at(15.0)
-    assert watch.finding() is None
+    assert watch.finding(0.0) is None
     assert watch.ends_mission
     watch.mission_ended()
     assert not watch.ends_mission
@@ -84,10 +84,10 @@ def test_other_charges_count_from_the_next_two_reports_on() -> None:
     watch.aim(low_pct=40.0, critical_pct=35.0)
     levels = [watch.level]
     for time_s in (2.0, 3.0):
-        watch.reported(BatteryReported(time_s, 30.0, BatteryLevel.GOOD))
+        watch.handle(BatteryReported(time_s, 30.0, BatteryLevel.GOOD))
         levels.append(watch.level)
     assert levels == [BatteryLevel.GOOD, BatteryLevel.GOOD, BatteryLevel.CRITICAL]
     watch.aim(low_pct=40.0, critical_pct=10.0)
     for time_s in (4.0, 5.0):
-        watch.reported(BatteryReported(time_s, 30.0, BatteryLevel.GOOD))
+        watch.handle(BatteryReported(time_s, 30.0, BatteryLevel.GOOD))
     assert watch.level is BatteryLevel.LOW

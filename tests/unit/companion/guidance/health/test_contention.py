@@ -72,7 +72,7 @@ class Line:
         if is_due and self._target is not None and self._rng.random() >= self._loss:
             self._down.append((self.now_s + self._latency_s, self._target))
         while self._down and self._down[0][0] <= self.now_s:
-            self.watch.echoed(SetpointEchoed(self.now_s, self._down.popleft()[1]))
+            self.watch.handle(SetpointEchoed(self.now_s, self._down.popleft()[1]))
 
     def _stands(self) -> bool:
         """Whether an echo at any time in the tick would show the intruder's setpoint."""
@@ -146,7 +146,7 @@ def test_echoes_just_beside_our_way_now_and_then_are_no_source() -> None:
     for _ in range(40):
         line.run(2.5)
         beside = (line._place()[0], line._place()[1], 20.0 + 1.1 * TOLERANCE_M)
-        line.watch.echoed(SetpointEchoed(line.now_s, beside))
+        line.watch.handle(SetpointEchoed(line.now_s, beside))
     assert line.findings == []
 
 
@@ -154,7 +154,7 @@ def test_a_slow_source_that_stops_is_not_held_on_for_longer_than_it_was_there() 
     line = Line()
     line.run(10.0)
     for _ in range(3):
-        line.watch.echoed(SetpointEchoed(line.now_s, FOREIGN))
+        line.watch.handle(SetpointEchoed(line.now_s, FOREIGN))
         line.run(4.0)
     line.watch.tick(line.now_s)
     assert line.watch.finding(line.now_s) is not None
@@ -167,7 +167,7 @@ def test_a_slow_source_that_stops_is_not_held_on_for_longer_than_it_was_there() 
 def test_one_foreign_echo_is_no_source() -> None:
     line = Line()
     line.run(10.0)
-    line.watch.echoed(SetpointEchoed(line.now_s, FOREIGN))
+    line.watch.handle(SetpointEchoed(line.now_s, FOREIGN))
     line.run(5.0)
     assert line.findings == []
 
@@ -177,7 +177,7 @@ def test_a_target_that_is_no_position_is_foreign() -> None:
     line.run(10.0)
     line.is_echo_up = False
     for _ in range(10):
-        line.watch.echoed(SetpointEchoed(line.now_s, None))
+        line.watch.handle(SetpointEchoed(line.now_s, None))
         line.run(0.1)
     assert Reason.SECOND_SOURCE in line.reasons
 
@@ -219,7 +219,7 @@ def test_what_was_flown_before_control_began_is_not_held_against_it() -> None:
     for tick in range(40):
         now_s = 100.0 + TICK_S * tick
         watch.sent((0.0, 0.0, 20.0), now_s)
-        watch.echoed(SetpointEchoed(now_s, FOREIGN))
+        watch.handle(SetpointEchoed(now_s, FOREIGN))
         watch.tick(now_s)
         assert watch.finding(now_s) is None
 
@@ -229,7 +229,7 @@ def test_a_frame_that_moved_begins_anew() -> None:
     line.run(10.0)
     line.watch.frame_moved(line.now_s)
     for _ in range(20):
-        line.watch.echoed(SetpointEchoed(line.now_s, FOREIGN))
+        line.watch.handle(SetpointEchoed(line.now_s, FOREIGN))
         line.now_s += 0.05
     line.watch.tick(line.now_s)
     assert line.watch.finding(line.now_s) is None

@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from companion.domain import Autopilot, FlightMode
-from companion.guidance.events import EstimatorRated, FixReported, HeartbeatReceived
-from companion.guidance.health.autopilot_health import HealthWatch
+from companion.domain import Autopilot, BatteryLevel, FlightMode
+from companion.guidance.events import (
+    BatteryReported,
+    EstimatorRated,
+    FixReported,
+    HeartbeatReceived,
+)
+from companion.guidance.health.autopilot_health import BatteryWatch, HealthWatch
 from companion.guidance.health.findings import Finding, Reason, Verdict
 
 STEP_S = 0.2
@@ -33,24 +38,24 @@ def times(
 
 
 def only(watch: HealthWatch, now_s: float) -> list[Finding]:
-    return watch.findings(now_s, is_battery_low=False)
+    return watch.findings(now_s)
 
 
 def test_a_healthy_autopilot_is_flown() -> None:
-    assert times(HealthWatch()) == {}
+    assert times(HealthWatch(BatteryWatch(20.0, 10.0))) == {}
 
 
 @pytest.mark.parametrize("worst", [1.0, 1.9, 50.0])
 def test_a_filter_that_doubts_is_held_on_after_a_second_and_handed_back_after_five(
     worst: float,
 ) -> None:
-    first = times(HealthWatch(), worst=worst)
+    first = times(HealthWatch(BatteryWatch(20.0, 10.0)), worst=worst)
     assert first[Reason.ESTIMATOR_POOR, Verdict.HOLD] == pytest.approx(1.0, abs=0.01)
     assert first[Reason.ESTIMATOR_POOR, Verdict.HAND_BACK] == pytest.approx(5.2, abs=0.01)
 
 
 def test_a_short_doubt_changes_nothing() -> None:
-    watch = HealthWatch()
+    watch = HealthWatch(BatteryWatch(20.0, 10.0))
     assert times(watch, worst=1.5, for_s=0.9) == {}
     for number in range(20):
         watch.handle(EstimatorRated(101.0 + STEP_S * number, 0.2))
@@ -58,7 +63,7 @@ def test_a_short_doubt_changes_nothing() -> None:
 
 
 def test_a_lost_fix_is_held_on_at_once_and_handed_back_after_five_seconds() -> None:
-    watch = HealthWatch()
+    watch = HealthWatch(BatteryWatch(20.0, 10.0))
     watch.handle(FixReported(99.0, True))
     first = times(watch, has_fix=False)
     assert first[Reason.NO_FIX, Verdict.HOLD] == 0.0
@@ -66,11 +71,11 @@ def test_a_lost_fix_is_held_on_at_once_and_handed_back_after_five_seconds() -> N
 
 
 def test_a_vehicle_that_never_had_a_fix_flies_without() -> None:
-    assert times(HealthWatch(), has_fix=False) == {}
+    assert times(HealthWatch(BatteryWatch(20.0, 10.0)), has_fix=False) == {}
 
 
 def test_trouble_ends_after_a_second_without() -> None:
-    watch = HealthWatch()
+    watch = HealthWatch(BatteryWatch(20.0, 10.0))
     times(watch, worst=1.5, for_s=3.0)
     watch.handle(EstimatorRated(103.0, 0.2))
     assert only(watch, 103.5) != []
@@ -82,21 +87,24 @@ def test_trouble_ends_after_a_second_without() -> None:
 
 
 def test_a_failsafe_raised_in_flight_is_held_on_until_it_is_over() -> None:
-    watch = HealthWatch()
+    battery = BatteryWatch(20.0, 10.0)
+    watch = HealthWatch(battery)
     watch.handle(heartbeat(10.0, is_failsafe=False))
-    watch.begin()
+    watch.begin(10.0)
     watch.handle(heartbeat(20.0, is_failsafe=True))
     (finding,) = only(watch, 21.0)
     assert (finding.verdict, finding.reason) == (Verdict.HOLD, Reason.FAILSAFE)
-    assert watch.findings(21.0, is_battery_low=True) == []
+    for _ in range(2):
+        battery.handle(BatteryReported(20.9, 15.0, BatteryLevel.UNKNOWN))
+    assert watch.findings(21.0) == []
     watch.handle(heartbeat(22.0, is_failsafe=False))
     assert only(watch, 22.0) == []
 
 
 def test_a_failsafe_that_was_there_when_control_was_given_is_the_operators() -> None:
-    watch = HealthWatch()
+    watch = HealthWatch(BatteryWatch(20.0, 10.0))
     watch.handle(heartbeat(10.0, is_failsafe=True))
-    watch.begin()
+    watch.begin(10.0)
     assert only(watch, 11.0) == []
     watch.handle(heartbeat(12.0, is_failsafe=False))
     watch.handle(heartbeat(13.0, is_failsafe=True))

@@ -17,7 +17,7 @@ RATE_S = 0.2
 def watch_of(reaction: StickReaction = "yield") -> StickWatch:
     """In control since 10 s."""
     watch = StickWatch(reaction)
-    watch.reported(SticksReported(9.9, REST))
+    watch.handle(SticksReported(9.9, REST))
     watch.begin(10.0)
     return watch
 
@@ -29,7 +29,7 @@ def move(
     first: dict[Verdict, float] = {}
     for number in range(round((until_s - from_s) / RATE_S)):
         now_s = from_s + RATE_S * number
-        watch.reported(SticksReported(now_s, deflections))
+        watch.handle(SticksReported(now_s, deflections))
         watch.tick(now_s)
         finding = watch.finding(now_s)
         if finding is not None:
@@ -56,10 +56,10 @@ def test_a_moved_stick_is_held_on_at_once_and_given_way_to_soon(
 
 def test_a_touch_is_held_on_for_two_seconds() -> None:
     watch = watch_of()
-    watch.reported(SticksReported(20.0, (0.5, 0.0, -1.0, 0.0)))
-    watch.reported(SticksReported(20.2, REST))
+    watch.handle(SticksReported(20.0, (0.5, 0.0, -1.0, 0.0)))
+    watch.handle(SticksReported(20.2, REST))
     for number in range(10):
-        watch.reported(SticksReported(20.4 + RATE_S * number, REST))
+        watch.handle(SticksReported(20.4 + RATE_S * number, REST))
     watch.tick(21.9)
     assert watch.finding(21.9) is not None
     watch.tick(22.1)
@@ -74,7 +74,7 @@ def test_a_reaction_is_a_matter_of_configuration() -> None:
 
 def test_letting_go_of_a_stick_after_the_mode_switch_is_no_wish() -> None:
     watch = StickWatch("yield")
-    watch.reported(SticksReported(9.9, (0.6, 0.0, 0.5, 0.0)))
+    watch.handle(SticksReported(9.9, (0.6, 0.0, 0.5, 0.0)))
     watch.begin(10.0)
     assert move(watch, (0.6, 0.0, 0.5, 0.0), 10.0, 12.0) == {}
     assert move(watch, (0.0, 0.0, 0.0, 0.0), 12.0, 15.0) == {}
@@ -97,7 +97,7 @@ def test_a_transmitter_that_is_switched_on_in_flight_rests_where_it_is() -> None
 
 def test_a_transmitter_that_falls_silent_is_not_moved() -> None:
     watch = watch_of()
-    watch.reported(SticksReported(20.0, (0.5, 0.0, -1.0, 0.0)))
+    watch.handle(SticksReported(20.0, (0.5, 0.0, -1.0, 0.0)))
     watch.tick(20.1)
     assert watch.finding(20.1) is not None
     watch.tick(25.0)
