@@ -221,6 +221,10 @@ class SessionContext:
         """A text for the operator."""
         self.send(Announce(severity, text))
 
+    def warn(self, text: str) -> None:
+        """A warning for the operator."""
+        self.announce(Severity.WARNING, text)
+
     def record(self, kind: str, **fields: object) -> None:
         """A line for the event log."""
         self.send(Record(kind, fields))

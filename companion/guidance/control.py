@@ -214,7 +214,7 @@ class ControlTick:
     def _tell_reasons(self, reasons: tuple[GuardReason, ...], now_s: float) -> None:
         """Why the setpoint is not where the planner wants it."""
         for text in self._guard_news.texts(reasons, now_s):
-            self._context.announce(Severity.WARNING, text)
+            self._context.warn(text)
         names = self._guard_news.record(reasons, now_s)
         if names is not None:
             self._context.record("guard", reasons=names)
@@ -243,7 +243,7 @@ class ControlTick:
         context = self._context
         reason = self._waiting.news(now_s)
         if reason is not None:
-            context.announce(Severity.WARNING, reason)
+            context.warn(reason)
         authority = context.authority
         is_ready = context.vehicle.is_usable(now_s) and context.fencing.is_ready
         if is_ready and authority.may_begin and not authority.has_id_conflict(now_s):
@@ -297,7 +297,7 @@ class ControlTick:
                 return
         if is_news:
             word = "degraded" if finding.verdict is Verdict.SLOW else "hold"
-            context.announce(Severity.WARNING, f"{word}: {finding.text}")
+            context.warn(f"{word}: {finding.text}")
 
     def _setpoint(self, now_s: float, dt_s: float) -> PositionSetpoint | None:
         """The setpoint of this tick, or None where silence is due."""

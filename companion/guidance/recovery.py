@@ -117,11 +117,11 @@ class Recollection:
         for belief in beliefs:
             problem = context.emitters.resume(belief, now_s - self._held_at_s, now_s)
             if problem is not None:
-                context.announce(Severity.WARNING, f"estimate reset: it held {problem}")
+                context.warn(f"estimate reset: it held {problem}")
             else:
-                self._resumed(belief, now_s)
+                self._tell_resumed(belief, now_s)
 
-    def _resumed(self, belief: Belief, now_s: float) -> None:
+    def _tell_resumed(self, belief: Belief, now_s: float) -> None:
         context, estimate = self._context, self._context.tracker.estimate(now_s)
         context.believe(estimate)
         if estimate is None:
@@ -138,4 +138,4 @@ class Recollection:
 
     def _begin_anew(self, reason: str) -> None:
         self._beliefs = ()
-        self._context.announce(Severity.WARNING, f"estimate reset: {reason}")
+        self._context.warn(f"estimate reset: {reason}")

@@ -213,29 +213,10 @@ class GuidanceSession:
     def _react(self, event: events.Event) -> None:
         """What an event is the occasion for."""
         match event:
-            case events.OriginSet() | events.AutopilotFenceRead():
-                self.handover.fence(event)
-            case events.HeartbeatReceived():
-                self.handover.heartbeat(event)
-            case events.LandedStateChanged():
-                self.handover.landed(event)
             case events.VehicleMoved():
                 self._measuring.fuse_due(event.time_s)
-            case events.RequestAnswered():
-                self.handover.answered(event)
-            case events.ControlGranted():
-                self.handover.granted(event.time_s)
             case events.Retuned():
                 self.context.retune(event.tuning)
-            case events.AutopilotRestarted():
-                self.handover.restarted(event.time_s)
-                self._recollection.forget()
-            case events.ControlStalled():
-                self.handover.stalled(event)
-            case events.IdConflictHeard():
-                self.handover.id_conflict_heard(event.time_s)
-            case events.StopRequested():
-                self.handover.stop(event.time_s)
             case events.EarlierRunFound():
                 self.context.forbid_launch()
             case events.MemoryRecalled():
@@ -244,6 +225,10 @@ class GuidanceSession:
                 self._recollection.advance(event.time_s)
                 self._measuring.fuse_due(event.time_s)
                 self._control.run(event.time_s)
+            case _:
+                self.handover.handle(event)
+                if isinstance(event, events.AutopilotRestarted):
+                    self._recollection.forget()
 
     @property
     def params(self) -> SessionParams:

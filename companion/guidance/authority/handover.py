@@ -108,7 +108,7 @@ class LaunchPermit:
             context.forbid_launch()
             found = "armed" if vehicle.is_armed else "in the air"
             text = f"no automatic takeoff: vehicle was found {found}"
-            context.announce(Severity.WARNING, f"{text}; switch to {vehicle.guided_name}")
+            context.warn(f"{text}; switch to {vehicle.guided_name}")
         elif vehicle.landed is LandedState.UNKNOWN and vehicle.is_usable(now_s):
             self._wait_for_the_ground(now_s)
         else:
@@ -121,7 +121,7 @@ class LaunchPermit:
             return
         self._is_silence_told = True
         text = "no automatic takeoff: autopilot reports no landed state"
-        self._context.announce(Severity.WARNING, text)
+        self._context.warn(text)
 
 
 SETTLE_S = 2.0
@@ -146,8 +146,30 @@ class Handover:
         self._asked_s: float | None = None
         """... and when it was; None: not yet, because it is not known who flies."""
 
-    def heartbeat(self, event: events.HeartbeatReceived) -> None:
-        """The autopilot shows its mode."""
+    def handle(self, event: events.Event) -> None:
+        """What an event of the autopilot or the operator means for who flies; others nothing."""
+        match event:
+            case events.OriginSet() | events.AutopilotFenceRead():
+                self._update_fence(event)
+            case events.HeartbeatReceived():
+                self._note_mode(event)
+            case events.LandedStateChanged():
+                self._note_landed(event)
+            case events.RequestAnswered():
+                self._note_answer(event)
+            case events.ControlGranted():
+                self._take_grant(event.time_s)
+            case events.AutopilotRestarted():
+                self._begin_anew(event.time_s)
+            case events.ControlStalled():
+                self._note_stall(event)
+            case events.IdConflictHeard():
+                self._context.authority.id_conflict_heard(event.time_s)
+                self._context.enter(Trigger.ID_CONFLICT, event.time_s)
+            case events.StopRequested():
+                self._stop(event.time_s)
+
+    def _note_mode(self, event: events.HeartbeatReceived) -> None:
         context, now_s = self._context, event.time_s
         had_let_go = context.authority.has_let_go
         context.authority.observe(event)
@@ -160,14 +182,14 @@ class Handover:
                 self._flight_over(event)
         elif objection is not None:
             context.enter(Trigger.LAUNCH_FAILED, now_s)
-            context.announce(Severity.WARNING, f"takeoff aborted: {objection}")
+            context.warn(f"takeoff aborted: {objection}")
         elif event.mode is FlightMode.OFFBOARD:
             self._offboard(now_s)
         elif launch is None:
             self._foreign(event)
 
-    def landed(self, event: events.LandedStateChanged) -> None:
-        """The autopilot tells whether it flies; landing means that somebody else decides."""
+    def _note_landed(self, event: events.LandedStateChanged) -> None:
+        """Landing means that somebody else decides."""
         context = self._context
         if event.landed is LandedState.IN_AIR:
             self._has_flown = True
@@ -176,9 +198,7 @@ class Handover:
             return
         if context.enter(Trigger.LANDED, event.time_s):
             text = "on the ground" if is_down else "autopilot is landing"
-            context.announce(
-                Severity.WARNING, f"control lost: {text}; give the mode again to resume"
-            )
+            context.warn(f"control lost: {text}; give the mode again to resume")
 
     def _foreign(self, event: events.HeartbeatReceived) -> None:
         context, left = self._context, self._context.phase
@@ -190,7 +210,7 @@ class Handover:
             context.announce(Severity.NOTICE, f"handed back: autopilot is in {name}")
             return
         text = f"control lost: autopilot went to {name}; give the mode again to resume"
-        context.announce(Severity.WARNING, text)
+        context.warn(text)
 
     def _flight_over(self, event: events.HeartbeatReceived) -> None:
         if self._context.enter(Trigger.DISARMED, event.time_s):
@@ -229,15 +249,9 @@ class Handover:
         if authority.came_by_itself:
             how = "choose another mode first, or grant"
             text = f"{name} after a failsafe is no operator grant: {how}"
-        context.announce(Severity.WARNING, text)
+        context.warn(text)
 
-    def id_conflict_heard(self, now_s: float) -> None:
-        """Somebody else sends under our ids: what we do not fly yet is not offered."""
-        self._context.authority.id_conflict_heard(now_s)
-        self._context.enter(Trigger.ID_CONFLICT, now_s)
-
-    def answered(self, event: events.RequestAnswered) -> None:
-        """The autopilot answered a request, or did not."""
+    def _note_answer(self, event: events.RequestAnswered) -> None:
         context = self._context
         context.record("answer", request=event.kind.value, outcome=event.outcome.value)
         if context.phase is Phase.LAUNCHING and context.launch is not None:
@@ -249,8 +263,7 @@ class Handover:
         elif context.phase is Phase.FINISHED and event.outcome is not events.Outcome.ACCEPTED:
             context.announce(Severity.ERROR, f"{event.kind.value}: {event.outcome.value}")
 
-    def granted(self, now_s: float) -> None:
-        """The operator gives control back."""
+    def _take_grant(self, now_s: float) -> None:
         context = self._context
         if context.enter(Trigger.GRANTED, now_s):
             text = f"control granted: switch to {context.vehicle.guided_name}"
@@ -281,7 +294,7 @@ class Handover:
         context.passing.hold(finding, event.time_s + SETTLE_S)
         context.enter(Trigger.INPUT_LOST, event.time_s)
         text = f"local origin moved {step_m:.0f} m: fence kept in place, estimate reset"
-        context.announce(Severity.WARNING, text)
+        context.warn(text)
 
     def take_home(self, event: events.HomeSet) -> None:
         """Let the vehicle take a home in; one that moves in flight is held on, and told.
@@ -296,11 +309,11 @@ class Handover:
         if not step_m > ORIGIN_STEP_M:
             return
         text = f"home moved {step_m:.0f} m: heights stay above the old home"
-        context.announce(Severity.WARNING, text)
+        context.warn(text)
         finding = Finding(Verdict.HOLD, Reason.HOME_MOVED, "home moved")
         context.passing.hold(finding, event.time_s + SETTLE_S)
 
-    def fence(self, event: events.OriginSet | events.AutopilotFenceRead) -> None:
+    def _update_fence(self, event: events.OriginSet | events.AutopilotFenceRead) -> None:
         """What the guard's fence stands on became known, or another one."""
         context, fencing = self._context, self._context.fencing
         before = (fencing.refusal, fencing.note, fencing.is_ready)
@@ -313,11 +326,11 @@ class Handover:
         if fencing.refusal is not None:
             context.announce(Severity.ERROR, f"no control without a fence: {fencing.refusal}")
         elif fencing.note is not None:
-            context.announce(Severity.WARNING, fencing.note)
+            context.warn(fencing.note)
         elif fencing.is_ready:
             context.announce(Severity.INFO, f"fence: {fencing.words}")
 
-    def restarted(self, now_s: float) -> None:
+    def _begin_anew(self, now_s: float) -> None:
         """The autopilot restarted."""
         context = self._context
         context.fencing.forget()
@@ -326,7 +339,7 @@ class Handover:
         context.authority.restarted()
         context.enter(Trigger.RESTARTED, now_s)
         text = "autopilot restarted: give the mode again to resume"
-        context.announce(Severity.WARNING, text)
+        context.warn(text)
 
     def unless_in_doubt(self, finding: Finding, now_s: float) -> Finding:
         """What asks the autopilot for a mode waits until it is known who flies: perhaps a pilot."""
@@ -351,7 +364,7 @@ class Handover:
             text = f"control yielded: {finding.text}; give the mode again to resume"
             self._context.announce(Severity.ERROR, text)
 
-    def stalled(self, event: events.ControlStalled) -> None:
+    def _note_stall(self, event: events.ControlStalled) -> None:
         """The tick stood still: nothing is sent until mode and position were heard anew.
 
         What was asked before is not asked again, because whoever flies may have changed since; to
@@ -365,9 +378,9 @@ class Handover:
         text = f"control loop stalled {event.stalled_s:.1f} s: reacquiring state"
         if context.enter(Trigger.LAUNCH_FAILED, event.time_s):
             text += f"; takeoff aborted: give {context.vehicle.guided_name} again, or grant"
-        context.announce(Severity.WARNING, text)
+        context.warn(text)
 
-    def stop(self, now_s: float) -> None:
+    def _stop(self, now_s: float) -> None:
         """The process is asked to end: hand the vehicle back if it is in our hands."""
         context = self._context
         follow_up = FOLLOW_UP_MODE[context.params.on_localised]

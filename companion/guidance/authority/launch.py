@@ -53,6 +53,15 @@ class Stage(Enum):
     OFFBOARD = "asking for offboard"
 
 
+REQUESTS: dict[Stage, tuple[RequestKind, Stage]] = {
+    Stage.MODE: (RequestKind.SET_MODE, Stage.ARM),
+    Stage.ARM: (RequestKind.ARM, Stage.TAKE_OFF),
+    Stage.TAKE_OFF: (RequestKind.TAKE_OFF, Stage.CLIMB),
+    Stage.OFFBOARD: (RequestKind.SET_MODE, Stage.OFFBOARD),
+}
+"""What each stage asks for, and the stage that follows once it is accepted."""
+
+
 @dataclass(frozen=True, slots=True)
 class LaunchView:
     """What the launch may know at a tick."""
@@ -140,7 +149,7 @@ class Launch:
     @property
     def wants_stream(self) -> bool:
         """Whether "stay here" setpoints are due: PX4 wants them before offboard."""
-        return self.stage in (Stage.PRESTREAM, Stage.OFFBOARD) and self._needs_prestream
+        return self.is_at_offboard and self._needs_prestream
 
     def tick(self, view: LaunchView) -> list[Command]:
         """What to ask for now."""
@@ -172,34 +181,25 @@ class Launch:
 
     def answered(self, event: RequestAnswered) -> None:
         """Take in the autopilot's answer to the latest request."""
-        expected = {
-            Stage.MODE: RequestKind.SET_MODE,
-            Stage.ARM: RequestKind.ARM,
-            Stage.TAKE_OFF: RequestKind.TAKE_OFF,
-            Stage.OFFBOARD: RequestKind.SET_MODE,
-        }.get(self.stage)
-        if event.kind is not expected:
+        kind, following = REQUESTS.get(self.stage, (None, self.stage))
+        if event.kind is not kind:
             return
+        what = f"{self.stage.value}: {event.outcome.value} {event.detail}".strip()
         if event.outcome is Outcome.ACCEPTED:
             if self.stage is Stage.OFFBOARD:
                 self._offboard_accepted = event
+                return
             if self.stage is Stage.TAKE_OFF:
                 self._takeoff = event
-            following = {
-                Stage.MODE: Stage.ARM,
-                Stage.ARM: Stage.TAKE_OFF,
-                Stage.TAKE_OFF: Stage.CLIMB,
-            }.get(self.stage)
-            if following is not None:
-                self._enter(following, event.time_s)
+            self._enter(following, event.time_s)
         elif self._may_have_taken_off(event):
-            self._refused = f"{self.stage.value}: {event.outcome.value} {event.detail}".strip()
+            self._refused = what
             self._enter(Stage.CLIMB, event.time_s)
         elif self._may_ask_again(event):
             self._is_asked = False
             self._retry_s = event.time_s + ARM_RETRY_S
         else:
-            self.failure = f"{self.stage.value}: {event.outcome.value} {event.detail}".strip()
+            self.failure = what
 
     def _may_have_taken_off(self, event: RequestAnswered) -> bool:
         """Whether the answer to an earlier sending may be lost, and what is refused has begun."""

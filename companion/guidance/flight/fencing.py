@@ -60,11 +60,6 @@ class FencePlan:
     """The fence of a file."""
     policy: FencePolicy = FencePolicy.IGNORE
 
-    @property
-    def has_local_metres(self) -> bool:
-        """Whether anything of it is given in local metres."""
-        return self.limits.fence is not None or bool(self.keep_out_enu_m)
-
 
 class Fencing:
     """Gives the guard its fence and says why it has none.
@@ -207,8 +202,9 @@ class Fencing:
         Raises:
             ValueError: Too far away to be the same place.
         """
-        origin, anchor = self._origin, self.anchor
-        if origin is None or anchor is None or origin == anchor or not self.plan.has_local_metres:
+        origin, anchor, plan = self._origin, self.anchor, self.plan
+        is_local = plan.limits.fence is not None or bool(plan.keep_out_enu_m)
+        if origin is None or anchor is None or origin == anchor or not is_local:
             return (0.0, 0.0)
         place = (anchor.latitude_deg, anchor.longitude_deg, anchor.altitude_m)
         east_m, north_m, _ = origin.enu_from_geodetic(*place)

@@ -19,7 +19,6 @@ from companion.guidance.commands import Announce, Command, Severity
 from companion.guidance.flight.vehicle import VehicleView
 from companion.guidance.messages import waypoint_record
 from companion.guidance.tracking.emitters import EmitterQueue
-from companion.kernel import Matrix
 from companion.planning.planner import Planner, PlanRequest
 
 PLAN_PERIOD_S = 0.2
@@ -115,6 +114,7 @@ class FlightPlan:
         self, now_s: float, place_enu_m: PositionEnu, estimate: TargetEstimate | None
     ) -> PlanRequest:
         fence, tracker = self._guard.limits.fence, self._emitters.current
+        hypotheses = tracker.hypotheses
         return PlanRequest(
             vehicle_enu_m=place_enu_m[:2],
             estimate=estimate,
@@ -125,13 +125,8 @@ class FlightPlan:
             time_s=now_s,
             contact_s=tracker.last_accepted_s,
             height_m=place_enu_m[2] - tracker.params.filter.target_height_m,
-            joint_covariance=self._joint_covariance(),
+            joint_covariance=hypotheses[0].state.covariance[:4, :4] if hypotheses else None,
         )
-
-    def _joint_covariance(self) -> Matrix | None:
-        """Of east, north and both offsets in the best hypothesis."""
-        hypotheses = self._emitters.current.hypotheses
-        return hypotheses[0].state.covariance[:4, :4] if hypotheses else None
 
     def _search_news(self, now_s: float, estimate: TargetEstimate | None) -> list[Command]:
         """A text when a search begins, ends, or begins again."""

@@ -25,7 +25,6 @@ from companion.domain import PositionEnu, VehicleState
 from companion.geometry.coordinates import wrap_pi
 from companion.guard.gate import GuardLimits, Motion
 from companion.guidance.authority.state_machine import HAS_VEHICLE, IN_CONTROL, Trigger
-from companion.guidance.commands import Severity
 from companion.guidance.context import SessionContext
 from companion.guidance.events import VehicleMoved, YawMeasured
 from companion.guidance.health.findings import Finding, Reason, Verdict, Watch
@@ -246,4 +245,4 @@ class JumpWatch(Watch):
         context.enter(Trigger.INPUT_LOST, now_s)
         context.record("own_jump", text=text)
         if is_first:
-            context.announce(Severity.WARNING, f"{text}: estimate shifted with it")
+            context.warn(f"{text}: estimate shifted with it")

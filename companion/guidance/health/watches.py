@@ -72,7 +72,8 @@ class InputWatch(Watch):
             self._lost, self._lost_s, self._back_s = lost, now_s, None
         elif self._lost is not None:
             self._watch_return(now_s)
-        if self._is_ranging_lost(now_s):
+        heard_s = self._context.tracker.last_accepted_s
+        if heard_s is None or now_s - heard_s > self._context.params.ranging_timeout_s:
             self._is_dropout, self._agreed = True, 0
         elif self._agreed >= AGREEING:
             self._is_dropout = False
@@ -136,10 +137,6 @@ class InputWatch(Watch):
         is_mode_seen = heartbeat is not None and heartbeat.time_s > self._lost_s
         if now_s - self._back_s >= REGAIN_S and (is_mode_seen or not was_deaf):
             self._lost = self._back_s = None
-
-    def _is_ranging_lost(self, now_s: float) -> bool:
-        heard_s = self._context.tracker.last_accepted_s
-        return heard_s is None or now_s - heard_s > self._context.params.ranging_timeout_s
 
     def _ranging_finding(
         self, estimate: TargetEstimate, heard_s: float, now_s: float
@@ -240,8 +237,12 @@ class Watches:
         before = self.battery.level
         for watch in self._all:
             watch.handle(event)
-        if isinstance(event, events.BatteryReported) and self.battery.level is not before:
-            self._tell_battery()
+        level = self.battery.level
+        if not isinstance(event, events.BatteryReported) or level in (before, BatteryLevel.GOOD):
+            return
+        severity = Severity.ERROR if level is BatteryLevel.CRITICAL else Severity.WARNING
+        self._is_battery_told = True
+        self._context.announce(severity, self.battery.text())
 
     def frame_moved(self, now_s: float) -> None:
         """The local frame has another zero."""
@@ -285,12 +286,4 @@ class Watches:
             watch.begin(now_s)
         if self.battery.level is BatteryLevel.UNKNOWN and not self._is_battery_told:
             self._is_battery_told = True
-            self._context.announce(Severity.WARNING, "battery charge unknown: watch it yourself")
-
-    def _tell_battery(self) -> None:
-        level = self.battery.level
-        if level is BatteryLevel.GOOD:
-            return
-        severity = Severity.ERROR if level is BatteryLevel.CRITICAL else Severity.WARNING
-        self._is_battery_told = True
-        self._context.announce(severity, self.battery.text())
+            self._context.warn("battery charge unknown: watch it yourself")

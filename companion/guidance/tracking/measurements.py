@@ -206,7 +206,7 @@ class Measuring:
         if report.restarted:
             self._inputs.rejected()
             text = "filter diverged from its measurements: restarted"
-            context.announce(Severity.WARNING, text)
+            context.warn(text)
             context.flight_plan.forget()
         elif report.agrees:
             self._inputs.accepted()

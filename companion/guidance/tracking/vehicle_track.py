@@ -52,7 +52,7 @@ class VehicleTrack:
     def shift(self, jump_enu_m: PositionEnu) -> None:
         """Move the past along with a position that jumped."""
         self._states = deque(
-            replace(state, position_enu_m=_plus(state.position_enu_m, jump_enu_m))
+            replace(state, position_enu_m=_step(state.position_enu_m, jump_enu_m, 1.0))
             for state in self._states
         )
 
@@ -100,12 +100,13 @@ class VehicleTrack:
             ahead_s = time_s - before.time_s
             if ahead_s > MAX_EXTRAPOLATION_S:
                 return None
-            return _moved(before, ahead_s)
+            return _step(before.position_enu_m, before.velocity_enu_mps, ahead_s)
         after = states[index]
         gap_s = after.time_s - before.time_s
         if gap_s > MAX_GAP_S:
             return None
-        return _blended(before, after, (time_s - before.time_s) / gap_s)
+        way_m = _step(after.position_enu_m, before.position_enu_m, -1.0)
+        return _step(before.position_enu_m, way_m, (time_s - before.time_s) / gap_s)
 
     def yaw_at(self, time_s: float) -> float | None:
         """The heading at a time, clockwise from north, or None if the history does not tell."""
@@ -122,22 +123,10 @@ class VehicleTrack:
         return wrap_pi(yaw0 + wrap_pi(yaw1 - yaw0) * (time_s - t0) / (t1 - t0))
 
 
-def _moved(state: VehicleState, ahead_s: float) -> PositionEnu:
-    (e, n, u), (ve, vn, vu) = state.position_enu_m, state.velocity_enu_mps
-    return (e + ve * ahead_s, n + vn * ahead_s, u + vu * ahead_s)
-
-
-def _plus(place: PositionEnu, step: PositionEnu) -> PositionEnu:
-    return (place[0] + step[0], place[1] + step[1], place[2] + step[2])
-
-
-def _blended(before: VehicleState, after: VehicleState, share: float) -> PositionEnu:
-    a, b = before.position_enu_m, after.position_enu_m
-    return (
-        a[0] + share * (b[0] - a[0]),
-        a[1] + share * (b[1] - a[1]),
-        a[2] + share * (b[2] - a[2]),
-    )
+def _step(place: PositionEnu, way: PositionEnu, share: float) -> PositionEnu:
+    """A place after a share of a way."""
+    (e, n, u), (de, dn, du) = place, way
+    return (e + share * de, n + share * dn, u + share * du)
 
 
 def is_plausible(state: VehicleState) -> bool:

@@ -14,7 +14,7 @@ from companion.guidance.messages import SILENT
 
 GUIDANCE = Path(companion.__file__).parent / "guidance"
 PAGE = Path(__file__).parents[4] / "docs" / "messages.md"
-SPEAKERS = {"announce", "Announce", "Finding", "_finding"}
+SPEAKERS = {"announce", "warn", "Announce", "Finding", "_finding"}
 """What is called with a text for the operator."""
 FAILURES = {"failure", "refusal", "note"}
 """Attributes whose text becomes part of one."""
