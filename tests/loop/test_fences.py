@@ -162,7 +162,7 @@ def test_a_fence_in_local_metres_stays_where_it_was_when_the_origin_moves() -> N
     loop.run_until(lambda: loop.phase is Phase.NORMAL, 60.0)
     loop.sim.vehicle.aircraft.shift_origin((12.0, 9.0, 0.0))
     loop.run(35.0)
-    assert loop.said("local origin moved 15 m: fence kept in its place")
+    assert loop.said("local origin moved 15 m: fence kept in place")
     assert all(depth_m(SITE, place[:2]) > 0.0 for place in loop.true_positions)
     assert max(place[0] for place in loop.true_positions) > 50.0
 

@@ -14,7 +14,7 @@ def test_a_walk_is_told_once_and_so_is_its_end() -> None:
     assert news.told(1, None) == []
     (began,) = news.told(1, WALKING)
     assert began.severity is Severity.WARNING
-    assert "walk at 1.0 m/s" in began.text
+    assert "move at 1.0 m/s" in began.text
     assert news.told(1, WALKING) == []
     (ended,) = news.told(1, None)
     assert ended.severity is Severity.INFO

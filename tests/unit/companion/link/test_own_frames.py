@@ -95,7 +95,7 @@ def test_control_is_not_offered_while_a_twin_is_heard() -> None:
     twin = Twin(wire)
     twin.beside(4.0)
     assert phase_of(wire) is Phase.WAITING
-    assert any("stop one of the two" in text for text in wire.journal.texts)
+    assert any("uses our ids; stop one" in text for text in wire.journal.texts)
     wire.sent.clear()
     twin.beside(4.0)
     assert wire.of(mavlink.MAVLink_set_position_target_local_ned_message) == []
