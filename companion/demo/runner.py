@@ -17,11 +17,11 @@ import msgspec
 
 from companion.config.schema import CompanionConfig
 from companion.demo.simulator_process import SimulatorProcess
-from companion.io.child_process import HOST, free_udp_port
 from companion.domain import TargetEstimate
 from companion.errors import CompanionError, ConfigError
 from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import Severity
+from companion.io.child_process import HOST, free_udp_port
 from companion.io.files import check_writable, write_json_atomic
 from companion.io.links.specs import UdpBind
 from companion.io.shell import Clock
