@@ -23,7 +23,7 @@ from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Chunk
 from companion.mav.flight_modes import set_mode_params
 from companion.mav.framing import message_id
-from sim_link.lab.faults.content_effects import rewritten
+from sim_link.lab.faults.content_effects import rewrite_frame
 from sim_link.lab.lockstep.flight import MakeCompanion
 
 SETPOINT = mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
@@ -101,7 +101,7 @@ class FliesAway(Planted):
     invariant = "I1"
 
     def _spoil(self, frame: bytes) -> list[bytes]:
-        return [rewritten(frame, self._change, None)] if self._is_flying else [frame]
+        return [rewrite_frame(frame, self._change, None)] if self._is_flying else [frame]
 
     def _change(self, message: Any) -> None:
         message.x += FAR_M
@@ -115,7 +115,7 @@ class Jumps(Planted):
     def _spoil(self, frame: bytes) -> list[bytes]:
         if not self._is_flying or self._count % SPOILT_EVERY:
             return [frame]
-        return [rewritten(frame, self._change, None)]
+        return [rewrite_frame(frame, self._change, None)]
 
     def _change(self, message: Any) -> None:
         message.x += 6.0
@@ -129,7 +129,9 @@ class ChasesJumps(Planted):
     def _spoil(self, frame: bytes) -> list[bytes]:
         finding = self.session.context.finding
         is_held = finding is not None and finding.reason is Reason.OWN_JUMP
-        return [rewritten(frame, self._change, None)] if is_held and self._is_flying else [frame]
+        return (
+            [rewrite_frame(frame, self._change, None)] if is_held and self._is_flying else [frame]
+        )
 
     def _change(self, message: Any) -> None:
         message.x = message.y = 0.0
@@ -143,7 +145,7 @@ class RushesIn(Planted):
     def _spoil(self, frame: bytes) -> list[bytes]:
         reasons = self.session.context.steering.reasons
         is_outside = GuardReason.OUTSIDE in reasons and self._is_flying
-        return [rewritten(frame, self._change, None)] if is_outside else [frame]
+        return [rewrite_frame(frame, self._change, None)] if is_outside else [frame]
 
     def _change(self, message: Any) -> None:
         message.y = -INSIDE_WEST_M
@@ -187,7 +189,7 @@ class SendsVelocity(Planted):
     invariant = "I4"
 
     def _spoil(self, frame: bytes) -> list[bytes]:
-        return [rewritten(frame, self._change, None)]
+        return [rewrite_frame(frame, self._change, None)]
 
     def _change(self, message: Any) -> None:
         message.type_mask = 0x0DC7
@@ -206,7 +208,7 @@ class Extrapolates(Planted):
     def _spoil(self, frame: bytes) -> list[bytes]:
         is_blind = not self.session.vehicle.is_position_fresh(self._now_s)
         self._blind = self._blind + 1 if is_blind and self._is_flying else 0
-        return [rewritten(frame, self._change, None)] if self._blind else [frame]
+        return [rewrite_frame(frame, self._change, None)] if self._blind else [frame]
 
     def _change(self, message: Any) -> None:
         message.x += 0.05 * self._blind
@@ -218,7 +220,7 @@ class SendsNan(Planted):
     invariant = "I6"
 
     def _spoil(self, frame: bytes) -> list[bytes]:
-        return [frame] if self._count % SPOILT_EVERY else [rewritten(frame, self._change, None)]
+        return [frame] if self._count % SPOILT_EVERY else [rewrite_frame(frame, self._change, None)]
 
     def _change(self, message: Any) -> None:
         message.yaw_rate = math.nan
@@ -290,7 +292,7 @@ class HasMoods(Planted):
     invariant = "I12"
 
     def _spoil(self, frame: bytes) -> list[bytes]:
-        return [rewritten(frame, self._change, None)]
+        return [rewrite_frame(frame, self._change, None)]
 
     def _change(self, message: Any) -> None:
         message.yaw = secrets.randbelow(1000) * 1e-6

@@ -64,7 +64,7 @@ def mission_result(
     closest, marker = markers[0]
     if sum(node is closest for node, _ in markers) > 1:
         pytest.fail("mission: a test flies one script; write another test", pytrace=False)
-    result = flown(marker, request.path.parent, _mission_autopilot)
+    result = fly_marked(marker, request.path.parent, _mission_autopilot)
     request.node.stash[FLIGHT] = result
     return result
 
@@ -88,7 +88,9 @@ def pytest_runtest_call(item: pytest.Item) -> None:
         pytest.fail("\n".join([result.title, *lines]), pytrace=False)
 
 
-def flown(marker: pytest.Mark, folder: Path, flavour: FlavourName | None = None) -> MissionResult:
+def fly_marked(
+    marker: pytest.Mark, folder: Path, flavour: FlavourName | None = None
+) -> MissionResult:
     """The flight that a marker asks for; a marker or script that is wrong fails the test.
 
     Args:
@@ -113,17 +115,29 @@ def _listed(marker: pytest.Mark, folder: Path) -> tuple[FlavourName, ...]:
     from sim_link.lab.mission.batch import flavours_of
     from sim_link.lab.mission.script_file import load_mission
 
-    def mission(script: str, seed: object = 0, autopilot: object = None) -> tuple[str, object]:
-        """The arguments that count."""
-        del seed
-        return script, autopilot
-
     try:
-        script, autopilot = mission(*marker.args, **marker.kwargs)
+        script, _, autopilot = _arguments_of(marker)
         path = folder / str(script)
         return flavours_of(load_mission(path), str(path)) if autopilot is None else ()
     except (CompanionError, TypeError, ValueError):
         return ()
+
+
+def _arguments_of(marker: pytest.Mark) -> tuple[str, object, object]:
+    """Script, seed and autopilot of a marker.
+
+    Raises:
+        TypeError: An argument is missing, or there is no such argument.
+    """
+
+    def mission(
+        script: str, seed: object = 0, autopilot: object = None
+    ) -> tuple[str, object, object]:
+        """The marker's parameters."""
+        return script, seed, autopilot
+
+    mission.__qualname__ = MARKER  # what Python calls it where arguments are missing
+    return mission(*marker.args, **marker.kwargs)
 
 
 def _wanted(
@@ -140,27 +154,21 @@ def _wanted(
     from sim_link.lab.mission.batch import check_flyable, flavours_of, with_autopilot
     from sim_link.lab.mission.script_file import load_mission
 
-    def mission(
-        script: str, seed: object = 0, autopilot: object = None
-    ) -> tuple[Mission, int, Path]:
-        """The arguments of the marker, checked."""
-        if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
-            raise ValueError(f"mission: seed {seed!r} is not a whole number from 0 up")
-        if autopilot not in (None, *get_args(FlavourName)):
-            known = " or ".join(get_args(FlavourName))
-            raise ValueError(f"mission: autopilot {autopilot!r} is not {known}")
-        path = folder / str(script)
-        loaded = load_mission(path)
-        flavours = flavours_of(loaded, str(path))
-        wanted = cast("FlavourName | None", autopilot) or flavour
-        if wanted is None and len(flavours) > 1:
-            raise ValueError(f"mission: {script} lists {', '.join(flavours)}: give one autopilot")
-        loaded = with_autopilot(loaded, wanted or flavours[0])
-        check_flyable(loaded, str(path))
-        return loaded, seed, path
-
-    mission.__qualname__ = MARKER  # what Python calls it where arguments are missing
-    return mission(*marker.args, **marker.kwargs)
+    script, seed, autopilot = _arguments_of(marker)
+    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
+        raise ValueError(f"mission: seed {seed!r} is not a whole number from 0 up")
+    if autopilot not in (None, *get_args(FlavourName)):
+        known = " or ".join(get_args(FlavourName))
+        raise ValueError(f"mission: autopilot {autopilot!r} is not {known}")
+    path = folder / str(script)
+    mission = load_mission(path)
+    flavours = flavours_of(mission, str(path))
+    wanted = cast("FlavourName | None", autopilot) or flavour
+    if wanted is None and len(flavours) > 1:
+        raise ValueError(f"mission: {script} lists {', '.join(flavours)}: give one autopilot")
+    mission = with_autopilot(mission, wanted or flavours[0])
+    check_flyable(mission, str(path))
+    return mission, seed, path
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ import pytest
 from companion.config.schema import CompanionConfig
 from companion.guidance.session_params import SessionParams
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, RcParams, Scenario
-from sim_link.lab.campaign.flights import Monitored, Trial, monitored
+from sim_link.lab.campaign.flights import Monitored, Trial, monitored_flight
 from sim_link.lab.campaign.random_missions import Missions
 from sim_link.lab.campaign.runner import run_one
 from sim_link.lab.faults.fault_models import KINDS, Fault, Schedule, fault_from
@@ -55,7 +55,7 @@ def _flown(
     flavour: FlavourName, has_rc: bool, is_signed: bool, faults: tuple[Fault, ...]
 ) -> tuple[Monitored, str]:
     scenario = Scenario(autopilot=AutopilotParams(flavour=flavour), rc=RcParams(is_present=has_rc))
-    around, mark = monitored(AUTO, scenario, 3, is_signed=is_signed), Mark()
+    around, mark = monitored_flight(AUTO, scenario, 3, is_signed=is_signed), Mark()
     around.flight.observers.append(mark)
     around.flight.run(ENGAGED_S)
     around.injector.inject(Schedule(faults=faults))

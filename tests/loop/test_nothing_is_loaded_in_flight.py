@@ -15,7 +15,7 @@ import sys
 import companion.run  # as the command loads it
 from companion.link.endpoint import CompanionEndpoint
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
-from sim_link.lab.campaign.flights import monitored
+from sim_link.lab.campaign.flights import monitored_flight
 from tests.loop.loop_helpers import AUTO
 
 def watched(name):
@@ -29,7 +29,7 @@ def watched(name):
 
 watched("receive")
 watched("handle_timer")
-around = monitored(AUTO, Scenario(autopilot=AutopilotParams(flavour=sys.argv[1])), 3)
+around = monitored_flight(AUTO, Scenario(autopilot=AutopilotParams(flavour=sys.argv[1])), 3)
 around.flight.run(60.0)
 assert around.notes.results, "nothing was localised"
 """

@@ -12,7 +12,7 @@ from companion.estimation.screening.validation import RejectReason
 from companion.guidance.authority.state_machine import FLYING, Phase
 from companion.guidance.session_params import SessionParams
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
-from sim_link.lab.campaign.flights import monitored
+from sim_link.lab.campaign.flights import monitored_flight
 from tests.loop.loop_helpers import AUTO, Loop, outside
 
 JUMPS: list[PositionEnu] = [
@@ -154,6 +154,6 @@ def test_a_position_that_keeps_jumping_is_handed_back() -> None:
 
 
 def test_a_flight_without_jumps_sees_none() -> None:
-    around = monitored(AUTO, Loop().flight.scenario, 3)
+    around = monitored_flight(AUTO, Loop().flight.scenario, 3)
     around.flight.run(60.0)
     assert around.flight.companion.session.tracker.refusals[RejectReason.OWN_JUMP] == 0

@@ -42,7 +42,7 @@ from sim_link.lab.campaign.flights import (
     Trial,
     TrialOutcome,
     flavour_of,
-    monitored,
+    monitored_flight,
     rules_of,
 )
 from sim_link.lab.faults.fault_models import LinkBursts, LinkJitter, LinkLoss, Schedule
@@ -201,7 +201,7 @@ JUDGED = ("I6", "I8", "I9", "I11")
 def _fuzzed_flight(seed: int, *, is_signed: bool) -> Monitored:
     flavour: FlavourName = "px4" if seed % 4 < 2 else "ardupilot"
     scenario = Scenario(autopilot=AutopilotParams(flavour=flavour))
-    return monitored(ENDLESS, scenario, seed, is_signed=is_signed)
+    return monitored_flight(ENDLESS, scenario, seed, is_signed=is_signed)
 
 
 def resident_mb() -> float:
@@ -237,7 +237,7 @@ class Soak(Part):
         """Fly and measure."""
         directory = Path(tempfile.mkdtemp(prefix="soak-"))
         try:
-            return _soaked(trial, directory)
+            return _fly_soak(trial, directory)
         finally:
             shutil.rmtree(directory, ignore_errors=True)
 
@@ -275,7 +275,7 @@ class Usage:
         return findings
 
 
-def _soaked(trial: Trial, directory: Path) -> TrialOutcome:
+def _fly_soak(trial: Trial, directory: Path) -> TrialOutcome:
     flight, monitor, journal = _soak_flight(trial.seed, directory)
     usage = Usage()
     while flight.now_s < trial.size * HOUR_S:

@@ -138,22 +138,17 @@ class SignedPair:
         )
 
 
+LIMITS = (
+    *("fence_enu_m", "keep_out_enu_m", "altitude_min_m", "altitude_max_m", "speed_mps"),
+    *("climb_mps", "acceleration_mps2", "step_m", "latency_s", "navigation_sigma_m"),
+)
+"""What a configuration and the monitor's rules call by the same name."""
+
+
 def rules_of(config: CompanionConfig) -> Rules:
     """What a configuration promises, as the monitor judges it."""
-    limits = config.limits
-    return Rules(
-        fence_enu_m=limits.fence_enu_m,
-        system_id=config.vehicle.system_id,
-        keep_out_enu_m=limits.keep_out_enu_m,
-        altitude_min_m=limits.altitude_min_m,
-        altitude_max_m=limits.altitude_max_m,
-        speed_mps=limits.speed_mps,
-        climb_mps=limits.climb_mps,
-        acceleration_mps2=limits.acceleration_mps2,
-        step_m=limits.step_m,
-        latency_s=limits.latency_s,
-        navigation_sigma_m=limits.navigation_sigma_m,
-    )
+    shared = {name: getattr(config.limits, name) for name in LIMITS}
+    return Rules(system_id=config.vehicle.system_id, **shared)
 
 
 def snapshot_of(flight: Flight) -> object:
@@ -211,7 +206,7 @@ class Monitored:
         return tuple(f"{time_s:8.2f} s  {text}" for time_s, text in self.notes.texts)
 
 
-def monitored(
+def monitored_flight(
     config: CompanionConfig,
     scenario: Scenario,
     seed: int,

@@ -28,7 +28,7 @@ from sim_link.lab.campaign.flights import (
     Trial,
     TrialOutcome,
     flavour_of,
-    monitored,
+    monitored_flight,
 )
 from sim_link.lab.faults import fault_models as faults
 from sim_link.lab.lockstep.observer import Frame, Observer
@@ -118,7 +118,7 @@ def hold_over(seed: int, share: float, duration_s: float) -> tuple[Monitored, Ga
         payload=PayloadParams(max_range_m=0.001),
     )
     config = CompanionConfig(mission=SessionParams(engage="auto"))
-    around, gaps = monitored(config, scenario, seed), Gaps()
+    around, gaps = monitored_flight(config, scenario, seed), Gaps()
     around.flight.observers.append(gaps)
     around.flight.run(SETTLING_S)
     around.inject(faults.LinkLoss(share=share))
@@ -183,7 +183,7 @@ class Reactions(Part):
         """Cut, and measure."""
         dice = Dice(np.random.default_rng((trial.seed, 0x2EAC)))
         scenario = Scenario(autopilot=AutopilotParams(flavour=dice.flavour()))
-        around = monitored(ENDLESS, scenario, trial.seed)
+        around = monitored_flight(ENDLESS, scenario, trial.seed)
         flight, watch = around.flight, ReactionWatch()
         flight.observers.append(watch)
         flight.run(REACTION_ENGAGED_S + dice.number(0.0, 10.0))
@@ -275,7 +275,8 @@ class Floods(FramesPart):
 
 def _fly(seed: int, fault: FaultRecord | None, duration_s: float) -> tuple[Monitored, Output]:
     scenario = Scenario(autopilot=AutopilotParams(flavour=flavour_of(seed)))
-    around, output = monitored(ENDLESS, scenario, seed, is_signed=True, is_spoofing=False), Output()
+    around = monitored_flight(ENDLESS, scenario, seed, is_signed=True, is_spoofing=False)
+    output = Output()
     around.flight.observers.append(output)
     around.flight.run(FLOOD_ENGAGED_S)
     if fault is not None:

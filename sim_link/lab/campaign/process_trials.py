@@ -30,7 +30,7 @@ from sim_link.lab.campaign.flights import (
     Part,
     Trial,
     TrialOutcome,
-    monitored,
+    monitored_flight,
 )
 from sim_link.lab.event_tail import EventTail
 from sim_link.lab.lockstep.flight_harness import MemoryStore
@@ -68,7 +68,7 @@ def flight_of(seed: int) -> tuple[Monitored, Dice]:
     """A flight with checkpoints, either autopilot, launched by the companion."""
     dice = Dice(np.random.default_rng((seed, 0x1C7)))
     scenario = Scenario(autopilot=AutopilotParams(flavour=dice.flavour()))
-    return monitored(ENDLESS, scenario, seed), dice
+    return monitored_flight(ENDLESS, scenario, seed), dice
 
 
 class Kills(Part):

@@ -34,7 +34,7 @@ from sim_link.lab.campaign.flights import (
     Part,
     Trial,
     TrialOutcome,
-    monitored,
+    monitored_flight,
     random_fault,
 )
 from sim_link.lab.faults.fault_models import (
@@ -259,7 +259,7 @@ class Missions(Part):
 
 def fly(case: MissionCase) -> Monitored:
     """Fly a mission to its end."""
-    around = monitored(case.config, case.scenario, case.seed, is_signed=case.is_signed)
+    around = monitored_flight(case.config, case.scenario, case.seed, is_signed=case.is_signed)
     flight = around.flight
     if case.is_operated:
         _take_off(around)
@@ -320,7 +320,7 @@ class Overrides(Part):
         """Ten take-overs in one flight."""
         dice = Dice(np.random.default_rng((trial.seed, 0x0E7)))
         scenario = Scenario(autopilot=AutopilotParams(flavour=dice.flavour()))
-        around = monitored(ENDLESS, scenario, trial.seed)
+        around = monitored_flight(ENDLESS, scenario, trial.seed)
         flight = around.flight
         share = dice.one(LOSSES)
         if share:

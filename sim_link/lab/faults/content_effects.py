@@ -31,7 +31,7 @@ from sim_link.lab.lockstep.observer import Delivery
 _READER = MavCodec(9, 9)
 
 
-def rewritten(frame: bytes, change: Callable[[Any], None], key: SigningKey | None) -> bytes:
+def rewrite_frame(frame: bytes, change: Callable[[Any], None], key: SigningKey | None) -> bytes:
     """The frame after a change of its fields; as it was if nobody may or can read it.
 
     Args:
@@ -48,10 +48,10 @@ def rewritten(frame: bytes, change: Callable[[Any], None], key: SigningKey | Non
     )
     mav.seq = message.get_seq()
     packed: bytes = message.pack(mav, force_mavlink1=frame[0] == MAGIC_V1)
-    return packed if not is_signed(frame) or key is None else _signed_as(packed, frame, key)
+    return packed if not is_signed(frame) or key is None else _sign_like(packed, frame, key)
 
 
-def _signed_as(packed: bytes, model: bytes, key: SigningKey) -> bytes:
+def _sign_like(packed: bytes, model: bytes, key: SigningKey) -> bytes:
     """`packed` with the link id and timestamp of `model`'s signature."""
     end = HEADER_LENGTH[MAGIC_V2] + packed[1]
     head = packed[:2] + bytes((packed[2] | INCOMPAT_SIGNED,)) + packed[3:end]
@@ -105,7 +105,7 @@ class ContentEffect(Effect[F]):
 
     def _alter(self, data: bytes, due_s: float) -> list[Delivery]:
         """What comes of a frame that it is about."""
-        return [(due_s, rewritten(data, self._change, self._key))]
+        return [(due_s, rewrite_frame(data, self._change, self._key))]
 
     def _change(self, message: Any) -> None:
         """Set the fields that are wrong."""
@@ -231,7 +231,7 @@ class SecondEmitter(ContentEffect[faults.RangingSecondEmitter]):
         """Learn where the vehicle is from what it says."""
         position = mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED
         if len(data) > HEADER_LENGTH[MAGIC_V2] and message_id(data) == position:
-            rewritten(data, self._note_place, self._key)
+            rewrite_frame(data, self._note_place, self._key)
 
     def _note_place(self, message: Any) -> None:
         self._vehicle_ned_m = (message.x, message.y, message.z)

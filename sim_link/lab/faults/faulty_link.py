@@ -24,7 +24,7 @@ from companion.mav.dialect import mavlink
 from companion.mav.framing import frame_crc, message_id, without_signature
 from companion.mav.signing import MAX_HEARD, Signing, SigningKey
 from sim_link.autopilot.incidents import FaultRecord
-from sim_link.lab.faults.content_effects import CONTENT_EFFECTS, rewritten
+from sim_link.lab.faults.content_effects import CONTENT_EFFECTS, rewrite_frame
 from sim_link.lab.faults.fault_models import (
     ForeignFrames,
     ForgedFrames,
@@ -143,13 +143,13 @@ class Attacker:
             case ForeignFrames():
                 return self._from_elsewhere(model)
             case ForgedFrames():
-                return self._forged(model)
+                return self._forge(model)
         return None
 
     def _lie(self, model: bytes) -> bytes:
         """The same kind of frame, unsigned, with other content."""
         bare = without_signature(model, CRC_EXTRA_BY_ID.get(message_id(model)))
-        return rewritten(bare, self._change, None)
+        return rewrite_frame(bare, self._change, None)
 
     def _change(self, message: Any) -> None:
         match message:
@@ -164,7 +164,7 @@ class Attacker:
             case mavlink.MAVLink_gps_global_origin_message():
                 message.latitude += 10_000
 
-    def _forged(self, model: bytes) -> bytes:
+    def _forge(self, model: bytes) -> bytes:
         """Signed with a wrong key, with a timestamp from the past to the end of time."""
         lie = self._lie(model)
         self._signing = Signing(WRONG_KEY, int(self._rng.integers(0, MAX_HEARD)))

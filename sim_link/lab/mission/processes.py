@@ -34,7 +34,7 @@ from sim_link.lab.faults.fault_models import (
 from sim_link.lab.faults.faulty_link import FaultyLink
 from sim_link.lab.lockstep.observer import Lane, Observer, Wire
 from sim_link.lab.mission.script import Mission
-from sim_link.lab.mission.script_file import located
+from sim_link.lab.mission.script_file import error_at
 
 VEHICLE, COMPANION, OPERATOR, RADIO = range(4)
 """The hub's links."""
@@ -242,4 +242,4 @@ def check_faults(mission: Mission, name: str, *, is_our_vehicle: bool) -> None:
         elif isinstance(step, VehicleFault) and not isinstance(step, IncidentRecord):
             problem = "only possible in lockstep"
         if problem is not None:
-            raise located(read_text(Path(name)), name, f"$.steps[{number}].inject", problem)
+            raise error_at(read_text(Path(name)), name, f"$.steps[{number}].inject", problem)

@@ -203,7 +203,7 @@ def _final_error(bound: EmitterBound, mission: Mission, record: FlightRecord) ->
     point, truth = _final(bound, mission, record)
     if point is None:
         return False, "there is no estimate"
-    return _bounded(math.dist(point.place_enu_m, truth), bound, "m")
+    return _judge_bound(math.dist(point.place_enu_m, truth), bound, "m")
 
 
 def _error_over_r95(bound: EmitterBound, mission: Mission, record: FlightRecord) -> Judged:
@@ -211,7 +211,7 @@ def _error_over_r95(bound: EmitterBound, mission: Mission, record: FlightRecord)
     if point is None:
         return False, "there is no estimate"
     ratio = math.dist(point.place_enu_m, truth) / point.r95_m
-    return _bounded(ratio, bound, f"times the R95 of {point.r95_m:.2f} m")
+    return _judge_bound(ratio, bound, f"times the R95 of {point.r95_m:.2f} m")
 
 
 def _final(
@@ -229,7 +229,7 @@ def _reported(bound: EmitterBound, mission: Mission, record: FlightRecord) -> Ju
     report, engaged_s = record.report_of(_emitter_of(bound, mission)), record.engaged_s
     if report is None or engaged_s is None:
         return False, "the target was not reported"
-    return _bounded(report.time_s - engaged_s, bound, "s")
+    return _judge_bound(report.time_s - engaged_s, bound, "s")
 
 
 def _violations(limit: Violations, _mission: Mission, record: FlightRecord) -> Judged:
@@ -284,7 +284,7 @@ def _always(expectation: Expectation, record: FlightRecord) -> Judged:
     return False, f"{expectation.always} was false at {broken_s:.1f} s"
 
 
-def _bounded(value: float, bound: Bound, unit: str) -> Judged:
+def _judge_bound(value: float, bound: Bound, unit: str) -> Judged:
     return bound.holds(value), f"{value:.2f} {unit}, expected {bound}"
 
 
@@ -292,8 +292,8 @@ JUDGES: dict[str, Callable[..., Judged]] = {
     "final_error_m": _final_error,
     "error_over_r95": _error_over_r95,
     "reported_s": _reported,
-    "time_s": lambda bound, _, record: _bounded(record.ended_s, bound, "s"),
-    "distance_m": lambda bound, _, record: _bounded(record.distance_m, bound, "m"),
+    "time_s": lambda bound, _, record: _judge_bound(record.ended_s, bound, "s"),
+    "distance_m": lambda bound, _, record: _judge_bound(record.distance_m, bound, "m"),
     "violations": _violations,
     "appears": _appears,
     "never": _never,

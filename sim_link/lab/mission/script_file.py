@@ -65,15 +65,15 @@ def parse_mission(text: str, name: str, folder: Path = Path()) -> Mission:
     try:
         mission = parse_yaml(text, Mission, name)
     except ConfigError as error:
-        problems = _told_apart(str(error), name)
+        problems = _split_problems(str(error), name)
         if not problems:
             raise
-        lines = [str(located(text, name, path, _with_hint(path, what))) for path, what in problems]
+        lines = [str(error_at(text, name, path, _with_hint(path, what))) for path, what in problems]
         raise ConfigError("\n".join(lines)) from None
     if isinstance(mission.companion, str):
         mission = _with_companion_file(mission, text, name, folder)
     for where, problem in _problems(mission):
-        raise located(text, name, where, problem)
+        raise error_at(text, name, where, problem)
     return mission
 
 
@@ -114,7 +114,7 @@ def line_of(text: str, path: str) -> int | None:
     return None if line is None else line + 1
 
 
-def located(text: str, name: str, path: str, problem: str) -> ConfigError:
+def error_at(text: str, name: str, path: str, problem: str) -> ConfigError:
     """The error at a path of a script, with its line.
 
     Args:
@@ -126,7 +126,7 @@ def located(text: str, name: str, path: str, problem: str) -> ConfigError:
     return ConfigError(f"{where}: {path}: {problem}")
 
 
-def _told_apart(message: str, name: str) -> list[Problem]:
+def _split_problems(message: str, name: str) -> list[Problem]:
     """The problems of a message, a line each, but those that only follow from others."""
     problems: list[Problem] = []
     for line in message.splitlines():
@@ -168,7 +168,7 @@ def _with_companion_file(mission: Mission, text: str, name: str, folder: Path) -
     try:
         config = load_config(path)
     except ConfigError as error:
-        raise located(text, name, "$.companion", str(error)) from None
+        raise error_at(text, name, "$.companion", str(error)) from None
     return msgspec.structs.replace(mission, companion=config)
 
 

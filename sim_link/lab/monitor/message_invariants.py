@@ -199,7 +199,7 @@ ALLOWED: frozenset[type[Message]] = frozenset(
         MAVLink_target_estimate_message,
     }
 )
-"""Messages that a companion has any business sending to a vehicle, and through it to others."""
+"""Messages that a companion may send to a vehicle, and through it to others."""
 COMMANDS = frozenset(
     {
         mavlink.MAV_CMD_DO_SET_MODE,
@@ -233,7 +233,7 @@ class KnownFrames(Invariant):
             self.report("a frame that cannot be read", number=float(frame.number))
             return
         if type(message) not in ALLOWED:
-            self.report("a message that is none of its business", number=float(frame.number))
+            self.report("a message that a companion may not send", number=float(frame.number))
             return
         frames = FRAME_OF.get(type(message))
         if frames is not None:
@@ -254,7 +254,7 @@ class KnownFrames(Invariant):
 
     def _judge_command(self, message: mavlink.MAVLink_command_long_message) -> None:
         if message.command not in COMMANDS:
-            self.report("a command that is none of its business", command=float(message.command))
+            self.report("a command that a companion may not send", command=float(message.command))
         is_arming = message.command == mavlink.MAV_CMD_COMPONENT_ARM_DISARM
         if is_arming and (message.param1 != 1.0 or message.param2 == FORCE):
             self.report("disarmed or forced to arm", param1=message.param1)

@@ -94,18 +94,15 @@ STALLED = "control loop stalled"
 """So begins what a companion says that got no time: it is silent until it knows who flies."""
 
 
-def widened(rules: Rules, slack_s: float) -> Rules:
+TIMES = ("answer_s", "gap_s", "state_age_s", "latency_s")
+RATES = ("sent_frames_per_s", "sent_bytes_per_s", "records_per_s")
+
+
+def widen_rules(rules: Rules, slack_s: float) -> Rules:
     """The rules, where every frame may be late by so much."""
-    return msgspec.structs.replace(
-        rules,
-        answer_s=rules.answer_s + slack_s,
-        gap_s=rules.gap_s + slack_s,
-        state_age_s=rules.state_age_s + slack_s,
-        latency_s=rules.latency_s + slack_s,
-        sent_frames_per_s=rules.sent_frames_per_s * (1.0 + slack_s),
-        sent_bytes_per_s=rules.sent_bytes_per_s * (1.0 + slack_s),
-        records_per_s=rules.records_per_s * (1.0 + slack_s),
-    )
+    late = {name: getattr(rules, name) + slack_s for name in TIMES}
+    more = {name: getattr(rules, name) * (1.0 + slack_s) for name in RATES}
+    return msgspec.structs.replace(rules, **late, **more)
 
 
 @dataclass(slots=True)
@@ -178,7 +175,7 @@ class WireMonitor(FrameMonitor):
     """
 
     def __init__(self, rules: Rules, slack_s: float) -> None:
-        self.scene = scene = HeardScene(widened(rules, slack_s))
+        self.scene = scene = HeardScene(widen_rules(rules, slack_s))
         self._estimate: TargetEstimate | None = None
         self._is_offboard: bool | None = None
         self._stream = KeepsStreaming(scene)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from sim_link.lab.pytest_plugin import flown
+from sim_link.lab.pytest_plugin import fly_marked
 
 ROOT = Path(__file__).parents[4]
 SCRIPT = """\
@@ -109,6 +109,6 @@ def test_a_wrong_marker_fails_in_one_line_before_anything_flies(
 ) -> None:
     mark = eval(f"pytest.mark.mission({arguments})").mark  # as a test of a user writes it
     with pytest.raises(pytest.fail.Exception) as caught:
-        flown(mark, ROOT)
+        fly_marked(mark, ROOT)
     assert complaint in str(caught.value)
     assert caught.value.__cause__ is caught.value.__context__ is None

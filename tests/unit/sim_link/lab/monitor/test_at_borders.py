@@ -7,7 +7,7 @@ import pytest
 from companion.domain import FlightMode
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
-from sim_link.lab.campaign.flights import Monitored, monitored
+from sim_link.lab.campaign.flights import Monitored, monitored_flight
 from sim_link.lab.monitor.authority_invariants import OnlyWithAuthority
 from sim_link.lab.monitor.fence_invariants import SafeToFreeze, SetpointsInside
 from sim_link.lab.monitor.independent_checks import Point, is_moved_inwards
@@ -36,7 +36,7 @@ def sent_beside(
     up_m: float = 15.0,
 ) -> list[str]:
     """What is reported of setpoints, tick by tick, while the vehicle is told to be there."""
-    around = monitored(AUTO, Scenario(), 1)
+    around = monitored_flight(AUTO, Scenario(), 1)
     scene = around.monitor.scene
     scene.told.is_ours, scene.is_lied_to = is_ours, is_lied_to
     invariant = invariant_type(scene)
@@ -165,7 +165,7 @@ def test_the_altitude_band_holds_whoever_is_believed(*, is_ours: bool) -> None:
 def test_a_vehicle_that_somebody_else_made_too_fast_can_only_be_stopped(
     found: list[str], ahead_m: float, *, is_dragged: bool
 ) -> None:
-    around = monitored(AUTO, Scenario(), 1)
+    around = monitored_flight(AUTO, Scenario(), 1)
     scene, place = around.monitor.scene, (10.0, BORDER_NORTH_M + 2.0, 15.0)
     scene.told.is_ours = True
     body = scene.vehicle.body
@@ -177,7 +177,7 @@ def test_a_vehicle_that_somebody_else_made_too_fast_can_only_be_stopped(
 
 def taken_over(*modes: FlightMode) -> Monitored:
     """A flight over whose vehicle others chose these modes, and that then is beyond the fence."""
-    around = monitored(AUTO, Scenario(autopilot=AutopilotParams(flavour="ardupilot")), 1)
+    around = monitored_flight(AUTO, Scenario(autopilot=AutopilotParams(flavour="ardupilot")), 1)
     around.flight.run(18.0)
     for mode in modes:
         around.operator.choose(mode)

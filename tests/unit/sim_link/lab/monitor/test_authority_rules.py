@@ -13,7 +13,7 @@ from companion.mav.dialect import mavlink
 from companion.mav.framing import message_id
 from sim_link.autopilot.incidents import BatteryCharge
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
-from sim_link.lab.campaign.flights import Monitored, monitored
+from sim_link.lab.campaign.flights import Monitored, monitored_flight
 from sim_link.lab.faults.fault_models import CompanionKilled, Schedule
 from sim_link.lab.lockstep.observer import Delivery, Lane
 from tests.planted_companions import KeepsFlying, maker
@@ -25,7 +25,9 @@ AUTO = CompanionConfig(mission=SessionParams(engage="auto", stop_confirm_s=1e6))
 
 def taken_over(*, is_planted: bool = False) -> Monitored:
     """A flight that the operator took over some seconds ago."""
-    around = monitored(AUTO, COPTER, 1, make_companion=maker(KeepsFlying) if is_planted else None)
+    around = monitored_flight(
+        AUTO, COPTER, 1, make_companion=maker(KeepsFlying) if is_planted else None
+    )
     around.flight.run(18.0)
     around.operator.choose(FlightMode.HOLD)
     around.flight.run(5.0)
@@ -71,7 +73,7 @@ class WithoutHeartbeats:
 
 
 def test_a_grant_takes_nothing_away_from_who_could_not_know_of_the_take_over() -> None:
-    around = monitored(AUTO, COPTER, 1)
+    around = monitored_flight(AUTO, COPTER, 1)
     around.flight.run(16.0)
     around.flight.wire = WithoutHeartbeats()
     around.operator.choose(FlightMode.HOLD)
@@ -84,7 +86,7 @@ def test_a_grant_takes_nothing_away_from_who_could_not_know_of_the_take_over() -
 
 
 def test_a_mode_that_ends_shortly_after_a_grant_was_given_back_before_it() -> None:
-    around = monitored(AUTO, COPTER, 1)
+    around = monitored_flight(AUTO, COPTER, 1)
     around.flight.run(16.0)
     around.operator.grant()
     around.flight.run(0.2)
@@ -99,7 +101,7 @@ def test_guided_that_a_failed_launch_left_behind_gives_no_right_to_fly(
 ) -> None:
     if not keeps_latch:
         monkeypatch.setattr(Authority, "may_take", property(lambda _: True))
-    around = monitored(AUTO, COPTER, 1)
+    around = monitored_flight(AUTO, COPTER, 1)
     around.flight.run(6.5)
     around.injector.add(BatteryCharge(share=0.05))
     around.flight.run(2.0)
@@ -114,7 +116,7 @@ def test_a_companion_that_begins_anew_in_the_air_has_nothing_to_lose(
     monkeypatch: pytest.MonkeyPatch, *, is_too_bold: bool
 ) -> None:
     """What it saw of the offboard mode was its predecessor's; the pilot's next mode frees it."""
-    around = monitored(AUTO, Scenario(autopilot=AutopilotParams(flavour="px4")), 1)
+    around = monitored_flight(AUTO, Scenario(autopilot=AutopilotParams(flavour="px4")), 1)
     around.flight.run(16.3)
     if is_too_bold:
         monkeypatch.setattr(Authority, "may_begin", True)

@@ -9,7 +9,7 @@ import pytest
 
 from companion.domain import EstimateState, TargetEstimate
 from sim_link.autopilot.scenario import Scenario
-from sim_link.lab.campaign.flights import monitored
+from sim_link.lab.campaign.flights import monitored_flight
 from sim_link.lab.monitor.message_invariants import HonestCovariance
 from tests.loop.loop_helpers import AUTO
 
@@ -34,7 +34,7 @@ BAD = {
 
 def found(*estimates: TargetEstimate | None) -> list[str]:
     """What is reported, tick by tick, while these are shown."""
-    around, shown = monitored(AUTO, Scenario(), 1), list(estimates)
+    around, shown = monitored_flight(AUTO, Scenario(), 1), list(estimates)
     invariant = HonestCovariance(around.monitor.scene, lambda: shown[0])
     while shown:
         invariant.ticked()

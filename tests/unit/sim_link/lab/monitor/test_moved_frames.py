@@ -8,7 +8,7 @@ from companion.domain import PositionEnu
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import Scenario
-from sim_link.lab.campaign.flights import Monitored, monitored
+from sim_link.lab.campaign.flights import Monitored, monitored_flight
 from sim_link.lab.lockstep.observer import Frame, Lane
 from sim_link.lab.monitor.authority_invariants import OnlyWithAuthority
 from sim_link.lab.monitor.message_invariants import WithinEnvelope
@@ -27,7 +27,7 @@ SETPOINT = mavlink.MAVLink_set_position_target_local_ned_message(
 
 @pytest.fixture
 def around() -> Monitored:
-    return monitored(AUTO, Scenario(), 1)
+    return monitored_flight(AUTO, Scenario(), 1)
 
 
 def found(around: Monitored) -> list[str]:

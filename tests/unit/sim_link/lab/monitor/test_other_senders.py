@@ -11,7 +11,7 @@ from companion.guidance.session_params import SessionParams
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
-from sim_link.lab.campaign.flights import Monitored, monitored, rules_of
+from sim_link.lab.campaign.flights import Monitored, monitored_flight, rules_of
 from sim_link.lab.faults.fault_models import (
     Disarm,
     ForgedFrames,
@@ -29,7 +29,7 @@ ATTITUDE = mavlink.MAVLink_attitude_message(1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def in_flight(flavour: FlavourName) -> Monitored:
-    around = monitored(AUTO, Scenario(autopilot=AutopilotParams(flavour=flavour)), 1)
+    around = monitored_flight(AUTO, Scenario(autopilot=AutopilotParams(flavour=flavour)), 1)
     around.flight.run(18.0)
     return around
 

@@ -11,7 +11,7 @@ from companion.domain import FlightMode
 from companion.guidance.session_params import SessionParams
 from sim_link.autopilot.incidents import EkfJump, GpsLoss, PilotMode, WindChange
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
-from sim_link.lab.campaign.flights import Monitored, monitored, rules_of
+from sim_link.lab.campaign.flights import Monitored, monitored_flight, rules_of
 from sim_link.lab.faults.fault_models import (
     ForgedFrames,
     LinkBlackout,
@@ -46,7 +46,7 @@ SCHEDULE = Schedule(
 def flown(defect: type[Planted] | None, seed: int = 1) -> Monitored:
     """Half a minute with a blind spell, strangers on the link and a pilot who takes over."""
     make = None if defect is None else maker(defect)
-    around = monitored(AUTO, COPTER, seed, make_companion=make)
+    around = monitored_flight(AUTO, COPTER, seed, make_companion=make)
     around.flight.run(18.0)
     around.injector.inject(SCHEDULE)
     around.flight.run(18.0)
@@ -58,7 +58,7 @@ def test_a_stream_that_pauses_is_found_after_a_blind_time_too(
     blind_s: float, delay_s: float
 ) -> None:
     """What may be silent until it knows who flies may not be so for ever."""
-    around = monitored(AUTO, COPTER, 1, make_companion=maker(Pauses))
+    around = monitored_flight(AUTO, COPTER, 1, make_companion=maker(Pauses))
     around.flight.run(18.0)
     slow = LinkDelay(delay_s=delay_s, direction="to_companion")
     around.injector.inject(Schedule(faults=(slow,)))
@@ -94,7 +94,7 @@ def test_moods_show_in_the_digest_of_two_flights() -> None:
 
 
 def test_a_covariance_that_is_not_positive_is_found() -> None:
-    around = monitored(AUTO, COPTER, 1)
+    around = monitored_flight(AUTO, COPTER, 1)
     flight = around.flight
     monitor = Monitor(
         rules_of(AUTO),
@@ -112,7 +112,7 @@ def jumped_out(defect: type[Planted] | None, **jump_m: float) -> set[str]:
     square = ((-25.0, -25.0), (25.0, -25.0), (25.0, 25.0), (-25.0, 25.0))
     config = CompanionConfig(mission=AUTO.mission, limits=LimitsConfig(fence_enu_m=square))
     make = None if defect is None else maker(defect)
-    around = monitored(config, Scenario(), 1, make_companion=make)
+    around = monitored_flight(config, Scenario(), 1, make_companion=make)
     around.flight.run(18.0)
     around.injector.add(EkfJump(duration_s=30.0, **jump_m))
     around.flight.run(8.0)
@@ -137,7 +137,7 @@ def begun_outside(defect: type[Planted] | None) -> tuple[set[str], float]:
     field = ((-120.0, -40.0), (-50.0, -40.0), (-50.0, 40.0), (-120.0, 40.0))
     config = CompanionConfig(mission=AUTO.mission, limits=LimitsConfig(fence_enu_m=field))
     make = None if defect is None else maker(defect)
-    around = monitored(config, Scenario(), 1, make_companion=make)
+    around = monitored_flight(config, Scenario(), 1, make_companion=make)
     around.flight.run(40.0)
     east_m = around.flight.sim.vehicle.body.position_enu_m[0]
     return {violation.invariant for violation in around.monitor.violations}, east_m
@@ -165,7 +165,7 @@ def test_where_the_wind_takes_one_without_any_position_is_nobodys_doing() -> Non
     """Its autopilot lands it with the wind; the companion has handed it back."""
     field = ((-40.0, -40.0), (40.0, -40.0), (40.0, 24.0), (-40.0, 24.0))
     limits = LimitsConfig(fence_enu_m=field, fence_margin_m=1.0)
-    around = monitored(CompanionConfig(mission=AUTO.mission, limits=limits), COPTER, 2)
+    around = monitored_flight(CompanionConfig(mission=AUTO.mission, limits=limits), COPTER, 2)
     flight = around.flight
     flight.run(18.0)
     around.injector.add(WindChange(duration_s=60.0, north_mps=12.0))

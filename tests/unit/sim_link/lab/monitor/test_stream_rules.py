@@ -6,7 +6,7 @@ import pytest
 
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import Scenario
-from sim_link.lab.campaign.flights import monitored
+from sim_link.lab.campaign.flights import monitored_flight
 from sim_link.lab.monitor.authority_invariants import KeepsStreaming
 from sim_link.lab.monitor.scene import Scene, Setpoint
 from tests.loop.loop_helpers import AUTO
@@ -21,7 +21,7 @@ class Stream:
     """Setpoints of a companion in control, until it falls silent."""
 
     def __init__(self) -> None:
-        self.scene: Scene = monitored(AUTO, Scenario(), 1).monitor.scene
+        self.scene: Scene = monitored_flight(AUTO, Scenario(), 1).monitor.scene
         self.invariant = KeepsStreaming(self.scene)
         told = self.scene.told
         told.is_ours, told.heartbeat_s, told.position_enu_m = True, 0.0, (0.0, 0.0, 15.0)

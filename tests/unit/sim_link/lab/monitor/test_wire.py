@@ -14,7 +14,7 @@ from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from sim_link.autopilot.incidents import PilotMode
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
-from sim_link.lab.campaign.flights import monitored, rules_of
+from sim_link.lab.campaign.flights import monitored_flight, rules_of
 from sim_link.lab.faults.fault_models import (
     CompanionKilled,
     CompanionStalled,
@@ -56,7 +56,7 @@ def recorded(
     """Half a minute with a blind spell and a pilot who takes over, as a hub would see it."""
     scenario = Scenario(autopilot=AutopilotParams(flavour=flavour))
     make = None if defect is None else maker(defect)
-    around = monitored(AUTO, scenario, 1, make_companion=make)
+    around = monitored_flight(AUTO, scenario, 1, make_companion=make)
     kept = Recording() if recording is None else recording
     around.flight.observers.append(kept)
     around.flight.run(18.0)
