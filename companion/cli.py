@@ -15,12 +15,12 @@ from companion.arguments import argument_parser, check_place_of_options
 from companion.config.schema import CompanionConfig, load_config, with_fence, with_signing_key
 from companion.errors import CompanionError, ConfigError
 from companion.io.files import check_writable, write_json_atomic
-from companion.io.links.specs import link_from_url, shared_link_from_url
-from companion.io.links.urls import LinkUrl, check_exposure, parse_link_url
+from companion.io.links.transports import FlightLink, check_exposure, parse_flight_link
 from companion.io.shell import Clock
+from companion.link.specs import LinkRole
 from companion.replay.flight_replay import FlightReplay, Pace, replay_flight, replay_on_map
 from companion.replay.walk_replay import replay_walk, table
-from companion.run import FlightView, fly
+from companion.run import FlightOptions, FlightView, fly
 from companion.view.console import ConsoleHandler, PlainView
 from companion.view.cot import CotView, cot_address
 from companion.web.live_map import WebView
@@ -107,28 +107,20 @@ def _fly(arguments: argparse.Namespace) -> int:
         raise ConfigError("say where the autopilot is: --connect udp:127.0.0.1:14550, or try demo")
     config = _flight_config(arguments)
     settings = _web_settings(arguments)
-    urls = _link_urls(arguments)
+    links = _links(arguments)
     if not arguments.insecure:
         check_exposure(
-            urls,
+            links,
             has_key=config.link.signing_key_file is not None,
             unsigned_ranging=config.link.unsigned_ranging,
         )
-    gcs_links = len(arguments.gcs)
-    first_gcs = len(urls) - gcs_links
-    links = [link_from_url(url) for url in urls[:first_gcs]]
-    links += [shared_link_from_url(url) for url in urls[first_gcs:]]
-    clock = Clock(arguments.fly_speed or 1.0)
-    endpoint = fly(
-        config,
-        links,
-        clock,
-        gcs_links=gcs_links,
+    options = FlightOptions(
         once=arguments.once,
         is_fresh=arguments.fresh,
         views=_views(arguments, config, settings),
         at_end=_report_flight,
     )
+    endpoint = fly(config, links, Clock(arguments.fly_speed or 1.0), options)
     if arguments.once and endpoint.session.result is None:
         print("companion: ended before the target was localised", file=sys.stderr)
         return EXIT_FAILED
@@ -181,18 +173,18 @@ def _console_view() -> FlightView:
     return view
 
 
-def _link_urls(arguments: argparse.Namespace) -> list[LinkUrl]:
+def _links(arguments: argparse.Namespace) -> list[FlightLink]:
     """The vehicle's link, then those that carry only ranging, then ground stations'."""
-    given = [("--connect", arguments.connect)]
-    given += [("--ranging", text) for text in arguments.ranging]
-    given += [("--gcs", text) for text in arguments.gcs]
-    urls: list[LinkUrl] = []
-    for option, text in given:
-        url = parse_link_url(text)
-        if url in urls:
+    given = [("--connect", arguments.connect, LinkRole.VEHICLE)]
+    given += [("--ranging", text, LinkRole.RANGING) for text in arguments.ranging]
+    given += [("--gcs", text, LinkRole.GCS) for text in arguments.gcs]
+    links: dict[str, FlightLink] = {}
+    for option, text, role in given:
+        link = parse_flight_link(text, role)
+        if str(link.transport) in links:
             raise ConfigError(f"{option} {text}: this link is given twice; one of them is enough")
-        urls.append(url)
-    return urls
+        links[str(link.transport)] = link
+    return list(links.values())
 
 
 def _report(arguments: argparse.Namespace) -> int:
@@ -292,11 +284,11 @@ def _doctor(arguments: argparse.Namespace) -> int:
     config = load_config(arguments.config)
     if arguments.key is not None:
         config = with_signing_key(config, arguments.key)
-    url = parse_link_url(arguments.link)
+    link = parse_flight_link(arguments.link, LinkRole.VEHICLE)
     if not arguments.is_insecure:
         has_key = config.link.signing_key_file is not None
-        check_exposure([url], has_key=has_key, unsigned_ranging=False)
-    findings = run_doctor(config, link_from_url(url), arguments.seconds)
+        check_exposure([link], has_key=has_key)
+    findings = run_doctor(config, link.transport, arguments.seconds)
     if arguments.json:
         print(json.dumps(as_json(findings), indent=2))
     else:

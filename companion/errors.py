@@ -17,7 +17,3 @@ class LinkError(CompanionError):
 
 class LocalProtocolError(CompanionError):
     """Our own caller broke the protocol, for example by sending a setpoint with a NaN."""
-
-
-class RemoteProtocolError(CompanionError):
-    """A peer broke the protocol; it is counted inside `companion.mav` and never leaves it."""

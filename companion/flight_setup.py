@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import platform
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,9 @@ from companion.guidance.tracking.emitters import EmitterQueue
 from companion.io.files import FLIGHT, write_bytes_atomic
 from companion.kernel import IS_COMPILED
 from companion.link.endpoint import CompanionEndpoint
+from companion.link.intake import Authenticity
 from companion.link.recorders import InputRecorder, Journal
+from companion.link.specs import MAVLINK, VEHICLE_ONLY, EndpointParams, LinkRole, LinkSpec
 from companion.mav.signing import Signing
 from companion.planning.crossing import LatchedCrossing, ReactiveCrossing
 from companion.planning.fim import FimPlanner
@@ -87,10 +90,9 @@ def build_session(config: CompanionConfig) -> GuidanceSession:
 def build_endpoint(
     config: CompanionConfig,
     journal: Journal,
-    ranging_links: int = 0,
+    links: Sequence[LinkSpec] = VEHICLE_ONLY,
     *,
     tunables: Tunables | None = None,
-    gcs_links: int = 0,
     signing: Signing | None = None,
     started_unix_s: float = 0.0,
     recorder: InputRecorder | None = None,
@@ -98,9 +100,8 @@ def build_endpoint(
     """The companion as a MAVLink participant.
 
     Args:
-        ranging_links: Links beside the vehicle's that carry only ranging.
+        links: What each link is for, the vehicle's included.
         tunables: The parameters that ground stations may change; None: as the configuration is.
-        gcs_links: Links to ground stations, behind the others.
         signing: Proves what arrives and signs what leaves; None: neither.
         started_unix_s: Unix time at the clock's zero, for the timestamps of signatures.
         recorder: Keeps what the endpoint is told.
@@ -108,14 +109,10 @@ def build_endpoint(
     tunables = tunables or Tunables(config, build_planner)
     return CompanionEndpoint(
         build_session(tunables.config),
-        config.vehicle,
+        EndpointParams(config.vehicle, config.link, tuple(links)),
         journal,
-        1 + ranging_links + gcs_links,
-        config.link,
         tunables=tunables,
-        gcs_links=gcs_links,
-        signing=signing,
-        started_unix_s=started_unix_s,
+        authenticity=Authenticity(signing, started_unix_s),
         recorder=recorder,
     )
 
@@ -125,9 +122,11 @@ class FlightFacts(msgspec.Struct, frozen=True, kw_only=True):
 
     started_unix_s: float
     links: int
-    """The vehicle's, those that carry only ranging, and ground stations'."""
+    """The vehicle's, those that carry only ranging, and ground stations'; in this order."""
     gcs_links: int = 0
     """How many of them lead to ground stations."""
+    ranging_sources: list[str] | msgspec.UnsetType = msgspec.UNSET
+    """What each ranging link speaks; left out where all of them speak MAVLink."""
     config: CompanionConfig
     """As its file had it."""
     parameters: dict[str, float] = {}
@@ -137,6 +136,27 @@ class FlightFacts(msgspec.Struct, frozen=True, kw_only=True):
     numpy: str = np.__version__
     is_compiled: bool = IS_COMPILED
     """Compiled kernels may differ from plain ones in the last digits."""
+
+    @property
+    def link_specs(self) -> tuple[LinkSpec, ...]:
+        """What each link was for."""
+        ranging = self.links - 1 - self.gcs_links
+        sources = self.ranging_sources or [MAVLINK] * ranging
+        return (
+            *VEHICLE_ONLY,
+            *(LinkSpec(LinkRole.RANGING, source) for source in sources),
+            *[LinkSpec(LinkRole.GCS)] * self.gcs_links,
+        )
+
+
+def facts_of_links(links: Sequence[LinkSpec]) -> dict[str, Any]:
+    """The fields of `FlightFacts` about the links; `link_specs` reads them back."""
+    sources = [link.source for link in links if link.role is LinkRole.RANGING]
+    return {
+        "links": len(links),
+        "gcs_links": sum(link.role is LinkRole.GCS for link in links),
+        "ranging_sources": sources if set(sources) - {MAVLINK} else msgspec.UNSET,
+    }
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ import logging
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 from typing import Protocol
@@ -24,12 +25,13 @@ from companion.flight_setup import (
     build_endpoint,
     build_planner,
     facts_as_json,
+    facts_of_links,
     write_facts,
 )
 from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import Announce, Severity
 from companion.io.files import MCAP, delete_old_flights, new_flight_directory
-from companion.io.links.specs import LinkSpec, make_link
+from companion.io.links.transports import FlightLink, Transport, make_link
 from companion.io.logs.flight_recorder import BlackBox, FlightJournal, MissingJournal
 from companion.io.logs.mcap_file import McapLog
 from companion.io.shell import Clock, Shell
@@ -39,6 +41,7 @@ from companion.io.state.vehicle_lock import VehicleLock, lock_name, place_of, st
 from companion.kernel import IS_COMPILED
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.recorders import Journal
+from companion.link.specs import LinkRole, LinkSpec
 from companion.mav.signing import ONE_LINK_EACH
 from companion.process.diagnostics import LinkWatch, ProcessDiagnostics
 from companion.process.persistence import ParameterKeeper, RestartKeeper, digests_of
@@ -55,24 +58,24 @@ class PeriodicTasks:
     """Does them in order.
 
     Args:
-        endpoint: Whose operator is told of a chore that failed.
-        chores: By the names that the operator reads.
+        endpoint: Whose operator is told of a task that failed.
+        tasks: By the names that the operator reads.
     """
 
-    def __init__(self, endpoint: CompanionEndpoint, chores: dict[str, PeriodicTask]) -> None:
+    def __init__(self, endpoint: CompanionEndpoint, tasks: Mapping[str, PeriodicTask]) -> None:
         self._endpoint = endpoint
-        self._chores = dict(chores)
+        self._tasks = dict(tasks)
 
     def run(self, now_s: float) -> None:
         """Do what is left of them."""
-        for name, chore in list(self._chores.items()):
+        for name, task in list(self._tasks.items()):
             try:
-                chore(now_s)
+                task(now_s)
             except Exception:
-                del self._chores[name]
+                del self._tasks[name]
                 log.exception("%s: failed", name)
                 text = f"internal error: {name} ended; flying on"
-                self._endpoint.executor.execute(Announce(Severity.ERROR, text), now_s)
+                self._endpoint.announce(Announce(Severity.ERROR, text), now_s)
 
 
 CLOSE_S = 0.25
@@ -95,16 +98,11 @@ def open_signing(config: CompanionConfig) -> SigningKeeper | None:
 
 
 def open_journal(
-    config: CompanionConfig,
-    links: int,
-    gcs_links: int = 0,
-    parameters: Mapping[str, float] | None = None,
+    config: CompanionConfig, links: Sequence[LinkSpec], parameters: Mapping[str, float]
 ) -> FlightJournal:
     """The black box of a new flight.
 
     Args:
-        links: All of them, the vehicle's included.
-        gcs_links: How many of them lead to ground stations.
         parameters: What a ground station changed before.
 
     Raises:
@@ -119,10 +117,9 @@ def open_journal(
             log.info("log.keep_flights: deleted %d older flights", len(deleted))
     facts = FlightFacts(
         started_unix_s=started_unix_s,
-        links=links,
-        gcs_links=gcs_links,
+        **facts_of_links(links),
         config=config,
-        parameters=dict(parameters or {}),
+        parameters=dict(parameters),
     )
     write_facts(directory, facts)
     mcap = None
@@ -160,7 +157,7 @@ def _announce_compiling() -> None:
     log.info("compiling kernels, before any link is opened: half a minute the first time")
 
 
-def link_name(link: LinkSpec) -> str:
+def link_name(link: Transport) -> str:
     """What a link is called in messages, locks and checkpoints."""
     return make_link(link, 0, lambda _: None).name
 
@@ -169,66 +166,6 @@ def is_handed_over(endpoint: CompanionEndpoint) -> bool:
     """Whether the target is reported and the vehicle no longer obeys us."""
     session = endpoint.session
     return session.phase is Phase.FINISHED and not session.vehicle.is_ours
-
-
-def fly(
-    config: CompanionConfig,
-    links: Sequence[LinkSpec],
-    clock: Clock,
-    *,
-    gcs_links: int = 0,
-    once: bool = False,
-    is_fresh: bool = False,
-    views: Sequence[FlightView] = (),
-    at_end: Callable[[Path], None] | None = None,
-) -> CompanionEndpoint:
-    """Fly until asked to stop; the endpoint as it was at the end.
-
-    Args:
-        links: The vehicle's link, then those that carry only ranging, then ground stations'.
-        gcs_links: How many of the links lead to ground stations.
-        once: End by itself once the target is reported and the vehicle handed over.
-        is_fresh: Take up nothing of an earlier run.
-        views: Watch the flight; closed at its end.
-        at_end: Gets the flight's directory once everything is written.
-
-    Raises:
-        LinkError: A link cannot be opened, or another companion has the vehicle; nothing was sent.
-        ConfigError: The signing key cannot be read.
-        CompanionError: The flight directory cannot be made.
-    """
-    keeper = open_signing(config)
-    state = state_directory(config.process.state_directory, os.environ)
-    name = link_name(links[0])
-    lock = VehicleLock(state, name, config.vehicle.system_id, place_of(links[0]))
-    try:
-        prepare(config)
-        clock = Clock(clock.speed)  # what was compiled is no part of the flight
-        store = CheckpointStore(state, lock_name(name)) if config.process.checkpoint else None
-        tunables = Tunables(config, build_planner)
-        parameters = ParameterKeeper(tunables, state / f"{lock_name(name)}.parameters.json")
-        flight = _Flight(
-            tunables,
-            parameters,
-            links,
-            gcs_links,
-            clock,
-            keeper,
-            store,
-            views,
-            once=once,
-            is_fresh=is_fresh,
-        )
-        flight.run()
-        if at_end is not None and flight.directory is not None:
-            at_end(flight.directory)
-    finally:
-        if keeper is not None:
-            keeper.close()
-        lock.release()
-        for view in views:
-            view.close()
-    return flight.endpoint
 
 
 class FlightView(Protocol):
@@ -244,86 +181,130 @@ class FlightView(Protocol):
         """The flight is over."""
 
 
+@dataclass(frozen=True, slots=True)
+class FlightOptions:
+    """How a flight begins, ends and is shown."""
+
+    once: bool = False
+    """End by itself once the target is reported and the vehicle handed over."""
+    is_fresh: bool = False
+    """Take up nothing of an earlier run."""
+    views: Sequence[FlightView] = ()
+    """Watch the flight; closed at its end."""
+    at_end: Callable[[Path], None] | None = None
+    """Gets the flight's directory once everything is written."""
+
+
+def fly(
+    config: CompanionConfig, links: Sequence[FlightLink], clock: Clock, options: FlightOptions
+) -> CompanionEndpoint:
+    """Fly until asked to stop; the endpoint as it was at the end.
+
+    Raises:
+        LinkError: A link cannot be opened, or another companion has the vehicle; nothing was sent.
+        ConfigError: The signing key cannot be read.
+        CompanionError: The flight directory cannot be made.
+    """
+    keeper = open_signing(config)
+    state = state_directory(config.process.state_directory, os.environ)
+    (vehicle,) = (link.transport for link in links if link.spec.role is LinkRole.VEHICLE)
+    name = link_name(vehicle)
+    lock = VehicleLock(state, name, config.vehicle.system_id, place_of(vehicle))
+    try:
+        prepare(config)
+        clock = Clock(clock.speed)  # what was compiled is no part of the flight
+        flight = _Flight(config, links, clock, keeper, options, state / lock_name(name))
+        flight.run()
+        if options.at_end is not None and flight.directory is not None:
+            options.at_end(flight.directory)
+    finally:
+        if keeper is not None:
+            keeper.close()
+        lock.release()
+        for view in options.views:
+            view.close()
+    return flight.endpoint
+
+
 class _Flight:
-    """One run of the shell, and the chores at the end of each of its wake-ups."""
+    """One run of the shell, and the periodic tasks at the end of each of its wake-ups.
+
+    Args:
+        state: The beginning of the paths of what is kept from run to run.
+    """
 
     def __init__(
         self,
-        tunables: Tunables,
-        parameters: ParameterKeeper,
-        links: Sequence[LinkSpec],
-        gcs_links: int,
+        config: CompanionConfig,
+        links: Sequence[FlightLink],
         clock: Clock,
         keeper: SigningKeeper | None,
-        store: CheckpointStore | None,
-        views: Sequence[FlightView],
-        *,
-        once: bool,
-        is_fresh: bool,
+        options: FlightOptions,
+        state: Path,
     ) -> None:
-        config = tunables.file
-        found = None if store is None or is_fresh else store.load()
-        is_restart = found is not None and found.has_files
-        self._journal = _open_black_box(
-            lambda: open_journal(config, len(links), gcs_links, tunables.changed),
-            is_restart=is_restart,
-        )
+        self._options = options
         self._clock = clock
         self._keeper = keeper
-        self._once = once
-        self._parameters = parameters
-        self.endpoint = self._build_endpoint(tunables, len(links), gcs_links, views)
+        self._store = (
+            CheckpointStore(state.parent, state.name) if config.process.checkpoint else None
+        )
+        tunables = Tunables(config, build_planner)
+        self._parameters = ParameterKeeper(
+            tunables, state.with_name(f"{state.name}.parameters.json")
+        )
+        found = None if self._store is None or options.is_fresh else self._store.load()
+        specs = [link.spec for link in links]
+        self._journal = _open_black_box(
+            lambda: open_journal(config, specs, tunables.changed),
+            is_restart=found is not None and found.has_files,
+        )
+        self.endpoint = self._build_endpoint(tunables, specs)
         self._restart = None
-        if store is not None:
+        if self._store is not None:
             max_age_s, digests = config.process.resume_max_age_s, digests_of(config)
             self._restart = RestartKeeper(
-                self.endpoint, store, digests, clock, max_age_s, is_fresh=is_fresh
+                self.endpoint, self._store, digests, clock, max_age_s, is_fresh=options.is_fresh
             )
-        self._shell = Shell(self.endpoint, links, clock, self._after_wakeup)
+        transports = [link.transport for link in links]
+        self._shell = Shell(self.endpoint, transports, clock, self._after_wakeup)
+        self._vehicle_link = self._shell.links[
+            next(n for n, spec in enumerate(specs) if spec.role is LinkRole.VEHICLE)
+        ]
         self._watch = LinkWatch(self._shell.links, self._journal)
         self._supervisor = Supervisor(os.environ)
-        self._chores = self._gather_chores(store, views)
-        self._hints = _Hints(self.endpoint, clock, self._shell.links[0].name)
+        self._tasks = self._gather_tasks()
+        self._hints = _Hints(self.endpoint, clock, self._vehicle_link.name)
 
-    def _build_endpoint(
-        self, tunables: Tunables, links: int, gcs_links: int, views: Sequence[FlightView]
-    ) -> CompanionEndpoint:
+    def _build_endpoint(self, tunables: Tunables, links: Sequence[LinkSpec]) -> CompanionEndpoint:
         """The endpoint, with a journal that the views hear first."""
         listens: Journal = self._journal
-        for view in views:
+        for view in self._options.views:
             listens = view.listen(listens)
         return build_endpoint(
             tunables.file,
             listens,
-            links - 1 - gcs_links,
+            links,
             tunables=tunables,
-            gcs_links=gcs_links,
             signing=None if self._keeper is None else self._keeper.signing,
             started_unix_s=time.time() - self._clock.now_s(),
             recorder=self._journal.inputs,
         )
 
-    def _gather_chores(
-        self, store: CheckpointStore | None, views: Sequence[FlightView]
-    ) -> PeriodicTasks:
+    def _gather_tasks(self) -> PeriodicTasks:
         """What is done at the end of each wake-up, in this order."""
-        parts = (self._journal, self._shell.timing, self._shell.links, store)
+        parts = (self._journal, self._shell.timing, self._shell.links, self._store)
         watchdog = Watchdog(self._supervisor, self.endpoint, *parts)
-        accounts = ProcessDiagnostics(self.endpoint, *parts, self._clock.speed)
-        chores = {
+        diagnostics = ProcessDiagnostics(self.endpoint, *parts, self._clock.speed)
+        tasks: dict[str, PeriodicTask] = {
             f"view {number}": partial(view.update, self.endpoint)
-            for number, view in enumerate(views, start=1)
+            for number, view in enumerate(self._options.views, start=1)
         }
-        return PeriodicTasks(
-            self.endpoint,
-            {
-                **chores,
-                "parameters": self._parameters.run,
-                "accounts": accounts.run,
-                "watchdog": lambda now_s: watchdog.run(now_s, time.monotonic()),
-                **({} if self._restart is None else {"checkpoints": self._restart.run}),
-            },
-        )
+        tasks["parameters"] = self._parameters.run
+        tasks["accounts"] = diagnostics.run
+        tasks["watchdog"] = lambda now_s: watchdog.run(now_s, time.monotonic())
+        if self._restart is not None:
+            tasks["checkpoints"] = self._restart.run
+        return PeriodicTasks(self.endpoint, tasks)
 
     @property
     def directory(self) -> Path | None:
@@ -349,13 +330,13 @@ class _Flight:
     def _after_wakeup(self, now_s: float) -> None:
         self._hints.check()
         self._watch.check(now_s)
-        self._shell.links[0].hear_only(self.endpoint.sole_peer(now_s))
+        self._vehicle_link.hear_only(self.endpoint.sole_peer(now_s))
         if self._keeper is not None:
             self._keeper.keep(now_s)
             if self._clock.speed == 1.0 and not self.endpoint.binding.is_bound:
                 self.endpoint.authenticity.set_clock(time.time(), now_s)
-        self._chores.run(now_s)
-        if self._once and is_handed_over(self.endpoint):
+        self._tasks.run(now_s)
+        if self._options.once and is_handed_over(self.endpoint):
             self._shell.request_stop()
 
 

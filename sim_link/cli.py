@@ -14,7 +14,7 @@ import msgspec
 
 from companion import __version__
 from companion.errors import CompanionError, ConfigError
-from companion.io.links.urls import parse_link_url
+from companion.io.links.transports import UdpConnect, parse_transport
 from companion.io.shell import Clock, Shell
 from companion.mav.endpoint import Address, Endpoint
 from sim_link.autopilot.endpoint import SimEndpoint
@@ -256,7 +256,7 @@ def _fleet_options(arguments: argparse.Namespace) -> FleetOptions:
         speed=speed,
         listen=_address("--listen", arguments.listen),
         send_to=tuple(_address("--send-to", text) for text in arguments.send_to or DEFAULT_SEND_TO),
-        links=tuple(parse_link_url(text) for text in arguments.link),
+        links=tuple(parse_transport(text) for text in arguments.link),
         parameters=arguments.parameters,
         signing_key=arguments.signing_key,
         report=report,
@@ -315,11 +315,12 @@ def _speed(speed: float) -> float:
 
 def _address(option: str, text: str) -> Address:
     try:
-        url = parse_link_url(f"udpout:{text}")
+        target = parse_transport(f"udpout:{text}")
     except ConfigError:
         problem = f"{option} {text}: give HOST:PORT, for example 127.0.0.1:14550"
         raise ConfigError(problem) from None
-    return (url.host, url.port)
+    assert isinstance(target, UdpConnect)
+    return (target.host, target.port)
 
 
 def _start_line(options: FleetOptions) -> str:

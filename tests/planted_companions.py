@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import secrets
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -18,6 +19,7 @@ from companion.guard.gate import GuardReason
 from companion.guidance.health.findings import Reason
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.recorders import Journal
+from companion.link.specs import EndpointParams, LinkSpec
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Chunk
@@ -39,13 +41,13 @@ class Planted(CompanionEndpoint):
     invariant = ""
     """The one that must be reported."""
 
-    def __init__(self, config: CompanionConfig, journal: Journal, links: int) -> None:
+    def __init__(
+        self, config: CompanionConfig, journal: Journal, links: Sequence[LinkSpec]
+    ) -> None:
         super().__init__(
             build_session(config),
-            config.vehicle,
+            EndpointParams(config.vehicle, config.link, tuple(links)),
             journal,
-            1 + links,
-            config.link,
             tunables=Tunables(config, build_planner),
         )
         self._codec = MavCodec(1, mavlink.MAV_COMP_ID_ONBOARD_COMPUTER)
@@ -201,7 +203,9 @@ class Extrapolates(Planted):
 
     invariant = "I5"
 
-    def __init__(self, config: CompanionConfig, journal: Journal, links: int) -> None:
+    def __init__(
+        self, config: CompanionConfig, journal: Journal, links: Sequence[LinkSpec]
+    ) -> None:
         super().__init__(config, journal, links)
         self._blind = 0
 

@@ -45,7 +45,7 @@ from companion.config.schema import CompanionConfig, LimitsConfig
 from companion.flight_setup import build_endpoint
 from companion.guidance.session_params import SessionParams
 from companion.io.child_process import free_udp_port
-from companion.io.links.specs import UdpBind
+from companion.io.links.transports import UdpBind
 from companion.io.logs.flight_recorder import FlightJournal
 from companion.io.shell import Clock, Shell, TimerStatistics
 from companion.web.live_map import WebView

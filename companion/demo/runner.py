@@ -23,11 +23,12 @@ from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import Severity
 from companion.io.child_process import HOST, free_udp_port
 from companion.io.files import check_writable, write_json_atomic
-from companion.io.links.specs import UdpBind
+from companion.io.links.transports import FlightLink, UdpBind
 from companion.io.shell import Clock
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.recorders import Journal
-from companion.run import FlightView, fly, is_handed_over, prepare
+from companion.link.specs import LinkRole, LinkSpec
+from companion.run import FlightOptions, FlightView, fly, is_handed_over, prepare
 from companion.view.snapshot import TeeJournal
 
 FENCE_AROUND_AREA_M = 10.0
@@ -168,9 +169,10 @@ def run_demo(
             truth = simulator.started_report()
             config = _demo_config(config, truth, temporary)
             watch = DemoWatch(simulator, float(truth["time_limit_s"]))
-            links, clock = [UdpBind(HOST, port)], Clock(options.speed)
+            links = [FlightLink(UdpBind(HOST, port), LinkSpec(LinkRole.VEHICLE))]
             views = [watch, *make_views(config, _emitter_enu_m(truth))]
-            endpoint = fly(config, links, clock, views=views, at_end=at_end)
+            flight_options = FlightOptions(views=views, at_end=at_end)
+            endpoint = fly(config, links, Clock(options.speed), flight_options)
             simulator.stop()
             result = _result(options, watch, endpoint, _emitter_enu_m(truth))
             _conclude(options, config, watch, result, simulator.report())

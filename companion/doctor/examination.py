@@ -32,7 +32,7 @@ from companion.doctor.probe import DoctorProbe
 from companion.domain import Autopilot
 from companion.errors import CompanionError
 from companion.io.files import write_bytes_atomic
-from companion.io.links.specs import LinkSpec
+from companion.io.links.transports import Transport
 from companion.io.shell import Clock, Shell
 from companion.io.state.signing_keys import load_signing_key
 from companion.io.state.vehicle_lock import VehicleLock, state_directory
@@ -319,7 +319,7 @@ def _check_readiness(facts: AutopilotFacts) -> Iterator[CheckResult]:
     yield ok("RC", rc)
 
 
-def run_doctor(config: CompanionConfig, link: LinkSpec, duration_s: float) -> list[CheckResult]:
+def run_doctor(config: CompanionConfig, link: Transport, duration_s: float) -> list[CheckResult]:
     """Look at everything.
 
     Args:
@@ -337,7 +337,7 @@ def run_doctor(config: CompanionConfig, link: LinkSpec, duration_s: float) -> li
 
 
 def look_at_link(
-    config: CompanionConfig, link: LinkSpec, duration_s: float, state: Path, *, can_sign: bool
+    config: CompanionConfig, link: Transport, duration_s: float, state: Path, *, can_sign: bool
 ) -> LinkFacts:
     """What is heard on the vehicle's link.
 

@@ -20,11 +20,10 @@ from companion.guidance.events import AutopilotFenceRead
 from companion.guidance.flight.vehicle import mode_name
 from companion.link import outbound
 from companion.link.autopilot_queries import STREAM_INTERVAL_S, StreamFreshness, StreamRequester
-from companion.link.binding import AutopilotBinding
 from companion.link.clock_sync import ClockSync
 from companion.link.fence_download import FenceDownload
-from companion.link.intake import Authenticity
-from companion.link.outlet import COMPONENT_ID, VEHICLE_LINK
+from companion.link.intake import Authenticity, AutopilotBinding
+from companion.link.outlet import COMPONENT_ID
 from companion.link.quality import SequenceMonitor
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
@@ -75,7 +74,7 @@ class DoctorProbe:
         self._duration_s = duration_s
         self._authenticity = authenticity
         self._binding = AutopilotBinding(system_id, is_keyed=authenticity.is_on)
-        signing = authenticity.of_link(VEHICLE_LINK, is_trusted=False)
+        signing = authenticity.of_link(0, is_trusted=False)
         self._codec = MavCodec(system_id or 1, COMPONENT_ID, signing)
         self._freshness = StreamFreshness()
         self._streams = StreamRequester(self._freshness)
@@ -122,7 +121,7 @@ class DoctorProbe:
         if system_id is None:
             return
         for question in (
-            self._streams.due(now_s, system_id, component_id, self._binding.autopilot),
+            self._streams.due(now_s, (system_id, component_id), self._binding.autopilot),
             self._clock.due(now_s, system_id, component_id),
             self._next_question(now_s, system_id, component_id),
             self._fence_fetch.due(now_s, (system_id, component_id), is_wanted=self._fence is None),
@@ -276,7 +275,7 @@ class DoctorProbe:
 
     def _send(self, message: Message) -> None:
         data = self._codec.encode(message)
-        self._output.append(Chunk(VEHICLE_LINK, data, self._binding.peer))
+        self._output.append(Chunk(0, data, self._binding.peer))
 
 
 def _origin(message: Message | None) -> LocalOrigin | None:

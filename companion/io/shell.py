@@ -29,7 +29,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
 from companion.io.links.link import Link
-from companion.io.links.specs import LinkSpec, make_link
+from companion.io.links.transports import Transport, make_link
 from companion.mav.endpoint import Chunk, Endpoint
 
 
@@ -116,7 +116,7 @@ class Shell:
     def __init__(
         self,
         endpoint: Endpoint,
-        links: Sequence[LinkSpec],
+        links: Sequence[Transport],
         clock: Clock,
         on_wakeup: OnWakeup | None = None,
     ) -> None:

@@ -33,12 +33,11 @@ from dataclasses import dataclass
 
 from companion.domain import Autopilot
 from companion.guidance.commands import Announce, Severity
-from companion.guidance.events import AutopilotFenceRead
 from companion.guidance.flight.fencing import Fencing
-from companion.link.binding import AutopilotBinding
 from companion.link.clock_sync import ClockSync
 from companion.link.fence_download import FenceDownload
-from companion.link.intake import RateLimit
+from companion.link.intake import AutopilotBinding, RateLimit
+from companion.link.outbound import Ids, VehicleCommand
 from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, mavlink
 
 SMOOTHING = 0.2
@@ -213,8 +212,7 @@ class StreamRequester:
     def due(
         self,
         now_s: float,
-        system_id: int,
-        component_id: int,
+        target: Ids,
         autopilot: Autopilot = Autopilot.OTHER,
         *,
         is_mode_wanted: bool = False,
@@ -224,7 +222,7 @@ class StreamRequester:
             return None
         if self._is_heartbeat_due(now_s, is_wanted=is_mode_wanted):
             self._heartbeat_asked_s = now_s
-            return request_message(mavlink.MAVLINK_MSG_ID_HEARTBEAT, system_id, component_id)
+            return request_message(mavlink.MAVLINK_MSG_ID_HEARTBEAT, target)
         for want in self._wants:
             if ONLY_FROM.get(want.message_id, autopilot) is not autopilot:
                 continue
@@ -232,7 +230,7 @@ class StreamRequester:
                 if want.asked_s is not None:
                     want.retry_s = min(2.0 * want.retry_s, LAST_RETRY_S)
                 want.asked_s = now_s
-                return _request(want, system_id, component_id)
+                return _request(want, target)
         self._next_look_s = now_s + LOOK_PERIOD_S
         return None
 
@@ -245,22 +243,17 @@ class StreamRequester:
         return now_s - self._heartbeat_asked_s >= again_s
 
 
-def request_message(message_id: int, system_id: int, component_id: int) -> Message:
+def request_message(message_id: int, target: Ids) -> Message:
     """REQUEST_MESSAGE: one message, now."""
-    number = mavlink.MAV_CMD_REQUEST_MESSAGE
-    return _command(number, message_id, 0.0, system_id, component_id)
+    command = VehicleCommand(mavlink.MAV_CMD_REQUEST_MESSAGE, (float(message_id),))
+    return command.message(target)
 
 
-def _request(want: _Want, system_id: int, component_id: int) -> Message:
+def _request(want: _Want, target: Ids) -> Message:
     if want.interval_s is None:
-        return request_message(want.message_id, system_id, component_id)
-    number = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
-    return _command(number, want.message_id, 1e6 * want.interval_s, system_id, component_id)
-
-
-def _command(number: int, message_id: int, p2: float, system_id: int, component_id: int) -> Message:
-    params = (float(message_id), p2, 0.0, 0.0, 0.0, 0.0, 0.0)
-    return mavlink.MAVLink_command_long_message(system_id, component_id, number, 0, *params)
+        return request_message(want.message_id, target)
+    params = (float(want.message_id), 1e6 * want.interval_s)
+    return VehicleCommand(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, params).message(target)
 
 
 PARAMETER = b"COM_OBL_RC_ACT"
@@ -331,7 +324,7 @@ class AutopilotQueries:
         self.freshness = StreamFreshness()
         self._binding = binding
         self._fencing = fencing
-        self._fence = FenceDownload()
+        self.fence = FenceDownload()
         self._streams = StreamRequester(self.freshness)
         self._px4_check = Px4FailsafeCheck()
         self._asks_mode = False
@@ -345,16 +338,6 @@ class AutopilotQueries:
         warning = self._px4_check.heard(message)
         return [] if warning is None else [Announce(Severity.WARNING, warning)]
 
-    def fence_heard(
-        self, message: Message, now_s: float, own_ids: tuple[int, int]
-    ) -> AutopilotFenceRead | None:
-        """Take in a message of the autopilot; its fence, once that is complete."""
-        return self._fence.heard(message, now_s, own_ids)
-
-    def fence_given_up(self, now_s: float) -> AutopilotFenceRead | None:
-        """The news that it does not tell its fence."""
-        return self._fence.gave_up(now_s)
-
     def due(self, now_s: float, *, is_mode_wanted: bool = False) -> list[Message]:
         """The questions to ask now.
 
@@ -365,12 +348,12 @@ class AutopilotQueries:
         if binding.system_id is None:
             return []
         ids = (binding.system_id, binding.component_id)
-        request = self._fence.due(now_s, ids, is_wanted=self._fencing.wants_reading)
+        request = self.fence.due(now_s, ids, is_wanted=self._fencing.wants_reading)
         request = request or self._streams.due(
-            now_s, *ids, binding.autopilot, is_mode_wanted=is_mode_wanted
+            now_s, ids, binding.autopilot, is_mode_wanted=is_mode_wanted
         )
         request = request or self._px4_check.due(now_s, binding.autopilot, *ids)
-        mode = request_message(mavlink.MAVLINK_MSG_ID_HEARTBEAT, *ids) if self._asks_mode else None
+        mode = request_message(mavlink.MAVLINK_MSG_ID_HEARTBEAT, ids) if self._asks_mode else None
         self._asks_mode = False
         time = self.clock.due(now_s, *ids)
         return [question for question in (mode, request, time) if question is not None]
@@ -398,4 +381,4 @@ class AutopilotQueries:
         self.freshness.restart()
         self.clock.restart()
         self._streams.restart()
-        self._fence.restart()
+        self.fence.restart()

@@ -94,21 +94,17 @@ class Timebase:
     """Converts the stamps of one sender's clock."""
 
     def __init__(self) -> None:
-        self._offset_s: float | None = None
+        self.offset_s: float | None = None
+        """Local minus remote time, with the shortest delay seen in it; None before any stamp."""
         self._new_clock: _NewClock | None = None
         self._newest_remote_s = 0.0
         self._updated_s = 0.0
         self._wraps = 0
 
-    @property
-    def offset_s(self) -> float | None:
-        """Local minus remote time, with the shortest delay seen in it; None before any stamp."""
-        return self._offset_s
-
     def read(self, remote_s: float, now_s: float) -> StampReading:
         """Local time of a remote stamp that arrived at `now_s`, both in seconds."""
         raw_s, remote_s = remote_s, self._unwrapped(remote_s)
-        if self._offset_s is None:
+        if self.offset_s is None:
             return self._start(remote_s, now_s, now_s - remote_s, is_reboot=False)
         if remote_s < self._newest_remote_s - REBOOT_BACKWARD_S:
             if self._is_new_clock(raw_s, now_s) and self._new_clock is not None:
@@ -116,16 +112,16 @@ class Timebase:
                 return self._start(raw_s, now_s, self._new_clock.offset_s, is_reboot=True)
         else:
             self._new_clock = None
-            risen_s = self._offset_s + DRIFT_ALLOWANCE * max(0.0, now_s - self._updated_s)
-            self._offset_s = min(risen_s, now_s - remote_s)
+            risen_s = self.offset_s + DRIFT_ALLOWANCE * max(0.0, now_s - self._updated_s)
+            self.offset_s = min(risen_s, now_s - remote_s)
             self._newest_remote_s = max(self._newest_remote_s, remote_s)
             self._updated_s = now_s
-        return StampReading(min(now_s, remote_s + self._offset_s), is_reboot=False)
+        return StampReading(min(now_s, remote_s + self.offset_s), is_reboot=False)
 
     def _start(
         self, remote_s: float, now_s: float, offset_s: float, *, is_reboot: bool
     ) -> StampReading:
-        self._offset_s = offset_s
+        self.offset_s = offset_s
         self._newest_remote_s = remote_s
         self._updated_s = now_s
         self._new_clock = None
@@ -145,7 +141,7 @@ class Timebase:
         its time since boot goes back much further, and has restarted.
         """
         remote_s += self._wraps * WRAP_S
-        if self._offset_s is None:
+        if self.offset_s is None:
             return remote_s
         behind_s = self._newest_remote_s - remote_s
         if WRAP_S - MAX_WRAP_GAP_S < behind_s <= WRAP_S + REBOOT_BACKWARD_S:
@@ -178,15 +174,11 @@ class SenderClock:
     """
 
     def __init__(self) -> None:
-        self._timebase = Timebase()
+        self.timebase = Timebase()
+        """Begun anew by a clock that started anew without a stamp that goes back."""
         self._late_since_s: float | None = None
         self._gains: deque[tuple[float, float]] = deque()
         """When the clock gained on ours, and how much."""
-
-    @property
-    def offset_s(self) -> float | None:
-        """Local minus remote time, with the shortest delay seen in it; None before any stamp."""
-        return self._timebase.offset_s
 
     @property
     def is_wild(self) -> bool:
@@ -201,8 +193,8 @@ class SenderClock:
         Args:
             late_confirm_s: How long stamps must be late before they are those of a new clock.
         """
-        before_s = self._timebase.offset_s
-        reading = self._timebase.read(remote_s, now_s)
+        before_s = self.timebase.offset_s
+        reading = self.timebase.read(remote_s, now_s)
         if reading.is_reboot:
             self._gains.clear()
         else:
@@ -215,12 +207,12 @@ class SenderClock:
         if now_s - self._late_since_s < late_confirm_s:
             return reading
         self._late_since_s = None
-        self._timebase = Timebase()
+        self.timebase = Timebase()
         self._gains.clear()
-        return StampReading(self._timebase.read(remote_s, now_s).time_s, is_reboot=True)
+        return StampReading(self.timebase.read(remote_s, now_s).time_s, is_reboot=True)
 
     def _note_gain(self, before_s: float | None, now_s: float) -> None:
-        after_s = self._timebase.offset_s
+        after_s = self.timebase.offset_s
         if before_s is not None and after_s is not None and after_s < before_s:
             self._gains.append((now_s, before_s - after_s))
         while self._gains and self._gains[0][0] <= now_s - RUN_WINDOW_S:
@@ -268,8 +260,10 @@ class ClockSync:
         self._open: deque[int] = deque(maxlen=MAX_OPEN)
         self._next_s = 0.0
         self._round_trips_s: deque[float] = deque(maxlen=BEST_OF)
-        self._best_s: float | None = None
-        self._offset_s: float | None = None
+        self.round_trip_s: float | None = None
+        """The best of the last exchanges; None before the first."""
+        self.offset_s: float | None = None
+        """Our time minus the autopilot's, seconds; None as long as it is not known."""
         self._used = 0
         self._deviations = 0
         self._newest: tuple[float, int] | None = None
@@ -278,16 +272,6 @@ class ClockSync:
         self._prompt_s = -math.inf
         """When a question was answered promptly last, and when late."""
         self._slow_s = -math.inf
-
-    @property
-    def offset_s(self) -> float | None:
-        """Our time minus the autopilot's, seconds; None as long as it is not known."""
-        return self._offset_s
-
-    @property
-    def round_trip_s(self) -> float | None:
-        """The best of the last exchanges; None before the first."""
-        return self._best_s
 
     def due(self, now_s: float, system_id: int, component_id: int) -> Message | None:
         """The question to send now, if any."""
@@ -314,8 +298,8 @@ class ClockSync:
         else:
             self._slow_s = now_s
         self._round_trips_s.append(max(0.0, now_s - sent_s))
-        self._best_s = min(self._round_trips_s)
-        if self._round_trips_s[-1] > self._best_s + SLOWER_S:
+        self.round_trip_s = min(self._round_trips_s)
+        if self._round_trips_s[-1] > self.round_trip_s + SLOWER_S:
             self.slow += 1
             return
         self._take((sent_s + now_s) / 2.0 - message.tc1 / NS_PER_S)
@@ -336,15 +320,15 @@ class ClockSync:
         self._newest, self._went_back = None, False
         self._open.clear()
         self._round_trips_s.clear()
-        self._best_s = None
-        self._offset_s = None
+        self.round_trip_s = None
+        self.offset_s = None
         self._used = self._deviations = 0
         self._next_s = 0.0
 
     def record(self) -> dict[str, object]:
         """The figures for the event log."""
         return {
-            "clock_offset_s": self._offset_s,
+            "clock_offset_s": self.offset_s,
             "round_trip_s": self.round_trip_s,
             "asked": self.asked,
             "answered": self.answered,
@@ -362,16 +346,66 @@ class ClockSync:
         self._newest = (sent_s, remote_ns)
 
     def _take(self, offset_s: float) -> None:
-        if self._offset_s is None:
-            self._offset_s, self._used = offset_s, 1
+        if self.offset_s is None:
+            self.offset_s, self._used = offset_s, 1
             return
-        deviation_s = offset_s - self._offset_s
+        deviation_s = offset_s - self.offset_s
         if abs(deviation_s) > DEVIATION_S:
             self._deviations += 1
             if self._deviations >= RESET_AFTER:
                 self.resets += 1
-                self._offset_s, self._used, self._deviations = offset_s, 1, 0
+                self.offset_s, self._used, self._deviations = offset_s, 1, 0
             return
         self._deviations = 0
         self._used += 1
-        self._offset_s += max(1.0 / self._used, GAIN) * deviation_s
+        self.offset_s += max(1.0 / self._used, GAIN) * deviation_s
+
+
+CLOCK_TOLERANCE_S = 0.03
+LATE_CONFIRM_S_OF = {Lateness.NONE: LATE_CONFIRM_S, Lateness.UNKNOWN: 10.0, Lateness.SLOW: 60.0}
+"""How long stamps that are late are a slow link's before they are a restarted autopilot's."""
+
+
+class VehicleClock:
+    """The autopilot's clock: by the arrival of its stamps and, better, by the exchange of times.
+
+    Args:
+        sync: The exchange; may be of another clock.
+    """
+
+    def __init__(self, sync: ClockSync) -> None:
+        self.sync = sync
+        self._stamps = SenderClock()
+
+    @property
+    def offset_s(self) -> float | None:
+        """Local time minus the autopilot's, seconds; None before its first stamp.
+
+        By arrival it is too large by the shortest delay. The exchange of times knows that delay,
+        and is believed if one way takes no longer than both: otherwise it is of another clock.
+        """
+        by_arrival_s, by_exchange_s = self._stamps.timebase.offset_s, self.sync.offset_s
+        round_trip_s = self.sync.round_trip_s
+        if by_arrival_s is None or by_exchange_s is None or round_trip_s is None:
+            return by_arrival_s
+        delay_s = by_arrival_s - by_exchange_s
+        is_plausible = 0.0 <= delay_s <= round_trip_s + CLOCK_TOLERANCE_S
+        return by_exchange_s if is_plausible else by_arrival_s
+
+    @property
+    def is_wild(self) -> bool:
+        """Whether it runs so fast that its stamps say nothing about the present."""
+        return self._stamps.is_wild
+
+    def read(self, remote_s: float, now_s: float) -> StampReading:
+        """Local time of one of its stamps that arrived at `now_s`, both in seconds."""
+        late_confirm_s = LATE_CONFIRM_S_OF[self.sync.lateness(now_s)]
+        reading = self._stamps.read(remote_s, now_s, late_confirm_s=late_confirm_s)
+        best_s, by_arrival_s = self.offset_s, self._stamps.timebase.offset_s
+        if reading.is_reboot or best_s is None or by_arrival_s is None:
+            return reading
+        return StampReading(reading.time_s + best_s - by_arrival_s, is_reboot=False)
+
+    def restart(self) -> None:
+        """Forget its stamps, because the exchange of times showed that it restarted."""
+        self._stamps = SenderClock()

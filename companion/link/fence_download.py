@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 
 from companion.geometry.geofence import GeoArea, GeoFence, LatLon, NamedArea, fence_of
 from companion.guidance.events import AutopilotFenceRead
-from companion.mav.dialect import Message, mavlink
+from companion.mav.dialect import Message, mavlink, result_words
 
 RESEND_S = 0.4
 TRIES = 8
@@ -112,9 +112,8 @@ class FenceDownload:
             return None
         why = "no answer"
         if reading.refusal is not None:
-            entry = mavlink.enums["MAV_MISSION_RESULT"].get(reading.refusal)
-            name = f"result {reading.refusal}" if entry is None else str(entry.name)
-            why = f"refused ({name.removeprefix('MAV_MISSION_').lower().replace('_', ' ')})"
+            words = result_words("MAV_MISSION_RESULT", reading.refusal, "MAV_MISSION_")
+            why = f"refused ({words})"
         self._end(now_s)
         self._rest_s = min(2.0 * self._rest_s, LAST_REST_S)
         return AutopilotFenceRead(now_s, problem=why)

@@ -29,14 +29,10 @@ from companion.domain import Autopilot
 from companion.errors import ConfigError
 from companion.guidance.commands import Announce, Severity
 from companion.guidance.events import ControlGranted, Retuned
-from companion.guidance.session import GuidanceSession
 from companion.guidance.session_params import Tuning, When
 from companion.link import outbound
-from companion.link.binding import AutopilotBinding
 from companion.link.executor import SessionExecutor
 from companion.link.intake import RateLimit
-from companion.link.outlet import Outlet
-from companion.link.recorders import Journal
 from companion.mav.dialect import Message, mavlink
 from companion.mav.param_encoding import (
     ParamEncoding,
@@ -106,25 +102,13 @@ class ParameterServer:
     """Answers ground stations.
 
     Args:
-        session: Knows what may be changed now.
-        binding: The autopilot, whose encoding is used.
+        executor: Takes what changes to the session.
     """
 
-    def __init__(
-        self,
-        book: TunableBook,
-        session: GuidanceSession,
-        binding: AutopilotBinding,
-        executor: SessionExecutor,
-        outlet: Outlet,
-        journal: Journal,
-    ) -> None:
+    def __init__(self, book: TunableBook, executor: SessionExecutor) -> None:
         self._book = book
-        self._session = session
-        self._binding = binding
         self._executor = executor
-        self._outlet = outlet
-        self._journal = journal
+        self._outlet = executor.outlet
         self._index = {spec.name: index for index, spec in enumerate(book.specs)}
         self._next_listed: int | None = None
         self._limit = RateLimit(ANSWERS_PER_S, ANSWERS_PER_S)
@@ -133,13 +117,8 @@ class ParameterServer:
     @property
     def encoding(self) -> ParamEncoding:
         """How integers become four bytes."""
-        is_cast = self._binding.autopilot is Autopilot.ARDUPILOT
+        is_cast = self._executor.binding.autopilot is Autopilot.ARDUPILOT
         return ParamEncoding.C_CAST if is_cast else ParamEncoding.BYTEWISE
-
-    @property
-    def capability(self) -> int:
-        """What AUTOPILOT_VERSION says of it."""
-        return CAPABILITY[self.encoding]
 
     def receive(self, message: ParamRequest, now_s: float) -> None:
         """Answer a request, if it is for us."""
@@ -207,7 +186,7 @@ class ParameterServer:
         before = self._book.value_at(index)
         if value == _on_the_wire(before, spec.kind):
             return None
-        objection = self._session.objection_to_change(spec.when)
+        objection = self._executor.session.objection_to_change(spec.when)
         if objection is not None:
             return READ_ONLY if spec.when is When.NEVER else PERMISSION_DENIED, objection
         try:
@@ -218,7 +197,7 @@ class ParameterServer:
         after = self._book.value_at(index)
         sender = (message.get_srcSystem(), message.get_srcComponent())
         fields = {"name": spec.name, "old": before, "new": after, "sender": sender}
-        self._journal.record("parameter", fields, now_s)
+        self._executor.journal.record("parameter", fields, now_s)
         text = f"parameter {spec.name}: {before:g} -> {after:g}"
         self._outlet.announce(Announce(Severity.NOTICE, text), now_s)
         return None
@@ -269,12 +248,10 @@ class CommandHandler:
         executor: Takes what they mean for the session.
     """
 
-    def __init__(
-        self, executor: SessionExecutor, parameters: ParameterServer, outlet: Outlet
-    ) -> None:
+    def __init__(self, executor: SessionExecutor, parameters: ParameterServer) -> None:
         self._executor = executor
         self._parameters = parameters
-        self._outlet = outlet
+        self._outlet = executor.outlet
         self._limit = RateLimit(COMMANDS_PER_S, COMMANDS_PER_S)
 
     def receive(self, message: AddressedCommand, now_s: float, *, may_grant: bool) -> None:
@@ -290,7 +267,11 @@ class CommandHandler:
         result = mavlink.MAV_RESULT_UNSUPPORTED
         if message.command == mavlink.MAV_CMD_NAV_GUIDED_ENABLE:
             result = mavlink.MAV_RESULT_DENIED
-            if may_grant and message.param1 == 1.0 and self._executor.may_engage:
+            if (
+                may_grant
+                and message.param1 == 1.0
+                and self._executor.session.fencing.refusal is None
+            ):
                 result = mavlink.MAV_RESULT_ACCEPTED
                 self._executor.handle(ControlGranted(now_s), now_s)
         is_version_wanted = _wants_version(message)
@@ -301,7 +282,7 @@ class CommandHandler:
         ack = outbound.command_ack(message.command, result, message)
         self._outlet.broadcast(ack, now_s)
         if is_version_wanted:
-            version = outbound.autopilot_version(self._parameters.capability)
+            version = outbound.autopilot_version(CAPABILITY[self._parameters.encoding])
             self._outlet.broadcast(version, now_s, can_be_spared=True)
 
 

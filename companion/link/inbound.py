@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import replace
 
 from companion.domain import BatteryLevel, FlightMode, LandedState, VehicleState
 from companion.geometry.coordinates import LocalOrigin, enu_from_ned
@@ -24,23 +23,20 @@ from companion.guidance.events import (
     HomeSet,
     LandedStateChanged,
     OriginSet,
-    RangingReceived,
     SetpointEchoed,
     SticksReported,
     VehicleMoved,
     YawMeasured,
 )
 from companion.guidance.flight.vehicle import ORIGIN_STEP_M
-from companion.link.clock_sync import LATE_CONFIRM_S, ClockSync, Lateness, SenderClock, StampReading
+from companion.link.clock_sync import ClockSync, StampReading, VehicleClock
 from companion.mav import dialect
 from companion.mav.dialect import (
     MAVLink_ekf_status_report_message,
-    MAVLink_radio_ranging_message,
     Message,
     mavlink,
 )
 from companion.mav.flight_modes import autopilot_of, mode_of
-from companion.mav.ranging import ranging_from_message
 
 BAD_RATIO = 1.0
 BAD_VARIANCE = 0.8
@@ -152,22 +148,10 @@ MAX_HOME_DISTANCE_M = 1e5
 """A home farther from the origin than this is a fault, in whatever field."""
 MAX_ALTITUDE_MM = 100_000_000
 """Above sea level; an origin beyond it, as INT32_MAX is, is none."""
-LATE_CONFIRM_S_OF = {Lateness.NONE: LATE_CONFIRM_S, Lateness.UNKNOWN: 10.0, Lateness.SLOW: 60.0}
-"""How long stamps that are late are a slow link's before they are a restarted autopilot's."""
 FRAME_SETTLES_S = 1.0
 """After it no position of the frame before is on its way any more."""
 MAX_YAW_RAD = 2.0 * math.pi
 """Half a turn by the definition of ATTITUDE; what is more than a whole one is no heading."""
-CLOCK_TOLERANCE_S = 0.03
-MAX_LINK_DELAY_S = 0.5
-"""A radio whose clock seems later than the autopilot's by up to this has a slow link."""
-MAX_SENDERS = 16
-"""Clocks of ranging senders that are kept."""
-RangingMessage = (
-    MAVLink_radio_ranging_message
-    | mavlink.MAVLink_landing_target_message
-    | mavlink.MAVLink_ranging_beacon_message
-)
 
 
 class VehicleInbound:
@@ -178,8 +162,7 @@ class VehicleInbound:
     """
 
     def __init__(self, sync: ClockSync | None = None) -> None:
-        self._clock = SenderClock()
-        self._sync = sync or ClockSync()
+        self.clock = VehicleClock(sync or ClockSync())
         self._origin: LocalOrigin | None = None
         self._home: mavlink.MAVLink_home_position_message | None = None
         self._is_prearm_good = True
@@ -192,21 +175,6 @@ class VehicleInbound:
         self._health = VehicleHealthInbound()
         self.overtaken = 0
         """Messages that came after a newer one of their kind."""
-
-    @property
-    def clock_offset_s(self) -> float | None:
-        """Local time minus the autopilot's, seconds; None before its first stamp.
-
-        By arrival it is too large by the shortest delay. The exchange of times knows that delay,
-        and is believed if one way takes no longer than both: otherwise it is of another clock.
-        """
-        by_arrival_s, by_exchange_s = self._clock.offset_s, self._sync.offset_s
-        round_trip_s = self._sync.round_trip_s
-        if by_arrival_s is None or by_exchange_s is None or round_trip_s is None:
-            return by_arrival_s
-        delay_s = by_arrival_s - by_exchange_s
-        is_plausible = 0.0 <= delay_s <= round_trip_s + CLOCK_TOLERANCE_S
-        return by_exchange_s if is_plausible else by_arrival_s
 
     def events(self, message: Message, now_s: float, number: int = 0) -> list[Event]:
         """What a message of the autopilot says; nothing, if a newer one of its kind came before.
@@ -224,7 +192,7 @@ class VehicleInbound:
             case mavlink.MAVLink_heartbeat_message():
                 return self._heartbeat(message, now_s, number)
             case mavlink.MAVLink_local_position_ned_message():
-                reading = self._read(message.time_boot_ms, now_s)
+                reading = self.clock.read(message.time_boot_ms / 1000.0, now_s)
                 state = VehicleState(
                     reading.time_s,
                     enu_from_ned((message.x, message.y, message.z)),
@@ -234,7 +202,7 @@ class VehicleInbound:
             case mavlink.MAVLink_attitude_message():
                 if not abs(message.yaw) <= MAX_YAW_RAD:
                     return []
-                reading = self._read(message.time_boot_ms, now_s)
+                reading = self.clock.read(message.time_boot_ms / 1000.0, now_s)
                 yaw = YawMeasured(now_s, reading.time_s, message.yaw, order=number)
                 return self._with_restart(reading, yaw)
             case mavlink.MAVLink_extended_sys_state_message():
@@ -250,8 +218,8 @@ class VehicleInbound:
             case mavlink.MAVLink_home_position_message():
                 self._home = message
                 return self._home_set(now_s)
-            case mavlink.MAVLink_timesync_message() if self._sync.take_restart():
-                self._clock = SenderClock()
+            case mavlink.MAVLink_timesync_message() if self.clock.sync.take_restart():
+                self.clock.restart()
                 return [self._restarted(now_s)]
         return self._health.events(message, now_s)
 
@@ -279,16 +247,8 @@ class VehicleInbound:
             return is_armed and is_offboard
         return True
 
-    def _read(self, stamp_ms: int, now_s: float) -> StampReading:
-        late_confirm_s = LATE_CONFIRM_S_OF[self._sync.lateness(now_s)]
-        reading = self._clock.read(stamp_ms / 1000.0, now_s, late_confirm_s=late_confirm_s)
-        best_s, by_arrival_s = self.clock_offset_s, self._clock.offset_s
-        if reading.is_reboot or best_s is None or by_arrival_s is None:
-            return reading
-        return StampReading(reading.time_s + best_s - by_arrival_s, is_reboot=False)
-
     def _with_restart(self, reading: StampReading, event: Event) -> list[Event]:
-        if self._clock.is_wild:
+        if self.clock.is_wild:
             return []
         return [self._restarted(event.time_s), event] if reading.is_reboot else [event]
 
@@ -362,52 +322,6 @@ class VehicleInbound:
             return []
         is_near = all(abs(v) <= MAX_HOME_DISTANCE_M for v in local)
         return [HomeSet(now_s, local)] if is_near else []
-
-
-class RangingInbound:
-    """Ranging events from any sender, each on its own clock, or on the autopilot's if it shares it.
-
-    By its definition a stamp counts from the vehicle's boot or from 1970. One that agrees with the
-    autopilot's clock is read on that: then a link's constant delay, which no sender's own stamps
-    can show, does not move the vehicle's place at the time of the measurement.
-    """
-
-    def __init__(self) -> None:
-        self._clocks: dict[tuple[int, int, int], SenderClock] = {}
-
-    def events(
-        self, message: Message, link: int, now_s: float, vehicle_offset_s: float | None = None
-    ) -> list[Event]:
-        """The measurement in a message, if it is a ranging message.
-
-        Args:
-            vehicle_offset_s: Local time minus the autopilot's, if that is known.
-        """
-        if not isinstance(message, RangingMessage):
-            return []
-        key = (link, message.get_srcSystem(), message.get_srcComponent())
-        if key not in self._clocks:
-            if len(self._clocks) >= MAX_SENDERS:
-                self._clocks.pop(next(iter(self._clocks)))
-            self._clocks[key] = SenderClock()
-        if message.time_usec == 0:  # a sender without a clock: nothing to date or compare by
-            measurement = ranging_from_message(message, now_s)
-            if measurement is not None:
-                measurement = replace(measurement, stamp_us=None)
-        else:
-            clock, stamp_s = self._clocks[key], message.time_usec / 1e6
-            measured_at_s = clock.read(stamp_s, now_s).time_s
-            if vehicle_offset_s is not None and _is_shared(clock.offset_s, vehicle_offset_s):
-                measured_at_s = min(now_s, stamp_s + vehicle_offset_s)
-            measurement = ranging_from_message(message, measured_at_s)
-        return [] if measurement is None else [RangingReceived(now_s, measurement)]
-
-
-def _is_shared(own_offset_s: float | None, vehicle_offset_s: float) -> bool:
-    """Whether two clocks are the same one, as far as the delays of their links allow."""
-    if own_offset_s is None:
-        return False
-    return -CLOCK_TOLERANCE_S <= own_offset_s - vehicle_offset_s <= MAX_LINK_DELAY_S
 
 
 def _is_on_earth(latitude_e7: int, longitude_e7: int) -> bool:

@@ -1,53 +1,40 @@
-"""From what a link brings to messages: within a budget, cut, proved, decoded.
+"""From what a link brings to proved frames of known senders, within a budget.
 
-Budget: how much of what arrives is looked at between two control ticks, so that no flood delays
-one.
-
-Theory of operation. The autopilot's own address, and any line with one end, has a budget that is
-far above what an autopilot sends; everyone else shares a much smaller one, with a share for each
-source, so that strangers are dropped first and none of them crowds the others out. Bytes are
-counted before they are cut into frames, frames before they are proved, messages before anyone acts
-on them. What is over budget is dropped and counted, and the budgets begin anew with each control
-tick. Of the sources a tick remembers only so many. A link that held everything back delivers more
-at once than a tick reads, and the newest mode last: so HEARTBEATs of the autopilot's address have
-a budget of their own.
+Theory of operation of the budget. What arrives is looked at only so far between two control ticks,
+so that no flood delays one. The autopilot's own address, and any line with one end, has a budget
+that is far above what an autopilot sends; everyone else shares a much smaller one, with a share for
+each source, so that unknown peers are dropped first and none of them crowds the others out. Bytes
+are counted before they are cut into frames, frames before they are proved, messages before anyone
+acts on them. What is over budget is dropped and counted, and the budgets begin anew with each
+control tick. Of the sources a tick remembers only so many. A link that held everything back
+delivers more at once than a tick reads, and the newest mode last: so HEARTBEATs of the autopilot's
+address have a budget of their own.
 
 PX4 1.15 sends 405 frames a second on its busiest link: 20 between two ticks. The bytes are what
 the worst of them, all magic, can be cut up in less than a tick (1.3 us each).
 
-Shield: when a flood makes it worth while to hear nobody but the autopilot.
-
-The filter itself is the shell's, and the kernel's; see `companion.io.source_filter`. It is up only
-while strangers exceed their budget, because without it they are told to the operator, and only
-while the autopilot speaks, because it may come back from another address.
-
-Alarms: what the operator is told about strangers and floods: at once, and then rarely.
-
-Watches counters that others keep, so that nothing a stranger sends makes a text of its own.
-
-Authenticity: signing on all links, its clock, and what the operator is told about it.
-
-Theory of operation. With a key every frame of every link must prove itself before it is decoded;
-the codecs see to that. The time in signatures goes on from the wall clock at the start by the
-control tick's own clock, so that a wall clock that is set in flight changes nothing; only before
-an autopilot is bound is it followed. What was refused is told at once, and then at most every ten
-seconds in one text, because a forger must not be able to fill the log.
-
-RADIO_STATUS may come unsigned. It is noted down and goes no further: unproved, it says nothing
-about the autopilot, not even that it is there.
+Theory of operation of signing. With a key every frame of every link must prove itself before it is
+decoded; the codecs see to that. The time in signatures goes on from the wall clock at the start by
+the control tick's own clock, so that a wall clock that is set in flight changes nothing; only
+before an autopilot is bound is it followed. What was refused is told at once, and then at most
+every ten seconds in one text, because a forger must not be able to fill the log. RADIO_STATUS may
+come unsigned. It is noted down and goes no further: unproved, it says nothing about the autopilot,
+not even that it is there.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from enum import IntEnum
 
+from companion.domain import Autopilot
 from companion.guidance.commands import Announce, Severity
-from companion.link.binding import AutopilotBinding
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address, Chunk
+from companion.mav.flight_modes import autopilot_of
 from companion.mav.framing import CRC_LENGTH, HEADER_LENGTH, MAGIC_V2, SIGNATURE_LENGTH, message_id
 from companion.mav.signing import LinkSigning, Signing, Verdict, is_signed
 
@@ -77,6 +64,87 @@ class RateLimit:
             return False
         self._left -= 1.0
         return True
+
+
+PEER_SILENCE_S = 3.0
+"""The autopilot must be silent this long before the same ids are believed from a new address."""
+MOST_OTHERS = 3
+"""Other autopilots than this many are not remembered: a stranger can invent any number."""
+KEYED_SILENCE_S = 0.5
+"""The same where every frame is proved: so long that two ways to one autopilot do not alternate."""
+
+
+@dataclass(slots=True)
+class AutopilotBinding:
+    """The first autopilot heard, for good: other systems, stations and payloads are not it.
+
+    Other stations' heartbeats are forwarded by autopilots, so system, component and the
+    `autopilot` field decide, and the address once it is known.
+    """
+
+    wanted_system_id: int | None = None
+    is_keyed: bool = False
+    """Whether every frame that comes here was proved to be from somebody with our key."""
+    system_id: int | None = None
+    component_id: int = 0
+    autopilot: Autopilot = Autopilot.OTHER
+    peer: Address | None = None
+    heard_s: float | None = None
+    strangers: int = 0
+    """Frames that carried the autopilot's ids from another address."""
+    moves: int = 0
+    """How often the autopilot's address changed."""
+    others: list[int] = field(default_factory=list)
+    """Other autopilots that were heard, while none was asked for: their systems."""
+
+    @property
+    def is_bound(self) -> bool:
+        """Whether an autopilot was heard."""
+        return self.system_id is not None
+
+    @property
+    def silence_s(self) -> float:
+        """How long the autopilot must be silent before another address is believed."""
+        return KEYED_SILENCE_S if self.is_keyed else PEER_SILENCE_S
+
+    def admits(self, message: Message, peer: Address | None, now_s: float) -> bool:
+        """Whether a message comes from the bound autopilot; binds to the first one."""
+        if isinstance(message, mavlink.MAVLink_heartbeat_message):
+            self._maybe_bind(message, peer)
+        ids = (message.get_srcSystem(), message.get_srcComponent())
+        if not self.is_bound or ids != (self.system_id, self.component_id):
+            return False
+        if peer != self.peer:
+            if self.heard_s is not None and now_s - self.heard_s < self.silence_s:
+                self.strangers += 1
+                return False
+            self.peer = peer
+            self.moves += 1
+        self.heard_s = now_s
+        return True
+
+    def _maybe_bind(
+        self, heartbeat: mavlink.MAVLink_heartbeat_message, peer: Address | None
+    ) -> None:
+        autopilot = autopilot_of(heartbeat)
+        system_id = heartbeat.get_srcSystem()
+        if autopilot is None or system_id == 0:
+            return
+        if self.is_bound:
+            self._note_other(system_id)
+            return
+        if self.wanted_system_id not in (None, system_id):
+            return
+        self.system_id = system_id
+        self.component_id = heartbeat.get_srcComponent()
+        self.autopilot = autopilot
+        self.peer = peer
+
+    def _note_other(self, system_id: int) -> None:
+        if self.wanted_system_id is not None or len(self.others) >= MOST_OTHERS:
+            return
+        if system_id != self.system_id and system_id not in self.others:
+            self.others.append(system_id)
 
 
 MAX_SOURCES = 64
@@ -169,38 +237,39 @@ class Intake:
     """One link's way in.
 
     Args:
+        codec: Cuts and proves the frames.
         binding: The autopilot, whose address has the large budget; None on links without one.
+        is_raw: Whether something other than MAVLink arrives, to be cut by a ranging source.
     """
 
-    def __init__(self, codec: MavCodec, binding: AutopilotBinding | None) -> None:
+    def __init__(
+        self, codec: MavCodec, binding: AutopilotBinding | None = None, *, is_raw: bool = False
+    ) -> None:
         self.codec = codec
+        self.is_raw = is_raw
         self.budget = FloodBudget()
         self._binding = binding
 
-    def is_known(self, chunk: Chunk) -> bool:
-        """Whether a chunk is from the autopilot's address, or over a line with one end."""
-        if not chunk.is_datagram:
-            return True
-        binding = self._binding
-        return binding is not None and binding.is_bound and chunk.peer == binding.peer
-
-    def take(self, chunk: Chunk) -> Iterator[Message]:
-        """The messages in a chunk, as far as the budget goes."""
-        codec, admits, peer = self.codec, self.budget.admits, chunk.peer
-        is_known = self.is_known(chunk)
+    def take(self, chunk: Chunk) -> Iterator[bytes]:
+        """The proved frames of a chunk, or a raw chunk as it is, as far as the budget goes."""
+        codec, admits, peer, binding = self.codec, self.budget.admits, chunk.peer, self._binding
+        is_known = not chunk.is_datagram or (
+            binding is not None and binding.is_bound and peer == binding.peer
+        )
         is_free = is_known and _is_heartbeat(chunk) and self.budget.admits_heartbeat()
         if not (is_free or admits(Resource.BYTES, len(chunk.data), peer, is_known=is_known)):
             return
-        for frame in codec.split(chunk.data, is_datagram=chunk.is_datagram):
+        if self.is_raw:
+            yield chunk.data
+            return
+        for frame in codec.splitter.split(chunk.data, is_datagram=chunk.is_datagram):
             if not (is_free or admits(Resource.FRAMES, 1, peer, is_known=is_known)):
                 return
             if not codec.proves(frame):
                 continue
             if not (is_free or admits(Resource.MESSAGES, 1, peer, is_known=is_known)):
                 return
-            message = codec.decode_proved(frame)
-            if message is not None:
-                yield message
+            yield frame
 
 
 def _is_heartbeat(chunk: Chunk) -> bool:
@@ -208,85 +277,6 @@ def _is_heartbeat(chunk: Chunk) -> bool:
     data = chunk.data
     is_one = chunk.is_datagram and SHORTEST <= len(data) <= LONGEST_HEARTBEAT
     return is_one and data[0] in HEADER_LENGTH and message_id(data) == HEARTBEAT
-
-
-SHIELD_UP_S = 10.0
-"""How long after the last flood it stays up; then it is looked whether the flood goes on."""
-SHARE_OF_SILENCE = 0.5
-"""Of the silence after which another address is believed: so long the autopilot may be quiet."""
-
-
-class FloodShield:
-    """Looks at one link's budget once per control tick."""
-
-    def __init__(self, intake: Intake, binding: AutopilotBinding) -> None:
-        self._intake = intake
-        self._binding = binding
-        self._dropped = 0
-        self._flooded_s = -math.inf
-
-    def tick(self, now_s: float) -> None:
-        """Note whether anything was over budget."""
-        dropped = self._intake.budget.dropped_unread
-        if dropped > self._dropped:
-            self._dropped = dropped
-            self._flooded_s = now_s
-
-    def sole_peer(self, now_s: float) -> Address | None:
-        """Whom alone to hear now; None: everybody."""
-        binding = self._binding
-        if now_s - self._flooded_s > SHIELD_UP_S or not binding.is_bound or binding.heard_s is None:
-            return None
-        is_quiet = now_s - binding.heard_s > SHARE_OF_SILENCE * binding.silence_s
-        return None if is_quiet else binding.peer
-
-
-ALARM_TEXTS_PER_S = 0.1
-"""Texts of one kind."""
-
-
-class LinkAlarms:
-    """Looks at the counters once per control tick.
-
-    Args:
-        binding: Who the autopilot is, and who else says so.
-    """
-
-    def __init__(self, binding: AutopilotBinding, intakes: Sequence[Intake]) -> None:
-        self._binding = binding
-        self._intakes = intakes
-        self._strangers = 0
-        self._moves = 0
-        self._others = 0
-        self._dropped = 0
-        self._may_tell_strangers = RateLimit(ALARM_TEXTS_PER_S)
-        self._may_tell_moves = RateLimit(ALARM_TEXTS_PER_S)
-        self._may_tell_floods = RateLimit(ALARM_TEXTS_PER_S)
-
-    def tick(self, now_s: float) -> list[Announce]:
-        """What is news."""
-        binding, texts = self._binding, []
-        dropped = sum(intake.budget.dropped_unread for intake in self._intakes)
-        for other in binding.others[self._others :]:
-            texts.append(
-                f"another autopilot is on this link, system {other}; ours is {binding.system_id} "
-                "(vehicle.system_id chooses)"
-            )
-        self._others = len(binding.others)
-        if binding.moves > self._moves and self._may_tell_moves.allows(now_s):
-            self._moves = binding.moves
-            texts.append(f"the autopilot is heard from another address now: {_place(binding)}")
-        if binding.strangers > self._strangers and self._may_tell_strangers.allows(now_s):
-            count, self._strangers = binding.strangers - self._strangers, binding.strangers
-            texts.append(f"{count} frames with the autopilot's ids from elsewhere were ignored")
-        if dropped > self._dropped and self._may_tell_floods.allows(now_s):
-            count, self._dropped = dropped - self._dropped, dropped
-            texts.append(f"flood: {count} datagrams or frames were dropped unread")
-        return [Announce(Severity.WARNING, text) for text in texts]
-
-
-def _place(binding: AutopilotBinding) -> str:
-    return "the line" if binding.peer is None else f"{binding.peer[0]}:{binding.peer[1]}"
 
 
 REPORT_PERIOD_S = 10.0
@@ -301,14 +291,14 @@ ALARMS = frozenset({Verdict.TOO_FAR_AHEAD, Verdict.TIMESTAMP_OVERFLOW, Verdict.T
 
 
 class Authenticity:
-    """The companion's side of signing.
+    """The companion's side of signing, on all links.
 
     Args:
         signing: Proves and signs; None: there is no key, and everyone is believed.
         unix_minus_local_s: Unix time minus the time that is passed in.
     """
 
-    def __init__(self, signing: Signing | None, unix_minus_local_s: float) -> None:
+    def __init__(self, signing: Signing | None = None, unix_minus_local_s: float = 0.0) -> None:
         self._signing = signing
         self._unix_minus_local_s = unix_minus_local_s
         self._told: dict[Verdict, int] = dict.fromkeys(Verdict, 0)

@@ -11,15 +11,15 @@ means wait. All in all at most 2 s, or 10 s with progress, never a loop.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 from companion.domain import Autopilot, FlightMode, PositionSetpoint
 from companion.errors import LocalProtocolError
 from companion.geometry.coordinates import LocalOrigin, ned_from_enu
+from companion.guidance.commands import TakeOff
 from companion.guidance.events import Outcome, RequestAnswered, RequestKind
 from companion.mav import dialect
-from companion.mav.dialect import Message, mavlink
+from companion.mav.dialect import Message, mavlink, result_words
 from companion.mav.flight_modes import set_mode_params
 
 RESEND_S = 0.5
@@ -28,29 +28,43 @@ IN_PROGRESS_S = 3.0
 MAX_PROGRESS_S = 10.0
 """An autopilot that only ever makes progress does not answer."""
 
+Ids = tuple[int, int]
+"""System and component."""
 CommandMessage = mavlink.MAVLink_command_long_message
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleCommand:
+    """A MAV_CMD and its first parameters; the others are zero."""
+
+    number: int
+    params: tuple[float, ...]
+
+    def message(self, target: Ids, confirmation: int = 0) -> CommandMessage:
+        """COMMAND_LONG; `confirmation` counts how often it was sent before."""
+        padded = (*self.params, *(0.0,) * (7 - len(self.params)))
+        return CommandMessage(*target, self.number, confirmation, *padded)
 
 
 @dataclass(slots=True)
 class _Pending:
     kind: RequestKind
-    command: int
-    build: Callable[[int], CommandMessage]
-    """The message for a `confirmation` number."""
+    command: VehicleCommand
+    target: Ids
     sends: int = 0
     next_s: float = 0.0
     first_s: float | None = None
 
 
 class RequestClient:
-    """The request in flight; a new one replaces it, because only the latest wish counts."""
+    """The request in flight; a new one replaces it, because only the latest counts."""
 
     def __init__(self) -> None:
         self._pending: _Pending | None = None
 
-    def submit(self, kind: RequestKind, build: Callable[[int], CommandMessage]) -> None:
+    def submit(self, kind: RequestKind, command: VehicleCommand, target: Ids) -> None:
         """Ask for something from the next `due` on."""
-        self._pending = _Pending(kind, build(0).command, build)
+        self._pending = _Pending(kind, command, target)
 
     def cancel(self) -> None:
         """Forget the request in flight."""
@@ -66,7 +80,7 @@ class RequestClient:
             return RequestAnswered(now_s, pending.kind, Outcome.NO_ANSWER)
         if pending.first_s is None:
             pending.first_s = now_s
-        message = pending.build(pending.sends)
+        message = pending.command.message(pending.target, pending.sends)
         pending.sends += 1
         pending.next_s = now_s + RESEND_S
         return message
@@ -76,7 +90,7 @@ class RequestClient:
     ) -> RequestAnswered | None:
         """What an ACK of the autopilot means for the request in flight."""
         pending = self._pending
-        if pending is None or pending.sends == 0 or ack.command != pending.command:
+        if pending is None or pending.sends == 0 or ack.command != pending.command.number:
             return None  # not asked yet: the answer belongs to a request that was replaced
         if ack.result == mavlink.MAV_RESULT_IN_PROGRESS:
             pending.sends = SENDS
@@ -86,15 +100,9 @@ class RequestClient:
         self._pending = None
         if ack.result == mavlink.MAV_RESULT_ACCEPTED:
             return RequestAnswered(now_s, pending.kind, Outcome.ACCEPTED)
-        name, is_repeated = result_name(ack.result), pending.sends > 1
+        name = result_words("MAV_RESULT", ack.result, "MAV_RESULT_")
+        is_repeated = pending.sends > 1
         return RequestAnswered(now_s, pending.kind, Outcome.REJECTED, name, is_repeated=is_repeated)
-
-
-def result_name(result: int) -> str:
-    """MAV_RESULT in words."""
-    entry = mavlink.enums["MAV_RESULT"].get(result)
-    name = f"result {result}" if entry is None else str(entry.name)
-    return name.removeprefix("MAV_RESULT_").lower().replace("_", " ")
 
 
 TEXT_LENGTH = 50
@@ -121,37 +129,25 @@ def heartbeat() -> Message:
     )
 
 
-def local_setpoint(
-    setpoint: PositionSetpoint, now_s: float, system_id: int, component_id: int
-) -> Message:
+def local_setpoint(setpoint: PositionSetpoint, now_s: float, target: Ids) -> Message:
     """SET_POSITION_TARGET_LOCAL_NED in frame LOCAL_NED, position with or without yaw.
 
     Raises:
         LocalProtocolError: A coordinate is not finite.
     """
-    _check_finite(setpoint)
-    north_m, east_m, down_m = ned_from_enu(setpoint.position_enu_m)
+    mask, rest = _checked_fields(setpoint)
     return mavlink.MAVLink_set_position_target_local_ned_message(
         time_boot_ms(now_s),
-        system_id,
-        component_id,
+        *target,
         mavlink.MAV_FRAME_LOCAL_NED,
-        _mask(setpoint),
-        north_m,
-        east_m,
-        down_m,
-        *(0.0,) * 6,
-        setpoint.yaw_ned_rad or 0.0,
-        0.0,
+        mask,
+        *ned_from_enu(setpoint.position_enu_m),
+        *rest,
     )
 
 
 def global_setpoint(
-    setpoint: PositionSetpoint,
-    origin: LocalOrigin,
-    now_s: float,
-    system_id: int,
-    component_id: int,
+    setpoint: PositionSetpoint, origin: LocalOrigin, now_s: float, target: Ids
 ) -> Message:
     """SET_POSITION_TARGET_GLOBAL_INT in frame GLOBAL_INT (5, AMSL).
 
@@ -160,63 +156,56 @@ def global_setpoint(
     Raises:
         LocalProtocolError: A coordinate is not finite.
     """
-    _check_finite(setpoint)
+    mask, rest = _checked_fields(setpoint)
     latitude_deg, longitude_deg, altitude_m = origin.geodetic_from_enu(setpoint.position_enu_m)
     return mavlink.MAVLink_set_position_target_global_int_message(
         time_boot_ms(now_s),
-        system_id,
-        component_id,
+        *target,
         mavlink.MAV_FRAME_GLOBAL_INT,
-        _mask(setpoint),
+        mask,
         round(latitude_deg * 1e7),
         round(longitude_deg * 1e7),
         altitude_m,
-        *(0.0,) * 6,
-        setpoint.yaw_ned_rad or 0.0,
-        0.0,
+        *rest,
     )
 
 
-def arm(system_id: int, component_id: int, confirmation: int) -> CommandMessage:
-    """COMMAND_LONG to arm, without force."""
-    return _command(
-        mavlink.MAV_CMD_COMPONENT_ARM_DISARM, system_id, component_id, confirmation, 1.0
-    )
+def _checked_fields(setpoint: PositionSetpoint) -> tuple[int, tuple[float, ...]]:
+    """The type mask, and what follows the position: velocity, acceleration, yaw and its rate."""
+    yaw_rad = setpoint.yaw_ned_rad
+    if not all(map(math.isfinite, (*setpoint.position_enu_m, yaw_rad or 0.0))):
+        raise LocalProtocolError(f"setpoint {setpoint.position_enu_m} is not finite")
+    mask = dialect.POSITION_ONLY if yaw_rad is None else dialect.POSITION_AND_YAW
+    return mask, (*(0.0,) * 6, yaw_rad or 0.0, 0.0)
 
 
-def set_mode(
-    mode: FlightMode,
-    autopilot: Autopilot,
-    is_armed: bool,
-    system_id: int,
-    component_id: int,
-    confirmation: int,
-) -> CommandMessage:
-    """COMMAND_LONG DO_SET_MODE."""
+def arm() -> VehicleCommand:
+    """To arm, without force."""
+    return VehicleCommand(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0,))
+
+
+def set_mode(mode: FlightMode, autopilot: Autopilot, *, is_armed: bool) -> VehicleCommand:
+    """DO_SET_MODE.
+
+    Raises:
+        KeyError: The autopilot has no such mode.
+    """
     params = set_mode_params(mode, autopilot, is_armed=is_armed)
-    return _command(mavlink.MAV_CMD_DO_SET_MODE, system_id, component_id, confirmation, *params)
+    return VehicleCommand(mavlink.MAV_CMD_DO_SET_MODE, params)
 
 
-def take_off(
-    altitude_m: float,
-    home_up_m: float,
-    origin: LocalOrigin | None,
-    autopilot: Autopilot,
-    system_id: int,
-    component_id: int,
-    confirmation: int,
-) -> CommandMessage:
-    """COMMAND_LONG NAV_TAKEOFF to a height above home.
+def take_off(command: TakeOff, origin: LocalOrigin | None, autopilot: Autopilot) -> VehicleCommand:
+    """NAV_TAKEOFF to a height above home.
 
     PX4 reads parameter 7 as AMSL, and NaN as "here" or its own default; ArduPilot reads it above
     home and must not see a NaN.
     """
     if autopilot is Autopilot.ARDUPILOT:
-        params = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, altitude_m)
+        params = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, command.altitude_m)
     else:
-        amsl_m = math.nan if origin is None else origin.altitude_m + home_up_m + altitude_m
-        params = (math.nan,) * 6 + (amsl_m,)
-    return _command(mavlink.MAV_CMD_NAV_TAKEOFF, system_id, component_id, confirmation, *params)
+        home_m = math.nan if origin is None else origin.altitude_m + command.home_up_m
+        params = (*(math.nan,) * 6, home_m + command.altitude_m)
+    return VehicleCommand(mavlink.MAV_CMD_NAV_TAKEOFF, params)
 
 
 def autopilot_version(param_capability: int) -> Message:
@@ -271,21 +260,3 @@ def _chunks(text: str) -> list[bytes]:
         else:
             chunks.append(b"")
     return chunks
-
-
-def _command(
-    command: int, system_id: int, component_id: int, confirmation: int, *params: float
-) -> CommandMessage:
-    padded = (*params, *(0.0,) * (7 - len(params)))
-    return CommandMessage(system_id, component_id, command, confirmation, *padded)
-
-
-def _mask(setpoint: PositionSetpoint) -> int:
-    has_yaw = setpoint.yaw_ned_rad is not None
-    return dialect.POSITION_AND_YAW if has_yaw else dialect.POSITION_ONLY
-
-
-def _check_finite(setpoint: PositionSetpoint) -> None:
-    values = (*setpoint.position_enu_m, setpoint.yaw_ned_rad or 0.0)
-    if not all(math.isfinite(value) for value in values):
-        raise LocalProtocolError(f"setpoint {setpoint.position_enu_m} is not finite")

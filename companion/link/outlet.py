@@ -21,8 +21,9 @@ from collections.abc import Sequence
 from companion.guidance.authority.control_authority import ID_CONFLICT_S
 from companion.guidance.commands import Announce, Severity
 from companion.link import outbound
-from companion.link.binding import AutopilotBinding
+from companion.link.intake import AutopilotBinding
 from companion.link.recorders import Journal
+from companion.link.specs import LinkRole
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Chunk
@@ -31,8 +32,8 @@ KEPT = 1024
 """Frames of ours that are remembered: 20 s at the fastest pace."""
 FOREIGN_FRAMES = 3
 FOREIGN_SPAN_S = 1.0
-"""So many that are not ours, over no less than the span, are a twin's; fewer may be left over from
-a run before this one, on a slow way back."""
+"""So many that are not ours, over no less than the span, are another companion's; fewer may be left
+over from a run before this one, on a slow way back."""
 
 
 class OwnFrames:
@@ -44,13 +45,12 @@ class OwnFrames:
         """Frames with our ids that we did not send."""
         self._order: deque[int] = deque()
         self._sent: dict[int, int] = {}
-        self._is_told = False
         self._run = 0
         """Foreign frames without a long silence between them, ..."""
         self._began_s = self._heard_s = -math.inf
         """... the first of them, and the last."""
 
-    def sent(self, frame: bytes) -> None:
+    def record_sent(self, frame: bytes) -> None:
         """Note a frame of ours."""
         number = zlib.crc32(frame)
         self._order.append(number)
@@ -61,8 +61,8 @@ class OwnFrames:
             if not self._sent[oldest]:
                 del self._sent[oldest]
 
-    def came_back(self, frame: bytes, now_s: float) -> bool:
-        """Note a received frame with our ids; whether a twin sent it."""
+    def record_received(self, frame: bytes, now_s: float) -> bool:
+        """Note a received frame with our ids; whether another companion uses them."""
         if zlib.crc32(frame) in self._sent:
             self.echoes += 1
             return False
@@ -73,13 +73,7 @@ class OwnFrames:
         self._heard_s = now_s
         return self._run >= FOREIGN_FRAMES and now_s - self._began_s >= FOREIGN_SPAN_S
 
-    def is_news(self) -> bool:
-        """Whether the operator was not told of a twin yet; from now on he was."""
-        was_told, self._is_told = self._is_told, True
-        return not was_told
 
-
-VEHICLE_LINK = 0
 COMPONENT_ID = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
 """191: what ground stations expect an onboard computer to be."""
 RATE_WINDOW_S = 2.0
@@ -89,34 +83,32 @@ class Outlet:
     """The one way out of the companion.
 
     Args:
-        codecs: Of all links; those that carry only ranging do not send.
+        links: The roles of all links, and their codecs; those for ranging do not send.
         binding: The autopilot that everything goes to.
-        gcs_links: Numbers of the links to ground stations.
     """
 
     def __init__(
         self,
-        codecs: Sequence[MavCodec],
+        links: Sequence[tuple[LinkRole, MavCodec]],
         binding: AutopilotBinding,
         journal: Journal,
-        gcs_links: Sequence[int] = (),
     ) -> None:
         self.setpoints_sent = 0
         self.texts_sent = 0
-        self._codecs = codecs
         self.own_frames = OwnFrames()
-        self._codec = codecs[VEHICLE_LINK]
+        self._codecs = [codec for _, codec in links]
+        roles = [role for role, _ in links]
+        self._vehicle_link = roles.index(LinkRole.VEHICLE)
+        self._gcs_links = [n for n, role in enumerate(roles) if role is LinkRole.GCS]
+        self._codec = self._codecs[self._vehicle_link]
+        self.own_ids = (self._codec.system_id, self._codec.component_id)
+        """System and component that our frames carry."""
         self._binding = binding
         self._journal = journal
-        self._gcs_links = tuple(gcs_links)
+        self._is_conflict_told = False
         self._text_id = 0
         self._setpoint_times_s: list[float] = []
         self._output: list[Chunk] = []
-
-    @property
-    def own_ids(self) -> tuple[int, int]:
-        """System and component that our frames carry."""
-        return (self._codec.system_id, self._codec.component_id)
 
     @property
     def target_ids(self) -> tuple[int, int]:
@@ -127,6 +119,7 @@ class Outlet:
         """Take the vehicle's system id."""
         for codec in self._codecs:
             codec.system_id = system_id
+        self.own_ids = (system_id, self._codec.component_id)
 
     def send(self, message: Message, now_s: float, *, can_be_spared: bool = False) -> None:
         """Queue a message for the autopilot's address.
@@ -135,11 +128,10 @@ class Outlet:
             can_be_spared: A line that is too slow for everything does without it.
         """
         data = self._codec.encode(message)
-        self.own_frames.sent(data)
+        self.own_frames.record_sent(data)
         self._journal.frame(data, now_s)
-        self._output.append(
-            Chunk(VEHICLE_LINK, data, self._binding.peer, can_be_spared=can_be_spared)
-        )
+        peer = self._binding.peer
+        self._output.append(Chunk(self._vehicle_link, data, peer, can_be_spared=can_be_spared))
 
     def broadcast(self, message: Message, now_s: float, *, can_be_spared: bool = False) -> None:
         """Queue a message for everybody: the autopilot, and ground stations on links of their own.
@@ -156,7 +148,7 @@ class Outlet:
             return  # under which system id we speak is not known yet
         for link in self._gcs_links:
             data = self._codecs[link].encode(message)
-            self.own_frames.sent(data)
+            self.own_frames.record_sent(data)
             self._output.append(Chunk(link, data, None, can_be_spared=True))
 
     def send_setpoint(self, message: Message, now_s: float) -> None:
@@ -169,13 +161,14 @@ class Outlet:
                 t for t in self._setpoint_times_s if t > now_s - RATE_WINDOW_S
             ]
 
-    def came_back(self, frame: bytes, now_s: float) -> bool:
-        """Take note of a frame that carries our own ids; whether a twin of ours sent it."""
+    def record_own_ids(self, frame: bytes, now_s: float) -> bool:
+        """Note a received frame that carries our own ids; whether another companion uses them."""
         if not self._binding.is_bound:
             return False  # under which system id we speak is not known yet
-        if not self.own_frames.came_back(frame, now_s):
+        if not self.own_frames.record_received(frame, now_s):
             return False
-        if self.own_frames.is_news():
+        if not self._is_conflict_told:
+            self._is_conflict_told = True
             system_id, component_id = self.own_ids
             text = f"someone else sends as {system_id}/{component_id}: two companions, one vehicle?"
             self.announce(Announce(Severity.ERROR, text), now_s)

@@ -1,4 +1,4 @@
-"""How well the links do: order, loss, the pace that follows from them, and all counters.
+"""How well the line to the autopilot does: order, loss, and the pace that follows from them.
 
 The order and the loss of one sender's frames, by their sequence numbers.
 
@@ -25,16 +25,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import asdict
 
-from companion.guidance.messages import health_fields
-from companion.guidance.session import GuidanceSession
-from companion.link.binding import AutopilotBinding, LinkParams
-from companion.link.intake import Authenticity, Intake
-from companion.link.outlet import Outlet
-from companion.link.recorders import Journal
-from companion.mav.dialect import Message
+from companion.link.specs import LinkParams
 
 MODULUS = 256
 HALF = MODULUS // 2
@@ -200,12 +192,6 @@ class LinkHealth:
         self.sequence = SequenceMonitor()
         self.pacing = Pacing(params)
         self.ticks = TickWatch()
-        self.overtaken = 0
-        """Messages that came after a newer one of their kind."""
-
-    def heard(self, message: Message, now_s: float) -> int:
-        """Take in a message of the bound autopilot; its place in the order of sending."""
-        return self.sequence.take(message.get_seq(), now_s)
 
     def tick(self, now_s: float) -> float | None:
         """Judge the line once more; how long the control tick stood still, if that is a stall."""
@@ -214,10 +200,6 @@ class LinkHealth:
             self.sequence.skip()  # the socket kept the oldest of what came meanwhile
         self.pacing.observe(self.sequence.loss(now_s), now_s)
         return stalled_s
-
-    def restart(self) -> None:
-        """Begin anew, because the autopilot did."""
-        self.sequence.restart()
 
     def record(self, now_s: float) -> dict[str, object]:
         """The figures for the event log."""
@@ -228,79 +210,7 @@ class LinkHealth:
             "lost": sequence.lost,
             "late": sequence.late,
             "duplicates": sequence.duplicates,
-            "overtaken": self.overtaken,
             "tick_s": self.pacing.period_s,
             "missed_ticks": self.ticks.missed,
             "stalls": self.ticks.stalls,
-        }
-
-
-RECORD_PERIOD_S = 10.0
-"""How often the health of the links goes to the event log."""
-
-
-class LinkCounters:
-    """Gathers the counters that the parts of the link keep.
-
-    Args:
-        session: The guidance, for what became of the measurements.
-    """
-
-    def __init__(
-        self,
-        session: GuidanceSession,
-        intakes: Sequence[Intake],
-        binding: AutopilotBinding,
-        health: LinkHealth,
-        authenticity: Authenticity,
-        outlet: Outlet,
-        journal: Journal,
-    ) -> None:
-        self._session = session
-        self._intakes = intakes
-        self._binding = binding
-        self._health = health
-        self._authenticity = authenticity
-        self._outlet = outlet
-        self._journal = journal
-        self._next_record_s = -math.inf
-
-    @property
-    def bad_frames(self) -> int:
-        """Frames that failed their CRC or could not be decoded, on all links."""
-        codecs = [intake.codec for intake in self._intakes]
-        return sum(codec.counters.bad_crc + codec.undecodable for codec in codecs)
-
-    @property
-    def dropped_unread(self) -> int:
-        """Datagrams, frames and messages that were over a budget, on all links."""
-        return sum(intake.budget.dropped_unread for intake in self._intakes)
-
-    def report(self, now_s: float) -> None:
-        """Write to the event log what is due."""
-        if now_s < self._next_record_s:
-            return
-        self._next_record_s = now_s + RECORD_PERIOD_S
-        self._journal.record("link", self._link_record(now_s), now_s)
-        self._journal.record("health", health_fields(self._session.tracker, now_s), now_s)
-
-    def _link_record(self, now_s: float) -> dict[str, object]:
-        """Counters of all links, and what became of the measurements."""
-        emitters = self._session.context.emitters
-        return {
-            "links": [
-                asdict(intake.codec.counters) | {"over_budget": intake.budget.dropped}
-                for intake in self._intakes
-            ],
-            **self._health.record(now_s),
-            **self._authenticity.record(),
-            "undecodable": sum(intake.codec.undecodable for intake in self._intakes),
-            "strangers": self._binding.strangers,
-            "moves": self._binding.moves,
-            "echoes": self._outlet.own_frames.echoes,
-            "setpoints": self._outlet.setpoints_sent,
-            "setpoint_rate_hz": self._outlet.setpoint_rate_hz(now_s),
-            "accepted": emitters.accepted,
-            "refused": {reason.value: count for reason, count in emitters.refusals.items()},
-            "restarts": emitters.restarts,
         }

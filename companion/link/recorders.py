@@ -32,6 +32,9 @@ class InputRecorder(Protocol):
     def frame(self, data: bytes, link: int, peer: Address | None, now_s: float) -> None:
         """A valid frame that was not our own."""
 
+    def raw(self, data: bytes, link: int, peer: Address | None, now_s: float) -> None:
+        """Bytes of a radio that does not speak MAVLink."""
+
     def tick(self, now_s: float) -> None:
         """The timer fired."""
 
@@ -46,25 +49,3 @@ class InputRecorder(Protocol):
 
     def recall(self, memory: SessionMemory, age_s: float, now_s: float) -> None:
         """What that process knew is taken up."""
-
-
-class NoRecorder:
-    """Keeps nothing."""
-
-    def frame(self, data: bytes, link: int, peer: Address | None, now_s: float) -> None:
-        """Forget a frame."""
-
-    def tick(self, now_s: float) -> None:
-        """Forget a tick."""
-
-    def stop(self, now_s: float) -> None:
-        """Forget a stop."""
-
-    def operator_command(self, command: OperatorCommand, now_s: float) -> None:
-        """Forget a command."""
-
-    def earlier_run(self, now_s: float) -> None:
-        """Forget an earlier run."""
-
-    def recall(self, memory: SessionMemory, age_s: float, now_s: float) -> None:
-        """Forget a memory."""

@@ -1,13 +1,9 @@
-"""For whom a frame is, read from its bytes; and TIMESYNC with the targets of MAVLink 2.
+"""For whom a frame is, read from its bytes, which a router need not decode or believe.
 
-A router need not decode or believe a frame for that.
+And TIMESYNC with the two target fields of MAVLink 2, which pymavlink's dialects do not have: they
+are extensions behind `ts1`, so a receiver that does not know them reads the same message.
 
-TIMESYNC with the two target fields of MAVLink 2, which pymavlink's dialects do not have.
-
-Source: MAVLink common, TIMESYNC: `target_system` and `target_component` are extensions behind
-`ts1`, so a receiver that does not know them reads the same message.
-
-Source: MAVLink developer guide, "Routing" and "Serialization".
+Source: MAVLink common, TIMESYNC; MAVLink developer guide, "Routing" and "Serialization".
 """
 
 from __future__ import annotations

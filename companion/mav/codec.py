@@ -1,16 +1,12 @@
 """Bytes to messages and back: one codec per link.
 
-pymavlink's generated class packs and decodes payloads, except plain messages; framing,
-the CRC check and the sequence number are ours (`pack` does not advance it, and pymavlink's own
-parser loses the good frame behind a truncated one), and so are signatures: a frame is verified
-before pymavlink sees it.
-Nothing that a peer sends raises out of here.
+Framing, the CRC check and the sequence number are ours (`pack` does not advance it, and pymavlink's
+own parser loses the good frame behind a truncated one), and so are signatures: a frame is verified
+before pymavlink sees it. Nothing that a peer sends raises out of here.
 
-Packing and unpacking of plain messages: those whose fields are numbers, one by one.
-
-pymavlink's generated classes do this in a general way that takes most of the time of a link; for
-messages without arrays and texts, which is what streams are made of, a precompiled layout and one
-attribute getter do the same. Whatever is not plain is left to pymavlink, and a test compares both
+Plain messages, those without arrays and texts, which is what streams are made of, are packed and
+unpacked here, too: by a precompiled layout and one attribute getter, because pymavlink's general
+way takes most of the time of a link. The others are left to pymavlink, and a test compares both
 for every message of the dialect.
 
 Source: MAVLink developer guide, "Packet Serialization".
@@ -26,9 +22,9 @@ from typing import Any, NamedTuple
 
 from fastcrc import crc16
 
-from companion.errors import LocalProtocolError, RemoteProtocolError
+from companion.errors import LocalProtocolError
 from companion.mav.dialect import Message, mavlink
-from companion.mav.framing import CRC_LENGTH, HEADER_LENGTH, MAGIC_V2, FrameCounters, FrameSplitter
+from companion.mav.framing import CRC_LENGTH, HEADER_LENGTH, MAGIC_V2, FrameSplitter
 from companion.mav.signing import LinkSigning
 
 _HEADER = struct.Struct("<BBBBBBBHB")
@@ -139,36 +135,20 @@ class MavCodec:
     def __init__(
         self, system_id: int, component_id: int, signing: LinkSigning | None = None
     ) -> None:
+        self.system_id = system_id
+        self.component_id = component_id
         self.signing = signing
         """May be replaced, when a key is set up or taken away."""
-        self._mav = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
-        self._splitter = FrameSplitter(CRC_EXTRA_BY_ID)
+        self.splitter = FrameSplitter(CRC_EXTRA_BY_ID)
+        self.counters = self.splitter.counters
+        """What arrived so far."""
         self.undecodable = 0
         """Frames with a good CRC whose payload pymavlink refused."""
         self.unproved = 0
         """Frames with a good CRC that signing refused."""
+        self._mav = mavlink.MAVLink(None)
 
-    @property
-    def counters(self) -> FrameCounters:
-        """What arrived so far."""
-        return self._splitter.counters
-
-    @property
-    def system_id(self) -> int:
-        """The system id that our frames carry."""
-        return int(self._mav.srcSystem)
-
-    @system_id.setter
-    def system_id(self, value: int) -> None:
-        """Send as another system from now on."""
-        self._mav.srcSystem = value
-
-    @property
-    def component_id(self) -> int:
-        """The component id that our frames carry."""
-        return int(self._mav.srcComponent)
-
-    def twin(self) -> MavCodec:
+    def unsigned_copy(self) -> MavCodec:
         """A codec of the same identity that goes on from the same sequence number, unsigned."""
         other = MavCodec(self.system_id, self.component_id)
         other._mav.seq = self._mav.seq
@@ -189,38 +169,22 @@ class MavCodec:
         """
         if is_mavlink1 and (message.get_msgId() > MAX_MAVLINK1_ID or self.signing is not None):
             raise LocalProtocolError(f"{message.get_type()} cannot be sent in MAVLink 1")
-        own_component = self._mav.srcComponent
-        if component_id is not None:
-            self._mav.srcComponent = component_id
+        mav, sender = self._mav, self.component_id if component_id is None else component_id
+        mav.srcSystem, mav.srcComponent = self.system_id, sender
         try:
-            frame = self._pack(message, is_mavlink1=is_mavlink1)
+            frame = None if is_mavlink1 else pack_plain(message, mav.seq, self.system_id, sender)
+            if frame is None:
+                frame = bytes(message.pack(mav, force_mavlink1=is_mavlink1))
         except Exception as error:  # struct.error, TypeError, OverflowError: always our mistake
             raise LocalProtocolError(f"{message.get_type()} cannot be packed: {error}") from error
-        finally:
-            self._mav.srcComponent = own_component
-        self._mav.seq = (self._mav.seq + 1) % 256
+        mav.seq = (mav.seq + 1) % 256
         return frame if self.signing is None else self.signing.sign(frame, CRC_EXTRA_BY_ID)
-
-    def _pack(self, message: Message, *, is_mavlink1: bool) -> bytes:
-        mav = self._mav
-        if not is_mavlink1:
-            frame = pack_plain(message, mav.seq, mav.srcSystem, mav.srcComponent)
-            if frame is not None:
-                return frame
-        return bytes(message.pack(mav, force_mavlink1=is_mavlink1))
 
     def decode(self, data: bytes, *, is_datagram: bool = True) -> list[Message]:
         """The messages completed by `data`; bad bytes are counted, never raised."""
-        messages = []
-        for frame in self._splitter.split(data, is_datagram=is_datagram):
-            message = self.decode_frame(frame)
-            if message is not None:
-                messages.append(message)
-        return messages
-
-    def split(self, data: bytes, *, is_datagram: bool = True) -> list[bytes]:
-        """The frames completed by `data`, for a router, which passes on what nobody believes."""
-        return self._splitter.split(data, is_datagram=is_datagram)
+        frames = self.splitter.split(data, is_datagram=is_datagram)
+        messages = [self.decode_frame(frame) for frame in frames]
+        return [message for message in messages if message is not None]
 
     def decode_frame(self, frame: bytes) -> Message | None:
         """The message of one whole frame; None, and counted, if it is refused."""
@@ -235,17 +199,11 @@ class MavCodec:
 
     def decode_proved(self, frame: bytes) -> Message | None:
         """The message of a frame that was let in; None, and counted, if it cannot be decoded."""
-        try:
-            return self._decode_frame(frame)
-        except RemoteProtocolError:
-            self.undecodable += 1
-            return None
-
-    def _decode_frame(self, frame: bytes) -> Message:
-        plain = unpack_plain(frame)
-        if plain is not None:
-            return plain
+        message = unpack_plain(frame)
+        if message is not None:
+            return message
         try:
             return self._mav.decode(bytearray(frame))
-        except Exception as error:  # MAVError, UnicodeDecodeError: whatever a payload provokes
-            raise RemoteProtocolError(str(error)) from error
+        except Exception:  # MAVError, UnicodeDecodeError: whatever a payload provokes
+            self.undecodable += 1
+            return None

@@ -74,34 +74,34 @@ class FrameSplitter:
         frames: list[bytes] = []
         taken: list[tuple[int, int]] = []
         guesses: list[tuple[int, int]] = []
-        start = self._next_magic(buffer, 0)
-        while start < len(buffer):
+        start = 0
+        while True:
+            magic = _MAGIC.search(buffer, start)
+            candidate = len(buffer) if magic is None else magic.start()
+            self.counters.junk_bytes += candidate - start
+            start = candidate
+            if magic is None:
+                break
             end = frame_end(buffer, start)
             if end > len(buffer) and not is_datagram:
                 break
-            if end <= len(buffer):
-                frame = buffer[start:end]
-                if self._is_valid(frame):
-                    taken.append((start, end))
-                    if self._is_compatible(frame):
-                        frames.append(frame)
-                    start = self._next_magic(buffer, end)
-                    continue
-                if self._keeps_unknown and message_id(frame) not in self._crc_extra_by_id:
-                    guesses.append((start, end))
+            frame = buffer[start:end]
+            if end <= len(buffer) and self._is_valid(frame):
+                taken.append((start, end))
+                if frame[0] == MAGIC_V2 and frame[2] & ~INCOMPAT_SIGNED:
+                    self.counters.incompatible += 1
+                else:
+                    frames.append(frame)
+                start = end
+                continue
+            if self._keeps_unknown and end <= len(buffer):
+                guesses.append((start, end))
             self.counters.junk_bytes += 1
-            start = self._next_magic(buffer, start + 1)
-        free_from = self._keep_unknown(buffer, guesses, taken)
+            start += 1
+        free_from = self._keep_unknown(buffer, guesses, taken) if guesses else 0
         self._pending = b"" if is_datagram else buffer[max(start, free_from) :]
         self.counters.good += len(frames)
         return frames
-
-    def _next_magic(self, buffer: bytes, start: int) -> int:
-        """Where the next frame may begin; what lies before it is junk."""
-        found = _MAGIC.search(buffer, start)
-        at = len(buffer) if found is None else found.start()
-        self.counters.junk_bytes += at - start
-        return at
 
     def take_unknown(self) -> list[bytes]:
         """What looked like frames of unknown messages since the last call, unproved."""
@@ -115,6 +115,8 @@ class FrameSplitter:
         free_from = 0
         good_ends = [end for _, end in taken]
         for start, end in guesses:
+            if message_id(buffer[start:end]) in self._crc_extra_by_id:
+                continue  # a known message with a wrong CRC
             ends_well = end == len(buffer) or buffer[end] in HEADER_LENGTH
             next_good = bisect_right(good_ends, start)
             is_free = start >= free_from and not (
@@ -135,12 +137,6 @@ class FrameSplitter:
             return True
         self.counters.bad_crc += 1
         return False
-
-    def _is_compatible(self, frame: bytes) -> bool:
-        if frame[0] == MAGIC_V2 and frame[2] & ~INCOMPAT_SIGNED:
-            self.counters.incompatible += 1
-            return False
-        return True
 
 
 def frame_end(buffer: bytes, start: int) -> int:

@@ -114,14 +114,8 @@ def rerun(
     tunables = Tunables(config, build_planner)
     if config == facts.config:
         tunables.restore(facts.parameters)
-    ranging_links = facts.links - 1 - facts.gcs_links
-    endpoint = build_endpoint(
-        config,
-        journal if listen is None else listen(journal),
-        ranging_links,
-        tunables=tunables,
-        gcs_links=facts.gcs_links,
-    )
+    listens = journal if listen is None else listen(journal)
+    endpoint = build_endpoint(config, listens, facts.link_specs, tunables=tunables)
     for value in inputs:
         match value.kind:
             case InputKind.FRAME:

@@ -16,8 +16,7 @@ import msgspec
 
 from companion.errors import ConfigError
 from companion.io.files import check_writable, write_json_atomic, write_text_atomic
-from companion.io.links.specs import LinkSpec, UdpFanOut, shared_link_from_url
-from companion.io.links.urls import LinkKind, LinkUrl
+from companion.io.links.transports import Line, Transport, UdpFanOut, shared
 from companion.io.state.signing_keys import load_signing_key, store_signing_key
 from companion.mav.endpoint import Address, Chunk
 from companion.mav.signing import KEY_LENGTH, Signing
@@ -92,8 +91,6 @@ UDP_LINK = 0
 SAVE_PERIOD_S = 1.0
 NO_KEY = 2 * KEY_LENGTH * "0"
 """SETUP_SIGNING's way to say that there is no signing."""
-WIRED = (LinkKind.SERIAL, LinkKind.PTY)
-"""Links that nobody else can hear."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +102,7 @@ class FleetOptions:
     speed: float
     listen: Address
     send_to: tuple[Address, ...]
-    links: tuple[LinkUrl, ...] = ()
+    links: tuple[Transport, ...] = ()
     """Beside the UDP link; only for one vehicle if they are lines."""
     parameters: Path | None = None
     signing_key: Path | None = None
@@ -122,7 +119,7 @@ def make_vehicles(options: FleetOptions) -> list[SimEndpoint]:
     last = scenario.system_id + scenario.vehicles - 1
     if last > MAX_SYSTEM_ID:
         raise ConfigError(f"{scenario.vehicles} vehicles: system ids would go beyond 255")
-    lines = frozenset(index for index, url in enumerate(options.links, 1) if url.kind in WIRED)
+    lines = frozenset(n for n, link in enumerate(options.links, 1) if isinstance(link, Line))
     loopback = frozenset({UDP_LINK} if options.listen[0] == "127.0.0.1" else ())
     endpoints = []
     for number in range(scenario.vehicles):
@@ -156,7 +153,7 @@ def has_signing_ended(path: Path) -> bool:
         return False  # whoever loads the key says what is wrong
 
 
-def link_specs(options: FleetOptions, number: int) -> list[LinkSpec]:
+def link_specs(options: FleetOptions, number: int) -> list[Transport]:
     """The links of vehicle `number`.
 
     Raises:
@@ -167,12 +164,14 @@ def link_specs(options: FleetOptions, number: int) -> list[LinkSpec]:
         address if address[1] == STATION_PORT else (address[0], _port(address[1] + number))
         for address in options.send_to
     )
-    specs: list[LinkSpec] = [UdpFanOut(host, _port(port + number), remotes)]
-    for url in options.links:
-        if url.kind in WIRED and options.scenario.vehicles > 1:
-            raise ConfigError(f"--link {url}: a line is for one vehicle only")
-        own = url if url.kind in WIRED else replace(url, port=_port(url.port + number))
-        specs.append(shared_link_from_url(own))
+    specs: list[Transport] = [UdpFanOut(host, _port(port + number), remotes)]
+    for link in options.links:
+        if not isinstance(link, Line):
+            specs.append(shared(replace(link, port=_port(link.port + number))))
+        elif options.scenario.vehicles > 1:
+            raise ConfigError(f"--link {link}: a line is for one vehicle only")
+        else:
+            specs.append(link)
     return specs
 
 

@@ -28,8 +28,7 @@ import numpy as np
 from companion.domain import PositionEnu
 from companion.errors import ConfigError
 from companion.geometry.coordinates import LocalOrigin, enu_from_ned
-from companion.io.links.specs import LinkSpec, UdpConnect, link_from_url
-from companion.io.links.urls import parse_link_url
+from companion.io.links.transports import Transport, parse_transport
 from companion.io.shell import Clock, Shell
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
@@ -340,15 +339,14 @@ def parse_emitter(text: str, number: int) -> GeodeticEmitter:
     return GeodeticEmitter(number, values[0], values[1], altitude_m)
 
 
-def _links(arguments: argparse.Namespace) -> list[LinkSpec]:
-    links = [link_from_url(parse_link_url(arguments.follow))]
+def _links(arguments: argparse.Namespace) -> list[Transport]:
+    links = [parse_transport(arguments.follow)]
     if arguments.send_to is not None:
         try:
-            url = parse_link_url(f"udpout:{arguments.send_to}")
+            links.append(parse_transport(f"udpout:{arguments.send_to}"))
         except ConfigError:
             problem = f"--send-to {arguments.send_to}: give HOST:PORT, for example 127.0.0.1:14600"
             raise ConfigError(problem) from None
-        links.append(UdpConnect(url.host, url.port))
     return links
 
 

@@ -9,8 +9,8 @@ import socket
 from collections.abc import Awaitable, Callable, Sequence
 from typing import Any
 
-from companion.io.links.specs import LinkSpec
 from companion.io.links.tcp import TcpServerLink
+from companion.io.links.transports import Transport
 from companion.io.links.udp import UdpLink
 from companion.io.shell import Clock, Shell
 from companion.mav.codec import MavCodec
@@ -91,7 +91,7 @@ async def understood(endpoint: EchoEndpoint, mark: int) -> None:
 
 def drive(
     endpoint: Endpoint,
-    links: Sequence[LinkSpec],
+    links: Sequence[Transport],
     scene: Callable[[Shell], Awaitable[None]],
     clock: Clock | None = None,
 ) -> Shell:

@@ -14,10 +14,16 @@ import pytest
 
 from companion.errors import LinkError
 from companion.io.links.byte_streams import PtyLink
-from companion.io.links.specs import LinkSpec, Pty, TcpFanOut, UdpFanOut, shared_link_from_url
 from companion.io.links.tcp import MAX_CLIENTS, TcpFanOutLink
+from companion.io.links.transports import (
+    Pty,
+    TcpFanOut,
+    Transport,
+    UdpFanOut,
+    parse_transport,
+    shared,
+)
 from companion.io.links.udp import UdpLink
-from companion.io.links.urls import parse_link_url
 from companion.io.shell import Clock, Shell
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
@@ -247,7 +253,7 @@ def is_answer(message: Message, mark: int) -> bool:
 
 def test_one_vehicle_is_on_udp_tcp_and_a_serial_port_at_once(tmp_path: Path) -> None:
     path = tmp_path / "vehicle"
-    links: list[LinkSpec] = [UdpFanOut(HOST, 0), TcpFanOut(HOST, 0), Pty(str(path))]
+    links: list[Transport] = [UdpFanOut(HOST, 0), TcpFanOut(HOST, 0), Pty(str(path))]
 
     async def scene(shell: Shell) -> None:
         udp = shell.links[0]
@@ -303,5 +309,5 @@ async def finds_both(read_some: Callable[[], Awaitable[bytes]], mark: int) -> No
         ("pty:/tmp/vehicle", Pty("/tmp/vehicle")),
     ],
 )
-def test_a_vehicles_addresses_serve_everybody(text: str, spec: LinkSpec) -> None:
-    assert shared_link_from_url(parse_link_url(text), ((HOST, 14550),)) == spec
+def test_a_vehicles_addresses_serve_everybody(text: str, spec: Transport) -> None:
+    assert shared(parse_transport(text), ((HOST, 14550),)) == spec

@@ -10,7 +10,7 @@ import time
 
 import pytest
 
-from companion.io.links.specs import UdpBind
+from companion.io.links.transports import UdpBind
 from companion.io.shell import Clock, Shell
 from tests.e2e.shell_helpers import TIMEOUT_S, EchoEndpoint, TimeOfOurs
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import pytest
 
-from companion.io.links.specs import UdpBind
+from companion.io.links.transports import UdpBind
 from companion.io.shell import Clock, Shell
 from tests.e2e.shell_helpers import TIMEOUT_S, EchoEndpoint, drive, heartbeat, port_of, until
 

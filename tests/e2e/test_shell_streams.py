@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from companion.errors import LinkError
-from companion.io.links.specs import SerialPort, TcpClient, TcpServer
+from companion.io.links.transports import SerialPort, TcpClient, TcpServer
 from companion.io.shell import Clock, Shell
 from companion.mav.endpoint import Chunk
 from tests.e2e.shell_helpers import (

@@ -11,7 +11,7 @@ import threading
 import pytest
 
 from companion.errors import LinkError
-from companion.io.links.specs import LinkSpec, TcpServer, UdpBind, UdpConnect, UdpFanOut
+from companion.io.links.transports import TcpServer, Transport, UdpBind, UdpConnect, UdpFanOut
 from companion.io.shell import Clock, Shell
 from companion.mav.endpoint import Chunk
 from tests.e2e.shell_helpers import (
@@ -67,7 +67,7 @@ def test_the_links_opened_before_a_failing_one_are_closed() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
-        links: list[LinkSpec] = [
+        links: list[Transport] = [
             UdpBind("127.0.0.1", first),
             TcpServer("127.0.0.1", taken.getsockname()[1]),
         ]

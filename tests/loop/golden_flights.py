@@ -12,7 +12,7 @@ import hashlib
 import json
 import lzma
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
@@ -30,9 +30,9 @@ from companion.guidance.tracking.emitters import QueueParams
 from companion.io.files import INPUTS
 from companion.io.logs.flight_recorder import FlightJournal
 from companion.io.logs.log_files import parse_inputs
-from companion.link.binding import VehicleParams
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.recorders import Journal
+from companion.link.specs import LinkSpec, VehicleParams
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk
@@ -184,11 +184,13 @@ def fly(plan: Plan, directory: Path) -> Golden:
     """
     journals: list[FlightJournal] = []
 
-    def companion(config: CompanionConfig, journal: Journal, links: int) -> CompanionEndpoint:
+    def companion(
+        config: CompanionConfig, journal: Journal, links: Sequence[LinkSpec]
+    ) -> CompanionEndpoint:
         del journal
         folder = directory / str(len(journals))
         folder.mkdir()
-        write_facts(folder, FlightFacts(started_unix_s=1.8e9, links=1 + links, config=config))
+        write_facts(folder, FlightFacts(started_unix_s=1.8e9, links=len(links), config=config))
         journals.append(FlightJournal(folder, 1.8e9))
         return build_endpoint(config, journals[-1], links, recorder=journals[-1].inputs)
 

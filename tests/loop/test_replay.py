@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
@@ -26,6 +27,7 @@ from companion.io.logs.log_files import event_lines
 from companion.io.logs.mcap_file import McapLog
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.recorders import Journal
+from companion.link.specs import LinkSpec
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk
@@ -43,7 +45,9 @@ REMARKS: list[str] = []
 def fly(journal: FlightJournal, config: CompanionConfig, scenario: Scenario) -> None:
     """Fly a minute and close the log."""
 
-    def companion(config: CompanionConfig, journal_: Journal, links: int) -> CompanionEndpoint:
+    def companion(
+        config: CompanionConfig, journal_: Journal, links: Sequence[LinkSpec]
+    ) -> CompanionEndpoint:
         return build_endpoint(config, journal_, links, recorder=journal.inputs)
 
     flight = Flight(config, scenario, 3, journal, make_companion=companion)
@@ -145,7 +149,9 @@ def test_parameters_that_were_changed_before_and_in_flight_are_part_of_it(tmp_pa
     journal = FlightJournal(tmp_path, 1.8e9)
     station = MavCodec(255, 190)
 
-    def companion(config: CompanionConfig, journal_: Journal, links: int) -> CompanionEndpoint:
+    def companion(
+        config: CompanionConfig, journal_: Journal, links: Sequence[LinkSpec]
+    ) -> CompanionEndpoint:
         inputs = journal.inputs
         return build_endpoint(config, journal_, links, tunables=tunables, recorder=inputs)
 
@@ -172,7 +178,9 @@ def test_parameters_that_were_changed_before_and_in_flight_are_part_of_it(tmp_pa
 def test_a_flight_that_took_up_the_memory_of_a_killed_process_is_the_same(tmp_path: Path) -> None:
     journals: list[FlightJournal] = []
 
-    def companion(config: CompanionConfig, journal: Journal, links: int) -> CompanionEndpoint:
+    def companion(
+        config: CompanionConfig, journal: Journal, links: Sequence[LinkSpec]
+    ) -> CompanionEndpoint:
         del journal
         folder = tmp_path / str(len(journals))
         folder.mkdir()

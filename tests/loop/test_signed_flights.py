@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 
 import pytest
@@ -11,6 +12,7 @@ from companion.flight_setup import build_endpoint
 from companion.guidance.authority.state_machine import Phase
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.recorders import Journal
+from companion.link.specs import LinkSpec
 from companion.mav.endpoint import Chunk
 from companion.mav.signing import ONE_LINK_EACH, Signing, SigningKey, is_signed
 from sim_link.autopilot.endpoint import SimEndpoint
@@ -45,7 +47,7 @@ def vehicle(scenario: Scenario, seed: int, started_s: float) -> SimEndpoint:
 
 
 def companion(
-    config: CompanionConfig, journal: Journal, links: int, key: SigningKey
+    config: CompanionConfig, journal: Journal, links: Sequence[LinkSpec], key: SigningKey
 ) -> CompanionEndpoint:
     signing = Signing(key, rules=ONE_LINK_EACH)
     return build_endpoint(config, journal, links, signing=signing, started_unix_s=UNIX_S)

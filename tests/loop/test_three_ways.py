@@ -34,6 +34,7 @@ from companion.guidance.session import GuidanceSession
 from companion.guidance.session_params import SessionParams
 from companion.guidance.tracking.emitters import EmitterQueue
 from companion.link.endpoint import CompanionEndpoint
+from companion.link.specs import EndpointParams
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from companion.mav.ranging import message_from_ranging
@@ -177,9 +178,8 @@ def flight(planner: PlannerName, estimation: TrackerParams, seed: int) -> Flight
         payload_period_s=1.0,
         make_companion=lambda _, journal, links: CompanionEndpoint(
             session,
-            config.vehicle,
+            EndpointParams(config.vehicle, config.link, tuple(links)),
             journal,
-            1 + links,
             tunables=Tunables(config, build_planner),
         ),
     )

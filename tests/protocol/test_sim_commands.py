@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from companion.domain import FlightMode
+from companion.link.ranging_sources import ranging_from_message
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message, Message, mavlink
 from companion.mav.endpoint import Chunk
-from companion.mav.ranging import ranging_from_message
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import PayloadParams, Scenario
 from tests.protocol.sim_helpers import (

@@ -161,6 +161,10 @@ class InputLog(BackgroundFile):
         if kept is not None:
             self._keep(Input(InputKind.FRAME, now_s, link, peer, kept))
 
+    def raw(self, data: bytes, link: int, peer: Address | None, now_s: float) -> None:
+        """Keep bytes of a radio that does not speak MAVLink."""
+        self._keep(Input(InputKind.FRAME, now_s, link, peer, data))
+
     def tick(self, now_s: float) -> None:
         """Keep a tick."""
         self._keep(Input(InputKind.TICK, now_s))

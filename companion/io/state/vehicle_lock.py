@@ -26,7 +26,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from companion.errors import LinkError
-from companion.io.links.specs import LinkSpec, Pty, SerialPort
+from companion.io.links.transports import Pty, SerialPort, Transport
 
 
 def state_directory(configured: str | None, environment: Mapping[str, str]) -> Path:
@@ -110,7 +110,7 @@ class VehicleLock:
             os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
 
 
-def place_of(link: LinkSpec) -> str:
+def place_of(link: Transport) -> str:
     """What a link's address means, the same for every spelling: its host's number, its device.
 
     A name that nobody can look up soon stands for itself.

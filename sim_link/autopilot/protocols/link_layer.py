@@ -329,7 +329,7 @@ class LinkLayer:
                 self._versions[channel] = self._versions[Channel(channel.link)].split_off()
                 for component in self._component_ids:
                     shared = self._codecs[Channel(channel.link), component]
-                    self._codecs[channel, component] = shared.twin()
+                    self._codecs[channel, component] = shared.unsigned_copy()
         self._apart = [
             frozenset(each.peer for each in wanted if each.link == link and each.peer is not None)
             for link in self._links

@@ -17,6 +17,7 @@ from companion.flight_setup import build_endpoint
 from companion.guidance.session_params import SessionParams
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.recorders import Journal
+from companion.link.specs import LinkSpec
 from companion.mav.signing import ONE_LINK_EACH, LinkSigning, Signing, SigningKey, timestamp_at
 from sim_link.autopilot import incidents
 from sim_link.autopilot.endpoint import SimEndpoint
@@ -122,7 +123,9 @@ class SignedPair:
         self._vehicle = Signing(KEY, started)
         self.station = LinkSigning(Signing(KEY, started), STATION_LINK)
 
-    def companion(self, config: CompanionConfig, journal: Journal, links: int) -> CompanionEndpoint:
+    def companion(
+        self, config: CompanionConfig, journal: Journal, links: Sequence[LinkSpec]
+    ) -> CompanionEndpoint:
         """A companion that remembers what the one before stored at its end."""
         before = self._companion
         self._companion = Signing(KEY, before.timestamp, dict(before.streams), ONE_LINK_EACH)

@@ -18,16 +18,15 @@ from companion import __version__
 from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_json_atomic
 from companion.io.links.link import Link
-from companion.io.links.specs import (
-    LinkSpec,
+from companion.io.links.transports import (
     SerialPort,
     TcpClient,
+    Transport,
     UdpBind,
     UdpConnect,
-    link_from_url,
     make_link,
+    parse_transport,
 )
-from companion.io.links.urls import parse_link_url
 from companion.io.state.signing_keys import load_signing_key
 from companion.mav.endpoint import Address, Chunk
 from sim_link.fleet.console import ComplaintParser
@@ -101,7 +100,7 @@ CONNECT_GRACE_S = 0.3
 class WireLink:
     """One open connection; a `ProbeLink`."""
 
-    def __init__(self, spec: LinkSpec, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(self, spec: Transport, loop: asyncio.AbstractEventLoop) -> None:
         self._spec = spec
         self._loop = loop
         self._arrived: list[bytes] = []
@@ -207,7 +206,7 @@ def open_link(url: str) -> Iterator[WireLink]:
         ConfigError: It is no link address.
         LinkError: It cannot be opened.
     """
-    spec = link_from_url(parse_link_url(url))
+    spec = parse_transport(url)
     loop = asyncio.new_event_loop()
     try:
         link = WireLink(spec, loop)

@@ -26,6 +26,7 @@ from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import ReportResult, Severity
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.recorders import Journal
+from companion.link.specs import LinkSpec, link_specs
 from companion.mav.endpoint import Address, Chunk
 from sim_link.autopilot import radio_payload
 from sim_link.autopilot.endpoint import SimEndpoint
@@ -117,8 +118,8 @@ DATAGRAM_OVERHEAD = 512
 
 Radio = Callable[[SimEndpoint, float], bytes | None]
 """What a radio on a link of its own sends at a time, given the simulated truth."""
-MakeCompanion = Callable[[CompanionConfig, Journal, int], CompanionEndpoint]
-"""Configuration, journal and number of ranging links to a companion that was just started."""
+MakeCompanion = Callable[[CompanionConfig, Journal, Sequence[LinkSpec]], CompanionEndpoint]
+"""Configuration, journal and links to a companion that was just started."""
 MakeSimulator = Callable[[Scenario, int, float], SimEndpoint]
 """Scenario, seed and time to a vehicle that was just switched on."""
 
@@ -331,7 +332,7 @@ class Flight:
 
     def start_companion(self) -> None:
         """Start the process, or a new one in place of one that ended."""
-        links = 0 if self._radio is None else 1
+        links = link_specs(ranging=0 if self._radio is None else 1)
         self.companion = self._make_companion(self.config, self.journal, links)
         self.is_companion_up = True
         for observer in self.observers:

@@ -17,8 +17,7 @@ from companion.config.schema import CompanionConfig
 from companion.errors import CompanionError, ConfigError
 from companion.flight_setup import build_endpoint
 from companion.io.files import write_bytes_atomic, write_text_atomic
-from companion.io.links.specs import TcpClient, link_from_url, make_link
-from companion.io.links.urls import parse_link_url
+from companion.io.links.transports import TcpClient, make_link, parse_transport
 from companion.run import prepare
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import FlavourName
@@ -168,7 +167,7 @@ async def _check_link(text: str) -> None:
         ConfigError: It is no link.
         LinkError: It cannot be opened.
     """
-    spec = link_from_url(parse_link_url(text))
+    spec = parse_transport(text)
     if isinstance(spec, TcpClient):
         return  # waited for as long as it is not there, and a vehicle may serve one client only
     link = make_link(spec, 0, lambda _: None)

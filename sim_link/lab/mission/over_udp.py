@@ -23,8 +23,7 @@ import yaml
 from companion.domain import FlightMode
 from companion.errors import CompanionError
 from companion.io.child_process import HOST, ChildProcess, free_udp_ports
-from companion.io.links.specs import LinkSpec, UdpBind, UdpConnect, link_from_url
-from companion.io.links.urls import parse_link_url
+from companion.io.links.transports import Transport, UdpBind, UdpConnect, parse_transport
 from companion.io.logs.log_files import TlogWriter
 from companion.io.shell import Clock, Shell
 from sim_link.lab.event_tail import EventTail
@@ -193,11 +192,11 @@ class _UdpFlight:
         self._watched.judge(flown_config(self._mission), self.record)
         self.record.situation.companion.violations = len(self.record.violations)
 
-    def _links(self) -> list[LinkSpec]:
+    def _links(self) -> list[Transport]:
         ports = self._ports
-        vehicle: LinkSpec = UdpBind(HOST, ports.vehicle)
+        vehicle: Transport = UdpBind(HOST, ports.vehicle)
         if self._connect is not None:
-            vehicle = link_from_url(parse_link_url(self._connect))
+            vehicle = parse_transport(self._connect)
         links = [vehicle, UdpConnect(HOST, ports.companion), UdpConnect(HOST, ports.operator)]
         return links if self._connect is None else [*links, UdpConnect(HOST, ports.radio)]
 

@@ -82,7 +82,7 @@ class Hub:
         """Route what arrived, frame by frame."""
         if chunk.peer is not None:
             self._peers[chunk.link] = chunk.peer
-        splitter = self._splitters[chunk.link]
+        splitter = self._splitters[chunk.link].splitter
         for frame in splitter.split(chunk.data, is_datagram=chunk.is_datagram):
             self._watch(chunk.link, frame, now_s)
             for link in (VEHICLE, *self._clients):

@@ -11,7 +11,7 @@ import pytest
 from companion import cli
 from companion.config.schema import CompanionConfig
 from companion.flight_setup import build_session
-from companion.io.links.specs import LinkSpec
+from companion.io.links.transports import Transport
 from tests.unit.companion.config.mutations import mutants
 
 FILES = 500
@@ -27,7 +27,7 @@ def test_a_wrong_file_is_refused_in_lines_before_any_socket_opens(
 ) -> None:
     flown: list[CompanionConfig] = []
 
-    def fly(config: CompanionConfig, _links: list[LinkSpec], *_: object, **__: object) -> None:
+    def fly(config: CompanionConfig, _links: list[Transport], *_: object, **__: object) -> None:
         flown.append(config)
         raise OpenedError
 

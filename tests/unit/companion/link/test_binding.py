@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from companion.domain import Autopilot
-from companion.link.binding import AutopilotBinding
+from companion.link.intake import AutopilotBinding
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from tests.unit.companion.link.wire import ARDUPILOT, NOBODY, PEER, PX4, STRANGER, heartbeat

@@ -13,13 +13,12 @@ from companion.guidance.events import (
     HomeSet,
     LandedStateChanged,
     OriginSet,
-    RangingReceived,
     VehicleMoved,
     YawMeasured,
 )
 from companion.link.clock_sync import ClockSync
-from companion.link.inbound import RangingInbound, VehicleInbound
-from companion.mav.dialect import MAVLink_radio_ranging_message, Message, mavlink
+from companion.link.inbound import VehicleInbound
+from companion.mav.dialect import Message, mavlink
 from tests.unit.companion.link.wire import (
     ARDUPILOT,
     E7,
@@ -223,7 +222,7 @@ def test_without_an_exchange_the_shortest_delay_is_taken_for_none() -> None:
 def test_with_an_exchange_of_times_the_delay_of_the_line_is_known() -> None:
     inbound = VehicleInbound(synchronised(0.2, 0.2))
     assert age_at_arrival(inbound, 0.2) == pytest.approx(0.2)
-    assert inbound.clock_offset_s == pytest.approx(-100.0)
+    assert inbound.clock.offset_s == pytest.approx(-100.0)
 
 
 @pytest.mark.parametrize("way_s", [0.2, 0.5, 0.8])
@@ -319,71 +318,3 @@ def test_a_clock_that_runs_wild_tells_nothing(make: Callable[[int], Message]) ->
         if inbound.events(make(round(2000.0 * now_s)), now_s):
             told.append(now_s)
     assert told[-1] == pytest.approx(1.0, abs=0.11)
-
-
-# Ranging
-
-
-def ranging(time_usec: int, **changes: float) -> Message:
-    values: dict[str, float] = {
-        "range": 80.0, "range_std": 1.0, "bearing": 0.5, "bearing_std": 0.1, "elevation": NAN,
-        "elevation_std": NAN, "emitter_id": 7, "quality": 255, "flags": 0,
-    }  # fmt: skip
-    message = MAVLink_radio_ranging_message(time_usec, **(values | changes))  # type: ignore[arg-type]
-    message._header = mavlink.MAVLink_header(message.id, srcSystem=1, srcComponent=158)
-    return message
-
-
-def test_a_body_frame_bearing_stays_one_until_the_yaw_is_known() -> None:
-    event = only(RangingInbound().events(ranging(1_000_000, flags=1), 1, 5.0))
-    assert isinstance(event, RangingReceived)
-    assert event.measurement.bearing_enu_rad is None
-    assert event.measurement.bearing_body_rad == 0.5
-    assert event.measurement.measured_at_s == 5.0
-
-
-def test_every_sender_has_its_own_clock() -> None:
-    inbound = RangingInbound()
-    for link, stamp_us in ((0, 2_000_000), (1, 1_795_000_000_000_000)):
-        inbound.events(ranging(stamp_us), link, 5.0)
-        event = only(inbound.events(ranging(stamp_us + 100_000), link, 5.3))
-        assert isinstance(event, RangingReceived)
-        assert event.measurement.measured_at_s == pytest.approx(5.1, abs=1e-3)
-
-
-def test_a_sender_without_a_clock_is_dated_by_arrival_and_never_a_duplicate() -> None:
-    inbound = RangingInbound()
-    for now_s in (5.0, 9.0):
-        event = only(inbound.events(ranging(0), 0, now_s))
-        assert isinstance(event, RangingReceived)
-        assert event.measurement.measured_at_s == now_s
-        assert event.measurement.stamp_us is None
-
-
-def test_a_radio_that_restarted_in_silence_is_heard_again() -> None:
-    inbound = RangingInbound()
-    inbound.events(ranging(14_000_000), 0, 14.0)
-    for tick in range(20):
-        now_s = 50.0 + 0.1 * tick
-        event = only(inbound.events(ranging(20_000_000 + 100_000 * tick), 0, now_s))
-    assert isinstance(event, RangingReceived)
-    assert event.measurement.measured_at_s == pytest.approx(now_s, abs=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("clock_lag_s", "measured_at_s"),
-    [
-        (0.3, 9.7),  # a link that takes 0.3 s, on the autopilot's clock: read on that
-        (0.0, 10.0),
-        (-5.0, 10.0),  # a clock of its own: the shortest delay is all that is known
-        (700.0, 10.0),
-    ],
-)
-def test_a_stamp_that_agrees_with_the_autopilots_clock_is_read_on_it(
-    clock_lag_s: float, measured_at_s: float
-) -> None:
-    vehicle_offset_s = -100.0  # the autopilot booted 100 s before us
-    stamp_us = round(1e6 * (10.0 - vehicle_offset_s - clock_lag_s))
-    event = only(RangingInbound().events(ranging(stamp_us), 1, 10.0, vehicle_offset_s))
-    assert isinstance(event, RangingReceived)
-    assert event.measurement.measured_at_s == pytest.approx(measured_at_s, abs=1e-6)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from companion.link.binding import AutopilotBinding
-from companion.link.intake import HEARTBEATS, KNOWN, Intake, Resource
+from companion.link.intake import HEARTBEATS, KNOWN, AutopilotBinding, Intake, Resource
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address, Chunk
@@ -22,7 +21,8 @@ class Link:
 
     def __init__(self) -> None:
         binding = AutopilotBinding()
-        self.intake = Intake(MavCodec(1, 191), binding)
+        self.codec = MavCodec(1, 191)
+        self.intake = Intake(self.codec, binding)
         self._sender = MavCodec(1, 1)
         binding.admits(self.sent(HEARTBEAT)[0], VEHICLE, 0.0)
 
@@ -31,7 +31,7 @@ class Link:
     ) -> list[Message]:
         """What is taken in of one more message."""
         chunk = Chunk(0, self._sender.encode(message), peer, is_datagram=is_datagram)
-        return list(self.intake.take(chunk))
+        return [message for data in self.intake.take(chunk) for message in self.codec.decode(data)]
 
 
 @pytest.fixture

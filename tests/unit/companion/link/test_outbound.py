@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from companion.domain import Autopilot, FlightMode, PositionEnu, PositionSetpoint
 from companion.errors import LocalProtocolError
 from companion.geometry.coordinates import LocalOrigin
+from companion.guidance.commands import TakeOff
 from companion.link import outbound
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
@@ -26,7 +27,7 @@ def over_the_wire(message: Message) -> Message:
 @pytest.mark.parametrize(("yaw", "mask"), [(None, 0x0DF8), (0.0, 0x09F8), (1.5, 0x09F8)])
 def test_a_local_setpoint_is_north_east_down_in_frame_1(yaw: float | None, mask: int) -> None:
     setpoint = PositionSetpoint((2.0, 1.0, 3.0), yaw)
-    message = over_the_wire(outbound.local_setpoint(setpoint, 12.3456, 7, 1))
+    message = over_the_wire(outbound.local_setpoint(setpoint, 12.3456, (7, 1)))
     assert isinstance(message, LocalTarget)
     assert (message.x, message.y, message.z) == (1.0, 2.0, -3.0)
     assert (message.coordinate_frame, message.type_mask) == (1, mask)
@@ -38,7 +39,7 @@ def test_a_local_setpoint_is_north_east_down_in_frame_1(yaw: float | None, mask:
 @pytest.mark.parametrize(("yaw", "mask"), [(None, 0x0DF8), (1.5, 0x09F8)])
 def test_a_global_setpoint_is_above_sea_level_in_frame_5(yaw: float | None, mask: int) -> None:
     setpoint = PositionSetpoint((20.0, 10.0, 30.0), yaw)
-    message = over_the_wire(outbound.global_setpoint(setpoint, ORIGIN, 1.0, 7, 1))
+    message = over_the_wire(outbound.global_setpoint(setpoint, ORIGIN, 1.0, (7, 1)))
     assert isinstance(message, GlobalTarget)
     assert (message.coordinate_frame, message.type_mask) == (5, mask)
     place = ORIGIN.enu_from_geodetic(message.lat_int / 1e7, message.lon_int / 1e7, message.alt)
@@ -54,9 +55,9 @@ def test_a_setpoint_that_is_not_finite_is_our_own_mistake(bad: float, axis: int)
     place: PositionEnu = (values[0], values[1], values[2])
     setpoint = PositionSetpoint(place, values[3])
     with pytest.raises(LocalProtocolError, match="not finite"):
-        outbound.local_setpoint(setpoint, 0.0, 1, 1)
+        outbound.local_setpoint(setpoint, 0.0, (1, 1))
     with pytest.raises(LocalProtocolError, match="not finite"):
-        outbound.global_setpoint(setpoint, ORIGIN, 0.0, 1, 1)
+        outbound.global_setpoint(setpoint, ORIGIN, 0.0, (1, 1))
 
 
 def test_the_stamp_wraps_and_never_overflows() -> None:
@@ -72,19 +73,19 @@ def test_the_heartbeat_is_an_onboard_controllers() -> None:
 
 
 def test_px4_takes_off_to_an_altitude_above_sea_level() -> None:
-    message = outbound.take_off(20.0, 1.5, ORIGIN, Autopilot.PX4, 1, 1, 0)
+    message = outbound.take_off(TakeOff(20.0, 1.5), ORIGIN, Autopilot.PX4).message((1, 1))
     assert message.command == 22
     assert message.param7 == 509.5
 
 
 def test_ardupilot_takes_off_to_a_height_and_sees_no_nan() -> None:
-    message = outbound.take_off(20.0, 1.5, ORIGIN, Autopilot.ARDUPILOT, 1, 1, 0)
+    message = outbound.take_off(TakeOff(20.0, 1.5), ORIGIN, Autopilot.ARDUPILOT).message((1, 1))
     params = [getattr(message, f"param{n}") for n in range(1, 8)]
     assert params == [0.0] * 6 + [20.0]
 
 
 def test_arming_is_never_forced() -> None:
-    message = outbound.arm(1, 1, 2)
+    message = outbound.arm().message((1, 1), 2)
     assert (message.command, message.param1, message.param2) == (400, 1.0, 0.0)
     assert message.confirmation == 2
 
@@ -101,7 +102,7 @@ def test_arming_is_never_forced() -> None:
 def test_modes_are_asked_for_in_the_autopilots_numbers(
     autopilot: Autopilot, mode: FlightMode, is_armed: bool, params: tuple[float, float, float]
 ) -> None:
-    message = outbound.set_mode(mode, autopilot, is_armed, 1, 1, 0)
+    message = outbound.set_mode(mode, autopilot, is_armed=is_armed).message((1, 1))
     assert message.command == 176
     assert (message.param1, message.param2, message.param3) == params
 

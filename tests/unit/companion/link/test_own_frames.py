@@ -14,34 +14,34 @@ def frame(number: int) -> bytes:
 
 def test_what_we_sent_is_an_echo_however_often_it_comes() -> None:
     own = OwnFrames()
-    own.sent(frame(1))
-    assert not any(own.came_back(frame(1), float(n)) for n in range(10))
+    own.record_sent(frame(1))
+    assert not any(own.record_received(frame(1), float(n)) for n in range(10))
     assert (own.echoes, own.foreign) == (10, 0)
 
 
-def test_what_we_did_not_send_over_a_while_is_a_twins() -> None:
+def test_what_we_did_not_send_over_a_while_is_another_companions() -> None:
     own = OwnFrames()
-    heard = [own.came_back(frame(n), float(n)) for n in range(10)]
+    heard = [own.record_received(frame(n), float(n)) for n in range(10)]
     assert heard == [n >= FOREIGN_FRAMES - 1 for n in range(10)]
 
 
-def test_a_handful_at_once_or_one_now_and_then_is_no_twins() -> None:
+def test_a_handful_at_once_or_one_now_and_then_is_no_other_companions() -> None:
     own = OwnFrames()
-    assert not any(own.came_back(frame(n), 0.05 * n) for n in range(20))
+    assert not any(own.record_received(frame(n), 0.05 * n) for n in range(20))
     own = OwnFrames()
-    assert not any(own.came_back(frame(n), 1.1 * ID_CONFLICT_S * n) for n in range(20))
+    assert not any(own.record_received(frame(n), 1.1 * ID_CONFLICT_S * n) for n in range(20))
 
 
 def test_only_the_last_frames_are_remembered() -> None:
     own = OwnFrames()
     for number in range(3 * KEPT):
-        own.sent(frame(number))
-        own.sent(frame(1))
+        own.record_sent(frame(number))
+        own.record_sent(frame(1))
     assert len(own._sent) <= KEPT
-    own.came_back(frame(1), 0.0)
-    own.came_back(frame(3 * KEPT - 1), 0.0)
+    own.record_received(frame(1), 0.0)
+    own.record_received(frame(3 * KEPT - 1), 0.0)
     assert (own.echoes, own.foreign) == (2, 0)
-    own.came_back(frame(2), 0.0)
+    own.record_received(frame(2), 0.0)
     assert own.foreign == 1
 
 

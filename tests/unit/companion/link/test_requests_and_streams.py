@@ -27,7 +27,7 @@ def ack(command: int = ARM, result: int = ACCEPTED) -> mavlink.MAVLink_command_a
 
 def asked() -> RequestClient:
     client = RequestClient()
-    client.submit(RequestKind.ARM, lambda n: arm(1, 1, n))
+    client.submit(RequestKind.ARM, arm(), (1, 1))
     return client
 
 
@@ -111,7 +111,7 @@ def test_an_answer_before_the_question_belongs_to_an_older_one() -> None:
 def test_a_new_wish_replaces_the_old_and_a_withdrawn_one_is_gone() -> None:
     client = asked()
     client.due(0.0)
-    client.submit(RequestKind.ARM, lambda n: arm(1, 1, n))
+    client.submit(RequestKind.ARM, arm(), (1, 1))
     assert confirmation_of(client.due(0.1)) == 0
     client.cancel()
     assert client.due(5.0) is None
@@ -135,7 +135,7 @@ class Asking:
     def wait(self, duration_s: float) -> None:
         for _ in range(round(duration_s / TICK_S)):
             self.now_s += TICK_S
-            due = self.requester.due(self.now_s, 1, 1, Autopilot.PX4)
+            due = self.requester.due(self.now_s, (1, 1), Autopilot.PX4)
             if due is not None:
                 assert isinstance(due, CommandMessage)
                 self.asked.append((self.now_s, due.command, int(due.param1)))
@@ -164,7 +164,7 @@ def test_each_autopilot_is_asked_for_its_own_view_of_its_estimator() -> None:
     for autopilot, numbers in asked.items():
         requester = StreamRequester(StreamFreshness())
         for tick in range(30):
-            request = requester.due(0.05 * tick, 1, 1, autopilot)
+            request = requester.due(0.05 * tick, (1, 1), autopilot)
             if isinstance(request, CommandMessage):
                 numbers.add(int(request.param1))
     px4, copter = asked[Autopilot.PX4], asked[Autopilot.ARDUPILOT]
@@ -175,7 +175,7 @@ def test_each_autopilot_is_asked_for_its_own_view_of_its_estimator() -> None:
 
 def test_an_interval_is_asked_for_in_microseconds() -> None:
     requester = StreamRequester(StreamFreshness())
-    first = requester.due(0.0, 3, 1)
+    first = requester.due(0.0, (3, 1))
     assert isinstance(first, CommandMessage)
     assert (first.target_system, first.param1, first.param2) == (3, POSITION, 50_000.0)
 

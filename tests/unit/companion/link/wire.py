@@ -9,6 +9,7 @@ from companion.config.schema import CompanionConfig
 from companion.flight_setup import build_endpoint
 from companion.guidance.commands import ReportResult, Severity
 from companion.guidance.events import AutopilotFenceRead
+from companion.link.specs import link_specs
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address, Chunk
@@ -88,8 +89,7 @@ class Wire:
         self.endpoint = build_endpoint(
             config or CompanionConfig(),
             self.journal,
-            links,
-            gcs_links=gcs_links,
+            link_specs(links, gcs_links),
             signing=signing,
             started_unix_s=started_unix_s,
         )

@@ -8,13 +8,10 @@ from hypothesis import strategies as st
 
 from companion.domain import RangingMeasurement
 from companion.geometry.coordinates import wrap_pi
+from companion.link.ranging_sources import UINT32_MAX, ranging_from_message
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message, Message, mavlink
-from companion.mav.ranging import (
-    UINT32_MAX,
-    message_from_ranging,
-    ranging_from_message,
-)
+from companion.mav.ranging import message_from_ranging
 
 
 def over_the_wire(message: Message) -> Message:

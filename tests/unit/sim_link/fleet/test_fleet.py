@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from companion.errors import ConfigError
-from companion.io.links.specs import TcpFanOut, UdpFanOut
-from companion.io.links.urls import parse_link_url
+from companion.io.links.transports import TcpFanOut, UdpFanOut, parse_transport
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message, mavlink
 from companion.mav.endpoint import Chunk
@@ -24,7 +23,7 @@ SEND_TO = (("127.0.0.1", 14550), ("127.0.0.1", 14540))
 
 
 def wishes(vehicles: int = 3, *links: str) -> FleetOptions:
-    urls = tuple(parse_link_url(link) for link in links)
+    urls = tuple(parse_transport(link) for link in links)
     scenario = Scenario(vehicles=vehicles)
     return FleetOptions(scenario, 1, 1.0, ("127.0.0.1", 14580), SEND_TO, urls)
 

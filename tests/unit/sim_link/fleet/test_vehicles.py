@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from companion.errors import ConfigError
-from companion.io.links.urls import parse_link_url
+from companion.io.links.transports import parse_transport
 from companion.io.state.signing_keys import load_signing_key, store_signing_key
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
@@ -29,7 +29,7 @@ def wishes(signing_key: Path | None) -> FleetOptions:
         speed=1.0,
         listen=("127.0.0.1", 14580),
         send_to=(),
-        links=(parse_link_url("pty:/tmp/vehicle"),),
+        links=(parse_transport("pty:/tmp/vehicle"),),
         signing_key=signing_key,
     )
 

@@ -3,14 +3,16 @@ from __future__ import annotations
 import pytest
 
 from companion.errors import ConfigError
-from companion.io.links.urls import check_exposure, parse_link_url
+from companion.io.links.transports import check_exposure, parse_flight_link
+from companion.link.specs import LinkRole
 
 OWN, OPEN, SERIAL = "udp:127.0.0.1:14540", "udp:0.0.0.0:14540", "serial:/dev/ttyAMA0"
 
 
 def check(*links: str, has_key: bool = False, unsigned_ranging: bool = False) -> None:
-    urls = [parse_link_url(link) for link in links]
-    check_exposure(urls, has_key=has_key, unsigned_ranging=unsigned_ranging)
+    roles = [LinkRole.VEHICLE, *[LinkRole.RANGING] * (len(links) - 1)]
+    given = [parse_flight_link(link, role) for link, role in zip(links, roles, strict=True)]
+    check_exposure(given, has_key=has_key, unsigned_ranging=unsigned_ranging)
 
 
 def test_links_of_this_machine_need_no_key() -> None:

@@ -3,17 +3,18 @@ from __future__ import annotations
 import pytest
 
 from companion.errors import ConfigError
-from companion.io.links.specs import (
-    LinkSpec,
+from companion.io.links.transports import (
+    DEFAULT_BAUD,
     Pty,
     SerialPort,
     TcpClient,
     TcpServer,
+    Transport,
     UdpBind,
     UdpConnect,
-    link_from_url,
+    parse_transport,
 )
-from companion.io.links.urls import DEFAULT_BAUD, parse_link_url
+from companion.io.links.transports import is_exposed as exposed
 
 
 @pytest.mark.parametrize(
@@ -45,10 +46,9 @@ from companion.io.links.urls import DEFAULT_BAUD, parse_link_url
         ),
     ],
 )
-def test_every_spelling_means_one_link(text: str, link: LinkSpec) -> None:
-    url = parse_link_url(text)
-    assert link_from_url(url) == link
-    assert parse_link_url(str(url)) == url
+def test_every_spelling_means_one_link(text: str, link: Transport) -> None:
+    assert parse_transport(text) == link
+    assert parse_transport(str(link)) == link
 
 
 @pytest.mark.parametrize(
@@ -84,17 +84,17 @@ def test_every_spelling_means_one_link(text: str, link: LinkSpec) -> None:
 )
 def test_a_wrong_address_is_refused_in_one_line_with_a_right_one(text: str) -> None:
     with pytest.raises(ConfigError) as caught:
-        parse_link_url(text)
+        parse_transport(text)
     message = str(caught.value)
     assert f"`{text}`" in message
     assert "\n" not in message
     example = message.rsplit("for example ", 1)[1]
-    parse_link_url(example)
+    parse_transport(example)
 
 
 def test_ipv6_is_named_as_the_reason() -> None:
     with pytest.raises(ConfigError, match="IPv6 is not supported"):
-        parse_link_url("udp:[::1]:14550")
+        parse_transport("udp:[::1]:14550")
 
 
 @pytest.mark.parametrize(
@@ -118,4 +118,4 @@ def test_ipv6_is_named_as_the_reason() -> None:
 def test_only_a_link_that_listens_beyond_this_machine_is_exposed(
     text: str, is_exposed: bool
 ) -> None:
-    assert parse_link_url(text).is_exposed is is_exposed
+    assert exposed(parse_transport(text)) is is_exposed

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from companion.errors import LinkError
-from companion.io.links.specs import Pty, SerialPort, UdpBind, UdpConnect
+from companion.io.links.transports import Pty, SerialPort, UdpBind, UdpConnect
 from companion.io.state.vehicle_lock import VehicleLock, lock_name, place_of
 
 UDP = "udpin:127.0.0.1:14550"

@@ -1,0 +1,275 @@
+"""Where a link leads, as MAVLink tools write it, and which links may be opened without a key.
+
+`udp:HOST:PORT` and `udpin:` both bind and listen, as in pymavlink; MAVSDK's old `udp://HOST:PORT`
+sends instead, and is read here as the same thing as `udp:HOST:PORT`. `udpout:` sends first.
+`make_link` turns a transport into the thing that sends and receives. Links that others on the
+network can reach are opened only to those who have a key.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from companion.errors import ConfigError
+from companion.io.links.byte_streams import PtyLink, SerialLink, TcpClientLink
+from companion.io.links.link import Link, Received
+from companion.io.links.tcp import TcpFanOutLink, TcpServerLink
+from companion.io.links.udp import UdpConnectLink, UdpFanOutLink, UdpLink
+from companion.link.ranging_sources import SOURCES
+from companion.link.specs import MAVLINK, LinkRole, LinkSpec
+from companion.mav.endpoint import Address
+
+DEFAULT_BAUD = 921_600
+"""Serial speed where none is given: PX4's default for TELEM2, its companion port."""
+OWN_HOST = "127.0.0.1"
+"""This machine alone: what an empty host means where we listen."""
+
+
+@dataclass(frozen=True, slots=True)
+class _AtPort:
+    host: str
+    port: int
+
+    def __str__(self) -> str:
+        """The canonical spelling, which parses to the same address."""
+        return f"{_SCHEME[type(self)]}:{self.host}:{self.port}"
+
+
+class UdpBind(_AtPort):
+    """Bind and wait; a chunk goes to the peer it names, and nowhere without one."""
+
+
+@dataclass(frozen=True, slots=True)
+class UdpFanOut(_AtPort):
+    """Bind; a chunk without a peer goes to all `remotes` and the last 16 senders heard."""
+
+    remotes: tuple[Address, ...] = ()
+
+
+class UdpConnect(_AtPort):
+    """Send first, from a free port, to one remote and hear only that one."""
+
+
+class TcpClient(_AtPort):
+    """Connect, and again after a loss."""
+
+
+class TcpServer(_AtPort):
+    """Listen, and serve one client at a time."""
+
+
+class TcpFanOut(_AtPort):
+    """Listen, and serve several clients; a chunk without a peer goes to all of them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pty:
+    """A pseudo terminal that others open as a serial port under `path`."""
+
+    path: str
+
+    def __str__(self) -> str:
+        """The canonical spelling."""
+        return f"pty:{self.path}"
+
+
+@dataclass(frozen=True, slots=True)
+class SerialPort:
+    """A serial device, opened again after it was unplugged."""
+
+    device: str
+    baud: int = DEFAULT_BAUD
+
+    def __str__(self) -> str:
+        """The canonical spelling."""
+        return f"serial:{self.device}:{self.baud}"
+
+
+Transport = UdpBind | UdpFanOut | UdpConnect | TcpClient | TcpServer | TcpFanOut | Pty | SerialPort
+Line = Pty | SerialPort
+"""Links that nobody else can hear."""
+Listening = UdpBind | UdpFanOut | TcpServer | TcpFanOut
+
+_PORTS: dict[str, type[UdpBind | UdpConnect | TcpClient | TcpServer]] = {
+    "udp": UdpBind,
+    "udpin": UdpBind,
+    "udpout": UdpConnect,
+    "tcpout": TcpClient,
+    "tcp": TcpClient,
+    "tcpin": TcpServer,
+}
+_SCHEME: dict[type[_AtPort], str] = {kind: scheme for scheme, kind in _PORTS.items()}
+_SCHEME |= {UdpFanOut: "udpin", TcpFanOut: "tcpin"}
+_EXAMPLES = {
+    "udp": "udp:127.0.0.1:14550",
+    "udpin": "udp:127.0.0.1:14550",
+    "udpout": "udpout:127.0.0.1:14580",
+    "tcp": "tcp:127.0.0.1:5760",
+    "tcpout": "tcp:127.0.0.1:5760",
+    "tcpin": "tcpin:127.0.0.1:5760",
+    "serial": f"serial:/dev/ttyACM0:{DEFAULT_BAUD}",
+    "pty": "pty:/tmp/vehicle",
+}
+
+
+def parse_transport(text: str) -> Transport:
+    """The transport that an address in `text` means.
+
+    Args:
+        text: `udp:`, `udpin:`, `udpout:`, `tcp:`, `tcpout:` or `tcpin:` with `HOST:PORT`,
+            `serial:DEVICE[:BAUD]`, `pty:PATH` or a bare `/dev/...`; `kind://` is read as `kind:`.
+
+    Raises:
+        ConfigError: It is none of these; the message shows a right one.
+    """
+    stripped = text.strip()
+    if stripped.startswith("/dev/"):
+        return _parse_serial(text, stripped)
+    scheme, separator, rest = stripped.partition(":")
+    scheme, rest = scheme.lower(), rest.removeprefix("//")
+    if scheme not in _EXAMPLES or not separator:
+        known = ", ".join(f"{name}:" for name in _EXAMPLES)
+        raise ConfigError(
+            f"link `{text}`: must begin with {known} or /dev/, for example {_EXAMPLES['udp']}"
+        )
+    if scheme == "serial":
+        return _parse_serial(text, rest)
+    if scheme == "pty":
+        if not rest.startswith("/"):
+            raise _wrong(text, scheme, "needs the full path of the port to make")
+        return Pty(rest)
+    return _parse_host_and_port(text, scheme, rest)
+
+
+def _parse_host_and_port(text: str, scheme: str, rest: str) -> Transport:
+    kind = _PORTS[scheme]
+    host, separator, port_text = rest.rstrip("/").rpartition(":")
+    if "[" in rest or ":" in host:
+        raise _wrong(text, scheme, "IPv6 is not supported, give an IPv4 address or a name")
+    if not separator:
+        raise _wrong(text, scheme, "needs HOST:PORT")
+    if not host:
+        if kind in (UdpConnect, TcpClient):
+            raise _wrong(text, scheme, "needs a host to send to")
+        host = OWN_HOST
+    if any(character.isspace() or character in "/@?#" for character in host):
+        raise _wrong(text, scheme, f"`{host}` is no host name")
+    port = _number(port_text)
+    if port is None or not 1 <= port <= 65_535:
+        raise _wrong(text, scheme, f"the port must be 1 to 65535, not `{port_text}`")
+    return kind(host, port)
+
+
+def _parse_serial(text: str, rest: str) -> SerialPort:
+    device, separator, baud_text = rest.rpartition(":")
+    # /dev/serial/by-path names hold colons: only a last part that is all digits is a speed there
+    if not separator or (not baud_text.isdigit() and device.startswith("/dev/serial/")):
+        device, baud_text = rest, str(DEFAULT_BAUD)
+    if not device.startswith("/"):
+        raise _wrong(text, "serial", "needs the full path of a device")
+    baud = _number(baud_text)
+    if baud is None or not 300 <= baud <= 12_000_000:
+        raise _wrong(text, "serial", f"the speed must be a number of baud, not `{baud_text}`")
+    return SerialPort(device, baud)
+
+
+def _number(text: str) -> int | None:
+    return int(text) if text.isascii() and text.isdigit() and len(text) < 10 else None
+
+
+def _wrong(text: str, scheme: str, problem: str) -> ConfigError:
+    return ConfigError(f"link `{text}`: {problem}, for example {_EXAMPLES[scheme]}")
+
+
+def shared(transport: Transport, remotes: tuple[Address, ...] = ()) -> Transport:
+    """The same for a server that serves everybody who comes, as a vehicle does.
+
+    Args:
+        remotes: Whom a UDP link sends to unasked.
+    """
+    match transport:
+        case UdpBind():
+            return UdpFanOut(transport.host, transport.port, remotes)
+        case TcpServer():
+            return TcpFanOut(transport.host, transport.port)
+    return transport
+
+
+_LINKS: dict[type[_AtPort], Callable[[str, int, int, Received], Link]] = {
+    UdpBind: UdpLink,
+    UdpConnect: UdpConnectLink,
+    TcpClient: TcpClientLink,
+    TcpServer: TcpServerLink,
+    TcpFanOut: TcpFanOutLink,
+}
+
+
+def make_link(transport: Transport, index: int, received: Received) -> Link:
+    """The link of a transport, not yet open."""
+    match transport:
+        case UdpFanOut(host, port, remotes):
+            return UdpFanOutLink(host, port, remotes, index, received)
+        case Pty(path):
+            return PtyLink(path, index, received)
+        case SerialPort(device, baud):
+            return SerialLink(device, baud, index, received)
+    return _LINKS[type(transport)](transport.host, transport.port, index, received)
+
+
+@dataclass(frozen=True, slots=True)
+class FlightLink:
+    """One link of a flight: where it leads and what it is for."""
+
+    transport: Transport
+    spec: LinkSpec
+
+
+def parse_flight_link(text: str, role: LinkRole) -> FlightLink:
+    """A link as an option gives it: an address, with `SOURCE+` before that of another radio.
+
+    Raises:
+        ConfigError: It is no address, or nobody knows the source.
+    """
+    source, separator, address = text.strip().partition("+")
+    if role is not LinkRole.RANGING or not separator or not source.isidentifier():
+        source, address = MAVLINK, text
+    if source not in SOURCES:
+        raise ConfigError(f"link `{text}`: `{source}+` is none of {', '.join(SOURCES)}")
+    transport = parse_transport(address)
+    is_shared = role is LinkRole.GCS
+    return FlightLink(shared(transport) if is_shared else transport, LinkSpec(role, source))
+
+
+def is_exposed(transport: Transport) -> bool:
+    """Whether it listens where other machines may send to."""
+    if not isinstance(transport, Listening) or transport.host.lower() == "localhost":
+        return False
+    try:
+        return not ipaddress.IPv4Address(transport.host).is_loopback
+    except ValueError:
+        return True  # a name, of who knows which interface
+
+
+def check_exposure(
+    links: Sequence[FlightLink], *, has_key: bool, unsigned_ranging: bool = False
+) -> None:
+    """Refuse to listen beyond this machine without proof of who speaks.
+
+    MAVLink without signing obeys whoever sends to the port (CVE-2026-1579 is PX4's name for it).
+
+    Args:
+        unsigned_ranging: Whether ranging links take unsigned ones all the same.
+
+    Raises:
+        ConfigError: One of the links is open to all.
+    """
+    for link in links:
+        may_be_unsigned = unsigned_ranging and link.spec.role is not LinkRole.VEHICLE
+        is_proved = has_key and not may_be_unsigned and link.spec.source == MAVLINK
+        if is_exposed(link.transport) and not is_proved:
+            raise ConfigError(
+                f"{link.transport}: anyone in the network could command it; listen on 127.0.0.1, "
+                "give --signing-key FILE, or insist with --insecure"
+            )

@@ -1,0 +1,184 @@
+"""Where ranging comes from: one source per kind of radio, bytes and time in, measurements out.
+
+A radio that does not speak MAVLink is a class with `receive` in a module of its own and a row in
+`SOURCES`; a link that is given as `NAME+serial:/dev/...` then brings its bytes here.
+
+MAVLink is the first source: RADIO_RANGING is our own message; LANDING_TARGET of type RADIO_BEACON
+and RANGING_BEACON are read as well. Degrees, millimetres, NED and the sentinels (NaN, UINT8_MAX,
+UINT32_MAX) end here. Infinities and absurd numbers pass through on purpose: refusing them, with a
+counted reason, is the tracker's task.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+from companion.domain import RangingMeasurement
+from companion.geometry.coordinates import bearing_enu_from_ned
+from companion.link.clock_sync import CLOCK_TOLERANCE_S, SenderClock, VehicleClock
+from companion.link.specs import MAVLINK
+from companion.mav.codec import MavCodec
+from companion.mav.dialect import MAVLink_radio_ranging_message, Message, RangingFlag, mavlink
+
+UINT8_MAX = 0xFF
+UINT32_MAX = 0xFFFFFFFF
+MAX_BEARING_RAD = math.pi + 1e-6
+"""Half a turn, which in 32 bits is a little more than one."""
+MAX_LINK_DELAY_S = 0.5
+"""A radio whose clock seems later than the autopilot's by up to this has a slow link."""
+MAX_SENDERS = 16
+"""Clocks of a link's ranging senders that are kept."""
+RangingMessage = (
+    MAVLink_radio_ranging_message
+    | mavlink.MAVLink_landing_target_message
+    | mavlink.MAVLink_ranging_beacon_message
+)
+
+
+class RangingSource(Protocol):
+    """What a radio says on one link, without sockets or clocks."""
+
+    def receive(self, data: bytes, now_s: float) -> list[RangingMeasurement]:
+        """The measurements completed by some bytes; bad bytes are dropped, never raised.
+
+        Args:
+            data: One datagram, or any cut of a byte stream; of a MAVLink link one proved frame.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class SourceContext:
+    """What a source may use of the endpoint."""
+
+    codec: MavCodec
+    """Of its link."""
+    vehicle_clock: VehicleClock
+    """The autopilot's, for a radio that stamps by it."""
+
+
+class MavlinkRanging:
+    """Any MAVLink sender, each on its own clock, or on the autopilot's if it shares it.
+
+    By its definition a stamp counts from the vehicle's boot or from 1970. One that agrees with the
+    autopilot's clock is read on that: then a link's constant delay, which no sender's own stamps
+    can show, does not move the vehicle's place at the time of the measurement.
+    """
+
+    def __init__(self, context: SourceContext) -> None:
+        self._codec = context.codec
+        self._vehicle_clock = context.vehicle_clock
+        self._clocks: dict[tuple[int, int], SenderClock] = {}
+
+    def receive(self, data: bytes, now_s: float) -> list[RangingMeasurement]:
+        """The measurement in a proved frame, if it is a ranging message."""
+        message = self._codec.decode_proved(data)
+        return self.measure(message, now_s) if isinstance(message, RangingMessage) else []
+
+    def measure(self, message: RangingMessage, now_s: float) -> list[RangingMeasurement]:
+        """The same for a message that was decoded already."""
+        sender = (message.get_srcSystem(), message.get_srcComponent())
+        clock = self._clocks.get(sender)
+        if clock is None:
+            if len(self._clocks) >= MAX_SENDERS:
+                self._clocks.pop(next(iter(self._clocks)))
+            clock = self._clocks[sender] = SenderClock()
+        if message.time_usec == 0:  # a sender without a clock: nothing to date or compare by
+            measurement = ranging_from_message(message, now_s)
+            return [] if measurement is None else [replace(measurement, stamp_us=None)]
+        stamp_s = message.time_usec / 1e6
+        measured_at_s = clock.read(stamp_s, now_s).time_s
+        own_offset_s, vehicle_offset_s = clock.timebase.offset_s, self._vehicle_clock.offset_s
+        if own_offset_s is not None and vehicle_offset_s is not None:
+            later_s = own_offset_s - vehicle_offset_s
+            if -CLOCK_TOLERANCE_S <= later_s <= MAX_LINK_DELAY_S:  # the same clock
+                measured_at_s = min(now_s, stamp_s + vehicle_offset_s)
+        measurement = ranging_from_message(message, measured_at_s)
+        return [] if measurement is None else [measurement]
+
+
+def ranging_from_message(message: Message, measured_at_s: float) -> RangingMeasurement | None:
+    """The measurement in a ranging message, or None if it is no ranging message.
+
+    Args:
+        measured_at_s: Its `time_usec` on the companion's clock.
+    """
+    match message:
+        case MAVLink_radio_ranging_message():
+            return _from_radio_ranging(message, measured_at_s)
+        case mavlink.MAVLink_landing_target_message():
+            if message.type == mavlink.LANDING_TARGET_TYPE_RADIO_BEACON:
+                return _from_landing_target(message, measured_at_s)
+        case mavlink.MAVLink_ranging_beacon_message():
+            return _from_ranging_beacon(message, measured_at_s)
+    return None
+
+
+def _from_radio_ranging(
+    message: MAVLink_radio_ranging_message, measured_at_s: float
+) -> RangingMeasurement:
+    flags = message.flags
+    is_body = bool(flags & RangingFlag.BODY_FRAME)
+    line_of_sight = None
+    if flags & RangingFlag.LINE_OF_SIGHT:
+        line_of_sight = True
+    elif flags & RangingFlag.NON_LINE_OF_SIGHT:
+        line_of_sight = False
+    bearing_enu_rad = bearing_body_rad = _or_none(message.bearing)
+    if abs(message.bearing) <= MAX_BEARING_RAD:  # beyond it most likely degrees: refused later
+        bearing_enu_rad = bearing_enu_from_ned(message.bearing)
+    return RangingMeasurement(
+        emitter_id=message.emitter_id,
+        measured_at_s=measured_at_s,
+        stamp_us=message.time_usec,
+        range_m=_or_none(message.range),
+        range_sigma_m=_or_none(message.range_std),
+        bearing_enu_rad=None if is_body else bearing_enu_rad,
+        bearing_body_rad=bearing_body_rad if is_body else None,
+        bearing_sigma_rad=_or_none(message.bearing_std),
+        elevation_rad=_or_none(message.elevation),
+        elevation_sigma_rad=_or_none(message.elevation_std),
+        quality=None if message.quality == UINT8_MAX else message.quality / 100.0,
+        line_of_sight=line_of_sight,
+    )
+
+
+def _from_landing_target(
+    message: mavlink.MAVLink_landing_target_message, measured_at_s: float
+) -> RangingMeasurement:
+    """LANDING_TARGET: `distance` is the slant range, 0 unknown; `angle_x` is from the nose."""
+    range_m = _or_none(message.distance)
+    return RangingMeasurement(
+        emitter_id=message.target_num,
+        measured_at_s=measured_at_s,
+        stamp_us=message.time_usec,
+        range_m=None if range_m == 0.0 else range_m,
+        bearing_body_rad=_or_none(message.angle_x),
+    )
+
+
+def _from_ranging_beacon(
+    message: mavlink.MAVLink_ranging_beacon_message, measured_at_s: float
+) -> RangingMeasurement:
+    """RANGING_BEACON: range and its accuracy in millimetres, UINT32_MAX (or accuracy 0) unknown.
+
+    Its beacon position is not read: this project looks for the position of an emitter.
+    """
+    unknown_sigma = message.range_accuracy in (0, UINT32_MAX)
+    return RangingMeasurement(
+        emitter_id=message.beacon_id,
+        measured_at_s=measured_at_s,
+        stamp_us=message.time_usec,
+        range_m=None if message.range == UINT32_MAX else message.range / 1000.0,
+        range_sigma_m=None if unknown_sigma else message.range_accuracy / 1000.0,
+    )
+
+
+def _or_none(value: float) -> float | None:
+    return None if math.isnan(value) else float(value)
+
+
+SOURCES: dict[str, Callable[[SourceContext], RangingSource]] = {MAVLINK: MavlinkRanging}
+"""By the name that a link's address has before its `+`."""

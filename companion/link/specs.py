@@ -1,0 +1,87 @@
+"""What the companion is told of its links and of its vehicle, before anything is opened."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Annotated, Literal
+
+import msgspec
+
+from companion.domain import Params
+
+MAVLINK = "mavlink"
+"""The ranging source that every MAVLink sender is; see `companion.link.ranging_sources`."""
+
+
+class LinkRole(Enum):
+    """What a link is for."""
+
+    VEHICLE = "vehicle"
+    """Leads to the autopilot; there is exactly one."""
+    RANGING = "ranging"
+    """Brings ranging only, because a real autopilot does not forward our message."""
+    GCS = "gcs"
+    """Leads to a ground station."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinkSpec:
+    """One link, as the endpoint sees it; its place among all of them is `Chunk.link`."""
+
+    role: LinkRole
+    source: str = MAVLINK
+    """What a RANGING link speaks: a name in `companion.link.ranging_sources.SOURCES`."""
+
+
+VEHICLE_ONLY = (LinkSpec(LinkRole.VEHICLE),)
+
+
+def link_specs(ranging: int = 0, gcs: int = 0) -> tuple[LinkSpec, ...]:
+    """The vehicle's link, then so many that bring ranging by MAVLink, then ground stations'."""
+    return (
+        *VEHICLE_ONLY,
+        *[LinkSpec(LinkRole.RANGING)] * ranging,
+        *[LinkSpec(LinkRole.GCS)] * gcs,
+    )
+
+
+class VehicleParams(Params, frozen=True):
+    """Which autopilot, and how it is commanded."""
+
+    system_id: Annotated[int, msgspec.Meta(ge=1, le=255)] | None = None
+    """The autopilot's system id; null: the first one heard."""
+    setpoint: Literal["local_ned", "global_int"] = "local_ned"
+    """SET_POSITION_TARGET_LOCAL_NED, or _GLOBAL_INT in frame 5 (AMSL)."""
+
+
+class LinkParams(Params, frozen=True):
+    """How the companion uses its links."""
+
+    rate_hz: Annotated[float, msgspec.Meta(ge=20.0, le=50.0)] = 20.0
+    """Control ticks, and so setpoints, per second."""
+    lossy_rate_hz: Annotated[float, msgspec.Meta(ge=20.0, le=50.0)] = 50.0
+    """The same where frames get lost."""
+    lossy_share: Annotated[float, msgspec.Meta(gt=0.0, lt=1.0)] = 0.2
+    """A line that loses more than this share of the autopilot's frames is lossy."""
+    signing_key_file: str | None = None
+    """MAVLink 2 signing with the key in this file; null: no signing. `--signing-key` goes first."""
+    unsigned_ranging: bool = False
+    """With a key: whether ranging links may bring unsigned frames, of a radio that cannot sign."""
+
+    gcs_icon: bool = False
+    """Whether ground stations on `--gcs` links get the estimate as an ADSB_VEHICLE, an icon."""
+
+    def __post_init__(self) -> None:
+        """Refuse a rate that goes down where it should go up."""
+        if self.lossy_rate_hz < self.rate_hz:
+            raise ValueError("lossy_rate_hz must not be below rate_hz")
+
+
+@dataclass(frozen=True, slots=True)
+class EndpointParams:
+    """What an endpoint is built for."""
+
+    vehicle: VehicleParams
+    link: LinkParams
+    links: tuple[LinkSpec, ...]
