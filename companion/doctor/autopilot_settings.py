@@ -59,7 +59,7 @@ class Settings:
         return self.values[name]
 
 
-Rule = Callable[[Settings], Iterator[CheckResult]]
+SettingRule = Callable[[Settings], Iterator[CheckResult]]
 
 
 def check_fence(facts: AutopilotFacts, config: CompanionConfig) -> Iterator[CheckResult]:
@@ -249,7 +249,7 @@ def _ardupilot_speed(settings: Settings) -> Iterator[CheckResult]:
     yield from _check_speed("WPNAV_SPEED", settings["WPNAV_SPEED"] / 100.0, settings)
 
 
-RULES: Mapping[Autopilot, tuple[tuple[tuple[str, ...], Rule], ...]] = {
+RULES: Mapping[Autopilot, tuple[tuple[tuple[str, ...], SettingRule], ...]] = {
     Autopilot.PX4: (
         (("COM_OF_LOSS_T",), _px4_loss_timeout),
         (("COM_OBL_RC_ACT",), _px4_loss_action),

@@ -44,7 +44,7 @@ SAVE_PERIOD_S = 1.0
 """Wall seconds between two checkpoints."""
 
 
-class Store(Protocol):
+class CheckpointStorage(Protocol):
     """Where checkpoints are."""
 
     def load(self) -> StoredCheckpoints:
@@ -100,7 +100,7 @@ class RestartKeeper:
     def __init__(
         self,
         endpoint: CompanionEndpoint,
-        store: Store,
+        store: CheckpointStorage,
         digests: MissionDigests,
         clock: SessionClock,
         max_age_s: float,

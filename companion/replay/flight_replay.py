@@ -50,11 +50,10 @@ class Comparison:
 
     def table(self) -> str:
         """Both courses in lines of text."""
-        rows = [("", "recorded", "replayed")]
-        for name, read in _ROWS:
-            rows.append((name, read(self.recorded), read(self.replayed)))
+        before, after = _figures(self.recorded), _figures(self.replayed)
+        lines = [f"{'':<22} {'recorded':>14} {'replayed':>14}"]
+        lines += [f"{name:<22} {before[name]:>14} {after[name]:>14}" for name in before]
         apart = apart_m(self.recorded.estimates, self.replayed.estimates)
-        lines = [f"{name:<22} {before:>14} {after:>14}" for name, before, after in rows]
         if apart is not None:
             lines.append(f"estimates apart: {apart[0]:.3f} m at most, {apart[1]:.3f} m at the end")
         return "\n".join(lines)
@@ -110,32 +109,27 @@ def _difference_text(before: Json | None, after: Json | None) -> str:
     return f" at {before.get('t_s')} s: {', '.join(names)}"
 
 
-def _last(course: Course, name: str) -> str:
-    if not course.estimates:
+def _figures(course: Course) -> dict[str, str]:
+    """What stands in a column of the table."""
+    last = course.estimates[-1] if course.estimates else {}
+    east_m, north_m = position_of(last) or (None, None)
+    reported = "never" if course.localised_s is None else f"{course.localised_s:.1f}"
+    return {
+        "estimates": str(len(course.estimates)),
+        "setpoints": str(len(course.setpoints)),
+        "reported after, s": reported,
+        "last state": str(last.get("state", "-")),
+        "last east, m": _figure(east_m),
+        "last north, m": _figure(north_m),
+        "last R95, m": _figure(last.get("r95_m")),
+        "last range offset, m": _figure(last.get("range_offset_m")),
+    }
+
+
+def _figure(value: object) -> str:
+    if value is None:
         return "-"
-    value = course.estimates[-1].get(name)
     return f"{value:.3f}" if isinstance(value, float) else str(value)
-
-
-def _place(course: Course, axis: int) -> str:
-    place = position_of(course.estimates[-1]) if course.estimates else None
-    return "-" if place is None else f"{place[axis]:.3f}"
-
-
-def _localised(course: Course) -> str:
-    return "never" if course.localised_s is None else f"{course.localised_s:.1f}"
-
-
-_ROWS = (
-    ("estimates", lambda course: str(len(course.estimates))),
-    ("setpoints", lambda course: str(len(course.setpoints))),
-    ("reported after, s", _localised),
-    ("last state", lambda course: _last(course, "state")),
-    ("last east, m", lambda course: _place(course, 0)),
-    ("last north, m", lambda course: _place(course, 1)),
-    ("last R95, m", lambda course: _last(course, "r95_m")),
-    ("last range offset, m", lambda course: _last(course, "range_offset_m")),
-)
 
 
 def _summary(course: Course) -> Json:

@@ -143,7 +143,7 @@ TICK_S = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class Recording:
+class FlightRecording:
     """A recorded flight, ready to be run again."""
 
     facts: FlightFacts
@@ -153,7 +153,7 @@ class Recording:
     course: Course
 
 
-def open_recording(path: Path) -> Recording:
+def open_recording(path: Path) -> FlightRecording:
     """A recorded flight: its folder, any file in it, or an MCAP file alone.
 
     Raises:
@@ -167,20 +167,20 @@ def open_recording(path: Path) -> Recording:
     course = course_of(lines, [record.frame for record in records])
     inputs_path = flight.path(INPUTS)
     if inputs_path.exists():
-        return Recording(flight.facts, list(read_inputs(inputs_path)), True, course)
+        return FlightRecording(flight.facts, list(read_inputs(inputs_path)), True, course)
     inputs = inputs_of_tlog(records)
     if not inputs:
         raise ConfigError(f"{flight.path(TLOG)}: has no frames")
-    return Recording(flight.facts, inputs, False, course)
+    return FlightRecording(flight.facts, inputs, False, course)
 
 
-def _of_mcap(found: McapFlight) -> Recording:
+def _of_mcap(found: McapFlight) -> FlightRecording:
     try:
         facts = facts_of_json(found.flight_json)
     except ConfigError as error:
         raise ConfigError(f"{found.path}: {error}") from error
     inputs = list(parse_inputs(found.inputs, str(found.path)))
-    return Recording(facts, inputs, True, course_of(found.events, found.frames))
+    return FlightRecording(facts, inputs, True, course_of(found.events, found.frames))
 
 
 def course_of(lines: Iterable[Json], frames: Iterable[bytes]) -> Course:

@@ -10,7 +10,7 @@ from markupsafe import Markup
 from companion.domain import Point
 from companion.geometry.polygons import ellipse_95
 from companion.report.flight_summary import EstimatePoint
-from companion.report.svg import Drawing, square_around
+from companion.report.svg import SvgPlot, square_around
 
 MAP_SIZE = 640.0
 CHART_SIZE = (560.0, 220.0)
@@ -32,7 +32,7 @@ class Chart:
 
 
 @dataclass(frozen=True, slots=True)
-class Curve:
+class TimeCurve:
     """Points of (time_s, value) and their class in `page.css`."""
 
     points: Sequence[Point]
@@ -61,7 +61,7 @@ def flight_map(layers: MapLayers) -> Markup:
     flown += [*layers.truth_enu_m.values(), *(point.place_enu_m for point in layers.estimates)]
     bounds = square_around(flown or layers.fence_enu_m or [(0.0, 0.0)], MAP_MARGIN_M)
     west, east, south, north = bounds
-    drawing = Drawing(MAP_SIZE, MAP_SIZE - 16.0, (west, east), (south, north), "Map of the flight")
+    drawing = SvgPlot(MAP_SIZE, MAP_SIZE - 16.0, (west, east), (south, north), "Map of the flight")
     for corners, style in ((layers.area_enu_m, "area"), (layers.fence_enu_m, "fence")):
         if corners:
             drawing.area(corners, style)
@@ -92,7 +92,7 @@ def _estimates_by_name(points: Sequence[EstimatePoint]) -> dict[str, list[Estima
     return by_name
 
 
-def _draw_ellipses(drawing: Drawing, points: Sequence[EstimatePoint], width_m: float) -> None:
+def _draw_ellipses(drawing: SvgPlot, points: Sequence[EstimatePoint], width_m: float) -> None:
     """How the estimate shrank; an ellipse that is larger than the map would only tint it."""
     chosen = [point for point in points if point.covariance_m2 is not None]
     last = len(chosen) - 1
@@ -118,7 +118,7 @@ class TimeCharts:
         self,
         title: str,
         note: str,
-        *curves: Curve,
+        *curves: TimeCurve,
         span: Point | None = None,
         is_log: bool = False,
     ) -> Chart | None:
@@ -136,7 +136,7 @@ class TimeCharts:
         if span is None:
             span = (low / 1.5, high * 1.5) if is_log else (low - 0.5, high + 0.5)
         time_s = (0.0, max(self.ended_s, 1.0))
-        drawing = Drawing(*CHART_SIZE, time_s, span, title, is_log=is_log)
+        drawing = SvgPlot(*CHART_SIZE, time_s, span, title, is_log=is_log)
         for mark_s, name in self.marks:
             drawing.mark(mark_s, "step", name)
         for curve in curves:
@@ -171,7 +171,7 @@ def histogram(
         heights = (len(values) * width * height for height in density(places))
         expected = list(zip(places, heights, strict=True))
     top = max([*counts, *(height for _, height in expected)]) * 1.05
-    drawing = Drawing(*CHART_SIZE, (low, high), (0.0, top), title)
+    drawing = SvgPlot(*CHART_SIZE, (low, high), (0.0, top), title)
     for number, count in enumerate(counts):
         left, right = low + number * width, low + (number + 1) * width
         drawing.area([(left, 0.0), (left, count), (right, count), (right, 0.0)], "bar")

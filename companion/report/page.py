@@ -28,7 +28,7 @@ from companion.flight_setup import FlightFacts, open_flight
 from companion.geometry.polygons import CHI2_95_TWO
 from companion.io.files import EVENTS, REPORT, write_text_atomic
 from companion.io.logs.log_files import event_lines
-from companion.report.charts import Chart, Curve, MapLayers, TimeCharts, flight_map, histogram
+from companion.report.charts import Chart, MapLayers, TimeCharts, TimeCurve, flight_map, histogram
 from companion.report.flight_summary import EventRow, FlightSummary, Line, summarize_events
 
 LEAST_M = 1e-3
@@ -122,7 +122,7 @@ def report_page(summary: FlightSummary, facts: FlightFacts, name: str) -> str:
     layers = MapLayers(
         track_enu_m=summary.track_enu_m,
         estimates=summary.estimates,
-        waypoints_enu_m=[place for _, place, _ in summary.waypoints],
+        waypoints_enu_m=summary.waypoints_enu_m,
         fence_enu_m=fence,
         keep_outs_enu_m=keep_outs,
     )
@@ -209,9 +209,9 @@ def charts_of(summary: FlightSummary, config: CompanionConfig) -> list[Chart | N
     residuals = _known((p.time_s, p.range_innovation_m) for p in points)
     metres = "metres over seconds"
     return [
-        over_time.draw("R95", f"{metres}, logarithmic", Curve(radii, "radius"), is_log=True),
-        over_time.draw("Range offset", metres, Curve(offsets, "radius")),
-        over_time.draw("Range residuals", metres, Curve(residuals, "residual", is_dotted=True)),
+        over_time.draw("R95", f"{metres}, logarithmic", TimeCurve(radii, "radius"), is_log=True),
+        over_time.draw("Range offset", metres, TimeCurve(offsets, "radius")),
+        over_time.draw("Range residuals", metres, TimeCurve(residuals, "residual", is_dotted=True)),
         histogram(
             "Residuals and fitted loss",
             "how many over metres; line: what the filter's loss expects of them",
@@ -235,8 +235,10 @@ def _nis_chart(over_time: TimeCharts, points: list[Point]) -> Chart | None:
     return over_time.draw(
         "NIS",
         f"over seconds; {100 * share:.0f} % under the line, 95 % are expected of range and bearing",
-        Curve([(time_s, min(value, top)) for time_s, value in points], "residual", is_dotted=True),
-        Curve([(0.0, limit), (max(over_time.ended_s, 1.0), limit)], "limit"),
+        TimeCurve(
+            [(time_s, min(value, top)) for time_s, value in points], "residual", is_dotted=True
+        ),
+        TimeCurve([(0.0, limit), (max(over_time.ended_s, 1.0), limit)], "limit"),
         span=(0.0, top),
     )
 

@@ -49,7 +49,7 @@ def _round_step(rough: float) -> float:
     return next(m * power for m in (1.0, 2.0, 5.0, 10.0) if m * power >= rough * 0.999)
 
 
-class Drawing:
+class SvgPlot:
     """A plot with two axes.
 
     Args:

@@ -72,7 +72,7 @@ def _rows(moment: FlightSnapshot) -> list[tuple[str, Text]]:
         phase.append(f"  {status.detail}", "default")
     armed = "armed" if status.is_armed else "disarmed"
     height = "-" if status.height_m is None else f"{status.height_m:.1f} m"
-    refused = sum(status.refused.values())
+    rejected = sum(status.refused.values())
     guard = "; ".join(status.guard) if status.phase in IN_CONTROL else ""
     return [
         ("phase", phase),
@@ -83,7 +83,7 @@ def _rows(moment: FlightSnapshot) -> list[tuple[str, Text]]:
         ("to go", Text(_time_to_go(moment.time_to_go_s))),
         *_emitter_rows(status.emitters),
         ("reflected", Text(_reflected(status.health))),
-        ("ranging", Text(f"{status.accepted} used, {refused} refused")),
+        ("ranging", Text(f"{status.accepted} used, {rejected} rejected")),
         ("ages", _ages(moment)),
         ("link", link),
         ("guard", Text(guard or "-")),

@@ -86,13 +86,13 @@ PICTURE_PERIOD_S = 0.25
 MAX_LINE = 1_000_000
 """More than this without a line's end is no button."""
 END_S = 2.0
+COMMANDS = {command.value: command for command in OperatorCommand}
 FAR_AWAY = ("192.0.2.1", 9)
 """An address that nobody has (RFC 5737): the way to it leaves by the network's own address."""
 HINTS = {
     errno.EADDRINUSE: "is another program using the port?",
     errno.EACCES: "ports below 1024 are not for everybody",
 }
-BUTTONS = frozenset({"hold", "resume", "return"})
 
 
 class WebProcess:
@@ -143,7 +143,7 @@ class WebProcess:
 
     def update(
         self, now_s: float, picture: Callable[[], Mapping[str, object]], *, may_send: bool = True
-    ) -> list[str]:
+    ) -> list[OperatorCommand]:
         """Send a picture if one is due and the pipe has room; the buttons pressed meanwhile.
 
         Args:
@@ -186,15 +186,15 @@ class WebProcess:
             self._is_over = True
             log.warning("the live map ended; the flight goes on without it")
 
-    def _buttons(self) -> list[str]:
+    def _buttons(self) -> list[OperatorCommand]:
         try:
             data = os.read(self._up, 65536)
         except (BlockingIOError, OSError):
             return []
         *lines, self._received = (self._received + data).split(b"\n")
         self._received = self._received[-MAX_LINE:]
-        names = [line.decode("utf-8", errors="replace").strip() for line in lines]
-        return [name for name in names if name in BUTTONS]
+        names = (line.decode("utf-8", errors="replace").strip() for line in lines)
+        return [COMMANDS[name] for name in names if name in COMMANDS]
 
 
 def listening_socket(settings: WebSettings) -> socket.socket:
@@ -292,8 +292,8 @@ class WebView:
         """
         has_room = endpoint.next_timer_s() - now_s >= ROOM_S
         make = partial(self._picture, endpoint, now_s)
-        for name in self._process.update(now_s, make, may_send=has_room):
-            endpoint.ask(OperatorCommand(name), now_s)
+        for command in self._process.update(now_s, make, may_send=has_room):
+            endpoint.ask(command, now_s)
 
     def show(self, endpoint: CompanionEndpoint, now_s: float, clock_s: float) -> None:
         """Show a moment that is over, whatever buttons are pressed."""

@@ -1,7 +1,7 @@
 """The child process that serves the page: pictures from standard input, buttons to output.
 
 The page has the map, phase, numbers, ages, emitters, texts, curves and buttons; what the map draws
-is in `search_map.js`. What the page knows (`Hub`) is bounded for any flight.
+is in `search_map.js`. What the page knows (`PictureFeed`) is bounded for any flight.
 
 Everything shown comes from outside sooner or later (an autopilot's text, an emitter's name), so
 texts go into labels, which escape, and never into HTML.
@@ -38,7 +38,7 @@ TRACK_STEP_M = 0.5
 CURVE_POINTS = 600
 
 
-class Hub:
+class PictureFeed:
     """Takes pictures in; pages read it."""
 
     def __init__(self, scene: Mapping[str, Any]) -> None:
@@ -102,7 +102,7 @@ class SearchMap(Element, component="search_map.js", esm={"nicegui-leaflet": str(
         self._props["zooms"] = tile_zooms
         self._sent = TrackSent()
 
-    def show(self, hub: Hub) -> None:
+    def show(self, hub: PictureFeed) -> None:
         """Draw the latest moment.
 
         Args:
@@ -120,7 +120,7 @@ class TrackSent:
         self._version = -1
         self._parts = 0
 
-    def next_part(self, hub: Hub) -> tuple[list[tuple[float, float]], bool]:
+    def next_part(self, hub: PictureFeed) -> tuple[list[tuple[float, float]], bool]:
         """What it lacks, and whether that is the whole track and not the end of it."""
         is_whole = hub.track_version != self._version or self._parts % WHOLE_EVERY == 0
         first = 0 if is_whole else self._count
@@ -153,7 +153,7 @@ class Page:
 
     def __init__(
         self,
-        hub: Hub,
+        hub: PictureFeed,
         *,
         tile_zooms: tuple[int, int] | None,
         press: Press | None,
@@ -257,7 +257,7 @@ class HostCheck:
 
 
 def build_app(
-    hub: Hub, access: Access, tiles: Path | None, press: Callable[[str], None]
+    hub: PictureFeed, access: Access, tiles: Path | None, press: Callable[[str], None]
 ) -> FastAPI:
     """The web application."""
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
@@ -306,7 +306,7 @@ async def serve() -> None:
     if not line.endswith(b"\n"):
         return
     first: Mapping[str, Any] = json.loads(line)
-    hub = Hub(first["scene"])
+    hub = PictureFeed(first["scene"])
     access = Access(first["host"], first["token"], first["is_control_on"], first["is_view_open"])
     tiles = None if first["tiles"] is None else Path(first["tiles"])
     app = build_app(hub, access, tiles, _press)

@@ -79,7 +79,7 @@ _EVENT = _object(t_s=_NUMBER, kind=_TEXT)
 
 
 @dataclass(frozen=True, slots=True)
-class Channel:
+class McapChannel:
     """A topic and how its messages are read."""
 
     topic: str
@@ -91,15 +91,15 @@ class Channel:
 
 
 CHANNELS = (
-    Channel("/estimate/fix", "foxglove.LocationFix", _FIX),
-    Channel("/estimate/ellipse", "foxglove.GeoJSON", _object(geojson=_TEXT)),
-    Channel("/estimate/pose", "foxglove.PoseInFrame", _POSE),
-    Channel("/vehicle/pose", "foxglove.PoseInFrame", _POSE),
-    Channel("/residual", "companion.Residual", _RESIDUAL),
-    Channel("/log", "foxglove.Log", _LOG),
-    Channel("/events", "companion.Event", _EVENT),
-    Channel(FRAME_CHANNEL, message_encoding="mavlink"),
-    Channel(INPUT_CHANNEL, message_encoding="companion-inputs"),
+    McapChannel("/estimate/fix", "foxglove.LocationFix", _FIX),
+    McapChannel("/estimate/ellipse", "foxglove.GeoJSON", _object(geojson=_TEXT)),
+    McapChannel("/estimate/pose", "foxglove.PoseInFrame", _POSE),
+    McapChannel("/vehicle/pose", "foxglove.PoseInFrame", _POSE),
+    McapChannel("/residual", "companion.Residual", _RESIDUAL),
+    McapChannel("/log", "foxglove.Log", _LOG),
+    McapChannel("/events", "companion.Event", _EVENT),
+    McapChannel(FRAME_CHANNEL, message_encoding="mavlink"),
+    McapChannel(INPUT_CHANNEL, message_encoding="companion-inputs"),
 )
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from companion import __version__
 from companion.domain import Point
 from companion.io.files import plain
-from companion.report.charts import Chart, Curve, MapLayers, TimeCharts, flight_map, histogram
+from companion.report.charts import Chart, MapLayers, TimeCharts, TimeCurve, flight_map, histogram
 from companion.report.flight_summary import EventRow, event_text
 from companion.report.page import LEAST_M, FlightPage, render_page
 from sim_link.lab.mission.results import FlightRecord, MissionResult, true_places
@@ -185,15 +185,15 @@ def _charts(result: MissionResult) -> list[Chart | None]:
         over_time.draw(
             "Error and R95",
             "metres over seconds, logarithmic. Violet: true error; red: R95",
-            Curve(radii, "radius"),
-            Curve(errors, "truth"),
+            TimeCurve(radii, "radius"),
+            TimeCurve(errors, "truth"),
             is_log=True,
         ),
         over_time.draw(
             "Range residuals",
             "metres over seconds: what a range was longer than expected",
-            Curve(residuals, "residual", is_dotted=True),
+            TimeCurve(residuals, "residual", is_dotted=True),
         ),
         histogram("Their histogram", "how many over metres", [value for _, value in residuals]),
-        over_time.draw("Height", "metres over seconds", Curve(heights, "track")),
+        over_time.draw("Height", "metres over seconds", TimeCurve(heights, "track")),
     ]

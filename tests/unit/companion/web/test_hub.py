@@ -2,7 +2,7 @@
 
 import math
 
-from companion.web.server import CURVE_POINTS, TRACK_POINTS, Hub
+from companion.web.server import CURVE_POINTS, TRACK_POINTS, PictureFeed
 
 ORIGIN = [47.4, 8.5]
 
@@ -17,14 +17,14 @@ def picture(t_s: float, place: tuple[float, float], origin: object = ORIGIN) -> 
 
 
 def test_a_hover_leaves_one_point() -> None:
-    hub = Hub({})
+    hub = PictureFeed({})
     for t_s in range(100):
         hub.take(picture(float(t_s), (0.001 * t_s, 0.0)))
     assert len(hub.track) == 1
 
 
 def test_a_long_flight_is_thinned_and_keeps_its_shape() -> None:
-    hub = Hub({})
+    hub = PictureFeed({})
     for step in range(10 * TRACK_POINTS):
         hub.take(picture(float(step), (100.0 * math.cos(step / 50), 100.0 * math.sin(step / 50))))
     assert len(hub.track) <= TRACK_POINTS
@@ -34,7 +34,7 @@ def test_a_long_flight_is_thinned_and_keeps_its_shape() -> None:
 
 
 def test_a_new_flight_and_a_new_origin_forget_the_track() -> None:
-    hub = Hub({})
+    hub = PictureFeed({})
     hub.take(picture(10.0, (0.0, 0.0)))
     hub.take(picture(11.0, (5.0, 0.0)))
     hub.take(picture(0.1, (9.0, 9.0)))
@@ -45,7 +45,7 @@ def test_a_new_flight_and_a_new_origin_forget_the_track() -> None:
 
 
 def test_without_a_position_there_is_no_track() -> None:
-    hub = Hub({})
+    hub = PictureFeed({})
     hub.take({"t_s": 0.0, "origin": None, "vehicle": None})
     assert hub.track == []
     assert hub.version == 1

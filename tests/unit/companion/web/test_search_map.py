@@ -1,14 +1,14 @@
 """What a browser is sent of the track."""
 
-from companion.web.server import TRACK_POINTS, WHOLE_EVERY, Hub, TrackSent
+from companion.web.server import TRACK_POINTS, WHOLE_EVERY, PictureFeed, TrackSent
 
 
-def fly_on(hub: Hub, step: int) -> None:
+def fly_on(hub: PictureFeed, step: int) -> None:
     hub.take({"t_s": float(step), "origin": None, "vehicle": [float(step), 0.0, 20.0]})
 
 
 def test_every_browser_has_the_whole_track_though_parts_are_sent() -> None:
-    hub, early, late = Hub({}), TrackSent(), TrackSent()
+    hub, early, late = PictureFeed({}), TrackSent(), TrackSent()
     tracks: dict[TrackSent, list[tuple[float, float]]] = {early: [], late: []}
     sent = 0
     for step in range(2 * TRACK_POINTS):
@@ -22,7 +22,7 @@ def test_every_browser_has_the_whole_track_though_parts_are_sent() -> None:
 
 
 def test_a_part_that_was_lost_is_made_good() -> None:
-    hub, browser = Hub({}), TrackSent()
+    hub, browser = PictureFeed({}), TrackSent()
     wholes = []
     for step in range(3 * WHOLE_EVERY):
         fly_on(hub, step)

@@ -12,7 +12,7 @@ import msgspec
 import pytest
 
 from companion.report.flight_summary import EstimatePoint
-from companion.report.svg import MAX_POINTS, Drawing, square_around, thin_points
+from companion.report.svg import MAX_POINTS, SvgPlot, square_around, thin_points
 from sim_link.lab.mission.mission_cli import PlainProgress, junit_xml, progress_for
 from sim_link.lab.mission.mission_report import (
     campaign_lines,
@@ -269,7 +269,7 @@ def test_curves_are_thinned_and_axes_have_round_ticks() -> None:
     thin = thin_points(points)
     assert len(thin) <= MAX_POINTS + 1
     assert (thin[0], thin[-1]) == (points[0], points[-1])
-    drawing = Drawing(600, 300, (0.0, 97.0), (0.01, 120.0), "t", is_log=True)
+    drawing = SvgPlot(600, 300, (0.0, 97.0), (0.01, 120.0), "t", is_log=True)
     assert drawing.x.ticks() == [0.0, 20.0, 40.0, 60.0, 80.0]
     assert drawing.y.ticks() == pytest.approx([0.01, 0.1, 1.0, 10.0, 100.0])
     assert square_around([(0.0, 0.0), (10.0, 4.0)], 1.0) == (-1.0, 11.0, -4.0, 8.0)
