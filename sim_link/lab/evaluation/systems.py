@@ -29,7 +29,6 @@ from companion.planning.crossing import LatchedCrossing, ReactiveCrossing, React
 from companion.planning.fim import FimParams, FimPlanner, candidate_ring_m
 from companion.planning.planner import Planner, PlanRequest
 from sim_link.lab.evaluation.case import Case, Scene, Truth, lawnmower_track, measured_in, stepped
-from sim_link.lab.evaluation.map_estimator import Window, prior_of
 from sim_link.lab.evaluation.metrics import r95_m
 from sim_link.lab.evaluation.walk import (
     COLUMNS,
@@ -40,6 +39,8 @@ from sim_link.lab.evaluation.walk import (
     REACTIVE,
     Belief,
     Steering,
+    Window,
+    prior_of,
 )
 from sim_link.world.environment import NO_MEMORY
 
@@ -320,16 +321,7 @@ def window_of_system(case: Case, system: System) -> Window:
     """The objective that corrects the system's filter, as the compiled walk takes it."""
     belief = belief_of(case, system)
     information, pull = prior_of(belief.prior_mean, belief.prior_sigmas)
-    return Window(
-        is_solved=system.filter == "map",
-        sigma=belief.sigma,
-        own_sigma_m=belief.model.own_sigma_m,
-        thresholds=belief.thresholds,
-        bounds=belief.bounds,
-        information=information,
-        pull=pull,
-        prior_mean=belief.prior_mean,
-    )
+    return Window(system.filter == "map", information, pull)
 
 
 def steering_of(case: Case, system: System) -> Steering:

@@ -18,6 +18,15 @@ measurement adds to the information in the filter instead.
 Paper: eq. (FIM planning objective). Deviation: the paper leaves candidates and ties open; the
 candidates are those of `companion.planning.fim`.
 
+The paper's objective over a whole run, solved now and then: what corrects a recursive filter. The
+filter linearises every measurement once, where it stood at the time, and may be carried away for
+good by what it took in while it was wrong. Whenever the history has grown by a share, the objective
+over all of it is minimised from the filter's mean and from one fresh start, which turns around the
+path from solution to solution. The lower minimum becomes the filter's mean, with the curvature
+there as its information. The minimum is that of the companion's window (paper, eq. 9), which is
+never full here, without what makes the tracker's covariance honest (sandwich, rivals, older
+evidence): the studies' system `map`, beside the system `tracker`, which is the companion's own.
+
 A run of a recursive filter as one compiled loop: measure, update, record, fly on.
 
 The loop calls the very kernels that the filter and planner classes are made of; `systems` has the
@@ -34,13 +43,15 @@ from numpy.typing import NDArray
 
 from companion.estimation.filters.kalman import admm_update
 from companion.estimation.filters.robust_update import robust_update
+from companion.estimation.measurement_model import RANGE_OFFSET as RANGE_OFFSET_STATE
 from companion.estimation.measurement_model import RangingModel
+from companion.estimation.window import map_kernels
+from companion.estimation.window.map_kernels import map_minimum, normal_equations, row_sigmas
 from companion.kernel import Matrix, Vector, kernel
 from companion.planning.crossing import reactive_step
 from companion.planning.crossing_kernels import LATCH_SIZE, LatchRule, latched_step, overshoot_m
 from companion.planning.fim import MIN_DISTANCE_M, STAY, best_candidate
 from sim_link.lab.evaluation.case import Scene, Truth, measured_in, stepped
-from sim_link.lab.evaluation.map_estimator import FIRST_COUNT, Window, next_solution, solved
 from sim_link.world.environment import NO_MEMORY
 
 FLAT_SHARE = 1e-9
@@ -187,6 +198,92 @@ def updated(
     return mean, covariance
 
 
+class Window(NamedTuple):
+    """The prior of the objective over a run, as the kernels take it; the rest is the filter's."""
+
+    is_solved: bool
+    """False: the filter is left alone."""
+    information: Matrix
+    """(4, 4) of the Gaussian prior."""
+    pull: Vector
+    """(4,)"""
+
+
+FIRST_COUNT = 4
+"""Measurements before the first solution: as many as there are unknowns twice over."""
+EARLY_COUNT = 50
+EARLY_GROWTH, LATE_GROWTH = 0.15, 0.5
+"""The history is solved whenever it has grown by this share, up to `EARLY_COUNT` and after it."""
+GOLDEN_ANGLE_RAD = math.pi * (3.0 - math.sqrt(5.0))
+LEAST_RANGE_M = 1.0
+BETTER_COST = 1e-6
+"""A fresh start's minimum wins if it is lower by this: rounding must not decide."""
+
+
+def prior_of(mean: Vector, sigmas: Vector) -> tuple[Matrix, Vector]:
+    """Information and pull of the priors of the offsets; the position's is flat (paper, IV-A)."""
+    weights = 1.0 / sigmas**2
+    weights[:RANGE_OFFSET_STATE] = 0.0
+    return np.diag(weights), weights * mean
+
+
+@kernel
+def next_solution(count: int) -> int:
+    """The number of measurements at which the history is solved again."""
+    growth = EARLY_GROWTH if count < EARLY_COUNT else LATE_GROWTH
+    return count + max(1, int(growth * count))
+
+
+@kernel
+def history_of(steps: int, belief: Belief) -> Matrix:
+    """Rows of the companion's window for a run, (steps, 10), nothing measured so far."""
+    rows = np.full((steps, map_kernels.COLUMNS), np.nan)
+    rows[:, map_kernels.SIGMAS : map_kernels.SEQUENCE] = belief.sigma
+    return rows
+
+
+@kernel
+def fresh_start(rows: Matrix, turn: int, prior_mean: Vector) -> Vector:
+    """A state off the middle of the path, as far as the ranges say, in the next direction.
+
+    Args:
+        rows: (k, 10).
+        prior_mean: (4,).
+    """
+    direction_rad = GOLDEN_ANGLE_RAD * turn
+    distance_m = max(float(np.median(rows[:, map_kernels.VALUES])), LEAST_RANGE_M)
+    start = prior_mean.copy()
+    start[0] = rows[:, 0].mean() + distance_m * math.cos(direction_rad)
+    start[1] = rows[:, 1].mean() + distance_m * math.sin(direction_rad)
+    return start
+
+
+@kernel
+def solved(
+    rows: Matrix, mean: Vector, turn: int, belief: Belief, window: Window
+) -> tuple[Vector, Matrix]:
+    """The lower of two minima, (4,), and its covariance, (4, 4).
+
+    Args:
+        rows: (k, 10) the history so far.
+        mean: (4,) of the filter.
+        turn: Number of the solution: where the fresh start lies.
+    """
+    thresholds, information, pull = belief.thresholds, window.information, window.pull
+    start = fresh_start(rows, turn, belief.prior_mean)
+    best, cost = map_minimum(rows, mean, thresholds, belief.bounds, information, pull, belief.model)
+    other, other_cost = map_minimum(
+        rows, start, thresholds, belief.bounds, information, pull, belief.model
+    )
+    if other_cost < cost - BETTER_COST:
+        best = other
+    sigmas = row_sigmas(rows, best, belief.model)
+    curvature, _, _ = normal_equations(
+        rows, best, sigmas, thresholds, information, pull, belief.model
+    )
+    return best, np.ascontiguousarray(np.linalg.inv(curvature))
+
+
 @kernel
 def informed_place(
     east_m: float,
@@ -305,7 +402,7 @@ def walked(
     east_m, north_m = float(track[0, 0]), float(track[0, 1])
     z, sensor = np.full(3, np.nan), np.zeros(3)
     memory = NO_MEMORY
-    rows = np.empty((steps, 4))
+    rows = history_of(steps, belief)
     due, turn = FIRST_COUNT, 0
     for step in range(steps):
         if steering.planner == FIXED:
@@ -316,10 +413,10 @@ def walked(
             mean, covariance = first_fix(east_m, north_m, z[0], z[1], belief)
         else:
             mean, covariance = updated(mean, covariance, sensor, z, belief)
-        rows[step, :2], rows[step, 2:] = sensor[:2], z[:2]
+        rows[step, :3], rows[step, 3:6] = sensor, z
         if window.is_solved and step + 1 >= due:
             turn += 1
-            mean, covariance = solved(rows[: step + 1], mean, turn, window)
+            mean, covariance = solved(rows[: step + 1], mean, turn, belief, window)
             due = next_solution(step + 1)
         write_down(record[step], sensor, mean, covariance)
         if steering.planner != FIXED:
