@@ -12,10 +12,10 @@ from pathlib import Path
 
 from companion.errors import CompanionError
 from companion.io.files import check_writable, write_json_atomic
-from sim_link.lab.evaluation.bench import ROUNDS, FilterBench, Ratio, bench_filters
-from sim_link.lab.evaluation.planner_bench import ROUNDS as PLANNER_ROUNDS
-from sim_link.lab.evaluation.planner_bench import PlannerBench, StepCost, bench_planners
-from sim_link.lab.tool_console import OneLineParser, positive
+from tools.console import OneLineParser, positive
+from tools.filter_bench import ROUNDS, FilterBench, Ratio, bench_filters
+from tools.planner_bench import ROUNDS as PLANNER_ROUNDS
+from tools.planner_bench import PlannerBench, StepCost, bench_planners
 
 
 def main() -> int:

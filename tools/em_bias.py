@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 
 from companion.estimation.noise.adaptation import RangeNoise
-from sim_link.lab.tool_console import OneLineParser
+from tools.console import OneLineParser
 from tools.printed_adaptation import BiasComparison, compare_mean_bias
 
 MEAN_BIASES_M = (2.0, 5.0, 8.0, 15.0)

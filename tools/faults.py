@@ -31,7 +31,7 @@ from sim_link.lab.campaign.runner import (
     trials_of,
 )
 from sim_link.lab.pool import LOCAL
-from sim_link.lab.tool_console import OneLineParser, non_negative, positive, shown
+from tools.console import OneLineParser, non_negative, positive, shown
 
 REPLAY = "python tools/faults.py --replay"
 SHOWN_FINDINGS = 20

@@ -18,7 +18,7 @@ import numpy as np
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from sim_link.lab.conformance.rules import Flavour
-from sim_link.lab.tool_console import OneLineParser
+from tools.console import OneLineParser
 from tools.frame_fuzzer import FuzzCampaign, FuzzFailure
 
 BATCH = 10_000

@@ -27,7 +27,7 @@ from types import ModuleType
 
 from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_json_atomic
-from sim_link.lab.tool_console import OneLineParser, positive
+from tools.console import OneLineParser, positive
 from tools.mutants import Mutant, mutants_of
 
 ROOT = Path(__file__).resolve().parent.parent

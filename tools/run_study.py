@@ -13,7 +13,6 @@ from pathlib import Path
 
 from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_json_atomic
-from sim_link.lab.evaluation.planner_bench import costs_of
 from sim_link.lab.evaluation.reporting.study_report import write_report
 from sim_link.lab.evaluation.reporting.study_tables import (
     check_folder,
@@ -37,7 +36,8 @@ from sim_link.lab.evaluation.study_run import (
     work_of,
 )
 from sim_link.lab.pool import WorkerLostError, open_pool
-from sim_link.lab.tool_console import OneLineParser, non_negative, positive, shown
+from tools.console import OneLineParser, non_negative, positive, shown
+from tools.planner_bench import costs_of
 
 STUDIES = Path(__file__).resolve().parent.parent / "configs" / "studies"
 

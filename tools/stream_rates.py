@@ -24,7 +24,7 @@ from sim_link.lab.conformance.cli import open_link
 from sim_link.lab.conformance.mavlink_oracle import LocalSetpoint, build_frame
 from sim_link.lab.conformance.rules import Flavour, NotApplicable, Violation
 from sim_link.lab.conformance.vehicle_probe import VehicleProbe
-from sim_link.lab.tool_console import OneLineParser
+from tools.console import OneLineParser
 
 ASKED_HZ: dict[type[Message], tuple[float, float, float]] = {
     mavlink.MAVLink_attitude_message: (50.0, 20.0, 10.0),

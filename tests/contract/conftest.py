@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from companion.estimation.filters.target_filter import FilterParams
-from sim_link.lab.evaluation.hostile import MakeFilter
 from tests.contract.filter_helpers import FILTERS, VARIANTS
+from tools.hostile_campaign import MakeFilter
 
 
 @pytest.fixture(params=VARIANTS)

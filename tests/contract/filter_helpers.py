@@ -18,7 +18,7 @@ from companion.estimation.filters.kalman import AdmmEkf, AsymmetricHuberEkf, Ekf
 from companion.estimation.filters.target_filter import FilterParams, FilterState, UpdateReport
 from companion.estimation.measurement_model import predicted
 from companion.kernel import Vector
-from sim_link.lab.evaluation.hostile import MakeFilter, fault_of
+from tools.hostile_campaign import MakeFilter, fault_of
 
 FILTERPY = "sim_link.lab.evaluation.filterpy_ekf"
 

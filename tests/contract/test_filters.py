@@ -11,7 +11,6 @@ import pytest
 
 from companion.estimation.filters.target_filter import FilterParams, FilterState
 from companion.estimation.measurement_model import jacobian, predicted
-from sim_link.lab.evaluation.hostile import MakeFilter, fault_of, hostile_params, run_sequence
 from tests.contract.filter_helpers import (
     OF_FILTERPY,
     SPACE,
@@ -21,6 +20,7 @@ from tests.contract.filter_helpers import (
     seen_at,
     state_of,
 )
+from tools.hostile_campaign import MakeFilter, fault_of, hostile_params, run_sequence
 
 # The covariance
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from companion.estimation.filters.target_filter import FilterParams
-from sim_link.lab.evaluation.hostile import MakeFilter
 from tests.contract.filter_helpers import assert_same, seen_at, state_of
+from tools.hostile_campaign import MakeFilter
 
 
 def test_of_a_target_that_lies_still_a_late_measurement_is_as_good(

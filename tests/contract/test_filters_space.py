@@ -19,8 +19,8 @@ from companion.estimation.filters.robust_update import (
 from companion.estimation.filters.target_filter import FilterParams, FilterState
 from companion.estimation.measurement_model import predicted
 from companion.kernel import Vector
-from sim_link.lab.evaluation.hostile import MakeFilter
 from tests.contract.filter_helpers import BOUNDED, assert_same, seen_at, state_of, surprises
+from tools.hostile_campaign import MakeFilter
 
 # Bounds
 

@@ -53,11 +53,11 @@ from sim_link.lab.evaluation.case import (
     stream,
     truth_of,
 )
-from sim_link.lab.evaluation.planner_bench import believed
 from sim_link.lab.evaluation.systems import PlannerName, System, belief_of, pilot_of, steering_of
 from sim_link.lab.evaluation.walk import next_place
 from sim_link.world.environment import EmitterParams
 from tests.loop.loop_helpers import Loop
+from tools.planner_bench import believed
 
 STEPS = 150
 SEEDS = range(4)

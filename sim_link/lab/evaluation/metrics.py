@@ -42,6 +42,10 @@ from companion.estimation.integrity.consistency import MIN_AXIS_RATIO, r95_of_co
 from companion.kernel import Matrix, Vector, kernel
 from sim_link.world.environment import ChannelParams
 
+SETTLED_STEP = 20
+"""Honesty counts after this step."""
+COVERAGE_BAND = (0.93, 0.97)
+"""Of the R95 circle, where honest."""
 SETTLED_M = 2.5
 """Paper: Time-to-Threshold."""
 DIVERGED_M = 1.0

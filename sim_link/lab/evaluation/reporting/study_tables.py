@@ -42,7 +42,13 @@ from companion.config.loader import load_yaml
 from companion.errors import CompanionError, ConfigError
 from companion.kernel import Matrix, Vector
 from sim_link.lab.evaluation.campaign import Tally
-from sim_link.lab.evaluation.metrics import diverged_count, nees_band, steps_to_settle
+from sim_link.lab.evaluation.metrics import (
+    COVERAGE_BAND,
+    SETTLED_STEP,
+    diverged_count,
+    nees_band,
+    steps_to_settle,
+)
 from sim_link.lab.evaluation.study import (
     Cell,
     FigureName,
@@ -58,7 +64,6 @@ from sim_link.lab.evaluation.study import (
     names_of,
 )
 from sim_link.lab.evaluation.systems import FilterName, PlannerName
-from sim_link.lab.evaluation.verification import COVERAGE_BAND, SETTLED_STEP
 
 RESAMPLES = 2000
 BOOTSTRAP_SEED = 0

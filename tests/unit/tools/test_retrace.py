@@ -3,11 +3,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim_link.lab.evaluation.bench import SEED
 from sim_link.lab.evaluation.campaign import run_trial
 from sim_link.lab.evaluation.case import Case
-from sim_link.lab.evaluation.planner_bench import believed, decided, recorded_run, retraced
 from sim_link.lab.evaluation.systems import PlannerName, System
+from tools.filter_bench import SEED
+from tools.planner_bench import believed, decided, recorded_run, retraced
 
 SHORT = Case(steps=40)
 FILTER_ALONE = System("asymmetric_huber", "passive")

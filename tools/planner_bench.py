@@ -42,7 +42,13 @@ import numpy as np
 from companion.estimation.filters.kalman import KINDS
 from companion.kernel import IS_COMPILED, Matrix, Vector, kernel
 from companion.planning.crossing_kernels import LATCH_SIZE
-from sim_link.lab.evaluation.bench import (
+from sim_link.lab.evaluation.campaign import run_trial
+from sim_link.lab.evaluation.case import PLANNER, Case, channel_draws, measured, stream
+from sim_link.lab.evaluation.reporting.study_tables import metrics_of, number, rows_about
+from sim_link.lab.evaluation.study import Cell, ResultRow, StudyResult, cells_of
+from sim_link.lab.evaluation.systems import System, belief_of, steering_of
+from sim_link.lab.evaluation.walk import FIXED, Belief, Steering, first_fix, next_place, updated
+from tools.filter_bench import (
     FILTERPY_UPDATE,
     SEED,
     Contender,
@@ -50,12 +56,6 @@ from sim_link.lab.evaluation.bench import (
     filterpy_seconds,
     timed,
 )
-from sim_link.lab.evaluation.campaign import run_trial
-from sim_link.lab.evaluation.case import PLANNER, Case, channel_draws, measured, stream
-from sim_link.lab.evaluation.reporting.study_tables import metrics_of, number, rows_about
-from sim_link.lab.evaluation.study import Cell, ResultRow, StudyResult, cells_of
-from sim_link.lab.evaluation.systems import System, belief_of, steering_of
-from sim_link.lab.evaluation.walk import FIXED, Belief, Steering, first_fix, next_place, updated
 
 
 class Beliefs(NamedTuple):

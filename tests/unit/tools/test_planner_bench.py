@@ -3,7 +3,8 @@ from __future__ import annotations
 import pytest
 
 from sim_link.lab.evaluation.case import Case
-from sim_link.lab.evaluation.planner_bench import (
+from sim_link.lab.evaluation.systems import System
+from tools.planner_bench import (
     FILTER_ALONE,
     FIM,
     LATCHED,
@@ -18,7 +19,6 @@ from sim_link.lab.evaluation.planner_bench import (
     step_cost,
     step_of,
 )
-from sim_link.lab.evaluation.systems import System
 
 COSTS_US = {
     step_of(REACTIVE.label): 3.0,

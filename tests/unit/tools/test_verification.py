@@ -6,7 +6,7 @@ import pytest
 from sim_link.lab.evaluation.campaign import Campaign, Tally
 from sim_link.lab.evaluation.case import canonical_case
 from sim_link.lab.evaluation.systems import System
-from sim_link.lab.evaluation.verification import (
+from tools.verify_estimation import (
     PARTS,
     bound_figure,
     bound_plan,
@@ -106,7 +106,7 @@ def test_parts_can_be_measured_alone(monkeypatch: pytest.MonkeyPatch) -> None:
         asked.extend(campaigns)
         return [_tally() for _ in campaigns]
 
-    monkeypatch.setattr("sim_link.lab.evaluation.verification.tallies_of", fake)
+    monkeypatch.setattr("tools.verify_estimation.tallies_of", fake)
     figures = verified(["bound"], 200, 1, 1, _silent)
     assert {figure.part for figure in figures} == {"bound"}
     assert len(asked) == len(bound_plan(200, 1).campaigns)

@@ -17,7 +17,7 @@ from companion.estimation.filters.target_filter import (
     Inflation,
     UpdateReport,
 )
-from sim_link.lab.evaluation.hostile import (
+from tools.hostile_campaign import (
     SIGMAS,
     MakeFilter,
     SequenceOutcome,

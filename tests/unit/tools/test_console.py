@@ -4,7 +4,7 @@ import io
 
 import pytest
 
-from sim_link.lab.tool_console import LINE_EVERY_S, Lines, shown, span_text
+from tools.console import LINE_EVERY_S, Lines, shown, span_text
 
 
 class _Terminal(io.StringIO):
