@@ -98,7 +98,7 @@ class Reporting:
             else:
                 self._finish(FOLLOW_UP_MODE[params.on_localised], now_s)
         elif self._is_battery_end(now_s):
-            self._battery.mission_ended()
+            self._battery.note_mission_end()
             self._report_rest(now_s)
             is_landing = params.on_localised == "land"
             self._finish(FlightMode.LAND if is_landing else FlightMode.RETURN, now_s)
@@ -205,7 +205,7 @@ class ControlTick:
         if context.phase in IN_CONTROL:
             self._tell_reasons(context.steering.reasons, now_s)
         context.send(SendSetpoint(setpoint))
-        self._watches.sent(setpoint.position_enu_m, now_s)
+        self._watches.note_setpoint(setpoint.position_enu_m, now_s)
 
     def _may_begin_anew(self, now_s: float) -> bool:
         """Not after a mere pause on a stale position: what was sent last is safer than that."""
@@ -290,7 +290,7 @@ class ControlTick:
                 context.enter(Trigger.INPUT_LOST, now_s)
             case Verdict.HAND_BACK:
                 self._handover.hand_back(finding, now_s)
-                self._watches.handed_back(finding)
+                self._watches.note_handback(finding)
                 return
             case Verdict.GIVE_WAY:
                 self._handover.give_way(finding, now_s)

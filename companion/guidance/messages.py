@@ -209,7 +209,7 @@ class MotionMessages:
     def __init__(self) -> None:
         self._walking: set[int] = set()
 
-    def told(self, emitter_id: int, motion: Motion | None) -> list[Announce]:
+    def messages_for(self, emitter_id: int, motion: Motion | None) -> list[Announce]:
         """What is news, mostly nothing.
 
         Args:
@@ -252,7 +252,7 @@ class RejectMessages:
     def __init__(self) -> None:
         self._reasons: dict[RejectReason, _RejectCount] = {}
 
-    def refused(self, reason: RejectReason, now_s: float) -> list[Command]:
+    def messages_for(self, reason: RejectReason, now_s: float) -> list[Command]:
         """A measurement was refused; what is to be told of it now."""
         entry = self._reasons.setdefault(reason, _RejectCount())
         entry.pending += 1

@@ -25,7 +25,7 @@ ORIGIN_PATIENCE_S = 15.0
 """How long a belief waits for the origin of the frame that it is in."""
 
 
-def remembered(context: SessionContext) -> SessionMemory:
+def memory_of(context: SessionContext) -> SessionMemory:
     """What a later session would need to know."""
     current = context.tracker
     others = (each.belief for each in context.emitters.trackers if each is not current)

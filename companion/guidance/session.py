@@ -26,7 +26,7 @@ from companion.guidance.control import TICK_S as TICK_S
 from companion.guidance.control import ControlTick
 from companion.guidance.flight.fencing import FencePlan, Fencing
 from companion.guidance.health.watches import Watches
-from companion.guidance.recovery import Recollection, remembered
+from companion.guidance.recovery import Recollection, memory_of
 from companion.guidance.session_params import SessionParams, When, objection_to_change
 from companion.guidance.tracking.emitters import EmitterQueue
 from companion.guidance.tracking.measurements import EmitterScheduler, Measuring
@@ -263,7 +263,7 @@ class GuidanceSession:
     @property
     def memory(self) -> events.SessionMemory:
         """What a later session would need to know."""
-        return remembered(self.context)
+        return memory_of(self.context)
 
     @property
     def is_recalling(self) -> bool:

@@ -126,11 +126,11 @@ class Authority:
         """Whether somebody else sends under our ids: of two that are given control, both fly."""
         return now_s - self._id_conflict_s <= ID_CONFLICT_S
 
-    def disarmed_in(self, mode: FlightMode) -> None:
+    def note_disarmed(self, mode: FlightMode) -> None:
         """The flight ended; offboard left over from it does not count for the next one."""
         self._must_leave_offboard = mode is FlightMode.OFFBOARD
 
-    def restarted(self) -> None:
+    def forget_autopilot(self) -> None:
         """The autopilot restarted: its next heartbeat is a first one again."""
         self._has_heartbeat = False
         self._newest = None

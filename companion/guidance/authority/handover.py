@@ -214,7 +214,7 @@ class Handover:
 
     def _flight_over(self, event: events.HeartbeatReceived) -> None:
         if self._context.enter(Trigger.DISARMED, event.time_s):
-            self._context.authority.disarmed_in(event.mode)
+            self._context.authority.note_disarmed(event.mode)
             why = "flight terminated" if event.is_terminated else "disarmed"
             self._context.announce(Severity.NOTICE, f"{why}: flight over")
 
@@ -255,7 +255,7 @@ class Handover:
         context = self._context
         context.record("answer", request=event.kind.value, outcome=event.outcome.value)
         if context.phase is Phase.LAUNCHING and context.launch is not None:
-            context.launch.answered(event)
+            context.launch.note_answer(event)
         elif context.phase is Phase.HANDBACK and event.kind is events.RequestKind.SET_MODE:
             if event.outcome is not events.Outcome.ACCEPTED:
                 context.announce(Severity.ERROR, f"hand-back: {event.outcome.value}")
@@ -336,7 +336,7 @@ class Handover:
         context.fencing.forget()
         context.vehicle.forget()
         context.forget_target()
-        context.authority.restarted()
+        context.authority.forget_autopilot()
         context.enter(Trigger.RESTARTED, now_s)
         text = "autopilot restarted: give the mode again to resume"
         context.warn(text)

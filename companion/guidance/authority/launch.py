@@ -179,7 +179,7 @@ class Launch:
         if now_s - self._seen_s > BLIND_S:
             self.failure = f"no link, mode or fresh position for {BLIND_S:g} s"
 
-    def answered(self, event: RequestAnswered) -> None:
+    def note_answer(self, event: RequestAnswered) -> None:
         """Take in the autopilot's answer to the latest request."""
         kind, following = REQUESTS.get(self.stage, (None, self.stage))
         if event.kind is not kind:

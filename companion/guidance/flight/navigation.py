@@ -202,19 +202,19 @@ class Steering:
 
     def stay_with(self, motion: Motion) -> PositionSetpoint:
         """Hold at the vehicle's present place, following it while someone else flies it."""
-        return self._sent(self._guard.here(motion))
+        return self._keep(self._guard.here(motion))
 
     def stand(self, motion: Motion) -> PositionSetpoint:
         """Move nothing, not even back inside: where the vehicle is may be wrong."""
         last = self._last
         place = motion.position_enu_m if last is None else last.position_enu_m
-        return self._sent(self._guard.stand(place))
+        return self._keep(self._guard.stand(place))
 
     def stay(self, motion: Motion, dt_s: float) -> PositionSetpoint:
         """Hold at the place where holding began."""
         if self._last is None:
             return self.stay_with(motion)
-        return self._sent(self._guard.hold(self._last, motion, dt_s))
+        return self._keep(self._guard.hold(self._last, motion, dt_s))
 
     def follow(
         self,
@@ -233,8 +233,8 @@ class Steering:
         if motion.position_enu_m[2] < floor_m - CLIMB_FIRST_M:
             east, north = last.position_enu_m[:2]
         goal = (east, north, home_up_m + self._altitude_m + waypoint.altitude_offset_m)
-        return self._sent(self._guard.towards(goal, last, motion, dt_s, speed_cap_mps))
+        return self._keep(self._guard.towards(goal, last, motion, dt_s, speed_cap_mps))
 
-    def _sent(self, guarded: Guarded) -> PositionSetpoint:
+    def _keep(self, guarded: Guarded) -> PositionSetpoint:
         self._last = guarded
         return PositionSetpoint(guarded.position_enu_m)

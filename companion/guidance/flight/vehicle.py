@@ -67,11 +67,11 @@ class ModeWatch:
         self._stamped: deque[tuple[float, int | None]] = deque(maxlen=MOST_STAMPED)
         """Time, and place in the order of sending, of the last stamped messages."""
 
-    def stamped(self, measured_at_s: float, order: int | None) -> None:
+    def note_stamp(self, measured_at_s: float, order: int | None) -> None:
         """A message came that tells when it was sent."""
         self._stamped.append((measured_at_s, order))
 
-    def shown(self, heartbeat: events.HeartbeatReceived) -> None:
+    def note_heartbeat(self, heartbeat: events.HeartbeatReceived) -> None:
         """A HEARTBEAT came."""
         self._shown = heartbeat
         self.is_in_doubt = self.is_in_doubt and not self._is_recent(heartbeat)
@@ -156,12 +156,12 @@ class VehicleView:
         match event:
             case events.HeartbeatReceived():
                 self.heartbeat = event
-                self.mode_watch.shown(event)
+                self.mode_watch.note_heartbeat(event)
             case events.VehicleMoved():
                 self._move(event)
             case events.YawMeasured() if math.isfinite(event.yaw_ned_rad):
                 self.track.add_yaw(event.measured_at_s, event.yaw_ned_rad)
-                self.mode_watch.stamped(event.measured_at_s, event.order)
+                self.mode_watch.note_stamp(event.measured_at_s, event.order)
             case events.OriginSet():
                 self.origin = event.origin
                 self.frame = self.frame or event.origin
@@ -351,7 +351,7 @@ class VehicleView:
         if not is_plausible(event.state):
             return
         self.track.add(event.state)
-        self.mode_watch.stamped(event.state.time_s, event.order)
+        self.mode_watch.note_stamp(event.state.time_s, event.order)
         place = event.state.position_enu_m
         if self._counted_at is None or not self.is_armed:
             self._counted_at = place

@@ -70,7 +70,7 @@ class BatteryWatch(Watch):
                 self.level = self._candidate = BatteryLevel.UNKNOWN
                 self.charge_pct = None
                 self._agreed = 0
-                self.flight_over()
+                self.note_flight_end()
 
     @property
     def is_low(self) -> bool:
@@ -95,15 +95,15 @@ class BatteryWatch(Watch):
         """Whether it is time to report and to go."""
         return self.is_low and not self._has_ended_mission
 
-    def mission_ended(self) -> None:
+    def note_mission_end(self) -> None:
         """The mission was ended for the battery."""
         self._has_ended_mission = True
 
-    def handed_back(self) -> None:
+    def note_handback(self) -> None:
         """The vehicle was handed back for the battery."""
         self._was_handed_back = True
 
-    def flight_over(self) -> None:
+    def note_flight_end(self) -> None:
         """The next flight is a new one."""
         self._was_handed_back = self._has_ended_mission = False
 

@@ -96,7 +96,7 @@ class EchoWatch(Watch):
         if self._control_s is not None:
             self.begin(now_s)
 
-    def sent(self, place_enu_m: PositionEnu, now_s: float) -> None:
+    def note_setpoint(self, place_enu_m: PositionEnu, now_s: float) -> None:
         """We sent a setpoint."""
         if self._way and self._way[-1][2] == place_enu_m:
             from_s, _, _ = self._way.pop()

@@ -51,16 +51,16 @@ class InputWatch(Watch):
         self._is_dropout = True
         """Whether ranging was lost, or never there, and has not agreed since."""
 
-    def accepted(self) -> None:
+    def note_accepted(self) -> None:
         """The filter took a measurement in without restarting."""
         self._agreed += 1
 
-    def rejected(self) -> None:
+    def note_rejected(self) -> None:
         """The filter restarted, or failed: what was agreed on counts no more."""
         self._agreed = 0
         self._is_dropout = True
 
-    def switched(self, agreeing: int) -> None:
+    def note_switch(self, agreeing: int) -> None:
         """Another emitter is looked for, of which so many measurements in a row agreed."""
         self._agreed = agreeing
         self._is_dropout = agreeing < AGREEING
@@ -261,17 +261,17 @@ class Watches:
         if phase is Phase.LAUNCHING and not self._was_launching:
             self._sticks.begin(now_s)
         if phase is Phase.WAITING:
-            self.battery.flight_over()
+            self.battery.note_flight_end()
         self._was_in_control, self._was_launching = is_in_control, phase is Phase.LAUNCHING
 
-    def handed_back(self, finding: Finding) -> None:
+    def note_handback(self, finding: Finding) -> None:
         """The vehicle was handed back for this."""
         if finding.reason is Reason.BATTERY_CRITICAL:
-            self.battery.handed_back()
+            self.battery.note_handback()
 
-    def sent(self, place_enu_m: PositionEnu, now_s: float) -> None:
+    def note_setpoint(self, place_enu_m: PositionEnu, now_s: float) -> None:
         """A setpoint was sent."""
-        self._echo.sent(place_enu_m, now_s)
+        self._echo.note_setpoint(place_enu_m, now_s)
 
     def finding(self, now_s: float) -> Finding | None:
         """The worst that is wrong at a tick in control."""

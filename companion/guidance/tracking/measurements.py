@@ -127,7 +127,7 @@ class EmitterScheduler:
         self._followed = tracker
         context.believe(tracker.estimate(now_s))
         context.flight_plan.forget()
-        self._inputs.switched(tracker.contact.agreeing_since_gap(now_s))
+        self._inputs.note_switch(tracker.contact.agreeing_since_gap(now_s))
         if context.phase in FLYING:
             context.plan_now(now_s)
 
@@ -184,7 +184,7 @@ class Measuring:
             yield
         except Exception as error:
             self._context.contain("estimator", error, now_s)
-            self._inputs.rejected()
+            self._inputs.note_rejected()
 
     def _follow_reports(self, reports: list[FusionReport], now_s: float) -> None:
         context = self._context
@@ -192,7 +192,7 @@ class Measuring:
         for report in reports:
             measured = report.measurement
             if report.refusal is not None:
-                context.send(*self._rejects.refused(report.refusal, now_s))
+                context.send(*self._rejects.messages_for(report.refusal, now_s))
             elif measured is not None and not context.emitters.is_current(measured.emitter_id):
                 estimate = context.emitters.tracker_of(measured.emitter_id).estimate(now_s)
                 if estimate is not None:
@@ -204,14 +204,14 @@ class Measuring:
         """What a measurement of the emitter that is looked for changes."""
         context, tracker = self._context, self._context.tracker
         if report.restarted:
-            self._inputs.rejected()
+            self._inputs.note_rejected()
             text = "filter diverged from its measurements: restarted"
             context.warn(text)
             context.flight_plan.forget()
         elif report.agrees:
-            self._inputs.accepted()
+            self._inputs.note_accepted()
         if tracker.emitter_id is not None:
-            context.send(*self._motions.told(tracker.emitter_id, tracker.watch.motion))
+            context.send(*self._motions.messages_for(tracker.emitter_id, tracker.watch.motion))
         before, estimate = context.estimate, tracker.estimate(now_s)
         if estimate is None:
             return

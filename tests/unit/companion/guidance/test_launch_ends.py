@@ -125,7 +125,7 @@ class Climb:
         self.launch.tick(LaunchView(TICK_S, heartbeat, 0.0, 0.0))
 
     def answer(self, kind: RequestKind) -> None:
-        self.launch.answered(RequestAnswered(TICK_S, kind, Outcome.ACCEPTED, order=100))
+        self.launch.note_answer(RequestAnswered(TICK_S, kind, Outcome.ACCEPTED, order=100))
 
     def objection(
         self, mode: FlightMode, height_m: float | None, order: int | None = None

@@ -11,19 +11,19 @@ WALKING = Motion(np.array([0.6, 0.8]), 99.0)
 
 def test_a_walk_is_told_once_and_so_is_its_end() -> None:
     news = MotionMessages()
-    assert news.told(1, None) == []
-    (began,) = news.told(1, WALKING)
+    assert news.messages_for(1, None) == []
+    (began,) = news.messages_for(1, WALKING)
     assert began.severity is Severity.WARNING
     assert "move at 1.0 m/s" in began.text
-    assert news.told(1, WALKING) == []
-    (ended,) = news.told(1, None)
+    assert news.messages_for(1, WALKING) == []
+    (ended,) = news.messages_for(1, None)
     assert ended.severity is Severity.INFO
-    assert news.told(1, None) == []
+    assert news.messages_for(1, None) == []
 
 
 def test_each_emitter_has_news_of_its_own() -> None:
     news = MotionMessages()
-    news.told(1, WALKING)
-    assert len(news.told(2, WALKING)) == 1
-    assert len(news.told(1, None)) == 1
-    assert news.told(2, WALKING) == []
+    news.messages_for(1, WALKING)
+    assert len(news.messages_for(2, WALKING)) == 1
+    assert len(news.messages_for(1, None)) == 1
+    assert news.messages_for(2, WALKING) == []

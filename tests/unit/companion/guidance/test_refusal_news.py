@@ -7,7 +7,7 @@ from companion.guidance.messages import MANY, TEXT_PERIOD_S, RejectMessages
 
 def told(reason: RejectReason, times_s: list[float]) -> tuple[list[Record], list[Announce]]:
     news = RejectMessages()
-    commands = [command for time_s in times_s for command in news.refused(reason, time_s)]
+    commands = [command for time_s in times_s for command in news.messages_for(reason, time_s)]
     records = [command for command in commands if isinstance(command, Record)]
     return records, [command for command in commands if isinstance(command, Announce)]
 
@@ -20,9 +20,9 @@ def test_the_first_refusal_is_logged_at_once_and_the_rest_by_the_second() -> Non
 
 def test_each_reason_has_a_rhythm_of_its_own() -> None:
     news = RejectMessages()
-    assert len(news.refused(RejectReason.STALE, 0.0)) == 1
-    assert len(news.refused(RejectReason.NOT_FINITE, 0.1)) == 1
-    assert news.refused(RejectReason.STALE, 0.2) == []
+    assert len(news.messages_for(RejectReason.STALE, 0.0)) == 1
+    assert len(news.messages_for(RejectReason.NOT_FINITE, 0.1)) == 1
+    assert news.messages_for(RejectReason.STALE, 0.2) == []
 
 
 def test_many_are_told_to_people_once_a_minute() -> None:

@@ -53,7 +53,7 @@ class Attempt:
         return commands
 
     def answer(self, kind: RequestKind, outcome: Outcome = Outcome.ACCEPTED) -> None:
-        self.launch.answered(RequestAnswered(self.now_s, kind, outcome, "why"))
+        self.launch.note_answer(RequestAnswered(self.now_s, kind, outcome, "why"))
 
     def to_stage(self, stage: Stage) -> Attempt:
         """PX4 up to a stage."""
@@ -172,7 +172,7 @@ def test_a_repeated_take_off_that_is_refused_may_have_begun(how: str, has_begun:
     refusal = RequestAnswered(
         attempt.now_s, kind, Outcome.REJECTED, "failed", is_repeated=is_repeated
     )
-    attempt.launch.answered(refusal)
+    attempt.launch.note_answer(refusal)
     assert attempt.launch.failure is None
     assert attempt.wait(5.0) == []
     attempt.height_m = 1.5 if has_begun else 0.2

@@ -59,11 +59,11 @@ def test_critical_is_handed_back_once_in_a_flight() -> None:
     finding = watch.finding(0.0)
     assert finding is not None
     assert (finding.verdict, finding.mode) == (Verdict.HAND_BACK, FlightMode.RETURN)
-    watch.handed_back()
+    watch.note_handback()
     finding = watch.finding(0.0)
     assert finding is not None
     assert finding.verdict is Verdict.HOLD
-    watch.flight_over()
+    watch.note_flight_end()
     finding = watch.finding(0.0)
     assert finding is not None
     assert finding.verdict is Verdict.HAND_BACK
@@ -73,9 +73,9 @@ def test_low_ends_a_mission_once_in_a_flight() -> None:
     watch = watch_at(15.0)
     assert watch.finding(0.0) is None
     assert watch.ends_mission
-    watch.mission_ended()
+    watch.note_mission_end()
     assert not watch.ends_mission
-    watch.flight_over()
+    watch.note_flight_end()
     assert watch.ends_mission
 
 

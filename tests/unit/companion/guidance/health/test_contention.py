@@ -53,7 +53,7 @@ class Line:
             if self.is_moving:
                 self._path_m += SPEED_MPS * TICK_S
             place = self._place()
-            self.watch.sent(place, self.now_s)
+            self.watch.note_setpoint(place, self.now_s)
             if self.is_uplink_up and self._rng.random() >= self._loss:
                 self._up.append((self.now_s + self._latency_s, place))
 
@@ -218,7 +218,7 @@ def test_what_was_flown_before_control_began_is_not_held_against_it() -> None:
     watch.begin(100.0)
     for tick in range(40):
         now_s = 100.0 + TICK_S * tick
-        watch.sent((0.0, 0.0, 20.0), now_s)
+        watch.note_setpoint((0.0, 0.0, 20.0), now_s)
         watch.handle(SetpointEchoed(now_s, FOREIGN))
         watch.tick(now_s)
         assert watch.finding(now_s) is None
