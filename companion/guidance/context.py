@@ -108,11 +108,7 @@ class PassingHold(Watch):
 
 
 class SessionContext:
-    """The state of one session, and the commands that a call has collected so far.
-
-    Args:
-        needs_origin: Whether setpoints are global, so that nothing flies without an origin.
-    """
+    """The state of one session, and the commands that a call has collected so far."""
 
     def __init__(
         self,

@@ -44,12 +44,7 @@ class StopRule:
     def is_met(
         self, estimate: TargetEstimate | None, now_s: float, radius_m: float, confirm_s: float
     ) -> bool:
-        """Whether the target is found.
-
-        Args:
-            estimate: Of this moment; None breaks the run.
-            radius_m: R95 must be at most this.
-        """
+        """Whether the target is found; without an estimate the run is broken."""
         if estimate is None or not _is_enough(estimate, radius_m):
             self._since_s = None
             return False

@@ -105,7 +105,6 @@ def result_of(
 
     Args:
         origin: Zero of the local frame; without it there are no degrees to tell.
-        target_height_m: Of the target in the local frame.
     """
     r95 = f"R95 {estimate.r95_m:.1f} m"
     if origin is None:

@@ -36,7 +36,7 @@ from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address, Chunk
 from companion.mav.flight_modes import autopilot_of
 from companion.mav.framing import CRC_LENGTH, HEADER_LENGTH, MAGIC_V2, SIGNATURE_LENGTH, message_id
-from companion.mav.signing import LinkSigning, Signing, Verdict, is_signed
+from companion.mav.signing import LinkSigning, SignatureVerdict, Signing, is_signed
 
 
 class RateLimit:
@@ -280,13 +280,19 @@ def _is_heartbeat(chunk: Chunk) -> bool:
 
 
 REPORT_PERIOD_S = 10.0
-HINTS: Mapping[Verdict, str] = {
-    Verdict.UNSIGNED: "does the autopilot sign, with this key?",
-    Verdict.BAD_SIGNATURE: "is it the same key on both sides?",
-    Verdict.TOO_FAR_AHEAD: "its sender has the key; set the clocks, ours or its",
-    Verdict.TOO_OLD: "its sender has the key; set the clocks, ours or its",
+HINTS: Mapping[SignatureVerdict, str] = {
+    SignatureVerdict.UNSIGNED: "does the autopilot sign, with this key?",
+    SignatureVerdict.BAD_SIGNATURE: "is it the same key on both sides?",
+    SignatureVerdict.TOO_FAR_AHEAD: "its sender has the key; set the clocks, ours or its",
+    SignatureVerdict.TOO_OLD: "its sender has the key; set the clocks, ours or its",
 }
-ALARMS = frozenset({Verdict.TOO_FAR_AHEAD, Verdict.TIMESTAMP_OVERFLOW, Verdict.TOO_MANY_STREAMS})
+ALARMS = frozenset(
+    {
+        SignatureVerdict.TOO_FAR_AHEAD,
+        SignatureVerdict.TIMESTAMP_OVERFLOW,
+        SignatureVerdict.TOO_MANY_STREAMS,
+    }
+)
 """What only somebody who has the key can cause."""
 
 
@@ -301,7 +307,7 @@ class Authenticity:
     def __init__(self, signing: Signing | None = None, unix_minus_local_s: float = 0.0) -> None:
         self._signing = signing
         self._unix_minus_local_s = unix_minus_local_s
-        self._told: dict[Verdict, int] = dict.fromkeys(Verdict, 0)
+        self._told: dict[SignatureVerdict, int] = dict.fromkeys(SignatureVerdict, 0)
         self._next_report_s = -math.inf
 
     @property
@@ -358,7 +364,7 @@ class Authenticity:
         return {"signing": {v.value: count for v, count in verdicts.items() if count}}
 
 
-def _in_words(news: Mapping[Verdict, int]) -> str:
+def _in_words(news: Mapping[SignatureVerdict, int]) -> str:
     parts = []
     for verdict, count in news.items():
         hint = f" ({HINTS[verdict]})" if verdict in HINTS else ""

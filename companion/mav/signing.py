@@ -60,7 +60,7 @@ MAX_STREAMS = 16
 UNSIGNED_ALLOWED = frozenset({mavlink.MAVLINK_MSG_ID_RADIO_STATUS})
 
 
-class Verdict(Enum):
+class SignatureVerdict(Enum):
     """What is thought of a received frame."""
 
     SIGNED = "signed"
@@ -81,7 +81,7 @@ class Verdict(Enum):
     @property
     def is_accepted(self) -> bool:
         """Whether the frame may be decoded and acted on."""
-        return self in (Verdict.SIGNED, Verdict.UNSIGNED_ALLOWED)
+        return self in (SignatureVerdict.SIGNED, SignatureVerdict.UNSIGNED_ALLOWED)
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +158,7 @@ class Signing:
         self._timestamp = min(max(0, stored_timestamp), MAX_HEARD)
         self._clock = self._timestamp if stored_clock is None else max(0, stored_clock)
         self._streams: dict[Stream, int] = dict(streams or {})
-        self.verdicts: dict[Verdict, int] = dict.fromkeys(Verdict, 0)
+        self.verdicts: dict[SignatureVerdict, int] = dict.fromkeys(SignatureVerdict, 0)
         """How many frames got which verdict."""
 
     @property
@@ -186,7 +186,7 @@ class Signing:
         self._clock = max(self._clock, timestamp_at(unix_s))
         self._timestamp = max(self._timestamp, self._clock)
 
-    def verify(self, frame: bytes, *, is_trusted_link: bool = False) -> Verdict:
+    def verify(self, frame: bytes, *, is_trusted_link: bool = False) -> SignatureVerdict:
         """Judge one whole frame whose CRC is right.
 
         Args:
@@ -197,13 +197,13 @@ class Signing:
         self.verdicts[verdict] += 1
         return verdict
 
-    def _judge(self, frame: bytes, is_trusted_link: bool) -> Verdict:
+    def _judge(self, frame: bytes, is_trusted_link: bool) -> SignatureVerdict:
         if not is_signed(frame):
             is_allowed = is_trusted_link or message_id(frame) in UNSIGNED_ALLOWED
-            return Verdict.UNSIGNED_ALLOWED if is_allowed else Verdict.UNSIGNED
+            return SignatureVerdict.UNSIGNED_ALLOWED if is_allowed else SignatureVerdict.UNSIGNED
         expected = self._key.signature_of(frame[:-HASH_LENGTH])
         if not hmac.compare_digest(expected, frame[-HASH_LENGTH:]):
-            return Verdict.BAD_SIGNATURE
+            return SignatureVerdict.BAD_SIGNATURE
         timestamp = int.from_bytes(frame[-HASH_LENGTH - TIMESTAMP_LENGTH : -HASH_LENGTH], "little")
         stream: Stream = (frame[5], frame[6])
         if not self._rules.joins_links:
@@ -213,20 +213,20 @@ class Signing:
             return refusal
         self._streams[stream] = timestamp
         self._timestamp = max(self._timestamp, timestamp)
-        return Verdict.SIGNED
+        return SignatureVerdict.SIGNED
 
-    def _staleness(self, stream: Stream, timestamp: int) -> Verdict | None:
+    def _staleness(self, stream: Stream, timestamp: int) -> SignatureVerdict | None:
         last = self._streams.get(stream)
         if last is not None:
             if timestamp <= last:
-                return Verdict.REPLAYED
+                return SignatureVerdict.REPLAYED
         elif timestamp + MAX_BEHIND < self._present:
-            return Verdict.TOO_OLD
+            return SignatureVerdict.TOO_OLD
         elif len(self._streams) >= MAX_STREAMS:
-            return Verdict.TOO_MANY_STREAMS
+            return SignatureVerdict.TOO_MANY_STREAMS
         if self._rules.max_ahead is not None and timestamp > self._clock + self._rules.max_ahead:
-            return Verdict.TOO_FAR_AHEAD
-        return Verdict.TIMESTAMP_OVERFLOW if timestamp > MAX_HEARD else None
+            return SignatureVerdict.TOO_FAR_AHEAD
+        return SignatureVerdict.TIMESTAMP_OVERFLOW if timestamp > MAX_HEARD else None
 
     def sign(self, frame: bytes, link_id: int, crc_extra: int) -> bytes:
         """The same frame signed, with a timestamp newer than every one before.

@@ -175,11 +175,7 @@ def is_search_due(
     search_after_s: float | None,
     now_s: float,
 ) -> bool:
-    """Whether the planner searches now, and needs neither contact nor an estimate.
-
-    Args:
-        ranging_heard_s: When the last usable measurement came.
-    """
+    """Whether the planner searches now, and needs neither contact nor an estimate."""
     if search_after_s is None:
         return False
     if estimate is None or ranging_heard_s is None or search_after_s == 0.0:

@@ -31,11 +31,7 @@ MISSING_PATIENCE_S = 10.0
 
 
 class WaitingReason:
-    """Finds the words for waiting.
-
-    Args:
-        authority: Whether it is ours to guide.
-    """
+    """Finds the words for waiting."""
 
     def __init__(self, vehicle: VehicleView, authority: Authority, fencing: Fencing) -> None:
         self._vehicle = vehicle

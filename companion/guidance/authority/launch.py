@@ -76,11 +76,7 @@ class LaunchView:
 
 
 class Launch:
-    """One attempt to get into the air and into offboard.
-
-    Args:
-        altitude_m: Height above home to take off to.
-    """
+    """One attempt to get into the air, `altitude_m` above home, and into offboard."""
 
     def __init__(self, altitude_m: float, started_s: float) -> None:
         self.altitude_m = altitude_m

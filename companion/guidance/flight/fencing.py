@@ -143,11 +143,7 @@ class Fencing:
         self._settle()
 
     def use_limits(self, limits: GuardLimits) -> None:
-        """Other limits of motion from now on, with the same fence.
-
-        Args:
-            limits: With the fence of the plan.
-        """
+        """Other limits of motion from now on, with the same fence."""
         self.plan = replace(self.plan, limits=limits)
         self._settle()
 

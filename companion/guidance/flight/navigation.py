@@ -30,12 +30,7 @@ TOLD_AGAIN_S = 20.0
 
 
 class FlightPlan:
-    """The planner with its memory, and the waypoint that it wants now.
-
-    Args:
-        guard: Knows the fence with its keep-outs.
-        emitters: The current one's estimate is planned on.
-    """
+    """The planner with its memory, and the waypoint that it wants now."""
 
     def __init__(
         self,

@@ -41,12 +41,7 @@ LEG_S = 20.0
 
 
 class BatteryWatch(Watch):
-    """Watches the charge.
-
-    Args:
-        low_pct: Charge from which on it is low, 0 to 100.
-        critical_pct: Charge from which on it is critical.
-    """
+    """Watches the charge, 0 to 100 %."""
 
     def __init__(self, low_pct: float, critical_pct: float) -> None:
         self.level = BatteryLevel.UNKNOWN

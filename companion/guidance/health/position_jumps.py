@@ -117,12 +117,7 @@ def yaw_jump_rad(before: tuple[float, float], after: tuple[float, float]) -> flo
 
 
 def may_breach(limits: GuardLimits, motion: Motion, jump_enu_m: PositionEnu) -> bool:
-    """Whether flying on could lead out, or down, should the position before a jump be right.
-
-    Args:
-        limits: With the fence and the altitude band.
-        motion: Of the vehicle, after the jump.
-    """
+    """Whether flying on could lead out, or down, should the position before a jump be right."""
     if jump_enu_m[2] > limits.envelope.altitude_min_m:
         return True
     fence, place = limits.fence, motion.position_enu_m[:2]

@@ -163,11 +163,7 @@ class EmitterQueue:
         return report
 
     def choose(self, now_s: float, *, is_flying: bool) -> None:
-        """Decide whose turn it is.
-
-        Args:
-            is_flying: Whether the vehicle flies at the current emitter, which then stays if it can.
-        """
+        """Decide whose turn it is; in flight the current one stays if it can."""
         if self.is_single:
             return
         if is_flying:

@@ -50,9 +50,6 @@ class RangingListener:
     A measurement that is newer than the newest own position waits until a position on its other
     side arrives, so that its place is interpolated; one that waits in vain is refused, and so is
     one from a time that will not come.
-
-    Args:
-        patience_s: How long a measurement may wait.
     """
 
     def __init__(self, fuser: Fuser, track: VehicleTrack, patience_s: float = 0.25) -> None:

@@ -14,8 +14,8 @@ from companion.mav.signing import (
     MAX_HEARD,
     MAX_TIMESTAMP,
     LinkSigning,
+    SignatureVerdict,
     Signing,
-    Verdict,
     is_signed,
     timestamp_at,
 )
@@ -34,11 +34,11 @@ from tests.unit.companion.mav.signing_helpers import (
 
 
 def test_a_frame_signed_with_the_key_is_accepted() -> None:
-    assert receiver().verify(signed(NOW)) is Verdict.SIGNED
+    assert receiver().verify(signed(NOW)) is SignatureVerdict.SIGNED
 
 
 def test_a_frame_signed_with_another_key_is_refused() -> None:
-    assert receiver().verify(signed(NOW, OTHER_KEY)) is Verdict.BAD_SIGNATURE
+    assert receiver().verify(signed(NOW, OTHER_KEY)) is SignatureVerdict.BAD_SIGNATURE
 
 
 @settings(deadline=None)
@@ -67,9 +67,9 @@ def test_signing_sets_its_own_flag_and_leaves_the_others() -> None:
 def test_a_forged_future_timestamp_does_not_lock_out_the_real_sender() -> None:
     """pymavlink 2.4.50 stores the forged timestamp before it looks at the signature."""
     signing = receiver()
-    assert signing.verify(signed(NOW)) is Verdict.SIGNED
-    assert signing.verify(signed(NOW + 10**9, OTHER_KEY)) is Verdict.BAD_SIGNATURE
-    assert signing.verify(signed(NOW + 1)) is Verdict.SIGNED
+    assert signing.verify(signed(NOW)) is SignatureVerdict.SIGNED
+    assert signing.verify(signed(NOW + 10**9, OTHER_KEY)) is SignatureVerdict.BAD_SIGNATURE
+    assert signing.verify(signed(NOW + 1)) is SignatureVerdict.SIGNED
     assert signing.timestamp == NOW + 1
 
 
@@ -102,9 +102,9 @@ def test_only_rightly_signed_frames_move_any_clock(frames: list[tuple[int, bool,
 def test_a_peer_cannot_use_up_the_timestamps_that_are_left() -> None:
     signing = receiver()
     assert MAX_HEARD == 2**48 - 1 - 2**40
-    assert signing.verify(signed(MAX_TIMESTAMP)) is Verdict.TIMESTAMP_OVERFLOW
-    assert signing.verify(signed(MAX_HEARD + 1)) is Verdict.TIMESTAMP_OVERFLOW
-    assert signing.verify(signed(MAX_HEARD)) is Verdict.SIGNED
+    assert signing.verify(signed(MAX_TIMESTAMP)) is SignatureVerdict.TIMESTAMP_OVERFLOW
+    assert signing.verify(signed(MAX_HEARD + 1)) is SignatureVerdict.TIMESTAMP_OVERFLOW
+    assert signing.verify(signed(MAX_HEARD)) is SignatureVerdict.SIGNED
     assert is_signed(signing.sign(unsigned(), 0, CRC_EXTRA_BY_ID[0]))
 
 
@@ -112,31 +112,31 @@ def test_a_peer_cannot_use_up_the_timestamps_that_are_left() -> None:
 
 
 def test_an_unsigned_frame_is_refused_once_there_is_a_key() -> None:
-    assert receiver().verify(unsigned()) is Verdict.UNSIGNED
+    assert receiver().verify(unsigned()) is SignatureVerdict.UNSIGNED
 
 
 def test_a_signature_stripped_on_the_way_is_a_refused_frame() -> None:
     stripped = without_signature(signed(NOW), CRC_EXTRA_BY_ID[0])
-    assert receiver().verify(stripped) is Verdict.UNSIGNED
+    assert receiver().verify(stripped) is SignatureVerdict.UNSIGNED
 
 
 def test_mavlink_1_cannot_be_signed_and_is_refused() -> None:
     mav = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
     frame = bytes(heartbeat().pack(mav, force_mavlink1=True))
-    assert receiver().verify(frame) is Verdict.UNSIGNED
-    assert receiver().verify(frame, is_trusted_link=True) is Verdict.UNSIGNED_ALLOWED
+    assert receiver().verify(frame) is SignatureVerdict.UNSIGNED
+    assert receiver().verify(frame, is_trusted_link=True) is SignatureVerdict.UNSIGNED_ALLOWED
 
 
 def test_the_status_of_a_radio_needs_no_signature() -> None:
     status = mavlink.MAVLink_radio_status_message(1, 2, 3, 4, 5, 6, 7)
-    assert receiver().verify(MavCodec(51, 68).encode(status)) is Verdict.UNSIGNED_ALLOWED
+    assert receiver().verify(MavCodec(51, 68).encode(status)) is SignatureVerdict.UNSIGNED_ALLOWED
 
 
 def test_a_trusted_link_takes_unsigned_frames_but_never_badly_signed_ones() -> None:
     signing = receiver()
-    assert signing.verify(unsigned(), is_trusted_link=True) is Verdict.UNSIGNED_ALLOWED
+    assert signing.verify(unsigned(), is_trusted_link=True) is SignatureVerdict.UNSIGNED_ALLOWED
     forged = signed(NOW, OTHER_KEY)
-    assert signing.verify(forged, is_trusted_link=True) is Verdict.BAD_SIGNATURE
+    assert signing.verify(forged, is_trusted_link=True) is SignatureVerdict.BAD_SIGNATURE
 
 
 # Sending

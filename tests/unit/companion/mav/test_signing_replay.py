@@ -12,8 +12,8 @@ from companion.mav.signing import (
     MAX_BEHIND,
     MAX_STREAMS,
     MAX_TIMESTAMP,
+    SignatureVerdict,
     Signing,
-    Verdict,
 )
 from tests.unit.companion.mav.signing_helpers import (
     KEY,
@@ -36,14 +36,19 @@ def test_a_stream_is_believed_only_while_its_timestamps_rise(steps: list[int]) -
     for step in steps:
         timestamp += step
         verdict = signing.verify(signed(timestamp))
-        assert verdict is (Verdict.SIGNED if timestamp > newest else Verdict.REPLAYED)
+        assert verdict is (
+            SignatureVerdict.SIGNED if timestamp > newest else SignatureVerdict.REPLAYED
+        )
         newest = max(newest, timestamp)
     assert signing.timestamp == max(NOW, newest)
 
 
 def test_a_recorded_frame_is_refused_the_second_time() -> None:
     signing, frame = receiver(), signed(NOW)
-    assert [signing.verify(frame) for _ in range(2)] == [Verdict.SIGNED, Verdict.REPLAYED]
+    assert [signing.verify(frame) for _ in range(2)] == [
+        SignatureVerdict.SIGNED,
+        SignatureVerdict.REPLAYED,
+    ]
 
 
 @pytest.mark.parametrize(
@@ -53,21 +58,27 @@ def test_a_stream_is_system_component_and_link(link_id: int, system: int, compon
     signing = receiver()
     signing.verify(signed(NOW + 9))
     other = signed(NOW, link_id=link_id, system=system, component=component)
-    assert signing.verify(other) is Verdict.SIGNED
+    assert signing.verify(other) is SignatureVerdict.SIGNED
 
 
 @pytest.mark.parametrize(
     ("behind", "verdict"),
-    [(0, Verdict.SIGNED), (MAX_BEHIND, Verdict.SIGNED), (MAX_BEHIND + 1, Verdict.TOO_OLD)],
+    [
+        (0, SignatureVerdict.SIGNED),
+        (MAX_BEHIND, SignatureVerdict.SIGNED),
+        (MAX_BEHIND + 1, SignatureVerdict.TOO_OLD),
+    ],
 )
-def test_a_new_stream_may_be_a_minute_behind_and_no_more(behind: int, verdict: Verdict) -> None:
+def test_a_new_stream_may_be_a_minute_behind_and_no_more(
+    behind: int, verdict: SignatureVerdict
+) -> None:
     assert receiver().verify(signed(NOW - behind)) is verdict
 
 
 def test_a_stream_refused_as_too_old_leaves_no_trace() -> None:
     signing = receiver()
     signing.verify(signed(NOW - MAX_BEHIND - 1))
-    assert signing.verify(signed(NOW - MAX_BEHIND)) is Verdict.SIGNED
+    assert signing.verify(signed(NOW - MAX_BEHIND)) is SignatureVerdict.SIGNED
 
 
 def test_after_a_restart_the_stored_timestamp_keeps_old_frames_out() -> None:
@@ -75,7 +86,7 @@ def test_after_a_restart_the_stored_timestamp_keeps_old_frames_out() -> None:
     before = receiver()
     before.verify(frame)
     later = Signing(KEY, before.timestamp + MAX_BEHIND + 1)
-    assert later.verify(frame) is Verdict.TOO_OLD
+    assert later.verify(frame) is SignatureVerdict.TOO_OLD
 
 
 def test_no_frame_is_accepted_again_however_many_streams_there_are() -> None:
@@ -85,14 +96,16 @@ def test_no_frame_is_accepted_again_however_many_streams_there_are() -> None:
         for n in range(MAX_STREAMS + 3)
     ]
     first = [signing.verify(frame) for frame in frames]
-    assert first == [Verdict.SIGNED] * MAX_STREAMS + [Verdict.TOO_MANY_STREAMS] * 3
+    assert (
+        first == [SignatureVerdict.SIGNED] * MAX_STREAMS + [SignatureVerdict.TOO_MANY_STREAMS] * 3
+    )
     assert not any(signing.verify(frame).is_accepted for frame in frames)
 
 
 def test_there_is_room_for_sixteen_streams() -> None:
     signing = receiver()
     verdicts = [signing.verify(signed(NOW, link_id=n)) for n in range(17)]
-    assert verdicts == [Verdict.SIGNED] * 16 + [Verdict.TOO_MANY_STREAMS]
+    assert verdicts == [SignatureVerdict.SIGNED] * 16 + [SignatureVerdict.TOO_MANY_STREAMS]
 
 
 def test_every_verdict_is_counted() -> None:
@@ -101,10 +114,10 @@ def test_every_verdict_is_counted() -> None:
         signing.verify(frame)
     counted = {verdict: count for verdict, count in signing.verdicts.items() if count}
     assert counted == {
-        Verdict.SIGNED: 1,
-        Verdict.REPLAYED: 1,
-        Verdict.BAD_SIGNATURE: 1,
-        Verdict.UNSIGNED: 2,
+        SignatureVerdict.SIGNED: 1,
+        SignatureVerdict.REPLAYED: 1,
+        SignatureVerdict.BAD_SIGNATURE: 1,
+        SignatureVerdict.UNSIGNED: 2,
     }
 
 
@@ -115,48 +128,48 @@ def test_a_frame_recorded_on_another_link_of_its_sender_is_a_replay() -> None:
     recorded = signed(NOW - 100, link_id=1)
     by_the_guide, strict = receiver(), companion()
     for signing in (by_the_guide, strict):
-        assert signing.verify(signed(NOW, link_id=0)) is Verdict.SIGNED
-    assert by_the_guide.verify(recorded) is Verdict.SIGNED
-    assert strict.verify(recorded) is Verdict.REPLAYED
-    assert strict.verify(signed(NOW + 1, link_id=1)) is Verdict.SIGNED
+        assert signing.verify(signed(NOW, link_id=0)) is SignatureVerdict.SIGNED
+    assert by_the_guide.verify(recorded) is SignatureVerdict.SIGNED
+    assert strict.verify(recorded) is SignatureVerdict.REPLAYED
+    assert strict.verify(signed(NOW + 1, link_id=1)) is SignatureVerdict.SIGNED
 
 
 @pytest.mark.parametrize(
     ("ahead", "verdict"),
-    [(MAX_AHEAD, Verdict.SIGNED), (MAX_AHEAD + 1, Verdict.TOO_FAR_AHEAD)],
+    [(MAX_AHEAD, SignatureVerdict.SIGNED), (MAX_AHEAD + 1, SignatureVerdict.TOO_FAR_AHEAD)],
 )
-def test_a_peer_may_be_a_minute_ahead_and_no_more(ahead: int, verdict: Verdict) -> None:
+def test_a_peer_may_be_a_minute_ahead_and_no_more(ahead: int, verdict: SignatureVerdict) -> None:
     assert companion().verify(signed(NOW + ahead)) is verdict
-    assert receiver().verify(signed(NOW + ahead)) is Verdict.SIGNED
+    assert receiver().verify(signed(NOW + ahead)) is SignatureVerdict.SIGNED
 
 
 def test_a_sender_far_ahead_moves_nothing_and_is_heard_again_once_it_is_right() -> None:
     signing = companion()
     signing.verify(signed(NOW))
-    assert signing.verify(signed(MAX_TIMESTAMP)) is Verdict.TOO_FAR_AHEAD
+    assert signing.verify(signed(MAX_TIMESTAMP)) is SignatureVerdict.TOO_FAR_AHEAD
     assert signing.timestamp == NOW
-    assert signing.verify(signed(NOW + 1)) is Verdict.SIGNED
+    assert signing.verify(signed(NOW + 1)) is SignatureVerdict.SIGNED
 
 
 def test_peers_cannot_push_our_clock_ahead_minute_by_minute() -> None:
     signing = companion()
-    assert signing.verify(signed(NOW + MAX_AHEAD)) is Verdict.SIGNED
-    assert signing.verify(signed(NOW + 2 * MAX_AHEAD)) is Verdict.TOO_FAR_AHEAD
+    assert signing.verify(signed(NOW + MAX_AHEAD)) is SignatureVerdict.SIGNED
+    assert signing.verify(signed(NOW + 2 * MAX_AHEAD)) is SignatureVerdict.TOO_FAR_AHEAD
 
 
 @pytest.mark.parametrize("ahead", [0, MAX_AHEAD // 2, MAX_AHEAD])
 @pytest.mark.parametrize("behind", [0, 200_000, MAX_BEHIND])
 def test_a_station_ahead_does_not_lock_out_an_autopilot_behind(ahead: int, behind: int) -> None:
     signing = companion()
-    assert signing.verify(signed(NOW + ahead)) is Verdict.SIGNED
-    assert signing.verify(signed(NOW - behind, system=1, component=1)) is Verdict.SIGNED
+    assert signing.verify(signed(NOW + ahead)) is SignatureVerdict.SIGNED
+    assert signing.verify(signed(NOW - behind, system=1, component=1)) is SignatureVerdict.SIGNED
 
 
 def test_a_companion_refuses_a_new_stream_more_than_a_minute_behind_its_own_clock() -> None:
     signing = companion()
     signing.verify(signed(NOW + MAX_AHEAD))
     late = signed(NOW - MAX_BEHIND - 1, system=1, component=1)
-    assert signing.verify(late) is Verdict.TOO_OLD
+    assert signing.verify(late) is SignatureVerdict.TOO_OLD
 
 
 def test_a_station_ever_farther_ahead_does_not_move_our_clock_over_restarts() -> None:
@@ -165,8 +178,8 @@ def test_a_station_ever_farther_ahead_does_not_move_our_clock_over_restarts() ->
     for restart in range(5):
         verdicts.append(signing.verify(signed(NOW + (restart + 1) * MAX_AHEAD)))
         signing = companion(signing.timestamp, dict(signing.streams), clock=signing.clock)
-    assert verdicts == [Verdict.SIGNED] + [Verdict.TOO_FAR_AHEAD] * 4
-    assert signing.verify(signed(NOW, system=1, component=1)) is Verdict.SIGNED
+    assert verdicts == [SignatureVerdict.SIGNED] + [SignatureVerdict.TOO_FAR_AHEAD] * 4
+    assert signing.verify(signed(NOW, system=1, component=1)) is SignatureVerdict.SIGNED
 
 
 def test_after_a_restart_we_sign_later_than_whatever_we_signed_before() -> None:
@@ -181,18 +194,18 @@ def test_without_a_real_time_clock_the_stored_one_keeps_old_recordings_out() -> 
     before = companion()
     after = companion(before.timestamp, clock=before.clock)
     after.advance(0.0)
-    assert after.verify(signed(NOW - MAX_BEHIND - 1)) is Verdict.TOO_OLD
-    assert after.verify(signed(NOW)) is Verdict.SIGNED
+    assert after.verify(signed(NOW - MAX_BEHIND - 1)) is SignatureVerdict.TOO_OLD
+    assert after.verify(signed(NOW)) is SignatureVerdict.SIGNED
 
 
 def test_ahead_is_ahead_of_the_clock_as_it_goes_on() -> None:
     signing = companion(timestamp=0)
     unix_s = EPOCH_UNIX_S + (NOW - 1000) / 1e5
-    assert signing.verify(signed(NOW)) is Verdict.TOO_FAR_AHEAD
+    assert signing.verify(signed(NOW)) is SignatureVerdict.TOO_FAR_AHEAD
     signing.advance(unix_s)
-    assert signing.verify(signed(NOW)) is Verdict.SIGNED
+    assert signing.verify(signed(NOW)) is SignatureVerdict.SIGNED
     signing.advance(0.0)
-    assert signing.verify(signed(NOW + 1)) is Verdict.SIGNED
+    assert signing.verify(signed(NOW + 1)) is SignatureVerdict.SIGNED
 
 
 def test_streams_that_were_stored_keep_their_recorded_frames_out_after_a_restart() -> None:
@@ -201,5 +214,5 @@ def test_streams_that_were_stored_keep_their_recorded_frames_out_after_a_restart
     for frame in recorded:
         assert before.verify(frame).is_accepted
     after = companion(before.timestamp, dict(before.streams))
-    assert [after.verify(frame) for frame in recorded] == [Verdict.REPLAYED] * 3
-    assert after.verify(signed(NOW + 3)) is Verdict.SIGNED
+    assert [after.verify(frame) for frame in recorded] == [SignatureVerdict.REPLAYED] * 3
+    assert after.verify(signed(NOW + 3)) is SignatureVerdict.SIGNED

@@ -18,9 +18,9 @@ from companion.mav.signing import (
     ONE_LINK_EACH,
     TICKS_PER_S,
     LinkSigning,
+    SignatureVerdict,
     Signing,
     SigningKey,
-    Verdict,
 )
 
 KEY = SigningKey(bytes(range(1, 33)))
@@ -43,7 +43,7 @@ def frames(count: int, begin: int = NOW) -> list[bytes]:
     return [codec.encode(heartbeat) for _ in range(count)]
 
 
-def fly(folder: Path, heard: list[bytes], *, is_killed: bool = False) -> list[Verdict]:
+def fly(folder: Path, heard: list[bytes], *, is_killed: bool = False) -> list[SignatureVerdict]:
     """One run of the companion; how it judged what it heard."""
     signing, store = opened(folder)
     keeper = SigningKeeper(signing, store)
@@ -70,9 +70,9 @@ def test_the_first_run_remembers_nothing(tmp_path: Path) -> None:
 
 def test_what_was_heard_before_a_restart_is_a_replay_after_it(tmp_path: Path) -> None:
     recorded = frames(5)
-    assert fly(tmp_path, recorded) == [Verdict.SIGNED] * 5
-    assert fly(tmp_path, recorded) == [Verdict.REPLAYED] * 5
-    assert fly(tmp_path, frames(1, NOW + 5)) == [Verdict.SIGNED]
+    assert fly(tmp_path, recorded) == [SignatureVerdict.SIGNED] * 5
+    assert fly(tmp_path, recorded) == [SignatureVerdict.REPLAYED] * 5
+    assert fly(tmp_path, frames(1, NOW + 5)) == [SignatureVerdict.SIGNED]
 
 
 def test_timestamps_of_our_own_go_on_from_the_stored_one(tmp_path: Path) -> None:
@@ -83,7 +83,7 @@ def test_timestamps_of_our_own_go_on_from_the_stored_one(tmp_path: Path) -> None
 
 def test_a_station_ahead_moves_our_clock_over_no_restart(tmp_path: Path) -> None:
     fly(tmp_path, frames(1, NOW + MINUTE))
-    assert fly(tmp_path, frames(1, NOW + 2 * MINUTE)) == [Verdict.TOO_FAR_AHEAD]
+    assert fly(tmp_path, frames(1, NOW + 2 * MINUTE)) == [SignatureVerdict.TOO_FAR_AHEAD]
 
 
 def test_without_a_real_time_clock_the_stored_clock_goes_on(tmp_path: Path) -> None:
@@ -91,8 +91,8 @@ def test_without_a_real_time_clock_the_stored_clock_goes_on(tmp_path: Path) -> N
     store = SigningStore(tmp_path / "signing.key", KEY)
     signing = store.signing(KEY, ONE_LINK_EACH)
     signing.advance(0.0)
-    assert signing.verify(frames(1, NOW - MINUTE - 1)[0]) is Verdict.TOO_OLD
-    assert signing.verify(frames(1, NOW + MINUTE)[0]) is Verdict.SIGNED
+    assert signing.verify(frames(1, NOW - MINUTE - 1)[0]) is SignatureVerdict.TOO_OLD
+    assert signing.verify(frames(1, NOW + MINUTE)[0]) is SignatureVerdict.SIGNED
 
 
 def test_a_memory_without_a_clock_begins_from_its_timestamp(tmp_path: Path) -> None:
@@ -111,9 +111,9 @@ def test_after_a_crash_the_unstored_end_cannot_come_back_either(tmp_path: Path) 
     recorded = frames(5)
     fly(tmp_path, recorded[:3], is_killed=True)
     signing, _ = opened(tmp_path)
-    assert [signing.verify(frame) for frame in recorded] == [Verdict.REPLAYED] * 5
-    assert signing.verify(frames(1, NOW + 2 + MARGIN)[0]) is Verdict.REPLAYED
-    assert signing.verify(frames(1, NOW + 3 + MARGIN)[0]) is Verdict.SIGNED
+    assert [signing.verify(frame) for frame in recorded] == [SignatureVerdict.REPLAYED] * 5
+    assert signing.verify(frames(1, NOW + 2 + MARGIN)[0]) is SignatureVerdict.REPLAYED
+    assert signing.verify(frames(1, NOW + 3 + MARGIN)[0]) is SignatureVerdict.SIGNED
 
 
 def test_a_run_killed_at_once_has_the_margin_too(tmp_path: Path) -> None:
@@ -139,7 +139,7 @@ def test_one_broken_slot_costs_a_generation_and_no_more(tmp_path: Path, cut: str
         }[cut]
     )
     signing, _ = opened(tmp_path)
-    assert [signing.verify(frame) for frame in recorded] == [Verdict.REPLAYED] * 5
+    assert [signing.verify(frame) for frame in recorded] == [SignatureVerdict.REPLAYED] * 5
 
 
 def test_a_slot_cut_or_flipped_anywhere_is_never_taken_for_whole(tmp_path: Path) -> None:

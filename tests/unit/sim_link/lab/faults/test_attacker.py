@@ -7,7 +7,7 @@ import pytest
 
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
-from companion.mav.signing import LinkSigning, Signing, SigningKey, Verdict
+from companion.mav.signing import LinkSigning, SignatureVerdict, Signing, SigningKey
 from sim_link.lab.faults.fault_models import (
     ForeignFrames,
     ForgedFrames,
@@ -37,15 +37,17 @@ def overheard(signing: Signing) -> tuple[Attacker, list[bytes]]:
 @pytest.mark.parametrize(
     ("fault", "verdicts"),
     [
-        (ForgedFrames(), {Verdict.BAD_SIGNATURE}),
-        (UnsignedFrames(), {Verdict.UNSIGNED}),
-        (ReplayedFrames(), {Verdict.REPLAYED}),
+        (ForgedFrames(), {SignatureVerdict.BAD_SIGNATURE}),
+        (UnsignedFrames(), {SignatureVerdict.UNSIGNED}),
+        (ReplayedFrames(), {SignatureVerdict.REPLAYED}),
     ],
 )
-def test_no_frame_of_an_attacker_is_proved(fault: SecurityFault, verdicts: set[Verdict]) -> None:
+def test_no_frame_of_an_attacker_is_proved(
+    fault: SecurityFault, verdicts: set[SignatureVerdict]
+) -> None:
     attacker, frames = overheard(Signing(KEY, 1000))
     receiver = Signing(KEY, 1000)
-    assert {receiver.verify(frame) for frame in frames} == {Verdict.SIGNED}
+    assert {receiver.verify(frame) for frame in frames} == {SignatureVerdict.SIGNED}
     attack = [attacker.next(fault) for _ in range(200)]
     assert {receiver.verify(frame) for frame in attack if frame} == verdicts
 
