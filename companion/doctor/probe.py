@@ -128,7 +128,7 @@ class DoctorProbe:
         ):
             if question is not None:
                 self._send(question)
-        self._fence = self._fence or self._fence_fetch.gave_up(now_s)
+        self._fence = self._fence or self._fence_fetch.check_silence(now_s)
 
     def next_timer_s(self) -> float:
         """When the next question may be due."""
@@ -227,15 +227,15 @@ class DoctorProbe:
                 self._autopilots.add(sender[0])
             elif sender[1] == COMPONENT_ID:
                 self._companions.add(sender[0])
-        if not self._binding.admits(message, chunk.peer, now_s):
+        if not self._binding.recognise(message, chunk.peer, now_s):
             return
         if self._bound_s is None:
             self._begin(now_s)
         self._sequence.take(message.get_seq(), now_s)
-        self._freshness.heard(message, now_s)
-        self._clock.heard(message, now_s)
+        self._freshness.receive(message, now_s)
+        self._clock.receive(message, now_s)
         own = (self._codec.system_id, COMPONENT_ID)
-        self._fence = self._fence_fetch.heard(message, now_s, own) or self._fence
+        self._fence = self._fence_fetch.receive(message, now_s, own) or self._fence
         name = message.get_type()
         self._newest[name] = message
         if self._bound_s is not None and now_s >= self._bound_s + SETTLE_S:

@@ -63,7 +63,7 @@ STOP_DEADLINE_S = 1.5
 takes the rest of the two seconds that a stop may last."""
 
 SAME_SIGNAL_S = 0.3
-"""Wall seconds after a signal in which another one is the same wish."""
+"""Wall seconds after a signal in which another one is the same request."""
 
 LATE_S = 0.05
 """A timer later than this has missed a whole control tick."""

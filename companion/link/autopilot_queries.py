@@ -1,6 +1,6 @@
 """What the companion asks the autopilot by itself, outside of any mission.
 
-Each dialogue hears the autopilot's messages and says when a question is due: for its fence, for the
+Each query receives the autopilot's messages and says when a question is due: for its fence, for the
 streams that are needed, for a parameter, for the time. At most one of the first three leaves per
 control tick, so that a slow line is not flooded; that for the fence first, because nothing engages
 before it is answered.
@@ -81,7 +81,7 @@ class StreamFreshness:
     def __init__(self) -> None:
         self._streams: dict[int, Stream] = {}
 
-    def heard(self, message: Message, now_s: float) -> bool:
+    def receive(self, message: Message, now_s: float) -> bool:
         """Take in a message of the autopilot; whether its stream made progress."""
         number = message.get_msgId()
         stream = self._streams.get(number)
@@ -287,7 +287,7 @@ class Px4FailsafeCheck:
         self._next_s = now_s + ASK_PERIOD_S
         return mavlink.MAVLink_param_request_read_message(system_id, component_id, PARAMETER, -1)
 
-    def heard(self, message: Message) -> str | None:
+    def receive(self, message: Message) -> str | None:
         """Take in a message of the autopilot; the warning, once, if it is deserved."""
         if isinstance(message, mavlink.MAVLink_param_value_message):
             self._take_parameter(message)
@@ -331,11 +331,11 @@ class AutopilotQueries:
         self._stale: tuple[str, ...] = ()
         self._may_tell = RateLimit(TEXTS_PER_S)
 
-    def heard(self, message: Message, now_s: float) -> list[Announce]:
+    def receive(self, message: Message, now_s: float) -> list[Announce]:
         """Take in a message of the autopilot; what the operator is to be told."""
-        self.freshness.heard(message, now_s)
-        self.clock.heard(message, now_s)
-        warning = self._px4_check.heard(message)
+        self.freshness.receive(message, now_s)
+        self.clock.receive(message, now_s)
+        warning = self._px4_check.receive(message)
         return [] if warning is None else [Announce(Severity.WARNING, warning)]
 
     def due(self, now_s: float, *, is_mode_wanted: bool = False) -> list[Message]:
@@ -362,7 +362,7 @@ class AutopilotQueries:
         """Ask for a HEARTBEAT, once, instead of waiting for the next one."""
         self._asks_mode = True
 
-    def news(self, now_s: float) -> list[Announce]:
+    def new_texts(self, now_s: float) -> list[Announce]:
         """What the operator is to be told about streams, while others still flow."""
         stale = self.freshness.stale(now_s)
         stopped = [name for name in stale if name not in self._stale]
@@ -371,7 +371,7 @@ class AutopilotQueries:
         if is_silent or not stopped:
             self._stale = tuple(name for name in self._stale if name in stale)
             return []
-        if not self._may_tell.allows(now_s):
+        if not self._may_tell.acquire(now_s):
             return []
         self._stale = stale
         return [Announce(Severity.WARNING, f"no {' and '.join(stopped)} any more: asking again")]

@@ -283,7 +283,7 @@ class ClockSync:
         self._open.append(sent_ns)
         return TargetedTimesync(0, sent_ns, system_id, component_id)
 
-    def heard(self, message: Message, now_s: float) -> None:
+    def receive(self, message: Message, now_s: float) -> None:
         """Take in a message of the autopilot."""
         if not isinstance(message, mavlink.MAVLink_timesync_message):
             return

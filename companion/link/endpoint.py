@@ -268,7 +268,7 @@ class CompanionEndpoint:
                 self._serve_station(message, now_s, may_grant=False)
 
     def _receive_on_vehicle_link(self, frame: bytes, chunk: Chunk, now_s: float) -> None:
-        """The log has room for the vehicle and whoever has the key, not for every stranger."""
+        """The log has room for the vehicle and whoever has the key, not for every unknown peer."""
         binding = self.binding
         was_bound, is_peer = binding.is_bound, chunk.peer == binding.peer
         if binding.is_keyed or not was_bound or is_peer:
@@ -276,7 +276,7 @@ class CompanionEndpoint:
         message = self._intakes[chunk.link].codec.decode_proved(frame)
         if message is None or not self.authenticity.is_proved(frame):
             return
-        if binding.admits(message, chunk.peer, now_s):
+        if binding.recognise(message, chunk.peer, now_s):
             if not was_bound:
                 self.executor.bind(now_s)
             self.executor.receive(message, now_s)
@@ -301,16 +301,16 @@ class CompanionEndpoint:
     def _announce_news(self, now_s: float) -> None:
         """Tell the operator about keys, unknown peers and streams."""
         signing, links = self.authenticity.tick(now_s), self._alarms.tick(now_s)
-        for text in (*signing, *links, *self._queries.news(now_s)):
+        for text in (*signing, *links, *self._queries.new_texts(now_s)):
             self._outlet.announce(text, now_s)
 
     def _ask_autopilot(self, now_s: float) -> None:
-        given_up = self._queries.fence.gave_up(now_s)
+        given_up = self._queries.fence.check_silence(now_s)
         if given_up is not None:
             self.executor.handle(given_up, now_s)
         is_mode_wanted = self.session.vehicle.wants_mode(now_s)
         for question in self._queries.due(now_s, is_mode_wanted=is_mode_wanted):
-            self._outlet.send(question, now_s, can_be_spared=True)
+            self._outlet.send(question, now_s, is_droppable=True)
 
     def _link_record(self, now_s: float) -> dict[str, object]:
         """Counters of all links, and what became of the measurements."""
@@ -324,7 +324,7 @@ class CompanionEndpoint:
             "overtaken": self.executor.inbound.overtaken,
             **self.authenticity.record(),
             "undecodable": sum(intake.codec.undecodable for intake in self._intakes),
-            "strangers": self.binding.strangers,
+            "strangers": self.binding.unknown_senders,
             "moves": self.binding.moves,
             "echoes": self._outlet.own_frames.echoes,
             "setpoints": self._outlet.setpoints_sent,

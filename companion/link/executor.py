@@ -97,17 +97,17 @@ class SessionExecutor:
     def receive(self, message: Message, now_s: float) -> None:
         """Take in a message of the autopilot."""
         order = self._health.sequence.take(message.get_seq(), now_s)
-        for text in self._queries.heard(message, now_s):
+        for text in self._queries.receive(message, now_s):
             self.outlet.announce(text, now_s)
         for event in self.inbound.events(message, now_s, order):
             self.handle(event, now_s)
-        fence = self._queries.fence.heard(message, now_s, self.outlet.own_ids)
+        fence = self._queries.fence.receive(message, now_s, self.outlet.own_ids)
         if fence is not None:
             self.handle(fence, now_s)
         match message:
             case mavlink.MAVLink_command_ack_message():
                 self._receive_ack(message, now_s, order)
-            case mavlink.MAVLink_statustext_message() if self._text_limit.allows(now_s):
+            case mavlink.MAVLink_statustext_message() if self._text_limit.acquire(now_s):
                 fields = {"text": _printable(message.text), "dropped": self._text_limit.refused}
                 self.journal.record("autopilot_text", fields, now_s)
 
@@ -117,7 +117,7 @@ class SessionExecutor:
         system_id, component_id = self.outlet.own_ids
         if ack.target_system not in (0, system_id) or ack.target_component not in (0, component_id):
             return
-        answer = self._requests.answered(ack, now_s)
+        answer = self._requests.receive_ack(ack, now_s)
         if answer is not None:
             self.handle(replace(answer, order=order), now_s)
 

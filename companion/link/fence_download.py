@@ -105,7 +105,7 @@ class FenceDownload:
             return mavlink.MAVLink_mission_request_list_message(*autopilot, FENCE)
         return mavlink.MAVLink_mission_request_int_message(*autopilot, len(reading.items), FENCE)
 
-    def gave_up(self, now_s: float) -> AutopilotFenceRead | None:
+    def check_silence(self, now_s: float) -> AutopilotFenceRead | None:
         """The news that nobody answers, once per reading."""
         reading = self._reading
         if reading is None or reading.tries < TRIES or now_s < reading.next_s:
@@ -118,7 +118,7 @@ class FenceDownload:
         self._rest_s = min(2.0 * self._rest_s, LAST_REST_S)
         return AutopilotFenceRead(now_s, problem=why)
 
-    def heard(self, message: Message, now_s: float, own: Ids) -> AutopilotFenceRead | None:
+    def receive(self, message: Message, now_s: float, own: Ids) -> AutopilotFenceRead | None:
         """Take in a message of the autopilot; its fence, once that is complete.
 
         Args:

@@ -5,8 +5,8 @@ Theory of operation of the shield. The filter itself is the shell's, and the ker
 they are told to the operator, and only while the autopilot speaks, because it may come back from
 another address.
 
-The alarms watch counters that others keep, so that nothing a stranger sends makes a text of its
-own: they are told at once, and then rarely.
+The alarms watch counters that others keep, so that nothing an unknown peer sends makes a
+text of its own: they are told at once, and then rarely.
 """
 
 from __future__ import annotations
@@ -63,11 +63,11 @@ class LinkAlarms:
     def __init__(self, binding: AutopilotBinding, intakes: Sequence[Intake]) -> None:
         self._binding = binding
         self._intakes = intakes
-        self._strangers = 0
+        self._unknown_senders = 0
         self._moves = 0
         self._others = 0
         self._dropped = 0
-        self._may_tell_strangers = RateLimit(ALARM_TEXTS_PER_S)
+        self._may_tell_senders = RateLimit(ALARM_TEXTS_PER_S)
         self._may_tell_moves = RateLimit(ALARM_TEXTS_PER_S)
         self._may_tell_floods = RateLimit(ALARM_TEXTS_PER_S)
 
@@ -81,13 +81,16 @@ class LinkAlarms:
                 "(vehicle.system_id chooses)"
             )
         self._others = len(binding.others)
-        if binding.moves > self._moves and self._may_tell_moves.allows(now_s):
+        if binding.moves > self._moves and self._may_tell_moves.acquire(now_s):
             self._moves = binding.moves
             texts.append(f"the autopilot is heard from another address now: {_place(binding)}")
-        if binding.strangers > self._strangers and self._may_tell_strangers.allows(now_s):
-            count, self._strangers = binding.strangers - self._strangers, binding.strangers
+        if binding.unknown_senders > self._unknown_senders and self._may_tell_senders.acquire(
+            now_s
+        ):
+            count = binding.unknown_senders - self._unknown_senders
+            self._unknown_senders = binding.unknown_senders
             texts.append(f"{count} frames with the autopilot's ids from elsewhere were ignored")
-        if dropped > self._dropped and self._may_tell_floods.allows(now_s):
+        if dropped > self._dropped and self._may_tell_floods.acquire(now_s):
             count, self._dropped = dropped - self._dropped, dropped
             texts.append(f"flood: {count} datagrams or frames were dropped unread")
         return [Announce(Severity.WARNING, text) for text in texts]

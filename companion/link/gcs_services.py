@@ -129,7 +129,7 @@ class ParameterServer:
             return
         if isinstance(message, mavlink.MAVLink_param_request_list_message):
             self._next_listed = 0 if self._next_listed is None else self._next_listed
-        elif not self._limit.allows(now_s):
+        elif not self._limit.acquire(now_s):
             return
         elif isinstance(message, mavlink.MAVLink_param_set_message):
             self._set(message, now_s)
@@ -207,7 +207,7 @@ class ParameterServer:
         raw = raw_value(self._book.value_at(index), spec.kind, self.encoding)
         count = len(self._book.specs)
         message = RawParamValue(spec.name, raw, spec.kind, count, index)
-        self._outlet.broadcast(message, now_s, can_be_spared=True)
+        self._outlet.broadcast(message, now_s, is_droppable=True)
 
     def _refuse(
         self, to: Message, name: str, index: int, error: int, reason: str, now_s: float
@@ -219,8 +219,8 @@ class ParameterServer:
             index,
             error,
         )
-        self._outlet.broadcast(message, now_s, can_be_spared=True)
-        if not self._text_limit.allows(now_s):
+        self._outlet.broadcast(message, now_s, is_droppable=True)
+        if not self._text_limit.acquire(now_s):
             return
         what = "".join(c if c.isprintable() else "?" for c in name) or f"number {index}"
         text = f"parameter {what}: {reason}"
@@ -262,7 +262,7 @@ class CommandHandler:
         """
         if (message.target_system, message.target_component) != self._outlet.own_ids:
             return
-        if not self._limit.allows(now_s):
+        if not self._limit.acquire(now_s):
             return
         result = mavlink.MAV_RESULT_UNSUPPORTED
         if message.command == mavlink.MAV_CMD_NAV_GUIDED_ENABLE:
@@ -283,7 +283,7 @@ class CommandHandler:
         self._outlet.broadcast(ack, now_s)
         if is_version_wanted:
             version = outbound.autopilot_version(CAPABILITY[self._parameters.encoding])
-            self._outlet.broadcast(version, now_s, can_be_spared=True)
+            self._outlet.broadcast(version, now_s, is_droppable=True)
 
 
 def _wants_version(message: AddressedCommand) -> bool:

@@ -29,7 +29,7 @@ from companion.guidance.events import (
     YawMeasured,
 )
 from companion.guidance.flight.vehicle import ORIGIN_STEP_M
-from companion.link.clock_sync import ClockSync, StampReading, VehicleClock
+from companion.link.clock_sync import ClockSync, VehicleClock
 from companion.mav import dialect
 from companion.mav.dialect import (
     MAVLink_ekf_status_report_message,
@@ -76,11 +76,11 @@ class VehicleHealthInbound:
             case mavlink.MAVLink_estimator_status_message():
                 m = message
                 ratios = (m.vel_ratio, m.pos_horiz_ratio, m.pos_vert_ratio, m.mag_ratio)
-                event = _rated(ratios, BAD_RATIO, now_s)
+                event = _rating(ratios, BAD_RATIO, now_s)
             case MAVLink_ekf_status_report_message():
                 r = message
                 variances = (r.velocity_variance, r.pos_horiz_variance, r.pos_vert_variance)
-                event = _rated((*variances, r.compass_variance), BAD_VARIANCE, now_s)
+                event = _rating((*variances, r.compass_variance), BAD_VARIANCE, now_s)
             case mavlink.MAVLink_gps_raw_int_message():
                 if message.fix_type in FIXES or message.fix_type in NO_FIXES:
                     event = FixReported(now_s, message.fix_type in FIXES)
@@ -111,7 +111,7 @@ def _echo(
     return SetpointEchoed(now_s, None)
 
 
-def _rated(values: Iterable[float], bad: float, now_s: float) -> EstimatorRated | None:
+def _rating(values: Iterable[float], bad: float, now_s: float) -> EstimatorRated | None:
     known = [value for value in values if math.isfinite(value)]
     return EstimatorRated(now_s, max(known) / bad) if known else None
 
@@ -185,26 +185,14 @@ class VehicleInbound:
         Args:
             number: Its place in the order of sending, from the sequence numbers.
         """
-        if self._is_overtaken(message, number, now_s):
+        if self._note_order(message, number, now_s):
             self.overtaken += 1
             return []
         match message:
             case mavlink.MAVLink_heartbeat_message():
                 return self._heartbeat(message, now_s, number)
-            case mavlink.MAVLink_local_position_ned_message():
-                reading = self.clock.read(message.time_boot_ms / 1000.0, now_s)
-                state = VehicleState(
-                    reading.time_s,
-                    enu_from_ned((message.x, message.y, message.z)),
-                    enu_from_ned((message.vx, message.vy, message.vz)),
-                )
-                return self._with_restart(reading, VehicleMoved(now_s, state, order=number))
-            case mavlink.MAVLink_attitude_message():
-                if not abs(message.yaw) <= MAX_YAW_RAD:
-                    return []
-                reading = self.clock.read(message.time_boot_ms / 1000.0, now_s)
-                yaw = YawMeasured(now_s, reading.time_s, message.yaw, order=number)
-                return self._with_restart(reading, yaw)
+            case mavlink.MAVLink_local_position_ned_message() | mavlink.MAVLink_attitude_message():
+                return self._stamped(message, now_s, number)
             case mavlink.MAVLink_extended_sys_state_message():
                 return [
                     LandedStateChanged(now_s, _landed_state(message.landed_state), order=number)
@@ -214,17 +202,17 @@ class VehicleInbound:
                 health = message.onboard_control_sensors_health & PREARM_BIT
                 self._is_prearm_good = not present or bool(health)
             case mavlink.MAVLink_gps_global_origin_message():
-                return self._origin_set(message, now_s, number)
+                return self._take_origin(message, now_s, number)
             case mavlink.MAVLink_home_position_message():
                 self._home = message
-                return self._home_set(now_s)
+                return self._home_events(now_s)
             case mavlink.MAVLink_timesync_message() if self.clock.sync.take_restart():
                 self.clock.restart()
-                return [self._restarted(now_s)]
+                return [self._restart(now_s)]
         return self._health.events(message, now_s)
 
-    def _is_overtaken(self, message: Message, number: int, now_s: float) -> bool:
-        """Whether a message is older than one of its kind that was taken in.
+    def _note_order(self, message: Message, number: int, now_s: float) -> bool:
+        """Note a message's place in the order; whether a newer one of its kind came before.
 
         After a long delay a sequence number may lie. So a HEARTBEAT is withheld only if it shows
         what could give us control, never if it takes control away.
@@ -247,12 +235,30 @@ class VehicleInbound:
             return is_armed and is_offboard
         return True
 
-    def _with_restart(self, reading: StampReading, event: Event) -> list[Event]:
+    def _stamped(
+        self,
+        message: mavlink.MAVLink_local_position_ned_message | mavlink.MAVLink_attitude_message,
+        now_s: float,
+        number: int,
+    ) -> list[Event]:
+        """A position or an attitude at its own time; a stamp can also show a restart."""
+        event: Event
+        if isinstance(message, mavlink.MAVLink_attitude_message):
+            if not abs(message.yaw) <= MAX_YAW_RAD:
+                return []
+            reading = self.clock.read(message.time_boot_ms / 1000.0, now_s)
+            event = YawMeasured(now_s, reading.time_s, message.yaw, order=number)
+        else:
+            reading = self.clock.read(message.time_boot_ms / 1000.0, now_s)
+            place_enu_m = enu_from_ned((message.x, message.y, message.z))
+            velocity_enu_mps = enu_from_ned((message.vx, message.vy, message.vz))
+            state = VehicleState(reading.time_s, place_enu_m, velocity_enu_mps)
+            event = VehicleMoved(now_s, state, order=number)
         if self.clock.is_wild:
             return []
-        return [self._restarted(event.time_s), event] if reading.is_reboot else [event]
+        return [self._restart(now_s), event] if reading.is_reboot else [event]
 
-    def _restarted(self, now_s: float) -> AutopilotRestarted:
+    def _restart(self, now_s: float) -> AutopilotRestarted:
         """Forget what was before."""
         self._newest.clear()
         self._frame = self._frame_begun = None
@@ -283,7 +289,7 @@ class VehicleInbound:
         )
         return [event]
 
-    def _origin_set(
+    def _take_origin(
         self, message: mavlink.MAVLink_gps_global_origin_message, now_s: float, number: int
     ) -> list[Event]:
         is_somewhere = _is_on_earth(message.latitude, message.longitude)
@@ -294,7 +300,7 @@ class VehicleInbound:
         )
         self._note_frame(origin, number, now_s)
         self._origin = origin
-        return [OriginSet(now_s, self._origin), *self._home_set(now_s)]
+        return [OriginSet(now_s, self._origin), *self._home_events(now_s)]
 
     def _note_frame(self, origin: LocalOrigin, number: int, now_s: float) -> None:
         """Remember when the frame moved; an origin that creeps takes nothing with it."""
@@ -304,7 +310,7 @@ class VehicleInbound:
             frame, self._frame_begun = origin, (number, now_s)
         self._frame = frame
 
-    def _home_set(self, now_s: float) -> list[Event]:
+    def _home_events(self, now_s: float) -> list[Event]:
         """Home in the local frame; by latitude and longitude where the origin is known.
 
         The message's own x, y, z are only trusted until then: not every autopilot fills them.

@@ -54,7 +54,7 @@ class RateLimit:
         self._left = float(burst)
         self._seen_s = -math.inf
 
-    def allows(self, now_s: float) -> bool:
+    def acquire(self, now_s: float) -> bool:
         """Whether one more may pass now."""
         if now_s > self._seen_s:
             self._left = min(self._burst, self._left + (now_s - self._seen_s) * self._per_s)
@@ -69,7 +69,7 @@ class RateLimit:
 PEER_SILENCE_S = 3.0
 """The autopilot must be silent this long before the same ids are believed from a new address."""
 MOST_OTHERS = 3
-"""Other autopilots than this many are not remembered: a stranger can invent any number."""
+"""Other autopilots than this many are not remembered: anybody can invent any number."""
 KEYED_SILENCE_S = 0.5
 """The same where every frame is proved: so long that two ways to one autopilot do not alternate."""
 
@@ -90,7 +90,7 @@ class AutopilotBinding:
     autopilot: Autopilot = Autopilot.OTHER
     peer: Address | None = None
     heard_s: float | None = None
-    strangers: int = 0
+    unknown_senders: int = 0
     """Frames that carried the autopilot's ids from another address."""
     moves: int = 0
     """How often the autopilot's address changed."""
@@ -107,7 +107,7 @@ class AutopilotBinding:
         """How long the autopilot must be silent before another address is believed."""
         return KEYED_SILENCE_S if self.is_keyed else PEER_SILENCE_S
 
-    def admits(self, message: Message, peer: Address | None, now_s: float) -> bool:
+    def recognise(self, message: Message, peer: Address | None, now_s: float) -> bool:
         """Whether a message comes from the bound autopilot; binds to the first one."""
         if isinstance(message, mavlink.MAVLink_heartbeat_message):
             self._maybe_bind(message, peer)
@@ -116,7 +116,7 @@ class AutopilotBinding:
             return False
         if peer != self.peer:
             if self.heard_s is not None and now_s - self.heard_s < self.silence_s:
-                self.strangers += 1
+                self.unknown_senders += 1
                 return False
             self.peer = peer
             self.moves += 1
@@ -148,7 +148,7 @@ class AutopilotBinding:
 
 
 MAX_SOURCES = 64
-"""Strangers told apart in one tick; those beyond are dropped."""
+"""Unknown peers told apart in one tick; those beyond are dropped."""
 
 
 class Resource(IntEnum):
@@ -180,14 +180,14 @@ class FloodBudget:
         self.dropped = [0, 0, 0]
         """Refusals so far, by what was used up: chunks, frames, messages."""
         self._known = [0, 0, 0]
-        self._strangers = [0, 0, 0]
+        self._unknown = [0, 0, 0]
         self._by_source: dict[Address | None, list[int]] = {}
         self._heartbeats = 0
 
     def renew(self) -> None:
         """A control tick has passed."""
         self._known = [0, 0, 0]
-        self._strangers = [0, 0, 0]
+        self._unknown = [0, 0, 0]
         self._by_source.clear()
         self._heartbeats = 0
 
@@ -196,12 +196,12 @@ class FloodBudget:
         """Refusals so far: chunks, frames and messages."""
         return sum(self.dropped)
 
-    def admits_heartbeat(self) -> bool:
+    def spend_heartbeat(self) -> bool:
         """Whether one more HEARTBEAT of the autopilot's address may come beside all budgets."""
         self._heartbeats += 1
         return self._heartbeats <= HEARTBEATS
 
-    def admits(
+    def spend(
         self, resource: Resource, amount: int, peer: Address | None, *, is_known: bool
     ) -> bool:
         """Whether a source may use so much more of a resource, which is then used."""
@@ -211,7 +211,7 @@ class FloodBudget:
             if own is None:
                 self.dropped[resource] += 1
                 return False
-            accounts = ((self._strangers, UNKNOWN_PEERS), (own, ONE_UNKNOWN_PEER))
+            accounts = ((self._unknown, UNKNOWN_PEERS), (own, ONE_UNKNOWN_PEER))
         for used, allowed in accounts:
             if used[resource] + amount > allowed[resource]:
                 self.dropped[resource] += 1
@@ -221,7 +221,7 @@ class FloodBudget:
         return True
 
     def _account_of(self, peer: Address | None) -> list[int] | None:
-        """What a stranger has used; None if there are too many of them to tell."""
+        """What an unknown peer has used; None if there are too many of them to tell."""
         used = self._by_source.get(peer)
         if used is None and len(self._by_source) < MAX_SOURCES:
             used = self._by_source[peer] = [0, 0, 0]
@@ -252,22 +252,22 @@ class Intake:
 
     def take(self, chunk: Chunk) -> Iterator[bytes]:
         """The proved frames of a chunk, or a raw chunk as it is, as far as the budget goes."""
-        codec, admits, peer, binding = self.codec, self.budget.admits, chunk.peer, self._binding
+        codec, spend, peer, binding = self.codec, self.budget.spend, chunk.peer, self._binding
         is_known = not chunk.is_datagram or (
             binding is not None and binding.is_bound and peer == binding.peer
         )
-        is_free = is_known and _is_heartbeat(chunk) and self.budget.admits_heartbeat()
-        if not (is_free or admits(Resource.BYTES, len(chunk.data), peer, is_known=is_known)):
+        is_free = is_known and _is_heartbeat(chunk) and self.budget.spend_heartbeat()
+        if not (is_free or spend(Resource.BYTES, len(chunk.data), peer, is_known=is_known)):
             return
         if self.is_raw:
             yield chunk.data
             return
         for frame in codec.splitter.split(chunk.data, is_datagram=chunk.is_datagram):
-            if not (is_free or admits(Resource.FRAMES, 1, peer, is_known=is_known)):
+            if not (is_free or spend(Resource.FRAMES, 1, peer, is_known=is_known)):
                 return
             if not codec.proves(frame):
                 continue
-            if not (is_free or admits(Resource.MESSAGES, 1, peer, is_known=is_known)):
+            if not (is_free or spend(Resource.MESSAGES, 1, peer, is_known=is_known)):
                 return
             yield frame
 

@@ -85,7 +85,7 @@ class RequestClient:
         pending.next_s = now_s + RESEND_S
         return message
 
-    def answered(
+    def receive_ack(
         self, ack: mavlink.MAVLink_command_ack_message, now_s: float
     ) -> RequestAnswered | None:
         """What an ACK of the autopilot means for the request in flight."""

@@ -121,25 +121,25 @@ class Outlet:
             codec.system_id = system_id
         self.own_ids = (system_id, self._codec.component_id)
 
-    def send(self, message: Message, now_s: float, *, can_be_spared: bool = False) -> None:
+    def send(self, message: Message, now_s: float, *, is_droppable: bool = False) -> None:
         """Queue a message for the autopilot's address.
 
         Args:
-            can_be_spared: A line that is too slow for everything does without it.
+            is_droppable: A line that is too slow for everything does without it.
         """
         data = self._codec.encode(message)
         self.own_frames.record_sent(data)
         self._journal.frame(data, now_s)
         peer = self._binding.peer
-        self._output.append(Chunk(self._vehicle_link, data, peer, can_be_spared=can_be_spared))
+        self._output.append(Chunk(self._vehicle_link, data, peer, is_droppable=is_droppable))
 
-    def broadcast(self, message: Message, now_s: float, *, can_be_spared: bool = False) -> None:
+    def broadcast(self, message: Message, now_s: float, *, is_droppable: bool = False) -> None:
         """Queue a message for everybody: the autopilot, and ground stations on links of their own.
 
         Args:
             message: Without a target, or with that of a ground station.
         """
-        self.send(message, now_s, can_be_spared=can_be_spared)
+        self.send(message, now_s, is_droppable=is_droppable)
         self.send_to_stations(message)
 
     def send_to_stations(self, message: Message) -> None:
@@ -149,7 +149,7 @@ class Outlet:
         for link in self._gcs_links:
             data = self._codecs[link].encode(message)
             self.own_frames.record_sent(data)
-            self._output.append(Chunk(link, data, None, can_be_spared=True))
+            self._output.append(Chunk(link, data, None, is_droppable=True))
 
     def send_setpoint(self, message: Message, now_s: float) -> None:
         """The same for a setpoint, which is counted."""
@@ -182,7 +182,7 @@ class Outlet:
             return
         self._text_id = self._text_id % 0xFFFF + 1
         for message in outbound.status_text(text.severity.value, text.text, self._text_id):
-            self.broadcast(message, now_s, can_be_spared=True)
+            self.broadcast(message, now_s, is_droppable=True)
 
     def take(self) -> list[Chunk]:
         """What is to be sent, in order; taken once."""

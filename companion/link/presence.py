@@ -20,7 +20,7 @@ from companion.domain import EstimateState, TargetEstimate
 from companion.geometry.coordinates import LocalOrigin
 from companion.guidance.authority.state_machine import PHASE_WORDS
 from companion.guidance.commands import Announce, Severity
-from companion.guidance.session import EmitterStatus, GuidanceSession
+from companion.guidance.session import GuidanceSession
 from companion.link.outbound import time_boot_ms
 from companion.link.outlet import Outlet
 from companion.mav.dialect import (
@@ -73,11 +73,12 @@ class Presence:
             if emitter.estimate is None:
                 continue
             message = estimate_message(emitter.emitter_id, emitter.estimate, origin, now_s)
-            self._outlet.broadcast(message, now_s, can_be_spared=True)
+            self._outlet.broadcast(message, now_s, is_droppable=True)
             if emitter.is_current:
                 for value in named_values(emitter.estimate, now_s):
-                    self._outlet.broadcast(value, now_s, can_be_spared=True)
-            if self._has_icon and origin is not None and _is_worth_an_icon(emitter):
+                    self._outlet.broadcast(value, now_s, is_droppable=True)
+            is_localised = emitter.estimate.state is EstimateState.LOCALISED
+            if self._has_icon and origin is not None and is_localised:  # one place to draw
                 icon = icon_message(emitter.emitter_id, emitter.estimate, origin, now_s)
                 self._outlet.send_to_stations(icon)
 
@@ -159,12 +160,6 @@ def icon_message(
         ICON_FLAGS,
         0,
     )
-
-
-def _is_worth_an_icon(emitter: EmitterStatus) -> bool:
-    """Whether there is one place to draw: a bare point says nothing of how wrong it may be."""
-    estimate = emitter.estimate
-    return estimate is not None and estimate.state is EstimateState.LOCALISED
 
 
 def _place_e7(estimate: TargetEstimate, origin: LocalOrigin) -> tuple[int, int, int]:

@@ -28,7 +28,7 @@ class Chunk:
     """On the way out, without a peer: everyone but these."""
     is_datagram: bool = True
     """False on serial and TCP links, where a chunk may hold any part of a frame."""
-    can_be_spared: bool = False
+    is_droppable: bool = False
     """On the way out: given up first where a line is too slow for all of it."""
 
 

@@ -208,7 +208,7 @@ class LinkWatch:
         if not refused and not lost:
             self._reported[number] = (errors, dropped)
             return
-        if not self._may_report[number].allows(now_s):
+        if not self._may_report[number].acquire(now_s):
             return
         self._reported[number] = (counters.send_errors, counters.dropped)
         parts = []

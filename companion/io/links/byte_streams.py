@@ -99,12 +99,12 @@ class ByteStream:
         """Chunks that were taken or offered, and never sent, because the line is too slow."""
         return self._queue.dropped
 
-    def write(self, data: bytes, *, can_be_spared: bool = False) -> bool:
+    def write(self, data: bytes, *, is_droppable: bool = False) -> bool:
         """Send now or later; False if too much is waiting already and `data` was dropped."""
         if not self._is_open:
             return False
         was_empty = not self._queue
-        is_taken = self._queue.add(data, can_be_spared=can_be_spared)
+        is_taken = self._queue.add(data, is_droppable=is_droppable)
         if was_empty and is_taken:
             self._flush()
         return is_taken
@@ -199,7 +199,7 @@ class StreamLink(Link):
             self.counters.dropped += 1
             return
         dropped = stream.dropped
-        self.counters.sent += stream.write(chunk.data, can_be_spared=chunk.can_be_spared)
+        self.counters.sent += stream.write(chunk.data, is_droppable=chunk.is_droppable)
         self.counters.dropped += stream.dropped - dropped
 
     def close(self) -> None:

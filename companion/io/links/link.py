@@ -77,7 +77,7 @@ class Link(ABC):
 
     def hear_only(self, peer: Address | None) -> None:
         """Let the system drop what others than `peer` send, if it can; None: hear everybody."""
-        del peer  # only UDP has strangers
+        del peer  # only UDP hears unknown peers
 
     @abstractmethod
     def close(self) -> None:
@@ -117,16 +117,16 @@ class SendQueue:
         """Bytes that wait."""
         return self._bytes - self._written
 
-    def add(self, data: bytes, *, can_be_spared: bool = False) -> bool:
+    def add(self, data: bytes, *, is_droppable: bool = False) -> bool:
         """Queue a chunk; whether it was taken."""
-        if can_be_spared and len(self) > SPARE_SHARE * self._limit:
+        if is_droppable and len(self) > SPARE_SHARE * self._limit:
             self.dropped += 1
             return False
         while len(self) + len(data) > self._limit:
             if len(data) > self._limit or not self._drop_one():
                 self.dropped += 1
                 return False
-        self._waiting.append((data, can_be_spared))
+        self._waiting.append((data, is_droppable))
         self._bytes += len(data)
         return True
 

@@ -86,7 +86,7 @@ GONE = frozenset(
 """A socket that refuses with one of these may never work again."""
 FIRST_REOPEN_S, LAST_REOPEN_S = 0.25, 4.0
 MAX_PEERS = 16
-"""Senders that a fan-out link remembers; telemetry must not grow with every stranger."""
+"""Senders that a fan-out link remembers; telemetry must not grow with every unknown peer."""
 
 
 class UdpLink(Link):

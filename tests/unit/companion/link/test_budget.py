@@ -20,7 +20,7 @@ def source(number: int) -> Address:
 def passed(
     budget: FloodBudget, resource: Resource, attempts: int, peer: Address, *, is_known: bool = False
 ) -> int:
-    return sum(budget.admits(resource, 1, peer, is_known=is_known) for _ in range(attempts))
+    return sum(budget.spend(resource, 1, peer, is_known=is_known) for _ in range(attempts))
 
 
 @pytest.mark.parametrize("resource", Resource)
@@ -44,12 +44,12 @@ def test_strangers_share_and_never_touch_what_is_the_autopilots(resource: Resour
 def test_a_loud_stranger_leaves_room_for_a_quiet_one() -> None:
     budget = FloodBudget()
     passed(budget, Resource.FRAMES, 1000, source(1))
-    assert budget.admits(Resource.FRAMES, 1, source(2), is_known=False)
+    assert budget.spend(Resource.FRAMES, 1, source(2), is_known=False)
 
 
 def test_of_a_thousand_sources_only_so_many_are_remembered() -> None:
     budget = FloodBudget()
-    heard = [budget.admits(Resource.FRAMES, 1, source(n), is_known=False) for n in range(1000)]
+    heard = [budget.spend(Resource.FRAMES, 1, source(n), is_known=False) for n in range(1000)]
     assert sum(heard) == MAX_SOURCES
     assert len(budget._by_source) == MAX_SOURCES
 
@@ -57,9 +57,9 @@ def test_of_a_thousand_sources_only_so_many_are_remembered() -> None:
 def test_a_datagram_is_taken_whole_or_not_at_all() -> None:
     budget = FloodBudget()
     limit = ONE_UNKNOWN_PEER[Resource.BYTES]
-    assert not budget.admits(Resource.BYTES, limit + 1, source(1), is_known=False)
-    assert budget.admits(Resource.BYTES, limit, source(1), is_known=False)
-    assert not budget.admits(Resource.BYTES, 1, source(1), is_known=False)
+    assert not budget.spend(Resource.BYTES, limit + 1, source(1), is_known=False)
+    assert budget.spend(Resource.BYTES, limit, source(1), is_known=False)
+    assert not budget.spend(Resource.BYTES, 1, source(1), is_known=False)
 
 
 def test_every_tick_renews_all_of_it() -> None:

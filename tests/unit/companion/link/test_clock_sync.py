@@ -46,7 +46,7 @@ class Autopilot:
             self.now_s += 0.05
             for due_s, message in [w for w in self._waiting if w[0] <= self.now_s]:
                 self._waiting.remove((due_s, message))
-                self.sync.heard(message, due_s)
+                self.sync.receive(message, due_s)
             question = self.sync.due(self.now_s, 1, 1)
             if isinstance(question, TargetedTimesync):
                 up_s, down_s = self.delay()
@@ -144,7 +144,7 @@ def test_single_strange_exchanges_move_nothing() -> None:
 def test_what_is_no_answer_to_our_question_is_ignored(tc1: int, ts1: int) -> None:
     sync = ClockSync()
     sync.due(1.0, 1, 1)
-    sync.heard(received(mavlink.MAVLink_timesync_message(tc1, ts1)), 1.01)
+    sync.receive(received(mavlink.MAVLink_timesync_message(tc1, ts1)), 1.01)
     assert sync.offset_s is None
 
 
@@ -152,8 +152,8 @@ def test_an_answer_counts_once() -> None:
     sync = ClockSync()
     sync.due(1.0, 1, 1)
     answer = received(mavlink.MAVLink_timesync_message(10**12, 10**9))
-    sync.heard(answer, 1.01)
-    sync.heard(answer, 400.0)
+    sync.receive(answer, 1.01)
+    sync.receive(answer, 400.0)
     assert sync.answered == 1
     assert sync.offset_s == pytest.approx(1.005 - 1000.0)
 

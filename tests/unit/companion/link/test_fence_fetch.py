@@ -73,7 +73,7 @@ class Autopilot:
         told = []
         for _ in range(round(duration_s / 0.05)):
             self.now_s = round(self.now_s + 0.05, 6)
-            given_up = self.fetch.gave_up(self.now_s)
+            given_up = self.fetch.check_silence(self.now_s)
             told += [] if given_up is None else [given_up]
             question = self.fetch.due(self.now_s, AUTOPILOT, is_wanted=is_wanted)
             if question is None:
@@ -83,7 +83,7 @@ class Autopilot:
                 self.deaf -= 1
                 continue
             answer = self._answer(question)
-            heard = None if answer is None else self.fetch.heard(answer, self.now_s, OWN)
+            heard = None if answer is None else self.fetch.receive(answer, self.now_s, OWN)
             told += [] if heard is None else [heard]
         return told
 
@@ -153,9 +153,9 @@ class TestTheTransfer:
         fetch, told, now_s = FenceDownload(), None, 0.0
         while told is None and now_s < 10.0:
             now_s += 0.05
-            told = fetch.gave_up(now_s)
+            told = fetch.check_silence(now_s)
             if fetch.due(now_s, AUTOPILOT, is_wanted=True) is not None:
-                assert fetch.heard(ack(mavlink.MAV_MISSION_UNSUPPORTED), now_s, OWN) is None
+                assert fetch.receive(ack(mavlink.MAV_MISSION_UNSUPPORTED), now_s, OWN) is None
         assert told is not None
         assert told.problem == "refused (unsupported)"
         assert not told.is_unusable
@@ -164,8 +164,8 @@ class TestTheTransfer:
         fetch = FenceDownload()
         for step in range(200):
             fetch.due(0.05 * step, AUTOPILOT, is_wanted=True)
-            fetch.heard(ack(99), 0.05 * step, OWN)
-            told = fetch.gave_up(0.05 * step)
+            fetch.receive(ack(99), 0.05 * step, OWN)
+            told = fetch.check_silence(0.05 * step)
             if told is not None:
                 break
         assert told is not None
@@ -185,33 +185,33 @@ class TestTheTransfer:
         autopilot = Autopilot(TRIANGLE)
         autopilot.deaf = 1
         autopilot.run(0.1)
-        assert autopilot.fetch.heard(stray, autopilot.now_s, OWN) is None
+        assert autopilot.fetch.receive(stray, autopilot.now_s, OWN) is None
         (told,) = autopilot.run(2.0)
         assert told.fence == GEO
 
     def test_a_broadcast_answer_is(self) -> None:
         fetch = FenceDownload()
         fetch.due(0.0, AUTOPILOT, is_wanted=True)
-        assert fetch.heard(count(0, target=(0, 0)), 0.1, OWN) == AutopilotFenceRead(0.1)
+        assert fetch.receive(count(0, target=(0, 0)), 0.1, OWN) == AutopilotFenceRead(0.1)
 
     def test_items_out_of_turn_and_a_second_count_are_passed_over(self) -> None:
         fetch = FenceDownload()
         fetch.due(0.0, AUTOPILOT, is_wanted=True)
-        assert fetch.heard(TRIANGLE[0], 0.0, OWN) is None  # before any count
+        assert fetch.receive(TRIANGLE[0], 0.0, OWN) is None  # before any count
         for message in (count(3), count(1), TRIANGLE[1], TRIANGLE[0], TRIANGLE[0], TRIANGLE[2]):
-            assert fetch.heard(message, 0.1, OWN) is None
-        assert fetch.heard(TRIANGLE[1], 0.1, OWN) is None
-        told = fetch.heard(TRIANGLE[2], 0.2, OWN)
+            assert fetch.receive(message, 0.1, OWN) is None
+        assert fetch.receive(TRIANGLE[1], 0.1, OWN) is None
+        told = fetch.receive(TRIANGLE[2], 0.2, OWN)
         assert told is not None
         assert told.fence == GEO
 
     def test_nothing_is_heard_that_was_not_asked_for(self) -> None:
-        assert FenceDownload().heard(count(0), 0.0, OWN) is None
+        assert FenceDownload().receive(count(0), 0.0, OWN) is None
 
     def test_too_many_items_are_not_even_read(self) -> None:
         fetch = FenceDownload()
         fetch.due(0.0, AUTOPILOT, is_wanted=True)
-        told = fetch.heard(count(MAX_ITEMS + 1), 0.1, OWN)
+        told = fetch.receive(count(MAX_ITEMS + 1), 0.1, OWN)
         assert told is not None
         assert told.problem == f"it has {MAX_ITEMS + 1} items, more than {MAX_ITEMS}"
         assert told.is_unusable
@@ -221,7 +221,7 @@ class TestTheTransfer:
         autopilot = Autopilot(TRIANGLE)
         autopilot.run(0.15)
         autopilot.fetch.restart()
-        assert autopilot.fetch.gave_up(1e9) is None
+        assert autopilot.fetch.check_silence(1e9) is None
         autopilot.asked.clear()
         (told,) = autopilot.run(1.0)
         assert isinstance(autopilot.asked[0], List)

@@ -18,34 +18,34 @@ def attitude(boot_ms: int) -> Message:
 def test_the_age_of_a_stream_is_that_of_its_last_progress() -> None:
     freshness = StreamFreshness()
     assert freshness.age_s(POSITION, 5.0) is None
-    assert freshness.heard(local_position(1000), 5.0)
-    assert not freshness.heard(local_position(1000), 5.3)
+    assert freshness.receive(local_position(1000), 5.0)
+    assert not freshness.receive(local_position(1000), 5.3)
     assert freshness.age_s(POSITION, 5.4) == pytest.approx(0.4)
-    assert freshness.heard(local_position(1050), 5.5)
+    assert freshness.receive(local_position(1050), 5.5)
     assert freshness.age_s(POSITION, 5.5) == 0.0
 
 
 @pytest.mark.parametrize("message", [heartbeat(), local_position(0)])
 def test_without_a_stamp_every_arrival_is_progress(message: Message) -> None:
     freshness = StreamFreshness()
-    assert freshness.heard(message, 1.0)
-    assert freshness.heard(message, 2.0)
+    assert freshness.receive(message, 1.0)
+    assert freshness.receive(message, 2.0)
 
 
 def test_the_mean_gap_follows_the_rate() -> None:
     freshness = StreamFreshness()
     for step in range(100):
-        freshness.heard(local_position(1 + step), 0.05 * step)
+        freshness.receive(local_position(1 + step), 0.05 * step)
     assert freshness.stream(POSITION).gap_s == pytest.approx(0.05)
     for step in range(100):
-        freshness.heard(local_position(200 + step), 5.0 + 0.5 * step)
+        freshness.receive(local_position(200 + step), 5.0 + 0.5 * step)
     assert freshness.stream(POSITION).gap_s == pytest.approx(0.5, rel=0.01)
 
 
 def test_what_stopped_is_stale_by_name_and_what_never_came_is_not() -> None:
     freshness = StreamFreshness()
-    freshness.heard(local_position(1), 1.0)
-    freshness.heard(attitude(1), 1.0)
+    freshness.receive(local_position(1), 1.0)
+    freshness.receive(attitude(1), 1.0)
     assert freshness.stale(1.5) == ()
     assert freshness.stale(1.51) == ("position",)
     assert freshness.stale(2.01) == ("position", "attitude")

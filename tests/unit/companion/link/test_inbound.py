@@ -204,7 +204,7 @@ def synchronised(up_s: float, down_s: float, offset_s: float = 100.0) -> ClockSy
     sync = ClockSync()
     sync.due(50.0, 1, 1)
     answer = mavlink.MAVLink_timesync_message(round((50.0 + up_s + offset_s) * 1e9), 50 * 10**9)
-    sync.heard(answer, 50.0 + up_s + down_s)
+    sync.receive(answer, 50.0 + up_s + down_s)
     return sync
 
 

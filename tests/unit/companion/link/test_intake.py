@@ -24,7 +24,7 @@ class Link:
         self.codec = MavCodec(1, 191)
         self.intake = Intake(self.codec, binding)
         self._sender = MavCodec(1, 1)
-        binding.admits(self.sent(HEARTBEAT)[0], VEHICLE, 0.0)
+        binding.recognise(self.sent(HEARTBEAT)[0], VEHICLE, 0.0)
 
     def sent(
         self, message: Message, peer: Address = VEHICLE, *, is_datagram: bool = True

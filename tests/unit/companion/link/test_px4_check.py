@@ -36,15 +36,15 @@ def test_only_the_default_without_an_rc_deserves_a_warning(
     action: int, has_rc: bool, warned: bool
 ) -> None:
     check = Px4FailsafeCheck()
-    assert check.heard(over_the_wire(parameter(action))) is None
-    assert check.heard(over_the_wire(sys_status(has_rc=has_rc))) == (WARNING if warned else None)
-    assert check.heard(over_the_wire(sys_status(has_rc=has_rc))) is None
+    assert check.receive(over_the_wire(parameter(action))) is None
+    assert check.receive(over_the_wire(sys_status(has_rc=has_rc))) == (WARNING if warned else None)
+    assert check.receive(over_the_wire(sys_status(has_rc=has_rc))) is None
 
 
 def test_another_parameter_says_nothing() -> None:
     check = Px4FailsafeCheck()
-    check.heard(over_the_wire(parameter(0, b"COM_OF_LOSS_T")))
-    assert check.heard(over_the_wire(sys_status(has_rc=False))) is None
+    check.receive(over_the_wire(parameter(0, b"COM_OF_LOSS_T")))
+    assert check.receive(over_the_wire(sys_status(has_rc=False))) is None
 
 
 def test_an_autopilot_that_does_not_answer_is_asked_three_times() -> None:
@@ -52,7 +52,7 @@ def test_an_autopilot_that_does_not_answer_is_asked_three_times() -> None:
     asked = [check.due(0.5 * tick, Autopilot.PX4, 1, 1) for tick in range(100)]
     assert len([message for message in asked if message is not None]) == 3
     answered = Px4FailsafeCheck()
-    answered.heard(parameter(5))
+    answered.receive(parameter(5))
     assert answered.due(0.0, Autopilot.PX4, 1, 1) is None
 
 

@@ -64,7 +64,7 @@ def test_a_request_is_sent_four_times_half_a_second_apart_and_then_given_up() ->
 def test_an_ack_ends_the_request(result: int, outcome: Outcome, detail: str) -> None:
     client = asked()
     client.due(0.0)
-    answer = client.answered(ack(result=result), 0.1)
+    answer = client.receive_ack(ack(result=result), 0.1)
     assert answer == RequestAnswered(0.1, RequestKind.ARM, outcome, detail)
     assert client.due(10.0) is None
 
@@ -72,9 +72,9 @@ def test_an_ack_ends_the_request(result: int, outcome: Outcome, detail: str) -> 
 def test_in_progress_means_wait_and_not_resend() -> None:
     client = asked()
     client.due(0.0)
-    assert client.answered(ack(result=IN_PROGRESS), 0.1) is None
+    assert client.receive_ack(ack(result=IN_PROGRESS), 0.1) is None
     assert client.due(3.0) is None
-    assert client.answered(ack(result=IN_PROGRESS), 3.0) is None
+    assert client.receive_ack(ack(result=IN_PROGRESS), 3.0) is None
     assert client.due(5.9) is None
     late = client.due(6.0)
     assert isinstance(late, RequestAnswered)
@@ -84,7 +84,7 @@ def test_in_progress_means_wait_and_not_resend() -> None:
 def test_an_answer_to_another_command_is_not_ours() -> None:
     client = asked()
     client.due(0.0)
-    assert client.answered(ack(mavlink.MAV_CMD_DO_SET_MODE), 0.1) is None
+    assert client.receive_ack(ack(mavlink.MAV_CMD_DO_SET_MODE), 0.1) is None
     assert confirmation_of(client.due(0.5)) == 1
 
 
@@ -94,7 +94,7 @@ def test_progress_without_end_is_given_up() -> None:
     given_up_s = None
     for tick in range(1, 400):
         now_s = tick * TICK_S
-        client.answered(ack(result=IN_PROGRESS), now_s)
+        client.receive_ack(ack(result=IN_PROGRESS), now_s)
         due = client.due(now_s)
         assert not isinstance(due, CommandMessage)
         if due is not None:
@@ -104,7 +104,7 @@ def test_progress_without_end_is_given_up() -> None:
 
 def test_an_answer_before_the_question_belongs_to_an_older_one() -> None:
     client = asked()
-    assert client.answered(ack(), 0.0) is None
+    assert client.receive_ack(ack(), 0.0) is None
     assert confirmation_of(client.due(0.0)) == 0
 
 
@@ -144,7 +144,7 @@ class Asking:
         """Positions come."""
         for _ in range(round(duration_s / interval_s)):
             message = local_position(round(1e3 * self.now_s))
-            self.freshness.heard(message, self.now_s)
+            self.freshness.receive(message, self.now_s)
             self.wait(interval_s)
 
     def times(self, number: int) -> list[float]:
@@ -211,7 +211,7 @@ def test_a_stream_whose_stamps_stand_still_has_stopped() -> None:
     asking.hear(0.05, 5.0)
     message = local_position(round(1e3 * asking.now_s))
     for _ in range(60):
-        asking.freshness.heard(message, asking.now_s)
+        asking.freshness.receive(message, asking.now_s)
         asking.wait(0.05)
     assert len(asking.times(POSITION)) >= 2
 
@@ -233,7 +233,7 @@ def heartbeats_asked(asking: Asking) -> list[float]:
 
 def test_a_heartbeat_that_does_not_come_is_asked_for_often_before_the_mode_is_unknown() -> None:
     asking = Asking()
-    asking.freshness.heard(heartbeat(), 0.0)
+    asking.freshness.receive(heartbeat(), 0.0)
     asking.wait(10.0)
     asked = heartbeats_asked(asking)
     assert asked[0] == pytest.approx(3.0, abs=0.2)
@@ -244,14 +244,14 @@ def test_one_that_comes_once_a_second_is_not_asked_for_nor_one_that_never_came()
     asking = Asking()
     asking.wait(20.0)
     for _ in range(20):
-        asking.freshness.heard(heartbeat(), asking.now_s)
+        asking.freshness.receive(heartbeat(), asking.now_s)
         asking.wait(1.0)
     assert heartbeats_asked(asking) == []
 
 
 def test_who_does_not_know_the_question_is_asked_seldom() -> None:
     asking = Asking()
-    asking.freshness.heard(heartbeat(), 0.0)
+    asking.freshness.receive(heartbeat(), 0.0)
     asking.wait(112.0)
     late = [at for at in heartbeats_asked(asking) if at > 13.0]
     assert len(late) == pytest.approx(20, abs=1)

@@ -37,21 +37,21 @@ def test_a_full_queue_gives_up_the_oldest() -> None:
     assert drained(queue) == b"".join(setpoint(n) for n in range(6, 10))
 
 
-def test_what_can_be_spared_goes_first() -> None:
+def test_what_is_droppable_goes_first() -> None:
     queue = SendQueue(LIMIT)
     queue.add(setpoint(1))
-    queue.add(text(2), can_be_spared=True)
+    queue.add(text(2), is_droppable=True)
     for number in (3, 4, 5):
         assert queue.add(setpoint(number))
     assert drained(queue) == setpoint(1) + setpoint(3) + setpoint(4) + setpoint(5)
     assert queue.dropped == 1
 
 
-def test_what_can_be_spared_is_not_let_in_where_much_waits() -> None:
+def test_what_is_droppable_is_not_let_in_where_much_waits() -> None:
     queue = SendQueue(LIMIT)
     queue.add(bytes(round(SPARE_SHARE * LIMIT)))
-    assert queue.add(text(1), can_be_spared=True)
-    assert not queue.add(text(2), can_be_spared=True)
+    assert queue.add(text(1), is_droppable=True)
+    assert not queue.add(text(2), is_droppable=True)
     assert queue.add(setpoint(3))
 
 
@@ -93,10 +93,10 @@ def test_whatever_happens_it_is_bounded_and_sends_whole_chunks_in_order(
     steps: list[tuple[str, int, bool]],
 ) -> None:
     queue, sent, added = SendQueue(LIMIT), b"", []
-    for number, (kind, count, can_be_spared) in enumerate(steps):
+    for number, (kind, count, is_droppable) in enumerate(steps):
         if kind == "add":
             chunk = number.to_bytes(2, "big") + bytes(count)
-            if queue.add(chunk, can_be_spared=can_be_spared):
+            if queue.add(chunk, is_droppable=is_droppable):
                 added.append(chunk)
         else:
             data = queue.head()[:count]
