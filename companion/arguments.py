@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn, TypeAlias
 
 from companion import __version__
 from companion.errors import ConfigError
@@ -46,6 +47,10 @@ class _Parser(argparse.ArgumentParser):
         raise ConfigError(f"{message} (companion --help shows how)")
 
 
+Options = argparse._ActionsContainer
+Commands: TypeAlias = "argparse._SubParsersAction[_Parser]"
+
+
 def argument_parser() -> argparse.ArgumentParser:
     """What the command understands; a complaint is a `ConfigError`."""
     parser = _Parser(
@@ -56,10 +61,8 @@ def argument_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"companion {__version__}")
     _add_links(parser)
-    _add_configuration(parser)
-    _add_security(parser)
-    _add_course(parser)
-    _add_web(parser)
+    _add_flight(parser)
+    _add_web(parser.add_argument_group("live map (extra web)"))
     commands = parser.add_subparsers(dest="command", metavar="{demo,replay,report,doctor}")
     _add_demo(commands)
     _add_replay(commands)
@@ -68,135 +71,88 @@ def argument_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _add_links(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--connect", metavar="URL", help="link to the autopilot")
-    parser.add_argument(
-        "--ranging",
-        metavar="URL",
-        action="append",
-        default=[],
-        help="link that carries only ranging messages; repeatable",
-    )
-    parser.add_argument(
-        "--gcs",
-        metavar="URL",
-        action="append",
-        default=[],
-        help="link to a ground station, beside the way through the autopilot; repeatable",
-    )
-    parser.add_argument(
-        "--cot",
-        metavar="HOST:PORT",
-        help="send found emitters as Cursor on Target over UDP, for ATAK (239.2.3.1:6969)",
-    )
+def _option(options: Options, name: str, metavar: str, text: str, **more: Any) -> None:
+    options.add_argument(name, metavar=metavar, help=text, **more)
 
 
-def _add_configuration(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--config", dest="fly_config", metavar="FILE", type=Path, help="configuration YAML"
-    )
-    parser.add_argument(
-        "--speed",
-        dest="fly_speed",
-        metavar="X",
-        type=_speed,
-        help="seconds of a simulator per real second (default 1)",
-    )
-    parser.add_argument(
-        "--fence",
-        metavar="FILE",
-        type=Path,
-        help="QGroundControl .plan or .kml with the fence, instead of the configuration's",
-    )
+def _file(options: Options, name: str, text: str, metavar: str = "FILE", **more: Any) -> None:
+    options.add_argument(name, metavar=metavar, help=text, type=Path, **more)
 
 
-def _add_security(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--signing-key",
-        metavar="FILE",
-        type=Path,
-        help="MAVLink 2 signing with the key in FILE (64 hexadecimal digits, mode 0600)",
-    )
-    parser.add_argument(
-        "--insecure",
-        action="store_true",
-        help="listen beyond this machine even without a key: anyone may then command the vehicle",
-    )
+def _switch(options: Options, name: str, text: str, **more: Any) -> None:
+    options.add_argument(name, action="store_true", help=text, **more)
 
 
-def _add_course(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--fresh",
-        action="store_true",
-        help="take up nothing of an earlier run that did not end in order",
-    )
-    parser.add_argument("--once", action="store_true", help="end after the target is reported")
-    parser.add_argument("--quiet", action="store_true", help="only warnings and errors")
+def _add_links(parser: Options) -> None:
+    repeatable: dict[str, Any] = {"action": "append", "default": []}
+    _option(parser, "--connect", "URL", "link to the autopilot")
+    text = "link that carries only ranging messages; repeatable"
+    _option(parser, "--ranging", "URL", text, **repeatable)
+    text = "link to a ground station, beside the way through the autopilot; repeatable"
+    _option(parser, "--gcs", "URL", text, **repeatable)
+    text = "send found emitters as Cursor on Target over UDP, for ATAK (239.2.3.1:6969)"
+    _option(parser, "--cot", "HOST:PORT", text)
 
 
-def _add_web(parser: argparse.ArgumentParser) -> None:
-    web = parser.add_argument_group("live map (extra web)")
-    web.add_argument(
-        "--web",
-        dest="fly_web",
-        metavar="[HOST:]PORT",
-        help="serve the live map; without HOST to this computer only, beyond it with a token",
-    )
-    web.add_argument("--web-control", action="store_true", help="with HOLD, RESUME and RETURN")
-    web.add_argument("--web-token", metavar="TEXT", help="token instead of one made up")
-    web.add_argument("--web-open", action="store_true", help="looking needs no token, buttons do")
-    web.add_argument("--web-tiles", metavar="DIR", type=Path, help="map tiles, z/x/y.png")
+def _add_flight(parser: Options) -> None:
+    _file(parser, "--config", "configuration YAML", dest="fly_config")
+    text = "seconds of a simulator per real second (default 1)"
+    _option(parser, "--speed", "X", text, dest="fly_speed", type=_speed)
+    text = "QGroundControl .plan or .kml with the fence, instead of the configuration's"
+    _file(parser, "--fence", text)
+    text = "MAVLink 2 signing with the key in FILE (64 hexadecimal digits, mode 0600)"
+    _file(parser, "--signing-key", text)
+    text = "listen beyond this machine even without a key: anyone may then command the vehicle"
+    _switch(parser, "--insecure", text)
+    _switch(parser, "--fresh", "resume nothing of an earlier run that did not end in order")
+    _switch(parser, "--once", "end after the target is reported")
+    _switch(parser, "--quiet", "only warnings and errors")
 
 
-def _add_demo(commands: argparse._SubParsersAction[_Parser]) -> None:
+def _add_web(web: Options) -> None:
+    text = "serve the live map; without HOST to this computer only, beyond it with a token"
+    _option(web, "--web", "[HOST:]PORT", text, dest="fly_web")
+    _switch(web, "--web-control", "with HOLD, RESUME and RETURN")
+    _option(web, "--web-token", "TEXT", "token instead of a random one")
+    _switch(web, "--web-open", "viewing needs no token, buttons do")
+    _file(web, "--web-tiles", "map tiles, z/x/y.png", "DIR")
+
+
+def _add_demo(commands: Commands) -> None:
     demo = commands.add_parser(
         "demo",
         help="fly the canonical search on the simulator and watch it",
         description="Start sim-link, fly the canonical search over UDP, and show how well it went.",
     )
-    demo.add_argument("--seed", metavar="N", type=_seed, default=1, help="of the simulator")
-    demo.add_argument("--speed", metavar="X", type=_speed, default=1.0, help="times real time")
-    demo.add_argument("--scenario", metavar="FILE", type=Path, help="scenario for sim-link")
-    demo.add_argument(
-        "--autopilot",
-        choices=("px4", "ardupilot"),
-        help="which autopilot to fly (default: the scenario's, px4)",
-    )
-    demo.add_argument("--config", metavar="FILE", type=Path, help="companion configuration")
-    demo.add_argument("--json", metavar="FILE", type=Path, help="write the result as JSON")
-    demo.add_argument(
-        "--plot", metavar="FILE", type=Path, default=Path("track.png"), help="where to draw"
-    )
-    demo.add_argument(
-        "--web",
-        metavar="[HOST:]PORT",
-        nargs="?",
-        const="8080",
-        help="serve the live map, with buttons (default port 8080)",
-    )
-    demo.add_argument("--no-plot", action="store_true", help="do not draw the track")
+    _option(demo, "--seed", "N", "of the simulator", type=_seed, default=1)
+    _option(demo, "--speed", "X", "times real time", type=_speed, default=1.0)
+    _file(demo, "--scenario", "scenario for sim-link")
+    text = "which autopilot to fly (default: the scenario's, px4)"
+    demo.add_argument("--autopilot", choices=("px4", "ardupilot"), help=text)
+    _file(demo, "--config", "companion configuration")
+    _file(demo, "--json", "write the result as JSON")
+    _file(demo, "--plot", "where to draw the track (default track.png)", default=Path("track.png"))
+    text = "serve the live map, with buttons (default port 8080)"
+    _option(demo, "--web", "[HOST:]PORT", text, nargs="?", const="8080")
+    _switch(demo, "--no-plot", "do not draw the track")
 
 
-def _add_doctor(commands: argparse._SubParsersAction[_Parser]) -> None:
+def _add_doctor(commands: Commands) -> None:
     doctor = commands.add_parser(
         "doctor",
-        help="look at autopilot, link and computer before a flight",
+        help="check autopilot, link and computer before a flight",
         description="Check autopilot, link and computer as a flight needs them, and name the "
         "remedy for what is wrong. Nothing is armed, switched or set. Exit code 1: do not fly.",
     )
-    doctor.add_argument(
-        "--connect", dest="link", metavar="URL", required=True, help="link to the autopilot"
-    )
-    doctor.add_argument("--config", metavar="FILE", type=Path, help="companion configuration")
-    doctor.add_argument("--signing-key", dest="key", metavar="FILE", type=Path, help="as in flight")
-    doctor.add_argument("--insecure", dest="is_insecure", action="store_true", help="as in flight")
-    doctor.add_argument(
-        "--seconds", metavar="S", type=_seconds, default=5.0, help="to count streams (default 5)"
-    )
-    doctor.add_argument("--json", action="store_true", help="print the findings as JSON")
+    _option(doctor, "--connect", "URL", "link to the autopilot", dest="link", required=True)
+    _file(doctor, "--config", "companion configuration")
+    _file(doctor, "--signing-key", "as in flight", dest="key")
+    _switch(doctor, "--insecure", "as in flight", dest="is_insecure")
+    _option(doctor, "--seconds", "S", "to count streams (default 5)", type=_seconds, default=5.0)
+    _switch(doctor, "--json", "print the results as JSON")
 
 
-def _add_replay(commands: argparse._SubParsersAction[_Parser]) -> None:
+def _add_replay(commands: Commands) -> None:
     replay = commands.add_parser(
         "replay",
         help="run a recorded flight or ranging walk again",
@@ -205,53 +161,44 @@ def _add_replay(commands: argparse._SubParsersAction[_Parser]) -> None:
         "ranging walk: it goes through the estimator, a filter per target.",
     )
     replay.add_argument("file", metavar="FLIGHT|FILE.tlog|FILE.csv", type=Path)
-    replay.add_argument(
-        "--speed",
-        metavar="X",
-        type=_speed,
-        help="of a flight, times real time (default: all at once)",
-    )
-    replay.add_argument(
-        "--web",
-        dest="replay_web",
-        metavar="[HOST:]PORT",
-        nargs="?",
-        const="8080",
-        help="show a flight on the live map, at --speed 1 unless given (default port 8080)",
-    )
-    replay.add_argument("--config", metavar="FILE", type=Path, help="companion configuration")
-    replay.add_argument("--json", metavar="FILE", type=Path, help="write the results as JSON")
+    text = "of a flight, times real time (default: as fast as possible)"
+    _option(replay, "--speed", "X", text, type=_speed)
+    text = "show a flight on the live map, at --speed 1 unless given (default port 8080)"
+    _option(replay, "--web", "[HOST:]PORT", text, dest="replay_web", nargs="?", const="8080")
+    _file(replay, "--config", "companion configuration")
+    _file(replay, "--json", "write the results as JSON")
 
 
-def _add_report(commands: argparse._SubParsersAction[_Parser]) -> None:
+def _add_report(commands: Commands) -> None:
     report = commands.add_parser(
         "report",
         help="make the report of a recorded flight",
         description="Make one self-contained HTML page of a flight's event log, and print where it "
         "is. Every flight gets one at its end.",
     )
-    report.add_argument("flight", metavar="FLIGHT", type=Path, help="its folder, or a file in it")
-    report.add_argument("--output", metavar="FILE", type=Path, help="instead of report.html there")
+    _file(report, "flight", "its folder, or a file in it", "FLIGHT")
+    _file(report, "--output", "instead of report.html there")
 
 
 def _speed(text: str) -> float:
-    try:
-        speed = float(text)
-    except ValueError:
-        speed = 0.0
+    speed = _number(text)
     if not 0.0 < speed <= MAX_SPEED:
         raise argparse.ArgumentTypeError(f"`{text}` is not above 0 and at most {MAX_SPEED:g}")
     return speed
 
 
 def _seconds(text: str) -> float:
-    try:
-        seconds = float(text)
-    except ValueError:
-        seconds = 0.0
+    seconds = _number(text)
     if not 1.0 <= seconds <= MAX_SECONDS:
         raise argparse.ArgumentTypeError(f"`{text}` is not 1 to {MAX_SECONDS:g}")
     return seconds
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
 
 
 def _seed(text: str) -> int:
@@ -260,28 +207,18 @@ def _seed(text: str) -> int:
     return int(text)
 
 
+FLIGHT_OPTIONS = "connect ranging gcs cot fence signing_key insecure fresh once"
+SHARED_OPTIONS = "config speed web"
+"""Options that subcommands have, too."""
+
+
 def check_place_of_options(arguments: argparse.Namespace) -> None:
     """Refuse options of flying in front of a subcommand, which would not see them."""
     if arguments.command is None:
         return
-    given = [
-        f"--{name}"
-        for name in (
-            "connect",
-            "ranging",
-            "gcs",
-            "cot",
-            "fence",
-            "signing-key",
-            "insecure",
-            "fresh",
-            "once",
-        )
-        if getattr(arguments, name.replace("-", "_")) not in (None, [], False)
-    ]
-    given += [
-        f"--{n}" for n in ("config", "speed", "web") if getattr(arguments, f"fly_{n}") is not None
-    ]
-    if given:
-        word = arguments.command
-        raise ConfigError(f"{given[0]} in front of `{word}` has no effect; put options after it")
+    places = {name: name for name in FLIGHT_OPTIONS.split()}
+    places |= {name: f"fly_{name}" for name in SHARED_OPTIONS.split()}
+    for name, place in places.items():
+        if getattr(arguments, place) not in (None, [], False):
+            option, word = f"--{name.replace('_', '-')}", arguments.command
+            raise ConfigError(f"{option} in front of `{word}` has no effect; put options after it")

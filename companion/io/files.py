@@ -14,7 +14,7 @@ from datetime import UTC, datetime
 from enum import Enum
 from pathlib import Path
 
-from companion.errors import CompanionError
+from companion.errors import CompanionError, ConfigError
 
 _FLIGHT_NAME = re.compile(r"(?P<time>\d{4}-\d\d-\d\dT\d\d-\d\d-\d\dZ)(-(?P<number>\d+))?")
 
@@ -40,6 +40,18 @@ def plain(value: object) -> object:
     if hasattr(value, "tolist"):  # numpy's scalars and arrays, without importing numpy
         return plain(value.tolist())
     return str(value)
+
+
+def read_file(path: Path) -> bytes:
+    """What is in a file.
+
+    Raises:
+        ConfigError: It cannot be read.
+    """
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
 
 
 def write_json_atomic(path: Path, value: object) -> None:

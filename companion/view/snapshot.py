@@ -16,8 +16,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from companion.config.schema import CompanionConfig
-from companion.domain import EstimateState, TargetEstimate
-from companion.geometry.coordinates import LocalOrigin
+from companion.domain import EstimateState, TargetEstimate, Waypoint
 from companion.geometry.polygons import ellipse_95
 from companion.guidance.authority.state_machine import PHASE_WORDS, Phase
 from companion.guidance.commands import ReportResult, Severity
@@ -54,6 +53,7 @@ def picture_of(endpoint: CompanionEndpoint, now_s: float) -> Json:
     session = endpoint.session
     status = session.status(now_s)
     vehicle = session.vehicle
+    origin, waypoint = vehicle.origin, status.waypoint
     return {
         "t_s": now_s,
         "phase": status.phase.value,
@@ -64,13 +64,13 @@ def picture_of(endpoint: CompanionEndpoint, now_s: float) -> Json:
         "is_link_lost": status.is_link_lost and endpoint.binding.heard_s is not None,
         "battery_pct": status.battery_pct,
         "fence": _fence(session.fencing),
-        "origin": _origin(vehicle.origin),
+        "origin": None if origin is None else (origin.latitude_deg, origin.longitude_deg),
         "vehicle": status.vehicle_enu_m,
         "height_m": status.height_m,
         "distance_m": status.distance_m,
         "estimate": None if status.estimate is None else _estimate(status.estimate),
         "emitters": [_emitter(emitter) for emitter in status.emitters],
-        "waypoint": _waypoint(status),
+        "waypoint": None if waypoint is None else _waypoint(waypoint),
         "setpoint": status.setpoint_enu_m,
         "guard": status.guard,
         "nlos_share": status.health.nlos_share,
@@ -98,10 +98,6 @@ def _fence(fencing: Fencing) -> Json:
         "refusal": fencing.refusal,
         "missing": fencing.missing,
     }
-
-
-def _origin(origin: LocalOrigin | None) -> tuple[float, float] | None:
-    return None if origin is None else (origin.latitude_deg, origin.longitude_deg)
 
 
 def _estimate(estimate: TargetEstimate) -> Json:
@@ -136,10 +132,7 @@ def _emitter(emitter: EmitterStatus) -> Json:
     }
 
 
-def _waypoint(status: GuidanceStatus) -> Json | None:
-    waypoint = status.waypoint
-    if waypoint is None:
-        return None
+def _waypoint(waypoint: Waypoint) -> Json:
     return {
         "place": waypoint.position_enu_m,
         "reason": waypoint.reason.value,

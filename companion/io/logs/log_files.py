@@ -23,7 +23,7 @@ from pathlib import Path
 from companion.errors import ConfigError
 from companion.guidance.events import OperatorCommand, SessionMemory
 from companion.io.background_files import BackgroundFile
-from companion.io.files import plain
+from companion.io.files import plain, read_file
 from companion.io.state.checkpoints import CheckpointError, decode_memory, encode_memory
 from companion.mav.codec import CRC_EXTRA_BY_ID
 from companion.mav.endpoint import Address
@@ -79,11 +79,7 @@ def read_tlog(path: Path) -> Iterator[TlogRecord]:
     Raises:
         ConfigError: The file cannot be read, or is no tlog.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
-    offset = 0
+    data, offset = read_file(path), 0
     while offset + _STAMP.size + 2 <= len(data):
         (unix_us,) = _STAMP.unpack_from(data, offset)
         start = offset + _STAMP.size
@@ -204,11 +200,7 @@ def read_inputs(path: Path) -> Iterator[Input]:
     Raises:
         ConfigError: The file cannot be read, is none of ours, or lacks records; one line says so.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
-    return parse_inputs(data, str(path))
+    return parse_inputs(read_file(path), str(path))
 
 
 def parse_inputs(data: bytes, name: str) -> Iterator[Input]:
@@ -273,8 +265,8 @@ def event_lines(path: Path) -> list[dict[str, object]]:
         ConfigError: It cannot be read, or a line in its midst is no JSON.
     """
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
+        lines = read_file(path).decode("utf-8").splitlines()
+    except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: cannot be read ({error})") from error
     values: list[dict[str, object]] = []
     for number, line in enumerate(lines, start=1):

@@ -1,10 +1,12 @@
 from __future__ import annotations
 
+import importlib.util
 from typing import Any
 
 import msgspec
 import pytest
 
+from companion.cli import main
 from companion.config.schema import CompanionConfig
 from companion.demo.runner import _demo_config, busy_hint
 from companion.errors import ConfigError
@@ -60,3 +62,16 @@ def test_a_mode_that_a_busy_computer_lost_comes_with_what_to_do(
     said = busy_hint(speed, late_s)
     assert said.startswith(hint)
     assert said.endswith("try --speed 1" if hint else "")
+
+
+def test_without_the_simulator_it_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def find(name: str) -> object:
+        return None if name == "sim_link" else object()
+
+    monkeypatch.setattr(importlib.util, "find_spec", find)
+    assert main(["demo"]) == 2
+    assert capsys.readouterr().err.splitlines() == [
+        "companion: the demo needs the simulator: pip install companion-sim-link"
+    ]
