@@ -42,7 +42,7 @@ from sim_link.autopilot.incidents import Incident, PilotMode
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from sim_link.lab.faults.fault_models import Fault, LinkDelay, LinkJitter, LinkLoss, Schedule
 from sim_link.lab.faults.faulty_link import FaultyLink
-from sim_link.lab.lockstep.flight import VEHICLE_PEER, Flight, MemoryJournal
+from sim_link.lab.lockstep.flight import VEHICLE_PEER, Flight, Makers, MemoryJournal
 from sim_link.lab.lockstep.flight_harness import Checkpointing, Operator
 from sim_link.world.environment import EmitterParams
 
@@ -196,7 +196,7 @@ def fly(plan: Plan, directory: Path) -> Golden:
 
     wire = FaultyLink(Schedule(faults=plan.faults), 1)
     flight = Flight(
-        plan.config, plan.scenario, 1, MemoryJournal(), wire=wire, make_companion=companion
+        plan.config, plan.scenario, 1, MemoryJournal(), wire=wire, makers=Makers(companion)
     )
     if plan.is_killed:
         Checkpointing(flight)

@@ -19,7 +19,14 @@ from sim_link.autopilot.scenario import Scenario
 from sim_link.autopilot.vehicle import SimVehicle
 from sim_link.lab.faults.fault_models import Fault, LinkDelay, LinkJitter, LinkLoss, Schedule
 from sim_link.lab.faults.faulty_link import FaultyLink
-from sim_link.lab.lockstep.flight import Flight, MakeCompanion, MemoryJournal, Radio
+from sim_link.lab.lockstep.flight import (
+    Flight,
+    MakeCompanion,
+    Makers,
+    MemoryJournal,
+    Radio,
+    RadioLink,
+)
 from sim_link.lab.lockstep.flight_harness import Operator
 from sim_link.lab.lockstep.observer import Frame, Observer
 
@@ -145,9 +152,8 @@ class Loop:
             seed,
             self.notes,
             wire=self.wire,
-            radio=payload_source,
-            radio_period_s=payload_period_s,
-            make_companion=make_companion,
+            radio=None if payload_source is None else RadioLink(payload_source, payload_period_s),
+            makers=Makers(make_companion),
         )
         self.recorder = Recorder(self.flight.sim.vehicle)
         self.bytes = ByteLog()

@@ -33,7 +33,7 @@ from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk
 from companion.replay.flight_replay import replay_flight
 from sim_link.autopilot.scenario import Scenario
-from sim_link.lab.lockstep.flight import VEHICLE_PEER, Flight, MemoryJournal
+from sim_link.lab.lockstep.flight import VEHICLE_PEER, Flight, Makers, MemoryJournal
 from sim_link.lab.lockstep.flight_harness import Checkpointing
 from sim_link.world.environment import EmitterParams
 
@@ -50,7 +50,7 @@ def fly(journal: FlightJournal, config: CompanionConfig, scenario: Scenario) -> 
     ) -> CompanionEndpoint:
         return build_endpoint(config, journal_, links, recorder=journal.inputs)
 
-    flight = Flight(config, scenario, 3, journal, make_companion=companion)
+    flight = Flight(config, scenario, 3, journal, makers=Makers(companion))
     flight.run(FLOWN_S)
     journal.close(timeout_s=30.0)
 
@@ -155,7 +155,7 @@ def test_parameters_that_were_changed_before_and_in_flight_are_part_of_it(tmp_pa
         inputs = journal.inputs
         return build_endpoint(config, journal_, links, tunables=tunables, recorder=inputs)
 
-    flight = Flight(AUTO, Scenario(), 3, journal, make_companion=companion)
+    flight = Flight(AUTO, Scenario(), 3, journal, makers=Makers(companion))
 
     def set_speed(speed_mps: float) -> None:
         change = mavlink.MAVLink_param_set_message(1, 191, b"CMP_SPEED", speed_mps, 9)
@@ -188,7 +188,7 @@ def test_a_flight_that_took_up_the_memory_of_a_killed_process_is_the_same(tmp_pa
         journals.append(FlightJournal(folder, 1.8e9))
         return build_endpoint(config, journals[-1], links, recorder=journals[-1].inputs)
 
-    flight = Flight(AUTO, Scenario(), 3, MemoryJournal(), make_companion=companion)
+    flight = Flight(AUTO, Scenario(), 3, MemoryJournal(), makers=Makers(companion))
     Checkpointing(flight)
     flight.run(26.0)
     flight.kill_companion()

@@ -17,7 +17,7 @@ from companion.mav.endpoint import Chunk
 from companion.mav.signing import ONE_LINK_EACH, Signing, SigningKey, is_signed
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import Scenario
-from sim_link.lab.lockstep.flight import VEHICLE_PEER, Flight, MemoryJournal
+from sim_link.lab.lockstep.flight import VEHICLE_PEER, Flight, Makers, MemoryJournal
 from sim_link.lab.lockstep.observer import Frame, Observer
 from tests.loop.loop_helpers import AUTO
 
@@ -56,7 +56,7 @@ def companion(
 def flight(key: SigningKey = KEY) -> tuple[Flight, MemoryJournal, Tape]:
     notes, tape = MemoryJournal(), Tape()
     make = partial(companion, key=key)
-    made = Flight(AUTO, Scenario(), 1, notes, make_companion=make, make_simulator=vehicle)
+    made = Flight(AUTO, Scenario(), 1, notes, makers=Makers(make, vehicle))
     made.observers.append(tape)
     return made, notes, tape
 

@@ -27,7 +27,7 @@ from sim_link.lab.faults import fault_models as faults
 from sim_link.lab.faults.fault_models import Direction, Fault, RangingField, Schedule
 from sim_link.lab.faults.faulty_link import FaultyLink
 from sim_link.lab.faults.injector import Injector
-from sim_link.lab.lockstep.flight import Flight, MakeCompanion, MemoryJournal
+from sim_link.lab.lockstep.flight import Flight, MakeCompanion, Makers, MemoryJournal
 from sim_link.lab.lockstep.flight_harness import Checkpointing, Operator
 from sim_link.lab.monitor.monitor import Monitor
 from sim_link.lab.monitor.scene import Rules
@@ -234,8 +234,7 @@ def monitored_flight(
         seed,
         notes,
         wire=link,
-        make_companion=make_companion or genuine,
-        make_simulator=SimEndpoint if pair is None else pair.simulator,
+        makers=Makers(make_companion or genuine, SimEndpoint if pair is None else pair.simulator),
     )
     operator = Operator(flight, pair.station if pair else None, STARTED_UNIX_S)
     monitor = Monitor(

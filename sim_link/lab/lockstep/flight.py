@@ -17,6 +17,7 @@ from __future__ import annotations
 import heapq
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 
 from companion.config.schema import CompanionConfig
@@ -124,14 +125,28 @@ MakeSimulator = Callable[[Scenario, int, float], SimEndpoint]
 """Scenario, seed and time to a vehicle that was just switched on."""
 
 
+@dataclass(frozen=True, slots=True)
+class RadioLink:
+    """A radio on a link of its own, instead of the simulator's."""
+
+    send: Radio
+    period_s: float = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Makers:
+    """Who starts the companion process and switches the vehicle on, also after a restart."""
+
+    companion: MakeCompanion = build_endpoint
+    simulator: MakeSimulator = SimEndpoint
+
+
 class Flight:
     """One flight.
 
     Args:
         seed: Of the vehicle, its radio and the world.
         wire: What lies between the two; None: a perfect one.
-        radio: A radio on a link of its own, instead of the simulator's.
-        make_companion: Starts the companion process, at the beginning and after a restart.
     """
 
     def __init__(
@@ -142,10 +157,8 @@ class Flight:
         journal: Journal,
         *,
         wire: Wire | None = None,
-        radio: Radio | None = None,
-        radio_period_s: float = 0.1,
-        make_companion: MakeCompanion = build_endpoint,
-        make_simulator: MakeSimulator = SimEndpoint,
+        radio: RadioLink | None = None,
+        makers: Makers = Makers(),
     ) -> None:
         self.config = config
         self.scenario = scenario
@@ -160,16 +173,14 @@ class Flight:
         """False: the radio says nothing."""
         self.is_companion_up = False
         self._radio = radio
-        self._radio_period_s = radio_period_s
         self._radio_due_s = 0.0
-        self._make_companion = make_companion
-        self._make_simulator = make_simulator
+        self._makers = makers
         self._queue: list[tuple[float, int, Callable[[], None]]] = []
         self._count = 0
         self._suspended_until_s = 0.0
         self._socket: deque[tuple[Chunk, bool, bool]] = deque()
         self._socket_bytes = 0
-        self.sim = make_simulator(scenario, seed, 0.0)
+        self.sim = makers.simulator(scenario, seed, 0.0)
         self.start_companion()
 
     # Time
@@ -321,8 +332,8 @@ class Flight:
     def _measure(self) -> None:
         if self._radio is None or self.now_s < self._radio_due_s - 1e-9:
             return
-        self._radio_due_s = self.now_s + self._radio_period_s
-        data = self._radio(self.sim, self.now_s)
+        self._radio_due_s = self.now_s + self._radio.period_s
+        data = self._radio.send(self.sim, self.now_s)
         if data is not None and self.is_ranging_up:
             for vehicle_sent in self.observers.of("vehicle_sent"):
                 vehicle_sent(Frame(self.now_s, data, Lane.RANGING))
@@ -333,7 +344,7 @@ class Flight:
     def start_companion(self) -> None:
         """Start the process, or a new one in place of one that ended."""
         links = link_specs(ranging=0 if self._radio is None else 1)
-        self.companion = self._make_companion(self.config, self.journal, links)
+        self.companion = self._makers.companion(self.config, self.journal, links)
         self.is_companion_up = True
         for observer in self.observers:
             observer.companion_started(self.now_s)
@@ -369,7 +380,7 @@ class Flight:
 
     def reboot(self) -> None:
         """Another vehicle in its place: at home, on the ground, its clock at zero."""
-        self.sim = self._make_simulator(self.scenario, self.seed, self.now_s)
+        self.sim = self._makers.simulator(self.scenario, self.seed, self.now_s)
         for observer in self.observers:
             observer.vehicle_rebooted(self.now_s)
 

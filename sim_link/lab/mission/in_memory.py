@@ -21,7 +21,7 @@ from sim_link.lab.campaign.flights import rules_of
 from sim_link.lab.faults.fault_models import Fault, Schedule
 from sim_link.lab.faults.faulty_link import FaultyLink
 from sim_link.lab.faults.injector import Injector
-from sim_link.lab.lockstep.flight import Flight, MakeCompanion
+from sim_link.lab.lockstep.flight import Flight, MakeCompanion, Makers
 from sim_link.lab.lockstep.flight_harness import Operator as Station
 from sim_link.lab.lockstep.observer import Frame, Observer
 from sim_link.lab.mission.conditions import Situation
@@ -81,7 +81,7 @@ class _MissionFlight:
             seed,
             self._reader,
             wire=wire,
-            make_companion=make_companion,
+            makers=Makers(make_companion),
         )
         flight.observers.append(_Watcher(self.record, self._reader))
         self._monitor = Monitor(

@@ -251,29 +251,34 @@ CONTACT = parse_condition(
 
 def _rule_of(step: Step, mission: Mission) -> Rule:
     match step:
+        case FaultRecord():
+            return Rule(str(type(step).__struct_config__.tag), ALWAYS)
+        case script.WaitUntilStep():
+            condition = parse_condition(step.condition)
+            return Rule(step.condition, condition, step.limit_s, for_s=step.for_s)
+        case script.WaitStep():
+            return Rule(f"{step.for_s:g} s", ALWAYS, for_s=step.for_s)
+        case script.SearchStep():
+            is_met = REPORTED if step.until == "reported" else CONTACT
+            return Rule(f"{step.until} in the {step.pattern}", is_met, step.limit_s)
+        case script.TakeoffStep():
+            return _takeoff_rule(step, mission)
+    return _start_rule(step)
+
+
+def _start_rule(step: Step) -> Rule:
+    match step:
         case script.ConnectStep():
             return Rule("hearing the autopilot", CONNECTED, step.limit_s)
         case script.WaitReadyStep():
             return Rule("being ready to arm, the companion in standby", READY, step.limit_s)
         case script.ArmStep():
             return Rule("arming", ARMED, step.limit_s, Arm())
-        case script.TakeoffStep():
-            return _takeoff_rule(step, mission)
         case script.EngageStep():
             action = SwitchMode(FlightMode.OFFBOARD)
             return Rule("the companion in control", IN_CONTROL, step.limit_s, action)
         case script.GrantStep():
             return Rule("the companion granted control", GRANTED, step.limit_s, Grant())
-        case script.SearchStep():
-            is_met = REPORTED if step.until == "reported" else CONTACT
-            return Rule(f"{step.until} in the {step.pattern}", is_met, step.limit_s)
-        case script.WaitUntilStep():
-            condition = parse_condition(step.condition)
-            return Rule(step.condition, condition, step.limit_s, for_s=step.for_s)
-        case script.WaitStep():
-            return Rule(f"{step.for_s:g} s", ALWAYS, for_s=step.for_s)
-        case FaultRecord():
-            return Rule(str(type(step).__struct_config__.tag), ALWAYS)
     return _mode_rule(step)
 
 
