@@ -1,14 +1,11 @@
 """`sim-link radio`: a ranging radio that rides on a vehicle which is not simulated here.
 
-A radio payload that rides on a vehicle of others: it hears telemetry and sends RADIO_RANGING.
-
-Theory of operation. The radio knows where the vehicle is by LOCAL_POSITION_NED, and measures when
-such a frame arrives and a measurement is due, at the frame's own time and place: so its stamps
-are the autopilot's, and no delay of the link shifts a measurement. It asks for the stream and for
-the origin of the local frame while they are missing (MAVLink: SET_MESSAGE_INTERVAL,
-REQUEST_MESSAGE). Its frames bear the vehicle's system id, as those of a payload on board would.
-
-`sim-link radio`: arguments, lines for people and exit codes.
+Theory of operation. The radio hears telemetry and sends RADIO_RANGING. It knows where the vehicle
+is by LOCAL_POSITION_NED, and measures when such a frame arrives and a measurement is due, at the
+frame's own time and place: so its stamps are the autopilot's, and no delay of the link shifts a
+measurement. It asks for the stream and for the origin of the local frame while they are missing
+(MAVLink: SET_MESSAGE_INTERVAL, REQUEST_MESSAGE). Its frames bear the vehicle's system id, as those
+of a payload on board would.
 """
 
 from __future__ import annotations
@@ -135,8 +132,10 @@ class RadioFollower:
         """Whether the autopilot that was heard first sent it."""
         if message.get_srcComponent() != mavlink.MAV_COMP_ID_AUTOPILOT1:
             return False
-        if self._system_id is None and _is_autopilots(message):
-            self._system_id = self._codec.system_id = message.get_srcSystem()
+        match message:
+            case mavlink.MAVLink_heartbeat_message() if self._system_id is None:
+                if autopilot_of(message) is not None:
+                    self._system_id = self._codec.system_id = message.get_srcSystem()
         return message.get_srcSystem() == self._system_id
 
     def _take(self, message: Message, now_s: float) -> None:
@@ -153,12 +152,13 @@ class RadioFollower:
                 origin = LocalOrigin(
                     message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1000.0
                 )
-                self._emitters = tuple(
-                    each if isinstance(each, Emitter) else each.local(origin)
-                    for each in self._wanted
-                )
-                for emitter in self._emitters:
-                    self._channel.prepare(emitter)
+                self._place_emitters(origin)
+
+    def _place_emitters(self, origin: LocalOrigin) -> None:
+        wanted = self._wanted
+        self._emitters = tuple(e if isinstance(e, Emitter) else e.local(origin) for e in wanted)
+        for emitter in self._emitters:
+            self._channel.prepare(emitter)
 
     def _measure(self, place: PositionEnu, stamp_s: float) -> None:
         period_s = 1.0 / self._params.rate_hz
@@ -226,13 +226,6 @@ class RadioFollower:
     def is_finished(self) -> bool:
         """Whether it was asked to end."""
         return self._is_finished
-
-
-def _is_autopilots(message: Message) -> bool:
-    """Whether it is an autopilot's HEARTBEAT."""
-    if not isinstance(message, mavlink.MAVLink_heartbeat_message):
-        return False
-    return autopilot_of(message) is not None
 
 
 SILENCE_S = 10.0
@@ -364,7 +357,7 @@ def _stop_at_eof(shell: Shell) -> None:
 
 
 class _Hints:
-    """Says that a vehicle is heard, or that none is."""
+    """Says that a vehicle is heard, or that none is, once each."""
 
     def __init__(self, follower: RadioFollower, link: str) -> None:
         self._follower = follower
@@ -373,12 +366,11 @@ class _Hints:
 
     def check(self, now_s: float) -> None:
         """Say what is new."""
+        text = self._said
         if self._follower.is_following:
-            self._say(f"following the vehicle on {self._link}")
+            text = f"following the vehicle on {self._link}"
         elif now_s > SILENCE_S:
-            self._say(f"no autopilot heard on {self._link} yet")
-
-    def _say(self, text: str) -> None:
+            text = f"no autopilot heard on {self._link} yet"
         if text != self._said:
             self._said = text
             print(f"sim-link: {text}", flush=True)

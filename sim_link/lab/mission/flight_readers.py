@@ -87,8 +87,10 @@ class TelemetryReader:
 
     def _is_ours(self, message: Message) -> bool:
         """Whether the sender is on the vehicle that was heard first; its radio is, too."""
-        if self.system_id is None and _is_autopilots(message):
-            self.system_id = message.get_srcSystem()
+        match message:
+            case mavlink.MAVLink_heartbeat_message() if self.system_id is None:
+                if autopilot_of(message) is not None:
+                    self.system_id = message.get_srcSystem()
         return message.get_srcSystem() == self.system_id
 
     def _take_plain(self, message: Message, now_s: float) -> None:
@@ -141,13 +143,6 @@ class TelemetryReader:
         if step_m >= COUNTED_STEP_M:
             self._record.distance_m += step_m
             self._counted_at = place
-
-
-def _is_autopilots(message: Message) -> bool:
-    """Whether it is an autopilot's HEARTBEAT."""
-    if not isinstance(message, mavlink.MAVLink_heartbeat_message):
-        return False
-    return autopilot_of(message) is not None
 
 
 CONTROL_PHASES = frozenset(phase.value for phase in IN_CONTROL)

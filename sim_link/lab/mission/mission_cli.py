@@ -12,7 +12,6 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import TextIO
 from xml.etree import ElementTree
 
@@ -56,12 +55,7 @@ class PlainProgress:
         """Begin."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """End."""
 
     def moved(self, runner: StepRunner, situation: Situation) -> None:
@@ -79,10 +73,8 @@ class PlainProgress:
         self.say(flight_line(result, self._done, self._total))
         for verdict in result.failed:
             self.say(f"     {verdict.name}: {verdict.found}")
-        if result.error:
-            self.say(f"     {result.error}")
-        if result.doubt:
-            self.say(f"     {result.doubt}")
+        for line in filter(None, (result.error, result.doubt)):
+            self.say(f"     {line}")
 
     def say(self, line: str) -> None:
         """Print a line, as long as somebody reads."""
@@ -118,12 +110,7 @@ class LiveProgress(PlainProgress):
         self._live.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Leave the terminal as it was."""
         self._live.stop()
 
