@@ -1,7 +1,11 @@
-"""One measurement through every hypothesis, and the estimate that they come to.
+"""One measurement through every hypothesis, and the gate that they hold it against.
 
-An update gives states, likelihoods and what the gate says of the measurement; the estimate is the
-place that is told, its R95, and whether that is enough.
+The gate tells which innovations a believable estimate can explain. An innovation is judged in
+standard deviations of the estimate's own uncertainty and of the noise that the run has shown.
+Reflections make ranges longer by any amount and are the robust loss's task, but no path is shorter
+than the straight one: a range that is too short by more than the gate is wrong, and so is a bearing
+that is off by more. Those are not fused. A range that is longer than reflections make it is fused,
+because the loss holds it at bay, but agrees with nothing.
 """
 
 from __future__ import annotations
@@ -11,20 +15,99 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
-from companion.domain import EstimateState, PositionEnu, RangingMeasurement, TargetEstimate
-from companion.estimation.filters.kalman import RecursiveFilter
+from companion.domain import PositionEnu, RangingMeasurement
 from companion.estimation.filters.robust_update import asymmetric_huber_loss
-from companion.estimation.filters.target_filter import Inflation, UpdateReport
-from companion.estimation.hypotheses import Hypothesis, probabilities
-from companion.estimation.integrity.consistency import r95_of_covariance_m, r95_of_mixture_m
-from companion.estimation.measurement_model import BEARING_OFFSET, RANGE_OFFSET, RangingModel
-from companion.estimation.screening.validation import OPEN, Gate
-from companion.kernel import Matrix, Vector
+from companion.estimation.filters.target_filter import (
+    Inflation,
+    ModalityReport,
+    TargetFilter,
+    UpdateReport,
+)
+from companion.estimation.hypotheses import Hypothesis
+from companion.estimation.screening.measurement_screen import RejectReason
 
 LIKELY_LOG_RATIO = math.log(0.05)
 """A hypothesis at least this probable beside the best one has a say at the gate."""
+GATE_SIGMAS = 6.0
+"""Recorded Wi-Fi and UWB walks and flights in the shadow of buildings stay within it."""
+LONG_SIGMAS = 25.0
+"""Reflections reach 20 of the inflated standard deviations now and then."""
+
+
+@dataclass(frozen=True, slots=True)
+class Gate:
+    """What became of one measurement at the gate."""
+
+    passes_range: bool = True
+    """False: too short to be fused."""
+    passes_bearing: bool = True
+    """False: off by too much to be fused."""
+    agrees_in_range: bool = True
+    """Whether the range, if there is one, agrees with the estimate: neither too short nor absurdly
+    long."""
+    agrees_in_bearing: bool = True
+    """The same of the bearing."""
+
+    @property
+    def agrees(self) -> bool:
+        """Whether all that was measured agrees with the estimate."""
+        return self.agrees_in_range and self.agrees_in_bearing
+
+    @classmethod
+    def of(cls, report: UpdateReport, inflation: Inflation) -> Gate:
+        """The gate's judgement of an update.
+
+        Args:
+            inflation: Variance inflation of range, bearing and elevation in force at the update.
+        """
+        ranged = _in_sigmas(report.range, inflation[0])
+        borne = _in_sigmas(report.bearing, inflation[1])
+        is_short, is_off = ranged < -GATE_SIGMAS, abs(borne) > GATE_SIGMAS
+        return cls(
+            passes_range=not is_short,
+            passes_bearing=not is_off,
+            agrees_in_range=not is_short and ranged <= LONG_SIGMAS,
+            agrees_in_bearing=not is_off,
+        )
+
+    def unarmed(self) -> Gate:
+        """The same judgement with nothing kept out, while the estimate has yet to prove itself."""
+        return replace(self, passes_range=True, passes_bearing=True)
+
+    def joined(self, other: Gate) -> Gate:
+        """The judgement of two hypotheses: what either can explain is no outlier."""
+        return Gate(
+            self.passes_range or other.passes_range,
+            self.passes_bearing or other.passes_bearing,
+            self.agrees_in_range or other.agrees_in_range,
+            self.agrees_in_bearing or other.agrees_in_bearing,
+        )
+
+    @property
+    def reject_reason(self) -> RejectReason:
+        """What a measurement that does not pass is counted as."""
+        return RejectReason.BEARING_OUTLIER if self.passes_range else RejectReason.RANGE_OUTLIER
+
+    def passed(self, measurement: RangingMeasurement) -> RangingMeasurement | None:
+        """What of a measurement is fused; None: nothing."""
+        if self.passes_range and self.passes_bearing:
+            return measurement
+        if not self.passes_range:
+            measurement = replace(measurement, range_m=None)
+        if not self.passes_bearing:
+            measurement = replace(measurement, bearing_enu_rad=None, bearing_body_rad=None)
+        has_any = measurement.range_m is not None or measurement.bearing_enu_rad is not None
+        return measurement if has_any else None
+
+
+OPEN = Gate()
+
+
+def _in_sigmas(report: ModalityReport | None, inflation: float) -> float:
+    """The innovation in its own standard deviations; 0 where nothing was measured."""
+    if report is None:
+        return 0.0
+    return report.innovation / (report.noise_sigma * math.sqrt(inflation + report.prior_share))
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,22 +117,17 @@ class BankUpdate:
     hypotheses: tuple[Hypothesis, ...]
     """In the order of those before."""
     reports: tuple[UpdateReport, ...]
-
+    """Of each that survived, the best one's first."""
     gate: Gate
     """What the hypotheses that were likely before it can explain."""
-
-    @property
-    def best(self) -> UpdateReport | None:
-        """The update of the first hypothesis that survived; None: none did."""
-        return self.reports[0] if self.reports else None
 
 
 def update_hypotheses(
     hypotheses: Iterable[Hypothesis],
-    target_filter: RecursiveFilter,
+    target_filter: TargetFilter,
     measurement: RangingMeasurement,
     sensor_enu_m: PositionEnu,
-    inflation: Inflation,
+    told: Inflation,
     shown: Inflation,
 ) -> BankUpdate:
     """All hypotheses after a measurement.
@@ -57,34 +135,28 @@ def update_hypotheses(
     Args:
         measurement: With its bearing, if any, in ENU.
         sensor_enu_m: Where the antenna was at its time.
-        inflation: Variance inflation of range, bearing and elevation that the filter is told.
+        told: Inflation that the filter is told.
         shown: That the run has shown, which the gate goes by.
     """
     before, survivors, reports = [], [], []
     thresholds = target_filter.params.thresholds.tolist()
     for hypothesis in hypotheses:
         state = target_filter.predict(hypothesis.state, measurement.measured_at_s)
-        report = target_filter.update(state, measurement, sensor_enu_m, inflation)
+        report = target_filter.update(state, measurement, sensor_enu_m, told)
         if not report.is_positive_definite:
             continue
-        log_weight = hypothesis.log_weight + log_likelihood(report, thresholds, inflation)
+        log_weight = hypothesis.log_weight + log_likelihood(report, thresholds, told)
         before.append(hypothesis.log_weight)
         survivors.append(replace(hypothesis, log_weight=log_weight, state=report.state))
         reports.append(report)
-    return BankUpdate(tuple(survivors), tuple(reports), _gate(before, reports, shown))
-
-
-def _gate(
-    log_weights: Sequence[float], reports: Sequence[UpdateReport], inflation: Inflation
-) -> Gate:
-    """What the likely ones can explain; open where there is none."""
-    least = max(log_weights, default=0.0) + LIKELY_LOG_RATIO
+    least = max(before, default=0.0) + LIKELY_LOG_RATIO
     judged = [
-        Gate.of(report, inflation)
-        for log_weight, report in zip(log_weights, reports, strict=True)
+        Gate.of(report, shown)
+        for log_weight, report in zip(before, reports, strict=True)
         if log_weight >= least
     ]
-    return functools.reduce(Gate.joined, judged) if judged else OPEN
+    gate = functools.reduce(Gate.joined, judged) if judged else OPEN
+    return BankUpdate(tuple(survivors), tuple(reports), gate)
 
 
 def log_likelihood(
@@ -104,83 +176,3 @@ def log_likelihood(
         loss = asymmetric_huber_loss(u, k_long, k_short)
         total -= (loss + 0.5 * math.log(spread2)) / c
     return total
-
-
-AMBIGUOUS_PROBABILITY = 0.05
-"""A second hypothesis with at least this probability makes the estimate ambiguous."""
-MAX_AMBIGUOUS = 3
-"""More distinct places than this is searching, not ambiguous."""
-
-
-def estimate_of(
-    hypotheses: Sequence[Hypothesis],
-    model: RangingModel,
-    localised_r95_m: float,
-    measurements: int,
-    now_s: float,
-    *,
-    is_diverged: bool,
-) -> TargetEstimate:
-    """What the hypotheses add up to.
-
-    Args:
-        hypotheses: At least one, best first.
-        localised_r95_m: The state is `localised` while R95 is at most this.
-        is_diverged: Whether the filter was started anew a short while ago.
-    """
-    weights, best = probabilities(hypotheses), hypotheses[0]
-    covariances = [position_covariance_m2(h, model.own_sigma_m) for h in hypotheses]
-    r95_m = _r95_m(hypotheses, weights, covariances)
-    state = EstimateState.DIVERGED if is_diverged else _state(weights, r95_m, localised_r95_m)
-    is_ambiguous = state is EstimateState.AMBIGUOUS
-    mean, P = best.state.mean, best.state.covariance
-    height, scale = model.height_index, model.scale_index
-    (a, b), (_, c) = covariances[0].tolist()
-    return TargetEstimate(
-        time_s=now_s,
-        state=state,
-        position_enu_m=best.place_enu_m,
-        covariance_m2=((a, b), (b, c)),
-        r95_m=r95_m,
-        range_offset_m=float(mean[RANGE_OFFSET]),
-        bearing_offset_rad=float(mean[BEARING_OFFSET]),
-        measurements=measurements,
-        alternative_enu_m=hypotheses[1].place_enu_m if is_ambiguous else None,
-        height_m=float(mean[height]) if height >= 0 else model.height_m,
-        height_sigma_m=math.sqrt(P[height, height]) if height >= 0 else None,
-        range_scale=float(mean[scale]) if scale >= 0 else 0.0,
-    )
-
-
-def position_covariance_m2(hypothesis: Hypothesis, own_sigma_m: float) -> Matrix:
-    """The filter's covariance, not below what the window found, plus the own position's, (2, 2).
-
-    All measurements share the error of the own position.
-    """
-    covariance = hypothesis.state.covariance[:2, :2]
-    least = hypothesis.least_covariance_m2
-    if least is not None and least[0, 0] + least[1, 1] > covariance[0, 0] + covariance[1, 1]:
-        covariance = least
-    total: Matrix = covariance + own_sigma_m * own_sigma_m * np.eye(2)
-    return total
-
-
-def _r95_m(
-    hypotheses: Sequence[Hypothesis], weights: Vector, covariances: Sequence[Matrix]
-) -> float:
-    if len(hypotheses) == 1:
-        return r95_of_covariance_m(covariances[0])
-    components = [
-        (float(weight), h.state.mean[:2], covariance)
-        for weight, h, covariance in zip(weights, hypotheses, covariances, strict=True)
-    ]
-    return r95_of_mixture_m(hypotheses[0].state.mean[:2], components)
-
-
-def _state(weights: Vector, r95_m: float, localised_r95_m: float) -> EstimateState:
-    likely = sum(weight >= AMBIGUOUS_PROBABILITY for weight in weights.tolist())
-    if 1 < likely <= MAX_AMBIGUOUS:
-        return EstimateState.AMBIGUOUS
-    if likely == 1 and r95_m <= localised_r95_m:
-        return EstimateState.LOCALISED
-    return EstimateState.SEARCHING

@@ -22,7 +22,7 @@ from dataclasses import asdict
 
 from companion.domain import TargetEstimate, Waypoint
 from companion.estimation.integrity.target_motion import Motion
-from companion.estimation.screening.validation import RejectReason
+from companion.estimation.screening.measurement_screen import RejectReason
 from companion.estimation.tracker import FusionReport, TargetTracker
 from companion.geometry.coordinates import LocalOrigin
 from companion.guard.fence import Fence
@@ -73,7 +73,7 @@ def waiting_record(emitter_id: int, estimate: TargetEstimate) -> Record:
 
 def health_fields(tracker: TargetTracker, now_s: float) -> dict[str, object]:
     """How far the estimate can be trusted, as live values."""
-    objection, contact = tracker.objection(now_s), tracker.contact
+    objection, contact = tracker.objection(now_s), tracker.integrity.contact
     return {
         **asdict(tracker.health),
         "objection": None if objection is None else objection.value,

@@ -330,6 +330,6 @@ class CompanionEndpoint:
             "setpoints": self._outlet.setpoints_sent,
             "setpoint_rate_hz": self._outlet.setpoint_rate_hz(now_s),
             "accepted": emitters.accepted,
-            "refused": {reason.value: count for reason, count in emitters.refusals.items()},
+            "refused": {reason.value: count for reason, count in emitters.rejected.items()},
             "restarts": emitters.restarts,
         }

@@ -124,15 +124,15 @@ def replay_walk(
 def _result(target_id: str, target: _Replayed) -> TargetResult:
     tracker = target.tracker
     if tracker.params.window.enabled:
-        tracker.polish_thoroughly()
+        tracker.optimize(tracker.params.window.starts)
     return TargetResult(
         target_id=target_id,
         rows=target.rows,
         accepted=tracker.accepted,
-        refused={reason.value: count for reason, count in tracker.refusals.items()},
+        refused={reason.value: count for reason, count in tracker.rejected.items()},
         estimate=tracker.estimate(target.last_s),
         truth_enu_m=target.truth_enu_m,
-        observability=tracker.observability,
+        observability=tracker.health.observability,
     )
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from companion.config.schema import CompanionConfig, LimitsConfig
 from companion.domain import FlightMode, PositionEnu
-from companion.estimation.screening.validation import RejectReason
+from companion.estimation.screening.measurement_screen import RejectReason
 from companion.guidance.authority.state_machine import FLYING, Phase
 from companion.guidance.session_params import SessionParams
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
@@ -73,11 +73,11 @@ def test_it_holds_until_the_position_is_steady_and_the_estimate_moves_along(
     loop.run(1.4)
     assert loop.phase is Phase.HOLD
     assert math.dist(loop.true_positions[-1], place) <= BRAKING_M  # it stops, it flies to nowhere
-    assert loop.companion.session.tracker.refusals[RejectReason.OWN_JUMP] >= 10
+    assert loop.companion.session.tracker.rejected[RejectReason.OWN_JUMP] >= 10
     assert loop.said("own position jumped by")
     loop.run_until(lambda: loop.phase in FLYING, 4.0)
     assert loop.now_s - jumped_s >= 2.0
-    assert loop.companion.session.tracker.restarts == 0
+    assert loop.companion.session.tracker.integrity.restarts == 0
     loop.run_until(lambda: bool(loop.notes.results), 90.0)
     assert target_seen_m(loop, shift_enu_m) <= 1.0
     assert outside(loop.true_positions, 150.0) == []
@@ -156,4 +156,4 @@ def test_a_position_that_keeps_jumping_is_handed_back() -> None:
 def test_a_flight_without_jumps_sees_none() -> None:
     around = monitored_flight(AUTO, Loop().flight.scenario, 3)
     around.flight.run(60.0)
-    assert around.flight.companion.session.tracker.refusals[RejectReason.OWN_JUMP] == 0
+    assert around.flight.companion.session.tracker.rejected[RejectReason.OWN_JUMP] == 0

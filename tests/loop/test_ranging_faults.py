@@ -9,7 +9,7 @@ from collections.abc import Callable
 import pytest
 
 from companion.domain import EstimateState
-from companion.estimation.screening.validation import Objection, RejectReason
+from companion.estimation.screening.measurement_screen import Objection, RejectReason
 from companion.guidance.authority.state_machine import FLYING, Phase
 from sim_link.autopilot.incidents import FaultRecord
 from sim_link.lab.faults.fault_models import (
@@ -54,7 +54,7 @@ def last_flown_s(seen: list[tuple[float, Phase]]) -> float:
 
 
 def refused(loop: Loop) -> dict[RejectReason, int]:
-    return dict(loop.companion.session.tracker.refusals)
+    return dict(loop.companion.session.tracker.rejected)
 
 
 # -- Wrong units
@@ -114,7 +114,7 @@ def test_without_one_kind_the_other_is_flown_on_and_ages_tell(missing: str) -> N
     fault = RangingDropout(missing="range" if missing == "range" else "bearing", duration_s=5.0)
     loop = flying(fault, 6.0)
     loop.run(4.0)
-    contact = loop.companion.session.tracker.contact
+    contact = loop.companion.session.tracker.integrity.contact
     ages = {"range": contact.range_age_s(loop.now_s), "bearing": contact.bearing_age_s(loop.now_s)}
     lost_s = ages.pop(missing)
     (heard_s,) = ages.values()

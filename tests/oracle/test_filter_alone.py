@@ -37,6 +37,6 @@ def test_no_monitor_touches_the_filter_of_the_studies(planner: PlannerName, seed
         tracker.fuse(seen, (east_m, north_m, CASE.belief.target_height_m), float(step))
         assert tracker.objection(float(step)) is None
         means.append(tracker.hypotheses[0].state.mean[:2])
-    assert tracker.restarts == 0
-    assert not tracker.refusals
+    assert tracker.integrity.restarts == 0
+    assert not tracker.rejected
     np.testing.assert_allclose(np.array(means), trial.estimates_enu_m, rtol=0, atol=1e-6)

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.domain import PositionEnu, RangingMeasurement
-from companion.estimation.screening.validation import RejectReason
+from companion.estimation.screening.measurement_screen import RejectReason
 from companion.estimation.tracker import TargetTracker, TrackerParams
 
 PLACE: PositionEnu = (10.0, 5.0, 20.0)
@@ -59,10 +59,10 @@ def _bits(tracker: TargetTracker) -> list[object]:
             for h in tracker.hypotheses
         ],
         tracker.estimate(NOW_S),
-        tracker.inflation,
-        tracker.contact,
+        tracker.health.inflation,
+        tracker.integrity.contact,
         tracker.accepted,
-        tracker.restarts,
+        tracker.integrity.restarts,
         tracker.last_accepted_s,
         tracker.emitter_id,
     ]
@@ -77,5 +77,5 @@ def test_a_measurement_that_means_nothing_has_a_reason_and_no_effect(
     measurement: RangingMeasurement,
 ) -> None:
     report = TRACKER.fuse(measurement, PLACE, NOW_S)
-    assert isinstance(report.refusal, RejectReason)
+    assert isinstance(report.reject_reason, RejectReason)
     assert _bits(TRACKER) == BEFORE

@@ -28,6 +28,7 @@ and 6, for the method. Paper: the baseline "ADMM-EKF"; it does not print its spl
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Annotated, Literal
 
 import msgspec
@@ -49,6 +50,7 @@ from companion.estimation.filters.target_filter import (
     FilterState,
     Inflation,
     ModalityReport,
+    TargetFilter,
     UpdateReport,
 )
 from companion.estimation.measurement_model import RangingModel, jacobian, variances
@@ -59,13 +61,22 @@ KernelResult = tuple[Vector, Matrix, Matrix, bool]
 
 
 class RecursiveFilter:
-    """An extended Kalman filter whose rows are weighed by the params' thresholds."""
+    """An extended Kalman filter whose rows are weighed by the params' thresholds.
 
-    def __init__(self, params: FilterParams) -> None:
+    Args:
+        kernel: The update, with the arguments and results of `robust_update`.
+        options: What it takes besides.
+    """
+
+    def __init__(
+        self,
+        params: FilterParams,
+        kernel: Callable[..., KernelResult] = robust_update,
+        options: tuple[float, ...] = (),
+    ) -> None:
         self.params = params
-        self._model = params.model
-        self._bounds = params.bounds
-        self._thresholds = params.thresholds
+        self._kernel = kernel
+        self._options = options
 
     def predict(self, state: FilterState, time_s: float) -> FilterState:
         """The state at `time_s`; the covariance grows by the random walk, if any."""
@@ -74,7 +85,7 @@ class RecursiveFilter:
         if q == 0.0 or dt_s <= 0.0:
             return FilterState(max(time_s, state.time_s), state.mean, state.covariance)
         P = np.array(state.covariance)
-        for index in (0, 1, self._model.height_index):
+        for index in (0, 1, self.params.model.height_index):
             if index >= 0:
                 P[index, index] += q * q * dt_s
         return FilterState(time_s, state.mean, frozen(P))
@@ -92,39 +103,29 @@ class RecursiveFilter:
         walk since then is noise of it. (Its correlation with the state's own error is left out,
         which makes the filter a little more careful than it had to be.)
         """
+        params = self.params
         late_s = max(state.time_s - measurement.measured_at_s, 0.0)
-        late_m2 = self.params.process_noise_m_per_sqrt_s**2 * late_s
-        z, sigma = self.params.seen(measurement)
-        mean, P, rows, is_sane = self._updated(
-            state, np.array(sensor_enu_m), z, sigma, late_m2, np.array(inflation)
+        z, sigma = params.seen(measurement)
+        mean, P, rows, is_sane = self._kernel(
+            state.mean,
+            state.covariance,
+            np.array(sensor_enu_m),
+            z,
+            sigma,
+            params.process_noise_m_per_sqrt_s**2 * late_s,
+            np.array(inflation),
+            params.thresholds,
+            params.bounds,
+            params.model,
+            *self._options,
         )
         if is_sane:
-            state = FilterState(state.time_s, frozen(mean), frozen(P))
+            mean.setflags(write=False)
+            P.setflags(write=False)
+            state = FilterState(state.time_s, mean, P)
         ranged, borne, elevated = (ModalityReport.of_row(row[:-1]) for row in rows)
         nis = sum(share for share in rows[:, -1].tolist() if not math.isnan(share))
         return UpdateReport(state, ranged, borne, elevated, nis, is_sane)
-
-    def _updated(
-        self,
-        state: FilterState,
-        sensor: Vector,
-        z: Vector,
-        sigma: Vector,
-        late_m2: float,
-        inflation: Vector,
-    ) -> KernelResult:
-        return robust_update(
-            state.mean,
-            state.covariance,
-            sensor,
-            z,
-            sigma,
-            late_m2,
-            inflation,
-            self._thresholds,
-            self._bounds,
-            self._model,
-        )
 
 
 class AsymmetricHuberEkf(RecursiveFilter):
@@ -277,37 +278,13 @@ class AdmmEkf(RecursiveFilter):
     """
 
     def __init__(self, params: FilterParams, admm: AdmmParams | None = None) -> None:
-        super().__init__(params)
         self.admm = admm or AdmmParams()
-
-    def _updated(
-        self,
-        state: FilterState,
-        sensor: Vector,
-        z: Vector,
-        sigma: Vector,
-        late_m2: float,
-        inflation: Vector,
-    ) -> KernelResult:
-        return admm_update(
-            state.mean,
-            state.covariance,
-            sensor,
-            z,
-            sigma,
-            late_m2,
-            inflation,
-            self._thresholds,
-            self._bounds,
-            self._model,
-            self.admm.iterations,
-            self.admm.penalty,
-        )
+        super().__init__(params, admm_update, (self.admm.iterations, self.admm.penalty))
 
 
 FilterKind = Literal["asymmetric_huber", "huber", "admm", "ekf"]
 
-KINDS: dict[FilterKind, type[RecursiveFilter]] = {
+KINDS: dict[FilterKind, Callable[[FilterParams], TargetFilter]] = {
     "asymmetric_huber": AsymmetricHuberEkf,
     "huber": HuberEkf,
     "admm": AdmmEkf,
@@ -315,6 +292,6 @@ KINDS: dict[FilterKind, type[RecursiveFilter]] = {
 }
 
 
-def filter_of(kind: FilterKind, params: FilterParams) -> RecursiveFilter:
+def filter_of(kind: FilterKind, params: FilterParams) -> TargetFilter:
     """The filter of that name; its `params` are those in force, thresholds included."""
     return KINDS[kind](params)

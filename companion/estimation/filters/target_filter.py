@@ -1,5 +1,8 @@
 """What every filter of the target's position shares: protocol, states, reports and parameters.
 
+Another filter is a class with the members of `TargetFilter` and a row in `kalman.KINDS`: tracker,
+window, gate and first hypotheses ask for nothing else.
+
 `FilterParams` is what a filter believes (noise, thresholds, priors and bounds), and the kernels'
 form of it.
 """
@@ -8,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated, Protocol
 
 import msgspec
@@ -87,6 +91,13 @@ class UpdateReport:
 class TargetFilter(Protocol):
     """A recursive filter of a target's position; pure, the caller keeps the state."""
 
+    @property
+    def params(self) -> FilterParams:
+        """What it believes: noise, thresholds, prior and bounds, as they are in force.
+
+        The window, the likelihood of the hypotheses and the noise monitor believe the same.
+        """
+
     def predict(self, state: FilterState, time_s: float) -> FilterState:
         """The state at a later time."""
 
@@ -112,8 +123,11 @@ MIN_SIGMA, MAX_SIGMA = 1e-50, 1e50
 """What a radio may report: beyond these a standard deviation has no square in 64 bits."""
 
 
-class FilterParams(Params, frozen=True):
-    """What a filter believes about the radio; the defaults are the paper's canonical scenario."""
+class FilterParams(Params, frozen=True, dict=True):
+    """What a filter believes about the radio; the defaults are the paper's canonical scenario.
+
+    What follows from it for the kernels is found once; those arrays are not to be written to.
+    """
 
     range_sigma_m: Positive = 1.5
     """Thermal noise of a range, where the radio does not report one."""
@@ -164,7 +178,7 @@ class FilterParams(Params, frozen=True):
         if low is not None and high is not None and low >= high:
             raise ValueError("range_offset_min_m must be below range_offset_max_m")
 
-    @property
+    @cached_property
     def model(self) -> RangingModel:
         """What the kernels need to know of the measurement model and of the state's layout."""
         has_scale, has_height = self.range_scale_sigma > 0.0, self.target_height_sigma_m > 0.0
@@ -178,7 +192,7 @@ class FilterParams(Params, frozen=True):
 
     @property
     def prior(self) -> tuple[Vector, Vector]:
-        """Mean and standard deviations of the state, each (n,), before any measurement."""
+        """Mean and standard deviations of the state, each (n,), new, before any measurement."""
         offset_m = 0.0
         if self.range_offset_min_m is not None:
             offset_m = max(offset_m, self.range_offset_min_m)
@@ -196,7 +210,7 @@ class FilterParams(Params, frozen=True):
             sigmas.append(self.target_height_sigma_m)
         return np.array(mean), np.array(sigmas)
 
-    @property
+    @cached_property
     def bounds(self) -> Matrix:
         """Lower and upper bounds of the state, (2, n), infinite where there are none."""
         model = self.model
@@ -213,7 +227,7 @@ class FilterParams(Params, frozen=True):
             bounds[:, model.scale_index] = -self.range_scale_max, self.range_scale_max
         return bounds
 
-    @property
+    @cached_property
     def thresholds(self) -> Matrix:
         """Long and short threshold of range, bearing and elevation, (3, 2), in sigma."""
         angle = threshold(self.bearing_k)
@@ -237,13 +251,9 @@ class FilterParams(Params, frozen=True):
         )
         if not self.use_reported_sigma:
             return believed
-        return (
-            _trusted(m.range_sigma_m, believed[0]),
-            _trusted(m.bearing_sigma_rad, believed[1]),
-            _trusted(m.elevation_sigma_rad, believed[2]),
+        reported = (m.range_sigma_m, m.bearing_sigma_rad, m.elevation_sigma_rad)
+        ranged, borne, elevated = (
+            own if told is None else min(max(told, MIN_SIGMA), MAX_SIGMA)
+            for told, own in zip(reported, believed, strict=True)
         )
-
-
-def _trusted(told: float | None, own: float) -> float:
-    """A standard deviation that the radio told, within reason; our own, if it told none."""
-    return own if told is None else min(max(told, MIN_SIGMA), MAX_SIGMA)
+        return (ranged, borne, elevated)

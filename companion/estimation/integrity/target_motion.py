@@ -40,7 +40,7 @@ from companion.estimation.window.sandwich import (
     curvature,
     pooled_variability,
 )
-from companion.estimation.window.window_map import WindowMap
+from companion.estimation.window.window_map import Row, WindowMap
 from companion.kernel import Matrix, Vector
 
 SPANS_S = (10.0, 20.0, 40.0)
@@ -112,21 +112,17 @@ class MotionWatch:
     def clear(self) -> None:
         """Forget everything."""
         self._rows.clear()
-        self._acquit()
+        self._reset()
 
-    def _acquit(self) -> None:
+    def _reset(self) -> None:
         self._significant = self._calm = 0
         self._is_seen = False
         self.suspected = None
 
-    def add(self, time_s: float, sensor_enu_m: PositionEnu, z: Vector, sigma: Vector) -> None:
-        """Take in a measurement.
-
-        Args:
-            z: (3,) range, bearing, elevation; NaN where not measured.
-            sigma: (3,) thermal noise.
-        """
+    def add(self, time_s: float, row: Row) -> None:
+        """Take in a measurement."""
         if self._is_wanted:
+            sensor_enu_m, z, sigma = row
             self._rows.append(np.array([*sensor_enu_m, *z, *sigma, time_s]))
 
     def move(self, shift_enu_m: PositionEnu, step: Vector, params: FilterParams) -> None:
@@ -137,22 +133,18 @@ class MotionWatch:
 
     def is_due(self, now_s: float) -> bool:
         """Whether it is time to look again."""
-        if not self._rows or now_s < self._due_s <= now_s + EVERY_S:
-            return False
-        self._due_s = now_s + EVERY_S
-        return True
+        return bool(self._rows) and not now_s < self._due_s <= now_s + EVERY_S
 
-    def is_worth(self, r95_m: float) -> bool:
-        """Whether it matters: of a target that may be anywhere nothing false is told."""
-        return self.suspected is not None or r95_m <= self._near_m
-
-    def look(self, window_map: WindowMap, mean: Vector) -> None:
-        """Look whether the target walks.
+    def look(self, window_map: WindowMap, mean: Vector, r95_m: float, now_s: float) -> None:
+        """Look whether the target walks, where it matters: not of one that may be anywhere.
 
         Args:
             mean: (k,) what is believed of a target that lies still.
         """
-        found = self._found(window_map, mean)
+        self._due_s = now_s + EVERY_S
+        if self.suspected is None and r95_m > self._near_m:
+            return
+        found = self._likeliest_motion(window_map, mean)
         if found is not None and found.significance >= SIGNIFICANT:
             self.suspected = found
             self._significant += 1
@@ -163,7 +155,7 @@ class MotionWatch:
         self._calm = self._calm + 1 if is_calm else 0
         self._significant = 0
         if not self._is_seen or self._calm >= CALM_COUNT:
-            self._acquit()
+            self._reset()
 
     def _spans(self) -> list[Matrix]:
         """The measurements of the spans, (n, 10) each, in order of time.
@@ -180,7 +172,7 @@ class MotionWatch:
             if len(rows) - begin >= MIN_COUNT and times_s[-1] - times_s[begin] >= LEAST_SPAN_S
         ]
 
-    def _found(self, window_map: WindowMap, mean: Vector) -> Motion | None:
+    def _likeliest_motion(self, window_map: WindowMap, mean: Vector) -> Motion | None:
         """The motion of the shortest span in which it is significant, or else the most significant.
 
         None: nothing says that the target walks.

@@ -3,18 +3,26 @@
 Contact is what was heard of the emitter lately, the age of each kind and how much of it agrees.
 Agreement is whether the measurements of the last seconds fit the estimate at all; a contradiction
 is a run of them that a confident estimate cannot explain.
+
+Divergence. The contradiction needs forty measurements that all say the same. An estimate may fail
+more gently, for instance because the target moves: innovations are merely larger than they should
+be, until the measured inflation has grown to hide them. So the NIS of the last seconds is held
+against its band. The median is taken, because outliers are the gate's task, and a range that is
+taken for a reflection says nothing of the estimate.
 """
 
 from __future__ import annotations
 
 import math
+import statistics
 from collections import deque
 from dataclasses import dataclass
 
 from companion.domain import RangingMeasurement
+from companion.estimation.filter_bank import OPEN, Gate
 from companion.estimation.filters.target_filter import Inflation, ModalityReport, UpdateReport
-from companion.estimation.integrity.consistency import NisWindow, RestartCounter
-from companion.estimation.screening.validation import OPEN, Gate, Objection
+from companion.estimation.noise.innovations import mean_band
+from companion.estimation.screening.measurement_screen import Objection
 
 GAP_S = 2.0
 """Without a measurement that agrees for this long the contact was interrupted."""
@@ -42,22 +50,24 @@ class Contact:
             measurement: All that was measured, its bearing in ENU.
             gate: What of it agrees with the estimate.
         """
-        at_s = measurement.measured_at_s
+        at_s, newest_s = measurement.measured_at_s, self.newest_s
+        range_s, bearing_s = self.range_s, self.bearing_s
         has_range = measurement.range_m is not None and gate.agrees_in_range
         has_bearing = measurement.bearing_enu_rad is not None and gate.agrees_in_bearing
         if not (has_range or has_bearing):
             return self
-        is_gap = self.newest_s is not None and at_s - self.newest_s > GAP_S
-        return Contact(
-            range_s=_later(self.range_s, at_s if has_range else None),
-            bearing_s=_later(self.bearing_s, at_s if has_bearing else None),
-            agreeing=(0 if is_gap else self.agreeing) + gate.agrees,
-        )
+        if has_range:
+            range_s = at_s if range_s is None else max(range_s, at_s)
+        if has_bearing:
+            bearing_s = at_s if bearing_s is None else max(bearing_s, at_s)
+        is_gap = newest_s is not None and at_s - newest_s > GAP_S
+        return Contact(range_s, bearing_s, (0 if is_gap else self.agreeing) + gate.agrees)
 
     @property
     def newest_s(self) -> float | None:
         """When the newest measurement of any kind was made."""
-        return _later(self.range_s, self.bearing_s)
+        times_s = [time_s for time_s in (self.range_s, self.bearing_s) if time_s is not None]
+        return max(times_s, default=None)
 
     def is_interrupted(self, now_s: float) -> bool:
         """Whether there is a gap now, or there was no contact yet."""
@@ -75,12 +85,6 @@ class Contact:
     def bearing_age_s(self, now_s: float) -> float | None:
         """How old the newest bearing is; None if there was none yet."""
         return None if self.bearing_s is None else max(now_s - self.bearing_s, 0.0)
-
-
-def _later(a_s: float | None, b_s: float | None) -> float | None:
-    if a_s is None or b_s is None:
-        return b_s if a_s is None else a_s
-    return max(a_s, b_s)
 
 
 WINDOW_S = 2.0
@@ -102,6 +106,8 @@ class Agreement:
         self._agreed = 0
         self._lost_s = 0.0
         self._since_lost = 0
+        self.is_proven = False
+        """Whether enough measurements agreed since the estimate began."""
         self.is_lost = False
         """Whether next to nothing that is measured agrees with the estimate."""
         self.is_hopeless = False
@@ -111,16 +117,12 @@ class Agreement:
         """Forget everything, because the estimate is another one."""
         self._window.clear()
         self._agreed = 0
-        self.is_lost = self.is_hopeless = False
-
-    @property
-    def is_proven(self) -> bool:
-        """Whether enough measurements agreed since the estimate began."""
-        return self._agreed >= PROVEN_COUNT
+        self.is_proven = self.is_lost = self.is_hopeless = False
 
     def add(self, time_s: float, *, agrees: bool) -> None:
         """Take in a measurement."""
         self._agreed += agrees
+        self.is_proven = self._agreed >= PROVEN_COUNT
         self._window.append((time_s, agrees))
         while len(self._window) > WINDOW_COUNT and self._window[0][0] < time_s - WINDOW_S:
             self._window.popleft()
@@ -157,14 +159,14 @@ class Contradiction:
     """Where those bearings are off to: +-1 or `BEHIND`."""
     ranges: int = 0
     """Ranges that are too short; too long ones say nothing, because that is what reflections do."""
-    refused_ranges: int = 0
+    rejected_ranges: int = 0
     """Ranges that did not pass the gate: a run of them is no run of outliers."""
-    refused_bearings: int = 0
+    rejected_bearings: int = 0
 
     @property
     def is_conclusive(self) -> bool:
         """Whether the estimate should be given up."""
-        counts = (self.bearings, self.ranges, self.refused_ranges, self.refused_bearings)
+        counts = (self.bearings, self.ranges, self.rejected_ranges, self.rejected_bearings)
         return max(counts) >= CONTRADICTION_COUNT
 
     def after(self, report: UpdateReport, inflation: Inflation, gate: Gate = OPEN) -> Contradiction:
@@ -174,16 +176,16 @@ class Contradiction:
             report: Of the update with all that was measured.
         """
         bearings, side, ranges = self.bearings, self.side, self.ranges
-        refused_ranges, refused_bearings = self.refused_ranges, self.refused_bearings
+        rejected_ranges, rejected_bearings = self.rejected_ranges, self.rejected_bearings
         if report.bearing is not None:
             side = _side(report.bearing, inflation[1])
             bearings = 0 if side == 0.0 else (bearings + 1 if side == self.side else 1)
-            refused_bearings = 0 if gate.passes_bearing else refused_bearings + 1
+            rejected_bearings = 0 if gate.passes_bearing else rejected_bearings + 1
         if report.range is not None:
             is_too_short = _whitened(report.range, inflation[0]) < -CONTRADICTION_U
             ranges = ranges + 1 if is_too_short else 0
-            refused_ranges = 0 if gate.passes_range else refused_ranges + 1
-        return Contradiction(bearings, side, ranges, refused_ranges, refused_bearings)
+            rejected_ranges = 0 if gate.passes_range else rejected_ranges + 1
+        return Contradiction(bearings, side, ranges, rejected_ranges, rejected_bearings)
 
 
 def _side(report: ModalityReport, inflation: float) -> float:
@@ -201,23 +203,112 @@ def _whitened(report: ModalityReport, inflation: float) -> float:
     return report.whitened_innovation / math.sqrt(inflation)
 
 
+NIS_WINDOW_S = 3.0
+NIS_WINDOW_COUNT = 30
+"""The window holds at least so much time and so many measurements."""
+OUT_OF_BAND_S = 3.0
+OUT_OF_BAND_COUNT = 10
+"""The NIS must be above its band for at least so long and so many measurements in a row."""
+NEWEST_COUNT = 5
+"""So many of the newest say whether it still is."""
+RESTART_MEMORY_S = 60.0
+MAX_RESTARTS = 2
+"""An estimate that was started anew this often within that time is not flown on."""
+
+
+class NisWindow:
+    """The normalised innovations squared of the last seconds, per degree of freedom."""
+
+    def __init__(self) -> None:
+        self._values: deque[tuple[float, float, int]] = deque()
+        self._dof = 0
+        """Degrees of freedom of all of them."""
+        self._above_since_s: float | None = None
+        self._above_count = 0
+
+    def clear(self) -> None:
+        """Forget everything, because the estimate is another one."""
+        self._values.clear()
+        self._dof = 0
+        self._above_since_s = None
+        self._above_count = 0
+
+    def add(self, report: UpdateReport, inflation: Inflation, time_s: float) -> bool:
+        """Take in an update; whether the NIS has been above its band for too long.
+
+        Args:
+            inflation: Variance inflation of range, bearing and elevation that the run has shown,
+                whether or not the filter was told.
+        """
+        squares = _normalised_squares(report, inflation)
+        if not squares:
+            return False
+        self._values.append((time_s, statistics.fmean(squares), len(squares)))
+        self._dof += len(squares)
+        while len(self._values) > NIS_WINDOW_COUNT and self._values[0][0] < time_s - NIS_WINDOW_S:
+            self._dof -= self._values.popleft()[2]
+        values = [value for _, value, _ in self._values]
+        band = math.inf  # while there are too few
+        if len(values) >= NIS_WINDOW_COUNT:
+            dof = self._dof / len(values)
+            band = mean_band(dof, len(values))[1] / dof
+        if statistics.median(values) <= band:
+            self._above_since_s = None
+            self._above_count = 0
+            return False
+        if self._above_since_s is None:
+            self._above_since_s = time_s
+        self._above_count += 1
+        has_lasted = time_s - self._above_since_s >= OUT_OF_BAND_S
+        is_over = (
+            statistics.median(values[-NEWEST_COUNT:]) <= band
+        )  # the window is slow to see that
+        return has_lasted and self._above_count >= OUT_OF_BAND_COUNT and not is_over
+
+
+def _normalised_squares(report: UpdateReport, inflation: Inflation) -> list[float]:
+    """Of each innovation over its variance, without a range that is taken for a reflection."""
+    squares = []
+    for row, c in zip(report.modalities, inflation, strict=True):
+        if row is None:
+            continue
+        is_reflection = row is report.range and row.weight < 1.0 and row.innovation > 0.0
+        if not is_reflection:
+            squares.append(row.whitened_innovation**2 / (c / row.weight + row.prior_share))
+    return squares
+
+
+class RestartCounter:
+    """How often the estimate was started anew lately."""
+
+    def __init__(self) -> None:
+        self._times_s: deque[float] = deque(maxlen=MAX_RESTARTS)
+
+    def add(self, time_s: float) -> None:
+        """Count a restart."""
+        self._times_s.append(time_s)
+
+    def is_too_many(self, now_s: float) -> bool:
+        """Whether there were `MAX_RESTARTS` within `RESTART_MEMORY_S`."""
+        return len(self._times_s) == MAX_RESTARTS and now_s - self._times_s[0] <= RESTART_MEMORY_S
+
+
 class TrackIntegrity:
     """Counts how measurements agree with the estimate that they meet."""
 
     def __init__(self) -> None:
         self.contact = Contact()
         """How old each kind of measurement is, and how many agreed since the last gap."""
+        self.restarts = 0
+        """How often the estimate was given up."""
+        self.agreement = Agreement()
         self._contradiction = Contradiction()
-        self._agreement = Agreement()
         self._nis = NisWindow()
-        self._restarts = RestartCounter()
+        self._recent_restarts = RestartCounter()
+        self._recovered_at = 0
+        """Measurements accepted until the estimate is believed again."""
         self._inflation_at_loss: Inflation | None = None
         """Shown when agreement was lost; None: it is not."""
-
-    @property
-    def is_proven(self) -> bool:
-        """Whether the estimate has a say in which measurements are outliers."""
-        return self._agreement.is_proven
 
     def judging(self, shown: Inflation) -> Inflation:
         """The inflation that measurements are judged by.
@@ -233,7 +324,7 @@ class TrackIntegrity:
         range_, bearing, elevation = map(min, shown, self._inflation_at_loss)
         return (range_, bearing, elevation)
 
-    def began(self, measurement: RangingMeasurement) -> None:
+    def begin(self, measurement: RangingMeasurement) -> None:
         """Note the first measurement of an estimate, which agrees with everything."""
         self.contact = self.contact.after(measurement, OPEN)
 
@@ -242,44 +333,54 @@ class TrackIntegrity:
         measurement: RangingMeasurement,
         report: UpdateReport,
         gate: Gate,
-        inflation: Inflation,
+        judging: Inflation,
     ) -> bool:
         """Note how a measurement agrees; whether the estimate should be given up.
 
         Args:
             report: What all of it would do.
-            inflation: That the run has shown, whether or not the filter was told.
+            judging: The inflation that it is judged by.
         """
-        inflation = self.judging(inflation)
         self.contact = self.contact.after(measurement, gate)
-        self._agreement.add(measurement.measured_at_s, agrees=gate.agrees)
-        self._contradiction = self._contradiction.after(report, inflation, gate)
-        is_out_of_band = self._nis.add(report, inflation, measurement.measured_at_s)
-        if not self._agreement.is_lost:
+        self.agreement.add(measurement.measured_at_s, agrees=gate.agrees)
+        self._contradiction = self._contradiction.after(report, judging, gate)
+        is_out_of_band = self._nis.add(report, judging, measurement.measured_at_s)
+        if not self.agreement.is_lost:
             self._inflation_at_loss = None
         elif self._inflation_at_loss is None:
-            self._inflation_at_loss = inflation
-        is_conclusive = self._contradiction.is_conclusive or self._agreement.is_hopeless
+            self._inflation_at_loss = judging
+        is_conclusive = self._contradiction.is_conclusive or self.agreement.is_hopeless
         return is_conclusive or is_out_of_band
 
-    def given_up(self, time_s: float) -> None:
-        """The estimate was started anew; what was counted against the old one is void."""
-        self._restarts.add(time_s)
-        self._acquit()
+    def give_up(self, time_s: float, accepted: int) -> None:
+        """The estimate is started anew; what was counted against the old one is void.
+
+        Args:
+            accepted: Measurements accepted before this one.
+        """
+        self.restarts += 1
+        self._recent_restarts.add(time_s)
+        self._recovered_at = accepted + 1 + CONTRADICTION_COUNT
+        self.reset()
 
     def forget(self) -> None:
         """Forget the contact, too, because the frame may have moved."""
         self.contact = Contact()
-        self._acquit()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what was counted for and against the estimate, because it is another one."""
+        self._contradiction = Contradiction()
+        self.agreement.clear()
+        self._nis.clear()
+        self._inflation_at_loss = None
+
+    def is_recovering(self, accepted: int) -> bool:
+        """Whether the estimate was given up so few measurements ago that it is not believed."""
+        return accepted < self._recovered_at
 
     def objection(self, now_s: float) -> Objection | None:
         """The gravest of what speaks against flying on the estimate."""
-        if self._restarts.is_too_many(now_s):
+        if self._recent_restarts.is_too_many(now_s):
             return Objection.UNSTABLE
-        return Objection.CONTRADICTED if self._agreement.is_lost else None
-
-    def _acquit(self) -> None:
-        self._contradiction = Contradiction()
-        self._agreement.clear()
-        self._nis.clear()
-        self._inflation_at_loss = None
+        return Objection.CONTRADICTED if self.agreement.is_lost else None

@@ -137,28 +137,25 @@ class UnitCheck:
         self._around_m = _rings_m(max_range_m)
         self._samples: deque[tuple[float, float, PositionEnu]] = deque(maxlen=MAX_COUNT)
         self._since = 0
-        self._condemned_s = 0.0
-        self._condemned_m = 0.0
+        self._rejected_s = 0.0
+        self._rejected_m = 0.0
         self.factor: float | None = None
         """What ranges seem to be multiplied by; None: nothing speaks for any other than 1."""
         self.is_wild = False
         """Whether ranges scatter by more than anything that is flown on may."""
+        self.is_rejected = False
+        """Whether ranges must not be used: either of the two."""
 
     def clear(self) -> None:
-        """Forget everything, a condemnation included."""
+        """Forget everything, the judgement included."""
         self.forget_samples()
         self.factor = None
-        self.is_wild = False
+        self.is_wild = self.is_rejected = False
 
     def forget_samples(self) -> None:
-        """Forget what was measured, but not a condemnation."""
+        """Forget what was measured, but not the judgement."""
         self._samples.clear()
         self._since = 0
-
-    @property
-    def is_condemned(self) -> bool:
-        """Whether ranges must not be used."""
-        return self.factor is not None or self.is_wild
 
     def add(self, time_s: float, range_m: float, sensor_enu_m: PositionEnu) -> None:
         """Take in a range, and judge now and then.
@@ -193,25 +190,26 @@ class UnitCheck:
         window = _Window(
             _clipped(raw_m, middle_m), np.array([place for _, _, place in self._samples])
         )
-        if not self.is_condemned:
+        if not self.is_rejected:
             self._suspect(window, middle_m, now_s)
-        elif self._samples[0][0] > self._condemned_s:
+        elif self._samples[0][0] > self._rejected_s:
             self._reconsider(window, middle_m)
+        self.is_rejected = self.factor is not None or self.is_wild
 
     def _suspect(self, window: _Window, middle_m: float, now_s: float) -> None:
         factor, log_ratio = self._likeliest(window, FACTORS, REJECT_LOG_RATIO)
         if log_ratio >= REJECT_LOG_RATIO:
             self.factor = factor
         self.is_wild = _is_wild(window)
-        self._condemned_s, self._condemned_m = now_s, middle_m
+        self._rejected_s, self._rejected_m = now_s, middle_m
 
     def _reconsider(self, window: _Window, middle_m: float) -> None:
-        """Acquit by evidence: metres are likelier, or the numbers are of another size."""
+        """Use ranges again by evidence: metres are likelier, or the numbers of another size."""
         if self.factor is not None:
             _, log_ratio = self._likeliest(window, (self.factor,), ACCEPT_LOG_RATIO)
             if log_ratio <= ACCEPT_LOG_RATIO:
                 self.factor = None
-        if self.is_wild and middle_m < self._condemned_m / CHANGED_RATIO:
+        if self.is_wild and middle_m < self._rejected_m / CHANGED_RATIO:
             self.is_wild = _is_wild(window)
 
     def _likeliest(
@@ -219,10 +217,10 @@ class UnitCheck:
     ) -> tuple[float, float]:
         """The likeliest of some factors, and the log of how much more so than 1 it is.
 
-        Metres get the better search: a place between those that are tried must not condemn them.
+        Metres get the better search: no place between those that are tried may be missed for them.
         It only lowers the ratio, so one below `limit` is not looked at any closer.
         """
-        places = self._places_enu_m(window.sensor_enu_m)
+        places = self._around_m + window.sensor_enu_m[:, :2].mean(axis=0)
         tried = _Moments.of(window.range_m, self._distances_m(places, window.sensor_enu_m))
         count = tried.independent
         costs = [float(self._costs(tried, each, count).min()) for each in factors]
@@ -236,11 +234,6 @@ class UnitCheck:
         refined = _Moments.of(window.range_m, distances_m)
         best_in_metres = float(self._costs(refined, 1.0, count).min())
         return factors[best], min(log_ratio, best_in_metres - costs[best])
-
-    def _places_enu_m(self, sensor_enu_m: Matrix) -> Matrix:
-        """Places that are considered, (places, 2): all around, near and far."""
-        places: Matrix = self._around_m + sensor_enu_m[:, :2].mean(axis=0)
-        return places
 
     def _distances_m(self, places_enu_m: Matrix, sensor_enu_m: Matrix) -> Matrix:
         """Distances of places from where ranges were made, (places, n)."""

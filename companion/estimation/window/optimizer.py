@@ -1,4 +1,6 @@
-"""Checks and corrects the hypotheses by solving the window now and then.
+"""Checks and corrects the hypotheses by solving a window of measurements now and then.
+
+The window is a bounded memory, spread over the views of the target that the measurements are.
 
 Every optimum replaces the hypotheses near it, because it holds all that they have seen, and is not
 linearised where they stood at the time. What no longer fits into the window is held as a Gaussian
@@ -20,16 +22,20 @@ ratio; here only the part of the scatter that noise makes counts, because the re
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from companion.domain import Point, PositionEnu
 from companion.estimation.belief import as_evidence
 from companion.estimation.filters.target_filter import FilterParams, FilterState, Inflation
 from companion.estimation.hypotheses import Hypothesis, shift_rows
-from companion.estimation.window.measurement_window import MeasurementWindow, OlderEvidence
+from companion.estimation.integrity.track_integrity import CONTRADICTION_COUNT
+from companion.estimation.measurement_model import BEARING, RANGE
+from companion.estimation.window.map_kernels import COLUMNS, SEQUENCE, SIGMAS, VALUES
 from companion.estimation.window.sandwich import (
     CRITICAL_RATIO,
     Observability,
@@ -40,7 +46,9 @@ from companion.estimation.window.sandwich import (
 from companion.estimation.window.window_map import (
     MAX_POSITION_SIGMA_M,
     MIN_MEASUREMENTS,
+    OlderEvidence,
     Optimum,
+    Row,
     WindowMap,
     WindowParams,
 )
@@ -84,7 +92,119 @@ def log_erfc(x: float) -> float:
     return -x * x - math.log(x * math.sqrt(math.pi))
 
 
-MAX_POLISHED = 4
+SECTORS = 16
+"""Directions that the target is seen from, for thinning."""
+NEAREST_RING_M = 1.0
+"""Views from closer than this are in the innermost ring; each further ring is twice as far."""
+KEPT_SHARE = 0.95
+"""What a full window is thinned to."""
+
+
+class MeasurementWindow:
+    """Up to `size` measurements, spread over the views of the target that they are.
+
+    Rows are laid out as in `map_kernels`.
+    """
+
+    def __init__(self, size: int) -> None:
+        self._rows = np.full((size, COLUMNS), np.nan)
+        self._count = 0
+        self._sequence = 0
+
+    def __len__(self) -> int:
+        """Measurements held."""
+        return self._count
+
+    @property
+    def rows(self) -> Matrix:
+        """The measurements, (n, 10), oldest first."""
+        return self._rows[: self._count]
+
+    @property
+    def has_bearings(self) -> bool:
+        """Whether any measurement held is a bearing."""
+        return not bool(np.isnan(self.rows[:, VALUES + BEARING]).all())
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self._count = 0
+        self._sequence = 0
+
+    def change(self, changed: Callable[[Matrix], Matrix]) -> None:
+        """Put other rows in the place of those held.
+
+        Args:
+            changed: The new rows, (n, 10), of the old ones.
+        """
+        self._rows[: self._count] = changed(self.rows)
+
+    def believe(self, range_sigma_m: float, bearing_sigma_rad: float) -> None:
+        """Take all ranges and bearings held to have this thermal noise."""
+        self.rows[:, SIGMAS + RANGE] = range_sigma_m
+        self.rows[:, SIGMAS + BEARING] = bearing_sigma_rad
+
+    def add(self, row: Row, target_enu_m: Point) -> Matrix:
+        """Take in a measurement; a full window is thinned first.
+
+        Args:
+            target_enu_m: Where the target is believed to be, which decides what is alike.
+
+        Returns:
+            The measurements that had to go, (m, 10), mostly none.
+        """
+        dropped = self._rows[:0]
+        if self._count == len(self._rows):
+            is_kept = kept_by_thinning(self._rows, int(KEPT_SHARE * len(self._rows)), target_enu_m)
+            dropped = self._rows[~is_kept]
+            self._count = int(is_kept.sum())
+            self._rows[: self._count] = self._rows[is_kept]
+        sensor_enu_m, z, sigma = row
+        self._rows[self._count] = (*sensor_enu_m, *z, *sigma, self._sequence)
+        self._count += 1
+        self._sequence += 1
+        return dropped
+
+
+def kept_by_thinning(rows: Matrix, target: int, centre: Point) -> NDArray[np.bool_]:
+    """Which of the rows stay, (n,): at most `target`, taken away where views are most alike.
+
+    Alike are views of the centre from the same sector and about the same distance.
+
+    Args:
+        rows: (n, 10), see `map_kernels`.
+    """
+    east, north = rows[:, 0] - centre[0], rows[:, 1] - centre[1]
+    sector = np.floor((np.arctan2(north, east) / (2.0 * math.pi) + 0.5) * SECTORS) % SECTORS
+    ring = np.floor(np.log2(np.maximum(np.hypot(east, north) / NEAREST_RING_M, 1.0)))
+    _, view, counts = np.unique(ring * SECTORS + sector, return_inverse=True, return_counts=True)
+    cap = int(counts.max())
+    while cap > 1 and int(np.minimum(counts, cap).sum()) > target:
+        cap -= 1
+    keep = np.zeros(len(rows), dtype=bool)
+    for index in range(len(counts)):
+        members = np.flatnonzero(view == index)
+        keep[members[_evenly_in_time(rows[members, SEQUENCE], cap)]] = True
+    kept = np.flatnonzero(keep)
+    if len(kept) > target:  # more views than may be kept: every one loses alike
+        keep[:] = False
+        keep[kept[np.linspace(0, len(kept) - 1, target).astype(int)]] = True
+    return keep
+
+
+def _evenly_in_time(sequence: Vector, count: int) -> NDArray[np.intp]:
+    """Indices of at most `count` members, spread evenly over the time that they span.
+
+    The member with the nearest neighbours goes first. Picking every other one would forget: what
+    survived many thinnings is sparse already.
+    """
+    kept = np.arange(len(sequence))
+    while len(kept) > max(count, 2):
+        gaps = sequence[kept[2:]] - sequence[kept[:-2]]
+        kept = np.delete(kept, 1 + int(np.argmin(gaps)))
+    return kept[:count]
+
+
+MAX_STARTS_KEPT = 4
 """Hypotheses that start a solution of the window each time."""
 UNSETTLED_STARTS, SETTLED_STARTS = 4, 1
 """Fresh starts per solution, before and after there is one hypothesis and much evidence."""
@@ -111,8 +231,11 @@ class WindowOptimizer:
         self._filter_params = filter_params
         self._params = params
         self._window = MeasurementWindow(params.size)
-        self._map = WindowMap(filter_params)
-        self._older = OlderEvidence.none(self._map.size)
+        self.map = WindowMap(filter_params)
+        """What solves the window."""
+        self._older = OlderEvidence.none(self.map.size)
+        self.latest: deque[Row] = deque(maxlen=CONTRADICTION_COUNT)
+        """The measurements of late, those included that were no part of the window."""
         self._turn = 0
         self._due_at = MIN_MEASUREMENTS
         self._fresh_at = MIN_MEASUREMENTS
@@ -121,9 +244,10 @@ class WindowOptimizer:
 
     def clear(self) -> None:
         """Forget everything measured."""
+        self.latest.clear()
         self._window.clear()
         self.noise = None
-        self._older = OlderEvidence.none(self._map.size)
+        self._older = OlderEvidence.none(self.map.size)
         self._due_at = MIN_MEASUREMENTS
 
     def begin_from(self, hypothesis: Hypothesis) -> None:
@@ -131,34 +255,26 @@ class WindowOptimizer:
         self._older = as_evidence(hypothesis, self._filter_params)
 
     def move(self, shift_enu_m: PositionEnu, step: Vector) -> None:
-        """Move all evidence along with the vehicle's navigation, which jumped; see `moving`."""
+        """Move all evidence along with the vehicle's navigation, which jumped."""
+        self.latest.clear()
         self._older = self._older.moved(step)
         self._window.change(
             lambda rows: shift_rows(rows, shift_enu_m, step, self._filter_params),
         )
 
-    def begin_with(self, latest: Iterable[tuple[PositionEnu, Vector, Vector]]) -> None:
-        """Forget what led to an estimate that has been given up, all but the latest measurements.
-
-        Args:
-            latest: Where each was taken, its values (3,) and their thermal noise (3,).
-        """
-        self._older = OlderEvidence.none(self._map.size)
+    def begin_with_latest(self) -> None:
+        """Forget what led to an estimate that was given up, all but the latest measurements."""
+        self._older = OlderEvidence.none(self.map.size)
         self._window.clear()
-        for sensor_enu_m, z, sigma in latest:
-            self._window.add(sensor_enu_m, z, sigma, sensor_enu_m[:2])
+        for row in self.latest:
+            self._window.add(row, row[0][:2])
         self.noise = None
         self._due_at = self._fresh_at = 0
-
-    @property
-    def map(self) -> WindowMap:
-        """What solves the window."""
-        return self._map
 
     def retune(self, filter_params: FilterParams) -> None:
         """Believe in other noise and thresholds, for what was measured already, too."""
         self._filter_params = filter_params
-        self._map = WindowMap(filter_params)
+        self.map = WindowMap(filter_params)
         self._window.believe(
             filter_params.range_sigma_m, math.radians(filter_params.bearing_sigma_deg)
         )
@@ -173,22 +289,17 @@ class WindowOptimizer:
         """Whether any measurement held is a bearing."""
         return self._window.has_bearings
 
-    def add(
-        self,
-        sensor_enu_m: PositionEnu,
-        z: Vector,
-        sigma: Vector,
-        hypotheses: Sequence[Hypothesis],
-        *,
-        is_white: bool,
-    ) -> None:
+    def add(self, row: Row, hypotheses: Sequence[Hypothesis], *, is_white: bool) -> None:
         """Take in a measurement; what must leave the window becomes older evidence.
 
         While there are several hypotheses there is no place to expand it about, and where residuals
         repeat each other its neighbours have said the same: then it is let go.
         """
-        place: Point = hypotheses[0].place_enu_m if hypotheses else sensor_enu_m[:2]
-        dropped = self._window.add(sensor_enu_m, z, sigma, place)
+        place: Point = row[0][:2]
+        if hypotheses:
+            mean = hypotheses[0].state.mean
+            place = (float(mean[0]), float(mean[1]))
+        dropped = self._window.add(row, place)
         if len(dropped) and len(hypotheses) == 1 and is_white:
             self._older = self._older.joined(
                 dropped,
@@ -199,13 +310,9 @@ class WindowOptimizer:
 
     def is_due(self, accepted: int) -> bool:
         """Whether the window should be solved after this many measurements."""
-        if not self._params.enabled or accepted < self._due_at:
-            return False
-        grown = max(1, int(EARLY_SHARE * accepted))
-        self._due_at = accepted + min(self._params.every, grown)
-        return True
+        return self._params.enabled and accepted >= self._due_at
 
-    def polished(
+    def optimize(
         self,
         hypotheses: tuple[Hypothesis, ...],
         accepted: int,
@@ -222,24 +329,26 @@ class WindowOptimizer:
             fresh_starts: How many starts besides the hypotheses; None: as many as the evidence
                 calls for.
         """
+        grown = max(1, int(EARLY_SHARE * accepted))
+        self._due_at = accepted + min(self._params.every, grown)
         if len(self._window) < MIN_MEASUREMENTS or not hypotheses:
             return hypotheses
         if fresh_starts is None:
             fresh_starts = self._fresh_starts(len(hypotheses), accepted)
-        self._map.expect(inflation)
+        self.map.expect(inflation)
         rows, starts = self._window.rows, self._starts(hypotheses, fresh_starts)
-        optima = self._map.optima(rows, starts, self._older, is_white=is_white)
+        optima = self.map.optima(rows, starts, self._older, is_white=is_white)
         if optima and not self._older.is_empty and self._is_contradicted(optima[0]):
-            self._older = OlderEvidence.none(self._map.size)
+            self._older = OlderEvidence.none(self.map.size)
             starts.append(optima[0].mean)
-            optima = self._map.optima(rows, starts, is_white=is_white)
+            optima = self.map.optima(rows, starts, is_white=is_white)
         if optima:
             optima = self._trimmed(optima, starts, is_white=is_white)
         if not optima:
             return tuple(replace(h, least_covariance_m2=VAGUE_COVARIANCE_M2) for h in hypotheses)
         self.noise = optima[0].noise
         return tuple(
-            _replacing(optimum, log_weight, hypotheses[0].state.time_s, is_white)
+            _hypothesis_at(optimum, log_weight, hypotheses[0].state.time_s, is_white)
             for log_weight, optimum in weigh_optima(optima)
         )
 
@@ -248,7 +357,7 @@ class WindowOptimizer:
         if not len(self._window):
             return None
         rows = self._window.rows
-        return observability_of(rows, self._map.scores(rows, mean))
+        return observability_of(rows, self.map.scores(rows, mean))
 
     def _fresh_starts(self, hypotheses: int, accepted: int) -> int:
         """How many fresh starts are due; early solutions in between have none."""
@@ -261,13 +370,13 @@ class WindowOptimizer:
     def _starts(self, hypotheses: Sequence[Hypothesis], fresh: int) -> list[Vector]:
         """The hypotheses, the best one's mirror image, and places around the path."""
         rows, directions = self._window.rows, self._params.starts
-        starts = [h.state.mean for h in hypotheses[:MAX_POLISHED]]
+        starts = [h.state.mean for h in hypotheses[:MAX_STARTS_KEPT]]
         if fresh:
             starts.append(mirrored(starts[0], rows[:, :2]))
         for _ in range(fresh):
             direction_rad = 2.0 * math.pi * self._turn / directions
             spread = self._turn // directions + self._turn
-            starts.append(self._map.start_around(rows, direction_rad, spread))
+            starts.append(self.map.start_around(rows, direction_rad, spread))
             self._turn += 1
         return starts
 
@@ -278,11 +387,11 @@ class WindowOptimizer:
 
         Where most measurements look wrong, it is rather the optimum, and nothing is left out.
         """
-        rows = self._map.without_gross(self._window.rows, optima[0])
+        rows = self.map.without_gross(self._window.rows, optima[0])
         if rows is None:
             return optima
         starts = [*starts, *(optimum.mean for optimum in optima)]
-        return self._map.optima(rows, starts, self._older, is_white=is_white) or optima
+        return self.map.optima(rows, starts, self._older, is_white=is_white) or optima
 
     def _is_contradicted(self, best: Optimum) -> bool:
         """Whether the window alone leads elsewhere than with the older evidence.
@@ -291,7 +400,7 @@ class WindowOptimizer:
         """
         if len(self._window) < CONTRADICTING_SHARE * self._params.size:
             return False
-        alone = self._map.optima(self._window.rows, [best.mean])
+        alone = self.map.optima(self._window.rows, [best.mean])
         if not alone:
             return False
         difference = alone[0].mean[:2] - best.mean[:2]
@@ -299,7 +408,9 @@ class WindowOptimizer:
         return float(difference @ np.linalg.solve(spread, difference)) > CONTRADICTED_DISTANCE2
 
 
-def _replacing(optimum: Optimum, log_weight: float, time_s: float, is_white: bool) -> Hypothesis:
+def _hypothesis_at(
+    optimum: Optimum, log_weight: float, time_s: float, is_white: bool
+) -> Hypothesis:
     """The hypothesis that an optimum becomes.
 
     Where residuals repeat each other, the filter only repeats itself until the next solution.

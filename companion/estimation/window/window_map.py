@@ -20,20 +20,28 @@ one. A bearing from far away or a range from nearly one place leaves a valley th
 optimum and flat beyond it. The covariance is that of the curvature at the optimum; so the cost is
 read along the most uncertain direction, out to where the 95 % circle ends. Where it rises by less
 than half of what the curvature promises, the deviation is stretched to where it does.
+
+What leaves the window is expanded to second order about the estimate of that time,
+
+    rho(u(x)) ~ const - psi H^T (x - x0) + 1/2 (x - x0)^T psi' H H^T (x - x0)
+
+and only the sums are kept (`OlderEvidence`). That is for residuals that know nothing of each other.
+Where they repeat each other, a measurement that was left out says little that its neighbours in the
+window do not.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import msgspec
 import numpy as np
 import numpy.ma  # the first np.median would load it: 30 ms that a flight must not wait
 
-from companion.domain import Params
+from companion.domain import Params, PositionEnu
 from companion.estimation.filters.target_filter import FilterParams, Inflation
 from companion.estimation.measurement_model import (
     BEARING,
@@ -41,6 +49,7 @@ from companion.estimation.measurement_model import (
     MODALITIES,
     RANGE,
     RANGE_OFFSET,
+    RangingModel,
 )
 from companion.estimation.window.map_kernels import (
     MIN_DISTANCE_M,
@@ -53,7 +62,6 @@ from companion.estimation.window.map_kernels import (
     row_residuals,
     row_sigmas,
 )
-from companion.estimation.window.measurement_window import OlderEvidence
 from companion.estimation.window.sandwich import (
     Scores,
     correlated_variability,
@@ -64,6 +72,60 @@ from companion.estimation.window.sandwich import (
 )
 from companion.kernel import Matrix, Vector
 
+
+@dataclass(frozen=True, slots=True)
+class OlderEvidence:
+    """A Gaussian in canonical form, and how much its pull would vary by chance."""
+
+    information: Matrix
+    """(k, k), L."""
+    pull: Vector
+    """(k,), L times the mean."""
+    variability: Matrix
+    """(k, k), the sum of psi^2 H H^T: the sandwich's B."""
+
+    @classmethod
+    def none(cls, size: int) -> OlderEvidence:
+        """Nothing yet, for a state of `size` components."""
+        return cls(np.zeros((size, size)), np.zeros(size), np.zeros((size, size)))
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing was left out yet."""
+        return not self.information.any()
+
+    def moved(self, step: Vector) -> OlderEvidence:
+        """The same about a state that is farther by `step`, (k,)."""
+        return replace(self, pull=self.pull + self.information @ step)
+
+    def joined(
+        self,
+        rows: Matrix,
+        mean: Vector,
+        thresholds: Matrix,
+        model: RangingModel,
+    ) -> OlderEvidence:
+        """With the measurements `rows`, expanded about `mean`.
+
+        Args:
+            rows: (m, 10), see `map_kernels`.
+            mean: (k,).
+            thresholds: (3, 2).
+        """
+        sigmas = row_sigmas(rows, mean, model)
+        u = row_residuals(rows, mean, sigmas, model)
+        psi = clipped(u, thresholds)
+        H = row_partials(rows, mean, sigmas, model)
+        influence = psi.reshape(-1)
+        A = H.T @ ((u == psi).reshape(-1, 1) * H)
+        B = H.T @ ((influence**2)[:, None] * H)
+        return OlderEvidence(
+            self.information + A,
+            self.pull + A @ mean + H.T @ influence,
+            self.variability + B,
+        )
+
+
 EDGE_SIGMAS = 2.45
 """How far out the 95 % circle ends."""
 MIN_RISE_SHARE = 0.5
@@ -71,6 +133,8 @@ MIN_RISE_SHARE = 0.5
 STRETCHES = tuple(1.5**i for i in range(1, 9))
 
 Cost = Callable[[Vector], float]
+Row = tuple[PositionEnu, Vector, Vector]
+"""Where a measurement was made, its values (3,), NaN where not measured, and their sigmas (3,)."""
 
 
 def stretch_covariance(covariance: Matrix, A: Matrix, mean: Vector, cost: Cost) -> Matrix:
@@ -124,7 +188,7 @@ class WindowParams(Params, frozen=True):
     """The window and how often it is solved."""
 
     enabled: bool = True
-    """Whether the filter is checked and polished at all."""
+    """Whether the filter is checked and corrected at all."""
     size: Annotated[int, msgspec.Meta(ge=32, le=4096)] = 512
     """Most measurements kept."""
     every: Annotated[int, msgspec.Meta(ge=1)] = 25

@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 
 from companion.domain import BatteryLevel, FlightMode, PositionEnu, TargetEstimate
-from companion.estimation.screening.validation import Objection
+from companion.estimation.screening.measurement_screen import Objection
 from companion.guidance import events
 from companion.guidance.authority.control_authority import is_search_due
 from companion.guidance.authority.state_machine import IN_CONTROL, Phase

@@ -18,7 +18,7 @@ import msgspec
 
 from companion.domain import Params, Point, PositionEnu, RangingMeasurement
 from companion.estimation.belief import Belief
-from companion.estimation.screening.validation import RejectReason, reject_reason_of
+from companion.estimation.screening.measurement_screen import RejectReason, reject_reason_of
 from companion.estimation.tracker import FusionReport, TargetTracker, TrackerParams
 
 Order = Literal["first", "nearest", "strongest", "listed"]
@@ -104,15 +104,15 @@ class EmitterQueue:
         return sum(tracker.accepted for tracker in self.trackers)
 
     @property
-    def refusals(self) -> Counter[RejectReason]:
+    def rejected(self) -> Counter[RejectReason]:
         """Measurements that were not, by reason."""
-        counters = (tracker.refusals for tracker in self.trackers)
+        counters = (tracker.rejected for tracker in self.trackers)
         return sum(counters, Counter[RejectReason]())
 
     @property
     def restarts(self) -> int:
         """Filters that were started anew."""
-        return sum(tracker.restarts for tracker in self.trackers)
+        return sum(tracker.integrity.restarts for tracker in self.trackers)
 
     def is_current(self, emitter_id: int) -> bool:
         """Whether a measurement of this emitter is of the one that is looked for."""
@@ -152,12 +152,12 @@ class EmitterQueue:
             return self._current.fuse(measurement, sensor_enu_m, now_s)
         tracker = self._trackers.get(measurement.emitter_id)
         if tracker is None:
-            refusal = self._refusal_of_stranger(measurement, now_s)
-            if refusal is not None:
-                return self._current.refuse(refusal)
+            reason = self._reason_against_stranger(measurement, now_s)
+            if reason is not None:
+                return self._current.reject(reason)
             tracker = self._begin(measurement.emitter_id)
         report = tracker.fuse(measurement, sensor_enu_m, now_s)
-        if report.refusal is None and sensor_enu_m is not None:
+        if report.reject_reason is None and sensor_enu_m is not None:
             self._place = sensor_enu_m[:2]
             self._note_strength(measurement)
         return report
@@ -174,9 +174,9 @@ class EmitterQueue:
         if open_ones:
             self._current = self._trackers[min(open_ones, key=self._rank)]
 
-    def refuse(self, reason: RejectReason) -> FusionReport:
+    def reject(self, reason: RejectReason) -> FusionReport:
         """Count a measurement that could not even be offered."""
-        return self._current.refuse(reason)
+        return self._current.reject(reason)
 
     def restart(self) -> None:
         """Forget where everything is, because the frame may have moved."""
@@ -222,7 +222,7 @@ class EmitterQueue:
         """Whether no other emitter gets a filter."""
         return bool(self.params.listed) or len(self._trackers) >= self.params.most
 
-    def _refusal_of_stranger(
+    def _reason_against_stranger(
         self, measurement: RangingMeasurement, now_s: float
     ) -> RejectReason | None:
         """Why an emitter that is heard for the first time gets no filter."""

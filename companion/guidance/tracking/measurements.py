@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import Protocol
 
 from companion.domain import PositionEnu, RangingMeasurement
-from companion.estimation.screening.validation import RejectReason, identity_of
+from companion.estimation.screening.measurement_screen import RejectReason, identity_of
 from companion.estimation.tracker import FusionReport
 from companion.geometry.coordinates import bearing_enu_from_ned
 from companion.guidance.authority.state_machine import FLYING, IN_CONTROL, Phase
@@ -40,7 +40,7 @@ class Fuser(Protocol):
     ) -> FusionReport:
         """Take in one measurement."""
 
-    def refuse(self, reason: RejectReason) -> FusionReport:
+    def reject(self, reason: RejectReason) -> FusionReport:
         """Count a measurement that could not even be offered."""
 
 
@@ -65,13 +65,13 @@ class RangingListener:
         """
         identity = identity_of(measurement)
         if any(identity_of(waiting) == identity for waiting in self._waiting):
-            return [self._fuser.refuse(RejectReason.DUPLICATE)]
+            return [self._fuser.reject(RejectReason.DUPLICATE)]
         self._waiting.append(measurement)
         if len(self._waiting) <= MAX_WAITING:
             return []
         oldest = min(range(len(self._waiting)), key=lambda i: self._waiting[i].measured_at_s)
         del self._waiting[oldest]
-        return [self._fuser.refuse(RejectReason.TOO_MANY)]
+        return [self._fuser.reject(RejectReason.TOO_MANY)]
 
     def fuse_due(self, now_s: float) -> list[FusionReport]:
         """Fuse every measurement whose place is known, or will not become known any more."""
@@ -87,7 +87,7 @@ class RangingListener:
 
     def _fuse(self, measurement: RangingMeasurement, now_s: float) -> FusionReport:
         if not self._track.is_trusted_at(measurement.measured_at_s):
-            return self._fuser.refuse(RejectReason.OWN_JUMP)
+            return self._fuser.reject(RejectReason.OWN_JUMP)
         sensor_enu_m = self._track.position_at(measurement.measured_at_s)
         body_rad = measurement.bearing_body_rad
         if body_rad is not None and measurement.bearing_enu_rad is None:
@@ -124,7 +124,7 @@ class EmitterScheduler:
         self._followed = tracker
         context.believe(tracker.estimate(now_s))
         context.flight_plan.forget()
-        self._inputs.note_switch(tracker.contact.agreeing_since_gap(now_s))
+        self._inputs.note_switch(tracker.integrity.contact.agreeing_since_gap(now_s))
         if context.phase in FLYING:
             context.plan_now(now_s)
 
@@ -188,8 +188,8 @@ class Measuring:
         self._scheduler.choose(now_s)
         for report in reports:
             measured = report.measurement
-            if report.refusal is not None:
-                context.send(*self._rejects.messages_for(report.refusal, now_s))
+            if report.reject_reason is not None:
+                context.send(*self._rejects.messages_for(report.reject_reason, now_s))
             elif measured is not None and not context.emitters.is_current(measured.emitter_id):
                 estimate = context.emitters.tracker_of(measured.emitter_id).estimate(now_s)
                 if estimate is not None:

@@ -38,7 +38,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv, log_ndtr
 
-from companion.estimation.integrity.consistency import MIN_AXIS_RATIO, r95_of_covariance_m
+from companion.estimation.target_estimate import MIN_AXIS_RATIO, r95_of_covariance_m
 from companion.kernel import Matrix, Vector, kernel
 from sim_link.world.environment import ChannelParams
 

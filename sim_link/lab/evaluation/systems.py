@@ -19,7 +19,7 @@ import numpy as np
 
 from companion.domain import EstimateState, Point, PositionEnu, RangingMeasurement, TargetEstimate
 from companion.errors import ConfigError
-from companion.estimation.filters.kalman import KINDS, AdmmEkf, RecursiveFilter, filter_of
+from companion.estimation.filters.kalman import KINDS, AdmmEkf, filter_of
 from companion.estimation.filters.target_filter import FilterParams, FilterState, TargetFilter
 from companion.estimation.hypotheses import HypothesisParams, first_hypotheses
 from companion.estimation.measurement_model import MODALITIES
@@ -337,7 +337,7 @@ def steering_of(case: Case, system: System) -> Steering:
     )
 
 
-def recursive_filter_of(case: Case, system: System) -> RecursiveFilter:
+def recursive_filter_of(case: Case, system: System) -> TargetFilter:
     """The companion's filter of that name; that of the window is the one-sided filter.
 
     Raises:

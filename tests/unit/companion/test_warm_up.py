@@ -46,7 +46,7 @@ def test_ranges_and_bearings_alone_and_together_fill_the_window_and_are_planned_
     def counted(self: TargetTracker, measurement: Any, *place_and_time: Any) -> Any:
         kinds[measurement.range_m is not None, measurement.bearing_enu_rad is not None] += 1
         report = fuse(self, measurement, *place_and_time)
-        assert report.refusal is None
+        assert report.reject_reason is None
         return report
 
     monkeypatch.setattr(TargetTracker, "fuse", counted)

@@ -47,9 +47,9 @@ def test_after_a_jump_it_is_as_if_it_had_always_been_there(count: int) -> None:
     fed(jumped, rows[count:], count, SHIFT)
     higher = msgspec.structs.replace(believed.filter, target_height_m=SHIFT[2])
     always = fed(TargetTracker(TrackerParams(filter=higher)), rows, 0, SHIFT)
-    jumped.polish_thoroughly()
-    always.polish_thoroughly()
-    assert jumped.restarts == 0
+    jumped.optimize(jumped.params.window.starts)
+    always.optimize(always.params.window.starts)
+    assert jumped.integrity.restarts == 0
     one, other = jumped.hypotheses[0].state.mean, always.hypotheses[0].state.mean
     np.testing.assert_allclose(one, other, rtol=0, atol=0.05)
     assert jumped.estimate(1e3).r95_m == pytest.approx(always.estimate(1e3).r95_m, rel=0.1)  # type: ignore[union-attr]
@@ -65,8 +65,8 @@ def test_bearings_from_a_heading_turn_with_it() -> None:
     assert after.mean[:3] == pytest.approx(before.mean[:3])
     assert after.covariance[3, 3] > before.covariance[3, 3]
     fed(tracker, rows[100:], 100, turn_rad=TURN_RAD)
-    assert tracker.restarts == 0
-    assert not tracker.refusals
+    assert tracker.integrity.restarts == 0
+    assert not tracker.rejected
     assert math.dist(tracker.hypotheses[0].place_enu_m, before.mean[:2]) < 1.0
 
 

@@ -13,7 +13,7 @@ from companion.domain import EstimateState, Point, PositionEnu, RangingMeasureme
 from companion.estimation.filters.kalman import KINDS, FilterKind, filter_of
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.integrity.track_integrity import CONTRADICTION_COUNT
-from companion.estimation.screening.validation import Objection, RejectReason
+from companion.estimation.screening.measurement_screen import Objection, RejectReason
 from companion.estimation.tracker import TargetTracker, TrackerParams
 from companion.estimation.window.window_map import WindowParams
 from companion.planning.crossing import Latch, LatchedCrossing, LatchedCrossingParams
@@ -112,7 +112,7 @@ def test_an_estimate_that_contradicts_its_measurements_starts_anew(turned_rad: f
     assert estimate_of(tracker).state is EstimateState.LOCALISED
     assert fly_around(tracker, (0.0, 0.0), range(120, 140), turned_rad) == 0
     assert fly_around(tracker, (0.0, 0.0), range(140, 120 + CONTRADICTION_COUNT), turned_rad) == 1
-    assert tracker.restarts == 1
+    assert tracker.integrity.restarts == 1
     assert estimate_of(tracker).state is EstimateState.DIVERGED
 
 
@@ -150,7 +150,7 @@ def test_a_lost_covariance_restarts_it_and_says_so() -> None:
             assert report.update is None
             break
     assert restarted
-    assert tracker.restarts == 1
+    assert tracker.integrity.restarts == 1
     estimate = estimate_of(tracker)
     assert estimate.state is EstimateState.DIVERGED
     assert all(math.isfinite(v) for row in estimate.covariance_m2 for v in row)
@@ -174,20 +174,20 @@ def test_a_moved_frame_forgets_the_place_but_not_the_emitter() -> None:
 def test_without_adaptation_the_inflation_is_one() -> None:
     tracker = TargetTracker(TrackerParams(adapt_inflation=False))
     fly_around(tracker, (0.0, 0.0), range(50))
-    assert tracker.inflation == (1.0, 1.0, 1.0)
+    assert tracker.health.inflation == (1.0, 1.0, 1.0)
 
 
 def test_reflections_are_counted() -> None:
     tracker = TargetTracker(TrackerParams())
     fly_around(tracker, (0.0, 0.0), range(200))
-    assert tracker.nlos_share < 0.2
+    assert tracker.health.nlos_share < 0.2
     rng = np.random.default_rng(3)
     for step in range(200, 500):
         angle = 0.25 * step
         place = (25.0 * math.cos(angle), 25.0 * math.sin(angle), HEIGHT_M)
         range_m = range_to(place, (0.0, 0.0)) + 8.0 + float(rng.normal(0.0, 0.5))
         tracker.fuse(measured(float(step), range_m, bearing_to(place, (0, 0))), place, float(step))
-    assert tracker.nlos_share > 0.3
+    assert tracker.health.nlos_share > 0.3
 
 
 CHECKED_STEPS = (20, 30, 40)
@@ -262,7 +262,7 @@ def test_every_filter_can_be_chosen_and_finds_the_target(kind: FilterKind) -> No
     estimate = estimate_of(tracker)
     assert estimate.state is EstimateState.LOCALISED
     assert math.dist(estimate.position_enu_m, (10.0, -5.0)) <= estimate.r95_m
-    assert isinstance(filter_of(kind, FilterParams()), KINDS[kind])
+    assert type(filter_of(kind, FilterParams())) is KINDS[kind]
 
 
 def test_the_filters_are_not_all_the_same() -> None:
@@ -331,18 +331,18 @@ def test_the_base_line_is_as_long_as_the_height_above_the_target() -> None:
 
 def test_what_the_track_can_tell_is_a_live_value() -> None:
     tracker = TargetTracker(TrackerParams())
-    assert tracker.observability is None
+    assert tracker.health.observability is None
     target = (30.0, 25.0)
     line = leg((0.0, 0.0), (80.0, 0.0), 60)
     for step, place in enumerate(line):
         tracker.fuse(measured(float(step), range_to(place, target)), place, float(step))
-    straight = tracker.observability
+    straight = tracker.health.observability
     assert straight is not None
     assert straight.is_collinear
     assert straight.bilateral_share > 0.9
     for step, place in enumerate(leg((80.0, 1.0), (80.0, 60.0), 60)):
         tracker.fuse(measured(60.0 + step, range_to(place, target)), place, 60.0 + step)
-    turned = tracker.observability
+    turned = tracker.health.observability
     assert turned is not None
     assert not turned.is_collinear
     assert turned.min_eigenvalue > straight.min_eigenvalue
@@ -402,4 +402,4 @@ def test_ranges_that_no_place_and_no_offset_explains_in_metres_are_not_used() ->
         short = measured(float(step), 8.0 + 0.1 * (step % 7))
         tracker.fuse(short, place, float(step))
     assert tracker.objection(240.0) is Objection.RANGE_UNIT
-    assert tracker.refusals[RejectReason.WRONG_UNIT] > 100
+    assert tracker.rejected[RejectReason.WRONG_UNIT] > 100

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from companion.estimation.filters.target_filter import FilterParams
-from companion.estimation.screening.validation import RejectReason
+from companion.estimation.screening.measurement_screen import RejectReason
 from companion.estimation.tracker import TargetTracker, TrackerParams
 from tests.unit.companion.estimation.tracker_helpers import (
     HEIGHT_M,
@@ -33,21 +33,24 @@ def test_a_duplicate_changes_nothing_however_often_it_comes(has_stamp: bool) -> 
             stamp_us=10_000 + step if has_stamp else None,
         )
         once.fuse(seen, place, float(step))
-        assert often.fuse(seen, place, float(step)).refusal is None
+        assert often.fuse(seen, place, float(step)).reject_reason is None
         for again_s in (0.0, 0.2, 0.9):
             copy = replace(seen, measured_at_s=seen.measured_at_s + 0.01) if has_stamp else seen
             report = often.fuse(copy, place, float(step) + again_s)
-            assert report.refusal is RejectReason.DUPLICATE
+            assert report.reject_reason is RejectReason.DUPLICATE
             assert report.update is None
     assert known_by(often) == known_by(once)
     assert often.accepted == once.accepted == 60
-    assert often.refusals[RejectReason.DUPLICATE] == 180
+    assert often.rejected[RejectReason.DUPLICATE] == 180
 
 
 def test_the_same_reading_at_another_time_is_no_duplicate() -> None:
     tracker = TargetTracker(TrackerParams())
     for step in range(5):
-        assert tracker.fuse(measured(0.1 * step, 40.0), (0.0, 0.0, HEIGHT_M), 1.0).refusal is None
+        assert (
+            tracker.fuse(measured(0.1 * step, 40.0), (0.0, 0.0, HEIGHT_M), 1.0).reject_reason
+            is None
+        )
 
 
 def _delayed(delays_s: list[float], params: TrackerParams) -> TargetTracker:
@@ -63,7 +66,7 @@ def _delayed(delays_s: list[float], params: TrackerParams) -> TargetTracker:
         delay_s = delays_s[step % len(delays_s)]
         arrivals.append((seen.measured_at_s + delay_s, step, seen, place))
     for now_s, _, seen, place in sorted(arrivals):
-        assert tracker.fuse(seen, place, now_s).refusal is None
+        assert tracker.fuse(seen, place, now_s).reject_reason is None
     return tracker
 
 
@@ -87,6 +90,6 @@ def test_what_is_older_than_a_second_is_refused() -> None:
     tracker = walk_about(corner_walk(), (30.0, 40.0), True, True)
     before = known_by(tracker)
     stale = measured(500.0, range_to((0.0, 0.0, HEIGHT_M), (30.0, 40.0)))
-    assert tracker.fuse(stale, (0.0, 0.0, HEIGHT_M), 501.01).refusal is RejectReason.STALE
+    assert tracker.fuse(stale, (0.0, 0.0, HEIGHT_M), 501.01).reject_reason is RejectReason.STALE
     assert known_by(tracker) == before
-    assert tracker.fuse(stale, (0.0, 0.0, HEIGHT_M), 500.99).refusal is None
+    assert tracker.fuse(stale, (0.0, 0.0, HEIGHT_M), 500.99).reject_reason is None

@@ -61,7 +61,7 @@ def walk_about(
             range_to(place, target) if has_range else None,
             bearing_to(place, target) if has_bearing else None,
         )
-        assert tracker.fuse(seen, place, float(step)).refusal is None
+        assert tracker.fuse(seen, place, float(step)).reject_reason is None
     return tracker
 
 

@@ -174,7 +174,7 @@ def test_holds_while_the_filter_recovers() -> None:
     flight.fly(6.0)
     flight.bearing_error_rad = math.pi
     flight.fly(4.5)
-    assert flight.session.tracker.restarts == 1
+    assert flight.session.tracker.integrity.restarts == 1
     assert flight.is_in(Phase.HOLD)
     status = flight.session.status(flight.now_s)
     assert status.detail == "the filter is recovering from a contradiction"

@@ -386,7 +386,7 @@ def test_another_vehicles_radio_on_the_shared_port_is_not_listened_to() -> None:
     wire.say(ranging(stamp_us=1_100_000), sender=MavCodec(1, 158))
     wire.wait(1.0)
     tracker = wire.endpoint.session.tracker
-    assert tracker.accepted + sum(tracker.refusals.values()) == 1
+    assert tracker.accepted + sum(tracker.rejected.values()) == 1
 
 
 def test_before_an_autopilot_is_bound_no_ranging_counts() -> None:

@@ -108,7 +108,7 @@ def state(wire: Wire) -> tuple[object, ...]:
         vehicle.position_enu_m,
         vehicle.track.yaw_at(wire.now_s),
         session.tracker.accepted,
-        sum(session.tracker.refusals.values()),
+        sum(session.tracker.rejected.values()),
         wire.endpoint.binding.peer,
         wire.endpoint.binding.heard_s,
         len(wire.journal.records),

@@ -13,9 +13,9 @@ from companion.estimation.filters.target_filter import (
     ModalityReport,
     UpdateReport,
 )
-from companion.estimation.integrity.consistency import (
+from companion.estimation.integrity.track_integrity import (
+    NIS_WINDOW_COUNT,
     RESTART_MEMORY_S,
-    WINDOW_COUNT,
     NisWindow,
     RestartCounter,
 )
@@ -92,9 +92,9 @@ def test_what_is_over_is_forgiven() -> None:
 
 def test_it_takes_a_full_window_to_tell() -> None:
     window = NisWindow()
-    assert _first_alarm(window, [_report(9.0, 9.0)] * (WINDOW_COUNT - 1), 0.0, 1.0) is None
+    assert _first_alarm(window, [_report(9.0, 9.0)] * (NIS_WINDOW_COUNT - 1), 0.0, 1.0) is None
     window.clear()
-    assert _first_alarm(window, [_report(9.0, 9.0)] * (WINDOW_COUNT + 8), 0.0, 1.0) is None
+    assert _first_alarm(window, [_report(9.0, 9.0)] * (NIS_WINDOW_COUNT + 8), 0.0, 1.0) is None
     assert _first_alarm(window, [_report(9.0, 9.0)] * 3, 50.0, 1.0) is not None
 
 

@@ -60,14 +60,16 @@ def rows_of(
     return reflected(rng, rows, nlos)
 
 
-def watched(watch: MotionWatch, rows: Matrix, mean: Vector | None = None) -> list[Motion | None]:
+def watched(
+    watch: MotionWatch, rows: Matrix, mean: Vector | None = None, r95_m: float = 2.0
+) -> list[Motion | None]:
     """What is seen while the rows come in, look by look."""
     seen = []
     for row in rows:
         place = (float(row[0]), float(row[1]), float(row[2]))
-        watch.add(float(row[9]), place, row[3:6], row[6:9])
+        watch.add(float(row[9]), (place, row[3:6], row[6:9]))
         if watch.is_due(float(row[9])):
-            watch.look(MAP, truth() if mean is None else mean)
+            watch.look(MAP, truth() if mean is None else mean, r95_m, float(row[9]))
             seen.append(watch.motion)
     return seen
 
@@ -182,19 +184,24 @@ def test_it_forgets() -> None:
 
 def test_looks_are_a_second_apart_and_time_may_go_back() -> None:
     watch = MotionWatch(PARAMS, 2.0)
-    watch.add(0.0, (0.0, 0.0, 0.0), np.ones(3), np.ones(3))
+    watch.add(0.0, ((0.0, 0.0, 0.0), np.ones(3), np.ones(3)))
     assert watch.is_due(100.0)
+    watch.look(MAP, truth(), 2.0, 100.0)
     assert not watch.is_due(100.0 + 0.9 * EVERY_S)
     assert watch.is_due(100.0 + EVERY_S)
     assert watch.is_due(3.0)
 
 
 def test_only_a_place_that_is_told_with_some_certainty_is_asked_for() -> None:
-    watch = MotionWatch(PARAMS, 2.0)
-    assert watch.is_worth(6.0)
-    assert not watch.is_worth(6.1)
-    watched(watch, rows_of(np.random.default_rng(7), velocity_mps=(1.0, 0.0)))
-    assert watch.is_worth(1e3)
+    rows = rows_of(np.random.default_rng(7), velocity_mps=(1.0, 0.0))
+    sure, vague = MotionWatch(PARAMS, 2.0), MotionWatch(PARAMS, 2.0)
+    watched(sure, rows, r95_m=6.0)
+    assert sure.motion is not None
+    watched(vague, rows, r95_m=6.1)
+    assert vague.suspected is None
+    seen_s, before = float(rows[-1, 9]), sure.suspected
+    sure.look(MAP, truth(), 1e3, seen_s)  # what is suspected is watched, however vague the place
+    assert sure.suspected is not before
 
 
 def tracked(rows: Matrix, tracker: TargetTracker) -> list[float]:

@@ -90,8 +90,8 @@ def flown(params: TrackerParams) -> TargetTracker:
 
 def test_a_tracker_learns_only_if_asked() -> None:
     plain, learning = flown(TrackerParams()), flown(TrackerParams(adaptation=AdaptationParams()))
-    assert plain.noise_believed.range_sigma_m == 1.5
-    assert learning.noise_believed.range_sigma_m < 0.6
+    assert plain._filter.params.range_sigma_m == 1.5
+    assert learning._filter.params.range_sigma_m < 0.6
     one, other = plain.estimate(30.0), learning.estimate(30.0)
     assert one is not None
     assert other is not None

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from companion.domain import PositionEnu
-from companion.estimation.screening.plausibility import BearingCheck
+from companion.estimation.screening.measurement_screen import BearingCheck
 
 SIGMA_RAD = math.radians(2.0)
 TARGET = (50.0, 50.0)
@@ -36,7 +36,7 @@ def _condemned_s(check: BearingCheck, samples: list[Sample], factor: float) -> f
         scaled = factor * bearing_rad
         if abs(scaled) <= math.pi:
             check.add(time_s, scaled, SIGMA_RAD, place)
-        if check.is_condemned:
+        if check.is_rejected:
             return time_s
     return None
 
@@ -73,7 +73,7 @@ def test_it_is_over_when_they_make_sense_again() -> None:
     assert _condemned_s(check, _samples(5.0, 1), 0.01) is not None
     for time_s, bearing_rad, place in _samples(4.0, 2):
         check.add(5.0 + time_s, bearing_rad, SIGMA_RAD, place)
-    assert not check.is_condemned
+    assert not check.is_rejected
     assert _condemned_s(check, [(20.0 + t, b, p) for t, b, p in _samples(5.0, 3)], 0.01)
     check.clear()
-    assert not check.is_condemned
+    assert not check.is_rejected

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from companion.estimation.screening.plausibility import (
+from companion.estimation.screening.measurement_screen import (
     FROZEN_COUNT,
     FROZEN_M,
     FROZEN_S,

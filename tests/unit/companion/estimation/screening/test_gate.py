@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from companion.domain import RangingMeasurement
+from companion.estimation.filter_bank import GATE_SIGMAS, LONG_SIGMAS, OPEN, Gate
 from companion.estimation.filters.target_filter import (
     NO_INFLATION,
     FilterState,
     ModalityReport,
     UpdateReport,
 )
-from companion.estimation.screening.validation import GATE_SIGMAS, LONG_SIGMAS, OPEN, Gate
 
 STATE = FilterState.of(0.0, np.zeros(4), np.eye(4))
 BOTH = RangingMeasurement(1, 0.0, range_m=50.0, bearing_enu_rad=0.3)

@@ -63,7 +63,7 @@ def _condemned_s(check: UnitCheck, samples: list[Sample], factor: float) -> floa
     for time_s, range_m, place in samples:
         if factor * range_m <= MAX_RANGE_M:
             check.add(time_s, factor * range_m, place)
-        if check.is_condemned:
+        if check.is_rejected:
             return time_s
     return None
 
@@ -135,7 +135,7 @@ def test_in_flight_a_new_unit_is_told_and_so_is_its_end(factor: float) -> None:
     assert told_s - near[0][0] <= 3.0
     for time_s, range_m, place in samples[2 * third :]:
         check.add(time_s, range_m, place)
-    assert not check.is_condemned
+    assert not check.is_rejected
 
 
 def test_hovering_does_not_acquit() -> None:
@@ -143,6 +143,6 @@ def test_hovering_does_not_acquit() -> None:
     assert _condemned_s(check, _samples(UWB, "radial", 8.0, 3.0, 1), 0.01) is not None
     for time_s, range_m, _ in _samples(UWB, "hover", 8.0, 60.0, 2):
         check.add(3.0 + time_s, 0.01 * range_m, (20.0, 20.0, 8.0))
-    assert check.is_condemned
+    assert check.is_rejected
     check.clear()
-    assert not check.is_condemned
+    assert not check.is_rejected

@@ -9,11 +9,7 @@ import pytest
 
 from companion.domain import PositionEnu
 from companion.estimation.window.map_kernels import COLUMNS, SEQUENCE
-from companion.estimation.window.measurement_window import (
-    KEPT_SHARE,
-    MeasurementWindow,
-    kept_by_thinning,
-)
+from companion.estimation.window.optimizer import KEPT_SHARE, MeasurementWindow, kept_by_thinning
 from companion.kernel import Matrix
 
 SIGMA = np.array([1.0, 0.1, 0.2])
@@ -21,7 +17,7 @@ ORIGIN = (0.0, 0.0)
 
 
 def _add(window: MeasurementWindow, place: PositionEnu, range_m: float) -> Matrix:
-    return window.add(place, np.array([range_m, math.nan, math.nan]), SIGMA, ORIGIN)
+    return window.add((place, np.array([range_m, math.nan, math.nan]), SIGMA), ORIGIN)
 
 
 def _around(window: MeasurementWindow, count: int, radius_m: float = 5.0) -> None:
@@ -36,7 +32,7 @@ def test_rows_are_laid_out_as_the_kernels_take_them() -> None:
     assert window.rows.shape == (0, COLUMNS)
     z = np.array([50.0, math.nan, -0.3])
     for step in range(3):
-        assert len(window.add((1.0, 2.0, float(step)), z, SIGMA, ORIGIN)) == 0
+        assert len(window.add(((1.0, 2.0, float(step)), z, SIGMA), ORIGIN)) == 0
     assert len(window) == 3
     expected = [1.0, 2.0, 1.0, 50.0, math.nan, -0.3, 1.0, 0.1, 0.2, 1.0]
     np.testing.assert_array_equal(window.rows[1], expected)
@@ -104,7 +100,7 @@ def test_it_knows_whether_it_holds_bearings() -> None:
     assert not window.has_bearings
     _add(window, (1.0, 0.0, 0.0), 5.0)
     assert not window.has_bearings
-    window.add((1.0, 0.0, 0.0), np.array([math.nan, 0.3, math.nan]), SIGMA, ORIGIN)
+    window.add(((1.0, 0.0, 0.0), np.array([math.nan, 0.3, math.nan]), SIGMA), ORIGIN)
     assert window.has_bearings
     window.clear()
     assert len(window) == 0
@@ -150,17 +146,3 @@ def test_all_views_lose_alike_where_there_are_more_than_may_be_kept() -> None:
     kept = np.flatnonzero(kept_by_thinning(rows, 8, ORIGIN))
     assert len(kept) == 8
     assert np.diff(kept).max() <= 2 * np.diff(kept).min()
-
-
-@pytest.mark.parametrize(
-    ("count", "kept"), [(5, [15.0, 16.0, 17.0, 18.0, 19.0]), (0, []), (99, None)]
-)
-def test_only_the_newest_are_kept_if_the_others_misled(
-    count: int, kept: list[float] | None
-) -> None:
-    window = MeasurementWindow(64)
-    _around(window, 20)
-    window.keep_last(count)
-    assert window.rows[:, SEQUENCE].tolist() == (list(range(20)) if kept is None else kept)
-    _add(window, (1.0, 2.0, 3.0), 4.0)
-    assert window.rows[-1, SEQUENCE] == 20.0

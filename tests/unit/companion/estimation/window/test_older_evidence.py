@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from companion.estimation.filters.target_filter import FilterParams
-from companion.estimation.window.measurement_window import MeasurementWindow, OlderEvidence
-from companion.estimation.window.window_map import Optimum, WindowMap
+from companion.estimation.window.optimizer import MeasurementWindow
+from companion.estimation.window.window_map import OlderEvidence, Optimum, WindowMap
 from companion.kernel import Matrix, Vector
 from tests.unit.companion.estimation.walks import START, TARGET, params, reflected, truth, walk
 
@@ -73,7 +73,7 @@ def _remembered(rows: Matrix, p: FilterParams, size: int) -> tuple[Matrix, Older
     older, mean = OlderEvidence.none(4), START
     for row in rows:
         place = (float(row[0]), float(row[1]), float(row[2]))
-        dropped = window.add(place, row[3:6], row[6:9], (float(mean[0]), float(mean[1])))
+        dropped = window.add((place, row[3:6], row[6:9]), (float(mean[0]), float(mean[1])))
         if len(dropped):
             solution = solver.solve(window.rows, mean, older)
             assert solution is not None

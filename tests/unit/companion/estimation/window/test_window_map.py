@@ -8,12 +8,16 @@ import numpy as np
 import pytest
 
 from companion.estimation.filters.target_filter import FilterParams
-from companion.estimation.integrity.consistency import r95_of_covariance_m
+from companion.estimation.target_estimate import r95_of_covariance_m
 from companion.estimation.window.map_kernels import map_cost, row_sigmas
-from companion.estimation.window.measurement_window import OlderEvidence
 from companion.estimation.window.optimizer import weigh_optima
 from companion.estimation.window.sandwich import mirrored
-from companion.estimation.window.window_map import MAX_POSITION_SIGMA_M, SAME_PLACE_M, WindowMap
+from companion.estimation.window.window_map import (
+    MAX_POSITION_SIGMA_M,
+    SAME_PLACE_M,
+    OlderEvidence,
+    WindowMap,
+)
 from companion.kernel import Matrix, Vector
 from tests.unit.companion.estimation.walks import (
     OFFSET_M,

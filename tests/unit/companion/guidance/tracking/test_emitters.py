@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from companion.domain import Point, RangingMeasurement
-from companion.estimation.screening.validation import RejectReason
+from companion.estimation.screening.measurement_screen import RejectReason
 from companion.estimation.tracker import FusionReport, TargetTracker, TrackerParams
 from companion.guidance.tracking.emitters import LOST_S, EmitterQueue, Order, QueueParams
 
@@ -55,7 +55,7 @@ def test_first_is_what_it_was_one_emitter_and_no_other() -> None:
     heard = Heard("first")
     heard.hear(3, times=2)
     (report,) = heard.hear(1)
-    assert report.refusal is RejectReason.OTHER_EMITTER
+    assert report.reject_reason is RejectReason.OTHER_EMITTER
     assert heard.current == 3
     assert heard.queue.trackers == (heard.queue.current,)
     assert not heard.queue.report_current()
@@ -90,7 +90,7 @@ def test_strength_is_what_the_radio_says_if_it_says_anything() -> None:
 def test_listed_emitters_come_in_their_order_and_others_never() -> None:
     heard = Heard("listed", (3, 1))
     reports = heard.hear(1, 2, 3, times=10)
-    assert [r.refusal for r in reports[:3]] == [None, RejectReason.OTHER_EMITTER, None]
+    assert [r.reject_reason for r in reports[:3]] == [None, RejectReason.OTHER_EMITTER, None]
     assert heard.current == 3
     assert heard.queue.waiting == [1]
 
@@ -134,7 +134,7 @@ def test_strangers_cannot_make_filters_without_end() -> None:
     heard = Heard("nearest", most=2)
     heard.hear(1, 2, times=5)
     (report,) = heard.hear(3)
-    assert report.refusal is RejectReason.OTHER_EMITTER
+    assert report.reject_reason is RejectReason.OTHER_EMITTER
     assert len(heard.queue.trackers) == 2
 
 
@@ -143,7 +143,7 @@ def test_absurd_measurements_of_a_stranger_get_no_filter() -> None:
     heard.hear(1)
     absurd = RangingMeasurement(emitter_id=9, measured_at_s=heard.now_s, range_m=-5.0)
     report = heard.queue.fuse(absurd, HERE, heard.now_s)
-    assert report.refusal not in (None, RejectReason.OTHER_EMITTER)
+    assert report.reject_reason not in (None, RejectReason.OTHER_EMITTER)
     assert [tracker.emitter_id for tracker in heard.queue.trackers] == [1]
 
 
@@ -155,12 +155,12 @@ def test_in_flight_one_that_was_never_heard_gives_way() -> None:
 
 def test_what_was_counted_before_the_first_emitter_is_not_lost() -> None:
     heard = Heard("nearest")
-    heard.queue.refuse(RejectReason.TOO_MANY)
+    heard.queue.reject(RejectReason.TOO_MANY)
     heard.hear(1, 2, times=3)
     heard.hear(1)
-    heard.queue.trackers[1].refuse(RejectReason.STALE)
+    heard.queue.trackers[1].reject(RejectReason.STALE)
     assert heard.queue.accepted == 7
-    assert heard.queue.refusals == {RejectReason.TOO_MANY: 1, RejectReason.STALE: 1}
+    assert heard.queue.rejected == {RejectReason.TOO_MANY: 1, RejectReason.STALE: 1}
     assert heard.queue.restarts == 0
 
 
@@ -169,7 +169,7 @@ def test_a_moved_frame_is_forgotten_by_all() -> None:
     heard.hear(1, 2, times=10)
     heard.queue.restart()
     assert all(tracker.estimate(9.0) is None for tracker in heard.queue.trackers)
-    assert heard.queue.refuse(RejectReason.STALE).refusal is RejectReason.STALE
+    assert heard.queue.reject(RejectReason.STALE).reject_reason is RejectReason.STALE
 
 
 @pytest.mark.parametrize(

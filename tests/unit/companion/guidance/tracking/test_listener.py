@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from companion.domain import PositionEnu, RangingMeasurement, VehicleState
-from companion.estimation.screening.validation import RejectReason
+from companion.estimation.screening.measurement_screen import RejectReason
 from companion.estimation.tracker import TargetTracker, TrackerParams
 from companion.guidance.tracking.measurements import MAX_WAITING, RangingListener
 from companion.guidance.tracking.vehicle_track import VehicleTrack
@@ -29,7 +29,7 @@ class Flight:
 
     @property
     def refusals(self) -> dict[RejectReason, int]:
-        return dict(self.tracker.refusals)
+        return dict(self.tracker.rejected)
 
     def first_fix(self) -> tuple[float, float]:
         east, north = self.tracker.hypotheses[0].state.mean[:2]
@@ -45,7 +45,7 @@ def test_a_measurement_with_positions_on_both_sides_is_fused_at_once(flight: Fli
     flight.moved(9.9, 10.1)
     assert flight.listener.receive(AT_10_S) == []
     (report,) = flight.listener.fuse_due(10.1)
-    assert report.refusal is None
+    assert report.reject_reason is None
     assert flight.tracker.accepted == 1
     assert flight.listener.fuse_due(10.2) == []
 
@@ -56,7 +56,7 @@ def test_a_newer_one_waits_for_the_position_on_its_other_side(flight: Flight) ->
     flight.listener.receive(bearing)
     assert flight.listener.fuse_due(10.02) == []
     flight.track.add(VehicleState(10.1, (3.0, 0.0, 20.0), (5.0, 0.0, 0.0)))
-    assert [r.refusal for r in flight.listener.fuse_due(10.1)] == [None]
+    assert [r.reject_reason for r in flight.listener.fuse_due(10.1)] == [None]
     # Half way between -0.5 m and 3 m, not where the velocity alone would have led.
     assert flight.first_fix() == pytest.approx((51.25, 0.0))
 
@@ -65,7 +65,7 @@ def test_one_that_waited_long_enough_is_fused_where_the_velocity_leads(flight: F
     flight.moved(9.8)
     flight.listener.receive(replace(AT_10_S, bearing_enu_rad=0.0, range_m=math.hypot(50.0, 20.0)))
     assert flight.listener.fuse_due(10.25) == []
-    assert [r.refusal for r in flight.listener.fuse_due(10.26)] == [None]
+    assert [r.reject_reason for r in flight.listener.fuse_due(10.26)] == [None]
     assert flight.first_fix() == pytest.approx((50.0, 0.0))
 
 
@@ -73,7 +73,7 @@ def test_one_that_waited_long_enough_is_fused_where_the_velocity_leads(flight: F
 def test_one_that_waited_in_vain_is_refused(flight: Flight, known_s: tuple[float, ...]) -> None:
     flight.moved(*known_s)
     flight.listener.receive(AT_10_S)
-    assert [r.refusal for r in flight.listener.fuse_due(10.3)] == [RejectReason.NO_POSITION]
+    assert [r.reject_reason for r in flight.listener.fuse_due(10.3)] == [RejectReason.NO_POSITION]
     assert flight.refusals == {RejectReason.NO_POSITION: 1}
     assert flight.listener.fuse_due(10.4) == []
 
@@ -93,7 +93,7 @@ def test_one_from_a_time_that_will_not_come_does_not_wait(
 ) -> None:
     flight.moved(9.9, 10.0)
     flight.listener.receive(replace(AT_10_S, measured_at_s=measured_at_s))
-    assert [r.refusal for r in flight.listener.fuse_due(10.0)] == [refusal]
+    assert [r.reject_reason for r in flight.listener.fuse_due(10.0)] == [refusal]
 
 
 def test_order_of_arrival_is_kept_and_the_waiting_ones_stay(flight: Flight) -> None:
@@ -113,7 +113,7 @@ def test_the_oldest_gives_way_when_too_many_wait(flight: Flight, backwards: bool
     reports = []
     for time_s in reversed(times_s) if backwards else times_s:
         reports += flight.listener.receive(replace(AT_10_S, measured_at_s=time_s))
-    assert [report.refusal for report in reports] == [RejectReason.TOO_MANY]
+    assert [report.reject_reason for report in reports] == [RejectReason.TOO_MANY]
     flight.moved(10.0, 10.2)
     assert len(flight.listener.fuse_due(10.2)) == MAX_WAITING
     assert flight.tracker.accepted == MAX_WAITING
@@ -130,7 +130,7 @@ def test_a_burst_of_three_seconds_leaves_what_is_fresh(flight: Flight) -> None:
     reports = flight.listener.fuse_due(13.0)
     assert len(refused) + len(reports) == 150
     assert len(reports) == MAX_WAITING
-    fused = [report for report in reports if report.refusal is None]
+    fused = [report for report in reports if report.reject_reason is None]
     assert len(fused) == flight.tracker.accepted == 50  # not older than a second
     assert set(flight.refusals) == {RejectReason.TOO_MANY, RejectReason.STALE}
 
@@ -142,7 +142,7 @@ def test_copies_of_one_that_waits_do_not_crowd_out_others(flight: Flight) -> Non
             seen = replace(AT_10_S, measured_at_s=10.0 + step * 1e-3, stamp_us=step)
             flight.listener.receive(seen)
     flight.moved(10.2)
-    assert [r.refusal for r in flight.listener.fuse_due(10.2)] == [None] * 20
+    assert [r.reject_reason for r in flight.listener.fuse_due(10.2)] == [None] * 20
     assert flight.refusals == {RejectReason.DUPLICATE: 80}
 
 
@@ -166,7 +166,7 @@ def test_a_body_bearing_is_turned_by_the_yaw(
     flight.track.add_yaw(10.1, math.radians(yaw_deg))
     body = replace(AT_10_S, range_m=math.hypot(50.0, 20.0), bearing_body_rad=math.radians(body_deg))
     flight.listener.receive(body)
-    assert [r.refusal for r in flight.listener.fuse_due(10.1)] == [None]
+    assert [r.reject_reason for r in flight.listener.fuse_due(10.1)] == [None]
     assert flight.first_fix() == pytest.approx((east_m, north_m), abs=1e-9)
 
 
@@ -183,13 +183,13 @@ def test_the_yaw_is_that_of_the_measurements_time(flight: Flight) -> None:
 def test_a_body_bearing_alone_needs_the_yaw(flight: Flight) -> None:
     flight.moved(9.9, 10.1)
     flight.listener.receive(replace(AT_10_S, range_m=None, bearing_body_rad=0.3))
-    assert [r.refusal for r in flight.listener.fuse_due(10.1)] == [RejectReason.NO_YAW]
+    assert [r.reject_reason for r in flight.listener.fuse_due(10.1)] == [RejectReason.NO_YAW]
 
 
 def test_without_the_yaw_the_range_still_counts(flight: Flight) -> None:
     flight.moved(9.9, 10.1)
     flight.listener.receive(replace(AT_10_S, bearing_body_rad=0.3))
-    assert [r.refusal for r in flight.listener.fuse_due(10.1)] == [None]
+    assert [r.reject_reason for r in flight.listener.fuse_due(10.1)] == [None]
     assert len(flight.tracker.hypotheses) > 1  # a ring, not a fix
 
 
@@ -210,14 +210,16 @@ def test_a_body_bearing_that_is_no_number_is_refused(flight: Flight, body_rad: f
     flight.moved(9.9, 10.1)
     flight.track.add_yaw(10.0, 0.0)
     flight.listener.receive(replace(AT_10_S, bearing_body_rad=body_rad))
-    assert [r.refusal for r in flight.listener.fuse_due(10.1)] == [RejectReason.NOT_FINITE]
+    assert [r.reject_reason for r in flight.listener.fuse_due(10.1)] == [RejectReason.NOT_FINITE]
 
 
 def test_a_body_bearing_in_degrees_is_refused(flight: Flight) -> None:
     flight.moved(9.9, 10.1)
     flight.track.add_yaw(10.0, 0.0)
     flight.listener.receive(replace(AT_10_S, bearing_body_rad=90.0))
-    assert [r.refusal for r in flight.listener.fuse_due(10.1)] == [RejectReason.BEARING_ABSURD]
+    assert [r.reject_reason for r in flight.listener.fuse_due(10.1)] == [
+        RejectReason.BEARING_ABSURD
+    ]
 
 
 @pytest.mark.parametrize("copies", range(2, 6))
@@ -251,5 +253,5 @@ def test_nothing_is_measured_from_a_position_that_jumped(flight: Flight) -> None
     flight.moved(9.9, 10.1)
     flight.track.distrust(9.95, 12.0)
     flight.listener.receive(AT_10_S)
-    assert [r.refusal for r in flight.listener.fuse_due(10.1)] == [RejectReason.OWN_JUMP]
+    assert [r.reject_reason for r in flight.listener.fuse_due(10.1)] == [RejectReason.OWN_JUMP]
     assert flight.refusals == {RejectReason.OWN_JUMP: 1}

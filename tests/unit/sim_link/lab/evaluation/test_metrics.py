@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from companion.estimation.integrity.consistency import r95_of_covariance_m
+from companion.estimation.target_estimate import r95_of_covariance_m
 from sim_link.lab.evaluation.metrics import (
     bootstrap_rmse_m,
     coverage,

@@ -9,17 +9,24 @@ import pytest
 
 from companion.domain import PositionEnu, RangingMeasurement
 from companion.estimation.filters.target_filter import FilterParams
-from companion.estimation.screening.plausibility import AbsurdShare, Plausibility
-from companion.estimation.screening.validation import Objection, RejectReason
+from companion.estimation.screening.measurement_screen import (
+    AbsurdShare,
+    AcceptanceParams,
+    MeasurementScreen,
+    Objection,
+    RejectReason,
+)
 
 TARGET = (60.0, 20.0, 0.0)
+ABSURD_RANGE = RangingMeasurement(1, 0.0, range_m=5000.0)
+ABSURD_BEARING = RangingMeasurement(1, 0.0, bearing_enu_rad=50.0)
 
 
 class Radio:
     """Ten measurements a second from a vehicle that flies east at 5 m/s."""
 
     def __init__(self) -> None:
-        self.plausibility = Plausibility(FilterParams(), 2000.0)
+        self.screen = MeasurementScreen(FilterParams(), AcceptanceParams())
         self.step = 0
         self._rng = np.random.default_rng(1)
 
@@ -42,7 +49,7 @@ class Radio:
 
     def judged(self, seen: RangingMeasurement) -> tuple[bool, bool, RejectReason | None]:
         """Whether range and bearing may be used, and why not both."""
-        judgement = self.plausibility.judge(seen, self.place, self.now_s)
+        judgement = self.screen.judge(seen, self.place, self.now_s)
         self.step += 1
         passed = judgement.passed
         if passed is None:
@@ -54,9 +61,9 @@ def test_what_is_measured_is_used_as_it_is() -> None:
     radio = Radio()
     for _ in range(100):
         seen = radio.measure()
-        assert radio.plausibility.judge(seen, radio.place, radio.now_s).passed is seen
+        assert radio.screen.judge(seen, radio.place, radio.now_s).passed is seen
         radio.step += 1
-    assert radio.plausibility.objection is None
+    assert radio.screen.objection is None
 
 
 @pytest.mark.parametrize("frozen", ["range", "bearing", "both"])
@@ -74,7 +81,7 @@ def test_what_is_frozen_is_as_good_as_none(frozen: str) -> None:
         has_range, has_bearing, reason = radio.judged(seen)
     assert (has_range, has_bearing) == (frozen == "bearing", frozen == "range")
     assert reason is RejectReason.FROZEN
-    assert radio.plausibility.objection is None
+    assert radio.screen.objection is None
 
 
 def test_a_frozen_bearing_in_the_body_frame_is_told_although_the_vehicle_turns() -> None:
@@ -98,32 +105,32 @@ def test_a_wrong_unit_of_ranges_leaves_the_bearing_but_speaks_against_flying() -
         )
         has_range, has_bearing, reason = radio.judged(scaled)
     assert (has_range, has_bearing, reason) == (False, True, RejectReason.WRONG_UNIT)
-    assert radio.plausibility.objection is Objection.RANGE_UNIT
-    radio.plausibility.clear()
-    assert radio.plausibility.objection is None
+    assert radio.screen.objection is Objection.RANGE_UNIT
+    radio.screen.clear()
+    assert radio.screen.objection is None
 
 
 @pytest.mark.parametrize(
-    ("reason", "objection"),
+    ("seen", "reason", "objection"),
     [
-        (RejectReason.RANGE_ABSURD, Objection.RANGE_UNIT),
-        (RejectReason.BEARING_ABSURD, Objection.BEARING_UNIT),
-        (RejectReason.STALE, None),
+        (ABSURD_RANGE, RejectReason.RANGE_ABSURD, Objection.RANGE_UNIT),
+        (ABSURD_BEARING, RejectReason.BEARING_ABSURD, Objection.BEARING_UNIT),
+        (RangingMeasurement(1, -9.0, range_m=50.0), RejectReason.STALE, None),
     ],
 )
 def test_mostly_absurd_values_speak_against_flying(
-    reason: RejectReason, objection: Objection | None
+    seen: RangingMeasurement, reason: RejectReason, objection: Objection | None
 ) -> None:
     radio = Radio()
     for _ in range(30):
         radio.judged(radio.measure())
     for _ in range(12):
-        radio.plausibility.refused(reason, radio.now_s)
+        assert radio.screen.admit(seen, radio.place, radio.now_s) is reason
         radio.step += 1
-    assert radio.plausibility.objection is objection
+    assert radio.screen.objection is objection
     for _ in range(30):
         radio.judged(radio.measure())
-    assert radio.plausibility.objection is None
+    assert radio.screen.objection is None
 
 
 def test_degrees_now_and_then_are_refused_but_no_objection() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 
 import numpy as np
 import pytest
@@ -53,29 +54,33 @@ def _fed(
     *,
     is_white: bool = True,
 ) -> WindowOptimizer:
-    polisher = WindowOptimizer(p, WindowParams(size=size))
+    optimizer = WindowOptimizer(p, WindowParams(size=size))
     for row in rows:
         place = (float(row[0]), float(row[1]), float(row[2]))
-        polisher.add(place, row[3:6], row[6:9], hypotheses, is_white=is_white)
-    return polisher
+        optimizer.add((place, row[3:6], row[6:9]), hypotheses, is_white=is_white)
+    return optimizer
 
 
-def _polished(
-    polisher: WindowOptimizer,
+def _optimized(
+    optimizer: WindowOptimizer,
     hypotheses: tuple[Hypothesis, ...] = (NEAR,),
     fresh: int | None = 0,
     *,
     is_white: bool = True,
 ) -> tuple[Hypothesis, ...]:
-    return polisher.polished(hypotheses, 1000, NO_INFLATION, is_white=is_white, fresh_starts=fresh)
+    return optimizer.optimize(hypotheses, 1000, NO_INFLATION, is_white=is_white, fresh_starts=fresh)
 
 
 # -- When ----------------------------------------------------------------------------------------
 
 
 def test_it_is_solved_often_at_first_and_steadily_later() -> None:
-    polisher = WindowOptimizer(P, WindowParams(every=25))
-    due = [accepted for accepted in range(1, 601) if polisher.is_due(accepted)]
+    optimizer = WindowOptimizer(P, WindowParams(every=25))
+    due = []
+    for accepted in range(1, 601):
+        if optimizer.is_due(accepted):
+            due.append(accepted)
+            optimizer.optimize((), accepted, NO_INFLATION, is_white=True, fresh_starts=0)
     assert due[0] == MIN_MEASUREMENTS
     gaps = np.diff(due)
     assert gaps[0] == 1
@@ -84,16 +89,16 @@ def test_it_is_solved_often_at_first_and_steadily_later() -> None:
 
 
 def test_it_can_be_switched_off() -> None:
-    polisher = WindowOptimizer(P, WindowParams(enabled=False))
-    assert not any(polisher.is_due(accepted) for accepted in range(1000))
+    optimizer = WindowOptimizer(P, WindowParams(enabled=False))
+    assert not any(optimizer.is_due(accepted) for accepted in range(1000))
 
 
 def test_before_there_is_enough_it_leaves_the_hypotheses_alone() -> None:
     rows = walk(np.random.default_rng(1))
     few, hypotheses = _fed(rows[: MIN_MEASUREMENTS - 1]), (NEAR,)
-    assert _polished(few, hypotheses) is hypotheses
+    assert _optimized(few, hypotheses) is hypotheses
     assert few.noise is None
-    assert _polished(_fed(rows), ()) == ()
+    assert _optimized(_fed(rows), ()) == ()
 
 
 # -- What becomes of a hypothesis ----------------------------------------------------------------
@@ -102,35 +107,35 @@ def test_before_there_is_enough_it_leaves_the_hypotheses_alone() -> None:
 @pytest.mark.parametrize("away", [_hypothesis(35.0, 20.0), _hypothesis(80.0, 60.0)])
 def test_a_hypothesis_becomes_the_optimum_it_leads_to(away: Hypothesis) -> None:
     rows = walk(np.random.default_rng(1))
-    polisher = _fed(rows)
-    (moved,) = _polished(polisher, (away,))
+    optimizer = _fed(rows)
+    (moved,) = _optimized(optimizer, (away,))
     (best,) = WindowMap(P).optima(rows, [START], is_white=True)
     np.testing.assert_allclose(moved.state.mean, best.mean, atol=1e-3)
     np.testing.assert_allclose(moved.state.covariance, best.covariance, rtol=1e-2, atol=1e-6)
     assert moved.state.time_s == 3.0
     assert moved.log_weight == 0.0
-    assert polisher.noise is not None
-    assert polisher.noise[:2] == pytest.approx(best.noise[:2], rel=1e-2)
+    assert optimizer.noise is not None
+    assert optimizer.noise[:2] == pytest.approx(best.noise[:2], rel=1e-2)
 
 
 def test_where_residuals_repeat_each_other_the_window_has_the_last_word_on_certainty() -> None:
-    polisher = _fed(walk(np.random.default_rng(1), rho=0.8), is_white=False)
-    (repeating,) = _polished(polisher, is_white=False)
+    optimizer = _fed(walk(np.random.default_rng(1), rho=0.8), is_white=False)
+    (repeating,) = _optimized(optimizer, is_white=False)
     assert repeating.least_covariance_m2 is not None
     np.testing.assert_array_equal(repeating.least_covariance_m2, repeating.state.covariance[:2, :2])
-    (white,) = _polished(_fed(walk(np.random.default_rng(1))))
+    (white,) = _optimized(_fed(walk(np.random.default_rng(1))))
     assert white.least_covariance_m2 is None
 
 
 def test_two_hypotheses_of_one_optimum_become_one() -> None:
-    polisher = _fed(walk(np.random.default_rng(1)))
-    assert len(_polished(polisher, (NEAR, _hypothesis(45.0, 30.0)))) == 1
+    optimizer = _fed(walk(np.random.default_rng(1)))
+    assert len(_optimized(optimizer, (NEAR, _hypothesis(45.0, 30.0)))) == 1
 
 
 def test_a_place_that_explains_nothing_is_dropped() -> None:
     rows = walk(np.random.default_rng(1), bearings=False)
     hypotheses = (_hypothesis(40.0, -30.0), NEAR)
-    (kept,) = _polished(_fed(rows, hypotheses), hypotheses)
+    (kept,) = _optimized(_fed(rows, hypotheses), hypotheses)
     assert kept.place_enu_m == pytest.approx(TARGET, abs=2.0)
 
 
@@ -139,7 +144,7 @@ def test_where_no_place_is_found_the_hypotheses_stay_and_are_vague() -> None:
     rows[:, :2], rows[:, 3] = 0.0, 47.0
     vague = params(range_offset_sigma_m=1e3)
     hypotheses = (_hypothesis(40.0, 25.0), _hypothesis(-40.0, 25.0))
-    kept = _polished(_fed(rows, hypotheses, vague), hypotheses)
+    kept = _optimized(_fed(rows, hypotheses, vague), hypotheses)
     for one, before in zip(kept, hypotheses, strict=True):
         assert one.state is before.state
         assert one.least_covariance_m2 is not None
@@ -152,7 +157,7 @@ def test_where_no_place_is_found_the_hypotheses_stay_and_are_vague() -> None:
 def test_on_a_straight_track_the_mirror_image_is_found() -> None:
     """From one hypothesis on one side, by the start that is its image."""
     rows = walk(np.random.default_rng(4), bearings=False, straight=True)
-    one, other = sorted(_polished(_fed(rows), fresh=1), key=lambda h: h.place_enu_m[1])
+    one, other = sorted(_optimized(_fed(rows), fresh=1), key=lambda h: h.place_enu_m[1])
     assert one.place_enu_m[0] == pytest.approx(other.place_enu_m[0], abs=0.1)
     assert one.place_enu_m[1] == pytest.approx(-other.place_enu_m[1], abs=0.1)
     assert other.place_enu_m[1] == pytest.approx(25.0, abs=1.5)
@@ -161,7 +166,7 @@ def test_on_a_straight_track_the_mirror_image_is_found() -> None:
 
 def test_a_bearing_tells_the_image_from_the_target() -> None:
     rows = walk(np.random.default_rng(4), straight=True)
-    (only,) = _polished(_fed(rows), fresh=4)
+    (only,) = _optimized(_fed(rows), fresh=4)
     assert only.place_enu_m == pytest.approx(TARGET, abs=2.0)
 
 
@@ -173,9 +178,9 @@ def test_fresh_starts_turn_around_the_path_until_every_optimum_is_found() -> Non
     caught = max(solver.optima(rows, starts), key=lambda o: math.dist(o.mean[:2], TARGET))
     caught_at = _hypothesis(float(caught.mean[0]), float(caught.mean[1]))
     hypotheses: tuple[Hypothesis, ...] = (caught_at,)
-    polisher = _fed(rows, hypotheses)
+    optimizer = _fed(rows, hypotheses)
     for _ in range(12):
-        hypotheses = _polished(polisher, hypotheses, fresh=1)
+        hypotheses = _optimized(optimizer, hypotheses, fresh=1)
     assert hypotheses[0].place_enu_m == pytest.approx(TARGET, abs=2.0)
 
 
@@ -183,7 +188,7 @@ def _tracked(rows: Matrix, tracker_params: TrackerParams) -> TargetTracker:
     tracker = TargetTracker(tracker_params)
     for index, row in enumerate(rows):
         seen, place = measurement_of(row, 0.1 * index)
-        assert tracker.fuse(seen, place, 0.1 * index).refusal is None
+        assert tracker.fuse(seen, place, 0.1 * index).reject_reason is None
     return tracker
 
 
@@ -192,9 +197,9 @@ def test_mirror_image_is_kept_as_the_alternative(is_thorough: bool) -> None:
     rows = walk(np.random.default_rng(8), bearings=False, straight=True)
     tracker = _tracked(rows, TrackerParams())
     if is_thorough:
-        tracker.polish_thoroughly()
+        tracker.optimize(tracker.params.window.starts)
     else:
-        tracker.polish()
+        tracker.optimize()
     estimate = tracker.estimate(20.0)
     assert estimate is not None
     assert estimate.state is EstimateState.AMBIGUOUS
@@ -215,13 +220,13 @@ def _sigma_m(hypothesis: Hypothesis) -> float:
 def test_what_no_longer_fits_still_counts_where_it_is_news() -> None:
     rows = walk(np.random.default_rng(6), 1000)
     at = (SETTLED,)
-    (white,) = _polished(_fed(rows, at, size=128), at)
-    (repeating,) = _polished(_fed(rows, at, size=128, is_white=False), at)
+    (white,) = _optimized(_fed(rows, at, size=128), at)
+    (repeating,) = _optimized(_fed(rows, at, size=128, is_white=False), at)
     torn = (*at, _hypothesis(0.0, 90.0))
-    (undecided,) = _polished(_fed(rows, torn, size=128), at)
+    (undecided,) = _optimized(_fed(rows, torn, size=128), at)
     assert _sigma_m(white) < 0.6 * _sigma_m(repeating)
     assert _sigma_m(undecided) == pytest.approx(_sigma_m(repeating))
-    (everything,) = _polished(_fed(rows, at, size=2048), at)
+    (everything,) = _optimized(_fed(rows, at, size=2048), at)
     assert _sigma_m(white) == pytest.approx(_sigma_m(everything), rel=0.25)
 
 
@@ -231,24 +236,25 @@ def test_what_was_expanded_about_a_wrong_place_is_forgotten() -> None:
     wrong = (_hypothesis(70.0, 60.0),)
     misled, distrusted = (_fed(rows, wrong, size=128) for _ in range(2))
     kept = distrusted.window_rows.tolist()
-    distrusted.begin_with(
+    distrusted.latest = deque(
         ((row[0], row[1], row[2]), np.array(row[3:6]), np.array(row[6:9])) for row in kept
     )
-    (best,) = _polished(misled, wrong)
-    (alone,) = _polished(distrusted, wrong)
+    distrusted.begin_with_latest()
+    (best,) = _optimized(misled, wrong)
+    (alone,) = _optimized(distrusted, wrong)
     assert best.place_enu_m == pytest.approx(TARGET, abs=1.0)
     np.testing.assert_allclose(best.state.mean, alone.state.mean, atol=2e-3)
     np.testing.assert_allclose(_sigma_m(best), _sigma_m(alone), rtol=0.05)
-    (again,) = _polished(misled, (best,))
+    (again,) = _optimized(misled, (best,))
     np.testing.assert_allclose(again.state.mean, alone.state.mean, atol=2e-3)
 
 
 def test_what_was_expanded_about_the_right_place_is_kept() -> None:
     rows = walk(np.random.default_rng(6), 1000)
     at = (SETTLED,)
-    polisher = _fed(rows, at, size=128)
-    (once,) = _polished(polisher, at)
-    (twice,) = _polished(polisher, (once,))
+    optimizer = _fed(rows, at, size=128)
+    (once,) = _optimized(optimizer, at)
+    (twice,) = _optimized(optimizer, (once,))
     assert _sigma_m(twice) == pytest.approx(_sigma_m(once), rel=0.05)
 
 
@@ -260,9 +266,9 @@ def test_a_window_that_names_no_place_by_itself_contradicts_nothing() -> None:
     rows[:, 3] += np.random.default_rng(2).normal(0.0, 0.5, 1500) - OFFSET_M
     is_borne = (np.arange(1500) > 0) & (np.arange(1500) < 20)
     rows[:, 4] = np.where(is_borne, rows[:, 4] - TURN_RAD, np.nan)
-    polisher = _fed(rows, at, p, size=32)
-    assert not polisher.has_bearings
-    (only,) = _polished(polisher, at)
+    optimizer = _fed(rows, at, p, size=32)
+    assert not optimizer.has_bearings
+    (only,) = _optimized(optimizer, at)
     assert only.place_enu_m == pytest.approx(TARGET, abs=2.5)
     assert only.least_covariance_m2 is None  # a place was found
     assert 0.5 < _sigma_m(only) < 10.0
@@ -272,25 +278,25 @@ def test_a_window_that_names_no_place_by_itself_contradicts_nothing() -> None:
 
 
 def test_what_was_measured_can_be_forgotten() -> None:
-    polisher = _fed(walk(np.random.default_rng(1)))
-    _polished(polisher)
-    assert polisher.has_bearings
-    assert polisher.observability(START) is not None
-    polisher.clear()
-    assert not polisher.has_bearings
-    assert polisher.noise is None
-    assert polisher.observability(START) is None
+    optimizer = _fed(walk(np.random.default_rng(1)))
+    _optimized(optimizer)
+    assert optimizer.has_bearings
+    assert optimizer.observability(START) is not None
+    optimizer.clear()
+    assert not optimizer.has_bearings
+    assert optimizer.noise is None
+    assert optimizer.observability(START) is None
+    assert optimizer.is_due(MIN_MEASUREMENTS)
     hypotheses = (NEAR,)
-    assert _polished(polisher, hypotheses) is hypotheses
-    assert polisher.is_due(MIN_MEASUREMENTS)
+    assert _optimized(optimizer, hypotheses) is hypotheses
 
 
 def test_other_noise_is_believed_of_what_was_measured_already() -> None:
     rows = walk(np.random.default_rng(1))
-    polisher = _fed(rows)
-    (before,) = _polished(polisher)
-    polisher.retune(params(range_sigma_m=5.0, bearing_sigma_deg=20.0))
-    (after,) = _polished(polisher)
+    optimizer = _fed(rows)
+    (before,) = _optimized(optimizer)
+    optimizer.retune(params(range_sigma_m=5.0, bearing_sigma_deg=20.0))
+    (after,) = _optimized(optimizer)
     assert _sigma_m(after) > 1.5 * _sigma_m(before)
 
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from companion.estimation.filters.target_filter import FilterState, ModalityReport, UpdateReport
-from companion.estimation.integrity.consistency import NisMonitor, mean_band, nees
+from companion.estimation.noise.innovations import NisMonitor, mean_band
 
 STATE = FilterState.of(0.0, np.zeros(4), np.eye(4))
 ROW = ModalityReport(1.0, 1.0, 1.0, 1.0, 1.0, 0.1)
@@ -23,15 +23,6 @@ def _monitor(rng: np.random.Generator, count: int, excess: float = 1.0) -> NisMo
     for dof in rng.integers(1, 4, count):
         monitor = monitor.after(_report(excess * float(rng.chisquare(dof)), int(dof)))
     return monitor
-
-
-def test_nees_is_the_squared_error_in_its_own_units() -> None:
-    assert nees(np.array([3.0, 0.0]), np.diag([9.0, 4.0])) == pytest.approx(1.0)
-    rng = np.random.default_rng(1)
-    root = rng.normal(size=(4, 4))
-    P = root @ root.T
-    drawn = rng.multivariate_normal(np.zeros(4), P, size=4000)
-    assert np.mean([nees(error, P) for error in drawn]) == pytest.approx(4.0, rel=0.05)
 
 
 @pytest.mark.parametrize(

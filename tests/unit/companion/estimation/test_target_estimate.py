@@ -8,16 +8,17 @@ import numpy as np
 import pytest
 
 from companion.domain import EstimateState, TargetEstimate
-from companion.estimation.filter_bank import (
+from companion.estimation.filters.target_filter import FilterParams, FilterState
+from companion.estimation.hypotheses import Hypothesis
+from companion.estimation.target_estimate import (
     AMBIGUOUS_PROBABILITY,
     MAX_AMBIGUOUS,
     estimate_of,
     position_covariance_m2,
 )
-from companion.estimation.filters.target_filter import FilterParams, FilterState
-from companion.estimation.hypotheses import Hypothesis
-from companion.estimation.integrity.consistency import R95_OF_EQUAL_AXES
 
+R95_OF_EQUAL_AXES = 2.447746830680816
+"""sqrt of the chi-square 0.95 quantile with 2 degrees of freedom."""
 PLANE = FilterParams(own_position_sigma_m=0.3, target_height_m=2.0)
 
 

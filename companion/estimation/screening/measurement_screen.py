@@ -1,14 +1,14 @@
-"""What can be said against measurements without any estimate: frozen, absurd, in a wrong unit.
+"""Which measurements never reach a filter, and why: invalid, repeated, frozen, in a wrong unit.
 
-Frozen values are as good as none. Values in a wrong unit are not fused either, but they also speak
-against flying at all: a radio that is read wrongly may be read wrongly in other ways, too.
+All of it is said without any estimate. An `Objection` is why an estimate must not be flown on,
+although there is one: a radio that is read wrongly may be read wrongly in other ways, too.
 
 Frozen: a value that stands still while the vehicle moves was not measured. A radio that hangs
 repeats its last number with fresh stamps. Noise never repeats itself to the last bit, and a radio
 with coarse numbers repeats them only while the vehicle hardly moves.
 
 Bearings: their scatter tells whether they are in radians. In degrees a bearing is mostly more than
-half a turn, which is refused, or turns at random, because two degrees of noise are more than a
+half a turn, which is rejected, or turns at random, because two degrees of noise are more than a
 hundred then. Divided instead, it hardly leaves zero, whatever the vehicle flies by: a direction
 finder that is quiet beside its own noise measures nothing.
 """
@@ -17,16 +17,113 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections import deque
-from collections.abc import Sequence
+from collections import Counter, deque
+from collections.abc import Hashable
 from dataclasses import dataclass, replace
+from enum import Enum
 from itertools import pairwise
 
-from companion.domain import PositionEnu, RangingMeasurement
+from companion.domain import Params, PositionEnu, Positive, RangingMeasurement
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.screening.unit_check import UnitCheck
-from companion.estimation.screening.validation import Objection, RejectReason
 from companion.geometry.coordinates import wrap_pi
+
+
+class RejectReason(Enum):
+    """Why a measurement was rejected; the filter is untouched by it."""
+
+    OTHER_EMITTER = "other emitter"
+    NOTHING_MEASURED = "nothing measured"
+    NOT_FINITE = "not finite"
+    DENORMAL = "denormal"
+    RANGE_NOT_POSITIVE = "range not positive"
+    RANGE_ABSURD = "range absurd"
+    BEARING_ABSURD = "bearing absurd"
+    ELEVATION_ABSURD = "elevation absurd"
+    SIGMA_NOT_POSITIVE = "sigma not positive"
+    FROM_THE_FUTURE = "from the future"
+    STALE = "stale"
+    TOO_MANY = "too many at once"
+    DUPLICATE = "duplicate"
+    FROZEN = "frozen while the vehicle moves"
+    WRONG_UNIT = "in a wrong unit, as it seems"
+    RANGE_OUTLIER = "range too short for the estimate"
+    BEARING_OUTLIER = "bearing off the estimate"
+    NO_POSITION = "own position unknown at its time"
+    NO_YAW = "own yaw unknown at its time"
+    OWN_JUMP = "own position or yaw jumped about its time"
+
+
+class AcceptanceParams(Params, frozen=True):
+    """What counts as a plausible and timely measurement."""
+
+    max_range_m: Positive = 2000.0
+    """A longer range is a fault of the radio or its unit."""
+    max_age_s: Positive = 1.0
+    """An older measurement is rejected; a younger one is fused at its own time."""
+
+
+FUTURE_TOLERANCE_S = 0.1
+MAX_ELEVATION_RAD = 0.5 * math.pi + 1e-6
+"""A right angle, which in the wire's 32 bits is a little more than one."""
+MAX_BEARING_RAD = math.pi + 1e-6
+"""Half a turn, in the same way; more is most likely another unit."""
+LEAST_NORMAL = 2.0**-126
+"""Of 32 bits. Nothing is measured as finely: what is smaller, but not zero, was no float."""
+
+
+def reject_reason_of(
+    measurement: RangingMeasurement, now_s: float, params: AcceptanceParams
+) -> RejectReason | None:
+    """Why the measurement cannot be used, judged by itself, or None if it can."""
+    m = measurement
+    values = (m.range_m, m.bearing_enu_rad, m.bearing_body_rad)
+    if all(value is None for value in values):
+        return RejectReason.NOTHING_MEASURED
+    sigmas = (m.range_sigma_m, m.bearing_sigma_rad, m.elevation_sigma_rad)
+    measured = [v for v in (*values, m.elevation_rad, *sigmas) if v is not None]
+    if not all(map(math.isfinite, (*measured, m.measured_at_s))):
+        return RejectReason.NOT_FINITE
+    if any(0.0 < abs(number) < LEAST_NORMAL for number in measured):
+        return RejectReason.DENORMAL
+    if m.range_m is not None and m.range_m <= 0.0:
+        return RejectReason.RANGE_NOT_POSITIVE
+    if m.range_m is not None and m.range_m > params.max_range_m:
+        return RejectReason.RANGE_ABSURD
+    bearings = (m.bearing_enu_rad, m.bearing_body_rad)
+    if any(b is not None and abs(b) > MAX_BEARING_RAD for b in bearings):
+        return RejectReason.BEARING_ABSURD
+    if m.elevation_rad is not None and abs(m.elevation_rad) > MAX_ELEVATION_RAD:
+        return RejectReason.ELEVATION_ABSURD
+    if any(sigma is not None and sigma <= 0.0 for sigma in sigmas):
+        return RejectReason.SIGMA_NOT_POSITIVE
+    if m.measured_at_s > now_s + FUTURE_TOLERANCE_S:
+        return RejectReason.FROM_THE_FUTURE
+    if now_s - m.measured_at_s > params.max_age_s:
+        return RejectReason.STALE
+    return None
+
+
+def identity_of(measurement: RangingMeasurement) -> Hashable:
+    """What two copies of one measurement share: the stamp alone is shared by range and bearing.
+
+    Not the bearing that was turned from the body frame, because a copy may see a later yaw.
+    """
+    m = measurement
+    bearing_rad = m.bearing_enu_rad if m.bearing_body_rad is None else m.bearing_body_rad
+    stamp = m.measured_at_s if m.stamp_us is None else m.stamp_us
+    return (stamp, m.range_m, bearing_rad, m.elevation_rad)
+
+
+class Objection(Enum):
+    """The gravest of what speaks against the estimate; values are for the operator."""
+
+    RANGE_UNIT = "ranges do not fit the own motion: wrong unit?"
+    BEARING_UNIT = "bearings make no sense: wrong unit?"
+    UNSTABLE = "the filter was reset twice within a minute"
+    CONTRADICTED = "measurements do not agree with the estimate"
+    RECOVERING = "the filter is recovering from a contradiction"
+
 
 FROZEN_COUNT = 5
 FROZEN_S = 1.0
@@ -46,10 +143,6 @@ class FrozenValue:
     def clear(self) -> None:
         """Forget everything."""
         self._value = None
-
-    def forget_samples(self) -> None:
-        """The same: there is nothing else to keep."""
-        self.clear()
 
     def add(self, value: float, time_s: float, sensor_enu_m: PositionEnu) -> bool:
         """Take in a value; whether it is frozen."""
@@ -88,19 +181,16 @@ class BearingCheck:
         """Whether bearings stand still beside their own noise while the vehicle moves."""
         self.is_random = False
         """Whether each bearing points elsewhere than the one before."""
-
-    @property
-    def is_condemned(self) -> bool:
-        """Whether bearings must not be used."""
-        return self.is_quiet or self.is_random
+        self.is_rejected = False
+        """Whether bearings must not be used: either of the two."""
 
     def clear(self) -> None:
-        """Forget everything, a condemnation included."""
+        """Forget everything, the judgement included."""
         self.forget_samples()
-        self.is_quiet = self.is_random = False
+        self.is_quiet = self.is_random = self.is_rejected = False
 
     def forget_samples(self) -> None:
-        """Forget what was measured, but not a condemnation."""
+        """Forget what was measured, but not the judgement."""
         self._samples.clear()
         self._since = 0
 
@@ -117,6 +207,7 @@ class BearingCheck:
         self._since = 0
         self.is_random = self._looks_random()
         self._judge_quiet(time_s)
+        self.is_rejected = self.is_quiet or self.is_random
 
     def _looks_random(self) -> bool:
         bearings = [bearing for _, bearing, _, _ in self._samples]
@@ -136,12 +227,10 @@ class BearingCheck:
         low, *_, high = statistics.quantiles(off, n=10, method="inclusive")
         if high - low >= QUIET_SIGMAS * sigma_rad:
             self.is_quiet = False
-        elif _path_m([place for _, _, _, place in recent]) >= MIN_PATH_M:
+            return
+        places = [place for _, _, _, place in recent]
+        if sum(math.dist(before, after) for before, after in pairwise(places)) >= MIN_PATH_M:
             self.is_quiet = True
-
-
-def _path_m(places: Sequence[PositionEnu]) -> float:
-    return sum(math.dist(before, after) for before, after in pairwise(places))
 
 
 ABSURD_S = 2.0
@@ -157,11 +246,14 @@ class AbsurdShare:
     def __init__(self) -> None:
         self._window: deque[tuple[float, bool]] = deque()
         self._absurd_count = 0
+        self.is_most = False
+        """Whether it is more than a half."""
 
     def clear(self) -> None:
         """Forget everything."""
         self._window.clear()
         self._absurd_count = 0
+        self.is_most = False
 
     def add(self, time_s: float, *, is_absurd: bool) -> None:
         """Take in a value that arrived at a time."""
@@ -169,11 +261,8 @@ class AbsurdShare:
         self._absurd_count += is_absurd
         while len(self._window) > ABSURD_COUNT and self._window[0][0] < time_s - ABSURD_S:
             self._absurd_count -= self._window.popleft()[1]
-
-    @property
-    def is_most(self) -> bool:
-        """Whether it is more than a half."""
-        return len(self._window) >= ABSURD_COUNT and 2 * self._absurd_count > len(self._window)
+        count = len(self._window)
+        self.is_most = count >= ABSURD_COUNT and 2 * self._absurd_count > count
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,70 +273,111 @@ class Judgement:
     """None: nothing of it."""
     reason: RejectReason | None = None
     """Why not all of it."""
+    is_newly_objected: bool = False
+    """Whether there is an objection since this measurement: the ones before were no better."""
 
 
-class Plausibility:
-    """Watches the raw values of one emitter.
+DUPLICATE_MEMORY = 256
+
+
+class MeasurementScreen:
+    """Watches the raw values of one emitter, and lets through what may be fused.
 
     Args:
         params: What is believed of the radio.
     """
 
-    def __init__(self, params: FilterParams, max_range_m: float) -> None:
-        self._params = params
-        self._units = UnitCheck(params, max_range_m)
+    def __init__(self, params: FilterParams, acceptance: AcceptanceParams) -> None:
+        self.rejected: Counter[RejectReason] = Counter()
+        """Measurements, or parts of them, that were not fused."""
+        self.has_body_bearings = False
+        """Whether the newest bearing came relative to the vehicle's heading."""
+        self._params, self._acceptance = params, acceptance
+        self._recent: dict[Hashable, None] = {}
+        """What the last valid measurements were, oldest first."""
+        self._units = UnitCheck(params, acceptance.max_range_m)
         self._bearings = BearingCheck()
         self._frozen_range, self._frozen_bearing = FrozenValue(), FrozenValue()
         self._absurd_ranges, self._absurd_bearings = AbsurdShare(), AbsurdShare()
 
     def clear(self) -> None:
-        """Forget everything, condemnations included."""
+        """Forget everything that was measured, and the judgements."""
+        self._recent.clear()
         parts = (self._units, self._bearings, self._frozen_range, self._frozen_bearing)
         for part in (*parts, self._absurd_ranges, self._absurd_bearings):
             part.clear()
 
-    def jumped(self) -> None:
+    def forget_motion(self) -> None:
         """The vehicle's own position jumped: nothing before it is compared with what follows."""
-        parts = (self._units, self._bearings, self._frozen_range, self._frozen_bearing)
-        for part in parts:
-            part.forget_samples()
+        self._units.forget_samples()
+        self._bearings.forget_samples()
+        self._frozen_range.clear()
+        self._frozen_bearing.clear()
 
     @property
     def objection(self) -> Objection | None:
         """Why nothing should be flown on such values."""
-        if self._units.is_condemned or self._absurd_ranges.is_most:
+        if self._units.is_rejected or self._absurd_ranges.is_most:
             return Objection.RANGE_UNIT
-        if self._bearings.is_condemned or self._absurd_bearings.is_most:
+        if self._bearings.is_rejected or self._absurd_bearings.is_most:
             return Objection.BEARING_UNIT
         return None
 
-    def refused(self, reason: RejectReason, now_s: float) -> None:
-        """Note a measurement that was refused by itself."""
+    def admit(
+        self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu | None, now_s: float
+    ) -> RejectReason | None:
+        """Why a measurement is rejected by itself; None: it is valid, and remembered.
+
+        Args:
+            sensor_enu_m: Where the antenna was at the time of the measurement; None: unknown.
+        """
+        reason = self._invalidity(measurement, sensor_enu_m, now_s)
         if reason is RejectReason.RANGE_ABSURD:
             self._absurd_ranges.add(now_s, is_absurd=True)
         elif reason is RejectReason.BEARING_ABSURD:
             self._absurd_bearings.add(now_s, is_absurd=True)
+        if reason is not None:
+            return reason
+        self._recent[identity_of(measurement)] = None
+        if len(self._recent) > DUPLICATE_MEMORY:
+            del self._recent[next(iter(self._recent))]
+        return None
+
+    def _invalidity(
+        self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu | None, now_s: float
+    ) -> RejectReason | None:
+        reason = reject_reason_of(measurement, now_s, self._acceptance)
+        if reason is not None:
+            return reason
+        if identity_of(measurement) in self._recent:
+            return RejectReason.DUPLICATE
+        if sensor_enu_m is None or not all(math.isfinite(v) for v in sensor_enu_m):
+            return RejectReason.NO_POSITION
+        if measurement.range_m is None and measurement.bearing_enu_rad is None:
+            return RejectReason.NO_YAW
+        return None
 
     def judge(
         self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu, now_s: float
     ) -> Judgement:
-        """What of a measurement may be used.
+        """What of a valid measurement may be used.
 
         Args:
             measurement: Its bearing, if any, in ENU, and in the body frame if it came in that.
-            sensor_enu_m: Where the antenna was at its time.
         """
+        was_plausible = self.objection is None
         range_reason = self._range_reason(measurement, sensor_enu_m, now_s)
         bearing_reason = self._bearing_reason(measurement, sensor_enu_m, now_s)
-        if range_reason is None and bearing_reason is None:
-            return Judgement(measurement)
+        is_new = was_plausible and self.objection is not None
         passed = measurement
         if range_reason is not None:
             passed = replace(passed, range_m=None)
         if bearing_reason is not None:
             passed = replace(passed, bearing_enu_rad=None, bearing_body_rad=None)
+        if passed.bearing_enu_rad is not None:
+            self.has_body_bearings = passed.bearing_body_rad is not None
         has_any = passed.range_m is not None or passed.bearing_enu_rad is not None
-        return Judgement(passed if has_any else None, range_reason or bearing_reason)
+        return Judgement(passed if has_any else None, range_reason or bearing_reason, is_new)
 
     def _range_reason(
         self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu, now_s: float
@@ -259,7 +389,7 @@ class Plausibility:
         if self._frozen_range.add(range_m, time_s, sensor_enu_m):
             return RejectReason.FROZEN
         self._units.add(time_s, range_m, sensor_enu_m)
-        return RejectReason.WRONG_UNIT if self._units.is_condemned else None
+        return RejectReason.WRONG_UNIT if self._units.is_rejected else None
 
     def _bearing_reason(
         self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu, now_s: float
@@ -275,4 +405,4 @@ class Plausibility:
         if m.range_m is None or m.range_m > STEEP_RATIO * height_m:
             _, sigma_rad, _ = self._params.seen_sigmas(m)
             self._bearings.add(m.measured_at_s, raw_rad, sigma_rad, sensor_enu_m)
-        return RejectReason.WRONG_UNIT if self._bearings.is_condemned else None
+        return RejectReason.WRONG_UNIT if self._bearings.is_rejected else None

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from companion.domain import PositionEnu, RangingMeasurement
-from companion.estimation.screening.validation import FUTURE_TOLERANCE_S, RejectReason
+from companion.estimation.screening.measurement_screen import FUTURE_TOLERANCE_S, RejectReason
 from companion.estimation.tracker import TargetTracker, TrackerParams
 
 PLACE: PositionEnu = (10.0, 5.0, 20.0)
@@ -45,10 +45,10 @@ def _snapshot(tracker: TargetTracker) -> list[object]:
             for h in tracker.hypotheses
         ],
         tracker.estimate(NOW_S),
-        tracker.inflation,
-        tracker.nlos_share,
+        tracker.health.inflation,
+        tracker.health.nlos_share,
         tracker.accepted,
-        tracker.restarts,
+        tracker.integrity.restarts,
         tracker.last_accepted_s,
         tracker.emitter_id,
     ]
@@ -122,10 +122,10 @@ def test_what_is_refused_is_counted_and_changes_nothing(name: str) -> None:
     tracker = _tracker()
     before = _snapshot(tracker)
     report = tracker.fuse(measurement, PLACE, NOW_S)
-    assert report.refusal is reason
+    assert report.reject_reason is reason
     assert report.update is None
     assert not report.restarted
-    assert tracker.refusals == {reason: 1}
+    assert tracker.rejected == {reason: 1}
     assert _snapshot(tracker) == before
 
 
@@ -133,8 +133,8 @@ def test_what_is_refused_is_counted_and_changes_nothing(name: str) -> None:
 def test_without_an_own_position_it_is_refused(place: PositionEnu | None) -> None:
     tracker = _tracker()
     before = _snapshot(tracker)
-    assert tracker.fuse(GOOD, place, NOW_S).refusal is RejectReason.NO_POSITION
-    assert tracker.refusals == {RejectReason.NO_POSITION: 1}
+    assert tracker.fuse(GOOD, place, NOW_S).reject_reason is RejectReason.NO_POSITION
+    assert tracker.rejected == {RejectReason.NO_POSITION: 1}
     assert _snapshot(tracker) == before
 
 
@@ -182,7 +182,7 @@ def test_every_reason_is_covered_here() -> None:
 )
 def test_what_is_just_plausible_is_accepted(edge: RangingMeasurement) -> None:
     tracker = _tracker()
-    assert tracker.fuse(edge, PLACE, NOW_S).refusal is None
+    assert tracker.fuse(edge, PLACE, NOW_S).reject_reason is None
     assert tracker.accepted == 7
 
 
@@ -190,16 +190,16 @@ def test_without_stamps_the_time_of_measurement_tells_a_duplicate() -> None:
     tracker = _tracker()
     unstamped = replace(GOOD, stamp_us=None)
     later = replace(unstamped, measured_at_s=NOW_S + 0.01)
-    assert tracker.fuse(unstamped, PLACE, NOW_S).refusal is None
-    assert tracker.fuse(unstamped, PLACE, NOW_S).refusal is RejectReason.DUPLICATE
-    assert tracker.fuse(later, PLACE, NOW_S).refusal is None
-    assert tracker.fuse(unstamped, PLACE, NOW_S).refusal is RejectReason.DUPLICATE
+    assert tracker.fuse(unstamped, PLACE, NOW_S).reject_reason is None
+    assert tracker.fuse(unstamped, PLACE, NOW_S).reject_reason is RejectReason.DUPLICATE
+    assert tracker.fuse(later, PLACE, NOW_S).reject_reason is None
+    assert tracker.fuse(unstamped, PLACE, NOW_S).reject_reason is RejectReason.DUPLICATE
 
 
 def test_an_elevation_whose_bearing_lacks_a_yaw_starts_nothing() -> None:
     tracker = TargetTracker(TrackerParams())
     seen = RangingMeasurement(1, NOW_S, bearing_body_rad=0.1, elevation_rad=-0.3)
-    assert tracker.fuse(seen, PLACE, NOW_S).refusal is RejectReason.NO_YAW
+    assert tracker.fuse(seen, PLACE, NOW_S).reject_reason is RejectReason.NO_YAW
     assert tracker.estimate(NOW_S) is None
 
 
@@ -215,10 +215,10 @@ def test_a_refused_measurement_does_not_choose_the_emitter() -> None:
 def test_range_and_bearing_of_one_moment_are_no_duplicates_of_each_other() -> None:
     tracker = _tracker()
     both = replace(GOOD, bearing_enu_rad=0.5, stamp_us=77)
-    assert tracker.fuse(replace(both, bearing_enu_rad=None), PLACE, NOW_S).refusal is None
-    assert tracker.fuse(replace(both, range_m=None), PLACE, NOW_S).refusal is None
+    assert tracker.fuse(replace(both, bearing_enu_rad=None), PLACE, NOW_S).reject_reason is None
+    assert tracker.fuse(replace(both, range_m=None), PLACE, NOW_S).reject_reason is None
     again = tracker.fuse(replace(both, range_m=None, measured_at_s=NOW_S - 0.01), PLACE, NOW_S)
-    assert again.refusal is RejectReason.DUPLICATE
+    assert again.reject_reason is RejectReason.DUPLICATE
 
 
 @pytest.mark.parametrize("bound", [None, 0, 7])
@@ -237,12 +237,12 @@ def test_one_emitter_is_bound_and_all_others_are_ignored_and_counted(bound: int 
             bearing_enu_rad=0.4 + 0.03 * math.cos(step),
         )
         for tracker in (mixed, alone):
-            assert tracker.fuse(seen, place, time_s).refusal is None
+            assert tracker.fuse(seen, place, time_s).reject_reason is None
         for other in {0, 7, 8, 65_535} - {ours}:
             stranger = replace(seen, emitter_id=other, range_m=5.0, bearing_enu_rad=-2.0)
-            assert mixed.fuse(stranger, place, time_s).refusal is RejectReason.OTHER_EMITTER
+            assert mixed.fuse(stranger, place, time_s).reject_reason is RejectReason.OTHER_EMITTER
     assert mixed.emitter_id == ours
-    assert mixed.refusals == {RejectReason.OTHER_EMITTER: 90}
+    assert mixed.rejected == {RejectReason.OTHER_EMITTER: 90}
     assert _snapshot(mixed) == _snapshot(alone)
 
 
@@ -250,6 +250,9 @@ def test_an_id_that_changes_in_flight_is_a_dropout() -> None:
     tracker = _tracker()
     for step in range(40):
         seen = replace(GOOD, emitter_id=9, measured_at_s=NOW_S + 0.1 * step, stamp_us=2_000 + step)
-        assert tracker.fuse(seen, PLACE, NOW_S + 0.1 * step).refusal is RejectReason.OTHER_EMITTER
+        assert (
+            tracker.fuse(seen, PLACE, NOW_S + 0.1 * step).reject_reason
+            is RejectReason.OTHER_EMITTER
+        )
     assert tracker.emitter_id == 7
-    assert tracker.contact.is_interrupted(NOW_S + 4.0)
+    assert tracker.integrity.contact.is_interrupted(NOW_S + 4.0)

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 
-from companion.estimation.integrity.consistency import (
+from companion.estimation.noise.innovations import (
     MAX_CORRELATION,
     MAX_INFLATION,
     MIN_PAIRS,
@@ -76,7 +76,7 @@ def test_it_is_the_sandwich_of_contaminated_noise() -> None:
     assert sandwich > 1.5
     monitor = _monitor(u, math.inf, prior_inflation=3.0)
     assert monitor.inflation == pytest.approx(sandwich * monitor.repetition, rel=1e-9)
-    assert monitor.mean_influence == pytest.approx((age * psi).sum() / count, rel=1e-9)
+    assert monitor.influence_sum / monitor.count == pytest.approx((age * psi).sum() / count)
     assert monitor.bilateral_share == pytest.approx((age * (u <= K)).sum() / count, rel=1e-9)
 
 

@@ -1,0 +1,163 @@
+"""The estimate that hypotheses add up to: the place that is told, its R95, and the state.
+
+R95 is the radius about the estimate that holds 95 % of the probability of all hypotheses.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from companion.domain import EstimateState, TargetEstimate
+from companion.estimation.hypotheses import Hypothesis, probabilities
+from companion.estimation.measurement_model import BEARING_OFFSET, RANGE_OFFSET, RangingModel
+from companion.kernel import Matrix, Vector
+
+GOLDEN_ANGLE_RAD = math.pi * (3.0 - math.sqrt(5.0))
+"""Turn between neighbours on a spiral that covers a disc evenly."""
+
+MIN_AXIS_RATIO = 4e-3
+"""Ellipses thinner than this (in variance) are taken as this thin; R95 differs by under 0.1 %."""
+LOG_OUTSIDE = math.log(0.05)
+R95_START = 0.5 * 1.9**2
+"""R^2 / 2 that the search for R95 begins from, less than that of the narrowest ellipse."""
+R95_TOLERANCE = 1e-12
+R95_MAX_STEPS = 20
+
+_PHI_RAD = (np.arange(64) + 0.5) * (math.pi / 128.0)
+_COS2, _SIN2 = np.cos(_PHI_RAD) ** 2, np.sin(_PHI_RAD) ** 2
+
+AMBIGUOUS_PROBABILITY = 0.05
+"""A second hypothesis with at least this probability makes the estimate ambiguous."""
+MAX_AMBIGUOUS = 3
+"""More distinct places than this is searching, not ambiguous."""
+
+
+def estimate_of(
+    hypotheses: Sequence[Hypothesis],
+    model: RangingModel,
+    localised_r95_m: float,
+    measurements: int,
+    now_s: float,
+    *,
+    is_diverged: bool,
+) -> TargetEstimate:
+    """What the hypotheses add up to.
+
+    Args:
+        hypotheses: At least one, best first.
+        localised_r95_m: The state is `localised` while R95 is at most this.
+        is_diverged: Whether the filter was started anew a short while ago.
+    """
+    weights, best = probabilities(hypotheses), hypotheses[0]
+    covariances = [position_covariance_m2(h, model.own_sigma_m) for h in hypotheses]
+    r95_m = _r95_m(hypotheses, weights, covariances)
+    state = EstimateState.DIVERGED if is_diverged else _state(weights, r95_m, localised_r95_m)
+    is_ambiguous = state is EstimateState.AMBIGUOUS
+    mean, P = best.state.mean, best.state.covariance
+    height, scale = model.height_index, model.scale_index
+    (a, b), (_, c) = covariances[0].tolist()
+    return TargetEstimate(
+        time_s=now_s,
+        state=state,
+        position_enu_m=best.place_enu_m,
+        covariance_m2=((a, b), (b, c)),
+        r95_m=r95_m,
+        range_offset_m=float(mean[RANGE_OFFSET]),
+        bearing_offset_rad=float(mean[BEARING_OFFSET]),
+        measurements=measurements,
+        alternative_enu_m=hypotheses[1].place_enu_m if is_ambiguous else None,
+        height_m=float(mean[height]) if height >= 0 else model.height_m,
+        height_sigma_m=math.sqrt(P[height, height]) if height >= 0 else None,
+        range_scale=float(mean[scale]) if scale >= 0 else 0.0,
+    )
+
+
+def position_covariance_m2(hypothesis: Hypothesis, own_sigma_m: float) -> Matrix:
+    """The filter's covariance, not below what the window found, plus the own position's, (2, 2).
+
+    All measurements share the error of the own position.
+    """
+    covariance = hypothesis.state.covariance[:2, :2]
+    least = hypothesis.least_covariance_m2
+    if least is not None and least[0, 0] + least[1, 1] > covariance[0, 0] + covariance[1, 1]:
+        covariance = least
+    total: Matrix = covariance + own_sigma_m * own_sigma_m * np.eye(2)
+    return total
+
+
+def _r95_m(
+    hypotheses: Sequence[Hypothesis], weights: Vector, covariances: Sequence[Matrix]
+) -> float:
+    if len(hypotheses) == 1:
+        return r95_of_covariance_m(covariances[0])
+    components = [
+        (float(weight), h.state.mean[:2], covariance)
+        for weight, h, covariance in zip(weights, hypotheses, covariances, strict=True)
+    ]
+    return r95_of_mixture_m(hypotheses[0].state.mean[:2], components)
+
+
+def _state(weights: Vector, r95_m: float, localised_r95_m: float) -> EstimateState:
+    likely = sum(weight >= AMBIGUOUS_PROBABILITY for weight in weights.tolist())
+    if 1 < likely <= MAX_AMBIGUOUS:
+        return EstimateState.AMBIGUOUS
+    if likely == 1 and r95_m <= localised_r95_m:
+        return EstimateState.LOCALISED
+    return EstimateState.SEARCHING
+
+
+def r95_of_covariance_m(covariance_m2: Matrix) -> float:
+    """Radius of the circle about the mean that holds 95 % of a 2-D Gaussian, metres.
+
+    Args:
+        covariance_m2: (2, 2).
+
+    The probability outside radius R is the mean over directions of exp(-R^2 q / 2) / (q sqrt(det))
+    with q the inverse variance in that direction. Its logarithm is convex in R^2 / 2, so Newton's
+    method from below climbs to the root without a step too far.
+    """
+    low, high = (float(v) for v in np.linalg.eigvalsh(covariance_m2))
+    if high <= 0.0:
+        return 0.0
+    ratio = max(low / high, MIN_AXIS_RATIO)
+    q = _COS2 + _SIN2 / ratio
+    share = 1.0 / q
+    share /= share.sum()
+    half_square = R95_START
+    for _ in range(R95_MAX_STEPS):
+        outside = share * np.exp(-half_square * q)
+        total = float(outside.sum())
+        step = (math.log(total) - LOG_OUTSIDE) * total / float(outside @ q)
+        half_square += step
+        if step < R95_TOLERANCE:
+            break
+    return math.sqrt(2.0 * half_square * high)
+
+
+def r95_of_mixture_m(
+    centre_m: Vector, components: Sequence[tuple[float, Vector, Matrix]], rings: int = 24
+) -> float:
+    """Radius about `centre_m` that holds 95 % of a mixture of 2-D Gaussians, metres.
+
+    Args:
+        centre_m: (2,).
+        components: (probability, mean (2,), covariance (2, 2)), probabilities summing to 1.
+        rings: Resolution; each component is `2 * rings**2` points of equal probability, laid out
+            along a spiral so that no two share a radius.
+    """
+    order = np.arange(2 * rings**2)
+    radii = np.sqrt(-2.0 * np.log1p(-(order + 0.5) / order.size))
+    normal = radii * np.stack([np.cos(GOLDEN_ANGLE_RAD * order), np.sin(GOLDEN_ANGLE_RAD * order)])
+    distances, weights = [], []
+    for probability, mean, covariance in components:
+        values, vectors = np.linalg.eigh(covariance)
+        points = mean[:, None] + vectors @ (np.sqrt(np.maximum(values, 0.0))[:, None] * normal)
+        distances.append(np.hypot(*(points - centre_m[:, None])))
+        weights.append(np.full(normal.shape[1], probability / normal.shape[1]))
+    distance, weight = np.concatenate(distances), np.concatenate(weights)
+    nearest_first = np.argsort(distance)
+    reached = np.searchsorted(np.cumsum(weight[nearest_first]), 0.95)
+    return float(distance[nearest_first][min(int(reached), distance.size - 1)])
