@@ -12,7 +12,7 @@ import sys
 from pathlib import Path
 
 from companion.errors import CompanionError, ConfigError
-from companion.io.files import write_json_atomic
+from companion.io.files import write_json_atomic, write_text_atomic
 from sim_link.lab.evaluation.reporting.study_report import write_report
 from sim_link.lab.evaluation.reporting.study_tables import (
     check_folder,
@@ -20,16 +20,14 @@ from sim_link.lab.evaluation.reporting.study_tables import (
     make_folder,
     rows_of,
     studies_of,
-    write_text_atomic,
 )
 from sim_link.lab.evaluation.study_run import (
-    FILE_NAME,
+    FOLDER_NAME,
     PlannedStudy,
     Store,
     Work,
     carried_out,
     checks_of,
-    opened,
     planned,
     prepared,
     results_of,
@@ -85,16 +83,16 @@ def run(studies: list[PlannedStudy], arguments: argparse.Namespace, out: Path) -
     work = work_of(studies, arguments.seed)
     with open_pool(arguments.backend, arguments.jobs) as pool:
         make_folder(out)
-        with opened(out / FILE_NAME) as store:
-            kept = store.found(work.tasks)
-            say(f"{len(work.tasks)} blocks of runs, {len(kept)} of them done before")
-            left = work.without(kept)
-            if left.tasks:
-                say("getting the compiled kernels ready")
-                prepared(left, pool)
-                with shown(left.cost, sys.stderr) as on_done:
-                    carried_out(left, pool, store, on_done)
-            return written(studies, work, store, arguments.seed, out)
+        store = Store(out / FOLDER_NAME)
+        kept = store.found(work.tasks)
+        say(f"{len(work.tasks)} blocks of runs, {len(kept)} of them done before")
+        left = work.without(kept)
+        if left.tasks:
+            say("getting the compiled kernels ready")
+            prepared(left, pool)
+            with shown(left.cost, sys.stderr) as on_done:
+                carried_out(left, pool, store, on_done)
+        return written(studies, work, store, arguments.seed, out)
 
 
 def written(studies: list[PlannedStudy], work: Work, store: Store, seed: int, out: Path) -> int:

@@ -31,7 +31,7 @@ import numpy as np
 
 from companion.errors import CompanionError
 from companion.io.files import check_writable, write_json_atomic
-from sim_link.lab.evaluation.campaign import Campaign, Tally, tallies_of
+from sim_link.lab.evaluation.campaign import Campaign, Tally, joined_in_order, tally_of
 from sim_link.lab.evaluation.case import Case, Offsets, canonical_case
 from sim_link.lab.evaluation.metrics import (
     COVERAGE_BAND,
@@ -42,6 +42,7 @@ from sim_link.lab.evaluation.metrics import (
     steps_to_settle,
 )
 from sim_link.lab.evaluation.systems import FilterName, PlannerName, System
+from sim_link.lab.pool import open_pool
 from tools.console import OneLineParser, non_negative, positive
 
 Part = Literal["lawnmower", "bound", "honesty"]
@@ -106,6 +107,27 @@ def verified(
         mine, tallies = tallies[: len(plan.campaigns)], tallies[len(plan.campaigns) :]
         figures += plan.figures(mine)
     return figures
+
+
+def tallies_of(
+    campaigns: Sequence[Campaign], jobs: int, on_block: Callable[[int, int], None]
+) -> list[Tally]:
+    """Do campaigns, all their blocks at once.
+
+    Args:
+        jobs: Processes; 1: this one.
+        on_block: Called with the blocks done so far and their total.
+    """
+    blocks = [(index, block) for index, c in enumerate(campaigns) for block in c.blocks()]
+    done: dict[int, Tally] = {}
+    with open_pool(jobs=min(jobs, len(blocks))) as pool:
+        for position, tally in pool.results(tally_of, [block for _, block in blocks]):
+            done[position] = tally
+            on_block(len(done), len(blocks))
+    return [
+        joined_in_order(done[p] for p, (owner, _) in enumerate(blocks) if owner == index)
+        for index in range(len(campaigns))
+    ]
 
 
 def lawnmower_plan(runs: int, seed: int) -> Plan:

@@ -61,7 +61,6 @@ from sim_link.lab.evaluation.walk import (
     VEHICLE_NORTH,
     walked,
 )
-from sim_link.lab.pool import open_pool
 from sim_link.world.environment import ChannelParams, ShadowParams
 from sim_link.world.line_of_sight import Surroundings, is_blocked_in_space
 
@@ -388,24 +387,3 @@ def tally_of(block: Block) -> Tally:
         bearing_offset_rad=np.sum([trial.bearing_offsets_rad for trial in trials], axis=0),
         final_errors_m=errors[:, -1],
     )
-
-
-def tallies_of(
-    campaigns: Sequence[Campaign], jobs: int, on_block: Callable[[int, int], None]
-) -> list[Tally]:
-    """Do campaigns, all their blocks at once.
-
-    Args:
-        jobs: Processes; 1: this one.
-        on_block: Called with the blocks done so far and their total.
-    """
-    blocks = [(index, block) for index, c in enumerate(campaigns) for block in c.blocks()]
-    done: dict[int, Tally] = {}
-    with open_pool(jobs=min(jobs, len(blocks))) as pool:
-        for position, tally in pool.results(tally_of, [block for _, block in blocks]):
-            done[position] = tally
-            on_block(len(done), len(blocks))
-    return [
-        joined_in_order(done[p] for p, (owner, _) in enumerate(blocks) if owner == index)
-        for index in range(len(campaigns))
-    ]

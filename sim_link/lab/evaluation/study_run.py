@@ -6,10 +6,10 @@ Every process that runs blocks needs the same kernels; compiled once, they find 
 The big loop waits for what it calls, so its callees come first, in two processes, and then the
 loop in one and the tracker's kernels in another.
 
-Finished blocks of runs, kept in one file: a run that was killed goes on where it was.
+Finished blocks of runs, kept in a folder: a run that was killed goes on where it was.
 
 The key of a block names all that it follows from, sources included: whatever has changed since
-gets another key, and blocks of other studies may lie in the same file.
+gets another key, and blocks of other studies may lie in the same folder.
 
 Carries out studies: each block of runs once, the longest first, kept as soon as it is done.
 """
@@ -17,9 +17,7 @@ Carries out studies: each block of runs once, the longest first, kept as soon as
 from __future__ import annotations
 
 import hashlib
-import sqlite3
-from collections.abc import Callable, Container, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Container, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,6 +25,7 @@ import msgspec
 import numpy as np
 
 from companion.errors import CompanionError, ConfigError
+from companion.io.files import write_bytes_atomic
 from companion.kernel import IS_COMPILED
 from companion.planning.crossing_kernels import LATCH_SIZE
 from sim_link.lab.evaluation.campaign import (
@@ -139,11 +138,7 @@ PARTS: dict[str, Callable[[Case, System], None]] = {
 }
 
 
-FILE_NAME = "blocks.sqlite3"
-BUSY_S = 30.0
-"""How long another run may hold the file."""
-AT_ONCE = 500
-"""Keys of one query; SQLite allows at least 999 of them."""
+FOLDER_NAME = "blocks"
 
 
 def key_of(*parts: object) -> str:
@@ -152,27 +147,31 @@ def key_of(*parts: object) -> str:
 
 
 class Store:
-    """Results by key."""
+    """Results by key, a file for each.
 
-    def __init__(self, connection: sqlite3.Connection, path: Path) -> None:
-        self._connection = connection
-        self._path = path
+    Raises:
+        ConfigError: The folder cannot be made.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        try:
+            folder.mkdir(exist_ok=True)
+        except OSError as error:
+            text = f"{folder}: {error.strerror}; delete it, or choose another --out"
+            raise ConfigError(text) from None
+        self._folder = folder
 
     def found(self, keys: Iterable[str]) -> dict[str, bytes]:
         """Those of the keys that have a result, with it.
 
         Raises:
-            CompanionError: The file cannot be read.
+            CompanionError: A file cannot be read.
         """
-        wanted = list(keys)
-        results: dict[str, bytes] = {}
-        with self._explained():
-            for start in range(0, len(wanted), AT_ONCE):
-                part = wanted[start : start + AT_ONCE]
-                marks = ",".join("?" * len(part))
-                query = f"SELECT key, result FROM blocks WHERE key IN ({marks})"
-                results.update(self._connection.execute(query, part))
-        return results
+        paths = {key: self._folder / key for key in keys}
+        try:
+            return {key: path.read_bytes() for key, path in paths.items() if path.exists()}
+        except OSError as error:
+            raise CompanionError(f"{error.filename}: {error.strerror}") from error
 
     def keep(self, key: str, result: bytes) -> None:
         """Add a result; after this it survives the process.
@@ -180,42 +179,7 @@ class Store:
         Raises:
             CompanionError: The file cannot be written.
         """
-        with self._explained(), self._connection:
-            self._connection.execute("INSERT OR REPLACE INTO blocks VALUES (?, ?)", (key, result))
-
-    @contextmanager
-    def _explained(self) -> Iterator[None]:
-        try:
-            yield
-        except sqlite3.Error as error:
-            raise CompanionError(
-                f"{self._path}: {error}; free some space or delete the file, then run again"
-            ) from error
-
-
-@contextmanager
-def opened(path: Path) -> Iterator[Store]:
-    """The store in a file, made if it does not exist.
-
-    Raises:
-        ConfigError: It is no such file, or cannot be opened.
-    """
-    connection = None
-    try:
-        connection = sqlite3.connect(path, timeout=BUSY_S)
-        connection.execute("PRAGMA journal_mode=WAL")
-        connection.execute("PRAGMA synchronous=NORMAL")  # a power cut may cost the last blocks
-        connection.execute(
-            "CREATE TABLE IF NOT EXISTS blocks (key TEXT PRIMARY KEY, result BLOB NOT NULL)"
-        )
-    except sqlite3.Error as error:
-        if connection is not None:
-            connection.close()
-        raise ConfigError(f"{path}: {error}; delete it, or choose another --out") from None
-    try:
-        yield Store(connection, path)
-    finally:
-        connection.close()
+        write_bytes_atomic(self._folder / key, result)
 
 
 Task = Block | EkfCheck

@@ -10,7 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim_link.lab.evaluation.metrics import DIVERGED_M, nees_band, steps_to_settle
+from sim_link.lab.evaluation.metrics import (
+    COVERAGE_BAND,
+    DIVERGED_M,
+    SETTLED_STEP,
+    diverged_count,
+    nees_band,
+    steps_to_settle,
+)
 from sim_link.lab.evaluation.reporting.figure_data import numbers
 from sim_link.lab.evaluation.study import CellResult, ResultRow, StudyResult
 from sim_link.lab.evaluation.systems import PLANNER_LABELS, System
@@ -29,9 +36,6 @@ MAX_STEPS = {"0.5": 20, "1.5": 13, "2.5": 13}
 """To 2.5 m, by range noise."""
 MAX_ANYWHERE_RMSE_M, MAX_ANYWHERE_WORST_M = 0.05, 0.5
 MAX_BOUND_RATIO = 1.3
-COVERAGE_BAND = (0.93, 0.97)
-SETTLED_STEP = 20
-"""Honesty counts after this step."""
 FAR_M = 100.0
 """Beyond the area a bound is only large."""
 INFORMED = (PLANNER_LABELS["latched"], PLANNER_LABELS["fim"])
@@ -183,7 +187,7 @@ def _robustness(findings: Findings) -> Claim | None:
     cells = findings.of(BEST, ROBUSTNESS)
     if not cells:
         return None
-    lost = sum(diverged(cell) for cell in cells)
+    lost = sum(diverged_count(cell.tally.final_errors_m) for cell in cells)
     runs = " + ".join(f"{cell.tally.runs:,}" for cell in cells)
     return Claim(
         "The same, many runs in each regime",
@@ -339,11 +343,6 @@ def final_m(cell: CellResult) -> float:
 def worst_m(cell: CellResult) -> float:
     """Final error of the worst run of a cell."""
     return float(np.max(cell.tally.final_errors_m))
-
-
-def diverged(cell: CellResult) -> int:
-    """Runs that ended farther off than `DIVERGED_M`, or nowhere."""
-    return int(np.sum(~(cell.tally.final_errors_m <= DIVERGED_M)))
 
 
 def _honest_cells(findings: Findings) -> list[CellResult]:

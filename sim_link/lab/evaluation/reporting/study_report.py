@@ -13,7 +13,6 @@ The page needs no network and no scripts; it follows the reader's light or dark 
 from __future__ import annotations
 
 import math
-import os
 import platform
 import subprocess
 from collections.abc import Mapping, Sequence
@@ -25,6 +24,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from companion.errors import CompanionError
+from companion.io.files import write_bytes_atomic, write_text_atomic
 from companion.kernel import IS_COMPILED
 from sim_link.lab.evaluation.case import Case
 from sim_link.lab.evaluation.reporting.claims import Claim, Findings, claims_of
@@ -193,10 +193,10 @@ def write_report(
     except OSError as error:
         raise CompanionError(f"{folder}: cannot be made ({error.strerror})") from error
     for drawing in (drawing for section in sections for drawing in section.drawings):
-        _write(folder / f"{drawing.name}.svg", drawing.svg.encode())
-        _write(folder / f"{drawing.name}.png", drawing.png)
+        write_bytes_atomic(folder / f"{drawing.name}.svg", drawing.svg.encode())
+        write_bytes_atomic(folder / f"{drawing.name}.png", drawing.png)
     text = page(results, sections, rows, costs, checks, provenance())
-    _write(out / "report.html", text.encode())
+    write_text_atomic(out / "report.html", text)
 
 
 def sections_of(results: Sequence[StudyResult], rows: Sequence[ResultRow]) -> list[Section]:
@@ -309,17 +309,6 @@ def _commit(root: Path) -> str:
         return UNKNOWN
     changes = _git(root, "status", "--porcelain", "--untracked-files=no")
     return f"{commit} with local changes" if changes else commit
-
-
-def _write(path: Path, data: bytes) -> None:
-    """Replace a file as a whole."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        temporary.write_bytes(data)
-        temporary.replace(path)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise CompanionError(f"{path}: cannot be written ({error.strerror})") from error
 
 
 def _git(root: Path, *arguments: str) -> str:

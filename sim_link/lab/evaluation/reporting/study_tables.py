@@ -39,7 +39,7 @@ from typing import get_args
 import numpy as np
 
 from companion.config.loader import load_yaml
-from companion.errors import CompanionError, ConfigError
+from companion.errors import ConfigError
 from companion.kernel import Matrix, Vector
 from sim_link.lab.evaluation.campaign import Tally
 from sim_link.lab.evaluation.metrics import (
@@ -338,24 +338,6 @@ def csv_text(rows: Sequence[ResultRow]) -> str:
     writer.writerow([field.name for field in fields(ResultRow)])
     writer.writerows(astuple(row) for row in rows)
     return text.getvalue()
-
-
-def write_text_atomic(path: Path, text: str) -> None:
-    """Replace a text file as a whole: a reader sees the old one or the new one.
-
-    Raises:
-        CompanionError: It cannot be written; an old file is still there then.
-    """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with temporary.open("w", encoding="utf-8", newline="") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise CompanionError(f"{path}: cannot be written ({error.strerror})") from error
 
 
 def check_folder(path: Path) -> None:

@@ -8,13 +8,13 @@ from sim_link.lab.evaluation.campaign import (
     Tally,
     joined_in_order,
     run_block,
-    tallies_of,
     tally_of,
     unpacked,
 )
 from sim_link.lab.evaluation.case import Case, run_seeds
 from sim_link.lab.evaluation.metrics import rmse_m
 from sim_link.lab.evaluation.systems import System
+from tools.verify_estimation import tallies_of
 
 SHORT = Case(steps=15)
 CAMPAIGN = Campaign(SHORT, System("asymmetric_huber", "latched"), seed=2, runs=60)

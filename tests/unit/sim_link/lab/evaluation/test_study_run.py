@@ -9,22 +9,23 @@ import numpy as np
 import pytest
 
 from companion.errors import CompanionError
-from sim_link.lab.evaluation.campaign import Block, Campaign, tallies_of
+from sim_link.lab.evaluation.campaign import Block, Campaign
 from sim_link.lab.evaluation.filterpy_ekf import EkfCheck
 from sim_link.lab.evaluation.study import Study
 from sim_link.lab.evaluation.study_run import (
-    FILE_NAME,
+    FOLDER_NAME,
     PlannedStudy,
+    Store,
     Task,
     carried_out,
     checks_of,
     cost_of,
-    opened,
     planned,
     results_of,
     work_of,
 )
 from sim_link.lab.pool import Pool
+from tools.verify_estimation import tallies_of
 
 SWEEP = {
     "parameter": "p_nlos",
@@ -95,9 +96,9 @@ def test_every_ekf_cell_is_checked_against_filterpy() -> None:
 def test_results_are_those_of_the_campaigns(tmp_path: Path) -> None:
     studies = _planned("asymmetric_huber/latched")
     work = work_of(studies, SEED)
-    with opened(tmp_path / FILE_NAME) as store:
-        carried_out(work, Pool(), store, _done)
-        (result,) = results_of(studies, SEED, store)
+    store = Store(tmp_path / FOLDER_NAME)
+    carried_out(work, Pool(), store, _done)
+    (result,) = results_of(studies, SEED, store)
     campaigns = [Campaign(cell.case, cell.system, SEED, RUNS) for cell in result.cells]
     for cell, tally in zip(
         result.cells, tallies_of(campaigns, 1, lambda _d, _t: None), strict=True
@@ -113,13 +114,13 @@ def test_what_was_kept_is_not_done_again(tmp_path: Path) -> None:
     studies = _planned("huber/reactive")
     work = work_of(studies, SEED)
     first, second = _Recorder(gives_up_after=3), _Recorder()
-    with opened(tmp_path / FILE_NAME) as store:
-        with pytest.raises(CompanionError, match="gone"):
-            carried_out(work, first, store, _done)
-        with pytest.raises(KeyError):
-            results_of(studies, SEED, store)
-        carried_out(work.without(store.found(work.tasks)), second, store, _done)
+    store = Store(tmp_path / FOLDER_NAME)
+    with pytest.raises(CompanionError, match="gone"):
+        carried_out(work, first, store, _done)
+    with pytest.raises(KeyError):
         results_of(studies, SEED, store)
+    carried_out(work.without(store.found(work.tasks)), second, store, _done)
+    results_of(studies, SEED, store)
     assert len(first.asked) == len(work.tasks) == 4
     assert second.asked == first.asked[3:]
 
@@ -127,8 +128,8 @@ def test_what_was_kept_is_not_done_again(tmp_path: Path) -> None:
 def test_the_longest_come_first_and_progress_adds_up(tmp_path: Path) -> None:
     work = work_of(_planned("huber/passive", "admm/passive", "ekf/passive"), SEED)
     recorder, done = _Recorder(), list[float]()
-    with opened(tmp_path / FILE_NAME) as store:
-        carried_out(work, recorder, store, done.append)
+    store = Store(tmp_path / FOLDER_NAME)
+    carried_out(work, recorder, store, done.append)
     costs = [cost_of(task) for task in recorder.asked]
     assert costs == sorted(costs, reverse=True)
     assert sum(done) == pytest.approx(work.cost)
@@ -137,9 +138,9 @@ def test_the_longest_come_first_and_progress_adds_up(tmp_path: Path) -> None:
 
 def test_the_check_is_met_and_says_how_well(tmp_path: Path) -> None:
     work = work_of(_planned("ekf/reactive"), SEED)
-    with opened(tmp_path / FILE_NAME) as store:
-        carried_out(work, Pool(), store, _done)
-        check = checks_of(work, store)["ekf_is_filterpys"]
+    store = Store(tmp_path / FOLDER_NAME)
+    carried_out(work, Pool(), store, _done)
+    check = checks_of(work, store)["ekf_is_filterpys"]
     assert check["is_met"] is True
     assert 0.0 < float(str(check["largest_difference_m"])) < 1e-9
     assert (check["cells"], check["runs_of_each"]) == (2, 2)
@@ -147,5 +148,5 @@ def test_the_check_is_met_and_says_how_well(tmp_path: Path) -> None:
 
 
 def test_without_an_ekf_there_is_nothing_to_check(tmp_path: Path) -> None:
-    with opened(tmp_path / FILE_NAME) as store:
-        assert checks_of(work_of(_planned("huber/passive"), SEED), store) == {}
+    store = Store(tmp_path / FOLDER_NAME)
+    assert checks_of(work_of(_planned("huber/passive"), SEED), store) == {}

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from companion.errors import CompanionError, ConfigError
+from companion.errors import ConfigError
 from sim_link.lab.evaluation.reporting.study_tables import (
     check_folder,
     csv_text,
@@ -12,7 +12,6 @@ from sim_link.lab.evaluation.reporting.study_tables import (
     make_folder,
     studies_of,
     study_path,
-    write_text_atomic,
 )
 from sim_link.lab.evaluation.study import ResultRow
 
@@ -117,17 +116,6 @@ def test_rows_as_csv() -> None:
         "table,parameter,value,system,metric,paper,ours,ours_ci95,bound",
         "t,p,0.5,EKF (FIM),final_rmse_m,0.1,0.2,0.1..0.3,",
     ]
-
-
-def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path) -> None:
-    path = tmp_path / "results.csv"
-    write_text_atomic(path, "old\n")
-    write_text_atomic(path, "new\n")
-    assert path.read_text() == "new\n"
-    (tmp_path / "folder").mkdir()
-    with pytest.raises(CompanionError, match="cannot be written"):
-        write_text_atomic(tmp_path / "folder", "text")
-    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["folder", "results.csv"]
 
 
 def test_a_folder_is_checked_before_it_is_made(tmp_path: Path) -> None:
