@@ -180,14 +180,19 @@ class _Want:
             return False
         return stream.gap_s is None or stream.gap_s <= MISSED_PERIODS * self.interval_s
 
-    def is_due(self, stream: Stream, now_s: float) -> bool:
-        """Whether to ask: never asked, or not met in spite of it."""
+    def look(self, stream: Stream, now_s: float) -> bool:
+        """Look at its stream; whether to ask: never asked, or not met in spite of it."""
         if self.asked_s is None:
+            self.asked_s = now_s
             return True
         if self.is_met(stream, now_s):
             self.retry_s = FIRST_RETRY_S
             return False
-        return now_s - self.asked_s >= self.retry_s
+        if now_s - self.asked_s < self.retry_s:
+            return False
+        self.retry_s = min(2.0 * self.retry_s, LAST_RETRY_S)
+        self.asked_s = now_s
+        return True
 
 
 class StreamRequester:
@@ -226,10 +231,7 @@ class StreamRequester:
         for want in self._wants:
             if ONLY_FROM.get(want.message_id, autopilot) is not autopilot:
                 continue
-            if want.is_due(self._freshness.stream(want.message_id), now_s):
-                if want.asked_s is not None:
-                    want.retry_s = min(2.0 * want.retry_s, LAST_RETRY_S)
-                want.asked_s = now_s
+            if want.look(self._freshness.stream(want.message_id), now_s):
                 return _request(want, target)
         self._next_look_s = now_s + LOOK_PERIOD_S
         return None
