@@ -22,7 +22,7 @@ from sim_link.lab.campaign.flights import Trial
 from sim_link.lab.campaign.runner import (
     AMOUNTS,
     PARTS,
-    Tally,
+    CampaignTally,
     judge,
     report,
     run_all,
@@ -75,7 +75,7 @@ def campaign(trials: list[Trial], arguments: argparse.Namespace, facts: dict[str
                 trials, arguments.jobs, lambda o: done(costs[o.trial]), arguments.backend
             )
     except KeyboardInterrupt as interruption:
-        tally = interruption.args[0] if interruption.args else Tally()
+        tally = interruption.args[0] if interruption.args else CampaignTally()
         code = INTERRUPTED
     judge(tally)
     facts |= {

@@ -277,7 +277,7 @@ def run(arguments: argparse.Namespace) -> int:
     """
     follower, links, clock = _follower(arguments), _links(arguments), _clock(arguments.speed)
     print(f"sim-link: radio on {arguments.follow}", flush=True)
-    hints = _Hints(follower, arguments.follow)
+    hints = _RadioHints(follower, arguments.follow)
     shell = Shell(follower, links, clock, hints.check)
     if arguments.stop_on_eof:
         threading.Thread(target=_stop_at_eof, args=(shell,), daemon=True).start()
@@ -356,7 +356,7 @@ def _stop_at_eof(shell: Shell) -> None:
     shell.request_stop()
 
 
-class _Hints:
+class _RadioHints:
     """Says that a vehicle is heard, or that none is, once each."""
 
     def __init__(self, follower: RadioFollower, link: str) -> None:

@@ -11,7 +11,7 @@ from companion.io.logs.log_files import read_tlog
 from companion.mav.dialect import MAVLink_radio_ranging_message as RadioRanging
 from companion.mav.framing import message_id, sender_of
 from sim_link.autopilot.scenario import FlavourName
-from sim_link.lab.mission.batch import Campaign, fly_task, with_autopilot
+from sim_link.lab.mission.batch import MissionBatch, fly_task, with_autopilot
 from sim_link.lab.mission.in_memory import fly_in_memory
 from sim_link.lab.mission.results import MissionResult
 from sim_link.lab.mission.script import Expectation, Mission
@@ -104,7 +104,7 @@ def test_a_step_that_cannot_be_done_fails_the_flight() -> None:
 def test_a_flights_report_is_written(tmp_path: Path) -> None:
     script = tmp_path / "short.yaml"
     script.write_text(SHORT)
-    (task,) = Campaign([script], seeds=[5], reports=tmp_path).tasks()
+    (task,) = MissionBatch([script], seeds=[5], reports=tmp_path).tasks()
     summary = fly_task(task)
     assert summary.is_passed
     assert Path(summary.report).name == "short-px4-lockstep-seed5.html"

@@ -108,7 +108,7 @@ def trial_named(text: str) -> Trial:
 
 
 @dataclass(slots=True)
-class Tally:
+class CampaignTally:
     """What all trials so far found and measured."""
 
     trials: int = 0
@@ -164,7 +164,7 @@ def run_all(
     jobs: int,
     on_done: Callable[[TrialOutcome], None] | None = None,
     backend: str = LOCAL,
-) -> Tally:
+) -> CampaignTally:
     """Run trials and add them up in their order; an interruption keeps what was found.
 
     A trial whose process may have ended by force is a finding, and those after it are not run.
@@ -208,8 +208,8 @@ def _run_quietly(trial: Trial) -> TrialOutcome:
         logging.disable(before)
 
 
-def _tally_of(outcomes: Mapping[int, TrialOutcome]) -> Tally:
-    tally = Tally()
+def _tally_of(outcomes: Mapping[int, TrialOutcome]) -> CampaignTally:
+    tally = CampaignTally()
     for position in sorted(outcomes):
         tally.add(outcomes[position])
     return tally
@@ -229,7 +229,7 @@ PROMISED = (
 """Figures that every report has; null where nothing of their part was flown."""
 
 
-def judge(tally: Tally) -> None:
+def judge(tally: CampaignTally) -> None:
     """Add what the sums show."""
     sums = tally.sums
     hours = sums.get(f"hours_{JUDGED_LOSS}", 0.0)
@@ -240,7 +240,7 @@ def judge(tally: Tally) -> None:
         tally.findings.append(TrialFinding("gaps", what))
 
 
-def report(tally: Tally, facts: Mapping[str, object], command: str) -> dict[str, object]:
+def report(tally: CampaignTally, facts: Mapping[str, object], command: str) -> dict[str, object]:
     """The campaign as one JSON object.
 
     Args:

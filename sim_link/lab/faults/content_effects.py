@@ -25,7 +25,7 @@ from companion.mav.framing import (
 from companion.mav.signing import HASH_LENGTH, SigningKey, is_signed
 from sim_link.autopilot.incidents import FaultRecord
 from sim_link.lab.faults import fault_models as faults
-from sim_link.lab.faults.link_effects import Effect, F
+from sim_link.lab.faults.link_effects import F, FaultEffect
 from sim_link.lab.lockstep.observer import Delivery
 
 _READER = MavCodec(9, 9)
@@ -87,7 +87,7 @@ INTEGER_LIMITS = {
 ABSURD_FLOATS = (math.nan, math.inf, -math.inf, 1e30)
 
 
-class ContentEffect(Effect[F]):
+class ContentEffect(FaultEffect[F]):
     """A fault in frames with certain message ids; of the radio, where nothing else is said."""
 
     def apply(self, deliveries: list[Delivery], now_s: float) -> list[Delivery]:  # noqa: ARG002
@@ -252,7 +252,7 @@ class SecondEmitter(ContentEffect[faults.RangingSecondEmitter]):
             message.emitter_id = self._fault.emitter_id
 
 
-CONTENT_EFFECTS: dict[type[FaultRecord], type[Effect[Any]]] = {
+CONTENT_EFFECTS: dict[type[FaultRecord], type[FaultEffect[Any]]] = {
     faults.StreamMute: Mute,
     faults.TelemetryNonsense: Nonsense,
     faults.RangingDropout: Dropout,

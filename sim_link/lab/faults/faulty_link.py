@@ -34,7 +34,7 @@ from sim_link.lab.faults.fault_models import (
     SecurityFault,
     UnsignedFrames,
 )
-from sim_link.lab.faults.link_effects import LINK_EFFECTS, Effect
+from sim_link.lab.faults.link_effects import LINK_EFFECTS, FaultEffect
 from sim_link.lab.lockstep.observer import Delivery, Lane
 
 LINK_LANES = {
@@ -51,7 +51,7 @@ class _Acting:
     start_s: float
     end_s: float
     rank: int
-    effect: Effect[Any]
+    effect: FaultEffect[Any]
 
 
 class FaultyLink:

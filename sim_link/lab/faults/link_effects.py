@@ -21,7 +21,7 @@ NO_MAGIC = bytes(set(range(256)) - {0xFD, 0xFE})
 """Bytes that begin no frame."""
 
 
-class Effect(ABC, Generic[F]):
+class FaultEffect(ABC, Generic[F]):
     """One fault, in one direction where it has one.
 
     Args:
@@ -52,7 +52,7 @@ class Effect(ABC, Generic[F]):
         return float(self._rng.random()) < share
 
 
-class Loss(Effect[faults.LinkLoss]):
+class Loss(FaultEffect[faults.LinkLoss]):
     """Independent loss."""
 
     def apply(self, deliveries: list[Delivery], now_s: float) -> list[Delivery]:  # noqa: ARG002
@@ -60,7 +60,7 @@ class Loss(Effect[faults.LinkLoss]):
         return [each for each in deliveries if not self._happens(self._fault.share)]
 
 
-class Blackout(Effect[faults.LinkBlackout]):
+class Blackout(FaultEffect[faults.LinkBlackout]):
     """Nothing arrives."""
 
     def apply(self, deliveries: list[Delivery], now_s: float) -> list[Delivery]:  # noqa: ARG002
@@ -68,7 +68,7 @@ class Blackout(Effect[faults.LinkBlackout]):
         return []
 
 
-class Bursts(Effect[faults.LinkBursts]):
+class Bursts(FaultEffect[faults.LinkBursts]):
     """A two-state Markov process in continuous time."""
 
     _is_bad = False
@@ -87,7 +87,7 @@ class Bursts(Effect[faults.LinkBursts]):
         return [each for each in deliveries if not self._happens(share)]
 
 
-class Delay(Effect[faults.LinkDelay]):
+class Delay(FaultEffect[faults.LinkDelay]):
     """A constant delay."""
 
     def apply(self, deliveries: list[Delivery], now_s: float) -> list[Delivery]:  # noqa: ARG002
@@ -95,7 +95,7 @@ class Delay(Effect[faults.LinkDelay]):
         return [(due_s + self._fault.delay_s, data) for due_s, data in deliveries]
 
 
-class Jitter(Effect[faults.LinkJitter]):
+class Jitter(FaultEffect[faults.LinkJitter]):
     """A random delay, so that frames overtake each other."""
 
     def apply(self, deliveries: list[Delivery], now_s: float) -> list[Delivery]:  # noqa: ARG002
@@ -107,7 +107,7 @@ class Jitter(Effect[faults.LinkJitter]):
         return float(late) * self._fault.jitter_s if hit < self._fault.share else 0.0
 
 
-class Duplicates(Effect[faults.LinkDuplicates]):
+class Duplicates(FaultEffect[faults.LinkDuplicates]):
     """Copies of some frames, a little later."""
 
     def apply(self, deliveries: list[Delivery], now_s: float) -> list[Delivery]:  # noqa: ARG002
@@ -120,7 +120,7 @@ class Duplicates(Effect[faults.LinkDuplicates]):
         return deliveries + copies
 
 
-class Damage(Effect[faults.LinkBitFlips | faults.LinkTruncation | faults.LinkGarbage]):
+class Damage(FaultEffect[faults.LinkBitFlips | faults.LinkTruncation | faults.LinkGarbage]):
     """A share of the datagrams comes damaged."""
 
     def apply(self, deliveries: list[Delivery], now_s: float) -> list[Delivery]:  # noqa: ARG002
@@ -145,7 +145,7 @@ class Damage(Effect[faults.LinkBitFlips | faults.LinkTruncation | faults.LinkGar
                 return bytes(NO_MAGIC[each] for each in junk) + data
 
 
-class RateCap(Effect[faults.LinkRateCap]):
+class RateCap(FaultEffect[faults.LinkRateCap]):
     """A serial line's rate: what is sent waits for what went before."""
 
     _free_s = 0.0
@@ -163,7 +163,7 @@ class RateCap(Effect[faults.LinkRateCap]):
         return through
 
 
-class Hold(Effect[faults.LinkHold]):
+class Hold(FaultEffect[faults.LinkHold]):
     """Everything waits for the end of the fault."""
 
     def apply(self, deliveries: list[Delivery], now_s: float) -> list[Delivery]:  # noqa: ARG002
@@ -171,7 +171,7 @@ class Hold(Effect[faults.LinkHold]):
         return [(max(due_s, self._end_s), data) for due_s, data in deliveries]
 
 
-LINK_EFFECTS: dict[type[FaultRecord], type[Effect[Any]]] = {
+LINK_EFFECTS: dict[type[FaultRecord], type[FaultEffect[Any]]] = {
     faults.LinkBlackout: Blackout,
     faults.LinkLoss: Loss,
     faults.LinkBursts: Bursts,

@@ -76,7 +76,7 @@ def check_reports(folder: Path) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class Campaign:
+class MissionBatch:
     """What is to be flown."""
 
     files: Sequence[Path]

@@ -1,14 +1,14 @@
 """The language of conditions: `estimate.r95_m < 1 and vehicle.mode == hold`.
 
 Theory of operation. Python's own parser reads the text into a tree, so precedence, chained
-comparisons and parentheses are those that everybody knows; nothing is ever evaluated by Python.
-The tree is translated, once and with types, into closures over a `Situation`. What is not known is
-neither true nor false (Kleene's logic): `and` with something false is false, `or` with something
+comparisons and parentheses are those that everybody knows; nothing is ever evaluated by Python. The
+tree is translated, once and with types, into closures over a `FlightSituation`. What is not known
+is neither true nor false (Kleene's logic): `and` with something false is false, `or` with something
 true is true, everything else with an unknown is unknown, and an unknown condition does not hold.
 
-A `Situation` is what is known of a flight at a moment; what is not known (yet) is None. The runner
-in memory and the one of real processes fill in the same one, so that a script means the same in
-both. What is said of its fields is what documentation and errors say of them.
+A `FlightSituation` is what is known of a flight at a moment; what is not known (yet) is None. The
+runner in memory and the one of real processes fill in the same one, so that a script means the same
+in both. What is said of its fields is what documentation and errors say of them.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ class MissionSeen:
 
 
 @dataclass(slots=True)
-class Situation:
+class FlightSituation:
     """Everything that a condition may ask about."""
 
     vehicle: VehicleSeen = field(default_factory=VehicleSeen)
@@ -137,7 +137,7 @@ FIELDS: dict[str, FieldInfo] = dict(_infos())
 
 
 Value = float | bool | str | None
-Getter = Callable[[Situation], Value]
+Getter = Callable[[FlightSituation], Value]
 
 COMPARISONS: dict[type[ast.cmpop], tuple[str, Callable[[Any, Any], bool]]] = {
     ast.Lt: ("<", operator.lt),
@@ -168,11 +168,11 @@ class Condition:
     text: str
     _get: Getter
 
-    def holds(self, situation: Situation) -> bool:
+    def holds(self, situation: FlightSituation) -> bool:
         """Whether it holds now; what is unknown does not."""
         return self._get(situation) is True
 
-    def is_false(self, situation: Situation) -> bool:
+    def is_false(self, situation: FlightSituation) -> bool:
         """Whether it is known not to hold."""
         return self._get(situation) is False
 
@@ -217,7 +217,7 @@ def _lifted(function: Callable[..., Value], *parts: _Part) -> Getter:
     """The function of the parts' values; unknown where one of them is."""
     getters = tuple(part.get for part in parts)
 
-    def get(situation: Situation) -> Value:
+    def get(situation: FlightSituation) -> Value:
         """The value now; None: not known."""
         values: list[Any] = [getter(situation) for getter in getters]
         return None if None in values else function(*values)
@@ -264,7 +264,7 @@ def _logic(node: ast.BoolOp) -> _Part:
     getters = [_truth_of(value).get for value in node.values]
     decisive = isinstance(node.op, ast.Or)
 
-    def get(situation: Situation) -> Value:
+    def get(situation: FlightSituation) -> Value:
         """The value now; None: not known."""
         is_unknown = False
         for getter in getters:
@@ -285,7 +285,7 @@ def _comparison(node: ast.Compare) -> _Part:
     if len(getters) == 1:
         return _Part(Kind.TRUTH, getters[0], node)
 
-    def get(situation: Situation) -> Value:
+    def get(situation: FlightSituation) -> Value:
         """The value now; None: not known."""
         values = [getter(situation) for getter in getters]
         if False in values:

@@ -24,7 +24,7 @@ from sim_link.lab.faults.injector import Injector
 from sim_link.lab.lockstep.flight import Flight, MakeCompanion, Makers
 from sim_link.lab.lockstep.flight_harness import Operator as Station
 from sim_link.lab.lockstep.observer import Frame, Observer
-from sim_link.lab.mission.conditions import Situation
+from sim_link.lab.mission.conditions import FlightSituation
 from sim_link.lab.mission.flight_readers import EventReader
 from sim_link.lab.mission.results import (
     FlightRecord,
@@ -36,13 +36,20 @@ from sim_link.lab.mission.results import (
 )
 from sim_link.lab.mission.script import Mission
 from sim_link.lab.mission.script_file import flown_config
-from sim_link.lab.mission.steps import Action, Arm, Grant, StepRunner, SwitchMode, TakeOff
+from sim_link.lab.mission.steps import (
+    Action,
+    ArmAction,
+    Grant,
+    StepRunner,
+    SwitchMode,
+    TakeOffAction,
+)
 from sim_link.lab.monitor.monitor import LOCKSTEP, Monitor
 
 SLICE_S = 0.1
 TRACK_SLICES = 2
 """The track has a point for so many slices."""
-Progress = Callable[[StepRunner, Situation], None]
+Progress = Callable[[StepRunner, FlightSituation], None]
 
 
 def fly_in_memory(
@@ -189,9 +196,9 @@ class _Operator:
     def ask(self, action: Action) -> None:
         """Do it at once."""
         match action:
-            case Arm():
+            case ArmAction():
                 self._arm()
-            case TakeOff():
+            case TakeOffAction():
                 self._take_off(action.height_m)
             case SwitchMode():
                 self._station.choose(action.mode, is_told_at_once=False)

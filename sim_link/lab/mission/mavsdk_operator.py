@@ -14,7 +14,7 @@ from companion.errors import CompanionError, ConfigError
 from companion.link.autopilot_queries import STREAM_INTERVAL_S
 from companion.mav.dialect import mavlink
 from companion.mav.flight_modes import set_mode_params
-from sim_link.lab.mission.steps import Action, Arm, Grant, SwitchMode, TakeOff
+from sim_link.lab.mission.steps import Action, ArmAction, Grant, SwitchMode, TakeOffAction
 
 SEARCH_S = 30.0
 """Real time that an autopilot may take to be found."""
@@ -140,9 +140,9 @@ class MavsdkOperator:
 
     def _coroutine(self, action: Action) -> Coroutine[Any, Any, None]:
         match action:
-            case Arm():
+            case ArmAction():
                 return self._just(self._action.arm())
-            case TakeOff():
+            case TakeOffAction():
                 return self._take_off(action.height_m)
             case Grant():
                 number = mavlink.MAV_CMD_NAV_GUIDED_ENABLE

@@ -20,14 +20,14 @@ from companion.io.files import check_writable, write_text_atomic
 from companion.kernel import IS_COMPILED
 from sim_link.fleet.console import is_interrupt
 from sim_link.lab.mission.batch import (
-    Campaign,
     FlightTask,
+    MissionBatch,
     check_reports,
     fly_all,
     unflown,
     warm_up,
 )
-from sim_link.lab.mission.conditions import Situation
+from sim_link.lab.mission.conditions import FlightSituation
 from sim_link.lab.mission.mission_report import campaign_lines
 from sim_link.lab.mission.results import MissionResult
 from sim_link.lab.mission.steps import StepRunner
@@ -58,7 +58,7 @@ class PlainProgress:
     def __exit__(self, *_: object) -> None:
         """End."""
 
-    def moved(self, runner: StepRunner, situation: Situation) -> None:
+    def moved(self, runner: StepRunner, situation: FlightSituation) -> None:
         """Time has passed."""
         number, total, name = runner.progress
         if not self._is_detailed or number == self._step:
@@ -114,7 +114,7 @@ class LiveProgress(PlainProgress):
         """Leave the terminal as it was."""
         self._live.stop()
 
-    def moved(self, runner: StepRunner, situation: Situation) -> None:
+    def moved(self, runner: StepRunner, situation: FlightSituation) -> None:
         """Redraw the line now and then."""
         now_s = time.monotonic()
         if now_s < self._due_s:
@@ -144,7 +144,7 @@ def progress_for(total: int, jobs: int, output: TextIO | None = None) -> PlainPr
     return PlainProgress(total, stream, is_detailed=jobs == 1 and total == 1)
 
 
-def state_line(runner: StepRunner, situation: Situation) -> str:
+def state_line(runner: StepRunner, situation: FlightSituation) -> str:
     """Where a flight stands, in a line."""
     number, total, name = runner.progress
     vehicle, companion, estimate = situation.vehicle, situation.companion, situation.estimate
@@ -365,7 +365,7 @@ def _in_order(
     return [results.get(n) or unflown(task, reason) for n, task in enumerate(tasks)]
 
 
-def _campaign(arguments: argparse.Namespace) -> Campaign:
+def _campaign(arguments: argparse.Namespace) -> MissionBatch:
     if arguments.seed < 0:
         raise ConfigError(f"--seed {arguments.seed}: give a number that is not negative")
     for option in ("repeat", "jobs"):
@@ -381,7 +381,7 @@ def _campaign(arguments: argparse.Namespace) -> Campaign:
         if speed is not None:
             raise ConfigError(f"--backend {arguments.backend}: a cluster flies in lockstep only")
         reports = None if reports is None else reports.resolve()  # workers are elsewhere
-    return Campaign(
+    return MissionBatch(
         files=arguments.files,
         seeds=range(arguments.seed, arguments.seed + arguments.repeat),
         jobs=arguments.jobs,

@@ -18,7 +18,7 @@ from companion.domain import Point, PositionEnu
 from companion.io.files import plain
 from companion.io.logs.log_files import tlog_record
 from companion.report.flight_summary import EstimatePoint
-from sim_link.lab.mission.conditions import Situation, parse_condition
+from sim_link.lab.mission.conditions import FlightSituation, parse_condition
 from sim_link.lab.mission.script import (
     Appears,
     Bound,
@@ -30,7 +30,7 @@ from sim_link.lab.mission.script import (
     numbers_by_name,
 )
 from sim_link.lab.monitor.monitor import NOTHING, Scope
-from sim_link.lab.monitor.scene import Violation
+from sim_link.lab.monitor.scene import InvariantViolation
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +77,7 @@ class OperatorText:
 class FlightRecord:
     """One flight as it was seen; times are seconds since the mission began."""
 
-    situation: Situation = field(default_factory=Situation)
+    situation: FlightSituation = field(default_factory=FlightSituation)
     """What is known at the moment; at the end, of the end."""
     steps: list[StepOutcome] = field(default_factory=list)
     events: list[tuple[float, str, Mapping[str, object]]] = field(default_factory=list)
@@ -91,7 +91,7 @@ class FlightRecord:
     """How often each sender's messages were seen, by message id."""
     frames: list[tuple[float, bytes]] = field(default_factory=list)
     """What companion and vehicle sent, where it was kept in memory."""
-    violations: list[Violation] = field(default_factory=list)
+    violations: list[InvariantViolation] = field(default_factory=list)
     breaches: dict[str, float] = field(default_factory=dict)
     """When an `always` was first false, by the expectation's name."""
     engaged_s: float | None = None
@@ -139,7 +139,7 @@ class FlightRecord:
         last, report = self.last_estimate(emitter), self.report_of(emitter)
         return replace(
             self,
-            situation=Situation(),
+            situation=FlightSituation(),
             steps=[],
             events=[],
             estimates=[] if last is None else [last],

@@ -23,12 +23,12 @@ from sim_link.lab.mission.script import Mission, Step
 
 
 @dataclass(frozen=True, slots=True)
-class Arm:
+class ArmAction:
     """Arm the motors."""
 
 
 @dataclass(frozen=True, slots=True)
-class TakeOff:
+class TakeOffAction:
     """Take off."""
 
     height_m: float
@@ -47,10 +47,10 @@ class Grant:
     """Let a companion that yielded stand by again."""
 
 
-Action = Arm | TakeOff | SwitchMode | Grant
+Action = ArmAction | TakeOffAction | SwitchMode | Grant
 
 
-class Operator(Protocol):
+class MissionOperator(Protocol):
     """Whoever holds the ground station."""
 
     def ask(self, action: Action) -> None:
@@ -89,7 +89,7 @@ class StepRunner:
         self,
         mission: Mission,
         record: FlightRecord,
-        operator: Operator,
+        operator: MissionOperator,
         harness: Harness,
     ) -> None:
         self._mission = mission
@@ -98,7 +98,7 @@ class StepRunner:
         self._operator = operator
         self._harness = harness
         self._steps = mission.named_steps
-        self._current: _Running | None = None
+        self._current: _RunningStep | None = None
         self._next = 0
         self._always = [
             (each.name, parse_condition(each.always))
@@ -148,10 +148,10 @@ class StepRunner:
             if name not in self._record.breaches and condition.is_false(self._situation):
                 self._record.breaches[name] = now_s
 
-    def _begin(self, now_s: float) -> _Running:
+    def _begin(self, now_s: float) -> _RunningStep:
         name, step = self._steps[self._next]
         self._next += 1
-        running = _Running(self._next, name, step, _rule_of(step, self._mission), now_s)
+        running = _RunningStep(self._next, name, step, _rule_of(step, self._mission), now_s)
         self._current = running
         fields = {"step": self._next, "name": name, "what": running.rule.what}
         self._record.events.append((now_s, "step", fields))
@@ -159,7 +159,7 @@ class StepRunner:
             self._harness.inject(step, now_s)
         return running
 
-    def _advance(self, running: _Running, now_s: float) -> bool:
+    def _advance(self, running: _RunningStep, now_s: float) -> bool:
         """Whether the step is over."""
         rule = running.rule
         if rule.is_met.holds(self._situation):
@@ -176,7 +176,7 @@ class StepRunner:
             self._end(running, now_s, limit)
         return self._current is None
 
-    def _ask(self, running: _Running, now_s: float) -> None:
+    def _ask(self, running: _RunningStep, now_s: float) -> None:
         running.refusal = self._operator.take_refusal() or running.refusal
         action, rule = running.rule.action, running.rule
         if action is None or now_s < running.ask_due_s:
@@ -186,13 +186,13 @@ class StepRunner:
         running.ask_due_s = now_s + ASK_AGAIN_S
         self._operator.ask(action)
 
-    def _why_late(self, running: _Running) -> str:
+    def _why_late(self, running: _RunningStep) -> str:
         rule = running.rule
         text = f"{rule.what} did not happen within {rule.limit_s:g} s"
         refusal = running.refusal or self._operator.take_refusal()
         return f"{text} ({refusal})" if refusal else text
 
-    def _end(self, running: _Running, now_s: float, failure: str) -> None:
+    def _end(self, running: _RunningStep, now_s: float, failure: str) -> None:
         outcome = StepOutcome(
             running.number, running.name, running.rule.what, running.started_s, now_s, failure
         )
@@ -203,7 +203,7 @@ class StepRunner:
 
 
 @dataclass(frozen=True, slots=True)
-class Rule:
+class StepRule:
     """What a step asks for and when it is over."""
 
     what: str
@@ -218,13 +218,13 @@ class Rule:
 
 
 @dataclass(slots=True)
-class _Running:
+class _RunningStep:
     """A step that is being flown."""
 
     number: int
     name: str
     step: Step
-    rule: Rule
+    rule: StepRule
     started_s: float
     met_s: float | None = None
     ask_due_s: float = 0.0
@@ -249,44 +249,44 @@ CONTACT = parse_condition(
 )
 
 
-def _rule_of(step: Step, mission: Mission) -> Rule:
+def _rule_of(step: Step, mission: Mission) -> StepRule:
     match step:
         case FaultRecord():
-            return Rule(str(type(step).__struct_config__.tag), ALWAYS)
+            return StepRule(str(type(step).__struct_config__.tag), ALWAYS)
         case script.WaitUntilStep():
             condition = parse_condition(step.condition)
-            return Rule(step.condition, condition, step.limit_s, for_s=step.for_s)
+            return StepRule(step.condition, condition, step.limit_s, for_s=step.for_s)
         case script.WaitStep():
-            return Rule(f"{step.for_s:g} s", ALWAYS, for_s=step.for_s)
+            return StepRule(f"{step.for_s:g} s", ALWAYS, for_s=step.for_s)
         case script.SearchStep():
             is_met = REPORTED if step.until == "reported" else CONTACT
-            return Rule(f"{step.until} in the {step.pattern}", is_met, step.limit_s)
+            return StepRule(f"{step.until} in the {step.pattern}", is_met, step.limit_s)
         case script.TakeoffStep():
             return _takeoff_rule(step, mission)
     return _start_rule(step)
 
 
-def _start_rule(step: Step) -> Rule:
+def _start_rule(step: Step) -> StepRule:
     match step:
         case script.ConnectStep():
-            return Rule("hearing the autopilot", CONNECTED, step.limit_s)
+            return StepRule("hearing the autopilot", CONNECTED, step.limit_s)
         case script.WaitReadyStep():
-            return Rule("being ready to arm, the companion in standby", READY, step.limit_s)
+            return StepRule("being ready to arm, the companion in standby", READY, step.limit_s)
         case script.ArmStep():
-            return Rule("arming", ARMED, step.limit_s, Arm())
+            return StepRule("arming", ARMED, step.limit_s, ArmAction())
         case script.EngageStep():
             action = SwitchMode(FlightMode.OFFBOARD)
-            return Rule("the companion in control", IN_CONTROL, step.limit_s, action)
+            return StepRule("the companion in control", IN_CONTROL, step.limit_s, action)
         case script.GrantStep():
-            return Rule("the companion granted control", GRANTED, step.limit_s, Grant())
+            return StepRule("the companion granted control", GRANTED, step.limit_s, Grant())
     return _mode_rule(step)
 
 
-def _mode_rule(step: Step) -> Rule:
+def _mode_rule(step: Step) -> StepRule:
     match step:
         case script.PilotOverrideStep():
             shown = f'vehicle.mode == "{step.mode}"'
-            return Rule(
+            return StepRule(
                 f"{step.mode} with the companion out of control",
                 parse_condition(f"{shown} and not companion.is_in_control"),
                 step.limit_s,
@@ -295,22 +295,22 @@ def _mode_rule(step: Step) -> Rule:
             )
         case script.HoldStep():
             action = SwitchMode(FlightMode.HOLD)
-            return Rule("holding", HOLDING, step.limit_s, action, for_s=step.for_s)
+            return StepRule("holding", HOLDING, step.limit_s, action, for_s=step.for_s)
         case script.ReturnStep():
             action = SwitchMode(FlightMode.RETURN)
-            return Rule("standing at home", DISARMED, step.limit_s, action, RETURNING)
+            return StepRule("standing at home", DISARMED, step.limit_s, action, RETURNING)
         case script.LandStep():
             action = SwitchMode(FlightMode.LAND)
-            return Rule("standing, disarmed", DISARMED, step.limit_s, action, LANDING)
+            return StepRule("standing, disarmed", DISARMED, step.limit_s, action, LANDING)
     raise TypeError(f"{step} is no step")
 
 
-def _takeoff_rule(step: script.TakeoffStep, mission: Mission) -> Rule:
+def _takeoff_rule(step: script.TakeoffStep, mission: Mission) -> StepRule:
     height_m = mission.config.mission.altitude_m if step.altitude_m is None else step.altitude_m
-    return Rule(
+    return StepRule(
         f"a height of {height_m:g} m",
         parse_condition(f"vehicle.height_m >= {height_m - ARRIVED_M}"),
         step.limit_s,
-        TakeOff(height_m),
+        TakeOffAction(height_m),
         parse_condition(f"vehicle.height_m > {LIFTED_M}"),
     )

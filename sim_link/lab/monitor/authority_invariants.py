@@ -14,8 +14,8 @@ from sim_link.lab.monitor.scene import (
     PX4_OFFBOARD_MAIN,
     TICK_S,
     Invariant,
-    Scene,
-    Setpoint,
+    ObservedScene,
+    SentSetpoint,
     is_offboard,
 )
 
@@ -43,7 +43,7 @@ class OnlyWithAuthority(Invariant):
     name = "I3"
     title = "silence within a tick of the first foreign mode, and nothing is taken back"
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: ObservedScene) -> None:
         super().__init__(scene)
         self.late = 0
         """Setpoints and requests later than a tick after the frame that ended control."""
@@ -120,7 +120,7 @@ class OnlyWithAuthority(Invariant):
         elif self._was_ours and self._lost_s is None:
             self._lost_s = now_s
 
-    def setpoint(self, setpoint: Setpoint) -> None:
+    def setpoint(self, setpoint: SentSetpoint) -> None:
         """Judge whether it may be sent at all."""
         if self._is_late("a setpoint after the mode was lost"):
             return
@@ -180,7 +180,7 @@ class KeepsStreaming(Invariant):
     title = "in control the stream of setpoints does not pause"
     PHASES = frozenset({"normal", "degraded", "hold"})
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: ObservedScene) -> None:
         super().__init__(scene)
         self.worst_gap_s = 0.0
         self._is_in_control = False
@@ -203,7 +203,7 @@ class KeepsStreaming(Invariant):
         self._is_in_control, self._last_s = False, None
         self._is_stalled, self._excused_s = False, -math.inf
 
-    def setpoint(self, setpoint: Setpoint) -> None:
+    def setpoint(self, setpoint: SentSetpoint) -> None:
         """Judge the gap before it; whoever sends is in no stall any more."""
         self._judge(setpoint.time_s)
         self._is_stalled, self._excused_s = False, -math.inf
@@ -250,7 +250,7 @@ class SilentWithoutTick(Invariant):
     name = "I8"
     title = "without the control tick there is no heartbeat and no setpoint"
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: ObservedScene) -> None:
         super().__init__(scene)
         self._started_s = 0.0
 

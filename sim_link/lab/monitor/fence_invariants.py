@@ -14,7 +14,7 @@ from companion.domain import FlightMode, PositionEnu
 from companion.mav.dialect import POSITION_AND_YAW, POSITION_ONLY, mavlink
 from sim_link.lab.lockstep.observer import Frame
 from sim_link.lab.monitor.independent_checks import INWARDS_M, Point, depth_m, is_way_clear
-from sim_link.lab.monitor.scene import Invariant, Scene, Setpoint, TrueScene
+from sim_link.lab.monitor.scene import Invariant, ObservedScene, SentSetpoint, TrueScene
 from sim_link.world.point_mass import PointMass, approach_velocity
 
 STEADY_S = 2.0
@@ -45,7 +45,7 @@ class OwnJumps:
         if self._seemed is not None and self._is_over():
             self._seemed = None
 
-    def chased_m(self, setpoint: Setpoint) -> float | None:
+    def chased_m(self, setpoint: SentSetpoint) -> float | None:
         """How far a setpoint is from where the vehicle seemed to be, if it must stay; else None."""
         told = self._scene.told.position_enu_m
         if self._seemed is None or told is None or self._scene.is_lied_to:
@@ -100,14 +100,14 @@ class SetpointsInside(Invariant):
     name = "I1"
     title = "setpoints, the ways to them and the vehicle stay inside fence and altitude band"
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: ObservedScene) -> None:
         super().__init__(scene)
         self._anchor: Point | None = None
         """Where the setpoint stands, or stood last."""
         self._near_s = -math.inf
         """When the vehicle was told to be beyond the border, or nearly there."""
 
-    def setpoint(self, setpoint: Setpoint) -> None:
+    def setpoint(self, setpoint: SentSetpoint) -> None:
         """Judge a setpoint by where the companion believed the vehicle to be.
 
         Without control it repeats the vehicle's place, and for that of a stranger only he answers.
@@ -116,7 +116,7 @@ class SetpointsInside(Invariant):
         if not self.scene.is_lied_to or self.scene.told.is_ours:
             self._judge_borders(setpoint)
 
-    def _judge_borders(self, setpoint: Setpoint) -> None:
+    def _judge_borders(self, setpoint: SentSetpoint) -> None:
         rules, told = self.scene.rules, self.scene.told
         place = setpoint.place_enu_m[:2]
         depth = self._depth(place)
@@ -181,7 +181,7 @@ class InsideFence(SetpointsInside):
         self._known: tuple[Point, float] = ((0.0, 0.0), -math.inf)
         """A place, and how deep inside it is."""
 
-    def setpoint(self, setpoint: Setpoint) -> None:
+    def setpoint(self, setpoint: SentSetpoint) -> None:
         """Judge it by what is true, too."""
         super().setpoint(setpoint)
         chased_m = self._jumps.chased_m(setpoint)
@@ -273,7 +273,7 @@ class PlacesOnly(Invariant):
     name = "I4"
     title = "every setpoint may be the last one"
 
-    def setpoint(self, setpoint: Setpoint) -> None:
+    def setpoint(self, setpoint: SentSetpoint) -> None:
         """Judge what it asks for."""
         mask = getattr(setpoint.message, "type_mask", None)
         if mask not in (POSITION_ONLY, POSITION_AND_YAW):
@@ -293,7 +293,7 @@ class SafeToFreeze(PlacesOnly):
         self._truth = scene
         self._frozen_s = -math.inf
 
-    def setpoint(self, setpoint: Setpoint) -> None:
+    def setpoint(self, setpoint: SentSetpoint) -> None:
         """Fly on to it for a minute, every so often.
 
         One that was given within the clearance may be taken out by a gust wherever it is held.

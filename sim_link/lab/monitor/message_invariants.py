@@ -11,7 +11,7 @@ from companion.domain import TargetEstimate
 from companion.mav.dialect import MAVLink_target_estimate_message, Message, mavlink
 from sim_link.lab.lockstep.observer import Frame
 from sim_link.lab.monitor.independent_checks import Point, is_moved_inwards
-from sim_link.lab.monitor.scene import FRAME_STEP_M, TICK_S, Invariant, Scene, Setpoint
+from sim_link.lab.monitor.scene import FRAME_STEP_M, TICK_S, Invariant, ObservedScene, SentSetpoint
 
 STREAM_BREAK_S = 0.35
 """A longer pause begins a new stream, which starts where the vehicle is."""
@@ -31,9 +31,9 @@ class WithinEnvelope(Invariant):
     name = "I2"
     title = "setpoints move within speed, climb, acceleration and lead, and begin at the vehicle"
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: ObservedScene) -> None:
         super().__init__(scene)
-        self._last: Setpoint | None = None
+        self._last: SentSetpoint | None = None
         self._origin_enu_m = scene.told.origin_enu_m
         """Another frame begins another stream."""
         self._velocity: Point | None = None
@@ -45,7 +45,7 @@ class WithinEnvelope(Invariant):
         """A new process begins a new stream."""
         self._last = None
 
-    def setpoint(self, setpoint: Setpoint) -> None:
+    def setpoint(self, setpoint: SentSetpoint) -> None:
         """Judge a setpoint by the one before."""
         last, self._last = self._last, setpoint
         vehicle, told = self._vehicle, self.scene.told.position_enu_m
@@ -86,8 +86,8 @@ class WithinEnvelope(Invariant):
 
     def _judge_change(
         self,
-        setpoint: Setpoint,
-        last: Setpoint,
+        setpoint: SentSetpoint,
+        last: SentSetpoint,
         dt_s: float,
         *,
         may_be_moved_along: bool,
@@ -122,13 +122,13 @@ class WithinEnvelope(Invariant):
         else:
             self.report("setpoint accelerates too fast", change_mps=change, dt_s=dt_s)
 
-    def _judge_begin(self, setpoint: Setpoint) -> None:
+    def _judge_begin(self, setpoint: SentSetpoint) -> None:
         if not self._is_here(setpoint):
             told = self.scene.told.position_enu_m
             away = math.inf if told is None else math.dist(setpoint.place_enu_m[:2], told[:2])
             self.report("the first setpoint is not where the vehicle is", away_m=away)
 
-    def _is_here(self, setpoint: Setpoint) -> bool:
+    def _is_here(self, setpoint: SentSetpoint) -> bool:
         """Where the vehicle is, or, for one at a border, what is allowed next to that."""
         if self.scene.is_lied_to:
             return True
@@ -141,10 +141,10 @@ class WithinEnvelope(Invariant):
                 return True
         return self._is_moved_inwards(setpoint)
 
-    def _is_at(self, vehicle: Point | None, setpoint: Setpoint) -> bool:
+    def _is_at(self, vehicle: Point | None, setpoint: SentSetpoint) -> bool:
         return vehicle is not None and math.dist(setpoint.place_enu_m[:2], vehicle) <= STILL_M
 
-    def _is_moved_inwards(self, setpoint: Setpoint) -> bool:
+    def _is_moved_inwards(self, setpoint: SentSetpoint) -> bool:
         told, rules = self.scene.told.position_enu_m, self.scene.rules
         if told is None:
             return False
@@ -158,15 +158,15 @@ class FreshState(Invariant):
     name = "I5"
     title = "nothing moves on a stale position"
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: ObservedScene) -> None:
         super().__init__(scene)
-        self._last: Setpoint | None = None
+        self._last: SentSetpoint | None = None
 
     def started(self) -> None:
         """A new process begins a new stream."""
         self._last = None
 
-    def setpoint(self, setpoint: Setpoint) -> None:
+    def setpoint(self, setpoint: SentSetpoint) -> None:
         """Judge whether it moved, and what it stands on."""
         last, self._last = self._last, setpoint
         told = self.scene.told
@@ -274,7 +274,7 @@ class Bounded(Invariant):
     title = "frames, log lines and queues stay within bounds"
 
     def __init__(
-        self, scene: Scene, sizes: Callable[[], Mapping[str, tuple[int, int]]] | None = None
+        self, scene: ObservedScene, sizes: Callable[[], Mapping[str, tuple[int, int]]] | None = None
     ) -> None:
         super().__init__(scene)
         self._sizes = sizes
@@ -334,7 +334,7 @@ class HonestCovariance(Invariant):
     name = "I9"
     title = "the covariance is symmetric, positive and bounded"
 
-    def __init__(self, scene: Scene, estimate: Estimate) -> None:
+    def __init__(self, scene: ObservedScene, estimate: Estimate) -> None:
         super().__init__(scene)
         self._estimate = estimate
         self._seen: TargetEstimate | None = None
@@ -368,7 +368,7 @@ class OnlyProvedFrames(Invariant):
     name = "I10"
     title = "no unproved frame changes any state"
 
-    def __init__(self, scene: Scene, snapshot: Snapshot) -> None:
+    def __init__(self, scene: ObservedScene, snapshot: Snapshot) -> None:
         super().__init__(scene)
         self._snapshot = snapshot
         self._before: object = None
@@ -396,7 +396,7 @@ class Repeatable(Invariant):
     name = "I12"
     title = "the same seed gives the same bytes"
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: ObservedScene) -> None:
         super().__init__(scene)
         self._hash = hashlib.blake2b(digest_size=16)
 

@@ -1,11 +1,11 @@
 """The monitor: an observer of a flight that reports every invariant that does not hold.
 
-Theory of operation. One `Scene` keeps what the companion was told and what is true; twelve small
-invariants (I1 to I12) look at it whenever a frame is sent or heard, a tick is over or the vehicle
-moved. None of them uses the companion's own guard, estimator or guidance: the frames on the wire
-and the simulator's truth are enough, and where the companion's own word is asked for (its phase,
-its estimate) it is only held against it. A `Scope` says which invariants a kind of flight can be
-judged by, and why not by the others.
+Theory of operation. One `ObservedScene` keeps what the companion was told and what is true; twelve
+small invariants (I1 to I12) look at it whenever a frame is sent or heard, a tick is over or the
+vehicle moved. None of them uses the companion's own guard, estimator or guidance: the frames on the
+wire and the simulator's truth are enough, and where the companion's own word is asked for (its
+phase, its estimate) it is only held against it. A `Scope` says which invariants a kind of flight
+can be judged by, and why not by the others.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ from sim_link.lab.monitor.message_invariants import (
 from sim_link.lab.monitor.scene import (
     AUTOPILOT_COMPONENT,
     Invariant,
+    InvariantViolation,
+    ObservedScene,
     ObservedState,
     Rules,
-    Scene,
     TrueScene,
-    Violation,
 )
 
 TITLES = {
@@ -130,7 +130,7 @@ class FrameMonitor(Observer):
     """
 
     def __init__(
-        self, scene: Scene, invariants: Sequence[Invariant], key: SigningKey | None = None
+        self, scene: ObservedScene, invariants: Sequence[Invariant], key: SigningKey | None = None
     ) -> None:
         self._shared = scene
         self.invariants = list(invariants)
@@ -148,7 +148,7 @@ class FrameMonitor(Observer):
             hook(*values)
 
     @property
-    def violations(self) -> list[Violation]:
+    def violations(self) -> list[InvariantViolation]:
         """What did not hold, in the order of time; at most twenty of a kind."""
         return self._shared.violations
 

@@ -66,7 +66,7 @@ class Rules(Params, frozen=True):
 
 
 @dataclass(frozen=True, slots=True)
-class Violation:
+class InvariantViolation:
     """An invariant that did not hold."""
 
     time_s: float
@@ -144,7 +144,7 @@ class ObservedState:
 
 
 @dataclass(slots=True)
-class Setpoint:
+class SentSetpoint:
     """A setpoint that the companion sent."""
 
     time_s: float
@@ -160,7 +160,7 @@ class Setpoint:
 
 
 @dataclass(slots=True)
-class Scene:
+class ObservedScene:
     """Shared by all invariants of one flight; subclasses know more or less of the vehicle."""
 
     rules: Rules
@@ -189,7 +189,7 @@ class Scene:
     """Whether the frame that was heard last had to be believed."""
     is_lied_to: bool = False
     """A stranger had to be believed: of a flood of its places nobody knows which counts."""
-    violations: list[Violation] = field(default_factory=list)
+    violations: list[InvariantViolation] = field(default_factory=list)
     counts: dict[tuple[str, str], int] = field(default_factory=dict)
     _sent_s: OrderedDict[bytes, tuple[float, int]] = field(default_factory=OrderedDict, repr=False)
     _sent_count: int = 0
@@ -199,7 +199,7 @@ class Scene:
         kind = (invariant, what)
         self.counts[kind] = self.counts.get(kind, 0) + 1
         if self.counts[kind] <= MOST_OF_A_KIND:
-            self.violations.append(Violation(self.now_s, invariant, what, numbers or {}))
+            self.violations.append(InvariantViolation(self.now_s, invariant, what, numbers or {}))
 
     # What the vehicle sent and what reached the companion
 
@@ -291,7 +291,7 @@ class Scene:
         origin = self.told.origin_enu_m
         return (enu_m[0] + origin[0], enu_m[1] + origin[1], enu_m[2] + origin[2])
 
-    def setpoint_of(self, frame: Frame) -> Setpoint | None:
+    def setpoint_of(self, frame: Frame) -> SentSetpoint | None:
         """The setpoint in a frame that the companion sent, or None if it is none."""
         message = frame.message
         match message:
@@ -306,11 +306,11 @@ class Scene:
                 )
             case _:
                 return None
-        return Setpoint(frame.time_s, place, message)
+        return SentSetpoint(frame.time_s, place, message)
 
 
 @dataclass(slots=True)
-class TrueScene(Scene):
+class TrueScene(ObservedScene):
     """A scene in which the truth is known."""
 
     vehicle: SimVehicle = field(kw_only=True)
@@ -341,14 +341,14 @@ class Invariant:
     name = "I0"
     title = ""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: ObservedScene) -> None:
         self.scene = scene
 
     def report(self, what: str, **numbers: float) -> None:
         """It does not hold now."""
         self.scene.report(self.name, what, numbers)
 
-    def setpoint(self, setpoint: Setpoint) -> None:
+    def setpoint(self, setpoint: SentSetpoint) -> None:
         """The companion sent a setpoint."""
 
     def sent(self, frame: Frame) -> None:

@@ -30,7 +30,13 @@ from sim_link.lab.monitor.message_invariants import (
     WithinEnvelope,
 )
 from sim_link.lab.monitor.monitor import FrameMonitor
-from sim_link.lab.monitor.scene import AUTOPILOT_COMPONENT, Rules, Scene, Setpoint, is_offboard
+from sim_link.lab.monitor.scene import (
+    AUTOPILOT_COMPONENT,
+    ObservedScene,
+    Rules,
+    SentSetpoint,
+    is_offboard,
+)
 
 TELLING = frozenset(
     {
@@ -106,7 +112,7 @@ def widen_rules(rules: Rules, slack_s: float) -> Rules:
 
 
 @dataclass(slots=True)
-class HeardScene(Scene):
+class HeardScene(ObservedScene):
     """A scene in which the vehicle is what it says of itself."""
 
     _is_armed: bool = False
@@ -143,7 +149,7 @@ class HeardScene(Scene):
             self._look_for_home()
         super(HeardScene, self).tell(frame)
 
-    def setpoint_of(self, frame: Frame) -> Setpoint | None:
+    def setpoint_of(self, frame: Frame) -> SentSetpoint | None:
         """The setpoint in a frame that the companion sent, at the time of its stamp."""
         setpoint = super(HeardScene, self).setpoint_of(frame)
         if setpoint is None:

@@ -16,7 +16,7 @@ from sim_link.lab.campaign.runner import (
     AMOUNTS,
     PARTS,
     PROMISED,
-    Tally,
+    CampaignTally,
     judge,
     report,
     run_all,
@@ -68,7 +68,7 @@ def test_figures_are_added_up_and_findings_name_their_trial(dice: Dice) -> None:
 
 @pytest.mark.parametrize("order", [1, -1])
 def test_an_extreme_names_its_trial_and_of_equals_the_first(order: int) -> None:
-    tally = Tally()
+    tally = CampaignTally()
     values_m = [0.5, 0.2, 0.2]
     for seed, value in list(enumerate(values_m, start=1))[::order]:
         tally.add(
@@ -92,13 +92,13 @@ def test_an_interruption_keeps_what_was_found(dice: Dice) -> None:
     with pytest.raises(KeyboardInterrupt) as caught:
         run_all(trials, jobs=1)
     (tally,) = caught.value.args
-    assert isinstance(tally, Tally)
+    assert isinstance(tally, CampaignTally)
     assert tally.trials == 5
     assert len(tally.findings) == 1
 
 
 def test_a_report_has_every_promised_figure_and_null_for_what_was_not_flown() -> None:
-    tally = Tally()
+    tally = CampaignTally()
     tally.add(TrialOutcome(Trial("gaps", 1), most={"max_gap_s": 0.25}))
     summary = report(tally, {}, "replay")
     assert set(PROMISED) <= set(summary)
@@ -142,7 +142,7 @@ def test_every_size_runs_every_part_with_seeds_of_its_own(size: str) -> None:
 
 
 def test_a_rate_of_false_losses_is_judged_over_hours() -> None:
-    rare, often = Tally(), Tally()
+    rare, often = CampaignTally(), CampaignTally()
     rare.sums.update(hours_30_pct=20.0, false_losses_30_pct=1.0)
     often.sums.update(hours_30_pct=20.0, false_losses_30_pct=2.0)
     judge(rare)

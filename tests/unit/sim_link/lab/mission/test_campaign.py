@@ -18,8 +18,8 @@ from companion.config.schema import CompanionConfig
 from companion.errors import CompanionError, ConfigError
 from sim_link import cli
 from sim_link.fleet.console import is_interrupt
-from sim_link.lab.mission.batch import Campaign, fly_all
-from sim_link.lab.mission.conditions import Situation
+from sim_link.lab.mission.batch import MissionBatch, fly_all
+from sim_link.lab.mission.conditions import FlightSituation
 from sim_link.lab.mission.in_memory import Progress, fly_in_memory
 from sim_link.lab.mission.results import MissionResult
 from sim_link.lab.mission.script import Mission
@@ -40,9 +40,9 @@ def test_two_flights_of_one_name_are_refused_where_reports_are_wanted(
     tmp_path: Path, speed: float | None
 ) -> None:
     files = [script(tmp_path, "a/m.yaml"), script(tmp_path, "b/m.yaml")]
-    assert len(Campaign(files, seeds=(0, 1)).tasks()) == 4
+    assert len(MissionBatch(files, seeds=(0, 1)).tasks()) == 4
     with pytest.raises(ConfigError) as caught:
-        Campaign(files, speed=speed, reports=tmp_path).tasks()
+        MissionBatch(files, speed=speed, reports=tmp_path).tasks()
     assert all(str(path) in str(caught.value) for path in files)
 
 
@@ -50,16 +50,16 @@ def test_names_that_differ_only_beyond_the_cut_are_refused_too(tmp_path: Path) -
     texts = [SCRIPT.replace("same", "x" * 90 + end) for end in "ab"]
     files = [script(tmp_path, f"{n}.yaml", text) for n, text in enumerate(texts)]
     with pytest.raises(ConfigError, match=r"1\.yaml: .*0\.yaml"):
-        Campaign(files, reports=tmp_path).tasks()
+        MissionBatch(files, reports=tmp_path).tasks()
 
 
 def test_a_flights_folder_tells_how_it_was_flown(tmp_path: Path) -> None:
     path = script(tmp_path, "m.yaml")
     link = "udpout:127.0.0.1:14550"
     flown = [
-        Campaign([path]),
-        Campaign([path], speed=4.0),
-        Campaign([path], speed=1.0, connect=link),
+        MissionBatch([path]),
+        MissionBatch([path], speed=4.0),
+        MissionBatch([path], speed=1.0, connect=link),
     ]
     assert [task.flight_name for campaign in flown for task in campaign.tasks()] == [
         "same-px4-lockstep-seed0",
@@ -71,7 +71,7 @@ def test_a_flights_folder_tells_how_it_was_flown(tmp_path: Path) -> None:
 def test_an_autopilot_is_listed_once(tmp_path: Path) -> None:
     path = script(tmp_path, "m.yaml", SCRIPT + "autopilots: [px4, px4]\n")
     with pytest.raises(ConfigError, match="autopilots: px4 is listed more than once"):
-        Campaign([path]).tasks()
+        MissionBatch([path]).tasks()
 
 
 @pytest.mark.parametrize("link", ["udpin:127.0.0.1:{port}", "serial:/dev/nothere:57600", "x:y"])
@@ -83,7 +83,7 @@ def test_a_link_that_cannot_be_opened_is_told_before_anything_starts(
         taken.bind(("127.0.0.1", 0))
         url = link.format(port=taken.getsockname()[1])
         with pytest.raises(CompanionError):
-            Campaign([path], speed=1.0, connect=url).tasks()
+            MissionBatch([path], speed=1.0, connect=url).tasks()
 
 
 def run(*arguments: object) -> int:
@@ -181,14 +181,14 @@ def test_other_errors_are_no_interrupts() -> None:
 
 def test_what_was_flown_before_an_interrupt_is_kept(tmp_path: Path) -> None:
     path = script(tmp_path, "m.yaml")
-    tasks = Campaign([path], seeds=range(3)).tasks()
+    tasks = MissionBatch([path], seeds=range(3)).tasks()
     told: list[int] = []
 
     def done(position: int, summary: MissionResult) -> None:
         assert summary.is_passed
         told.append(position)
 
-    def progress(_runner: StepRunner, _situation: Situation) -> None:
+    def progress(_runner: StepRunner, _situation: FlightSituation) -> None:
         if len(told) == 2:
             raise KeyboardInterrupt
 

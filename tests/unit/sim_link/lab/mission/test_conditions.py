@@ -6,12 +6,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim_link.lab.mission.conditions import FIELDS, ConditionError, Situation, parse_condition
+from sim_link.lab.mission.conditions import FIELDS, ConditionError, FlightSituation, parse_condition
 
 
 @pytest.fixture
-def flying() -> Situation:
-    situation = Situation()
+def flying() -> FlightSituation:
+    situation = FlightSituation()
     situation.vehicle.mode = "offboard"
     situation.vehicle.is_armed = True
     situation.vehicle.height_m = 19.5
@@ -44,7 +44,7 @@ def flying() -> Situation:
         "true",
     ],
 )
-def test_a_condition_that_holds(flying: Situation, text: str) -> None:
+def test_a_condition_that_holds(flying: FlightSituation, text: str) -> None:
     assert parse_condition(text).holds(flying)
 
 
@@ -60,7 +60,7 @@ def test_a_condition_that_holds(flying: Situation, text: str) -> None:
         "false",
     ],
 )
-def test_a_condition_that_does_not_hold(flying: Situation, text: str) -> None:
+def test_a_condition_that_does_not_hold(flying: FlightSituation, text: str) -> None:
     assert not parse_condition(text).holds(flying)
 
 
@@ -76,11 +76,11 @@ def test_a_condition_that_does_not_hold(flying: Situation, text: str) -> None:
         "vehicle.battery == vehicle.battery",
     ],
 )
-def test_what_is_unknown_neither_holds_nor_fails(flying: Situation, text: str) -> None:
+def test_what_is_unknown_neither_holds_nor_fails(flying: FlightSituation, text: str) -> None:
     assert not parse_condition(text).holds(flying)
 
 
-def test_an_unknown_decides_nothing_where_the_rest_decides(flying: Situation) -> None:
+def test_an_unknown_decides_nothing_where_the_rest_decides(flying: FlightSituation) -> None:
     assert parse_condition("vehicle.battery > 0.5 or vehicle.is_armed").holds(flying)
     assert parse_condition("not (vehicle.battery > 0.5 and vehicle.mode == hold)").holds(flying)
     assert parse_condition("not (0.5 < vehicle.battery and 20 < vehicle.height_m)").holds(flying)
@@ -124,7 +124,7 @@ def test_a_condition_that_makes_no_sense_is_refused(text: str, complaint: str) -
 
 
 def test_every_field_can_be_read() -> None:
-    situation = Situation()
+    situation = FlightSituation()
     for name, info in FIELDS.items():
         text = f"{name} == {name}"
         parse_condition(text).holds(situation)
@@ -138,4 +138,4 @@ def test_no_text_does_anything_but_parse_or_be_refused(text: str) -> None:
         condition = parse_condition(text)
     except ConditionError:
         return
-    condition.holds(Situation())
+    condition.holds(FlightSituation())

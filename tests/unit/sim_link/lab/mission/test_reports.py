@@ -29,7 +29,7 @@ from sim_link.lab.mission.results import (
 )
 from sim_link.lab.mission.script_file import parse_mission
 from sim_link.lab.monitor.monitor import WIRE
-from sim_link.lab.monitor.scene import Violation
+from sim_link.lab.monitor.scene import InvariantViolation
 
 HOSTILE = '<script>alert("x")</script> & \x07'
 
@@ -58,7 +58,7 @@ def result_of(is_met: bool = True, seed: int = 3, text: str = "LOCALISED") -> Mi
         ],
         reports=[Report(10.0, 1, (50.1, 50.0), 0.5)],
         texts=[OperatorText(3.0, "companion", text), OperatorText(5.0, "autopilot", HOSTILE)],
-        violations=[Violation(6.0, "I7", "a gap")],
+        violations=[InvariantViolation(6.0, "I7", "a gap")],
         track=[(t / 5, (float(t), float(t), 20.0)) for t in range(50)],
         ended_s=12.0,
         distance_m=99.0,

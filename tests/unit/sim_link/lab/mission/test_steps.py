@@ -12,11 +12,11 @@ from sim_link.lab.mission.script_file import parse_mission
 from sim_link.lab.mission.steps import (
     ASK_AGAIN_S,
     Action,
-    Arm,
+    ArmAction,
     Grant,
     StepRunner,
     SwitchMode,
-    TakeOff,
+    TakeOffAction,
 )
 
 
@@ -65,10 +65,10 @@ def test_steps_are_flown_in_order_and_each_asks_for_what_it_needs() -> None:
     assert flown.done == ["connect"]
     vehicle.is_ready = True
     flown.tick(2.0)
-    assert flown.crew.asked == [Arm()]
+    assert flown.crew.asked == [ArmAction()]
     vehicle.is_armed = True
     flown.tick(3.0)
-    assert flown.crew.asked[-1:] == [TakeOff(20.0)]
+    assert flown.crew.asked[-1:] == [TakeOffAction(20.0)]
     vehicle.height_m = 19.6
     flown.tick(9.0)
     assert flown.crew.asked[-1:] == [SwitchMode(FlightMode.OFFBOARD)]
@@ -87,7 +87,7 @@ def test_an_autopilot_that_does_not_react_is_asked_again() -> None:
     flown = Flown("[arm]")
     for tick in range(45):
         flown.tick(tick / 10)
-    assert flown.crew.asked == [Arm()] * 3
+    assert flown.crew.asked == [ArmAction()] * 3
     assert ASK_AGAIN_S == 2.0
 
 
@@ -96,7 +96,7 @@ def test_a_takeoff_that_has_begun_is_not_asked_for_again() -> None:
     flown.tick(0.0)
     flown.situation.vehicle.height_m = 1.0
     flown.tick(10.0)
-    assert flown.crew.asked == [TakeOff(20.0)]
+    assert flown.crew.asked == [TakeOffAction(20.0)]
 
 
 def test_a_step_that_takes_too_long_ends_the_mission_and_says_why() -> None:

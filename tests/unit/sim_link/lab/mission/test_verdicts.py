@@ -18,7 +18,7 @@ from sim_link.lab.mission.results import (
 from sim_link.lab.mission.script import Mission
 from sim_link.lab.mission.script_file import parse_mission
 from sim_link.lab.monitor.monitor import NOTHING, WIRE
-from sim_link.lab.monitor.scene import Violation
+from sim_link.lab.monitor.scene import InvariantViolation
 
 
 def flown(expectation: str) -> tuple[Mission, FlightRecord]:
@@ -41,7 +41,10 @@ expectations: [{{name: it, {expectation}}}]
             OperatorText(32.0, "companion", "LOCALISED 47 8 R95 0.4 m"),
             OperatorText(40.0, "autopilot", "Landing detected"),
         ],
-        violations=[Violation(25.0, "I7", "gap of 0.3 s"), Violation(26.0, "I7", "gap of 0.2 s")],
+        violations=[
+            InvariantViolation(25.0, "I7", "gap of 0.3 s"),
+            InvariantViolation(26.0, "I7", "gap of 0.2 s"),
+        ],
         breaches={"it": 12.0},
         engaged_s=10.0,
         ended_s=100.0,

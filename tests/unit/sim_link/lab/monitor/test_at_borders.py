@@ -12,7 +12,7 @@ from sim_link.lab.monitor.authority_invariants import OnlyWithAuthority
 from sim_link.lab.monitor.fence_invariants import SafeToFreeze, SetpointsInside
 from sim_link.lab.monitor.independent_checks import Point, is_moved_inwards
 from sim_link.lab.monitor.message_invariants import WithinEnvelope
-from sim_link.lab.monitor.scene import Setpoint
+from sim_link.lab.monitor.scene import SentSetpoint
 from tests.loop.loop_helpers import AUTO
 
 FENCE = ((0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0))
@@ -43,7 +43,7 @@ def sent_beside(
     for tick, (vehicle, place) in enumerate(zip(vehicles, setpoints, strict=True)):
         scene.now_s = tick * TICK_S
         scene.told.position_enu_m, scene.told.position_s = (*vehicle, up_m), scene.now_s
-        invariant.setpoint(Setpoint(scene.now_s, (*place, up_m), SETPOINT))
+        invariant.setpoint(SentSetpoint(scene.now_s, (*place, up_m), SETPOINT))
     return [violation.what for violation in around.monitor.violations]
 
 
@@ -171,7 +171,7 @@ def test_a_vehicle_that_somebody_else_made_too_fast_can_only_be_stopped(
     body = scene.vehicle.body
     body.position_enu_m, body.velocity_enu_mps = place, (0.0, -8.0, 0.0)
     invariant = SafeToFreeze(scene, lambda: is_dragged)
-    invariant.setpoint(Setpoint(0.0, (10.0, place[1] + ahead_m, 15.0), SETPOINT))
+    invariant.setpoint(SentSetpoint(0.0, (10.0, place[1] + ahead_m, 15.0), SETPOINT))
     assert [violation.what for violation in around.monitor.violations] == found
 
 

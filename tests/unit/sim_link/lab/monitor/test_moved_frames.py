@@ -12,7 +12,7 @@ from sim_link.lab.campaign.flights import Monitored, monitored_flight
 from sim_link.lab.lockstep.observer import Frame, Lane
 from sim_link.lab.monitor.authority_invariants import OnlyWithAuthority
 from sim_link.lab.monitor.message_invariants import WithinEnvelope
-from sim_link.lab.monitor.scene import Setpoint
+from sim_link.lab.monitor.scene import SentSetpoint
 from tests.loop.loop_helpers import AUTO
 
 TICK_S = 0.05
@@ -47,7 +47,7 @@ def followed_while_origin_moves(around: Monitored, origin_m: float, step_m: floa
         vehicle_east_m = east_m if tick == 0 else east_m - LEAD_M  # the first is where it is
         scene.told.position_enu_m = (vehicle_east_m, 30.0, 15.0)
         scene.told.position_s = scene.now_s
-        invariant.setpoint(Setpoint(scene.now_s, (east_m, 30.0, 15.0), SETPOINT))
+        invariant.setpoint(SentSetpoint(scene.now_s, (east_m, 30.0, 15.0), SETPOINT))
     return found(around)
 
 
@@ -88,7 +88,7 @@ def test_before_a_restart_is_proved_the_vehicle_is_where_it_was(
     scene.tell(position(42.0, before, now_s=42.0))
     scene.tell(position(0.3, after, now_s=42.05))
     scene.now_s = 42.0 + asked_s
-    invariant_type(scene).setpoint(Setpoint(scene.now_s, before, SETPOINT))
+    invariant_type(scene).setpoint(SentSetpoint(scene.now_s, before, SETPOINT))
     assert bool(found(around)) is is_found
 
 
@@ -97,5 +97,5 @@ def test_where_it_is_since_is_never_an_offence(around: Monitored) -> None:
     scene.tell(position(42.0, (0.0, 7.0, 15.0), now_s=42.0))
     scene.tell(position(0.3, after, now_s=42.05))
     scene.now_s = 42.1
-    WithinEnvelope(scene).setpoint(Setpoint(scene.now_s, after, SETPOINT))
+    WithinEnvelope(scene).setpoint(SentSetpoint(scene.now_s, after, SETPOINT))
     assert found(around) == []

@@ -8,7 +8,7 @@ from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import Scenario
 from sim_link.lab.campaign.flights import monitored_flight
 from sim_link.lab.monitor.authority_invariants import KeepsStreaming
-from sim_link.lab.monitor.scene import Scene, Setpoint
+from sim_link.lab.monitor.scene import ObservedScene, SentSetpoint
 from tests.loop.loop_helpers import AUTO
 
 STEP_S = 0.02
@@ -21,7 +21,7 @@ class Stream:
     """Setpoints of a companion in control, until it falls silent."""
 
     def __init__(self) -> None:
-        self.scene: Scene = monitored_flight(AUTO, Scenario(), 1).monitor.scene
+        self.scene: ObservedScene = monitored_flight(AUTO, Scenario(), 1).monitor.scene
         self.invariant = KeepsStreaming(self.scene)
         told = self.scene.told
         told.is_ours, told.heartbeat_s, told.position_enu_m = True, 0.0, (0.0, 0.0, 15.0)
@@ -44,7 +44,7 @@ class Stream:
             if is_fresh:
                 scene.told.position_s = scene.told.position_sent_s = scene.now_s
             if not is_silent:
-                self.invariant.setpoint(Setpoint(scene.now_s, (0.0, 0.0, 15.0), SETPOINT))
+                self.invariant.setpoint(SentSetpoint(scene.now_s, (0.0, 0.0, 15.0), SETPOINT))
             self.invariant.stepped()
 
     @property

@@ -23,7 +23,7 @@ from sim_link.lab.faults.fault_models import (
 )
 from sim_link.lab.lockstep.observer import Frame, Lane
 from sim_link.lab.monitor.monitor import LOCKSTEP, TITLES, WIRE
-from sim_link.lab.monitor.scene import Violation
+from sim_link.lab.monitor.scene import InvariantViolation
 from sim_link.lab.monitor.wire_monitor import Recording, WireMonitor
 from tests.planted_companions import DEFECTS, Planted, maker
 
@@ -65,7 +65,7 @@ def recorded(
     return kept
 
 
-def judged(recording: Recording, slack_s: float = SLACK_S) -> list[Violation]:
+def judged(recording: Recording, slack_s: float = SLACK_S) -> list[InvariantViolation]:
     monitor = WireMonitor(rules_of(AUTO), slack_s)
     recording.play(monitor)
     return monitor.violations
