@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from collections.abc import Callable
+from abc import abstractmethod
 
 from companion.errors import LinkError
 from companion.io.links.byte_streams import ByteStream, StreamLink, tune
@@ -18,36 +18,31 @@ from companion.mav.endpoint import Address, Chunk
 
 MAX_CLIENTS = 16
 BACKLOG = 4
-NOWHERE: Address = ("", 0)
 
 
-class _Port:
-    """A listening socket that tells when somebody knocks.
+class TcpListener(Link):
+    """A listening TCP port; what becomes of a client is for the kinds below."""
 
-    Args:
-        link: Whose it is; named in problems, and counts those that went away again.
-    """
-
-    def __init__(self, link: Link, host: str, port: int) -> None:
-        self._link = link
+    def __init__(self, host: str, port: int, index: int, received: Received) -> None:
+        super().__init__(f"tcpin {host}:{port}", index, received)
         self._host, self._port = host, port
         self._listener: socket.socket | None = None
 
     @property
-    def address(self) -> Address:
+    def local_address(self) -> Address:
         """Host and port that the open socket has; `("", 0)` while closed."""
         if self._listener is None:
-            return NOWHERE
+            return ("", 0)
         host, port = self._listener.getsockname()[:2]
         return (str(host), int(port))
 
-    async def open(self, knocked: Callable[[], None]) -> None:
-        """Bind and listen; `knocked` is called for every client to `accept`.
+    async def open(self) -> None:
+        """Bind and listen.
 
         Raises:
             LinkError: The port is taken or the host is not ours.
         """
-        address = await resolve(self._link.name, self._host, self._port)
+        address = await resolve(self.name, self._host, self._port)
         listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         try:
             # For TCP this only skips the wait for old connections; a taken port still fails.
@@ -59,94 +54,70 @@ class _Port:
             raise LinkError(bind_problem("tcp", self._host, self._port, error)) from error
         listener.setblocking(False)
         self._listener = listener
-        asyncio.get_running_loop().add_reader(listener, knocked)
+        asyncio.get_running_loop().add_reader(listener, self._accept)
 
-    def accept(self) -> tuple[socket.socket, Address] | None:
-        """Who knocked, and from where; None if nobody is there any more."""
+    @abstractmethod
+    def _objection(self) -> str | None:
+        """Why one more client must be turned away; None: it is welcome."""
+
+    @abstractmethod
+    def _welcome(self, client: socket.socket, peer: Address) -> None:
+        """Take a client in."""
+
+    def _accept(self) -> None:
         if self._listener is None:
-            return None
+            return
         try:
-            client, address = self._listener.accept()
+            client, (host, port) = self._listener.accept()
         except OSError:  # it went away again, or we are out of descriptors
-            self._link.counters.receive_errors += 1
-            return None
-        return client, (str(address[0]), int(address[1]))
+            self.counters.receive_errors += 1
+            return
+        objection = self._objection()
+        if objection is not None:
+            logger.info("%s: %s turned away, %s", self.name, host, objection)
+            client.close()
+            return
+        client.setblocking(False)
+        tune(client)
+        self._welcome(client, (str(host), int(port)))
 
-    def close(self) -> None:
-        """Close it, if it is open."""
+    def _close_port(self) -> None:
         if self._listener is not None:
             asyncio.get_running_loop().remove_reader(self._listener)
             self._listener.close()
             self._listener = None
 
 
-class TcpServerLink(StreamLink):
+class TcpServerLink(TcpListener, StreamLink):
     """A listening TCP port that serves one client at a time; others are turned away."""
 
-    def __init__(self, host: str, port: int, index: int, received: Received) -> None:
-        super().__init__(f"tcpin {host}:{port}", index, received)
-        self._port = _Port(self, host, port)
+    def _objection(self) -> str | None:
+        return None if self._stream is None else "one client at a time"
 
-    @property
-    def local_address(self) -> Address:
-        """Host and port that the open socket has; `("", 0)` while closed."""
-        return self._port.address
-
-    async def open(self) -> None:
-        """Bind and listen.
-
-        Raises:
-            LinkError: The port is taken or the host is not ours.
-        """
-        await self._port.open(self._accept)
-
-    def _accept(self) -> None:
-        accepted = self._port.accept()
-        if accepted is None:
-            return
-        client, peer = accepted
-        if self._stream is not None:
-            logger.info("%s: %s turned away, one client at a time", self.name, peer[0])
-            client.close()
-            return
-        client.setblocking(False)
-        tune(client)
+    def _welcome(self, client: socket.socket, peer: Address) -> None:
+        del peer
         self._connected(client, client.fileno())
 
     def close(self) -> None:
         """Close the client and the port."""
         super().close()
-        self._port.close()
+        self._close_port()
 
 
-class TcpFanOutLink(Link):
+class TcpFanOutLink(TcpListener):
     """A listening TCP port for several clients; a chunk without a peer goes to all of them.
 
     The seventeenth client is turned away: a client that is there must not lose its place.
     """
 
     def __init__(self, host: str, port: int, index: int, received: Received) -> None:
-        super().__init__(f"tcpin {host}:{port}", index, received)
-        self._port = _Port(self, host, port)
+        super().__init__(host, port, index, received)
         self._clients: dict[Address, ByteStream] = {}
-
-    @property
-    def local_address(self) -> Address:
-        """Host and port that the open socket has; `("", 0)` while closed."""
-        return self._port.address
 
     @property
     def clients(self) -> tuple[Address, ...]:
         """Who is connected, in the order of their coming."""
         return tuple(self._clients)
-
-    async def open(self) -> None:
-        """Bind and listen.
-
-        Raises:
-            LinkError: The port is taken or the host is not ours.
-        """
-        await self._port.open(self._accept)
 
     def send(self, chunk: Chunk) -> None:
         """Send to the chunk's peer, or to all clients if it names none."""
@@ -162,7 +133,7 @@ class TcpFanOutLink(Link):
         for client in self._clients.values():
             client.close()
         self._clients.clear()
-        self._port.close()
+        self._close_port()
 
     def _write(self, client: ByteStream | None, data: bytes) -> None:
         if client is not None and client.write(data):
@@ -170,17 +141,10 @@ class TcpFanOutLink(Link):
         else:
             self.counters.dropped += 1
 
-    def _accept(self) -> None:
-        accepted = self._port.accept()
-        if accepted is None:
-            return
-        client, peer = accepted
-        if len(self._clients) >= MAX_CLIENTS:
-            logger.info("%s: %s turned away, %d clients at most", self.name, peer[0], MAX_CLIENTS)
-            client.close()
-            return
-        client.setblocking(False)
-        tune(client)
+    def _objection(self) -> str | None:
+        return f"{MAX_CLIENTS} clients at most" if len(self._clients) >= MAX_CLIENTS else None
+
+    def _welcome(self, client: socket.socket, peer: Address) -> None:
         logger.info("%s: %s:%d connected", self.name, *peer)
         self._clients[peer] = ByteStream(
             client,
