@@ -43,7 +43,7 @@ from companion.link.endpoint import CompanionEndpoint
 from companion.link.recorders import Journal
 from companion.link.specs import LinkRole, LinkSpec
 from companion.mav.signing import ONE_LINK_EACH
-from companion.process.diagnostics import LinkWatch, ProcessDiagnostics
+from companion.process.diagnostics import LinkWatch, ProcessDiagnostics, ProcessParts
 from companion.process.persistence import ParameterKeeper, RestartKeeper, digests_of
 from companion.process.watchdog import Supervisor, Watchdog
 from companion.warm_up import warm_up
@@ -292,9 +292,9 @@ class _Flight:
 
     def _gather_tasks(self) -> PeriodicTasks:
         """What is done at the end of each wake-up, in this order."""
-        parts = (self._journal, self._shell.timing, self._shell.links, self._store)
-        watchdog = Watchdog(self._supervisor, self.endpoint, *parts)
-        diagnostics = ProcessDiagnostics(self.endpoint, *parts, self._clock.speed)
+        parts = ProcessParts(self._journal, self._shell.timing, self._shell.links, self._store)
+        watchdog = Watchdog(self._supervisor, self.endpoint, parts)
+        diagnostics = ProcessDiagnostics(self.endpoint, parts, self._clock.speed)
         tasks: dict[str, PeriodicTask] = {
             f"view {number}": partial(view.update, self.endpoint)
             for number, view in enumerate(self._options.views, start=1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from enum import Enum
 
 from companion.domain import Autopilot
@@ -174,13 +174,5 @@ def as_json(findings: Sequence[CheckResult]) -> dict[str, object]:
     """Plain values."""
     return {
         "is_fit": not any(finding.level is Level.FAIL for finding in findings),
-        "findings": [
-            {
-                "level": finding.level.value,
-                "subject": finding.subject,
-                "text": finding.text,
-                "fix": finding.fix,
-            }
-            for finding in findings
-        ],
+        "findings": [{**asdict(finding), "level": finding.level.value} for finding in findings],
     }

@@ -20,6 +20,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from companion.guidance.commands import Announce, Severity
+from companion.io.background_files import BackgroundReplacer
 from companion.io.links.byte_streams import StreamLink
 from companion.io.links.link import Link
 from companion.io.logs.flight_recorder import BlackBox
@@ -75,29 +76,34 @@ MISSED_TICKS = 10
 TICK_S = 0.05
 
 
+@dataclass(frozen=True, slots=True)
+class ProcessParts:
+    """What stands beside the endpoint in its process."""
+
+    journal: BlackBox
+    timing: TimerStatistics
+    links: Sequence[Link]
+    store: CheckpointStore | None
+    """Where checkpoints go; None: nowhere."""
+
+    @property
+    def checkpoint_writer(self) -> BackgroundReplacer | None:
+        """Who writes checkpoints, once one was saved."""
+        return None if self.store is None else self.store.writer
+
+
 class ProcessDiagnostics:
     """Counts, records and reports.
 
     Args:
-        journal: Where records go, and what is watched.
-        store: Where checkpoints go; None: nowhere.
         speed: Seconds of the clock per wall second.
     """
 
-    def __init__(
-        self,
-        endpoint: CompanionEndpoint,
-        journal: BlackBox,
-        timing: TimerStatistics,
-        links: Sequence[Link],
-        store: CheckpointStore | None,
-        speed: float,
-    ) -> None:
+    def __init__(self, endpoint: CompanionEndpoint, parts: ProcessParts, speed: float) -> None:
         self._endpoint = endpoint
-        self._journal = journal
-        self._timing = timing
-        self._links = links
-        self._store = store
+        self._parts = parts
+        self._journal = parts.journal
+        self._timing = parts.timing
         self._speed = speed
         self._next_s = -math.inf
         self._reported_dropped = 0
@@ -128,9 +134,9 @@ class ProcessDiagnostics:
             "missed_ticks": round(timing.late_total_s / TICK_S),
             "worst_late_s": round(timing.worst_late_s, 4),
             "stalls": timing.stalls,
-            "links": [{"name": link.name, **asdict(link.counters)} for link in self._links],
+            "links": [{"name": link.name, **asdict(link.counters)} for link in self._parts.links],
         }
-        writer = None if self._store is None else self._store.writer
+        writer = self._parts.checkpoint_writer
         if writer is not None:
             record["checkpoints"] = {
                 "written": writer.written,
@@ -152,7 +158,7 @@ class ProcessDiagnostics:
 
     def _check_losses(self, now_s: float) -> None:
         dropped = self._journal.health.dropped
-        writer = None if self._store is None else self._store.writer
+        writer = self._parts.checkpoint_writer
         dropped += 0 if writer is None else writer.failed
         if dropped > self._reported_dropped:
             self._reported_dropped = dropped

@@ -18,13 +18,10 @@ from __future__ import annotations
 
 import os
 import socket
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
-from companion.io.links.link import Link
-from companion.io.logs.flight_recorder import BlackBox
-from companion.io.shell import TimerStatistics
-from companion.io.state.checkpoints import CheckpointStore
 from companion.link.endpoint import CompanionEndpoint
+from companion.process.diagnostics import ProcessParts
 
 MICROSECONDS = 1e6
 MAX_STATUS = 200
@@ -102,27 +99,15 @@ STATUS_PERIOD_S = 1.0
 
 
 class Watchdog:
-    """Feeds the manager's watchdog and reports the status.
-
-    Args:
-        store: Where checkpoints go; None: nowhere.
-    """
+    """Feeds the manager's watchdog and reports the status."""
 
     def __init__(
-        self,
-        supervisor: Supervisor,
-        endpoint: CompanionEndpoint,
-        journal: BlackBox,
-        timing: TimerStatistics,
-        links: Sequence[Link],
-        store: CheckpointStore | None,
+        self, supervisor: Supervisor, endpoint: CompanionEndpoint, parts: ProcessParts
     ) -> None:
         self._supervisor = supervisor
         self._endpoint = endpoint
-        self._journal = journal
-        self._timing = timing
-        self._links = links
-        self._store = store
+        self._parts = parts
+        self._timing = parts.timing
         self._is_ready = False
         self._ticks = 0
         self._next_feed_s = 0.0
@@ -154,12 +139,12 @@ class Watchdog:
         """Which part did not answer since it was last fed, in words, or None."""
         if self._timing.fired == self._ticks:
             return "the control tick"
-        if not self._journal.health.is_alive:
+        if not self._parts.journal.health.is_alive:
             return "a writer of the log"
-        writer = None if self._store is None else self._store.writer
+        writer = self._parts.checkpoint_writer
         if writer is not None and not writer.is_alive:
             return "the writer of checkpoints"
-        closed = next((link.name for link in self._links if not link.is_open), None)
+        closed = next((link.name for link in self._parts.links if not link.is_open), None)
         return None if closed is None else f"link {closed}"
 
     def _report_status(self, now_s: float, missing: str | None) -> None:

@@ -22,6 +22,11 @@ from companion.estimation.window.sandwich import Observability
 REQUIRED = ("t_s", "agent_x_m", "agent_y_m", "target_id")
 MEASURED = ("range_m", "bearing_rad", "elevation_rad")
 PROGRESS_ROWS = 2000
+ESTIMATED = (
+    *("r95_m", "alternative_enu_m", "range_offset_m"),
+    *("range_scale", "height_m", "height_sigma_m"),
+)
+"""What `--json` takes from the estimate as it is."""
 
 Progress = Callable[[int], None]
 
@@ -80,12 +85,7 @@ class TargetResult:
             "state": self.state,
             "east_m": None if estimate is None else estimate.position_enu_m[0],
             "north_m": None if estimate is None else estimate.position_enu_m[1],
-            "r95_m": None if estimate is None else estimate.r95_m,
-            "alternative_enu_m": None if estimate is None else estimate.alternative_enu_m,
-            "range_offset_m": None if estimate is None else estimate.range_offset_m,
-            "range_scale": None if estimate is None else estimate.range_scale,
-            "height_m": None if estimate is None else estimate.height_m,
-            "height_sigma_m": None if estimate is None else estimate.height_sigma_m,
+            **{name: getattr(estimate, name, None) for name in ESTIMATED},
             "bilateral_share": None if seen is None else seen.bilateral_share,
             "ercm_min_eigenvalue": None if seen is None else seen.min_eigenvalue,
             "is_collinear": None if seen is None else seen.is_collinear,

@@ -6,7 +6,7 @@ from dataclasses import asdict, replace
 
 from companion.io.links.link import LinkCounters
 from companion.io.shell import TimerStatistics
-from companion.process.diagnostics import ProcessDiagnostics
+from companion.process.diagnostics import ProcessDiagnostics, ProcessParts
 from tests.unit.companion.process.rig import StillLink, WatchedNotes, an_endpoint
 
 
@@ -15,7 +15,9 @@ class Rig:
         self.notes = WatchedNotes()
         self.timing = TimerStatistics()
         self.accounts = ProcessDiagnostics(
-            an_endpoint(self.notes), self.notes, self.timing, [StillLink()], None, speed
+            an_endpoint(self.notes),
+            ProcessParts(self.notes, self.timing, [StillLink()], None),
+            speed,
         )
         self.now_s = 0.0
 

@@ -1,4 +1,4 @@
-"""The watchdog is stroked only when every part answered."""
+"""The watchdog is fed only when every part answered."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from dataclasses import replace
 import pytest
 
 from companion.io.shell import TimerStatistics
+from companion.process.diagnostics import ProcessParts
 from companion.process.watchdog import Supervisor, Watchdog
 from tests.unit.companion.process.rig import StillLink, WatchedNotes, an_endpoint
 
@@ -24,8 +25,8 @@ class Rig:
             {"NOTIFY_SOCKET": address, "WATCHDOG_USEC": "2000000"}
         )
         endpoint = an_endpoint(self.notes)
-        parts = (self.notes, self.timing, [self.link], None)
-        self.watchdog = Watchdog(supervisor, endpoint, *parts)
+        parts = ProcessParts(self.notes, self.timing, [self.link], None)
+        self.watchdog = Watchdog(supervisor, endpoint, parts)
         self._listening = listening
         self._wall_s = 100.0
 
@@ -62,7 +63,7 @@ def test_ready_is_said_once_and_only_when_the_control_tick_runs(rig: Rig) -> Non
     assert heard.count("STATUS=waiting") == 1
 
 
-def test_a_healthy_process_strokes_often_within_the_patience(rig: Rig) -> None:
+def test_a_healthy_process_feeds_it_often_within_the_timeout(rig: Rig) -> None:
     rig.pass_time(1.0)
     assert rig.pass_time(10.0).count("WATCHDOG=1") >= 17
 
@@ -73,7 +74,7 @@ def test_a_control_tick_that_stopped_is_not_covered_up(rig: Rig) -> None:
     assert rig.pass_time(5.0).count("WATCHDOG=1") >= 9
 
 
-def test_a_writer_that_died_stops_the_strokes_and_is_named(rig: Rig) -> None:
+def test_a_writer_that_died_stops_the_feeding_and_is_named(rig: Rig) -> None:
     rig.pass_time(1.0)
     rig.notes.health = replace(rig.notes.health, is_alive=False)
     heard = rig.pass_time(5.0)
@@ -87,7 +88,7 @@ def test_a_disk_that_hangs_is_no_reason_to_kill_a_flight(rig: Rig) -> None:
     assert rig.pass_time(10.0).count("WATCHDOG=1") >= 17
 
 
-def test_a_closed_link_stops_the_strokes_until_it_is_open_again(rig: Rig) -> None:
+def test_a_closed_link_stops_the_feeding_until_it_is_open_again(rig: Rig) -> None:
     rig.pass_time(1.0)
     rig.link.is_listening = False
     heard = rig.pass_time(5.0)
