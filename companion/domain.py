@@ -17,6 +17,8 @@ from typing import Annotated
 
 import msgspec
 
+from companion.geometry.polygons import Point as Point
+
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
 
@@ -24,9 +26,6 @@ NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A frozen parameter record that refuses keys it does not know."""
 
-
-Point = tuple[float, float]
-"""East and north, metres."""
 
 PositionEnu = tuple[float, float, float]
 """East, north and up, metres."""

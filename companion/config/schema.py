@@ -20,8 +20,9 @@ from companion.errors import ConfigError
 from companion.estimation.tracker import TrackerParams
 from companion.geometry.geofence import GeoFence
 from companion.geometry.obstacles import check_corners
+from companion.geometry.polygons import Corners
 from companion.guard.envelope import Envelope, Reserve, Stopping
-from companion.guard.fence import Corners, Fence
+from companion.guard.fence import Fence
 from companion.guard.gate import GuardLimits
 from companion.guidance.flight.fencing import FencePlan, FencePolicy
 from companion.guidance.session_params import SessionParams

@@ -17,7 +17,7 @@ import msgspec
 
 from companion.config.schema import CompanionConfig
 from companion.demo.simulator_process import SimulatorProcess
-from companion.domain import TargetEstimate
+from companion.domain import Point, TargetEstimate
 from companion.errors import CompanionError, ConfigError
 from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import Severity
@@ -40,7 +40,6 @@ SILENCE_LIMIT_S = 10.0
 LATE_S = 0.5
 """Of the flight: a wake-up later than this can cost the autopilot's mode."""
 
-Point = tuple[float, float]
 MakeViews = Callable[[CompanionConfig, Point], list[FlightView]]
 """Who watches a flight, by its configuration and the emitter's true place."""
 

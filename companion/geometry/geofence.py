@@ -23,11 +23,17 @@ from dataclasses import dataclass
 
 from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.obstacles import MAX_CORNERS
-from companion.geometry.polygons import Point, area_m2, edges, is_simple, nearest_on_segment
+from companion.geometry.polygons import (
+    Corners,
+    Point,
+    area_m2,
+    edges,
+    is_simple,
+    nearest_on_segment,
+)
 
 LatLon = tuple[float, float]
 """Latitude and longitude, degrees."""
-Corners = tuple[Point, ...]
 
 MAX_LATITUDE_DEG = 85.0
 MAX_REACH_M = 20_000.0

@@ -11,7 +11,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 Point = tuple[float, float]
+"""East and north, metres."""
 Polygon = Sequence[Point]
+Corners = tuple[Point, ...]
 
 FARTHEST_M = 1e6
 """Farther from the origin a local frame means nothing."""

@@ -6,9 +6,7 @@ import math
 from dataclasses import dataclass, field
 
 from companion.geometry.obstacles import ROUNDING_M, FreeSpace, check_corners
-from companion.geometry.polygons import Point, check_polygon, deepest_point, depth_m
-
-Corners = tuple[Point, ...]
+from companion.geometry.polygons import Corners, Point, check_polygon, deepest_point, depth_m
 
 LEAST_FENCE_M2 = 1.0
 LEAST_KEEP_OUT_M2 = 1e-3

@@ -77,31 +77,25 @@ def reject_reason_of(
 ) -> RejectReason | None:
     """Why the measurement cannot be used, judged by itself, or None if it can."""
     m = measurement
-    values = (m.range_m, m.bearing_enu_rad, m.bearing_body_rad)
-    if all(value is None for value in values):
-        return RejectReason.NOTHING_MEASURED
-    sigmas = (m.range_sigma_m, m.bearing_sigma_rad, m.elevation_sigma_rad)
-    measured = [v for v in (*values, m.elevation_rad, *sigmas) if v is not None]
-    if not all(map(math.isfinite, (*measured, m.measured_at_s))):
-        return RejectReason.NOT_FINITE
-    if any(0.0 < abs(number) < LEAST_NORMAL for number in measured):
-        return RejectReason.DENORMAL
-    if m.range_m is not None and m.range_m <= 0.0:
-        return RejectReason.RANGE_NOT_POSITIVE
-    if m.range_m is not None and m.range_m > params.max_range_m:
-        return RejectReason.RANGE_ABSURD
-    bearings = (m.bearing_enu_rad, m.bearing_body_rad)
-    if any(b is not None and abs(b) > MAX_BEARING_RAD for b in bearings):
-        return RejectReason.BEARING_ABSURD
-    if m.elevation_rad is not None and abs(m.elevation_rad) > MAX_ELEVATION_RAD:
-        return RejectReason.ELEVATION_ABSURD
-    if any(sigma is not None and sigma <= 0.0 for sigma in sigmas):
-        return RejectReason.SIGMA_NOT_POSITIVE
-    if m.measured_at_s > now_s + FUTURE_TOLERANCE_S:
-        return RejectReason.FROM_THE_FUTURE
-    if now_s - m.measured_at_s > params.max_age_s:
-        return RejectReason.STALE
-    return None
+    bearings = [b for b in (m.bearing_enu_rad, m.bearing_body_rad) if b is not None]
+    ranges = [] if m.range_m is None else [m.range_m]
+    elevations = [] if m.elevation_rad is None else [m.elevation_rad]
+    reported = (m.range_sigma_m, m.bearing_sigma_rad, m.elevation_sigma_rad)
+    sigmas = [sigma for sigma in reported if sigma is not None]
+    numbers = [*ranges, *bearings, *elevations, *sigmas]
+    checks = (
+        (bool(ranges or bearings), RejectReason.NOTHING_MEASURED),
+        (all(map(math.isfinite, (*numbers, m.measured_at_s))), RejectReason.NOT_FINITE),
+        (not any(0.0 < abs(v) < LEAST_NORMAL for v in numbers), RejectReason.DENORMAL),
+        (all(v > 0.0 for v in ranges), RejectReason.RANGE_NOT_POSITIVE),
+        (all(v <= params.max_range_m for v in ranges), RejectReason.RANGE_ABSURD),
+        (all(abs(v) <= MAX_BEARING_RAD for v in bearings), RejectReason.BEARING_ABSURD),
+        (all(abs(v) <= MAX_ELEVATION_RAD for v in elevations), RejectReason.ELEVATION_ABSURD),
+        (all(v > 0.0 for v in sigmas), RejectReason.SIGMA_NOT_POSITIVE),
+        (m.measured_at_s <= now_s + FUTURE_TOLERANCE_S, RejectReason.FROM_THE_FUTURE),
+        (now_s - m.measured_at_s <= params.max_age_s, RejectReason.STALE),
+    )
+    return next((reason for is_fine, reason in checks if not is_fine), None)
 
 
 def identity_of(measurement: RangingMeasurement) -> Hashable:

@@ -22,8 +22,8 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 from companion.geometry.coordinates import LocalOrigin
-from companion.geometry.geofence import DISTORTION, Corners, GeoFence, LocalFence, difference
-from companion.geometry.polygons import Point
+from companion.geometry.geofence import DISTORTION, GeoFence, LocalFence, difference
+from companion.geometry.polygons import Corners, Point
 from companion.guard.fence import Fence
 from companion.guard.gate import Guard, GuardLimits
 from companion.guidance.events import AutopilotFenceRead

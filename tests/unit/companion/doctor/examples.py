@@ -13,7 +13,8 @@ from companion.doctor.findings import (
 )
 from companion.domain import Autopilot
 from companion.geometry.coordinates import LocalOrigin
-from companion.geometry.geofence import Corners, GeoArea, GeoFence
+from companion.geometry.geofence import GeoArea, GeoFence
+from companion.geometry.polygons import Corners
 from companion.guidance.events import AutopilotFenceRead
 
 ORIGIN = LocalOrigin(47.397742, 8.545594, 488.0)

@@ -12,8 +12,8 @@ from dataclasses import replace
 import pytest
 
 from companion.geometry import obstacles, polygons
-from companion.geometry.polygons import Point
-from companion.guard.fence import Corners, Fence
+from companion.geometry.polygons import Corners, Point
+from companion.guard.fence import Fence
 from companion.guard.gate import Guard, Guarded, GuardReason, Motion
 from tests.unit.companion.guard.gate_helpers import LIMITS
 
