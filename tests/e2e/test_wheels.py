@@ -13,6 +13,7 @@ import pytest
 
 from companion import __version__
 
+pytestmark = pytest.mark.slow
 ROOT = Path(__file__).resolve().parents[2]
 FLIGHT, LABORATORY = "companion-guidance", "companion-sim-link"
 LABORATORY_ONLY = {"mavsdk", "dask", "distributed", "filterpy", "scipy", "matplotlib", "rich"}
