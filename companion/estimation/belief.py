@@ -40,7 +40,7 @@ class BelievedPlace:
 
     log_weight: float
     mean: tuple[float, ...]
-    """(n,), see `models.ranging_model`."""
+    """(n,), see `measurement_model`."""
     covariance: tuple[tuple[float, ...], ...]
     """(n, n)"""
 

@@ -135,7 +135,7 @@ class AsymmetricHuberEkf(RecursiveFilter):
     errors are short; without it the loss is the paper's.
 
     Paper: eqs. (7) to (9), used recursively. Deviations: the range is slant; the variances contain
-    second-order terms and the vehicle's own position uncertainty (`models.ranging_model`), without
+    second-order terms and the vehicle's own position uncertainty (`measurement_model`), without
     which the filter diverges near the target and is over-confident right above it.
     """
 

@@ -34,7 +34,7 @@ NO_INFLATION: Inflation = (1.0, 1.0, 1.0)
 
 @dataclass(frozen=True, slots=True)
 class FilterState:
-    """Mean (n,) and covariance (n, n); see `models.ranging_model` for what the components are."""
+    """Mean (n,) and covariance (n, n); see `measurement_model` for what the components are."""
 
     time_s: float
     mean: Vector

@@ -126,7 +126,7 @@ class MotionWatch:
             self._rows.append(np.array([*sensor_enu_m, *z, *sigma, time_s]))
 
     def move(self, shift_enu_m: PositionEnu, step: Vector, params: FilterParams) -> None:
-        """Move all along with the vehicle's navigation, which jumped; see `moving`."""
+        """Move all along with the vehicle's navigation, which jumped; see `hypotheses`."""
         if self._rows:
             rows = shift_rows(np.array(self._rows), shift_enu_m, step, params)
             self._rows = deque(rows, maxlen=MAX_COUNT)
