@@ -177,7 +177,7 @@ class Shell:
     def _receive(self, chunks: list[Chunk]) -> None:
         self._wake(chunks)
 
-    def _timer_fired(self) -> None:
+    def _on_timer(self) -> None:
         self._timer = None
         self._wake([])
         self._is_drained = True
@@ -230,7 +230,7 @@ class Shell:
         if self._loop is None or math.isinf(next_s):
             return
         delay_s = min(max(MIN_TIMER_S, self._clock.delay_s(next_s)), MAX_TIMER_S)
-        self._timer = self._loop.call_later(delay_s, self._timer_fired)
+        self._timer = self._loop.call_later(delay_s, self._on_timer)
 
     def _begin_stop(self) -> None:
         if self._is_stopping or self._loop is None or self._end is None:
@@ -239,7 +239,7 @@ class Shell:
         self._deadline = self._loop.call_later(STOP_DEADLINE_S, self._end.set)
         self._wake([], begins_stop=True)
 
-    def _signalled(self) -> None:
+    def _on_signal(self) -> None:
         now_s = time.monotonic()
         if self._signalled_s is not None and now_s - self._signalled_s <= SAME_SIGNAL_S:
             return
@@ -261,7 +261,7 @@ class Shell:
         if before[signal.SIGHUP] is signal.SIG_IGN:  # nohup: meant to outlive its terminal
             del before[signal.SIGHUP]
         for number in before:
-            loop.add_signal_handler(number, self._signalled)
+            loop.add_signal_handler(number, self._on_signal)
         try:
             yield
         finally:

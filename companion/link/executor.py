@@ -29,6 +29,7 @@ from companion.link.outlet import Outlet
 from companion.link.quality import LinkHealth
 from companion.link.recorders import Journal
 from companion.link.specs import VehicleParams
+from companion.mav.addressing import is_for
 from companion.mav.dialect import Message, mavlink
 
 TEXTS_PER_S, TEXT_BURST = 10, 30
@@ -114,12 +115,10 @@ class SessionExecutor:
     def _receive_ack(
         self, ack: mavlink.MAVLink_command_ack_message, now_s: float, order: int
     ) -> None:
-        system_id, component_id = self.outlet.own_ids
-        if ack.target_system not in (0, system_id) or ack.target_component not in (0, component_id):
-            return
-        answer = self._requests.receive_ack(ack, now_s)
-        if answer is not None:
-            self.handle(replace(answer, order=order), now_s)
+        if is_for(ack, self.outlet.own_ids):
+            answer = self._requests.receive_ack(ack, now_s)
+            if answer is not None:
+                self.handle(replace(answer, order=order), now_s)
 
     # What the session wants
 

@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 
 from companion.geometry.geofence import GeoArea, GeoFence, LatLon, NamedArea, fence_of
 from companion.guidance.events import AutopilotFenceRead
+from companion.mav.addressing import is_for
 from companion.mav.dialect import Message, mavlink, result_words
 
 RESEND_S = 0.4
@@ -60,7 +61,7 @@ class _Reading:
     refusal: int | None = None
     """The MAV_MISSION_RESULT of an autopilot that did not want to tell."""
 
-    def went_on(self) -> None:
+    def advance(self) -> None:
         """The question was answered; the next one is due at once."""
         self.tries, self.next_s, self.refusal = 0, -math.inf, None
 
@@ -127,7 +128,7 @@ class FenceDownload:
         reading = self._reading
         if reading is None or not isinstance(message, Answer) or message.mission_type != FENCE:
             return None
-        if not _is_for((message.target_system, message.target_component), own):
+        if not is_for(message, own):
             return None
         match message:
             case mavlink.MAVLink_mission_ack_message():
@@ -135,12 +136,12 @@ class FenceDownload:
                 return None
             case mavlink.MAVLink_mission_count_message() if reading.count is None:
                 reading.count = message.count
-                reading.went_on()
+                reading.advance()
             case mavlink.MAVLink_mission_item_int_message() if (
                 reading.count is not None and message.seq == len(reading.items)
             ):
                 reading.items.append(message)
-                reading.went_on()
+                reading.advance()
         if reading.count is None:
             return None
         if len(reading.items) < reading.count <= MAX_ITEMS:
@@ -148,18 +149,14 @@ class FenceDownload:
         self._owes_ack = True
         self._rest_s = REST_S
         self._end(now_s)
-        return _told(reading.items, reading.count, now_s)
+        return _fence_event(reading.items, reading.count, now_s)
 
     def _end(self, now_s: float) -> None:
         self._reading = None
         self._rest_until_s = now_s + self._rest_s
 
 
-def _is_for(target: Ids, own: Ids) -> bool:
-    return all(wanted in (0, mine) for wanted, mine in zip(target, own, strict=True))
-
-
-def _told(items: Sequence[Item], count: int, now_s: float) -> AutopilotFenceRead:
+def _fence_event(items: Sequence[Item], count: int, now_s: float) -> AutopilotFenceRead:
     """What the items say."""
     try:
         if count > MAX_ITEMS:

@@ -33,6 +33,7 @@ from companion.guidance.session_params import Tuning, When
 from companion.link import outbound
 from companion.link.executor import SessionExecutor
 from companion.link.intake import RateLimit
+from companion.mav.addressing import is_for
 from companion.mav.dialect import Message, mavlink
 from companion.mav.param_encoding import (
     ParamEncoding,
@@ -122,10 +123,7 @@ class ParameterServer:
 
     def receive(self, message: ParamRequest, now_s: float) -> None:
         """Answer a request, if it is for us."""
-        system_id, component_id = self._outlet.own_ids
-        if message.target_system not in (0, system_id):
-            return
-        if message.target_component not in (ALL_COMPONENTS, component_id):
+        if not is_for(message, self._outlet.own_ids):
             return
         if isinstance(message, mavlink.MAVLink_param_request_list_message):
             self._next_listed = 0 if self._next_listed is None else self._next_listed

@@ -9,6 +9,7 @@ Source: MAVLink common, TIMESYNC; MAVLink developer guide, "Routing" and "Serial
 from __future__ import annotations
 
 import struct
+from typing import Protocol
 
 from companion.mav.dialect import Message, mavlink
 from companion.mav.framing import CRC_LENGTH, HEADER_LENGTH, SIGNATURE_LENGTH, message_id
@@ -47,6 +48,18 @@ def payload_of(frame: bytes) -> bytes:
 
 
 EVERYONE = (0, 0)
+
+
+class Targeted(Protocol):
+    """A message that names whom it is for."""
+
+    target_system: int
+    target_component: int
+
+
+def is_for(message: Targeted, own: tuple[int, int]) -> bool:
+    """Whether a message is for a system and component, or for all of them."""
+    return message.target_system in (0, own[0]) and message.target_component in (0, own[1])
 
 
 def _offsets() -> dict[int, tuple[int, int | None]]:

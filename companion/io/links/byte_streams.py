@@ -125,7 +125,7 @@ class ByteStream:
         try:
             room = self._room()
             if room > 0:
-                self._queue.wrote(os.write(self._fd, self._queue.head()[:room]))
+                self._queue.consume(os.write(self._fd, self._queue.head()[:room]))
         except (BlockingIOError, InterruptedError):
             room = MAX_UNSENT_BYTES
         except OSError as error:
@@ -209,7 +209,7 @@ class StreamLink(Link):
             self._stream.close()
             self._stream = None
 
-    def _connected(self, handle: Handle, fd: int) -> None:
+    def _use_stream(self, handle: Handle, fd: int) -> None:
         logger.info("%s: connected", self.name)
         rate = self._bytes_per_s
         self._stream = ByteStream(handle, fd, self._take, self._forget, rate)
@@ -255,7 +255,7 @@ class ReopeningLink(StreamLink):
                 await asyncio.sleep(pause_s)
                 pause_s = min(2.0 * pause_s, BACKOFF_MAX_S)
             else:
-                self._connected(handle, fd)
+                self._use_stream(handle, fd)
                 return
 
     def _forget(self, reason: str) -> None:
@@ -313,7 +313,7 @@ class SerialLink(ReopeningLink):
             LinkError: There is no such device, it is no serial port, or it is not ours to open.
         """
         try:
-            self._connected(*await self._connect())
+            self._use_stream(*await self._connect())
         except (OSError, ValueError, termios.error) as error:
             raise LinkError(f"{self.name}: {self._problem(error)}") from error
 
@@ -424,7 +424,7 @@ class PtyLink(StreamLink):
         if is_hung_up:
             self._look = asyncio.get_running_loop().call_later(LOOK_S, self._wait)
         else:
-            self._connected(_Kept(), self._master)
+            self._use_stream(_Kept(), self._master)
 
     def _forget(self, reason: str) -> None:
         super()._forget(reason)

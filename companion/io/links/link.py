@@ -134,7 +134,7 @@ class SendQueue:
         """What to write next: the rest of the first chunk, and all that is behind it."""
         return b"".join(data for data, _ in self._waiting)[self._written :]
 
-    def wrote(self, count: int) -> None:
+    def consume(self, count: int) -> None:
         """So many bytes of `head` are written."""
         self._written += count
         while self._waiting and self._written >= len(self._waiting[0][0]):

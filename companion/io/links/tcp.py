@@ -96,7 +96,7 @@ class TcpServerLink(TcpListener, StreamLink):
 
     def _welcome(self, client: socket.socket, peer: Address) -> None:
         del peer
-        self._connected(client, client.fileno())
+        self._use_stream(client, client.fileno())
 
     def close(self) -> None:
         """Close the client and the port."""

@@ -146,7 +146,7 @@ class UdpLink(Link):
     def _attach(self, opened: socket.socket) -> None:
         opened.bind(self._address)
 
-    def _refused(self, error: OSError) -> None:
+    def _handle_refusal(self, error: OSError) -> None:
         """The system refused; a socket whose network is gone is opened again after a while."""
         if error.errno in GONE and self._reopening is None:
             self._reopen_later()
@@ -183,15 +183,15 @@ class UdpLink(Link):
                 break
             except OSError as error:  # ECONNREFUSED: an earlier datagram found nobody there
                 self.counters.receive_errors += 1
-                self._refused(error)
+                self._handle_refusal(error)
                 continue
             chunks.append(Chunk(self.index, data, (str(peer[0]), int(peer[1]))))
-            self._heard((str(peer[0]), int(peer[1])))
+            self._note_peer((str(peer[0]), int(peer[1])))
         self.counters.received += len(chunks)
         if chunks:
             self._received(chunks)
 
-    def _heard(self, peer: Address) -> None:
+    def _note_peer(self, peer: Address) -> None:
         """Take note of a sender."""
 
     def hear_only(self, peer: Address | None) -> None:
@@ -223,7 +223,7 @@ class UdpLink(Link):
         except OSError as error:
             self.counters.send_errors += 1
             self.counters.last_error = error.strerror or str(error)
-            self._refused(error)
+            self._handle_refusal(error)
         else:
             self.counters.sent += 1
             self._reopen_s = FIRST_REOPEN_S
@@ -260,7 +260,7 @@ class UdpFanOutLink(UdpLink):
         self._remotes = tuple([await resolve(self.name, *remote) for remote in self._given_remotes])
         await super().open()
 
-    def _heard(self, peer: Address) -> None:
+    def _note_peer(self, peer: Address) -> None:
         if peer in self._remotes:
             return
         self._peers.pop(peer, None)

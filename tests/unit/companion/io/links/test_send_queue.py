@@ -18,7 +18,7 @@ def text(number: int) -> bytes:
 
 def drained(queue: SendQueue) -> bytes:
     data = queue.head()
-    queue.wrote(len(data))
+    queue.consume(len(data))
     assert len(queue) == 0
     return data
 
@@ -58,7 +58,7 @@ def test_what_is_droppable_is_not_let_in_where_much_waits() -> None:
 def test_a_chunk_that_is_half_written_is_finished() -> None:
     queue = SendQueue(LIMIT)
     queue.add(setpoint(1))
-    queue.wrote(30)
+    queue.consume(30)
     for number in range(2, 10):
         assert queue.add(setpoint(number))
     assert drained(queue).startswith(setpoint(1)[30:] + setpoint(7))
@@ -67,7 +67,7 @@ def test_a_chunk_that_is_half_written_is_finished() -> None:
 def test_a_half_written_chunk_leaves_no_room_for_one_of_the_whole_limit() -> None:
     queue = SendQueue(LIMIT)
     queue.add(setpoint(1))
-    queue.wrote(30)
+    queue.consume(30)
     assert not queue.add(bytes(LIMIT))
     assert drained(queue) == setpoint(1)[30:]
 
@@ -100,7 +100,7 @@ def test_whatever_happens_it_is_bounded_and_sends_whole_chunks_in_order(
                 added.append(chunk)
         else:
             data = queue.head()[:count]
-            queue.wrote(len(data))
+            queue.consume(len(data))
             sent += data
         assert len(queue) == len(queue.head()) <= LIMIT
     sent += drained(queue)
