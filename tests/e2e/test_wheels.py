@@ -108,7 +108,7 @@ def test_the_demo_flies_from_both_wheels(laboratory: Path, tmp_path: Path) -> No
     for command in ("companion", "sim-link", "companion-conformance"):
         done = run(laboratory / command, "--version", cwd=tmp_path)
         assert done.stdout == f"{command} {__version__}\n", done.stderr
-    done = run(laboratory / "companion", "demo", "--speed", "4", "--json", "end.json", cwd=tmp_path)
+    done = run(laboratory / "companion", "demo", "--speed", "1", "--json", "end.json", cwd=tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "LOCALISED: " in done.stdout
     assert json.loads((tmp_path / "end.json").read_text())["localised"] is True
