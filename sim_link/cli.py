@@ -118,36 +118,35 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
 
 def _add_scene(parser: argparse.ArgumentParser) -> None:
     """What is flown, and how fast time passes."""
-    parser.add_argument(
+    add = parser.add_argument
+    add(
         "--scenario",
         metavar="FILE",
         type=Path,
         help="scenario YAML, for example configs/scenarios/canonical.yaml "
         "(default: the canonical scenario, built in)",
     )
-    parser.add_argument(
+    add(
         "--autopilot",
         choices=("px4", "ardupilot"),
         help="which autopilot to be (default: the scenario's, px4)",
     )
-    parser.add_argument(
-        "--seed", metavar="N", type=int, default=0, help="seed of all randomness (default 0)"
-    )
-    parser.add_argument(
+    add("--seed", metavar="N", type=int, default=0, help="seed of all randomness (default 0)")
+    add(
         "--speed",
         metavar="X",
         type=float,
         default=1.0,
         help="simulated seconds per real second (default 1)",
     )
-    parser.add_argument(
+    add(
         "--ready-after",
         metavar="S",
         type=float,
         help="seconds after boot until it can be armed (default: the scenario's, 2; the real PX4 "
         "takes 34, ArduPilot 41)",
     )
-    parser.add_argument(
+    add(
         "--vehicles",
         metavar="N",
         type=int,
@@ -157,20 +156,21 @@ def _add_scene(parser: argparse.ArgumentParser) -> None:
 
 def _add_links(parser: argparse.ArgumentParser) -> None:
     """Who can hear it."""
-    parser.add_argument(
+    add = parser.add_argument
+    add(
         "--send-to",
         metavar="HOST:PORT",
         action="append",
         help="send unasked to this UDP address; repeatable "
         f"(default {' and '.join(DEFAULT_SEND_TO)})",
     )
-    parser.add_argument(
+    add(
         "--listen",
         metavar="HOST:PORT",
         default=DEFAULT_LISTEN,
         help=f"bind this UDP address (default {DEFAULT_LISTEN})",
     )
-    parser.add_argument(
+    add(
         "--link",
         metavar="URL",
         action="append",
@@ -182,26 +182,27 @@ def _add_links(parser: argparse.ArgumentParser) -> None:
 
 def _add_files(parser: argparse.ArgumentParser) -> None:
     """What is kept, and when it ends."""
-    parser.add_argument(
+    add = parser.add_argument
+    add(
         "--parameters",
         metavar="FILE",
         type=Path,
         help="load the autopilot's parameters from FILE, and store there what a client changes; "
         "a FILE that does not exist yet is made then",
     )
-    parser.add_argument(
+    add(
         "--signing-key",
         metavar="FILE",
         type=Path,
         help="sign, and believe only what is signed with this key; SETUP_SIGNING replaces it",
     )
-    parser.add_argument(
+    add(
         "--report",
         metavar="FILE",
         type=Path,
         help="write the truth as JSON at the start, and the flight with it at the end",
     )
-    parser.add_argument(
+    add(
         "--stop-on-eof",
         action="store_true",
         help="stop when standard input ends: a parent that dies leaves no simulator behind; "
@@ -246,7 +247,11 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _fleet_options(arguments: argparse.Namespace) -> FleetOptions:
-    seed, speed = _seed(arguments.seed), _speed(arguments.speed)
+    seed, speed = arguments.seed, arguments.speed
+    if seed < 0:
+        raise ConfigError(f"--seed {seed}: give a number that is not negative")
+    if not 0.0 < speed <= MAX_SPEED:
+        raise ConfigError(f"--speed {speed:g}: give 0 to {MAX_SPEED:g}, 1 for real time")
     report: Path | None = arguments.report
     if report is not None and not report.name:
         raise ConfigError(f"--report {report}: give the name of a file")
@@ -299,18 +304,6 @@ def _apply_incidents(endpoint: SimEndpoint, orders: queue.SimpleQueue[bytes], no
             endpoint.apply_incident(msgspec.json.decode(line, type=Incident), now_s)
         except (msgspec.DecodeError, ValueError) as error:
             print(f"sim-link: {line!r} is no incident: {error}", file=sys.stderr)
-
-
-def _seed(seed: int) -> int:
-    if seed < 0:
-        raise ConfigError(f"--seed {seed}: give a number that is not negative")
-    return seed
-
-
-def _speed(speed: float) -> float:
-    if not 0.0 < speed <= MAX_SPEED:
-        raise ConfigError(f"--speed {speed:g}: give 0 to {MAX_SPEED:g}, 1 for real time")
-    return speed
 
 
 def _address(option: str, text: str) -> Address:

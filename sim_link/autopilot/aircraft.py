@@ -218,7 +218,9 @@ class Aircraft:
         self.sticks = StickInput(scenario.rc)
         self.pilot = Pilot(scenario.vehicle, self.home_enu_m)
         self.mission = MissionRun(self._locate, first_mission_item)
-        self.fence = Fence([_area(scenario)] if scenario.fence.corners_enu_m else [])
+        fence = scenario.fence
+        area = Area(fence.corners_enu_m, fence.is_inclusion)
+        self.fence = Fence([area] if fence.corners_enu_m else [])
         self.is_armed = False
         self.landed = LandedState.ON_GROUND
         self.time_s = 0.0
@@ -323,20 +325,13 @@ class Aircraft:
 
     # Plans
 
-    def load_mission(self, items: Sequence[PlanItem]) -> None:
-        """Take over an uploaded mission."""
-        self.mission.load(items)
-
     def load_fence(self, items: Sequence[PlanItem]) -> None:
         """Take over an uploaded fence, which was checked before it was stored."""
         origin = self.estimator.world_origin
 
-        def enu_from_e7(latitude_e7: int, longitude_e7: int) -> tuple[float, float]:
+        def enu_from_e7(lat_e7: int, lon_e7: int) -> Point:
             """A place in 1e-7 degrees, local east and north."""
-            place = origin.enu_from_geodetic(
-                latitude_e7 / 1e7, longitude_e7 / 1e7, origin.altitude_m
-            )
-            return place[:2]
+            return origin.enu_from_geodetic(lat_e7 / 1e7, lon_e7 / 1e7, origin.altitude_m)[:2]
 
         self.fence = Fence(areas_from_items(items, enu_from_e7))
 
@@ -345,8 +340,3 @@ class Aircraft:
         place = self.place_from(item.x, item.y, item.z, frame)
         assert place is not None
         return place
-
-
-def _area(scenario: Scenario) -> Area:
-    fence = scenario.fence
-    return Area(fence.corners_enu_m, fence.is_inclusion)

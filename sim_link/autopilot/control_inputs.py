@@ -28,6 +28,13 @@ LocalTarget = mavlink.MAVLink_set_position_target_local_ned_message
 GlobalTarget = mavlink.MAVLink_set_position_target_global_int_message
 AttitudeTarget = mavlink.MAVLink_set_attitude_target_message
 
+FIELD_BITS = (
+    *(dialect.X_IGNORE, dialect.Y_IGNORE, dialect.Z_IGNORE),
+    *(dialect.VX_IGNORE, dialect.VY_IGNORE, dialect.VZ_IGNORE),
+    *(dialect.AX_IGNORE, dialect.AY_IGNORE, dialect.AZ_IGNORE),
+    *(dialect.YAW_IGNORE, dialect.YAW_RATE_IGNORE),
+)
+"""In the order of the fields."""
 MAX_LATITUDE_E7 = 900_000_000
 MAX_LONGITUDE_E7 = 1_800_000_000
 
@@ -76,21 +83,11 @@ def has_finite_fields(
     message: LocalTarget | GlobalTarget, position: tuple[float, float, float]
 ) -> bool:
     """Whether every field that is not masked is a finite number."""
-    mask = message.type_mask
-    fields = (
-        (dialect.X_IGNORE, position[0]),
-        (dialect.Y_IGNORE, position[1]),
-        (dialect.Z_IGNORE, position[2]),
-        (dialect.VX_IGNORE, message.vx),
-        (dialect.VY_IGNORE, message.vy),
-        (dialect.VZ_IGNORE, message.vz),
-        (dialect.AX_IGNORE, message.afx),
-        (dialect.AY_IGNORE, message.afy),
-        (dialect.AZ_IGNORE, message.afz),
-        (dialect.YAW_IGNORE, message.yaw),
-        (dialect.YAW_RATE_IGNORE, message.yaw_rate),
-    )
-    return all(mask & bit or math.isfinite(value) for bit, value in fields)
+    velocity = (message.vx, message.vy, message.vz)
+    acceleration = (message.afx, message.afy, message.afz)
+    values = (*position, *velocity, *acceleration, message.yaw, message.yaw_rate)
+    fields = zip(FIELD_BITS, values, strict=True)
+    return all(message.type_mask & bit or math.isfinite(value) for bit, value in fields)
 
 
 def is_on_earth(latitude_e7: int, longitude_e7: int) -> bool:

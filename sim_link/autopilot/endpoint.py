@@ -22,13 +22,12 @@ import numpy as np
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Chunk
 from companion.mav.framing import MAGIC_V1
-from companion.mav.signing import Signing
 from sim_link.autopilot import radio_payload
 from sim_link.autopilot.aircraft import Occurrence
 from sim_link.autopilot.incidents import IncidentRecord, VehicleReboot, WindChange
 from sim_link.autopilot.pilot import STEP_S
 from sim_link.autopilot.protocols.addressing import Channel, Outgoing
-from sim_link.autopilot.protocols.link_layer import LinkLayer
+from sim_link.autopilot.protocols.link_layer import NO_SECURITY, LinkLayer, LinkSecurity
 from sim_link.autopilot.scenario import Scenario
 from sim_link.autopilot.services import Services
 from sim_link.autopilot.telemetry import Telemetry
@@ -52,10 +51,6 @@ class SimEndpoint:
 
     Args:
         parameters_name: What to call them in errors, usually a file.
-        signing: Proves and signs; None: neither, until a client sets a key up.
-        trusted_links: Links that nobody else can hear, where unsigned frames are welcome.
-        setup_links: Links over which a key may be set up, too.
-        started_unix_s: Unix time at boot, for the timestamps of signatures.
 
     Raises:
         ConfigError: The scenario or the stored parameters name a parameter that does not exist, or
@@ -71,21 +66,17 @@ class SimEndpoint:
         *,
         parameters: str = "",
         parameters_name: str = "stored parameters",
-        signing: Signing | None = None,
-        trusted_links: frozenset[int] = frozenset(),
-        setup_links: frozenset[int] = frozenset(),
-        started_unix_s: float = 0.0,
+        security: LinkSecurity = NO_SECURITY,
     ) -> None:
         self._scenario = scenario
         self._seeds = np.random.SeedSequence(seed)
         self._link_count = links
-        self._unix_minus_local_s = started_unix_s - started_s
-        self._is_finished = False
+        self._unix_minus_local_s = security.started_unix_s - started_s
+        self.is_finished = False
+        """Whether a stop was requested."""
         self._output: list[Chunk] = []
         components = (AUTOPILOT_COMPONENT_ID, radio_payload.COMPONENT_ID)
-        self.links = LinkLayer(
-            scenario.system_id, components, links, signing, trusted_links, setup_links
-        )
+        self.links = LinkLayer(scenario.system_id, components, links, security)
         self.recorder = FlightRecorder()
         self._began_s = started_s
         self._schedule = IncidentSchedule(scenario.incidents)
@@ -187,12 +178,7 @@ class SimEndpoint:
 
     def request_stop(self, now_s: float) -> None:  # noqa: ARG002  the protocol gives the time
         """Finish at once: a simulator has nothing to bring home."""
-        self._is_finished = True
-
-    @property
-    def is_finished(self) -> bool:
-        """Whether a stop was requested."""
-        return self._is_finished
+        self.is_finished = True
 
     @property
     def parameters_text(self) -> str:

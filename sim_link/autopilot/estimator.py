@@ -78,8 +78,7 @@ class Estimator:
     @property
     def local_enu_m(self) -> PositionEnu:
         """The reported position about the EKF origin."""
-        (e, n, u), (oe, on, ou) = self.reported_enu_m, self._origin_enu_m
-        return (e - oe, n - on, u - ou)
+        return self.local_from_world(self.reported_enu_m)
 
     @property
     def test_ratio(self) -> float:

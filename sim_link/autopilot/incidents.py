@@ -15,10 +15,9 @@ import msgspec
 
 from companion.domain import FlightMode, NonNegative, Params, Positive
 from sim_link.world.environment import Coordinate
+from sim_link.world.point_mass import Share, WindSpeed
 
 Deflection = Annotated[float, msgspec.Meta(ge=-1.0, le=1.0)]
-WindSpeed = Annotated[float, msgspec.Meta(ge=-50.0, le=50.0)]
-Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 Angle = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
 
 

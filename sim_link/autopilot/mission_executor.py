@@ -23,6 +23,13 @@ MAX_STEPS = 1000
 """Items without a way to fly that are done in one go: a loop of jumps must end."""
 
 
+TIMED_PLACES = (
+    mavlink.MAV_CMD_NAV_WAYPOINT,
+    mavlink.MAV_CMD_NAV_SPLINE_WAYPOINT,
+    mavlink.MAV_CMD_NAV_LOITER_TIME,
+)
+"""Places to stay at for the seconds of their first parameter."""
+
 Locate = Callable[[PlanItem], PositionEnu]
 """The place of an item, in the world's frame."""
 
@@ -141,30 +148,25 @@ class MissionRun:
         self, item: PlanItem, place: PositionEnu, is_on_ground: bool, now_s: float
     ) -> Leg | None:
         """The leg of an item, or None if it is done (the run has moved on then)."""
+        hold_s = item.params[0] if item.params[0] > 0.0 else 0.0
         match item.command:
             case mavlink.MAV_CMD_NAV_LAND:
                 return self._land(item, place, is_on_ground)
             case mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH:
                 return Leg(LegKind.RETURN, place)
-            case mavlink.MAV_CMD_NAV_WAYPOINT | mavlink.MAV_CMD_NAV_SPLINE_WAYPOINT:
-                hold_s = item.params[0] if item.params[0] > 0.0 else 0.0
-                return self._fly(item, self._place_of(item, place), place, hold_s, now_s)
-            case mavlink.MAV_CMD_NAV_LOITER_TIME:
-                hold_s = item.params[0] if item.params[0] > 0.0 else 0.0
+            case number if number in TIMED_PLACES:
                 return self._fly(item, self._place_of(item, place), place, hold_s, now_s)
             case mavlink.MAV_CMD_NAV_LOITER_UNLIM:
                 return self._fly(item, self._place_of(item, place), place, math.inf, now_s)
             case mavlink.MAV_CMD_NAV_TAKEOFF:
                 return self._take_off(item, place, now_s)
             case mavlink.MAV_CMD_NAV_DELAY | mavlink.MAV_CMD_CONDITION_DELAY:
-                hold_s = item.params[0] if item.params[0] > 0.0 else 0.0
                 goal = self._goal = self._goal or place
                 return self._fly(item, goal, place, hold_s, now_s)
             case mavlink.MAV_CMD_DO_CHANGE_SPEED:
                 self._speed_mps = item.params[1] if item.params[1] > 0.0 else None
-            case mavlink.MAV_CMD_DO_JUMP:
-                if self._jump(item):
-                    return None
+            case mavlink.MAV_CMD_DO_JUMP if self._jump(item):
+                return None
         self._done()
         return None
 
@@ -193,9 +195,7 @@ class MissionRun:
         return self._fly(item, self._goal, place, 0.0, now_s)
 
     def _land(self, item: PlanItem, place: PositionEnu, is_on_ground: bool) -> Leg | None:
-        if self._goal is None:
-            self._goal = place if _is_here(item) else self._locate(item)
-        east, north, _ = self._goal
+        east, north, _ = self._place_of(item, place)
         if self._arrived_s is None and math.dist((east, north), place[:2]) > ACCEPTANCE_M:
             return Leg(LegKind.FLY, (east, north, place[2]), self._speed_mps)
         self._arrived_s = 0.0

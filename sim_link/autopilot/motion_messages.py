@@ -18,14 +18,14 @@ from sim_link.world.point_mass import GRAVITY_MPS2
 INT16_MAX = 0x7FFF
 FARTHEST_M = 1e7
 """A target beyond this has no latitude."""
-UINT16_MAX = 0xFFFF
+UINT16_MAX, UINT32_MAX = 0xFFFF, 0xFFFF_FFFF
 NAN = math.nan
 UNKNOWN_COVARIANCE = [NAN] + [0.0] * 20
 
 
 def boot_ms(vehicle: SimVehicle) -> int:
     """Milliseconds since boot, which start again at zero after 49.7 days."""
-    return round(1e3 * vehicle.time_s) & 0xFFFF_FFFF
+    return round(1e3 * vehicle.time_s) & UINT32_MAX
 
 
 def boot_us(vehicle: SimVehicle) -> int:
@@ -109,18 +109,13 @@ def odometry(vehicle: SimVehicle) -> Message | None:
         boot_us(vehicle),
         mavlink.MAV_FRAME_LOCAL_NED,
         mavlink.MAV_FRAME_BODY_FRD,
-        north,
-        east,
-        down,
+        *(north, east, down),
         list(quaternion(vehicle)),
         v_north * cos_yaw + v_east * sin_yaw,
         v_east * cos_yaw - v_north * sin_yaw,
         -v_up,
-        0.0,
-        0.0,
-        0.0,
-        UNKNOWN_COVARIANCE,
-        UNKNOWN_COVARIANCE,
+        *(0.0, 0.0, 0.0),
+        *(UNKNOWN_COVARIANCE, UNKNOWN_COVARIANCE),
     )
 
 
@@ -132,13 +127,9 @@ def global_position_int(vehicle: SimVehicle) -> Message | None:
     v_north, v_east, v_down = ned_from_enu(vehicle.body.velocity_enu_mps)
     return mavlink.MAVLink_global_position_int_message(
         boot_ms(vehicle),
-        lat,
-        lon,
-        alt,
+        *(lat, lon, alt),
         to_int32(alt - 1e3 * vehicle.aircraft.home_altitude_m),
-        to_int16(1e2 * v_north),
-        to_int16(1e2 * v_east),
-        to_int16(1e2 * v_down),
+        *(to_int16(1e2 * v_north), to_int16(1e2 * v_east), to_int16(1e2 * v_down)),
         round(math.degrees(vehicle.heading_ned_rad) * 1e2) % 36000,
     )
 
@@ -204,14 +195,9 @@ def nav_controller_output(vehicle: SimVehicle) -> Message:
     roll, pitch = _roll_and_pitch(vehicle)
     distance_m = min(UINT16_MAX, round(math.dist(goal[:2], place[:2])))
     return mavlink.MAVLink_nav_controller_output_message(
-        math.degrees(roll),
-        math.degrees(pitch),
-        bearing,
-        bearing,
-        distance_m,
-        goal[2] - place[2],
-        0.0,
-        0.0,
+        *(math.degrees(roll), math.degrees(pitch)),
+        *(bearing, bearing, distance_m),
+        *(goal[2] - place[2], 0.0, 0.0),
     )
 
 
@@ -282,7 +268,6 @@ ALL_IMU_FIELDS = 0x1FFF
 RANGE_MIN_CM, RANGE_MAX_CM = 10, 10_000
 UNKNOWN_RANGE_COVARIANCE = 255
 RAIL_MV = 5000
-UINT32 = 0xFFFF_FFFF
 
 
 def attitude_target(vehicle: SimVehicle) -> Message:
@@ -305,7 +290,7 @@ def servo_output_raw(vehicle: SimVehicle) -> Message:
     if vehicle.is_armed:
         pulse_us = round(MOTOR_IDLE_US + thrust_share(vehicle) * MOTOR_RANGE_US)
     return mavlink.MAVLink_servo_output_raw_message(
-        boot_us(vehicle) & UINT32, 0, *[pulse_us] * 4, *[0] * 4
+        boot_us(vehicle) & UINT32_MAX, 0, *[pulse_us] * 4, *[0] * 4
     )
 
 

@@ -11,7 +11,7 @@ import msgspec
 
 from companion.domain import NonNegative, Params, Positive
 from companion.geometry.polygons import area_m2, is_simple
-from sim_link.autopilot.incidents import Incident, Share
+from sim_link.autopilot.incidents import Incident
 from sim_link.world.environment import (
     ChannelParams,
     Coordinate,
@@ -20,7 +20,7 @@ from sim_link.world.environment import (
     ObstacleParams,
     ShadowParams,
 )
-from sim_link.world.point_mass import VehicleParams, WindParams
+from sim_link.world.point_mass import Share, VehicleParams, WindParams
 
 Latitude = Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)]
 Longitude = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]

@@ -308,7 +308,7 @@ class Services:
         for event in self._store.take_events():
             match event:
                 case PlanChanged(PlanType.MISSION):
-                    self._vehicle.aircraft.load_mission(self._store.items(PlanType.MISSION))
+                    self._vehicle.aircraft.mission.load(self._store.items(PlanType.MISSION))
                 case PlanChanged(PlanType.FENCE):
                     self._vehicle.aircraft.load_fence(self._store.items(PlanType.FENCE))
                 case CurrentChosen():
@@ -316,14 +316,9 @@ class Services:
 
     def _home_item(self) -> PlanItem:
         lat, lon, alt = self._vehicle.home_e7
-        return PlanItem(
-            mavlink.MAV_CMD_NAV_WAYPOINT,
-            mavlink.MAV_FRAME_GLOBAL,
-            (0.0, 0.0, 0.0, 0.0),
-            lat,
-            lon,
-            alt / 1e3,
-        )
+        params = (0.0, 0.0, 0.0, 0.0)
+        command, frame = mavlink.MAV_CMD_NAV_WAYPOINT, mavlink.MAV_FRAME_GLOBAL
+        return PlanItem(command, frame, params, lat, lon, alt / 1e3)
 
     def _fly_to(self, item: PlanItem) -> PlanResult:
         """A "guided" mission item: ArduPilot flies there in GUIDED."""

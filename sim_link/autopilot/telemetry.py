@@ -12,19 +12,15 @@ from companion.domain import FlightMode
 from companion.geometry.coordinates import ned_from_enu
 from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, mavlink
 from sim_link.autopilot import motion_messages as motion
-from sim_link.autopilot import motion_messages as sensors
 from sim_link.autopilot.aircraft import CELLS
-from sim_link.autopilot.motion_messages import boot_ms, boot_us, to_e7
-from sim_link.autopilot.protocols.plan_items import MissionProgress, mission_current
+from sim_link.autopilot.motion_messages import INT16_MAX, UINT16_MAX, boot_ms, boot_us, to_e7
+from sim_link.autopilot.protocols import plan_items
+from sim_link.autopilot.protocols.addressing import flags_of
+from sim_link.autopilot.protocols.plan_items import MissionProgress
 from sim_link.autopilot.vehicle import SimVehicle
 
 MAVLINK_VERSION = 3
-INERTIAL_SENSORS = (
-    mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO
-    | mavlink.MAV_SYS_STATUS_SENSOR_3D_ACCEL
-    | mavlink.MAV_SYS_STATUS_SENSOR_3D_MAG
-    | mavlink.MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE
-)
+INERTIAL_SENSORS = flags_of("MAV_SYS_STATUS_SENSOR", "3D_GYRO 3D_ACCEL 3D_MAG ABSOLUTE_PRESSURE")
 GPS = mavlink.MAV_SYS_STATUS_SENSOR_GPS
 AHRS = mavlink.MAV_SYS_STATUS_AHRS
 RC = mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
@@ -32,27 +28,19 @@ BATTERY = mavlink.MAV_SYS_STATUS_SENSOR_BATTERY
 FENCE = mavlink.MAV_SYS_STATUS_GEOFENCE
 PREARM = mavlink.MAV_SYS_STATUS_PREARM_CHECK
 BATTERY_LOW_SHARE, BATTERY_CRITICAL_SHARE = 0.15, 0.07
-UINT16_MAX = 0xFFFF
-INT16_MAX = 0x7FFF
 NEUTRAL_US = 1500
+NO_ERRORS = (
+    *("drop_rate_comm", "errors_comm"),
+    *("errors_count1", "errors_count2", "errors_count3", "errors_count4"),
+)
 
-GOOD_ESTIMATE = (
-    mavlink.ESTIMATOR_ATTITUDE
-    | mavlink.ESTIMATOR_VELOCITY_HORIZ
-    | mavlink.ESTIMATOR_VELOCITY_VERT
-    | mavlink.ESTIMATOR_POS_HORIZ_REL
-    | mavlink.ESTIMATOR_POS_HORIZ_ABS
-    | mavlink.ESTIMATOR_POS_VERT_ABS
-    | mavlink.ESTIMATOR_PRED_POS_HORIZ_REL
-    | mavlink.ESTIMATOR_PRED_POS_HORIZ_ABS
+GOOD_ESTIMATE = flags_of(
+    "ESTIMATOR",
+    "ATTITUDE VELOCITY_HORIZ VELOCITY_VERT POS_HORIZ_REL POS_HORIZ_ABS POS_VERT_ABS "
+    "PRED_POS_HORIZ_REL PRED_POS_HORIZ_ABS",
 )
 """EKF_STATUS_FLAGS has the same bits."""
-BLIND_ESTIMATE = (
-    mavlink.ESTIMATOR_ATTITUDE
-    | mavlink.ESTIMATOR_VELOCITY_VERT
-    | mavlink.ESTIMATOR_POS_VERT_ABS
-    | mavlink.ESTIMATOR_CONST_POS_MODE
-)
+BLIND_ESTIMATE = flags_of("ESTIMATOR", "ATTITUDE VELOCITY_VERT POS_VERT_ABS CONST_POS_MODE")
 
 
 def heartbeat(vehicle: SimVehicle) -> Message:
@@ -93,12 +81,7 @@ def sys_status(vehicle: SimVehicle) -> Message:
         voltage_battery=CELLS * battery.cell_mv if battery.is_known else UINT16_MAX,
         current_battery=battery.current_ca if battery.is_known else -1,
         battery_remaining=battery.percent if battery.is_known else -1,
-        drop_rate_comm=0,
-        errors_comm=0,
-        errors_count1=0,
-        errors_count2=0,
-        errors_count3=0,
-        errors_count4=0,
+        **dict.fromkeys(NO_ERRORS, 0),
     )
 
 
@@ -117,40 +100,25 @@ def extended_sys_state(vehicle: SimVehicle) -> Message:
 def battery_status(vehicle: SimVehicle) -> Message:
     """BATTERY_STATUS: a four-cell pack that only flying empties."""
     battery = vehicle.battery
-    if not battery.is_known:
-        return _unknown_battery()
     state = mavlink.MAV_BATTERY_CHARGE_STATE_OK
-    if battery.share <= BATTERY_CRITICAL_SHARE:
+    if not battery.is_known:
+        state = mavlink.MAV_BATTERY_CHARGE_STATE_UNDEFINED
+    elif battery.share <= BATTERY_CRITICAL_SHARE:
         state = mavlink.MAV_BATTERY_CHARGE_STATE_CRITICAL
     elif battery.share <= BATTERY_LOW_SHARE:
         state = mavlink.MAV_BATTERY_CHARGE_STATE_LOW
+    cells = [battery.cell_mv if battery.is_known else UINT16_MAX] * CELLS
+    unused = [UINT16_MAX] * (10 - CELLS)
+    drawn = (battery.current_ca, battery.consumed_mah) if battery.is_known else (-1, -1)
     return mavlink.MAVLink_battery_status_message(
         0,
         mavlink.MAV_BATTERY_FUNCTION_ALL,
         mavlink.MAV_BATTERY_TYPE_LIPO,
         INT16_MAX,
-        [battery.cell_mv] * CELLS + [UINT16_MAX] * (10 - CELLS),
-        battery.current_ca,
-        battery.consumed_mah,
-        -1,
-        battery.percent,
-        time_remaining=battery.remaining_s,
+        cells + unused,
+        *(*drawn, -1, battery.percent if battery.is_known else -1),
+        time_remaining=battery.remaining_s if battery.is_known else 0,
         charge_state=state,
-    )
-
-
-def _unknown_battery() -> Message:
-    return mavlink.MAVLink_battery_status_message(
-        0,
-        mavlink.MAV_BATTERY_FUNCTION_ALL,
-        mavlink.MAV_BATTERY_TYPE_LIPO,
-        INT16_MAX,
-        [UINT16_MAX] * 10,
-        -1,
-        -1,
-        -1,
-        -1,
-        charge_state=mavlink.MAV_BATTERY_CHARGE_STATE_UNDEFINED,
     )
 
 
@@ -180,16 +148,9 @@ def autopilot_version(vehicle: SimVehicle) -> Message:
     identity = vehicle.flavour.identity
     return mavlink.MAVLink_autopilot_version_message(
         identity.capabilities,
-        identity.firmware_version,
-        identity.firmware_version,
-        0,
-        0,
-        [0] * 8,
-        [0] * 8,
-        [0] * 8,
-        0,
-        0,
-        vehicle.system_id,
+        *(identity.firmware_version, identity.firmware_version, 0, 0),
+        *([0] * 8, [0] * 8, [0] * 8),
+        *(0, 0, vehicle.system_id),
     )
 
 
@@ -205,9 +166,9 @@ def mission_progress(vehicle: SimVehicle) -> MissionProgress:
     )
 
 
-def current_mission(vehicle: SimVehicle) -> Message:
+def mission_current(vehicle: SimVehicle) -> Message:
     """MISSION_CURRENT."""
-    return mission_current(mission_progress(vehicle))
+    return plan_items.mission_current(mission_progress(vehicle))
 
 
 def estimator_status(vehicle: SimVehicle) -> Message:
@@ -247,39 +208,20 @@ def rc_channels(vehicle: SimVehicle) -> Message | None:
 
 Builder = Callable[[SimVehicle], Message | None]
 
-BUILDERS: dict[int, Builder] = {
-    mavlink.MAVLINK_MSG_ID_HEARTBEAT: heartbeat,
-    mavlink.MAVLINK_MSG_ID_SYS_STATUS: sys_status,
-    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: system_time,
-    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: extended_sys_state,
-    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: motion.local_position_ned,
-    mavlink.MAVLINK_MSG_ID_ATTITUDE: motion.attitude,
-    mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: motion.attitude_quaternion,
-    mavlink.MAVLINK_MSG_ID_ODOMETRY: motion.odometry,
-    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: motion.global_position_int,
-    mavlink.MAVLINK_MSG_ID_ALTITUDE: motion.altitude,
-    mavlink.MAVLINK_MSG_ID_VFR_HUD: motion.vfr_hud,
-    mavlink.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT: motion.nav_controller_output,
-    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: motion.position_target_local_ned,
-    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: motion.position_target_global_int,
-    mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: sensors.attitude_target,
-    mavlink.MAVLINK_MSG_ID_HIGHRES_IMU: sensors.highres_imu,
-    mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: sensors.servo_output_raw,
-    mavlink.MAVLINK_MSG_ID_RAW_IMU: sensors.raw_imu,
-    mavlink.MAVLINK_MSG_ID_SCALED_PRESSURE: sensors.scaled_pressure,
-    mavlink.MAVLINK_MSG_ID_POWER_STATUS: sensors.power_status,
-    mavlink.MAVLINK_MSG_ID_VIBRATION: sensors.vibration,
-    mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR: sensors.distance_sensor,
-    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: motion.gps_raw_int,
-    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: battery_status,
-    mavlink.MAVLINK_MSG_ID_HOME_POSITION: home_position,
-    mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: gps_global_origin,
-    mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: autopilot_version,
-    mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: current_mission,
-    mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: estimator_status,
-    mavlink.MAVLINK_MSG_ID_RC_CHANNELS: rc_channels,
-    MAVLink_ekf_status_report_message.id: ekf_status_report,
-}
+_BUILDERS: tuple[Builder, ...] = (
+    *(heartbeat, sys_status, system_time, extended_sys_state, battery_status, home_position),
+    *(gps_global_origin, autopilot_version, mission_current, estimator_status, rc_channels),
+    *(motion.local_position_ned, motion.attitude, motion.attitude_quaternion, motion.odometry),
+    *(motion.global_position_int, motion.altitude, motion.vfr_hud, motion.nav_controller_output),
+    *(motion.position_target_local_ned, motion.position_target_global_int),
+    *(motion.attitude_target, motion.highres_imu, motion.servo_output_raw, motion.raw_imu),
+    *(motion.scaled_pressure, motion.power_status, motion.vibration, motion.distance_sensor),
+    motion.gps_raw_int,
+)
+"""Each named as its message."""
+BUILDERS = {
+    int(getattr(mavlink, f"MAVLINK_MSG_ID_{build.__name__.upper()}")): build for build in _BUILDERS
+} | {int(MAVLink_ekf_status_report_message.id): ekf_status_report}
 """What can be told; a flavour's rates say which of these it has."""
 
 

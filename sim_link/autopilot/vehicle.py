@@ -33,7 +33,6 @@ from sim_link.autopilot.incidents import (
     PilotMode,
     PilotSticks,
     RcLoss,
-    VehicleReboot,
     WindChange,
 )
 from sim_link.autopilot.pilot import STEP_S
@@ -206,8 +205,6 @@ def apply_to_vehicle(incident: IncidentRecord, vehicle: SimVehicle, now_s: float
                 aircraft.body.wind, east_mps=incident.east_mps, north_mps=incident.north_mps
             )
             aircraft.body.set_wind(wind)
-        case VehicleReboot():
-            return
     vehicle.flavour.note(now_s, f"incident: {incident.__struct_config__.tag}")
 
 

@@ -21,6 +21,7 @@ from companion.io.state.signing_keys import load_signing_key, store_signing_key
 from companion.mav.endpoint import Address, Chunk
 from companion.mav.signing import KEY_LENGTH, Signing
 from sim_link.autopilot.endpoint import SimEndpoint
+from sim_link.autopilot.protocols.link_layer import LinkSecurity
 from sim_link.autopilot.scenario import Scenario
 from sim_link.fleet.scenario_io import end_report, start_report
 
@@ -56,20 +57,10 @@ class Fleet:
         chunks: list[Chunk] = []
         for index, endpoint in enumerate(self.endpoints):
             first = index * self._links_each
-            output = endpoint.take_output()
-            if first == 0:
-                chunks += output
-            else:
-                chunks += [
-                    Chunk(
-                        first + chunk.link,
-                        chunk.data,
-                        chunk.peer,
-                        chunk.except_peers,
-                        chunk.is_datagram,
-                    )
-                    for chunk in output
-                ]
+            chunks += [
+                Chunk(first + c.link, c.data, c.peer, c.except_peers, c.is_datagram)
+                for c in endpoint.take_output()
+            ]
         return chunks
 
     def request_stop(self, now_s: float) -> None:
@@ -124,6 +115,7 @@ def make_vehicles(options: FleetOptions) -> list[SimEndpoint]:
     endpoints = []
     for number in range(scenario.vehicles):
         path = numbered_path(options.parameters, number)
+        security = LinkSecurity(_signing(options.signing_key), lines, loopback, time.time())
         own = msgspec.structs.replace(scenario, system_id=scenario.system_id + number)
         endpoints.append(
             SimEndpoint(
@@ -132,10 +124,7 @@ def make_vehicles(options: FleetOptions) -> list[SimEndpoint]:
                 links=1 + len(options.links),
                 parameters=stored_parameters(path),
                 parameters_name=str(path),
-                signing=_signing(options.signing_key),
-                trusted_links=lines,
-                setup_links=loopback,
-                started_unix_s=time.time(),
+                security=security,
             )
         )
     return endpoints

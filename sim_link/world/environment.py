@@ -33,8 +33,10 @@ from companion.geometry.polygons import area_m2, is_simple
 from companion.kernel import kernel
 from sim_link.world import line_of_sight
 from sim_link.world.line_of_sight import Surroundings, detour, is_blocked_in_space
+from sim_link.world.point_mass import Share
 
-Probability = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
+Drawn = tuple[float, float, float]
+"""By chance, for one path: uniform in [0, 1), exponential of mean 1, standard normal."""
 
 
 class ChannelParams(Params, frozen=True):
@@ -43,7 +45,7 @@ class ChannelParams(Params, frozen=True):
     range_offset_m: float = 1.5
     bearing_offset_deg: float = -3.0
     """Counter-clockwise positive, as the paper's angles are."""
-    p_nlos: Probability = 0.9
+    p_nlos: Share = 0.9
     """In the open: outside of every obstacle's shadow."""
     range_bias_mean_m: NonNegative = 8.0
     bearing_bias_sigma_deg: NonNegative = 5.0
@@ -64,7 +66,7 @@ class EmitterParams(Params, frozen=True):
     height_m: Coordinate = 0.0
     channel: ChannelParams | None = None
     """How it is heard, what is left out being canonical; None: over the scenario's `channel`."""
-    quality: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] | None = None
+    quality: Share | None = None
     """What the radio says of its signal; None: nothing."""
 
 
@@ -91,7 +93,6 @@ class Emitter:
 LEAST_OBSTACLE_M2 = 1e-3
 """A mast is an obstacle too."""
 
-Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 Corners = Annotated[tuple[tuple[Coordinate, Coordinate], ...], msgspec.Meta(min_length=3)]
 
 
@@ -129,16 +130,6 @@ class ShadowParams(Params, frozen=True):
     """On top of the pull, normal."""
     correlation_m: NonNegative = 10.0
     """Distance over which the two on top forget themselves to 1/e; 0: every draw is new."""
-
-
-STUDY_SHADOW = ShadowParams(
-    detour_share=0.0,
-    pull_share=0.0,
-    extra_bias_mean_m=15.0,
-    bearing_bias_sigma_deg=10.0,
-    correlation_m=0.0,
-)
-"""The structured obstacle of the studies: blocked or not is all that matters, draws are new."""
 
 
 class OpenPath(NamedTuple):
@@ -194,22 +185,14 @@ def open_obstruction(
 
 @kernel
 def remembered(
-    uniform: float,
-    exponential: float,
-    normal: float,
-    e: float,
-    n: float,
-    up: float,
-    correlation_m: float,
-    memory: ShadowMemory,
+    drawn: Drawn, place: PositionEnu, correlation_m: float, memory: ShadowMemory
 ) -> ShadowMemory:
     """The correlated part at the place of the next shadowed measurement.
 
     Args:
-        uniform: In [0, 1).
-        exponential: Of mean 1.
         correlation_m: Of both extra and bend; 0: none.
     """
+    (uniform, exponential, normal), (e, n, up) = drawn, place
     kept = 0.0
     if correlation_m > 0.0 and not math.isnan(memory.east_m):
         moved_m = math.hypot(math.hypot(e - memory.east_m, n - memory.north_m), up - memory.up_m)
@@ -228,12 +211,8 @@ def remembered(
 
 @kernel
 def obstruction(
-    uniform: float,
-    exponential: float,
-    normal: float,
-    e: float,
-    n: float,
-    up: float,
+    drawn: Drawn,
+    place: PositionEnu,
     open_path: OpenPath,
     shadow: Shadow,
     surroundings: Surroundings,
@@ -242,9 +221,7 @@ def obstruction(
     """What stands in the way adds to one measurement.
 
     Args:
-        uniform: Drawn, in [0, 1).
-        exponential: Drawn, of mean 1.
-        up: Of the sensor; 0 in the plane.
+        place: Of the sensor; its height is 0 in the plane.
         open_path: What a path suffers outside of all shadows.
         memory: Of the measurement before; `NO_MEMORY` at first.
 
@@ -253,18 +230,12 @@ def obstruction(
 
     Paper: b of eq. (1).
     """
-    if not is_blocked_in_space(
-        surroundings.east_m,
-        surroundings.north_m,
-        surroundings.up_m,
-        e,
-        n,
-        up,
-        surroundings.edges,
-    ):
-        excess_m, bend_rad = open_obstruction(uniform, exponential, normal, open_path)
+    e, n, up = place
+    around = surroundings
+    if not is_blocked_in_space(around.east_m, around.north_m, around.up_m, e, n, up, around.edges):
+        excess_m, bend_rad = open_obstruction(drawn[0], drawn[1], drawn[2], open_path)
         return excess_m, bend_rad, memory
-    memory = remembered(uniform, exponential, normal, e, n, up, shadow.correlation_m, memory)
+    memory = remembered(drawn, place, shadow.correlation_m, memory)
     pair = 0.5 * (memory.first * memory.first + memory.second * memory.second)
     excess_m = shadow.extra_mean_m * pair
     bend_rad = shadow.bend_sigma_rad * memory.bend

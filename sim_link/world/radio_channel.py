@@ -20,6 +20,7 @@ from companion.geometry.coordinates import wrap_pi
 from sim_link.world.environment import (
     NO_MEMORY,
     ChannelParams,
+    Drawn,
     Emitter,
     Environment,
     OpenPath,
@@ -144,7 +145,7 @@ class RadioChannel:
         return own
 
     def _obstruction(
-        self, drawn: tuple[float, float, float], emitter: Emitter, sensor_enu_m: PositionEnu
+        self, drawn: Drawn, emitter: Emitter, sensor_enu_m: PositionEnu
     ) -> tuple[float, float, ShadowMemory]:
         """Range excess, bearing bias, and what to remember of the shadow."""
         place, open_path = emitter.position_enu_m, self._character(emitter).open_path
@@ -154,4 +155,4 @@ class RadioChannel:
         if place not in self._surroundings:
             self._surroundings[place] = self._environment.around(place)
         shadow, surroundings = self._environment.shadow, self._surroundings[place]
-        return obstruction(*drawn, *sensor_enu_m, open_path, shadow, surroundings, memory)
+        return obstruction(drawn, sensor_enu_m, open_path, shadow, surroundings, memory)

@@ -16,6 +16,7 @@ from companion.link.specs import LinkSpec
 from companion.mav.endpoint import Chunk
 from companion.mav.signing import ONE_LINK_EACH, Signing, SigningKey, is_signed
 from sim_link.autopilot.endpoint import SimEndpoint
+from sim_link.autopilot.protocols.link_layer import LinkSecurity
 from sim_link.autopilot.scenario import Scenario
 from sim_link.lab.lockstep.flight import VEHICLE_PEER, Flight, Makers, MemoryJournal
 from sim_link.lab.lockstep.observer import Frame, Observer
@@ -42,7 +43,10 @@ class Tape(Observer):
 
 def vehicle(scenario: Scenario, seed: int, started_s: float) -> SimEndpoint:
     return SimEndpoint(
-        scenario, seed, started_s, signing=Signing(KEY), started_unix_s=UNIX_S + started_s
+        scenario,
+        seed,
+        started_s,
+        security=LinkSecurity(Signing(KEY), started_unix_s=UNIX_S + started_s),
     )
 
 

@@ -183,7 +183,7 @@ def obstructions() -> Results:
         e, n, up = 55.0 + 45.0 * math.cos(angle), 55.0 + 40.0 * math.sin(2.3 * angle), 0.2 * step
         drawn = (rng.random(), rng.standard_exponential(), rng.standard_normal())
         open_path = OpenPath(0.5, 8.0, 0.1)
-        *added, memory = obstruction(*drawn, e, n, up, open_path, shadow, surroundings, memory)
+        *added, memory = obstruction(drawn, (e, n, up), open_path, shadow, surroundings, memory)
         yield f"obstruction {step}", added
         yield f"shadow memory {step}", memory
         yield f"detour {step}", detour(e, n, up, surroundings)

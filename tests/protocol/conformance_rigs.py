@@ -8,6 +8,7 @@ from companion.guidance.session_params import SessionParams
 from companion.mav.endpoint import Endpoint
 from companion.mav.signing import Signing, SigningKey
 from sim_link.autopilot.endpoint import SimEndpoint
+from sim_link.autopilot.protocols.link_layer import LinkSecurity
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from sim_link.lab.conformance.cli import all_rules
 from sim_link.lab.conformance.puppet import CompanionProbe, stay_silent
@@ -32,7 +33,9 @@ def signing_simulator(flavour: Flavour) -> SimEndpoint:
     """A simulated vehicle that was given `KEY`."""
     scenario = Scenario(autopilot=AutopilotParams(flavour=flavour.value))
     signing = Signing(SigningKey(KEY))
-    return SimEndpoint(scenario, SEED, signing=signing, started_unix_s=STARTED_UNIX_S)
+    return SimEndpoint(
+        scenario, SEED, security=LinkSecurity(signing, started_unix_s=STARTED_UNIX_S)
+    )
 
 
 def probe_of(

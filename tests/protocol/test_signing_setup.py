@@ -6,6 +6,7 @@ import pytest
 
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.endpoint import SimEndpoint
+from sim_link.autopilot.protocols.link_layer import LinkSecurity
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from sim_link.lab.conformance.mavlink_oracle import signature_of
 from sim_link.lab.conformance.rules import Flavour
@@ -25,7 +26,9 @@ WIRE, RADIO = 0, 1
 def clients(flavour: Flavour) -> tuple[VehicleProbe, VehicleProbe]:
     """A client on the wire and one on the radio."""
     scenario = Scenario(autopilot=AutopilotParams(flavour=flavour.value))
-    hub = MemoryHub(SimEndpoint(scenario, SEED, links=2, trusted_links=frozenset({WIRE})))
+    hub = MemoryHub(
+        SimEndpoint(scenario, SEED, links=2, security=LinkSecurity(trusted_links=frozenset({WIRE})))
+    )
     wire, radio = VehicleProbe(hub.connect(WIRE)), VehicleProbe(hub.connect(RADIO))
     wire.attach()
     radio.attach()

@@ -13,6 +13,11 @@ from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address
 
 
+def flags_of(prefix: str, names: str) -> int:
+    """The bits of a MAVLink enum by their names, with blanks between."""
+    return sum(int(getattr(mavlink, f"{prefix}_{name}")) for name in names.split())
+
+
 class Channel(NamedTuple):
     """One way in and out: a link, or one of the peers that share it (UDP, TCP server)."""
 
@@ -89,3 +94,8 @@ class StatusTexts:
             )
             for number, start in enumerate(starts)
         ]
+
+    def warn(self, partner: Partner, text: str) -> list[Outgoing]:
+        """A warning to one partner."""
+        messages = self.messages(mavlink.MAV_SEVERITY_WARNING, text)
+        return [Outgoing(message, partner.channel) for message in messages]

@@ -25,6 +25,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Collection
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from companion.mav.addressing import boot_ms_of, targets_of_frame
 from companion.mav.codec import CRC_EXTRA_BY_ID, MAX_MAVLINK1_ID, MavCodec
@@ -218,16 +219,27 @@ class Arrival:
     channel: Channel
 
 
+class LinkSecurity(NamedTuple):
+    """Whom a vehicle believes."""
+
+    signing: Signing | None = None
+    """With its key; None: neither proves nor signs, until a client sets a key up."""
+    trusted_links: frozenset[int] = frozenset()
+    """Nobody else can hear these (a wire): unsigned frames are welcome, and keys may be set up."""
+    setup_links: frozenset[int] = frozenset()
+    """Keys may be set up over these, too (loopback); then they need signatures like any other."""
+    started_unix_s: float = 0.0
+    """Unix time at boot, for the timestamps of signatures."""
+
+
+NO_SECURITY = LinkSecurity()
+
+
 class LinkLayer:
     """All links of one vehicle.
 
     Args:
         component_ids: Of its components, the autopilot first.
-        signing: The vehicle's, with its key; None to begin without.
-        trusted_links: Links that nobody else can hear (a wire): unsigned frames are welcome
-            there, and a key may be set up over them.
-        setup_links: Links over which a key may be set up, too (loopback); once there is one, they
-            need signatures like any other.
     """
 
     def __init__(
@@ -235,17 +247,15 @@ class LinkLayer:
         system_id: int,
         component_ids: tuple[int, ...],
         links: int = 1,
-        signing: Signing | None = None,
-        trusted_links: frozenset[int] = frozenset(),
-        setup_links: frozenset[int] = frozenset(),
+        security: LinkSecurity = NO_SECURITY,
     ) -> None:
-        self.signing = signing
+        self.signing = security.signing
         self.router = Router(system_id, component_ids, links)
         self._system_id = system_id
         self._component_ids = component_ids
         self._links = range(links)
-        self._trusted = trusted_links
-        self._may_set_up = trusted_links | setup_links
+        self._trusted = security.trusted_links
+        self._may_set_up = security.trusted_links | security.setup_links
         self._receivers = FrameReceivers()
         self._versions = {Channel(link): WireVersion() for link in self._links}
         """Of every link, and of every peer that is kept apart."""

@@ -34,6 +34,11 @@ MAX_STALE = 4
 """Entries per stream that the queue may hold; a client that changes rates for ever adds some."""
 
 
+def message_ids(names: str) -> tuple[int, ...]:
+    """The ids of messages by their names, with blanks between."""
+    return tuple(getattr(mavlink, f"MAVLINK_MSG_ID_{name}") for name in names.split())
+
+
 @dataclass(frozen=True, slots=True)
 class StreamRules:
     """The streams of an autopilot."""
@@ -309,7 +314,4 @@ class MessageRequests:
     def _explain(self, number: int, partner: Partner) -> list[Outgoing]:
         if not self._rules.has_texts:
             return []
-        messages = self._texts.messages(
-            mavlink.MAV_SEVERITY_WARNING, f"no stream of message {number} can be set"
-        )
-        return [Outgoing(message, partner.channel) for message in messages]
+        return self._texts.warn(partner, f"no stream of message {number} can be set")

@@ -179,11 +179,7 @@ class PlanUploads:
     ) -> list[Outgoing]:
         del self._uploads[partner]
         text = f"{upload.plan_type.name.lower()} refused, {why}"
-        texts = self._texts.messages(mavlink.MAV_SEVERITY_WARNING, text)
-        return [
-            *(Outgoing(message, partner.channel) for message in texts),
-            ack(partner, result, upload.plan_type),
-        ]
+        return [*self._texts.warn(partner, text), ack(partner, result, upload.plan_type)]
 
     def _answer_to_stray(self, message: ItemMessage, partner: Partner) -> Outgoing:
         """An item that nobody asked for: our ACK was lost, or it is a mistake."""
@@ -286,6 +282,7 @@ class PlanDownloads:
 GUIDED_ITEM = 2
 """MISSION_ITEM.current of an item that ArduPilot flies to at once, in GUIDED."""
 
+ItemRequest = mavlink.MAVLink_mission_request_int_message | mavlink.MAVLink_mission_request_message
 FlyTo = Callable[[PlanItem], PlanResult]
 
 
@@ -317,19 +314,14 @@ class Plans:
             case (
                 mavlink.MAVLink_mission_item_int_message() | mavlink.MAVLink_mission_item_message()
             ):
-                if message.current == GUIDED_ITEM and self._fly_to is not None:
-                    return [self._guided(message, partner, self._fly_to)]
-                return self._uploads.take(message, partner, now_s)
+                return self._take_item(message, partner, now_s)
             case mavlink.MAVLink_mission_request_list_message():
                 return self._list(message.mission_type, partner, now_s)
             case (
                 mavlink.MAVLink_mission_request_int_message()
                 | mavlink.MAVLink_mission_request_message()
             ):
-                plan_type = plan_type_of(message.mission_type)
-                if plan_type is None:
-                    return [ack(partner, PlanResult.UNSUPPORTED, message.mission_type)]
-                return self._downloads.give(plan_type, message.seq, partner, now_s)
+                return self._give(message, partner, now_s)
             case mavlink.MAVLink_mission_ack_message():
                 self._hear_ack(message, partner)
             case mavlink.MAVLink_mission_clear_all_message():
@@ -367,6 +359,12 @@ class Plans:
             return [ack(partner, PlanResult.DENIED, plan_type)]
         return self._downloads.begin(plan_type, partner, now_s)
 
+    def _give(self, message: ItemRequest, partner: Partner, now_s: float) -> list[Outgoing]:
+        plan_type = plan_type_of(message.mission_type)
+        if plan_type is None:
+            return [ack(partner, PlanResult.UNSUPPORTED, message.mission_type)]
+        return self._downloads.give(plan_type, message.seq, partner, now_s)
+
     def _hear_ack(self, message: mavlink.MAVLink_mission_ack_message, partner: Partner) -> None:
         self._downloads.end(partner)
         if message.type == PlanResult.CANCELLED and self._rules.can_be_cancelled:
@@ -386,14 +384,12 @@ class Plans:
         """The change itself is told to everyone, by MISSION_CURRENT; see `mission_progress`."""
         if self.store.choose(seq):
             return []
-        text = f"there is no mission item {seq}"
-        messages = self._texts.messages(mavlink.MAV_SEVERITY_WARNING, text)
-        return [Outgoing(message, partner.channel) for message in messages]
+        return self._texts.warn(partner, f"there is no mission item {seq}")
 
-    def _guided(self, message: ItemMessage, partner: Partner, fly_to: FlyTo) -> Outgoing:
+    def _take_item(self, message: ItemMessage, partner: Partner, now_s: float) -> list[Outgoing]:
+        if message.current != GUIDED_ITEM or self._fly_to is None:
+            return self._uploads.take(message, partner, now_s)
         item = item_from(message)
-        if isinstance(item, PlanResult):
-            return ack(partner, item, message.mission_type)
-        problem = self._rules.checks.problem_with(item, PlanType.MISSION)
-        result = fly_to(item) if problem is None else problem
-        return ack(partner, result, message.mission_type)
+        if not isinstance(item, PlanResult):
+            item = self._rules.checks.problem_with(item, PlanType.MISSION) or self._fly_to(item)
+        return [ack(partner, item, message.mission_type)]

@@ -190,7 +190,7 @@ class Parameters:
     def _refused(self, partner: Partner, index: int, error: int, problem: str) -> list[Outgoing]:
         name = self.store.specs[index].name
         outgoing = [Outgoing(self._value(index, is_named=True))]
-        outgoing += self._say(partner, f"{name} kept: {problem}")
+        outgoing += self._texts.warn(partner, f"{name} kept: {problem}")
         if self._rules.tells_errors:
             outgoing.append(self._error(partner, name, index, error))
         return outgoing
@@ -200,13 +200,9 @@ class Parameters:
             return []
         what = name if index == -1 else f"number {index}"
         return [
-            *self._say(partner, f"there is no parameter {what}"),
+            *self._texts.warn(partner, f"there is no parameter {what}"),
             self._error(partner, name, index, DOES_NOT_EXIST),
         ]
-
-    def _say(self, partner: Partner, text: str) -> list[Outgoing]:
-        messages = self._texts.messages(mavlink.MAV_SEVERITY_WARNING, text)
-        return [Outgoing(message, partner.channel) for message in messages]
 
     @staticmethod
     def _error(partner: Partner, name: str, index: int, error: int) -> Outgoing:

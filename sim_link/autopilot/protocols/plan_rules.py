@@ -34,54 +34,27 @@ WAYPOINT = mavlink.MAV_CMD_NAV_WAYPOINT
 LAND = mavlink.MAV_CMD_NAV_LAND
 DO_JUMP = mavlink.MAV_CMD_DO_JUMP
 
-MAY_BE_HERE = frozenset(
-    {
-        mavlink.MAV_CMD_NAV_LOITER_UNLIM,
-        mavlink.MAV_CMD_NAV_LOITER_TURNS,
-        mavlink.MAV_CMD_NAV_LOITER_TIME,
-        LAND,
-        mavlink.MAV_CMD_NAV_TAKEOFF,
-    }
-)
+
+def _commands(names: str) -> frozenset[int]:
+    """MAV_CMDs by their names, with blanks between."""
+    return frozenset(getattr(mavlink, f"MAV_CMD_{name}") for name in names.split())
+
+
+MAY_BE_HERE = _commands("NAV_LOITER_UNLIM NAV_LOITER_TURNS NAV_LOITER_TIME NAV_LAND NAV_TAKEOFF")
 """For these 0/0, or no position, means where the vehicle is."""
-POSITION_COMMANDS = MAY_BE_HERE | {
-    WAYPOINT,
-    mavlink.MAV_CMD_DO_SET_ROI_LOCATION,
-    mavlink.MAV_CMD_DO_SET_ROI,
-    mavlink.MAV_CMD_DO_LAND_START,
-}
-OTHER_COMMANDS = frozenset(
-    {
-        mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH,
-        mavlink.MAV_CMD_NAV_DELAY,
-        mavlink.MAV_CMD_CONDITION_DELAY,
-        mavlink.MAV_CMD_CONDITION_YAW,
-        mavlink.MAV_CMD_CONDITION_DISTANCE,
-        DO_JUMP,
-        mavlink.MAV_CMD_DO_CHANGE_SPEED,
-        mavlink.MAV_CMD_DO_SET_SERVO,
-        mavlink.MAV_CMD_DO_SET_ROI_NONE,
-        mavlink.MAV_CMD_DO_DIGICAM_CONTROL,
-        mavlink.MAV_CMD_DO_MOUNT_CONTROL,
-        mavlink.MAV_CMD_DO_SET_CAM_TRIGG_DIST,
-        mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW,
-        mavlink.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE,
-        mavlink.MAV_CMD_SET_CAMERA_MODE,
-        mavlink.MAV_CMD_IMAGE_START_CAPTURE,
-        mavlink.MAV_CMD_IMAGE_STOP_CAPTURE,
-        mavlink.MAV_CMD_VIDEO_START_CAPTURE,
-        mavlink.MAV_CMD_VIDEO_STOP_CAPTURE,
-    }
+POSITION_COMMANDS = MAY_BE_HERE | _commands(
+    "NAV_WAYPOINT DO_SET_ROI_LOCATION DO_SET_ROI DO_LAND_START"
 )
-POLYGON_COMMANDS = frozenset(
-    {
-        mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION,
-        mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION,
-    }
+OTHER_COMMANDS = _commands(
+    "NAV_RETURN_TO_LAUNCH NAV_DELAY CONDITION_DELAY CONDITION_YAW CONDITION_DISTANCE DO_JUMP "
+    "DO_CHANGE_SPEED DO_SET_SERVO DO_SET_ROI_NONE DO_DIGICAM_CONTROL DO_MOUNT_CONTROL "
+    "DO_SET_CAM_TRIGG_DIST DO_GIMBAL_MANAGER_PITCHYAW DO_GIMBAL_MANAGER_CONFIGURE SET_CAMERA_MODE "
+    "IMAGE_START_CAPTURE IMAGE_STOP_CAPTURE VIDEO_START_CAPTURE VIDEO_STOP_CAPTURE"
 )
-CIRCLE_COMMANDS = frozenset(
-    {mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION, mavlink.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION}
+POLYGON_COMMANDS = _commands(
+    "NAV_FENCE_POLYGON_VERTEX_INCLUSION NAV_FENCE_POLYGON_VERTEX_EXCLUSION"
 )
+CIRCLE_COMMANDS = _commands("NAV_FENCE_CIRCLE_INCLUSION NAV_FENCE_CIRCLE_EXCLUSION")
 FENCE_COMMANDS = POLYGON_COMMANDS | CIRCLE_COMMANDS | {mavlink.MAV_CMD_NAV_FENCE_RETURN_POINT}
 RALLY_COMMANDS = frozenset({mavlink.MAV_CMD_NAV_RALLY_POINT})
 
@@ -221,8 +194,8 @@ class PlanRules:
 PX4_RULES = PlanRules(
     capacity={PlanType.MISSION: 2000, PlanType.FENCE: 64, PlanType.RALLY: 32},
     checks=PlanChecks(
-        more_positions=frozenset({mavlink.MAV_CMD_NAV_LOITER_TO_ALT, mavlink.MAV_CMD_DO_SET_HOME}),
-        more_others=frozenset({mavlink.MAV_CMD_SET_CAMERA_ZOOM, mavlink.MAV_CMD_SET_CAMERA_FOCUS}),
+        more_positions=_commands("NAV_LOITER_TO_ALT DO_SET_HOME"),
+        more_others=_commands("SET_CAMERA_ZOOM SET_CAMERA_FOCUS"),
     ),
     retry_s=0.25,
     timeout_s=5.0,
@@ -231,16 +204,8 @@ ARDUPILOT_RULES = PlanRules(
     capacity={PlanType.MISSION: 650, PlanType.FENCE: 84, PlanType.RALLY: 50},
     checks=PlanChecks(
         zero_is_here=True,
-        more_positions=frozenset(
-            {mavlink.MAV_CMD_NAV_SPLINE_WAYPOINT, mavlink.MAV_CMD_DO_SET_HOME}
-        ),
-        more_others=frozenset(
-            {
-                mavlink.MAV_CMD_NAV_GUIDED_ENABLE,
-                mavlink.MAV_CMD_DO_SET_RELAY,
-                mavlink.MAV_CMD_DO_FENCE_ENABLE,
-            }
-        ),
+        more_positions=_commands("NAV_SPLINE_WAYPOINT DO_SET_HOME"),
+        more_others=_commands("NAV_GUIDED_ENABLE DO_SET_RELAY DO_FENCE_ENABLE"),
     ),
     retry_s=1.0,
     timeout_s=8.0,

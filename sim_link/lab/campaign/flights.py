@@ -22,6 +22,7 @@ from companion.mav.signing import ONE_LINK_EACH, LinkSigning, Signing, SigningKe
 from sim_link.autopilot import incidents
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.incidents import FaultRecord
+from sim_link.autopilot.protocols.link_layer import LinkSecurity
 from sim_link.autopilot.scenario import FlavourName, Scenario
 from sim_link.lab.faults import fault_models as faults
 from sim_link.lab.faults.fault_models import Direction, Fault, RangingField, Schedule
@@ -137,7 +138,10 @@ class SignedPair:
         """A vehicle that goes on from its newest timestamp."""
         self._vehicle = Signing(KEY, self._vehicle.timestamp)
         return SimEndpoint(
-            scenario, seed, now_s, signing=self._vehicle, started_unix_s=STARTED_UNIX_S + now_s
+            scenario,
+            seed,
+            now_s,
+            security=LinkSecurity(self._vehicle, started_unix_s=STARTED_UNIX_S + now_s),
         )
 
 

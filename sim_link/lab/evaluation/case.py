@@ -43,7 +43,6 @@ from companion.kernel import Matrix, Vector, kernel
 from companion.planning.crossing import LatchedCrossingParams
 from companion.planning.fim import HEADINGS
 from sim_link.world.environment import (
-    STUDY_SHADOW,
     ChannelParams,
     Environment,
     ObstacleParams,
@@ -62,6 +61,15 @@ NlosDraws = Literal["joint", "separate"]
 
 PAPER_BELIEF = FilterParams(own_position_sigma_m=0.0)
 """What every filter believes in the canonical scenario."""
+
+STUDY_SHADOW = ShadowParams(
+    detour_share=0.0,
+    pull_share=0.0,
+    extra_bias_mean_m=15.0,
+    bearing_bias_sigma_deg=10.0,
+    correlation_m=0.0,
+)
+"""The structured obstacle of the studies: blocked or not is all that matters, draws are new."""
 
 
 class Case(Params, frozen=True):
@@ -310,12 +318,8 @@ def measured_in(
         range_m, bearing_rad = measured(draw, east_m, north_m, truth)
         return range_m, bearing_rad, memory
     excess_m, bend_rad, memory = obstruction(
-        draw[OBSTRUCTED],
-        draw[EXCESS],
-        draw[BEND],
-        east_m,
-        north_m,
-        0.0,
+        (draw[OBSTRUCTED], draw[EXCESS], draw[BEND]),
+        (east_m, north_m, 0.0),
         OpenPath(truth.p_nlos, truth.mean_bias_m, truth.bend_sigma_rad),
         scene.shadow,
         scene.surroundings,

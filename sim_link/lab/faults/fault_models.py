@@ -13,7 +13,8 @@ from typing import Annotated, Literal, get_args
 import msgspec
 
 from companion.domain import FlightMode, NonNegative, Params, Positive
-from sim_link.autopilot.incidents import FaultRecord, Incident, Share, VehicleFault
+from sim_link.autopilot.incidents import FaultRecord, Incident, VehicleFault
+from sim_link.world.point_mass import Share
 
 Count = Annotated[int, msgspec.Meta(ge=1, le=1000)]
 Length = Annotated[float, msgspec.Meta(ge=-1e5, le=1e5)]

@@ -16,28 +16,22 @@ from sim_link.autopilot.flavours.base import ProtocolRules
 from sim_link.autopilot.pilot import STEP_S
 from sim_link.autopilot.protocols import parameter_protocol, plan_rules
 from sim_link.autopilot.protocols.command_protocol import CommandForms
-from sim_link.autopilot.protocols.message_streams import ARDUPILOT_REQUESTS, StreamRules
+from sim_link.autopilot.protocols.message_streams import (
+    ARDUPILOT_REQUESTS,
+    StreamRules,
+    message_ids,
+)
 from sim_link.autopilot.protocols.parameter_store import ParameterStore, ParamSpec, spec_of
 from sim_link.autopilot.scenario import Scenario
 
 _int8, _int16 = spec_of(ParamType.INT8), spec_of(ParamType.INT16)
 _int32, _real = spec_of(ParamType.INT32), spec_of(ParamType.REAL32)
 
+_STREAM_GROUPS = "RAW_SENS EXT_STAT RC_CHAN RAW_CTRL POSITION EXTRA1 EXTRA2 EXTRA3 PARAMS ADSB"
 _STREAM_RATES = tuple(
     _int16(f"SR{link}_{group}", 0, 0, 50, "Hz")
     for link in (0, 1)
-    for group in (
-        "RAW_SENS",
-        "EXT_STAT",
-        "RC_CHAN",
-        "RAW_CTRL",
-        "POSITION",
-        "EXTRA1",
-        "EXTRA2",
-        "EXTRA3",
-        "PARAMS",
-        "ADSB",
-    )
+    for group in _STREAM_GROUPS.split()
 )
 
 ARDUPILOT_PARAMETERS: tuple[ParamSpec, ...] = (
@@ -70,12 +64,7 @@ ARDUPILOT_PARAMETERS: tuple[ParamSpec, ...] = (
     _int8("FS_THR_ENABLE", 1, 0, 7),
     _int16("FS_THR_VALUE", 975, 910, 1100, "PWM"),
     _int16("THR_DZ", 100, 0, 300, "PWM"),
-    _int8("FLTMODE1", 7, 0, 28),
-    _int8("FLTMODE2", 9, 0, 28),
-    _int8("FLTMODE3", 6, 0, 28),
-    _int8("FLTMODE4", 3, 0, 28),
-    _int8("FLTMODE5", 5, 0, 28),
-    _int8("FLTMODE6", 0, 0, 28),
+    *(_int8(f"FLTMODE{n}", mode, 0, 28) for n, mode in enumerate((7, 9, 6, 3, 5, 0), 1)),
     _int8("FLTMODE_CH", 5, 0, 16),
     _int8("INITIAL_MODE", 0, 0, 28),
     _real("CIRCLE_RADIUS", 1000.0, 0.0, 200_000.0, "cm"),
@@ -162,59 +151,24 @@ def ardupilot_parameters(scenario: Scenario) -> ParameterStore:
 
 
 EKF_STATUS_REPORT = MAVLink_ekf_status_report_message.id
-ON_REQUEST = (
-    mavlink.MAVLINK_MSG_ID_SYS_STATUS,
-    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME,
-    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
-    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
-    mavlink.MAVLINK_MSG_ID_ATTITUDE,
-    mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION,
-    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
-    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED,
-    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT,
-    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT,
-    mavlink.MAVLINK_MSG_ID_VFR_HUD,
-    mavlink.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT,
-    mavlink.MAVLINK_MSG_ID_RC_CHANNELS,
-    mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW,
-    mavlink.MAVLINK_MSG_ID_RAW_IMU,
-    mavlink.MAVLINK_MSG_ID_SCALED_PRESSURE,
-    mavlink.MAVLINK_MSG_ID_POWER_STATUS,
-    mavlink.MAVLINK_MSG_ID_VIBRATION,
-    mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET,
-    mavlink.MAVLINK_MSG_ID_MISSION_CURRENT,
-    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS,
-    mavlink.MAVLINK_MSG_ID_HOME_POSITION,
-    mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
-    mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION,
-    EKF_STATUS_REPORT,
+ON_REQUEST = message_ids(
+    "SYS_STATUS SYSTEM_TIME EXTENDED_SYS_STATE LOCAL_POSITION_NED ATTITUDE ATTITUDE_QUATERNION "
+    "GLOBAL_POSITION_INT POSITION_TARGET_LOCAL_NED POSITION_TARGET_GLOBAL_INT GPS_RAW_INT VFR_HUD "
+    "NAV_CONTROLLER_OUTPUT RC_CHANNELS SERVO_OUTPUT_RAW RAW_IMU SCALED_PRESSURE POWER_STATUS "
+    "VIBRATION ATTITUDE_TARGET MISSION_CURRENT BATTERY_STATUS HOME_POSITION GPS_GLOBAL_ORIGIN "
+    "AUTOPILOT_VERSION"
 )
 DATA_STREAMS: dict[int, tuple[int, ...]] = {
-    mavlink.MAV_DATA_STREAM_RAW_SENSORS: (
-        mavlink.MAVLINK_MSG_ID_RAW_IMU,
-        mavlink.MAVLINK_MSG_ID_SCALED_PRESSURE,
+    mavlink.MAV_DATA_STREAM_RAW_SENSORS: message_ids("RAW_IMU SCALED_PRESSURE"),
+    mavlink.MAV_DATA_STREAM_EXTENDED_STATUS: message_ids(
+        "SYS_STATUS POWER_STATUS MISSION_CURRENT GPS_RAW_INT NAV_CONTROLLER_OUTPUT"
     ),
-    mavlink.MAV_DATA_STREAM_EXTENDED_STATUS: (
-        mavlink.MAVLINK_MSG_ID_SYS_STATUS,
-        mavlink.MAVLINK_MSG_ID_POWER_STATUS,
-        mavlink.MAVLINK_MSG_ID_MISSION_CURRENT,
-        mavlink.MAVLINK_MSG_ID_GPS_RAW_INT,
-        mavlink.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT,
-    ),
-    mavlink.MAV_DATA_STREAM_RC_CHANNELS: (
-        mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW,
-        mavlink.MAVLINK_MSG_ID_RC_CHANNELS,
-    ),
-    mavlink.MAV_DATA_STREAM_POSITION: (
-        mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
-        mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
-    ),
-    mavlink.MAV_DATA_STREAM_EXTRA1: (mavlink.MAVLINK_MSG_ID_ATTITUDE,),
-    mavlink.MAV_DATA_STREAM_EXTRA2: (mavlink.MAVLINK_MSG_ID_VFR_HUD,),
+    mavlink.MAV_DATA_STREAM_RC_CHANNELS: message_ids("SERVO_OUTPUT_RAW RC_CHANNELS"),
+    mavlink.MAV_DATA_STREAM_POSITION: message_ids("LOCAL_POSITION_NED GLOBAL_POSITION_INT"),
+    mavlink.MAV_DATA_STREAM_EXTRA1: message_ids("ATTITUDE"),
+    mavlink.MAV_DATA_STREAM_EXTRA2: message_ids("VFR_HUD"),
     mavlink.MAV_DATA_STREAM_EXTRA3: (
-        mavlink.MAVLINK_MSG_ID_SYSTEM_TIME,
-        mavlink.MAVLINK_MSG_ID_BATTERY_STATUS,
-        mavlink.MAVLINK_MSG_ID_VIBRATION,
+        *message_ids("SYSTEM_TIME BATTERY_STATUS VIBRATION"),
         EKF_STATUS_REPORT,
     ),
 }
@@ -226,7 +180,8 @@ RULES = ProtocolRules(
     ),
     requests=ARDUPILOT_REQUESTS,
     streams=StreamRules(
-        {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0} | dict.fromkeys(ON_REQUEST, 0.0),
+        {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0}
+        | dict.fromkeys((*ON_REQUEST, EKF_STATUS_REPORT), 0.0),
         STEP_S,
         groups=DATA_STREAMS,
     ),

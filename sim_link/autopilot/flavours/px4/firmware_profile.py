@@ -17,7 +17,7 @@ from sim_link.autopilot.flavours.base import ProtocolRules
 from sim_link.autopilot.pilot import STEP_S, SpeedLimits
 from sim_link.autopilot.protocols import parameter_protocol, plan_rules
 from sim_link.autopilot.protocols.command_protocol import CommandForms
-from sim_link.autopilot.protocols.message_streams import PX4_REQUESTS, StreamRules
+from sim_link.autopilot.protocols.message_streams import PX4_REQUESTS, StreamRules, message_ids
 from sim_link.autopilot.protocols.parameter_store import ParameterStore, ParamSpec, spec_of
 from sim_link.autopilot.scenario import LossAction, Scenario
 
@@ -43,12 +43,7 @@ PX4_PARAMETERS: tuple[ParamSpec, ...] = (
     _real("COM_DISARM_PRFLT", 10.0, -1.0, 60.0, "s"),
     _whole("COM_DL_LOSS_T", 10, 5, 300, "s"),
     _real("COM_FAIL_ACT_T", 5.0, 0.0, 25.0, "s"),
-    _whole("COM_FLTMODE1", -1, -1, 15),
-    _whole("COM_FLTMODE2", -1, -1, 15),
-    _whole("COM_FLTMODE3", -1, -1, 15),
-    _whole("COM_FLTMODE4", -1, -1, 15),
-    _whole("COM_FLTMODE5", -1, -1, 15),
-    _whole("COM_FLTMODE6", -1, -1, 15),
+    *(_whole(f"COM_FLTMODE{n}", -1, -1, 15) for n in range(1, 7)),
     _whole("COM_LOW_BAT_ACT", 0, 0, 3),
     _whole("COM_OBL_RC_ACT", 0, 0, 7),
     _real("COM_OF_LOSS_T", 1.0, 0.0, 60.0, "s"),
@@ -156,33 +151,19 @@ def px4_parameters(scenario: Scenario) -> ParameterStore:
     return ParameterStore(PX4_PARAMETERS, initial | autopilot.parameters)
 
 
-DEFAULT_RATE_HZ: dict[int, float] = {
-    mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0,
-    mavlink.MAVLINK_MSG_ID_ATTITUDE: 50.0,
-    mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 50.0,
-    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 50.0,
-    mavlink.MAVLINK_MSG_ID_HIGHRES_IMU: 50.0,
-    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 30.0,
-    mavlink.MAVLINK_MSG_ID_ODOMETRY: 30.0,
-    mavlink.MAVLINK_MSG_ID_ALTITUDE: 10.0,
-    mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: 10.0,
-    mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR: 10.0,
-    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: 10.0,
-    mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: 10.0,
-    mavlink.MAVLINK_MSG_ID_VFR_HUD: 10.0,
-    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 8.0,
-    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
-    mavlink.MAVLINK_MSG_ID_RC_CHANNELS: 5.0,
-    mavlink.MAVLINK_MSG_ID_SYS_STATUS: 5.0,
-    mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 1.0,
-    mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: 1.0,
-    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
-    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 0.5,
-    mavlink.MAVLINK_MSG_ID_HOME_POSITION: 0.5,
-    mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: 0.0,
-    mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: 0.0,
-    mavlink.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT: 0.0,
-    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: 0.0,
+_BY_RATE_HZ = {
+    1.0: "HEARTBEAT ESTIMATOR_STATUS MISSION_CURRENT SYSTEM_TIME",
+    50.0: "ATTITUDE ATTITUDE_QUATERNION GLOBAL_POSITION_INT HIGHRES_IMU",
+    30.0: "LOCAL_POSITION_NED ODOMETRY",
+    10.0: "ALTITUDE ATTITUDE_TARGET DISTANCE_SENSOR POSITION_TARGET_LOCAL_NED SERVO_OUTPUT_RAW "
+    "VFR_HUD",
+    8.0: "GPS_RAW_INT",
+    5.0: "EXTENDED_SYS_STATE RC_CHANNELS SYS_STATUS",
+    0.5: "BATTERY_STATUS HOME_POSITION",
+    0.0: "AUTOPILOT_VERSION GPS_GLOBAL_ORIGIN NAV_CONTROLLER_OUTPUT POSITION_TARGET_GLOBAL_INT",
+}
+DEFAULT_RATE_HZ = {
+    number: rate_hz for rate_hz, names in _BY_RATE_HZ.items() for number in message_ids(names)
 }
 """As measured on the onboard link, ATTITUDE's 99 Hz limited to a message per physics step; 0: only
 on request. RC_CHANNELS come while there is a remote control."""
@@ -201,13 +182,6 @@ RULES = ProtocolRules(
     first_mission_item=0,
 )
 
-CUSTOM_RULES = RULES._replace(
-    streams=StreamRules(
-        {
-            number: rate_hz if number == mavlink.MAVLINK_MSG_ID_HEARTBEAT else 0.0
-            for number, rate_hz in DEFAULT_RATE_HZ.items()
-        },
-        STEP_S,
-    )
-)
+HEARTBEAT_ONLY = dict.fromkeys(DEFAULT_RATE_HZ, 0.0) | {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0}
+CUSTOM_RULES = RULES._replace(streams=StreamRules(HEARTBEAT_ONLY, STEP_S))
 """On links in mode Custom (PX4 MAV_1_MODE 1): whoever wants a stream asks for it."""

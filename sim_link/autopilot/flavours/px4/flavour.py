@@ -33,29 +33,24 @@ from sim_link.autopilot.flavours.px4.firmware_profile import CUSTOM_RULES, RULES
 from sim_link.autopilot.flavours.px4.flight_modes import (
     MODE_NAMES,
     STICK_MODES,
+    WITHOUT_POSITION_CONTROL,
     ModeLogic,
     Situation,
 )
 from sim_link.autopilot.flavours.px4.offboard import setpoint_from_attitude
 from sim_link.autopilot.mission_executor import LegKind
 from sim_link.autopilot.pilot import STEP_S, Task
+from sim_link.autopilot.protocols.addressing import flags_of
 from sim_link.autopilot.protocols.command_protocol import Command
 from sim_link.autopilot.protocols.parameter_store import ParameterStore
 
 PX4_VERSION = 0x010F_02FF
 """1.15.2, official release: the one whose behaviour is simulated."""
-CAPABILITIES = (
-    mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_FLOAT
-    | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
-    | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT
-    | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
-    | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
-    | mavlink.MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET
-    | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
-    | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_GLOBAL_INT
-    | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
-    | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_FENCE
-    | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_RALLY
+CAPABILITIES = flags_of(
+    "MAV_PROTOCOL_CAPABILITY",
+    "MISSION_FLOAT PARAM_FLOAT MISSION_INT COMMAND_INT PARAM_ENCODE_BYTEWISE SET_ATTITUDE_TARGET "
+    "SET_POSITION_TARGET_LOCAL_NED SET_POSITION_TARGET_GLOBAL_INT MAVLINK2 MISSION_FENCE "
+    "MISSION_RALLY",
 )
 """GLOBAL_INT is set although PX4 1.15 leaves it out: it obeys that message."""
 TASKS: dict[FlightMode, Task] = {
@@ -66,7 +61,6 @@ TASKS: dict[FlightMode, Task] = {
     FlightMode.MISSION: Task.FLY_MISSION,
     FlightMode.OFFBOARD: Task.FOLLOW,
 }
-WITHOUT_POSITION_CONTROL = (FlightMode.STABILIZED, FlightMode.ACRO, FlightMode.MANUAL)
 OVERRIDE_AUTO, OVERRIDE_OFFBOARD = 1, 2
 """Bits of COM_RC_OVERRIDE."""
 

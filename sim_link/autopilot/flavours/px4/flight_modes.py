@@ -38,6 +38,7 @@ Source: PX4 1.15 as observed in SITL; MAVLink common, MAV_CMD, MAV_MODE_FLAG and
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -60,33 +61,18 @@ from sim_link.autopilot.flavours.base import (
     set_home,
     whole,
 )
+from sim_link.autopilot.protocols.addressing import flags_of
 from sim_link.autopilot.protocols.command_protocol import Command
 
 AUTOMATIC_MODES = frozenset(
     {FlightMode.HOLD, FlightMode.TAKEOFF, FlightMode.LAND, FlightMode.RETURN}
 )
-STICK_MODES = frozenset(
-    {
-        FlightMode.POSITION,
-        FlightMode.ALTITUDE,
-        FlightMode.STABILIZED,
-        FlightMode.ACRO,
-        FlightMode.MANUAL,
-    }
-)
+WITHOUT_POSITION_CONTROL = frozenset({FlightMode.STABILIZED, FlightMode.ACRO, FlightMode.MANUAL})
+STICK_MODES = WITHOUT_POSITION_CONTROL | {FlightMode.POSITION, FlightMode.ALTITUDE}
 ENDED_BY_DISARMING = AUTOMATIC_MODES | {FlightMode.MISSION}
-MODE_NAMES: dict[FlightMode, str] = {
-    FlightMode.HOLD: "Hold",
-    FlightMode.TAKEOFF: "Takeoff",
-    FlightMode.LAND: "Land",
-    FlightMode.RETURN: "Return",
-    FlightMode.MISSION: "Mission",
-    FlightMode.OFFBOARD: "Offboard",
-    FlightMode.POSITION: "Position",
-    FlightMode.ALTITUDE: "Altitude",
-    FlightMode.STABILIZED: "Stabilized",
-    FlightMode.ACRO: "Acro",
-    FlightMode.MANUAL: "Manual",
+MODE_NAMES = {
+    mode: mode.name.capitalize()
+    for mode in (*AUTOMATIC_MODES, *STICK_MODES, FlightMode.MISSION, FlightMode.OFFBOARD)
 }
 """As PX4 and QGroundControl call them."""
 
@@ -183,18 +169,12 @@ class ModeLogic:
             self.intention = FlightMode.HOLD
 
 
-AUTO_FLAGS = (
-    mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
-    | mavlink.MAV_MODE_FLAG_GUIDED_ENABLED
-    | mavlink.MAV_MODE_FLAG_AUTO_ENABLED
-)
-STICK_FLAGS = mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
+AUTO_FLAGS = flags_of("MAV_MODE_FLAG", "STABILIZE_ENABLED GUIDED_ENABLED AUTO_ENABLED")
+MANUAL_FLAGS = mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
+STICK_FLAGS = MANUAL_FLAGS | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
 BASE_MODE_FLAGS: dict[FlightMode, int] = {
-    FlightMode.POSITION: STICK_FLAGS,
-    FlightMode.ALTITUDE: STICK_FLAGS,
-    FlightMode.STABILIZED: STICK_FLAGS,
-    FlightMode.MANUAL: mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED,
-    FlightMode.ACRO: mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED,
+    **dict.fromkeys((FlightMode.POSITION, FlightMode.ALTITUDE, FlightMode.STABILIZED), STICK_FLAGS),
+    **dict.fromkeys((FlightMode.MANUAL, FlightMode.ACRO), MANUAL_FLAGS),
 }
 """What a mode adds to CUSTOM_MODE_ENABLED; modes not listed are automatic (OFFBOARD apart)."""
 
@@ -221,39 +201,6 @@ if TYPE_CHECKING:
     from sim_link.autopilot.flavours.px4.flavour import Px4Flavour
 
 GLOBAL = mavlink.MAV_FRAME_GLOBAL
-
-
-def handle_command(flavour: Px4Flavour, command: Command, now_s: float) -> int:
-    """Obey a command; a MAV_RESULT."""
-    match command.number:
-        case mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
-            return _arm_disarm(flavour, command, now_s)
-        case mavlink.MAV_CMD_DO_SET_MODE:
-            return _set_mode(flavour, command, now_s)
-        case mavlink.MAV_CMD_NAV_TAKEOFF:
-            return _take_off(flavour, command, now_s)
-        case mavlink.MAV_CMD_NAV_LAND:
-            return flavour.choose(FlightMode.LAND, now_s)
-        case mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH:
-            return flavour.choose(FlightMode.RETURN, now_s)
-        case mavlink.MAV_CMD_NAV_LOITER_UNLIM:
-            return flavour.choose(FlightMode.HOLD, now_s)
-        case mavlink.MAV_CMD_DO_REPOSITION:
-            return _reposition(flavour, command, now_s)
-        case mavlink.MAV_CMD_DO_PAUSE_CONTINUE:
-            return _pause_continue(flavour, command, now_s)
-        case mavlink.MAV_CMD_MISSION_START:
-            return _start_mission(flavour, command, now_s)
-        case mavlink.MAV_CMD_DO_CHANGE_SPEED:
-            return _change_speed(flavour, command)
-        case mavlink.MAV_CMD_DO_SET_HOME:
-            return set_home(flavour.aircraft, command, DENIED, lasts=True)
-        case mavlink.MAV_CMD_DO_FLIGHTTERMINATION:
-            return _terminate(flavour, command, now_s)
-        case mavlink.MAV_CMD_RUN_PREARM_CHECKS:
-            flavour.send_rejection(now_s)
-            return ACCEPTED
-    return UNSUPPORTED
 
 
 def _arm_disarm(flavour: Px4Flavour, command: Command, now_s: float) -> int:
@@ -369,3 +316,40 @@ def _terminate(flavour: Px4Flavour, command: Command, now_s: float) -> int:
         return DENIED
     flavour.aircraft.say(mavlink.MAV_SEVERITY_CRITICAL, "Flight termination: motors stopped")
     return flavour.disarm(now_s, is_forced=True)
+
+
+def _tell_prearm(flavour: Px4Flavour, command: Command, now_s: float) -> int:
+    del command
+    flavour.send_rejection(now_s)
+    return ACCEPTED
+
+
+CHOSEN_MODES = {
+    mavlink.MAV_CMD_NAV_LAND: FlightMode.LAND,
+    mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: FlightMode.RETURN,
+    mavlink.MAV_CMD_NAV_LOITER_UNLIM: FlightMode.HOLD,
+}
+"""Commands that only choose a mode."""
+HANDLERS: dict[int, Callable[[Px4Flavour, Command, float], int]] = {
+    mavlink.MAV_CMD_COMPONENT_ARM_DISARM: _arm_disarm,
+    mavlink.MAV_CMD_DO_SET_MODE: _set_mode,
+    mavlink.MAV_CMD_NAV_TAKEOFF: _take_off,
+    mavlink.MAV_CMD_DO_REPOSITION: _reposition,
+    mavlink.MAV_CMD_DO_PAUSE_CONTINUE: _pause_continue,
+    mavlink.MAV_CMD_MISSION_START: _start_mission,
+    mavlink.MAV_CMD_DO_CHANGE_SPEED: lambda flavour, command, _: _change_speed(flavour, command),
+    mavlink.MAV_CMD_DO_SET_HOME: (
+        lambda flavour, command, _: set_home(flavour.aircraft, command, DENIED, lasts=True)
+    ),
+    mavlink.MAV_CMD_DO_FLIGHTTERMINATION: _terminate,
+    mavlink.MAV_CMD_RUN_PREARM_CHECKS: _tell_prearm,
+}
+
+
+def handle_command(flavour: Px4Flavour, command: Command, now_s: float) -> int:
+    """Do what a command asks; a MAV_RESULT."""
+    mode = CHOSEN_MODES.get(command.number)
+    if mode is not None:
+        return flavour.choose(mode, now_s)
+    handler = HANDLERS.get(command.number)
+    return UNSUPPORTED if handler is None else handler(flavour, command, now_s)

@@ -26,7 +26,7 @@ from markupsafe import Markup
 from companion.errors import CompanionError
 from companion.io.files import write_bytes_atomic, write_text_atomic
 from companion.kernel import IS_COMPILED
-from sim_link.lab.evaluation.case import Case
+from sim_link.lab.evaluation.case import STUDY_SHADOW, Case
 from sim_link.lab.evaluation.reporting.claims import Claim, Findings, claims_of
 from sim_link.lab.evaluation.reporting.figures import drawings_of
 from sim_link.lab.evaluation.reporting.plots import Drawing, inline
@@ -38,7 +38,6 @@ from sim_link.lab.evaluation.reporting.tables import (
     typeset,
 )
 from sim_link.lab.evaluation.study import ResultRow, StudyResult
-from sim_link.world.environment import STUDY_SHADOW
 
 OpenPoint = tuple[str, str, str]
 """The point, our choice, and why."""

@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.kernel import Vector
+from sim_link.lab.evaluation.case import STUDY_SHADOW
 from sim_link.world.environment import (
     NO_MEMORY,
-    STUDY_SHADOW,
     Environment,
     ObstacleParams,
     OpenPath,
@@ -40,7 +40,7 @@ def suffered(
     for place in places:
         drawn = (rng.random(), rng.standard_exponential(), rng.standard_normal())
         excess_m, bend_rad, memory = obstruction(
-            *drawn, *place, 0.0, OPEN, shadow_of(shadow), surroundings, memory
+            drawn, (*place, 0.0), OPEN, shadow_of(shadow), surroundings, memory
         )
         rows.append((excess_m, bend_rad))
     table = np.array(rows)
@@ -80,7 +80,7 @@ def test_a_new_draw_shows_the_drawn_exponential_itself() -> None:
     surroundings, shadow = Environment([BLOCK]).around(TARGET), shadow_of(STUDY_SHADOW)
     for uniform, exponential, normal in rng.random((50, 3)):
         excess_m, bend_rad, _ = obstruction(
-            uniform, exponential, normal, *HIDDEN, 0.0, OPEN, shadow, surroundings, NO_MEMORY
+            (uniform, exponential, normal), (*HIDDEN, 0.0), OPEN, shadow, surroundings, NO_MEMORY
         )
         assert excess_m == pytest.approx(15.0 * exponential, rel=1e-12)
         assert bend_rad == pytest.approx(math.radians(10.0) * normal, rel=1e-12)
@@ -144,7 +144,7 @@ def test_no_path_is_shorter_than_straight(
     shadow, memory = shadow_of(ShadowParams()), NO_MEMORY
     for place in ((0.0, 50.0, 1.0), (east, north, up)):
         excess_m, bend_rad, memory = obstruction(
-            uniform, exponential, normal, *place, OPEN, shadow, surroundings, memory
+            (uniform, exponential, normal), place, OPEN, shadow, surroundings, memory
         )
         assert 0.0 <= excess_m < math.inf
         assert math.isfinite(bend_rad)
@@ -156,7 +156,7 @@ def test_without_obstacles_only_the_open_remains(
 ) -> None:
     surroundings, shadow = Environment().around(TARGET), shadow_of(ShadowParams())
     drawn = (uniform, exponential, normal)
-    result = obstruction(*drawn, *HIDDEN, 0.0, OPEN, shadow, surroundings, NO_MEMORY)
+    result = obstruction(drawn, (*HIDDEN, 0.0), OPEN, shadow, surroundings, NO_MEMORY)
     assert result[:2] == open_obstruction(*drawn, OPEN)
     assert result[2] is NO_MEMORY
 

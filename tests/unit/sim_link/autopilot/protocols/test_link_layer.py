@@ -7,7 +7,7 @@ from companion.mav.dialect import MAVLink_radio_ranging_message, Message, mavlin
 from companion.mav.endpoint import Chunk
 from companion.mav.signing import LinkSigning, Signing, SigningKey, is_signed
 from sim_link.autopilot.protocols.addressing import Channel, Outgoing
-from sim_link.autopilot.protocols.link_layer import LinkLayer
+from sim_link.autopilot.protocols.link_layer import LinkLayer, LinkSecurity
 
 UDP, TCP, WIRE = 0, 1, 2
 STATION = ("127.0.0.1", 14550)
@@ -18,7 +18,7 @@ NOW = 37_000_000_000_000
 
 def layer(signing: Signing | None = None) -> LinkLayer:
     """A vehicle (components 1 and 154) on UDP, TCP and a trusted wire."""
-    return LinkLayer(1, (1, 154), 3, signing, frozenset({WIRE}))
+    return LinkLayer(1, (1, 154), 3, LinkSecurity(signing, frozenset({WIRE})))
 
 
 def heartbeat(mark: int = 0) -> Message:
