@@ -43,7 +43,7 @@ class LegKind(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Leg:
+class MissionLeg:
     """What to fly now."""
 
     kind: LegKind
@@ -117,7 +117,7 @@ class MissionRun:
             self.state = MissionState.PAUSED
         self._goal = None
 
-    def leg(self, place: PositionEnu, is_on_ground: bool, now_s: float) -> Leg | None:
+    def leg(self, place: PositionEnu, is_on_ground: bool, now_s: float) -> MissionLeg | None:
         """What to fly at `now_s`, or None at the end; moves on where an item is done."""
         for _ in range(MAX_STEPS):
             if self.state is not MissionState.ACTIVE:
@@ -146,14 +146,14 @@ class MissionRun:
 
     def _leg_of(
         self, item: PlanItem, place: PositionEnu, is_on_ground: bool, now_s: float
-    ) -> Leg | None:
+    ) -> MissionLeg | None:
         """The leg of an item, or None if it is done (the run has moved on then)."""
         hold_s = item.params[0] if item.params[0] > 0.0 else 0.0
         match item.command:
             case mavlink.MAV_CMD_NAV_LAND:
                 return self._land(item, place, is_on_ground)
             case mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH:
-                return Leg(LegKind.RETURN, place)
+                return MissionLeg(LegKind.RETURN, place)
             case number if number in TIMED_PLACES:
                 return self._fly(item, self._place_of(item, place), place, hold_s, now_s)
             case mavlink.MAV_CMD_NAV_LOITER_UNLIM:
@@ -188,21 +188,21 @@ class MissionRun:
             self._goal = place if _is_here(item) else self._locate(item)
         return self._goal
 
-    def _take_off(self, item: PlanItem, place: PositionEnu, now_s: float) -> Leg | None:
+    def _take_off(self, item: PlanItem, place: PositionEnu, now_s: float) -> MissionLeg | None:
         if self._goal is None:
             up_m = self._locate(item)[2]
             self._goal = (place[0], place[1], max(up_m, place[2]))
         return self._fly(item, self._goal, place, 0.0, now_s)
 
-    def _land(self, item: PlanItem, place: PositionEnu, is_on_ground: bool) -> Leg | None:
+    def _land(self, item: PlanItem, place: PositionEnu, is_on_ground: bool) -> MissionLeg | None:
         east, north, _ = self._place_of(item, place)
         if self._arrived_s is None and math.dist((east, north), place[:2]) > ACCEPTANCE_M:
-            return Leg(LegKind.FLY, (east, north, place[2]), self._speed_mps)
+            return MissionLeg(LegKind.FLY, (east, north, place[2]), self._speed_mps)
         self._arrived_s = 0.0
         if is_on_ground:
             self._done()
             return None
-        return Leg(LegKind.LAND, (east, north, place[2]))
+        return MissionLeg(LegKind.LAND, (east, north, place[2]))
 
     def _fly(
         self,
@@ -211,7 +211,7 @@ class MissionRun:
         place: PositionEnu,
         hold_s: float,
         now_s: float,
-    ) -> Leg | None:
+    ) -> MissionLeg | None:
         is_place = item.command == mavlink.MAV_CMD_NAV_WAYPOINT
         radius_m = item.params[1] if is_place and item.params[1] > 0.0 else ACCEPTANCE_M
         is_there = (
@@ -227,7 +227,7 @@ class MissionRun:
         wanted = math.radians(yaw) if is_place and math.isfinite(yaw) and yaw != 0.0 else None
         if wanted is None and math.dist(goal[:2], place[:2]) > ACCEPTANCE_M:
             wanted = math.atan2(goal[0] - place[0], goal[1] - place[1])
-        return Leg(LegKind.FLY, goal, self._speed_mps, wanted)
+        return MissionLeg(LegKind.FLY, goal, self._speed_mps, wanted)
 
 
 def _is_here(item: PlanItem) -> bool:

@@ -13,7 +13,7 @@ from enum import Enum
 from companion.domain import Point, PositionEnu
 from companion.geometry.coordinates import wrap_pi
 from sim_link.autopilot.control_inputs import Setpoint, Sticks, turned
-from sim_link.autopilot.mission_executor import Leg, LegKind
+from sim_link.autopilot.mission_executor import LegKind, MissionLeg
 from sim_link.world.point_mass import (
     PointMass,
     VehicleParams,
@@ -87,7 +87,7 @@ class Pilot:
         self._loitered_s = 0.0
         self._velocity: PositionEnu = (0.0, 0.0, 0.0)
         self._is_staying = False
-        self._leg: Leg | None = None
+        self._leg: MissionLeg | None = None
         self.goal_enu_m: PositionEnu | None = None
         """Where the task goes now; None where it has no place, as with sticks that are moved."""
         self.wanted_enu_mps: PositionEnu = (0.0, 0.0, 0.0)
@@ -118,7 +118,7 @@ class Pilot:
         return body.position_enu_m[2] >= self.takeoff_up_m - REACHED_M
 
     def command(
-        self, setpoint: Setpoint, leg: Leg | None, sticks: Sticks | None, body: PointMass
+        self, setpoint: Setpoint, leg: MissionLeg | None, sticks: Sticks | None, body: PointMass
     ) -> PositionEnu:
         """The velocity that the task wants now, local east-north-up."""
         self._leg = leg
@@ -127,7 +127,7 @@ class Pilot:
         return self.wanted_enu_mps
 
     def _command(
-        self, setpoint: Setpoint, leg: Leg | None, sticks: Sticks | None, body: PointMass
+        self, setpoint: Setpoint, leg: MissionLeg | None, sticks: Sticks | None, body: PointMass
     ) -> PositionEnu:
         match self.task:
             case Task.FOLLOW:
@@ -202,7 +202,7 @@ class Pilot:
             return (east, north, -self._vehicle.max_descent_mps)
         return (east, north, -self._vehicle.landing_speed_mps)
 
-    def _fly_leg(self, leg: Leg, body: PointMass) -> PositionEnu:
+    def _fly_leg(self, leg: MissionLeg, body: PointMass) -> PositionEnu:
         if leg.kind is LegKind.LAND:
             self.hold_enu_m = (*leg.goal_enu_m[:2], body.ground_up_m)
             return self._land(body)

@@ -25,7 +25,7 @@ from sim_link.autopilot.control_inputs import (
     Setpoint,
     SetpointMonitor,
 )
-from sim_link.autopilot.mission_executor import Leg, LegKind
+from sim_link.autopilot.mission_executor import LegKind, MissionLeg
 from sim_link.autopilot.pilot import Task
 from sim_link.autopilot.protocols.command_protocol import (
     DEGREE,
@@ -182,7 +182,7 @@ class Flavour(ABC):
         self.setpoints = SetpointMonitor()
         self.occurrences: list[Occurrence] = []
         """Since the list was last emptied by its reader."""
-        self.leg: Leg | None = None
+        self.leg: MissionLeg | None = None
         self.changes = 0
         """Counts up with every change of mode or arming."""
         self._seen: tuple[FlightMode, bool, Task] | None = None

@@ -264,37 +264,32 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument(
-        "--url", help="udp:, udpin:, udpout:, tcp:, tcpin: with HOST:PORT, or a serial device"
-    )
-    parser.add_argument(
+    add = parser.add_argument
+    add("--url", help="udp:, udpin:, udpout:, tcp:, tcpin: with HOST:PORT, or a serial device")
+    add(
         "--role",
         choices=[role.value for role in Role],
         default=Role.VEHICLE.value,
         help="what is there: a vehicle (default) or a companion, which is shown a vehicle",
     )
-    parser.add_argument(
+    add(
         "--flavour",
         choices=[flavour.value for flavour in Flavour],
         default=Flavour.PX4.value,
         help="the autopilot that a companion is shown (default px4); a vehicle tells its own",
     )
-    parser.add_argument("--only", metavar="PATTERN", help="rules whose id matches or begins so")
-    parser.add_argument("--list", action="store_true", help="print the rules and try none")
-    parser.add_argument("--json", metavar="FILE", type=Path, help="write all outcomes there")
-    parser.add_argument(
+    add("--only", metavar="PATTERN", help="rules whose id matches or begins so")
+    add("--list", action="store_true", help="print the rules and try none")
+    add("--json", metavar="FILE", type=Path, help="write all outcomes there")
+    add(
         "--signing-key",
         metavar="FILE",
         type=Path,
         help="the key that the vehicle was given, as for sim-link",
     )
-    parser.add_argument(
-        "--allow-changes", action="store_true", help="overwrite plans, parameters, home and mode"
-    )
-    parser.add_argument("--allow-flight", action="store_true", help="arm and fly, too")
-    parser.add_argument(
-        "--version", action="version", version=f"companion-conformance {__version__}"
-    )
+    add("--allow-changes", action="store_true", help="overwrite plans, parameters, home and mode")
+    add("--allow-flight", action="store_true", help="arm and fly, too")
+    add("--version", action="version", version=f"companion-conformance {__version__}")
     return parser.parse_args(argv)
 
 

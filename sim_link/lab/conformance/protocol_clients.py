@@ -178,7 +178,7 @@ Count = mavlink.MAVLink_mission_count_message
 
 
 @dataclass(frozen=True, slots=True)
-class PlanItem:
+class MissionItem:
     """One MISSION_ITEM_INT without its addresses."""
 
     command: int
@@ -207,9 +207,9 @@ class PlanItem:
         )
 
 
-def item_of(message: Item) -> PlanItem:
+def item_of(message: Item) -> MissionItem:
     """The item of a downloaded message."""
-    return PlanItem(
+    return MissionItem(
         message.command,
         message.frame,
         (message.param1, message.param2, message.param3, message.param4),
@@ -221,9 +221,9 @@ def item_of(message: Item) -> PlanItem:
     )
 
 
-def waypoint(lat_e7: int, lon_e7: int, height_m: float) -> PlanItem:
+def waypoint(lat_e7: int, lon_e7: int, height_m: float) -> MissionItem:
     """NAV_WAYPOINT at a height above home."""
-    return PlanItem(mavlink.MAV_CMD_NAV_WAYPOINT, x=lat_e7, y=lon_e7, z=height_m)
+    return MissionItem(mavlink.MAV_CMD_NAV_WAYPOINT, x=lat_e7, y=lon_e7, z=height_m)
 
 
 def send_count(probe: VehicleProbe, count: int, kind: int) -> int:
@@ -234,11 +234,7 @@ def send_count(probe: VehicleProbe, count: int, kind: int) -> int:
 
 
 def await_request(probe: VehicleProbe, mark: int, sequence: int) -> Request:
-    """The next request of an item, with either message.
-
-    Raises:
-        Violation: Another message, or nothing, came.
-    """
+    """The next request of an item, with either message."""
     last = next_step(probe, mark)
     if isinstance(last, Ack):
         raise Violation(f"ACK {last.type} instead of a request")
@@ -260,7 +256,7 @@ def result_of(probe: VehicleProbe, message: Message) -> int:
     return await_ack(probe, mark)
 
 
-def send_item(probe: VehicleProbe, item: PlanItem, sequence: int, kind: int = MISSION) -> int:
+def send_item(probe: VehicleProbe, item: MissionItem, sequence: int, kind: int = MISSION) -> int:
     """One item; the mark before it."""
     mark = probe.mark
     probe.send(item.message(probe, sequence, kind))
@@ -274,7 +270,7 @@ def begin_upload(probe: VehicleProbe, count: int) -> int:
     return mark
 
 
-def upload(probe: VehicleProbe, items: Sequence[PlanItem], kind: int = MISSION) -> int:
+def upload(probe: VehicleProbe, items: Sequence[MissionItem], kind: int = MISSION) -> int:
     """A whole upload; the type of its MISSION_ACK."""
     mark = send_count(probe, len(items), kind)
     for _ in range(20 * len(items) + 20):
@@ -294,7 +290,7 @@ def next_step(probe: VehicleProbe, mark: int) -> Request | Ack:
     return step
 
 
-def require_upload(probe: VehicleProbe, items: Sequence[PlanItem], kind: int = MISSION) -> None:
+def require_upload(probe: VehicleProbe, items: Sequence[MissionItem], kind: int = MISSION) -> None:
     """A whole upload, which must be accepted."""
     result = upload(probe, items, kind)
     require(result == 0, f"an upload of {len(items)} items of type {kind} gave ACK {result}")
@@ -307,7 +303,7 @@ def begin_download(probe: VehicleProbe, kind: int = MISSION) -> int:
     return int(answer.count)
 
 
-def download(probe: VehicleProbe, kind: int = MISSION) -> list[PlanItem]:
+def download(probe: VehicleProbe, kind: int = MISSION) -> list[MissionItem]:
     """A whole download, with the client's ACK at its end."""
     count = begin_download(probe, kind)
     items = [request_item(probe, sequence, kind) for sequence in range(count)]
@@ -315,7 +311,7 @@ def download(probe: VehicleProbe, kind: int = MISSION) -> list[PlanItem]:
     return items
 
 
-def request_item(probe: VehicleProbe, sequence: int, kind: int) -> PlanItem:
+def request_item(probe: VehicleProbe, sequence: int, kind: int) -> MissionItem:
     """MISSION_REQUEST_INT; the item."""
     item = probe.ask(
         mavlink.MAVLink_mission_request_int_message(*probe.target, sequence, kind),
@@ -336,20 +332,20 @@ def clear(probe: VehicleProbe, kind: int = MISSION) -> int:
     return result_of(probe, mavlink.MAVLink_mission_clear_all_message(*probe.target, kind))
 
 
-def with_home(probe: VehicleProbe, items: Sequence[PlanItem]) -> list[PlanItem]:
+def with_home(probe: VehicleProbe, items: Sequence[MissionItem]) -> list[MissionItem]:
     """A mission as the flavour numbers it: ArduPilot's item 0 is home."""
     if probe.is_px4:
         return list(items)
-    home = PlanItem(mavlink.MAV_CMD_NAV_WAYPOINT, mavlink.MAV_FRAME_GLOBAL, (0.0, 0.0, 0.0, 0.0))
+    home = MissionItem(mavlink.MAV_CMD_NAV_WAYPOINT, mavlink.MAV_FRAME_GLOBAL, (0.0, 0.0, 0.0, 0.0))
     return [home, *items]
 
 
-def without_home(probe: VehicleProbe, items: Sequence[PlanItem]) -> list[PlanItem]:
+def without_home(probe: VehicleProbe, items: Sequence[MissionItem]) -> list[MissionItem]:
     """A downloaded mission without ArduPilot's item 0."""
     return list(items) if probe.is_px4 else list(items[1:])
 
 
-def square(probe: VehicleProbe, count: int = 4, height_m: float = 10.0) -> list[PlanItem]:
+def square(probe: VehicleProbe, count: int = 4, height_m: float = 10.0) -> list[MissionItem]:
     """Waypoints about home, 20 m apart; ArduPilot's home item first."""
     home = probe.home()
     offsets = [(1_800, 0), (1_800, 2_600), (0, 2_600), (0, 0)]
@@ -360,23 +356,23 @@ def square(probe: VehicleProbe, count: int = 4, height_m: float = 10.0) -> list[
     return with_home(probe, items)
 
 
-def stored(probe: VehicleProbe) -> list[PlanItem]:
+def stored(probe: VehicleProbe) -> list[MissionItem]:
     """The mission that the vehicle has, without ArduPilot's home item."""
     return without_home(probe, download(probe))
 
 
-def places(items: Sequence[PlanItem]) -> list[tuple[int, int, int, float]]:
+def places(items: Sequence[MissionItem]) -> list[tuple[int, int, int, float]]:
     """What must survive a round trip on either flavour."""
     return [(item.command, item.x, item.y, round(item.z, 3)) for item in items]
 
 
-def require_stored(probe: VehicleProbe, wanted: Sequence[PlanItem]) -> None:
+def require_stored(probe: VehicleProbe, wanted: Sequence[MissionItem]) -> None:
     """The vehicle must have this mission, ArduPilot's home item aside."""
     found = places(stored(probe))
     require(found == places(wanted), f"the mission is {found}, not {places(wanted)}")
 
 
-def prepare(probe: VehicleProbe, count: int = 3) -> list[PlanItem]:
+def prepare(probe: VehicleProbe, count: int = 3) -> list[MissionItem]:
     """Get ready and upload a mission; the items without home."""
     probe.get_ready()
     items = square(probe, count)
@@ -384,11 +380,11 @@ def prepare(probe: VehicleProbe, count: int = 3) -> list[PlanItem]:
     return without_home(probe, items)
 
 
-def circle(probe: VehicleProbe, radius_m: float = 500.0) -> list[PlanItem]:
+def circle(probe: VehicleProbe, radius_m: float = 500.0) -> list[MissionItem]:
     """A circular inclusion fence about home."""
     home, command = probe.home(), mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION
     params = (radius_m, 0.0, 0.0, 0.0)
-    return [PlanItem(command, fence_frame(probe), params, home.latitude, home.longitude)]
+    return [MissionItem(command, fence_frame(probe), params, home.latitude, home.longitude)]
 
 
 def fence_frame(probe: VehicleProbe) -> int:
@@ -396,12 +392,12 @@ def fence_frame(probe: VehicleProbe) -> int:
     return mavlink.MAV_FRAME_GLOBAL_INT if probe.is_px4 else mavlink.MAV_FRAME_GLOBAL
 
 
-def polygon(probe: VehicleProbe, told: float = 4.0, half: int = 30_000) -> list[PlanItem]:
+def polygon(probe: VehicleProbe, told: float = 4.0, half: int = 30_000) -> list[MissionItem]:
     """A square inclusion fence about home, each vertex telling `told` vertices."""
     home = probe.home()
     corners = ((-1, -1), (1, -1), (1, 1), (-1, 1))
     return [
-        PlanItem(
+        MissionItem(
             mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION,
             fence_frame(probe),
             (told, 0.0, 0.0, 0.0),
@@ -412,11 +408,11 @@ def polygon(probe: VehicleProbe, told: float = 4.0, half: int = 30_000) -> list[
     ]
 
 
-def rally(probe: VehicleProbe) -> list[PlanItem]:
+def rally(probe: VehicleProbe) -> list[MissionItem]:
     """One rally point near home."""
     home, command = probe.home(), mavlink.MAV_CMD_NAV_RALLY_POINT
     frame = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
     if not probe.is_px4:
         frame = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT
     place = (home.latitude + 900, home.longitude, 15.0)
-    return [PlanItem(command, frame, (0.0, 0.0, 0.0, 0.0), *place)]
+    return [MissionItem(command, frame, (0.0, 0.0, 0.0, 0.0), *place)]

@@ -225,11 +225,7 @@ class Station:
         mark: int | None = None,
         what: str = "",
     ) -> M:
-        """The first message of a kind after `mark` (default: from now on).
-
-        Raises:
-            Violation: None came in time.
-        """
+        """The first message of a kind after `mark` (default: from now on)."""
         found: list[M] = []
         cursor = len(self.inbox) if mark is None else mark
 
@@ -256,11 +252,7 @@ class Station:
         within_s: float = 2.0,
         what: str = "",
     ) -> M:
-        """Send a message; the first of a kind after it.
-
-        Raises:
-            Violation: None came in time.
-        """
+        """Send a message; the first of a kind after it."""
         mark = self.mark
         self.send(message)
         return self.expect(kind, where, within_s=within_s, mark=mark, what=what)
@@ -274,11 +266,7 @@ class Station:
         mark: int | None = None,
         what: str = "",
     ) -> None:
-        """Let time pass; nothing of a kind may come after `mark` (default: from now on).
-
-        Raises:
-            Violation: Something came.
-        """
+        """Let time pass; nothing of a kind may come after `mark` (default: from now on)."""
         mark = len(self.inbox) if mark is None else mark
         self.run(for_s)
         for message in self.heard(kind, mark):

@@ -1,4 +1,7 @@
-"""A ground station that asks a vehicle, and flies it to try it."""
+"""A ground station that asks a vehicle, and flies it to try it.
+
+What is awaited or required raises `Violation` when it does not come true.
+"""
 
 from __future__ import annotations
 
@@ -143,11 +146,7 @@ class VehicleProbe(Station):
         )
 
     def result_of(self, message: Message, number: int) -> int:
-        """Send a command; its result after any IN_PROGRESS.
-
-        Raises:
-            Violation: No ACK came.
-        """
+        """Send a command; its result after any IN_PROGRESS."""
         ack = self.ask(
             message,
             mavlink.MAVLink_command_ack_message,
@@ -158,21 +157,13 @@ class VehicleProbe(Station):
         return int(ack.result)
 
     def require_result(self, wanted: int | tuple[int, ...], number: int, *params: float) -> None:
-        """Send COMMAND_LONG; its MAV_RESULT must be the wanted one, or one of several.
-
-        Raises:
-            Violation: It is another.
-        """
+        """Send COMMAND_LONG; its MAV_RESULT must be the wanted one, or one of several."""
         result = self.command(number, *params)
         results = (wanted,) if isinstance(wanted, int) else wanted
         require(result in results, f"command {number} {params}: result {result}, not {wanted}")
 
     def request(self, kind: type[M], within_s: float = ACK_S) -> M:
-        """REQUEST_MESSAGE; the message.
-
-        Raises:
-            Violation: It is refused or does not come.
-        """
+        """REQUEST_MESSAGE; the message."""
         mark = self.mark
         self.require_result(ACCEPTED, mavlink.MAV_CMD_REQUEST_MESSAGE, float(kind.id))
         return self.expect(kind, self.is_own, within_s=within_s, mark=mark)
@@ -201,11 +192,7 @@ class VehicleProbe(Station):
         return self.run_until(lambda: any(m.ts1 == stamp for m in self.heard(kind, mark)), within_s)
 
     def require_hearing(self) -> None:
-        """After a probe for silence: the vehicle must be silent by choice, not deaf.
-
-        Raises:
-            Violation: It answers nothing.
-        """
+        """After a probe for silence: the vehicle must be silent by choice, not deaf."""
         require(self.is_alive(), "nothing is answered any more")
 
     def require_no_answer(
@@ -214,11 +201,7 @@ class VehicleProbe(Station):
         kind: type[M],
         where: Callable[[M], bool] | None = None,
     ) -> None:
-        """Send messages that nothing of a kind may follow, though the vehicle hears us.
-
-        Raises:
-            Violation: Something came, or it is deaf.
-        """
+        """Send messages that nothing of a kind may follow, though the vehicle hears us."""
         mark = self.mark
         for message in messages if isinstance(messages, Sequence) else (messages,):
             self.send(message)
@@ -233,11 +216,7 @@ class VehicleProbe(Station):
         within_s: float = 3.0,
         what: str = "",
     ) -> Heartbeat:
-        """A HEARTBEAT of the vehicle that is newer than this call.
-
-        Raises:
-            Violation: None came in time.
-        """
+        """A HEARTBEAT of the vehicle that is newer than this call."""
         return self.expect(
             Heartbeat,
             lambda m: self.is_own(m) and (where is None or where(m)),
@@ -254,20 +233,12 @@ class VehicleProbe(Station):
         return bool(self.heartbeat().custom_mode == mavlink_oracle.custom_mode(self.flavour, mode))
 
     def await_mode(self, mode: str, within_s: float = 5.0) -> None:
-        """Let time pass until a HEARTBEAT shows a mode.
-
-        Raises:
-            Violation: None did in time.
-        """
+        """Let time pass until a HEARTBEAT shows a mode."""
         wanted = mavlink_oracle.custom_mode(self.flavour, mode)
         self.heartbeat(lambda m: m.custom_mode == wanted, within_s, f"in {mode}")
 
     def await_disarmed(self, within_s: float) -> None:
-        """Let time pass until a HEARTBEAT says disarmed.
-
-        Raises:
-            Violation: None did in time.
-        """
+        """Let time pass until a HEARTBEAT says disarmed."""
         self.heartbeat(lambda m: not m.base_mode & ARMED, within_s, "of a disarmed vehicle")
 
     def set_mode(self, mode: str) -> int:
@@ -276,11 +247,7 @@ class VehicleProbe(Station):
         return self.command(mavlink.MAV_CMD_DO_SET_MODE, *params)
 
     def require_mode(self, mode: str) -> None:
-        """DO_SET_MODE, which must be accepted.
-
-        Raises:
-            Violation: It is refused.
-        """
+        """DO_SET_MODE, which must be accepted."""
         result = self.set_mode(mode)
         require(result == ACCEPTED, f"{mode}: result {result}")
 
@@ -323,11 +290,7 @@ class VehicleProbe(Station):
     # Flights
 
     def get_ready(self) -> None:
-        """Wait until it can be armed, in the mode that flights begin in.
-
-        Raises:
-            Violation: It never gets ready.
-        """
+        """Wait until it can be armed, in the mode that flights begin in."""
         self._begin_flight()
         if 0 <= self.latest(SysStatus).battery_remaining < SPENT_PERCENT:
             self.reboot()
@@ -340,40 +303,24 @@ class VehicleProbe(Station):
         self.watch(SysStatus, 0.2)
 
     def reboot(self) -> None:
-        """Restart the autopilot; a simulated one has a fresh battery then.
-
-        Raises:
-            Violation: It refuses, or does not come back.
-        """
+        """Restart the autopilot; a simulated one has a fresh battery then."""
         self.require_result(ACCEPTED, mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1.0, 0.0, 0.0)
         mark = self.mark
         back = self.run_until(lambda: bool(self.heard(Heartbeat, mark)), BOOT_S)
         require(back, f"it did not come back within {BOOT_S:g} s of a reboot")
 
     def await_prearm(self) -> None:
-        """Wait until SYS_STATUS says that it can be armed.
-
-        Raises:
-            Violation: It never does.
-        """
+        """Wait until SYS_STATUS says that it can be armed."""
         ready = self.run_until(self._is_ready, READY_S)
         require(ready, f"not ready to arm within {READY_S:g} s (SYS_STATUS, PREARM_CHECK)")
 
     def arm(self) -> None:
-        """Get ready and arm.
-
-        Raises:
-            Violation: It refuses.
-        """
+        """Get ready and arm."""
         self.get_ready()
         self.require_result(ACCEPTED, ARM, 1.0, 0.0)
 
     def take_off(self, height_m: float = FLIGHT_HEIGHT_M) -> None:
-        """Arm, climb above home and hover there.
-
-        Raises:
-            Violation: It does not get there.
-        """
+        """Arm, climb above home and hover there."""
         self.arm()
         altitude_m = height_m
         unused = 0.0
@@ -393,11 +340,7 @@ class VehicleProbe(Station):
         return self.repeat(build, STREAM_PERIOD_S)
 
     def enter_offboard(self, build: Callable[[], Message]) -> Callable[[], None]:
-        """In the air: stream setpoints and let the vehicle follow them.
-
-        Raises:
-            Violation: It refuses.
-        """
+        """In the air: stream setpoints and let the vehicle follow them."""
         stop = self.stream(build)
         self.run(1.2)
         self.require_mode("offboard")

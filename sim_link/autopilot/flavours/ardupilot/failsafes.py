@@ -79,7 +79,7 @@ class FailsafeEvent:
     """Whether a second text names the new mode."""
 
 
-class Failsafes:
+class CopterFailsafes:
     """Which failsafes are active."""
 
     def __init__(self, aircraft: Aircraft, parameters: ParameterStore) -> None:

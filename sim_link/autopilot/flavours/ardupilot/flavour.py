@@ -21,7 +21,7 @@ from sim_link.autopilot.control_inputs import (
     Setpoint,
 )
 from sim_link.autopilot.flavours.ardupilot import failsafes, flight_modes
-from sim_link.autopilot.flavours.ardupilot.failsafes import FailsafeEvent, Failsafes
+from sim_link.autopilot.flavours.ardupilot.failsafes import CopterFailsafes, FailsafeEvent
 from sim_link.autopilot.flavours.ardupilot.firmware_profile import RULES
 from sim_link.autopilot.flavours.ardupilot.flight_modes import ARMED_FLAG, CopterMode
 from sim_link.autopilot.flavours.ardupilot.guided import (
@@ -73,7 +73,7 @@ class ArduPilotFlavour(Flavour):
         self.copter_mode: CopterMode = flight_modes.STABILIZE
         self._commanded_mps: dict[int, float] = {}
         """By SPEED_TYPE, until the mode changes."""
-        self._failsafes = Failsafes(aircraft, parameters)
+        self._failsafes = CopterFailsafes(aircraft, parameters)
 
     # State
 

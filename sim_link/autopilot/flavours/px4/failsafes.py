@@ -107,7 +107,7 @@ class FailsafeCondition:
     """Whether it ends with its condition."""
 
 
-class Failsafes:
+class Px4Failsafes:
     """Which causes are active, and what is flown for them."""
 
     def __init__(self) -> None:

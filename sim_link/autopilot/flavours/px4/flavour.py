@@ -26,7 +26,7 @@ from sim_link.autopilot.flavours.px4.failsafes import (
     MODE_OF_REACTION,
     Cause,
     FailsafeMonitor,
-    Failsafes,
+    Px4Failsafes,
     Reaction,
 )
 from sim_link.autopilot.flavours.px4.firmware_profile import CUSTOM_RULES, RULES
@@ -34,8 +34,8 @@ from sim_link.autopilot.flavours.px4.flight_modes import (
     MODE_NAMES,
     STICK_MODES,
     WITHOUT_POSITION_CONTROL,
+    ModeConditions,
     ModeLogic,
-    Situation,
 )
 from sim_link.autopilot.flavours.px4.offboard import setpoint_from_attitude
 from sim_link.autopilot.mission_executor import LegKind
@@ -80,7 +80,7 @@ class Px4Flavour(Flavour):
         if aircraft.scenario.autopilot.streams == "asked":
             self.rules = CUSTOM_RULES
         self.modes = ModeLogic()
-        self._failsafes = Failsafes()
+        self._failsafes = Px4Failsafes()
         self._watcher = FailsafeMonitor(aircraft, parameters)
         self._limits_revision = -1
 
@@ -111,9 +111,9 @@ class Px4Flavour(Flavour):
             return Task.DESCEND
         return task
 
-    def situation(self, now_s: float) -> Situation:
+    def conditions(self, now_s: float) -> ModeConditions:
         """What the mode rules need to know."""
-        return Situation(
+        return ModeConditions(
             check_refusal=self._check_refusal(now_s),
             is_stream_alive=self._is_stream_alive(now_s),
             is_on_ground=self.aircraft.body.is_on_ground,
@@ -131,7 +131,7 @@ class Px4Flavour(Flavour):
 
     def arming_refusal(self, now_s: float) -> str | None:
         """Why it could not be armed now, or None."""
-        return self.modes.arming_refusal(self.situation(now_s))
+        return self.modes.arming_refusal(self.conditions(now_s))
 
     def _is_stream_alive(self, now_s: float) -> bool:
         return self.setpoints.is_alive(now_s, self.parameters["COM_OF_LOSS_T"])
@@ -176,15 +176,15 @@ class Px4Flavour(Flavour):
 
     def choose(self, mode: FlightMode | None, now_s: float) -> int:
         """The operator chooses a mode; a MAV_RESULT, and the reason as a text if refused."""
-        situation = self.situation(now_s)
+        conditions = self.conditions(now_s)
         is_same = mode is self.mode
-        result = self.modes.choose(mode, situation)
+        result = self.modes.choose(mode, conditions)
         if result == ACCEPTED:
             self._failsafes.take_over()
             if is_same and mode is FlightMode.HOLD:
                 self.aircraft.pilot.enter(self.task, self.aircraft.body)
         elif mode in MODE_NAMES:
-            why = self.modes.choice_refusal(mode, situation)
+            why = self.modes.choice_refusal(mode, conditions)
             self.refuse(MODE_NAMES[mode], why or "not now")
         return result
 
@@ -200,8 +200,8 @@ class Px4Flavour(Flavour):
 
     def arm(self, now_s: float) -> int:
         """A request to arm; a MAV_RESULT, and the reason as a text if refused."""
-        situation = self.situation(now_s)
-        result = self.modes.arm(situation)
+        conditions = self.conditions(now_s)
+        result = self.modes.arm(conditions)
         if result != ACCEPTED:
             self.send_rejection(now_s)
         self.aircraft.is_armed = self.modes.is_armed
@@ -224,8 +224,8 @@ class Px4Flavour(Flavour):
 
     def disarm(self, now_s: float, *, is_forced: bool) -> int:
         """A request to disarm; a MAV_RESULT."""
-        situation = self.situation(now_s)
-        result = self.modes.disarm(situation, is_forced=is_forced)
+        conditions = self.conditions(now_s)
+        result = self.modes.disarm(conditions, is_forced=is_forced)
         if result == ACCEPTED:
             self._failsafes.clear()
         else:

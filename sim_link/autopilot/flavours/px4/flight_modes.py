@@ -78,7 +78,7 @@ MODE_NAMES = {
 
 
 @dataclass(frozen=True, slots=True)
-class Situation:
+class ModeConditions:
     """What the rules need to know of the vehicle at one moment."""
 
     check_refusal: str | None
@@ -109,53 +109,53 @@ class ModeLogic:
         """Whether a failsafe chose the mode that is flown."""
         return self.is_armed and self.reaction is not None
 
-    def arming_refusal(self, situation: Situation) -> str | None:
+    def arming_refusal(self, conditions: ModeConditions) -> str | None:
         """Why a request to arm would be refused now, or None."""
-        if situation.check_refusal is not None:
-            return situation.check_refusal
+        if conditions.check_refusal is not None:
+            return conditions.check_refusal
         mode = self.mode
         if mode is FlightMode.OFFBOARD:
-            return None if situation.is_stream_alive else "no offboard setpoints"
+            return None if conditions.is_stream_alive else "no offboard setpoints"
         if mode in STICK_MODES:
-            return None if situation.has_sticks else "no manual control"
+            return None if conditions.has_sticks else "no manual control"
         if mode in (FlightMode.HOLD, FlightMode.TAKEOFF):
             return None
         return f"{MODE_NAMES[mode]} mode cannot be armed in"
 
-    def choice_refusal(self, mode: FlightMode, situation: Situation) -> str | None:
+    def choice_refusal(self, mode: FlightMode, conditions: ModeConditions) -> str | None:
         """Why an armed vehicle would not be switched to a mode now, or None."""
-        if mode is FlightMode.OFFBOARD and not situation.is_stream_alive:
+        if mode is FlightMode.OFFBOARD and not conditions.is_stream_alive:
             return "no setpoints"
-        if mode is FlightMode.MISSION and not situation.has_mission:
+        if mode is FlightMode.MISSION and not conditions.has_mission:
             return "no mission"
-        if mode in STICK_MODES and not situation.has_sticks:
+        if mode in STICK_MODES and not conditions.has_sticks:
             return "no manual control"
         return None
 
-    def choose(self, mode: FlightMode | None, situation: Situation) -> int:
+    def choose(self, mode: FlightMode | None, conditions: ModeConditions) -> int:
         """The operator's choice of a mode (None: PX4 has no such mode); a MAV_RESULT."""
         if mode is None or mode in (FlightMode.READY, FlightMode.UNKNOWN):
             return DENIED
-        if self.is_armed and self.choice_refusal(mode, situation) is not None:
+        if self.is_armed and self.choice_refusal(mode, conditions) is not None:
             return TEMPORARILY_REJECTED
         self.intention = mode
         self.reaction = None
         return ACCEPTED
 
-    def arm(self, situation: Situation) -> int:
+    def arm(self, conditions: ModeConditions) -> int:
         """A request to arm, forced or not; a MAV_RESULT."""
         if self.is_armed:
             return ACCEPTED
-        if self.arming_refusal(situation) is not None:
+        if self.arming_refusal(conditions) is not None:
             return TEMPORARILY_REJECTED
         self.is_armed = True
         return ACCEPTED
 
-    def disarm(self, situation: Situation, *, is_forced: bool) -> int:
+    def disarm(self, conditions: ModeConditions, *, is_forced: bool) -> int:
         """A request to disarm; forced, it stops the motors in the air. A MAV_RESULT."""
         if not self.is_armed:
             return ACCEPTED
-        if not situation.is_on_ground and not is_forced:
+        if not conditions.is_on_ground and not is_forced:
             return TEMPORARILY_REJECTED
         if self.is_failsafe or self.mode in ENDED_BY_DISARMING:
             self.intention = FlightMode.HOLD

@@ -20,7 +20,7 @@ from sim_link.lab.conformance.protocol_clients import (
     FENCE,
     MISSION,
     RALLY,
-    PlanItem,
+    MissionItem,
     circle,
     places,
     prepare,
@@ -61,7 +61,7 @@ def every_field_survives(probe: VehicleProbe) -> None:
     """Frame, parameters (a NaN yaw, too) and autocontinue survive a round trip."""
     probe.get_ready()
     home = probe.home()
-    item = PlanItem(
+    item = MissionItem(
         mavlink.MAV_CMD_NAV_WAYPOINT,
         mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
         (2.0, 1.5, 0.0, NAN),

@@ -24,7 +24,7 @@ from sim_link.lab.conformance.mavlink_oracle import (
 from sim_link.lab.conformance.protocol_clients import (
     FENCE,
     MISSION,
-    PlanItem,
+    MissionItem,
     circle,
     places,
     polygon,
@@ -173,8 +173,8 @@ def items_that_mavsdk_sends_are_accepted(probe: VehicleProbe) -> None:
     probe.get_ready()
     place = square(probe, 1)[0]
     frame = mavlink.MAV_FRAME_MISSION
-    speed = PlanItem(mavlink.MAV_CMD_DO_CHANGE_SPEED, frame, (1.0, 4.0, -1.0, NAN), 0, 0, NAN)
-    gimbal = PlanItem(
+    speed = MissionItem(mavlink.MAV_CMD_DO_CHANGE_SPEED, frame, (1.0, 4.0, -1.0, NAN), 0, 0, NAN)
+    gimbal = MissionItem(
         mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW, frame, (0.0, 0.0, NAN, NAN), 0, 0, 0.0
     )
     items = [replace(place, params=(0.0, 1.0, 0.0, NAN), current=1), speed, gimbal]
@@ -195,13 +195,13 @@ plan_result_book = RuleBook(Role.VEHICLE, "plan_results", CHANGES)
 MISSION_RESULT = f"{SERVICE}, MAV_MISSION_RESULT"
 
 
-def require_refused(probe: VehicleProbe, item: PlanItem, *results: int) -> None:
+def require_refused(probe: VehicleProbe, item: MissionItem, *results: int) -> None:
     """A mission with one wrong item must be refused with one of the results."""
     result = plans.upload(probe, plans.with_home(probe, [item]))
     require(result in results, f"ACK {result}")
 
 
-def waypoint_home(probe: VehicleProbe, height_m: float = 10.0) -> PlanItem:
+def waypoint_home(probe: VehicleProbe, height_m: float = 10.0) -> MissionItem:
     """A waypoint over home."""
     home = probe.home()
     return waypoint(home.latitude, home.longitude, height_m)
@@ -249,7 +249,7 @@ def endless_mission_is_refused(probe: VehicleProbe) -> None:
 fence_book = RuleBook(Role.VEHICLE, "fences", CHANGES)
 
 
-def require_fence_kept(probe: VehicleProbe, wanted: list[PlanItem]) -> list[PlanItem]:
+def require_fence_kept(probe: VehicleProbe, wanted: list[MissionItem]) -> list[MissionItem]:
     """A fence that is uploaded must come back; its items as downloaded."""
     plans.require_upload(probe, wanted, FENCE)
     found = plans.download(probe, FENCE)
