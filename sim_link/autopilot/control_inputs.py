@@ -27,6 +27,7 @@ from sim_link.autopilot.scenario import RcParams
 LocalTarget = mavlink.MAVLink_set_position_target_local_ned_message
 GlobalTarget = mavlink.MAVLink_set_position_target_global_int_message
 AttitudeTarget = mavlink.MAVLink_set_attitude_target_message
+TargetMessage = LocalTarget | GlobalTarget | AttitudeTarget
 
 FIELD_BITS = (
     *(dialect.X_IGNORE, dialect.Y_IGNORE, dialect.Z_IGNORE),

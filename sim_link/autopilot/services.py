@@ -18,7 +18,14 @@ from collections.abc import Callable
 from typing import Any
 
 from companion.mav.dialect import MAVLink_command_cancel_message, Message, mavlink
-from sim_link.autopilot.control_inputs import Sticks, is_on_earth, sticks_from
+from sim_link.autopilot.control_inputs import (
+    AttitudeTarget,
+    GlobalTarget,
+    LocalTarget,
+    Sticks,
+    is_on_earth,
+    sticks_from,
+)
 from sim_link.autopilot.flavours.base import (
     ACCEPTED,
     DENIED,
@@ -183,14 +190,9 @@ class Services:
         """What takes each message; what it returns is answered on the sender's channel."""
         flavour, clocks, requests = self._vehicle.flavour, self._clocks, self.requests
         return {
-            mavlink.MAVLink_set_position_target_local_ned_message: (
-                lambda message, _, now_s: flavour.take_local(message, now_s)
-            ),
-            mavlink.MAVLink_set_position_target_global_int_message: (
-                lambda message, _, now_s: flavour.take_global(message, now_s)
-            ),
-            mavlink.MAVLink_set_attitude_target_message: (
-                lambda message, _, now_s: flavour.take_attitude(message, now_s)
+            **dict.fromkeys(
+                (LocalTarget, GlobalTarget, AttitudeTarget),
+                lambda message, _, now_s: flavour.take_setpoint(message, now_s),
             ),
             mavlink.MAVLink_heartbeat_message: self._take_heartbeat,
             mavlink.MAVLink_timesync_message: clocks.timesync,

@@ -18,12 +18,10 @@ from companion.domain import FlightMode, LandedState, PositionEnu
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.aircraft import Aircraft, Occurrence
 from sim_link.autopilot.control_inputs import (
-    AttitudeTarget,
     Echo,
-    GlobalTarget,
-    LocalTarget,
     Setpoint,
     SetpointMonitor,
+    TargetMessage,
 )
 from sim_link.autopilot.mission_executor import LegKind, MissionLeg
 from sim_link.autopilot.pilot import Task
@@ -239,16 +237,8 @@ class Flavour(ABC):
         """Do what a command asks; a MAV_RESULT."""
 
     @abstractmethod
-    def take_local(self, message: LocalTarget, now_s: float) -> None:
-        """SET_POSITION_TARGET_LOCAL_NED arrived."""
-
-    @abstractmethod
-    def take_global(self, message: GlobalTarget, now_s: float) -> None:
-        """SET_POSITION_TARGET_GLOBAL_INT arrived."""
-
-    @abstractmethod
-    def take_attitude(self, message: AttitudeTarget, now_s: float) -> None:
-        """SET_ATTITUDE_TARGET arrived."""
+    def take_setpoint(self, message: TargetMessage, now_s: float) -> None:
+        """SET_POSITION_TARGET_LOCAL_NED, _GLOBAL_INT or SET_ATTITUDE_TARGET arrived."""
 
     @abstractmethod
     def echo(self) -> Echo | None:

@@ -16,9 +16,8 @@ from sim_link.autopilot.aircraft import Aircraft
 from sim_link.autopilot.control_inputs import (
     AttitudeTarget,
     Echo,
-    GlobalTarget,
-    LocalTarget,
     Setpoint,
+    TargetMessage,
 )
 from sim_link.autopilot.flavours.ardupilot import failsafes, flight_modes
 from sim_link.autopilot.flavours.ardupilot.failsafes import CopterFailsafes, FailsafeEvent
@@ -29,8 +28,7 @@ from sim_link.autopilot.flavours.ardupilot.guided import (
     GuidedState,
     Target,
     TargetKind,
-    target_from_global,
-    target_from_local,
+    target_from,
 )
 from sim_link.autopilot.flavours.base import (
     ACCEPTED,
@@ -241,19 +239,14 @@ class ArduPilotFlavour(Flavour):
 
     # Setpoints
 
-    def take_local(self, message: LocalTarget, now_s: float) -> None:
-        """SET_POSITION_TARGET_LOCAL_NED arrived."""
-        self._take(target_from_local(message, self.aircraft), now_s)
+    def take_setpoint(self, message: TargetMessage, now_s: float) -> None:
+        """Obeyed in GUIDED only, and never outside the fence: without a text, as the real one.
 
-    def take_global(self, message: GlobalTarget, now_s: float) -> None:
-        """SET_POSITION_TARGET_GLOBAL_INT arrived."""
-        self._take(target_from_global(message, self.aircraft), now_s)
-
-    def take_attitude(self, message: AttitudeTarget, now_s: float) -> None:
-        """SET_ATTITUDE_TARGET arrived: GUIDED's angles are not simulated, and nothing moves."""
-
-    def _take(self, target: Target, now_s: float) -> None:
-        """Obeyed in GUIDED only, and never outside the fence: without a text, as the real one."""
+        GUIDED's angles (SET_ATTITUDE_TARGET) are not simulated: nothing moves.
+        """
+        if isinstance(message, AttitudeTarget):
+            return
+        target = target_from(message, self.aircraft)
         is_refused = target.kind is TargetKind.STOP
         self.setpoints.take(None if is_refused else target.setpoint, now_s)
         if self.copter_mode is not flight_modes.GUIDED or not self.is_armed:

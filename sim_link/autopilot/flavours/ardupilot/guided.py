@@ -113,6 +113,13 @@ def target_from_global(message: GlobalTarget, aircraft: Aircraft) -> Target:
     return _target(message, place, None)
 
 
+def target_from(message: LocalTarget | GlobalTarget, aircraft: Aircraft) -> Target:
+    """What a position target asks for."""
+    if isinstance(message, LocalTarget):
+        return target_from_local(message, aircraft)
+    return target_from_global(message, aircraft)
+
+
 def _target(
     message: LocalTarget | GlobalTarget, place: PositionEnu | None, body_yaw_rad: float | None
 ) -> Target:

@@ -13,15 +13,13 @@ from companion.mav.dialect import mavlink
 from sim_link.autopilot.aircraft import Aircraft
 from sim_link.autopilot.control_inputs import (
     NOTHING,
-    AttitudeTarget,
     Axes,
     Echo,
-    GlobalTarget,
-    LocalTarget,
     Setpoint,
+    TargetMessage,
 )
 from sim_link.autopilot.flavours.base import ACCEPTED, FenceState, Flavour, HeartbeatState, Identity
-from sim_link.autopilot.flavours.px4 import firmware_profile, flight_modes, offboard
+from sim_link.autopilot.flavours.px4 import firmware_profile, flight_modes
 from sim_link.autopilot.flavours.px4.failsafes import (
     MODE_OF_REACTION,
     Cause,
@@ -37,7 +35,7 @@ from sim_link.autopilot.flavours.px4.flight_modes import (
     ModeConditions,
     ModeLogic,
 )
-from sim_link.autopilot.flavours.px4.offboard import setpoint_from_attitude
+from sim_link.autopilot.flavours.px4.offboard import setpoint_from
 from sim_link.autopilot.mission_executor import LegKind
 from sim_link.autopilot.pilot import STEP_S, Task
 from sim_link.autopilot.protocols.addressing import flags_of
@@ -240,17 +238,9 @@ class Px4Flavour(Flavour):
 
     # Setpoints
 
-    def take_local(self, message: LocalTarget, now_s: float) -> None:
-        """SET_POSITION_TARGET_LOCAL_NED arrived."""
-        self.setpoints.take(offboard.setpoint_from_local(message, self.aircraft), now_s)
-
-    def take_global(self, message: GlobalTarget, now_s: float) -> None:
-        """SET_POSITION_TARGET_GLOBAL_INT arrived."""
-        self.setpoints.take(offboard.setpoint_from_global(message, self.aircraft), now_s)
-
-    def take_attitude(self, message: AttitudeTarget, now_s: float) -> None:
-        """SET_ATTITUDE_TARGET arrived."""
-        self.setpoints.take(setpoint_from_attitude(message), now_s)
+    def take_setpoint(self, message: TargetMessage, now_s: float) -> None:
+        """Kept if it is valid, whatever the mode."""
+        self.setpoints.take(setpoint_from(message, self.aircraft), now_s)
 
     def echo(self) -> Echo | None:
         """What the position controller works with; nothing in modes without one."""

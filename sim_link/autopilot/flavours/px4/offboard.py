@@ -26,6 +26,7 @@ from sim_link.autopilot.control_inputs import (
     GlobalTarget,
     LocalTarget,
     Setpoint,
+    TargetMessage,
     has_finite_fields,
     is_on_earth,
     turned,
@@ -157,3 +158,12 @@ def setpoint_from_attitude(message: AttitudeTarget) -> Setpoint | None:
     up = (1.0 - 2.0 * (x * x + y * y)) * thrust_mps2 - GRAVITY_MPS2
     yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
     return Setpoint(acceleration_enu_mps2=(east, north, up), yaw_ned_rad=yaw)
+
+
+def setpoint_from(message: TargetMessage, aircraft: Aircraft) -> Setpoint | None:
+    """The setpoint of a message, or None if it is refused."""
+    if isinstance(message, LocalTarget):
+        return setpoint_from_local(message, aircraft)
+    if isinstance(message, GlobalTarget):
+        return setpoint_from_global(message, aircraft)
+    return setpoint_from_attitude(message)
