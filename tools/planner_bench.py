@@ -47,7 +47,7 @@ from sim_link.lab.evaluation.case import PLANNER, Case, channel_draws, measured,
 from sim_link.lab.evaluation.reporting.study_tables import metrics_of, number, rows_about
 from sim_link.lab.evaluation.study import Cell, ResultRow, StudyResult, cells_of
 from sim_link.lab.evaluation.systems import System, belief_of, steering_of
-from sim_link.lab.evaluation.walk import FIXED, Belief, Steering, first_fix, next_place, updated
+from sim_link.lab.evaluation.walk import FIXED, Belief, WalkSteering, first_fix, next_place, updated
 from tools.filter_bench import (
     FILTERPY_UPDATE,
     SEED,
@@ -73,7 +73,7 @@ class RecordedRun:
 
     system: System
     walk: Walk
-    steering: Steering
+    steering: WalkSteering
     beliefs: Beliefs
     picks: Vector
     """(steps,) draws of the planner."""
@@ -118,7 +118,7 @@ def believed(track_enu_m: Matrix, z: Matrix, belief: Belief) -> Beliefs:
 
 @kernel
 def retraced(
-    track_enu_m: Matrix, z: Matrix, picks: Vector, belief: Belief, steering: Steering
+    track_enu_m: Matrix, z: Matrix, picks: Vector, belief: Belief, steering: WalkSteering
 ) -> Matrix:
     """Where filter and planner fly after every measurement but the first, (steps - 1, 2).
 
@@ -149,7 +149,7 @@ def decided(
     beliefs: Beliefs,
     picks: Vector,
     belief: Belief,
-    steering: Steering,
+    steering: WalkSteering,
     passes: int,
 ) -> Matrix:
     """Where a planner flies from every estimate of a run but the last, (steps - 1, 2).

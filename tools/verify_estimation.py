@@ -31,7 +31,7 @@ import numpy as np
 
 from companion.errors import CompanionError
 from companion.io.files import check_writable, write_json_atomic
-from sim_link.lab.evaluation.campaign import Campaign, Tally, joined_in_order, tally_of
+from sim_link.lab.evaluation.campaign import RunSeries, RunTally, joined_in_order, tally_of
 from sim_link.lab.evaluation.case import Case, Offsets, canonical_case
 from sim_link.lab.evaluation.metrics import (
     COVERAGE_BAND,
@@ -83,8 +83,8 @@ class Figure:
 class Plan:
     """A part's campaigns, and what their tallies say."""
 
-    campaigns: list[Campaign]
-    figures: Callable[[Sequence[Tally]], list[Figure]]
+    campaigns: list[RunSeries]
+    figures: Callable[[Sequence[RunTally]], list[Figure]]
 
 
 def verified(
@@ -110,8 +110,8 @@ def verified(
 
 
 def tallies_of(
-    campaigns: Sequence[Campaign], jobs: int, on_block: Callable[[int, int], None]
-) -> list[Tally]:
+    campaigns: Sequence[RunSeries], jobs: int, on_block: Callable[[int, int], None]
+) -> list[RunTally]:
     """Do campaigns, all their blocks at once.
 
     Args:
@@ -119,7 +119,7 @@ def tallies_of(
         on_block: Called with the blocks done so far and their total.
     """
     blocks = [(index, block) for index, c in enumerate(campaigns) for block in c.blocks()]
-    done: dict[int, Tally] = {}
+    done: dict[int, RunTally] = {}
     with open_pool(jobs=min(jobs, len(blocks))) as pool:
         for position, tally in pool.results(tally_of, [block for _, block in blocks]):
             done[position] = tally
@@ -140,9 +140,9 @@ def lawnmower_plan(runs: int, seed: int) -> Plan:
         "map",
         "tracker",
     )
-    campaigns = [Campaign(Case(), System(name, "passive"), seed, runs) for name in filters]
+    campaigns = [RunSeries(Case(), System(name, "passive"), seed, runs) for name in filters]
 
-    def figures(tallies: Sequence[Tally]) -> list[Figure]:
+    def figures(tallies: Sequence[RunTally]) -> list[Figure]:
         """What the tallies come to."""
         ours_m, huber_m = (float(tally.rmse_m[-1]) for tally in tallies[:2])
         offset_m = float(tallies[0].range_offset_m[-1] / runs)
@@ -172,7 +172,7 @@ def lawnmower_plan(runs: int, seed: int) -> Plan:
     return Plan(campaigns, figures)
 
 
-def rmse_figure(campaign: Campaign, tally: Tally) -> Figure:
+def rmse_figure(campaign: RunSeries, tally: RunTally) -> Figure:
     """Final RMSE of a system, with what is worth knowing of it."""
     errors_m = tally.final_errors_m
     low_m, high_m = bootstrap_rmse_m(errors_m, np.random.default_rng(BOOTSTRAP_SEED))
@@ -191,19 +191,19 @@ def bound_plan(runs: int, seed: int) -> Plan:
     """The tracker beside the Cramer-Rao bound, in the three noise regimes of the paper."""
     planners: tuple[PlannerName, ...] = ("fim", "latched")
     campaigns = [
-        Campaign(canonical_case(range_sigma_m=sigma_m), System("tracker", planner), seed, runs)
+        RunSeries(canonical_case(range_sigma_m=sigma_m), System("tracker", planner), seed, runs)
         for sigma_m in RANGE_SIGMAS_M
         for planner in planners
     ]
 
-    def figures(tallies: Sequence[Tally]) -> list[Figure]:
+    def figures(tallies: Sequence[RunTally]) -> list[Figure]:
         """What the tallies come to."""
         return [bound_figure(c, tally) for c, tally in zip(campaigns, tallies, strict=True)]
 
     return Plan(campaigns, figures)
 
 
-def bound_figure(campaign: Campaign, tally: Tally) -> Figure:
+def bound_figure(campaign: RunSeries, tally: RunTally) -> Figure:
     """Final RMSE of a system by the bound on its own tracks."""
     rmse_m, bound_m = float(tally.rmse_m[-1]), float(tally.rmse_bound_m[-1])
     ratio = rmse_m / bound_m
@@ -222,12 +222,12 @@ def bound_figure(campaign: Campaign, tally: Tally) -> Figure:
 def honesty_plan(runs: int, seed: int) -> Plan:
     """Filter and tracker on lanes and on crossings, in noise that they know and in the paper's."""
     campaigns = [
-        Campaign(honesty_case(p_nlos, offsets), System(name, planner), seed, runs)
+        RunSeries(honesty_case(p_nlos, offsets), System(name, planner), seed, runs)
         for p_nlos, offsets in HONESTY_CASES
         for name, planner in HONESTY_SYSTEMS
     ]
 
-    def figures(tallies: Sequence[Tally]) -> list[Figure]:
+    def figures(tallies: Sequence[RunTally]) -> list[Figure]:
         """What the tallies come to."""
         found: list[Figure] = []
         for campaign, tally in zip(campaigns, tallies, strict=True):
@@ -242,7 +242,7 @@ def honesty_case(p_nlos: float, offsets: Offsets) -> Case:
     return msgspec.structs.replace(canonical_case(p_nlos=p_nlos), offsets=offsets)
 
 
-def honesty_figures(campaign: Campaign, tally: Tally) -> list[Figure]:
+def honesty_figures(campaign: RunSeries, tally: RunTally) -> list[Figure]:
     """NEES where the noise is as believed, and coverage; only the tracker must be honest."""
     case, label = campaign.case, campaign.system.label
     is_believed = case.channel.p_nlos == 0.0
@@ -267,7 +267,7 @@ def honesty_figures(campaign: Campaign, tally: Tally) -> list[Figure]:
     return [nees_figure(name, tally, must=must), coverage]
 
 
-def nees_figure(name: str, tally: Tally, *, must: bool) -> Figure:
+def nees_figure(name: str, tally: RunTally, *, must: bool) -> Figure:
     """Mean NEES after the last step."""
     low, high = nees_band(tally.runs)
     means = tally.mean_nees[SETTLED_STEP:]

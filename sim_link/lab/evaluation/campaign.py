@@ -26,7 +26,7 @@ from sim_link.lab.evaluation.case import (
     TRUTH,
     Case,
     RunSeed,
-    Truth,
+    RunTruth,
     channel_draws,
     run_seeds,
     scene_of,
@@ -48,7 +48,6 @@ from sim_link.lab.evaluation.systems import (
     pilot_of,
     steering_of,
     track_of,
-    window_of_system,
 )
 from sim_link.lab.evaluation.walk import (
     BEARING_OFFSET,
@@ -69,7 +68,7 @@ from sim_link.world.line_of_sight import Surroundings, is_blocked_in_space
 class TrialResult:
     """What happened in a run, after each of its steps."""
 
-    truth: Truth
+    truth: RunTruth
     record: Matrix
     """(steps, 9), see `walk`."""
     stated_r95_m: Vector | None = None
@@ -121,7 +120,7 @@ class TrialResult:
         return np.asarray(self.estimates_enu_m - target)
 
 
-Flight = Callable[[Matrix, Vector, Truth, Vector], TrialResult]
+Flight = Callable[[Matrix, Vector, RunTruth, Vector], TrialResult]
 """A run from what channel and planner draw, what is true and the place of the first estimate."""
 
 
@@ -149,11 +148,10 @@ def _compiled_flight(case: Case, system: System) -> Flight:
     """Flies runs in one compiled loop each; what is the same for all is made here, once."""
     track, scene = track_of(case), scene_of(case)
     belief, steering = belief_of(case, system), steering_of(case, system)
-    window = window_of_system(case, system)
 
-    def fly(draws: Matrix, picks: Vector, truth: Truth, start_enu_m: Vector) -> TrialResult:
+    def fly(draws: Matrix, picks: Vector, truth: RunTruth, start_enu_m: Vector) -> TrialResult:
         """Fly one draw."""
-        record = walked(draws, picks, track, start_enu_m, truth, scene, belief, window, steering)
+        record = walked(draws, picks, track, start_enu_m, truth, scene, belief, steering)
         return TrialResult(truth, record)
 
     return fly
@@ -162,7 +160,7 @@ def _compiled_flight(case: Case, system: System) -> Flight:
 def _object_flight(case: Case, system: System) -> Flight:
     """Flies runs over estimator and planner objects."""
 
-    def fly(draws: Matrix, picks: Vector, truth: Truth, start_enu_m: Vector) -> TrialResult:
+    def fly(draws: Matrix, picks: Vector, truth: RunTruth, start_enu_m: Vector) -> TrialResult:
         """Fly one draw."""
         del picks
         return flown_trial(case, system, draws, truth, start_enu_m)
@@ -171,7 +169,7 @@ def _object_flight(case: Case, system: System) -> Flight:
 
 
 def flown_trial(
-    case: Case, system: System, draws: Matrix, truth: Truth, start_enu_m: Vector
+    case: Case, system: System, draws: Matrix, truth: RunTruth, start_enu_m: Vector
 ) -> TrialResult:
     """A run over estimator and planner objects, whether or not there are kernels for it.
 
@@ -264,7 +262,7 @@ BLOCK = 50
 
 
 @dataclass(frozen=True, slots=True)
-class Campaign:
+class RunSeries:
     """Runs of one system in one case."""
 
     case: Case
@@ -282,13 +280,13 @@ class Campaign:
 class Block:
     """A range of a campaign's runs."""
 
-    campaign: Campaign
+    campaign: RunSeries
     first: int
     runs: int
 
 
 @dataclass(frozen=True, slots=True)
-class Tally:
+class RunTally:
     """What is kept of runs: sums over them after every step, and how each of them ended."""
 
     runs: int
@@ -327,9 +325,9 @@ class Tally:
         """(steps,) share of runs whose R95 circle contained the target."""
         return np.asarray(self.inside / self.runs)
 
-    def joined(self, later: Tally) -> Tally:
+    def joined(self, later: RunTally) -> RunTally:
         """With the runs that follow these."""
-        return Tally(
+        return RunTally(
             self.runs + later.runs,
             self.squared_m2 + later.squared_m2,
             self.bound_m2 + later.bound_m2,
@@ -342,18 +340,18 @@ class Tally:
 
     def packed(self) -> bytes:
         """All of it in bytes, as `unpacked` reads them."""
-        parts = [getattr(self, name) for name in Tally.__slots__[1:]]
+        parts = [getattr(self, name) for name in RunTally.__slots__[1:]]
         head = [float(self.runs), float(self.squared_m2.size)]
         return np.concatenate([head, *parts]).astype("<f8").tobytes()
 
 
-def unpacked(packed: bytes) -> Tally:
-    """The tally in bytes of `Tally.packed`."""
+def unpacked(packed: bytes) -> RunTally:
+    """The tally in bytes of `RunTally.packed`."""
     numbers = np.frombuffer(packed, dtype="<f8").astype(np.float64)
     runs, steps = int(numbers[0]), int(numbers[1])
     sums, final_errors_m = numbers[2 : 2 + 6 * steps], numbers[2 + 6 * steps :]
     squared_m2, bound_m2, nees, inside, range_offset_m, bearing_offset_rad = np.split(sums, 6)
-    return Tally(
+    return RunTally(
         runs,
         squared_m2,
         bound_m2,
@@ -365,19 +363,19 @@ def unpacked(packed: bytes) -> Tally:
     )
 
 
-def joined_in_order(tallies: Iterable[Tally]) -> Tally:
+def joined_in_order(tallies: Iterable[RunTally]) -> RunTally:
     """All runs of tallies whose blocks follow each other."""
-    return reduce(Tally.joined, tallies)
+    return reduce(RunTally.joined, tallies)
 
 
-def tally_of(block: Block) -> Tally:
+def tally_of(block: Block) -> RunTally:
     """Do the runs of a block."""
     campaign = block.campaign
     seeds = run_seeds(campaign.seed, block.runs, block.first)
     trials = run_block(campaign.case, campaign.system, seeds)
     errors = np.array([trial.errors_m for trial in trials])
     inside = [trial.errors_m <= trial.r95_m for trial in trials]
-    return Tally(
+    return RunTally(
         runs=len(trials),
         squared_m2=np.sum(errors**2, axis=0),
         bound_m2=np.sum(bounds_m2(campaign.case, trials), axis=0),

@@ -233,7 +233,7 @@ RunSeed = int | np.random.SeedSequence
 """What all randomness of one run follows from."""
 
 
-class Truth(NamedTuple):
+class RunTruth(NamedTuple):
     """What is true in one run, as the kernels take it."""
 
     east_m: float
@@ -290,7 +290,7 @@ def channel_draws(case: Case, seed: RunSeed) -> Matrix:
 
 
 @kernel
-def measured(draw: Vector, east_m: float, north_m: float, truth: Truth) -> tuple[float, float]:
+def measured(draw: Vector, east_m: float, north_m: float, truth: RunTruth) -> tuple[float, float]:
     """Range and bearing through the true channel, metres and radians in [-pi, pi).
 
     Args:
@@ -305,7 +305,7 @@ def measured(draw: Vector, east_m: float, north_m: float, truth: Truth) -> tuple
 
 @kernel
 def measured_in(
-    draw: Vector, east_m: float, north_m: float, truth: Truth, scene: Scene, memory: ShadowMemory
+    draw: Vector, east_m: float, north_m: float, truth: RunTruth, scene: Scene, memory: ShadowMemory
 ) -> tuple[float, float, ShadowMemory]:
     """The same among obstacles, and what the next shadowed measurement must remember.
 
@@ -331,7 +331,7 @@ def measured_in(
 
 @kernel
 def received(
-    draw: Vector, east_m: float, north_m: float, truth: Truth, excess_m: float, bend_rad: float
+    draw: Vector, east_m: float, north_m: float, truth: RunTruth, excess_m: float, bend_rad: float
 ) -> tuple[float, float]:
     """Range and bearing with their offsets, what stands in the way, and thermal noise."""
     de, dn = truth.east_m - east_m, truth.north_m - north_m
@@ -348,7 +348,7 @@ def scene_of(case: Case) -> Scene:
     return Scene(environment.around((*case.target_enu_m, 0.0)), environment.shadow)
 
 
-def truth_of(case: Case, rng: np.random.Generator) -> Truth:
+def truth_of(case: Case, rng: np.random.Generator) -> RunTruth:
     """What is true in a run; draws two numbers whether the case needs them or not."""
     channel, belief = case.channel, case.belief
     range_offset_m, bearing_offset_deg = channel.range_offset_m, channel.bearing_offset_deg
@@ -356,7 +356,7 @@ def truth_of(case: Case, rng: np.random.Generator) -> Truth:
     if case.offsets == "prior":
         range_offset_m = belief.range_offset_sigma_m * float(draws[0])
         bearing_offset_deg = belief.bearing_offset_sigma_deg * float(draws[1])
-    return Truth(
+    return RunTruth(
         *case.target_enu_m,
         range_offset_m,
         math.radians(bearing_offset_deg),

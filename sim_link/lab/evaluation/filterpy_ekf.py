@@ -54,8 +54,8 @@ from sim_link.lab.evaluation.case import (
     TRUTH,
     Case,
     RunSeed,
+    RunTruth,
     Scene,
-    Truth,
     channel_draws,
     measured_in,
     run_seeds,
@@ -205,7 +205,12 @@ class Replay(NamedTuple):
 
 @kernel
 def replayed(
-    draws: Matrix, track_enu_m: Matrix, start_enu_m: Vector, truth: Truth, scene: Scene, b: Belief
+    draws: Matrix,
+    track_enu_m: Matrix,
+    start_enu_m: Vector,
+    truth: RunTruth,
+    scene: Scene,
+    b: Belief,
 ) -> Replay:
     """A run of a recursive filter along a given track.
 

@@ -21,7 +21,7 @@ import msgspec
 
 from companion.domain import Params
 from companion.errors import ConfigError
-from sim_link.lab.evaluation.campaign import Tally
+from sim_link.lab.evaluation.campaign import RunTally
 from sim_link.lab.evaluation.case import Case
 from sim_link.lab.evaluation.systems import (
     FILTER_LABELS,
@@ -282,7 +282,7 @@ class CellResult:
     """As tables have it, for example 0.5."""
     case: Case
     system: System
-    tally: Tally
+    tally: RunTally
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,8 +30,8 @@ from companion.kernel import IS_COMPILED
 from companion.planning.crossing_kernels import LATCH_SIZE
 from sim_link.lab.evaluation.campaign import (
     Block,
-    Campaign,
-    Tally,
+    RunSeries,
+    RunTally,
     joined_in_order,
     tally_of,
     unpacked,
@@ -58,7 +58,6 @@ from sim_link.lab.evaluation.systems import (
     belief_of,
     steering_of,
     track_of,
-    window_of_system,
 )
 from sim_link.lab.evaluation.walk import first_fix, history_of, next_place, solved, updated
 from sim_link.lab.pool import Pool, sources_digest
@@ -112,7 +111,7 @@ def _window(case: Case, system: System) -> None:
     mean, covariance = first_fix(0.0, 0.0, 20.0, 0.0, belief)
     rows = history_of(STEPS, belief)
     rows[:, :2], rows[:, 2], rows[:, 3:6] = track_of(case), 0.0, _views(STEPS)
-    solved(rows, mean, 1, belief, window_of_system(case, system))
+    solved(rows, mean, 1, belief)
     sensor, latch = np.zeros(3), np.zeros(LATCH_SIZE)
     next_place(sensor, mean, covariance, 0.0, latch, belief, steering)
     truth, draws = truth_of(case, stream(0, TRUTH)), channel_draws(case, 0)
@@ -121,7 +120,7 @@ def _window(case: Case, system: System) -> None:
 
 def _run(case: Case, system: System) -> None:
     """A whole block of one short run, with all that is told of it."""
-    tally_of(Campaign(case, system, 0, 1).blocks()[0])
+    tally_of(RunSeries(case, system, 0, 1).blocks()[0])
 
 
 def _views(count: int) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
@@ -200,9 +199,9 @@ class PlannedStudy:
     runs: int
     cells: tuple[Cell, ...]
 
-    def campaign(self, cell: Cell, seed: int) -> Campaign:
+    def campaign(self, cell: Cell, seed: int) -> RunSeries:
         """The runs of one of its cells."""
-        return Campaign(cell.case, cell.system, seed, self.runs)
+        return RunSeries(cell.case, cell.system, seed, self.runs)
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,7 +273,7 @@ def results_of(studies: Iterable[PlannedStudy], seed: int, store: Store) -> list
     Raises:
         KeyError: Not all of it was carried out.
     """
-    tallies: dict[tuple[str, ...], Tally] = {}
+    tallies: dict[tuple[str, ...], RunTally] = {}
     results: list[StudyResult] = []
     for study in studies:
         cells: list[CellResult] = []

@@ -28,7 +28,14 @@ from companion.kernel import Matrix, Vector
 from companion.planning.crossing import LatchedCrossing, ReactiveCrossing, ReactiveCrossingParams
 from companion.planning.fim import FimParams, FimPlanner, candidate_ring_m
 from companion.planning.planner import Planner, PlanRequest
-from sim_link.lab.evaluation.case import Case, Scene, Truth, lawnmower_track, measured_in, stepped
+from sim_link.lab.evaluation.case import (
+    Case,
+    RunTruth,
+    Scene,
+    lawnmower_track,
+    measured_in,
+    stepped,
+)
 from sim_link.lab.evaluation.metrics import r95_m
 from sim_link.lab.evaluation.walk import (
     COLUMNS,
@@ -38,8 +45,7 @@ from sim_link.lab.evaluation.walk import (
     PRINTED_FIM,
     REACTIVE,
     Belief,
-    Steering,
-    Window,
+    WalkSteering,
     prior_of,
 )
 from sim_link.world.environment import NO_MEMORY
@@ -49,7 +55,7 @@ STEP_S = 1.0
 EMITTER_ID = 1
 
 
-class Estimator(Protocol):
+class RunEstimator(Protocol):
     """Turns measurements into an estimate."""
 
     def fuse(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> None:
@@ -132,7 +138,7 @@ class TrackerEstimator:
         return self._tracker.hypotheses[0].state.covariance[:4, :4]
 
 
-class Pilot(Protocol):
+class RunPilot(Protocol):
     """Says where the next measurement is made."""
 
     def next_place(
@@ -191,10 +197,10 @@ class PlannerPilot:
 def flown(
     draws: Matrix,
     start_enu_m: Point,
-    truth: Truth,
+    truth: RunTruth,
     scene: Scene,
-    estimator: Estimator,
-    pilot: Pilot,
+    estimator: RunEstimator,
+    pilot: RunPilot,
 ) -> tuple[Matrix, Vector]:
     """The record of a run, (steps, 9) as `walk` has it, and its R95, (steps,), metres.
 
@@ -301,6 +307,7 @@ def belief_of(case: Case, system: System) -> Belief:
     params = target_filter.params
     mean, sigmas = params.prior
     _, sigma = params.seen(RangingMeasurement(emitter_id=0, measured_at_s=0.0))
+    information, pull = prior_of(mean, sigmas)
     iterations, penalty = 0, 1.0
     if isinstance(target_filter, AdmmEkf):
         iterations, penalty = target_filter.admm.iterations, target_filter.admm.penalty
@@ -314,19 +321,15 @@ def belief_of(case: Case, system: System) -> Belief:
         model=params.model,
         iterations=iterations,
         penalty=penalty,
+        is_window_solved=system.filter == "map",
+        information=information,
+        pull=pull,
     )
 
 
-def window_of_system(case: Case, system: System) -> Window:
-    """The objective that corrects the system's filter, as the compiled walk takes it."""
-    belief = belief_of(case, system)
-    information, pull = prior_of(belief.prior_mean, belief.prior_sigmas)
-    return Window(system.filter == "map", information, pull)
-
-
-def steering_of(case: Case, system: System) -> Steering:
+def steering_of(case: Case, system: System) -> WalkSteering:
     """The system's planner, as the compiled walk takes it."""
-    return Steering(
+    return WalkSteering(
         PLANNERS[system.planner],
         case.step_m,
         case.crossing_distance_m,
@@ -349,7 +352,7 @@ def recursive_filter_of(case: Case, system: System) -> TargetFilter:
     raise ValueError(f"{system.filter} is no recursive filter of the companion")
 
 
-def estimator_of(case: Case, system: System, start_enu_m: Vector) -> Estimator:
+def estimator_of(case: Case, system: System, start_enu_m: Vector) -> RunEstimator:
     """A fresh estimator of the system; the tracker makes its own start.
 
     Args:
@@ -376,7 +379,7 @@ def estimator_of(case: Case, system: System, start_enu_m: Vector) -> Estimator:
     return FilterEstimator(target_filter, case.belief, start)
 
 
-def pilot_of(case: Case, system: System) -> Pilot:
+def pilot_of(case: Case, system: System) -> RunPilot:
     """A fresh pilot with the system's planner.
 
     Raises:

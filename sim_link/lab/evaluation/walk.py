@@ -51,7 +51,7 @@ from companion.kernel import Matrix, Vector, kernel
 from companion.planning.crossing import reactive_step
 from companion.planning.crossing_kernels import LATCH_SIZE, LatchRule, latched_step, overshoot_m
 from companion.planning.fim import MIN_DISTANCE_M, STAY, best_candidate
-from sim_link.lab.evaluation.case import Scene, Truth, measured_in, stepped
+from sim_link.lab.evaluation.case import RunTruth, Scene, measured_in, stepped
 from sim_link.world.environment import NO_MEMORY
 
 FLAT_SHARE = 1e-9
@@ -134,9 +134,15 @@ class Belief(NamedTuple):
     """Of the splitting; 0: the closed form."""
     penalty: float
     """Of the splitting."""
+    is_window_solved: bool
+    """Whether the objective over the run corrects the filter."""
+    information: Matrix
+    """(4, 4) of the offsets' priors in that objective."""
+    pull: Vector
+    """(4,)"""
 
 
-class Steering(NamedTuple):
+class WalkSteering(NamedTuple):
     """A planner with its parameters, as the kernels take it."""
 
     planner: int
@@ -198,17 +204,6 @@ def updated(
     return mean, covariance
 
 
-class Window(NamedTuple):
-    """The prior of the objective over a run, as the kernels take it; the rest is the filter's."""
-
-    is_solved: bool
-    """False: the filter is left alone."""
-    information: Matrix
-    """(4, 4) of the Gaussian prior."""
-    pull: Vector
-    """(4,)"""
-
-
 FIRST_COUNT = 4
 """Measurements before the first solution: as many as there are unknowns twice over."""
 EARLY_COUNT = 50
@@ -259,9 +254,7 @@ def fresh_start(rows: Matrix, turn: int, prior_mean: Vector) -> Vector:
 
 
 @kernel
-def solved(
-    rows: Matrix, mean: Vector, turn: int, belief: Belief, window: Window
-) -> tuple[Vector, Matrix]:
+def solved(rows: Matrix, mean: Vector, turn: int, belief: Belief) -> tuple[Vector, Matrix]:
     """The lower of two minima, (4,), and its covariance, (4, 4).
 
     Args:
@@ -269,7 +262,7 @@ def solved(
         mean: (4,) of the filter.
         turn: Number of the solution: where the fresh start lies.
     """
-    thresholds, information, pull = belief.thresholds, window.information, window.pull
+    thresholds, information, pull = belief.thresholds, belief.information, belief.pull
     start = fresh_start(rows, turn, belief.prior_mean)
     best, cost = map_minimum(rows, mean, thresholds, belief.bounds, information, pull, belief.model)
     other, other_cost = map_minimum(
@@ -291,7 +284,7 @@ def informed_place(
     mean: Vector,
     covariance: Matrix,
     belief: Belief,
-    steering: Steering,
+    steering: WalkSteering,
 ) -> tuple[float, float]:
     """Where the FIM planner flies next: the end of the best candidate, or nowhere."""
     index = best_candidate(
@@ -312,7 +305,7 @@ def informed_place(
 
 @kernel
 def printed_place(
-    sensor_enu_m: Vector, mean: Vector, pick: float, belief: Belief, steering: Steering
+    sensor_enu_m: Vector, mean: Vector, pick: float, belief: Belief, steering: WalkSteering
 ) -> tuple[float, float]:
     """Where the FIM planner as printed flies next: the end of a best candidate, or nowhere."""
     east_m, north_m = sensor_enu_m[0], sensor_enu_m[1]
@@ -333,7 +326,7 @@ def next_place(
     pick: float,
     latch: Vector,
     belief: Belief,
-    steering: Steering,
+    steering: WalkSteering,
 ) -> tuple[float, float, Vector]:
     """Where a planner that follows the estimate flies next, and its latch."""
     east_m, north_m = sensor_enu_m[0], sensor_enu_m[1]
@@ -378,11 +371,10 @@ def walked(
     picks: Vector,
     track: Matrix,
     start: Vector,
-    truth: Truth,
+    truth: RunTruth,
     scene: Scene,
     belief: Belief,
-    window: Window,
-    steering: Steering,
+    steering: WalkSteering,
 ) -> Matrix:
     """The record of a run, (steps, 9).
 
@@ -392,7 +384,6 @@ def walked(
         track: (steps, 2) the places to measure from; of planners that follow the estimate only
             the first counts.
         start: (2,) place of the first estimate; NaN: from the first measurement.
-        window: The objective over the run that corrects the filter, or not.
     """
     steps = draws.shape[0]
     record = np.empty((steps, COLUMNS))
@@ -414,9 +405,9 @@ def walked(
         else:
             mean, covariance = updated(mean, covariance, sensor, z, belief)
         rows[step, :3], rows[step, 3:6] = sensor, z
-        if window.is_solved and step + 1 >= due:
+        if belief.is_window_solved and step + 1 >= due:
             turn += 1
-            mean, covariance = solved(rows[: step + 1], mean, turn, belief, window)
+            mean, covariance = solved(rows[: step + 1], mean, turn, belief)
             due = next_solution(step + 1)
         write_down(record[step], sensor, mean, covariance)
         if steering.planner != FIXED:

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim_link.lab.evaluation.campaign import Campaign, Tally
+from sim_link.lab.evaluation.campaign import RunSeries, RunTally
 from sim_link.lab.evaluation.case import canonical_case
 from sim_link.lab.evaluation.systems import System
 from tools.verify_estimation import (
@@ -27,9 +27,9 @@ def _tally(
     coverage: float = 0.95,
     offset_m: float = 5.5,
     runs: int = 200,
-) -> Tally:
+) -> RunTally:
     ones = np.ones(STEPS)
-    return Tally(
+    return RunTally(
         runs,
         runs * rmse_m**2 * ones,
         runs * bound_m**2 * ones,
@@ -55,7 +55,7 @@ def test_the_lawnmower_asks_for_rmse_rank_and_offset() -> None:
 
 
 def test_the_bound_is_that_of_the_own_tracks() -> None:
-    campaign = Campaign(canonical_case(), System("tracker", "fim"), 1, 200)
+    campaign = RunSeries(canonical_case(), System("tracker", "fim"), 1, 200)
     assert bound_figure(campaign, _tally(0.25, 0.2)).is_met
     assert not bound_figure(campaign, _tally(0.27, 0.2)).is_met
 
@@ -76,20 +76,20 @@ def test_the_bound_is_asked_for_in_every_regime() -> None:
 def test_in_known_noise_too_careful_is_wrong_as_well(
     nees: float, coverage: float, verdicts: list[bool]
 ) -> None:
-    campaign = Campaign(honesty_case(0.0, "fixed"), System("tracker", "passive"), 1, 200)
+    campaign = RunSeries(honesty_case(0.0, "fixed"), System("tracker", "passive"), 1, 200)
     figures = honesty_figures(campaign, _tally(nees=nees, coverage=coverage))
     assert [figure.is_met for figure in figures] == verdicts
 
 
 @pytest.mark.parametrize(("coverage", "is_met"), [(0.99, True), (0.92, False)])
 def test_under_nlos_too_careful_is_allowed(coverage: float, is_met: bool) -> None:
-    campaign = Campaign(honesty_case(0.9, "fixed"), System("tracker", "passive"), 1, 200)
+    campaign = RunSeries(honesty_case(0.9, "fixed"), System("tracker", "passive"), 1, 200)
     (figure,) = honesty_figures(campaign, _tally(coverage=coverage))
     assert figure.is_met is is_met
 
 
 def test_of_the_plain_filter_honesty_is_only_reported() -> None:
-    campaign = Campaign(honesty_case(0.0, "prior"), System("huber", "passive"), 1, 200)
+    campaign = RunSeries(honesty_case(0.0, "prior"), System("huber", "passive"), 1, 200)
     assert {f.is_met for f in honesty_figures(campaign, _tally(nees=30.0))} == {None}
 
 
@@ -99,9 +99,9 @@ def test_honesty_is_asked_of_known_noise_and_of_the_papers() -> None:
 
 
 def test_parts_can_be_measured_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[Campaign] = []
+    asked: list[RunSeries] = []
 
-    def fake(campaigns: list[Campaign], jobs: int, on_block: object) -> list[Tally]:
+    def fake(campaigns: list[RunSeries], jobs: int, on_block: object) -> list[RunTally]:
         del jobs, on_block
         asked.extend(campaigns)
         return [_tally() for _ in campaigns]

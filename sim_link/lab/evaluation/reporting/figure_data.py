@@ -224,7 +224,7 @@ WATCHED_STEPS = 60
 
 
 @dataclass(frozen=True, slots=True)
-class Watch:
+class GradientWatch:
     """What was seen of several runs of one system, before every step but the first."""
 
     system: System
@@ -283,13 +283,13 @@ class WatchingPilot:
 
 def watched(
     case: Case, seed: int, runs: int = WATCHED_RUNS, steps: int = WATCHED_STEPS
-) -> list[Watch]:
+) -> list[GradientWatch]:
     """The first runs of a study's seed, watched."""
     short = msgspec.structs.replace(case, steps=min(steps, case.steps))
     return [_watch(short, system, run_seeds(seed, runs)) for system in WATCHED]
 
 
-def _watch(case: Case, system: System, seeds: list[np.random.SeedSequence]) -> Watch:
+def _watch(case: Case, system: System, seeds: list[np.random.SeedSequence]) -> GradientWatch:
     edges = scene_of(case).surroundings.edges
     places = [run_trial(case, system, seed).track_enu_m for seed in seeds]
     pairs = [_gradients(case, system, s, track) for s, track in zip(seeds, places, strict=True)]
@@ -299,7 +299,7 @@ def _watch(case: Case, system: System, seeds: list[np.random.SeedSequence]) -> W
         [float(is_blocked(*case.target_enu_m, e, n, edges)) for e, n in track.tolist()]
         for track in before
     ]
-    return Watch(
+    return GradientWatch(
         system,
         np.array(pairs)[:, :, 0],
         np.array(pairs)[:, :, 1],

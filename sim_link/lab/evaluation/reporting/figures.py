@@ -29,7 +29,7 @@ from sim_link.lab.evaluation.case import Case
 from sim_link.lab.evaluation.reporting import plots
 from sim_link.lab.evaluation.reporting.figure_data import (
     FlownTrack,
-    Watch,
+    GradientWatch,
     cells_at,
     flights_of,
     numbers,
@@ -299,7 +299,7 @@ def _gradients(result: StudyResult, rows: Sequence[ResultRow]) -> list[Drawing]:
     return [finished(figure, f"{result.study.table}_gradients", title, caption, wide=True)]
 
 
-def _in_shadow(watch: Watch) -> str:
+def _in_shadow(watch: GradientWatch) -> str:
     early = slice(0, EARLY_STEPS)
     own = 100.0 * float(np.median(watch.gradient[:, early]))
     printed = 100.0 * float(np.median(watch.printed_gradient[:, early]))

@@ -35,7 +35,7 @@ from companion.estimation.filters.robust_update import (
     asymmetric_huber_loss,
 )
 from sim_link.lab.evaluation.metrics import SETTLED_M
-from sim_link.lab.evaluation.reporting.figure_data import Curve, Sensitivity, Watch
+from sim_link.lab.evaluation.reporting.figure_data import Curve, GradientWatch, Sensitivity
 from sim_link.lab.evaluation.reporting.tables import typeset
 from sim_link.lab.evaluation.systems import FilterName, PlannerName, System
 
@@ -413,7 +413,7 @@ def _draw_sensitivity(axes: Axes, one: Sensitivity) -> None:
     metre_axis(axes)
 
 
-def gradients(watches: Sequence[Watch]) -> Figure:
+def gradients(watches: Sequence[GradientWatch]) -> Figure:
     """What FIM's candidates differ by along flights, and where these are meanwhile."""
     figure = new_figure(7.2, 5.0)
     (filtered, printed), (distance, shadow) = figure.subplots(2, 2, sharex=True)

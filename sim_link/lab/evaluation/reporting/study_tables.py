@@ -41,7 +41,7 @@ import numpy as np
 from companion.config.loader import load_yaml
 from companion.errors import ConfigError
 from companion.kernel import Matrix, Vector
-from sim_link.lab.evaluation.campaign import Tally
+from sim_link.lab.evaluation.campaign import RunTally
 from sim_link.lab.evaluation.metrics import (
     COVERAGE_BAND,
     SETTLED_STEP,
@@ -80,7 +80,7 @@ class Seen:
 
     result: StudyResult
     cell: Cell
-    tally: Tally
+    tally: RunTally
 
 
 def rows_of(result: StudyResult) -> list[ResultRow]:
@@ -223,7 +223,7 @@ def _rmse_ratio(seen: Seen) -> list[Numbers]:
     return [("rmse_ratio", number(ratio), interval(ends), "")]
 
 
-def _reference(result: StudyResult, cell: Cell) -> Tally | None:
+def _reference(result: StudyResult, cell: Cell) -> RunTally | None:
     """Proposed with the same planner in the same case, unless the cell is that itself."""
     if cell.system.filter == REFERENCE_FILTER:
         return None

@@ -91,7 +91,7 @@ def metric_name(metric: str) -> str:
     return METRICS.get(metric, metric.replace("_", " "))
 
 
-Verdict = Literal["ahead", "level", "behind", "inside", "outside", ""]
+Standing = Literal["ahead", "level", "behind", "inside", "outside", ""]
 
 SMALLER_IS_BETTER = frozenset({"final_rmse_m", "steps_to_2.5m", "cost_ms_per_step"})
 WITHIN = frozenset({"nees_final", "coverage_min", "coverage_mean", "coverage_max"})
@@ -112,7 +112,7 @@ class TableCell:
     paper: str
     ours: str
     bound: str
-    verdict: Verdict
+    verdict: Standing
     notes: tuple[str, ...] = ()
 
 
@@ -161,7 +161,7 @@ def tables_of(rows: Iterable[ResultRow]) -> list[TableView]:
     ]
 
 
-def verdict_of(row: ResultRow) -> Verdict:
+def verdict_of(row: ResultRow) -> Standing:
     """Who is ahead, paper or ours; or whether ours is within the band that is asked for.
 
     Level is a paper's number inside of our 95 % interval, or the same number.

@@ -4,8 +4,8 @@ import numpy as np
 
 from sim_link.lab.evaluation.campaign import (
     Block,
-    Campaign,
-    Tally,
+    RunSeries,
+    RunTally,
     joined_in_order,
     run_block,
     tally_of,
@@ -17,7 +17,7 @@ from sim_link.lab.evaluation.systems import System
 from tools.verify_estimation import tallies_of
 
 SHORT = Case(steps=15)
-CAMPAIGN = Campaign(SHORT, System("asymmetric_huber", "latched"), seed=2, runs=60)
+CAMPAIGN = RunSeries(SHORT, System("asymmetric_huber", "latched"), seed=2, runs=60)
 
 
 def _silent(done: int, total: int) -> None:
@@ -45,12 +45,12 @@ def test_a_tally_says_what_its_trials_say() -> None:
 
 
 def test_processes_change_nothing() -> None:
-    other = Campaign(SHORT, System("ekf", "passive"), seed=2, runs=30)
+    other = RunSeries(SHORT, System("ekf", "passive"), seed=2, runs=30)
     alone = tallies_of([CAMPAIGN, other], 1, _silent)
     shared = tallies_of([CAMPAIGN, other], 2, _silent)
     assert [tally.runs for tally in alone] == [60, 30]
     for one, two in zip(alone, shared, strict=True):
-        for name in Tally.__slots__:
+        for name in RunTally.__slots__:
             assert np.array_equal(getattr(one, name), getattr(two, name)), name
 
 
@@ -59,5 +59,5 @@ def test_a_tally_comes_back_from_its_bytes() -> None:
     whole = joined_in_order(parts)
     again = joined_in_order(unpacked(part.packed()) for part in parts)
     assert (whole.runs, again.runs) == (60, 60)
-    for name in Tally.__slots__[1:]:
+    for name in RunTally.__slots__[1:]:
         np.testing.assert_array_equal(getattr(again, name), getattr(whole, name))

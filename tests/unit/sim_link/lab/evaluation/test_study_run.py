@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from companion.errors import CompanionError
-from sim_link.lab.evaluation.campaign import Block, Campaign
+from sim_link.lab.evaluation.campaign import Block, RunSeries
 from sim_link.lab.evaluation.filterpy_ekf import EkfCheck
 from sim_link.lab.evaluation.study import Study
 from sim_link.lab.evaluation.study_run import (
@@ -99,7 +99,7 @@ def test_results_are_those_of_the_campaigns(tmp_path: Path) -> None:
     store = Store(tmp_path / FOLDER_NAME)
     carried_out(work, Pool(), store, _done)
     (result,) = results_of(studies, SEED, store)
-    campaigns = [Campaign(cell.case, cell.system, SEED, RUNS) for cell in result.cells]
+    campaigns = [RunSeries(cell.case, cell.system, SEED, RUNS) for cell in result.cells]
     for cell, tally in zip(
         result.cells, tallies_of(campaigns, 1, lambda _d, _t: None), strict=True
     ):

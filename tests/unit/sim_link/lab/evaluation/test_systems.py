@@ -11,7 +11,6 @@ from sim_link.lab.evaluation.systems import (
     belief_of,
     recursive_filter_of,
     system_named,
-    window_of_system,
 )
 
 
@@ -45,8 +44,8 @@ def test_kernels_fly_the_companions_filters_and_the_window() -> None:
 
 
 def test_only_the_window_is_solved() -> None:
-    assert window_of_system(Case(), system_named("map/fim")).is_solved
-    assert not window_of_system(Case(), system_named("asymmetric_huber/fim")).is_solved
+    assert belief_of(Case(), system_named("map/fim")).is_window_solved
+    assert not belief_of(Case(), system_named("asymmetric_huber/fim")).is_window_solved
 
 
 def test_filters_differ_by_their_thresholds() -> None:

@@ -8,7 +8,7 @@ import pytest
 from companion.kernel import Matrix
 from sim_link.lab.evaluation.campaign import run_block, run_trial
 from sim_link.lab.evaluation.case import PAPER_BELIEF, Case, run_seeds
-from sim_link.lab.evaluation.systems import System, belief_of, window_of_system
+from sim_link.lab.evaluation.systems import System, belief_of
 from sim_link.lab.evaluation.walk import (
     EARLY_COUNT,
     FIRST_COUNT,
@@ -21,7 +21,6 @@ from sim_link.lab.evaluation.walk import (
 TARGET_ENU_M = np.array([50.0, 50.0])
 SYSTEM = System("map", "latched")
 BELIEF = belief_of(Case(), SYSTEM)
-WINDOW = window_of_system(Case(), SYSTEM)
 
 
 def _circle(count: int) -> Matrix:
@@ -36,7 +35,7 @@ def _circle(count: int) -> Matrix:
 
 def test_it_finds_the_target_from_a_start_that_is_carried_away() -> None:
     away = np.array([-90.0, 120.0, 0.0, 0.0])
-    mean, covariance = solved(_circle(30), away, 1, BELIEF, WINDOW)
+    mean, covariance = solved(_circle(30), away, 1, BELIEF)
     assert mean[:2] == pytest.approx(TARGET_ENU_M, abs=1e-3)
     assert np.linalg.eigvalsh(covariance).min() > 0.0
 
@@ -51,7 +50,7 @@ def test_a_fresh_start_lies_as_far_as_the_ranges_say() -> None:
 def test_no_information_at_all_is_no_error() -> None:
     rows = _circle(4)
     rows[:] = rows[0]
-    mean, covariance = solved(rows, BELIEF.prior_mean, 1, BELIEF, WINDOW)
+    mean, covariance = solved(rows, BELIEF.prior_mean, 1, BELIEF)
     assert np.isfinite(mean).all()
     assert np.isfinite(covariance).all()
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sim_link.lab.evaluation.campaign import Tally
+from sim_link.lab.evaluation.campaign import RunTally
 from sim_link.lab.evaluation.case import Case, canonical_case
 from sim_link.lab.evaluation.study import CellResult, FigureName, ResultRow, Study, StudyResult
 from sim_link.lab.evaluation.systems import System, system_named
@@ -15,12 +15,12 @@ RUNS = 200
 
 def tally(
     final_m: float, settled: int = 10, worst_m: float | None = None, bound_m: float = 0.01
-) -> Tally:
+) -> RunTally:
     """Errors of 20 m until they settle, and of `final_m` from then on; one run may be worse."""
     rmse_m = np.where(np.arange(STEPS) < settled - 1, 20.0, final_m)
     finals = np.full(RUNS, final_m)
     finals[-1] = final_m if worst_m is None else worst_m
-    return Tally(
+    return RunTally(
         runs=RUNS,
         squared_m2=RUNS * rmse_m**2,
         bound_m2=np.full(STEPS, RUNS * bound_m**2),
@@ -34,7 +34,7 @@ def tally(
 
 def cell(
     name: str,
-    done: Tally,
+    done: RunTally,
     table: str = "grand_summary",
     value: str = "1.5",
     parameter: str = "sigma_r_m",

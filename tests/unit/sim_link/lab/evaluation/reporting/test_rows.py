@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from sim_link.lab.evaluation.campaign import Tally
+from sim_link.lab.evaluation.campaign import RunTally
 from sim_link.lab.evaluation.reporting.study_tables import (
     ratio_interval,
     resamples,
@@ -19,12 +19,12 @@ from sim_link.lab.evaluation.study import CellResult, ResultRow, Study, StudyRes
 STEPS, RUNS = 30, 40
 
 
-def _tally(rmse_m: float, bound_m: float = 0.5) -> Tally:
+def _tally(rmse_m: float, bound_m: float = 0.5) -> RunTally:
     """All runs alike: 10 m off for ten steps, then that much."""
     squared = np.full(STEPS, RUNS * rmse_m**2)
     squared[:10] = RUNS * 100.0
     ones = np.ones(STEPS)
-    return Tally(
+    return RunTally(
         runs=RUNS,
         squared_m2=squared,
         bound_m2=RUNS * bound_m**2 * ones,
@@ -36,7 +36,7 @@ def _tally(rmse_m: float, bound_m: float = 0.5) -> Tally:
     )
 
 
-def _result(tallies: dict[str, Tally], metrics: list[str], **sweep: Any) -> StudyResult:
+def _result(tallies: dict[str, RunTally], metrics: list[str], **sweep: Any) -> StudyResult:
     fields = {
         "table": "noise",
         "title": "Noise",
@@ -52,7 +52,7 @@ def _result(tallies: dict[str, Tally], metrics: list[str], **sweep: Any) -> Stud
     return StudyResult(study, RUNS, 1, tuple(cells))
 
 
-def _rows(metric: str, tally: Tally, **sweep: Any) -> list[ResultRow]:
+def _rows(metric: str, tally: RunTally, **sweep: Any) -> list[ResultRow]:
     return rows_of(_result({"asymmetric_huber/passive": tally}, [metric], **sweep))
 
 
