@@ -76,11 +76,12 @@ class RecursiveFilter:
     ) -> None:
         self.params = params
         self._kernel = kernel
-        self._options = options
+        self._walk = params.process_noise_m_per_sqrt_s
+        self._beliefs = (params.thresholds, params.bounds, params.model, *options)
 
     def predict(self, state: FilterState, time_s: float) -> FilterState:
         """The state at `time_s`; the covariance grows by the random walk, if any."""
-        q = self.params.process_noise_m_per_sqrt_s
+        q = self._walk
         dt_s = time_s - state.time_s
         if q == 0.0 or dt_s <= 0.0:
             return FilterState(max(time_s, state.time_s), state.mean, state.covariance)
@@ -103,21 +104,17 @@ class RecursiveFilter:
         walk since then is noise of it. (Its correlation with the state's own error is left out,
         which makes the filter a little more careful than it had to be.)
         """
-        params = self.params
         late_s = max(state.time_s - measurement.measured_at_s, 0.0)
-        z, sigma = params.seen(measurement)
+        z, sigma = self.params.seen(measurement)
         mean, P, rows, is_sane = self._kernel(
             state.mean,
             state.covariance,
             np.array(sensor_enu_m),
             z,
             sigma,
-            params.process_noise_m_per_sqrt_s**2 * late_s,
+            self._walk**2 * late_s,
             np.array(inflation),
-            params.thresholds,
-            params.bounds,
-            params.model,
-            *self._options,
+            *self._beliefs,
         )
         if is_sane:
             mean.setflags(write=False)

@@ -252,6 +252,8 @@ class FilterParams(Params, frozen=True, dict=True):
         if not self.use_reported_sigma:
             return believed
         reported = (m.range_sigma_m, m.bearing_sigma_rad, m.elevation_sigma_rad)
+        if reported == (None, None, None):
+            return believed
         ranged, borne, elevated = (
             own if told is None else min(max(told, MIN_SIGMA), MAX_SIGMA)
             for told, own in zip(reported, believed, strict=True)
