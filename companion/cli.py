@@ -17,7 +17,7 @@ from companion.errors import CompanionError, ConfigError
 from companion.io.files import check_writable, write_json_atomic
 from companion.io.links.transports import FlightLink, check_exposure, parse_flight_link
 from companion.io.shell import Clock
-from companion.link.specs import LinkRole
+from companion.link.interface import LinkRole
 from companion.replay.flight_replay import FlightReplay, Pace, replay_flight, replay_on_map
 from companion.replay.walk_replay import replay_walk, table
 from companion.run import FlightOptions, FlightView, fly

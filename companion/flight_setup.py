@@ -26,8 +26,15 @@ from companion.io.files import FLIGHT, write_bytes_atomic
 from companion.kernel import IS_COMPILED
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.intake import Authenticity
-from companion.link.recorders import InputRecorder, Journal
-from companion.link.specs import MAVLINK, VEHICLE_ONLY, EndpointParams, LinkRole, LinkSpec
+from companion.link.interface import (
+    MAVLINK,
+    VEHICLE_ONLY,
+    EndpointParams,
+    InputRecorder,
+    Journal,
+    LinkRole,
+    LinkSpec,
+)
 from companion.mav.signing import Signing
 from companion.planning.crossing import LatchedCrossing, ReactiveCrossing
 from companion.planning.fim import FimPlanner

@@ -40,8 +40,7 @@ from companion.io.state.signing_keys import SigningKeeper, load_signing_key, ope
 from companion.io.state.vehicle_lock import VehicleLock, lock_name, place_of, state_directory
 from companion.kernel import IS_COMPILED
 from companion.link.endpoint import CompanionEndpoint
-from companion.link.recorders import Journal
-from companion.link.specs import LinkRole, LinkSpec
+from companion.link.interface import Journal, LinkRole, LinkSpec
 from companion.mav.signing import ONE_LINK_EACH
 from companion.process.diagnostics import LinkWatch, ProcessDiagnostics, ProcessParts
 from companion.process.persistence import ParameterKeeper, RestartKeeper, digests_of

@@ -18,8 +18,7 @@ from companion.flight_setup import build_planner, build_session
 from companion.guard.gate import GuardReason
 from companion.guidance.health.findings import Reason
 from companion.link.endpoint import CompanionEndpoint
-from companion.link.recorders import Journal
-from companion.link.specs import EndpointParams, LinkSpec
+from companion.link.interface import EndpointParams, Journal, LinkSpec
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Chunk

@@ -27,7 +27,7 @@ from companion.guard.gate import GuardLimits
 from companion.guidance.flight.fencing import FencePlan, FencePolicy
 from companion.guidance.session_params import SessionParams
 from companion.guidance.tracking.emitters import QueueParams
-from companion.link.specs import LinkParams, VehicleParams
+from companion.link.interface import LinkParams, VehicleParams
 from companion.planning.crossing import LatchedCrossingParams, ReactiveCrossingParams
 from companion.planning.fim import FimParams
 from companion.planning.planner import PlanRequest

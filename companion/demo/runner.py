@@ -17,8 +17,9 @@ import msgspec
 
 from companion.config.schema import CompanionConfig
 from companion.demo.simulator_process import SimulatorProcess
-from companion.domain import Point, TargetEstimate
+from companion.domain import TargetEstimate
 from companion.errors import CompanionError, ConfigError
+from companion.geometry.polygons import Point
 from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import Severity
 from companion.io.child_process import HOST, free_udp_port
@@ -26,8 +27,7 @@ from companion.io.files import check_writable, write_json_atomic
 from companion.io.links.transports import FlightLink, UdpBind
 from companion.io.shell import Clock
 from companion.link.endpoint import CompanionEndpoint
-from companion.link.recorders import Journal
-from companion.link.specs import LinkRole, LinkSpec
+from companion.link.interface import Journal, LinkRole, LinkSpec
 from companion.run import FlightOptions, FlightView, fly, is_handed_over, prepare
 from companion.view.snapshot import TeeJournal
 

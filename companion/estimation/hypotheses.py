@@ -20,11 +20,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from companion.domain import Params, Point, PositionEnu, Positive, RangingMeasurement
+from companion.domain import Params, PositionEnu, Positive, RangingMeasurement
 from companion.estimation.filters.target_filter import FilterParams, FilterState
 from companion.estimation.measurement_model import BEARING, BEARING_OFFSET, EAST, NORTH
 from companion.estimation.window.map_kernels import VALUES
 from companion.geometry.coordinates import wrap_pi
+from companion.geometry.polygons import Point
 from companion.kernel import Matrix, Vector
 
 RING_SIZE = 24

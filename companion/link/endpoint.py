@@ -32,7 +32,6 @@ from companion.guidance.messages import health_fields
 from companion.guidance.session import GuidanceSession
 from companion.link.autopilot_queries import AutopilotQueries
 from companion.link.executor import SessionExecutor
-from companion.link.flood_alarms import FloodShield, LinkAlarms
 from companion.link.gcs_services import (
     AddressedCommand,
     CommandHandler,
@@ -41,9 +40,17 @@ from companion.link.gcs_services import (
     TunableBook,
 )
 from companion.link.intake import Authenticity, AutopilotBinding, Intake
+from companion.link.interface import (
+    MAVLINK,
+    EndpointParams,
+    InputRecorder,
+    Journal,
+    LinkRole,
+    LinkSpec,
+)
 from companion.link.outlet import COMPONENT_ID, Outlet
 from companion.link.presence import Presence
-from companion.link.quality import LinkHealth
+from companion.link.quality import FloodShield, LinkAlarms, LinkHealth
 from companion.link.ranging_sources import (
     SOURCES,
     MavlinkRanging,
@@ -51,8 +58,6 @@ from companion.link.ranging_sources import (
     RangingSource,
     SourceContext,
 )
-from companion.link.recorders import InputRecorder, Journal
-from companion.link.specs import MAVLINK, EndpointParams, LinkRole, LinkSpec
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message
 from companion.mav.endpoint import Address, Chunk

@@ -24,11 +24,10 @@ from companion.link import outbound
 from companion.link.autopilot_queries import AutopilotQueries
 from companion.link.inbound import VehicleInbound
 from companion.link.intake import AutopilotBinding, RateLimit
+from companion.link.interface import Journal, VehicleParams
 from companion.link.outbound import RequestClient
 from companion.link.outlet import Outlet
 from companion.link.quality import LinkHealth
-from companion.link.recorders import Journal
-from companion.link.specs import VehicleParams
 from companion.mav.addressing import is_for
 from companion.mav.dialect import Message, mavlink
 

@@ -22,8 +22,7 @@ from companion.guidance.authority.control_authority import ID_CONFLICT_S
 from companion.guidance.commands import Announce, Severity
 from companion.link import outbound
 from companion.link.intake import AutopilotBinding
-from companion.link.recorders import Journal
-from companion.link.specs import LinkRole
+from companion.link.interface import Journal, LinkRole
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Chunk

@@ -19,7 +19,7 @@ from typing import Protocol
 from companion.domain import RangingMeasurement
 from companion.geometry.coordinates import bearing_enu_from_ned
 from companion.link.clock_sync import CLOCK_TOLERANCE_S, SenderClock, VehicleClock
-from companion.link.specs import MAVLINK
+from companion.link.interface import MAVLINK
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message, Message, RangingFlag, mavlink
 

@@ -44,15 +44,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.domain import (
-    NonNegative,
-    Params,
-    Point,
-    Positive,
-    TargetEstimate,
-    Waypoint,
-    WaypointReason,
-)
+from companion.domain import NonNegative, Params, Positive, TargetEstimate, Waypoint, WaypointReason
+from companion.geometry.polygons import Point
 from companion.kernel import Vector, kernel
 from companion.planning.crossing_kernels import (
     CROSSINGS,

@@ -26,8 +26,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.domain import Params, Point, Positive, TargetEstimate, Waypoint, WaypointReason
+from companion.domain import Params, Positive, TargetEstimate, Waypoint, WaypointReason
 from companion.geometry.coordinates import bearing_ned_from_enu
+from companion.geometry.polygons import Point
 from companion.kernel import Matrix, frozen, kernel
 from companion.planning.planner import Plan, PlanRequest, hold_position, route_to, way_finder
 

@@ -13,9 +13,9 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Generic, Protocol, TypeVar
 
-from companion.domain import Point, TargetEstimate, Waypoint, WaypointReason
+from companion.domain import TargetEstimate, Waypoint, WaypointReason
 from companion.geometry.obstacles import FreeSpace, between
-from companion.geometry.polygons import Polygon, deepest_point, depth_m
+from companion.geometry.polygons import Point, Polygon, deepest_point, depth_m
 from companion.geometry.visibility import WayFinder
 from companion.kernel import Matrix
 

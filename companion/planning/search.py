@@ -26,9 +26,9 @@ from typing import Annotated, Generic, Literal, Protocol, TypeVar
 
 import msgspec
 
-from companion.domain import EstimateState, Params, Point, Positive, Waypoint, WaypointReason
+from companion.domain import EstimateState, Params, Positive, Waypoint, WaypointReason
 from companion.geometry.obstacles import FreeSpace
-from companion.geometry.polygons import Polygon, area_m2, is_simple, nearest_on_segment
+from companion.geometry.polygons import Point, Polygon, area_m2, is_simple, nearest_on_segment
 from companion.planning.planner import (
     Plan,
     Planner,

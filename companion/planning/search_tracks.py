@@ -17,9 +17,8 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from companion.domain import Point
 from companion.geometry.obstacles import FreeSpace
-from companion.geometry.polygons import Polygon, edges
+from companion.geometry.polygons import Point, Polygon, edges
 
 LEAST_LEG_M = 0.5
 """What is left of a leg and is shorter than this is not worth flying to."""

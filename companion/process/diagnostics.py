@@ -28,7 +28,7 @@ from companion.io.shell import TimerStatistics
 from companion.io.state.checkpoints import CheckpointStore
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.intake import RateLimit
-from companion.link.recorders import Journal
+from companion.link.interface import Journal
 
 _STATM = Path("/proc/self/statm")
 _DESCRIPTORS = Path("/proc/self/fd")

@@ -37,7 +37,7 @@ from companion.io.logs.log_files import (
 )
 from companion.io.logs.mcap_file import McapFlight, read_mcap_flight
 from companion.link.endpoint import CompanionEndpoint
-from companion.link.recorders import Journal
+from companion.link.interface import Journal
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk
 from companion.mav.framing import message_id, sender_of

@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 
 from markupsafe import Markup
 
-from companion.domain import Point
-from companion.geometry.polygons import ellipse_95
+from companion.geometry.polygons import Point, ellipse_95
 from companion.report.flight_summary import EstimatePoint
 from companion.report.svg import SvgPlot, square_around
 

@@ -9,7 +9,7 @@ from typing import Annotated, TypeVar
 
 import msgspec
 
-from companion.domain import Point
+from companion.geometry.polygons import Point
 from companion.guard.gate import GuardReason
 
 SUMMARY_KINDS = ("text", "phase", "answer", "autopilot_text", "bound", "result")

@@ -22,10 +22,9 @@ from markupsafe import Markup
 
 from companion import __version__
 from companion.config.schema import CompanionConfig
-from companion.domain import Point
 from companion.estimation.filters.robust_update import asymmetric_huber_loss, threshold
 from companion.flight_setup import FlightFacts, open_flight
-from companion.geometry.polygons import CHI2_95_TWO
+from companion.geometry.polygons import CHI2_95_TWO, Point
 from companion.io.files import EVENTS, REPORT, write_text_atomic
 from companion.io.logs.log_files import event_lines
 from companion.report.charts import Chart, MapLayers, TimeCharts, TimeCurve, flight_map, histogram

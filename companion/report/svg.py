@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from xml.sax.saxutils import escape, quoteattr
 
-from companion.domain import Point
+from companion.geometry.polygons import Point
 
 MARGIN = 44.0
 """Around the plot, for the ticks."""

@@ -20,7 +20,7 @@ from companion.guidance.authority.state_machine import HAS_VEHICLE, Phase
 from companion.guidance.session import GuidanceStatus
 from companion.io.writer_thread import WriterThread
 from companion.link.endpoint import CompanionEndpoint
-from companion.link.recorders import Journal
+from companion.link.interface import Journal
 
 MAX_QUEUED = 1000
 CLOSE_TIMEOUT_S = 0.3

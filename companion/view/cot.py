@@ -23,7 +23,7 @@ from companion.errors import ConfigError, LinkError
 from companion.guidance.session import EmitterStatus
 from companion.handoff import Handoff, handoff_of, printable, utc_text
 from companion.link.endpoint import CompanionEndpoint
-from companion.link.recorders import Journal
+from companion.link.interface import Journal
 from companion.mav.endpoint import Address
 
 TYPE = "a-u-G"

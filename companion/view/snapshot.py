@@ -23,7 +23,7 @@ from companion.guidance.commands import ReportResult, Severity
 from companion.guidance.flight.fencing import Fencing
 from companion.guidance.session import EmitterStatus, GuidanceStatus
 from companion.link.endpoint import CompanionEndpoint
-from companion.link.recorders import Journal
+from companion.link.interface import Journal
 
 Json = dict[str, object]
 

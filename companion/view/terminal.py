@@ -27,7 +27,7 @@ from companion.estimation.noise.innovations import TrackerHealth
 from companion.guidance.authority.state_machine import IN_CONTROL, Phase
 from companion.guidance.session import EmitterStatus, GuidanceStatus
 from companion.link.endpoint import CompanionEndpoint
-from companion.link.recorders import Journal
+from companion.link.interface import Journal
 from companion.view.snapshot import FlightSnapshot, TimeToGo, flight_snapshot
 
 PHASE_STYLE = {

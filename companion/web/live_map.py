@@ -32,7 +32,7 @@ from companion.guidance.commands import Severity
 from companion.guidance.events import OperatorCommand
 from companion.io.files import plain
 from companion.link.endpoint import CompanionEndpoint
-from companion.link.recorders import Journal
+from companion.link.interface import Journal
 from companion.view.snapshot import Json, TeeJournal, TimeToGo, picture_of, scene_of
 from companion.web.settings import WebSettings
 

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.domain import FlightMode, LandedState, Point, PositionEnu
+from companion.domain import FlightMode, LandedState, PositionEnu
 from companion.geometry.coordinates import LocalOrigin, wrap_pi
-from companion.geometry.polygons import depth_m
+from companion.geometry.polygons import Point, depth_m
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.control_inputs import StickInput
 from sim_link.autopilot.estimator import Estimator

@@ -19,7 +19,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from companion.domain import Point, PositionEnu
+from companion.domain import PositionEnu
+from companion.geometry.polygons import Point
 from companion.mav import dialect
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import RcParams

@@ -10,8 +10,9 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 
-from companion.domain import Point, PositionEnu
+from companion.domain import PositionEnu
 from companion.geometry.coordinates import wrap_pi
+from companion.geometry.polygons import Point
 from sim_link.autopilot.control_inputs import Setpoint, Sticks, turned
 from sim_link.autopilot.mission_executor import LegKind, MissionLeg
 from sim_link.world.point_mass import (

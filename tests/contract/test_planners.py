@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.domain import EstimateState, Point, TargetEstimate, Waypoint, WaypointReason
+from companion.domain import EstimateState, TargetEstimate, Waypoint, WaypointReason
 from companion.geometry.obstacles import FreeSpace, between
-from companion.geometry.polygons import deepest_point, depth_m
+from companion.geometry.polygons import Point, deepest_point, depth_m
 from companion.kernel import frozen
 from companion.planning.crossing import (
     LatchedCrossing,

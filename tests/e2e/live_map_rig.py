@@ -21,7 +21,7 @@ from playwright.sync_api import Browser, Page, expect, sync_playwright
 from companion.config.schema import CompanionConfig
 from companion.guidance.session_params import SessionParams
 from companion.io.logs.flight_recorder import FlightJournal
-from companion.link.recorders import Journal
+from companion.link.interface import Journal
 from companion.web.live_map import WebView
 from companion.web.settings import WebSettings, web_settings
 from sim_link.autopilot.scenario import Scenario

@@ -31,8 +31,7 @@ from companion.io.files import INPUTS
 from companion.io.logs.flight_recorder import FlightJournal
 from companion.io.logs.log_files import parse_inputs
 from companion.link.endpoint import CompanionEndpoint
-from companion.link.recorders import Journal
-from companion.link.specs import LinkSpec, VehicleParams
+from companion.link.interface import Journal, LinkSpec, VehicleParams
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk

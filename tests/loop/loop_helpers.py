@@ -7,9 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from companion.config.schema import CompanionConfig
-from companion.domain import FlightMode, Point, PositionEnu
+from companion.domain import FlightMode, PositionEnu
 from companion.flight_setup import build_endpoint
 from companion.geometry.coordinates import enu_from_ned
+from companion.geometry.polygons import Point
 from companion.guidance.authority.state_machine import Phase
 from companion.guidance.session_params import SessionParams
 from companion.link.endpoint import CompanionEndpoint

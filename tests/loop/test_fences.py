@@ -10,8 +10,8 @@ from typing import Any, Literal
 import pytest
 
 from companion.config.schema import CompanionConfig, LimitsConfig, with_fence
-from companion.domain import FlightMode, Point
-from companion.geometry.polygons import depth_m
+from companion.domain import FlightMode
+from companion.geometry.polygons import Point, depth_m
 from companion.guidance.authority.state_machine import Phase
 from companion.guidance.session_params import SessionParams
 from companion.mav.dialect import mavlink

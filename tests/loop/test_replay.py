@@ -26,8 +26,7 @@ from companion.io.logs.flight_recorder import FlightJournal
 from companion.io.logs.log_files import event_lines
 from companion.io.logs.mcap_file import McapLog
 from companion.link.endpoint import CompanionEndpoint
-from companion.link.recorders import Journal
-from companion.link.specs import LinkSpec
+from companion.link.interface import Journal, LinkSpec
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk

@@ -7,8 +7,7 @@ import math
 import pytest
 
 from companion.config.schema import CompanionConfig, LimitsConfig, PatternKind, PlannerConfig
-from companion.domain import Point
-from companion.geometry.polygons import depth_m
+from companion.geometry.polygons import Point, depth_m
 from companion.guard.fence import Fence
 from companion.guidance.authority.state_machine import Phase
 from companion.guidance.session_params import SessionParams

@@ -11,8 +11,7 @@ from companion.config.schema import CompanionConfig
 from companion.flight_setup import build_endpoint
 from companion.guidance.authority.state_machine import Phase
 from companion.link.endpoint import CompanionEndpoint
-from companion.link.recorders import Journal
-from companion.link.specs import LinkSpec
+from companion.link.interface import Journal, LinkSpec
 from companion.mav.endpoint import Chunk
 from companion.mav.signing import ONE_LINK_EACH, Signing, SigningKey, is_signed
 from sim_link.autopilot.endpoint import SimEndpoint

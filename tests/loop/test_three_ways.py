@@ -20,21 +20,17 @@ import pytest
 
 from companion.config.schema import CompanionConfig, CrossingKind, PlannerConfig
 from companion.config.tunables import Tunables
-from companion.domain import (
-    Point,
-    PositionEnu,
-    RangingMeasurement,
-    WaypointReason,
-)
+from companion.domain import PositionEnu, RangingMeasurement, WaypointReason
 from companion.estimation.tracker import FusionReport, TargetTracker, TrackerParams
 from companion.estimation.window.window_map import WindowParams
 from companion.flight_setup import build_planner
+from companion.geometry.polygons import Point
 from companion.guard.gate import Guard
 from companion.guidance.session import GuidanceSession
 from companion.guidance.session_params import SessionParams
 from companion.guidance.tracking.emitters import EmitterQueue
 from companion.link.endpoint import CompanionEndpoint
-from companion.link.specs import EndpointParams
+from companion.link.interface import EndpointParams
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from companion.mav.ranging import message_from_ranging

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from companion.config.schema import CompanionConfig, LimitsConfig
-from companion.domain import Point
+from companion.geometry.polygons import Point
 from companion.guidance.session_params import SessionParams
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink

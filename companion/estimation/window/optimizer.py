@@ -29,7 +29,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.domain import Point, PositionEnu
+from companion.domain import PositionEnu
 from companion.estimation.belief import as_evidence
 from companion.estimation.filters.target_filter import FilterParams, FilterState, Inflation
 from companion.estimation.hypotheses import Hypothesis, shift_rows
@@ -52,6 +52,7 @@ from companion.estimation.window.window_map import (
     WindowMap,
     WindowParams,
 )
+from companion.geometry.polygons import Point
 from companion.kernel import Matrix, Vector
 
 IMPROBABLE_LOG_RATIO = math.log(1e-4)

@@ -10,8 +10,8 @@ import math
 from dataclasses import replace
 from typing import Any
 
-from companion.domain import Point, PositionEnu, PositionSetpoint, TargetEstimate, Waypoint
-from companion.geometry.polygons import depth_m
+from companion.domain import PositionEnu, PositionSetpoint, TargetEstimate, Waypoint
+from companion.geometry.polygons import Point, depth_m
 from companion.guard.fence import Fence
 from companion.guard.gate import Guard, Guarded, GuardReason, Motion
 from companion.guidance.authority.control_authority import is_search_due

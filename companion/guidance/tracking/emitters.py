@@ -16,10 +16,11 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from companion.domain import Params, Point, PositionEnu, RangingMeasurement
+from companion.domain import Params, PositionEnu, RangingMeasurement
 from companion.estimation.belief import Belief
 from companion.estimation.screening.measurement_screen import RejectReason, reject_reason_of
 from companion.estimation.tracker import FusionReport, TargetTracker, TrackerParams
+from companion.geometry.polygons import Point
 
 Order = Literal["first", "nearest", "strongest", "listed"]
 EmitterId = Annotated[int, msgspec.Meta(ge=0, le=65535)]

@@ -17,8 +17,8 @@ from companion.io.links.byte_streams import PtyLink, SerialLink, TcpClientLink
 from companion.io.links.link import Link, Received
 from companion.io.links.tcp import TcpFanOutLink, TcpServerLink
 from companion.io.links.udp import UdpConnectLink, UdpFanOutLink, UdpLink
+from companion.link.interface import MAVLINK, LinkRole, LinkSpec
 from companion.link.ranging_sources import SOURCES
-from companion.link.specs import MAVLINK, LinkRole, LinkSpec
 from companion.mav.endpoint import Address
 
 DEFAULT_BAUD = 921_600

@@ -17,7 +17,7 @@ from companion.io.files import EVENTS, INPUTS, RESULT, TLOG, plain
 from companion.io.logs.log_files import EventLog, InputLog, TlogWriter
 from companion.io.logs.mcap_file import McapLog
 from companion.io.writer_thread import CLOSE_TIMEOUT_S, WriterHealth
-from companion.link.recorders import InputRecorder, Journal
+from companion.link.interface import InputRecorder, Journal
 
 log = logging.getLogger("companion.flight")
 

@@ -16,8 +16,7 @@ from companion.domain import FlightMode
 from companion.flight_setup import build_endpoint
 from companion.guidance.session_params import SessionParams
 from companion.link.endpoint import CompanionEndpoint
-from companion.link.recorders import Journal
-from companion.link.specs import LinkSpec
+from companion.link.interface import Journal, LinkSpec
 from companion.mav.signing import ONE_LINK_EACH, LinkSigning, Signing, SigningKey, timestamp_at
 from sim_link.autopilot import incidents
 from sim_link.autopilot.endpoint import SimEndpoint

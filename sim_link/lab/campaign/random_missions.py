@@ -23,7 +23,7 @@ from companion.config.schema import (
 )
 from companion.domain import FlightMode
 from companion.guidance.session_params import SessionParams
-from companion.link.specs import VehicleParams as CompanionVehicle
+from companion.link.interface import VehicleParams as CompanionVehicle
 from sim_link.autopilot.incidents import PilotMode
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.lab.campaign.flights import (

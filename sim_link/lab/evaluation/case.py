@@ -36,9 +36,10 @@ from typing import Annotated, Literal, NamedTuple
 import msgspec
 import numpy as np
 
-from companion.domain import NonNegative, Params, Point, Positive
+from companion.domain import NonNegative, Params, Positive
 from companion.estimation.filters.robust_update import wrapped
 from companion.estimation.filters.target_filter import FilterParams
+from companion.geometry.polygons import Point
 from companion.kernel import Matrix, Vector, kernel
 from companion.planning.crossing import LatchedCrossingParams
 from companion.planning.fim import HEADINGS

@@ -17,13 +17,14 @@ from typing import Any, Literal, Protocol, get_args
 import msgspec
 import numpy as np
 
-from companion.domain import EstimateState, Point, PositionEnu, RangingMeasurement, TargetEstimate
+from companion.domain import EstimateState, PositionEnu, RangingMeasurement, TargetEstimate
 from companion.errors import ConfigError
 from companion.estimation.filters.kalman import KINDS, AdmmEkf, filter_of
 from companion.estimation.filters.target_filter import FilterParams, FilterState, TargetFilter
 from companion.estimation.hypotheses import HypothesisParams, first_hypotheses
 from companion.estimation.measurement_model import MODALITIES
 from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.geometry.polygons import Point
 from companion.kernel import Matrix, Vector
 from companion.planning.crossing import LatchedCrossing, ReactiveCrossing, ReactiveCrossingParams
 from companion.planning.fim import FimParams, FimPlanner, candidate_ring_m

@@ -26,8 +26,7 @@ from companion.flight_setup import build_endpoint
 from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import ReportResult, Severity
 from companion.link.endpoint import CompanionEndpoint
-from companion.link.recorders import Journal
-from companion.link.specs import LinkSpec, link_specs
+from companion.link.interface import Journal, LinkSpec, link_specs
 from companion.mav.endpoint import Address, Chunk
 from sim_link.autopilot import radio_payload
 from sim_link.autopilot.endpoint import SimEndpoint

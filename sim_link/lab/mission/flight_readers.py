@@ -7,8 +7,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from companion.config.schema import CompanionConfig
-from companion.domain import Point, PositionEnu
+from companion.domain import PositionEnu
 from companion.geometry.coordinates import LocalOrigin
+from companion.geometry.polygons import Point
 from companion.guidance.authority.state_machine import IN_CONTROL
 from companion.guidance.commands import ReportResult, Severity
 from companion.guidance.events import (

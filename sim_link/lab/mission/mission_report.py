@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from companion import __version__
-from companion.domain import Point
+from companion.geometry.polygons import Point
 from companion.io.files import plain
 from companion.report.charts import Chart, MapLayers, TimeCharts, TimeCurve, flight_map, histogram
 from companion.report.flight_summary import EventRow, event_text

@@ -14,7 +14,8 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
-from companion.domain import Point, PositionEnu
+from companion.domain import PositionEnu
+from companion.geometry.polygons import Point
 from companion.io.files import plain
 from companion.io.logs.log_files import tlog_record
 from companion.report.flight_summary import EstimatePoint

@@ -18,8 +18,9 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 
-from companion.domain import Point, PositionEnu
+from companion.domain import PositionEnu
 from companion.geometry.coordinates import enu_from_ned, wrap_pi
+from companion.geometry.polygons import Point
 from companion.mav import dialect
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.aircraft import AMSL_FRAMES, RELATIVE_FRAMES, Aircraft

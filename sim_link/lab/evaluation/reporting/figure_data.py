@@ -21,7 +21,8 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from companion.domain import Point, TargetEstimate
+from companion.domain import TargetEstimate
+from companion.geometry.polygons import Point
 from companion.kernel import Matrix, Vector
 from companion.planning.fim import candidate_ring_m, worst_variance_m2
 from sim_link.lab.evaluation.campaign import run_trial, start_of

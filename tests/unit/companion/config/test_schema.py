@@ -10,7 +10,7 @@ from companion.config.loader import load_yaml, parse_yaml
 from companion.config.schema import CompanionConfig, inconsistency, load_config
 from companion.errors import ConfigError
 from companion.flight_setup import build_planner, build_session
-from companion.link.specs import LinkParams
+from companion.link.interface import LinkParams
 from companion.planning.crossing import LatchedCrossing, ReactiveCrossing
 from companion.planning.fim import FimPlanner
 from companion.planning.search import SearchPlanner, SearchThenCross

@@ -9,13 +9,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from companion.domain import EstimateState, Point, PositionEnu, RangingMeasurement, TargetEstimate
+from companion.domain import EstimateState, PositionEnu, RangingMeasurement, TargetEstimate
 from companion.estimation.filters.kalman import KINDS, FilterKind, filter_of
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.integrity.track_integrity import CONTRADICTION_COUNT
 from companion.estimation.screening.measurement_screen import Objection, RejectReason
 from companion.estimation.tracker import TargetTracker, TrackerParams
 from companion.estimation.window.window_map import WindowParams
+from companion.geometry.polygons import Point
 from companion.planning.crossing import Latch, LatchedCrossing, LatchedCrossingParams
 from companion.planning.planner import PlanRequest
 from tests.unit.companion.estimation.tracker_helpers import (

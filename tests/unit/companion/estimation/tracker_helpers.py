@@ -7,8 +7,9 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from companion.domain import Point, PositionEnu, RangingMeasurement, TargetEstimate
+from companion.domain import PositionEnu, RangingMeasurement, TargetEstimate
 from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.geometry.polygons import Point
 
 HEIGHT_M = 20.0
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from companion.domain import EstimateState, Point, TargetEstimate
+from companion.domain import EstimateState, TargetEstimate
 from companion.geometry.coordinates import LocalOrigin
+from companion.geometry.polygons import Point
 from companion.handoff import Handoff, handoff_of
 
 ORIGIN = LocalOrigin(47.4, 8.54, 488.0)

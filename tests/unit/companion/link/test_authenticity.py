@@ -7,7 +7,7 @@ import pytest
 from companion.config.schema import CompanionConfig
 from companion.guidance.authority.state_machine import Phase
 from companion.link.intake import REPORT_PERIOD_S
-from companion.link.specs import LinkParams
+from companion.link.interface import LinkParams
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message, mavlink
 from companion.mav.framing import without_signature

@@ -16,7 +16,7 @@ from companion.errors import LocalProtocolError
 from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import SendSetpoint
 from companion.guidance.events import AutopilotFenceRead
-from companion.link.specs import LinkParams, VehicleParams
+from companion.link.interface import LinkParams, VehicleParams
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message, Message, mavlink
 from tests.unit.companion.link.wire import (

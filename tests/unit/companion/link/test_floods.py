@@ -11,7 +11,7 @@ from companion.guidance.authority.state_machine import Phase
 from companion.link.executor import TEXT_BURST
 from companion.link.gcs_services import COMMANDS_PER_S, REQUEST_CAPABILITIES
 from companion.link.intake import MOST_OTHERS
-from companion.link.specs import VehicleParams
+from companion.link.interface import VehicleParams
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message, Message, mavlink
 from companion.mav.endpoint import Address

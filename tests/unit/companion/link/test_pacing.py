@@ -3,8 +3,8 @@ from __future__ import annotations
 import msgspec
 import pytest
 
+from companion.link.interface import LinkParams
 from companion.link.quality import CALM_S, Pacing
-from companion.link.specs import LinkParams
 
 
 def paced(*observed: tuple[float | None, float]) -> Pacing:

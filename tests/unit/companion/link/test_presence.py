@@ -11,8 +11,8 @@ from companion.config.schema import CompanionConfig
 from companion.domain import EstimateState, TargetEstimate
 from companion.geometry.coordinates import LocalOrigin
 from companion.guidance.authority.state_machine import Trigger
+from companion.link.interface import LinkParams
 from companion.link.presence import estimate_message, icon_message, named_values
-from companion.link.specs import LinkParams
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import (
     MAVLink_radio_ranging_message,

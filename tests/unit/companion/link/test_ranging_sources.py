@@ -18,8 +18,8 @@ from companion.flight_setup import (
 )
 from companion.io.links.transports import SerialPort, check_exposure, parse_flight_link
 from companion.link.clock_sync import ClockSync, VehicleClock
+from companion.link.interface import VEHICLE_ONLY, LinkRole, LinkSpec, link_specs
 from companion.link.ranging_sources import SOURCES, MavlinkRanging, SourceContext
-from companion.link.specs import VEHICLE_ONLY, LinkRole, LinkSpec, link_specs
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message
 from companion.mav.endpoint import Chunk

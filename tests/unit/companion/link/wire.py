@@ -9,7 +9,7 @@ from companion.config.schema import CompanionConfig
 from companion.flight_setup import build_endpoint
 from companion.guidance.commands import ReportResult, Severity
 from companion.guidance.events import AutopilotFenceRead
-from companion.link.specs import link_specs
+from companion.link.interface import link_specs
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address, Chunk

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.domain import EstimateState, Point, TargetEstimate, WaypointReason
+from companion.domain import EstimateState, TargetEstimate, WaypointReason
+from companion.geometry.polygons import Point
 from companion.kernel import Matrix, frozen
 from companion.planning import fim
 from companion.planning.fim import (

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.domain import EstimateState, Point, TargetEstimate
+from companion.domain import EstimateState, TargetEstimate
+from companion.geometry.polygons import Point
 from companion.planning import crossing_kernels as kernels
 from companion.planning.crossing import Latch, LatchedCrossing, LatchedCrossingParams
 from companion.planning.crossing_kernels import (

@@ -6,7 +6,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from companion.domain import EstimateState, Point, TargetEstimate, WaypointReason
+from companion.domain import EstimateState, TargetEstimate, WaypointReason
+from companion.geometry.polygons import Point
 from companion.planning.crossing import ReactiveCrossing, ReactiveCrossingParams
 from companion.planning.planner import PlanRequest
 

@@ -6,8 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.domain import Point, Waypoint, WaypointReason
+from companion.domain import Waypoint, WaypointReason
 from companion.geometry.obstacles import FreeSpace, between
+from companion.geometry.polygons import Point
 from companion.planning.planner import (
     NO_ROOM,
     PlanRequest,

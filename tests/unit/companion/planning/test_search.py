@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import pytest
 
-from companion.domain import Point, WaypointReason
+from companion.domain import WaypointReason
+from companion.geometry.polygons import Point
 from companion.planning.planner import PlanRequest
 from companion.planning.search import (
     Corner,

@@ -2,7 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from companion.domain import EstimateState, Point, TargetEstimate, WaypointReason
+from companion.domain import EstimateState, TargetEstimate, WaypointReason
+from companion.geometry.polygons import Point
 from companion.planning.crossing import Latch, LatchedCrossing, LatchedCrossingParams
 from companion.planning.planner import Plan, PlanRequest
 from companion.planning.search import (

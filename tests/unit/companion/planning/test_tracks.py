@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.domain import Point
 from companion.geometry.obstacles import FreeSpace, between
-from companion.geometry.polygons import contains, distance_to_border_m, nearest_on_segment
+from companion.geometry.polygons import Point, contains, distance_to_border_m, nearest_on_segment
 from companion.planning.search_tracks import (
     LEAST_LEG_M,
     Leg,

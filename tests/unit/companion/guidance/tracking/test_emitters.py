@@ -7,9 +7,10 @@ import math
 import msgspec
 import pytest
 
-from companion.domain import Point, RangingMeasurement
+from companion.domain import RangingMeasurement
 from companion.estimation.screening.measurement_screen import RejectReason
 from companion.estimation.tracker import FusionReport, TargetTracker, TrackerParams
+from companion.geometry.polygons import Point
 from companion.guidance.tracking.emitters import LOST_S, EmitterQueue, Order, QueueParams
 
 PLACES: dict[int, Point] = {1: (80.0, 0.0), 2: (30.0, 0.0), 3: (0.0, 50.0)}

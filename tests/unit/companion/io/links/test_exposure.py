@@ -4,7 +4,7 @@ import pytest
 
 from companion.errors import ConfigError
 from companion.io.links.transports import check_exposure, parse_flight_link
-from companion.link.specs import LinkRole
+from companion.link.interface import LinkRole
 
 OWN, OPEN, SERIAL = "udp:127.0.0.1:14540", "udp:0.0.0.0:14540", "serial:/dev/ttyAMA0"
 
