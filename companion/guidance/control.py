@@ -167,8 +167,8 @@ class ControlTick:
         self._reporting = Reporting(context, watches.battery, scheduler)
         self._permit = LaunchPermit(context)
         self._waiting = WaitingReason(context.vehicle, context.authority, context.fencing)
-        self._guard_news = GuardMessages()
-        self._fence_news = FenceMessages()
+        self._guard_messages = GuardMessages()
+        self._fence_messages = FenceMessages()
         self._tick_s: float | None = None
         self._next_heartbeat_s = -math.inf
         self._sent_s = -math.inf
@@ -182,7 +182,7 @@ class ControlTick:
         self._tick_s = now_s
         self._watches.tick(now_s)
         self._advance_phase(now_s)
-        fence = self._fence_news.record(context.guard.limits.fence)
+        fence = self._fence_messages.record(context.guard.limits.fence)
         if fence is not None:
             context.record("fence", **fence)
         if context.phase in FLYING and context.flight_plan.is_due(now_s):
@@ -208,9 +208,9 @@ class ControlTick:
 
     def _tell_reasons(self, reasons: tuple[GuardReason, ...], now_s: float) -> None:
         """Why the setpoint is not where the planner wants it."""
-        for text in self._guard_news.texts(reasons, now_s):
+        for text in self._guard_messages.texts(reasons, now_s):
             self._context.warn(text)
-        names = self._guard_news.record(reasons, now_s)
+        names = self._guard_messages.record(reasons, now_s)
         if names is not None:
             self._context.record("guard", reasons=names)
 
@@ -271,11 +271,11 @@ class ControlTick:
         context, finding = self._context, self._watches.finding(now_s)
         if finding is not None and finding.verdict is Verdict.HAND_BACK:
             finding = self._handover.unless_in_doubt(finding, now_s)
-        is_news = context.record_finding(finding, now_s)
+        is_new = context.record_finding(finding, now_s)
         if finding is None:
             if context.enter(Trigger.INPUT_BACK, now_s):
                 context.plan_now(now_s)
-            if is_news:
+            if is_new:
                 context.announce(Severity.INFO, "flying the plan")
             return
         match finding.verdict:
@@ -290,7 +290,7 @@ class ControlTick:
             case Verdict.GIVE_WAY:
                 self._handover.give_way(finding, now_s)
                 return
-        if is_news:
+        if is_new:
             word = "degraded" if finding.verdict is Verdict.SLOW else "hold"
             context.warn(f"{word}: {finding.text}")
 

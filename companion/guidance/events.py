@@ -255,7 +255,7 @@ class TimerFired(Event):
 
 @dataclass(frozen=True, slots=True)
 class ControlStalled(Event):
-    """The control tick stood still (suspended, starved): mode and position are of the past."""
+    """The control loop stalled (suspended, starved): mode and position are of the past."""
 
     stalled_s: float
 

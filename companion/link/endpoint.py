@@ -157,7 +157,7 @@ class CompanionEndpoint:
         self._shield.tick(now_s)
         for intake in self._intakes:
             intake.budget.renew()
-        self._announce_news(now_s)
+        self._announce_texts(now_s)
         stalled_s = self._health.tick(now_s)
         if stalled_s is not None:
             self._queries.ask_mode()
@@ -303,7 +303,7 @@ class CompanionEndpoint:
 
     # At the control tick
 
-    def _announce_news(self, now_s: float) -> None:
+    def _announce_texts(self, now_s: float) -> None:
         """Tell the operator about keys, unknown peers and streams."""
         signing, links = self.authenticity.tick(now_s), self._alarms.tick(now_s)
         for text in (*signing, *links, *self._queries.new_texts(now_s)):

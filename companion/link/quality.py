@@ -156,7 +156,7 @@ class TickWatch:
         self._last_s: float | None = None
 
     def tick(self, period_s: float, now_s: float) -> float | None:
-        """Note a tick; how long it stood still before, if that is a stall."""
+        """Note a tick; how long the control loop was stalled before it, if it was."""
         last_s, self._last_s = self._last_s, now_s
         if last_s is None:
             return None
@@ -208,7 +208,7 @@ class LinkHealth:
         self.ticks = TickWatch()
 
     def tick(self, now_s: float) -> float | None:
-        """Judge the line once more; how long the control tick stood still, if that is a stall."""
+        """Judge the line once more; how long the control loop was stalled, if it was."""
         stalled_s = self.ticks.tick(self.pacing.period_s, now_s)
         if stalled_s is not None:
             self.sequence.skip()  # the socket kept the oldest of what came meanwhile

@@ -361,7 +361,7 @@ class Handover:
             self._context.announce(Severity.ERROR, text)
 
     def _note_stall(self, event: events.ControlStalled) -> None:
-        """The tick stood still: nothing is sent until mode and position were heard anew.
+        """The control loop stalled: nothing is sent until mode and position were heard anew.
 
         What was asked before is not asked again, because whoever flies may have changed since; to
         hand back, it is once that is known.

@@ -100,10 +100,10 @@ class FlightPlan:
         )
         plan = self._planner.plan(request, self._memory)
         self.waypoint, self._memory = plan.waypoint, plan.memory
-        commands = self._search_news(now_s, estimate)
+        commands = self._search_messages(now_s, estimate)
         if previous is None or previous.detail != plan.waypoint.detail:
             commands.append(waypoint_record(plan.waypoint))
-        return commands + self._target_news(now_s, estimate)
+        return commands + self._target_messages(now_s, estimate)
 
     def _request(
         self, now_s: float, place_enu_m: PositionEnu, estimate: TargetEstimate | None
@@ -123,7 +123,7 @@ class FlightPlan:
             joint_covariance=hypotheses[0].state.covariance[:4, :4] if hypotheses else None,
         )
 
-    def _search_news(self, now_s: float, estimate: TargetEstimate | None) -> list[Command]:
+    def _search_messages(self, now_s: float, estimate: TargetEstimate | None) -> list[Command]:
         """A text when a search begins, ends, or begins again."""
         after_s, heard_s = self.search_after_s, self._emitters.current.last_accepted_s
         if after_s is None or after_s == 0.0:
@@ -139,7 +139,7 @@ class FlightPlan:
         text = f"no contact for {after_s:g} s: back to the search pattern"
         return [Announce(Severity.WARNING, text)]
 
-    def _target_news(self, now_s: float, estimate: TargetEstimate | None) -> list[Command]:
+    def _target_messages(self, now_s: float, estimate: TargetEstimate | None) -> list[Command]:
         """A text when the target turns out to be where the vehicle may not go.
 
         A target that goes to and fro across the fence is told of now and then only.
@@ -148,9 +148,9 @@ class FlightPlan:
         if estimate is None or fence is None:
             return []
         where = _forbidden_place(fence, estimate.position_enu_m)
-        is_news, self._where_target_is = where != self._where_target_is, where
+        is_new, self._where_target_is = where != self._where_target_is, where
         self.is_target_outside = bool(where)
-        if not (where and is_news) or now_s - self._told_outside_s < TOLD_AGAIN_S:
+        if not (where and is_new) or now_s - self._told_outside_s < TOLD_AGAIN_S:
             return []
         self._told_outside_s = now_s
         return [Announce(Severity.WARNING, where)]

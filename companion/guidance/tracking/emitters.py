@@ -153,7 +153,7 @@ class EmitterQueue:
             return self._current.fuse(measurement, sensor_enu_m, now_s)
         tracker = self._trackers.get(measurement.emitter_id)
         if tracker is None:
-            reason = self._reason_against_stranger(measurement, now_s)
+            reason = self._reason_against_new_emitter(measurement, now_s)
             if reason is not None:
                 return self._current.reject(reason)
             tracker = self._begin(measurement.emitter_id)
@@ -223,7 +223,7 @@ class EmitterQueue:
         """Whether no other emitter gets a filter."""
         return bool(self.params.listed) or len(self._trackers) >= self.params.most
 
-    def _reason_against_stranger(
+    def _reason_against_new_emitter(
         self, measurement: RangingMeasurement, now_s: float
     ) -> RejectReason | None:
         """Why an emitter that is heard for the first time gets no filter."""

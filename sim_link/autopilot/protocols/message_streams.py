@@ -166,7 +166,7 @@ class StreamTable:
 
 MAX_MESSAGE_ID = 2**24 - 1
 MAX_PEERS = 16
-"""Peers with streams of their own; a stranger with many ports gets none for the oldest of them."""
+"""Peers with streams of their own; one with many ports loses those of its oldest."""
 MAX_INTERVAL_ID = 0xFFFF
 """MESSAGE_INTERVAL.message_id has 16 bits."""
 PROTOCOL_VERSION = 300

@@ -276,7 +276,7 @@ def foreign_answers(probe: CompanionProbe) -> Policy:
     """A policy that stays silent and lets a foreign system accept."""
 
     def policy(command: CommandMessage) -> int | None:
-        """Have a stranger accept the command."""
+        """Have an unknown system accept the command."""
         ack = mavlink.MAVLink_command_ack_message(command.command, ACCEPTED, 0, 0, 0, 0)
         probe.send_as(ack, 77, 1)
         return None

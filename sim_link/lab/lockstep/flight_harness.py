@@ -201,5 +201,5 @@ class Checkpointing(Observer):
         self._keeper.close(0.0)
 
     def ticked(self, now_s: float) -> None:
-        """The chores of a wake-up."""
+        """What is due at a wake-up."""
         self._keeper.run(now_s)

@@ -182,14 +182,14 @@ class SenderTrust:
         self._heard_s = 0.0
 
     @property
-    def is_a_stranger(self) -> bool:
+    def follows_unknown_peer(self) -> bool:
         """Whether somebody else than the vehicle is followed."""
         return self._is_genuine is False
 
-    def is_beside_a_stranger(self, frame: Frame) -> bool:
-        """Whether a frame is of a payload of the stranger who is followed, as its ids say."""
+    def is_beside_unknown_peer(self, frame: Frame) -> bool:
+        """Whether a frame is of a payload of the unknown peer that is followed, as its ids say."""
         is_of_it = self._ids is not None and frame.sender[0] == self._ids[0]
-        return self.is_a_stranger and is_of_it
+        return self.follows_unknown_peer and is_of_it
 
     def _may_follow(self, frame: Frame) -> bool:
         message = frame.message

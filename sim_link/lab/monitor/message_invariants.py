@@ -363,7 +363,7 @@ class HonestCovariance(Invariant):
 
 
 class OnlyProvedFrames(Invariant):
-    """What is damaged, of a stranger or, with a key, not proved, changes nothing."""
+    """What is damaged, of an unknown peer or, with a key, not proved, changes nothing."""
 
     name = "I10"
     title = "no unproved frame changes any state"

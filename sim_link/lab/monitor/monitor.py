@@ -169,7 +169,7 @@ class FrameMonitor(Observer):
         if self._proof is not None and not frame.is_readable:
             self._proof.unreadable()
         scene.is_believable = frame.is_readable and self._is_believed(frame)
-        scene.is_lied_to = self._proof is None and self._whose.is_a_stranger
+        scene.is_lied_to = self._proof is None and self._whose.follows_unknown_peer
         if scene.is_believable:
             scene.tell(frame)
         self._show("heard", frame)
@@ -179,7 +179,7 @@ class FrameMonitor(Observer):
             return self._proof.accepts(frame.data)
         if frame.sender[1] == AUTOPILOT_COMPONENT:
             return self._whose.believes(frame)
-        return frame.is_genuine or self._whose.is_beside_a_stranger(frame)
+        return frame.is_genuine or self._whose.is_beside_unknown_peer(frame)
 
     def vehicle_sent(self, frame: Frame) -> None:
         """The vehicle sent this."""

@@ -188,7 +188,7 @@ class ObservedScene:
     is_believable: bool = True
     """Whether the frame that was heard last had to be believed."""
     is_lied_to: bool = False
-    """A stranger had to be believed: of a flood of its places nobody knows which counts."""
+    """An unknown peer had to be believed: of a flood of its places nobody knows which counts."""
     violations: list[InvariantViolation] = field(default_factory=list)
     counts: dict[tuple[str, str], int] = field(default_factory=dict)
     _sent_s: OrderedDict[bytes, tuple[float, int]] = field(default_factory=OrderedDict, repr=False)

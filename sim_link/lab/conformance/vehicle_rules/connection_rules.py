@@ -198,7 +198,7 @@ def request_version(system: int, component: int) -> Message:
     return CommandLong(system, component, REQUEST, 0, VERSION_ID, 0, 0, 0, 0, 0, 0)
 
 
-def stranger(probe: VehicleProbe) -> int:
+def unknown_system(probe: VehicleProbe) -> int:
     """A system id that nobody has."""
     return 77 if probe.target[0] != 77 else 78
 
@@ -222,7 +222,7 @@ def require_obeyed(probe: VehicleProbe, system: int, component: int) -> None:
 @routing_book.rule(ROUTING, px4="PX4 1.15 answers FAILED; here it is asked to be silent")
 def command_for_another_system_is_ignored(probe: VehicleProbe) -> None:
     """A command for another system is neither obeyed nor acknowledged."""
-    require_ignored(probe, stranger(probe), probe.target[1])
+    require_ignored(probe, unknown_system(probe), probe.target[1])
 
 
 @routing_book.rule(
@@ -358,7 +358,7 @@ def message_for_the_vehicle_stays_with_it(probe: VehicleProbe) -> None:
 @routing_book.rule(ROUTING)
 def unknown_target_reaches_nobody(probe: VehicleProbe) -> None:
     """A command for a system that was never heard is not forwarded."""
-    require_not_forwarded(probe, companion_of(probe), (stranger(probe), 1))
+    require_not_forwarded(probe, companion_of(probe), (unknown_system(probe), 1))
 
 
 @routing_book.rule(ROUTING)
@@ -390,7 +390,7 @@ def signing_setup_is_never_forwarded(probe: VehicleProbe) -> None:
     other = companion_of(probe)
     mark = len(other.datagrams)
     key = bytes(range(1, 33))
-    for target in ((probe.target[0], 191), (stranger(probe), 1)):
+    for target in ((probe.target[0], 191), (unknown_system(probe), 1)):
         probe.send(mavlink.MAVLink_setup_signing_message(*target, list(key), 0))
     require(not frames_at(other, mark, key), "the key was passed on")
     probe.require_hearing()

@@ -139,10 +139,10 @@ def test_the_payload_of_a_stranger_is_believed_while_that_is_followed() -> None:
     whose = followed()
     payload = Frame(0.1, MavCodec(1, 158).encode(ATTITUDE), Lane.TO_COMPANION, is_genuine=False)
     of_another = Frame(0.1, MavCodec(77, 158).encode(ATTITUDE), Lane.TO_COMPANION, is_genuine=False)
-    assert not whose.is_beside_a_stranger(payload)
+    assert not whose.is_beside_unknown_peer(payload)
     assert whose.believes(frame(SILENCE_S, is_genuine=False))
-    assert whose.is_beside_a_stranger(payload)
-    assert not whose.is_beside_a_stranger(of_another)
+    assert whose.is_beside_unknown_peer(payload)
+    assert not whose.is_beside_unknown_peer(of_another)
 
 
 def test_a_stranger_is_followed_after_a_silence_and_the_vehicle_after_another() -> None:
@@ -164,7 +164,7 @@ def test_of_two_autopilots_the_first_that_is_heard_is_followed_for_good() -> Non
     whose = SenderTrust()
     other = MavCodec(77, 1).encode(HEARTBEAT)
     assert whose.believes(Frame(1.0, other, Lane.TO_COMPANION, is_genuine=False))
-    assert whose.is_a_stranger
+    assert whose.follows_unknown_peer
     assert not whose.believes(frame(1.1, HEARTBEAT))
     assert not whose.believes(frame(1.0 + 2.0 * SILENCE_S, HEARTBEAT))
     whose.restart()
@@ -179,7 +179,7 @@ def test_a_station_and_a_vehicle_that_is_not_wanted_are_not_followed() -> None:
     assert not whose.believes(frame(0.5, station, is_genuine=False))
     assert not whose.believes(other)
     assert whose.believes(frame(1.5, HEARTBEAT))
-    assert not whose.is_a_stranger
+    assert not whose.follows_unknown_peer
 
 
 def test_who_yields_answers_for_its_last_setpoint_while_that_is_flown() -> None:
