@@ -110,7 +110,7 @@ class SetpointsInside(Invariant):
     def setpoint(self, setpoint: SentSetpoint) -> None:
         """Judge a setpoint by where the companion believed the vehicle to be.
 
-        Without control it repeats the vehicle's place, and for that of an unknown peer only the peer answers.
+        Without control it repeats the vehicle's place; for an unknown peer's only the peer answers.
         """
         self._judge_height(setpoint.place_enu_m[2])
         if not self.scene.is_lied_to or self.scene.told.is_ours:
