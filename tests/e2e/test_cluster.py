@@ -42,6 +42,7 @@ def _run(*command: object) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.slow
 def test_missions_on_a_cluster_make_the_same_bytes(cluster: DaskCluster, tmp_path: Path) -> None:
     mission = tmp_path / "short.yaml"
     mission.write_text(SCRIPT)
@@ -63,6 +64,7 @@ def test_missions_on_a_cluster_make_the_same_bytes(cluster: DaskCluster, tmp_pat
     assert logs[0] == logs[1]
 
 
+@pytest.mark.slow
 def test_a_fault_campaign_on_a_cluster_finds_the_same(cluster: DaskCluster, tmp_path: Path) -> None:
     figures = []
     parts = ["--campaign", "sample", "--only", "reaction"]

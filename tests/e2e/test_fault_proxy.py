@@ -13,6 +13,8 @@ from tests.e2e.simulator_process import PATIENCE_S, patient_scenario
 from tests.e2e.test_flight import Commands, compiled_kernels, wait_for_text
 from tests.ports import free_port
 
+pytestmark = pytest.mark.slow
+
 __all__ = ["compiled_kernels"]
 
 SPEED = "2"

@@ -123,6 +123,7 @@ def test_companion_finds_the_emitter_and_both_end_cleanly(commands: Commands) ->
     assert [change["mode"] for change in truth["mode_changes"]][-1] == "hold"
 
 
+@pytest.mark.slow
 def test_termination_in_flight_hands_the_vehicle_back(commands: Commands) -> None:
     port = free_port()
     companion = commands.companion(port)
@@ -154,6 +155,7 @@ def test_taken_port_is_one_clear_line_and_leaves_nothing_behind(commands: Comman
     assert not list(commands.directory.glob("flights/*"))
 
 
+@pytest.mark.slow
 def test_companion_survives_garbage_and_understands_the_next_heartbeat(commands: Commands) -> None:
     port = free_port()
     companion = commands.start("companion", "--connect", f"udp:127.0.0.1:{port}")
@@ -187,6 +189,7 @@ def answer_to(sender: socket.socket, frame: Callable[[], bytes], address: tuple[
     pytest.fail("nobody answered")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 def test_demo_writes_its_result_and_picture(commands: Commands, autopilot: str) -> None:
     options = ("--speed", SPEED, "--seed", "2", "--json", "d.json", "--autopilot", autopilot)
@@ -204,6 +207,7 @@ def test_demo_writes_its_result_and_picture(commands: Commands, autopilot: str) 
     assert (commands.directory / "track.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_demo_that_runs_out_of_time_says_so(commands: Commands) -> None:
     (commands.directory / "short.yaml").write_text("time_limit_s: 20.0\n")
     demo = commands.start(
@@ -214,6 +218,7 @@ def test_demo_that_runs_out_of_time_says_so(commands: Commands) -> None:
     assert "NOT LOCALISED (time limit of 20 s)" in output
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay_s", [0.5, 0.9, 1.5, 3.0])
 def test_interrupted_demo_leaves_no_process(commands: Commands, delay_s: float) -> None:
     demo = commands.start("companion", "demo", "--speed", "4", "--no-plot")
@@ -226,6 +231,7 @@ def test_interrupted_demo_leaves_no_process(commands: Commands, delay_s: float) 
     assert_they_end(children)
 
 
+@pytest.mark.slow
 def test_killed_demo_takes_its_simulator_with_it(commands: Commands) -> None:
     demo = commands.start("companion", "demo", "--speed", "4", "--no-plot")
     wait_for_text(demo, "ready")

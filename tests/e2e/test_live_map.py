@@ -39,7 +39,7 @@ from tests.e2e.simulator_process import PATIENCE_S
 from tests.loop.golden_flights import PLANS, fly
 from tests.ports import free_port
 
-pytestmark = needs_chromium
+pytestmark = [needs_chromium, pytest.mark.slow]
 
 
 @pytest.fixture(scope="module")

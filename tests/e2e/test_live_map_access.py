@@ -74,6 +74,7 @@ async def received(address: str) -> str:
         return "\n".join(texts)
 
 
+@pytest.mark.slow
 def test_a_socket_without_a_page_tells_nothing_of_the_flight(tmp_path: Path) -> None:
     settings = web_settings(f"0.0.0.0:{free_port()}", is_control_on=True)
     with live_flight(tmp_path, settings):
@@ -106,6 +107,7 @@ def test_tiles_are_for_those_who_may_look_and_nothing_beside_them_is_served(tmp_
         assert status(outside) in (404, 422)
 
 
+@pytest.mark.slow
 @needs_chromium
 def test_an_open_map_has_buttons_only_with_the_token_and_lays_it_on_tiles(
     browser: Browser, tmp_path: Path

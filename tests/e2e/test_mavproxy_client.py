@@ -23,6 +23,8 @@ from companion.config.tunables import TUNABLES
 from tests.e2e.simulator_process import PATIENCE_S, running_simulator
 from tests.ports import free_port
 
+pytestmark = pytest.mark.slow
+
 SPEED = {"px4": 1.0, "ardupilot": 8.0}
 """On a busy machine MAVProxy does not keep up with several times a PX4's streams."""
 MODULES = "param,mode,arm,wp,fence,link,cmdlong,misc"

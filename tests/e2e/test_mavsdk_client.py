@@ -21,6 +21,8 @@ from tests.e2e.mavsdk_rigs import Client, connected, heard_from_now, until
 from tests.e2e.simulator_process import PATIENCE_S, running_simulator
 from tests.ports import free_port
 
+pytestmark = pytest.mark.slow
+
 SPEED = 3.0
 
 

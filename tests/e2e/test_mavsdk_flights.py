@@ -76,6 +76,7 @@ async def measure_a_rate(client: Client) -> None:
     assert period_s == pytest.approx(1.0 / RATE_HZ, rel=0.1)
 
 
+@pytest.mark.slow
 @BOTH
 def test_mavsdk_gets_the_rate_that_it_asks_for(flavour: str) -> None:
     fly(flavour, measure_a_rate)
@@ -102,6 +103,7 @@ async def go_to_and_return(client: Client) -> None:
     assert place.latitude_deg == pytest.approx(HOME[0], abs=1e-5)
 
 
+@pytest.mark.slow
 @BOTH
 def test_mavsdk_takes_off_goes_to_a_place_and_returns(flavour: str) -> None:
     fly(flavour, go_to_and_return)
@@ -129,6 +131,7 @@ async def fly_offboard(client: Client) -> None:
     await client.await_ground()
 
 
+@pytest.mark.slow
 @BOTH
 def test_mavsdk_flies_offboard_by_position_and_velocity(flavour: str) -> None:
     fly(flavour, fly_offboard)
@@ -180,6 +183,7 @@ async def fly_a_mission(client: Client) -> None:
     await client.await_ground()
 
 
+@pytest.mark.slow
 def test_mavsdk_uploads_flies_and_downloads_a_mission_of_a_px4() -> None:
     fly("px4", fly_a_mission)
 
@@ -225,6 +229,7 @@ async def fly_a_raw_mission(client: Client) -> None:
     await client.await_ground()
 
 
+@pytest.mark.slow
 def test_mavsdk_uploads_flies_and_downloads_a_mission_of_an_ardupilot() -> None:
     fly("ardupilot", fly_a_raw_mission)
 
@@ -241,6 +246,7 @@ async def upload_a_fence(client: Client) -> None:
     await fence.clear_geofence()
 
 
+@pytest.mark.slow
 @BOTH
 def test_mavsdk_uploads_a_fence(flavour: str) -> None:
     fly(flavour, upload_a_fence)

@@ -16,6 +16,8 @@ from sim_link.lab.monitor.monitor import WIRE
 from tests.e2e.simulator_process import PATIENCE_S
 from tests.ports import free_port
 
+pytestmark = pytest.mark.slow
+
 SPEED = 2.0
 """A stall of the machine lasts as many times longer for the vehicle and its companion."""
 HOP = """\

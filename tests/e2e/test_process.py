@@ -24,6 +24,8 @@ from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from tests.e2e.simulator_process import PATIENCE_S, running_simulator
 
+pytestmark = pytest.mark.slow
+
 COMMAND = [sys.executable, "-m", "companion"]
 SPEED = 1.0
 """Faster, a stall of a busy machine lasts so much longer for the companion, which then waits."""

@@ -12,6 +12,8 @@ import pytest
 
 from tests.e2e.dask_rig import LIMIT_S, ROOT, dask_cluster, started, until
 
+pytestmark = pytest.mark.slow
+
 TOOL = ROOT / "tools" / "run_study.py"
 STUDY = """
 table: small

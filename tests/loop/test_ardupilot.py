@@ -44,6 +44,7 @@ def climbing(height_m: float = 20.0) -> Loop:
     return loop
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(5))
 def test_takes_off_in_guided_finds_the_emitter_and_brakes(seed: int) -> None:
     loop = copter(seed=seed)
@@ -54,6 +55,7 @@ def test_takes_off_in_guided_finds_the_emitter_and_brakes(seed: int) -> None:
     assert [number for _, number in loop.commands if number in (ARM, TAKEOFF)] == [ARM, TAKEOFF]
 
 
+@pytest.mark.slow
 def test_finds_the_emitter_over_a_lossy_slow_link_too() -> None:
     loop = Loop(scenario=COPTER, faults=LinkFaults(loss=0.1, delay_s=0.05, jitter_s=0.1))
     loop.run_until(lambda: bool(loop.notes.results), 120.0)
@@ -67,6 +69,7 @@ def test_a_launch_survives_a_take_off_whose_answer_was_lost() -> None:
     assert [number for _, number in loop.commands].count(TAKEOFF) > 1
 
 
+@pytest.mark.slow
 def test_texts_speak_of_guided_and_never_of_offboard() -> None:
     loop = copter()
     loop.run_until(lambda: bool(loop.notes.results), 90.0)
@@ -88,6 +91,7 @@ def test_an_operators_take_off_is_taken_over_once_it_is_in_the_air() -> None:
     assert loop.sim.vehicle.body.height_m == pytest.approx(20.0, abs=1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", [FlightMode.HOLD, FlightMode.RETURN, FlightMode.LAND])
 @pytest.mark.parametrize("seed", range(5))
 def test_the_stream_ends_with_the_first_foreign_mode(mode: FlightMode, seed: int) -> None:
@@ -101,6 +105,7 @@ def test_the_stream_ends_with_the_first_foreign_mode(mode: FlightMode, seed: int
     assert loop.phase in (Phase.YIELD, Phase.WAITING)
 
 
+@pytest.mark.slow
 def test_guided_given_again_after_a_while_gives_control_back() -> None:
     loop = flying()
     loop.choose(FlightMode.HOLD)

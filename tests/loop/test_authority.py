@@ -106,6 +106,7 @@ def reasons(loop: Loop) -> dict[str, int]:
 # The pilot
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flavour", FLAVOURS)
 @pytest.mark.parametrize("loss", [0.0, 0.1, 0.3])
 @pytest.mark.parametrize("seed", range(2))
@@ -143,6 +144,7 @@ def give_again(loop: Loop) -> None:
     raise AssertionError(f"control was not given again: {loop.notes.texts[-5:]}")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flavour", FLAVOURS)
 def test_a_mode_that_flaps_is_left_alone(flavour: FlavourName) -> None:
     loop = flying(flavour, LinkFaults(delay_s=0.02, jitter_s=0.2))
@@ -155,6 +157,7 @@ def test_a_mode_that_flaps_is_left_alone(flavour: FlavourName) -> None:
     assert loop.phase is Phase.YIELD
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flavour", FLAVOURS)
 def test_a_pilot_who_moves_the_sticks_gets_the_vehicle(flavour: FlavourName) -> None:
     loop = flying(flavour)
@@ -173,6 +176,7 @@ def test_a_pilot_who_moves_the_sticks_gets_the_vehicle(flavour: FlavourName) -> 
 # Other senders, and links that do not carry our setpoints
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flavour", FLAVOURS)
 @pytest.mark.parametrize(
     ("faults", "rate_hz", "limit_s"), [(CLEAN, 7.0, 10.0), (CLEAN, 33.0, 4.0), (BAD, 33.0, 10.0)]
@@ -194,6 +198,7 @@ def test_a_second_sender_is_given_way_to(
     assert loop.setpoints_since(gave_s) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flavour", FLAVOURS)
 @pytest.mark.parametrize(
     ("rate_hz", "limit_s"), [(1.0, 9.0), (2.0, 5.0), (5.0, 2.0), (10.0, 2.0), (20.0, 2.0)]
@@ -209,6 +214,7 @@ def test_a_second_sender_in_step_with_us_is_given_way_to(
     assert loop.said("control yielded: second source of setpoints")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flavour", FLAVOURS)
 @pytest.mark.parametrize("faults", [BAD, WORSE], ids=["0.2 s late", "0.5 s late"])
 @pytest.mark.parametrize("seed", range(2))
@@ -231,6 +237,7 @@ def test_setpoints_that_do_not_arrive_are_told_of() -> None:
 # The autopilot's own troubles
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flavour", FLAVOURS)
 def test_an_estimator_that_doubts_is_held_on_and_then_handed_back(flavour: FlavourName) -> None:
     loop = flying(flavour)
@@ -254,6 +261,7 @@ def test_a_lost_fix_is_held_on_within_a_second(flavour: FlavourName) -> None:
     assert loop.phase is Phase.NORMAL
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flavour", FLAVOURS)
 def test_a_low_battery_ends_the_search_in_good_order(flavour: FlavourName) -> None:
     loop = flying(flavour)
@@ -265,6 +273,7 @@ def test_a_low_battery_ends_the_search_in_good_order(flavour: FlavourName) -> No
     assert loop.mode is FlightMode.RETURN
 
 
+@pytest.mark.slow
 def test_a_low_charge_that_is_raised_in_flight_ends_the_search() -> None:
     loop = flying("px4")
     inject(loop, BatteryCharge(share=0.48))
@@ -330,6 +339,7 @@ def test_a_reboot_is_known_within_a_second_of_its_first_frame(
     assert sum("autopilot restarted" in text for _, text in loop.notes.texts) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flavour", FLAVOURS)
 def test_a_reboot_drops_everything_and_waits_for_the_operator(flavour: FlavourName) -> None:
     loop = flying(flavour)

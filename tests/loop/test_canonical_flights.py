@@ -7,9 +7,13 @@ import statistics
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 
+import pytest
+
 from companion.domain import FlightMode
 from companion.guidance.authority.state_machine import Phase
 from tests.loop.loop_helpers import Loop, outside
+
+pytestmark = pytest.mark.slow
 
 SEEDS = range(8)
 """`make missions` flies twenty."""

@@ -18,6 +18,8 @@ from sim_link.lab.faults.fault_models import KINDS, Fault, Schedule, fault_from
 from sim_link.lab.faults.injector import Injector
 from sim_link.lab.lockstep.observer import Frame, Observer
 
+pytestmark = pytest.mark.slow
+
 AUTO = CompanionConfig(mission=SessionParams(engage="auto", stop_confirm_s=1e6))
 ENGAGED_S, FAULT_S, AFTER_S = 13.0, 3.0, 4.0
 SIGNED = ("forged_frames", "replayed_frames", "unsigned_frames")

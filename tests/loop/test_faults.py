@@ -45,6 +45,7 @@ def test_a_bad_link_still_localises(faults: LinkFaults) -> None:
     loop.run_until(lambda: loop.mode is FlightMode.HOLD, 5.0)
 
 
+@pytest.mark.slow
 def test_a_short_cut_is_survived() -> None:
     loop = in_control()
     loop.is_link_up = False
@@ -57,6 +58,7 @@ def test_a_short_cut_is_survived() -> None:
     assert [command for _, command in loop.commands].count(SET_MODE) == 1
 
 
+@pytest.mark.slow
 def test_a_long_cut_leaves_the_vehicle_to_its_failsafe() -> None:
     loop = in_control()
     loop.is_link_up = False
@@ -72,6 +74,7 @@ def test_a_long_cut_leaves_the_vehicle_to_its_failsafe() -> None:
     assert loop.phase is Phase.YIELD
 
 
+@pytest.mark.slow
 def test_control_can_be_given_back_after_a_long_cut() -> None:
     loop = in_control()
     loop.is_link_up = False
@@ -83,6 +86,7 @@ def test_control_can_be_given_back_after_a_long_cut() -> None:
     assert loop.error_m <= 1.5
 
 
+@pytest.mark.slow
 def test_without_ranging_it_holds_and_goes_on_when_the_radio_is_back() -> None:
     loop = in_control()
     loop.is_ranging_up = False
@@ -97,6 +101,7 @@ def test_without_ranging_it_holds_and_goes_on_when_the_radio_is_back() -> None:
     assert loop.error_m <= 1.5
 
 
+@pytest.mark.slow
 def test_a_reboot_in_flight_ends_control_and_nothing_is_launched_again() -> None:
     loop = in_control()
     loop.reboot()
@@ -137,6 +142,7 @@ def test_an_origin_that_moves_in_flight_is_held_on_and_flown_anew() -> None:
     assert loop.run_until(lambda: loop.phase is Phase.NORMAL, 2.0) <= 0.6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["latched_crossing", "reactive_crossing"])
 def test_a_target_by_the_fence_never_draws_the_vehicle_over_it(kind: PlannerKind) -> None:
     limits = LimitsConfig(
@@ -152,6 +158,7 @@ def test_a_target_by_the_fence_never_draws_the_vehicle_over_it(kind: PlannerKind
     assert max(p[0] for p in loop.true_positions) > 50.0
 
 
+@pytest.mark.slow
 def test_setpoints_keep_the_altitude_band_and_the_speed_limit() -> None:
     loop = in_control()
     loop.run(40.0)

@@ -84,6 +84,7 @@ def assert_kept(loop: Loop, *keep_outs: tuple[Point, ...]) -> None:
     assert max(place[0] for place in loop.true_positions) > 50.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
 def test_a_plan_of_qgroundcontrol_is_flown_in(tmp_path: Path, flavour: Flavour) -> None:
     config = with_fence(CompanionConfig(mission=AUTO), plan_file(tmp_path))
@@ -94,6 +95,7 @@ def test_a_plan_of_qgroundcontrol_is_flown_in(tmp_path: Path, flavour: Flavour) 
     assert_kept(loop, HOUSE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
 @pytest.mark.parametrize("faults", [LinkFaults(), LinkFaults(loss=0.3)], ids=["clean", "lossy"])
 def test_the_autopilots_own_fence_is_flown_in(flavour: Flavour, faults: LinkFaults) -> None:
@@ -156,6 +158,7 @@ def test_without_a_fence_on_the_autopilot_it_flies_and_says_so() -> None:
     assert loop.mode is FlightMode.OFFBOARD
 
 
+@pytest.mark.slow
 def test_a_fence_in_local_metres_stays_where_it_was_when_the_origin_moves() -> None:
     """The target stands by the border, and the local frame moves the vehicle away from it."""
     loop = Loop(with_limits(LimitsConfig(fence_enu_m=SITE)), scenario())

@@ -28,6 +28,7 @@ def flying(config: CompanionConfig | None = None, seed: int = 1) -> Loop:
     return loop
 
 
+@pytest.mark.slow
 def test_the_operator_arms_takes_off_and_hands_over_by_the_mode_switch() -> None:
     loop = Loop(OPERATOR)
     loop.take_off()
@@ -39,6 +40,7 @@ def test_the_operator_arms_takes_off_and_hands_over_by_the_mode_switch() -> None
     loop.run_until(lambda: loop.mode is FlightMode.HOLD, 2.0)
 
 
+@pytest.mark.slow
 def test_without_the_mode_switch_the_vehicle_stays_where_it_is() -> None:
     loop = Loop(OPERATOR)
     loop.take_off()
@@ -48,6 +50,7 @@ def test_without_the_mode_switch_the_vehicle_stays_where_it_is() -> None:
     assert loop.mode is FlightMode.HOLD
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(30))
 def test_after_an_override_not_one_setpoint_and_not_one_mode_request(seed: int) -> None:
     rng = random.Random(seed)
@@ -67,6 +70,7 @@ def test_after_an_override_not_one_setpoint_and_not_one_mode_request(seed: int) 
     assert loop.phase in (Phase.YIELD, Phase.WAITING)
 
 
+@pytest.mark.slow
 def test_control_comes_back_by_a_grant_and_the_mode_switch() -> None:
     loop = flying()
     loop.choose(FlightMode.HOLD)
@@ -80,6 +84,7 @@ def test_control_comes_back_by_a_grant_and_the_mode_switch() -> None:
     assert loop.error_m <= 1.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(5))
 def test_a_stop_in_flight_ends_in_hold_within_two_seconds(seed: int) -> None:
     loop = flying(seed=seed)

@@ -27,7 +27,14 @@ MAX_BYTES = 3_000_000
 APART_M = 0.05
 
 
-@pytest.mark.parametrize("name", PLANS)
+EVERY_DAY = {"px4", "ardupilot"}
+"""Run again by `make test`, too."""
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[] if name in EVERY_DAY else pytest.mark.slow) for name in PLANS],
+)
 def test_a_golden_flight_is_run_again_bit_by_bit(name: str) -> None:
     was, now = load_courses()[name], GoldenCourse.of(replayed(load(FOLDER / f"{name}{SUFFIX}")))
     assert (now.estimates, now.setpoints) == (was.estimates, was.setpoints), HOW
@@ -38,6 +45,7 @@ def test_a_golden_flight_is_run_again_bit_by_bit(name: str) -> None:
         assert now.setpoints_digest == was.setpoints_digest, HOW
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PLANS)
 def test_a_flight_of_each_kind_that_is_flown_here_replays_to_the_bit(
     name: str, tmp_path: Path
@@ -57,6 +65,7 @@ def test_there_are_twenty_and_they_are_small() -> None:
     assert sum(file.stat().st_size for file in files) < MAX_BYTES
 
 
+@pytest.mark.slow
 def test_another_estimator_is_noticed() -> None:
     golden = load(FOLDER / f"px4{SUFFIX}")
     config = msgspec.structs.replace(golden.facts.config, estimation=TrackerParams(kind="ekf"))

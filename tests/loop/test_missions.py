@@ -41,6 +41,7 @@ def test_the_canonical_mission_finds_the_emitter_and_comes_home(canonical: Missi
     assert canonical.final_error_m < 1.0
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_event_log_to_the_byte(canonical: MissionResult) -> None:
     again = fly_in_memory(load_mission(CANONICAL), 1)
     assert again.event_log == canonical.event_log

@@ -58,6 +58,7 @@ def target_seen_m(loop: Loop, shift_enu_m: PositionEnu = (0.0, 0.0, 0.0)) -> flo
     return math.dist(estimate.position_enu_m, place)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shift_enu_m", JUMPS)
 def test_it_holds_until_the_position_is_steady_and_the_estimate_moves_along(
     shift_enu_m: PositionEnu,
@@ -91,6 +92,7 @@ def searching(flavour: FlavourName = "px4") -> Loop:
     return loop
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
 @pytest.mark.parametrize("shift_enu_m", OUT_OF_BOUNDS)
 def test_a_jump_out_of_bounds_moves_nothing_and_is_handed_back(
@@ -119,6 +121,7 @@ def test_a_position_that_jumps_out_and_back_is_flown_on_by() -> None:
     loop.run_until(lambda: loop.phase in FLYING, 4.0)
 
 
+@pytest.mark.slow
 def test_a_small_jump_does_not_keep_a_vehicle_outside_that_was_flown_there() -> None:
     beside = tuple((east - 40.0, north) for east, north in SQUARE)
     loop = Loop(CompanionConfig(limits=LimitsConfig(fence_enu_m=beside)))
@@ -133,6 +136,7 @@ def test_a_small_jump_does_not_keep_a_vehicle_outside_that_was_flown_there() -> 
     assert loop.true_positions[-1][0] < -15.0
 
 
+@pytest.mark.slow
 def test_a_heading_that_jumps_is_held_on_too() -> None:
     loop = flying()
     loop.sim.vehicle.estimator.jump((0.0, 0.0, 0.0), math.radians(30.0))
@@ -153,6 +157,7 @@ def test_a_position_that_keeps_jumping_is_handed_back() -> None:
     assert loop.said("keeps jumping")
 
 
+@pytest.mark.slow
 def test_a_flight_without_jumps_sees_none() -> None:
     around = monitored_flight(AUTO, Loop().flight.scenario, 3)
     around.flight.run(60.0)

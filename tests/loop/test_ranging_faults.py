@@ -60,6 +60,7 @@ def refused(loop: Loop) -> dict[RejectReason, int]:
 # -- Wrong units
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("of", ["range", "bearing"])
 @pytest.mark.parametrize("factor", FACTORS)
 def test_in_a_wrong_unit_from_the_start_nothing_is_ever_flown(of: str, factor: float) -> None:

@@ -21,6 +21,8 @@ from sim_link.autopilot.scenario import Scenario
 from sim_link.world.environment import EmitterParams
 from tests.loop.loop_helpers import AUTO, Loop
 
+pytestmark = pytest.mark.slow
+
 EMITTER = (50.0, 50.0, 0.0)
 UNIX_S = 1.795e9
 HEARD_FROM_M = 3.0

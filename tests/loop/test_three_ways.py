@@ -212,6 +212,7 @@ def test_objects_fly_where_kernels_do(planner: PlannerName, seed: int) -> None:
     np.testing.assert_allclose(kernels.record, objects.record, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("planner", KINDS)
 def test_bytes_change_no_estimate(planner: PlannerName) -> None:
     flown = flight(planner, FILTER_ALONE, 0)
@@ -237,6 +238,7 @@ def test_the_companion_flies_by_the_studys_parameters() -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("estimation", [AS_FLOWN, FILTER_ALONE], ids=["tracker", "filter"])
 @pytest.mark.parametrize("planner", KINDS)
 def test_every_decision_of_a_flight_is_the_planner_objects(

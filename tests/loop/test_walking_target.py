@@ -24,6 +24,8 @@ from sim_link.world.environment import ChannelParams, Emitter, EmitterParams
 from sim_link.world.radio_channel import RadioChannel
 from tests.loop.loop_helpers import Loop
 
+pytestmark = pytest.mark.slow
+
 HEARD_FROM_M = 3.0
 Walk = Callable[[float], Point]
 

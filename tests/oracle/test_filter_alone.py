@@ -15,6 +15,8 @@ from sim_link.lab.evaluation.campaign import run_trial
 from sim_link.lab.evaluation.case import Case, channel_draws, measured, run_seeds
 from sim_link.lab.evaluation.systems import PlannerName, System
 
+pytestmark = pytest.mark.slow
+
 CASE = Case()
 FILTER_ALONE = TrackerParams(
     filter=CASE.belief,

@@ -17,6 +17,8 @@ import pytest
 from companion.kernel import Matrix
 from tests.oracle.kernel_runs import IS_COMPILED
 
+pytestmark = pytest.mark.slow
+
 pytest.importorskip("numba", reason="kernels are compiled only with the extra `fast`")
 
 ROOT = Path(__file__).resolve().parents[2]

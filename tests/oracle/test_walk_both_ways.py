@@ -17,6 +17,8 @@ from sim_link.lab.evaluation.case import Case, run_seeds
 from sim_link.lab.evaluation.systems import system_named
 from sim_link.world.environment import ObstacleParams
 
+pytestmark = pytest.mark.slow
+
 SYSTEMS = (
     "ekf/passive",
     "asymmetric_huber/latched",

@@ -11,6 +11,8 @@ from companion.domain import PositionEnu, RangingMeasurement
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.tracker import TargetTracker, TrackerParams
 
+pytestmark = pytest.mark.slow
+
 SEQUENCES, LENGTH = 20, 40
 STEPS_S = (0.0, 1e-9, 0.05, 0.2, 1.0, 30.0, 86_400.0, 1e7, -0.05, -0.9, -5.0, -1e6)
 """Between two measurements: none, hardly any, usual, a day, and back."""

@@ -35,6 +35,8 @@ from sim_link.autopilot.protocols.mission_protocol import Plans
 from sim_link.autopilot.protocols.parameter_store import ParameterStore
 from sim_link.autopilot.protocols.plan_items import PlanStore, PlanType
 
+pytestmark = pytest.mark.slow
+
 KINDS: tuple[type[Message], ...] = (
     mavlink.MAVLink_command_long_message,
     mavlink.MAVLink_command_int_message,

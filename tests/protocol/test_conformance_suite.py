@@ -197,6 +197,7 @@ def test_planted_defect_is_found(name: str) -> None:
     assert outcome.detail
 
 
+@pytest.mark.slow
 def test_tampering_with_nothing_is_no_defect() -> None:
     for rule_id in {entry[0] for entry in DEFECTS.values() if entry[1] is PX4}:
         outcome = try_on_vehicle(BY_ID[rule_id], Tampered(simulator(PX4)))
@@ -235,6 +236,7 @@ LISTENS_ONLY = {
 """Rules about what a vehicle says by itself; a deaf one may keep them."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flavour", list(Flavour), ids=lambda flavour: flavour.value)
 def test_a_deaf_vehicle_breaks_every_rule_about_what_it_hears(
     flavour: Flavour, monkeypatch: pytest.MonkeyPatch

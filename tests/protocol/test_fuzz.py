@@ -17,6 +17,7 @@ FRAMES = 8_000
 FLAVOURS = pytest.mark.parametrize("flavour", list(Flavour), ids=lambda flavour: flavour.value)
 
 
+@pytest.mark.slow
 @FLAVOURS
 @pytest.mark.parametrize("seed", [1])
 def test_random_frames_break_nothing_and_those_for_others_change_nothing(

@@ -263,6 +263,7 @@ def test_payload_bearing_points_at_the_emitter_in_the_enu_sense() -> None:
     assert float(np.mean(ranges)) == pytest.approx(truth_m + 1.5 + 0.9 * 8.0, abs=2.5)
 
 
+@pytest.mark.slow
 def test_payload_hears_nothing_beyond_its_reach() -> None:
     station = GroundStation(Scenario(payload=PayloadParams(max_range_m=40.0)))
     station.take_off()
@@ -280,6 +281,7 @@ def test_every_frame_counts_up_in_its_own_component(station: GroundStation) -> N
         assert set(np.diff(numbers) % 256) == {1}
 
 
+@pytest.mark.slow
 def test_position_noise_shows_in_reports_only() -> None:
     station = GroundStation(Scenario(position_noise_m=0.5))
     station.run(60.0)
@@ -377,6 +379,7 @@ def flight_bytes(seed: int, started_s: float = 0.0) -> bytes:
     return b"".join(said)
 
 
+@pytest.mark.slow
 def test_the_same_seed_says_the_same_bytes() -> None:
     first = flight_bytes(3)
     assert len(first) > 100_000

@@ -99,6 +99,7 @@ def test_a_mission_ends_on_the_ground_disarmed(flavour: FlavourName, ending: int
     assert up == pytest.approx(0.0, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_a_speed_and_a_jump_are_obeyed() -> None:
     items: list[Item] = [
         OUT[0],

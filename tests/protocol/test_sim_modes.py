@@ -170,6 +170,7 @@ def test_a_vehicle_that_is_armed_and_does_not_take_off_disarms_after_ten_seconds
     assert station.place == (10.0, 10.0, 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_command", [True, False])
 def test_return_climbs_flies_home_lands_and_disarms(is_command: bool) -> None:
     station = GroundStation(Scenario(autopilot=AutopilotParams(return_altitude_m=15.0)))

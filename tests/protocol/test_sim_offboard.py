@@ -322,6 +322,7 @@ def test_setpoints_outside_offboard_move_nothing() -> None:
     assert station.place == pytest.approx(before, abs=0.1)
 
 
+@pytest.mark.slow
 def test_a_setpoint_under_the_ground_neither_lands_nor_disarms(station: GroundStation) -> None:
     station.stream = lambda: local_setpoint(z=20.0)
     station.run(30.0)

@@ -84,6 +84,7 @@ def test_equal_changes_are_told_apart_and_named_by_their_place(tmp_path: Path) -
     assert "it.py | A.f | a < b => a <= b | 2" in keys
 
 
+@pytest.mark.slow
 def test_a_mutant_is_run_and_its_verdict_written(tmp_path: Path) -> None:
     """A real one, over the guard's own tests."""
     report = tmp_path / "mutants.json"

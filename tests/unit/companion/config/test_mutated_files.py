@@ -14,6 +14,8 @@ from companion.flight_setup import build_session
 from companion.io.links.transports import Transport
 from tests.unit.companion.config.mutations import mutants
 
+pytestmark = pytest.mark.slow
+
 FILES = 500
 LIMIT_S = 1.0
 

@@ -106,6 +106,7 @@ def test_a_leg_is_cut_into_what_is_free_of_it() -> None:
     assert list(FreeSpace(None).pieces((0.0, 0.0), (1.0, 0.0))) == [((0.0, 0.0), (1.0, 0.0))]
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(spaces(), places, places)
 def test_pieces_and_clearness_agree_with_dense_samples(

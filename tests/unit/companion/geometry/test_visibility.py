@@ -82,6 +82,7 @@ def test_the_nodes_keep_the_margin() -> None:
         assert not FreeSpace(SQUARE, [HOUSE], 2.2).allows(node)
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(finders(), places, places)
 def test_every_leg_of_a_way_is_free_and_it_ends_at_the_goal(
@@ -148,6 +149,7 @@ def _grid_way_m(space: FreeSpace, start: Point, goal: Point) -> float | None:
     return None
 
 
+@pytest.mark.slow
 @settings(max_examples=30, deadline=None)
 @given(finders(), places, places)
 def test_no_way_along_a_grid_is_shorter(finder: WayFinder, start: Point, goal: Point) -> None:

@@ -233,6 +233,7 @@ def test_an_origin_that_is_no_place_is_told(origin: LocalOrigin) -> None:
     assert replace(memory, origin=None).problem is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flown_s", [6.0, 12.0])
 def test_the_planner_needs_no_memory_of_its_own(flown_s: float) -> None:
     """Its latch is not kept: it is made anew from the estimate, at the first plan."""

@@ -183,6 +183,7 @@ def test_holds_while_the_filter_recovers() -> None:
 # Limits
 
 
+@pytest.mark.slow
 def test_setpoints_stay_inside_fence_and_band_wherever_the_target_is() -> None:
     limits = LimitsConfig(
         fence_enu_m=((-10.0, -10.0), (25.0, -10.0), (25.0, 20.0), (-10.0, 20.0)),

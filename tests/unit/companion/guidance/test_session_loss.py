@@ -17,6 +17,7 @@ from tests.unit.companion.guidance.scripted import ScriptedFlight
 from tests.unit.companion.guidance.session_helpers import FOREIGN_MODES, silent_since
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", FOREIGN_MODES)
 @pytest.mark.parametrize("is_failsafe", [False, True])
 def test_any_other_mode_means_silence_from_that_very_event_on(

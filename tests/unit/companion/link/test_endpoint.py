@@ -342,6 +342,7 @@ _kinds = st.one_of(
 )  # fmt: skip
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.lists(st.tuples(_kinds, st.floats(0.0, 0.3)), max_size=25))
 def test_whatever_the_fields_say_no_setpoint_leaves_fence_or_numbers(

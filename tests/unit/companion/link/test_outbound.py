@@ -142,6 +142,7 @@ def test_no_character_is_cut_in_two() -> None:
     assert [data.decode() for _, _, data in chunks_of("a" * 49 + "é" + "b")] == ["a" * 49, "éb"]
 
 
+@pytest.mark.slow
 @given(st.text())
 def test_any_text_arrives_or_its_beginning_does(text: str) -> None:
     sent = text.encode("utf-8", errors="replace").decode().split("\0")[0]

@@ -28,6 +28,7 @@ def errors_m(results: list[TargetResult]) -> list[float]:
     return [result.error_m for result in results if result.error_m is not None]
 
 
+@pytest.mark.slow
 def test_recorded_wifi_walk_is_localised_within_its_claimed_radius_by_the_window(
     tmp_path: Path,
 ) -> None:

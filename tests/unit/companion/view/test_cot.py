@@ -80,6 +80,7 @@ def received(team: socket.socket) -> list[ET.Element]:
             return events
 
 
+@pytest.mark.slow
 def test_a_flight_leads_a_team_to_the_emitter(team: socket.socket) -> None:
     view = CotView(team.getsockname(), lambda: 1.8e9)
     loop = Loop(seed=1)

@@ -57,6 +57,7 @@ def test_others_are_left_alone(faulty_link):
 """
 
 
+@pytest.mark.slow
 def test_marked_tests_fly_and_fail_by_the_names_of_expectations(tmp_path: Path) -> None:
     (tmp_path / "hop.yaml").write_text(SCRIPT)
     (tmp_path / "high.yaml").write_text(SCRIPT.replace("< 8", "< 2"))

@@ -79,6 +79,7 @@ def test_a_process_that_dies_is_one_line_with_what_was_given_out() -> None:
     assert len(caught.value.positions) <= 2 * AHEAD
 
 
+@pytest.mark.slow
 def test_whoever_stops_listening_ends_the_work_which_cleans_up(tmp_path: Path) -> None:
     with open_pool(jobs=2) as pool:
         results = pool.results(_noted, [(tmp_path, number) for number in range(9)])
@@ -91,6 +92,7 @@ def test_whoever_stops_listening_ends_the_work_which_cleans_up(tmp_path: Path) -
     assert len(begun) <= 3, "what waited must not begin"
 
 
+@pytest.mark.slow
 def test_an_interrupt_tells_what_was_done_by_then(tmp_path: Path) -> None:
     told: list[int] = []
 
@@ -120,6 +122,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 def test_processes_end_with_the_one_that_gives_work(tmp_path: Path) -> None:
     script = tmp_path / "orphans.py"
     script.write_text(ORPHANS)

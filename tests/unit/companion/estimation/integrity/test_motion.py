@@ -215,6 +215,7 @@ def tracked(rows: Matrix, tracker: TargetTracker) -> list[float]:
     return radii
 
 
+@pytest.mark.slow
 def test_a_tracker_sees_a_target_walk_and_leaves_the_estimate_as_it_is(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -64,6 +64,7 @@ def _standard_errors(truth: RangeNoise, residuals_m: Vector) -> Vector:
     return np.asarray(np.sqrt(np.diag(np.linalg.inv(scores.T @ scores))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mean_bias_m", MEAN_BIASES_M)
 @pytest.mark.parametrize("sigma_m", SIGMAS_M)
 @pytest.mark.parametrize("share", [0.3, 0.9])

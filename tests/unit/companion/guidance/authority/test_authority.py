@@ -120,6 +120,7 @@ def test_an_ardupilot_in_guided_after_a_failsafe_was_put_there_by_somebody() -> 
     assert flight.phase is Phase.NORMAL
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("autopilot", AUTOPILOTS)
 @pytest.mark.parametrize("period_s", [0.2, 0.5, 1.0, 1.9])
 def test_a_mode_that_flaps_is_left_alone(autopilot: Autopilot, period_s: float) -> None:

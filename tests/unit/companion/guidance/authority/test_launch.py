@@ -327,6 +327,7 @@ def test_a_vehicle_that_disarms_during_the_launch_is_not_launched_again() -> Non
     assert flight.sent(Arm, since_s) == []
 
 
+@pytest.mark.slow
 def test_a_launch_that_gives_up_leaves_the_vehicle_alone() -> None:
     flight = launching()
     flight.fly(95.0)

@@ -121,6 +121,7 @@ def test_who_is_not_listed_is_never_flown_at() -> None:
     assert flight.session.status(flight.now_s).refused["other emitter"] > 10
 
 
+@pytest.mark.slow
 def test_with_a_low_battery_everybody_who_is_known_is_reported() -> None:
     queue, targets = QueueParams(order="nearest"), TARGETS
     flight = flight_of(queue, targets, SessionParams(stop_confirm_s=60.0)).in_control()
@@ -136,6 +137,7 @@ def test_with_a_low_battery_everybody_who_is_known_is_reported() -> None:
     assert flight.session.has_found_all
 
 
+@pytest.mark.slow
 def test_one_that_falls_silent_gives_way_to_one_that_is_heard() -> None:
     flight = flight_of(QueueParams(order="nearest")).in_control()
     flight.fly(2.0)
@@ -147,6 +149,7 @@ def test_one_that_falls_silent_gives_way_to_one_that_is_heard() -> None:
     assert flight.results[1].emitter_id == 3
 
 
+@pytest.mark.slow
 def test_after_a_restart_the_others_are_still_to_be_found() -> None:
     memory = after_the_first()
     assert memory.report is not None

@@ -32,6 +32,7 @@ MEASURES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PARTS)
 def test_a_short_trial_of_every_part_finds_nothing(name: str) -> None:
     outcome = run_one(Trial(name, 5, SMALL.get(name, 1.0)))
@@ -39,6 +40,7 @@ def test_a_short_trial_of_every_part_finds_nothing(name: str) -> None:
     assert {**outcome.sums, **outcome.most}[MEASURES[name]] > 0.0
 
 
+@pytest.mark.slow
 def test_random_missions_meet_every_fault_autopilot_and_planner() -> None:
     cases = [mission_case(seed) for seed in range(400)]
     kinds = {f.__struct_config__.tag for case in cases for f in case.schedule.faults}

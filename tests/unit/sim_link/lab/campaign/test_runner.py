@@ -107,6 +107,7 @@ def test_a_report_has_every_promised_figure_and_null_for_what_was_not_flown() ->
     assert summary["violations"] == 0
 
 
+@pytest.mark.slow
 def test_several_processes_find_what_one_finds() -> None:
     trials = [Trial("reaction", 1), Trial("reaction", 2)]
     alone, together = run_all(trials, jobs=1), run_all(trials, jobs=2)
@@ -151,6 +152,7 @@ def test_a_rate_of_false_losses_is_judged_over_hours() -> None:
     assert len(often.findings) == 1
 
 
+@pytest.mark.slow
 def test_an_interruption_does_not_wait_for_what_still_runs() -> None:
     """What runs beside the first trial would take an hour."""
     days = [Trial("soak", seed, 1000.0) for seed in range(3)]

@@ -52,6 +52,7 @@ def test_a_silent_peer_is_exit_code_2(
     assert "no autopilot heard" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_rules_are_tried_on_a_running_simulator(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from sim_link.lab.evaluation.campaign import (
     Block,
@@ -44,6 +45,7 @@ def test_a_tally_says_what_its_trials_say() -> None:
     assert tally.rmse_bound_m[0] > 10.0 * tally.rmse_bound_m[-1]
 
 
+@pytest.mark.slow
 def test_processes_change_nothing() -> None:
     other = RunSeries(SHORT, System("ekf", "passive"), seed=2, runs=30)
     alone = tallies_of([CAMPAIGN, other], 1, _silent)

@@ -79,6 +79,7 @@ def test_bad_input_is_refused_in_one_line(
     assert said.startswith(tool.removesuffix(".py"))
 
 
+@pytest.mark.slow
 def test_figures_are_printed_and_written(tmp_path: Path) -> None:
     path = tmp_path / "figures.json"
     done = _run("bench.py", "filters", "--rounds", "1", "--json", str(path))
@@ -87,6 +88,7 @@ def test_figures_are_printed_and_written(tmp_path: Path) -> None:
     assert json.loads(path.read_text())["ratios"]
 
 
+@pytest.mark.slow
 def test_costs_of_planners_are_printed_and_written(tmp_path: Path) -> None:
     path = tmp_path / "costs.json"
     done = _run("bench.py", "planners", "--rounds", "1", "--json", str(path))

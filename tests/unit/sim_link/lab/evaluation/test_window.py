@@ -64,6 +64,7 @@ def test_it_is_solved_often_at_first_and_seldom_later() -> None:
     assert len([count for count in dues if count > EARLY_COUNT]) < 8
 
 
+@pytest.mark.slow
 def test_it_brings_back_runs_that_carry_the_filter_away() -> None:
     case = Case(channel=Case().channel, belief=PAPER_BELIEF, steps=120, first_estimate="uniform")
     worst = {}

@@ -79,6 +79,7 @@ def test_the_mode_leaves(fault: Fault) -> None:
     assert flight.mode is FlightMode.RETURN
 
 
+@pytest.mark.slow
 def test_the_mode_flaps_and_ends_foreign_or_ours() -> None:
     flight, _, _ = flown(ModeFlap(period_s=0.5, duration_s=2.0))
     modes = []
@@ -102,6 +103,7 @@ def test_motors_stop() -> None:
     assert not flight.sim.vehicle.is_armed
 
 
+@pytest.mark.slow
 def test_the_estimate_jumps_and_the_origin_moves() -> None:
     flight, _, _ = flown(EkfJump(east_m=7.0))
     flight.run(0.1)

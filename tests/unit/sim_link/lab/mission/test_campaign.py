@@ -200,6 +200,7 @@ def test_what_was_flown_before_an_interrupt_is_kept(tmp_path: Path) -> None:
 LONG = "name: long\nsteps: [connect, {wait: {for_s: 5000}}]\ntime_limit_s: 10000\n"
 
 
+@pytest.mark.slow
 def test_an_interrupt_of_several_at_once_keeps_what_is_flown_and_ends_the_rest(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -219,6 +220,7 @@ def test_an_interrupt_of_several_at_once_keeps_what_is_flown_and_ends_the_rest(
     assert counts(junit) == ["2", "0", "1"]
 
 
+@pytest.mark.slow
 def test_nobody_minds_a_reader_who_goes_away(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "sim_link", "mission", "run"]
     command.append(str(script(tmp_path, "m.yaml")))

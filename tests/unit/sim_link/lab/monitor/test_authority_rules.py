@@ -34,6 +34,7 @@ def taken_over(*, is_planted: bool = False) -> Monitored:
     return around
 
 
+@pytest.mark.slow
 def test_silence_after_a_take_over_breaks_nothing() -> None:
     around = taken_over()
     assert around.monitor.authority.late == 0
@@ -111,6 +112,7 @@ def test_guided_that_a_failed_launch_left_behind_gives_no_right_to_fly(
     assert found == (set() if keeps_latch else {"I3"})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_too_bold", [False, True])
 def test_a_companion_that_begins_anew_in_the_air_has_nothing_to_lose(
     monkeypatch: pytest.MonkeyPatch, *, is_too_bold: bool

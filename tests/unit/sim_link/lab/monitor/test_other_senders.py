@@ -39,6 +39,7 @@ def true_depth_m(around: Monitored) -> float:
     return depth_m(rules_of(AUTO).fence_enu_m, rules_of(AUTO).keep_out_enu_m, place[:2])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
 def test_somebody_else_who_flies_it_out_of_the_fence_is_no_breach(flavour: FlavourName) -> None:
     around = in_flight(flavour)
@@ -96,6 +97,7 @@ def test_its_own_way_out_of_the_fence_is_one() -> None:
     assert around.monitor.fence.breaches == 1
 
 
+@pytest.mark.slow
 def test_without_a_key_whoever_speaks_after_a_silence_is_believed() -> None:
     around = in_flight("ardupilot")
     silence = LinkBlackout(start_s=1.0, duration_s=12.0, direction="to_companion")
@@ -106,6 +108,7 @@ def test_without_a_key_whoever_speaks_after_a_silence_is_believed() -> None:
     assert [v for v in around.monitor.violations if v.invariant == "I10"] == []
 
 
+@pytest.mark.slow
 def test_places_in_a_flood_of_a_stranger_who_is_believed_are_no_measure() -> None:
     around = in_flight("px4")
     hold = LinkBlackout(start_s=1.0, duration_s=12.0, direction="to_companion")

@@ -53,6 +53,7 @@ def flown(defect: type[Planted] | None, seed: int = 1) -> Monitored:
     return around
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("blind_s", "delay_s"), [(3.0, 0.0), (3.0, 0.4), (12.0, 0.0)])
 def test_a_stream_that_pauses_is_found_after_a_blind_time_too(
     blind_s: float, delay_s: float
@@ -74,16 +75,19 @@ def test_a_stream_that_pauses_is_found_after_a_blind_time_too(
     assert around.monitor.scene.counts["I7", "the stream paused while in control"] > before
 
 
+@pytest.mark.slow
 def test_the_genuine_companion_breaks_no_invariant() -> None:
     assert flown(None).monitor.violations == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("defect", [d for d in DEFECTS if d is not HasMoods])
 def test_a_planted_bug_is_found(defect: type[Planted]) -> None:
     found = {violation.invariant for violation in flown(defect).monitor.violations}
     assert defect.invariant in found
 
 
+@pytest.mark.slow
 def test_moods_show_in_the_digest_of_two_flights() -> None:
     first, second = flown(HasMoods).monitor, flown(HasMoods).monitor
     first.repeat.compare(second.repeat.digest)
@@ -122,11 +126,13 @@ def jumped_out(defect: type[Planted] | None, **jump_m: float) -> set[str]:
 JUMPS = [{"east_m": 50.0}, {"north_m": -60.0}, {"up_m": 50.0}, {"up_m": -30.0}]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jump_m", JUMPS)
 def test_who_chases_a_position_that_jumped_is_found(jump_m: dict[str, float]) -> None:
     assert jumped_out(ChasesJumps, **jump_m) == {"I1", "I2"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jump_m", JUMPS)
 def test_who_stays_is_not(jump_m: dict[str, float]) -> None:
     assert jumped_out(None, **jump_m) == set()
@@ -143,10 +149,12 @@ def begun_outside(defect: type[Planted] | None) -> tuple[set[str], float]:
     return {violation.invariant for violation in around.monitor.violations}, east_m
 
 
+@pytest.mark.slow
 def test_who_rushes_in_from_outside_is_found() -> None:
     assert begun_outside(RushesIn)[0] == {"I2"}
 
 
+@pytest.mark.slow
 def test_who_goes_farther_out_is_found_by_what_freezing_that_would_come_to() -> None:
     class GoesOut(RushesIn):
         def _change(self, message: Any) -> None:
@@ -155,12 +163,14 @@ def test_who_goes_farther_out_is_found_by_what_freezing_that_would_come_to() -> 
     assert begun_outside(GoesOut)[0] == {"I1", "I2", "I4"}
 
 
+@pytest.mark.slow
 def test_who_is_walked_in_is_not() -> None:
     found, east_m = begun_outside(None)
     assert found == set()
     assert east_m < -50.0
 
 
+@pytest.mark.slow
 def test_where_the_wind_takes_one_without_any_position_is_nobodys_doing() -> None:
     """Its autopilot lands it with the wind; the companion has handed it back."""
     field = ((-40.0, -40.0), (40.0, -40.0), (40.0, 24.0), (-40.0, 24.0))

@@ -71,20 +71,24 @@ def judged(recording: Recording, slack_s: float = SLACK_S) -> list[InvariantViol
     return monitor.violations
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
 def test_the_genuine_companion_breaks_nothing(flavour: str) -> None:
     assert judged(recorded(flavour=flavour)) == []
 
 
+@pytest.mark.slow
 def test_frames_that_pass_late_break_nothing() -> None:
     assert judged(recorded(recording=Late())) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", [CompanionKilled(down_s=2.0), CompanionStalled(duration_s=2.0)])
 def test_a_process_that_stops_and_comes_back_breaks_nothing(fault: Any) -> None:
     assert judged(recorded(schedule=Schedule(faults=(fault,)))) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("defect", JUDGED_DEFECTS)
 def test_a_planted_bug_is_found(defect: type[Planted]) -> None:
     found = judged(recorded(defect), LITTLE_S)
@@ -95,6 +99,7 @@ def test_most_planted_bugs_can_be_found_without_the_truth() -> None:
     assert len(JUDGED_DEFECTS) >= 8
 
 
+@pytest.mark.slow
 def test_a_mode_that_came_back_may_be_flown_in_again() -> None:
     again = Schedule(
         faults=(

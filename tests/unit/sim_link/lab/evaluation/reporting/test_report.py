@@ -116,6 +116,7 @@ def test_a_folder_in_the_way_is_said(tmp_path: Path) -> None:
         write_report(tmp_path, [result], rows, [], {})
 
 
+@pytest.mark.slow
 def test_tracks_and_gradients_are_flown_behind_an_obstacle() -> None:
     block = ObstacleParams(corners_enu_m=((30.0, 30.0), (45.0, 30.0), (45.0, 60.0), (30.0, 60.0)))
     case = msgspec.structs.replace(canonical_case(p_nlos=0.1), steps=6, obstacles=(block,))

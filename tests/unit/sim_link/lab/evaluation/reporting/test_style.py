@@ -22,6 +22,7 @@ def test_a_spread_group_pushes_its_neighbour() -> None:
     assert sum(places) == pytest.approx(0.40 + 0.44 + 0.52)
 
 
+@pytest.mark.slow
 def test_a_figure_is_the_same_bytes_twice_and_follows_the_pages_theme() -> None:
     drawings = []
     for _ in range(2):
