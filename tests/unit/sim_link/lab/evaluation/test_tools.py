@@ -14,10 +14,12 @@ TOOLS = Path(__file__).parents[5] / "tools"
 
 def _main(tool: str) -> Callable[[], int]:
     """The tool's `main`, without a process of its own."""
-    spec = importlib.util.spec_from_file_location(tool.removesuffix(".py"), TOOLS / tool)
+    name = tool.removesuffix(".py")
+    spec = importlib.util.spec_from_file_location(name, TOOLS / tool)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # where dataclasses look for it
     spec.loader.exec_module(module)
     main: Callable[[], int] = module.main
     return main
