@@ -12,10 +12,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 import yaml
@@ -23,6 +23,7 @@ import yaml
 from companion.errors import ConfigError
 
 T = TypeVar("T")
+Renew = Callable[[dict[str, Any]], None]
 SMALLEST = 1e-12
 """The square of a number much smaller than this is zero, and its inverse infinite."""
 
@@ -102,16 +103,17 @@ _Loader.add_implicit_resolver(
 )
 
 
-def load_yaml(path: Path, kind: type[T]) -> T:
+def load_yaml(path: Path, kind: type[T], renew: Renew | None = None) -> T:
     """The record of type `kind` in a YAML file; an empty file is all defaults.
 
     Args:
         path: The file, UTF-8.
+        renew: Gives keys of an earlier version their present names, in place.
 
     Raises:
         ConfigError: The file cannot be read or does not hold a `kind`; a line for every problem.
     """
-    return parse_yaml(read_text(path), kind, str(path))
+    return parse_yaml(read_text(path), kind, str(path), renew)
 
 
 def read_text(path: Path, max_bytes: int = MAX_BYTES) -> str:
@@ -137,11 +139,12 @@ def read_text(path: Path, max_bytes: int = MAX_BYTES) -> str:
     return text.removeprefix("\ufeff")
 
 
-def parse_yaml(text: str, kind: type[T], name: str) -> T:
+def parse_yaml(text: str, kind: type[T], name: str, renew: Renew | None = None) -> T:
     """The record of type `kind` in YAML text; empty text is all defaults.
 
     Args:
         name: What to call the text in errors, usually the file's path.
+        renew: Gives keys of an earlier version their present names, in place.
 
     Raises:
         ConfigError: The text does not hold a `kind`; a line for every problem says where.
@@ -152,6 +155,8 @@ def parse_yaml(text: str, kind: type[T], name: str) -> T:
     if not isinstance(raw, dict):
         raise ConfigError(f"{name}: $: expected `key: value` lines, got {_kind_of(raw)}")
     problems = _strange_values(raw, "$", set())
+    if renew is not None:
+        renew(raw)
     for problem in problems:
         _take_out(raw, problem.path)
     while len(problems) < MAX_PROBLEMS:

@@ -9,7 +9,7 @@ start, and its duration means nothing.
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from typing import Annotated, Any
 
 import msgspec
 
@@ -135,3 +135,20 @@ Incident = (
     | VehicleReboot
 )
 """Any of them."""
+
+KEYS_OF_0_1 = {"time_s": "start_s", "for_s": "duration_s"}
+KINDS_OF_0_1 = {"reboot": "vehicle_reboot"}
+
+
+def renew_incidents(scenario: dict[str, Any]) -> None:
+    """Give incidents that a file tells as version 0.1 did their present names, in place."""
+    incidents = scenario.get("incidents")
+    for incident in incidents if isinstance(incidents, list) else ():
+        if not isinstance(incident, dict):
+            continue
+        for old, present in KEYS_OF_0_1.items():
+            if old in incident and present not in incident:
+                incident[present] = incident.pop(old)
+        kind = incident.get("kind")
+        if isinstance(kind, str):
+            incident["kind"] = KINDS_OF_0_1.get(kind, kind)

@@ -8,6 +8,7 @@ import msgspec
 
 from companion.config.loader import load_yaml
 from sim_link.autopilot.endpoint import SimEndpoint
+from sim_link.autopilot.incidents import renew_incidents
 from sim_link.autopilot.scenario import Scenario
 
 __all__ = ["Scenario", "load_scenario"]
@@ -19,7 +20,7 @@ def load_scenario(path: Path) -> Scenario:
     Raises:
         ConfigError: The file cannot be read, or a key, type or value in it is wrong.
     """
-    return load_yaml(path, Scenario)
+    return load_yaml(path, Scenario, renew_incidents)
 
 
 REPORT_VERSION = 1

@@ -16,6 +16,7 @@ import yaml
 from companion.config.loader import parse_yaml, read_text
 from companion.config.schema import CompanionConfig, inconsistency, load_config
 from companion.errors import ConfigError
+from sim_link.autopilot.incidents import renew_incidents
 from sim_link.lab.faults.fault_models import KINDS
 from sim_link.lab.mission.conditions import ConditionError, parse_condition
 from sim_link.lab.mission.script import (
@@ -63,7 +64,7 @@ def parse_mission(text: str, name: str, folder: Path = Path()) -> Mission:
         ConfigError: Something in it is wrong; one line says where.
     """
     try:
-        mission = parse_yaml(text, Mission, name)
+        mission = parse_yaml(text, Mission, name, renew_incidents)
     except ConfigError as error:
         problems = _split_problems(str(error), name)
         if not problems:

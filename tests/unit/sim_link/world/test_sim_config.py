@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from companion.errors import ConfigError
+from sim_link.autopilot.incidents import GpsLoss, VehicleReboot
 from sim_link.autopilot.scenario import Scenario
 from sim_link.fleet.scenario_io import load_scenario
 from sim_link.world.environment import ShadowParams
@@ -95,3 +96,22 @@ def test_errors_name_the_file_and_the_key_in_one_line(
     assert str(path) in message
     assert place in message
     assert "\n" not in message
+
+
+def test_incidents_may_be_spelled_as_version_0_1_did(tmp_path: Path) -> None:
+    path = tmp_path / "old.yaml"
+    path.write_text(
+        "incidents:\n  - {kind: gps_loss, time_s: 30, for_s: 10}\n  - {kind: reboot, time_s: 40}\n",
+        encoding="utf-8",
+    )
+    assert load_scenario(path).incidents == (
+        GpsLoss(start_s=30.0, duration_s=10.0),
+        VehicleReboot(start_s=40.0),
+    )
+
+
+def test_both_spellings_at_once_are_a_mistake(tmp_path: Path) -> None:
+    path = tmp_path / "both.yaml"
+    path.write_text("incidents: [{kind: gps_loss, time_s: 3, start_s: 4}]\n", encoding="utf-8")
+    with pytest.raises(ConfigError, match="time_s"):
+        load_scenario(path)
