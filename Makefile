@@ -30,10 +30,10 @@ missions: venv-dev
 	@$(BIN)/sim-link mission run configs/missions/*.yaml $(MISSION_ARGS)
 
 test: venv-dev
-	$(BIN)/python -m pytest -n auto -m "not slow" $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -n auto --dist worksteal -m "not slow" $(PYTEST_ARGS)
 
 test-all: venv-dev
-	$(BIN)/python -m pytest -n auto $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -n auto --dist worksteal $(PYTEST_ARGS)
 
 faults: venv-dev
 	$(BIN)/python tools/faults.py --campaign ci $(FAULTS_ARGS)

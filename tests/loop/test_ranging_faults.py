@@ -25,6 +25,8 @@ from sim_link.lab.faults.fault_models import (
 )
 from tests.loop.loop_helpers import Loop, outside
 
+pytestmark = pytest.mark.slow
+
 FACTORS = (0.001, 0.01, 57.3, 100.0, 1000.0)
 TICK_S = 0.05
 
@@ -60,7 +62,6 @@ def refused(loop: Loop) -> dict[RejectReason, int]:
 # -- Wrong units
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("of", ["range", "bearing"])
 @pytest.mark.parametrize("factor", FACTORS)
 def test_in_a_wrong_unit_from_the_start_nothing_is_ever_flown(of: str, factor: float) -> None:

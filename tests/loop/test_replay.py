@@ -36,6 +36,8 @@ from sim_link.lab.lockstep.flight import VEHICLE_PEER, Flight, Makers, MemoryJou
 from sim_link.lab.lockstep.flight_harness import Checkpointing
 from sim_link.world.environment import EmitterParams
 
+pytestmark = pytest.mark.slow
+
 AUTO = CompanionConfig(mission=SessionParams(engage="auto"))
 FLOWN_S = 60.0
 REMARKS: list[str] = []

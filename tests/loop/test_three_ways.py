@@ -292,6 +292,7 @@ def test_every_decision_of_a_flight_is_the_studys(planner: PlannerName) -> None:
     assert moves > STEPS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("system", "estimation"),
     [
