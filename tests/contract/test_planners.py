@@ -201,6 +201,7 @@ def _check_leg(space: FreeSpace, begin: Point, waypoint: Waypoint) -> None:
         assert space.allows(between(begin, end, step / 50.0))
 
 
+@pytest.mark.slow
 @settings(max_examples=15, deadline=None)
 @given(ground=grounds(), flown=flights)
 def test_the_same_memory_and_request_give_the_same_plan(

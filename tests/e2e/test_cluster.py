@@ -78,6 +78,7 @@ def test_a_fault_campaign_on_a_cluster_finds_the_same(cluster: DaskCluster, tmp_
     assert figures[0] == figures[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("speed", [["--speed", "4"], ["--connect", "udpin:127.0.0.1:14550"]])
 def test_a_cluster_flies_in_lockstep_only(
     cluster: DaskCluster, tmp_path: Path, speed: list[str]

@@ -143,6 +143,7 @@ def test_termination_in_flight_hands_the_vehicle_back(commands: Commands) -> Non
     assert truth["mode_changes"][-1]["mode"] == "hold"
 
 
+@pytest.mark.slow
 def test_taken_port_is_one_clear_line_and_leaves_nothing_behind(commands: Commands) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 0))

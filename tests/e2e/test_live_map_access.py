@@ -35,6 +35,7 @@ def browser() -> Iterator[Browser]:
         yield started
 
 
+@pytest.mark.slow
 def test_beyond_loopback_there_is_nothing_without_the_token(tmp_path: Path) -> None:
     settings = web_settings(f"0.0.0.0:{free_port()}", is_control_on=True)
     with live_flight(tmp_path, settings):
@@ -45,6 +46,7 @@ def test_beyond_loopback_there_is_nothing_without_the_token(tmp_path: Path) -> N
         assert status(f"{base}?token={settings.token}") == 200
 
 
+@pytest.mark.slow
 def test_a_name_that_a_stranger_points_at_us_is_refused(tmp_path: Path) -> None:
     with live_flight(tmp_path) as live:
         until_up(live.settings.url)
@@ -94,6 +96,7 @@ def with_tile(folder: Path) -> Path:
     return folder / "tiles"
 
 
+@pytest.mark.slow
 def test_tiles_are_for_those_who_may_look_and_nothing_beside_them_is_served(tmp_path: Path) -> None:
     (tmp_path / "secret.png").write_bytes(NO_TILE)
     settings = web_settings(f"0.0.0.0:{free_port()}", tiles=with_tile(tmp_path))

@@ -58,10 +58,12 @@ async def read_and_set_parameters_of_ardupilot(client: Client) -> None:
     assert len(listed.float_params) + len(listed.int_params) > 50
 
 
+@pytest.mark.slow
 def test_mavsdk_reads_and_sets_parameters_of_a_px4() -> None:
     fly("px4", read_and_set_parameters)
 
 
+@pytest.mark.slow
 def test_mavsdk_reads_and_sets_parameters_of_an_ardupilot() -> None:
     fly("ardupilot", read_and_set_parameters_of_ardupilot)
 

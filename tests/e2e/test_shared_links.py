@@ -251,6 +251,7 @@ def is_answer(message: Message, mark: int) -> bool:
     return isinstance(message, mavlink.MAVLink_ping_message) and message.seq == mark
 
 
+@pytest.mark.slow
 def test_one_vehicle_is_on_udp_tcp_and_a_serial_port_at_once(tmp_path: Path) -> None:
     path = tmp_path / "vehicle"
     links: list[Transport] = [UdpFanOut(HOST, 0), TcpFanOut(HOST, 0), Pty(str(path))]

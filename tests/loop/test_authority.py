@@ -225,6 +225,7 @@ def test_a_bad_link_raises_no_alarm(flavour: FlavourName, faults: LinkFaults, se
     assert not contention & {Reason(reason) for reason in reasons(loop)}
 
 
+@pytest.mark.slow
 def test_setpoints_that_do_not_arrive_are_told_of() -> None:
     """PX4 leaves offboard then; ArduPilot says nothing."""
     loop = flying("ardupilot")
@@ -252,6 +253,7 @@ def test_an_estimator_that_doubts_is_held_on_and_then_handed_back(flavour: Flavo
     assert loop.mode is FlightMode.HOLD
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flavour", FLAVOURS)
 def test_a_lost_fix_is_held_on_within_a_second(flavour: FlavourName) -> None:
     loop = flying(flavour)
@@ -288,6 +290,7 @@ def test_a_low_charge_that_is_raised_in_flight_ends_the_search() -> None:
     assert loop.said("SEARCH ENDED, battery low:")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flavour", FLAVOURS)
 def test_a_critical_battery_is_handed_back_once(flavour: FlavourName) -> None:
     loop = flying(flavour)
@@ -299,6 +302,7 @@ def test_a_critical_battery_is_handed_back_once(flavour: FlavourName) -> None:
     assert [n for _, n in loop.commands[asked:]].count(SET_MODE) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flavour", FLAVOURS)
 def test_an_origin_that_moved_is_held_on_for_two_seconds(flavour: FlavourName) -> None:
     loop = flying(flavour)
@@ -323,6 +327,7 @@ class FirstWord(Observer):
             self.time_s = frame.time_s
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("down_s", [0.2, 0.9, 1.5, 4.0])
 @pytest.mark.parametrize("flavour", FLAVOURS)
 def test_a_reboot_is_known_within_a_second_of_its_first_frame(

@@ -123,6 +123,7 @@ def test_a_reboot_in_flight_ends_control_and_nothing_is_launched_again() -> None
     assert loop.error_m <= 1.5
 
 
+@pytest.mark.slow
 def test_an_origin_that_moves_in_flight_is_held_on_and_flown_anew() -> None:
     loop = in_control()
     loop.run(4.0)

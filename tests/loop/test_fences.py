@@ -114,6 +114,7 @@ def shown_fence(loop: Loop) -> dict[str, Any]:
     return fence
 
 
+@pytest.mark.slow
 def test_views_show_the_fence_that_the_guard_keeps_and_why_there_is_none() -> None:
     loop = Loop(with_limits(LimitsConfig(autopilot_fence="use")), scenario())
     fence = shown_fence(loop)
@@ -131,6 +132,7 @@ def test_views_show_the_fence_that_the_guard_keeps_and_why_there_is_none() -> No
         assert math.dist(shown, true) < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
 def test_another_fence_is_refused_until_it_is_mended(flavour: Flavour) -> None:
     loop = Loop(with_limits(LimitsConfig(fence_enu_m=SITE)), scenario(flavour))
@@ -151,6 +153,7 @@ def test_a_fence_to_be_used_that_is_not_there_is_refused() -> None:
     assert loop.setpoints == []
 
 
+@pytest.mark.slow
 def test_without_a_fence_on_the_autopilot_it_flies_and_says_so() -> None:
     loop = Loop(with_limits(LimitsConfig(fence_enu_m=SITE)), scenario())
     loop.run_until(lambda: loop.phase is Phase.NORMAL, 30.0)
@@ -170,6 +173,7 @@ def test_a_fence_in_local_metres_stays_where_it_was_when_the_origin_moves() -> N
     assert max(place[0] for place in loop.true_positions) > 50.0
 
 
+@pytest.mark.slow
 def test_a_companion_that_is_killed_remembers_where_its_fence_was() -> None:
     loop = Loop(with_limits(LimitsConfig(fence_enu_m=SITE)), scenario())
     Checkpointing(loop.flight)

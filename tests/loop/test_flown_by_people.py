@@ -101,6 +101,7 @@ def test_a_stop_in_flight_ends_in_hold_within_two_seconds(seed: int) -> None:
     assert loop.setpoints_since(finished_s) == []
 
 
+@pytest.mark.slow
 def test_a_stop_on_a_dead_link_still_ends_in_time() -> None:
     loop = flying()
     loop.is_link_up = False

@@ -16,6 +16,8 @@ from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from tests.loop.loop_helpers import Loop
 from tests.loop.test_authority import ENDLESS, SET_MODE, TICK_S, inject
 
+pytestmark = pytest.mark.slow
+
 FRUGAL = CompanionConfig(
     mission=SessionParams(
         engage="auto", stop_radius_m=0.3, battery_low_pct=5.0, battery_critical_pct=3.0

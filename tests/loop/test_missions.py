@@ -71,6 +71,7 @@ BROKEN = {
 }
 
 
+@pytest.mark.slow
 def test_every_expectation_that_is_broken_fails_by_its_name() -> None:
     script = msgspec.to_builtins(parse_mission(SHORT, "short"))
     script["expectations"] = [
@@ -81,6 +82,7 @@ def test_every_expectation_that_is_broken_fails_by_its_name() -> None:
     assert failed_names(result) == [f"broken {kind}" for kind in BROKEN]
 
 
+@pytest.mark.slow
 def test_a_companion_that_leaves_the_fence_breaks_what_is_expected_of_the_invariants() -> None:
     script = msgspec.to_builtins(parse_mission(SHORT, "short"))
     script["expectations"] = [{"name": "broken violations", "violations": {}}]
@@ -102,6 +104,7 @@ def test_a_step_that_cannot_be_done_fails_the_flight() -> None:
     assert "did not happen within 3 s" in result.failed[0].found
 
 
+@pytest.mark.slow
 def test_a_flights_report_is_written(tmp_path: Path) -> None:
     script = tmp_path / "short.yaml"
     script.write_text(SHORT)

@@ -110,6 +110,7 @@ def test_a_jump_out_of_bounds_moves_nothing_and_is_handed_back(
     assert all(math.dist(true, place) <= BRAKING_M for true in loop.true_positions[before:])
 
 
+@pytest.mark.slow
 def test_a_position_that_jumps_out_and_back_is_flown_on_by() -> None:
     loop = searching()
     before = len(loop.true_positions)
@@ -148,6 +149,7 @@ def test_a_heading_that_jumps_is_held_on_too() -> None:
     assert target_seen_m(loop) <= 1.0
 
 
+@pytest.mark.slow
 def test_a_position_that_keeps_jumping_is_handed_back() -> None:
     loop = flying()
     for _ in range(8):

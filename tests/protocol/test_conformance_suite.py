@@ -189,6 +189,7 @@ DEFECTS: dict[str, tuple[str, Flavour, Edit, Edit]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", DEFECTS)
 def test_planted_defect_is_found(name: str) -> None:
     rule_id, flavour, inbound, outbound = DEFECTS[name]

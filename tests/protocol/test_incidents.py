@@ -115,6 +115,7 @@ def test_a_lost_transmitter_comes_back() -> None:
     assert station.command(mavlink.MAV_CMD_REQUEST_MESSAGE, RC_CHANNELS) == ACCEPTED
 
 
+@pytest.mark.slow
 def test_a_poor_estimate_shows_in_estimator_status_and_ends() -> None:
     station = px4(incidents.EkfPoor(start_s=20.0, ratio=2.0, duration_s=5.0))
     station.run(22.0 - station.now_s)

@@ -53,6 +53,7 @@ def manual(x: int = 0, y: int = 0, z: int = 500, r: int = 0) -> mavlink.MAVLink_
     return mavlink.MAVLink_manual_control_message(1, x, y, z, r, 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("action", "mode"), [(2, FlightMode.HOLD), (3, FlightMode.RETURN), (5, FlightMode.LAND)]
 )
@@ -83,6 +84,7 @@ def test_a_place_outside_the_fence_is_not_flown_to_and_not_armed_at() -> None:
     assert "Arming denied: outside the geofence" in texts(away)
 
 
+@pytest.mark.slow
 def test_an_empty_battery_returns_and_lands() -> None:
     station = flying(battery=BatteryParams(endurance_s=400.0, start_share=0.11))
     station.run_until(lambda: station.mode is FlightMode.RETURN, 60.0)
@@ -104,6 +106,7 @@ def test_the_operator_may_take_over_from_a_battery_failsafe_until_it_gets_worse(
     assert "Failsafe: battery emergency" in texts(station)
 
 
+@pytest.mark.slow
 def test_a_silent_ground_station_is_a_failsafe_only_if_asked_for() -> None:
     beat = mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GCS, 8, 0, 0, 4, 3)
     for action, mode in ((0, FlightMode.HOLD), (2, FlightMode.RETURN)):
@@ -227,6 +230,7 @@ def test_without_satellites_it_drifts_then_lands_and_cannot_be_armed() -> None:
     assert "Arming denied: no position estimate" in texts(station)
 
 
+@pytest.mark.slow
 def test_an_estimate_that_jumps_moves_what_is_reported_and_what_is_flown() -> None:
     station = flying(incidents=(EkfJump(start_s=30.0, east_m=8.0),))
     held = station.sim.vehicle.body.position_enu_m

@@ -70,6 +70,7 @@ def state(station: GroundStation) -> int:
     return int(station.last(mavlink.MAVLink_mission_current_message).mission_state)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
 def test_every_waypoint_is_reached_in_order_and_told(flavour: FlavourName) -> None:
     station = station_of(flavour, OUT)
@@ -86,6 +87,7 @@ def test_every_waypoint_is_reached_in_order_and_told(flavour: FlavourName) -> No
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
 @pytest.mark.parametrize("ending", [LAND, RTL])
 def test_a_mission_ends_on_the_ground_disarmed(flavour: FlavourName, ending: int) -> None:
@@ -118,6 +120,7 @@ def test_a_speed_and_a_jump_are_obeyed() -> None:
     assert max(speeds) < 2.2
 
 
+@pytest.mark.slow
 def test_a_pause_keeps_the_place_in_the_mission() -> None:
     station = station_of("px4", OUT)
     start(station, "px4")

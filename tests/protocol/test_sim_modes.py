@@ -189,6 +189,7 @@ def test_return_climbs_flies_home_lands_and_disarms(is_command: bool) -> None:
     assert max(heights) == pytest.approx(15.0, abs=1.0)
 
 
+@pytest.mark.slow
 def test_return_lands_in_a_strong_wind_too() -> None:
     wind = WindParams(east_mps=12.0, north_mps=9.0)
     autopilot = AutopilotParams(return_altitude_m=12.0)

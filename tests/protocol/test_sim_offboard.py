@@ -59,6 +59,7 @@ def test_flies_to_a_local_position_without_much_overshoot(station: GroundStation
     assert max(easts) < 71.5
 
 
+@pytest.mark.slow
 def test_yaw_follows_when_it_is_not_masked(station: GroundStation) -> None:
     station.stream = lambda: local_setpoint(yaw=-1.5, mask=dialect.POSITION_AND_YAW)
     station.run(5.0)
@@ -83,6 +84,7 @@ def test_flies_a_velocity_in_north_east_down(station: GroundStation) -> None:
     assert (report.vx, report.vy, report.vz) == pytest.approx((2.0, -1.0, -0.5), abs=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "setpoint",
     [
@@ -163,6 +165,7 @@ def test_losing_the_stream_is_a_failsafe_one_second_after_the_last_setpoint(
     assert station.status == CRITICAL
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("action", "mode"),
     [

@@ -105,6 +105,7 @@ def test_every_leg_of_a_way_is_free_and_it_ends_at_the_goal(
         assert all(looser.allows(between(a, b, step / 50.0)) for step in range(51))
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None)
 @given(finders(), places, places)
 def test_replanned_at_every_corner_it_arrives(finder: WayFinder, start: Point, goal: Point) -> None:

@@ -240,6 +240,7 @@ def test_setpoints_keep_the_margin_to_keep_outs() -> None:
     assert fence.nearest_allowed((19.0, 15.0)) == pytest.approx((23.0, 15.0), abs=1e-5)
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(fences(), places, st.floats(3.0, 30.0), places, places)
 def test_no_step_ends_in_a_keep_out(

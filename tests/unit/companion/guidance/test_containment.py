@@ -76,6 +76,7 @@ def test_one_error_is_held_on_for_a_second_and_told(monkeypatch: pytest.MonkeyPa
     assert flight.session.status(flight.now_s).internal_errors == {"estimator": 1}
 
 
+@pytest.mark.slow
 def test_errors_far_apart_are_no_reason_to_hand_back(monkeypatch: pytest.MonkeyPatch) -> None:
     flight = ScriptedFlight().in_control()
     failures = (number % 60 == 0 for number in itertools.count())

@@ -216,6 +216,7 @@ def test_a_vehicle_outside_is_walked_in_from_where_it_is(place: tuple[float, flo
     assert math.dist(flight.setpoints[-1][:2], place[:2]) > 4.0
 
 
+@pytest.mark.slow
 def test_parked_on_the_reported_target_it_learns_nothing_more() -> None:
     flight = ScriptedFlight(SessionParams(stop_confirm_s=1.0)).in_control()
     flight.follows = True

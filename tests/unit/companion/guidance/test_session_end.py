@@ -39,6 +39,7 @@ def test_reports_after_the_confirmation_time_and_asks_for_the_mode_that_follows(
     assert flight.now_s - confident_s >= params.stop_confirm_s - 0.051
 
 
+@pytest.mark.slow
 def test_a_break_in_control_breaks_the_confirmation() -> None:
     flight = ScriptedFlight(SessionParams(stop_confirm_s=10.0, stop_radius_m=2.0)).in_control()
     flight.follows = True

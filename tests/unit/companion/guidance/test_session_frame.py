@@ -18,6 +18,7 @@ from tests.unit.companion.guidance.scripted import ORIGIN, ScriptedFlight
 from tests.unit.companion.guidance.session_helpers import silent_since
 
 
+@pytest.mark.slow
 def test_a_restart_of_the_autopilot_forgets_tracker_and_frame() -> None:
     flight = ScriptedFlight(SessionParams(engage="auto")).launched_by_itself()
     flight.give(AutopilotRestarted(flight.now_s))

@@ -104,6 +104,7 @@ def test_a_line_that_becomes_slow_for_good_is_followed() -> None:
     assert autopilot.sync.round_trip_s == pytest.approx(0.12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ppm", [-100.0, 100.0])
 def test_drift_is_followed_for_hours(ppm: float) -> None:
     autopilot = Autopilot(constant(0.01, 0.01), ppm)

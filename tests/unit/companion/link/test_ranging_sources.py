@@ -119,6 +119,7 @@ def text_radio(monkeypatch: pytest.MonkeyPatch) -> LinkSpec:
     return LinkSpec(LinkRole.RANGING, "text")
 
 
+@pytest.mark.slow
 def test_another_radio_localises_the_emitter_through_the_endpoint(text_radio: LinkSpec) -> None:
     """Rings around an emitter at 40 m east, 30 m north, in halves of lines over a serial port."""
     wire = Wire().ready()

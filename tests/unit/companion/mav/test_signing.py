@@ -82,6 +82,7 @@ def test_pymavlink_still_has_the_fault_that_we_verify_for() -> None:
         mav.decode(bytearray(signed(NOW + 1)))
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(
     frames=st.lists(

@@ -76,6 +76,7 @@ def test_beside_the_network_the_address_is_the_way_out(monkeypatch: pytest.Monke
     assert announced_url(settings) == "http://192.168.1.7:8080/?token=12345678"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", ["", '{"fd": 3, "ho', WHOLE, WHOLE + '{"t_s": 1.0, "ve'])
 def test_a_flight_that_ends_in_the_middle_of_a_picture_ends_the_page_in_silence(words: str) -> None:
     with socket.socket() as listener:

@@ -53,6 +53,7 @@ def _noted(place: tuple[Path, int]) -> int:
     return number
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_results_come_with_their_positions(jobs: int) -> None:
     with open_pool(jobs=jobs) as pool:
@@ -60,6 +61,7 @@ def test_results_come_with_their_positions(jobs: int) -> None:
         assert sorted(pool.results(_square, [7])) == [(0, 49)]
 
 
+@pytest.mark.slow
 def test_processes_leave_interrupts_to_us_and_use_one_thread_each() -> None:
     with open_pool(jobs=2) as pool:
         found = [result for _, result in pool.results(_own_process, range(8))]

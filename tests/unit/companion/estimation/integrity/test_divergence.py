@@ -46,6 +46,7 @@ def _consistent(count: int, seed: int = 1) -> list[UpdateReport]:
     return [_report(*rng.normal(size=2).tolist()) for _ in range(count)]
 
 
+@pytest.mark.slow
 def test_consistent_innovations_never_alarm() -> None:
     assert _first_alarm(NisWindow(), _consistent(20_000), 0.0) is None
 

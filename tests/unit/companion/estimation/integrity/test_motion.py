@@ -173,6 +173,7 @@ def test_a_target_that_may_walk_is_not_asked_for() -> None:
     assert watched(watch, rows_of(np.random.default_rng(5), velocity_mps=(1.0, 0.0))) == []
 
 
+@pytest.mark.slow
 def test_it_forgets() -> None:
     watch = MotionWatch(PARAMS, 2.0)
     watched(watch, rows_of(np.random.default_rng(6), 80.0, velocity_mps=(0.3, 0.0)))

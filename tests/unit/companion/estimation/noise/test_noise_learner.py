@@ -88,6 +88,7 @@ def flown(params: TrackerParams) -> TargetTracker:
     return tracker
 
 
+@pytest.mark.slow
 def test_a_tracker_learns_only_if_asked() -> None:
     plain, learning = flown(TrackerParams()), flown(TrackerParams(adaptation=AdaptationParams()))
     assert plain._filter.params.range_sigma_m == 1.5

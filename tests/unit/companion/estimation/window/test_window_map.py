@@ -163,6 +163,7 @@ def test_without_ranges_fresh_starts_take_turns_near_and_far() -> None:
 # -- Covariances ---------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_covariance_covers_well_specified_noise() -> None:
     inside = 0
     solver = WindowMap(params(range_k_long=None, bearing_k=None))

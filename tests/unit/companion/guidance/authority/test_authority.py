@@ -53,6 +53,7 @@ def numbered(flight: ScriptedFlight, mode: FlightMode, order: int) -> None:
 # Modes that come and go
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("away_s", [2.5, 10.0, 60.0])
 def test_a_px4_that_a_failsafe_took_gives_nothing_back_by_itself(away_s: float) -> None:
     """It goes back to offboard with the first setpoints that a link had kept."""

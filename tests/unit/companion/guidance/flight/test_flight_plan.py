@@ -80,6 +80,7 @@ def test_contact_lost_is_waited_for_and_then_searched_for() -> None:
     assert flight.texts.count("contact: flying to the target") == 2
 
 
+@pytest.mark.slow
 def test_what_was_believed_before_contact_was_lost_is_not_reported() -> None:
     flight = _searching(params=SessionParams(stop_radius_m=2.0, stop_confirm_s=8.0))
     flight.has_ranging = True
@@ -125,6 +126,7 @@ def test_a_frame_that_moves_starts_the_search_anew() -> None:
     assert flight.session.flight_plan.waypoint is not None
 
 
+@pytest.mark.slow
 def test_crossings_swing_in_height_within_the_band() -> None:
     planner = PlannerConfig(latched_crossing=LatchedCrossingParams(altitude_swing_m=6.0))
     limits = LimitsConfig(altitude_min_m=16.0, altitude_max_m=24.0)
@@ -140,6 +142,7 @@ def test_crossings_swing_in_height_within_the_band() -> None:
 HOUSE = ((15.0, 5.0), (25.0, 5.0), (25.0, 30.0), (15.0, 30.0))
 
 
+@pytest.mark.slow
 def test_no_setpoint_enters_a_keep_out_on_the_way_to_the_target() -> None:
     limits = LimitsConfig(keep_out_enu_m=(HOUSE,), fence_margin_m=2.0)
     flight = ScriptedFlight(limits=limits).in_control()
@@ -151,6 +154,7 @@ def test_no_setpoint_enters_a_keep_out_on_the_way_to_the_target() -> None:
     assert math.dist(estimate.position_enu_m, TARGET[:2]) < 1.5
 
 
+@pytest.mark.slow
 def test_a_target_in_a_keep_out_is_announced_once_and_found_from_around_it() -> None:
     house = ((30.0, 22.0), (46.0, 22.0), (46.0, 40.0), (30.0, 40.0))
     limits = LimitsConfig(keep_out_enu_m=(house,), fence_margin_m=2.0)

@@ -62,6 +62,7 @@ def after_the_first() -> SessionMemory:
     return flight.session.memory
 
 
+@pytest.mark.slow
 def test_each_is_reported_once_in_turn_and_where_it_is() -> None:
     flight = nearest_first()
     assert [result.emitter_id for result in flight.results] == [3, 7]

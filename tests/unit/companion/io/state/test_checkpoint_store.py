@@ -6,6 +6,8 @@ import os
 import stat
 from pathlib import Path
 
+import pytest
+
 from companion.io.files import write_bytes_atomic
 from companion.io.state.checkpoints import CheckpointStore, encode_checkpoint, present_moment
 from tests.unit.companion.io.state.test_checkpoint import a_checkpoint
@@ -38,6 +40,7 @@ def test_the_newest_is_found_and_the_one_before_is_kept(tmp_path: Path) -> None:
     assert {stat.S_IMODE(path.stat().st_mode) for path in store.paths if path.exists()} == {0o600}
 
 
+@pytest.mark.slow
 def test_a_newest_one_cut_or_flipped_at_every_byte_leaves_the_one_before(tmp_path: Path) -> None:
     store = store_with(tmp_path, 4, 5)
     whole = encode_checkpoint(a_checkpoint(sequence=5))

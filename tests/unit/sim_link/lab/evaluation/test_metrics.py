@@ -38,6 +38,7 @@ def test_a_run_that_ends_nowhere_has_diverged() -> None:
     assert diverged_count(np.array([0.1, 1.0, 1.1, np.nan, np.inf])) == 3
 
 
+@pytest.mark.slow
 def test_the_bootstrap_interval_is_that_of_a_normal_sample() -> None:
     errors = np.abs(np.random.default_rng(1).normal(size=4000))
     low, high = bootstrap_rmse_m(errors, np.random.default_rng(2))

@@ -63,6 +63,7 @@ def flown(*faults: Fault, seed: int = 1) -> tuple[Flight, Ears, float]:
     return flight, ears, flight.now_s
 
 
+@pytest.mark.slow
 def test_a_fault_of_the_link_counts_from_now() -> None:
     flight, ears, began_s = flown(LinkBlackout(start_s=1.0, duration_s=1.0))
     flight.run(3.0)
@@ -72,6 +73,7 @@ def test_a_fault_of_the_link_counts_from_now() -> None:
     assert [t for t in heard if t > 2.0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", [PilotMode(mode=FlightMode.RETURN), Failsafe()])
 def test_the_mode_leaves(fault: Fault) -> None:
     flight, _, _ = flown(fault)
@@ -90,6 +92,7 @@ def test_the_mode_flaps_and_ends_foreign_or_ours() -> None:
     assert FlightMode.OFFBOARD in modes
 
 
+@pytest.mark.slow
 def test_the_vehicle_reboots_and_falls() -> None:
     flight, _, _ = flown(VehicleReboot(down_s=0.5))
     flight.run(10.0)
@@ -97,6 +100,7 @@ def test_the_vehicle_reboots_and_falls() -> None:
     assert not flight.sim.vehicle.is_armed
 
 
+@pytest.mark.slow
 def test_motors_stop() -> None:
     flight, _, _ = flown(Disarm())
     flight.run(0.1)
@@ -137,6 +141,7 @@ def test_somebody_else_sends_setpoints() -> None:
     assert math.dist(flight.sim.vehicle.goal_enu_m[:2], (-40.0, -40.0)) < 0.01
 
 
+@pytest.mark.slow
 def test_the_companion_is_killed_and_started_again() -> None:
     flight, ears, began_s = flown(CompanionKilled(start_s=1.0, down_s=2.0))
     old = flight.companion
@@ -148,6 +153,7 @@ def test_the_companion_is_killed_and_started_again() -> None:
     assert not [t for t in ears.genuine if began_s + 1.01 < t < began_s + 3.0]
 
 
+@pytest.mark.slow
 def test_the_companion_is_suspended() -> None:
     flight, ears, began_s = flown(CompanionStalled(duration_s=1.0))
     flight.run(2.0)
@@ -161,6 +167,7 @@ def test_the_companion_is_told_to_end() -> None:
     assert flight.mode is FlightMode.HOLD
 
 
+@pytest.mark.slow
 def test_an_attacker_sends_at_its_rate_and_its_frames_are_no_genuine_ones() -> None:
     flight, ears, _ = flown(ForgedFrames(rate_hz=500.0, duration_s=2.0))
     flight.run(3.0)

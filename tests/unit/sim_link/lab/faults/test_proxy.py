@@ -90,6 +90,7 @@ def test_a_late_datagram_waits() -> None:
         assert time.monotonic() - sent_s >= 0.2
 
 
+@pytest.mark.slow
 def test_a_fault_may_be_added_on_the_run() -> None:
     with ends() as (vehicle, proxy, companion):
         proxy.add(LinkBlackout(duration_s=1.0))

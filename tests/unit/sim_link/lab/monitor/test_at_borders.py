@@ -188,10 +188,12 @@ def taken_over(*modes: FlightMode) -> Monitored:
     return around
 
 
+@pytest.mark.slow
 def test_what_the_first_mode_after_ours_has_to_brake_is_our_doing() -> None:
     assert taken_over(FlightMode.HOLD).monitor.fence.breaches == 1
 
 
+@pytest.mark.slow
 def test_where_it_drifts_to_in_the_modes_after_that_is_not() -> None:
     assert taken_over(FlightMode.HOLD, FlightMode.LAND).monitor.fence.breaches == 0
 

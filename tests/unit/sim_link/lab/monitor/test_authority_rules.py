@@ -41,12 +41,14 @@ def test_silence_after_a_take_over_breaks_nothing() -> None:
     assert around.monitor.violations == []
 
 
+@pytest.mark.slow
 def test_what_is_sent_after_it_is_counted_with_how_late_it_was() -> None:
     authority = taken_over(is_planted=True).monitor.authority
     assert authority.late > 3
     assert authority.worst_late_s == pytest.approx(4.5, abs=0.6)
 
 
+@pytest.mark.slow
 def test_a_mode_that_the_operator_gives_back_is_no_offence() -> None:
     around = taken_over()
     around.operator.grant()
@@ -56,6 +58,7 @@ def test_a_mode_that_the_operator_gives_back_is_no_offence() -> None:
     assert around.monitor.violations == []
 
 
+@pytest.mark.slow
 def test_a_mode_that_nobody_gave_back_gives_no_right_to_fly() -> None:
     around = taken_over(is_planted=True)
     before = around.monitor.authority.late

@@ -52,6 +52,7 @@ def test_somebody_else_who_flies_it_out_of_the_fence_is_no_breach(flavour: Flavo
     assert around.monitor.violations == []
 
 
+@pytest.mark.slow
 def test_a_vehicle_that_its_own_return_took_out_is_not_out_by_the_companion() -> None:
     around = in_flight("ardupilot")
     around.operator.choose(FlightMode.RETURN)
@@ -65,6 +66,7 @@ def test_a_vehicle_that_its_own_return_took_out_is_not_out_by_the_companion() ->
     assert around.monitor.fence.breaches == 0
 
 
+@pytest.mark.slow
 def test_who_yielded_answers_for_nothing_where_the_mode_flaps_back() -> None:
     around = in_flight("ardupilot")
     around.operator.choose(FlightMode.HOLD)
@@ -78,6 +80,7 @@ def test_who_yielded_answers_for_nothing_where_the_mode_flaps_back() -> None:
     assert around.monitor.fence.breaches == 0
 
 
+@pytest.mark.slow
 def test_a_vehicle_without_motors_falls_wherever_it_falls() -> None:
     around = in_flight("ardupilot")
     around.injector.inject(Schedule(faults=(Disarm(),)))
@@ -89,6 +92,7 @@ def test_a_vehicle_without_motors_falls_wherever_it_falls() -> None:
     assert around.monitor.fence.breaches == 0
 
 
+@pytest.mark.slow
 def test_its_own_way_out_of_the_fence_is_one() -> None:
     around = in_flight("ardupilot")
     body = around.flight.sim.vehicle.body
@@ -185,6 +189,7 @@ def test_a_station_and_a_vehicle_that_is_not_wanted_are_not_followed() -> None:
     assert not whose.follows_unknown_peer
 
 
+@pytest.mark.slow
 def test_who_yields_answers_for_its_last_setpoint_while_that_is_flown() -> None:
     """An ArduPilot that was left in GUIDED flies to it, however long nobody sends."""
     around = in_flight("ardupilot")

@@ -97,6 +97,7 @@ def test_moods_show_in_the_digest_of_two_flights() -> None:
     assert calm.violations == []
 
 
+@pytest.mark.slow
 def test_a_covariance_that_is_not_positive_is_found() -> None:
     around = monitored_flight(AUTO, COPTER, 1)
     flight = around.flight

@@ -72,6 +72,7 @@ def test_every_figure_that_a_study_may_ask_for_can_be_drawn() -> None:
     assert set(get_args(FigureName)) == set(FIGURES)
 
 
+@pytest.mark.slow
 def test_rmse_and_sensitivity_are_drawn_from_a_sweep() -> None:
     cells = [cell("map/latched", tally(0.02), value=value) for value in ("0.5", "1.5")]
     rows = [row(LATCHED, "0.02", value=value) for value in ("0.5", "1.5")]

@@ -62,6 +62,7 @@ def text_of(results: list[StudyResult], rows: list[ResultRow]) -> str:
     return page(results, sections_of(results, rows), rows, [], CHECKS, MADE_WITH)
 
 
+@pytest.mark.slow
 def test_a_small_study_makes_a_whole_page() -> None:
     result, rows = small_study(("losses", "offsets"))
     text = text_of([result], rows)
