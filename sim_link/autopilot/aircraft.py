@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.domain import FlightMode, LandedState, PositionEnu
+from companion.domain import FlightMode, PositionEnu
 from companion.geometry.coordinates import LocalOrigin, wrap_pi
 from companion.geometry.polygons import Point, depth_m
 from companion.mav.dialect import mavlink
@@ -23,7 +23,12 @@ from sim_link.autopilot.control_inputs import StickInput
 from sim_link.autopilot.estimator import Estimator
 from sim_link.autopilot.mission_executor import MissionRun
 from sim_link.autopilot.pilot import STEP_S, Pilot
-from sim_link.autopilot.protocols.plan_items import PlanItem
+from sim_link.autopilot.protocols.plan_items import (
+    AMSL_FRAMES,
+    GLOBAL_FRAMES,
+    RELATIVE_FRAMES,
+    PlanItem,
+)
 from sim_link.autopilot.scenario import BatteryParams, Scenario
 from sim_link.world.point_mass import PointMass
 
@@ -131,44 +136,27 @@ class Fence:
 def areas_from_items(
     items: Sequence[PlanItem], enu_from_e7: Callable[[int, int], Point]
 ) -> list[Area]:
-    """The areas of an uploaded fence.
+    """The areas of an uploaded fence, in order of upload; a return point (5000) is passed over.
 
     Args:
-        items: In order of upload; a return point (5000) is passed over.
+        items: Whole, as they are checked before they are stored (`plan_rules`).
         enu_from_e7: Converts latitude and longitude in 1e-7 degrees.
-
-    Raises:
-        ValueError: A polygon has fewer vertices than it says, or a circle no radius.
     """
     areas: list[Area] = []
     index = 0
     while index < len(items):
-        item = items[index]
+        item, count = items[index], 1
         if item.command in (CIRCLE_IN, CIRCLE_OUT):
-            if not item.params[0] > 0.0:
-                raise ValueError("a fence circle needs a radius above 0")
             centre = (enu_from_e7(item.x, item.y),)
             areas.append(Area(centre, item.command == CIRCLE_IN, float(item.params[0])))
-            index += 1
         elif item.command in (POLYGON_IN, POLYGON_OUT):
-            count = int(item.params[0]) if math.isfinite(item.params[0]) else 0
-            vertices = items[index : index + count]
-            is_whole = len(vertices) == count >= 3
-            if not is_whole or any(v.command != item.command for v in vertices):
-                raise ValueError("a fence polygon needs as many vertices as it says, 3 or more")
-            corners = tuple(enu_from_e7(v.x, v.y) for v in vertices)
+            count = int(item.params[0])
+            corners = tuple(enu_from_e7(v.x, v.y) for v in items[index : index + count])
             areas.append(Area(corners, item.command == POLYGON_IN))
-            index += count
-        else:
-            index += 1
+        index += count
     return areas
 
 
-AMSL_FRAMES = (mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT)
-RELATIVE_FRAMES = (
-    mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT,
-    mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
-)
 MAX_TEXTS = 32
 """Texts that wait to be sent; older ones give way."""
 
@@ -222,7 +210,6 @@ class Aircraft:
         area = Area(fence.corners_enu_m, fence.is_inclusion)
         self.fence = Fence([area] if fence.corners_enu_m else [])
         self.is_armed = False
-        self.landed = LandedState.ON_GROUND
         self.time_s = 0.0
         self.flight_time_s = 0.0
         self.distance_m = 0.0
@@ -230,10 +217,8 @@ class Aircraft:
         """Since it was armed."""
         self.grounded_s = 0.0
         """Since when it has been standing."""
-        self.station_heard_s: float | None = None
-        """When a ground station's HEARTBEAT last came."""
         self.stations_s: dict[int, float] = {}
-        """The same by system id."""
+        """When each ground station's HEARTBEAT last came, by system id."""
         self.texts: list[tuple[int, str]] = []
         """MAV_SEVERITY and text, to be sent as STATUSTEXT."""
         self._gust_rng = noise_rng if scenario.wind.gust_sigma_mps > 0.0 else None
@@ -318,11 +303,6 @@ class Aircraft:
         )
         return (east, north, up_m)
 
-    def hear_station(self, system_id: int, now_s: float) -> None:
-        """A ground station's HEARTBEAT came."""
-        self.station_heard_s = now_s
-        self.stations_s[system_id] = now_s
-
     # Plans
 
     def load_fence(self, items: Sequence[PlanItem]) -> None:
@@ -336,7 +316,7 @@ class Aircraft:
         self.fence = Fence(areas_from_items(items, enu_from_e7))
 
     def _locate(self, item: PlanItem) -> PositionEnu:
-        frame = item.frame if item.frame in AMSL_FRAMES + RELATIVE_FRAMES else 3
+        frame = item.frame if item.frame in GLOBAL_FRAMES else 3
         place = self.place_from(item.x, item.y, item.z, frame)
         assert place is not None
         return place

@@ -1,7 +1,8 @@
-"""Where the vehicle is, how it moves and what its sensors show, as MAVLink messages.
+"""Where the vehicle is, how it moves and what its sensors show, as the fields of MAVLink messages.
 
-Degrees, millimetres, NED and boot milliseconds begin here. Sensors and actuators are what a point
-mass with four motors would show. Source: MAVLink common.
+Each function is named as its message and gives its fields in the order of the XML, or None where
+there is nothing to tell. Degrees, millimetres, NED and boot milliseconds begin here. Sensors and
+actuators are what a point mass with four motors would show. Source: MAVLink common.
 """
 
 from __future__ import annotations
@@ -10,17 +11,18 @@ import math
 
 from companion.domain import PositionEnu
 from companion.geometry.coordinates import ned_from_enu
-from companion.mav.dialect import Message, mavlink
+from companion.mav.dialect import mavlink
 from sim_link.autopilot.control_inputs import Axes, Echo
 from sim_link.autopilot.vehicle import SimVehicle
 from sim_link.world.point_mass import GRAVITY_MPS2
 
+Fields = tuple[object, ...]
 INT16_MAX = 0x7FFF
 FARTHEST_M = 1e7
 """A target beyond this has no latitude."""
 UINT16_MAX, UINT32_MAX = 0xFFFF, 0xFFFF_FFFF
-NAN = math.nan
-UNKNOWN_COVARIANCE = [NAN] + [0.0] * 20
+STILL = (0.0, 0.0, 0.0)
+UNKNOWN_COVARIANCE = [math.nan] + [0.0] * 20
 
 
 def boot_ms(vehicle: SimVehicle) -> int:
@@ -48,15 +50,16 @@ def to_e7(place: tuple[float, float, float]) -> tuple[int, int, int]:
     return (to_int32(place[0] * 1e7), to_int32(place[1] * 1e7), to_int32(place[2] * 1e3))
 
 
-def local_position_ned(vehicle: SimVehicle) -> Message | None:
-    """LOCAL_POSITION_NED about the EKF origin; None without an estimate."""
+def _centidegrees(angle_rad: float) -> int:
+    return round(math.degrees(angle_rad) * 1e2) % 36000
+
+
+def local_position_ned(vehicle: SimVehicle) -> Fields | None:
+    """About the EKF origin; None without an estimate."""
     if not vehicle.has_position:
         return None
-    north, east, down = ned_from_enu(vehicle.estimator.local_enu_m)
-    v_north, v_east, v_down = ned_from_enu(vehicle.body.velocity_enu_mps)
-    return mavlink.MAVLink_local_position_ned_message(
-        boot_ms(vehicle), north, east, down, v_north, v_east, v_down
-    )
+    place = ned_from_enu(vehicle.estimator.local_enu_m)
+    return (boot_ms(vehicle), *place, *ned_from_enu(vehicle.body.velocity_enu_mps))
 
 
 def _roll_and_pitch(vehicle: SimVehicle) -> tuple[float, float]:
@@ -69,15 +72,12 @@ def _roll_and_pitch(vehicle: SimVehicle) -> tuple[float, float]:
     return (math.atan2(right, GRAVITY_MPS2), -math.atan2(forward, GRAVITY_MPS2))
 
 
-def attitude(vehicle: SimVehicle) -> Message:
-    """ATTITUDE."""
-    roll, pitch = _roll_and_pitch(vehicle)
-    return mavlink.MAVLink_attitude_message(
-        boot_ms(vehicle), roll, pitch, vehicle.heading_ned_rad, 0.0, 0.0, 0.0
-    )
+def attitude(vehicle: SimVehicle) -> Fields:
+    """Roll and pitch of the acceleration, no rates."""
+    return (boot_ms(vehicle), *_roll_and_pitch(vehicle), vehicle.heading_ned_rad, *STILL)
 
 
-def quaternion(vehicle: SimVehicle) -> tuple[float, float, float, float]:
+def _quaternion(vehicle: SimVehicle) -> tuple[float, float, float, float]:
     """The attitude, w first."""
     roll, pitch = _roll_and_pitch(vehicle)
     cr, sr = math.cos(roll / 2.0), math.sin(roll / 2.0)
@@ -91,148 +91,102 @@ def quaternion(vehicle: SimVehicle) -> tuple[float, float, float, float]:
     )
 
 
-def attitude_quaternion(vehicle: SimVehicle) -> Message:
-    """ATTITUDE_QUATERNION; w first."""
-    return mavlink.MAVLink_attitude_quaternion_message(
-        boot_ms(vehicle), *quaternion(vehicle), 0.0, 0.0, 0.0
-    )
+def attitude_quaternion(vehicle: SimVehicle) -> Fields:
+    """The same, w first."""
+    return (boot_ms(vehicle), *_quaternion(vehicle), *STILL)
 
 
-def odometry(vehicle: SimVehicle) -> Message | None:
-    """ODOMETRY: position in LOCAL_NED, velocity in BODY_FRD; None without an estimate."""
+def odometry(vehicle: SimVehicle) -> Fields | None:
+    """Position in LOCAL_NED, velocity in BODY_FRD; None without an estimate."""
     if not vehicle.has_position:
         return None
-    north, east, down = ned_from_enu(vehicle.estimator.local_enu_m)
     v_east, v_north, v_up = vehicle.body.velocity_enu_mps
     cos_yaw, sin_yaw = math.cos(vehicle.heading_ned_rad), math.sin(vehicle.heading_ned_rad)
-    return mavlink.MAVLink_odometry_message(
-        boot_us(vehicle),
-        mavlink.MAV_FRAME_LOCAL_NED,
-        mavlink.MAV_FRAME_BODY_FRD,
-        *(north, east, down),
-        list(quaternion(vehicle)),
-        v_north * cos_yaw + v_east * sin_yaw,
-        v_east * cos_yaw - v_north * sin_yaw,
-        -v_up,
-        *(0.0, 0.0, 0.0),
+    return (
+        *(boot_us(vehicle), mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_BODY_FRD),
+        *ned_from_enu(vehicle.estimator.local_enu_m),
+        list(_quaternion(vehicle)),
+        *(v_north * cos_yaw + v_east * sin_yaw, v_east * cos_yaw - v_north * sin_yaw, -v_up),
+        *STILL,
         *(UNKNOWN_COVARIANCE, UNKNOWN_COVARIANCE),
     )
 
 
-def global_position_int(vehicle: SimVehicle) -> Message | None:
-    """GLOBAL_POSITION_INT; None without an estimate."""
+def global_position_int(vehicle: SimVehicle) -> Fields | None:
+    """None without an estimate."""
     if not vehicle.has_position:
         return None
     lat, lon, alt = to_e7(vehicle.geodetic)
-    v_north, v_east, v_down = ned_from_enu(vehicle.body.velocity_enu_mps)
-    return mavlink.MAVLink_global_position_int_message(
-        boot_ms(vehicle),
-        *(lat, lon, alt),
-        to_int32(alt - 1e3 * vehicle.aircraft.home_altitude_m),
-        *(to_int16(1e2 * v_north), to_int16(1e2 * v_east), to_int16(1e2 * v_down)),
-        round(math.degrees(vehicle.heading_ned_rad) * 1e2) % 36000,
-    )
+    above_home = to_int32(alt - 1e3 * vehicle.aircraft.home_altitude_m)
+    velocity = [to_int16(1e2 * axis) for axis in ned_from_enu(vehicle.body.velocity_enu_mps)]
+    heading = _centidegrees(vehicle.heading_ned_rad)
+    return (boot_ms(vehicle), lat, lon, alt, above_home, *velocity, heading)
 
 
-def gps_raw_int(vehicle: SimVehicle) -> Message:
-    """GPS_RAW_INT with a good 3-D fix, or none."""
+def gps_raw_int(vehicle: SimVehicle) -> Fields:
+    """A good 3-D fix (horizontal and vertical dilution 0.9 and 1.2, 14 satellites), or none."""
     if not vehicle.estimator.has_fix:
-        return mavlink.MAVLink_gps_raw_int_message(
-            boot_us(vehicle),
-            *(mavlink.GPS_FIX_TYPE_NO_FIX, 0, 0, 0),
-            *(UINT16_MAX, UINT16_MAX, UINT16_MAX, UINT16_MAX, 0),
-        )
-    lat, lon, alt = to_e7(vehicle.geodetic)
+        return (boot_us(vehicle), mavlink.GPS_FIX_TYPE_NO_FIX, 0, 0, 0, *[UINT16_MAX] * 4, 0)
     v_east, v_north, _ = vehicle.body.velocity_enu_mps
-    return mavlink.MAVLink_gps_raw_int_message(
-        boot_us(vehicle),
-        mavlink.GPS_FIX_TYPE_3D_FIX,
-        lat,
-        lon,
-        alt,
-        eph=90,
-        epv=120,
-        vel=to_int16(1e2 * math.hypot(v_east, v_north)),
-        cog=round(math.degrees(math.atan2(v_east, v_north)) * 1e2) % 36000,
-        satellites_visible=14,
-    )
+    speed, course = to_int16(1e2 * math.hypot(v_east, v_north)), math.atan2(v_east, v_north)
+    place = to_e7(vehicle.geodetic)
+    fix = mavlink.GPS_FIX_TYPE_3D_FIX
+    return (boot_us(vehicle), fix, *place, 90, 120, speed, _centidegrees(course), 14)
 
 
-def altitude(vehicle: SimVehicle) -> Message:
-    """ALTITUDE: above sea level, the origin, home and the flat ground."""
+def altitude(vehicle: SimVehicle) -> Fields:
+    """Above sea level, the origin, home and the flat ground."""
     up_m = vehicle.estimator.reported_enu_m[2]
     amsl_m = vehicle.estimator.world_origin.altitude_m + up_m
-    return mavlink.MAVLink_altitude_message(
-        boot_us(vehicle),
-        amsl_m,
-        amsl_m,
-        vehicle.estimator.local_enu_m[2],
-        up_m - vehicle.home_enu_m[2],
-        -1000.0,
-        vehicle.body.height_m,
-    )
+    local_m, above_home_m = vehicle.estimator.local_enu_m[2], up_m - vehicle.home_enu_m[2]
+    terrain_m = -1000.0
+    above_ground_m = vehicle.body.height_m
+    return (boot_us(vehicle), amsl_m, amsl_m, local_m, above_home_m, terrain_m, above_ground_m)
 
 
-def vfr_hud(vehicle: SimVehicle) -> Message:
-    """VFR_HUD."""
+def vfr_hud(vehicle: SimVehicle) -> Fields:
+    """Speeds, heading, throttle, altitude and climb."""
     v_east, v_north, v_up = vehicle.body.velocity_enu_mps
     speed = math.hypot(v_east, v_north)
     throttle = 0 if not vehicle.is_armed else (10 if vehicle.body.is_on_ground else 50)
-    return mavlink.MAVLink_vfr_hud_message(
-        speed,
-        speed,
-        round(math.degrees(vehicle.heading_ned_rad)) % 360,
-        throttle,
-        vehicle.estimator.world_origin.altitude_m + vehicle.estimator.reported_enu_m[2],
-        v_up,
-    )
+    heading_deg = round(math.degrees(vehicle.heading_ned_rad)) % 360
+    amsl_m = vehicle.estimator.world_origin.altitude_m + vehicle.estimator.reported_enu_m[2]
+    return (speed, speed, heading_deg, throttle, amsl_m, v_up)
 
 
-def nav_controller_output(vehicle: SimVehicle) -> Message:
-    """NAV_CONTROLLER_OUTPUT: distance and direction to where it goes."""
-    goal, place = vehicle.goal_enu_m, vehicle.body.position_enu_m
+def nav_controller_output(vehicle: SimVehicle) -> Fields:
+    """Distance and direction to where it goes."""
+    pilot, place = vehicle.aircraft.pilot, vehicle.body.position_enu_m
+    goal = pilot.goal_enu_m or pilot.hold_enu_m
     bearing = round(math.degrees(math.atan2(goal[0] - place[0], goal[1] - place[1])))
-    roll, pitch = _roll_and_pitch(vehicle)
     distance_m = min(UINT16_MAX, round(math.dist(goal[:2], place[:2])))
-    return mavlink.MAVLink_nav_controller_output_message(
-        *(math.degrees(roll), math.degrees(pitch)),
-        *(bearing, bearing, distance_m),
-        *(goal[2] - place[2], 0.0, 0.0),
-    )
+    tilt = [math.degrees(angle) for angle in _roll_and_pitch(vehicle)]
+    return (*tilt, bearing, bearing, distance_m, goal[2] - place[2], 0.0, 0.0)
 
 
-def position_target_local_ned(vehicle: SimVehicle) -> Message | None:
-    """POSITION_TARGET_LOCAL_NED: the target that is flown; None where none is."""
+def position_target_local_ned(vehicle: SimVehicle) -> Fields | None:
+    """The target that is flown; None where none is."""
     echo = vehicle.flavour.echo()
     if echo is None:
         return None
     shown = vehicle.estimator.shown_from_world(_filled(echo.place_enu_m, 0.0))
-    place = _where_given(shown, echo.place_enu_m, echo.nothing)
-    return mavlink.MAVLink_position_target_local_ned_message(
-        boot_ms(vehicle),
-        mavlink.MAV_FRAME_LOCAL_NED,
-        echo.type_mask,
-        *ned_from_enu(place),
-        *_motion(echo),
+    east, north, up = (
+        echo.nothing if axis is None else value
+        for value, axis in zip(shown, echo.place_enu_m, strict=True)
     )
+    head = (boot_ms(vehicle), mavlink.MAV_FRAME_LOCAL_NED, echo.type_mask)
+    return (*head, *ned_from_enu((east, north, up)), *_motion(echo))
 
 
-def position_target_global_int(vehicle: SimVehicle) -> Message | None:
-    """POSITION_TARGET_GLOBAL_INT above sea level; None where no place is flown to."""
+def position_target_global_int(vehicle: SimVehicle) -> Fields | None:
+    """The same above sea level; None where no place is flown to."""
     echo = vehicle.flavour.echo()
     place = None if echo is None else echo.whole_place
     if echo is None or place is None or any(abs(value) > FARTHEST_M for value in place):
         return None
     lat, lon, alt = vehicle.estimator.world_origin.geodetic_from_enu(place)
-    return mavlink.MAVLink_position_target_global_int_message(
-        boot_ms(vehicle),
-        mavlink.MAV_FRAME_GLOBAL_INT,
-        echo.type_mask,
-        to_int32(lat * 1e7),
-        to_int32(lon * 1e7),
-        alt,
-        *_motion(echo),
-    )
+    head = (boot_ms(vehicle), mavlink.MAV_FRAME_GLOBAL_INT, echo.type_mask)
+    return (*head, to_int32(lat * 1e7), to_int32(lon * 1e7), alt, *_motion(echo))
 
 
 def _motion(echo: Echo) -> tuple[float, ...]:
@@ -251,13 +205,6 @@ def _filled(axes: Axes, nothing: float) -> PositionEnu:
     return (east, north, up)
 
 
-def _where_given(values: PositionEnu, axes: Axes, nothing: float) -> PositionEnu:
-    east, north, up = (
-        nothing if axis is None else value for value, axis in zip(values, axes, strict=True)
-    )
-    return (east, north, up)
-
-
 IDLE_THRUST, HOVER_THRUST = 0.1, 0.5
 MOTOR_OFF_US, MOTOR_IDLE_US, MOTOR_RANGE_US = 900, 1000, 1000
 FIELD_NORTH_GAUSS, FIELD_DOWN_GAUSS = 0.21, 0.43
@@ -270,28 +217,24 @@ UNKNOWN_RANGE_COVARIANCE = 255
 RAIL_MV = 5000
 
 
-def attitude_target(vehicle: SimVehicle) -> Message:
-    """ATTITUDE_TARGET: a point mass has the attitude that it wants."""
-    return mavlink.MAVLink_attitude_target_message(
-        boot_ms(vehicle), 0, list(quaternion(vehicle)), 0.0, 0.0, 0.0, thrust_share(vehicle)
-    )
-
-
-def thrust_share(vehicle: SimVehicle) -> float:
+def _thrust_share(vehicle: SimVehicle) -> float:
     """How much thrust it gives, 0 to 1."""
     if not vehicle.is_armed:
         return 0.0
     return IDLE_THRUST if vehicle.body.is_on_ground else HOVER_THRUST
 
 
-def servo_output_raw(vehicle: SimVehicle) -> Message:
-    """SERVO_OUTPUT_RAW: four motors that turn alike."""
+def attitude_target(vehicle: SimVehicle) -> Fields:
+    """A point mass has the attitude that it wants."""
+    return (boot_ms(vehicle), 0, list(_quaternion(vehicle)), *STILL, _thrust_share(vehicle))
+
+
+def servo_output_raw(vehicle: SimVehicle) -> Fields:
+    """Four motors that turn alike."""
     pulse_us = MOTOR_OFF_US
     if vehicle.is_armed:
-        pulse_us = round(MOTOR_IDLE_US + thrust_share(vehicle) * MOTOR_RANGE_US)
-    return mavlink.MAVLink_servo_output_raw_message(
-        boot_us(vehicle) & UINT32_MAX, 0, *[pulse_us] * 4, *[0] * 4
-    )
+        pulse_us = round(MOTOR_IDLE_US + _thrust_share(vehicle) * MOTOR_RANGE_US)
+    return (boot_us(vehicle) & UINT32_MAX, 0, *[pulse_us] * 4, *[0] * 4)
 
 
 def _specific_force_mps2(vehicle: SimVehicle) -> float:
@@ -302,8 +245,7 @@ def _specific_force_mps2(vehicle: SimVehicle) -> float:
 
 def _field_gauss(vehicle: SimVehicle) -> tuple[float, float, float]:
     """The magnetic field forward, right and down."""
-    heading = vehicle.heading_ned_rad
-    north = FIELD_NORTH_GAUSS
+    heading, north = vehicle.heading_ned_rad, FIELD_NORTH_GAUSS
     return (north * math.cos(heading), -north * math.sin(heading), FIELD_DOWN_GAUSS)
 
 
@@ -315,62 +257,39 @@ def _pressure_hpa(vehicle: SimVehicle) -> float:
     return float(SEA_LEVEL_HPA * (1.0 - _amsl_m(vehicle) / SCALE_HEIGHT_M) ** PRESSURE_EXPONENT)
 
 
-def highres_imu(vehicle: SimVehicle) -> Message:
-    """HIGHRES_IMU: the thrust as specific force, no rates, a field to the north and down."""
-    return mavlink.MAVLink_highres_imu_message(
-        boot_us(vehicle),
-        *(0.0, 0.0, -_specific_force_mps2(vehicle)),
-        *(0.0, 0.0, 0.0),
-        *_field_gauss(vehicle),
-        _pressure_hpa(vehicle),
-        0.0,
-        _amsl_m(vehicle),
-        TEMPERATURE_C,
-        ALL_IMU_FIELDS,
-    )
+def highres_imu(vehicle: SimVehicle) -> Fields:
+    """The thrust as specific force, no rates, a field to the north and down."""
+    force = (0.0, 0.0, -_specific_force_mps2(vehicle))
+    air = (_pressure_hpa(vehicle), 0.0, _amsl_m(vehicle), TEMPERATURE_C)
+    return (boot_us(vehicle), *force, *STILL, *_field_gauss(vehicle), *air, ALL_IMU_FIELDS)
 
 
-def raw_imu(vehicle: SimVehicle) -> Message:
-    """RAW_IMU in ArduPilot's units: thousandths of g, and of gauss."""
+def raw_imu(vehicle: SimVehicle) -> Fields:
+    """In ArduPilot's units: thousandths of g, and of gauss."""
     force_mg = to_int16(-1e3 * _specific_force_mps2(vehicle) / GRAVITY_MPS2)
-    forward, right, down = (to_int16(1e3 * axis) for axis in _field_gauss(vehicle))
-    return mavlink.MAVLink_raw_imu_message(
-        boot_us(vehicle),
-        *(0, 0, force_mg),
-        *(0, 0, 0),
-        *(forward, right, down),
-        temperature=round(1e2 * TEMPERATURE_C),
-    )
+    field = [to_int16(1e3 * axis) for axis in _field_gauss(vehicle)]
+    temperature = round(1e2 * TEMPERATURE_C)
+    return (boot_us(vehicle), 0, 0, force_mg, 0, 0, 0, *field, 0, temperature)
 
 
-def scaled_pressure(vehicle: SimVehicle) -> Message:
-    """SCALED_PRESSURE of the standard atmosphere."""
-    return mavlink.MAVLink_scaled_pressure_message(
-        boot_ms(vehicle), _pressure_hpa(vehicle), 0.0, round(1e2 * TEMPERATURE_C)
-    )
+def scaled_pressure(vehicle: SimVehicle) -> Fields:
+    """Of the standard atmosphere."""
+    return (boot_ms(vehicle), _pressure_hpa(vehicle), 0.0, round(1e2 * TEMPERATURE_C))
 
 
-def power_status(vehicle: SimVehicle) -> Message:  # noqa: ARG001  always well supplied
-    """POWER_STATUS: a good supply."""
-    flags = mavlink.MAV_POWER_STATUS_BRICK_VALID
-    return mavlink.MAVLink_power_status_message(RAIL_MV, RAIL_MV, flags)
+def power_status(_vehicle: SimVehicle) -> Fields:
+    """Always a good supply."""
+    return (RAIL_MV, RAIL_MV, mavlink.MAV_POWER_STATUS_BRICK_VALID)
 
 
-def vibration(vehicle: SimVehicle) -> Message:
-    """VIBRATION: a point mass has none."""
-    return mavlink.MAVLink_vibration_message(boot_us(vehicle), 0.0, 0.0, 0.0, 0, 0, 0)
+def vibration(vehicle: SimVehicle) -> Fields:
+    """A point mass has none."""
+    return (boot_us(vehicle), *STILL, 0, 0, 0)
 
 
-def distance_sensor(vehicle: SimVehicle) -> Message:
-    """DISTANCE_SENSOR: a laser that looks down; beyond its reach one centimetre more than that."""
-    range_cm = round(1e2 * vehicle.body.height_m)
-    return mavlink.MAVLink_distance_sensor_message(
-        boot_ms(vehicle),
-        RANGE_MIN_CM,
-        RANGE_MAX_CM,
-        max(RANGE_MIN_CM, min(range_cm, RANGE_MAX_CM + 1)),
-        mavlink.MAV_DISTANCE_SENSOR_LASER,
-        0,
-        mavlink.MAV_SENSOR_ROTATION_PITCH_270,
-        UNKNOWN_RANGE_COVARIANCE,
-    )
+def distance_sensor(vehicle: SimVehicle) -> Fields:
+    """A laser that looks down; beyond its reach one centimetre more than that."""
+    range_cm = min(round(1e2 * vehicle.body.height_m), RANGE_MAX_CM + 1)
+    reach = (RANGE_MIN_CM, RANGE_MAX_CM, max(RANGE_MIN_CM, range_cm))
+    kind = (mavlink.MAV_DISTANCE_SENSOR_LASER, 0, mavlink.MAV_SENSOR_ROTATION_PITCH_270)
+    return (boot_ms(vehicle), *reach, *kind, UNKNOWN_RANGE_COVARIANCE)

@@ -31,7 +31,6 @@ from sim_link.autopilot.flavours.base import (
     DENIED,
     TEMPORARILY_REJECTED,
     UNSUPPORTED,
-    whole,
 )
 from sim_link.autopilot.protocols.addressing import (
     Addressing,
@@ -60,15 +59,8 @@ from sim_link.autopilot.protocols.plan_items import (
     PlanResult,
     PlanStore,
     PlanType,
-    mission_item_reached,
 )
-from sim_link.autopilot.telemetry import (
-    Telemetry,
-    gps_global_origin,
-    heartbeat,
-    home_position,
-    mission_progress,
-)
+from sim_link.autopilot.telemetry import Telemetry, mission_progress
 from sim_link.autopilot.vehicle import SimVehicle
 
 FTP_HEADER_LENGTH, FTP_PAYLOAD_LENGTH = 12, 251
@@ -156,24 +148,24 @@ class Services:
     def __init__(self, vehicle: SimVehicle, links: int) -> None:
         self._vehicle = vehicle
         flavour = vehicle.flavour
-        rules = self._rules = flavour.rules
+        firmware = self._firmware = flavour.firmware
         self._texts = StatusTexts()
         self.addressing = Addressing(vehicle.system_id)
         self._clocks = Clocks(
             self.addressing,
-            names_targets=rules.names_timesync_target,
-            answers_ping=rules.answers_ping,
+            names_targets=firmware.names_timesync_target,
+            answers_ping=firmware.answers_ping,
         )
-        self._parameters = Parameters(flavour.parameters, rules.parameters, self._texts)
-        has_home_item = rules.first_mission_item == 1
+        self._parameters = Parameters(flavour.parameters, firmware.parameters, self._texts)
+        has_home_item = firmware.first_mission_item == 1
         self._store = PlanStore(self._home_item if has_home_item else None)
         fly_to = self._fly_to if has_home_item else None
-        self._plans = Plans(self._store, rules.plans, self._texts, fly_to)
-        self._commands = Commands(rules.commands)
+        self._plans = Plans(self._store, firmware.plans, self._texts, fly_to)
+        self._commands = Commands(firmware.commands)
         self._calibration = Calibration(self._commands)
         self._telemetry = Telemetry(vehicle)
         self.requests = MessageRequests(
-            rules.streams, rules.requests, self._telemetry.build, self._texts
+            firmware.streams, firmware.requests, self._telemetry.build, self._texts
         )
         """Keeps the streams."""
         for link in range(links):
@@ -181,7 +173,7 @@ class Services:
         self._announcer = MissionAnnouncer()
         self._announcer.changed(mission_progress(vehicle))
         self._seen = (0, 0, flavour.changes)
-        self._clock_requests = ClockRequests(rules.timesync_period_s, rules.ping_period_s)
+        self._clock_requests = ClockRequests(firmware.timesync_period_s, firmware.ping_period_s)
         self.wants_reboot = False
         """Whether a client asked for one."""
         self._handlers = self._handlers_by_type()
@@ -242,7 +234,7 @@ class Services:
         aircraft.texts.clear()
         changed = self._announcer.changed(mission_progress(vehicle))
         reached, aircraft.mission.reached = aircraft.mission.reached, []
-        messages += [mission_item_reached(seq) for seq in reached]
+        messages += [mavlink.MAVLink_mission_item_reached_message(seq) for seq in reached]
         if changed is not None:
             messages.append(changed)
             self._store.advance(aircraft.mission.current)
@@ -257,13 +249,14 @@ class Services:
         if seen == self._seen:
             return []
         old, self._seen = self._seen, seen
-        messages: list[Message | None] = []
+        numbers = []
         if seen[0] != old[0]:
-            messages.append(gps_global_origin(vehicle))
+            numbers.append(mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
         if seen[1] != old[1] and old[1]:
-            messages.append(home_position(vehicle))
-        if seen[2] != old[2] and self._rules.tells_mode_at_once:
-            messages.append(heartbeat(vehicle))
+            numbers.append(mavlink.MAVLINK_MSG_ID_HOME_POSITION)
+        if seen[2] != old[2] and self._firmware.tells_mode_at_once:
+            numbers.append(mavlink.MAVLINK_MSG_ID_HEARTBEAT)
+        messages = [self._telemetry.build(number) for number in numbers]
         return [message for message in messages if message is not None]
 
     # Commands
@@ -288,7 +281,7 @@ class Services:
         if command.number == mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN:
             return self._reboot(command)
         if command.number == mavlink.MAV_CMD_DO_SET_MISSION_CURRENT:
-            index = whole(command.params[0])
+            index = command.whole(1)
             if index is None or not self._store.choose(index):
                 return DENIED
             self._take_plan_events()
@@ -339,7 +332,7 @@ class Services:
         self, message: mavlink.MAVLink_heartbeat_message, partner: Partner, now_s: float
     ) -> None:
         if message.type == mavlink.MAV_TYPE_GCS:
-            self._vehicle.aircraft.hear_station(partner.system_id, now_s)
+            self._vehicle.aircraft.stations_s[partner.system_id] = now_s
 
     def _take_manual_control(
         self, message: mavlink.MAVLink_manual_control_message, now_s: float
@@ -351,7 +344,7 @@ class Services:
         self, message: mavlink.MAVLink_rc_channels_override_message, now_s: float
     ) -> None:
         raw = (message.chan1_raw, message.chan2_raw, message.chan3_raw, message.chan4_raw)
-        if self._rules.tells_mode_at_once and any(800 <= value <= 2200 for value in raw):
+        if self._firmware.obeys_rc_override and any(800 <= value <= 2200 for value in raw):
             roll, pitch, throttle, yaw = (
                 max(-1.0, min(1.0, (value - NEUTRAL_US) / RANGE_US))
                 if 800 <= value <= 2200
@@ -361,5 +354,5 @@ class Services:
             self._vehicle.sticks.take_joystick(Sticks(-pitch, roll, throttle, yaw), now_s)
 
     def _take_origin(self, message: mavlink.MAVLink_set_gps_global_origin_message) -> None:
-        if is_on_earth(message.latitude, message.longitude):
-            self._vehicle.flavour.set_origin(message.latitude, message.longitude, message.altitude)
+        if self._firmware.takes_origin and is_on_earth(message.latitude, message.longitude):
+            self._vehicle.aircraft.set_origin(message.latitude, message.longitude, message.altitude)

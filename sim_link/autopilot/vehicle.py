@@ -7,7 +7,7 @@ once, and records the true track and the mode changes for the flight report.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import msgspec
 import numpy as np
@@ -36,28 +36,14 @@ from sim_link.autopilot.incidents import (
     WindChange,
 )
 from sim_link.autopilot.pilot import STEP_S
-from sim_link.autopilot.scenario import Scenario
+from sim_link.autopilot.protocols.parameter_store import ParameterStore
+from sim_link.autopilot.scenario import FlavourName, Scenario
 from sim_link.world.point_mass import PointMass
 
-
-def make_flavour(
-    scenario: Scenario, noise_rng: np.random.Generator, body: PointMass | None = None
-) -> Flavour:
-    """The scenario's autopilot, on an aircraft of its own.
-
-    Args:
-        noise_rng: Generator of noise, drift and gusts.
-        body: What restarts where it is; None: a new one, at the scenario's start.
-
-    Raises:
-        ConfigError: The scenario sets a parameter that does not exist, or to what may not be.
-    """
-    if scenario.autopilot.flavour == "ardupilot":
-        first = ArduPilotFlavour.rules.first_mission_item
-        return ArduPilotFlavour(
-            Aircraft(scenario, noise_rng, first, body), ardupilot_parameters(scenario)
-        )
-    return Px4Flavour(Aircraft(scenario, noise_rng, body=body), px4_parameters(scenario))
+FLAVOURS: dict[FlavourName, tuple[type[Flavour], Callable[[Scenario], ParameterStore]]] = {
+    "px4": (Px4Flavour, px4_parameters),
+    "ardupilot": (ArduPilotFlavour, ardupilot_parameters),
+}
 
 
 class SimVehicle:
@@ -76,8 +62,10 @@ class SimVehicle:
     ) -> None:
         self.scenario = scenario
         self.system_id = scenario.system_id
-        self.flavour: Flavour = make_flavour(scenario, noise_rng, body)
-        self.aircraft = self.flavour.aircraft
+        flavour, parameters = FLAVOURS[scenario.autopilot.flavour]
+        first = flavour.firmware.first_mission_item
+        self.aircraft = Aircraft(scenario, noise_rng, first, body)
+        self.flavour: Flavour = flavour(self.aircraft, parameters(scenario))
         self.body = self.aircraft.body
         """The true motion."""
         self.estimator = self.aircraft.estimator
@@ -129,12 +117,6 @@ class SimVehicle:
     def has_position(self) -> bool:
         """Whether the position is told."""
         return self.flavour.has_position(self.time_s)
-
-    @property
-    def goal_enu_m(self) -> PositionEnu:
-        """Where it goes."""
-        pilot = self.aircraft.pilot
-        return pilot.goal_enu_m or pilot.hold_enu_m
 
     @property
     def geodetic(self) -> tuple[float, float, float]:

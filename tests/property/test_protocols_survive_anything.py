@@ -10,10 +10,9 @@ from companion.mav.addressing import targets_of_frame
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_command_cancel_message, Message, mavlink
 from companion.mav.framing import frame_crc
-from sim_link.autopilot.flavours.ardupilot.firmware_profile import ARDUPILOT_PARAMETERS
-from sim_link.autopilot.flavours.px4.firmware_profile import PX4_PARAMETERS
+from sim_link.autopilot.flavours.ardupilot import firmware_profile as ardupilot
+from sim_link.autopilot.flavours.px4 import firmware_profile as px4
 from sim_link.autopilot.protocols import parameter_protocol
-from sim_link.autopilot.protocols import plan_rules as plan_transfers
 from sim_link.autopilot.protocols.addressing import (
     Addressing,
     Channel,
@@ -30,7 +29,7 @@ from sim_link.autopilot.protocols.command_protocol import (
     Commands,
 )
 from sim_link.autopilot.protocols.link_layer import Router
-from sim_link.autopilot.protocols.message_streams import PX4_REQUESTS, MessageRequests, StreamRules
+from sim_link.autopilot.protocols.message_streams import MessageRequests, StreamRules
 from sim_link.autopilot.protocols.mission_protocol import Plans
 from sim_link.autopilot.protocols.parameter_store import ParameterStore
 from sim_link.autopilot.protocols.plan_items import PlanStore, PlanType
@@ -72,15 +71,14 @@ class Services:
 
     def __init__(self, *, is_ardupilot: bool) -> None:
         texts = StatusTexts()
-        table = ARDUPILOT_PARAMETERS if is_ardupilot else PX4_PARAMETERS
-        rules = parameter_protocol.ARDUPILOT_RULES if is_ardupilot else parameter_protocol.PX4_RULES
-        plan_rules = plan_transfers.ARDUPILOT_RULES if is_ardupilot else plan_transfers.PX4_RULES
+        table = ardupilot.ARDUPILOT_PARAMETERS if is_ardupilot else px4.PX4_PARAMETERS
+        firmware = ardupilot.FIRMWARE if is_ardupilot else px4.FIRMWARE
         self.store = ParameterStore(table)
-        self.parameters = parameter_protocol.Parameters(self.store, rules, texts)
+        self.parameters = parameter_protocol.Parameters(self.store, firmware.parameters, texts)
         self.plan_store = PlanStore()
-        self.plans = Plans(self.plan_store, plan_rules, texts)
+        self.plans = Plans(self.plan_store, firmware.plans, texts)
         self.commands = Commands(CommandForms())
-        self.requests = MessageRequests(STREAMS, PX4_REQUESTS, lambda _: None, texts)
+        self.requests = MessageRequests(STREAMS, px4.FIRMWARE.requests, lambda _: None, texts)
         self.clocks = Clocks(Addressing(1))
         self.router = Router(1, (1,), links=2)
 

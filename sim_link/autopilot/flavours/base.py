@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, NamedTuple
 
 from companion.domain import FlightMode, LandedState, PositionEnu
 from companion.mav.dialect import mavlink
@@ -22,15 +23,11 @@ from sim_link.autopilot.control_inputs import (
     Setpoint,
     SetpointMonitor,
     TargetMessage,
+    is_on_earth,
 )
 from sim_link.autopilot.mission_executor import LegKind, MissionLeg
 from sim_link.autopilot.pilot import Task
-from sim_link.autopilot.protocols.command_protocol import (
-    DEGREE,
-    Command,
-    CommandForms,
-    CommandResult,
-)
+from sim_link.autopilot.protocols.command_protocol import Command, CommandForms, CommandResult
 from sim_link.autopilot.protocols.message_streams import RequestRules, StreamRules
 from sim_link.autopilot.protocols.parameter_protocol import ParameterRules
 from sim_link.autopilot.protocols.parameter_store import ParameterStore
@@ -45,6 +42,7 @@ FAILED = CommandResult.FAILED
 UNSUPPORTED_MAV_FRAME = CommandResult.UNSUPPORTED_MAV_FRAME
 
 MAX_DISTANCE_M = 1e5
+"""Beyond it a flat local frame means nothing."""
 MAX_HEIGHT_M = 1000.0
 """Above home, of a take-off or a place to go to."""
 CHANGE_MODE_FLAG = 1
@@ -52,35 +50,18 @@ CHANGE_MODE_FLAG = 1
 FORCE_ARMING = 21196
 """Magic number of MAV_CMD_COMPONENT_ARM_DISARM's second parameter."""
 
-
-def place_e7(command: Command) -> tuple[int, int] | None:
-    """Latitude and longitude of a command, 1e-7 degrees; None if it leaves them open."""
-    latitude_deg, longitude_deg = command.latitude_deg, command.longitude_deg
-    if latitude_deg is None or longitude_deg is None:
-        return None
-    if not (math.isfinite(latitude_deg) and math.isfinite(longitude_deg)):
-        return None
-    return (round(latitude_deg * DEGREE), round(longitude_deg * DEGREE))
+Handler = Callable[[Any, Command, float], int]
+"""Does what a command asks of a flavour at a time; a MAV_RESULT."""
 
 
 def is_place(place: tuple[int, int]) -> bool:
     """Whether latitude and longitude are somewhere; 0/0 means that nobody knows."""
-    return place != (0, 0) and abs(place[0]) <= 90 * DEGREE and abs(place[1]) <= 180 * DEGREE
+    return place != (0, 0) and is_on_earth(*place)
 
 
 def is_altitude(altitude_m: float) -> bool:
     """Whether an altitude is a number that something may be at."""
     return abs(altitude_m) <= MAX_ALTITUDE_M
-
-
-def is_near(place_enu_m: PositionEnu) -> bool:
-    """Whether a flat local frame still means anything there."""
-    return all(abs(value) <= MAX_DISTANCE_M for value in place_enu_m)
-
-
-def whole(value: float) -> int | None:
-    """The integer that a float parameter holds, or None (NaN, infinite, 0.4)."""
-    return int(value) if math.isfinite(value) and value == int(value) else None
 
 
 def is_force(value: float) -> bool | None:
@@ -92,49 +73,56 @@ def is_force(value: float) -> bool | None:
 
 def may_change_mode(command: Command) -> bool:
     """Whether DO_REPOSITION may choose the mode that goes there."""
-    return bool((whole(command.params[1]) or 0) & CHANGE_MODE_FLAG)
+    return bool((command.whole(2) or 0) & CHANGE_MODE_FLAG)
 
 
-def set_home(
-    aircraft: Aircraft, command: Command, refused: CommandResult, *, lasts: bool
-) -> CommandResult:
-    """MAV_CMD_DO_SET_HOME: here, or at a place of any frame that the aircraft knows.
+def chooses(mode: object) -> Handler:
+    """The handler of a command that only chooses a mode."""
+    return lambda flavour, _, now_s: int(flavour.choose(mode, now_s))
 
-    Args:
-        command: The first parameter is 1 for the present place.
-        refused: What this autopilot answers to a place that is none.
-        lasts: Whether arming leaves a given home where it is.
-    """
+
+def set_home(flavour: Flavour, command: Command, _now_s: float) -> int:
+    """DO_SET_HOME: here (first parameter 1), or at a place of any frame that the aircraft knows."""
+    aircraft, firmware = flavour.aircraft, flavour.firmware
     if command.params[0] == 1.0:
         aircraft.set_home(aircraft.body.position_enu_m, is_given=False)
         return ACCEPTED
     frame = mavlink.MAV_FRAME_GLOBAL if command.frame is None else command.frame
-    place, altitude_m = place_e7(command), command.params[6]
+    place, altitude_m = command.place_e7, command.params[6]
     if place is None or not is_place(place) or not is_altitude(altitude_m):
-        return refused
+        return firmware.refusal
     home = aircraft.place_from(*place, altitude_m, frame)
     if home is None:
         return UNSUPPORTED_MAV_FRAME
-    if not is_near(home):
-        return refused
-    aircraft.set_home(home, is_given=lasts)
+    if any(abs(axis) > MAX_DISTANCE_M for axis in home):
+        return firmware.refusal
+    aircraft.set_home(home, is_given=firmware.keeps_given_home)
     return ACCEPTED
 
 
-class Identity(NamedTuple):
-    """What an autopilot says that it is."""
+def terminate(flavour: Flavour, command: Command, _now_s: float) -> int:
+    """DO_FLIGHTTERMINATION."""
+    if command.params[0] != 1.0:
+        return flavour.firmware.refusal
+    flavour.aircraft.say(*flavour.firmware.termination)
+    return flavour.disarm(is_forced=True)
+
+
+class Firmware(NamedTuple):
+    """What an autopilot says that it is, and how it speaks each of the services."""
 
     autopilot: int
     """MAV_AUTOPILOT."""
-    firmware_version: int
+    version: int
     """AUTOPILOT_VERSION.flight_sw_version."""
     capabilities: int
     """MAV_PROTOCOL_CAPABILITY."""
-
-
-class ProtocolRules(NamedTuple):
-    """How an autopilot speaks each of the services."""
-
+    refusal: CommandResult
+    """Of a command whose parameters make no sense."""
+    termination: tuple[int, str]
+    """MAV_SEVERITY and text of a flight termination."""
+    keeps_given_home: bool
+    """Whether arming leaves a home alone that a station set."""
     commands: CommandForms
     requests: RequestRules
     streams: StreamRules
@@ -148,8 +136,13 @@ class ProtocolRules(NamedTuple):
     """Of PING requests of its own; None: it never asks."""
     tells_mode_at_once: bool
     """An extra HEARTBEAT on every change of mode."""
+    obeys_rc_override: bool
+    takes_origin: bool
+    """Whether a station may move the EKF origin; otherwise it comes from the satellites."""
     first_mission_item: int
     """1 where item 0 is home."""
+    home_orientation: tuple[float, float, float, float]
+    """HOME_POSITION.q."""
 
 
 class HeartbeatState(NamedTuple):
@@ -171,8 +164,9 @@ class FenceState(NamedTuple):
 class Flavour(ABC):
     """One autopilot on one aircraft."""
 
-    identity: Identity
-    rules: ProtocolRules
+    firmware: Firmware
+    handlers: ClassVar[Mapping[int, Handler]]
+    """What does each MAV_CMD; any other is unsupported."""
 
     def __init__(self, aircraft: Aircraft, parameters: ParameterStore) -> None:
         self.aircraft = aircraft
@@ -196,7 +190,12 @@ class Flavour(ABC):
     @property
     @abstractmethod
     def is_failsafe(self) -> bool:
-        """Whether a failsafe chose what is flown."""
+        """Whether something is wrong that a failsafe acts on."""
+
+    @property
+    @abstractmethod
+    def reason(self) -> str:
+        """Why a failsafe acts."""
 
     @property
     @abstractmethod
@@ -205,20 +204,16 @@ class Flavour(ABC):
 
     @property
     @abstractmethod
-    def reason(self) -> str:
-        """Why a failsafe acts."""
+    def flown_setpoint(self) -> Setpoint:
+        """The setpoint that FOLLOW flies."""
 
     @abstractmethod
     def arming_refusal(self, now_s: float) -> str | None:
         """Why it could not be armed now, or None."""
 
     @abstractmethod
-    def has_home(self, now_s: float) -> bool:
-        """Whether origin and home are known."""
-
-    @abstractmethod
-    def has_position(self, now_s: float) -> bool:
-        """Whether the position is told."""
+    def fence_margin_m(self, place: PositionEnu) -> float:
+        """Distance from a place to the nearest breach of the fence, negative in one."""
 
     @abstractmethod
     def fence_state(self, place: PositionEnu) -> FenceState:
@@ -233,8 +228,8 @@ class Flavour(ABC):
         """The pilot turns the mode switch."""
 
     @abstractmethod
-    def _handle_command(self, command: Command, now_s: float) -> int:
-        """Do what a command asks; a MAV_RESULT."""
+    def disarm(self, *, is_forced: bool) -> int:
+        """A request to disarm; forced, it stops the motors in the air. A MAV_RESULT."""
 
     @abstractmethod
     def take_setpoint(self, message: TargetMessage, now_s: float) -> None:
@@ -245,16 +240,8 @@ class Flavour(ABC):
         """What POSITION_TARGET_* tells; None while it tells nothing."""
 
     @abstractmethod
-    def set_origin(self, latitude_e7: int, longitude_e7: int, altitude_mm: int) -> bool:
-        """A station sets the EKF origin; whether it moved."""
-
-    @abstractmethod
     def disarm_delay_s(self) -> float | None:
         """How long it stands armed on the ground before it disarms itself; None: for ever."""
-
-    @abstractmethod
-    def disarm_landed(self, now_s: float) -> None:
-        """It has stood long enough."""
 
     @abstractmethod
     def _watch(self, now_s: float) -> None:
@@ -264,11 +251,17 @@ class Flavour(ABC):
     def _after_flying(self, now_s: float) -> None:
         """What ends by itself: a takeoff, a mission."""
 
-    @abstractmethod
-    def _flown_setpoint(self, now_s: float) -> Setpoint:
-        """The setpoint that FOLLOW flies."""
-
     # What all have in common
+
+    def has_home(self, now_s: float) -> bool:
+        """Whether origin and home are known."""
+        del now_s
+        return True
+
+    def has_position(self, now_s: float) -> bool:
+        """Whether the position is told."""
+        del now_s
+        return self.aircraft.estimator.is_position_valid
 
     @property
     def is_armed(self) -> bool:
@@ -299,7 +292,8 @@ class Flavour(ABC):
 
     def command(self, command: Command, now_s: float) -> int:
         """A command arrived; a MAV_RESULT."""
-        result = self._handle_command(command, now_s)
+        handler = self.handlers.get(command.number)
+        result = UNSUPPORTED if handler is None else handler(self, command, now_s)
         self.settle(now_s, "commanded")
         return result
 
@@ -334,6 +328,12 @@ class Flavour(ABC):
             texts.append(f"mode {old_mode.value} -> {mode.value}{reason}")
         self.note(now_s, ", ".join(texts))
 
+    def send_rejection(self, prefix: str, now_s: float) -> None:
+        """Say why it cannot be armed."""
+        why = self.arming_refusal(now_s)
+        if why is not None:
+            self.aircraft.say(mavlink.MAV_SEVERITY_CRITICAL, f"{prefix}: {why}")
+
     def note(self, now_s: float, text: str) -> None:
         """Something happened."""
         self.occurrences.append(Occurrence(now_s, self.mode, self.aircraft.is_armed, text))
@@ -361,7 +361,7 @@ class Flavour(ABC):
             place, is_on_ground = body.position_enu_m, body.is_on_ground
             self.leg = aircraft.mission.leg(place, is_on_ground and aircraft.has_flown, now_s)
         sticks = aircraft.sticks.read(now_s) if pilot.task is Task.FLY_BY_STICKS else None
-        setpoint = self._flown_setpoint(now_s)
+        setpoint = self.flown_setpoint
         aircraft.move(
             pilot.command(setpoint, self.leg, sticks, body),
             pilot.yaw_ned_rad(setpoint, sticks, aircraft.heading_ned_rad),
@@ -389,5 +389,5 @@ class Flavour(ABC):
             if aircraft.has_flown:
                 self.note(now_s, "on the ground")
         if now_s - self._landed_s >= delay_s:
-            self.disarm_landed(now_s)
+            self.disarm(is_forced=True)
             self.settle(now_s, "landed")

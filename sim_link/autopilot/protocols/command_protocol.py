@@ -80,20 +80,13 @@ class Command:
         return int(value) if math.isfinite(value) and value == int(value) else None
 
     @property
-    def latitude_deg(self) -> float | None:
-        """Parameter 5 as a latitude; None if it is left open."""
-        return self._degrees(4)
-
-    @property
-    def longitude_deg(self) -> float | None:
-        """Parameter 6 as a longitude; None if it is left open."""
-        return self._degrees(5)
-
-    def _degrees(self, index: int) -> float | None:
-        value = self.params[index]
-        if self.frame is None:
-            return None if math.isnan(value) else value
-        return None if value == NO_VALUE else value / DEGREE
+    def place_e7(self) -> tuple[int, int] | None:
+        """Parameters 5 and 6 as latitude and longitude, 1e-7 degrees; None if one is left open."""
+        x, y = self.params[4:6]
+        if self.frame is not None:
+            return None if NO_VALUE in (x, y) else (int(x), int(y))
+        is_given = math.isfinite(x) and math.isfinite(y)
+        return (round(x * DEGREE), round(y * DEGREE)) if is_given else None
 
 
 @dataclass(frozen=True, slots=True)

@@ -196,12 +196,6 @@ class RequestRules:
     """A refused SET_MESSAGE_INTERVAL is explained."""
 
 
-PX4_REQUESTS = RequestRules(CommandResult.DENIED, CommandResult.FAILED, CommandResult.ACCEPTED)
-ARDUPILOT_REQUESTS = RequestRules(
-    CommandResult.FAILED, CommandResult.DENIED, CommandResult.FAILED, has_texts=True
-)
-
-
 class MessageRequests:
     """Keeps the streams of every channel and obeys what is asked about messages.
 

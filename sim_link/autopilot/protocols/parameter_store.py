@@ -7,11 +7,12 @@ time. A value is refused rather than clipped. What differs from the defaults is 
 
 from __future__ import annotations
 
+import csv
 import math
 import zlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from importlib.resources import files
 
 from companion.errors import ConfigError, LocalProtocolError
 from companion.mav.param_encoding import (
@@ -60,38 +61,21 @@ class ParamSpec:
         )
 
 
-class SpecOf(Protocol):
-    """Makes the parameters of one type."""
-
-    def __call__(
-        self,
-        name: str,
-        default: float,
-        minimum: float | None = None,
-        maximum: float | None = None,
-        unit: str = "",
-        *,
-        is_read_only: bool = False,
-    ) -> ParamSpec:
-        """See `ParamSpec`."""
-
-
-def spec_of(kind: ParamType) -> SpecOf:
-    """What makes the parameters of a type, so that a table needs a line for each."""
-
-    def make(
-        name: str,
-        default: float,
-        minimum: float | None = None,
-        maximum: float | None = None,
-        unit: str = "",
-        *,
-        is_read_only: bool = False,
-    ) -> ParamSpec:
-        """A parameter with its bounds."""
-        return ParamSpec(name, kind, default, minimum, maximum, unit, is_read_only)
-
-    return make
+def read_specs(package: str) -> tuple[ParamSpec, ...]:
+    """The parameters in a package's `parameters.csv`, in the order of their indices."""
+    text = files(package).joinpath("parameters.csv").read_text(encoding="utf-8")
+    return tuple(
+        ParamSpec(
+            row["name"],
+            ParamType[row["type"]],
+            float(row["default"]),
+            float(row["minimum"]) if row["minimum"] else None,
+            float(row["maximum"]) if row["maximum"] else None,
+            row["unit"],
+            is_read_only=row["access"] == "read",
+        )
+        for row in csv.DictReader(text.splitlines())
+    )
 
 
 class ParameterStore:

@@ -21,12 +21,12 @@ LOCAL_METRE = 1e4
 INT32_MIN, INT32_MAX = -(2**31), 2**31 - 1
 NO_VALUE = INT32_MAX
 """Stands for NaN in an integer coordinate."""
-GLOBAL_FRAMES = (
-    mavlink.MAV_FRAME_GLOBAL,
+AMSL_FRAMES = (mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT)
+RELATIVE_FRAMES = (
     mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT,
-    mavlink.MAV_FRAME_GLOBAL_INT,
     mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
 )
+GLOBAL_FRAMES = AMSL_FRAMES + RELATIVE_FRAMES
 FRAME_MISSION = mavlink.MAV_FRAME_MISSION
 
 
@@ -271,17 +271,11 @@ class MissionProgress:
     has_home: bool = False
     """Whether item 0 is home, which the total leaves out."""
 
-
-def mission_current(progress: MissionProgress) -> Message:
-    """MISSION_CURRENT."""
-    total = max(0, progress.count - progress.has_home) if progress.count else NO_MISSION_TOTAL
-    mode = 1 if progress.is_in_mission_mode else 2
-    return mavlink.MAVLink_mission_current_message(progress.seq, total, progress.state, mode)
-
-
-def mission_item_reached(seq: int) -> Message:
-    """MISSION_ITEM_REACHED, to be sent once for each item."""
-    return mavlink.MAVLink_mission_item_reached_message(seq)
+    @property
+    def fields(self) -> tuple[int, int, int, int]:
+        """Of MISSION_CURRENT: item, total, state and mode."""
+        total = max(0, self.count - self.has_home) if self.count else NO_MISSION_TOTAL
+        return (self.seq, total, self.state, 1 if self.is_in_mission_mode else 2)
 
 
 class MissionAnnouncer:
@@ -295,4 +289,4 @@ class MissionAnnouncer:
         if progress == self._told:
             return None
         self._told = progress
-        return mission_current(progress)
+        return mavlink.MAVLink_mission_current_message(*progress.fields)

@@ -35,26 +35,28 @@ LAND = mavlink.MAV_CMD_NAV_LAND
 DO_JUMP = mavlink.MAV_CMD_DO_JUMP
 
 
-def _commands(names: str) -> frozenset[int]:
+def commands_named(names: str) -> frozenset[int]:
     """MAV_CMDs by their names, with blanks between."""
     return frozenset(getattr(mavlink, f"MAV_CMD_{name}") for name in names.split())
 
 
-MAY_BE_HERE = _commands("NAV_LOITER_UNLIM NAV_LOITER_TURNS NAV_LOITER_TIME NAV_LAND NAV_TAKEOFF")
+MAY_BE_HERE = commands_named(
+    "NAV_LOITER_UNLIM NAV_LOITER_TURNS NAV_LOITER_TIME NAV_LAND NAV_TAKEOFF"
+)
 """For these 0/0, or no position, means where the vehicle is."""
-POSITION_COMMANDS = MAY_BE_HERE | _commands(
+POSITION_COMMANDS = MAY_BE_HERE | commands_named(
     "NAV_WAYPOINT DO_SET_ROI_LOCATION DO_SET_ROI DO_LAND_START"
 )
-OTHER_COMMANDS = _commands(
+OTHER_COMMANDS = commands_named(
     "NAV_RETURN_TO_LAUNCH NAV_DELAY CONDITION_DELAY CONDITION_YAW CONDITION_DISTANCE DO_JUMP "
     "DO_CHANGE_SPEED DO_SET_SERVO DO_SET_ROI_NONE DO_DIGICAM_CONTROL DO_MOUNT_CONTROL "
     "DO_SET_CAM_TRIGG_DIST DO_GIMBAL_MANAGER_PITCHYAW DO_GIMBAL_MANAGER_CONFIGURE SET_CAMERA_MODE "
     "IMAGE_START_CAPTURE IMAGE_STOP_CAPTURE VIDEO_START_CAPTURE VIDEO_STOP_CAPTURE"
 )
-POLYGON_COMMANDS = _commands(
+POLYGON_COMMANDS = commands_named(
     "NAV_FENCE_POLYGON_VERTEX_INCLUSION NAV_FENCE_POLYGON_VERTEX_EXCLUSION"
 )
-CIRCLE_COMMANDS = _commands("NAV_FENCE_CIRCLE_INCLUSION NAV_FENCE_CIRCLE_EXCLUSION")
+CIRCLE_COMMANDS = commands_named("NAV_FENCE_CIRCLE_INCLUSION NAV_FENCE_CIRCLE_EXCLUSION")
 FENCE_COMMANDS = POLYGON_COMMANDS | CIRCLE_COMMANDS | {mavlink.MAV_CMD_NAV_FENCE_RETURN_POINT}
 RALLY_COMMANDS = frozenset({mavlink.MAV_CMD_NAV_RALLY_POINT})
 
@@ -189,34 +191,6 @@ class PlanRules:
     """MISSION_REQUEST instead of MISSION_REQUEST_INT."""
     stores_less: bool = False
     """A NaN is given back as 0, and a frame by its older name."""
-
-
-PX4_RULES = PlanRules(
-    capacity={PlanType.MISSION: 2000, PlanType.FENCE: 64, PlanType.RALLY: 32},
-    checks=PlanChecks(
-        more_positions=_commands("NAV_LOITER_TO_ALT DO_SET_HOME"),
-        more_others=_commands("SET_CAMERA_ZOOM SET_CAMERA_FOCUS"),
-    ),
-    retry_s=0.25,
-    timeout_s=5.0,
-)
-ARDUPILOT_RULES = PlanRules(
-    capacity={PlanType.MISSION: 650, PlanType.FENCE: 84, PlanType.RALLY: 50},
-    checks=PlanChecks(
-        zero_is_here=True,
-        more_positions=_commands("NAV_SPLINE_WAYPOINT DO_SET_HOME"),
-        more_others=_commands("NAV_GUIDED_ENABLE DO_SET_RELAY DO_FENCE_ENABLE"),
-    ),
-    retry_s=1.0,
-    timeout_s=8.0,
-    is_atomic=False,
-    is_one_at_a_time=True,
-    can_be_cancelled=False,
-    waits_for_ack=False,
-    tells_wrong_number=True,
-    asks_in_old_form=True,
-    stores_less=True,
-)
 
 
 @dataclass(slots=True)

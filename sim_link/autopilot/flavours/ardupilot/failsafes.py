@@ -1,20 +1,17 @@
-"""ArduCopter's failsafes and fence: what is wrong, since when, and the mode that is asked for.
+"""ArduCopter's failsafes: what is wrong, since when, and the mode that is asked for.
 
-A failsafe changes the mode once, on entering, and nothing changes it back. Parameters say which
-parts of the fence are on, and what is done at a breach.
+A failsafe changes the mode once, on entering, and nothing changes it back.
 
 Source: ArduPilot documentation, "Failsafe Functions", "EKF Failsafe", "Simple GeoFence";
 `ArduCopter/ekf_check.cpp`; parameters FS_THR_ENABLE, FS_GCS_ENABLE, FS_EKF_ACTION, BATT_FS_LOW_ACT,
-FENCE_ACTION, FENCE_TYPE, FENCE_RADIUS, FENCE_ALT_MAX.
+FENCE_ACTION.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
-from companion.domain import PositionEnu
 from sim_link.autopilot.aircraft import CELLS, Aircraft
 from sim_link.autopilot.flavours.ardupilot.flight_modes import (
     ALT_HOLD,
@@ -27,44 +24,23 @@ from sim_link.autopilot.flavours.ardupilot.flight_modes import (
 from sim_link.autopilot.pilot import STEP_S
 from sim_link.autopilot.protocols.parameter_store import ParameterStore
 
-ALTITUDE_MAX, CIRCLE, POLYGON = 1, 2, 4
-"""Bits of FENCE_TYPE."""
-
-
-def fence_margin_m(place: PositionEnu, aircraft: Aircraft, parameters: ParameterStore) -> float:
-    """Distance to the nearest breach, negative in one; infinite while the fence is off."""
-    if not parameters["FENCE_ENABLE"]:
-        return math.inf
-    parts = int(parameters["FENCE_TYPE"])
-    home = aircraft.home_enu_m
-    margin = math.inf
-    if parts & ALTITUDE_MAX:
-        margin = min(margin, parameters["FENCE_ALT_MAX"] - (place[2] - home[2]))
-    if parts & CIRCLE:
-        margin = min(margin, parameters["FENCE_RADIUS"] - math.dist(place[:2], home[:2]))
-    if parts & POLYGON:
-        margin = min(margin, aircraft.fence.margin_m(place))
-    return margin
-
-
-STATION_MODES = dict(enumerate((RTL, RTL, SMART_RTL, SMART_RTL, LAND, RTL, BRAKE), 1))
-"""FS_GCS_ENABLE; 0: nothing."""
-STICK_MODES = dict(enumerate((RTL, RTL, LAND, SMART_RTL, SMART_RTL, RTL, BRAKE), 1))
-"""FS_THR_ENABLE; 0: nothing."""
-BATTERY_MODES = {1: LAND, 2: RTL, 3: SMART_RTL, 4: SMART_RTL, 6: RTL, 7: BRAKE}
-"""BATT_FS_LOW_ACT and BATT_FS_CRT_ACT; 0: only a text."""
+REACTIONS: dict[str, tuple[CopterMode | None, ...]] = {
+    "FS_GCS_ENABLE": (None, RTL, RTL, SMART_RTL, SMART_RTL, LAND, RTL, BRAKE),
+    "FS_THR_ENABLE": (None, RTL, RTL, LAND, SMART_RTL, SMART_RTL, RTL, BRAKE),
+    "FENCE_ACTION": (None, RTL, LAND, SMART_RTL, BRAKE, SMART_RTL),
+    "BATT_FS_LOW_ACT": (None, LAND, RTL, SMART_RTL, SMART_RTL, None, RTL, BRAKE),
+    "BATT_FS_CRT_ACT": (None, LAND, RTL, SMART_RTL, SMART_RTL, None, RTL, BRAKE),
+    "FS_EKF_ACTION": (None, LAND, ALT_HOLD, LAND),
+}
+"""The mode that each value of a parameter asks for; None: at most a text."""
 TERMINATE = 5
-FENCE_MODES = {1: RTL, 2: LAND, 3: SMART_RTL, 4: BRAKE, 5: SMART_RTL}
-"""FENCE_ACTION; 0: only a text."""
-EKF_MODES = {1: LAND, 2: ALT_HOLD, 3: LAND}
-"""FS_EKF_ACTION; 3 also where no position is needed."""
+"""Of BATT_FS_LOW_ACT and BATT_FS_CRT_ACT."""
 EVEN_WITHOUT_POSITION = 3
+"""Of FS_EKF_ACTION: also where no position is needed."""
 EKF_PATIENCE_S = 1.0
 """How long the estimate must be bad, and as long good again."""
 ROUNDING_S = 1e-6
 FENCE, EKF, STATION, STICKS = "Fence breached", "EKF Failsafe", "GCS Failsafe", "Radio Failsafe"
-
-Margin = Callable[[PositionEnu], float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,35 +70,25 @@ class CopterFailsafes:
         self.active.clear()
         self._bad_estimate_s = 0.0
 
-    def watch(self, mode: CopterMode, margin_m: Margin, now_s: float) -> Iterator[FailsafeEvent]:
+    def watch(self, mode: CopterMode, margin_m: float, now_s: float) -> Iterator[FailsafeEvent]:
         """What begins and ends in this physics step of an armed vehicle.
 
         Args:
-            margin_m: Distance of a place from a breach of the fence, negative in one.
-            now_s: Seconds since boot.
+            margin_m: Distance from a breach of the fence, negative in one.
         """
-        yield from self._watch_station(now_s)
-        yield from self._watch_sticks(now_s)
-        yield from self._watch_battery()
-        has_breach = margin_m(self._aircraft.body.position_enu_m) < 0.0
-        action = FENCE_MODES.get(int(self._parameters["FENCE_ACTION"]))
-        yield from self._note(FENCE, has_breach, FailsafeEvent(FENCE, action))
-        yield from self._watch_estimate(mode)
-
-    def _watch_station(self, now_s: float) -> Iterator[FailsafeEvent]:
-        """The ground station of SYSID_MYGCS, once one was heard."""
         heard_s = self._aircraft.stations_s.get(int(self._parameters["SYSID_MYGCS"]))
-        action = STATION_MODES.get(int(self._parameters["FS_GCS_ENABLE"]))
-        timeout_s = self._parameters["FS_GCS_TIMEOUT"]
-        is_silent = heard_s is not None and now_s - heard_s > timeout_s and action is not None
-        yield from self._note(STATION, is_silent, FailsafeEvent(STATION, action))
-
-    def _watch_sticks(self, now_s: float) -> Iterator[FailsafeEvent]:
+        is_silent = heard_s is not None and now_s - heard_s > self._parameters["FS_GCS_TIMEOUT"]
+        station, sticks = self._reaction("FS_GCS_ENABLE"), self._reaction("FS_THR_ENABLE")
+        is_gone = is_silent and station is not None
+        yield from self._note(STATION, is_gone, FailsafeEvent(STATION, station))
         has_sticks = self._aircraft.sticks.read(now_s) is not None
         self._had_sticks = self._had_sticks or has_sticks
-        action = STICK_MODES.get(int(self._parameters["FS_THR_ENABLE"]))
-        is_lost = self._had_sticks and not has_sticks and action is not None
-        yield from self._note(STICKS, is_lost, FailsafeEvent(STICKS, action))
+        is_lost = self._had_sticks and not has_sticks and sticks is not None
+        yield from self._note(STICKS, is_lost, FailsafeEvent(STICKS, sticks))
+        yield from self._watch_battery()
+        breach = FailsafeEvent(FENCE, self._reaction("FENCE_ACTION"))
+        yield from self._note(FENCE, margin_m < 0.0, breach)
+        yield from self._watch_estimate(mode)
 
     def _watch_battery(self) -> Iterator[FailsafeEvent]:
         value, battery = self._parameters, self._aircraft.battery
@@ -132,12 +98,9 @@ class CopterFailsafes:
             is_under = volts <= value[f"BATT_{level}_VOLT"] or (
                 0.0 < value[f"BATT_{level}_MAH"] >= left_mah
             )
-            name = f"Battery 1 is {word}"
-            if is_under == (name in self.active):
-                continue  # nothing to say
+            name, action = f"Battery 1 is {word}", f"BATT_FS_{level}_ACT"
             text = f"{name} {volts:.2f}V used {battery.consumed_mah} mAh"
-            number = int(value[f"BATT_FS_{level}_ACT"])
-            event = FailsafeEvent(text, BATTERY_MODES.get(number), stops_motors=number == TERMINATE)
+            event = FailsafeEvent(text, self._reaction(action), value[action] == TERMINATE)
             yield from self._note(name, is_under, event)
 
     def _watch_estimate(self, mode: CopterMode) -> Iterator[FailsafeEvent]:
@@ -147,11 +110,13 @@ class CopterFailsafes:
         change_s = STEP_S if is_bad else -STEP_S
         self._bad_estimate_s = min(EKF_PATIENCE_S, max(0.0, self._bad_estimate_s + change_s))
         limit_s = ROUNDING_S if EKF in self.active else EKF_PATIENCE_S - ROUNDING_S
-        number = int(value["FS_EKF_ACTION"])
-        concerns = mode.needs_position or number == EVEN_WITHOUT_POSITION
-        action = EKF_MODES.get(number, LAND) if concerns else None
-        event = FailsafeEvent(EKF, action, tells_mode=action is not None)
+        concerns = mode.needs_position or value["FS_EKF_ACTION"] == EVEN_WITHOUT_POSITION
+        reaction = self._reaction("FS_EKF_ACTION") if concerns else None
+        event = FailsafeEvent(EKF, reaction, tells_mode=reaction is not None)
         yield from self._note(EKF, self._bad_estimate_s >= limit_s, event)
+
+    def _reaction(self, parameter: str) -> CopterMode | None:
+        return REACTIONS[parameter][int(self._parameters[parameter])]
 
     def _note(self, name: str, is_present: bool, event: FailsafeEvent) -> Iterator[FailsafeEvent]:
         if is_present and name not in self.active:

@@ -8,68 +8,61 @@ Source: ArduCopter 4.5 as observed in SITL; ArduPilot documentation, "Failsafe F
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 from companion.domain import FlightMode, PositionEnu
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.aircraft import Aircraft
-from sim_link.autopilot.control_inputs import (
-    AttitudeTarget,
-    Echo,
-    Setpoint,
-    TargetMessage,
-)
-from sim_link.autopilot.flavours.ardupilot import failsafes, flight_modes
+from sim_link.autopilot.control_inputs import AttitudeTarget, Echo, Setpoint, TargetMessage
 from sim_link.autopilot.flavours.ardupilot.failsafes import CopterFailsafes, FailsafeEvent
-from sim_link.autopilot.flavours.ardupilot.firmware_profile import RULES
-from sim_link.autopilot.flavours.ardupilot.flight_modes import ARMED_FLAG, CopterMode
+from sim_link.autopilot.flavours.ardupilot.firmware_profile import FIRMWARE
+from sim_link.autopilot.flavours.ardupilot.flight_modes import (
+    AUTO,
+    BY_WHAT_IT_DOES,
+    CLIMB,
+    DESCENT,
+    GUIDED,
+    HANDLERS,
+    HORIZONTAL,
+    LAND,
+    RTL,
+    STABILIZE,
+    WARNING,
+    CopterMode,
+)
 from sim_link.autopilot.flavours.ardupilot.guided import (
     Guided,
     GuidedState,
-    Target,
     TargetKind,
     target_from,
 )
-from sim_link.autopilot.flavours.base import (
-    ACCEPTED,
-    FAILED,
-    FenceState,
-    Flavour,
-    HeartbeatState,
-    Identity,
-)
+from sim_link.autopilot.flavours.base import ACCEPTED, FAILED, FenceState, Flavour, HeartbeatState
 from sim_link.autopilot.mission_executor import LegKind
 from sim_link.autopilot.pilot import SpeedLimits, Task
-from sim_link.autopilot.protocols.command_protocol import Command
 from sim_link.autopilot.protocols.parameter_store import ParameterStore
 from sim_link.world.point_mass import stopping_point
 
-COPTER_VERSION = 0x0405_07FF
-"""4.5.7, official release: the one whose behaviour is simulated."""
-CAPABILITIES = 0xFBEF | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
-"""4.5 sets neither encoding bit; the guide wants one of them."""
+ALTITUDE_MAX, CIRCLE, POLYGON = 1, 2, 4
+"""Bits of FENCE_TYPE."""
 LANDED_DELAY_S = 1.0
 """LAND and RTL disarm this long after a touchdown."""
 IDLE_DETECTION_S = 0.5
 """ArduCopter takes this much longer than DISARM_DELAY."""
 ATTITUDE_SHARE = 0.5
 """Share of the boot after which modes without a position can be armed."""
-HORIZONTAL = mavlink.SPEED_TYPE_GROUNDSPEED
-CLIMB, DESCENT = mavlink.SPEED_TYPE_CLIMB_SPEED, mavlink.SPEED_TYPE_DESCENT_SPEED
-CRITICAL, WARNING = mavlink.MAV_SEVERITY_CRITICAL, mavlink.MAV_SEVERITY_WARNING
+CRITICAL, INFO = mavlink.MAV_SEVERITY_CRITICAL, mavlink.MAV_SEVERITY_INFO
 
 
 class ArduPilotFlavour(Flavour):
     """ArduCopter 4.5."""
 
-    identity = Identity(mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, COPTER_VERSION, CAPABILITIES)
-    rules = RULES
+    firmware = FIRMWARE
+    handlers = HANDLERS
 
     def __init__(self, aircraft: Aircraft, parameters: ParameterStore) -> None:
         super().__init__(aircraft, parameters)
         self.guided = Guided()
-        self.copter_mode: CopterMode = flight_modes.STABILIZE
-        self._commanded_mps: dict[int, float] = {}
+        self.copter_mode: CopterMode = STABILIZE
+        self.commanded_mps: dict[int, float] = {}
         """By SPEED_TYPE, until the mode changes."""
         self._failsafes = CopterFailsafes(aircraft, parameters)
 
@@ -96,9 +89,9 @@ class ArduPilotFlavour(Flavour):
         mode = self.copter_mode
         if not self.aircraft.estimator.is_position_valid and mode.task is not Task.FLY_BY_STICKS:
             return Task.DESCEND
-        if mode is flight_modes.GUIDED:
+        if mode is GUIDED:
             return self.guided.task
-        if mode is flight_modes.AUTO:
+        if mode is AUTO:
             is_returning = self.leg is not None and self.leg.kind is LegKind.RETURN
             return Task.RETURN if is_returning else Task.FLY_MISSION
         return mode.task
@@ -125,21 +118,27 @@ class ArduPilotFlavour(Flavour):
         return None
 
     def fence_margin_m(self, place: PositionEnu) -> float:
-        """Distance from a place to the nearest breach of the fence, negative in one."""
-        return failsafes.fence_margin_m(place, self.aircraft, self.parameters)
+        """Distance to the nearest breach, negative in one; infinite while the fence is off."""
+        value, home = self.parameters, self.aircraft.home_enu_m
+        parts = int(value["FENCE_TYPE"]) if value["FENCE_ENABLE"] else 0
+        margin = math.inf
+        if parts & ALTITUDE_MAX:
+            margin = min(margin, value["FENCE_ALT_MAX"] - (place[2] - home[2]))
+        if parts & CIRCLE:
+            margin = min(margin, value["FENCE_RADIUS"] - math.dist(place[:2], home[:2]))
+        if parts & POLYGON:
+            margin = min(margin, self.aircraft.fence.margin_m(place))
+        return margin
 
     def fence_state(self, place: PositionEnu) -> FenceState:
         """FENCE_TYPE says which parts there are, FENCE_ENABLE whether they are heeded."""
         parts = int(self.parameters["FENCE_TYPE"])
-        has_areas = bool(parts & failsafes.POLYGON) and not self.aircraft.fence.is_empty
-        is_present = has_areas or bool(parts & ~failsafes.POLYGON)
+        has_areas = bool(parts & POLYGON) and not self.aircraft.fence.is_empty
+        is_present = has_areas or bool(parts & ~POLYGON)
         is_enabled = is_present and bool(self.parameters["FENCE_ENABLE"])
         return FenceState(is_present, is_enabled, self.fence_margin_m(place) < 0.0)
 
     # Commands
-
-    def _handle_command(self, command: Command, now_s: float) -> int:
-        return flight_modes.handle_command(self, command, now_s)
 
     def choose(self, mode: CopterMode, now_s: float) -> int:
         """Change the mode; a MAV_RESULT, and the reason as a text if refused."""
@@ -150,13 +149,13 @@ class ArduPilotFlavour(Flavour):
         if mode is not self.copter_mode:
             self.guided.enter()
             self.copter_mode = mode
-            self._commanded_mps.clear()
+            self.commanded_mps.clear()
             self.leg = None
         return ACCEPTED
 
     def pilot_chooses(self, mode: FlightMode, now_s: float) -> None:
         """The pilot turns the mode switch; what ArduPilot has no mode for changes nothing."""
-        wanted = flight_modes.BY_WHAT_IT_DOES.get(mode)
+        wanted = BY_WHAT_IT_DOES.get(mode)
         if wanted is not None:
             self.choose(wanted, now_s)
             self.settle(now_s, "pilot")
@@ -168,7 +167,7 @@ class ArduPilotFlavour(Flavour):
         if mode.needs_position and not self.has_position(now_s):
             return "requires position"
         mission = self.aircraft.mission
-        if mode is flight_modes.AUTO:
+        if mode is AUTO:
             if not mission.has_items:
                 return "init failed"
             first = mission.items[max(mission.current, 1)].command
@@ -188,14 +187,8 @@ class ArduPilotFlavour(Flavour):
             return FAILED
         self.aircraft.is_armed = True
         self.guided.enter()
-        self.aircraft.say(mavlink.MAV_SEVERITY_INFO, "Arming motors")
+        self.aircraft.say(INFO, "Arming motors")
         return ACCEPTED
-
-    def send_rejection(self, prefix: str, now_s: float) -> None:
-        """Say why it cannot be armed."""
-        why = self.arming_refusal(now_s)
-        if why is not None:
-            self.aircraft.say(CRITICAL, f"{prefix}: {why}")
 
     def disarm(self, *, is_forced: bool) -> int:
         """A request to disarm; a MAV_RESULT."""
@@ -206,36 +199,8 @@ class ArduPilotFlavour(Flavour):
         self.aircraft.is_armed = False
         self._failsafes.clear()
         self.guided.enter()
-        self.aircraft.say(mavlink.MAV_SEVERITY_INFO, "Disarming motors")
+        self.aircraft.say(INFO, "Disarming motors")
         return ACCEPTED
-
-    def set_origin(self, latitude_e7: int, longitude_e7: int, altitude_mm: int) -> bool:  # noqa: ARG002
-        """The EKF has its origin from the satellites: another one has no effect."""
-        return False
-
-    def fly_to(self, setpoint: Setpoint) -> None:
-        """DO_REPOSITION: like a position target."""
-        is_on_ground = self.aircraft.body.is_on_ground
-        target = Target(TargetKind.POSITION, setpoint)
-        self.guided.take(target, self.aircraft.time_s, is_on_ground=is_on_ground)
-
-    def change_speed(self, kind: float, speed_mps: float) -> bool:
-        """DO_CHANGE_SPEED of a SPEED_TYPE; whether the mode has such a speed."""
-        if (
-            self.copter_mode not in (flight_modes.GUIDED, flight_modes.AUTO, flight_modes.RTL)
-            or not speed_mps > 0.0
-        ):
-            return False
-        key = DESCENT if kind > CLIMB else CLIMB if kind > HORIZONTAL else HORIZONTAL
-        self._commanded_mps[key] = speed_mps
-        return True
-
-    def turn_to(self, yaw_ned_rad: float) -> None:
-        """CONDITION_YAW."""
-        self.guided.setpoint = replace(
-            self.guided.setpoint, yaw_ned_rad=yaw_ned_rad, yaw_rate_ned_radps=None
-        )
-        self.aircraft.pilot.hold_yaw_ned_rad = yaw_ned_rad
 
     # Setpoints
 
@@ -249,24 +214,25 @@ class ArduPilotFlavour(Flavour):
         target = target_from(message, self.aircraft)
         is_refused = target.kind is TargetKind.STOP
         self.setpoints.take(None if is_refused else target.setpoint, now_s)
-        if self.copter_mode is not flight_modes.GUIDED or not self.is_armed:
+        if self.copter_mode is not GUIDED or not self.is_armed:
             return
         if target.text:
             self.aircraft.say(WARNING, target.text)
         place, up_m = target.setpoint.position_en_m, target.setpoint.up_m
         if place is not None and up_m is not None and self.fence_margin_m((*place, up_m)) < 0.0:
             return
-        on_ground = self.aircraft.body.is_on_ground
-        self.guided.take(target, now_s, is_on_ground=on_ground)
+        self.guided.take(target, now_s, is_on_ground=self.aircraft.body.is_on_ground)
         self.settle(now_s)
 
     def echo(self) -> Echo | None:
         """The target of GUIDED, and nothing in any other mode."""
-        if self.copter_mode is not flight_modes.GUIDED:
+        if self.copter_mode is not GUIDED:
             return None
         return self.guided.echo(self.aircraft.pilot.goal_enu_m)
 
-    def _flown_setpoint(self, now_s: float) -> Setpoint:  # noqa: ARG002  `_watch` lets it age
+    @property
+    def flown_setpoint(self) -> Setpoint:
+        """GUIDED's target; `_watch` lets it age."""
         return self.guided.setpoint
 
     # What happens by itself
@@ -275,19 +241,13 @@ class ArduPilotFlavour(Flavour):
         """A second after LAND and RTL, DISARM_DELAY otherwise; never while it takes off."""
         if self.task is Task.TAKE_OFF:
             return None
-        is_landing = (
-            self.copter_mode in (flight_modes.LAND, flight_modes.RTL) or self._is_mission_over
-        )
-        if is_landing or (self.copter_mode is flight_modes.AUTO and self.task is Task.RETURN):
+        is_landing = self.copter_mode in (LAND, RTL) or self._is_mission_over
+        if is_landing or (self.copter_mode is AUTO and self.task is Task.RETURN):
             return LANDED_DELAY_S
-        if self.copter_mode is flight_modes.AUTO:
+        if self.copter_mode is AUTO:
             return None
         delay_s = self.parameters["DISARM_DELAY"]
         return delay_s + IDLE_DETECTION_S if delay_s > 0.0 else None
-
-    def disarm_landed(self, now_s: float) -> None:  # noqa: ARG002  the base gives the time
-        """It has stood long enough."""
-        self.disarm(is_forced=True)
 
     def settle(self, now_s: float, why: str = "") -> None:
         """As the base does, with the heights of a return known before it begins."""
@@ -318,7 +278,8 @@ class ArduPilotFlavour(Flavour):
             return
         if self.guided.state is GuidedState.FOLLOWING and self._runs_into_the_fence():
             self.guided.stop()
-        for event in self._failsafes.watch(self.copter_mode, self.fence_margin_m, now_s):
+        margin_m = self.fence_margin_m(body.position_enu_m)
+        for event in self._failsafes.watch(self.copter_mode, margin_m, now_s):
             self._react(event, now_s)
 
     def _react(self, event: FailsafeEvent, now_s: float) -> None:
@@ -329,13 +290,13 @@ class ArduPilotFlavour(Flavour):
         if event.reaction is None or self.aircraft.body.is_on_ground:
             return
         if self.choose(event.reaction, now_s) != ACCEPTED:
-            self.choose(flight_modes.LAND, now_s)
+            self.choose(LAND, now_s)
         if event.tells_mode:
             self.aircraft.say(CRITICAL, f"{event.text}: changed to {self.copter_mode.name} Mode")
 
     def _speed_limits(self) -> SpeedLimits:
         """As commanded, or WPNAV_SPEED and its kin, RTL_SPEED on the way home."""
-        value, commanded_mps = self.parameters, self._commanded_mps
+        value, commanded_mps = self.parameters, self.commanded_mps
         home_cmps = value["RTL_SPEED"] if self.task is Task.RETURN else 0.0
         return SpeedLimits(
             commanded_mps.get(HORIZONTAL, (home_cmps or value["WPNAV_SPEED"]) / 100.0),
@@ -363,7 +324,9 @@ class ArduPilotFlavour(Flavour):
 
     def heartbeat_state(self, now_s: float) -> HeartbeatState:  # noqa: ARG002  the base gives the time
         """What HEARTBEAT shows: on the ground STANDBY, also when armed."""
-        base_mode = self.copter_mode.flags | (ARMED_FLAG if self.is_armed else 0)
+        base_mode = self.copter_mode.flags | (
+            mavlink.MAV_MODE_FLAG_SAFETY_ARMED if self.is_armed else 0
+        )
         status = mavlink.MAV_STATE_STANDBY
         if self.is_failsafe:
             status = mavlink.MAV_STATE_CRITICAL

@@ -15,7 +15,7 @@ SITL; parameter GUID_TIMEOUT.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 from companion.domain import PositionEnu
@@ -23,7 +23,7 @@ from companion.geometry.coordinates import enu_from_ned, wrap_pi
 from companion.geometry.polygons import Point
 from companion.mav import dialect
 from companion.mav.dialect import mavlink
-from sim_link.autopilot.aircraft import AMSL_FRAMES, RELATIVE_FRAMES, Aircraft
+from sim_link.autopilot.aircraft import Aircraft
 from sim_link.autopilot.control_inputs import (
     NOTHING,
     Axes,
@@ -35,6 +35,7 @@ from sim_link.autopilot.control_inputs import (
     turned,
 )
 from sim_link.autopilot.pilot import Task
+from sim_link.autopilot.protocols.plan_items import GLOBAL_FRAMES
 
 LOCAL_NED = mavlink.MAV_FRAME_LOCAL_NED
 LOCAL_OFFSET_NED = mavlink.MAV_FRAME_LOCAL_OFFSET_NED
@@ -103,7 +104,7 @@ def target_from_global(message: GlobalTarget, aircraft: Aircraft) -> Target:
         return _target(message, None, None)
     if frame in TERRAIN_FRAMES:
         return Target(TargetKind.STOP, text="Guided: no terrain data, stopping")
-    if frame not in AMSL_FRAMES + RELATIVE_FRAMES:
+    if frame not in GLOBAL_FRAMES:
         return Target(TargetKind.STOP, text=f"Guided: frame {frame} not supported, stopping")
     is_place = is_on_earth(message.lat_int, message.lon_int)
     if not is_place or (message.lat_int == 0 and message.lon_int == 0):
@@ -238,6 +239,10 @@ class Guided:
         self.state = GuidedState.IDLE
         self.setpoint = Setpoint()
         self._kind = TargetKind.STOP
+
+    def turn_to(self, yaw_ned_rad: float) -> None:
+        """Another heading for whatever is flown."""
+        self.setpoint = replace(self.setpoint, yaw_ned_rad=yaw_ned_rad, yaw_rate_ned_radps=None)
 
     def take_off(self) -> None:
         """Climb, until the height is reached or a target takes over."""

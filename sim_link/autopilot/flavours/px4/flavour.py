@@ -1,7 +1,38 @@
-"""PX4 on one aircraft: modes, checks, failsafes, setpoints, and what HEARTBEAT shows.
+"""PX4 on one aircraft: modes, arming, checks, failsafes, setpoints, and what HEARTBEAT shows.
 
-Source: PX4 1.15 as observed in SITL; PX4 user guide, "Safety Configuration" and "Offboard Mode".
-Reasons are told as STATUSTEXT; PX4 sends EVENT (410) instead, which few clients read.
+Theory of operation. Two modes are kept apart, as in PX4's commander: the *intention*, which an
+operator chose, and the *mode* that is flown. They differ only during a failsafe: the mode is the
+reaction, the intention is what it was. When the failsafe ends by itself (setpoints return), the
+intention is flown again without any command; when the operator chooses a mode meanwhile, that
+choice replaces the intention and ends the failsafe.
+
+    event                               | condition                 | result
+    ------------------------------------+---------------------------+------------------------------
+    choose HOLD, TAKEOFF, LAND, RETURN  | any                       | flown
+    choose OFFBOARD                     | disarmed, or stream alive | flown
+                                        | armed, no stream          | temporarily rejected
+    choose MISSION                      | disarmed, or one is there | flown
+                                        | armed, no mission         | temporarily rejected
+    choose a mode for sticks            | disarmed, or sticks       | flown
+                                        | armed, no sticks          | temporarily rejected
+    choose READY, or no mode of PX4's   | any                       | denied
+    arm                                 | armed                     | accepted, nothing happens
+                                        | checks passed; HOLD,      | armed
+                                        | TAKEOFF, a mode for sticks|
+                                        | with sticks, or           |
+                                        | OFFBOARD with a stream    |
+                                        | otherwise, forced or not  | temporarily rejected
+    disarm                              | on the ground, or forced  | disarmed
+                                        | in the air                | temporarily rejected
+    takeoff height reached              | TAKEOFF                   | HOLD
+    mission complete                    | MISSION                   | HOLD
+
+Disarming ends LAND, RETURN, TAKEOFF, MISSION and a failsafe in HOLD, so that the next flight can be
+armed.
+
+Source: PX4 1.15 as observed in SITL; PX4 user guide, "Safety Configuration" and "Offboard Mode";
+MAVLink common, MAV_MODE_FLAG and MAV_STATE. Reasons are told as STATUSTEXT; PX4 sends EVENT (410)
+instead, which few clients read.
 """
 
 from __future__ import annotations
@@ -10,57 +41,36 @@ import math
 
 from companion.domain import FlightMode, PositionEnu
 from companion.mav.dialect import mavlink
+from companion.mav.flight_modes import CUSTOM_MODE_ENABLED, px4_custom_mode
 from sim_link.autopilot.aircraft import Aircraft
-from sim_link.autopilot.control_inputs import (
-    NOTHING,
-    Axes,
-    Echo,
-    Setpoint,
-    TargetMessage,
+from sim_link.autopilot.control_inputs import NOTHING, Axes, Echo, Setpoint, TargetMessage
+from sim_link.autopilot.flavours.base import (
+    ACCEPTED,
+    DENIED,
+    TEMPORARILY_REJECTED,
+    FenceState,
+    Flavour,
+    HeartbeatState,
 )
-from sim_link.autopilot.flavours.base import ACCEPTED, FenceState, Flavour, HeartbeatState, Identity
-from sim_link.autopilot.flavours.px4 import firmware_profile, flight_modes
-from sim_link.autopilot.flavours.px4.failsafes import (
-    MODE_OF_REACTION,
-    Cause,
-    FailsafeMonitor,
-    Px4Failsafes,
-    Reaction,
-)
-from sim_link.autopilot.flavours.px4.firmware_profile import CUSTOM_RULES, RULES
+from sim_link.autopilot.flavours.px4.failsafes import Px4Failsafes, Reaction
+from sim_link.autopilot.flavours.px4.firmware_profile import CUSTOM_FIRMWARE, FIRMWARE, speed_limits
 from sim_link.autopilot.flavours.px4.flight_modes import (
-    MODE_NAMES,
+    AUTO_FLAGS,
+    BASE_MODE_FLAGS,
+    ENDED_BY_DISARMING,
+    HANDLERS,
     STICK_MODES,
+    TASKS,
     WITHOUT_POSITION_CONTROL,
-    ModeConditions,
-    ModeLogic,
 )
 from sim_link.autopilot.flavours.px4.offboard import setpoint_from
 from sim_link.autopilot.mission_executor import LegKind
-from sim_link.autopilot.pilot import STEP_S, Task
-from sim_link.autopilot.protocols.addressing import flags_of
-from sim_link.autopilot.protocols.command_protocol import Command
+from sim_link.autopilot.pilot import Task
 from sim_link.autopilot.protocols.parameter_store import ParameterStore
 
-PX4_VERSION = 0x010F_02FF
-"""1.15.2, official release: the one whose behaviour is simulated."""
-CAPABILITIES = flags_of(
-    "MAV_PROTOCOL_CAPABILITY",
-    "MISSION_FLOAT PARAM_FLOAT MISSION_INT COMMAND_INT PARAM_ENCODE_BYTEWISE SET_ATTITUDE_TARGET "
-    "SET_POSITION_TARGET_LOCAL_NED SET_POSITION_TARGET_GLOBAL_INT MAVLINK2 MISSION_FENCE "
-    "MISSION_RALLY",
-)
-"""GLOBAL_INT is set although PX4 1.15 leaves it out: it obeys that message."""
-TASKS: dict[FlightMode, Task] = {
-    FlightMode.HOLD: Task.STAY,
-    FlightMode.TAKEOFF: Task.TAKE_OFF,
-    FlightMode.LAND: Task.LAND,
-    FlightMode.RETURN: Task.RETURN,
-    FlightMode.MISSION: Task.FLY_MISSION,
-    FlightMode.OFFBOARD: Task.FOLLOW,
-}
 OVERRIDE_AUTO, OVERRIDE_OFFBOARD = 1, 2
 """Bits of COM_RC_OVERRIDE."""
+CRITICAL = mavlink.MAV_SEVERITY_CRITICAL
 
 
 class Px4Flavour(Flavour):
@@ -70,16 +80,18 @@ class Px4Flavour(Flavour):
         parameters: PX4's.
     """
 
-    identity = Identity(mavlink.MAV_AUTOPILOT_PX4, PX4_VERSION, CAPABILITIES)
-    rules = RULES
+    firmware = FIRMWARE
+    handlers = HANDLERS
 
     def __init__(self, aircraft: Aircraft, parameters: ParameterStore) -> None:
         super().__init__(aircraft, parameters)
         if aircraft.scenario.autopilot.streams == "asked":
-            self.rules = CUSTOM_RULES
-        self.modes = ModeLogic()
-        self._failsafes = Px4Failsafes()
-        self._watcher = FailsafeMonitor(aircraft, parameters)
+            self.firmware = CUSTOM_FIRMWARE
+        self.intention = FlightMode.HOLD
+        """The mode that the operator chose."""
+        self._reaction: FlightMode | None = None
+        """The mode that a failsafe puts in its place."""
+        self._failsafes = Px4Failsafes(aircraft, parameters)
         self._limits_revision = -1
 
     # State
@@ -87,49 +99,37 @@ class Px4Flavour(Flavour):
     @property
     def mode(self) -> FlightMode:
         """The mode that is flown."""
-        return self.modes.mode
+        return self.intention if self._reaction is None else self._reaction
 
     @property
     def is_failsafe(self) -> bool:
         """Whether a failsafe chose the mode."""
-        return self.modes.is_failsafe
+        return self.is_armed and self._reaction is not None
 
     @property
     def reason(self) -> str:
         """Why a failsafe acts."""
         worst = self._failsafes.worst
-        return "" if worst is None else worst[0].value
+        return "" if worst is None else worst[0].text
 
     @property
     def task(self) -> Task:
         """What the pilot is to do."""
-        task = TASKS.get(self.mode, Task.FLY_BY_STICKS)
         needs_position = self.mode not in STICK_MODES
         if needs_position and not self.aircraft.estimator.is_position_valid:
             return Task.DESCEND
-        return task
-
-    def conditions(self, now_s: float) -> ModeConditions:
-        """What the mode rules need to know."""
-        return ModeConditions(
-            check_refusal=self._check_refusal(now_s),
-            is_stream_alive=self._is_stream_alive(now_s),
-            is_on_ground=self.aircraft.body.is_on_ground,
-            has_sticks=self.aircraft.sticks.read(now_s) is not None,
-            has_mission=self.aircraft.mission.has_items,
-        )
-
-    def has_home(self, now_s: float) -> bool:  # noqa: ARG002  the base gives the time
-        """Origin and home are known from the start."""
-        return True
-
-    def has_position(self, now_s: float) -> bool:  # noqa: ARG002  the base gives the time
-        """The position is told before it can be armed, too."""
-        return self.aircraft.estimator.is_position_valid
+        return TASKS.get(self.mode, Task.FLY_BY_STICKS)
 
     def arming_refusal(self, now_s: float) -> str | None:
         """Why it could not be armed now, or None."""
-        return self.modes.arming_refusal(self.conditions(now_s))
+        refusal = self._check_refusal(now_s)
+        if refusal is not None or self.mode in (FlightMode.HOLD, FlightMode.TAKEOFF):
+            return refusal
+        if self.mode is FlightMode.OFFBOARD:
+            return None if self._is_stream_alive(now_s) else "no offboard setpoints"
+        if self.mode in STICK_MODES:
+            return self._choice_refusal(self.mode, now_s)
+        return f"{name_of(self.mode)} mode cannot be armed in"
 
     def _is_stream_alive(self, now_s: float) -> bool:
         return self.setpoints.is_alive(now_s, self.parameters["COM_OF_LOSS_T"])
@@ -169,78 +169,81 @@ class Px4Flavour(Flavour):
 
     # Commands
 
-    def _handle_command(self, command: Command, now_s: float) -> int:
-        return flight_modes.handle_command(self, command, now_s)
+    def _choice_refusal(self, mode: FlightMode, now_s: float) -> str | None:
+        """Why an armed vehicle would not be switched to a mode now, or None."""
+        if mode is FlightMode.OFFBOARD and not self._is_stream_alive(now_s):
+            return "no setpoints"
+        if mode is FlightMode.MISSION and not self.aircraft.mission.has_items:
+            return "no mission"
+        if mode in STICK_MODES and self.aircraft.sticks.read(now_s) is None:
+            return "no manual control"
+        return None
 
     def choose(self, mode: FlightMode | None, now_s: float) -> int:
-        """The operator chooses a mode; a MAV_RESULT, and the reason as a text if refused."""
-        conditions = self.conditions(now_s)
+        """The operator's choice of a mode (None: PX4 has no such mode); a MAV_RESULT."""
+        if mode in (None, FlightMode.READY, FlightMode.UNKNOWN):
+            return DENIED
+        assert mode is not None
+        why = self._choice_refusal(mode, now_s) if self.is_armed else None
+        if why is not None:
+            self.refuse(mode, why)
+            return TEMPORARILY_REJECTED
         is_same = mode is self.mode
-        result = self.modes.choose(mode, conditions)
-        if result == ACCEPTED:
-            self._failsafes.take_over()
-            if is_same and mode is FlightMode.HOLD:
-                self.aircraft.pilot.enter(self.task, self.aircraft.body)
-        elif mode in MODE_NAMES:
-            why = self.modes.choice_refusal(mode, conditions)
-            self.refuse(MODE_NAMES[mode], why or "not now")
-        return result
+        self.intention, self._reaction = mode, None
+        self._failsafes.take_over()
+        if is_same and mode is FlightMode.HOLD:
+            self.aircraft.pilot.enter(self.task, self.aircraft.body)
+        return ACCEPTED
 
     def pilot_chooses(self, mode: FlightMode, now_s: float) -> None:
         """The pilot turns the mode switch."""
         self.choose(mode, now_s)
         self.settle(now_s, "pilot")
 
-    def refuse(self, mode_name: str, why: str) -> None:
+    def refuse(self, mode: FlightMode, why: str) -> None:
         """Say why a mode was not entered."""
-        text = f"Switching to {mode_name} not available: {why}"
-        self.aircraft.say(mavlink.MAV_SEVERITY_CRITICAL, text)
+        self.aircraft.say(CRITICAL, f"Switching to {name_of(mode)} not available: {why}")
 
     def arm(self, now_s: float) -> int:
-        """A request to arm; a MAV_RESULT, and the reason as a text if refused."""
-        conditions = self.conditions(now_s)
-        result = self.modes.arm(conditions)
-        if result != ACCEPTED:
-            self.send_rejection(now_s)
-        self.aircraft.is_armed = self.modes.is_armed
-        return result
+        """A request to arm, forced or not; a MAV_RESULT, and the reason as a text if refused."""
+        if not self.is_armed and self.arming_refusal(now_s) is not None:
+            self.send_rejection("Arming denied", now_s)
+            return TEMPORARILY_REJECTED
+        self.aircraft.is_armed = True
+        return ACCEPTED
 
     def arm_for_mission(self, now_s: float) -> int:
         """MISSION_START arms by itself, through Hold."""
-        self.modes.intention = FlightMode.HOLD
+        self.intention = FlightMode.HOLD
         result = self.arm(now_s)
         if result == ACCEPTED:
             self.settle(now_s, "commanded")
-            self.modes.intention = FlightMode.MISSION
+            self.intention = FlightMode.MISSION
         return result
 
-    def send_rejection(self, now_s: float) -> None:
-        """Say why it cannot be armed."""
-        why = self.arming_refusal(now_s)
-        if why is not None:
-            self.aircraft.say(mavlink.MAV_SEVERITY_CRITICAL, f"Arming denied: {why}")
-
-    def disarm(self, now_s: float, *, is_forced: bool) -> int:
-        """A request to disarm; a MAV_RESULT."""
-        conditions = self.conditions(now_s)
-        result = self.modes.disarm(conditions, is_forced=is_forced)
-        if result == ACCEPTED:
-            self._failsafes.clear()
-        else:
-            self.aircraft.say(mavlink.MAV_SEVERITY_CRITICAL, "Disarming denied: not landed")
-        self.aircraft.is_armed = self.modes.is_armed
-        return result
-
-    def set_origin(self, latitude_e7: int, longitude_e7: int, altitude_mm: int) -> bool:
-        """A station sets the EKF origin; whether it moved."""
-        self.aircraft.set_origin(latitude_e7, longitude_e7, altitude_mm)
-        return True
+    def disarm(self, *, is_forced: bool) -> int:
+        """A request to disarm; a MAV_RESULT, and the reason as a text if refused."""
+        if self.is_armed:
+            if not (self.aircraft.body.is_on_ground or is_forced):
+                self.aircraft.say(CRITICAL, "Disarming denied: not landed")
+                return TEMPORARILY_REJECTED
+            if self.is_failsafe or self.mode in ENDED_BY_DISARMING:
+                self.intention = FlightMode.HOLD
+            self._reaction = None
+            self.aircraft.is_armed = False
+        self._failsafes.clear()
+        return ACCEPTED
 
     # Setpoints
 
     def take_setpoint(self, message: TargetMessage, now_s: float) -> None:
         """Kept if it is valid, whatever the mode."""
         self.setpoints.take(setpoint_from(message, self.aircraft), now_s)
+
+    @property
+    def flown_setpoint(self) -> Setpoint:
+        """The newest one that is valid."""
+        return self.setpoints.setpoint
 
     def echo(self) -> Echo | None:
         """What the position controller works with; nothing in modes without one."""
@@ -261,9 +264,6 @@ class Px4Flavour(Flavour):
             nothing=math.nan,
         )
 
-    def _flown_setpoint(self, now_s: float) -> Setpoint:  # noqa: ARG002  it does not age
-        return self.setpoints.setpoint
-
     # What happens by itself
 
     def disarm_delay_s(self) -> float | None:
@@ -276,20 +276,16 @@ class Px4Flavour(Flavour):
         is_enabled = delay_s >= 0.0 if landed else delay_s > 0.0
         return delay_s if is_enabled else None
 
-    def disarm_landed(self, now_s: float) -> None:
-        """It has stood long enough."""
-        self.disarm(now_s, is_forced=True)
-
     def _after_flying(self, now_s: float) -> None:
         if not self.is_armed:
             return
         if self.mode is FlightMode.TAKEOFF:
             if self.aircraft.pilot.has_taken_off(self.aircraft.body):
-                self.modes.finish(FlightMode.TAKEOFF)
+                self.intention = FlightMode.HOLD
                 self.settle(now_s, "takeoff complete")
         elif self.mode is FlightMode.MISSION:
             if self._is_mission_over or not self.aircraft.mission.has_items:
-                self.modes.finish(FlightMode.MISSION)
+                self.intention = FlightMode.HOLD
                 self.settle(now_s, "mission complete")
             elif self.leg is not None and self.leg.kind is LegKind.RETURN:
                 self.aircraft.mission.finish_leg()
@@ -298,40 +294,35 @@ class Px4Flavour(Flavour):
                 self.settle(now_s, "mission")
 
     def _watch(self, now_s: float) -> None:
-        self._watcher.warn_of_battery()
+        self._failsafes.warn_of_battery()
         if self.parameters.revision != self._limits_revision:
             self._limits_revision = self.parameters.revision
-            self.aircraft.pilot.limits = firmware_profile.speed_limits(self.parameters)
+            self.aircraft.pilot.limits = speed_limits(self.parameters)
         if not self.is_armed:
             return
         sticks = self.aircraft.sticks.read(now_s)
         if sticks is not None and sticks.are_moved and self._sticks_override():
             self.choose(FlightMode.POSITION, now_s)
             self.settle(now_s, "sticks moved")
-        findings = self._watcher.findings(
-            self.modes.intention,
+        fresh = self._failsafes.watch(
+            self.intention,
             self.fence_margin_m(self.aircraft.body.position_enu_m),
             now_s,
             is_stream_alive=self._is_stream_alive(now_s),
         )
-        delay_s = self.parameters["COM_FAIL_ACT_T"]
-        can_hold = self.aircraft.estimator.is_position_valid
-        for cause in self._failsafes.watch(findings, STEP_S, delay_s, can_hold=can_hold):
-            self._tell(cause)
-        self._react(now_s)
-
-    def _tell(self, cause: Cause) -> None:
-        self.aircraft.say(mavlink.MAV_SEVERITY_CRITICAL, f"Failsafe: {cause.value}")
-        if self._failsafes.delay_s > 0.0:
-            text = f"Failsafe activated, entering Hold for {self._failsafes.delay_s:.0f} seconds"
-            self.aircraft.say(mavlink.MAV_SEVERITY_CRITICAL, text)
-
-    def _react(self, now_s: float) -> None:
+        for cause in fresh:
+            self._tell(cause.text)
         reaction = self._failsafes.flown
         if reaction is Reaction.DISARM:
-            self.disarm(now_s, is_forced=True)
-            return
-        self.modes.reaction = None if reaction is None else MODE_OF_REACTION.get(reaction)
+            self.disarm(is_forced=True)
+        else:
+            self._reaction = None if reaction is None else reaction.mode
+
+    def _tell(self, cause: str) -> None:
+        self.aircraft.say(CRITICAL, f"Failsafe: {cause}")
+        if self._failsafes.delay_s > 0.0:
+            text = f"Failsafe activated, entering Hold for {self._failsafes.delay_s:.0f} seconds"
+            self.aircraft.say(CRITICAL, text)
 
     def settle(self, now_s: float, why: str = "") -> None:
         """As the base does, with the height of a return known before it begins."""
@@ -345,18 +336,28 @@ class Px4Flavour(Flavour):
         if self._failsafes.delay_s > 0.0:
             return False
         bits = int(self.parameters["COM_RC_OVERRIDE"])
-        if self.modes.intention is FlightMode.OFFBOARD:
+        if self.intention is FlightMode.OFFBOARD:
             return bool(bits & OVERRIDE_OFFBOARD)
         return self.mode not in STICK_MODES and bool(bits & OVERRIDE_AUTO)
 
     # HEARTBEAT
 
     def heartbeat_state(self, now_s: float) -> HeartbeatState:
-        """What HEARTBEAT shows."""
-        return flight_modes.heartbeat_state(
-            self.mode,
-            is_armed=self.is_armed,
-            is_failsafe=self.is_failsafe,
-            is_stream_alive=self._is_stream_alive(now_s),
-            can_arm=not self.is_armed and self.arming_refusal(now_s) is None,
-        )
+        """What HEARTBEAT shows: disarmed, OFFBOARD without a stream has no flag but the first."""
+        base_mode = CUSTOM_MODE_ENABLED
+        if self.mode is not FlightMode.OFFBOARD:
+            base_mode |= BASE_MODE_FLAGS.get(self.mode, AUTO_FLAGS)
+        elif self.is_armed or self._is_stream_alive(now_s):
+            base_mode |= mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
+        status = mavlink.MAV_STATE_UNINIT
+        if self.is_armed:
+            base_mode |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+            status = mavlink.MAV_STATE_CRITICAL if self.is_failsafe else mavlink.MAV_STATE_ACTIVE
+        elif self.arming_refusal(now_s) is None:
+            status = mavlink.MAV_STATE_STANDBY
+        return HeartbeatState(base_mode, px4_custom_mode(self.mode), status)
+
+
+def name_of(mode: FlightMode) -> str:
+    """As PX4 and QGroundControl call it."""
+    return mode.name.capitalize()

@@ -5,12 +5,12 @@ import math
 import pytest
 
 from companion.mav.dialect import Message, mavlink
+from sim_link.autopilot.flavours.ardupilot import firmware_profile as ardupilot_firmware
+from sim_link.autopilot.flavours.px4 import firmware_profile as px4_firmware
 from sim_link.autopilot.protocols.addressing import Channel, Outgoing, Partner, StatusTexts
 from sim_link.autopilot.protocols.command_protocol import Command, CommandResult
 from sim_link.autopilot.protocols.message_streams import (
-    ARDUPILOT_REQUESTS,
     MAX_PEERS,
-    PX4_REQUESTS,
     MessageRequests,
     RequestRules,
     StreamRules,
@@ -23,6 +23,9 @@ from tests.unit.sim_link.autopilot.protocols.wire import (
     of_type,
     received,
 )
+
+PX4_REQUESTS = px4_firmware.FIRMWARE.requests
+ARDUPILOT_REQUESTS = ardupilot_firmware.FIRMWARE.requests
 
 NAN = math.nan
 ATTITUDE, VERSION, HOME, INTERVAL = 30, 148, 242, 244

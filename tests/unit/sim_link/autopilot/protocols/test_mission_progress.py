@@ -8,8 +8,6 @@ from sim_link.autopilot.protocols.plan_items import (
     MissionAnnouncer,
     MissionProgress,
     MissionState,
-    mission_current,
-    mission_item_reached,
 )
 from tests.unit.sim_link.autopilot.protocols.wire import said
 
@@ -17,7 +15,9 @@ ACTIVE = MissionProgress(2, 5, MissionState.ACTIVE, is_in_mission_mode=True)
 
 
 def current(progress: MissionProgress) -> mavlink.MAVLink_mission_current_message:
-    message = said(mission_current(progress))
+    told = MissionAnnouncer().changed(progress)
+    assert told is not None
+    message = said(told)
     assert isinstance(message, mavlink.MAVLink_mission_current_message)
     return message
 
@@ -38,7 +38,7 @@ def test_home_does_not_count_and_no_mission_is_65535(
 
 def test_the_opaque_plan_ids_are_zero() -> None:
     """Extensions that are left out read as zero: the payload ends before them."""
-    assert MavCodec(1, 1).encode(mission_current(ACTIVE))[1] <= 6
+    assert MavCodec(1, 1).encode(current(ACTIVE))[1] <= 6
 
 
 def test_a_change_is_announced_once() -> None:
@@ -47,9 +47,3 @@ def test_a_change_is_announced_once() -> None:
     assert announcer.changed(ACTIVE) is None
     done = MissionProgress(2, 5, MissionState.COMPLETE, is_in_mission_mode=True)
     assert announcer.changed(done) is not None
-
-
-def test_a_reached_item_is_told() -> None:
-    message = said(mission_item_reached(3))
-    assert isinstance(message, mavlink.MAVLink_mission_item_reached_message)
-    assert message.seq == 3

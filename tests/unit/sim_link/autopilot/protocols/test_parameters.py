@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import math
 import struct
+from dataclasses import replace
 
 import pytest
 
 from companion.mav.dialect import Message, mavlink
 from companion.mav.param_encoding import ParamType, raw_of
+from sim_link.autopilot.flavours.ardupilot import firmware_profile as ardupilot_firmware
+from sim_link.autopilot.flavours.px4 import firmware_profile as px4_firmware
 from sim_link.autopilot.protocols.addressing import Channel, Outgoing, Partner, StatusTexts
 from sim_link.autopilot.protocols.parameter_protocol import (
-    ARDUPILOT_RULES,
     HASH_CHECK,
     MAX_LISTS,
     NO_INDEX,
-    PX4_RULES,
     TYPE_MISMATCH,
     TYPE_UNSUPPORTED,
     ParameterRules,
@@ -31,6 +32,10 @@ from tests.unit.sim_link.autopilot.protocols.wire import (
     received,
     sent,
 )
+
+PX4_RULES = px4_firmware.FIRMWARE.parameters
+ARDUPILOT_RULES = replace(ardupilot_firmware.FIRMWARE.parameters, tells_errors=False)
+"""As silent as the real one."""
 
 Value = mavlink.MAVLink_param_value_message
 Text = mavlink.MAVLink_statustext_message

@@ -5,10 +5,10 @@ import math
 import pytest
 
 from companion.mav.dialect import mavlink
+from sim_link.autopilot.flavours.ardupilot import firmware_profile as ardupilot_firmware
+from sim_link.autopilot.flavours.px4 import firmware_profile as px4_firmware
 from sim_link.autopilot.protocols.plan_items import NO_VALUE, PlanItem, PlanResult, PlanType
 from sim_link.autopilot.protocols.plan_rules import (
-    ARDUPILOT_RULES,
-    PX4_RULES,
     PlanChecks,
     plan_problem,
 )
@@ -19,6 +19,9 @@ from tests.unit.sim_link.autopilot.protocols.plan_client import (
     RALLY,
     waypoint,
 )
+
+PX4_RULES = px4_firmware.FIRMWARE.plans
+ARDUPILOT_RULES = ardupilot_firmware.FIRMWARE.plans
 
 PX4, ARDUPILOT = PX4_RULES.checks, ARDUPILOT_RULES.checks
 BOTH = pytest.mark.parametrize("checks", [PX4, ARDUPILOT])

@@ -7,8 +7,10 @@ import math
 import pytest
 
 from companion.mav.dialect import mavlink
+from sim_link.autopilot.flavours.ardupilot import firmware_profile as ardupilot_firmware
+from sim_link.autopilot.flavours.px4 import firmware_profile as px4_firmware
 from sim_link.autopilot.protocols.plan_items import CurrentChosen, PlanChanged, PlanItem, PlanResult
-from sim_link.autopilot.protocols.plan_rules import ARDUPILOT_RULES, PX4_RULES, PlanRules
+from sim_link.autopilot.protocols.plan_rules import PlanRules
 from tests.unit.sim_link.autopilot.protocols.plan_client import (
     FENCE,
     HOME,
@@ -32,6 +34,9 @@ from tests.unit.sim_link.autopilot.protocols.wire import (
     STATION_CHANNEL,
     of_type,
 )
+
+PX4_RULES = px4_firmware.FIRMWARE.plans
+ARDUPILOT_RULES = ardupilot_firmware.FIRMWARE.plans
 
 BOTH = pytest.mark.parametrize("rules", [PX4_RULES, ARDUPILOT_RULES])
 
