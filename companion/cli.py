@@ -31,14 +31,7 @@ EXIT_BAD_INPUT = 2
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command.
-
-    Args:
-        argv: Arguments without the program's name; None takes the process's.
-
-    Returns:
-        0 for success, 1 for a failed run, 2 for bad input or a link that cannot be opened.
-    """
+    """Run the command: 0 is success, 1 a failed run, 2 bad input or a link that does not open."""
     try:
         try:
             return _run(argv)

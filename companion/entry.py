@@ -6,13 +6,10 @@ import signal
 
 
 def main() -> int:
-    """Load the command and run it.
+    """Load the command and run it; the exit code is that of `companion.cli.main`.
 
     Importing takes a fraction of a second; a Ctrl-C in it ends the process as the system does,
     without a traceback. A SIGINT that the parent had ignored (nohup) stays ignored.
-
-    Returns:
-        The exit code, see `companion.cli.main`.
     """
     before = signal.getsignal(signal.SIGINT)
     if before is signal.default_int_handler:

@@ -106,12 +106,8 @@ def build_endpoint(
 ) -> CompanionEndpoint:
     """The companion as a MAVLink participant.
 
-    Args:
-        links: What each link is for, the vehicle's included.
-        tunables: The parameters that ground stations may change; None: as the configuration is.
-        signing: Proves what arrives and signs what leaves; None: neither.
-        started_unix_s: Unix time at the clock's zero, for the timestamps of signatures.
-        recorder: Keeps what the endpoint is told.
+    Without `tunables` its parameters are as configured; without `signing` nothing is proved or
+    signed. `started_unix_s` is the time at the clock's zero, for the timestamps of signatures.
     """
     tunables = tunables or Tunables(config, build_planner)
     return CompanionEndpoint(

@@ -84,12 +84,10 @@ MIN_DIGITS, MAX_DIGITS = 1, 5
 
 
 def mgrs_text(place: Degrees, r95_m: float) -> str:
-    """A place as MGRS with spaces, no finer than it is known: `32T PT 6894 3510`.
+    """A WGS84 place as MGRS with spaces, no finer than it is known: `32T PT 6894 3510`.
 
-    The square that is named holds the place, and is at most as large as R95 (1 m at least).
-
-    Args:
-        place: Latitude and longitude, WGS84; the poles are in UPS squares.
+    The square that is named holds the place, and is at most as large as R95 (1 m at least). The
+    poles are in UPS squares.
     """
     digits = MAX_DIGITS - math.floor(math.log10(min(max(r95_m, 1.0), 1e4)))
     digits = min(max(digits, MIN_DIGITS), MAX_DIGITS)

@@ -54,12 +54,7 @@ PeriodicTask = Callable[[float], None]
 
 
 class PeriodicTasks:
-    """Does them in order.
-
-    Args:
-        endpoint: Whose operator is told of a task that failed.
-        tasks: By the names that the operator reads.
-    """
+    """Does them in order, by the names that the operator reads if one fails."""
 
     def __init__(self, endpoint: CompanionEndpoint, tasks: Mapping[str, PeriodicTask]) -> None:
         self._endpoint = endpoint
@@ -99,10 +94,7 @@ def open_signing(config: CompanionConfig) -> SigningKeeper | None:
 def open_journal(
     config: CompanionConfig, links: Sequence[LinkSpec], parameters: Mapping[str, float]
 ) -> FlightJournal:
-    """The black box of a new flight.
-
-    Args:
-        parameters: What a ground station changed before.
+    """The black box of a new flight, and what a ground station changed before it.
 
     Raises:
         CompanionError: The flight directory cannot be made.
@@ -130,11 +122,7 @@ def open_journal(
 
 
 def _open_black_box(open_it: Callable[[], FlightJournal], *, is_restart: bool) -> BlackBox:
-    """A journal; after a restart in flight the vehicle matters more than its log.
-
-    Raises:
-        CompanionError: The flight directory cannot be made, and nothing flies yet.
-    """
+    """A journal; after a restart in flight the vehicle matters more than its log."""
     try:
         return open_it()
     except CompanionError as error:
@@ -228,8 +216,7 @@ def fly(
 class _Flight:
     """One run of the shell, and the periodic tasks at the end of each of its wake-ups.
 
-    Args:
-        state: The beginning of the paths of what is kept from run to run.
+    `state` is the beginning of the paths of what is kept from run to run.
     """
 
     def __init__(

@@ -25,9 +25,7 @@ HEIGHT_M = 15.0
 def warm_up(params: TrackerParams, planner: Planner[Any]) -> None:
     """Fly in circles about an invented emitter until every kernel has been called.
 
-    Args:
-        params: Of the flight: what it measures and how much it keeps decides which kernels run.
-        planner: Of the flight; it keeps no memory of its own.
+    What a flight measures and how much it keeps decides which kernels run.
     """
     if not IS_COMPILED:
         return

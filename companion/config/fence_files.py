@@ -1,12 +1,8 @@
 """A fence from a file: a QGroundControl `.plan`, or KML of Google Earth, QGIS and others.
 
-The fence of a QGroundControl `.plan` file.
-
 Source: QGroundControl developer guide, "Plan File Format": `geoFence` version 2 with `polygons` and
 `circles`, each of version 1, places as [latitude, longitude] in degrees, radii in metres. The
-mission and the rally points of the plan are not looked at; neither is the breach return point.
-
-The fence of a KML file, as Google Earth, QGIS and QGroundControl save it.
+mission, the rally points and the breach return point of the plan are not looked at.
 
 Source: OGC KML 2.3, Polygon: `outerBoundaryIs` and `innerBoundaryIs` hold rings of
 "longitude,latitude[,altitude]" tuples in degrees, closed by their first place. The one polygon that

@@ -55,11 +55,7 @@ class _Loader(yaml.SafeLoader):
     def construct_mapping(
         self, node: yaml.MappingNode, deep: bool = False
     ) -> dict[Hashable, object]:
-        """The mapping of a node, as the safe loader makes it.
-
-        Raises:
-            ConstructorError: A key is given twice.
-        """
+        """The mapping of a node, as the safe loader makes it; no key may be given twice."""
         seen: set[tuple[str, str]] = set()
         for key, _ in node.value:
             if not isinstance(key, yaml.ScalarNode):
@@ -73,11 +69,7 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
     def construct_number(self, node: yaml.ScalarNode) -> int | float:
-        """The number of a node, as the safe loader makes it.
-
-        Raises:
-            ConstructorError: It is in base sixty, or has too many digits.
-        """
+        """The number of a node, as the safe loader makes it; not in base sixty, nor too long."""
         problem = "is too large"
         try:
             if ":" not in node.value:
@@ -104,15 +96,7 @@ _Loader.add_implicit_resolver(
 
 
 def load_yaml(path: Path, kind: type[T], renew: Renew | None = None) -> T:
-    """The record of type `kind` in a YAML file; an empty file is all defaults.
-
-    Args:
-        path: The file, UTF-8.
-        renew: Gives keys of an earlier version their present names, in place.
-
-    Raises:
-        ConfigError: The file cannot be read or does not hold a `kind`; a line for every problem.
-    """
+    """`parse_yaml` of a UTF-8 file, which is a `ConfigError`, too, if it cannot be read."""
     return parse_yaml(read_text(path), kind, str(path), renew)
 
 
@@ -140,11 +124,9 @@ def read_text(path: Path, max_bytes: int = MAX_BYTES) -> str:
 
 
 def parse_yaml(text: str, kind: type[T], name: str, renew: Renew | None = None) -> T:
-    """The record of type `kind` in YAML text; empty text is all defaults.
+    """The record of type `kind` in YAML text called `name`; empty text is all defaults.
 
-    Args:
-        name: What to call the text in errors, usually the file's path.
-        renew: Gives keys of an earlier version their present names, in place.
+    `renew` gives keys of an earlier version their present names, in place.
 
     Raises:
         ConfigError: The text does not hold a `kind`; a line for every problem says where.

@@ -68,11 +68,7 @@ TUNABLES = (
 
 
 class Tunables:
-    """The parameters of one run; a `companion.link.parameter_server.TunableBook`.
-
-    Args:
-        build_planner: Makes the planner of a configuration.
-    """
+    """The parameters of one run; a `companion.link.gcs_services.TunableBook`."""
 
     specs: Sequence[TunableSpec] = tuple(tunable.spec for tunable in TUNABLES)
 
@@ -90,11 +86,7 @@ class Tunables:
         return _value(TUNABLES[index], self.config)
 
     def change(self, index: int, value: float) -> Tuning:
-        """Change a value.
-
-        Raises:
-            ConfigError: It may not be; the text says why, and nothing changed.
-        """
+        """Change a value, or say why not; see `TunableBook`."""
         tunable = TUNABLES[index]
         of_file = _value(tunable, self.file)
         if value == nearest_real32(of_file):
@@ -116,11 +108,7 @@ class Tunables:
         return Tuning(config.mission, config.limits.guard_limits(), self._build_planner(config))
 
     def restore(self, values: Mapping[str, float]) -> list[str]:
-        """Take up what was changed in an earlier run; what cannot be, in words.
-
-        Args:
-            values: By name, as `changed` had them.
-        """
+        """Take up what was changed in an earlier run, by name; what cannot be, in words."""
         problems: dict[str, str] = {}
         pending = dict(values)
         while pending:
@@ -150,11 +138,7 @@ def _value(tunable: Tunable, config: CompanionConfig) -> float:
 
 
 def _with_value(config: CompanionConfig, tunable: Tunable, value: float) -> CompanionConfig:
-    """The configuration with one value changed.
-
-    Raises:
-        ConfigError: Its rules are against it.
-    """
+    """The configuration with one value changed; a `ConfigError` if its rules are against it."""
     plain: Any = value
     if tunable.words:
         if value not in range(len(tunable.words)):

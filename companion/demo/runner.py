@@ -148,9 +148,6 @@ def run_demo(
 ) -> bool:
     """Fly it, print how it went, write what was asked for; whether the target was found.
 
-    Args:
-        at_end: Gets the flight's directory once everything is written.
-
     Raises:
         CompanionError: Bad input, or the simulator is not installed or does not start.
     """
@@ -250,12 +247,7 @@ def _result(
 
 
 def busy_hint(speed: float, late_s: float) -> str:
-    """What to do about a mode that was lost, where the computer was too busy; or nothing.
-
-    Args:
-        speed: How much faster than real time the flight was.
-        late_s: How late a wake-up came at most, in seconds of the flight.
-    """
+    """What to do about a mode lost because a wake-up was `late_s` of flight late; or nothing."""
     if speed <= 1.0 or late_s <= LATE_S:
         return ""
     late = f"a control tick came {late_s:.1f} s late"

@@ -121,11 +121,7 @@ def _check_ceiling(name: str, settings: Settings) -> Iterator[CheckResult]:
 def _compare_limit(
     name: str, limit_m: float, wanted_m: float, how: tuple[str, str, str]
 ) -> CheckResult:
-    """A limit of the autopilot's beside how far the companion may go.
-
-    Args:
-        how: From where the limit counts, the companion's limit in words, and the other remedy.
-    """
+    """A limit beside our reach; `how`: from where it counts, our limit in words, other remedy."""
     where, ours, instead = how
     if limit_m >= wanted_m:
         return ok(name, f"{limit_m:g} m {where}, {ours}")

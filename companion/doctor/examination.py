@@ -45,12 +45,7 @@ _SYNCHRONISERS = (Path("/run/systemd/timesync"), Path("/run/chrony"), Path("/run
 
 
 def look_at_host(logs: Path, state: Path, key_file: str | None) -> HostFacts:
-    """What there is.
-
-    Args:
-        state: Where checkpoints and locks are kept.
-        key_file: Of the signing key; None: there is none.
-    """
+    """What there is; checkpoints and locks are kept in `state`."""
     return HostFacts(
         python=(sys.version_info.major, sys.version_info.minor, sys.version_info.micro),
         numpy=_version("numpy") or "?",
@@ -320,10 +315,7 @@ def _check_readiness(facts: AutopilotFacts) -> Iterator[CheckResult]:
 
 
 def run_doctor(config: CompanionConfig, link: Transport, duration_s: float) -> list[CheckResult]:
-    """Look at everything.
-
-    Args:
-        config: Of the flight that is meant.
+    """Look at everything that a flight with `config` needs.
 
     Raises:
         LinkError: The link cannot be opened, or a companion flies on it.
@@ -339,12 +331,7 @@ def run_doctor(config: CompanionConfig, link: Transport, duration_s: float) -> l
 def look_at_link(
     config: CompanionConfig, link: Transport, duration_s: float, state: Path, *, can_sign: bool
 ) -> LinkFacts:
-    """What is heard on the vehicle's link.
-
-    Args:
-        config: Of the flight that is meant.
-        can_sign: Whether the key, if there is one, can be used.
-    """
+    """What is heard on the vehicle's link; `can_sign`: whether the key, if any, can be used."""
     name = link_name(link)
     lock = VehicleLock(state, name, config.vehicle.system_id)
     keeper = open_signing(config) if can_sign else None

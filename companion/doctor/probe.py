@@ -60,12 +60,7 @@ class _Question:
 
 
 class DoctorProbe:
-    """Implements `companion.mav.endpoint.Endpoint`.
-
-    Args:
-        name: Of the link, for the facts.
-        system_id: The autopilot's; None: the first one heard.
-    """
+    """A `companion.mav.endpoint.Endpoint`; without a system id it takes the first one heard."""
 
     def __init__(
         self, name: str, system_id: int | None, authenticity: Authenticity, duration_s: float

@@ -3,11 +3,10 @@
 Every attribute of the context has one owner: itself. The parts read them, and say by a method what
 happened; only a component, such as the vehicle's view or the guard, is told things directly.
 
-Errors of the estimator and the planner end neither the process nor the control tick.
-
-The vehicle stays where it is: the guard needs neither of them. Three errors in ten seconds are no
-accident, and the vehicle is handed back. The guard itself is not wrapped: without it nothing may be
-sent, so its error ends the process, and the autopilot's own failsafe follows.
+Errors of the estimator and the planner end neither the process nor the control tick: the vehicle
+stays where it is. Three in ten seconds are no accident, and it is handed back. The guard is not
+wrapped: without it nothing may be sent, so its error ends the process, and the autopilot's own
+failsafe follows.
 """
 
 from __future__ import annotations

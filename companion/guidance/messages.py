@@ -1,17 +1,10 @@
-"""What the operator and the event log are told, each rarely enough: rate limits of messages.
+"""What the operator and the event log are told, each rarely enough.
 
-Findings: what is wrong, and not twenty times a second.
-
-Theory of operation. What was told stays true for the operator until it has been gone for a while,
-or something worse comes: then the new state is told. A reason that was not told for long is told
-at once. So two reasons that take turns at every tick are told once each, and whatever lasts is
-told, at the latest a moment after it began. A lost link never waits: it is over only after a
-second, so it cannot flicker.
-
-Guard: what it did to setpoints, as rarely. Motion: a target that is believed to lie still seems
-to walk, and that this is over. Rejected measurements: the log by the second, people rarely.
-
-The records at the top are what the event log says of an estimate and of a waypoint.
+Theory of operation of findings. What was told stays true for the operator until it has been gone
+for a while, or something worse comes: then the new state is told. A reason that was not told for
+long is told at once. So two reasons that take turns at every tick are told once each, and whatever
+lasts is told, at the latest a moment after it began. A lost link never waits: it is over only after
+a second, so it cannot flicker.
 """
 
 from __future__ import annotations
@@ -101,11 +94,7 @@ def result_of(
     emitter_id: int | None = None,
     head: str = "LOCALISED",
 ) -> tuple[ReportResult, str]:
-    """The result of the flight, and the operator's text about it.
-
-    Args:
-        origin: Zero of the local frame; without it there are no degrees to tell.
-    """
+    """The result of the flight, in degrees where the origin is known, and the text about it."""
     r95 = f"R95 {estimate.r95_m:.1f} m"
     if origin is None:
         return ReportResult(estimate, None, None, emitter_id), f"{head} {r95}"
@@ -209,11 +198,7 @@ class MotionMessages:
         self._walking: set[int] = set()
 
     def messages_for(self, emitter_id: int, motion: Motion | None) -> list[Announce]:
-        """What is news, mostly nothing.
-
-        Args:
-            motion: How it walks; None: it lies still.
-        """
+        """What is news, mostly nothing, of a target that walks, or lies still (None)."""
         is_walking, was_walking = motion is not None, emitter_id in self._walking
         if is_walking == was_walking:
             return []

@@ -155,9 +155,7 @@ MODE_EVENTS = (events.HeartbeatReceived, events.LandedStateChanged)
 class GuidanceSession:
     """Guides one vehicle to one emitter after the other.
 
-    Args:
-        needs_origin: Whether setpoints are global, so that nothing flies without an origin.
-        fence_plan: Where the guard's fence comes from; None: the guard has it already.
+    It `needs_origin` where setpoints are global. Without a `fence_plan` the guard has its fence.
     """
 
     def __init__(

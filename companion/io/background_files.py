@@ -1,13 +1,11 @@
 """Files that are written without ever making the caller wait: appended to, or replaced.
 
-`BackgroundFile` is appended to and never grows beyond its cap. A record is written whole or not
-at all: after a partial write the file is cut back, so that one bad moment does not spoil what is
-recorded after it. Of a capped file the newest part is kept: at half the cap it becomes
-`NAME.old.SUFFIX`, in place of the one before, and a new file begins. A reader joins the two in this
-order.
+A record that is appended is written whole or not at all: after a partial write the file is cut
+back, so that one bad moment does not spoil what is recorded after it. Of a capped file the newest
+part is kept: at half the cap it becomes `NAME.old.SUFFIX`, in place of the one before, and a new
+file begins. A reader joins the two in this order.
 
-`BackgroundReplacer` replaces whole files. Each replacement is atomic (see
-`files.write_bytes_atomic`) and runs in a daemon thread. Of what waits for one file only the newest
+A replacement is atomic (see `files.write_bytes_atomic`). Of what waits for one file only the newest
 content is written, so that a slow disk costs history and never memory. A failure is counted,
 reported once and tried again only with the next content.
 """
@@ -36,11 +34,9 @@ _FLAGS = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC
 
 
 class BackgroundFile(WriterThread[bytes]):
-    """An append-only file with a writer thread.
+    """An append-only file with a writer thread; an existing one is continued.
 
-    Args:
-        path: The file; its directory exists. An existing one is continued.
-        max_bytes: Cap of the file and its older part together; None: none.
+    `max_bytes` is the cap of the file and its older part together; None: there is none.
 
     Raises:
         CompanionError: It cannot be opened.
@@ -142,11 +138,7 @@ class BackgroundFile(WriterThread[bytes]):
 
 
 class BackgroundReplacer:
-    """Replaces files from one thread.
-
-    Args:
-        mode: Who may read and write the files, less the umask.
-    """
+    """Replaces files from one thread; `mode`: who may read and write them, less the umask."""
 
     def __init__(self, name: str, mode: int = 0o666) -> None:
         self.written = 0

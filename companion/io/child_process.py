@@ -36,16 +36,11 @@ def free_udp_ports(count: int) -> list[int]:
 
 
 class ChildProcess:
-    """A process that ends with this one, whatever ends it; its output goes to a file.
+    """A module run by this interpreter that ends with us, whatever ends us; `log` has its output.
 
     It reads a pipe of ours as its standard input and stops when that closes, so not even a kill -9
     of the parent leaves it behind. It has a session of its own, so that a Ctrl-C at the terminal
-    reaches only the parent, which then stops it in order.
-
-    Args:
-        name: What errors call it.
-        arguments: The module and its arguments, run with this interpreter.
-        env: Environment variables beside ours.
+    reaches only the parent, which then stops it in order. `env` is added to our environment.
     """
 
     def __init__(

@@ -55,11 +55,7 @@ def read_file(path: Path) -> bytes:
 
 
 def write_json_atomic(path: Path, value: object) -> None:
-    """Replace a JSON file as a whole: a reader, or a power cut, sees the old one or the new one.
-
-    Raises:
-        CompanionError: It cannot be written; an old file is still there then.
-    """
+    """Replace a JSON file as a whole; see `write_bytes_atomic`."""
     write_text_atomic(path, json.dumps(plain(value), allow_nan=False, indent=2) + "\n")
 
 
@@ -71,8 +67,7 @@ def write_text_atomic(path: Path, text: str, mode: int = 0o666) -> None:
 def write_bytes_atomic(path: Path, content: bytes, mode: int = 0o666) -> None:
     """Replace a file as a whole: a reader, or a power cut, sees the old one or the new one.
 
-    Args:
-        mode: Who may read and write it, less the umask.
+    `mode` says who may read and write it, less the umask.
 
     Raises:
         CompanionError: It cannot be written; an old file is still there then.
@@ -116,9 +111,7 @@ def check_writable(path: Path) -> None:
 def new_flight_directory(root: Path, unix_s: float) -> Path:
     """A new directory under `root`, named by the time, for example `2026-11-21T02-50-00Z`.
 
-    Args:
-        root: Where flights are kept; made if it does not exist.
-        unix_s: Seconds since 1970, UTC. A second flight in the same second gets `-2`.
+    A second flight in the same second gets `-2`.
 
     Raises:
         CompanionError: It cannot be made.
@@ -142,12 +135,9 @@ def new_flight_directory(root: Path, unix_s: float) -> Path:
 
 
 def delete_old_flights(root: Path, keep: int) -> list[Path]:
-    """Delete all but the newest `keep` flight directories, by the time in their names.
+    """Delete all but the newest `keep` flight directories, by their names; what was deleted.
 
     Only what is named as `new_flight_directory` names it is touched; what cannot be deleted stays.
-
-    Returns:
-        What was deleted.
     """
     named = [(m, p) for p in root.iterdir() if (m := _FLIGHT_NAME.fullmatch(p.name))]
     by_age = sorted(named, key=lambda pair: (pair[0]["time"], int(pair[0]["number"] or 1)))

@@ -106,11 +106,9 @@ class TimerStatistics:
 
 
 class Shell:
-    """Runs one endpoint on its links.
+    """Runs one endpoint on its links, whose places are the `link` numbers in the chunks.
 
-    Args:
-        links: Its links; their places are the `link` numbers in the chunks.
-        on_wakeup: Called at the end of every wake-up with its time, seconds of `clock`.
+    `on_wakeup` is called at the end of every wake-up with its time, seconds of `clock`.
     """
 
     def __init__(

@@ -38,10 +38,8 @@ class WriterHealth:
 class WriterThread(Generic[T]):
     """The queue and its thread; a subclass says in `write_batch` what becomes of the items.
 
-    A subclass is whole before it calls this constructor, which starts the thread.
-
-    Args:
-        gather_s: Items are written so much later, many at a time; 0: at once.
+    A subclass is whole before it calls this constructor, which starts the thread. Items are written
+    `gather_s` later, many at a time.
     """
 
     def __init__(self, name: str, max_queued: int, gather_s: float = 0.0) -> None:

@@ -1,27 +1,19 @@
 """What the companion asks the autopilot by itself, outside of any mission.
 
-Each query receives the autopilot's messages and says when a question is due: for its fence, for the
-streams that are needed, for a parameter, for the time. At most one of the first three leaves per
-control tick, so that a slow line is not flooded; that for the fence first, because nothing engages
-before it is answered.
+Each query receives the autopilot's messages and says when a question is due: for its fence, for
+streams, for a parameter, for the time. At most one of the first three leaves per control tick, so
+that a slow line is not flooded; that for the fence first: nothing engages before it is answered.
 
-Which of the autopilot's streams flow: by arrival here, and by progress there.
+Streams are asked for because ArduPilot sends nothing but heartbeats unasked, and PX4's rates differ
+by link. Each kind of message is watched on its own, by arrival here and progress there: one with a
+time stamp counts as new only if that moved. What has not come for a while is stale; what comes far
+less often than asked for is slow; both are asked for again. Whether the link is alive is for
+`AutopilotBinding` to say, because one HEARTBEAT a second is no detector where frames get lost.
 
-Theory of operation. The link is alive while any valid frame of the autopilot comes; that is for
-`AutopilotBinding` to say, because one HEARTBEAT a second is no detector where frames get lost. Here
-each kind of message is watched on its own. One with a time stamp counts as new only if its stamp
-moved: a sensor that stands still with a link that works is no stream. What has not come for a
-while is stale; what comes, but far less often than asked for, is slow.
+With COM_OBL_RC_ACT = 0, the default, PX4 falls back to Position mode when setpoints stop; without
+an RC that sinks at 0.6 to 0.9 m/s and drifts (PX4 1.15, observed in SITL). That is warned of.
 
-Asking the autopilot for every stream we need, and again when one stops.
-
-ArduPilot sends nothing but heartbeats unasked, and PX4's rates differ by link, so the companion
-asks for all of it. Source: MAVLink common, MAV_CMD_SET_MESSAGE_INTERVAL and REQUEST_MESSAGE.
-
-A warning for PX4 as it comes: what it does when setpoints stop and there is no RC.
-
-With COM_OBL_RC_ACT = 0, the default, PX4 falls back to Position mode; without an RC that sinks
-at 0.6 to 0.9 m/s and drifts (PX4 1.15, observed in SITL). Source: PX4 parameter reference,
+Source: MAVLink common, MAV_CMD_SET_MESSAGE_INTERVAL and REQUEST_MESSAGE; PX4 parameter reference,
 COM_OBL_RC_ACT; MAVLink guide, "Parameter Protocol", for integers sent bytewise in a float.
 """
 
@@ -315,11 +307,7 @@ TEXTS_PER_S = 0.2
 
 
 class AutopilotQueries:
-    """All of them.
-
-    Args:
-        fencing: Says whether its fence is wanted.
-    """
+    """All of them; `fencing` says whether the autopilot's fence is wanted."""
 
     def __init__(self, binding: AutopilotBinding, fencing: Fencing) -> None:
         self.clock = ClockSync()
@@ -341,11 +329,7 @@ class AutopilotQueries:
         return [] if warning is None else [Announce(Severity.WARNING, warning)]
 
     def due(self, now_s: float, *, is_mode_wanted: bool = False) -> list[Message]:
-        """The questions to ask now.
-
-        Args:
-            is_mode_wanted: Whether a HEARTBEAT is asked for until one comes that ends a doubt.
-        """
+        """The questions to ask now; a HEARTBEAT is wanted until one comes that ends a doubt."""
         binding = self._binding
         if binding.system_id is None:
             return []

@@ -1,30 +1,22 @@
-"""Remote clocks on the companion's time axis: by stamps alone, and by TIMESYNC.
+"""Remote clocks on the companion's time axis: by the arrival of stamps, and by TIMESYNC.
 
-A sender's clock on the companion's time axis.
+Theory of operation. A stamp (`time_boot_ms`, `time_usec`) becomes local seconds by the smallest
+difference arrival - stamp seen so far: delay only ever adds to it, so the smallest is the nearest
+to the truth. The minimum is forgotten slowly, so that a drifting clock is followed.
 
-A remote stamp (`time_boot_ms`, `time_usec`) becomes local seconds by the smallest difference
-arrival - stamp seen so far: delay only ever adds to it, so the smallest is the nearest to the
-truth. The minimum is forgotten slowly, so that a drifting clock is followed.
+A stamp that went back is one of three: the counter wrapped, by a step of almost exactly 2**32 ms,
+the frame is late, or the sender restarted. A restart shows itself by going on: stamps of the new
+clock come for a while, as fast as time passes, and none of the old one in between.
 
-A stamp that went back is one of three: the counter wrapped, the frame is late, or the sender
-restarted. A wrap is a step by almost exactly 2**32 ms. A restart shows itself by going on: stamps
-of the new clock come for a while, as fast as time passes, and none of the old one in between. Until
-then they are read as what they would be otherwise, late.
+TIMESYNC: we send our time, the autopilot mirrors it and adds its own. The offset follows from the
+middle of the round trip, and is wrong by at most half of it. An answer counts only if its round
+trip is within 10 ms of the best of the last sixteen, because what is slow is slow on one way only.
+The offset is smoothed, yet a drift of 100 ppm leaves a millisecond only; an exchange that deviates
+by more than 100 ms is left out, and five of them in a row are a new clock.
 
-The clock of one sender also holds when it restarted while nobody listened, or runs wild.
-
-Time synchronisation with the autopilot, by TIMESYNC.
-
-Theory of operation. We send our time, the autopilot mirrors it and adds its own; half a round trip
-later its answer is here. The offset between the clocks follows from the middle of that trip, and
-is wrong by at most half of it, where the two ways differ. An answer counts only if its round trip
-is within 10 ms of the best of the last sixteen, because what is slow is slow on one way only. The
-offset is smoothed, yet a drift of 100 ppm leaves a millisecond only; an exchange that deviates by
-more than 100 ms is left out, and five of them in a row are a new clock.
-
-Only the answer to a question of ours counts, and once: somebody else's, a late one's or an invented
-one cannot move the clock. And a later question is not answered from an earlier time, but for what
-the line may mix up: a clock that went back farther is that of an autopilot that restarted.
+Only the answer to a question of ours counts, and once: nothing else can move the clock. A later
+question is not answered from an earlier time, but for what the line may mix up: a clock that went
+back farther is that of an autopilot that restarted.
 
 Source: MAVLink guide, "Time Synchronization"; PX4 `Timesync.hpp` for filtering and reset.
 """
@@ -190,8 +182,7 @@ class SenderClock:
     ) -> StampReading:
         """Local time of a remote stamp that arrived at `now_s`, both in seconds.
 
-        Args:
-            late_confirm_s: How long stamps must be late before they are those of a new clock.
+        Stamps must be late for `late_confirm_s` before they are those of a new clock.
         """
         before_s = self.timebase.offset_s
         reading = self.timebase.read(remote_s, now_s)
@@ -367,11 +358,7 @@ LATE_CONFIRM_S_OF = {Lateness.NONE: LATE_CONFIRM_S, Lateness.UNKNOWN: 10.0, Late
 
 
 class VehicleClock:
-    """The autopilot's clock: by the arrival of its stamps and, better, by the exchange of times.
-
-    Args:
-        sync: The exchange; may be of another clock.
-    """
+    """The autopilot's clock: by the arrival of its stamps and, better, by the exchange of times."""
 
     def __init__(self, sync: ClockSync) -> None:
         self.sync = sync

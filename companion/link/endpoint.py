@@ -72,11 +72,7 @@ RECORD_PERIOD_S = 10.0
 class CompanionEndpoint:
     """The companion on the wire; implements `companion.mav.endpoint.Endpoint`.
 
-    Args:
-        params: Which links there are and what each is for, which autopilot, how it is commanded.
-        tunables: The parameters that ground stations may change.
-        authenticity: Proves what arrives and signs what leaves, if there is a key.
-        recorder: Keeps what the endpoint is told, so that the flight can be run again.
+    The `recorder` keeps what the endpoint is told, so that the flight can be run again.
     """
 
     def __init__(

@@ -38,9 +38,7 @@ TEXTS_PER_S, TEXT_BURST = 10, 30
 class SessionExecutor:
     """Tells the session what happened and does what it wants.
 
-    Args:
-        queries: What is asked beside the session's requests; begins anew after a restart.
-        health: Of the line; begins anew, too.
+    Queries and health of the line begin anew after a restart of the autopilot.
     """
 
     def __init__(

@@ -83,12 +83,7 @@ class FenceDownload:
         self._rest_s = REST_S
 
     def due(self, now_s: float, autopilot: Ids, *, is_wanted: bool) -> Message | None:
-        """The message to send now, if any.
-
-        Args:
-            autopilot: System and component that are asked.
-            is_wanted: Whether to begin when nothing is in flight.
-        """
+        """The message to send to the autopilot now, if any; begun only if it `is_wanted`."""
         if self._owes_ack:
             self._owes_ack = False
             accepted = mavlink.MAV_MISSION_ACCEPTED
@@ -120,11 +115,7 @@ class FenceDownload:
         return AutopilotFenceRead(now_s, problem=why)
 
     def receive(self, message: Message, now_s: float, own: Ids) -> AutopilotFenceRead | None:
-        """Take in a message of the autopilot; its fence, once that is complete.
-
-        Args:
-            own: System and component that answers must be for.
-        """
+        """Take in a message of the autopilot for us; its fence, once that is complete."""
         reading = self._reading
         if reading is None or not isinstance(message, Answer) or message.mission_type != FENCE:
             return None

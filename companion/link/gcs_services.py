@@ -1,21 +1,14 @@
-"""What ground stations ask of the companion itself: parameters and commands.
+"""What ground stations ask of the companion itself: parameters (list, read, set) and commands.
 
-The parameter protocol for the companion's own parameters: list, read, set.
+A ground station sees the parameters as those of component 191 beside the vehicle's. What is set is
+checked as the configuration checks it, and changed only when that is safe; a refusal tells the
+value that is kept and why (PARAM_ERROR, and a text), and nothing is ever created. Integers go as
+the autopilot's do, bytewise with PX4 and cast with ArduPilot, because ground stations decode all
+components of a vehicle alike; our AUTOPILOT_VERSION says which. What is addressed to all components
+is answered if it is ours, and is otherwise somebody else's. Every command to us is answered.
 
-A ground station sees them as those of component 191 beside the vehicle's. What is set is checked
-as the configuration checks it, and changed only when that is safe; a refusal tells the value that
-is kept and why (PARAM_ERROR, and a text), and nothing is ever created. Integers go as the
-autopilot's do, bytewise with PX4 and cast with ArduPilot, because ground stations decode all
-components of a vehicle alike; our AUTOPILOT_VERSION says which.
-
-What is addressed to all components of the vehicle is answered if it is ours, and is otherwise
-somebody else's.
-
-Source: MAVLink developer guide, "Parameter Protocol"; MAVLink common, PARAM_ERROR.
-
-Commands to the companion itself: few are known, every one is answered.
-
-Source: MAVLink developer guide, "Command Protocol".
+Source: MAVLink developer guide, "Parameter Protocol", "Command Protocol"; MAVLink common,
+PARAM_ERROR.
 """
 
 from __future__ import annotations
@@ -100,11 +93,7 @@ class TunableBook(Protocol):
 
 
 class ParameterServer:
-    """Answers ground stations.
-
-    Args:
-        executor: Takes what changes to the session.
-    """
+    """Answers ground stations; the executor takes what changes to the session."""
 
     def __init__(self, book: TunableBook, executor: SessionExecutor) -> None:
         self._book = book
@@ -240,11 +229,7 @@ AddressedCommand = mavlink.MAVLink_command_long_message | mavlink.MAVLink_comman
 
 
 class CommandHandler:
-    """Answers commands.
-
-    Args:
-        executor: Takes what they mean for the session.
-    """
+    """Answers commands; the executor takes what they mean for the session."""
 
     def __init__(self, executor: SessionExecutor, parameters: ParameterServer) -> None:
         self._executor = executor
@@ -253,11 +238,7 @@ class CommandHandler:
         self._limit = RateLimit(COMMANDS_PER_S, COMMANDS_PER_S)
 
     def receive(self, message: AddressedCommand, now_s: float, *, may_grant: bool) -> None:
-        """Answer a command to this very component.
-
-        Args:
-            may_grant: Whether its sender may give control.
-        """
+        """Answer a command to this very component, whose sender may or may not give control."""
         if (message.target_system, message.target_component) != self._outlet.own_ids:
             return
         if not self._limit.acquire(now_s):

@@ -1,6 +1,4 @@
-"""Messages to events: NED to ENU, stamps to local time, sentinels to None.
-
-What the autopilot tells of its health and of what it follows, as events.
+"""The autopilot's messages to events: NED to ENU, stamps to local time, sentinels to None.
 
 Source: MAVLink common, messages 24, 65, 85, 147, 230; ardupilotmega, EKF_STATUS_REPORT. ArduPilot
 calls a variance of 0.8 bad (FS_EKF_THRESH), PX4 a test ratio of 1.
@@ -155,11 +153,7 @@ MAX_YAW_RAD = 2.0 * math.pi
 
 
 class VehicleInbound:
-    """Events from the bound autopilot's messages.
-
-    Args:
-        sync: Knows the offset of its clock better than the arrival of its stamps does.
-    """
+    """Events from the bound autopilot's messages; `sync` knows its clock best."""
 
     def __init__(self, sync: ClockSync | None = None) -> None:
         self.clock = VehicleClock(sync or ClockSync())
@@ -180,10 +174,8 @@ class VehicleInbound:
         """What a message of the autopilot says; nothing, if a newer one of its kind came before.
 
         Positions and attitudes are put in order by their stamps, by whoever keeps them; but a
-        position that was sent before the origin moved is of another frame.
-
-        Args:
-            number: Its place in the order of sending, from the sequence numbers.
+        position that was sent before the origin moved is of another frame. `number` is a message's
+        place in the order of sending, from the sequence numbers.
         """
         if self._note_order(message, number, now_s):
             self.overtaken += 1

@@ -40,12 +40,7 @@ from companion.mav.signing import LinkSigning, SignatureVerdict, Signing, is_sig
 
 
 class RateLimit:
-    """Lets `burst` things through at once and then `per_s` a second; what it refuses is counted.
-
-    Args:
-        per_s: How fast what was used comes back.
-        burst: How much there is at most.
-    """
+    """Lets `burst` things through at once and then `per_s` a second; what it refuses is counted."""
 
     def __init__(self, per_s: float, burst: int = 1) -> None:
         self.refused = 0
@@ -234,12 +229,10 @@ LONGEST_HEARTBEAT = HEADER_LENGTH[MAGIC_V2] + 9 + CRC_LENGTH + SIGNATURE_LENGTH
 
 
 class Intake:
-    """One link's way in.
+    """One link's way in: budget and proof.
 
-    Args:
-        codec: Cuts and proves the frames.
-        binding: The autopilot, whose address has the large budget; None on links without one.
-        is_raw: Whether something other than MAVLink arrives, to be cut by a ranging source.
+    The address of the autopilot of `binding` has the large budget. `is_raw` where something other
+    than MAVLink arrives, to be cut by a ranging source.
     """
 
     def __init__(
@@ -297,12 +290,7 @@ ALARMS = frozenset(
 
 
 class Authenticity:
-    """The companion's side of signing, on all links.
-
-    Args:
-        signing: Proves and signs; None: there is no key, and everyone is believed.
-        unix_minus_local_s: Unix time minus the time that is passed in.
-    """
+    """The companion's side of signing, on all links; without a key everyone is believed."""
 
     def __init__(self, signing: Signing | None = None, unix_minus_local_s: float = 0.0) -> None:
         self._signing = signing
@@ -316,12 +304,7 @@ class Authenticity:
         return self._signing is not None
 
     def of_link(self, number: int, *, is_trusted: bool) -> LinkSigning | None:
-        """What the codec of a link needs.
-
-        Args:
-            number: Of the link, from 0.
-            is_trusted: Unsigned frames are welcome on it, by configuration.
-        """
+        """What the codec of a link needs; on a trusted one unsigned frames are welcome."""
         if self._signing is None:
             return None
         return LinkSigning(self._signing, number % 256, is_trusted)

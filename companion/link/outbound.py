@@ -1,11 +1,9 @@
 """Commands to messages: ENU to NED, metres to AMSL and degE7, texts to chunks; and requests.
 
-Source: MAVLink common; PX4 user guide, offboard mode.
+One request at a time is under way, resent, and answered or given up: no ACK means resend with
+`confirmation` + 1, IN_PROGRESS means wait; at most 2 s in all, 10 s with progress, never a loop.
 
-Requests to the autopilot: one at a time, resent, and answered or given up.
-
-Source: MAVLink guide, "Command Protocol": no ACK means resend with `confirmation` + 1; IN_PROGRESS
-means wait. All in all at most 2 s, or 10 s with progress, never a loop.
+Source: MAVLink common; PX4 user guide, offboard mode; MAVLink guide, "Command Protocol".
 """
 
 from __future__ import annotations
@@ -185,11 +183,7 @@ def arm() -> VehicleCommand:
 
 
 def set_mode(mode: FlightMode, autopilot: Autopilot, *, is_armed: bool) -> VehicleCommand:
-    """DO_SET_MODE.
-
-    Raises:
-        KeyError: The autopilot has no such mode.
-    """
+    """DO_SET_MODE; a `KeyError` if the autopilot has no such mode."""
     params = set_mode_params(mode, autopilot, is_armed=is_armed)
     return VehicleCommand(mavlink.MAV_CMD_DO_SET_MODE, params)
 
@@ -226,12 +220,7 @@ def command_ack(command: int, result: int, to: Message) -> Message:
 
 
 def status_text(severity: int, text: str, text_id: int) -> list[Message]:
-    """STATUSTEXT, in chunks where it does not fit into one.
-
-    Args:
-        text: What to say; longer than four chunks it is cut.
-        text_id: Non-zero number that joins the chunks of one text.
-    """
+    """STATUSTEXT, in chunks where it does not fit into one, joined by a non-zero `text_id`."""
     chunks = _chunks(text)
     if len(chunks) == 1:
         return [mavlink.MAVLink_statustext_message(severity, chunks[0], 0, 0)]

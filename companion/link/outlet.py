@@ -3,8 +3,6 @@
 The autopilot passes on what is broadcast, so ground stations behind it hear that; a link of their
 own gets the same beside. Setpoints and commands only ever leave by the vehicle link.
 
-Frames that carry our own ids: an echo of ours, or another companion that uses the same ones.
-
 A router that forwards to everyone sends our frames back to us, byte by byte as they were. A frame
 with our ids that we did not send is somebody else's: two companions on one vehicle would both obey
 its operator and fight over its setpoints. It is heard as long as its frames come, the
@@ -79,12 +77,7 @@ RATE_WINDOW_S = 2.0
 
 
 class Outlet:
-    """The one way out of the companion.
-
-    Args:
-        links: The roles of all links, and their codecs; those for ranging do not send.
-        binding: The autopilot that everything goes to.
-    """
+    """The one way out of the companion, by all links but those for ranging."""
 
     def __init__(
         self,
@@ -121,11 +114,7 @@ class Outlet:
         self.own_ids = (system_id, self._codec.component_id)
 
     def send(self, message: Message, now_s: float, *, is_droppable: bool = False) -> None:
-        """Queue a message for the autopilot's address.
-
-        Args:
-            is_droppable: A line that is too slow for everything does without it.
-        """
+        """Queue a message for the autopilot's address; a slow line does without a droppable one."""
         data = self._codec.encode(message)
         self.own_frames.record_sent(data)
         self._journal.frame(data, now_s)
@@ -133,11 +122,7 @@ class Outlet:
         self._output.append(Chunk(self._vehicle_link, data, peer, is_droppable=is_droppable))
 
     def broadcast(self, message: Message, now_s: float, *, is_droppable: bool = False) -> None:
-        """Queue a message for everybody: the autopilot, and ground stations on links of their own.
-
-        Args:
-            message: Without a target, or with that of a ground station.
-        """
+        """Queue a message for everybody: the autopilot, and stations on links of their own."""
         self.send(message, now_s, is_droppable=is_droppable)
         self.send_to_stations(message)
 

@@ -48,11 +48,7 @@ STATES = {
 
 
 class Presence:
-    """Tells ground stations what there is.
-
-    Args:
-        has_icon: Whether ground stations on links of their own get icons.
-    """
+    """Tells ground stations what there is; `has_icon`: with icons on links of their own."""
 
     def __init__(self, session: GuidanceSession, outlet: Outlet, *, has_icon: bool) -> None:
         self._session = session
@@ -93,12 +89,7 @@ class Presence:
 def estimate_message(
     emitter_id: int, estimate: TargetEstimate, origin: LocalOrigin | None, now_s: float
 ) -> Message:
-    """TARGET_ESTIMATE: ENU to north and east, counter-clockwise to clockwise.
-
-    Args:
-        estimate: Where it is believed to be.
-        origin: Of the local frame; None: not known.
-    """
+    """TARGET_ESTIMATE: ENU to north and east, counter-clockwise to clockwise."""
     latitude_e7, longitude_e7 = INT32_UNKNOWN, INT32_UNKNOWN
     if origin is not None:
         latitude_e7, longitude_e7, _ = _place_e7(estimate, origin)

@@ -1,34 +1,24 @@
-"""How well the line to the autopilot does: order, loss, and the pace that follows from them.
-
-The order and the loss of one sender's frames, by their sequence numbers.
+"""How well the line to the autopilot does: order, loss, the pace that follows, and floods.
 
 Theory of operation. A sender counts its frames modulo 256. Unwrapped to the nearest value, the
 count tells which of two frames was sent first and how many never came; both are right as long as
-no frame is late by 128 others or more. After a silence, or where nobody read for a while, a count
-that seems to have gone back went ahead instead. The loss is taken over the last seconds: how many
-numbers the count advanced, and how many of these numbers came.
+no frame is late by 128 others or more (0.3 s of the 405 frames a second of PX4 1.15). After a
+silence, or where nobody read for a while, a count that seems to have gone back went ahead instead.
+The loss is how many of the numbers that the count advanced in the last seconds did not come.
 
-Source: MAVLink developer guide, "Packet Loss"; PX4 1.15 sends 405 frames a second, so 128 of them
-are 0.3 s.
+The control tick comes 20 times a second, and 50 where frames get lost: at 30 % loss the longest gap
+in ten hours between two setpoints that arrive is over half a second at 20 Hz, and under 0.4 s at
+50 Hz; PX4 gives up after 1 s. The loss is that of the autopilot's own frames: what is lost on the
+way to it nobody tells us, and radios lose both ways. A tick that comes late is not made up for. One
+that comes very late is a stall: what is known is of the past, and what was to be sent, too.
 
-How often the control tick comes: 20 times a second, and 50 where frames get lost.
+The shield against floods hears nobody but the autopilot, by a filter that is the shell's and the
+kernel's (`companion.io.links.udp`). It is up only while unknown peers exceed their budget, because
+without it they are told to the operator, and only while the autopilot speaks, because it may come
+back from another address. The alarms watch counters that others keep, so that nothing an unknown
+peer sends makes a text of its own: they are told at once, and then rarely.
 
-At 30 % loss the longest gap in ten hours between two setpoints that arrive is over half a second
-at 20 Hz, and under 0.4 s at 50 Hz; PX4 gives up after 1 s. The loss is that of the autopilot's own
-frames: what is lost on the way to it nobody tells us, and radios lose both ways.
-
-A tick that comes late is not made up for. One that comes very late is a stall: what is known is of
-the past, and what was to be sent, too.
-
-Floods: when to hear nobody but the autopilot, and what the operator is told of unknown peers.
-
-Theory of operation of the shield. The filter itself is the shell's, and the kernel's; see
-`companion.io.links.udp`. It is up only while unknown peers exceed their budget, because without it
-they are told to the operator, and only while the autopilot speaks, because it may come back from
-another address.
-
-The alarms watch counters that others keep, so that nothing an unknown peer sends makes a
-text of its own: they are told at once, and then rarely.
+Source: MAVLink developer guide, "Packet Loss".
 """
 
 from __future__ import annotations
@@ -169,11 +159,7 @@ class TickWatch:
 
 
 class Pacing:
-    """The period of the control tick.
-
-    Args:
-        params: The two rates, and what counts as lossy.
-    """
+    """The period of the control tick."""
 
     def __init__(self, params: LinkParams) -> None:
         self._params = params
@@ -266,11 +252,7 @@ ALARM_TEXTS_PER_S = 0.1
 
 
 class LinkAlarms:
-    """Looks at the counters once per control tick.
-
-    Args:
-        binding: Who the autopilot is, and who else says so.
-    """
+    """Looks at the counters once per control tick."""
 
     def __init__(self, binding: AutopilotBinding, intakes: Sequence[Intake]) -> None:
         self._binding = binding

@@ -44,8 +44,7 @@ class RangingSource(Protocol):
     def receive(self, data: bytes, now_s: float) -> list[RangingMeasurement]:
         """The measurements completed by some bytes; bad bytes are dropped, never raised.
 
-        Args:
-            data: One datagram, or any cut of a byte stream; of a MAVLink link one proved frame.
+        The bytes are a datagram, or any cut of a stream; of a MAVLink link one proved frame.
         """
 
 
@@ -100,11 +99,7 @@ class MavlinkRanging:
 
 
 def ranging_from_message(message: Message, measured_at_s: float) -> RangingMeasurement | None:
-    """The measurement in a ranging message, or None if it is no ranging message.
-
-    Args:
-        measured_at_s: Its `time_usec` on the companion's clock.
-    """
+    """The measurement in a ranging message with its time on our clock; None: it is none."""
     match message:
         case MAVLink_radio_ranging_message():
             return _from_radio_ranging(message, measured_at_s)

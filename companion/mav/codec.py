@@ -124,12 +124,9 @@ MAX_MAVLINK1_ID = 255
 
 
 class MavCodec:
-    """Encodes with one identity and decodes what arrives on one link.
+    """Encodes with one identity (ids from 1 to 255) and decodes what arrives on one link.
 
-    Args:
-        system_id: Our system id, 1 to 255.
-        component_id: Our component id, 1 to 255.
-        signing: Signs what is sent and verifies what arrives; None does neither.
+    `signing` signs what is sent and verifies what arrives; None does neither.
     """
 
     def __init__(
@@ -159,9 +156,8 @@ class MavCodec:
     ) -> bytes:
         """The frame of `message`, with the link's next sequence number, signed if signing is on.
 
-        Args:
-            component_id: Sends as another component of ours over the same link.
-            is_mavlink1: For a peer that cannot read MAVLink 2.
+        `component_id` is that of another component of ours; MAVLink 1 is for peers without MAVLink
+        2.
 
         Raises:
             LocalProtocolError: A field does not fit its type on the wire, or the frame has no

@@ -79,11 +79,7 @@ def mode_of(heartbeat: mavlink.MAVLink_heartbeat_message, autopilot: Autopilot) 
 def set_mode_params(
     mode: FlightMode, autopilot: Autopilot, *, is_armed: bool
 ) -> tuple[float, float, float]:
-    """Parameters 1 to 3 of MAV_CMD_DO_SET_MODE.
-
-    Raises:
-        KeyError: The autopilot has no such mode.
-    """
+    """Parameters 1 to 3 of MAV_CMD_DO_SET_MODE; a `KeyError` for a mode that there is not."""
     base_mode = CUSTOM_MODE_ENABLED
     if is_armed:
         base_mode |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED

@@ -51,9 +51,7 @@ class FrameCounters:
 class FrameSplitter:
     """Cuts a byte stream or datagrams into CRC-checked frames.
 
-    Args:
-        crc_extra_by_id: CRC_EXTRA of every known message id.
-        keeps_unknown: Whether what looks like a frame of an unknown message is kept too.
+    It knows CRC_EXTRA of every message of the dialect, and may keep what looks like others.
     """
 
     def __init__(self, crc_extra_by_id: Mapping[int, int], *, keeps_unknown: bool = False) -> None:
@@ -64,12 +62,7 @@ class FrameSplitter:
         self._unknown: list[bytes] = []
 
     def split(self, data: bytes, *, is_datagram: bool) -> list[bytes]:
-        """The frames completed by `data`.
-
-        Args:
-            is_datagram: Whether `data` is complete in itself; an unfinished frame at its end
-                is then junk instead of a beginning.
-        """
+        """The frames completed by `data`; at the end of a datagram an unfinished one is junk."""
         buffer = self._pending + data
         frames: list[bytes] = []
         taken: list[tuple[int, int]] = []
@@ -140,11 +133,7 @@ class FrameSplitter:
 
 
 def frame_end(buffer: bytes, start: int) -> int:
-    """Where the frame that begins at `start` ends, by its header; beyond `buffer` without one.
-
-    Args:
-        start: The place of a magic byte.
-    """
+    """Where the frame at the magic byte `start` ends, by its header, or beyond `buffer`."""
     magic = buffer[start]
     header_end = start + HEADER_LENGTH[magic]
     if header_end > len(buffer):
@@ -169,11 +158,7 @@ def sender_of(frame: bytes) -> tuple[int, int]:
 
 
 def frame_crc(frame: bytes, crc_extra: int) -> int:
-    """The CRC that a frame must carry, from its header and payload.
-
-    Args:
-        frame: At least header and payload.
-    """
+    """The CRC that a frame must carry, from its header and payload."""
     end = HEADER_LENGTH[frame[0]] + frame[1]
     return crc16.mcrf4xx(frame[1:end] + bytes((crc_extra,)))
 
@@ -181,10 +166,7 @@ def frame_crc(frame: bytes, crc_extra: int) -> int:
 def without_signature(frame: bytes, crc_extra: int | None) -> bytes:
     """The same frame unsigned, for logs: a signature must not be stored (developer guide).
 
-    Args:
-        frame: One whole frame, signed or not.
-        crc_extra: CRC_EXTRA of its message; None keeps the frame's length and flag, which the
-            CRC covers, and blanks the signature.
+    Without a CRC_EXTRA its length and flag stay, which the CRC covers, and the signature is blank.
     """
     if frame[0] != MAGIC_V2 or not frame[2] & INCOMPAT_SIGNED:
         return frame

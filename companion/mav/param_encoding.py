@@ -80,11 +80,7 @@ def raw_value(value: float, kind: ParamType, encoding: ParamEncoding) -> bytes:
 def value_from_raw(raw: bytes, kind: ParamType, encoding: ParamEncoding) -> float:
     """The value of four bytes; NaN and infinity come out as they are.
 
-    Args:
-        kind: The parameter's type, by which a cast float becomes whole.
-
-    Returns:
-        An `int` for integer types unless it is not finite; not yet compared with any bounds.
+    Of integer types it is an `int` unless it is not finite; not yet compared with any bounds.
     """
     if not kind.is_integer:
         return float(_REAL32.unpack(raw)[0])
@@ -105,12 +101,7 @@ def raw_of(message: Message) -> bytes:
 
 
 class RawParamValue(mavlink.MAVLink_param_value_message):
-    """A PARAM_VALUE whose value never was a float.
-
-    Args:
-        name: Up to 16 ASCII characters.
-        index: Of this one; 65535 where it is not told.
-    """
+    """A PARAM_VALUE whose value never was a float; an index of 65535 is not told."""
 
     def __init__(self, name: str, raw: bytes, kind: int, count: int, index: int) -> None:
         super().__init__(name.encode("ascii"), _REAL32.unpack(raw)[0], kind, count, index)

@@ -101,11 +101,7 @@ class SigningKey:
             raise ConfigError("a signing key of zeros means no signing; leave it out instead")
 
     def signature_of(self, signed_part: bytes) -> bytes:
-        """The six bytes that end a frame.
-
-        Args:
-            signed_part: The frame from its magic to its timestamp.
-        """
+        """The six bytes that end a frame, for all of it from its magic to its timestamp."""
         return hashlib.sha256(self.secret + signed_part).digest()[:HASH_LENGTH]
 
 
@@ -138,10 +134,8 @@ ONE_LINK_EACH = SigningRules(max_ahead=6_000_000, joins_links=True)
 class Signing:
     """Signs and verifies the frames of one system.
 
-    Args:
-        stored_timestamp: The newest one that an earlier run stored; 0 if there is none.
-        streams: The last timestamp of each stream, as an earlier run stored them.
-        stored_clock: The earlier run's `clock`; None: only its timestamp is known.
+    It goes on from what an earlier run stored: the newest timestamp, that of each stream, and its
+    `clock`, where more than the timestamp is known.
     """
 
     def __init__(
@@ -187,12 +181,7 @@ class Signing:
         self._timestamp = max(self._timestamp, self._clock)
 
     def verify(self, frame: bytes, *, is_trusted_link: bool = False) -> SignatureVerdict:
-        """Judge one whole frame whose CRC is right.
-
-        Args:
-            frame: As it was on the wire.
-            is_trusted_link: Unsigned frames are welcome, as on a wire inside the vehicle.
-        """
+        """Judge one whole frame whose CRC is right; on a trusted link unsigned ones are welcome."""
         verdict = self._judge(frame, is_trusted_link)
         self.verdicts[verdict] += 1
         return verdict
@@ -229,11 +218,9 @@ class Signing:
         return SignatureVerdict.TIMESTAMP_OVERFLOW if timestamp > MAX_HEARD else None
 
     def sign(self, frame: bytes, link_id: int, crc_extra: int) -> bytes:
-        """The same frame signed, with a timestamp newer than every one before.
+        """An unsigned MAVLink 2 frame signed, with a timestamp newer than every one before.
 
-        Args:
-            frame: An unsigned MAVLink 2 frame of ours.
-            link_id: Of the link it leaves by, 0 to 255; different links get different ids.
+        Different links get different ids, 0 to 255.
 
         Raises:
             LocalProtocolError: It is MAVLink 1, or signed already.
@@ -279,15 +266,11 @@ class SigningSetup:
 def setup_from(
     message: Message, system_id: int, component_id: int, *, is_trusted_link: bool
 ) -> SigningSetup | None:
-    """What a SETUP_SIGNING asks of us, or None if it must be ignored.
+    """What a SETUP_SIGNING, accepted by `Signing.verify`, asks of us; None: it must be ignored.
 
-    A key is taken only over a link that nobody else can hear, and only when it is addressed to
-    this very component: broadcast, it would have been told to everyone. The message is never
-    forwarded and never logged, see `is_secret`.
-
-    Args:
-        message: As decoded, its frame accepted by `Signing.verify` if there is a key already.
-        is_trusted_link: Whether the link it came by is a wire, or loopback.
+    A key is taken only over a link that nobody else can hear (a wire, or loopback), and only when
+    it is addressed to this very component: broadcast, it would have been told to everyone. The
+    message is never forwarded and never logged, see `is_secret`.
     """
     if not isinstance(message, mavlink.MAVLink_setup_signing_message) or not is_trusted_link:
         return None

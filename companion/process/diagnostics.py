@@ -1,10 +1,8 @@
 """Diagnostics of the process and its links: for the event log, and what operators must know.
 
 Memory, descriptors, threads and processor time are read from /proc where there is one, otherwise as
-far as the standard library knows.
-
-A link that refuses what is sent is reported. A refused frame is not sent again: the next control
-tick brings a newer one.
+far as the standard library knows. A link that refuses what is sent is reported; a refused frame is
+not sent again: the next control tick brings a newer one.
 """
 
 from __future__ import annotations
@@ -93,11 +91,7 @@ class ProcessParts:
 
 
 class ProcessDiagnostics:
-    """Counts, records and reports.
-
-    Args:
-        speed: Seconds of the clock per wall second.
-    """
+    """Counts, records and reports; `speed` is seconds of the clock per wall second."""
 
     def __init__(self, endpoint: CompanionEndpoint, parts: ProcessParts, speed: float) -> None:
         self._endpoint = endpoint

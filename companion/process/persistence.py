@@ -7,9 +7,8 @@ fence, where that is the one to keep), and only if vehicle, limits, fence, missi
 right; otherwise the flight begins anew, with a line that says why. An orderly end deletes the
 files, unless the vehicle was left armed in mid-mission.
 
-Parameters that a ground station changed are kept beside the checkpoints, a file for each vehicle's
-link, and are taken up at the next start as far as the configuration's rules allow; what is the same
-as in the configuration's file is not kept.
+Parameters that a ground station changed are kept beside them, and are taken up at the next start as
+far as the configuration's rules allow.
 """
 
 from __future__ import annotations
@@ -90,11 +89,9 @@ def digests_of(config: CompanionConfig) -> MissionDigests:
 
 
 class RestartKeeper:
-    """Keeps the memory of one flight, and recalls that of the one before.
+    """Keeps the memory of one flight, and recalls that of the one before, unless it is too old.
 
-    Args:
-        max_age_s: A memory older than this means nothing.
-        is_fresh: Whether the operator says that there is nothing to take up.
+    `is_fresh`: the operator says that there is nothing to take up.
     """
 
     def __init__(
@@ -214,12 +211,7 @@ MAX_BYTES = 100_000
 
 
 class ParameterKeeper:
-    """Keeps the parameters of one vehicle.
-
-    Args:
-        tunables: The parameters; what was kept is taken up at once.
-        path: The file; its directory is made when something is kept.
-    """
+    """Keeps the parameters of one vehicle; what was kept is taken up at once."""
 
     def __init__(self, tunables: Tunables, path: Path) -> None:
         self._tunables = tunables

@@ -1,17 +1,15 @@
 """The service manager: what it is notified of (`sd_notify`), and its watchdog.
 
-It is notified that we are ready, alive or stopping, and what we are doing.
-The protocol is systemd's `sd_notify`: datagrams of `KEY=VALUE` lines to the socket named by
-NOTIFY_SOCKET, a path or, with a leading `@`, a name in the abstract namespace. Nothing is sent
-where the variable is not set. The socket never blocks: a manager that does not read costs words
-and no time.
+It is notified that we are ready, alive or stopping, and what we are doing: datagrams of `KEY=VALUE`
+lines to the socket named by NOTIFY_SOCKET, a path or, with a leading `@`, a name in the abstract
+namespace. Nothing is sent where the variable is not set. The socket never blocks: a manager that
+does not read costs words and no time.
 
-The watchdog is fed only when every part of the process answered.
-Asked are: the control tick (it ran since it was last fed; this code itself runs on its thread), the
-writers of logs and checkpoints (they are there; a disk that hangs is no reason to kill a flight),
-and the links (open). Source of the rule: NASA F Prime, Svc/Health, HTH-007.
+The watchdog is fed only when every part of the process answered: the control tick (it ran since it
+was last fed; this code itself runs on its thread), the writers of logs and checkpoints (they are
+there; a disk that hangs is no reason to kill a flight), and the links (open).
 
-Source: sd_notify(3) and sd_watchdog_enabled(3).
+Source: sd_notify(3), sd_watchdog_enabled(3); of the rule: NASA F Prime, Svc/Health, HTH-007.
 """
 
 from __future__ import annotations
@@ -115,11 +113,7 @@ class Watchdog:
         self._status = ""
 
     def run(self, now_s: float, wall_s: float) -> None:
-        """Say what is due.
-
-        Args:
-            wall_s: Monotonic wall seconds.
-        """
+        """Say what is due; `wall_s` is monotonic."""
         if not self._supervisor.is_there or self._timing.fired == 0:
             return
         if not self._is_ready:

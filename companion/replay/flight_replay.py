@@ -185,13 +185,9 @@ def replay_flight(
     on_input: OnInput | None = None,
     listen: Listen | None = None,
 ) -> FlightReplay:
-    """Run a recorded flight again.
+    """Run a recorded flight (its folder, a file in it, or an MCAP file) again; see `rerun`.
 
-    Args:
-        path: Its folder, a file in it, or an MCAP file.
-        config: Another configuration; None: the flight's own.
-        on_input: Sees the endpoint after every input.
-        listen: Makes a journal that hears everything, too, and passes it on.
+    `config` is another configuration; None: the flight's own.
 
     Raises:
         ConfigError: The flight cannot be read.
@@ -270,11 +266,7 @@ def replay_on_map(
 ) -> FlightReplay:
     """Run a recorded flight again on the live map, and stay there until Ctrl-C.
 
-    Args:
-        path: Its folder, a file in it, or an MCAP file.
-        config: Another configuration; None: the flight's own.
-        settings: Of the page; there are no buttons, whatever they say.
-        done: Gets the result as soon as it is there.
+    There are no buttons, whatever the settings say. `done` gets the result as soon as it is there.
 
     Raises:
         ConfigError: The flight cannot be read.

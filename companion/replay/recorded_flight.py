@@ -103,12 +103,9 @@ def rerun(
     on_input: OnInput | None = None,
     listen: Listen | None = None,
 ) -> Course:
-    """Run a flight again.
+    """Run a flight again, with its configuration or another one to compare with.
 
-    Args:
-        config: The flight's, or another one to compare with.
-        on_input: Sees the endpoint after every input.
-        listen: Makes a journal that hears everything, too, and passes it on.
+    `on_input` sees the endpoint after every input; `listen` makes a journal that hears everything.
     """
     journal = CourseJournal()
     tunables = Tunables(config, build_planner)

@@ -96,10 +96,7 @@ class TargetResult:
 def replay_walk(
     path: Path, params: TrackerParams, progress: Progress | None = None
 ) -> list[TargetResult]:
-    """Run one tracker per target over a recorded walk.
-
-    Args:
-        progress: Called now and then with the number of rows done.
+    """Run one tracker per target over a recorded walk, telling the progress in rows now and then.
 
     Raises:
         ConfigError: The file cannot be read, or a row is wrong; the message names the line.

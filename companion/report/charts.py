@@ -123,10 +123,8 @@ class TimeCharts:
     ) -> Chart | None:
         """The chart; None: there is nothing to draw.
 
-        Args:
-            note: How to read it, for example the unit.
-            span: Least and greatest value of the axis; None: what the curves need.
-            is_log: Whether that axis is logarithmic; all values are above 0 then.
+        `span` is the least and greatest value of the axis; None: what the curves need. On a
+        logarithmic axis all values are above 0.
         """
         values = [value for curve in curves for _, value in curve.points]
         if not values:
@@ -152,11 +150,7 @@ def histogram(
     values: Sequence[float],
     density: Callable[[Sequence[float]], list[float]] | None = None,
 ) -> Chart | None:
-    """How often each value was seen; None: there are no values.
-
-    Args:
-        density: The expected probability density at evenly spaced places, drawn as a line.
-    """
+    """How often each value was seen, beside the expected density; None: there are no values."""
     if not values:
         return None
     low, high = min(values), max(values) + 1e-6

@@ -94,12 +94,7 @@ class FlightSummary:
 
 
 def summarize_events(lines: Iterable[Line]) -> FlightSummary:
-    """The summary of an event log; unknown kinds are passed over.
-
-    Args:
-        lines: Its lines in JSON's own types (see `companion.io.files.plain`): `t_s`, `kind` and
-            the fields of that kind.
-    """
+    """The summary of an event log's lines in JSON's own types; unknown kinds are passed over."""
     summary = FlightSummary()
     for line in lines:
         time_s = _read(line.get("t_s"), float) or 0.0

@@ -97,12 +97,7 @@ def page_environment(package: str) -> Environment:
 def render_page(
     page: FlightPage, template: str, package: str = "companion.report", **more: object
 ) -> str:
-    """The page as text.
-
-    Args:
-        template: Its name in the package's folder `templates`; it extends `page.html.j2`.
-        more: What the template's own blocks need, by name.
-    """
+    """The page as text; `more` is what the template's own blocks need, by name."""
     return (
         page_environment(package)
         .get_template(template)
@@ -243,11 +238,7 @@ def _nis_chart(over_time: TimeCharts, points: list[Point]) -> Chart | None:
 
 
 def write_report(flight: Path, output: Path | None = None) -> Path:
-    """Write the report of a recorded flight; where it is.
-
-    Args:
-        flight: The flight's folder, or a file in it.
-        output: Where to; None: `report.html` in the folder.
+    """Write the report of a flight (its folder, or a file in it), there if nowhere else; its path.
 
     Raises:
         ConfigError: The flight cannot be read.

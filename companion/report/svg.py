@@ -50,12 +50,7 @@ def _round_step(rough: float) -> float:
 
 
 class SvgPlot:
-    """A plot with two axes.
-
-    Args:
-        title: For those who cannot see it.
-        is_log: Whether the vertical axis is logarithmic.
-    """
+    """A plot with two axes; its title is for those who cannot see it."""
 
     def __init__(
         self,

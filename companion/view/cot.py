@@ -36,11 +36,7 @@ NO_VALUE = "9999999.0"
 
 
 def cot_event(handoff: Handoff, sender: str) -> bytes:
-    """One event; an emitter keeps its `uid`, so the next event moves the same marker.
-
-    Args:
-        sender: Distinguishes two vehicles that find the same emitter.
-    """
+    """One event; an emitter keeps its `uid`, so the next one of a sender moves the same marker."""
     emitter = printable(handoff.emitter)
     event = ET.Element(
         "event",
@@ -83,11 +79,7 @@ MAX_PORT = 65_535
 
 
 def cot_address(text: str) -> Address:
-    """The address in `HOST:PORT`.
-
-    Raises:
-        ConfigError: It is none.
-    """
+    """The address in `HOST:PORT`, or a `ConfigError`."""
     host, _, port = text.rpartition(":")
     host = host.removeprefix("[").removesuffix("]")
     if not host or not port.isdecimal() or not 0 < int(port) <= MAX_PORT:
@@ -127,10 +119,7 @@ def _has_changed(before: TargetEstimate, now: TargetEstimate) -> bool:
 
 
 class CotView:
-    """Sends the events of one flight; a `companion.run.FlightView`.
-
-    Args:
-        address: Host, or multicast group, and UDP port.
+    """Sends the events of one flight to a host or multicast group; a `companion.run.FlightView`.
 
     Raises:
         LinkError: There is no such host.

@@ -1,10 +1,7 @@
-"""One moment of a flight as plain values: what every view draws.
+"""One moment of a flight as plain values: what every view draws, the page and a terminal.
 
 Lengths are metres in the local frame, east first; times are seconds of the companion's clock. A
 value that is not known is None. Texts are as they came: whoever shows them escapes them.
-
-The page has its picture, of JSON values; a terminal its `FlightSnapshot`. When the target will be
-reported is extrapolated from the shrinking radius.
 """
 
 from __future__ import annotations
@@ -189,11 +186,7 @@ MAX_S = 600.0
 
 
 class TimeToGo:
-    """Extrapolates R95, which shrinks about exponentially, to the radius of the report.
-
-    Args:
-        stop_radius_m: Reported once R95 stays under this.
-    """
+    """Extrapolates R95, which shrinks about exponentially, to the radius of the report."""
 
     def __init__(self, stop_radius_m: float = 1.0, confirm_s: float = 0.0) -> None:
         self._stop_radius_m = stop_radius_m
@@ -208,11 +201,7 @@ class TimeToGo:
         return self.observe(now_s, None if estimate is None else estimate.r95_m)
 
     def observe(self, now_s: float, r95_m: float | None) -> float | None:
-        """The seconds to go, or None where nothing can be said.
-
-        Args:
-            r95_m: None without an estimate.
-        """
+        """The seconds to go, or None where nothing can be said, as without an R95."""
         if r95_m is None or not r95_m > 0.0:
             self._radii.clear()
             self._under_since_s = None

@@ -6,8 +6,8 @@ and only when the pipe has room; what does not fit is not queued, because a newe
 it anyway. Buttons come back up another pipe. If the child dies, the flight goes on without a map.
 The listening socket is opened here, before the flight, so that a taken port is an error at once.
 
-The collector gathers what the page needs of the past: texts, marks of the last ranges, and the
-curves. It listens where the flight log does, so nothing is measured twice; every list is bounded.
+The collector listens where the flight log does, so nothing is measured twice; its lists are
+bounded.
 """
 
 from __future__ import annotations
@@ -96,10 +96,7 @@ HINTS = {
 
 
 class WebProcess:
-    """Serves the page from a child process.
-
-    Args:
-        scene: What does not change during the flight, for `companion.view`'s page.
+    """Serves the page from a child process; the scene does not change during the flight.
 
     Raises:
         CompanionError: The port is taken, or the extra `web` is not installed.
@@ -146,9 +143,7 @@ class WebProcess:
     ) -> list[OperatorCommand]:
         """Send a picture if one is due and the pipe has room; the buttons pressed meanwhile.
 
-        Args:
-            picture: Makes it; only called when it goes out.
-            may_send: Whether there is time for one now; otherwise it waits for the next call.
+        The picture is made only when it goes out; if it may not be sent now, it waits.
         """
         if self._is_over:
             return []
@@ -250,10 +245,7 @@ ROOM_S = 0.012
 
 
 class WebView:
-    """The live map of one flight.
-
-    Args:
-        truth_enu_m: Where the emitter is, if somebody knows it (the simulator does).
+    """The live map of one flight, with the emitter's true place if somebody knows it.
 
     Raises:
         CompanionError: The port is taken, or the extra `web` is not installed.
@@ -285,11 +277,7 @@ class WebView:
         return TeeJournal(journal, self._collector)
 
     def update(self, endpoint: CompanionEndpoint, now_s: float) -> None:
-        """Called at every wake-up of the flight; costs nothing unless a picture is due.
-
-        Args:
-            endpoint: The companion; buttons go to it.
-        """
+        """Called at every wake-up of the flight; costs nothing unless a picture is due."""
         has_room = endpoint.next_timer_s() - now_s >= ROOM_S
         make = partial(self._picture, endpoint, now_s)
         for command in self._process.update(now_s, make, may_send=has_room):

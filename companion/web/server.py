@@ -88,12 +88,7 @@ WHOLE_EVERY = 40
 
 
 class SearchMap(Element, component="search_map.js", esm={"nicegui-leaflet": str(LEAFLET)}):
-    """Leaflet on a grid in metres, or on tiles from a folder.
-
-    Args:
-        scene: What does not change during the flight.
-        tile_zooms: The least and the most zoom that there are tiles of; None: no tiles.
-    """
+    """Leaflet on a grid in metres, or on tiles from a folder, of the zooms that there are."""
 
     def __init__(self, scene: Mapping[str, Any], tile_zooms: tuple[int, int] | None) -> None:
         super().__init__()
@@ -103,11 +98,7 @@ class SearchMap(Element, component="search_map.js", esm={"nicegui-leaflet": str(
         self._sent = TrackSent()
 
     def show(self, hub: PictureFeed) -> None:
-        """Draw the latest moment.
-
-        Args:
-            hub: Has the picture, see `companion.view.picture`, and where the vehicle was.
-        """
+        """Draw the latest moment, and where the vehicle was."""
         points, is_whole = self._sent.next_part(hub)
         self.run_method("show", hub.picture, points, is_whole)
 
@@ -143,13 +134,7 @@ Press = Callable[[str], None]
 
 
 class Page:
-    """One browser's page.
-
-    Args:
-        tile_zooms: The least and the most zoom of the map tiles; None: there are none.
-        press: Sends a button's name to the companion; None: no buttons.
-        wall_s: The present, for noticing that pictures stopped.
-    """
+    """One browser's page; without `press`, which sends a button's name, it has no buttons."""
 
     def __init__(
         self,

@@ -89,11 +89,7 @@ NO_TILE = bytes.fromhex(
 
 
 def zooms_of(folder: Path) -> tuple[int, int] | None:
-    """The least and the most zoom that there is a tile of; None: no tile at all.
-
-    Args:
-        folder: With `z/x/y.png` in it, z, x and y being numbers.
-    """
+    """The least and the most zoom of `z/x/y.png` in a folder, all numbers; None: no tile at all."""
     folders = [path for path in folder.iterdir() if path.name.isdecimal()]
     zooms = [int(path.name) for path in folders if _has_tile(path)]
     return (min(zooms), max(zooms)) if zooms else None
@@ -151,12 +147,9 @@ def web_settings(
     is_view_open: bool = False,
     tiles: Path | None = None,
 ) -> WebSettings:
-    """The settings that the options add up to.
+    """The settings that the options add up to; without a host only this computer is served.
 
-    Args:
-        address: `PORT` or `HOST:PORT`; without a host only this computer is served.
-        token: What clients must show; beyond loopback one is made up if none is given.
-        is_view_open: Whether clients without the token may look.
+    Beyond loopback a token is made up if none is given.
 
     Raises:
         ConfigError: An option is wrong.

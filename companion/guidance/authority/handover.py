@@ -1,13 +1,9 @@
-"""The hand-over side of a session: how control comes, and everything that ends it.
+"""How control comes, and everything that ends it; why it does not come is told once.
 
-Why a vehicle is not guided yet is told once for each reason.
-
-Launch permit: whether the vehicle may be launched by itself.
-
-Theory of operation. Whoever armed a vehicle, or flies it, has it. So one look at an armed or flying
-vehicle before the launch ends the permission for as long as this process lives, and the operator
-engages as with `engage: operator`. An autopilot that does not tell whether it is on the ground is
-waited for.
+Whoever armed a vehicle, or flies it, has it. So one look at an armed or flying vehicle before an
+automatic launch ends the permission for it as long as this process lives, and the operator engages
+as with `engage: operator`. An autopilot that does not tell whether it is on the ground is waited
+for.
 """
 
 from __future__ import annotations

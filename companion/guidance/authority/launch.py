@@ -114,11 +114,7 @@ class Launch:
         return self.stage in (Stage.TAKE_OFF, Stage.CLIMB, Stage.PRESTREAM, Stage.OFFBOARD)
 
     def observe(self, heartbeat: HeartbeatReceived, height_m: float | None) -> str | None:
-        """Why a heartbeat ends the launch, or None: someone else took the vehicle.
-
-        Args:
-            height_m: Above home; None: unknown.
-        """
+        """Why a heartbeat, at a height above home, ends the launch (another flies), or None."""
         if not self.has_asked:
             return None
         if not heartbeat.is_armed:

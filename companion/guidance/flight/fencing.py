@@ -62,11 +62,7 @@ class FencePlan:
 
 
 class Fencing:
-    """Gives the guard its fence and says why it has none.
-
-    Args:
-        plan: Where it comes from; None: the guard has it already.
-    """
+    """Gives the guard its fence and says why it has none; without a plan it has one already."""
 
     def __init__(self, guard: Guard, plan: FencePlan | None = None) -> None:
         local = FencePlan(guard.limits, 0.0)
@@ -193,11 +189,7 @@ class Fencing:
         return Fence(polygon, margin_m, tuple(keep_outs))
 
     def _step_m(self) -> Point:
-        """Where the anchor is now, east and north.
-
-        Raises:
-            ValueError: Too far away to be the same place.
-        """
+        """Where the anchor is now, east and north; a `ValueError` where it is another place."""
         origin, anchor, plan = self._origin, self.anchor, self.plan
         is_local = plan.limits.fence is not None or bool(plan.keep_out_enu_m)
         if origin is None or anchor is None or origin == anchor or not is_local:
@@ -213,11 +205,7 @@ class Fencing:
         return (east_m, north_m)
 
     def _autopilots(self) -> GeoFence | None:
-        """The autopilot's fence; None: it has none.
-
-        Raises:
-            ValueError: It could not be read, and must be.
-        """
+        """The autopilot's fence; None: it has none. A `ValueError` if it could not be read."""
         if self._read is None:
             return None
         if self._read.problem is not None:
@@ -225,11 +213,7 @@ class Fencing:
         return self._read.fence
 
     def _compare(self) -> None:
-        """See that the autopilot's fence is ours.
-
-        Raises:
-            ValueError: It is not, or there is none and must be.
-        """
+        """See that the autopilot's fence is ours; a `ValueError` if not, or if it must have one."""
         plan, read = self.plan, self._read
         if plan.policy not in (FencePolicy.COMPARE, FencePolicy.REQUIRE) or read is None:
             return

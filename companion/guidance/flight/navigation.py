@@ -82,12 +82,9 @@ class FlightPlan:
         setpoint_enu_m: PositionEnu | None,
         estimate: TargetEstimate | None,
     ) -> list[Command]:
-        """Ask the planner; what is to be told of its answer.
+        """Ask the planner; what is to be told of its answer. Without a position nothing is planned.
 
-        Args:
-            vehicle: Without a position nothing is planned.
-            setpoint_enu_m: What it follows, where the leg to the waypoint begins; None: itself.
-            estimate: Where the target is believed to be.
+        The leg to the waypoint begins at the setpoint that is followed, or at the vehicle itself.
         """
         place_enu_m, height_m = vehicle.position_enu_m, vehicle.height_m
         if place_enu_m is None:

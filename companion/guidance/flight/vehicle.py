@@ -1,15 +1,11 @@
 """What the session knows about its vehicle: mode, position, origin, home and health.
 
-Mode watch: is the mode that was shown last of the present, so that it is known who flies.
-
-Theory of operation. A HEARTBEAT carries no time, and what a link or a socket held back comes oldest
-first. After a stall of the control tick, or a long silence, the mode is in doubt: perhaps a pilot
-has the vehicle. The doubt ends with a HEARTBEAT that the autopilot sent after a message whose stamp
-is of the present, a position or an attitude. Until then no setpoint leaves, no mode counts as
-given, and nothing is asked of the autopilot; but a vehicle that shows for seconds that it still
-flies by our setpoints, while nothing stamped comes, may be asked to fly by itself.
-
-Mode names: OFFBOARD is GUIDED on ArduPilot, HOLD is BRAKE.
+Theory of operation of the mode watch. A HEARTBEAT carries no time, and what a link or a socket held
+back comes oldest first. After a stall of the control tick, or a long silence, the mode is in doubt:
+perhaps a pilot has the vehicle. The doubt ends with a HEARTBEAT that the autopilot sent after a
+message whose stamp is of the present, a position or an attitude. Until then no setpoint leaves, no
+mode counts as given, and nothing is asked of the autopilot; but a vehicle that shows for seconds
+that it still flies by our setpoints, while nothing stamped comes, may be asked to fly by itself.
 """
 
 from __future__ import annotations

@@ -1,20 +1,16 @@
 """What the autopilot says of its own health: battery, estimator, satellites, failsafe.
 
-The battery: low ends the mission in good order, critical ends it at once, unknown is not full.
-
 Theory of operation. The charge is what the autopilot tells, in percent or as a state of its own;
-one report may be wrong, so two in a row must agree. Low: the leg that is being flown is finished,
-what is known of the target is reported, and the autopilot gets the mode that follows a report.
-Critical: the vehicle is handed back at once by asking for the return, and only once in a flight:
-who takes it again after that knows, and the vehicle then stays where it is.
+one report may be wrong, so two in a row must agree, and unknown is not full. Low: the leg that is
+being flown is finished, what is known of the target is reported, and the autopilot gets the mode
+that follows a report. Critical: the vehicle is handed back at once by asking for the return, and
+only once in a flight: who takes it again after that knows, and it then stays where it is.
 
-Estimator, satellites and failsafe.
-
-Theory of operation. An autopilot that doubts its position flies our setpoints to the wrong place,
-and the ranging is placed wrongly too. So the vehicle stays where it is as soon as that is known,
-and is handed back when it lasts: the autopilot knows better than we what it can still do. A
-failsafe that is raised in flight while the mode stays ours has a cause that we do not see: it is
-held on, unless a low battery explains it.
+An autopilot that doubts its position flies our setpoints to the wrong place, and the ranging is
+placed wrongly too. So the vehicle stays where it is as soon as that is known, and is handed back
+when it lasts: the autopilot knows better than we what it can still do. A failsafe that is raised in
+flight while the mode stays ours has a cause that we do not see: it is held on, unless a low battery
+explains it.
 
 Source: PX4 user guide, "ECL/EKF", innovation test ratios; ArduPilot `ekf_check.cpp`, FS_EKF_THRESH
 0.8.
@@ -169,11 +165,7 @@ class _Trouble:
 
 
 class HealthWatch(Watch):
-    """Watches what the autopilot tells of itself.
-
-    Args:
-        battery: A low one explains a failsafe.
-    """
+    """Watches what the autopilot tells of itself; a low battery explains a failsafe."""
 
     def __init__(self, battery: BatteryWatch) -> None:
         self._battery = battery

@@ -1,29 +1,25 @@
 """Whether somebody else flies: a second source of setpoints, or a pilot who moves the sticks.
 
-Whether the autopilot flies our setpoints: it echoes the one that it follows.
-
 Theory of operation. PX4 and ArduPilot both tell the target that they follow as
 POSITION_TARGET_LOCAL_NED. What is told now was sent a while ago: a setpoint travels to the
 autopilot, some are lost, and the echo travels back. So an echo is compared with the way that our
-setpoints took lately, not with the last of them, and the newest moment at which it was on that way
-says how much of what we send arrives.
+setpoints took lately, and the newest moment at which it was on that way says how much of what we
+send arrives.
 
 - An echo beside the whole way is somebody else's setpoint. One alone may be a frame that just
   moved; several over a while are a second source. We stay in place for a second, and if it goes
-  on meanwhile, we are the ones who give way: two streams would tear the vehicle to and fro.
-  Ours follows each of its setpoints within a tick, so of a slow source only one in many is ever
-  echoed. What is far beside our way is therefore remembered for half a minute; what is just
-  beside it may be the autopilot's rounding, and is soon forgotten.
+  on meanwhile, we give way: two streams would tear the vehicle to and fro. Ours follows each of its
+  setpoints within a tick, so of a slow source only one in many is ever echoed. What is far beside
+  our way is therefore remembered for half a minute; what is just beside it may be the autopilot's
+  rounding, and is soon forgotten.
 - An echo that is on the way, but where it was seconds ago, means that nothing of ours arrives any
   more, and so may no echo at all where there was one.
 
 POSITION_TARGET_GLOBAL_INT is not looked at: PX4 fills it from its mission's triplet, which
 offboard setpoints do not touch.
 
-Whether the pilot moves the sticks while the vehicle follows us.
-
-PX4 ignores them in offboard unless COM_RC_OVERRIDE says otherwise, and ArduPilot does in GUIDED,
-so a pilot who grabs the sticks flies nothing until somebody switches the mode. We take it as a
+PX4 ignores the sticks in offboard unless COM_RC_OVERRIDE says otherwise, and ArduPilot does in
+GUIDED, so a pilot who grabs them flies nothing until somebody switches the mode. We take it as a
 wish: stay at once, and give way if the sticks stay moved. A stick is moved if it is neither in the
 middle nor where it was when control began: a throttle without a spring rests anywhere, and whoever
 let go of the others after the mode switch did not move them.

@@ -69,8 +69,7 @@ def position_jump_m(
 ) -> PositionEnu | None:
     """How far a report lies from where the vehicle can have flown, ENU metres; None: no jump.
 
-    Args:
-        noise_m: What the velocities usually leave unexplained, per axis, one sigma.
+    `noise_m` is what velocities usually leave unexplained, per axis, one sigma.
     """
     jump = _unexplained_m(before, after)
     if jump is None:
@@ -105,11 +104,7 @@ class PositionNoise:
 
 
 def yaw_jump_rad(before: tuple[float, float], after: tuple[float, float]) -> float | None:
-    """How far a heading turned at once, clockwise; None: no farther than a vehicle turns.
-
-    Args:
-        before: Time and heading of the newest report until now.
-    """
+    """How far a heading (time, value) turned at once, clockwise; None: as vehicles turn."""
     dt_s, turn_rad = after[0] - before[0], wrap_pi(after[1] - before[1])
     if not 0.0 < dt_s <= MAX_GAP_S:
         return None

@@ -1,14 +1,11 @@
 """Everything that is watched for whether the plan may be flown, joined.
 
-Whether what the plan stands on is there: link, mode, own position, ranging, a usable estimate.
-
-Theory of operation. Ranging that ages is coasted on: the target is where it was, less certain by
-the second, and the vehicle slows down accordingly. When the ranging is too old, or the estimate too
-vague, it stays in place, and a single measurement does not end that: some must agree first. A link
-or an own position that was lost must be there for a while, with the mode seen anew, before
-anything is flown on it: who came back for a moment goes again.
-
-What the operator asks for beside the mode switch is watched here, too: HOLD, RESUME and RETURN.
+Theory of operation of the inputs: link, mode, own position, ranging, a usable estimate. Ranging
+that ages is coasted on: the target is where it was, less certain by the second, and the vehicle
+slows down accordingly. When it is too old, or the estimate too vague, the vehicle stays in place,
+and a single measurement does not end that: some must agree first. A link or an own position that
+was lost must be there for a while, with the mode seen anew, before anything is flown on it: who
+came back for a moment goes again.
 """
 
 from __future__ import annotations

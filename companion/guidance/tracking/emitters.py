@@ -56,8 +56,7 @@ class QueueParams(Params, frozen=True):
 class EmitterQueue:
     """The filters of all emitters, and whose turn it is.
 
-    Args:
-        emitter_id: The only one that counts, where the order is `first`; None: the first heard.
+    Where the order is `first`, only `emitter_id` counts; None: the first one heard.
     """
 
     def __init__(
@@ -143,12 +142,7 @@ class EmitterQueue:
     def fuse(
         self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu | None, now_s: float
     ) -> FusionReport:
-        """Take in a measurement of any emitter.
-
-        Args:
-            measurement: Its bearing, if any, in ENU.
-            sensor_enu_m: Where the antenna was; None: unknown.
-        """
+        """Take in a measurement of any emitter, its bearing in ENU, from the antenna's place."""
         if self.is_single:
             return self._current.fuse(measurement, sensor_enu_m, now_s)
         tracker = self._trackers.get(measurement.emitter_id)
@@ -200,10 +194,9 @@ class EmitterQueue:
         self._reported.update(emitter_ids)
 
     def resume(self, belief: Belief, age_s: float, now_s: float) -> str | None:
-        """Begin again from what was believed `age_s` ago of one emitter, which is current then.
+        """Begin again from what was believed of one emitter, which is current then.
 
-        Returns:
-            Why not, in words; everything is as before then.
+        Returns why not, in words; everything is as before then.
         """
         if self.is_single:
             return self._current.resume(belief, age_s, now_s)

@@ -142,11 +142,7 @@ class EmitterScheduler:
 
 
 class Measuring:
-    """Feeds the filters, and tells of what they make of it; their errors end nothing else.
-
-    Args:
-        inputs: Is told what the current emitter's filter accepts.
-    """
+    """Feeds the filters, and tells of what they make of it; their errors end nothing else."""
 
     def __init__(
         self, context: SessionContext, inputs: InputWatch, scheduler: EmitterScheduler

@@ -65,13 +65,10 @@ class Handle(Protocol):
 
 
 class ByteStream:
-    """A non-blocking descriptor on the running loop.
+    """A non-blocking descriptor on the running loop; its `handle` is kept open while it lives.
 
-    Args:
-        handle: Anything with a `close`, kept open while the stream lives.
-        received: Takes the pieces read in one wake-up.
-        lost: Called once when the other end or the device is gone; the stream is closed then.
-        bytes_per_s: Speed of a serial line, if it is one.
+    `received` takes the pieces read in one wake-up; `lost` is called once, when the other end or
+    the device is gone and the stream closed. `bytes_per_s` is the speed of a serial line.
     """
 
     def __init__(
@@ -307,11 +304,7 @@ class SerialLink(ReopeningLink):
         self._bytes_per_s = baud / BITS_PER_BYTE
 
     async def open(self) -> None:
-        """Open the port; a loss later is mended, a port that is not there at the start is not.
-
-        Raises:
-            LinkError: There is no such device, it is no serial port, or it is not ours to open.
-        """
+        """Open the port; a loss later is mended, a port that is not there at the start is not."""
         try:
             self._use_stream(*await self._connect())
         except (OSError, ValueError, termios.error) as error:
@@ -372,11 +365,7 @@ class PtyLink(StreamLink):
         self._look: asyncio.TimerHandle | None = None
 
     async def open(self) -> None:
-        """Make the terminal and its name.
-
-        Raises:
-            LinkError: The name is taken, or its folder is missing or closed to us.
-        """
+        """Make the terminal and its name, which may be taken, or in a folder that is none."""
         try:
             master, slave = os.openpty()
         except OSError as error:

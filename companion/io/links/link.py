@@ -46,11 +46,7 @@ class LinkCounters:
 
 
 class Link(ABC):
-    """One open (or re-opening) connection; made by `companion.io.links.make_link`.
-
-    Args:
-        name: The link in messages, for example `udp 127.0.0.1:14550`.
-    """
+    """One open (or re-opening) connection; its name is for messages: `udp 127.0.0.1:14550`."""
 
     def __init__(self, name: str, index: int, received: Received) -> None:
         self.name = name

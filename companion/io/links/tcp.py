@@ -37,11 +37,7 @@ class TcpListener(Link):
         return (str(host), int(port))
 
     async def open(self) -> None:
-        """Bind and listen.
-
-        Raises:
-            LinkError: The port is taken or the host is not ours.
-        """
+        """Bind and listen."""
         address = await resolve(self.name, self._host, self._port)
         listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         try:

@@ -117,9 +117,8 @@ _EXAMPLES = {
 def parse_transport(text: str) -> Transport:
     """The transport that an address in `text` means.
 
-    Args:
-        text: `udp:`, `udpin:`, `udpout:`, `tcp:`, `tcpout:` or `tcpin:` with `HOST:PORT`,
-            `serial:DEVICE[:BAUD]`, `pty:PATH` or a bare `/dev/...`; `kind://` is read as `kind:`.
+    That is `udp:`, `udpin:`, `udpout:`, `tcp:`, `tcpout:` or `tcpin:` with `HOST:PORT`,
+    `serial:DEVICE[:BAUD]`, `pty:PATH` or a bare `/dev/...`; `kind://` is read as `kind:`.
 
     Raises:
         ConfigError: It is none of these; the message shows a right one.
@@ -184,11 +183,7 @@ def _wrong(text: str, scheme: str, problem: str) -> ConfigError:
 
 
 def shared(transport: Transport, remotes: tuple[Address, ...] = ()) -> Transport:
-    """The same for a server that serves everybody who comes, as a vehicle does.
-
-    Args:
-        remotes: Whom a UDP link sends to unasked.
-    """
+    """The same for a server of everybody who comes; by UDP it sends to `remotes` unasked."""
     match transport:
         case UdpBind():
             return UdpFanOut(transport.host, transport.port, remotes)
@@ -258,9 +253,7 @@ def check_exposure(
     """Refuse to listen beyond this machine without proof of who speaks.
 
     MAVLink without signing obeys whoever sends to the port (CVE-2026-1579 is PX4's name for it).
-
-    Args:
-        unsigned_ranging: Whether ranging links take unsigned ones all the same.
+    Only ranging links may be `unsigned_ranging`.
 
     Raises:
         ConfigError: One of the links is open to all.

@@ -116,11 +116,7 @@ class UdpLink(Link):
         return self._socket is not None or self._reopening is not None
 
     async def open(self) -> None:
-        """Bind.
-
-        Raises:
-            LinkError: The port is taken or the host is not ours.
-        """
+        """Bind."""
         self._address = await resolve(self.name, self._host, self._port)
         try:
             self._start()
@@ -129,11 +125,7 @@ class UdpLink(Link):
         self._address = self.local_address  # the same port when it is opened again
 
     def _start(self) -> None:
-        """Open the socket.
-
-        Raises:
-            OSError: It cannot be attached to its address.
-        """
+        """Open the socket; an `OSError` if it cannot be attached to its address."""
         opened = _new_socket()
         try:
             self._attach(opened)
@@ -252,11 +244,7 @@ class UdpFanOutLink(UdpLink):
         self._peers: dict[Address, None] = {}
 
     async def open(self) -> None:
-        """Bind, and look up the remotes.
-
-        Raises:
-            LinkError: The port is taken or a host is unknown.
-        """
+        """Bind, and look up the remotes."""
         self._remotes = tuple([await resolve(self.name, *remote) for remote in self._given_remotes])
         await super().open()
 
@@ -286,11 +274,7 @@ class UdpConnectLink(UdpLink):
         self.name = f"udpout {host}:{port}"
 
     async def open(self) -> None:
-        """Fix the remote.
-
-        Raises:
-            LinkError: The host is unknown or unreachable by any interface.
-        """
+        """Fix the remote."""
         self._address = await resolve(self.name, self._host, self._port)
         try:
             self._start()

@@ -95,10 +95,8 @@ class MissingJournal:
 class FlightJournal:
     """Writes everything the endpoint reports into one flight directory, and never waits for it.
 
-    Args:
-        started_unix_s: Wall clock at `now_s` = 0; wall time is used for logs and nothing else.
-        max_bytes: What the flight may keep on disk, the newest of it; None: everything.
-        mcap: Gets everything as well; it is closed with the journal.
+    Wall clock time (`started_unix_s` at `now_s` = 0) is used for logs and nothing else. Of more
+    than `max_bytes` the newest is kept. `mcap` gets everything as well, and is closed with it.
 
     Raises:
         CompanionError: A file cannot be opened.

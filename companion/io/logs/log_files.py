@@ -2,13 +2,12 @@
 
 `flight.tlog` is what MAVLink tools read: 8-byte big-endian microseconds since 1970, raw frame.
 
-`flight.inputs`: the endpoint's inputs, exactly and in order, to replay a flight from.
+`flight.inputs` has the endpoint's inputs, exactly and in order, to replay a flight from: a header
+of fixed size (`_HEADER`), the sender's address as text, and the data. Times are the endpoint's own
+float64 seconds, because a replay is only the same to the last bit if they are. Signatures are left
+out, and frames that carry a key altogether.
 
-A record is a header of fixed size (`_HEADER`), the sender's address as text, and the data. Times
-are the endpoint's own float64 seconds, because a replay is only the same to the last bit if they
-are. Signatures are left out, and frames that carry a key altogether.
-
-`events.jsonl` has the flight's events as JSON lines, one record each.
+`events.jsonl` has the flight's events as JSON lines.
 """
 
 from __future__ import annotations
@@ -37,23 +36,14 @@ class TlogWriter(BackgroundFile):
     """A tlog that is written from a background thread."""
 
     def write(self, frame: bytes, unix_s: float) -> None:
-        """Record one whole frame; its signature, if any, is left out, a SETUP_SIGNING altogether.
-
-        Args:
-            frame: A frame as it was on the wire.
-            unix_s: When it was sent or received, seconds since 1970.
-        """
+        """Record one whole frame; a signature is left out, a SETUP_SIGNING altogether."""
         record = tlog_record(frame, unix_s)
         if record is not None:
             self.append(record)
 
 
 def tlog_record(frame: bytes, unix_s: float) -> bytes | None:
-    """A frame as a tlog has it, see `frame_for_log`.
-
-    Args:
-        unix_s: When it was sent or received, seconds since 1970.
-    """
+    """A frame as a tlog has it, with the time it was sent or received; see `frame_for_log`."""
     kept = frame_for_log(frame)
     return None if kept is None else _STAMP.pack(max(0, round(unix_s * 1e6))) + kept
 
@@ -204,11 +194,7 @@ def read_inputs(path: Path) -> Iterator[Input]:
 
 
 def parse_inputs(data: bytes, name: str) -> Iterator[Input]:
-    """The inputs in some bytes; see `read_inputs`.
-
-    Raises:
-        ConfigError: They are none of ours, or some are missing.
-    """
+    """The inputs in some bytes, and what is wrong with them; see `read_inputs`."""
     if FORMAT not in data[:MAGIC_WITHIN] and FAMILY in data[:MAGIC_WITHIN]:
         raise ConfigError(f"{name}: of another version; replay it with the companion that flew")
     offset, number = 0, 0

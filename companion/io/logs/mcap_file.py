@@ -122,10 +122,8 @@ Message = tuple[str, bytes, int]
 class McapLog(WriterThread[Message]):
     """Writes one flight's MCAP file; a journal for the endpoint.
 
-    Args:
-        started_unix_s: Wall clock at `now_s` = 0.
-        flight_json: How the flight is flown; kept as metadata, for a replay.
-        max_bytes: The file ends when it has so many, and the rest is lost; None: no cap.
+    `flight_json`, how the flight is flown, is kept as metadata, for a replay. At `max_bytes` the
+    file ends, and the rest is lost.
 
     Raises:
         CompanionError: It cannot be opened, or the extra `mcap` is not installed.

@@ -6,9 +6,8 @@ Little-endian; the payload is MessagePack. A file that was cut off, holds a bit 
 finds every error of up to 32 neighbouring bits), or comes from another version is refused as a
 whole: half a memory is worse than none.
 
-On disk there are two files by turns, so that one whole one is there at any moment. A checkpoint
-replaces the older of the two (`files.write_bytes_atomic`, in a thread of its own), so that neither
-a power cut nor a kill can cost both. A reader takes the newest that is whole.
+A checkpoint replaces the older of the two files (`files.write_bytes_atomic`, in a thread of its
+own), so that neither a power cut nor a kill can cost both. A reader takes the newest that is whole.
 """
 
 from __future__ import annotations
@@ -180,12 +179,7 @@ class StoredCheckpoints:
 
 
 class CheckpointStore:
-    """The two files of one vehicle's link.
-
-    Args:
-        directory: The state directory; made when something is saved.
-        name: Of the files, without suffix; see `lock.lock_name`.
-    """
+    """The two files of one vehicle's link; their directory is made when something is saved."""
 
     def __init__(self, directory: Path, name: str) -> None:
         self.paths = tuple(directory / f"{name}.checkpoint-{number}" for number in (0, 1))

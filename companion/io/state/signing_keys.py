@@ -132,11 +132,7 @@ class SigningStore:
         return Signing(key, last.timestamp + margin, streams, rules, stored_clock=last.clock)
 
     def next_content(self, signing: Signing, *, is_end: bool) -> tuple[Path, bytes]:
-        """Which slot to replace now, and by what.
-
-        Args:
-            is_end: Nothing will be heard or signed after it.
-        """
+        """Which slot to replace now, and by what; at the end nothing more is heard or signed."""
         generation = 1 if self._last is None else self._last.generation + 1
         self._last = _Slot(
             VERSION,
@@ -200,10 +196,7 @@ class SigningKeeper:
 def open_signing_keeper(
     key_file: Path, key: SigningKey, rules: SigningRules = AS_THE_GUIDE
 ) -> SigningKeeper:
-    """Signing that goes on from the last run, and is stored again.
-
-    Args:
-        key_file: Beside which the memory is kept.
+    """Signing that goes on from the last run, whose memory is beside the key, and is stored again.
 
     Raises:
         ConfigError: The memory cannot be read.

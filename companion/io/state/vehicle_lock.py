@@ -1,15 +1,14 @@
 """The state directory, and one companion per vehicle by locks in it.
 
-A lock ends with the process that holds it. `flock` on a file of the state directory; the kernel
-releases it however the process ends, so a stale lock cannot exist, and the file itself may stay. A
-companion bound to one system id shares the link's lock with those bound to others (several vehicles
-behind one router) and holds its id's lock alone; one that takes the first vehicle it hears holds
-the link's lock alone.
+`flock` on a file of the state directory: the kernel releases it however the process ends, so a
+stale lock cannot exist, and the file itself may stay. A companion bound to one system id shares the
+link's lock with those bound to others (several vehicles behind one router) and holds its id's lock
+alone; one that takes the first vehicle it hears holds the link's lock alone.
 
 The lock is named after what the address means, so that another spelling of a host or a device is
 the same link. It is not kept at a place that all users share: there anybody could take it, or leave
 a file that keeps everyone from flying. Companions of two users, state directories or computers are
-known by their frames alone, see `link.own_frames`.
+known by their frames alone, see `companion.link.outlet.OwnFrames`.
 """
 
 from __future__ import annotations
@@ -32,9 +31,8 @@ from companion.io.links.transports import Pty, SerialPort, Transport
 def state_directory(configured: str | None, environment: Mapping[str, str]) -> Path:
     """The state directory; it need not exist yet.
 
-    Args:
-        configured: What the configuration says; None: systemd's StateDirectory, or the XDG base
-            directory specification's place (`~/.local/state/companion`).
+    Unless configured it is systemd's StateDirectory, or the place that the XDG base directory
+    specification says (`~/.local/state/companion`).
     """
     if configured is not None:
         return Path(configured).expanduser()
@@ -56,11 +54,8 @@ logger = logging.getLogger("companion.io")
 class VehicleLock:
     """Held from construction to `release`, or to the end of the process.
 
-    Args:
-        directory: Where locks are kept; made if it is missing.
-        link: The vehicle link's address in its canonical spelling.
-        system_id: The vehicle's; None: whichever is heard first.
-        place: What the link's address means, see `place_of`; None: its spelling says it.
+    `link` is the vehicle link's address in its canonical spelling, and `place` what it means, see
+    `place_of`; without a system id it is for whichever vehicle is heard first.
 
     Raises:
         LinkError: Another companion has the vehicle.
