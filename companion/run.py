@@ -15,7 +15,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
-from typing import Protocol
 
 from companion.config.schema import CompanionConfig
 from companion.config.tunables import Tunables
@@ -155,17 +154,38 @@ def is_handed_over(endpoint: CompanionEndpoint) -> bool:
     return session.phase is Phase.FINISHED and not session.vehicle.is_ours
 
 
-class FlightView(Protocol):
-    """Shows a flight to somebody, and never makes it wait."""
+class FlightView:
+    """Shows a flight to somebody, and never makes it wait; every method may do nothing."""
 
-    def listen(self, journal: Journal) -> Journal:
-        """A journal that passes everything on, and lets the view know."""
+    def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
+        """Take in an event."""
+
+    def text(self, severity: Severity, text: str, now_s: float) -> None:
+        """Take in a text for the operator."""
 
     def update(self, endpoint: CompanionEndpoint, now_s: float) -> None:
         """Called at every wake-up of the flight."""
 
     def close(self) -> None:
         """The flight is over."""
+
+
+class ViewedJournal:
+    """Passes everything on to the flight log, and events and texts to views."""
+
+    def __init__(self, journal: Journal, views: Sequence[FlightView]) -> None:
+        self.frame, self.result = journal.frame, journal.result
+        self._listeners: tuple[Journal | FlightView, ...] = (journal, *views)
+
+    def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
+        """Pass an event on."""
+        for listener in self._listeners:
+            listener.record(kind, fields, now_s)
+
+    def text(self, severity: Severity, text: str, now_s: float) -> None:
+        """Pass a text on."""
+        for listener in self._listeners:
+            listener.text(severity, text, now_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,13 +282,9 @@ class _Flight:
         self._hints = _Hints(self.endpoint, clock, self._vehicle_link.name)
 
     def _build_endpoint(self, tunables: Tunables, links: Sequence[LinkSpec]) -> CompanionEndpoint:
-        """The endpoint, with a journal that the views hear first."""
-        listens: Journal = self._journal
-        for view in self._options.views:
-            listens = view.listen(listens)
         return build_endpoint(
             tunables.file,
-            listens,
+            ViewedJournal(self._journal, self._options.views),
             links,
             tunables=tunables,
             signing=None if self._keeper is None else self._keeper.signing,

@@ -48,6 +48,7 @@ from companion.io.child_process import free_udp_port
 from companion.io.links.transports import UdpBind
 from companion.io.logs.flight_recorder import FlightJournal
 from companion.io.shell import Clock, Shell, TimerStatistics
+from companion.run import ViewedJournal
 from companion.web.live_map import WebView
 from companion.web.settings import web_settings
 from sim_link.autopilot.scenario import BatteryParams, Scenario
@@ -92,7 +93,8 @@ class MeasuredFlight:
         self.view = WebView(self.settings, CONFIG)
         journal = FlightJournal(directory, time.time())
         self._journal = journal
-        self.endpoint = build_endpoint(CONFIG, self.view.listen(journal), recorder=journal.inputs)
+        heard = ViewedJournal(journal, [self.view])
+        self.endpoint = build_endpoint(CONFIG, heard, recorder=journal.inputs)
         self.shell = Shell(self.endpoint, [UdpBind("127.0.0.1", port)], Clock(1.0), self._update)
         self.timing = Lateness()
         self.shell.timing = self.timing
@@ -274,7 +276,7 @@ def measure_memory(minutes: float, count: int, web_port: int) -> list[Memory]:
     view = WebView(settings, CONFIG)
     with tempfile.TemporaryDirectory() as directory:
         journal = FlightJournal(Path(directory), time.time())
-        flight = Flight(CONFIG, ENDLESS, 1, view.listen(journal))
+        flight = Flight(CONFIG, ENDLESS, 1, ViewedJournal(journal, [view]))
 
         def fly_to(until_s: float) -> None:
             """Fly on, and show it."""

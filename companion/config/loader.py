@@ -26,16 +26,12 @@ T = TypeVar("T")
 Renew = Callable[[dict[str, Any]], None]
 SMALLEST = 1e-12
 """The square of a number much smaller than this is zero, and its inverse infinite."""
-
 MAX_PROBLEMS = 20
 """More lines than this help nobody."""
-
 SHOWN = 20
 """Characters of a value that an error repeats."""
-
 MAX_BYTES = 1_000_000
 """No file of ours comes near; one beyond it is something else, or meant to keep us busy."""
-
 UNSHOWN = "has characters that cannot be shown"
 _UNSHOWN = re.compile(
     r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff]"

@@ -21,15 +21,13 @@ from companion.domain import TargetEstimate
 from companion.errors import CompanionError, ConfigError
 from companion.geometry.polygons import Point
 from companion.guidance.authority.state_machine import Phase
-from companion.guidance.commands import Severity
 from companion.io.child_process import HOST, free_udp_port
 from companion.io.files import check_writable, write_json_atomic
 from companion.io.links.transports import FlightLink, UdpBind
 from companion.io.shell import Clock
 from companion.link.endpoint import CompanionEndpoint
-from companion.link.interface import Journal, LinkRole, LinkSpec
+from companion.link.interface import LinkRole, LinkSpec
 from companion.run import FlightOptions, FlightView, fly, is_handed_over, prepare
-from companion.view.snapshot import TeeJournal
 
 FENCE_AROUND_AREA_M = 10.0
 OBSTACLE_CLEARANCE_M = 5.0
@@ -57,8 +55,8 @@ class DemoOptions:
     plot: Path | None
 
 
-class DemoWatch:
-    """Ends the flight once there is a reason, and keeps what is drawn; a `run.FlightView`."""
+class DemoWatch(FlightView):
+    """Ends the flight once there is a reason, and keeps what is drawn."""
 
     def __init__(self, simulator: SimulatorProcess, limit_s: float) -> None:
         self._simulator = simulator
@@ -79,10 +77,6 @@ class DemoWatch:
         """Real time since the flight began."""
         return 0.0 if self._began_wall_s is None else time.monotonic() - self._began_wall_s
 
-    def listen(self, journal: Journal) -> Journal:
-        """A journal that passes events on to us."""
-        return TeeJournal(journal, self)
-
     def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
         """Keep the estimates, and the crossing points chosen."""
         place, r95_m = fields.get("position_enu_m"), fields.get("r95_m")
@@ -90,9 +84,6 @@ class DemoWatch:
             self.estimates.append((now_s, place[0], place[1], r95_m))
         elif kind == "waypoint" and isinstance(place, tuple):
             self.crossings_enu_m.append((place[0], place[1]))
-
-    def text(self, severity: Severity, text: str, now_s: float) -> None:
-        """Texts are log lines already."""
 
     def update(self, endpoint: CompanionEndpoint, now_s: float) -> None:
         """Ask for the end, as Ctrl-C does, if there is a reason."""
@@ -107,9 +98,6 @@ class DemoWatch:
         if reason is not None:
             self.ended = reason
             signal.raise_signal(signal.SIGINT)
-
-    def close(self) -> None:
-        """There is nothing to close."""
 
     def _end_reason(self, endpoint: CompanionEndpoint, now_s: float) -> str | None:
         if is_handed_over(endpoint):

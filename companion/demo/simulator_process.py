@@ -15,7 +15,7 @@ START_TIMEOUT_S = 60.0
 STOP_TIMEOUT_S = 3.0
 
 
-class SimulatorProcess:
+class SimulatorProcess(ChildProcess):
     """`sim-link`, which ends with this process.
 
     Args:
@@ -31,7 +31,7 @@ class SimulatorProcess:
         speed: float,
         scenario: Path | None,
         companion_port: int,
-        autopilot: str | None = None,
+        autopilot: str | None,
     ) -> None:
         self._report = report
         arguments = [
@@ -42,25 +42,20 @@ class SimulatorProcess:
             *(() if scenario is None else ("--scenario", str(scenario))),
             *(() if autopilot is None else ("--autopilot", autopilot)),
         ]
-        self._process = ChildProcess("sim-link", arguments, report.with_suffix(".log"))
+        super().__init__("sim-link", arguments, report.with_suffix(".log"))
 
     def __enter__(self) -> SimulatorProcess:
         """Start it."""
-        self._process.start()
+        self.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         """Stop it, at the latest by force."""
         self.stop()
 
-    def stop(self) -> None:
-        """End the process; it writes its report first. Does nothing the second time."""
-        self._process.stop(STOP_TIMEOUT_S)
-
-    @property
-    def is_alive(self) -> bool:
-        """Whether it still runs."""
-        return self._process.is_alive
+    def stop(self, timeout_s: float = STOP_TIMEOUT_S) -> None:
+        """End the process; it writes its report first."""
+        super().stop(timeout_s)
 
     def started_report(self) -> dict[str, Any]:
         """The report that is written at the start, with the truth.
@@ -71,7 +66,7 @@ class SimulatorProcess:
         deadline = time.monotonic() + START_TIMEOUT_S
         while not self._report.exists():
             if not self.is_alive or time.monotonic() > deadline:
-                words = self._process.last_words.removeprefix("sim-link: ")
+                words = self.last_words.removeprefix("sim-link: ")
                 raise CompanionError(f"the simulator did not start{words and ': '}{words}")
             time.sleep(0.02)
         return self.report()

@@ -200,7 +200,7 @@ class ControlTick:
         if context.phase in IN_CONTROL:
             self._tell_reasons(context.steering.reasons, now_s)
         context.send(SendSetpoint(setpoint))
-        self._watches.note_setpoint(setpoint.position_enu_m, now_s)
+        self._watches.echo.note_setpoint(setpoint.position_enu_m, now_s)
 
     def _may_begin_anew(self, now_s: float) -> bool:
         """Not after a mere pause on a stale position: what was sent last is safer than that."""

@@ -56,14 +56,10 @@ class Recollection:
         """Whether a belief waits for its frame."""
         return bool(self._beliefs)
 
-    def forbid_launch(self) -> None:
-        """There was an earlier session: control comes from the operator and from nobody else."""
-        self._context.forbid_launch()
-
     def recall(self, memory: SessionMemory, age_s: float, now_s: float) -> None:
         """Take up a memory."""
-        self.forbid_launch()
         context = self._context
+        context.forbid_launch()
         if memory.fence_anchor is not None:
             context.fencing.recall(memory.fence_anchor)
         was = f"resumed after {age_s:.0f} s in {memory.phase.value}"

@@ -197,7 +197,7 @@ class GuidanceSession:
         match event:
             case events.OriginSet():
                 if self.handover.take_origin(event):
-                    self._watches.frame_moved(event.time_s)
+                    self._watches.echo.frame_moved(event.time_s)
             case events.HomeSet():
                 self.handover.take_home(event)
             case events.VehicleMoved():

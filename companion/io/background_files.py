@@ -137,68 +137,38 @@ class BackgroundFile(WriterThread[bytes]):
             logger.warning("%s: cannot be written (%s), records are lost", self.path, error)
 
 
-class BackgroundReplacer:
+class BackgroundReplacer(WriterThread[Path]):
     """Replaces files from one thread; `mode`: who may read and write them, less the umask."""
 
     def __init__(self, name: str, mode: int = 0o666) -> None:
         self.written = 0
-        self.failed = 0
         self.overtaken = 0
         """Contents that never reached the disk, because newer ones came first."""
         self._mode = mode
         self._waiting: dict[Path, bytes] = {}
-        self._changed = threading.Condition()
-        self._is_closed = False
-        self._busy_since_s: float | None = None
-        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
-        self._thread.start()
-
-    @property
-    def is_alive(self) -> bool:
-        """Whether there still is somebody to write."""
-        return self._thread.is_alive()
-
-    @property
-    def silent_s(self) -> float:
-        """How long the disk has not answered; 0 while nothing is being written."""
-        since_s = self._busy_since_s
-        return 0.0 if since_s is None else time.monotonic() - since_s
+        self._lock = threading.Lock()
+        super().__init__(name, MAX_QUEUED)
 
     def replace(self, path: Path, content: bytes) -> None:
-        """Give a file a new content, soon; after `close` it is counted as failed."""
-        with self._changed:
-            if self._is_closed:
-                self.failed += 1
-                return
-            self.overtaken += path in self._waiting
+        """Give a file a new content, soon; after `close` it is counted as lost."""
+        with self._lock:
+            is_first = path not in self._waiting
             self._waiting[path] = content
-            self._changed.notify()
-
-    def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> None:
-        """Write what waits, for so long at most, and end."""
-        with self._changed:
-            self._is_closed = True
-            self._changed.notify()
-        self._thread.join(timeout_s)
-
-    def _run(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._waiting or self._is_closed)
-                if not self._waiting:
-                    return
-                path = next(iter(self._waiting))
-                content = self._waiting.pop(path)
-            self._busy_since_s = time.monotonic()
-            self._write(path, content)
-            self._busy_since_s = None
-
-    def _write(self, path: Path, content: bytes) -> None:
-        try:
-            write_bytes_atomic(path, content, self._mode)
-        except CompanionError as error:
-            self.failed += 1
-            if self.failed == 1:
-                logger.warning("%s", error)
+        if is_first:
+            self.append(path)
         else:
-            self.written += 1
+            self.overtaken += 1
+
+    def write_batch(self, batch: list[Path]) -> None:
+        """Give some files their newest contents."""
+        for path in batch:
+            with self._lock:
+                content = self._waiting.pop(path)
+            try:
+                write_bytes_atomic(path, content, self._mode)
+            except CompanionError as error:
+                self.failed += 1
+                if self.failed == 1:
+                    logger.warning("%s", error)
+            else:
+                self.written += 1

@@ -61,22 +61,16 @@ class Clock:
 STOP_DEADLINE_S = 1.5
 """Wall seconds from the first stop request to the end, whatever the endpoint says; closing the logs
 takes the rest of the two seconds that a stop may last."""
-
 SAME_SIGNAL_S = 0.3
 """Wall seconds after a signal in which another one is the same request."""
-
 LATE_S = 0.05
 """A timer later than this has missed a whole control tick."""
-
 STALL_S = 0.2
 """A timer later than this finds links that hold the past."""
-
 CATCH_UP_S = 0.1
 """Wall seconds that the links may take to hand over what they hold after a stall."""
-
 MIN_TIMER_S = 0.001
 """An endpoint whose next time is always past must not take the whole processor."""
-
 MAX_TIMER_S = 3600.0
 """The loop refuses timers of many days; waking up once an hour costs nothing."""
 
@@ -122,7 +116,7 @@ class Shell:
         self._clock = clock
         self._on_wakeup = on_wakeup
         self.links: list[Link] = [
-            make_link(spec, index, self._receive) for index, spec in enumerate(links)
+            make_link(spec, index, self._wake) for index, spec in enumerate(links)
         ]
         self._loop: asyncio.AbstractEventLoop | None = None
         self._end: asyncio.Event | None = None
@@ -171,9 +165,6 @@ class Shell:
         if loop is not None:
             with suppress(RuntimeError):  # the loop ended meanwhile: stopped anyway
                 loop.call_soon_threadsafe(self._begin_stop)
-
-    def _receive(self, chunks: list[Chunk]) -> None:
-        self._wake(chunks)
 
     def _on_timer(self) -> None:
         self._timer = None

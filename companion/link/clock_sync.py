@@ -33,20 +33,15 @@ from companion.mav.dialect import Message, mavlink
 
 REBOOT_BACKWARD_S = 1.0
 """A stamp less older than the newest one than this is only reordered."""
-
 REBOOT_CONFIRM_S = 0.3
 REBOOT_STAMPS = 3
 """A new clock must be heard for so long, and so often, before it is believed."""
-
 REBOOT_JITTER_S = 1.0
 """How unevenly its stamps may come meanwhile."""
-
 WRAP_S = 2**32 / 1000.0
 """`time_boot_ms` starts again at zero after 49.7 days; that is not a reboot."""
-
 MAX_WRAP_GAP_S = 60.0
 """Silence, or lateness, over which a wrap is still recognised."""
-
 DRIFT_ALLOWANCE = 200e-6
 """How fast the minimum may rise, seconds per second: twice a poor crystal's drift."""
 

@@ -15,19 +15,8 @@ import math
 from dataclasses import asdict
 
 from companion.domain import RangingMeasurement
+from companion.guidance import events
 from companion.guidance.commands import Announce
-from companion.guidance.events import (
-    ControlStalled,
-    EarlierRunFound,
-    IdConflictHeard,
-    MemoryRecalled,
-    OperatorAsked,
-    OperatorCommand,
-    RangingReceived,
-    SessionMemory,
-    StopRequested,
-    TimerFired,
-)
 from companion.guidance.messages import health_fields
 from companion.guidance.session import GuidanceSession
 from companion.link.autopilot_queries import AutopilotQueries
@@ -157,14 +146,14 @@ class CompanionEndpoint:
         stalled_s = self._health.tick(now_s)
         if stalled_s is not None:
             self._queries.ask_mode()
-            self.executor.handle(ControlStalled(now_s, stalled_s), now_s)
+            self.executor.handle(events.ControlStalled(now_s, stalled_s), now_s)
         period_s = self._health.pacing.period_s
         self._next_timer_s += period_s
         if self._next_timer_s <= now_s:
             self._next_timer_s = now_s + period_s
         self.executor.tick(now_s)
         self._ask_autopilot(now_s)
-        self.executor.handle(TimerFired(now_s, self.binding.heard_s), now_s)
+        self.executor.handle(events.TimerFired(now_s, self.binding.heard_s), now_s)
         self._parameters.tick(now_s)
         self._presence.tick(now_s)
         if now_s >= self._next_record_s:
@@ -188,25 +177,25 @@ class CompanionEndpoint:
         """Hand the vehicle back, then finish."""
         if self._recorder is not None:
             self._recorder.stop(now_s)
-        self.executor.handle(StopRequested(now_s), now_s)
+        self.executor.handle(events.StopRequested(now_s), now_s)
 
-    def ask(self, command: OperatorCommand, now_s: float) -> None:
+    def ask(self, command: events.OperatorCommand, now_s: float) -> None:
         """Take in what the operator asks for beside the mode switch."""
         if self._recorder is not None:
             self._recorder.operator_command(command, now_s)
-        self.executor.handle(OperatorAsked(now_s, command), now_s)
+        self.executor.handle(events.OperatorAsked(now_s, command), now_s)
 
     def found_earlier_run(self, now_s: float) -> None:
         """An earlier process of ours did not end in order."""
         if self._recorder is not None:
             self._recorder.earlier_run(now_s)
-        self.executor.handle(EarlierRunFound(now_s), now_s)
+        self.executor.handle(events.EarlierRunFound(now_s), now_s)
 
-    def recall(self, memory: SessionMemory, age_s: float, now_s: float) -> None:
+    def recall(self, memory: events.SessionMemory, age_s: float, now_s: float) -> None:
         """Take up what that process knew `age_s` ago."""
         if self._recorder is not None:
             self._recorder.recall(memory, age_s, now_s)
-        self.executor.handle(MemoryRecalled(now_s, memory, age_s), now_s)
+        self.executor.handle(events.MemoryRecalled(now_s, memory, age_s), now_s)
 
     def announce(self, text: Announce, now_s: float) -> None:
         """Tell the operator something about the process."""
@@ -248,14 +237,14 @@ class CompanionEndpoint:
 
     def _receive_ranging(self, measurements: list[RangingMeasurement], now_s: float) -> None:
         for measurement in measurements:
-            self.executor.handle(RangingReceived(now_s, measurement), now_s)
+            self.executor.handle(events.RangingReceived(now_s, measurement), now_s)
 
     def _receive_frame(self, frame: bytes, chunk: Chunk, now_s: float) -> None:
         if self._recorder is not None:
             self._recorder.frame(frame, chunk.link, chunk.peer, now_s)
         if sender_of(frame) == self._outlet.own_ids:
             if self.authenticity.is_proved(frame) and self._outlet.record_own_ids(frame, now_s):
-                self.executor.handle(IdConflictHeard(now_s), now_s)
+                self.executor.handle(events.IdConflictHeard(now_s), now_s)
             return
         match self._params.links[chunk.link].role:
             case LinkRole.VEHICLE:

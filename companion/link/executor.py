@@ -5,19 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from companion.domain import Autopilot
-from companion.guidance.commands import (
-    Announce,
-    Arm,
-    Command,
-    Record,
-    ReportResult,
-    SendHeartbeat,
-    SendSetpoint,
-    SetMode,
-    Severity,
-    TakeOff,
-    WithdrawRequest,
-)
+from companion.guidance import commands
 from companion.guidance.events import AutopilotRestarted, Event, RequestAnswered, RequestKind
 from companion.guidance.session import GuidanceSession
 from companion.link import outbound
@@ -87,10 +75,10 @@ class SessionExecutor:
         self.outlet.adopt(system_id)
         self.journal.record("bound", {"autopilot": autopilot.value, "system_id": system_id}, now_s)
         text = f"autopilot heard: {autopilot.value}, system {system_id}"
-        self.journal.text(Severity.INFO, text, now_s)
+        self.journal.text(commands.Severity.INFO, text, now_s)
         if autopilot is Autopilot.OTHER:
             text = "unknown autopilot: only PX4 and ArduPilot modes are understood"
-            self.journal.text(Severity.WARNING, text, now_s)
+            self.journal.text(commands.Severity.WARNING, text, now_s)
 
     def receive(self, message: Message, now_s: float) -> None:
         """Take in a message of the autopilot."""
@@ -119,33 +107,33 @@ class SessionExecutor:
 
     # What the session wants
 
-    def execute(self, command: Command, now_s: float) -> None:
+    def execute(self, command: commands.Command, now_s: float) -> None:
         """Do what the session wants."""
         ids, autopilot = self.outlet.target_ids, self.binding.autopilot
         match command:
-            case SendHeartbeat():
+            case commands.SendHeartbeat():
                 self.outlet.broadcast(outbound.heartbeat(), now_s)
-            case SendSetpoint():
+            case commands.SendSetpoint():
                 self._send_setpoint(command, now_s)
-            case SetMode():
+            case commands.SetMode():
                 order = outbound.set_mode(command.mode, autopilot, is_armed=command.is_armed)
                 self._requests.submit(RequestKind.SET_MODE, order, ids)
-            case Arm():
+            case commands.Arm():
                 self._requests.submit(RequestKind.ARM, outbound.arm(), ids)
-            case TakeOff():
+            case commands.TakeOff():
                 origin = self.session.vehicle.origin
                 order = outbound.take_off(command, origin, autopilot)
                 self._requests.submit(RequestKind.TAKE_OFF, order, ids)
-            case WithdrawRequest():
+            case commands.WithdrawRequest():
                 self._requests.cancel()
-            case Announce():
+            case commands.Announce():
                 self.outlet.announce(command, now_s)
-            case ReportResult():
+            case commands.ReportResult():
                 self.journal.result(command, now_s)
-            case Record():
+            case commands.Record():
                 self.journal.record(command.kind, command.fields, now_s)
 
-    def _send_setpoint(self, command: SendSetpoint, now_s: float) -> None:
+    def _send_setpoint(self, command: commands.SendSetpoint, now_s: float) -> None:
         origin, ids = self.session.vehicle.origin, self.outlet.target_ids
         if self._params.setpoint == "local_ned":
             message = outbound.local_setpoint(command.setpoint, now_s, ids)

@@ -55,45 +55,6 @@ PULSES_US = range(800, 2201)
 """Anything else is no position of a stick."""
 
 
-class VehicleHealthInbound:
-    """Events from messages about health; two of them tell the charge, and the better one counts."""
-
-    def __init__(self) -> None:
-        self._has_battery_status = False
-
-    def restart(self) -> None:
-        """The autopilot restarted."""
-        self._has_battery_status = False
-
-    def events(self, message: Message, now_s: float) -> list[Event]:
-        """What a message says; nothing for other messages, and for values that nobody knows."""
-        event: Event | None = None
-        match message:
-            case mavlink.MAVLink_position_target_local_ned_message():
-                event = _echo(message, now_s)
-            case mavlink.MAVLink_estimator_status_message():
-                m = message
-                ratios = (m.vel_ratio, m.pos_horiz_ratio, m.pos_vert_ratio, m.mag_ratio)
-                event = _rating(ratios, BAD_RATIO, now_s)
-            case MAVLink_ekf_status_report_message():
-                r = message
-                variances = (r.velocity_variance, r.pos_horiz_variance, r.pos_vert_variance)
-                event = _rating((*variances, r.compass_variance), BAD_VARIANCE, now_s)
-            case mavlink.MAVLink_gps_raw_int_message():
-                if message.fix_type in FIXES or message.fix_type in NO_FIXES:
-                    event = FixReported(now_s, message.fix_type in FIXES)
-            case mavlink.MAVLink_battery_status_message() if message.id == FIRST_BATTERY:
-                self._has_battery_status = True
-                level = LEVELS.get(message.charge_state, BatteryLevel.UNKNOWN)
-                event = BatteryReported(now_s, _percent(message.battery_remaining), level)
-            case mavlink.MAVLink_sys_status_message() if not self._has_battery_status:
-                charge_pct = _percent(message.battery_remaining)
-                event = BatteryReported(now_s, charge_pct, BatteryLevel.UNKNOWN)
-            case mavlink.MAVLink_rc_channels_message():
-                event = _sticks(message, now_s)
-        return [] if event is None else [event]
-
-
 def _echo(
     message: mavlink.MAVLink_position_target_local_ned_message, now_s: float
 ) -> SetpointEchoed | None:
@@ -166,7 +127,8 @@ class VehicleInbound:
         """The origin when it moved last, and every local position with it ..."""
         self._frame_begun: tuple[int, float] | None = None
         """... and where in that order, and when, that was told."""
-        self._health = VehicleHealthInbound()
+        self._has_battery_status = False
+        """Which tells the charge better than SYS_STATUS does."""
         self.overtaken = 0
         """Messages that came after a newer one of their kind."""
 
@@ -201,7 +163,35 @@ class VehicleInbound:
             case mavlink.MAVLink_timesync_message() if self.clock.sync.take_restart():
                 self.clock.restart()
                 return [self._restart(now_s)]
-        return self._health.events(message, now_s)
+        event = self._health_event(message, now_s)
+        return [] if event is None else [event]
+
+    def _health_event(self, message: Message, now_s: float) -> Event | None:
+        """What a message says of health and control; None for what nobody knows."""
+        match message:
+            case mavlink.MAVLink_position_target_local_ned_message():
+                return _echo(message, now_s)
+            case mavlink.MAVLink_estimator_status_message():
+                m = message
+                ratios = (m.vel_ratio, m.pos_horiz_ratio, m.pos_vert_ratio, m.mag_ratio)
+                return _rating(ratios, BAD_RATIO, now_s)
+            case MAVLink_ekf_status_report_message():
+                r = message
+                variances = (r.velocity_variance, r.pos_horiz_variance, r.pos_vert_variance)
+                return _rating((*variances, r.compass_variance), BAD_VARIANCE, now_s)
+            case mavlink.MAVLink_gps_raw_int_message():
+                is_known = message.fix_type in FIXES or message.fix_type in NO_FIXES
+                return FixReported(now_s, message.fix_type in FIXES) if is_known else None
+            case mavlink.MAVLink_battery_status_message() if message.id == FIRST_BATTERY:
+                self._has_battery_status = True
+                level = LEVELS.get(message.charge_state, BatteryLevel.UNKNOWN)
+                return BatteryReported(now_s, _percent(message.battery_remaining), level)
+            case mavlink.MAVLink_sys_status_message() if not self._has_battery_status:
+                charge_pct = _percent(message.battery_remaining)
+                return BatteryReported(now_s, charge_pct, BatteryLevel.UNKNOWN)
+            case mavlink.MAVLink_rc_channels_message():
+                return _sticks(message, now_s)
+        return None
 
     def _note_order(self, message: Message, number: int, now_s: float) -> bool:
         """Note a message's place in the order; whether a newer one of its kind came before.
@@ -254,7 +244,7 @@ class VehicleInbound:
         """Forget what was before."""
         self._newest.clear()
         self._frame = self._frame_begun = None
-        self._health.restart()
+        self._has_battery_status = False
         self._origin = None
         self._home = None
         self._is_prearm_good = True

@@ -149,36 +149,24 @@ class Signing:
     ) -> None:
         self._key = key
         self._rules = rules
-        self._timestamp = min(max(0, stored_timestamp), MAX_HEARD)
-        self._clock = self._timestamp if stored_clock is None else max(0, stored_clock)
-        self._streams: dict[Stream, int] = dict(streams or {})
+        self.timestamp = min(max(0, stored_timestamp), MAX_HEARD)
+        """The newest timestamp used or believed; to be stored at least once a minute."""
+        self.clock = self.timestamp if stored_clock is None else max(0, stored_clock)
+        """Our own idea of the time, which no peer moves; to be stored with `timestamp`."""
+        self.streams: dict[Stream, int] = dict(streams or {})
+        """The last timestamp of each; to be stored with `timestamp`."""
         self.verdicts: dict[SignatureVerdict, int] = dict.fromkeys(SignatureVerdict, 0)
         """How many frames got which verdict."""
 
     @property
-    def timestamp(self) -> int:
-        """The newest timestamp used or believed; to be stored at least once a minute."""
-        return self._timestamp
-
-    @property
-    def clock(self) -> int:
-        """Our own idea of the time, which no peer moves; to be stored with `timestamp`."""
-        return self._clock
-
-    @property
     def _present(self) -> int:
         """What a new stream may not be far behind: our clock, where peers must agree with it."""
-        return self._timestamp if self._rules.max_ahead is None else self._clock
-
-    @property
-    def streams(self) -> Mapping[Stream, int]:
-        """The last timestamp of each stream; to be stored with `timestamp`."""
-        return self._streams
+        return self.timestamp if self._rules.max_ahead is None else self.clock
 
     def advance(self, unix_s: float) -> None:
         """Follow the clock; a clock that is behind, or goes back, changes nothing."""
-        self._clock = max(self._clock, timestamp_at(unix_s))
-        self._timestamp = max(self._timestamp, self._clock)
+        self.clock = max(self.clock, timestamp_at(unix_s))
+        self.timestamp = max(self.timestamp, self.clock)
 
     def verify(self, frame: bytes, *, is_trusted_link: bool = False) -> SignatureVerdict:
         """Judge one whole frame whose CRC is right; on a trusted link unsigned ones are welcome."""
@@ -200,20 +188,20 @@ class Signing:
         refusal = self._staleness(stream, timestamp)
         if refusal is not None:
             return refusal
-        self._streams[stream] = timestamp
-        self._timestamp = max(self._timestamp, timestamp)
+        self.streams[stream] = timestamp
+        self.timestamp = max(self.timestamp, timestamp)
         return SignatureVerdict.SIGNED
 
     def _staleness(self, stream: Stream, timestamp: int) -> SignatureVerdict | None:
-        last = self._streams.get(stream)
+        last = self.streams.get(stream)
         if last is not None:
             if timestamp <= last:
                 return SignatureVerdict.REPLAYED
         elif timestamp + MAX_BEHIND < self._present:
             return SignatureVerdict.TOO_OLD
-        elif len(self._streams) >= MAX_STREAMS:
+        elif len(self.streams) >= MAX_STREAMS:
             return SignatureVerdict.TOO_MANY_STREAMS
-        if self._rules.max_ahead is not None and timestamp > self._clock + self._rules.max_ahead:
+        if self._rules.max_ahead is not None and timestamp > self.clock + self._rules.max_ahead:
             return SignatureVerdict.TOO_FAR_AHEAD
         return SignatureVerdict.TIMESTAMP_OVERFLOW if timestamp > MAX_HEARD else None
 
@@ -227,11 +215,11 @@ class Signing:
         """
         if frame[0] != MAGIC_V2 or is_signed(frame):
             raise LocalProtocolError("only an unsigned MAVLink 2 frame can be signed")
-        self._timestamp += 1
+        self.timestamp += 1
         end = HEADER_LENGTH[MAGIC_V2] + frame[1]
         head = frame[:2] + bytes((frame[2] | INCOMPAT_SIGNED,)) + frame[3:end]
         head += frame_crc(head, crc_extra).to_bytes(CRC_LENGTH, "little")
-        head += bytes((link_id,)) + self._timestamp.to_bytes(TIMESTAMP_LENGTH, "little")
+        head += bytes((link_id,)) + self.timestamp.to_bytes(TIMESTAMP_LENGTH, "little")
         return head + self._key.signature_of(head)
 
 

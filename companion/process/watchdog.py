@@ -136,7 +136,7 @@ class Watchdog:
         if not self._parts.journal.health.is_alive:
             return "a writer of the log"
         writer = self._parts.checkpoint_writer
-        if writer is not None and not writer.is_alive:
+        if writer is not None and not writer.health.is_alive:
             return "the writer of checkpoints"
         closed = next((link.name for link in self._parts.links if not link.is_open), None)
         return None if closed is None else f"link {closed}"

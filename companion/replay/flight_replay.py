@@ -18,7 +18,8 @@ from companion.config.schema import CompanionConfig
 from companion.io.files import INPUTS
 from companion.kernel import IS_COMPILED
 from companion.link.endpoint import CompanionEndpoint
-from companion.replay.recorded_flight import Course, Json, Listen, OnInput, open_recording, rerun
+from companion.replay.recorded_flight import Course, Json, OnInput, open_recording, rerun
+from companion.run import FlightView
 from companion.web.live_map import WebView
 from companion.web.settings import WebSettings
 
@@ -183,7 +184,7 @@ def replay_flight(
     config: CompanionConfig | None,
     say: Say,
     on_input: OnInput | None = None,
-    listen: Listen | None = None,
+    views: Sequence[FlightView] = (),
 ) -> FlightReplay:
     """Run a recorded flight (its folder, a file in it, or an MCAP file) again; see `rerun`.
 
@@ -198,7 +199,7 @@ def replay_flight(
     if facts.is_compiled != IS_COMPILED:
         how = "compiled" if facts.is_compiled else "plain"
         say(f"the flight used {how} kernels, this replay does not: last digits may differ")
-    course = rerun(recording.inputs, used, facts, on_input, listen)
+    course = rerun(recording.inputs, used, facts, on_input, views)
     return FlightReplay(
         comparison=Comparison(recording.course, course),
         is_exact=recording.is_exact,
@@ -277,7 +278,7 @@ def replay_on_map(
     try:
         say(f"live map: {view.url}; Ctrl-C ends it")
         page = MapOfReplay(view, speed)
-        replay = replay_flight(path, config, say, page, view.listen)
+        replay = replay_flight(path, config, say, page, [view])
         done(replay)
         page.linger()
     finally:

@@ -8,7 +8,7 @@ that is so.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -37,16 +37,14 @@ from companion.io.logs.log_files import (
 )
 from companion.io.logs.mcap_file import McapFlight, read_mcap_flight
 from companion.link.endpoint import CompanionEndpoint
-from companion.link.interface import Journal
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk
 from companion.mav.framing import message_id, sender_of
+from companion.run import FlightView, ViewedJournal
 
 Json = dict[str, object]
 OnInput = Callable[[CompanionEndpoint, float], None]
 """Called after every input: the endpoint, and the flight's time."""
-
-Listen = Callable[[Journal], Journal]
 
 SETPOINT_IDS = frozenset(
     {
@@ -101,18 +99,18 @@ def rerun(
     config: CompanionConfig,
     facts: FlightFacts,
     on_input: OnInput | None = None,
-    listen: Listen | None = None,
+    views: Sequence[FlightView] = (),
 ) -> Course:
     """Run a flight again, with its configuration or another one to compare with.
 
-    `on_input` sees the endpoint after every input; `listen` makes a journal that hears everything.
+    `on_input` sees the endpoint after every input; views hear what it reports.
     """
     journal = CourseJournal()
     tunables = Tunables(config, build_planner)
     if config == facts.config:
         tunables.restore(facts.parameters)
-    listens = journal if listen is None else listen(journal)
-    endpoint = build_endpoint(config, listens, facts.link_specs, tunables=tunables)
+    heard = ViewedJournal(journal, views)
+    endpoint = build_endpoint(config, heard, facts.link_specs, tunables=tunables)
     for value in inputs:
         match value.kind:
             case InputKind.FRAME:

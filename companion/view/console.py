@@ -20,7 +20,7 @@ from companion.guidance.authority.state_machine import HAS_VEHICLE, Phase
 from companion.guidance.session import GuidanceStatus
 from companion.io.writer_thread import WriterThread
 from companion.link.endpoint import CompanionEndpoint
-from companion.link.interface import Journal
+from companion.run import FlightView
 
 MAX_QUEUED = 1000
 CLOSE_TIMEOUT_S = 0.3
@@ -99,15 +99,11 @@ def plain_line(status: GuidanceStatus) -> str:
     return line
 
 
-class PlainView:
-    """Logs the lines of one flight; a `companion.run.FlightView`."""
+class PlainView(FlightView):
+    """Logs the lines of one flight, whose texts are log lines already."""
 
     def __init__(self) -> None:
         self._next_s = -math.inf
-
-    def listen(self, journal: Journal) -> Journal:
-        """Texts are log lines already."""
-        return journal
 
     def update(self, endpoint: CompanionEndpoint, now_s: float) -> None:
         """Log a line, if it is time."""
@@ -115,6 +111,3 @@ class PlainView:
             return
         self._next_s = now_s + PERIOD_S
         log.info("%s", plain_line(endpoint.session.status(now_s)))
-
-    def close(self) -> None:
-        """There is nothing to close."""

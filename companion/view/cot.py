@@ -23,8 +23,8 @@ from companion.errors import ConfigError, LinkError
 from companion.guidance.session import EmitterStatus
 from companion.handoff import Handoff, handoff_of, printable, utc_text
 from companion.link.endpoint import CompanionEndpoint
-from companion.link.interface import Journal
 from companion.mav.endpoint import Address
+from companion.run import FlightView
 
 TYPE = "a-u-G"
 """Atom, unknown affiliation, ground: nothing is claimed of who carries the radio."""
@@ -118,8 +118,8 @@ def _has_changed(before: TargetEstimate, now: TargetEstimate) -> bool:
     return now.state is not before.state or moved_m > least_m or is_wider
 
 
-class CotView:
-    """Sends the events of one flight to a host or multicast group; a `companion.run.FlightView`.
+class CotView(FlightView):
+    """Sends the events of one flight to a host or multicast group.
 
     Raises:
         LinkError: There is no such host.
@@ -140,10 +140,6 @@ class CotView:
         self._socket.setblocking(False)
         if ipaddress.ip_address(target[0]).is_multicast:
             log.info("Cursor on Target goes to the group %s:%s", target[0], target[1])
-
-    def listen(self, journal: Journal) -> Journal:
-        """It needs nothing from the journal."""
-        return journal
 
     def update(self, endpoint: CompanionEndpoint, now_s: float) -> None:
         """Send what is due."""

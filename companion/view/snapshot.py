@@ -10,17 +10,14 @@ import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
 
 from companion.config.schema import CompanionConfig
 from companion.domain import EstimateState, TargetEstimate, Waypoint
 from companion.geometry.polygons import ellipse_95
 from companion.guidance.authority.state_machine import PHASE_WORDS, Phase
-from companion.guidance.commands import ReportResult, Severity
 from companion.guidance.flight.fencing import Fencing
 from companion.guidance.session import EmitterStatus, GuidanceStatus
 from companion.link.endpoint import CompanionEndpoint
-from companion.link.interface import Journal
 
 Json = dict[str, object]
 
@@ -225,39 +222,3 @@ class TimeToGo:
             return None
         to_go_s = (log_r95 - math.log(self._stop_radius_m)) / rate + self._confirm_s
         return to_go_s if to_go_s <= MAX_S else None
-
-
-class Listener(Protocol):
-    """A view that hears what goes into the flight log."""
-
-    def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
-        """Take in an event."""
-
-    def text(self, severity: Severity, text: str, now_s: float) -> None:
-        """Take in a text for the operator."""
-
-
-class TeeJournal:
-    """Passes everything on to the flight log, and events and texts to a listener."""
-
-    def __init__(self, journal: Journal, listener: Listener) -> None:
-        self._journal = journal
-        self._listener = listener
-
-    def frame(self, data: bytes, now_s: float) -> None:
-        """Pass a raw frame on."""
-        self._journal.frame(data, now_s)
-
-    def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
-        """Pass an event on, twice."""
-        self._journal.record(kind, fields, now_s)
-        self._listener.record(kind, fields, now_s)
-
-    def text(self, severity: Severity, text: str, now_s: float) -> None:
-        """Pass a text on, twice."""
-        self._journal.text(severity, text, now_s)
-        self._listener.text(severity, text, now_s)
-
-    def result(self, report: ReportResult, now_s: float) -> None:
-        """Pass the result on."""
-        self._journal.result(report, now_s)

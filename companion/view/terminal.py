@@ -27,7 +27,7 @@ from companion.estimation.noise.innovations import TrackerHealth
 from companion.guidance.authority.state_machine import IN_CONTROL, Phase
 from companion.guidance.session import EmitterStatus, GuidanceStatus
 from companion.link.endpoint import CompanionEndpoint
-from companion.link.interface import Journal
+from companion.run import FlightView
 from companion.view.snapshot import FlightSnapshot, TimeToGo, flight_snapshot
 
 PHASE_STYLE = {
@@ -174,8 +174,8 @@ class ConsoleStream(io.TextIOBase):
         return len(text)
 
 
-class TerminalView:
-    """The screen of one flight; a `companion.run.FlightView`."""
+class TerminalView(FlightView):
+    """The screen of one flight, above which its texts appear as log lines."""
 
     def __init__(self, stream: TextIO | None = None) -> None:
         self._time_to_go = TimeToGo()
@@ -191,10 +191,6 @@ class TerminalView:
         self._is_closed = False
         self._thread = threading.Thread(target=self._run, name="terminal", daemon=True)
         self._thread.start()
-
-    def listen(self, journal: Journal) -> Journal:
-        """Texts reach the terminal as log lines."""
-        return journal
 
     def update(self, endpoint: CompanionEndpoint, now_s: float) -> None:
         """Leave the present moment to be drawn, if it is time."""

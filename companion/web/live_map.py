@@ -32,8 +32,8 @@ from companion.guidance.commands import Severity
 from companion.guidance.events import OperatorCommand
 from companion.io.files import plain
 from companion.link.endpoint import CompanionEndpoint
-from companion.link.interface import Journal
-from companion.view.snapshot import Json, TeeJournal, TimeToGo, picture_of, scene_of
+from companion.run import FlightView
+from companion.view.snapshot import Json, TimeToGo, picture_of, scene_of
 from companion.web.settings import WebSettings
 
 TEXTS = 50
@@ -48,8 +48,8 @@ CURVE_FIELDS = ("range_innovation", "range_offset_m", "r95_m", "nis")
 Sample = dict[str, object]
 
 
-class Collector:
-    """Gathers texts, marks and curve points until a view takes them."""
+class Collector(FlightView):
+    """Gathers texts, marks and curve points until they are taken."""
 
     def __init__(self) -> None:
         self.texts: deque[tuple[float, str, str]] = deque(maxlen=TEXTS)
@@ -244,7 +244,7 @@ ROOM_S = 0.012
 """Before the next control tick; nearer to it a picture, some milliseconds, could delay it."""
 
 
-class WebView:
+class WebView(Collector):
     """The live map of one flight, with the emitter's true place if somebody knows it.
 
     Raises:
@@ -257,8 +257,8 @@ class WebView:
         config: CompanionConfig,
         truth_enu_m: tuple[float, float] | None = None,
     ) -> None:
+        super().__init__()
         self._settings = settings
-        self._collector = Collector()
         self._time_to_go = TimeToGo()
         self._process = WebProcess(settings, {**scene_of(config), "truth": truth_enu_m})
 
@@ -271,10 +271,6 @@ class WebView:
     def process_id(self) -> int:
         """Of the process that serves the page."""
         return self._process.process_id
-
-    def listen(self, journal: Journal) -> Journal:
-        """A journal that passes events and texts on to the page."""
-        return TeeJournal(journal, self._collector)
 
     def update(self, endpoint: CompanionEndpoint, now_s: float) -> None:
         """Called at every wake-up of the flight; costs nothing unless a picture is due."""
@@ -295,7 +291,7 @@ class WebView:
         return {
             **picture_of(endpoint, now_s),
             "time_to_go_s": self._time_to_go.of_flight(endpoint, now_s),
-            "texts": list(self._collector.texts),
-            "marks": list(self._collector.marks),
-            "curve": self._collector.take_curve(),
+            "texts": list(self.texts),
+            "marks": list(self.marks),
+            "curve": self.take_curve(),
         }

@@ -115,21 +115,12 @@ MIN_TOKEN = 8
 
 
 @dataclass(frozen=True, slots=True)
-class WebSettings:
-    """How the page is served."""
+class WebSettings(Access):
+    """How the page is served, and for whom."""
 
-    host: str
-    port: int
-    token: str | None = None
-    is_control_on: bool = False
-    is_view_open: bool = False
+    port: int = 0
     tiles: Path | None = None
     """Folder of map tiles, `z/x/y.png`."""
-
-    @property
-    def access(self) -> Access:
-        """Who may do what."""
-        return Access(self.host, self.token, self.is_control_on, self.is_view_open)
 
     @property
     def url(self) -> str:
@@ -164,7 +155,7 @@ def web_settings(
         _check_tiles(tiles)
     if token is None and not is_loopback(host):
         token = secrets.token_urlsafe(12)
-    return WebSettings(host, int(port_text), token, is_control_on, is_view_open, tiles)
+    return WebSettings(host, token, is_control_on, is_view_open, int(port_text), tiles)
 
 
 def _check_tiles(folder: Path) -> None:

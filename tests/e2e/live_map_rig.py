@@ -22,6 +22,7 @@ from companion.config.schema import CompanionConfig
 from companion.guidance.session_params import SessionParams
 from companion.io.logs.flight_recorder import FlightJournal
 from companion.link.interface import Journal
+from companion.run import ViewedJournal
 from companion.web.live_map import WebView
 from companion.web.settings import WebSettings, web_settings
 from sim_link.autopilot.scenario import Scenario
@@ -103,7 +104,7 @@ def live_flight(
     truth = scenario.emitter.position_enu_m[:2]
     view = WebView(settings, config, (truth[0], truth[1]))
     log = FlightJournal(folder, time.time())
-    journal = view.listen(log)
+    journal = ViewedJournal(log, [view])
     live = LiveFlight(settings, Flight(config, scenario, 1, journal), view, journal)
     thread = threading.Thread(target=live.fly, daemon=True)
     thread.start()

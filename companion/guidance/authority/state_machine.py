@@ -43,6 +43,7 @@ control tick.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from enum import Enum
 
 
@@ -122,54 +123,32 @@ STREAMING = IN_CONTROL | {
 OUT_OF_CONTROL = frozenset({Phase.WAITING, Phase.YIELD, Phase.STOPPED})
 """Phases in which nothing may be asked of the autopilot, nor asked again."""
 
-TRANSITIONS: dict[tuple[Phase, Trigger], Phase] = {
-    (Phase.WAITING, Trigger.READY): Phase.STANDBY,
-    (Phase.STANDBY, Trigger.FENCE_LOST): Phase.WAITING,
-    (Phase.STANDBY, Trigger.ID_CONFLICT): Phase.WAITING,
-    (Phase.STANDBY, Trigger.LAUNCH): Phase.LAUNCHING,
-    (Phase.STANDBY, Trigger.MODE_GIVEN): Phase.HOLD,
-    (Phase.LAUNCHING, Trigger.MODE_GIVEN): Phase.HOLD,
-    (Phase.LAUNCHING, Trigger.LAUNCH_FAILED): Phase.YIELD,
-    (Phase.LAUNCHING, Trigger.MODE_LOST): Phase.YIELD,
-    (Phase.HOLD, Trigger.INPUT_BACK): Phase.NORMAL,
-    (Phase.DEGRADED, Trigger.INPUT_BACK): Phase.NORMAL,
-    (Phase.NORMAL, Trigger.INPUT_AGES): Phase.DEGRADED,
-    (Phase.HOLD, Trigger.INPUT_AGES): Phase.DEGRADED,
-    (Phase.NORMAL, Trigger.INPUT_LOST): Phase.HOLD,
-    (Phase.DEGRADED, Trigger.INPUT_LOST): Phase.HOLD,
-    (Phase.NORMAL, Trigger.LOCALISED): Phase.FINISHED,
-    (Phase.DEGRADED, Trigger.LOCALISED): Phase.FINISHED,
-    (Phase.HOLD, Trigger.LOCALISED): Phase.FINISHED,
-    (Phase.YIELD, Trigger.GRANTED): Phase.STANDBY,
-    (Phase.YIELD, Trigger.MODE_GIVEN): Phase.HOLD,
-    (Phase.FINISHED, Trigger.GRANTED): Phase.STANDBY,
-    (Phase.LAUNCHING, Trigger.STOP): Phase.HANDBACK,
-    (Phase.FINISHED, Trigger.STOP): Phase.HANDBACK,
-    (Phase.HANDBACK, Trigger.HANDED_BACK): Phase.YIELD,
-    (Phase.HANDBACK, Trigger.MODE_LOST): Phase.YIELD,
-    (Phase.HANDBACK, Trigger.LANDED): Phase.YIELD,
-    (Phase.FINISHED, Trigger.LANDED): Phase.YIELD,
-    (Phase.WAITING, Trigger.YIELD_RECALLED): Phase.YIELD,
-    (Phase.STANDBY, Trigger.YIELD_RECALLED): Phase.YIELD,
-    (Phase.WAITING, Trigger.REPORT_RECALLED): Phase.FINISHED,
-    (Phase.STANDBY, Trigger.REPORT_RECALLED): Phase.FINISHED,
-}
-TRANSITIONS |= {
-    (phase, trigger): Phase.YIELD
-    for phase in IN_CONTROL
-    for trigger in (Trigger.MODE_LOST, Trigger.LANDED, Trigger.GIVE_WAY)
-}
-TRANSITIONS |= {(phase, Trigger.GIVE_UP): Phase.HANDBACK for phase in IN_CONTROL}
-TRANSITIONS |= {(phase, Trigger.STOP): Phase.HANDBACK for phase in IN_CONTROL}
-TRANSITIONS |= {
-    (phase, Trigger.STOP): Phase.STOPPED for phase in (Phase.WAITING, Phase.STANDBY, Phase.YIELD)
-}
-TRANSITIONS |= {
-    (phase, Trigger.RESTARTED): Phase.WAITING for phase in Phase if phase is not Phase.STOPPED
-}
-TRANSITIONS |= {
-    (phase, Trigger.DISARMED): Phase.WAITING
-    for phase in IN_CONTROL | {Phase.LAUNCHING, Phase.YIELD, Phase.FINISHED, Phase.HANDBACK}
+_ROWS: tuple[tuple[Iterable[Phase], Trigger, Phase], ...] = (
+    ({Phase.WAITING}, Trigger.READY, Phase.STANDBY),
+    ({Phase.STANDBY}, Trigger.FENCE_LOST, Phase.WAITING),
+    ({Phase.STANDBY}, Trigger.ID_CONFLICT, Phase.WAITING),
+    ({Phase.STANDBY}, Trigger.LAUNCH, Phase.LAUNCHING),
+    ({Phase.LAUNCHING}, Trigger.LAUNCH_FAILED, Phase.YIELD),
+    ({Phase.STANDBY, Phase.LAUNCHING, Phase.YIELD}, Trigger.MODE_GIVEN, Phase.HOLD),
+    ({Phase.HOLD, Phase.DEGRADED}, Trigger.INPUT_BACK, Phase.NORMAL),
+    ({Phase.HOLD, Phase.NORMAL}, Trigger.INPUT_AGES, Phase.DEGRADED),
+    (FLYING, Trigger.INPUT_LOST, Phase.HOLD),
+    (IN_CONTROL, Trigger.LOCALISED, Phase.FINISHED),
+    ({Phase.YIELD, Phase.FINISHED}, Trigger.GRANTED, Phase.STANDBY),
+    (IN_CONTROL, Trigger.GIVE_UP, Phase.HANDBACK),
+    (IN_CONTROL, Trigger.GIVE_WAY, Phase.YIELD),
+    (IN_CONTROL | {Phase.LAUNCHING, Phase.HANDBACK}, Trigger.MODE_LOST, Phase.YIELD),
+    (HAS_VEHICLE, Trigger.LANDED, Phase.YIELD),
+    ({Phase.HANDBACK}, Trigger.HANDED_BACK, Phase.YIELD),
+    (IN_CONTROL | {Phase.LAUNCHING, Phase.FINISHED}, Trigger.STOP, Phase.HANDBACK),
+    ({Phase.WAITING, Phase.STANDBY, Phase.YIELD}, Trigger.STOP, Phase.STOPPED),
+    ({Phase.WAITING, Phase.STANDBY}, Trigger.YIELD_RECALLED, Phase.YIELD),
+    ({Phase.WAITING, Phase.STANDBY}, Trigger.REPORT_RECALLED, Phase.FINISHED),
+    (HAS_VEHICLE | {Phase.LAUNCHING, Phase.YIELD}, Trigger.DISARMED, Phase.WAITING),
+    (set(Phase) - {Phase.STOPPED}, Trigger.RESTARTED, Phase.WAITING),
+)
+TRANSITIONS = {
+    (phase, trigger): following for phases, trigger, following in _ROWS for phase in phases
 }
 
 

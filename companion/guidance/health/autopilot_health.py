@@ -19,15 +19,7 @@ Source: PX4 user guide, "ECL/EKF", innovation test ratios; ArduPilot `ekf_check.
 from __future__ import annotations
 
 from companion.domain import BatteryLevel, FlightMode
-from companion.guidance.events import (
-    AutopilotRestarted,
-    BatteryReported,
-    EstimatorRated,
-    Event,
-    FixReported,
-    HeartbeatReceived,
-    Retuned,
-)
+from companion.guidance import events
 from companion.guidance.health.findings import Finding, Reason, Verdict, Watch, worst
 
 CONFIRMED_BY = 2
@@ -50,14 +42,14 @@ class BatteryWatch(Watch):
         self._was_handed_back = False
         self._has_ended_mission = False
 
-    def handle(self, event: Event) -> None:
+    def handle(self, event: events.Event) -> None:
         """Take in what concerns the battery."""
         match event:
-            case BatteryReported():
+            case events.BatteryReported():
                 self._note_report(event)
-            case Retuned(tuning=tuning):
+            case events.Retuned(tuning=tuning):
                 self.aim(tuning.params.battery_low_pct, tuning.params.battery_critical_pct)
-            case AutopilotRestarted():
+            case events.AutopilotRestarted():
                 self.level = self._candidate = BatteryLevel.UNKNOWN
                 self.charge_pct = None
                 self._agreed = 0
@@ -73,7 +65,7 @@ class BatteryWatch(Watch):
         self._low_pct, self._critical_pct = low_pct, critical_pct
         self._agreed = 0
 
-    def _note_report(self, event: BatteryReported) -> None:
+    def _note_report(self, event: events.BatteryReported) -> None:
         self.charge_pct = event.charge_pct
         level = max(self._level_of(event.charge_pct), event.level)
         self._agreed = self._agreed + 1 if level is self._candidate else 1
@@ -176,18 +168,18 @@ class HealthWatch(Watch):
         self._accepted_failsafe = False
         """The failsafe was there when control was given: whoever gave it knows."""
 
-    def handle(self, event: Event) -> None:
+    def handle(self, event: events.Event) -> None:
         """Take in what concerns health; other events change nothing."""
         match event:
-            case EstimatorRated():
+            case events.EstimatorRated():
                 self._doubt.note(event.worst >= 1.0, event.time_s)
-            case FixReported():
+            case events.FixReported():
                 self._had_fix = self._had_fix or event.has_fix
                 self._no_fix.note(self._had_fix and not event.has_fix, event.time_s)
-            case HeartbeatReceived():
+            case events.HeartbeatReceived():
                 self._is_failsafe = event.is_failsafe
                 self._accepted_failsafe = self._accepted_failsafe and event.is_failsafe
-            case AutopilotRestarted():
+            case events.AutopilotRestarted():
                 self._doubt.clear()
                 self._no_fix.clear()
                 self._had_fix = self._is_failsafe = self._accepted_failsafe = False

@@ -33,12 +33,7 @@ import math
 from collections import deque
 
 from companion.domain import PositionEnu
-from companion.guidance.events import (
-    AutopilotRestarted,
-    Event,
-    SetpointEchoed,
-    SticksReported,
-)
+from companion.guidance import events
 from companion.guidance.health.findings import Finding, Reason, Verdict, Watch
 from companion.guidance.session_params import StickReaction
 
@@ -102,15 +97,15 @@ class EchoWatch(Watch):
         while self._way[0][1] < now_s - MEMORY_S:
             self._way.popleft()
 
-    def handle(self, event: Event) -> None:
+    def handle(self, event: events.Event) -> None:
         """Take in what the autopilot follows; after a restart of it every place is another one."""
         match event:
-            case SetpointEchoed():
+            case events.SetpointEchoed():
                 self._note_echo(event)
-            case AutopilotRestarted():
+            case events.AutopilotRestarted():
                 self.frame_moved(event.time_s)
 
-    def _note_echo(self, event: SetpointEchoed) -> None:
+    def _note_echo(self, event: events.SetpointEchoed) -> None:
         now_s = event.time_s
         if self._control_s is None or now_s - self._control_s < GRACE_S or not self._way:
             return
@@ -204,7 +199,7 @@ class StickWatch(Watch):
 
     def __init__(self, reaction: StickReaction) -> None:
         self._reaction = reaction
-        self._latest: SticksReported | None = None
+        self._latest: events.SticksReported | None = None
         self._rest: tuple[float, ...] | None = None
         self._moved_s: float | None = None
         """Since when they are moved."""
@@ -218,9 +213,9 @@ class StickWatch(Watch):
         self._rest = latest.deflections if latest is not None and is_fresh else None
         self._moved_s = self._seen_moved_s = None
 
-    def handle(self, event: Event) -> None:
+    def handle(self, event: events.Event) -> None:
         """Take in where they are."""
-        if not isinstance(event, SticksReported):
+        if not isinstance(event, events.SticksReported):
             return
         self._latest = event
         if self._rest is None:
@@ -253,7 +248,7 @@ class StickWatch(Watch):
         return _finding(Verdict.GIVE_WAY if is_wish else Verdict.HOLD)
 
     @staticmethod
-    def _are_moved(event: SticksReported, rest: tuple[float, ...]) -> bool:
+    def _are_moved(event: events.SticksReported, rest: tuple[float, ...]) -> bool:
         pairs = zip(event.deflections, rest, strict=True)
         return any(abs(now) > MOVED and abs(now - before) > MOVED for now, before in pairs)
 

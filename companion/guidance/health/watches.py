@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 
-from companion.domain import BatteryLevel, FlightMode, PositionEnu, TargetEstimate
+from companion.domain import BatteryLevel, FlightMode, TargetEstimate
 from companion.estimation.screening.measurement_screen import Objection
 from companion.guidance import events
 from companion.guidance.authority.control_authority import is_search_due
@@ -209,7 +209,7 @@ class Watches:
         self.operator = OperatorCommandWatch(context)
         self.jumps = JumpWatch(context)
         self._context = context
-        self._echo = EchoWatch()
+        self.echo = EchoWatch()
         self._sticks = StickWatch(params.on_sticks)
         self._for_launch = (
             self._sticks,
@@ -219,7 +219,7 @@ class Watches:
         )
         """Whatever no vehicle is launched with, the first of equal ones told."""
         self._all = (
-            self._echo,
+            self.echo,
             self.operator,
             *self._for_launch,
             self.jumps,
@@ -241,10 +241,6 @@ class Watches:
         self._is_battery_told = True
         self._context.announce(severity, self.battery.text())
 
-    def frame_moved(self, now_s: float) -> None:
-        """The local frame has another zero."""
-        self._echo.frame_moved(now_s)
-
     def tick(self, now_s: float) -> None:
         """Take note of what is there, and of control that begins or ends."""
         for watch in self._all:
@@ -254,7 +250,7 @@ class Watches:
         if is_in_control and not self._was_in_control:
             self._begin(now_s)
         elif self._was_in_control and not is_in_control:
-            self._echo.end()
+            self.echo.end()
         if phase is Phase.LAUNCHING and not self._was_launching:
             self._sticks.begin(now_s)
         if phase is Phase.WAITING:
@@ -265,10 +261,6 @@ class Watches:
         """The vehicle was handed back for this."""
         if finding.reason is Reason.BATTERY_CRITICAL:
             self.battery.note_handback()
-
-    def note_setpoint(self, place_enu_m: PositionEnu, now_s: float) -> None:
-        """A setpoint was sent."""
-        self._echo.note_setpoint(place_enu_m, now_s)
 
     def finding(self, now_s: float) -> Finding | None:
         """The worst that is wrong at a tick in control."""

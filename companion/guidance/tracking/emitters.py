@@ -68,25 +68,22 @@ class EmitterQueue:
         self.params = QueueParams() if params is None else params
         self._tracker_params = trackers
         self._strengths: dict[int, float] = {}
-        self._reported: set[int] = set()
+        self.reported: set[int] = set()
+        """Emitters that are done."""
         self._turned_away: list[int] = []
         """Emitters that were current and got lost, the longest ago first."""
         self._place: Point = (0.0, 0.0)
         self._trackers = {number: TargetTracker(trackers, number) for number in self.params.listed}
         first = TargetTracker(trackers, emitter_id)
-        self._current = next(iter(self._trackers.values()), first)
+        self.current = next(iter(self._trackers.values()), first)
+        """The filter of the emitter that is looked for."""
 
     @classmethod
     def of(cls, tracker: TargetTracker) -> EmitterQueue:
         """A queue of one."""
         queue = cls(tracker.params)
-        queue._current = tracker
+        queue.current = tracker
         return queue
-
-    @property
-    def current(self) -> TargetTracker:
-        """The filter of the emitter that is looked for."""
-        return self._current
 
     @property
     def is_single(self) -> bool:
@@ -96,7 +93,7 @@ class EmitterQueue:
     @property
     def trackers(self) -> tuple[TargetTracker, ...]:
         """All filters, in the order in which the emitters were listed or heard."""
-        return tuple(self._trackers.values()) or (self._current,)
+        return tuple(self._trackers.values()) or (self.current,)
 
     @property
     def accepted(self) -> int:
@@ -116,27 +113,22 @@ class EmitterQueue:
 
     def is_current(self, emitter_id: int) -> bool:
         """Whether a measurement of this emitter is of the one that is looked for."""
-        return self._current.emitter_id in (None, emitter_id)
+        return self.current.emitter_id in (None, emitter_id)
 
     def tracker_of(self, emitter_id: int) -> TargetTracker:
         """The filter of an emitter that was heard."""
         return self._trackers[emitter_id]
 
     @property
-    def reported(self) -> frozenset[int]:
-        """Emitters that are done."""
-        return frozenset(self._reported)
-
-    @property
     def are_all_reported(self) -> bool:
         """Whether everybody who was heard or listed is done, where there may be several."""
-        return self._reported.issuperset(self._trackers)
+        return self.reported.issuperset(self._trackers)
 
     @property
     def waiting(self) -> list[int]:
         """Emitters whose turn is still to come, the next one first."""
-        now = self._current.emitter_id
-        rest = [n for n in self._trackers if n not in self._reported and n != now]
+        now = self.current.emitter_id
+        rest = [n for n in self._trackers if n not in self.reported and n != now]
         return sorted(rest, key=self._rank)
 
     def fuse(
@@ -144,12 +136,12 @@ class EmitterQueue:
     ) -> FusionReport:
         """Take in a measurement of any emitter, its bearing in ENU, from the antenna's place."""
         if self.is_single:
-            return self._current.fuse(measurement, sensor_enu_m, now_s)
+            return self.current.fuse(measurement, sensor_enu_m, now_s)
         tracker = self._trackers.get(measurement.emitter_id)
         if tracker is None:
             reason = self._reason_against_new_emitter(measurement, now_s)
             if reason is not None:
-                return self._current.reject(reason)
+                return self.current.reject(reason)
             tracker = self._begin(measurement.emitter_id)
         report = tracker.fuse(measurement, sensor_enu_m, now_s)
         if report.reject_reason is None and sensor_enu_m is not None:
@@ -162,16 +154,16 @@ class EmitterQueue:
         if self.is_single:
             return
         if is_flying:
-            if not self._is_heard(self._current, now_s):
+            if not self._is_heard(self.current, now_s):
                 self._turn_away(now_s)
             return
-        open_ones = [n for n in self._trackers if n not in self._reported]
+        open_ones = [n for n in self._trackers if n not in self.reported]
         if open_ones:
-            self._current = self._trackers[min(open_ones, key=self._rank)]
+            self.current = self._trackers[min(open_ones, key=self._rank)]
 
     def reject(self, reason: RejectReason) -> FusionReport:
         """Count a measurement that could not even be offered."""
-        return self._current.reject(reason)
+        return self.current.reject(reason)
 
     def restart(self) -> None:
         """Forget where everything is, because the frame may have moved."""
@@ -180,18 +172,18 @@ class EmitterQueue:
 
     def report_current(self) -> bool:
         """The current emitter is done; whether there is another one, which is current then."""
-        if self.is_single or self._current.emitter_id is None:
+        if self.is_single or self.current.emitter_id is None:
             return False
-        self._reported.add(self._current.emitter_id)
+        self.reported.add(self.current.emitter_id)
         following = self.waiting
         if not following:
             return False
-        self._current = self._trackers[following[0]]
+        self.current = self._trackers[following[0]]
         return True
 
     def note_reported(self, emitter_ids: Iterable[int]) -> None:
         """These are done."""
-        self._reported.update(emitter_ids)
+        self.reported.update(emitter_ids)
 
     def resume(self, belief: Belief, age_s: float, now_s: float) -> str | None:
         """Begin again from what was believed of one emitter, which is current then.
@@ -199,7 +191,7 @@ class EmitterQueue:
         Returns why not, in words; everything is as before then.
         """
         if self.is_single:
-            return self._current.resume(belief, age_s, now_s)
+            return self.current.resume(belief, age_s, now_s)
         emitter_id = belief.emitter_id
         if emitter_id is None:
             return "an emitter without an id"
@@ -208,7 +200,7 @@ class EmitterQueue:
             if self._is_full:
                 return "another emitter"
             tracker = self._begin(emitter_id)
-        self._current = tracker
+        self.current = tracker
         return tracker.resume(belief, age_s, now_s)
 
     @property
@@ -227,7 +219,7 @@ class EmitterQueue:
     def _begin(self, emitter_id: int) -> TargetTracker:
         """A filter for another emitter; the first one takes over what was counted before it."""
         is_first = not self._trackers
-        tracker = self._current if is_first else TargetTracker(self._tracker_params)
+        tracker = self.current if is_first else TargetTracker(self._tracker_params)
         tracker.emitter_id = emitter_id
         self._trackers[emitter_id] = tracker
         return tracker
@@ -246,12 +238,12 @@ class EmitterQueue:
 
     def _turn_away(self, now_s: float) -> None:
         """Let the lost one wait behind those that are heard, if there are any."""
-        lost = self._current.emitter_id
+        lost = self.current.emitter_id
         heard = [n for n in self.waiting if self._is_heard(self._trackers[n], now_s)]
         if lost is None or not heard:
             return
         self._turned_away = [*(n for n in self._turned_away if n != lost), lost]
-        self._current = self._trackers[heard[0]]
+        self.current = self._trackers[heard[0]]
 
     @staticmethod
     def _is_heard(tracker: TargetTracker, now_s: float) -> bool:

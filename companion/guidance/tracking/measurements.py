@@ -10,9 +10,8 @@ import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import Protocol
 
-from companion.domain import PositionEnu, RangingMeasurement
+from companion.domain import RangingMeasurement
 from companion.estimation.screening.measurement_screen import RejectReason, identity_of
 from companion.estimation.tracker import FusionReport
 from companion.geometry.coordinates import bearing_enu_from_ned
@@ -26,22 +25,13 @@ from companion.guidance.messages import (
     estimate_record,
     waiting_record,
 )
+from companion.guidance.tracking.emitters import EmitterQueue
 from companion.guidance.tracking.vehicle_track import VehicleTrack
 
 MAX_WAITING = 64
 """Measurements that may wait for an own position at their time; the oldest gives way."""
-
-
-class Fuser(Protocol):
-    """Takes measurements in: the filter of one emitter, or those of several."""
-
-    def fuse(
-        self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu | None, now_s: float
-    ) -> FusionReport:
-        """Take in one measurement."""
-
-    def reject(self, reason: RejectReason) -> FusionReport:
-        """Count a measurement that could not even be offered."""
+PATIENCE_S = 0.25
+"""How long one may wait."""
 
 
 class RangingListener:
@@ -52,10 +42,9 @@ class RangingListener:
     one from a time that will not come.
     """
 
-    def __init__(self, fuser: Fuser, track: VehicleTrack, patience_s: float = 0.25) -> None:
-        self._fuser = fuser
+    def __init__(self, emitters: EmitterQueue, track: VehicleTrack) -> None:
+        self._emitters = emitters
         self._track = track
-        self._patience_s = patience_s
         self._waiting: list[RangingMeasurement] = []
 
     def receive(self, measurement: RangingMeasurement) -> list[FusionReport]:
@@ -65,13 +54,13 @@ class RangingListener:
         """
         identity = identity_of(measurement)
         if any(identity_of(waiting) == identity for waiting in self._waiting):
-            return [self._fuser.reject(RejectReason.DUPLICATE)]
+            return [self._emitters.reject(RejectReason.DUPLICATE)]
         self._waiting.append(measurement)
         if len(self._waiting) <= MAX_WAITING:
             return []
         oldest = min(range(len(self._waiting)), key=lambda i: self._waiting[i].measured_at_s)
         del self._waiting[oldest]
-        return [self._fuser.reject(RejectReason.TOO_MANY)]
+        return [self._emitters.reject(RejectReason.TOO_MANY)]
 
     def fuse_due(self, now_s: float) -> list[FusionReport]:
         """Fuse every measurement whose place is known, or will not become known any more."""
@@ -80,14 +69,14 @@ class RangingListener:
         waiting: list[RangingMeasurement] = []
         for measurement in self._waiting:
             is_covered = latest is not None and measurement.measured_at_s <= latest.time_s
-            is_recent = abs(now_s - measurement.measured_at_s) <= self._patience_s
+            is_recent = abs(now_s - measurement.measured_at_s) <= PATIENCE_S
             (waiting if is_recent and not is_covered else due).append(measurement)
         self._waiting = waiting  # first, so that one that makes a filter fail is not tried again
         return [self._fuse(measurement, now_s) for measurement in due]
 
     def _fuse(self, measurement: RangingMeasurement, now_s: float) -> FusionReport:
         if not self._track.is_trusted_at(measurement.measured_at_s):
-            return self._fuser.reject(RejectReason.OWN_JUMP)
+            return self._emitters.reject(RejectReason.OWN_JUMP)
         sensor_enu_m = self._track.position_at(measurement.measured_at_s)
         body_rad = measurement.bearing_body_rad
         if body_rad is not None and measurement.bearing_enu_rad is None:
@@ -96,7 +85,7 @@ class RangingListener:
             if yaw_ned_rad is not None and math.isfinite(body_rad):
                 bearing_enu_rad = bearing_enu_from_ned(yaw_ned_rad + body_rad)
                 measurement = replace(measurement, bearing_enu_rad=bearing_enu_rad)
-        report = self._fuser.fuse(measurement, sensor_enu_m, now_s)
+        report = self._emitters.fuse(measurement, sensor_enu_m, now_s)
         return replace(report, measurement=measurement, sensor_enu_m=sensor_enu_m)
 
 

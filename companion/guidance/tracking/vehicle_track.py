@@ -12,15 +12,11 @@ from companion.geometry.coordinates import wrap_pi
 
 HISTORY_S = 3.0
 """How far back a delayed measurement may reach."""
-
 MAX_EXTRAPOLATION_S = 0.3
 """A state older than this says nothing about the present."""
-
 MAX_COORDINATE_M = 1e5
 """Farther from the origin a flat local frame means nothing."""
-
 MAX_SPEED_MPS = 300.0
-
 MAX_GAP_S = 1.0
 """Two states farther apart than this are not interpolated between."""
 

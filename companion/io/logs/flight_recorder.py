@@ -170,13 +170,13 @@ class FlightJournal:
     @property
     def health(self) -> WriterHealth:
         """How it is doing, without waiting for any writer."""
-        logs = [log_file.health for log_file in self._logs]
+        writers = [writer.health for writer in (self._results, *self._logs)]
         return WriterHealth(
-            queued=sum(one.queued for one in logs),
-            dropped=sum(one.dropped for one in logs) + self._results.failed,
-            bytes_kept=sum(one.bytes_kept for one in logs),
-            silent_s=max(self._results.silent_s, *(one.silent_s for one in logs)),
-            is_alive=self._results.is_alive and all(one.is_alive for one in logs),
+            queued=sum(one.queued for one in writers),
+            dropped=sum(one.dropped for one in writers),
+            bytes_kept=sum(one.bytes_kept for one in writers),
+            silent_s=max(one.silent_s for one in writers),
+            is_alive=all(one.is_alive for one in writers),
         )
 
     @property

@@ -183,7 +183,8 @@ class CheckpointStore:
 
     def __init__(self, directory: Path, name: str) -> None:
         self.paths = tuple(directory / f"{name}.checkpoint-{number}" for number in (0, 1))
-        self._writer: BackgroundReplacer | None = None
+        self.writer: BackgroundReplacer | None = None
+        """Who writes, once something was saved."""
 
     def load(self) -> StoredCheckpoints:
         """What is there; never raises."""
@@ -205,18 +206,13 @@ class CheckpointStore:
         newest = max(found, key=lambda checkpoint: checkpoint.sequence, default=None)
         return StoredCheckpoints(has_files, newest, tuple(problems))
 
-    @property
-    def writer(self) -> BackgroundReplacer | None:
-        """Who writes, once something was saved."""
-        return self._writer
-
     def save(self, checkpoint: Checkpoint) -> None:
         """Write a checkpoint in place of the older one, soon; never waits and never raises."""
-        if self._writer is None:
+        if self.writer is None:
             self._begin()
-        if self._writer is not None:
+        if self.writer is not None:
             path = self.paths[checkpoint.sequence % 2]
-            self._writer.replace(path, encode_checkpoint(checkpoint))
+            self.writer.replace(path, encode_checkpoint(checkpoint))
 
     def discard(self) -> None:
         """Delete both, because the mission ended in order; `close` comes first."""
@@ -226,15 +222,15 @@ class CheckpointStore:
 
     def close(self, timeout_s: float) -> None:
         """Write what waits, for so long at most."""
-        if self._writer is not None:
-            self._writer.close(timeout_s)
+        if self.writer is not None:
+            self.writer.close(timeout_s)
 
     def _begin(self) -> None:
         directory = self.paths[0].parent
         with suppress(OSError):  # the writer warns, once
             directory.mkdir(parents=True, exist_ok=True)
         self._sweep(directory)
-        self._writer = BackgroundReplacer("write checkpoint", MODE)
+        self.writer = BackgroundReplacer("write checkpoint", MODE)
 
     def _sweep(self, directory: Path) -> None:
         """Delete what a killed writer left half-done."""

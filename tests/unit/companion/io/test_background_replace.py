@@ -44,9 +44,9 @@ def test_a_hanging_disk_holds_up_nobody_and_costs_only_history(
     assert began.wait(PATIENCE_S)
     for number in range(1000):
         replacer.replace(tmp_path / "state", str(number).encode())
-    assert replacer.silent_s > 0.0
+    assert replacer.health.silent_s > 0.0
     replacer.close(timeout_s=0.01)
-    assert replacer.is_alive
+    assert replacer.health.is_alive
     released.set()
     replacer.close(PATIENCE_S)
     assert written == [b"first", b"999"]
@@ -83,5 +83,5 @@ def test_what_comes_after_the_end_is_counted(tmp_path: Path) -> None:
     replacer.close(PATIENCE_S)
     replacer.close(PATIENCE_S)
     replacer.replace(tmp_path / "state", b"late")
-    assert replacer.failed == 1
-    assert not replacer.is_alive
+    assert replacer.dropped == 1
+    assert not replacer.health.is_alive

@@ -15,7 +15,7 @@ from companion.guidance.events import (
     SetpointEchoed,
     SticksReported,
 )
-from companion.link.inbound import VehicleHealthInbound
+from companion.link.inbound import VehicleInbound
 from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, mavlink
 
 NAN, INF = math.nan, math.inf
@@ -23,7 +23,7 @@ UINT16_MAX = 2**16 - 1
 
 
 def events(message: Message) -> list[Event]:
-    return VehicleHealthInbound().events(message, 5.0)
+    return VehicleInbound().events(message, 5.0)
 
 
 def target(north: float, east: float, down: float, mask: int = 0, frame: int = 1) -> Message:
@@ -120,12 +120,15 @@ def test_charge_in_percent_and_as_a_state(
 
 
 def test_sys_status_tells_the_charge_until_battery_status_does() -> None:
-    inbound = VehicleHealthInbound()
+    inbound = VehicleInbound()
     assert inbound.events(sys_status(70), 5.0) == [BatteryReported(5.0, 70.0, BatteryLevel.UNKNOWN)]
     assert inbound.events(battery_status(60, number=1), 6.0) == []
     inbound.events(battery_status(70), 7.0)
     assert inbound.events(sys_status(70), 8.0) == []
-    inbound.restart()
+    for step in range(10):  # the autopilot restarts: its stamps go back, and go on
+        boot_ms = 90_000 if step == 0 else 100 * step
+        attitude = mavlink.MAVLink_attitude_message(boot_ms, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        inbound.events(attitude, 8.0 + 0.1 * step)
     assert len(inbound.events(sys_status(70), 9.0)) == 1
 
 

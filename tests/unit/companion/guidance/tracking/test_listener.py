@@ -8,6 +8,7 @@ import pytest
 from companion.domain import PositionEnu, RangingMeasurement, VehicleState
 from companion.estimation.screening.measurement_screen import RejectReason
 from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.guidance.tracking.emitters import EmitterQueue
 from companion.guidance.tracking.measurements import MAX_WAITING, RangingListener
 from companion.guidance.tracking.vehicle_track import VehicleTrack
 
@@ -20,7 +21,7 @@ class Flight:
     def __init__(self) -> None:
         self.track = VehicleTrack()
         self.tracker = TargetTracker(TrackerParams())
-        self.listener = RangingListener(self.tracker, self.track)
+        self.listener = RangingListener(EmitterQueue.of(self.tracker), self.track)
 
     def moved(self, *times_s: float) -> None:
         for time_s in times_s:
