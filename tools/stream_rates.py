@@ -22,8 +22,8 @@ from dataclasses import dataclass
 from companion.mav.dialect import Message, mavlink
 from sim_link.lab.conformance.cli import open_link
 from sim_link.lab.conformance.mavlink_oracle import LocalSetpoint, build_frame
+from sim_link.lab.conformance.protocol_clients import SetpointClient
 from sim_link.lab.conformance.rules import Flavour, NotApplicable, Violation
-from sim_link.lab.conformance.vehicle_probe import VehicleProbe
 from tools.console import OneLineParser
 
 ASKED_HZ: dict[type[Message], tuple[float, float, float]] = {
@@ -71,7 +71,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     with running_simulator(arguments.autopilot) as urls, ExitStack() as stack:
         links = [stack.enter_context(open_link(url)) for url in urls]
         try:
-            return measure([VehicleProbe(link) for link in links], arguments.seconds)
+            return measure([SetpointClient(link) for link in links], arguments.seconds)
         except (NotApplicable, Violation) as problem:
             print(f"stream_rates: {problem}", file=sys.stderr)
             return 1
@@ -104,7 +104,7 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def measure(clients: Sequence[VehicleProbe], seconds: float) -> int:
+def measure(clients: Sequence[SetpointClient], seconds: float) -> int:
     """Both measurements; the exit code."""
     for client in clients:
         client.attach()
@@ -124,7 +124,7 @@ def measure(clients: Sequence[VehicleProbe], seconds: float) -> int:
     return 0 if all(rate.is_kept for rate in rates) and not late else 1
 
 
-def measure_rates(clients: Sequence[VehicleProbe], seconds: float) -> list[Rate]:
+def measure_rates(clients: Sequence[SetpointClient], seconds: float) -> list[Rate]:
     """Ask for the streams and count them at every client."""
     for number, client in enumerate(clients):
         for kind, wanted_hz in ASKED_HZ.items():
@@ -145,7 +145,7 @@ def measure_rates(clients: Sequence[VehicleProbe], seconds: float) -> list[Rate]
     ]
 
 
-def take_turns(clients: Sequence[VehicleProbe], seconds: float) -> None:
+def take_turns(clients: Sequence[SetpointClient], seconds: float) -> None:
     """Let all clients read for a while."""
     until_s = time.monotonic() + seconds
     while time.monotonic() < until_s:
@@ -153,7 +153,7 @@ def take_turns(clients: Sequence[VehicleProbe], seconds: float) -> None:
             client.run(0.002)
 
 
-def rate_hz(client: VehicleProbe, kind: type[Message], mark: int) -> float:
+def rate_hz(client: SetpointClient, kind: type[Message], mark: int) -> float:
     """Of the vehicle's messages of a kind since a mark, by the first and the last of them."""
     times_s = [
         entry.time_s
@@ -164,13 +164,12 @@ def rate_hz(client: VehicleProbe, kind: type[Message], mark: int) -> float:
     return (len(times_s) - 1) / passed_s if passed_s > 0.0 else 0.0
 
 
-def measure_reaction(pilot: VehicleProbe) -> list[int]:
+def measure_reaction(pilot: SetpointClient) -> list[int]:
     """In flight: steps from a setpoint's arrival to the echo that shows it."""
     pilot.take_off()
     north, east, down = pilot.place()
-    target = LocalSetpoint((north, east, down))
-    stop = pilot.enter_offboard(lambda: target.message(pilot.target))
-    pilot.set_interval(int(Echo.id), TICK_MS / 1e3)
+    stop = pilot.enter_offboard(LocalSetpoint((north, east, down)))
+    pilot.set_interval(Echo, TICK_MS / 1e3)
     pilot.run(1.0)
     stop()
     steps = []

@@ -39,34 +39,38 @@ def signing_simulator(flavour: Flavour) -> SimEndpoint:
 
 
 def probe_of(
-    endpoint: Endpoint, signing_key: bytes | None = None, *, is_datagram: bool = True
+    endpoint: Endpoint,
+    prober: type[VehicleProbe],
+    signing_key: bytes | None = None,
+    *,
+    is_datagram: bool = True,
 ) -> VehicleProbe:
     """A ground station that has heard the vehicle, over datagrams or a byte stream."""
-    probe = VehicleProbe(MemoryHub(endpoint).connect(is_datagram=is_datagram), signing_key)
+    probe = prober(MemoryHub(endpoint).connect(is_datagram=is_datagram), signing_key)
     probe.attach()
     return probe
 
 
-def companion_probe(flavour: Flavour) -> CompanionProbe:
+def companion_probe(prober: type[CompanionProbe], flavour: Flavour) -> CompanionProbe:
     """A vehicle on strings that the companion has heard."""
     endpoint = build_endpoint(CompanionConfig(), MemoryJournal())
-    probe = CompanionProbe(MemoryHub(endpoint).connect(), flavour)
+    probe = prober(MemoryHub(endpoint).connect(), flavour)
     probe.attach()
     return probe
 
 
-def unanswered_companion_probe(flavour: Flavour) -> CompanionProbe:
+def unanswered_companion_probe(prober: type[CompanionProbe], flavour: Flavour) -> CompanionProbe:
     """The same with a companion that launches by itself a vehicle that never answers."""
     endpoint = build_endpoint(LAUNCHES_BY_ITSELF, MemoryJournal())
     link = MemoryHub(endpoint).connect()
-    probe = CompanionProbe(link, flavour, stay_silent, is_flying=False)
+    probe = prober(link, flavour, stay_silent, is_flying=False)
     probe.attach()
     return probe
 
 
 def try_on_vehicle(rule: Rule, endpoint: Endpoint) -> RuleOutcome:
     """How a rule goes with a vehicle in memory."""
-    return try_rule(rule, probe_of(endpoint))
+    return try_rule(rule, probe_of(endpoint, rule.book.prober))
 
 
 def cases(role: Role) -> list[tuple[Rule, Flavour]]:

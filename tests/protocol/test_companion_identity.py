@@ -18,5 +18,5 @@ def test_it_takes_the_system_id_of_its_vehicle(system_id: int) -> None:
     probe = CompanionProbe(MemoryHub(endpoint).connect(), Flavour.PX4, accept, system_id)
     probe.attach()
     assert probe.companion == (system_id, 191)
-    assert all(command.target_system == system_id for _, command in probe.commands())
+    assert all(command.target_system == system_id for command in probe.commands())
     assert probe.commands()

@@ -21,7 +21,7 @@ UNANSWERED = "requests.unanswered_command_is_repeated_a_few_times"
 @pytest.mark.parametrize(("rule", "flavour"), cases(Role.COMPANION), ids=case_id)
 def test_companion_keeps_the_rule(rule: Rule, flavour: Flavour) -> None:
     make_probe = unanswered_companion_probe if rule.rule_id == UNANSWERED else companion_probe
-    outcome = try_rule(rule, make_probe(flavour))
+    outcome = try_rule(rule, make_probe(rule.book.prober, flavour))
     if rule.rule_id in NOT_DONE_BY_OURS:
         assert outcome.verdict is RuleVerdict.SKIP
         assert NOT_DONE_BY_OURS[rule.rule_id] in outcome.detail

@@ -212,10 +212,10 @@ def test_a_dropped_frame_with_a_magic_byte_in_it_is_no_defect_on_a_byte_stream(
 ) -> None:
     asked = mavlink.MAVLink_timesync_message(0, 7_000_000_000 + magic)
     monkeypatch.setattr(
-        "sim_link.lab.conformance.vehicle_rules.frame_rules.question", lambda _: asked
+        "sim_link.lab.conformance.vehicle_rules.frame_rules.FrameProbe.question", lambda _: asked
     )
     rule = BY_ID[f"frames.{name}_is_dropped"]
-    outcome = try_rule(rule, probe_of(simulator(PX4), is_datagram=False))
+    outcome = try_rule(rule, probe_of(simulator(PX4), rule.book.prober, is_datagram=False))
     assert outcome.verdict is RuleVerdict.PASS, outcome.detail
 
 

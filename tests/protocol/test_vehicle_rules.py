@@ -19,7 +19,7 @@ from tests.protocol.conformance_rigs import (
 @pytest.mark.parametrize(("rule", "flavour"), cases(Role.VEHICLE), ids=case_id)
 def test_simulator_keeps_the_rule(rule: Rule, flavour: Flavour) -> None:
     if rule.rule_id.startswith("signing."):
-        outcome = try_rule(rule, probe_of(signing_simulator(flavour), KEY))
+        outcome = try_rule(rule, probe_of(signing_simulator(flavour), rule.book.prober, KEY))
     else:
         outcome = try_on_vehicle(rule, simulator(flavour))
     assert outcome.verdict is RuleVerdict.PASS, outcome.detail
@@ -31,5 +31,5 @@ def test_simulator_keeps_the_rule(rule: Rule, flavour: Flavour) -> None:
     ids=case_id,
 )
 def test_simulator_keeps_the_rule_on_a_byte_stream(rule: Rule, flavour: Flavour) -> None:
-    outcome = try_rule(rule, probe_of(simulator(flavour), is_datagram=False))
+    outcome = try_rule(rule, probe_of(simulator(flavour), rule.book.prober, is_datagram=False))
     assert outcome.verdict is RuleVerdict.PASS, outcome.detail

@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from companion import __version__
 from companion.errors import CompanionError, ConfigError
@@ -30,7 +31,8 @@ from companion.io.links.transports import (
 from companion.io.state.signing_keys import load_signing_key
 from companion.mav.endpoint import Address, Chunk
 from sim_link.fleet.console import ComplaintParser
-from sim_link.lab.conformance import companion_identity_rules, companion_setpoint_rules
+from sim_link.lab.conformance.companion_identity_rules import IdentityRules, RequestRules
+from sim_link.lab.conformance.companion_setpoint_rules import SetpointRules
 from sim_link.lab.conformance.puppet import CompanionProbe
 from sim_link.lab.conformance.rules import (
     Effect,
@@ -48,43 +50,48 @@ from sim_link.lab.conformance.rules import (
     summary,
 )
 from sim_link.lab.conformance.vehicle_probe import VehicleProbe
-from sim_link.lab.conformance.vehicle_rules import (
-    command_rules,
-    connection_rules,
-    flight_rules,
-    frame_rules,
-    mission_rules,
-    parameter_rules,
-    setpoint_mode_rules,
-    setpoint_rules,
-    signing_rules,
-    telemetry_rules,
-    upload_rules,
+from sim_link.lab.conformance.vehicle_rules.command_rules import ArmingRules, CommandRules
+from sim_link.lab.conformance.vehicle_rules.connection_rules import HeartbeatRules, RoutingRules
+from sim_link.lab.conformance.vehicle_rules.flight_rules import FailsafeRules, FlightRules
+from sim_link.lab.conformance.vehicle_rules.frame_rules import FrameRules
+from sim_link.lab.conformance.vehicle_rules.mission_rules import MissionRules
+from sim_link.lab.conformance.vehicle_rules.parameter_rules import ParameterRules
+from sim_link.lab.conformance.vehicle_rules.setpoint_mode_rules import (
+    GuidedRules,
+    OffboardLossRules,
+)
+from sim_link.lab.conformance.vehicle_rules.setpoint_rules import OffboardRules
+from sim_link.lab.conformance.vehicle_rules.signing_rules import ClockRules, SigningRules
+from sim_link.lab.conformance.vehicle_rules.telemetry_rules import StreamRules, TelemetryRules
+from sim_link.lab.conformance.vehicle_rules.upload_rules import (
+    FenceRules,
+    PlanResultRules,
+    UploadRules,
 )
 
 BOOKS = (
-    frame_rules.book,
-    connection_rules.heartbeat_book,
-    connection_rules.routing_book,
-    signing_rules.signing_book,
-    command_rules.command_book,
-    signing_rules.clock_book,
-    telemetry_rules.stream_book,
-    telemetry_rules.telemetry_book,
-    parameter_rules.book,
-    mission_rules.book,
-    upload_rules.upload_book,
-    upload_rules.plan_result_book,
-    upload_rules.fence_book,
-    command_rules.arming_book,
-    flight_rules.flight_book,
-    setpoint_rules.book,
-    setpoint_mode_rules.offboard_loss_book,
-    setpoint_mode_rules.guided_book,
-    flight_rules.failsafe_book,
-    companion_identity_rules.identity_book,
-    companion_identity_rules.request_book,
-    companion_setpoint_rules.book,
+    FrameRules.book,
+    HeartbeatRules.book,
+    RoutingRules.book,
+    SigningRules.book,
+    CommandRules.book,
+    ClockRules.book,
+    StreamRules.book,
+    TelemetryRules.book,
+    ParameterRules.book,
+    MissionRules.book,
+    UploadRules.book,
+    PlanResultRules.book,
+    FenceRules.book,
+    ArmingRules.book,
+    FlightRules.book,
+    OffboardRules.book,
+    OffboardLossRules.book,
+    GuidedRules.book,
+    FailsafeRules.book,
+    IdentityRules.book,
+    RequestRules.book,
+    SetpointRules.book,
 )
 
 
@@ -321,14 +328,13 @@ def _try_all(
     flavour = Flavour(arguments.flavour)
     is_vehicle = arguments.role == Role.VEHICLE.value
 
-    def make_probe() -> VehicleProbe | CompanionProbe:
-        """A fresh probe of the same role."""
+    def make_probe(kind: type[Any]) -> Any:
         link.close_others()
-        probe = VehicleProbe(link, key) if is_vehicle else CompanionProbe(link, flavour)
+        probe = kind(link, key if is_vehicle else flavour)
         probe.attach()
         return probe
 
-    first = make_probe()
+    first = make_probe(VehicleProbe if is_vehicle else CompanionProbe)
     outcomes = []
     for outcome in run_rules(rules, first.flavour, _allowed(arguments), make_probe):
         outcomes.append(outcome)

@@ -19,7 +19,57 @@ from sim_link.lab.conformance.rules import Flavour
 
 OBSERVED_PX4 = "PX4 1.15, observed in SITL"
 OBSERVED_ARDUPILOT = "ArduCopter 4.5, observed in SITL"
+OBSERVED_BOTH = f"{OBSERVED_PX4}; {OBSERVED_ARDUPILOT}"
 
+Ack = mavlink.MAVLink_command_ack_message
+Attitude = mavlink.MAVLink_attitude_message
+Battery = mavlink.MAVLink_battery_status_message
+Clear = mavlink.MAVLink_mission_clear_all_message
+CommandInt = mavlink.MAVLink_command_int_message
+CommandLong = mavlink.MAVLink_command_long_message
+Count = mavlink.MAVLink_mission_count_message
+Current = mavlink.MAVLink_mission_current_message
+GlobalPosition = mavlink.MAVLink_global_position_int_message
+GlobalTarget = mavlink.MAVLink_set_position_target_global_int_message
+Heartbeat = mavlink.MAVLink_heartbeat_message
+HomePosition = mavlink.MAVLink_home_position_message
+Item = mavlink.MAVLink_mission_item_int_message
+ItemIntRequest = mavlink.MAVLink_mission_request_int_message
+ItemRequest = mavlink.MAVLink_mission_request_message
+LocalPosition = mavlink.MAVLink_local_position_ned_message
+LocalTarget = mavlink.MAVLink_set_position_target_local_ned_message
+Origin = mavlink.MAVLink_gps_global_origin_message
+ParamError = mavlink.MAVLink_param_error_message
+ParamRead = mavlink.MAVLink_param_request_read_message
+ParamSet = mavlink.MAVLink_param_set_message
+ParamValue = mavlink.MAVLink_param_value_message
+Ping = mavlink.MAVLink_ping_message
+PlanAck = mavlink.MAVLink_mission_ack_message
+PlanRequest = mavlink.MAVLink_mission_request_list_message
+Reached = mavlink.MAVLink_mission_item_reached_message
+SetOrigin = mavlink.MAVLink_set_gps_global_origin_message
+StatusText = mavlink.MAVLink_statustext_message
+SysState = mavlink.MAVLink_extended_sys_state_message
+SysStatus = mavlink.MAVLink_sys_status_message
+SystemTime = mavlink.MAVLink_system_time_message
+Timesync = mavlink.MAVLink_timesync_message
+Version = mavlink.MAVLink_autopilot_version_message
+
+ARM = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
+FORCE_DISARM = 21196.0
+"""Parameter 2 of ARM: whatever it flies."""
+REQUEST = mavlink.MAV_CMD_REQUEST_MESSAGE
+TAKE_OFF = mavlink.MAV_CMD_NAV_TAKEOFF
+REBOOT = mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN
+PREARM = mavlink.MAV_SYS_STATUS_PREARM_CHECK
+ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+ACTIVE, CRITICAL = mavlink.MAV_STATE_ACTIVE, mavlink.MAV_STATE_CRITICAL
+MISSION = mavlink.MAV_MISSION_TYPE_MISSION
+FENCE = mavlink.MAV_MISSION_TYPE_FENCE
+RALLY = mavlink.MAV_MISSION_TYPE_RALLY
+ALL = mavlink.MAV_MISSION_TYPE_ALL
+INT32, REAL32 = mavlink.MAV_PARAM_TYPE_INT32, mavlink.MAV_PARAM_TYPE_REAL32
+NAN = math.nan
 
 ACCEPTED, TEMPORARILY_REJECTED, DENIED, UNSUPPORTED, FAILED = 0, 1, 2, 3, 4
 IN_PROGRESS, CANCELLED = 5, 6
@@ -195,11 +245,7 @@ CUSTOM = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 
 
 def custom_mode(flavour: Flavour, mode: str) -> int:
-    """HEARTBEAT.custom_mode of a mode.
-
-    Raises:
-        KeyError: The autopilot has no such mode.
-    """
+    """HEARTBEAT.custom_mode of a mode; KeyError: the autopilot has no such mode."""
     if flavour is Flavour.ARDUPILOT:
         return ARDUCOPTER[mode]
     main, sub = PX4_MAIN_SUB[mode]
@@ -208,9 +254,8 @@ def custom_mode(flavour: Flavour, mode: str) -> int:
 
 def set_mode_params(flavour: Flavour, mode: str) -> tuple[float, float, float]:
     """Parameters 1 to 3 of MAV_CMD_DO_SET_MODE."""
-    if flavour is Flavour.ARDUPILOT:
-        return (float(CUSTOM), float(ARDUCOPTER[mode]), 0.0)
-    main, sub = PX4_MAIN_SUB[mode]
+    is_px4 = flavour is Flavour.PX4
+    main, sub = PX4_MAIN_SUB[mode] if is_px4 else (ARDUCOPTER[mode], 0)
     return (float(CUSTOM), float(main), float(sub))
 
 

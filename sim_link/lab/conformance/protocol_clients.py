@@ -1,36 +1,25 @@
-"""Clients of the parameter and mission protocols, in steps that a probe can each do wrong.
+"""Clients of a vehicle's parameters, plans and setpoints, in steps that a rule can each do wrong.
 
-Parameter values are kept as the bytes on the wire. Plans lie about home.
+Answers are looked for behind what was sent last. Parameter values are kept as the bytes on the
+wire. Plans lie about home.
 """
 
 from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
 from companion.mav.dialect import Message, mavlink
-from sim_link.lab.conformance.rules import Violation, require
+from sim_link.lab.conformance import mavlink_oracle as mav
+from sim_link.lab.conformance.mavlink_oracle import GlobalSetpoint, LocalSetpoint, Triple
+from sim_link.lab.conformance.rules import NotApplicable, Violation, require
 from sim_link.lab.conformance.station import Heard
-from sim_link.lab.conformance.vehicle_probe import NAN, VehicleProbe
+from sim_link.lab.conformance.vehicle_probe import ACK_S, VehicleProbe
 
-SERVICE = "MAVLink guide, Parameter Protocol"
-STRICT = "(stricter than the real one)"
-INT32, REAL32 = 6, 9
-PX4_NAMES = (
-    "MIS_TAKEOFF_ALT",
-    "RTL_RETURN_ALT",
-    "COM_OF_LOSS_T",
-    "COM_OBL_RC_ACT",
-    "MPC_XY_VEL_MAX",
-    "SYS_AUTOSTART",
-)
-ARDUPILOT_NAMES = ("RTL_ALT", "FENCE_ENABLE", "FS_GCS_ENABLE", "GUID_TIMEOUT", "SYSID_MYGCS")
 UNLISTED_INDEX = 65_535
-Value = mavlink.MAVLink_param_value_message
-Error = mavlink.MAVLink_param_error_message
 LIST_S = 60.0
 ANSWER_S = 2.0
 
@@ -44,137 +33,110 @@ class Parameter:
     raw: bytes
     index: int
     count: int
-
-    def value(self, probe: VehicleProbe) -> float:
-        """The number, decoded as the flavour encodes."""
-        if probe.is_px4 and self.kind == INT32:
-            return float(struct.unpack("<i", self.raw)[0])
-        return float(struct.unpack("<f", self.raw)[0])
+    value: float
+    """The number, decoded as the flavour encodes."""
 
 
-def parameter(entry: Heard) -> Parameter:
-    """The parameter of a heard PARAM_VALUE."""
-    message = entry.message
-    assert isinstance(message, Value)
-    start = 10 if entry.frame[0] == 0xFD else 6
-    payload = entry.frame[start : start + entry.frame[1]].ljust(25, b"\0")
-    return Parameter(
-        message.param_id, message.param_type, payload[:4], message.param_index, message.param_count
-    )
+class ParameterClient(VehicleProbe):
+    """Reads and writes parameters."""
+
+    @property
+    def float_name(self) -> str:
+        """A REAL32 parameter that may be changed a little."""
+        return "MIS_TAKEOFF_ALT" if self.is_px4 else "GUID_TIMEOUT"
+
+    @property
+    def integer_name(self) -> str:
+        """An integer parameter that may be 3."""
+        return "COM_OBL_RC_ACT" if self.is_px4 else "FS_GCS_ENABLE"
+
+    def parameter(self, entry: Heard) -> Parameter:
+        """The parameter of a heard PARAM_VALUE."""
+        m = entry.message
+        assert isinstance(m, mav.ParamValue)
+        start = 10 if entry.frame[0] == 0xFD else 6
+        raw = entry.frame[start : start + entry.frame[1]].ljust(25, b"\0")[:4]
+        code = "<i" if self.is_px4 and m.param_type == mav.INT32 else "<f"
+        value = float(struct.unpack(code, raw)[0])
+        return Parameter(m.param_id, m.param_type, raw, m.param_index, m.param_count, value)
+
+    def values_since(self, mark: int, name: str | None = None) -> list[Parameter]:
+        """The parameters told since a mark."""
+        found = [
+            self.parameter(entry)
+            for entry in self.inbox[mark:]
+            if isinstance(entry.message, mav.ParamValue) and entry.source == self.target
+        ]
+        return [p for p in found if name in (None, p.name)]
+
+    def await_value(self, name: str) -> Parameter:
+        """The value of a parameter that is told after what was sent."""
+        mark = self.asked
+        told = self.run_until(lambda: bool(self.values_since(mark, name)), ANSWER_S)
+        require(told, f"no PARAM_VALUE of {name} within {ANSWER_S:g} s")
+        return self.values_since(mark, name)[-1]
+
+    @contextmanager
+    def restored(self, name: str) -> Iterator[Parameter]:
+        """A parameter as it is; at the end it is written back."""
+        before = self.read(name)
+        try:
+            yield before
+        finally:
+            self.write(name, before.value, before.kind)
+            self.run(0.2)
+
+    @contextmanager
+    def parameter_set(self, name: str, value: float) -> Iterator[None]:
+        """A parameter that has another value for a while."""
+        with self.restored(name) as before:
+            self.write(name, value, before.kind)
+            self.await_value(name)
+            yield
+
+    def request_read(self, name: str, index: int = -1) -> None:
+        """PARAM_REQUEST_READ by name or index."""
+        self.send(mav.ParamRead(*self.target, name.encode(), index))
+
+    def read(self, name: str) -> Parameter:
+        """A parameter, read by name."""
+        self.request_read(name)
+        return self.await_value(name)
+
+    def write(
+        self, name: str, value: float, kind: int, target: tuple[int, int] | None = None
+    ) -> None:
+        """PARAM_SET, encoded as the flavour does."""
+        if self.is_px4 and kind == mav.INT32 and math.isfinite(value):
+            value = struct.unpack("<f", struct.pack("<i", int(value)))[0]
+        self.send(mav.ParamSet(*(target or self.target), name.encode(), value, kind))
+
+    def read_all(self) -> list[Parameter]:
+        """PARAM_REQUEST_LIST; every parameter once, by index."""
+        seen: dict[int, Parameter] = {}
+        self.send(mavlink.MAVLink_param_request_list_message(*self.target))
+        cursor = self.asked
+
+        def is_complete() -> bool:
+            nonlocal cursor
+            told = self.values_since(cursor)
+            cursor = self.mark
+            seen.update({p.index: p for p in told if p.index != UNLISTED_INDEX})
+            return bool(seen) and len(seen) == next(iter(seen.values())).count
+
+        if not self.run_until(is_complete, LIST_S):
+            raise Violation(f"{len(seen)} parameters within {LIST_S:g} s, incomplete")
+        return [seen[index] for index in sorted(seen)]
 
 
-def encode(probe: VehicleProbe, value: float, kind: int) -> float:
-    """The float field that carries a value."""
-    if probe.is_px4 and kind == INT32:
-        return float(struct.unpack("<f", struct.pack("<i", int(value)))[0])
-    return value
-
-
-def values_since(probe: VehicleProbe, mark: int, name: str | None = None) -> list[Parameter]:
-    """The parameters told since a mark."""
-    found = [
-        parameter(entry)
-        for entry in probe.inbox[mark:]
-        if isinstance(entry.message, Value) and entry.source == probe.target
-    ]
-    return [p for p in found if name in (None, p.name)]
-
-
-def await_value(probe: VehicleProbe, mark: int, name: str) -> Parameter:
-    """The next value of a parameter."""
-    told = probe.run_until(lambda: bool(values_since(probe, mark, name)), ANSWER_S)
-    require(told, f"no PARAM_VALUE of {name} within {ANSWER_S:g} s")
-    return values_since(probe, mark, name)[-1]
-
-
-@contextmanager
-def restored(probe: VehicleProbe, name: str) -> Iterator[Parameter]:
-    """A parameter as it is; at the end it is written back."""
-    before = read(probe, name)
-    try:
-        yield before
-    finally:
-        write(probe, name, before.value(probe), before.kind)
-        probe.run(0.2)
-
-
-@contextmanager
-def parameter_set(probe: VehicleProbe, name: str, value: float) -> Iterator[None]:
-    """A parameter that has another value for a while."""
-    with restored(probe, name) as before:
-        await_value(probe, write(probe, name, value, before.kind), name)
-        yield
-
-
-def request_read(probe: VehicleProbe, name: str, index: int = -1) -> int:
-    """PARAM_REQUEST_READ by name or index; the mark before it."""
-    mark = probe.mark
-    message = mavlink.MAVLink_param_request_read_message(*probe.target, name.encode(), index)
-    probe.send(message)
-    return mark
-
-
-def read(probe: VehicleProbe, name: str) -> Parameter:
-    """PARAM_REQUEST_READ by name."""
-    return await_value(probe, request_read(probe, name), name)
-
-
-def write(
-    probe: VehicleProbe, name: str, value: float, kind: int, target: tuple[int, int] | None = None
-) -> int:
-    """PARAM_SET; the mark before it."""
-    mark = probe.mark
-    field = encode(probe, value, kind) if math.isfinite(value) else value
-    probe.send(
-        mavlink.MAVLink_param_set_message(*(target or probe.target), name.encode(), field, kind)
-    )
-    return mark
-
-
-def read_all(probe: VehicleProbe) -> list[Parameter]:
-    """PARAM_REQUEST_LIST; every parameter once, by index."""
-    mark = probe.mark
-    probe.send(mavlink.MAVLink_param_request_list_message(*probe.target))
-    seen: dict[int, Parameter] = {}
-    cursor = mark
-
-    def is_complete() -> bool:
-        """Whether every index was told."""
-        nonlocal cursor
-        for entry in probe.inbox[cursor:]:
-            cursor += 1
-            if isinstance(entry.message, Value) and entry.source == probe.target:
-                told = parameter(entry)
-                if told.index != UNLISTED_INDEX:
-                    seen[told.index] = told
-        return bool(seen) and len(seen) == next(iter(seen.values())).count
-
-    if not probe.run_until(is_complete, LIST_S):
-        raise Violation(f"{len(seen)} parameters within {LIST_S:g} s, incomplete")
-    return [seen[index] for index in sorted(seen)]
-
-
-def float_name(probe: VehicleProbe) -> str:
-    """A REAL32 parameter that may be changed a little."""
-    return "MIS_TAKEOFF_ALT" if probe.is_px4 else "GUID_TIMEOUT"
-
-
-def integer_name(probe: VehicleProbe) -> str:
-    """An integer parameter that may be 3."""
-    return "COM_OBL_RC_ACT" if probe.is_px4 else "FS_GCS_ENABLE"
-
-
-MISSION = mavlink.MAV_MISSION_TYPE_MISSION
-FENCE = mavlink.MAV_MISSION_TYPE_FENCE
-RALLY = mavlink.MAV_MISSION_TYPE_RALLY
-ALL = mavlink.MAV_MISSION_TYPE_ALL
 STEP_TIMEOUT_S = 4.0
+FENCE_SWITCHES = {
+    True: (b"GF_ACTION", struct.unpack("<f", struct.pack("<i", 2))[0], mav.INT32),
+    False: (b"FENCE_ENABLE", 1.0, 2),
+}
+"""PARAM_SET of what makes PX4 hold at its fence, and ArduPilot keep within it."""
 
-Request = mavlink.MAVLink_mission_request_message | mavlink.MAVLink_mission_request_int_message
-REQUESTS = (mavlink.MAVLink_mission_request_message, mavlink.MAVLink_mission_request_int_message)
-Ack = mavlink.MAVLink_mission_ack_message
-Item = mavlink.MAVLink_mission_item_int_message
-Count = mavlink.MAVLink_mission_count_message
+REQUESTS = (mav.ItemRequest, mav.ItemIntRequest)
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,42 +145,17 @@ class MissionItem:
 
     command: int
     frame: int = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
-    params: tuple[float, float, float, float] = (0.0, 0.0, 0.0, NAN)
+    params: tuple[float, float, float, float] = (0.0, 0.0, 0.0, mav.NAN)
     x: int = 0
     y: int = 0
     z: float = 0.0
     current: int = 0
     autocontinue: int = 1
 
-    def message(self, probe: VehicleProbe, sequence: int, kind: int) -> Message:
-        """The message that uploads it."""
-        return mavlink.MAVLink_mission_item_int_message(
-            *probe.target,
-            sequence,
-            self.frame,
-            self.command,
-            self.current,
-            self.autocontinue,
-            *self.params,
-            self.x,
-            self.y,
-            self.z,
-            kind,
-        )
-
-
-def item_of(message: Item) -> MissionItem:
-    """The item of a downloaded message."""
-    return MissionItem(
-        message.command,
-        message.frame,
-        (message.param1, message.param2, message.param3, message.param4),
-        message.x,
-        message.y,
-        message.z,
-        message.current,
-        message.autocontinue,
-    )
+    @property
+    def place(self) -> tuple[int, int, int, float]:
+        """What must survive a round trip on either flavour."""
+        return (self.command, self.x, self.y, round(self.z, 3))
 
 
 def waypoint(lat_e7: int, lon_e7: int, height_m: float) -> MissionItem:
@@ -226,193 +163,260 @@ def waypoint(lat_e7: int, lon_e7: int, height_m: float) -> MissionItem:
     return MissionItem(mavlink.MAV_CMD_NAV_WAYPOINT, x=lat_e7, y=lon_e7, z=height_m)
 
 
-def send_count(probe: VehicleProbe, count: int, kind: int) -> int:
-    """MISSION_COUNT; the mark before it."""
-    mark = probe.mark
-    probe.send(mavlink.MAVLink_mission_count_message(*probe.target, count, kind))
-    return mark
+class PlanClient(VehicleProbe):
+    """Uploads, downloads and clears plans. ArduPilot's item 0 is home and no part of a mission."""
 
+    def send_count(self, count: int, kind: int = mav.MISSION) -> None:
+        """MISSION_COUNT."""
+        self.send(mav.Count(*self.target, count, kind))
 
-def await_request(probe: VehicleProbe, mark: int, sequence: int) -> Request:
-    """The next request of an item, with either message."""
-    last = next_step(probe, mark)
-    if isinstance(last, Ack):
-        raise Violation(f"ACK {last.type} instead of a request")
-    require(sequence == last.seq, f"item {last.seq} requested, not {sequence}")
-    return last
+    def next_step(self) -> mav.ItemRequest | mav.ItemIntRequest | mav.PlanAck:
+        """The vehicle's next request or ACK."""
+        kinds = (*REQUESTS, mav.PlanAck)
+        what = "request or MISSION_ACK"
+        step = self.expect(kinds, mark=self.asked, within_s=STEP_TIMEOUT_S, what=what)
+        assert isinstance(step, kinds)
+        return step
 
+    def await_request(self, sequence: int) -> mav.ItemRequest | mav.ItemIntRequest:
+        """The next request of an item, with either message."""
+        step = self.next_step()
+        if isinstance(step, mav.PlanAck):
+            raise Violation(f"ACK {step.type} instead of a request")
+        require(sequence == step.seq, f"item {step.seq} requested, not {sequence}")
+        return step
 
-def await_ack(probe: VehicleProbe, mark: int) -> int:
-    """The type of the next MISSION_ACK for us."""
-    ids = (0, probe.system_id)
-    ack = probe.expect(Ack, lambda m: m.target_system in ids, mark=mark, within_s=STEP_TIMEOUT_S)
-    return int(ack.type)
-
-
-def result_of(probe: VehicleProbe, message: Message) -> int:
-    """Send a message; the type of the MISSION_ACK that follows."""
-    mark = probe.mark
-    probe.send(message)
-    return await_ack(probe, mark)
-
-
-def send_item(probe: VehicleProbe, item: MissionItem, sequence: int, kind: int = MISSION) -> int:
-    """One item; the mark before it."""
-    mark = probe.mark
-    probe.send(item.message(probe, sequence, kind))
-    return mark
-
-
-def begin_upload(probe: VehicleProbe, count: int) -> int:
-    """MISSION_COUNT, and the request of the first item; the mark before both."""
-    mark = send_count(probe, count, MISSION)
-    await_request(probe, mark, 0)
-    return mark
-
-
-def upload(probe: VehicleProbe, items: Sequence[MissionItem], kind: int = MISSION) -> int:
-    """A whole upload; the type of its MISSION_ACK."""
-    mark = send_count(probe, len(items), kind)
-    for _ in range(20 * len(items) + 20):
-        step = next_step(probe, mark)
-        if isinstance(step, Ack):
-            return int(step.type)
-        require(step.seq < len(items), f"item {step.seq} of {len(items)} requested")
-        mark = send_item(probe, items[step.seq], step.seq, kind)
-    raise Violation("the upload does not end")
-
-
-def next_step(probe: VehicleProbe, mark: int) -> Request | Ack:
-    """The vehicle's next request or ACK."""
-    kinds = (*REQUESTS, Ack)
-    step = probe.expect(kinds, mark=mark, within_s=STEP_TIMEOUT_S, what="request or MISSION_ACK")
-    assert isinstance(step, kinds)
-    return step
-
-
-def require_upload(probe: VehicleProbe, items: Sequence[MissionItem], kind: int = MISSION) -> None:
-    """A whole upload, which must be accepted."""
-    result = upload(probe, items, kind)
-    require(result == 0, f"an upload of {len(items)} items of type {kind} gave ACK {result}")
-
-
-def begin_download(probe: VehicleProbe, kind: int = MISSION) -> int:
-    """MISSION_REQUEST_LIST; how many items there are."""
-    request = mavlink.MAVLink_mission_request_list_message(*probe.target, kind)
-    answer = probe.ask(request, Count, lambda m: m.mission_type == kind, within_s=STEP_TIMEOUT_S)
-    return int(answer.count)
-
-
-def download(probe: VehicleProbe, kind: int = MISSION) -> list[MissionItem]:
-    """A whole download, with the client's ACK at its end."""
-    count = begin_download(probe, kind)
-    items = [request_item(probe, sequence, kind) for sequence in range(count)]
-    finish_download(probe, kind)
-    return items
-
-
-def request_item(probe: VehicleProbe, sequence: int, kind: int) -> MissionItem:
-    """MISSION_REQUEST_INT; the item."""
-    item = probe.ask(
-        mavlink.MAVLink_mission_request_int_message(*probe.target, sequence, kind),
-        Item,
-        lambda m: m.seq == sequence and m.mission_type == kind,
-        within_s=STEP_TIMEOUT_S,
-    )
-    return item_of(item)
-
-
-def finish_download(probe: VehicleProbe, kind: int) -> None:
-    """The client's ACK."""
-    probe.send(mavlink.MAVLink_mission_ack_message(*probe.target, 0, kind))
-
-
-def clear(probe: VehicleProbe, kind: int = MISSION) -> int:
-    """MISSION_CLEAR_ALL; the type of its ACK."""
-    return result_of(probe, mavlink.MAVLink_mission_clear_all_message(*probe.target, kind))
-
-
-def with_home(probe: VehicleProbe, items: Sequence[MissionItem]) -> list[MissionItem]:
-    """A mission as the flavour numbers it: ArduPilot's item 0 is home."""
-    if probe.is_px4:
-        return list(items)
-    home = MissionItem(mavlink.MAV_CMD_NAV_WAYPOINT, mavlink.MAV_FRAME_GLOBAL, (0.0, 0.0, 0.0, 0.0))
-    return [home, *items]
-
-
-def without_home(probe: VehicleProbe, items: Sequence[MissionItem]) -> list[MissionItem]:
-    """A downloaded mission without ArduPilot's item 0."""
-    return list(items) if probe.is_px4 else list(items[1:])
-
-
-def square(probe: VehicleProbe, count: int = 4, height_m: float = 10.0) -> list[MissionItem]:
-    """Waypoints about home, 20 m apart; ArduPilot's home item first."""
-    home = probe.home()
-    offsets = [(1_800, 0), (1_800, 2_600), (0, 2_600), (0, 0)]
-    items = []
-    for number in range(count):
-        north, east = offsets[number % 4]
-        items.append(waypoint(home.latitude + north, home.longitude + east, height_m + number))
-    return with_home(probe, items)
-
-
-def stored(probe: VehicleProbe) -> list[MissionItem]:
-    """The mission that the vehicle has, without ArduPilot's home item."""
-    return without_home(probe, download(probe))
-
-
-def places(items: Sequence[MissionItem]) -> list[tuple[int, int, int, float]]:
-    """What must survive a round trip on either flavour."""
-    return [(item.command, item.x, item.y, round(item.z, 3)) for item in items]
-
-
-def require_stored(probe: VehicleProbe, wanted: Sequence[MissionItem]) -> None:
-    """The vehicle must have this mission, ArduPilot's home item aside."""
-    found = places(stored(probe))
-    require(found == places(wanted), f"the mission is {found}, not {places(wanted)}")
-
-
-def prepare(probe: VehicleProbe, count: int = 3) -> list[MissionItem]:
-    """Get ready and upload a mission; the items without home."""
-    probe.get_ready()
-    items = square(probe, count)
-    require_upload(probe, items)
-    return without_home(probe, items)
-
-
-def circle(probe: VehicleProbe, radius_m: float = 500.0) -> list[MissionItem]:
-    """A circular inclusion fence about home."""
-    home, command = probe.home(), mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION
-    params = (radius_m, 0.0, 0.0, 0.0)
-    return [MissionItem(command, fence_frame(probe), params, home.latitude, home.longitude)]
-
-
-def fence_frame(probe: VehicleProbe) -> int:
-    """In which frame the flavour's clients send a fence."""
-    return mavlink.MAV_FRAME_GLOBAL_INT if probe.is_px4 else mavlink.MAV_FRAME_GLOBAL
-
-
-def polygon(probe: VehicleProbe, told: float = 4.0, half: int = 30_000) -> list[MissionItem]:
-    """A square inclusion fence about home, each vertex telling `told` vertices."""
-    home = probe.home()
-    corners = ((-1, -1), (1, -1), (1, 1), (-1, 1))
-    return [
-        MissionItem(
-            mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION,
-            fence_frame(probe),
-            (told, 0.0, 0.0, 0.0),
-            home.latitude + north * half,
-            home.longitude + east * half,
+    def await_ack(self) -> int:
+        """The type of the next MISSION_ACK for us."""
+        ids = (0, self.system_id)
+        ack = self.expect(
+            mav.PlanAck, lambda m: m.target_system in ids, mark=self.asked, within_s=STEP_TIMEOUT_S
         )
-        for north, east in corners
-    ]
+        return int(ack.type)
+
+    def ack_of(self, message: Message) -> int:
+        """Send a message; the type of the MISSION_ACK that follows."""
+        self.send(message)
+        return self.await_ack()
+
+    def send_item(self, item: MissionItem, sequence: int, kind: int = mav.MISSION) -> None:
+        """One item of an upload."""
+        head = (sequence, item.frame, item.command, item.current, item.autocontinue)
+        self.send(mav.Item(*self.target, *head, *item.params, item.x, item.y, item.z, kind))
+
+    def begin_upload(self, count: int) -> None:
+        """MISSION_COUNT, and the request of the first item."""
+        self.send_count(count)
+        self.await_request(0)
+
+    def upload(self, items: Sequence[MissionItem], kind: int = mav.MISSION) -> int:
+        """A whole upload; the type of its MISSION_ACK."""
+        self.send_count(len(items), kind)
+        for _ in range(20 * len(items) + 20):
+            step = self.next_step()
+            if isinstance(step, mav.PlanAck):
+                return int(step.type)
+            require(step.seq < len(items), f"item {step.seq} of {len(items)} requested")
+            self.send_item(items[step.seq], step.seq, kind)
+        raise Violation("the upload does not end")
+
+    def require_upload(self, items: Sequence[MissionItem], kind: int = mav.MISSION) -> None:
+        """A whole upload, which must be accepted."""
+        result = self.upload(items, kind)
+        require(result == 0, f"an upload of {len(items)} items of type {kind} gave ACK {result}")
+
+    def begin_download(self, kind: int = mav.MISSION) -> int:
+        """MISSION_REQUEST_LIST; how many items there are."""
+        answer = self.ask(
+            mav.PlanRequest(*self.target, kind),
+            mav.Count,
+            lambda m: m.mission_type == kind,
+            within_s=STEP_TIMEOUT_S,
+        )
+        return int(answer.count)
+
+    def request_item(self, sequence: int, kind: int = mav.MISSION) -> MissionItem:
+        """MISSION_REQUEST_INT; the item."""
+        m = self.ask(
+            mav.ItemIntRequest(*self.target, sequence, kind),
+            mav.Item,
+            lambda m: m.seq == sequence and m.mission_type == kind,
+            within_s=STEP_TIMEOUT_S,
+        )
+        params = (m.param1, m.param2, m.param3, m.param4)
+        return MissionItem(m.command, m.frame, params, m.x, m.y, m.z, m.current, m.autocontinue)
+
+    def finish_download(self, kind: int = mav.MISSION) -> None:
+        """The client's ACK."""
+        self.send(mav.PlanAck(*self.target, 0, kind))
+
+    def download(self, kind: int = mav.MISSION) -> list[MissionItem]:
+        """A whole download, with the client's ACK at its end."""
+        count = self.begin_download(kind)
+        items = [self.request_item(sequence, kind) for sequence in range(count)]
+        self.finish_download(kind)
+        return items
+
+    def clear(self, kind: int = mav.MISSION) -> int:
+        """MISSION_CLEAR_ALL; the type of its ACK."""
+        return self.ack_of(mav.Clear(*self.target, kind))
+
+    def with_home(self, items: Sequence[MissionItem]) -> list[MissionItem]:
+        """A mission as the flavour numbers it: ArduPilot's item 0 is home."""
+        home = MissionItem(mavlink.MAV_CMD_NAV_WAYPOINT, mavlink.MAV_FRAME_GLOBAL, (0.0,) * 4)
+        return list(items) if self.is_px4 else [home, *items]
+
+    def without_home(self, items: Sequence[MissionItem]) -> list[MissionItem]:
+        """A downloaded mission without ArduPilot's item 0."""
+        return list(items if self.is_px4 else items[1:])
+
+    def square(self, count: int = 4, height_m: float = 10.0) -> list[MissionItem]:
+        """Waypoints about home, 20 m apart; ArduPilot's home item first."""
+        home = self.home()
+        offsets = [(1_800, 0), (1_800, 2_600), (0, 2_600), (0, 0)]
+        items = []
+        for number in range(count):
+            north, east = offsets[number % 4]
+            items.append(waypoint(home.latitude + north, home.longitude + east, height_m + number))
+        return self.with_home(items)
+
+    def waypoint_home(self) -> MissionItem:
+        """A waypoint over home."""
+        home = self.home()
+        return waypoint(home.latitude, home.longitude, 10.0)
+
+    def stored(self) -> list[MissionItem]:
+        """The mission that the vehicle has, without ArduPilot's home item."""
+        return self.without_home(self.download())
+
+    def require_stored(self, wanted: Sequence[MissionItem]) -> None:
+        """The vehicle must have this mission, ArduPilot's home item aside."""
+        found, places = [item.place for item in self.stored()], [item.place for item in wanted]
+        require(found == places, f"the mission is {found}, not {places}")
+
+    def prepare(self, count: int = 3) -> list[MissionItem]:
+        """Get ready and upload a mission; the items without home."""
+        self.get_ready()
+        items = self.square(count)
+        self.require_upload(items)
+        return self.without_home(items)
+
+    def circle(self, radius_m: float = 500.0) -> list[MissionItem]:
+        """A circular inclusion fence about home."""
+        home, command = self.home(), mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION
+        params = (radius_m, 0.0, 0.0, 0.0)
+        return [MissionItem(command, self._fence_frame, params, home.latitude, home.longitude)]
+
+    def polygon(self, told: float = 4.0, half: int = 30_000) -> list[MissionItem]:
+        """A square inclusion fence about home, each vertex telling `told` vertices."""
+        home, command = self.home(), mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION
+        params = (told, 0.0, 0.0, 0.0)
+        corners = ((-half, -half), (half, -half), (half, half), (-half, half))
+        places = [(home.latitude + north, home.longitude + east) for north, east in corners]
+        return [MissionItem(command, self._fence_frame, params, *place) for place in places]
+
+    @property
+    def _fence_frame(self) -> int:
+        """In which frame the flavour's clients send a fence."""
+        return mavlink.MAV_FRAME_GLOBAL_INT if self.is_px4 else mavlink.MAV_FRAME_GLOBAL
+
+    def rally(self) -> list[MissionItem]:
+        """One rally point near home."""
+        home, command = self.home(), mavlink.MAV_CMD_NAV_RALLY_POINT
+        frame = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
+        if not self.is_px4:
+            frame = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT
+        place = (home.latitude + 900, home.longitude, 15.0)
+        return [MissionItem(command, frame, (0.0, 0.0, 0.0, 0.0), *place)]
+
+    def enable_fence(self) -> None:
+        """Switch the fence on: GF_ACTION 2 (hold), or FENCE_ENABLE.
+
+        Raises:
+            NotApplicable: It cannot be switched on.
+        """
+        name, value, kind = FENCE_SWITCHES[self.is_px4]
+        try:
+            request = mav.ParamSet(*self.target, name, value, kind)
+            self.ask(request, mav.ParamValue, lambda m: m.param_id == name.decode(), within_s=ACK_S)
+        except Violation:
+            raise NotApplicable(f"no parameter {name.decode()}") from None
+
+    def disable_fence(self) -> None:
+        """FENCE_ENABLE 0; PX4's goes with its fence."""
+        if not self.is_px4:
+            self.send(mav.ParamSet(*self.target, b"FENCE_ENABLE", 0.0, 2))
 
 
-def rally(probe: VehicleProbe) -> list[MissionItem]:
-    """One rally point near home."""
-    home, command = probe.home(), mavlink.MAV_CMD_NAV_RALLY_POINT
-    frame = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
-    if not probe.is_px4:
-        frame = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT
-    place = (home.latitude + 900, home.longitude, 15.0)
-    return [MissionItem(command, frame, (0.0, 0.0, 0.0, 0.0), *place)]
+STREAM_PERIOD_S = 0.1
+Setpoint = LocalSetpoint | GlobalSetpoint
+
+
+class SetpointClient(VehicleProbe):
+    """Has a vehicle follow setpoints."""
+
+    def send_setpoint(self, setpoint: Setpoint) -> None:
+        """Send one setpoint, once."""
+        self.send(setpoint.message(self.target))
+
+    def stream(
+        self,
+        setpoint: Setpoint,
+        target: tuple[int, int] | None = None,
+        period_s: float = STREAM_PERIOD_S,
+    ) -> Callable[[], None]:
+        """Send a setpoint, to the vehicle or another target, until the result is called."""
+        message = setpoint.message(target or self.target)
+        return self.repeat(lambda: message, period_s)
+
+    def enter_offboard(self, setpoint: Setpoint) -> Callable[[], None]:
+        """In the air: stream a setpoint and let the vehicle follow it; ends the stream."""
+        stop = self.stream(setpoint)
+        self.run(1.2)
+        self.require_mode("offboard")
+        self.await_mode("offboard")
+        return stop
+
+    def here(self) -> LocalSetpoint:
+        """A setpoint where the vehicle is."""
+        return LocalSetpoint(self.place())
+
+    def begin_streaming(self) -> Callable[[], None]:
+        """Take off and follow a streamed setpoint where the vehicle is; ends the stream."""
+        self.take_off()
+        stop = self.enter_offboard(self.here())
+        self.run(1.0)
+        return stop
+
+    def begin(self) -> Triple:
+        """Take off and follow setpoints, which then end; where the vehicle is."""
+        self.begin_streaming()()
+        return self.place()
+
+    def fly(
+        self, setpoint: Setpoint, duration_s: float, target: tuple[int, int] | None = None
+    ) -> None:
+        """Stream one setpoint for a while, to the vehicle or to another target."""
+        stop = self.stream(setpoint, target)
+        self.run(duration_s)
+        stop()
+
+    def follow(self, setpoint: Setpoint, duration_s: float) -> None:
+        """Stream one setpoint for a while, and until HEARTBEAT shows that it is followed."""
+        stop = self.stream(setpoint)
+        self.run(duration_s)
+        self.await_mode("offboard", 3.0)
+        stop()
+
+    def measure_speed(self, setpoint: Setpoint) -> Triple:
+        """Stream one setpoint for 4 s; the velocity then, while it still flows."""
+        stop = self.stream(setpoint)
+        self.run(4.0)
+        speed = self.speed()
+        stop()
+        return speed
+
+    def require_place(self, wanted: Triple, what: str) -> None:
+        """The vehicle must be at a place, to half a metre and what is left of the wind."""
+        off_m = math.dist(self.place(), wanted)
+        require(off_m < 1.0, f"{what}: {off_m:.1f} m off")

@@ -6,13 +6,19 @@ as an operator would have chosen it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from companion.mav.dialect import Message, mavlink
-from sim_link.lab.conformance import mavlink_oracle
+from sim_link.lab.conformance import mavlink_oracle as mav
 from sim_link.lab.conformance.mavlink_oracle import FrameSpec
-from sim_link.lab.conformance.rules import Flavour, NotApplicable, Violation
-from sim_link.lab.conformance.station import MAVLINK_VERSION, ProbeLink, Station
+from sim_link.lab.conformance.rules import Flavour, NotApplicable, Role, Violation, require
+from sim_link.lab.conformance.station import (
+    MAVLINK_VERSION,
+    ProbeLink,
+    Station,
+    brief,
+    source_of,
+)
 
 VEHICLE = (1, 1)
 PLACE = (473_977_420, 85_455_940, 488_000)
@@ -21,31 +27,23 @@ HOVER_DOWN_M = -10.0
 FIRST_WORD_S = 90.0
 """A companion that compiles its kernels for the first time takes half a minute."""
 SETTLE_S = 2.0
-ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
-SENSORS = 1 | 2 | 4 | 8 | 32 | 0x200000 | 0x2000000 | mavlink.MAV_SYS_STATUS_PREARM_CHECK
+SENSORS = 1 | 2 | 4 | 8 | 32 | 0x200000 | 0x2000000 | mav.PREARM
 
-LocalTarget = mavlink.MAVLink_set_position_target_local_ned_message
-GlobalTarget = mavlink.MAVLink_set_position_target_global_int_message
-SetpointMessage = LocalTarget | GlobalTarget
-SETPOINTS = (LocalTarget, GlobalTarget)
-CommandMessage = mavlink.MAVLink_command_long_message | mavlink.MAVLink_command_int_message
-COMMANDS = (mavlink.MAVLink_command_long_message, mavlink.MAVLink_command_int_message)
-Heartbeat = mavlink.MAVLink_heartbeat_message
-Ack = mavlink.MAVLink_command_ack_message
-PlanRequest = mavlink.MAVLink_mission_request_list_message
+SetpointMessage = mav.LocalTarget | mav.GlobalTarget
+SETPOINTS = (mav.LocalTarget, mav.GlobalTarget)
+CommandMessage = mav.CommandLong | mav.CommandInt
+COMMANDS = (mav.CommandLong, mav.CommandInt)
 Policy = Callable[[CommandMessage], int | None]
 """The MAV_RESULT of a command; None answers nothing."""
 
 
-def accept(command: CommandMessage) -> int | None:
+def accept(_: CommandMessage) -> int | None:
     """Accept every command."""
-    del command
     return int(mavlink.MAV_RESULT_ACCEPTED)
 
 
-def stay_silent(command: CommandMessage) -> int | None:
+def stay_silent(_: CommandMessage) -> int | None:
     """Answer nothing."""
-    del command
     return None
 
 
@@ -55,6 +53,8 @@ class CompanionProbe(Station):
     Args:
         is_flying: Whether it hovers, armed; otherwise it stands on the ground, disarmed.
     """
+
+    role = Role.COMPANION
 
     def __init__(
         self,
@@ -118,10 +118,14 @@ class CompanionProbe(Station):
             NotApplicable: Nobody does.
         """
         none = mavlink.MAV_AUTOPILOT_INVALID
-        beats = [m for m in self.heard(Heartbeat) if m.autopilot == none]
-        if not beats:
+        sources = [
+            entry.source
+            for entry in self.inbox
+            if isinstance(entry.message, mav.Heartbeat) and entry.message.autopilot == none
+        ]
+        if not sources:
             raise NotApplicable("no companion heard")
-        return (beats[-1].get_srcSystem(), beats[-1].get_srcComponent())
+        return sources[-1]
 
     def attach(self) -> None:
         """Wait for the companion's first heartbeat, and until it knows the vehicle.
@@ -129,7 +133,7 @@ class CompanionProbe(Station):
         Raises:
             NotApplicable: No companion is heard.
         """
-        if not self.run_until(lambda: bool(self.heard(Heartbeat)), FIRST_WORD_S):
+        if not self.run_until(lambda: bool(self.heard(mav.Heartbeat)), FIRST_WORD_S):
             raise NotApplicable(f"no companion heard within {FIRST_WORD_S:g} s")
         self.run(SETTLE_S)
 
@@ -140,21 +144,19 @@ class CompanionProbe(Station):
         self.run(1.0)
         return base_e7
 
-    def setpoints(self, mark: int = 0) -> list[tuple[float, SetpointMessage]]:
-        """The setpoints that came since a mark, with their times."""
-        return [
-            (entry.time_s, entry.message)
-            for entry in self.inbox[mark:]
-            if isinstance(entry.message, SETPOINTS)
-        ]
+    def setpoints(self, mark: int = 0) -> list[SetpointMessage]:
+        """The setpoints that came since a mark."""
+        return [e.message for e in self.inbox[mark:] if isinstance(e.message, SETPOINTS)]
 
-    def commands(self, mark: int = 0) -> list[tuple[float, CommandMessage]]:
-        """The commands that came since a mark, with their times."""
-        return [
-            (entry.time_s, entry.message)
-            for entry in self.inbox[mark:]
-            if isinstance(entry.message, COMMANDS)
-        ]
+    def commands(self, mark: int = 0) -> list[CommandMessage]:
+        """The commands that came since a mark."""
+        return [e.message for e in self.inbox[mark:] if isinstance(e.message, COMMANDS)]
+
+    def require_addressed(self, messages: Sequence[CommandMessage | SetpointMessage]) -> None:
+        """All must have the vehicle as their target."""
+        for message in messages:
+            target = (message.target_system, message.target_component)
+            require(target == (self.system_id, self.component_id), brief(message))
 
     def await_setpoints(self, within_s: float = 15.0) -> None:
         """Wait until setpoints come.
@@ -185,9 +187,9 @@ class CompanionProbe(Station):
         """A ground station's COMMAND_LONG, forwarded by the vehicle; the result, or None."""
         padded = [*params, *[0.0] * (7 - len(params))]
         mark = self.mark
-        self.send_as(mavlink.MAVLink_command_long_message(*target, number, 0, *padded), 255, 190)
+        self.send_as(mav.CommandLong(*target, number, 0, *padded), 255, 190)
         self.run(1.0)
-        acks = [m for m in self.heard(Ack, mark) if m.command == number]
+        acks = [m for m in self.heard(mav.Ack, mark) if m.command == number]
         if len(acks) > 1:
             raise Violation(f"{len(acks)} acknowledgements")
         return int(acks[0].result) if acks else None
@@ -195,76 +197,61 @@ class CompanionProbe(Station):
     # Messages
 
     def _answer(self, message: Message) -> None:
-        if not isinstance(message, (*COMMANDS, PlanRequest)):
+        if not isinstance(message, (*COMMANDS, mav.PlanRequest)):
             return
         target = (message.target_system, message.target_component)
         if target not in ((self.system_id, self.component_id), (self.system_id, 0)):
             return
-        if isinstance(message, PlanRequest):
-            self.send(_no_plan(message))
+        asker = source_of(message)
+        if isinstance(message, mav.PlanRequest):  # neither a mission nor a fence nor rally points
+            self.send(mav.Count(*asker, 0, message.mission_type))
             return
         result = self.policy(message)
-        if result is None:
-            return
-        asker = (message.get_srcSystem(), message.get_srcComponent())
-        self.send(Ack(message.command, result, 255, 0, *asker))
+        if result is not None:
+            self.send(mav.Ack(message.command, result, 255, 0, *asker))
 
     @property
-    def boot_ms(self) -> int:
-        """The vehicle's clock."""
+    def _boot_ms(self) -> int:
         return round(1e3 * (self.now_s - self.started_s))
 
     def _heartbeat(self) -> Message:
-        state = mavlink.MAV_STATE_ACTIVE if self.is_armed else mavlink.MAV_STATE_STANDBY
+        state = mav.ACTIVE if self.is_armed else mavlink.MAV_STATE_STANDBY
         if self.is_failsafe:
-            state = mavlink.MAV_STATE_CRITICAL
-        return Heartbeat(
+            state = mav.CRITICAL
+        return mav.Heartbeat(
             mavlink.MAV_TYPE_QUADROTOR,
-            mavlink_oracle.AUTOPILOT_OF[self.flavour],
-            mavlink_oracle.CUSTOM | (ARMED if self.is_armed else 0),
-            mavlink_oracle.custom_mode(self.flavour, self.mode),
+            mav.AUTOPILOT_OF[self.flavour],
+            mav.CUSTOM | (mav.ARMED if self.is_armed else 0),
+            mav.custom_mode(self.flavour, self.mode),
             state,
             MAVLINK_VERSION,
         )
 
     def _local_position(self) -> Message:
-        return mavlink.MAVLink_local_position_ned_message(
-            self.boot_ms, 10.0, 10.0, self.down_m, 0.0, 0.0, 0.0
-        )
+        return mav.LocalPosition(self._boot_ms, 10.0, 10.0, self.down_m, 0.0, 0.0, 0.0)
 
     def _attitude(self) -> Message:
-        return mavlink.MAVLink_attitude_message(self.boot_ms, 0.0, 0.0, 0.3, 0.0, 0.0, 0.0)
+        return mav.Attitude(self._boot_ms, 0.0, 0.0, 0.3, 0.0, 0.0, 0.0)
 
     def _global_position(self) -> Message:
         latitude, longitude, altitude = PLACE
         above = round(-1e3 * self.down_m)
-        return mavlink.MAVLink_global_position_int_message(
-            self.boot_ms, latitude + 898, longitude + 1_326, altitude + above, above, 0, 0, 0, 1719
+        return mav.GlobalPosition(
+            self._boot_ms, latitude + 898, longitude + 1_326, altitude + above, above, 0, 0, 0, 1719
         )
 
     def _landed_state(self) -> Message:
-        flying = mavlink.MAV_LANDED_STATE_IN_AIR
-        ground = mavlink.MAV_LANDED_STATE_ON_GROUND
-        return mavlink.MAVLink_extended_sys_state_message(
-            0, flying if self.down_m < -0.5 else ground
-        )
+        flying, ground = mavlink.MAV_LANDED_STATE_IN_AIR, mavlink.MAV_LANDED_STATE_ON_GROUND
+        landed = flying if self.down_m < -0.5 else ground
+        return mav.SysState(0, landed)
 
     def _sys_status(self) -> Message:
-        return mavlink.MAVLink_sys_status_message(
-            SENSORS, SENSORS, SENSORS, 100, 16_000, 500, 90, 0, 0, 0, 0, 0, 0
-        )
+        return mav.SysStatus(SENSORS, SENSORS, SENSORS, 100, 16_000, 500, 90, 0, 0, 0, 0, 0, 0)
 
     def _home(self) -> Message:
-        return mavlink.MAVLink_home_position_message(
-            *PLACE, 0.0, 0.0, 0.0, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0, 1_000 * self.boot_ms
+        return mav.HomePosition(
+            *PLACE, 0.0, 0.0, 0.0, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0, 1_000 * self._boot_ms
         )
 
     def _origin(self) -> Message:
-        return mavlink.MAVLink_gps_global_origin_message(*PLACE, 1_000 * self.boot_ms)
-
-
-def _no_plan(request: PlanRequest) -> Message:
-    """It has neither a mission nor a fence nor rally points."""
-    return mavlink.MAVLink_mission_count_message(
-        request.get_srcSystem(), request.get_srcComponent(), 0, request.mission_type
-    )
+        return mav.Origin(*PLACE, 1_000 * self._boot_ms)

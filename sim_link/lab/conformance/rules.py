@@ -1,14 +1,15 @@
 """Rules, how they are run against a peer, and how the outcome is told to people and to tools.
 
-A rule is one sentence, where it is written, whom it binds, and a probe that tries it. The probe
-returns when the rule holds, raises `Violation` when it does not, and `NotApplicable` when the peer
-gives no occasion to tell. Rules are made by decorating their probe:
+A rule is one sentence, where it is written, whom it binds, and a method of a probe that tries it.
+The method returns when the rule holds, raises `Violation` when it does not, and `NotApplicable`
+when the peer gives no occasion to tell:
 
-    book = RuleBook(Role.VEHICLE, "frames")
+    class FrameRules(VehicleProbe):
+        book = RuleBook("frames")
 
-    @book.rule("MAVLink guide, Packet Serialization")
-    def bad_crc_is_dropped(probe: VehicleProbe) -> None:
-        '''A frame whose CRC is wrong has no effect.'''
+        @book.rule("MAVLink guide, Packet Serialization")
+        def bad_crc_is_dropped(self) -> None:
+            '''A frame whose CRC is wrong has no effect.'''
 
 The rule's id is `frames.bad_crc_is_dropped`, its statement the first line of the docstring.
 """
@@ -39,8 +40,8 @@ class Flavour(Enum):
 
 
 BOTH = frozenset(Flavour)
-PX4_ONLY = frozenset({Flavour.PX4})
-ARDUPILOT_ONLY = frozenset({Flavour.ARDUPILOT})
+PX4 = frozenset({Flavour.PX4})
+ARDUPILOT = frozenset({Flavour.ARDUPILOT})
 
 
 class Effect(Enum):
@@ -52,11 +53,6 @@ class Effect(Enum):
     """Overwrites what is stored (plans, parameters, home) or the mode, disarmed."""
     FLIES = "flies"
     """Arms or may arm: propellers off, or a simulator."""
-
-    def is_within(self, limit: Effect) -> bool:
-        """Whether a run that allows `limit` may do this."""
-        order = list(Effect)
-        return order.index(self) <= order.index(limit)
 
 
 ASKS, CHANGES, FLIES = Effect
@@ -71,7 +67,7 @@ class NotApplicable(Exception):  # noqa: N818
 
 
 Probe = Callable[[Any], None]
-"""Takes a `VehicleProbe` or a `CompanionProbe`, by the rule's role."""
+"""A method of a `VehicleProbe` or a `CompanionProbe`, by the rule's role."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,12 +78,18 @@ class Rule:
     """`group.what_must_hold`."""
     statement: str
     source: str
-    role: Role
+    book: RuleBook
     effect: Effect
     flavours: frozenset[Flavour]
     deviations: Mapping[Flavour, str]
     """Where a real autopilot does something else, and what is asked of this flavour instead."""
     probe: Probe = field(repr=False)
+
+    @property
+    def role(self) -> Role:
+        """Whom it binds."""
+        role: Role = self.book.prober.role
+        return role
 
 
 class RuleBook:
@@ -98,18 +100,20 @@ class RuleBook:
         flavours: Whom the rules bind, unless one says otherwise.
     """
 
+    prober: type[Any]
+    """The class whose methods the rules are."""
+
     def __init__(
         self,
-        role: Role,
         group: str,
         effect: Effect = Effect.ASKS,
         flavours: frozenset[Flavour] = BOTH,
     ) -> None:
         self.rules: list[Rule] = []
-        self._role = role
-        self._group = group
-        self._effect = effect
-        self._flavours = flavours
+        self._group, self._effect, self._flavours = group, effect, flavours
+
+    def __set_name__(self, owner: type[Any], name: str) -> None:
+        self.prober = owner
 
     def rule(
         self,
@@ -119,27 +123,28 @@ class RuleBook:
         flavours: frozenset[Flavour] | None = None,
         px4: str = "",
         ardupilot: str = "",
+        says: str = "",
     ) -> Callable[[Probe], Probe]:
-        """Make the decorated probe a rule, named as it is and stated by its docstring.
+        """Make the decorated method a rule, named as it is and stated by its docstring.
 
         Args:
             source: The page, file or measurement that says so.
             px4: How PX4 deviates, if it does.
             ardupilot: How ArduPilot deviates, if it does.
+            says: Its statement, where that is too long for a docstring.
         """
         told = {Flavour.PX4: px4, Flavour.ARDUPILOT: ardupilot}
 
         def register(probe: Probe) -> Probe:
-            """Add the probe as a rule of its group."""
             rule = Rule(
-                f"{self._group}.{probe.__name__}",
-                (probe.__doc__ or "").strip().partition("\n")[0],
-                source,
-                self._role,
-                self._effect if effect is None else effect,
-                self._flavours if flavours is None else flavours,
-                {flavour: text for flavour, text in told.items() if text},
-                probe,
+                rule_id=f"{self._group}.{probe.__name__}",
+                statement=says or (probe.__doc__ or "").strip().partition("\n")[0],
+                source=source,
+                book=self,
+                effect=effect or self._effect,
+                flavours=flavours or self._flavours,
+                deviations={flavour: text for flavour, text in told.items() if text},
+                probe=probe,
             )
             self.rules.append(rule)
             return probe
@@ -151,6 +156,12 @@ def require(condition: bool, problem: str) -> None:
     """Raise `Violation` with `problem` unless the condition holds."""
     if not condition:
         raise Violation(problem)
+
+
+def assume(condition: bool, reason: str) -> None:
+    """Raise `NotApplicable` with `reason` unless the condition holds."""
+    if not condition:
+        raise NotApplicable(reason)
 
 
 class RuleVerdict(Enum):
@@ -174,17 +185,13 @@ class RuleOutcome:
 
 
 def select(rules: Iterable[Rule], role: Role, pattern: str | None = None) -> list[Rule]:
-    """The rules of a role whose id or group matches a pattern (`*` and `?` are wildcards).
-
-    A pattern without wildcards also selects every id that begins with it.
-    """
-    chosen = [rule for rule in rules if rule.role is role]
-    if pattern is None:
-        return chosen
+    """The rules of a role whose id matches a pattern (`*` and `?` are wildcards) or begins so."""
+    begin = pattern or ""
     return [
         rule
-        for rule in chosen
-        if fnmatchcase(rule.rule_id, pattern) or rule.rule_id.startswith(pattern)
+        for rule in rules
+        if rule.role is role
+        and (rule.rule_id.startswith(begin) or fnmatchcase(rule.rule_id, begin))
     ]
 
 
@@ -205,24 +212,25 @@ def run_rules(
     rules: Iterable[Rule],
     flavour: Flavour,
     allowed: Effect,
-    make_probe: Callable[[], Any],
+    make_probe: Callable[[type[Any]], Any],
 ) -> Iterator[RuleOutcome]:
     """Try rules one after another.
 
     Args:
         flavour: Of the vehicle, under test or shown.
         allowed: The most that may be done to it.
-        make_probe: An attached probe for each rule.
+        make_probe: An attached probe of the class that a rule is of.
     """
     base: tuple[int, int] | None = None
+    order = list(Effect)
     for rule in rules:
         if flavour not in rule.flavours:
             continue
-        if not rule.effect.is_within(allowed):
+        if order.index(rule.effect) > order.index(allowed):
             flag = "--allow-flight" if rule.effect is Effect.FLIES else "--allow-changes"
             yield RuleOutcome(rule, RuleVerdict.SKIP, f"needs {flag}")
             continue
-        probe = make_probe()
+        probe = make_probe(rule.book.prober)
         outcome = try_rule(rule, probe)
         if rule.effect is Effect.FLIES:
             with suppress(Violation, NotApplicable):

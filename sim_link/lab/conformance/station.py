@@ -67,7 +67,7 @@ class Heard:
     @property
     def source(self) -> tuple[int, int]:
         """System and component of the sender."""
-        return (self.message.get_srcSystem(), self.message.get_srcComponent())
+        return source_of(self.message)
 
     @property
     def frame(self) -> bytes:
@@ -79,7 +79,7 @@ class Heard:
 class _Task:
     period_s: float
     due_s: float
-    action: Callable[[], None]
+    build: Callable[[], Message]
 
 
 @dataclass(slots=True)
@@ -118,8 +118,10 @@ class Station:
         """What arrived, as it arrived: on a byte stream in pieces of any length."""
         self.reader = MavCodec(system_id, component_id)
         self.signer: Signer | None = None
-        self.on_message: Callable[[Message], None] | None = None
+        self.on_message: Callable[[Message], None] = lambda _: None
         """Told of each message as it arrives."""
+        self.asked = 0
+        """The mark before what was sent last; what is repeated does not count."""
         self._pending: deque[bytes] = deque()
         self._is_taking = False
         self._sequence = 0
@@ -130,9 +132,9 @@ class Station:
 
     def be_heard(self) -> None:
         """Begin to send a heartbeat each second, or go on with it."""
-        kind = self._kind
-        if kind is not None and self._stop_heartbeat is None:
-            self._stop_heartbeat = self.repeat(lambda: heartbeat(kind), HEARTBEAT_PERIOD_S)
+        if self._kind is not None and self._stop_heartbeat is None:
+            beat = heartbeat(self._kind)
+            self._stop_heartbeat = self.repeat(lambda: beat, HEARTBEAT_PERIOD_S)
 
     def be_silent(self) -> None:
         """Send no heartbeat any more."""
@@ -163,16 +165,11 @@ class Station:
         return True
 
     def repeat(self, build: Callable[[], Message], period_s: float) -> Callable[[], None]:
-        """Send a message now and each period while time passes.
-
-        Returns:
-            Ends it.
-        """
-        task = _Task(period_s, self.now_s, lambda: self.send(build()))
+        """Send a message now and each period while time passes; what is returned ends it."""
+        task = _Task(period_s, self.now_s, build)
         self._tasks.append(task)
 
         def stop() -> None:
-            """Send no more of it."""
             if task in self._tasks:
                 self._tasks.remove(task)
 
@@ -182,14 +179,13 @@ class Station:
 
     def send(self, message: Message, spec: FrameSpec | None = None) -> None:
         """Send a message as this station, or as `spec` says."""
-        spec = spec or self.spec()
+        self.send_raw(self._frame_of(message, spec or self.spec()))
+
+    def _frame_of(self, message: Message, spec: FrameSpec) -> bytes:
         if self.signer is None:
-            self.send_raw(build_frame(message, spec))
-            return
-        frame = build_frame(
-            message, FrameSpec(spec.system_id, spec.component_id, spec.sequence, incompat=SIGNED)
-        )
-        self.send_raw(self.signer.sign(frame))
+            return build_frame(message, spec)
+        spec = FrameSpec(spec.system_id, spec.component_id, spec.sequence, incompat=SIGNED)
+        return self.signer.sign(build_frame(message, spec))
 
     def spec(self, *, version: int = 2, incompat: int = 0, compat: int = 0) -> FrameSpec:
         """A frame of this station with the next sequence number."""
@@ -198,6 +194,10 @@ class Station:
 
     def send_raw(self, data: bytes) -> None:
         """Send bytes as they are."""
+        self.asked = self.mark
+        self._transmit(data)
+
+    def _transmit(self, data: bytes) -> None:
         self.link.send(data)
         self._take(self.link.poll(self.now_s))
 
@@ -207,6 +207,17 @@ class Station:
         self.send_raw(build_raw(int(kind.id), cut, int(kind.crc_extra), self.spec()))
 
     # In
+
+    @property
+    def mark(self) -> int:
+        """The place in the inbox after which messages are new."""
+        return len(self.inbox)
+
+    def listen(self, duration_s: float) -> list[Heard]:
+        """Let time pass; what came meanwhile."""
+        mark = self.mark
+        self.run(duration_s)
+        return self.inbox[mark:]
 
     def heard(self, kind: type[M], mark: int = 0) -> list[M]:
         """The messages of a kind that came after a mark."""
@@ -227,10 +238,9 @@ class Station:
     ) -> M:
         """The first message of a kind after `mark` (default: from now on)."""
         found: list[M] = []
-        cursor = len(self.inbox) if mark is None else mark
+        cursor = self.mark if mark is None else mark
 
         def is_there() -> bool:
-            """Whether one came that is looked for."""
             nonlocal cursor
             while cursor < len(self.inbox) and not found:
                 message = self.inbox[cursor].message
@@ -253,9 +263,8 @@ class Station:
         what: str = "",
     ) -> M:
         """Send a message; the first of a kind after it."""
-        mark = self.mark
         self.send(message)
-        return self.expect(kind, where, within_s=within_s, mark=mark, what=what)
+        return self.expect(kind, where, within_s=within_s, mark=self.asked, what=what)
 
     def expect_none(
         self,
@@ -267,16 +276,11 @@ class Station:
         what: str = "",
     ) -> None:
         """Let time pass; nothing of a kind may come after `mark` (default: from now on)."""
-        mark = len(self.inbox) if mark is None else mark
+        mark = self.mark if mark is None else mark
         self.run(for_s)
         for message in self.heard(kind, mark):
             if where is None or where(message):
                 raise Violation(f"{what or 'not to be sent'}: {brief(message)}")
-
-    @property
-    def mark(self) -> int:
-        """The place in the inbox after which messages are new."""
-        return len(self.inbox)
 
     def frames_since(self, mark: int) -> list[bytes]:
         """The frames in what arrived after so many pieces."""
@@ -289,7 +293,7 @@ class Station:
         for task in list(self._tasks):
             if task.due_s <= self.now_s:
                 task.due_s = max(task.due_s + task.period_s, self.now_s)
-                task.action()
+                self._transmit(self._frame_of(task.build(), self.spec()))
 
     def _take(self, pieces: list[bytes]) -> None:
         """Read what arrived; what an answer of ours calls forth is read after that."""
@@ -302,9 +306,13 @@ class Station:
             self.datagrams.append((self.now_s, data))
             for message in self.reader.decode(data, is_datagram=self.link.is_datagram):
                 self.inbox.append(Heard(self.now_s, message))
-                if self.on_message is not None:
-                    self.on_message(message)
+                self.on_message(message)
         self._is_taking = False
+
+
+def source_of(message: Message) -> tuple[int, int]:
+    """System and component of the sender."""
+    return (message.get_srcSystem(), message.get_srcComponent())
 
 
 def heartbeat(kind: int, autopilot: int = mavlink.MAV_AUTOPILOT_INVALID) -> Message:
@@ -322,6 +330,6 @@ def name_of(kind: type[Message] | tuple[type[Message], ...]) -> str:
 
 def brief(message: Message) -> str:
     """A message in one line."""
-    source = f"{message.get_srcSystem()}/{message.get_srcComponent()}"
+    source = "/".join(map(str, source_of(message)))
     text = str(message)
     return f"{text if len(text) < 160 else text[:157] + '...'} from {source}"

@@ -9,12 +9,11 @@ import math
 from collections.abc import Callable, Sequence
 
 from companion.mav.dialect import Message, mavlink
-from sim_link.lab.conformance import mavlink_oracle
+from sim_link.lab.conformance import mavlink_oracle as mav
 from sim_link.lab.conformance.mavlink_oracle import Triple, distance_m
-from sim_link.lab.conformance.rules import Flavour, NotApplicable, require
-from sim_link.lab.conformance.station import M, ProbeLink, Station, heartbeat
+from sim_link.lab.conformance.rules import Flavour, NotApplicable, Role, Violation, require
+from sim_link.lab.conformance.station import M, ProbeLink, Station, heartbeat, source_of
 
-NAN = math.nan
 FIRST_HEARTBEAT_S = 10.0
 READY_S = 90.0
 """A real autopilot needs 20 to 45 s from boot until it can be armed."""
@@ -28,17 +27,8 @@ CLIMB_S = 40.0
 LAND_S = 60.0
 NEAR_M = 20.0
 GO_BACK_S = 60.0
-STREAM_PERIOD_S = 0.1
 
-ARM = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
-FORCE = 21196.0
-PREARM = mavlink.MAV_SYS_STATUS_PREARM_CHECK
-
-ACCEPTED = mavlink.MAV_RESULT_ACCEPTED
-ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
 PADDING = 7
-SysStatus = mavlink.MAVLink_sys_status_message
-Heartbeat = mavlink.MAVLink_heartbeat_message
 
 
 class VehicleProbe(Station):
@@ -47,6 +37,8 @@ class VehicleProbe(Station):
     Args:
         signing_key: The key that the vehicle was given; None: it has none.
     """
+
+    role = Role.VEHICLE
 
     def __init__(self, link: ProbeLink, signing_key: bytes | None = None) -> None:
         super().__init__(link)
@@ -62,19 +54,17 @@ class VehicleProbe(Station):
         Raises:
             NotApplicable: No autopilot is heard.
         """
-        found: list[Heartbeat] = []
-
-        def is_there() -> bool:
-            """Whether an autopilot was heard."""
-            beats = self.heard(Heartbeat)
-            found.extend(m for m in beats if m.autopilot != mavlink.MAV_AUTOPILOT_INVALID)
-            return bool(found)
-
-        if not self.run_until(is_there, FIRST_HEARTBEAT_S):
-            raise NotApplicable(f"no autopilot heard within {FIRST_HEARTBEAT_S:g} s")
-        first = found[0]
-        self.target = (first.get_srcSystem(), first.get_srcComponent())
-        for flavour, number in mavlink_oracle.AUTOPILOT_OF.items():
+        try:
+            first = self.expect(
+                mav.Heartbeat,
+                lambda m: m.autopilot != mavlink.MAV_AUTOPILOT_INVALID,
+                within_s=FIRST_HEARTBEAT_S,
+                mark=0,
+            )
+        except Violation:
+            raise NotApplicable(f"no autopilot heard within {FIRST_HEARTBEAT_S:g} s") from None
+        self.target = source_of(first)
+        for flavour, number in mav.AUTOPILOT_OF.items():
             if number == first.autopilot:
                 self.flavour = flavour
 
@@ -83,9 +73,14 @@ class VehicleProbe(Station):
         """Whether it is a PX4."""
         return self.flavour is Flavour.PX4
 
+    @property
+    def address(self) -> tuple[int, int]:
+        """Our own system and component."""
+        return (self.system_id, self.component_id)
+
     def is_own(self, message: Message) -> bool:
         """Whether the vehicle's autopilot said it."""
-        return (message.get_srcSystem(), message.get_srcComponent()) == self.target
+        return source_of(message) == self.target
 
     def from_vehicle(self, kind: type[M], mark: int = 0) -> list[M]:
         """The vehicle's own messages of a kind."""
@@ -119,18 +114,15 @@ class VehicleProbe(Station):
 
     def command(self, number: int, *params: float, confirmation: int = 0) -> int:
         """Send COMMAND_LONG, unused parameters NaN as MAVSDK does; the final MAV_RESULT."""
-        padded = [*params, *[NAN] * (PADDING - len(params))]
-        return self.result_of(
-            mavlink.MAVLink_command_long_message(*self.target, number, confirmation, *padded),
-            number,
-        )
+        padded = [*params, *[mav.NAN] * (PADDING - len(params))]
+        return self.result_of(mav.CommandLong(*self.target, number, confirmation, *padded), number)
 
     def command_int(
         self,
         number: int,
         frame: int,
-        params: tuple[float, float, float, float] = (NAN, NAN, NAN, NAN),
-        place: tuple[int, int, float] = (0, 0, NAN),
+        params: tuple[float, float, float, float] = (mav.NAN, mav.NAN, mav.NAN, mav.NAN),
+        place: tuple[int, int, float] = (0, 0, mav.NAN),
     ) -> int:
         """Send COMMAND_INT; the final MAV_RESULT.
 
@@ -138,19 +130,16 @@ class VehicleProbe(Station):
             params: Parameters 1 to 4.
             place: x and y, 1e-7 degrees in a global frame, and z.
         """
-        return self.result_of(
-            mavlink.MAVLink_command_int_message(
-                *self.target, frame, number, 0, 0, *params, place[0], place[1], place[2]
-            ),
-            number,
-        )
+        x, y, z = place
+        message = mav.CommandInt(*self.target, frame, number, 0, 0, *params, x, y, z)
+        return self.result_of(message, number)
 
     def result_of(self, message: Message, number: int) -> int:
         """Send a command; its result after any IN_PROGRESS."""
         ack = self.ask(
             message,
-            mavlink.MAVLink_command_ack_message,
-            lambda m: m.command == number and m.result != mavlink.MAV_RESULT_IN_PROGRESS,
+            mav.Ack,
+            lambda m: m.command == number and m.result != mav.IN_PROGRESS,
             within_s=ACK_S,
             what=f"COMMAND_ACK of {number}",
         )
@@ -164,32 +153,46 @@ class VehicleProbe(Station):
 
     def request(self, kind: type[M], within_s: float = ACK_S) -> M:
         """REQUEST_MESSAGE; the message."""
-        mark = self.mark
-        self.require_result(ACCEPTED, mavlink.MAV_CMD_REQUEST_MESSAGE, float(kind.id))
-        return self.expect(kind, self.is_own, within_s=within_s, mark=mark)
+        self.require_result(mav.ACCEPTED, mav.REQUEST, float(kind.id))
+        return self.expect(kind, self.is_own, within_s=within_s, mark=self.asked)
 
-    def set_interval(self, number: int, interval_s: float) -> int:
-        """SET_MESSAGE_INTERVAL; its MAV_RESULT."""
+    def require_sent(
+        self,
+        kind: type[M],
+        number: int,
+        *params: float,
+        where: Callable[[M], bool] | None = None,
+    ) -> M:
+        """Send COMMAND_LONG, which must be accepted and send a message."""
+        self.require_result(mav.ACCEPTED, number, *params)
+        return self.expect(kind, where, mark=self.asked)
+
+    def set_interval(self, kind: type[Message] | int, interval_s: float) -> int:
+        """SET_MESSAGE_INTERVAL of a message or an id; its MAV_RESULT.
+
+        Args:
+            interval_s: -1 stops the stream and 0 restores its default.
+        """
+        number = kind if isinstance(kind, int) else kind.id
         microseconds = interval_s * 1e6 if interval_s > 0.0 else interval_s
         return self.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, float(number), microseconds)
 
     def watch(self, kind: type[M], interval_s: float = POSITION_INTERVAL_S) -> None:
         """Make a message flow, and wait for the first."""
-        mark = self.mark
-        self.set_interval(int(kind.id), interval_s)
-        self.expect(kind, within_s=READY_S, mark=mark)
+        self.set_interval(kind, interval_s)
+        self.expect(kind, within_s=READY_S, mark=self.asked)
 
     def is_alive(self) -> bool:
         """Whether the vehicle still answers (TIMESYNC)."""
         stamp = 1_000_000 + self.mark
-        mark = self.mark
-        self.send(mavlink.MAVLink_timesync_message(0, stamp))
-        return self.is_synchronised(stamp, mark, ACK_S)
+        self.send(mav.Timesync(0, stamp))
+        return self.is_synchronised(stamp, self.asked, ACK_S)
 
     def is_synchronised(self, stamp: int, mark: int, within_s: float) -> bool:
         """Let time pass; whether a TIMESYNC with `ts1` = `stamp` comes after a mark."""
-        kind = mavlink.MAVLink_timesync_message
-        return self.run_until(lambda: any(m.ts1 == stamp for m in self.heard(kind, mark)), within_s)
+        return self.run_until(
+            lambda: any(m.ts1 == stamp for m in self.heard(mav.Timesync, mark)), within_s
+        )
 
     def require_hearing(self) -> None:
         """After a probe for silence: the vehicle must be silent by choice, not deaf."""
@@ -197,13 +200,13 @@ class VehicleProbe(Station):
 
     def require_no_answer(
         self,
-        messages: Message | Sequence[Message],
+        messages: Sequence[Message],
         kind: type[M],
         where: Callable[[M], bool] | None = None,
     ) -> None:
         """Send messages that nothing of a kind may follow, though the vehicle hears us."""
         mark = self.mark
-        for message in messages if isinstance(messages, Sequence) else (messages,):
+        for message in messages:
             self.send(message)
         self.expect_none(kind, where, mark=mark, what="answered")
         self.require_hearing()
@@ -212,13 +215,13 @@ class VehicleProbe(Station):
 
     def heartbeat(
         self,
-        where: Callable[[Heartbeat], bool] | None = None,
+        where: Callable[[mav.Heartbeat], bool] | None = None,
         within_s: float = 3.0,
         what: str = "",
-    ) -> Heartbeat:
+    ) -> mav.Heartbeat:
         """A HEARTBEAT of the vehicle that is newer than this call."""
         return self.expect(
-            Heartbeat,
+            mav.Heartbeat,
             lambda m: self.is_own(m) and (where is None or where(m)),
             within_s=within_s,
             what=f"HEARTBEAT {what or 'of the vehicle'}",
@@ -226,30 +229,30 @@ class VehicleProbe(Station):
 
     def is_armed(self) -> bool:
         """Whether a new HEARTBEAT says armed."""
-        return bool(self.heartbeat().base_mode & ARMED)
+        return bool(self.heartbeat().base_mode & mav.ARMED)
 
     def is_in(self, mode: str) -> bool:
         """Whether a new HEARTBEAT shows a mode."""
-        return bool(self.heartbeat().custom_mode == mavlink_oracle.custom_mode(self.flavour, mode))
+        return bool(self.heartbeat().custom_mode == mav.custom_mode(self.flavour, mode))
 
     def await_mode(self, mode: str, within_s: float = 5.0) -> None:
         """Let time pass until a HEARTBEAT shows a mode."""
-        wanted = mavlink_oracle.custom_mode(self.flavour, mode)
+        wanted = mav.custom_mode(self.flavour, mode)
         self.heartbeat(lambda m: m.custom_mode == wanted, within_s, f"in {mode}")
 
     def await_disarmed(self, within_s: float) -> None:
         """Let time pass until a HEARTBEAT says disarmed."""
-        self.heartbeat(lambda m: not m.base_mode & ARMED, within_s, "of a disarmed vehicle")
+        self.heartbeat(lambda m: not m.base_mode & mav.ARMED, within_s, "of a disarmed vehicle")
 
     def set_mode(self, mode: str) -> int:
         """DO_SET_MODE; its MAV_RESULT."""
-        params = mavlink_oracle.set_mode_params(self.flavour, mode)
+        params = mav.set_mode_params(self.flavour, mode)
         return self.command(mavlink.MAV_CMD_DO_SET_MODE, *params)
 
     def require_mode(self, mode: str) -> None:
         """DO_SET_MODE, which must be accepted."""
         result = self.set_mode(mode)
-        require(result == ACCEPTED, f"{mode}: result {result}")
+        require(result == mav.ACCEPTED, f"{mode}: result {result}")
 
     def require_disarmed(self) -> None:
         """For a rule that is tried on the ground.
@@ -262,95 +265,92 @@ class VehicleProbe(Station):
 
     def place(self) -> Triple:
         """North, east and down of the newest LOCAL_POSITION_NED, after a step of time."""
-        report = self.expect(mavlink.MAVLink_local_position_ned_message, within_s=3.0)
+        report = self.expect(mav.LocalPosition, within_s=3.0)
         return (report.x, report.y, report.z)
 
     def yaw(self) -> float:
         """ATTITUDE.yaw, asked for."""
-        return float(self.request(mavlink.MAVLink_attitude_message).yaw)
+        return float(self.request(mav.Attitude).yaw)
 
     def speed(self) -> Triple:
         """Velocity north, east and down of the newest LOCAL_POSITION_NED."""
-        report = self.expect(mavlink.MAVLink_local_position_ned_message, within_s=3.0)
+        report = self.expect(mav.LocalPosition, within_s=3.0)
         return (report.vx, report.vy, report.vz)
+
+    def home_distance_m(self) -> float:
+        """How far it is from home, horizontally."""
+        home = self.home()
+        return math.dist(self.place()[:2], (home.x, home.y))
 
     def set_home(self, place: tuple[int, int, float], frame: int = mavlink.MAV_FRAME_GLOBAL) -> int:
         """DO_SET_HOME as COMMAND_INT; its MAV_RESULT."""
         params = (0.0, 0.0, 0.0, 0.0)
         return self.command_int(mavlink.MAV_CMD_DO_SET_HOME, frame, params, place)
 
-    def home(self) -> mavlink.MAVLink_home_position_message:
+    def home(self) -> mav.HomePosition:
         """Home, asked for."""
-        return self.request(mavlink.MAVLink_home_position_message)
+        return self.request(mav.HomePosition)
 
-    def origin(self) -> mavlink.MAVLink_gps_global_origin_message:
+    def origin(self) -> mav.Origin:
         """The zero of the local frame, asked for."""
-        return self.request(mavlink.MAVLink_gps_global_origin_message)
+        return self.request(mav.Origin)
 
     # Flights
 
     def get_ready(self) -> None:
         """Wait until it can be armed, in the mode that flights begin in."""
         self._begin_flight()
-        if 0 <= self.latest(SysStatus).battery_remaining < SPENT_PERCENT:
+        if 0 <= self.latest(mav.SysStatus).battery_remaining < SPENT_PERCENT:
             self.reboot()
             self._begin_flight()
         self.await_prearm()
-        self.watch(mavlink.MAVLink_local_position_ned_message)
+        self.watch(mav.LocalPosition)
 
     def _begin_flight(self) -> None:
         self.set_mode("hold" if self.is_px4 else "offboard")
-        self.watch(SysStatus, 0.2)
+        self.watch(mav.SysStatus, 0.2)
 
     def reboot(self) -> None:
         """Restart the autopilot; a simulated one has a fresh battery then."""
-        self.require_result(ACCEPTED, mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1.0, 0.0, 0.0)
+        self.require_result(mav.ACCEPTED, mav.REBOOT, 1.0, 0.0, 0.0)
         mark = self.mark
-        back = self.run_until(lambda: bool(self.heard(Heartbeat, mark)), BOOT_S)
+        back = self.run_until(lambda: bool(self.heard(mav.Heartbeat, mark)), BOOT_S)
         require(back, f"it did not come back within {BOOT_S:g} s of a reboot")
 
     def await_prearm(self) -> None:
         """Wait until SYS_STATUS says that it can be armed."""
-        ready = self.run_until(self._is_ready, READY_S)
+        ready = self.run_until(
+            lambda: any(map(is_ready, self.from_vehicle(mav.SysStatus)[-1:])), READY_S
+        )
         require(ready, f"not ready to arm within {READY_S:g} s (SYS_STATUS, PREARM_CHECK)")
 
     def arm(self) -> None:
         """Get ready and arm."""
         self.get_ready()
-        self.require_result(ACCEPTED, ARM, 1.0, 0.0)
+        self.require_result(mav.ACCEPTED, mav.ARM, 1.0, 0.0)
 
     def take_off(self, height_m: float = FLIGHT_HEIGHT_M) -> None:
         """Arm, climb above home and hover there."""
         self.arm()
-        altitude_m = height_m
-        unused = 0.0
-        if self.is_px4:
-            altitude_m += self.home().altitude / 1e3
-            unused = NAN
+        params = self.takeoff_params(height_m)
         start_down_m = self.place()[2]
-        self.require_result(ACCEPTED, mavlink.MAV_CMD_NAV_TAKEOFF, *[unused] * 6, altitude_m)
+        self.require_result(mav.ACCEPTED, mav.TAKE_OFF, *params)
         climbed = self.run_until(lambda: start_down_m - self.place()[2] > height_m - 0.5, CLIMB_S)
         require(climbed, f"did not climb {height_m:g} m within {CLIMB_S:g} s")
         if self.is_px4:
             self.await_mode("hold", CLIMB_S)
         self.run(2.0)
 
-    def stream(self, build: Callable[[], Message]) -> Callable[[], None]:
-        """Send setpoints at 10 Hz until the returned function is called."""
-        return self.repeat(build, STREAM_PERIOD_S)
-
-    def enter_offboard(self, build: Callable[[], Message]) -> Callable[[], None]:
-        """In the air: stream setpoints and let the vehicle follow them."""
-        stop = self.stream(build)
-        self.run(1.2)
-        self.require_mode("offboard")
-        self.await_mode("offboard")
-        return stop
+    def takeoff_params(self, height_m: float) -> list[float]:
+        """Parameters of NAV_TAKEOFF to a height above home, as the flavour takes them."""
+        if self.is_px4:
+            return [*[mav.NAN] * 6, self.home().altitude / 1e3 + height_m]
+        return [*[0.0] * 6, height_m]
 
     def reposition(self, frame: int, place: tuple[int, int, float], flags: float = 1.0) -> int:
         """DO_REPOSITION as COMMAND_INT; its MAV_RESULT."""
         return self.command_int(
-            mavlink.MAV_CMD_DO_REPOSITION, frame, (-1.0, flags, 0.0, NAN), place
+            mavlink.MAV_CMD_DO_REPOSITION, frame, (-1.0, flags, 0.0, mav.NAN), place
         )
 
     def come_to_rest(self, base_e7: tuple[int, int] | None = None) -> tuple[int, int]:
@@ -374,7 +374,7 @@ class VehicleProbe(Station):
         return base_e7 or here
 
     def _where(self) -> tuple[int, int]:
-        report = self.request(mavlink.MAVLink_global_position_int_message)
+        report = self.request(mav.GlobalPosition)
         return (report.lat, report.lon)
 
     def _go_back(self, base_e7: tuple[int, int]) -> None:
@@ -383,19 +383,20 @@ class VehicleProbe(Station):
             return
         above_home_m = max(FLIGHT_HEIGHT_M, self.home().z - self.place()[2])
         frame = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
-        if self.reposition(frame, (*base_e7, above_home_m)) == ACCEPTED:
+        if self.reposition(frame, (*base_e7, above_home_m)) == mav.ACCEPTED:
             self.run_until(lambda: self._is_near(base_e7), GO_BACK_S)
 
     def _is_near(self, base_e7: tuple[int, int]) -> bool:
         self.run(1.0)
         return distance_m(self._where(), base_e7) < NEAR_M / 2.0
 
-    def _is_ready(self) -> bool:
-        status = self.from_vehicle(SysStatus)
-        return bool(status) and bool(status[-1].onboard_control_sensors_health & PREARM)
+
+def is_ready(status: mav.SysStatus) -> bool:
+    """Whether a SYS_STATUS says that it can be armed."""
+    return bool(status.onboard_control_sensors_health & mav.PREARM)
 
 
-def nothing_moved(before: Triple, after: Triple, tolerance_m: float) -> None:
-    """Raise `Violation` if two places differ by more than a tolerance."""
+def require_unmoved(before: Sequence[float], after: Sequence[float], limit_m: float) -> None:
+    """Two places must not differ by more than a limit."""
     moved_m = math.dist(before, after)
-    require(moved_m <= tolerance_m, f"moved by {moved_m:.1f} m")
+    require(moved_m <= limit_m, f"moved by {moved_m:.1f} m")

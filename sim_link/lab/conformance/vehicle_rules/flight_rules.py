@@ -7,330 +7,295 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from companion.mav.dialect import mavlink
-from sim_link.lab.conformance.mavlink_oracle import (
-    ACCEPTED,
-    COMMAND_INT_ONLY,
-    DENIED,
-    FAILED,
-    OBSERVED_ARDUPILOT,
-    OBSERVED_PX4,
-    REFUSALS,
-    UNSUPPORTED,
-    UNSUPPORTED_FRAME,
-)
-from sim_link.lab.conformance.protocol_clients import (
-    INT32,
-    REAL32,
-    float_name,
-    parameter_set,
-    read,
-)
-from sim_link.lab.conformance.rules import (
-    ARDUPILOT_ONLY,
-    ASKS,
-    CHANGES,
-    FLIES,
-    PX4_ONLY,
-    Role,
-    RuleBook,
-    require,
-)
-from sim_link.lab.conformance.vehicle_probe import ARM, NAN, VehicleProbe
-from sim_link.lab.conformance.vehicle_rules.setpoint_rules import begin
+from sim_link.lab.conformance import mavlink_oracle as mav
+from sim_link.lab.conformance.mavlink_oracle import ACCEPTED, REFUSALS, TAKE_OFF
+from sim_link.lab.conformance.protocol_clients import ParameterClient, SetpointClient
+from sim_link.lab.conformance.rules import ARDUPILOT, ASKS, CHANGES, FLIES, PX4, RuleBook, require
+from sim_link.lab.conformance.vehicle_probe import VehicleProbe
 
-flight_book = RuleBook(Role.VEHICLE, "flights", FLIES)
 SERVICE = "MAVLink guide, Command Protocol"
-SysState = mavlink.MAVLink_extended_sys_state_message
-Position = mavlink.MAVLink_global_position_int_message
 STRICT = "(stricter than the real one, which accepts it)"
+LOCATION = f"{SERVICE} (location commands belong in COMMAND_INT); {mav.OBSERVED_ARDUPILOT}"
+NO_PLACE = (1_000_000_000, 85_000_000, 500.0)
+"""At a latitude of 100 degrees."""
 
 
-@flight_book.rule(
-    "MAVLink common, MAV_CMD_NAV_TAKEOFF",
-    px4="parameter 7 is above sea level",
-    ardupilot="parameter 7 is above home; GUIDED first",
-)
-def takeoff_climbs_to_its_altitude(probe: VehicleProbe) -> None:
-    """NAV_TAKEOFF climbs to the altitude it names and stays there."""
-    probe.take_off(12.0)
-    probe.run(3.0)
-    height_m = -probe.place()[2] + probe.home().z
-    require(abs(height_m - 12.0) < 1.0, f"{height_m:.1f} m above home")
+class FlightRules(VehicleProbe):
+    """Take-off, landing, return and reposition."""
+
+    book = RuleBook("flights", FLIES)
+
+    def _require_landed_state(self, wanted: int, when: str) -> None:
+        state = self.latest(mav.SysState).landed_state
+        require(state == wanted, f"landed_state {state}{when}")
+
+    @book.rule(
+        "MAVLink common, MAV_CMD_NAV_TAKEOFF",
+        px4="parameter 7 is above sea level",
+        ardupilot="parameter 7 is above home; GUIDED first",
+    )
+    def takeoff_climbs_to_its_altitude(self) -> None:
+        """NAV_TAKEOFF climbs to the altitude it names and stays there."""
+        self.take_off(12.0)
+        self.run(3.0)
+        height_m = -self.place()[2] + self.home().z
+        require(abs(height_m - 12.0) < 1.0, f"{height_m:.1f} m above home")
+
+    @book.rule(f"{SERVICE}; {mav.OBSERVED_PX4}", flavours=PX4)
+    def takeoff_without_altitude_uses_the_parameter(self) -> None:
+        """NAV_TAKEOFF with NaN for its altitude climbs to MIS_TAKEOFF_ALT."""
+        self.arm()
+        before = self.place()[2]
+        self.require_result(ACCEPTED, TAKE_OFF)
+        self.await_mode("hold", 30.0)
+        self.run(1.0)
+        climbed_m = before - self.place()[2]
+        require(1.5 < climbed_m < 11.0, f"climbed {climbed_m:.1f} m")
+
+    @book.rule(
+        f"{mav.OBSERVED_ARDUPILOT} {STRICT}",
+        flavours=ARDUPILOT,
+        says="NAV_TAKEOFF with NaN, zero or a negative altitude is refused: it would climb "
+        "without end.",
+    )
+    def takeoff_without_altitude_is_refused(self) -> None:
+        """NAV_TAKEOFF with NaN, zero or a negative altitude is refused."""
+        self.arm()
+        for altitude in (mav.NAN, 0.0, -5.0, math.inf):
+            self.require_result(REFUSALS, TAKE_OFF, 0, 0, 0, 0, 0, 0, altitude)
+
+    @book.rule(mav.OBSERVED_ARDUPILOT, flavours=ARDUPILOT)
+    def takeoff_needs_guided_and_arming(self) -> None:
+        """NAV_TAKEOFF fails while disarmed, and in STABILIZE."""
+        self.get_ready()
+        params = self.takeoff_params(10.0)
+        self.require_result(mav.FAILED, TAKE_OFF, *params)
+        self.set_mode("stabilized")
+        self.command(mav.ARM, 1.0, 0.0)
+        self.require_result(mav.FAILED, TAKE_OFF, *params)
+
+    @book.rule(f"{SERVICE} (commands are idempotent)", ardupilot="FAILED in the air")
+    def takeoff_in_the_air_is_answered(self) -> None:
+        """NAV_TAKEOFF in the air is ACCEPTED and does not bring the vehicle down."""
+        self.take_off()
+        down_m = self.place()[2]
+        wanted = ACCEPTED if self.is_px4 else mav.FAILED
+        self.require_result(wanted, TAKE_OFF, *self.takeoff_params(10.0))
+        self.run(3.0)
+        require(abs(self.place()[2] - down_m) < 1.5, "it left its height")
+
+    @book.rule(f"{SERVICE} (never guess another frame)")
+    def takeoff_in_a_foreign_frame_is_refused(self) -> None:
+        """NAV_TAKEOFF as COMMAND_INT in a frame that is not known for it is refused."""
+        self.arm()
+        wanted = (mav.UNSUPPORTED_FRAME,) if self.is_px4 else REFUSALS
+        for frame in (mavlink.MAV_FRAME_LOCAL_FRD, mavlink.MAV_FRAME_BODY_NED, 99):
+            result = self.command_int(TAKE_OFF, frame, (0.0, 0.0, 0.0, mav.NAN), (0, 0, 10.0))
+            require(result in wanted, f"frame {frame}: result {result}")
+
+    @book.rule("MAVLink common, MAV_CMD_NAV_LAND; PX4 COM_DISARM_LAND; ArduPilot DISARM_DELAY")
+    def land_ends_disarmed_on_the_ground(self) -> None:
+        """NAV_LAND comes down, tells ON_GROUND and disarms by itself."""
+        self.take_off(5.0)
+        self.watch(mav.SysState, 0.2)
+        self._require_landed_state(mavlink.MAV_LANDED_STATE_IN_AIR, " in the air")
+        self.require_result(ACCEPTED, mavlink.MAV_CMD_NAV_LAND)
+        self.await_mode("land")
+        self.await_disarmed(40.0)
+        self.run(0.5)
+        self._require_landed_state(mavlink.MAV_LANDED_STATE_ON_GROUND, "")
+
+    @book.rule(
+        "MAVLink common, MAV_CMD_NAV_RETURN_TO_LAUNCH", ardupilot="climbs to RTL_ALT (15 m) first"
+    )
+    def return_comes_home_and_lands(self) -> None:
+        """NAV_RETURN_TO_LAUNCH lands at home and disarms."""
+        self.take_off(5.0)
+        home = self.home()
+        self.require_result(ACCEPTED, mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH)
+        self.await_mode("return")
+        self.await_disarmed(120.0)
+        distance_m = math.dist(self.place()[:2], (home.x, home.y))
+        require(distance_m < 2.0, f"{distance_m:.1f} m from home")
+
+    @book.rule(
+        "MAVLink common, MAV_CMD_DO_REPOSITION; MAVSDK action.goto_location",
+        says="DO_REPOSITION as COMMAND_INT in GLOBAL_INT flies to its latitude, longitude and "
+        "altitude.",
+    )
+    def reposition_flies_there(self) -> None:
+        """DO_REPOSITION as COMMAND_INT in GLOBAL_INT flies to its place."""
+        self.take_off()
+        self.watch(mav.GlobalPosition, 0.1)
+        here = self.latest(mav.GlobalPosition)
+        wanted = (here.lat + 2_000, here.lon + 1_000, here.alt / 1e3 + 3.0)
+        frame = mavlink.MAV_FRAME_GLOBAL_INT if self.is_px4 else mavlink.MAV_FRAME_GLOBAL
+        result = self.reposition(frame, wanted)
+        require(result == ACCEPTED, f"result {result}")
+        near = self.run_until(lambda: self._distance_m(wanted) < 1.0, 40.0)
+        require(near, f"{self._distance_m(wanted):.1f} m away after 40 s")
+
+    def _distance_m(self, wanted: tuple[int, int, float]) -> float:
+        """Distance of the newest GLOBAL_POSITION_INT from a place, metres; flat earth."""
+        here = self.expect(mav.GlobalPosition, within_s=3.0)
+        return math.hypot(
+            mav.distance_m((here.lat, here.lon), wanted[:2]), here.alt / 1e3 - wanted[2]
+        )
+
+    @book.rule(f"{mav.OBSERVED_ARDUPILOT} {STRICT}")
+    def senseless_reposition_is_refused(self) -> None:
+        """DO_REPOSITION to no latitude or in a local frame is refused, and nothing moves."""
+        self.take_off()
+        before = self.place()
+        cases = {
+            "a latitude of 100 degrees": (mavlink.MAV_FRAME_GLOBAL, NO_PLACE),
+            "local frame": (mavlink.MAV_FRAME_LOCAL_NED, (10, 10, -10.0)),
+            "frame 20": (mavlink.MAV_FRAME_LOCAL_FRD, (10, 10, -10.0)),
+        }
+        if not self.is_px4:  # PX4 flies to 0/0 as to anywhere
+            cases["latitude and longitude 0"] = (mavlink.MAV_FRAME_GLOBAL, (0, 0, 500.0))
+        for name, (frame, place) in cases.items():
+            result = self.reposition(frame, place)
+            require(result in REFUSALS, f"{name}: result {result}")
+        self.run(3.0)
+        require(math.dist(before, self.place()) < 1.5, "it moved")
+
+    @book.rule(mav.OBSERVED_ARDUPILOT, flavours=ARDUPILOT)
+    def reposition_outside_guided_needs_its_flag(self) -> None:
+        """Outside GUIDED, DO_REPOSITION without the change-mode flag is DENIED."""
+        self.take_off()
+        here = self.request(mav.GlobalPosition)
+        self.set_mode("loiter")
+        place = (here.lat, here.lon, here.alt / 1e3)
+        result = self.reposition(mavlink.MAV_FRAME_GLOBAL, place, flags=0.0)
+        require(result == mav.DENIED, f"result {result}")
+
+    @book.rule(LOCATION, flavours=ARDUPILOT, effect=ASKS)
+    def reposition_as_long_is_refused(self) -> None:
+        """DO_REPOSITION as COMMAND_LONG is refused."""
+        params = (-1.0, 1.0, 0.0, mav.NAN, 47.0, 8.0, 500.0)
+        wanted = (mav.UNSUPPORTED, mav.COMMAND_INT_ONLY, mav.DENIED, mav.FAILED)
+        self.require_result(wanted, mavlink.MAV_CMD_DO_REPOSITION, *params)
+
+    @book.rule("MAVLink common, MAV_CMD_DO_CHANGE_SPEED")
+    def speed_change_is_accepted_in_flight(self) -> None:
+        """DO_CHANGE_SPEED in flight is ACCEPTED."""
+        self.take_off(5.0)
+        self.require_result(ACCEPTED, mavlink.MAV_CMD_DO_CHANGE_SPEED, 1.0, 4.0, -1.0)
+
+    @book.rule("MAVLink common, MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN")
+    def reboot_is_refused_while_armed(self) -> None:
+        """PREFLIGHT_REBOOT_SHUTDOWN is refused while armed."""
+        self.arm()
+        self.require_result(REFUSALS, mav.REBOOT, 1.0, 0.0, 0.0)
+        require(self.is_alive(), "it rebooted")
+        require(self.is_armed(), "it disarmed")
+
+    @book.rule("MAVLink common, MAV_CMD_DO_SET_HOME; HOME_POSITION", effect=CHANGES)
+    def home_can_be_set(self) -> None:
+        """DO_SET_HOME to a place near by moves HOME_POSITION there."""
+        self.get_ready()
+        home = self.home()
+        lat, lon = home.latitude + 500, home.longitude - 500
+        result = self.set_home((lat, lon, home.altitude / 1e3))
+        require(result == ACCEPTED, f"result {result}")
+        moved = self.home()
+        require(abs(moved.latitude - lat) <= 1, f"latitude {moved.latitude}, not {lat}")
+        require(abs(moved.longitude - lon) <= 1, f"longitude {moved.longitude}, not {lon}")
+
+    @book.rule(f"MAVLink common, MAV_CMD_DO_SET_HOME {STRICT}", effect=CHANGES)
+    def senseless_home_is_refused(self) -> None:
+        """DO_SET_HOME to no latitude is refused and home stays."""
+        self.get_ready()
+        before = self.home()
+        result = self.set_home((1_000_000_000, 0, 488.0))
+        require(result in REFUSALS, f"result {result}")
+        require(self.home().latitude == before.latitude, "home moved")
 
 
-@flight_book.rule(f"{SERVICE}; {OBSERVED_PX4}", flavours=PX4_ONLY)
-def takeoff_without_altitude_uses_the_parameter(probe: VehicleProbe) -> None:
-    """NAV_TAKEOFF with NaN for its altitude climbs to MIS_TAKEOFF_ALT."""
-    probe.arm()
-    before = probe.place()[2]
-    probe.require_result(ACCEPTED, mavlink.MAV_CMD_NAV_TAKEOFF)
-    probe.await_mode("hold", 30.0)
-    probe.run(1.0)
-    climbed_m = before - probe.place()[2]
-    require(1.5 < climbed_m < 11.0, f"climbed {climbed_m:.1f} m")
-
-
-@flight_book.rule(f"{OBSERVED_ARDUPILOT} {STRICT}", flavours=ARDUPILOT_ONLY)
-def takeoff_without_altitude_is_refused(probe: VehicleProbe) -> None:
-    """NAV_TAKEOFF with NaN, zero or a negative altitude is refused: it would climb without end."""
-    probe.arm()
-    for altitude in (NAN, 0.0, -5.0, math.inf):
-        probe.require_result(REFUSALS, mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, altitude)
-
-
-@flight_book.rule(OBSERVED_ARDUPILOT, flavours=ARDUPILOT_ONLY)
-def takeoff_needs_guided_and_arming(probe: VehicleProbe) -> None:
-    """NAV_TAKEOFF fails while disarmed, and in STABILIZE."""
-    probe.get_ready()
-    params = (0.0,) * 6 + (10.0,)
-    probe.require_result(FAILED, mavlink.MAV_CMD_NAV_TAKEOFF, *params)
-    probe.set_mode("stabilized")
-    probe.command(ARM, 1.0, 0.0)
-    probe.require_result(FAILED, mavlink.MAV_CMD_NAV_TAKEOFF, *params)
-
-
-@flight_book.rule(f"{SERVICE} (commands are idempotent)", ardupilot="FAILED in the air")
-def takeoff_in_the_air_is_answered(probe: VehicleProbe) -> None:
-    """NAV_TAKEOFF in the air is ACCEPTED and does not bring the vehicle down."""
-    probe.take_off()
-    down_m = probe.place()[2]
-    if probe.is_px4:
-        altitude_m = probe.home().altitude / 1e3 + 10.0
-        probe.require_result(ACCEPTED, mavlink.MAV_CMD_NAV_TAKEOFF, *[NAN] * 6, altitude_m)
-    else:
-        probe.require_result(FAILED, mavlink.MAV_CMD_NAV_TAKEOFF, *[0.0] * 6, 10.0)
-    probe.run(3.0)
-    require(abs(probe.place()[2] - down_m) < 1.5, "it left its height")
-
-
-@flight_book.rule(f"{SERVICE} (never guess another frame)")
-def takeoff_in_a_foreign_frame_is_refused(probe: VehicleProbe) -> None:
-    """NAV_TAKEOFF as COMMAND_INT in a frame that is not known for it is refused."""
-    probe.arm()
-    for frame in (mavlink.MAV_FRAME_LOCAL_FRD, mavlink.MAV_FRAME_BODY_NED, 99):
-        params, place = (0.0, 0.0, 0.0, NAN), (0, 0, 10.0)
-        result = probe.command_int(mavlink.MAV_CMD_NAV_TAKEOFF, frame, params, place)
-        wanted = (UNSUPPORTED_FRAME,) if probe.is_px4 else REFUSALS
-        require(result in wanted, f"frame {frame}: result {result}")
-
-
-@flight_book.rule("MAVLink common, MAV_CMD_NAV_LAND; PX4 COM_DISARM_LAND; ArduPilot DISARM_DELAY")
-def land_ends_disarmed_on_the_ground(probe: VehicleProbe) -> None:
-    """NAV_LAND comes down, tells ON_GROUND and disarms by itself."""
-    probe.take_off(5.0)
-    probe.watch(SysState, 0.2)
-    state = probe.latest(SysState).landed_state
-    require(state == mavlink.MAV_LANDED_STATE_IN_AIR, f"landed_state {state} in the air")
-    probe.require_result(ACCEPTED, mavlink.MAV_CMD_NAV_LAND)
-    probe.await_mode("land")
-    probe.await_disarmed(40.0)
-    probe.run(0.5)
-    state = probe.latest(SysState).landed_state
-    require(state == mavlink.MAV_LANDED_STATE_ON_GROUND, f"landed_state {state}")
-
-
-@flight_book.rule(
-    "MAVLink common, MAV_CMD_NAV_RETURN_TO_LAUNCH", ardupilot="climbs to RTL_ALT (15 m) first"
-)
-def return_comes_home_and_lands(probe: VehicleProbe) -> None:
-    """NAV_RETURN_TO_LAUNCH lands at home and disarms."""
-    probe.take_off(5.0)
-    home = probe.home()
-    probe.require_result(ACCEPTED, mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH)
-    probe.await_mode("return")
-    probe.await_disarmed(120.0)
-    north, east, _ = probe.place()
-    distance_m = math.dist((north, east), (home.x, home.y))
-    require(distance_m < 2.0, f"{distance_m:.1f} m from home")
-
-
-@flight_book.rule("MAVLink common, MAV_CMD_DO_REPOSITION; MAVSDK action.goto_location")
-def reposition_flies_there(probe: VehicleProbe) -> None:
-    """DO_REPOSITION as COMMAND_INT in GLOBAL_INT flies to its latitude, longitude and altitude."""
-    probe.take_off()
-    probe.watch(Position, 0.1)
-    here = probe.latest(Position)
-    lat, lon, alt_m = here.lat + 2_000, here.lon + 1_000, here.alt / 1e3 + 3.0
-    frame = mavlink.MAV_FRAME_GLOBAL_INT if probe.is_px4 else mavlink.MAV_FRAME_GLOBAL
-    result = probe.reposition(frame, (lat, lon, alt_m))
-    require(result == ACCEPTED, f"result {result}")
-    near = probe.run_until(lambda: distance_e7(probe, lat, lon, alt_m) < 1.0, 40.0)
-    require(near, f"{distance_e7(probe, lat, lon, alt_m):.1f} m away after 40 s")
-
-
-def distance_e7(probe: VehicleProbe, lat_e7: int, lon_e7: int, alt_m: float) -> float:
-    """Distance of the newest GLOBAL_POSITION_INT from a place, metres; flat earth."""
-    here = probe.expect(Position, within_s=3.0)
-    north_m = (here.lat - lat_e7) * 0.011132
-    east_m = (here.lon - lon_e7) * 0.011132 * math.cos(math.radians(here.lat / 1e7))
-    return math.hypot(north_m, east_m, here.alt / 1e3 - alt_m)
-
-
-@flight_book.rule(f"{OBSERVED_ARDUPILOT} {STRICT}")
-def senseless_reposition_is_refused(probe: VehicleProbe) -> None:
-    """DO_REPOSITION to no latitude or in a local frame is refused, and nothing moves."""
-    probe.take_off()
-    before = probe.place()
-    cases = {
-        "a latitude of 100 degrees": (mavlink.MAV_FRAME_GLOBAL, (1_000_000_000, 85_000_000, 500.0)),
-        "local frame": (mavlink.MAV_FRAME_LOCAL_NED, (10, 10, -10.0)),
-        "frame 20": (mavlink.MAV_FRAME_LOCAL_FRD, (10, 10, -10.0)),
-    }
-    if not probe.is_px4:  # PX4 flies to 0/0 as to anywhere
-        cases["latitude and longitude 0"] = (mavlink.MAV_FRAME_GLOBAL, (0, 0, 500.0))
-    for name, (frame, place) in cases.items():
-        result = probe.reposition(frame, place)
-        require(result in REFUSALS, f"{name}: result {result}")
-    probe.run(3.0)
-    require(math.dist(before, probe.place()) < 1.5, "it moved")
-
-
-@flight_book.rule(OBSERVED_ARDUPILOT, flavours=ARDUPILOT_ONLY)
-def reposition_outside_guided_needs_its_flag(probe: VehicleProbe) -> None:
-    """Outside GUIDED, DO_REPOSITION without the change-mode flag is DENIED."""
-    probe.take_off()
-    here = probe.request(Position)
-    probe.set_mode("loiter")
-    place = (here.lat, here.lon, here.alt / 1e3)
-    result = probe.reposition(mavlink.MAV_FRAME_GLOBAL, place, flags=0.0)
-    require(result == DENIED, f"result {result}")
-
-
-LOCATION = f"{SERVICE} (location commands belong in COMMAND_INT); {OBSERVED_ARDUPILOT}"
-
-
-@flight_book.rule(LOCATION, flavours=ARDUPILOT_ONLY, effect=ASKS)
-def reposition_as_long_is_refused(probe: VehicleProbe) -> None:
-    """DO_REPOSITION as COMMAND_LONG is refused."""
-    params = (-1.0, 1.0, 0.0, NAN, 47.0, 8.0, 500.0)
-    wanted = (UNSUPPORTED, COMMAND_INT_ONLY, DENIED, FAILED)
-    probe.require_result(wanted, mavlink.MAV_CMD_DO_REPOSITION, *params)
-
-
-@flight_book.rule("MAVLink common, MAV_CMD_DO_CHANGE_SPEED")
-def speed_change_is_accepted_in_flight(probe: VehicleProbe) -> None:
-    """DO_CHANGE_SPEED in flight is ACCEPTED."""
-    probe.take_off(5.0)
-    probe.require_result(ACCEPTED, mavlink.MAV_CMD_DO_CHANGE_SPEED, 1.0, 4.0, -1.0)
-
-
-@flight_book.rule("MAVLink common, MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN")
-def reboot_is_refused_while_armed(probe: VehicleProbe) -> None:
-    """PREFLIGHT_REBOOT_SHUTDOWN is refused while armed."""
-    probe.arm()
-    probe.require_result(REFUSALS, mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1.0, 0.0, 0.0)
-    require(probe.is_alive(), "it rebooted")
-    require(probe.is_armed(), "it disarmed")
-
-
-@flight_book.rule("MAVLink common, MAV_CMD_DO_SET_HOME; HOME_POSITION", effect=CHANGES)
-def home_can_be_set(probe: VehicleProbe) -> None:
-    """DO_SET_HOME to a place near by moves HOME_POSITION there."""
-    probe.get_ready()
-    home = probe.home()
-    lat, lon, alt_m = home.latitude + 500, home.longitude - 500, home.altitude / 1e3
-    result = probe.set_home((lat, lon, alt_m))
-    require(result == ACCEPTED, f"result {result}")
-    moved = probe.home()
-    require(abs(moved.latitude - lat) <= 1, f"latitude {moved.latitude}, not {lat}")
-    require(abs(moved.longitude - lon) <= 1, f"longitude {moved.longitude}, not {lon}")
-
-
-@flight_book.rule(f"MAVLink common, MAV_CMD_DO_SET_HOME {STRICT}", effect=CHANGES)
-def senseless_home_is_refused(probe: VehicleProbe) -> None:
-    """DO_SET_HOME to no latitude is refused and home stays."""
-    probe.get_ready()
-    before = probe.home()
-    result = probe.set_home((1_000_000_000, 0, 488.0))
-    require(result in REFUSALS, f"result {result}")
-    require(probe.home().latitude == before.latitude, "home moved")
-
-
-failsafe_book = RuleBook(Role.VEHICLE, "failsafes", FLIES)
-PX4_SAFETY = "PX4 user guide, Safety Configuration"
-PX4_OFFBOARD = "PX4 user guide, Offboard Mode, COM_OF_LOSS_T"
 HOLD_BEFORE_S = 6.0
 """PX4 holds for COM_FAIL_ACT_T, 5 s by default, before it returns."""
-CRITICAL = mavlink.MAV_STATE_CRITICAL
-OFFBOARD_NUMBER = 6 << 16
 
 
-@contextmanager
-def silence(probe: VehicleProbe) -> Iterator[None]:
-    """Our own heartbeat stops for a while."""
-    probe.be_silent()
-    try:
-        yield
-    finally:
-        probe.be_heard()
+class FailsafeRules(ParameterClient, SetpointClient):
+    """What a vehicle does by itself, and how its parameters say so."""
 
+    book = RuleBook("failsafes", FLIES)
 
-@failsafe_book.rule(f"{OBSERVED_ARDUPILOT}, FS_GCS_ENABLE, SYSID_MYGCS", flavours=ARDUPILOT_ONLY)
-def lost_ground_station_returns(probe: VehicleProbe) -> None:
-    """With FS_GCS_ENABLE, five seconds without the ground station's heartbeat: RTL, CRITICAL."""
-    with parameter_set(probe, "FS_GCS_ENABLE", 1.0):
-        probe.take_off()
-        mark = probe.mark
-        with silence(probe):
-            probe.run(3.5)
-            require(probe.is_in("offboard"), "RTL before 5 s")
-            probe.await_mode("return", 5.0)
-            beat = probe.heartbeat()
-        require(beat.system_status == CRITICAL, f"system_status {beat.system_status}")
-        texts = [m.text for m in probe.heard(mavlink.MAVLink_statustext_message, mark)]
-        require(any("GCS" in text for text in texts), f"texts {texts}")
+    @contextmanager
+    def _silence(self) -> Iterator[None]:
+        """Our own heartbeat stops for a while."""
+        self.be_silent()
+        try:
+            yield
+        finally:
+            self.be_heard()
 
+    def _require_return(self, early_s: float, mode: str, within_s: float) -> None:
+        """Silent: it must stay in a mode for a while, then return, which is CRITICAL."""
+        with self._silence():
+            self.run(early_s)
+            name = "RTL" if mode == "offboard" else "RETURN"
+            require(self.is_in(mode), f"{name} before 5 s")
+            self.await_mode("return", within_s)
+            status = self.heartbeat().system_status
+        require(status == mav.CRITICAL, f"system_status {status}")
 
-@failsafe_book.rule(OBSERVED_ARDUPILOT, flavours=ARDUPILOT_ONLY)
-def lost_ground_station_is_nothing_by_default(probe: VehicleProbe) -> None:
-    """Without FS_GCS_ENABLE a silent ground station changes nothing."""
-    probe.take_off()
-    with silence(probe):
-        probe.run(9.0)
-        require(probe.is_in("offboard"), "it left GUIDED")
+    @book.rule(
+        f"{mav.OBSERVED_ARDUPILOT}, FS_GCS_ENABLE, SYSID_MYGCS",
+        flavours=ARDUPILOT,
+        says="With FS_GCS_ENABLE, five seconds without the ground station's heartbeat: RTL, "
+        "CRITICAL.",
+    )
+    def lost_ground_station_returns(self) -> None:
+        """With FS_GCS_ENABLE, five seconds without a ground station end in RTL."""
+        with self.parameter_set("FS_GCS_ENABLE", 1.0):
+            self.take_off()
+            mark = self.mark
+            self._require_return(3.5, "offboard", 5.0)
+            texts = [m.text for m in self.heard(mav.StatusText, mark)]
+            require(any("GCS" in text for text in texts), f"texts {texts}")
 
+    @book.rule(mav.OBSERVED_ARDUPILOT, flavours=ARDUPILOT)
+    def lost_ground_station_is_nothing_by_default(self) -> None:
+        """Without FS_GCS_ENABLE a silent ground station changes nothing."""
+        self.take_off()
+        with self._silence():
+            self.run(9.0)
+            require(self.is_in("offboard"), "it left GUIDED")
 
-@failsafe_book.rule(f"{PX4_SAFETY}, NAV_DLL_ACT, COM_DL_LOSS_T", flavours=PX4_ONLY)
-def lost_data_link_returns(probe: VehicleProbe) -> None:
-    """With NAV_DLL_ACT 2, COM_DL_LOSS_T without a ground station: Hold for a while, RETURN."""
-    with parameter_set(probe, "NAV_DLL_ACT", 2.0), parameter_set(probe, "COM_DL_LOSS_T", 5.0):
-        probe.take_off()
-        with silence(probe):
-            probe.run(3.0)
-            require(probe.is_in("hold"), "RETURN before 5 s")
-            probe.await_mode("return", 5.0 + HOLD_BEFORE_S)
-            beat = probe.heartbeat()
-        require(beat.system_status == CRITICAL, f"system_status {beat.system_status}")
+    @book.rule("PX4 user guide, Safety Configuration, NAV_DLL_ACT, COM_DL_LOSS_T", flavours=PX4)
+    def lost_data_link_returns(self) -> None:
+        """With NAV_DLL_ACT 2, COM_DL_LOSS_T without a ground station: Hold for a while, RETURN."""
+        with self.parameter_set("NAV_DLL_ACT", 2.0), self.parameter_set("COM_DL_LOSS_T", 5.0):
+            self.take_off()
+            self._require_return(3.0, "hold", 5.0 + HOLD_BEFORE_S)
 
+    @book.rule("PX4 user guide, Offboard Mode, COM_OF_LOSS_T", flavours=PX4)
+    def offboard_loss_time_is_the_parameter(self) -> None:
+        """COM_OF_LOSS_T says how long setpoints may be missing."""
+        require(self.read("COM_OF_LOSS_T").kind == mav.REAL32, "COM_OF_LOSS_T is no float")
+        require(self.read("COM_OBL_RC_ACT").kind == mav.INT32, "COM_OBL_RC_ACT is no integer")
+        number = mav.custom_mode(self.flavour, "offboard")
+        with self.parameter_set("COM_OF_LOSS_T", 4.0):
+            self.begin_streaming()()
+            self.run(2.5)
+            early = self.request(mav.Heartbeat).custom_mode
+            require(early == number, "lost after 2.5 s")
+            self.run(2.5)
+            late = self.request(mav.Heartbeat).custom_mode
+            require(late != number, "not lost after 5 s")
 
-@failsafe_book.rule(PX4_OFFBOARD, flavours=PX4_ONLY)
-def offboard_loss_time_is_the_parameter(probe: VehicleProbe) -> None:
-    """COM_OF_LOSS_T says how long setpoints may be missing."""
-    require(read(probe, "COM_OF_LOSS_T").kind == REAL32, "COM_OF_LOSS_T is no float")
-    require(read(probe, "COM_OBL_RC_ACT").kind == INT32, "COM_OBL_RC_ACT is no integer")
-    with parameter_set(probe, "COM_OF_LOSS_T", 4.0):
-        stop = begin(probe)
-        stop()
-        probe.run(2.5)
-        early = probe.request(mavlink.MAVLink_heartbeat_message)
-        require(early.custom_mode == OFFBOARD_NUMBER, "lost after 2.5 s")
-        probe.run(2.5)
-        late = probe.request(mavlink.MAVLink_heartbeat_message)
-        require(late.custom_mode != OFFBOARD_NUMBER, "not lost after 5 s")
-
-
-@failsafe_book.rule(
-    "MAVLink common, MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN; SYSTEM_TIME", effect=CHANGES
-)
-def reboot_restarts_the_clock_and_keeps_parameters(probe: VehicleProbe) -> None:
-    """Disarmed it reboots on command: time_boot_ms begins anew, changed parameters stay."""
-    probe.get_ready()
-    name = float_name(probe)
-    with parameter_set(probe, name, 4.5):
-        probe.run(2.0)
-        old_ms = probe.request(mavlink.MAVLink_system_time_message).time_boot_ms
-        probe.reboot()
-        new_ms = probe.request(mavlink.MAVLink_system_time_message).time_boot_ms
-        kept = read(probe, name).value(probe)
-    require(new_ms < old_ms, f"time_boot_ms went from {old_ms} to {new_ms}")
-    require(kept == 4.5, f"{name} is {kept} after the reboot")
+    @book.rule("MAVLink common, MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN; SYSTEM_TIME", effect=CHANGES)
+    def reboot_restarts_the_clock_and_keeps_parameters(self) -> None:
+        """Disarmed it reboots on command: time_boot_ms begins anew, changed parameters stay."""
+        self.get_ready()
+        name = self.float_name
+        with self.parameter_set(name, 4.5):
+            self.run(2.0)
+            old_ms = self.request(mav.SystemTime).time_boot_ms
+            self.reboot()
+            new_ms = self.request(mav.SystemTime).time_boot_ms
+            kept = self.read(name).value
+        require(new_ms < old_ms, f"time_boot_ms went from {old_ms} to {new_ms}")
+        require(kept == 4.5, f"{name} is {kept} after the reboot")

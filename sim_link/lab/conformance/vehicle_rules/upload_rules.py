@@ -6,352 +6,268 @@ import itertools
 import math
 from dataclasses import replace
 
-from companion.mav.dialect import Message, mavlink
-from sim_link.lab.conformance import protocol_clients as plans
-from sim_link.lab.conformance.mavlink_oracle import (
-    OBSERVED_ARDUPILOT,
-    OBSERVED_PX4,
-    PLAN_CANCELLED,
-    PLAN_ERROR,
-    PLAN_INVALID,
-    PLAN_INVALID_SEQUENCE,
-    PLAN_INVALID_X,
-    PLAN_INVALID_Z,
-    PLAN_NO_SPACE,
-    PLAN_UNSUPPORTED,
-    PLAN_UNSUPPORTED_FRAME,
-)
-from sim_link.lab.conformance.protocol_clients import (
-    FENCE,
-    MISSION,
-    MissionItem,
-    circle,
-    places,
-    polygon,
-    prepare,
-    require_stored,
-    square,
-    waypoint,
-)
-from sim_link.lab.conformance.rules import (
-    ARDUPILOT_ONLY,
-    CHANGES,
-    FLIES,
-    PX4_ONLY,
-    NotApplicable,
-    Role,
-    RuleBook,
-    require,
-)
-from sim_link.lab.conformance.vehicle_probe import ACK_S, NAN, VehicleProbe
+from companion.mav.dialect import mavlink
+from sim_link.lab.conformance import mavlink_oracle as mav
+from sim_link.lab.conformance.protocol_clients import REQUESTS, MissionItem, PlanClient, waypoint
+from sim_link.lab.conformance.rules import ARDUPILOT, CHANGES, FLIES, PX4, RuleBook, require
 
-upload_book = RuleBook(Role.VEHICLE, "uploads", CHANGES)
 SERVICE = "MAVLink guide, Mission Protocol"
-ParamValue = mavlink.MAVLink_param_value_message
-
-
-@upload_book.rule(f"{SERVICE} (atomic)", flavours=PX4_ONLY)
-def abandoned_upload_leaves_the_old_plan(probe: VehicleProbe) -> None:
-    """An upload that stops half way times out and leaves the old mission."""
-    wanted = prepare(probe)
-    items = square(probe, 2)
-    plans.begin_upload(probe, 2)
-    probe.send(items[1].message(probe, 0, MISSION))
-    probe.run(8.0)
-    require_stored(probe, wanted)
-
-
-@upload_book.rule(f"{SERVICE} (cancel: OPERATION_CANCELLED)", flavours=PX4_ONLY)
-def cancelled_upload_leaves_the_old_plan(probe: VehicleProbe) -> None:
-    """A client's ACK OPERATION_CANCELLED ends an upload and leaves the old mission."""
-    wanted = prepare(probe)
-    plans.begin_upload(probe, 2)
-    probe.send(mavlink.MAVLink_mission_ack_message(*probe.target, PLAN_CANCELLED, MISSION))
-    probe.run(0.5)
-    probe.expect_none(plans.REQUESTS[1], what="still requested after the cancel")
-    require_stored(probe, wanted)
-
-
-@upload_book.rule(f"{SERVICE} (atomic)", flavours=PX4_ONLY)
-def refused_upload_leaves_the_old_plan(probe: VehicleProbe) -> None:
-    """An upload refused at its last item leaves the old mission."""
-    wanted = prepare(probe)
-    items = square(probe, 2)
-    items[1] = replace(items[1], command=31_999)
-    require(plans.upload(probe, items) != 0, "accepted")
-    require_stored(probe, wanted)
-
-
-@upload_book.rule(OBSERVED_ARDUPILOT, flavours=ARDUPILOT_ONLY)
-def old_plan_is_cut_when_an_upload_begins(probe: VehicleProbe) -> None:
-    """MISSION_COUNT cuts the old mission to the new length at once: uploads are not atomic."""
-    prepare(probe, 4)
-    plans.begin_upload(probe, 2)
-    probe.run(10.0)
-    require(len(plans.download(probe)) <= 2, "the old mission is still whole")
-
-
-@upload_book.rule(OBSERVED_ARDUPILOT, flavours=ARDUPILOT_ONLY)
-def cancel_of_a_client_is_ignored(probe: VehicleProbe) -> None:
-    """A client's OPERATION_CANCELLED does not end an upload."""
-    probe.get_ready()
-    items = square(probe, 2)
-    plans.begin_upload(probe, len(items))
-    probe.send(mavlink.MAVLink_mission_ack_message(*probe.target, PLAN_CANCELLED, MISSION))
-    mark = plans.send_item(probe, items[0], 0)
-    plans.await_request(probe, mark, 1)
-    probe.run(10.0)
-
-
-@upload_book.rule(
-    f"{SERVICE} (timeouts); {OBSERVED_PX4}; {OBSERVED_ARDUPILOT}",
-    px4="every 250 ms, gives up after about 5 s",
-    ardupilot="every second, gives up after 8 s with ACK 15 and a text",
-)
-def unanswered_request_is_repeated_then_given_up(probe: VehicleProbe) -> None:
-    """A request without an answer is repeated, and given up in the end."""
-    probe.get_ready()
-    mark = plans.send_count(probe, 3, MISSION)
-    probe.run(15.0)
-    times = probe.times(plans.REQUESTS, mark)
-    require(len(times) >= 3, f"requested {len(times)} times")
-    gaps = [later - earlier for earlier, later in itertools.pairwise(times)]
-    wanted_s, life_s = (0.25, (3.5, 6.5)) if probe.is_px4 else (1.0, (6.0, 9.5))
-    for gap_s in gaps:
-        require(0.7 * wanted_s < gap_s < 1.6 * wanted_s, f"repeated after {gap_s:.2f} s")
-    lived_s = times[-1] - times[0]
-    low_s, high_s = life_s
-    require(low_s - wanted_s < lived_s < high_s, f"given up after {lived_s:.1f} s")
-    if not probe.is_px4:
-        acks = probe.heard(plans.Ack, mark)
-        require(bool(acks) and acks[-1].type == PLAN_CANCELLED, "no ACK 15 at the end")
-
-
-@upload_book.rule(
-    SERVICE, px4="dropped, the expected item is requested again", ardupilot="ACK INVALID_SEQUENCE"
-)
-def item_out_of_order_is_not_taken(probe: VehicleProbe) -> None:
-    """An item with another number than requested is not taken for it."""
-    probe.get_ready()
-    items = square(probe, 3)
-    plans.begin_upload(probe, len(items))
-    mark = plans.send_item(probe, items[2], 2)
-    if not probe.is_px4:
-        require(plans.await_ack(probe, mark) == PLAN_INVALID_SEQUENCE, "another ACK than 13")
-        probe.run(10.0)
-        return
-    plans.await_request(probe, mark, 0)
-    for number, item in enumerate(items):
-        mark = plans.send_item(probe, item, number)
-    require(plans.await_ack(probe, mark) == 0, "the upload cannot go on")
-
-
-@upload_book.rule(f"{SERVICE}; {OBSERVED_PX4}", flavours=PX4_ONLY)
-def item_without_an_upload_is_an_error(probe: VehicleProbe) -> None:
-    """An item that nobody asked for is answered by an ACK with an error."""
-    probe.get_ready()
-    item = square(probe, 1)[0]
-    result = plans.result_of(probe, item.message(probe, 0, MISSION))
-    require(result != 0, f"ACK {result}")
-
-
-@upload_book.rule(f"{OBSERVED_PX4}; the guide asks the client for that ACK", flavours=PX4_ONLY)
-def unacknowledged_download_keeps_it_busy(probe: VehicleProbe) -> None:
-    """Until a client acknowledges a download, or for 5 s, an upload is answered ERROR."""
-    probe.get_ready()
-    plans.clear(probe)
-    probe.ask(mavlink.MAVLink_mission_request_list_message(*probe.target, MISSION), plans.Count)
-    result = plans.result_of(probe, mission_count(probe, 1))
-    require(result == PLAN_ERROR, f"ACK {result}")
-    probe.run(6.0)
-    plans.require_upload(probe, square(probe, 1))
-
-
-@upload_book.rule(f"{SERVICE}; MAVSDK mission_impl.cpp", flavours=PX4_ONLY)
-def items_that_mavsdk_sends_are_accepted(probe: VehicleProbe) -> None:
-    """Waypoints in frame 6, DO_CHANGE_SPEED in MISSION frame and gimbal items are accepted."""
-    probe.get_ready()
-    place = square(probe, 1)[0]
-    frame = mavlink.MAV_FRAME_MISSION
-    speed = MissionItem(mavlink.MAV_CMD_DO_CHANGE_SPEED, frame, (1.0, 4.0, -1.0, NAN), 0, 0, NAN)
-    gimbal = MissionItem(
-        mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW, frame, (0.0, 0.0, NAN, NAN), 0, 0, 0.0
-    )
-    items = [replace(place, params=(0.0, 1.0, 0.0, NAN), current=1), speed, gimbal]
-    plans.require_upload(probe, items)
-    stored_items = plans.download(probe)
-    require(len(stored_items) == 3, f"{len(stored_items)} items came back")
-    require(stored_items[1].params[1] == 4.0, "the speed changed")
-
-
-def mission_count(probe: VehicleProbe, count: int) -> Message:
-    """MISSION_COUNT of a mission."""
-    return mavlink.MAVLink_mission_count_message(*probe.target, count, MISSION)
-
-
-plan_result_book = RuleBook(Role.VEHICLE, "plan_results", CHANGES)
-
-
 MISSION_RESULT = f"{SERVICE}, MAV_MISSION_RESULT"
 
 
-def require_refused(probe: VehicleProbe, item: MissionItem, *results: int) -> None:
-    """A mission with one wrong item must be refused with one of the results."""
-    result = plans.upload(probe, plans.with_home(probe, [item]))
-    require(result in results, f"ACK {result}")
+class UploadRules(PlanClient):
+    """Uploads that go wrong."""
 
+    book = RuleBook("uploads", CHANGES)
 
-def waypoint_home(probe: VehicleProbe, height_m: float = 10.0) -> MissionItem:
-    """A waypoint over home."""
-    home = probe.home()
-    return waypoint(home.latitude, home.longitude, height_m)
+    def _cancel(self) -> None:
+        self.send(mav.PlanAck(*self.target, mav.PLAN_CANCELLED, mav.MISSION))
 
+    @book.rule(f"{SERVICE} (atomic)", flavours=PX4)
+    def abandoned_upload_leaves_the_old_plan(self) -> None:
+        """An upload that stops half way times out and leaves the old mission."""
+        wanted = self.prepare()
+        item = self.square(2)[1]
+        self.begin_upload(2)
+        self.send_item(item, 0)
+        self.run(8.0)
+        self.require_stored(wanted)
 
-@plan_result_book.rule(MISSION_RESULT)
-def unknown_frame_is_refused(probe: VehicleProbe) -> None:
-    """A waypoint in a frame that is not known is refused as UNSUPPORTED_FRAME."""
-    probe.get_ready()
-    require_refused(probe, replace(waypoint_home(probe), frame=20), PLAN_UNSUPPORTED_FRAME)
+    @book.rule(f"{SERVICE} (cancel: OPERATION_CANCELLED)", flavours=PX4)
+    def cancelled_upload_leaves_the_old_plan(self) -> None:
+        """A client's ACK OPERATION_CANCELLED ends an upload and leaves the old mission."""
+        wanted = self.prepare()
+        self.begin_upload(2)
+        self._cancel()
+        self.run(0.5)
+        self.expect_none(mav.ItemIntRequest, what="still requested after the cancel")
+        self.require_stored(wanted)
 
+    @book.rule(f"{SERVICE} (atomic)", flavours=PX4)
+    def refused_upload_leaves_the_old_plan(self) -> None:
+        """An upload refused at its last item leaves the old mission."""
+        wanted = self.prepare()
+        first, last = self.square(2)
+        require(self.upload([first, replace(last, command=31_999)]) != 0, "accepted")
+        self.require_stored(wanted)
 
-@plan_result_book.rule(MISSION_RESULT)
-def unknown_mission_command_is_refused(probe: VehicleProbe) -> None:
-    """An item with a command that is not known is refused as UNSUPPORTED."""
-    probe.get_ready()
-    require_refused(probe, replace(waypoint_home(probe), command=31_999), PLAN_UNSUPPORTED)
+    @book.rule(mav.OBSERVED_ARDUPILOT, flavours=ARDUPILOT)
+    def old_plan_is_cut_when_an_upload_begins(self) -> None:
+        """MISSION_COUNT cuts the old mission to the new length at once: uploads are not atomic."""
+        self.prepare(4)
+        self.begin_upload(2)
+        self.run(10.0)
+        require(len(self.download()) <= 2, "the old mission is still whole")
 
+    @book.rule(mav.OBSERVED_ARDUPILOT, flavours=ARDUPILOT)
+    def cancel_of_a_client_is_ignored(self) -> None:
+        """A client's OPERATION_CANCELLED does not end an upload."""
+        self.get_ready()
+        items = self.square(2)
+        self.begin_upload(len(items))
+        self._cancel()
+        self.send_item(items[0], 0)
+        self.await_request(1)
+        self.run(10.0)
 
-@plan_result_book.rule(f"{MISSION_RESULT}; {OBSERVED_ARDUPILOT}")
-def impossible_latitude_is_refused(probe: VehicleProbe) -> None:
-    """A waypoint at 100 degrees north is refused as INVALID_PARAM5_X."""
-    probe.get_ready()
-    item = waypoint(1_000_000_000, 85_000_000, 10.0)
-    require_refused(probe, item, PLAN_INVALID_X, PLAN_INVALID)
-
-
-@plan_result_book.rule(f"{MISSION_RESULT}; {OBSERVED_ARDUPILOT}")
-def impossible_altitude_is_refused(probe: VehicleProbe) -> None:
-    """A waypoint at a NaN or endless altitude is refused as INVALID_PARAM7."""
-    probe.get_ready()
-    here = waypoint_home(probe)
-    for height_m in (NAN, math.inf):
-        require_refused(probe, replace(here, z=height_m), PLAN_INVALID_Z, PLAN_INVALID)
-
-
-@plan_result_book.rule(f"{SERVICE}, MAV_MISSION_NO_SPACE")
-def endless_mission_is_refused(probe: VehicleProbe) -> None:
-    """More items than fit are refused as NO_SPACE, before any is requested."""
-    probe.get_ready()
-    result = plans.result_of(probe, mission_count(probe, 65_535))
-    require(result == PLAN_NO_SPACE, f"ACK {result}")
-
-
-fence_book = RuleBook(Role.VEHICLE, "fences", CHANGES)
-
-
-def require_fence_kept(probe: VehicleProbe, wanted: list[MissionItem]) -> list[MissionItem]:
-    """A fence that is uploaded must come back; its items as downloaded."""
-    plans.require_upload(probe, wanted, FENCE)
-    found = plans.download(probe, FENCE)
-    plans.clear(probe, FENCE)
-    require(places(found) == places(wanted), "the fence changed")
-    return found
-
-
-@fence_book.rule(f"{SERVICE}, Geofence")
-def fences_survive(probe: VehicleProbe) -> None:
-    """A polygon and a circle come back with their vertex count and radius."""
-    probe.get_ready()
-    wanted = polygon(probe) + circle(probe)
-    found = require_fence_kept(probe, wanted)
-    told = [item.params[0] for item in found]
-    require(told == [4.0, 4.0, 4.0, 4.0, 500.0], f"param1 {told}")
-
-
-@fence_book.rule(f"{SERVICE}, Geofence")
-def exclusions_survive(probe: VehicleProbe) -> None:
-    """Areas to stay out of come back as such, beside one to stay in."""
-    probe.get_ready()
-    (inside,) = circle(probe)
-    hole = replace(
-        inside,
-        command=mavlink.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION,
-        params=(10.0, 0.0, 0.0, 0.0),
-        x=inside.x + 9_000,
+    @book.rule(
+        f"{SERVICE} (timeouts); {mav.OBSERVED_PX4}; {mav.OBSERVED_ARDUPILOT}",
+        px4="every 250 ms, gives up after about 5 s",
+        ardupilot="every second, gives up after 8 s with ACK 15 and a text",
     )
-    vertex = mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION
-    zone = [
-        replace(corner, command=vertex, y=corner.y + 90_000)
-        for corner in polygon(probe, half=9_000)
-    ]
-    wanted = [inside, hole, *zone]
-    require_fence_kept(probe, wanted)
+    def unanswered_request_is_repeated_then_given_up(self) -> None:
+        """A request without an answer is repeated, and given up in the end."""
+        self.get_ready()
+        self.send_count(3)
+        self.run(15.0)
+        times = self.times(REQUESTS, self.asked)
+        require(len(times) >= 3, f"requested {len(times)} times")
+        wanted_s, low_s, high_s = (0.25, 3.5, 6.5) if self.is_px4 else (1.0, 6.0, 9.5)
+        for earlier, later in itertools.pairwise(times):
+            gap_s = later - earlier
+            require(0.7 * wanted_s < gap_s < 1.6 * wanted_s, f"repeated after {gap_s:.2f} s")
+        lived_s = times[-1] - times[0]
+        require(low_s - wanted_s < lived_s < high_s, f"given up after {lived_s:.1f} s")
+        if not self.is_px4:
+            results = [ack.type for ack in self.heard(mav.PlanAck, self.asked)]
+            require(results[-1:] == [mav.PLAN_CANCELLED], "no ACK 15 at the end")
+
+    @book.rule(
+        SERVICE,
+        px4="dropped, the expected item is requested again",
+        ardupilot="ACK INVALID_SEQUENCE",
+    )
+    def item_out_of_order_is_not_taken(self) -> None:
+        """An item with another number than requested is not taken for it."""
+        self.get_ready()
+        items = self.square(3)
+        self.begin_upload(len(items))
+        self.send_item(items[2], 2)
+        if not self.is_px4:
+            require(self.await_ack() == mav.PLAN_INVALID_SEQUENCE, "another ACK than 13")
+            self.run(10.0)
+            return
+        self.await_request(0)
+        for number, item in enumerate(items):
+            self.send_item(item, number)
+        require(self.await_ack() == 0, "the upload cannot go on")
+
+    @book.rule(f"{SERVICE}; {mav.OBSERVED_PX4}", flavours=PX4)
+    def item_without_an_upload_is_an_error(self) -> None:
+        """An item that nobody asked for is answered by an ACK with an error."""
+        self.get_ready()
+        self.send_item(self.square(1)[0], 0)
+        result = self.await_ack()
+        require(result != 0, f"ACK {result}")
+
+    @book.rule(f"{mav.OBSERVED_PX4}; the guide asks the client for that ACK", flavours=PX4)
+    def unacknowledged_download_keeps_it_busy(self) -> None:
+        """Until a client acknowledges a download, or for 5 s, an upload is answered ERROR."""
+        self.get_ready()
+        self.clear()
+        self.begin_download()
+        self.send_count(1)
+        result = self.await_ack()
+        require(result == mav.PLAN_ERROR, f"ACK {result}")
+        self.run(6.0)
+        self.require_upload(self.square(1))
+
+    @book.rule(f"{SERVICE}; MAVSDK mission_impl.cpp", flavours=PX4)
+    def items_that_mavsdk_sends_are_accepted(self) -> None:
+        """Waypoints in frame 6, DO_CHANGE_SPEED in MISSION frame and gimbal items are accepted."""
+        self.get_ready()
+        place = replace(self.square(1)[0], params=(0.0, 1.0, 0.0, mav.NAN), current=1)
+        frame, gimbal = mavlink.MAV_FRAME_MISSION, mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW
+        items = [
+            place,
+            MissionItem(
+                mavlink.MAV_CMD_DO_CHANGE_SPEED, frame, (1.0, 4.0, -1.0, mav.NAN), z=mav.NAN
+            ),
+            MissionItem(gimbal, frame, (0.0, 0.0, mav.NAN, mav.NAN)),
+        ]
+        self.require_upload(items)
+        found = self.download()
+        require(len(found) == 3, f"{len(found)} items came back")
+        require(found[1].params[1] == 4.0, "the speed changed")
 
 
-@fence_book.rule(f"{SERVICE}, Geofence")
-def broken_fence_is_refused(probe: VehicleProbe) -> None:
-    """A polygon that tells more vertices than it has is refused, and the old fence stays."""
-    probe.get_ready()
-    plans.require_upload(probe, circle(probe), FENCE)
-    result = plans.upload(probe, polygon(probe, told=7.0), FENCE)
-    require(result != 0, "accepted")
-    found = plans.download(probe, FENCE)
-    plans.clear(probe, FENCE)
-    require(len(found) == 1, f"{len(found)} items are left of the old fence")
+class PlanResultRules(PlanClient):
+    """What plans are refused for."""
+
+    book = RuleBook("plan_results", CHANGES)
+
+    def _require_refused(self, item: MissionItem, *results: int) -> None:
+        """A mission with one wrong item must be refused with one of the results."""
+        result = self.upload(self.with_home([item]))
+        require(result in results, f"ACK {result}")
+
+    @book.rule(MISSION_RESULT)
+    def unknown_frame_is_refused(self) -> None:
+        """A waypoint in a frame that is not known is refused as UNSUPPORTED_FRAME."""
+        self.get_ready()
+        item = replace(self.waypoint_home(), frame=20)
+        self._require_refused(item, mav.PLAN_UNSUPPORTED_FRAME)
+
+    @book.rule(MISSION_RESULT)
+    def unknown_mission_command_is_refused(self) -> None:
+        """An item with a command that is not known is refused as UNSUPPORTED."""
+        self.get_ready()
+        item = replace(self.waypoint_home(), command=31_999)
+        self._require_refused(item, mav.PLAN_UNSUPPORTED)
+
+    @book.rule(f"{MISSION_RESULT}; {mav.OBSERVED_ARDUPILOT}")
+    def impossible_latitude_is_refused(self) -> None:
+        """A waypoint at 100 degrees north is refused as INVALID_PARAM5_X."""
+        self.get_ready()
+        item = waypoint(1_000_000_000, 85_000_000, 10.0)
+        self._require_refused(item, mav.PLAN_INVALID_X, mav.PLAN_INVALID)
+
+    @book.rule(f"{MISSION_RESULT}; {mav.OBSERVED_ARDUPILOT}")
+    def impossible_altitude_is_refused(self) -> None:
+        """A waypoint at a NaN or endless altitude is refused as INVALID_PARAM7."""
+        self.get_ready()
+        here = self.waypoint_home()
+        for height_m in (mav.NAN, math.inf):
+            item = replace(here, z=height_m)
+            self._require_refused(item, mav.PLAN_INVALID_Z, mav.PLAN_INVALID)
+
+    @book.rule(f"{SERVICE}, MAV_MISSION_NO_SPACE")
+    def endless_mission_is_refused(self) -> None:
+        """More items than fit are refused as NO_SPACE, before any is requested."""
+        self.get_ready()
+        self.send_count(65_535)
+        result = self.await_ack()
+        require(result == mav.PLAN_NO_SPACE, f"ACK {result}")
 
 
-@fence_book.rule(SERVICE)
-def mission_item_in_a_fence_is_refused(probe: VehicleProbe) -> None:
-    """A waypoint is no part of a fence: UNSUPPORTED, or another error."""
-    probe.get_ready()
-    require(plans.upload(probe, [waypoint_home(probe)], FENCE) != 0, "accepted")
+class FenceRules(PlanClient):
+    """Geofences."""
 
+    book = RuleBook("fences", CHANGES)
 
-@fence_book.rule(
-    f"{SERVICE}, Geofence",
-    effect=FLIES,
-    px4="GF_ACTION",
-    ardupilot="stays inside, destinations outside are refused",
-)
-def fence_is_kept(probe: VehicleProbe) -> None:
-    """A vehicle sent out of its fence does not go on outwards."""
-    probe.take_off()
-    radius_m = 30.0
-    plans.require_upload(probe, circle(probe, radius_m), FENCE)
-    enable_fence(probe)
-    probe.watch(mavlink.MAVLink_global_position_int_message, 0.1)
-    here = probe.latest(mavlink.MAVLink_global_position_int_message)
-    probe.reposition(mavlink.MAV_FRAME_GLOBAL, (here.lat + 9_000, here.lon, here.alt / 1e3))
-    probe.run(25.0)
-    home = probe.home()
-    north, east, _ = probe.place()
-    distance_m = math.dist((north, east), (home.x, home.y))
-    plans.clear(probe, FENCE)
-    disable_fence(probe)
-    require(distance_m < radius_m + 15.0, f"{distance_m:.0f} m from the centre of {radius_m:g} m")
+    def _require_fence_kept(self, wanted: list[MissionItem]) -> list[MissionItem]:
+        """A fence that is uploaded must come back; its items as downloaded."""
+        self.require_upload(wanted, mav.FENCE)
+        found = self.download(mav.FENCE)
+        self.clear(mav.FENCE)
+        require([i.place for i in found] == [i.place for i in wanted], "the fence changed")
+        return found
 
+    @book.rule(f"{SERVICE}, Geofence")
+    def fences_survive(self) -> None:
+        """A polygon and a circle come back with their vertex count and radius."""
+        self.get_ready()
+        found = self._require_fence_kept(self.polygon() + self.circle())
+        told = [item.params[0] for item in found]
+        require(told == [4.0, 4.0, 4.0, 4.0, 500.0], f"param1 {told}")
 
-def enable_fence(probe: VehicleProbe) -> None:
-    """Switch the fence on: GF_ACTION 2 (hold), or FENCE_ENABLE.
+    @book.rule(f"{SERVICE}, Geofence")
+    def exclusions_survive(self) -> None:
+        """Areas to stay out of come back as such, beside one to stay in."""
+        self.get_ready()
+        (inside,) = self.circle()
+        (hole,) = self.circle(10.0)
+        circle = mavlink.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION
+        vertex = mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION
+        zone = self.polygon(half=9_000)
+        wanted = [inside, replace(hole, command=circle, x=hole.x + 9_000)]
+        wanted += [replace(corner, command=vertex, y=corner.y + 90_000) for corner in zone]
+        self._require_fence_kept(wanted)
 
-    Raises:
-        NotApplicable: It cannot be switched on.
-    """
-    names = {True: (b"GF_ACTION", 2, 6), False: (b"FENCE_ENABLE", 1.0, 2)}
-    name, value, kind = names[probe.is_px4]
-    field = float(value) if not probe.is_px4 else 2.8e-45
-    mark = probe.mark
-    probe.send(mavlink.MAVLink_param_set_message(*probe.target, name, field, kind))
+    @book.rule(f"{SERVICE}, Geofence")
+    def broken_fence_is_refused(self) -> None:
+        """A polygon that tells more vertices than it has is refused, and the old fence stays."""
+        self.get_ready()
+        self.require_upload(self.circle(), mav.FENCE)
+        require(self.upload(self.polygon(told=7.0), mav.FENCE) != 0, "accepted")
+        found = self.download(mav.FENCE)
+        self.clear(mav.FENCE)
+        require(len(found) == 1, f"{len(found)} items are left of the old fence")
 
-    def is_told() -> bool:
-        """Whether the parameter's value came."""
-        return any(m.param_id == name.decode() for m in probe.heard(ParamValue, mark))
+    @book.rule(SERVICE)
+    def mission_item_in_a_fence_is_refused(self) -> None:
+        """A waypoint is no part of a fence: UNSUPPORTED, or another error."""
+        self.get_ready()
+        require(self.upload([self.waypoint_home()], mav.FENCE) != 0, "accepted")
 
-    if not probe.run_until(is_told, ACK_S):
-        raise NotApplicable(f"no parameter {name.decode()}")
-
-
-def disable_fence(probe: VehicleProbe) -> None:
-    """FENCE_ENABLE 0; PX4's goes with its fence."""
-    if not probe.is_px4:
-        probe.send(mavlink.MAVLink_param_set_message(*probe.target, b"FENCE_ENABLE", 0.0, 2))
+    @book.rule(
+        f"{SERVICE}, Geofence",
+        effect=FLIES,
+        px4="GF_ACTION",
+        ardupilot="stays inside, destinations outside are refused",
+    )
+    def fence_is_kept(self) -> None:
+        """A vehicle sent out of its fence does not go on outwards."""
+        self.take_off()
+        radius_m = 30.0
+        self.require_upload(self.circle(radius_m), mav.FENCE)
+        self.enable_fence()
+        self.watch(mav.GlobalPosition, 0.1)
+        here = self.latest(mav.GlobalPosition)
+        self.reposition(mavlink.MAV_FRAME_GLOBAL, (here.lat + 9_000, here.lon, here.alt / 1e3))
+        self.run(25.0)
+        distance_m = self.home_distance_m()
+        self.clear(mav.FENCE)
+        self.disable_fence()
+        problem = f"{distance_m:.0f} m from the centre of {radius_m:g} m"
+        require(distance_m < radius_m + 15.0, problem)

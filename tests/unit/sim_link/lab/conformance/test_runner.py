@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import pytest
 
 from sim_link.lab.conformance.rules import (
-    ARDUPILOT_ONLY,
+    ARDUPILOT,
     Effect,
     Flavour,
-    NotApplicable,
     Role,
     Rule,
     RuleBook,
     RuleOutcome,
     RuleVerdict,
     Violation,
+    assume,
     line,
     listing,
     record,
@@ -29,6 +30,7 @@ from sim_link.lab.conformance.rules import (
 
 @dataclass
 class FakeProbe:
+    role: ClassVar[Role] = Role.VEHICLE
     now_s: float = 0.0
     rested: int = 0
 
@@ -37,37 +39,35 @@ class FakeProbe:
         return base_e7 or (1, 2)
 
 
-book = RuleBook(Role.VEHICLE, "samples")
+class Samples(FakeProbe):
+    book = RuleBook("samples")
+
+    @book.rule("a page")
+    def holds(self) -> None:
+        """It holds."""
+        self.now_s += 2.0
+
+    @book.rule("a page", px4="does not")
+    def is_broken(self) -> None:
+        """It does not hold."""
+        require(self.now_s < 0.0, "seen otherwise")
+
+    @book.rule("a page", effect=Effect.CHANGES, flavours=ARDUPILOT)
+    def changes(self) -> None:
+        """It changes something."""
+        assume(False, "no occasion")
+
+    @book.rule("a page", effect=Effect.FLIES, says="It flies, and nothing else.")
+    def flies(self) -> None:
+        """It flies."""
+        raise Violation("it fell")
 
 
-@book.rule("a page")
-def holds(probe: FakeProbe) -> None:
-    """It holds."""
-    probe.now_s += 2.0
-
-
-@book.rule("a page", px4="does not")
-def is_broken(probe: FakeProbe) -> None:
-    """It does not hold."""
-    require(probe.now_s < 0.0, "seen otherwise")
-
-
-@book.rule("a page", effect=Effect.CHANGES, flavours=ARDUPILOT_ONLY)
-def changes(probe: FakeProbe) -> None:
-    """It changes something."""
-    del probe
-    raise NotApplicable("no occasion")
-
-
-@book.rule("a page", effect=Effect.FLIES)
-def flies(probe: FakeProbe) -> None:
-    """It flies."""
-    del probe
-    raise Violation("it fell")
+book = Samples.book
 
 
 def run(flavour: Flavour, allowed: Effect, probe: FakeProbe | None = None) -> list[RuleOutcome]:
-    return list(run_rules(book.rules, flavour, allowed, lambda: probe or FakeProbe()))
+    return list(run_rules(book.rules, flavour, allowed, lambda prober: probe or prober()))
 
 
 def test_a_rule_is_named_after_its_book_and_probe() -> None:
@@ -84,6 +84,10 @@ def test_verdicts() -> None:
     assert [o.verdict.value for o in outcomes] == ["PASS", "FAIL", "SKIP", "FAIL"]
     assert outcomes[0].duration_s == 2.0
     assert outcomes[1].detail == "seen otherwise"
+
+
+def test_a_statement_may_be_longer_than_a_docstring() -> None:
+    assert book.rules[-1].statement == "It flies, and nothing else."
 
 
 def test_a_rule_of_the_other_flavour_is_left_out() -> None:
