@@ -124,11 +124,7 @@ def _listed(marker: pytest.Mark, folder: Path) -> tuple[FlavourName, ...]:
 
 
 def _arguments_of(marker: pytest.Mark) -> tuple[str, object, object]:
-    """Script, seed and autopilot of a marker.
-
-    Raises:
-        TypeError: An argument is missing, or there is no such argument.
-    """
+    """Script, seed and autopilot of a marker; `TypeError`: its arguments are wrong."""
 
     def mission(
         script: str, seed: object = 0, autopilot: object = None
@@ -143,13 +139,7 @@ def _arguments_of(marker: pytest.Mark) -> tuple[str, object, object]:
 def _wanted(
     marker: pytest.Mark, folder: Path, flavour: FlavourName | None
 ) -> tuple[Mission, int, Path]:
-    """Script, seed and place of the script that a marker names.
-
-    Raises:
-        CompanionError: The script is wrong.
-        TypeError: An argument is missing, or there is no such argument.
-        ValueError: An argument has no value that there could be.
-    """
+    """What a marker asks to be flown; `CompanionError`, `TypeError`, `ValueError`: it is wrong."""
     from sim_link.autopilot.scenario import FlavourName
     from sim_link.lab.mission.batch import check_flyable, flavours_of, with_autopilot
     from sim_link.lab.mission.script_file import load_mission

@@ -311,11 +311,7 @@ def _follower(arguments: argparse.Namespace) -> RadioFollower:
 
 
 def parse_emitter(text: str, number: int) -> GeodeticEmitter:
-    """The emitter of `LAT,LON[,AMSL]`.
-
-    Raises:
-        ConfigError: It is none.
-    """
+    """The emitter of `LAT,LON[,AMSL]`; `ConfigError`: it is none."""
     try:
         values = [float(part) for part in text.split(",")]
     except ValueError:

@@ -117,11 +117,7 @@ class WireLink:
         self._link: Link = make_link(spec, 0, self._receive)
 
     def open(self) -> None:
-        """Bind or connect.
-
-        Raises:
-            LinkError: It cannot be opened.
-        """
+        """Bind or connect; `LinkError`: it cannot be opened."""
         self._loop.run_until_complete(self._link.open())
         if isinstance(self._spec, TcpClient | SerialPort):
             self._loop.run_until_complete(asyncio.sleep(CONNECT_GRACE_S))
@@ -246,14 +242,7 @@ exit code: 0 all passed, 1 a rule failed, 2 bad input or nobody there"""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Try the rules.
-
-    Args:
-        argv: Arguments without the program's name; None takes the process's.
-
-    Returns:
-        0 if nothing failed, 1 if a rule did, 2 for bad input or a silent peer.
-    """
+    """Try the rules; 0 if nothing failed, 1 if a rule did, 2 for bad input or a silent peer."""
     try:
         return _run(_arguments(argv))
     except (CompanionError, NotApplicable) as error:

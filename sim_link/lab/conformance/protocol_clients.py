@@ -330,11 +330,7 @@ class PlanClient(VehicleProbe):
         return [MissionItem(command, frame, (0.0, 0.0, 0.0, 0.0), *place)]
 
     def enable_fence(self) -> None:
-        """Switch the fence on: GF_ACTION 2 (hold), or FENCE_ENABLE.
-
-        Raises:
-            NotApplicable: It cannot be switched on.
-        """
+        """Switch the fence on: GF_ACTION 2 (hold), or FENCE_ENABLE; `NotApplicable`: neither is."""
         name, value, kind = FENCE_SWITCHES[self.is_px4]
         try:
             request = mav.ParamSet(*self.target, name, value, kind)

@@ -48,11 +48,7 @@ def stay_silent(_: CommandMessage) -> int | None:
 
 
 class CompanionProbe(Station):
-    """Plays the vehicle that a companion serves.
-
-    Args:
-        is_flying: Whether it hovers, armed; otherwise it stands on the ground, disarmed.
-    """
+    """Plays the vehicle that a companion serves: it hovers, armed, or stands on the ground."""
 
     role = Role.COMPANION
 
@@ -112,11 +108,7 @@ class CompanionProbe(Station):
 
     @property
     def companion(self) -> tuple[int, int]:
-        """System and component of whoever answers as a companion.
-
-        Raises:
-            NotApplicable: Nobody does.
-        """
+        """System and component of whoever answers as a companion; `NotApplicable`: nobody does."""
         none = mavlink.MAV_AUTOPILOT_INVALID
         sources = [
             entry.source
@@ -128,11 +120,7 @@ class CompanionProbe(Station):
         return sources[-1]
 
     def attach(self) -> None:
-        """Wait for the companion's first heartbeat, and until it knows the vehicle.
-
-        Raises:
-            NotApplicable: No companion is heard.
-        """
+        """Wait for the companion, if there is one, and until it knows the vehicle."""
         if not self.run_until(lambda: bool(self.heard(mav.Heartbeat)), FIRST_WORD_S):
             raise NotApplicable(f"no companion heard within {FIRST_WORD_S:g} s")
         self.run(SETTLE_S)
@@ -159,11 +147,7 @@ class CompanionProbe(Station):
             require(target == (self.system_id, self.component_id), brief(message))
 
     def await_setpoints(self, within_s: float = 15.0) -> None:
-        """Wait until setpoints come.
-
-        Raises:
-            NotApplicable: None come: the companion streams none unasked.
-        """
+        """Wait until setpoints come; `NotApplicable`: the companion streams none unasked."""
         mark = self.mark
         if not self.run_until(lambda: bool(self.setpoints(mark)), within_s):
             raise NotApplicable(f"no setpoints within {within_s:g} s")

@@ -93,12 +93,7 @@ class Rule:
 
 
 class RuleBook:
-    """Collects the rules of one group, in the order of their definition.
-
-    Args:
-        effect: The most that a probe does to the vehicle, unless its rule says otherwise.
-        flavours: Whom the rules bind, unless one says otherwise.
-    """
+    """Collects the rules of a group in order; effect and flavours are theirs unless one differs."""
 
     prober: type[Any]
     """The class whose methods the rules are."""

@@ -49,11 +49,7 @@ class VehicleProbe(Station):
     # Who it is
 
     def attach(self) -> None:
-        """Wait for the vehicle and learn its ids and flavour.
-
-        Raises:
-            NotApplicable: No autopilot is heard.
-        """
+        """Wait for the vehicle and learn its ids and flavour; `NotApplicable`: none is heard."""
         try:
             first = self.expect(
                 mav.Heartbeat,
@@ -255,11 +251,7 @@ class VehicleProbe(Station):
         require(result == mav.ACCEPTED, f"{mode}: result {result}")
 
     def require_disarmed(self) -> None:
-        """For a rule that is tried on the ground.
-
-        Raises:
-            NotApplicable: It is armed.
-        """
+        """For a rule that is tried on the ground; `NotApplicable`: it is armed."""
         if self.is_armed():
             raise NotApplicable("the vehicle is armed")
 

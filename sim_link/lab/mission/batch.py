@@ -131,11 +131,7 @@ class MissionBatch:
 
 
 def flavours_of(mission: Mission, name: str) -> tuple[FlavourName, ...]:
-    """The autopilots that a script is to be flown on.
-
-    Raises:
-        ConfigError: It lists one twice.
-    """
+    """The autopilots that a script is to be flown on; `ConfigError`: it lists one twice."""
     flavours = tuple(mission.autopilots or (mission.autopilot.flavour,))
     for flavour in set(flavours):
         if flavours.count(flavour) > 1:
@@ -144,11 +140,7 @@ def flavours_of(mission: Mission, name: str) -> tuple[FlavourName, ...]:
 
 
 def _check_names(tasks: Sequence[FlightTask]) -> None:
-    """Make sure that no flight writes over the report of another.
-
-    Raises:
-        ConfigError: Two of them have one name.
-    """
+    """Make sure that no flight writes over the report of another; `ConfigError`: one would."""
     files: dict[str, str] = {}
     for task in tasks:
         name = task.flight_name
@@ -161,12 +153,7 @@ def _check_names(tasks: Sequence[FlightTask]) -> None:
 
 
 async def _check_link(text: str) -> None:
-    """Open the vehicle's link and close it again, before any process is started.
-
-    Raises:
-        ConfigError: It is no link.
-        LinkError: It cannot be opened.
-    """
+    """Open the vehicle's link and close it again, before any process is started."""
     spec = parse_transport(text)
     if isinstance(spec, TcpClient):
         return  # waited for as long as it is not there, and a vehicle may serve one client only
@@ -182,11 +169,7 @@ def with_autopilot(mission: Mission, flavour: FlavourName) -> Mission:
 
 
 def check_flyable(mission: Mission, name: str) -> None:
-    """Build everything that a flight is made of, and throw it away.
-
-    Raises:
-        ConfigError: A part of it does not exist or is out of range.
-    """
+    """Build everything that a flight is made of, and throw it away; `ConfigError`: that fails."""
     try:
         SimEndpoint(mission.scenario, 0)
         build_endpoint(flown_config(mission), MemoryJournal())
@@ -281,11 +264,7 @@ def _fly(task: FlightTask, progress: Progress | None) -> MissionResult:
 
 
 def _rename_folder(folder: Path, name: str) -> None:
-    """Give a flight's folder the name of its report, in place of an earlier one of that name.
-
-    Raises:
-        CompanionError: That cannot be done.
-    """
+    """Give a flight's folder the name of its report, in place of an earlier one of that name."""
     target = folder.with_name(name)
     if target == folder:
         return
@@ -298,11 +277,7 @@ def _rename_folder(folder: Path, name: str) -> None:
 
 
 def write_report(folder: Path, result: MissionResult) -> str:
-    """Write report and event log of a flight; the place of the report.
-
-    Raises:
-        CompanionError: A file cannot be written.
-    """
+    """Write report and event log of a flight; the place of the report."""
     name = result.flight_name
     path = folder / f"{name}.html"
     if result.record.frames:

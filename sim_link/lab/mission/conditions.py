@@ -226,11 +226,7 @@ def _lifted(function: Callable[..., Value], *parts: _Part) -> Getter:
 
 
 def _truth_of(node: ast.expr) -> _Part:
-    """A part that is true or false.
-
-    Raises:
-        ConditionError: It is something else.
-    """
+    """A part that is true or false; `ConditionError`: it is something else."""
     part = _part(node)
     if part.word is not None:
         raise _unknown(part)

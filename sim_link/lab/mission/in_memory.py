@@ -18,7 +18,7 @@ from companion.flight_setup import build_endpoint
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import Scenario
 from sim_link.lab.campaign.flights import rules_of
-from sim_link.lab.faults.fault_models import Fault, Schedule
+from sim_link.lab.faults.fault_models import Schedule
 from sim_link.lab.faults.faulty_link import FaultyLink
 from sim_link.lab.faults.injector import Injector
 from sim_link.lab.lockstep.flight import Flight, MakeCompanion, Makers
@@ -98,10 +98,11 @@ class _MissionFlight:
         )
         flight.observers.append(self._monitor)
         station = Station(flight)
-        harness = _Harness(Injector(flight, wire, station))
-        operator = _Operator(flight, station)
+        injector, operator = Injector(flight, wire, station), _Operator(flight, station)
         self._flight = flight
-        self._runner = StepRunner(mission, self.record, operator, harness)
+        self._runner = StepRunner(
+            mission, self.record, operator, lambda fault, _: injector.add(fault)
+        )
         self._slices = 0
 
     def fly(self, progress: Progress | None) -> None:
@@ -127,10 +128,8 @@ class _MissionFlight:
         vehicle, now_s = flight.sim.vehicle, flight.now_s
         self._reader.age(now_s)
         seen.mode, seen.is_armed = vehicle.flavour.mode.value, vehicle.is_armed
-        seen.is_failsafe, seen.landed = (
-            vehicle.flavour.is_failsafe,
-            vehicle.flavour.landed_state.name.lower(),
-        )
+        seen.is_failsafe = vehicle.flavour.is_failsafe
+        seen.landed = vehicle.flavour.landed_state.name.lower()
         seen.is_ready = vehicle.is_armed or (
             vehicle.has_home and vehicle.flavour.arming_refusal(vehicle.time_s) is None
         )
@@ -170,20 +169,22 @@ class _Watcher(Observer):
 
     def sent(self, frame: Frame) -> None:
         """The companion sent this."""
-        self._record.frames.append((frame.time_s, frame.data))
-        self._record.messages["companion", frame.number] += 1
+        self._keep("companion", frame)
 
     def vehicle_sent(self, frame: Frame) -> None:
         """The vehicle sent this."""
-        self._record.frames.append((frame.time_s, frame.data))
-        self._record.messages["autopilot", frame.number] += 1
-        if frame.number != mavlink.MAVLINK_MSG_ID_STATUSTEXT:
+        self._keep("autopilot", frame)
+        if frame.number != mavlink.MAVLINK_MSG_ID_STATUSTEXT:  # decoding all would take long
             return
         message = frame.message
         if isinstance(message, mavlink.MAVLink_statustext_message):
             text = str(message.text)
             self._record.texts.append(OperatorText(frame.time_s, "autopilot", text))
             self._record.situation.autopilot_texts.append(text)
+
+    def _keep(self, source: str, frame: Frame) -> None:
+        self._record.frames.append((frame.time_s, frame.data))
+        self._record.messages[source, frame.number] += 1
 
 
 class _Operator:
@@ -192,6 +193,7 @@ class _Operator:
     def __init__(self, flight: Flight, station: Station) -> None:
         self._flight = flight
         self._station = station
+        self._is_ardupilot = flight.scenario.autopilot.flavour == "ardupilot"
 
     def ask(self, action: Action) -> None:
         """Do it at once."""
@@ -210,27 +212,11 @@ class _Operator:
         return None
 
     def _arm(self) -> None:
-        if self._flight.scenario.autopilot.flavour == "ardupilot":
+        if self._is_ardupilot:
             self._station.choose(FlightMode.OFFBOARD, is_told_at_once=False)
         self._station.arm()
 
     def _take_off(self, height_m: float) -> None:
-        flight = self._flight
-        above = (
-            0.0
-            if flight.scenario.autopilot.flavour == "ardupilot"
-            else (flight.sim.vehicle.aircraft.home_altitude_m)
-        )
-        rest = [math.nan] * 6 if above else [0.0] * 6
-        self._station.command(mavlink.MAV_CMD_NAV_TAKEOFF, *rest, above + height_m)
-
-
-class _Harness:
-    """Injects faults into a flight in memory."""
-
-    def __init__(self, injector: Injector) -> None:
-        self._injector = injector
-
-    def inject(self, fault: Fault, now_s: float) -> None:  # noqa: ARG002  the flight's own time
-        """Have it begin `fault.start_s` from now."""
-        self._injector.add(fault)
+        above_m = 0.0 if self._is_ardupilot else self._flight.sim.vehicle.aircraft.home_altitude_m
+        rest = [math.nan] * 6 if above_m else [0.0] * 6
+        self._station.command(mavlink.MAV_CMD_NAV_TAKEOFF, *rest, above_m + height_m)

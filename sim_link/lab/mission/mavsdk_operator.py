@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import Coroutine
 from contextlib import aclosing, suppress
 from pathlib import Path
 from typing import Any
@@ -25,11 +24,7 @@ POSITION_RATE_HZ = 1.0 / STREAM_INTERVAL_S[mavlink.MAVLINK_MSG_ID_LOCAL_POSITION
 
 
 def check_installed() -> None:
-    """Make sure that MAVSDK is there.
-
-    Raises:
-        ConfigError: It is not; the message says how to get it.
-    """
+    """Make sure that MAVSDK is there; `ConfigError` says how to get it."""
     try:
         import mavsdk.asyncio  # noqa: F401  only whether it is there
     except ImportError as error:
@@ -38,11 +33,7 @@ def check_installed() -> None:
 
 
 class MavsdkOperator:
-    """A ground station on a UDP port; `sim_link.mission.operator.Operator`.
-
-    Args:
-        port: Where it listens on this machine.
-    """
+    """A `MissionOperator`: a ground station on a UDP port of this machine."""
 
     def __init__(self, port: int, log: Path) -> None:
         self._port = port
@@ -53,7 +44,7 @@ class MavsdkOperator:
         self._direct: Any = None
         self._system_id = 1
         self._task: asyncio.Task[None] | None = None
-        self._watches: list[asyncio.Task[None]] = []
+        self._watch: asyncio.Task[None] | None = None
         self._refusal: str | None = None
         self.is_ready = False
         """Whether the autopilot can be armed and knows its home."""
@@ -74,12 +65,12 @@ class MavsdkOperator:
         self._mavsdk = Mavsdk(configuration)
         await self._mavsdk.__aenter__()
         await self._mavsdk.add_any_connection(f"udpin://127.0.0.1:{self._port}")
-        self._watches.append(asyncio.create_task(self._find()))
+        self._watch = asyncio.create_task(self._find())
         return self
 
     async def __aexit__(self, *_: object) -> None:
         """Let go of everything."""
-        tasks = [*self._watches, *([] if self._task is None else [self._task])]
+        tasks = [task for task in (self._watch, self._task) if task is not None]
         for task in tasks:
             task.cancel()
         for task in tasks:
@@ -105,11 +96,7 @@ class MavsdkOperator:
         return refusal
 
     async def _find(self) -> None:
-        """Find the autopilot and begin to watch it.
-
-        Raises:
-            CompanionError: None was found.
-        """
+        """Find the autopilot and begin to watch it; `CompanionError`: there is none."""
         from mavsdk.asyncio.plugins.action import ActionAsync
         from mavsdk.asyncio.plugins.mavlink_direct import MavlinkDirectAsync
         from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
@@ -134,32 +121,25 @@ class MavsdkOperator:
             self._refusal = "MAVSDK has not found the autopilot yet"
             return
         try:
-            await self._coroutine(action)
+            await self._carry_out(action)
         except Exception as error:  # MAVSDK's errors have no common base
             self._refusal = f"MAVSDK: {error}"
 
-    def _coroutine(self, action: Action) -> Coroutine[Any, Any, None]:
+    async def _carry_out(self, action: Action) -> None:
         match action:
             case ArmAction():
-                return self._just(self._action.arm())
+                await self._action.arm()
             case TakeOffAction():
-                return self._take_off(action.height_m)
+                await self._action.set_takeoff_altitude(action.height_m)
+                await self._action.takeoff()
             case Grant():
-                number = mavlink.MAV_CMD_NAV_GUIDED_ENABLE
-                return self._command(COMPANION, number, (1.0,))
+                await self._command(COMPANION, mavlink.MAV_CMD_NAV_GUIDED_ENABLE, (1.0,))
             case SwitchMode(mode=FlightMode.RETURN):
-                return self._just(self._action.return_to_launch())
+                await self._action.return_to_launch()
             case SwitchMode(mode=FlightMode.LAND):
-                return self._just(self._action.land())
+                await self._action.land()
             case SwitchMode():
-                return self._switch(action.mode)
-
-    async def _just(self, request: Coroutine[Any, Any, Any]) -> None:
-        await request
-
-    async def _take_off(self, height_m: float) -> None:
-        await self._action.set_takeoff_altitude(height_m)
-        await self._action.takeoff()
+                await self._switch(action.mode)
 
     async def _switch(self, mode: FlightMode) -> None:
         if self.autopilot is Autopilot.OTHER:
@@ -168,11 +148,7 @@ class MavsdkOperator:
         await self._command(mavlink.MAV_COMP_ID_AUTOPILOT1, mavlink.MAV_CMD_DO_SET_MODE, params)
 
     async def _command(self, component: int, number: int, params: tuple[float, ...]) -> None:
-        """Send a COMMAND_LONG and wait for its answer.
-
-        Raises:
-            CompanionError: It was refused.
-        """
+        """Send a COMMAND_LONG and wait for its answer; `CompanionError`: it was refused."""
         from mavsdk.asyncio.plugins.mavlink_direct import MavlinkMessage
 
         padded = [*params, *[0.0] * (7 - len(params))]

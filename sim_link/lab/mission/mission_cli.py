@@ -90,11 +90,7 @@ class PlainProgress:
 
 
 class LiveProgress(PlainProgress):
-    """The same with a line that is redrawn in place (rich).
-
-    Raises:
-        ImportError: rich is not installed.
-    """
+    """The same with a line that is redrawn in place; `ImportError`: rich is not installed."""
 
     def __init__(self, total: int, output: TextIO) -> None:
         super().__init__(total, output, is_detailed=False)
@@ -130,11 +126,7 @@ class LiveProgress(PlainProgress):
 
 
 def progress_for(total: int, jobs: int, output: TextIO | None = None) -> PlainProgress:
-    """What suits the output: live on a terminal with rich, plain lines otherwise.
-
-    Args:
-        output: Where to; None: standard output.
-    """
+    """What suits the output (None: standard output): live on a terminal with rich, or plain."""
     stream = sys.stdout if output is None else output
     if stream.isatty():
         try:
@@ -173,11 +165,7 @@ def flight_line(result: MissionResult, number: int, total: int) -> str:
 
 
 def junit_xml(results: Sequence[MissionResult]) -> str:
-    """The document.
-
-    Args:
-        results: Of all flights, in the order of the document.
-    """
+    """The document, its flights in the order of the results."""
     root = ElementTree.Element("testsuites", name="missions")
     for result in results:
         root.append(_suite(result))
@@ -233,13 +221,14 @@ def _count(result: MissionResult) -> int:
 
 
 def _properties(result: MissionResult) -> dict[str, str]:
+    last = result.last_estimate
     values = {
         "seed": result.seed,
         "how": result.how,
         "flown_s": f"{result.record.ended_s:.1f}",
         "distance_m": f"{result.record.distance_m:.1f}",
         "final_error_m": result.final_error_m,
-        "r95_m": None if result.last_estimate is None else result.last_estimate.r95_m,
+        "r95_m": None if last is None else last.r95_m,
         "report": result.report or None,
     }
     return {name: str(value) for name, value in values.items() if value is not None}
@@ -273,37 +262,25 @@ exit code: 0 every expectation is met, 1 one is not, or a flight came to no end 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `run`."""
-    parser.add_argument("files", metavar="FILE", nargs="+", type=Path, help="mission scripts")
-    parser.add_argument(
+    add = parser.add_argument
+    add("files", metavar="FILE", nargs="+", type=Path, help="mission scripts")
+    add(
         "--speed",
         metavar="X|lockstep",
         help="seconds of the flight per second, with real processes; default: lockstep",
     )
-    parser.add_argument(
-        "--autopilot", choices=("px4", "ardupilot"), help="in place of the scripts' own"
-    )
-    parser.add_argument(
-        "--connect", metavar="URL", help="fly the vehicle on this link instead of a simulated one"
-    )
-    parser.add_argument("--seed", metavar="N", type=int, default=0, help="first seed (default 0)")
-    parser.add_argument(
-        "--repeat", metavar="N", type=int, default=1, help="with so many seeds (default 1)"
-    )
-    parser.add_argument("--jobs", metavar="J", type=int, default=1, help="so many at once")
-    parser.add_argument(
-        "--backend", metavar="URL", default=LOCAL, help="fly on a cluster: dask://HOST:PORT"
-    )
-    parser.add_argument("--junit", metavar="FILE", type=Path, help="write JUnit XML")
-    parser.add_argument(
-        "--report", metavar="DIR", type=Path, help="write a report and logs of every flight"
-    )
+    add("--autopilot", choices=("px4", "ardupilot"), help="in place of the scripts' own")
+    add("--connect", metavar="URL", help="fly the vehicle on this link instead of a simulated one")
+    add("--seed", metavar="N", type=int, default=0, help="first seed (default 0)")
+    add("--repeat", metavar="N", type=int, default=1, help="with so many seeds (default 1)")
+    add("--jobs", metavar="J", type=int, default=1, help="so many at once")
+    add("--backend", metavar="URL", default=LOCAL, help="fly on a cluster: dask://HOST:PORT")
+    add("--junit", metavar="FILE", type=Path, help="write JUnit XML")
+    add("--report", metavar="DIR", type=Path, help="write a report and logs of every flight")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Fly what the arguments say.
-
-    Returns:
-        The exit code.
+    """Fly what the arguments say; the exit code.
 
     Raises:
         ConfigError: A script or an argument is wrong; nothing was started.
@@ -340,7 +317,6 @@ def _is_flown(
     """Fly everything into `results`; whether nobody interrupted that."""
 
     def done(position: int, result: MissionResult) -> None:
-        """A flight is over."""
         results[position] = result
         progress.finished(result)
 

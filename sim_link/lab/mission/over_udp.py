@@ -14,6 +14,7 @@ import shutil
 import signal
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -71,11 +72,6 @@ class Ports:
     operator: int
     radio: int
 
-    @classmethod
-    def free(cls) -> Ports:
-        """Five that nobody has now."""
-        return cls(*free_udp_ports(5))
-
 
 def fly_over_udp(
     mission: Mission,
@@ -124,7 +120,7 @@ class _UdpFlight:
         self.record = FlightRecord()
         self._mission, self._seed, self._folder = mission, seed, folder
         self._speed, self._connect = speed, connect
-        self._ports = Ports.free()
+        self._ports = Ports(*free_udp_ports(5))
         self._flights = folder / "flights"
         self._tail = EventTail(self._flights)
         self._offset_s: float | None = None
@@ -137,9 +133,18 @@ class _UdpFlight:
         self._radio: ChildProcess | None = None
         self._operator = MavsdkOperator(self._ports.operator, folder / "mavsdk.log")
         self._watched = WireWatch(speed)
-        self._harness = harness = self._build_harness()
-        self._runner = StepRunner(mission, self.record, self._operator, harness)
-        self._hub = self._build_hub()
+        self._harness = ProcessHarness(
+            mission, self._wire, self._vehicle, self._companion, self._watched.recording
+        )
+        self._runner = StepRunner(mission, self.record, self._operator, self._harness.inject)
+        self._hub = Hub(
+            self._wire,
+            self._watch,
+            self._look,
+            self._interrupt,
+            has_radio=connect is not None,
+            delivered=self._watched.delivered,
+        )
         self._end_wall_s: float | None = None
         """When the end began."""
         self._is_companion_told = False
@@ -151,26 +156,17 @@ class _UdpFlight:
         self._heard_wall_s = time.monotonic()
         self._progress: Progress | None = None
 
-    def _build_harness(self) -> ProcessHarness:
-        recording = self._watched.recording
-        return ProcessHarness(self._mission, self._wire, self._vehicle, self._companion, recording)
-
-    def _build_hub(self) -> Hub:
-        return Hub(
-            self._wire,
-            self._watch,
-            self._look,
-            self._interrupt,
-            has_radio=self._connect is not None,
-            delivered=self._watched.delivered,
-        )
-
     async def fly(self, progress: Progress | None) -> None:
         """From starting the processes to the last step."""
         self._progress = progress
         self._companion.start()
-        await self._until_companion_waits()
-        await self._start_vehicle()
+        words = "the companion"  # its flight's folder: it compiles before its clock starts
+        await self._await_start(self._companion, self._tail.look_for_flight, words)
+        child = self._vehicle
+        if child is None:
+            child = self._radio = self._radio_child()
+        child.start()
+        await self._await_start(child, lambda: bool(child.first_words), child.name)
         async with self._operator:
             self._clock = Clock(self._speed)
             self._started_unix_s = time.time()
@@ -215,52 +211,37 @@ class _UdpFlight:
         return ChildProcess("companion", arguments, self._folder / "companion.log")
 
     def _vehicle_child(self) -> ChildProcess:
-        path = self._folder / "scenario.yaml"
-        _write_yaml(path, self._mission.scenario)
-        arguments = ["-m", "sim_link", "--stop-on-eof", "--scenario", str(path)]
-        arguments += ["--seed", str(self._seed), "--speed", f"{self._speed:g}"]
-        arguments += ["--listen", f"{HOST}:{self._ports.simulator}"]
-        arguments += ["--send-to", f"{HOST}:{self._ports.vehicle}"]
-        return ChildProcess("sim-link", arguments, self._folder / "vehicle.log")
+        ports = self._ports
+        addresses = [
+            "--listen",
+            f"{HOST}:{ports.simulator}",
+            "--send-to",
+            f"{HOST}:{ports.vehicle}",
+        ]
+        return self._sim_link_child("sim-link", "vehicle.log", *addresses)
 
     def _radio_child(self) -> ChildProcess:
         """The radio beside a vehicle that has none."""
+        follow = f"udpin:{HOST}:{self._ports.radio}"
+        return self._sim_link_child("radio", "radio.log", "radio", "--follow", follow)
+
+    def _sim_link_child(self, name: str, log: str, *arguments: str) -> ChildProcess:
         path = self._folder / "scenario.yaml"
         _write_yaml(path, self._mission.scenario)
-        arguments = ["-m", "sim_link", "radio", "--stop-on-eof", "--scenario", str(path)]
-        arguments += ["--follow", f"udpin:{HOST}:{self._ports.radio}"]
-        arguments += ["--seed", str(self._seed), "--speed", f"{self._speed:g}"]
-        return ChildProcess("radio", arguments, self._folder / "radio.log")
+        options = ["--stop-on-eof", "--scenario", str(path), "--seed", str(self._seed)]
+        options += ["--speed", f"{self._speed:g}"]
+        return ChildProcess(name, ["-m", "sim_link", *arguments, *options], self._folder / log)
 
-    async def _until_companion_waits(self) -> None:
-        """Wait for its flight's folder: it compiles before its clock starts.
-
-        Raises:
-            CompanionError: It ended, or takes too long.
-        """
+    async def _await_start(
+        self, child: ChildProcess, has_started: Callable[[], bool], name: str
+    ) -> None:
+        """Wait for a process; `CompanionError`: it ended, or takes too long."""
         deadline = time.monotonic() + START_S
-        while not self._tail.look_for_flight():
-            self._tell_progress()
-            if not self._companion.is_alive or time.monotonic() > deadline:
-                words = self._companion.last_words.removeprefix("companion: ")
-                raise CompanionError(f"the companion did not start: {words}")
-            await asyncio.sleep(0.02)
-
-    async def _start_vehicle(self) -> None:
-        """Start the simulator, or the radio beside a vehicle that has none.
-
-        Raises:
-            CompanionError: It ended, or takes too long.
-        """
-        child = self._vehicle
-        if child is None:
-            child = self._radio = self._radio_child()
-        child.start()
-        deadline = time.monotonic() + START_S
-        while not child.first_words:
+        while not has_started():
             self._tell_progress()
             if not child.is_alive or time.monotonic() > deadline:
-                raise CompanionError(f"{child.name} did not start: {child.last_words}")
+                words = child.last_words.removeprefix("companion: ")
+                raise CompanionError(f"{name} did not start: {words}")
             await asyncio.sleep(0.02)
 
     # What the hub calls

@@ -9,7 +9,7 @@ can see.
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Annotated, Literal, Union
+from typing import Annotated, Literal, Union, get_args, get_type_hints
 
 import msgspec
 from msgspec import UNSET, UnsetType
@@ -52,6 +52,16 @@ class Bound(Params, frozen=True):
         low = "" if self.at_least is None else f"at least {self.at_least:g}"
         high = "" if self.at_most is None else f"at most {self.at_most:g}"
         return " and ".join(part for part in (low, high) if part)
+
+
+def _one_given(record: Params, what: str) -> str:
+    """The one key of a record that is given, beside its name; `ValueError`: not exactly one is."""
+    names = [name for name in record.__struct_fields__ if name != "name"]
+    given = [name for name in names if getattr(record, name) is not UNSET]
+    if len(given) != 1:
+        found = " and ".join(given) if given else "none"
+        raise ValueError(f"{what} is exactly one of its kinds, not {found}")
+    return given[0]
 
 
 class EmitterBound(Bound, frozen=True):
@@ -128,17 +138,12 @@ class Expectation(Params, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         """Refuse none and several."""
-        names = [n for n in self.__struct_fields__ if n != "name"]
-        given = [name for name in names if getattr(self, name) is not UNSET]
-        if len(given) != 1:
-            found = " and ".join(given) if given else "none"
-            raise ValueError(f"an expectation is exactly one of its kinds, not {found}")
+        _one_given(self, "an expectation")
 
     @property
     def kind(self) -> str:
         """Which of its kinds it is."""
-        names = (n for n in self.__struct_fields__ if n != "name")
-        return next(name for name in names if getattr(self, name) is not UNSET)
+        return _one_given(self, "an expectation")
 
 
 PatternName = Literal["lawnmower", "expanding_square", "sector"]
@@ -275,33 +280,15 @@ class StepRecord(Params, frozen=True, rename={"return_": "return"}):
 
     def __post_init__(self) -> None:
         """Refuse none and several."""
-        given = self.given
-        if len(given) != 1:
-            found = " and ".join(given) if given else "none"
-            raise ValueError(f"a step is exactly one of its kinds, not {found}")
-
-    @property
-    def given(self) -> list[str]:
-        """The attributes that are."""
-        return [name for name in self.__struct_fields__ if getattr(self, name) is not UNSET]
+        _one_given(self, "a step")
 
 
 Step = StepParams | Fault
 
 STEP_KINDS: dict[str, type[StepParams]] = {
-    "connect": ConnectStep,
-    "wait_ready": WaitReadyStep,
-    "arm": ArmStep,
-    "takeoff": TakeoffStep,
-    "engage": EngageStep,
-    "grant": GrantStep,
-    "search": SearchStep,
-    "wait_until": WaitUntilStep,
-    "wait": WaitStep,
-    "pilot_override": PilotOverrideStep,
-    "hold": HoldStep,
-    "return": ReturnStep,
-    "land": LandStep,
+    name.rstrip("_"): get_args(hint)[0]
+    for name, hint in get_type_hints(StepRecord).items()
+    if name != "inject"
 }
 """Every step but `inject` by the name that a script gives it."""
 
@@ -343,15 +330,10 @@ class Mission(Scenario, frozen=True, kw_only=True):
 
 def _named(step: StepRecord | StepWord) -> tuple[str, Step]:
     if isinstance(step, str):
-        return step, _plain_step(step)
-    (attribute,) = step.given
-    name = attribute.rstrip("_")
-    value: Step | None = getattr(step, attribute)
-    return name, _plain_step(name) if value is None else value
-
-
-def _plain_step(name: str) -> Step:
-    return STEP_KINDS[name]()
+        return step, STEP_KINDS[step]()
+    attribute = _one_given(step, "a step")
+    name, value = attribute.rstrip("_"), getattr(step, attribute)
+    return name, STEP_KINDS[name]() if value is None else value
 
 
 @lru_cache(maxsize=1)

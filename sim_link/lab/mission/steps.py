@@ -10,7 +10,8 @@ longer than its own, ends the mission.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 from companion.domain import FlightMode
@@ -19,7 +20,7 @@ from sim_link.lab.faults.fault_models import Fault
 from sim_link.lab.mission import script
 from sim_link.lab.mission.conditions import Condition, parse_condition
 from sim_link.lab.mission.results import FlightRecord, StepOutcome
-from sim_link.lab.mission.script import Mission, Step
+from sim_link.lab.mission.script import Mission, Step, StepParams
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,19 +61,11 @@ class MissionOperator(Protocol):
         """Why the autopilot refused what was asked last, told once; None: it did not (yet)."""
 
 
-class Harness(Protocol):
-    """Whoever breaks things."""
-
-    def inject(self, fault: Fault, now_s: float) -> None:
-        """Have a fault begin `fault.start_s` from now."""
-
-
 ASK_AGAIN_S = 2.0
 ARRIVED_M = 0.5
 """How far below its height a takeoff may end."""
 LIFTED_M = 0.3
 """A vehicle this high has begun to take off."""
-ENDLESS_S = math.inf
 ROUNDING_S = 1e-9
 
 
@@ -82,7 +75,7 @@ class StepRunner:
     Args:
         record: Its situation is kept up to date by whoever runs this.
         operator: Does what the script asks of the operator.
-        harness: Injects what the script asks of it.
+        inject: Has a fault of the script begin `fault.start_s` from now.
     """
 
     def __init__(
@@ -90,13 +83,13 @@ class StepRunner:
         mission: Mission,
         record: FlightRecord,
         operator: MissionOperator,
-        harness: Harness,
+        inject: Callable[[Fault, float], None],
     ) -> None:
         self._mission = mission
         self._situation = record.situation
         self._record = record
         self._operator = operator
-        self._harness = harness
+        self._inject = inject
         self._steps = mission.named_steps
         self._current: _RunningStep | None = None
         self._next = 0
@@ -156,7 +149,7 @@ class StepRunner:
         fields = {"step": self._next, "name": name, "what": running.rule.what}
         self._record.events.append((now_s, "step", fields))
         if isinstance(step, FaultRecord):
-            self._harness.inject(step, now_s)
+            self._inject(step, now_s)
         return running
 
     def _advance(self, running: _RunningStep, now_s: float) -> bool:
@@ -209,10 +202,10 @@ class StepRule:
     what: str
     """What it waits for, in words."""
     is_met: Condition
-    limit_s: float = ENDLESS_S
     action: Action | None = None
     has_begun: Condition | None = None
     """Whether the effect of the action shows already; None: nothing shows before it is met."""
+    limit_s: float = math.inf
     for_s: float = 0.0
     """How long it must be met."""
 
@@ -249,68 +242,54 @@ CONTACT = parse_condition(
 )
 
 
+FIXED_RULES: dict[type[StepParams], StepRule] = {
+    script.ConnectStep: StepRule("hearing the autopilot", CONNECTED),
+    script.WaitReadyStep: StepRule("being ready to arm, the companion in standby", READY),
+    script.ArmStep: StepRule("arming", ARMED, ArmAction()),
+    script.EngageStep: StepRule(
+        "the companion in control", IN_CONTROL, SwitchMode(FlightMode.OFFBOARD)
+    ),
+    script.GrantStep: StepRule("the companion granted control", GRANTED, Grant()),
+    script.HoldStep: StepRule("holding", HOLDING, SwitchMode(FlightMode.HOLD)),
+    script.ReturnStep: StepRule(
+        "standing at home", DISARMED, SwitchMode(FlightMode.RETURN), RETURNING
+    ),
+    script.LandStep: StepRule("standing, disarmed", DISARMED, SwitchMode(FlightMode.LAND), LANDING),
+}
+"""Rules of the steps that say no more than how long they may take."""
+
+
 def _rule_of(step: Step, mission: Mission) -> StepRule:
+    if isinstance(step, FaultRecord):
+        return StepRule(str(type(step).__struct_config__.tag), ALWAYS)
+    rule = FIXED_RULES.get(type(step)) or _rule_of_params(step, mission)
+    limits = {name: getattr(step, name) for name in ("limit_s", "for_s") if hasattr(step, name)}
+    return replace(rule, **limits)
+
+
+def _rule_of_params(step: Step, mission: Mission) -> StepRule:
     match step:
-        case FaultRecord():
-            return StepRule(str(type(step).__struct_config__.tag), ALWAYS)
         case script.WaitUntilStep():
-            condition = parse_condition(step.condition)
-            return StepRule(step.condition, condition, step.limit_s, for_s=step.for_s)
+            return StepRule(step.condition, parse_condition(step.condition))
         case script.WaitStep():
-            return StepRule(f"{step.for_s:g} s", ALWAYS, for_s=step.for_s)
+            return StepRule(f"{step.for_s:g} s", ALWAYS)
         case script.SearchStep():
             is_met = REPORTED if step.until == "reported" else CONTACT
-            return StepRule(f"{step.until} in the {step.pattern}", is_met, step.limit_s)
-        case script.TakeoffStep():
-            return _takeoff_rule(step, mission)
-    return _start_rule(step)
-
-
-def _start_rule(step: Step) -> StepRule:
-    match step:
-        case script.ConnectStep():
-            return StepRule("hearing the autopilot", CONNECTED, step.limit_s)
-        case script.WaitReadyStep():
-            return StepRule("being ready to arm, the companion in standby", READY, step.limit_s)
-        case script.ArmStep():
-            return StepRule("arming", ARMED, step.limit_s, ArmAction())
-        case script.EngageStep():
-            action = SwitchMode(FlightMode.OFFBOARD)
-            return StepRule("the companion in control", IN_CONTROL, step.limit_s, action)
-        case script.GrantStep():
-            return StepRule("the companion granted control", GRANTED, step.limit_s, Grant())
-    return _mode_rule(step)
-
-
-def _mode_rule(step: Step) -> StepRule:
-    match step:
+            return StepRule(f"{step.until} in the {step.pattern}", is_met)
+        case script.TakeoffStep(altitude_m=height_m):
+            height_m = mission.config.mission.altitude_m if height_m is None else height_m
+            return StepRule(
+                f"a height of {height_m:g} m",
+                parse_condition(f"vehicle.height_m >= {height_m - ARRIVED_M}"),
+                TakeOffAction(height_m),
+                parse_condition(f"vehicle.height_m > {LIFTED_M}"),
+            )
         case script.PilotOverrideStep():
             shown = f'vehicle.mode == "{step.mode}"'
             return StepRule(
                 f"{step.mode} with the companion out of control",
                 parse_condition(f"{shown} and not companion.is_in_control"),
-                step.limit_s,
                 SwitchMode(FlightMode(step.mode)),
                 parse_condition(shown),
             )
-        case script.HoldStep():
-            action = SwitchMode(FlightMode.HOLD)
-            return StepRule("holding", HOLDING, step.limit_s, action, for_s=step.for_s)
-        case script.ReturnStep():
-            action = SwitchMode(FlightMode.RETURN)
-            return StepRule("standing at home", DISARMED, step.limit_s, action, RETURNING)
-        case script.LandStep():
-            action = SwitchMode(FlightMode.LAND)
-            return StepRule("standing, disarmed", DISARMED, step.limit_s, action, LANDING)
     raise TypeError(f"{step} is no step")
-
-
-def _takeoff_rule(step: script.TakeoffStep, mission: Mission) -> StepRule:
-    height_m = mission.config.mission.altitude_m if step.altitude_m is None else step.altitude_m
-    return StepRule(
-        f"a height of {height_m:g} m",
-        parse_condition(f"vehicle.height_m >= {height_m - ARRIVED_M}"),
-        step.limit_s,
-        TakeOffAction(height_m),
-        parse_condition(f"vehicle.height_m > {LIFTED_M}"),
-    )

@@ -45,7 +45,7 @@ class Flown:
         self.mission = parse_mission(f"name: m\n{more}\nsteps: {steps}\n", "m")
         self.record, self.crew = FlightRecord(), Crew()
         self.situation = self.record.situation
-        self.runner = StepRunner(self.mission, self.record, self.crew, self.crew)
+        self.runner = StepRunner(self.mission, self.record, self.crew, self.crew.inject)
 
     def tick(self, now_s: float) -> None:
         self.runner.tick(now_s)
