@@ -175,11 +175,7 @@ class RecordedFlight:
 
 
 def write_facts(directory: Path, facts: FlightFacts) -> None:
-    """Write `flight.json` into a new flight's directory.
-
-    Raises:
-        CompanionError: It cannot be written.
-    """
+    """Write `flight.json` into a new flight's directory, see `write_bytes_atomic`."""
     write_bytes_atomic(directory / FLIGHT, facts_as_json(facts))
 
 
@@ -189,11 +185,7 @@ def facts_as_json(facts: FlightFacts) -> bytes:
 
 
 def open_flight(path: Path) -> RecordedFlight:
-    """A recorded flight, by its directory or by any file in it.
-
-    Raises:
-        ConfigError: There is none; one line says what is missing.
-    """
+    """A flight, by its directory or any file in it; a `ConfigError` says what is missing."""
     directory = path if path.is_dir() else path.parent
     if not path.exists():
         raise ConfigError(f"{path}: there is no such file or folder")
@@ -212,11 +204,7 @@ def open_flight(path: Path) -> RecordedFlight:
 
 
 def facts_of_json(data: bytes) -> FlightFacts:
-    """What `facts_as_json` wrote.
-
-    Raises:
-        ConfigError: It is something else, or of a version that cannot be read.
-    """
+    """What `facts_as_json` wrote; a `ConfigError` for anything else, and for other versions."""
     try:
         return msgspec.json.decode(data, type=FlightFacts)
     except (msgspec.DecodeError, ValueError) as error:

@@ -68,7 +68,7 @@ class PeriodicTasks:
                 del self._tasks[name]
                 log.exception("%s: failed", name)
                 text = f"internal error: {name} ended; flying on"
-                self._endpoint.announce(Announce(Severity.ERROR, text), now_s)
+                self._endpoint.outlet.announce(Announce(Severity.ERROR, text), now_s)
 
 
 CLOSE_S = 0.25
@@ -78,12 +78,7 @@ SILENCE_HINT_S = 10.0
 
 
 def open_signing(config: CompanionConfig) -> SigningKeeper | None:
-    """Signing with the configured key, and its memory; None without a key.
-
-    Raises:
-        ConfigError: The key, or what signing remembers, cannot be read.
-        CompanionError: What it must remember cannot be written.
-    """
+    """Signing with the configured key, and its memory; None without a key."""
     if config.link.signing_key_file is None:
         return None
     path = Path(config.link.signing_key_file)
@@ -279,7 +274,8 @@ class _Flight:
         self._watch = LinkWatch(self._shell.links, self._journal)
         self._supervisor = Supervisor(os.environ)
         self._tasks = self._gather_tasks()
-        self._hints = _Hints(self.endpoint, clock, self._vehicle_link.name)
+        self._hints = 0
+        """How many were given."""
 
     def _build_endpoint(self, tunables: Tunables, links: Sequence[LinkSpec]) -> CompanionEndpoint:
         return build_endpoint(
@@ -330,9 +326,9 @@ class _Flight:
             self._supervisor.close()
 
     def _after_wakeup(self, now_s: float) -> None:
-        self._hints.check()
+        self._hint()
         self._watch.check(now_s)
-        self._vehicle_link.hear_only(self.endpoint.sole_peer(now_s))
+        self._vehicle_link.hear_only(self.endpoint.shield.sole_peer(now_s))
         if self._keeper is not None:
             self._keeper.keep(now_s)
             if self._clock.speed == 1.0 and not self.endpoint.binding.is_bound:
@@ -341,27 +337,14 @@ class _Flight:
         if self._options.once and is_handed_over(self.endpoint):
             self._shell.request_stop()
 
-
-class _Hints:
-    """What whoever started us wants to read: where we wait, and that nothing was heard there."""
-
-    def __init__(self, endpoint: CompanionEndpoint, clock: Clock, link_name: str) -> None:
-        self._link_name = link_name
-        self._endpoint = endpoint
-        self._clock = clock
-        self._has_begun = False
-        self._has_warned = False
-
-    def check(self) -> None:
-        """Say what is due now; the first time is when the links are open."""
-        if not self._has_begun:
-            self._has_begun = True
-            log.info("waiting for an autopilot on %s", self._link_name)
-        if self._has_warned or self._clock.now_s() < SILENCE_HINT_S:
-            return
-        self._has_warned = True
-        if not self._endpoint.binding.is_bound:
-            log.warning(
-                "no autopilot heard on %s yet: check that it sends there, and the port",
-                self._link_name,
-            )
+    def _hint(self) -> None:
+        """Say where we wait, once the links are open, and that nothing was heard there."""
+        name = self._vehicle_link.name
+        if self._hints == 0:
+            self._hints = 1
+            log.info("waiting for an autopilot on %s", name)
+        if self._hints == 1 and self._clock.now_s() >= SILENCE_HINT_S:
+            self._hints = 2
+            if not self.endpoint.binding.is_bound:
+                text = "no autopilot heard on %s yet: check that it sends there, and the port"
+                log.warning(text, name)

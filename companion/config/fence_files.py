@@ -32,11 +32,7 @@ AREA_VERSION = 1
 
 
 def areas_of_plan(text: str) -> list[NamedArea]:
-    """The areas in the text of a plan, in order, each with its path.
-
-    Raises:
-        ValueError: It is no plan of this version; the text begins with the path of the element.
-    """
+    """The areas in a plan, in order; a `ValueError` begins with the path of what is wrong."""
     try:
         plan = json.loads(text, object_pairs_hook=_without_repeats)
     except json.JSONDecodeError as error:
@@ -134,11 +130,7 @@ _NAMESPACE = re.compile(r"^\{[^}]*\}")
 
 
 def areas_of_kml(text: str) -> list[NamedArea]:
-    """The areas in the text of a KML file, in order, each with its path.
-
-    Raises:
-        ValueError: It is no KML, or a ring is none; the text begins with the path of the element.
-    """
+    """The areas in a KML file, in order; a `ValueError` begins with the path of what is wrong."""
     if "<!DOCTYPE" in text.upper():
         raise ValueError("a DOCTYPE has no place in KML; save the file again")
     try:
@@ -220,11 +212,7 @@ READERS = {".plan": areas_of_plan, ".kml": areas_of_kml}
 
 
 def read_fence(path: Path) -> GeoFence:
-    """The fence in a QGroundControl `.plan` or a `.kml` file.
-
-    Raises:
-        ConfigError: It cannot be read or holds no fence; one line names the file and the element.
-    """
+    """The fence in a `.plan` or `.kml` file; a `ConfigError` names the file and the element."""
     reader = READERS.get(path.suffix.lower())
     if reader is None:
         kinds = " or ".join(READERS)

@@ -97,11 +97,7 @@ def load_yaml(path: Path, kind: type[T], renew: Renew | None = None) -> T:
 
 
 def read_text(path: Path, max_bytes: int = MAX_BYTES) -> str:
-    """The text of a UTF-8 file, without a byte order mark.
-
-    Raises:
-        ConfigError: It cannot be read, or is no UTF-8.
-    """
+    """The text of a UTF-8 file, without a byte order mark; a `ConfigError` if it is none."""
     try:
         with path.open("rb") as file:
             content = file.read(max_bytes + 1)

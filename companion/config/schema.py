@@ -95,16 +95,24 @@ class LimitsConfig(Params, frozen=True):
             ValueError: They contradict each other; the text begins with the name of one.
         """
         fence = self._fence(self.fence_enu_m if self.is_fence_local else _roomy(self))
-        limits = GuardLimits(fence, self._envelope(), self._stopping(), *self._way_home())
+        envelope = Envelope(
+            altitude_min_m=self.altitude_min_m,
+            altitude_max_m=self.altitude_max_m,
+            speed_mps=self.speed_mps,
+            climb_mps=self.climb_mps,
+            acceleration_mps2=self.acceleration_mps2,
+            step_m=self.step_m,
+        )
+        stopping = Stopping(self.latency_s, self.acceleration_mps2, self.navigation_sigma_m)
+        distance_m = math.inf if self.distance_home_m is None else self.distance_home_m
+        reserve = None
+        if self.battery_pct_per_km is not None:
+            reserve = Reserve(self.battery_reserve_pct, self.battery_pct_per_km)
+        limits = GuardLimits(fence, envelope, stopping, distance_m, reserve)
         return limits if self.is_fence_local else replace(limits, fence=None)
 
     def fence_plan(self) -> FencePlan:
-        """Where the guard's fence comes from.
-
-        Raises:
-            ConfigError: The fence's file cannot be read, or nothing of the fence is left; one line
-                names the file and the element.
-        """
+        """Where the guard's fence comes from; a `ConfigError` names its file and the element."""
         return FencePlan(
             self.guard_limits(),
             self.fence_margin_m,
@@ -136,25 +144,6 @@ class LimitsConfig(Params, frozen=True):
             keys = {"margin": "fence_margin_m", "keep-out": "keep_out_enu_m"}
             key = next((keys[word] for word in keys if word in text), "fence_enu_m")
             raise ValueError(f"{key}: {text}") from None
-
-    def _envelope(self) -> Envelope:
-        return Envelope(
-            altitude_min_m=self.altitude_min_m,
-            altitude_max_m=self.altitude_max_m,
-            speed_mps=self.speed_mps,
-            climb_mps=self.climb_mps,
-            acceleration_mps2=self.acceleration_mps2,
-            step_m=self.step_m,
-        )
-
-    def _stopping(self) -> Stopping:
-        return Stopping(self.latency_s, self.acceleration_mps2, self.navigation_sigma_m)
-
-    def _way_home(self) -> tuple[float, Reserve | None]:
-        distance_m = math.inf if self.distance_home_m is None else self.distance_home_m
-        if self.battery_pct_per_km is None:
-            return distance_m, None
-        return distance_m, Reserve(self.battery_reserve_pct, self.battery_pct_per_km)
 
 
 def _roomy(limits: LimitsConfig) -> Corners:
@@ -238,11 +227,7 @@ class CompanionConfig(Params, frozen=True):
 
 
 def load_config(path: Path | None) -> CompanionConfig:
-    """The configuration in a file, or the defaults without one.
-
-    Raises:
-        ConfigError: The file is wrong; one line names it, the place and the problem.
-    """
+    """The configuration in a file, or the defaults; a `ConfigError` names file and place."""
     if path is None:
         return CompanionConfig()
     config = load_yaml(path, CompanionConfig)
@@ -258,11 +243,7 @@ def load_config(path: Path | None) -> CompanionConfig:
 
 
 def with_fence(config: CompanionConfig, path: Path) -> CompanionConfig:
-    """The same with the fence of a file instead of its own.
-
-    Raises:
-        ConfigError: The file holds no fence; one line names it, the element and the problem.
-    """
+    """The same with the fence of a file instead of its own; a `ConfigError` as `read_fence`'s."""
     policy = config.limits.autopilot_fence
     limits = msgspec.structs.replace(
         config.limits,

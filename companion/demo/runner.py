@@ -123,7 +123,6 @@ class DemoResult:
     time_s: float
     """Of the companion, at the report or at the end."""
     wall_s: float
-    """Real time that the flight took."""
     error_m: float | None
     """Of the estimate, against the truth."""
 
@@ -185,9 +184,6 @@ def _demo_config(
 
     It keeps out of the obstacles that reach its altitude, as an operator would configure it. The
     simulator has no key, and nothing is taken up from an earlier run or left for a later one.
-
-    Raises:
-        ConfigError: The fence and the obstacles leave nothing to fly in.
     """
     low = -FENCE_AROUND_AREA_M
     east, north = (float(size) + FENCE_AROUND_AREA_M for size in truth["area_m"])

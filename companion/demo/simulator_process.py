@@ -16,13 +16,7 @@ STOP_TIMEOUT_S = 3.0
 
 
 class SimulatorProcess(ChildProcess):
-    """`sim-link`, which ends with this process.
-
-    Args:
-        report: Where the simulator writes its report; its output goes beside it.
-        scenario: A scenario file; None: the canonical one.
-        autopilot: px4 or ardupilot; None: the scenario's.
-    """
+    """`sim-link`, which ends with this process; its output goes beside its report."""
 
     def __init__(
         self,
@@ -58,11 +52,7 @@ class SimulatorProcess(ChildProcess):
         super().stop(timeout_s)
 
     def started_report(self) -> dict[str, Any]:
-        """The report that is written at the start, with the truth.
-
-        Raises:
-            CompanionError: The simulator did not start.
-        """
+        """The report, with the truth, of a simulator that started; a `CompanionError` otherwise."""
         deadline = time.monotonic() + START_TIMEOUT_S
         while not self._report.exists():
             if not self.is_alive or time.monotonic() > deadline:

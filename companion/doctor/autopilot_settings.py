@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 from companion.config.schema import CompanionConfig
 from companion.doctor.findings import AutopilotFacts, CheckResult, fail, ok, warn
@@ -130,8 +131,8 @@ def _compare_limit(
     return warn(name, text, fix)
 
 
-def _check_speed(name: str, speed_mps: float, settings: Settings) -> Iterator[CheckResult]:
-    wanted_mps = settings.config.limits.speed_mps
+def _check_speed(name: str, per_mps: float, settings: Settings) -> Iterator[CheckResult]:
+    speed_mps, wanted_mps = settings[name] / per_mps, settings.config.limits.speed_mps
     if speed_mps < wanted_mps:
         text = f"{speed_mps:g} m/s: slower than limits.speed_mps ({wanted_mps:g})"
         yield warn(name, text, f"lower limits.speed_mps, or raise {name}")
@@ -189,10 +190,6 @@ def _px4_fence(settings: Settings) -> Iterator[CheckResult]:
         yield ok("GF_ACTION", f"{action:g}: PX4's own geofence acts")
 
 
-def _px4_speed(settings: Settings) -> Iterator[CheckResult]:
-    yield from _check_speed("MPC_XY_VEL_MAX", settings["MPC_XY_VEL_MAX"], settings)
-
-
 def _ardupilot_limits(settings: Settings) -> Iterator[CheckResult]:
     acts = settings["FENCE_ENABLE"] != 0 and settings["FENCE_ACTION"] != 0
     kinds = int(settings["FENCE_TYPE"])
@@ -241,10 +238,6 @@ def _ardupilot_fence(settings: Settings) -> Iterator[CheckResult]:
         yield ok("FENCE_ENABLE", f"on, action {settings['FENCE_ACTION']:g}")
 
 
-def _ardupilot_speed(settings: Settings) -> Iterator[CheckResult]:
-    yield from _check_speed("WPNAV_SPEED", settings["WPNAV_SPEED"] / 100.0, settings)
-
-
 RULES: Mapping[Autopilot, tuple[tuple[tuple[str, ...], SettingRule], ...]] = {
     Autopilot.PX4: (
         (("COM_OF_LOSS_T",), _px4_loss_timeout),
@@ -252,7 +245,7 @@ RULES: Mapping[Autopilot, tuple[tuple[tuple[str, ...], SettingRule], ...]] = {
         (("COM_RC_OVERRIDE",), _px4_sticks),
         (("GF_ACTION",), _px4_fence),
         (("GF_ACTION", "GF_MAX_HOR_DIST", "GF_MAX_VER_DIST"), _px4_limits),
-        (("MPC_XY_VEL_MAX",), _px4_speed),
+        (("MPC_XY_VEL_MAX",), partial(_check_speed, "MPC_XY_VEL_MAX", 1.0)),
     ),
     Autopilot.ARDUPILOT: (
         (("GUID_TIMEOUT",), _ardupilot_target_timeout),
@@ -263,7 +256,7 @@ RULES: Mapping[Autopilot, tuple[tuple[tuple[str, ...], SettingRule], ...]] = {
             ("FENCE_ENABLE", "FENCE_ACTION", "FENCE_TYPE", "FENCE_RADIUS", "FENCE_ALT_MAX"),
             _ardupilot_limits,
         ),
-        (("WPNAV_SPEED",), _ardupilot_speed),
+        (("WPNAV_SPEED",), partial(_check_speed, "WPNAV_SPEED", 100.0)),
     ),
 }
 """Which parameters each rule needs."""

@@ -134,9 +134,7 @@ class CheckResult:
     level: Level
     subject: str
     text: str
-    """What was found."""
     fix: str = ""
-    """The remedy."""
 
 
 def ok(subject: str, text: str) -> CheckResult:

@@ -42,7 +42,7 @@ from companion.guidance.flight.fencing import Fencing
 from companion.guidance.flight.navigation import FlightPlan, Steering
 from companion.guidance.flight.vehicle import VehicleView
 from companion.guidance.health.findings import Finding, Reason, Verdict, Watch
-from companion.guidance.messages import FindingMessages
+from companion.guidance.messages import FindingMessages, Rarely
 from companion.guidance.session_params import SessionParams, Tuning
 from companion.guidance.tracking.emitters import EmitterQueue
 from companion.planning.planner import Planner
@@ -62,7 +62,7 @@ class Containment(Watch):
         self.errors: Counter[str] = Counter()
         """By part."""
         self._times_s: deque[float] = deque(maxlen=MOST_ERRORS)
-        self._told_s: dict[str, float] = {}
+        self._texts = Rarely(TELL_EVERY_S)
 
     def finding(self, now_s: float) -> Finding | None:
         """What the errors of late mean."""
@@ -83,9 +83,7 @@ class Containment(Watch):
         where = f"{PurePath(last.filename).name}:{last.lineno}"
         fields = {"part": part, "error": what, "where": where}
         messages: list[Command] = [Record("internal_error", fields)]
-        told_s = self._told_s.get(part)
-        if told_s is None or now_s - told_s >= TELL_EVERY_S:
-            self._told_s[part] = now_s
+        if self._texts.is_due(part, now_s):
             messages.append(Announce(Severity.ERROR, f"internal error in the {part}: {what}"))
         return messages
 
@@ -136,7 +134,6 @@ class SessionContext:
         self.has_launched = False
         """Whether the vehicle is not launched by itself any more."""
         self.finding: Finding | None = None
-        """What is wrong now."""
         self.reasons: Counter[Reason] = Counter()
         """How often each reason was what is wrong."""
         self._is_stopping = False

@@ -10,7 +10,8 @@ a second, so it cannot flicker.
 from __future__ import annotations
 
 import math
-from collections import deque
+from collections import Counter, deque
+from collections.abc import Hashable
 from dataclasses import asdict
 
 from companion.domain import TargetEstimate, Waypoint
@@ -104,6 +105,22 @@ def result_of(
     return ReportResult(estimate, latitude_deg, longitude_deg, emitter_id, origin), text
 
 
+class Rarely:
+    """Lets the same be told only every so often."""
+
+    def __init__(self, every_s: float) -> None:
+        self._every_s = every_s
+        self._told_s: dict[Hashable, float] = {}
+
+    def is_due(self, what: Hashable, now_s: float) -> bool:
+        """Whether to tell something now; if so, it counts as told."""
+        told_s = self._told_s.get(what)
+        if told_s is not None and now_s - told_s < self._every_s:
+            return False
+        self._told_s[what] = now_s
+        return True
+
+
 GONE_S = 1.0
 """What was told is over when it was not so for this long."""
 URGENT = frozenset({Reason.NO_LINK})
@@ -149,20 +166,14 @@ class GuardMessages:
     """Remembers what was told."""
 
     def __init__(self) -> None:
-        self._said_s: dict[GuardReason, float] = {}
+        self._texts = Rarely(SAID_EVERY_S)
         self._logged: tuple[GuardReason, ...] = ()
         self._logged_s: float | None = None
 
     def texts(self, reasons: tuple[GuardReason, ...], now_s: float) -> list[str]:
         """The reasons that the operator has not been told for a while, in words."""
-        fresh = [
-            reason
-            for reason in reasons
-            if reason not in SILENT
-            and now_s - self._said_s.get(reason, now_s - SAID_EVERY_S) >= SAID_EVERY_S
-        ]
-        self._said_s.update(dict.fromkeys(fresh, now_s))
-        return [f"guard: {reason.value}" for reason in fresh]
+        told = [reason for reason in reasons if reason not in SILENT]
+        return [f"guard: {reason.value}" for reason in told if self._texts.is_due(reason, now_s)]
 
     def record(self, reasons: tuple[GuardReason, ...], now_s: float) -> list[str] | None:
         """The reasons for the log if they changed, and if that was not logged just now."""
@@ -220,41 +231,25 @@ HARMLESS = frozenset({RejectReason.OTHER_EMITTER, RejectReason.DUPLICATE})
 """Reasons that say nothing against the radio."""
 
 
-class _RejectCount:
-    """What was told of one reason."""
-
-    def __init__(self) -> None:
-        self.pending = 0
-        self.recorded_s: float | None = None
-        self.texted_s: float | None = None
-        self.times_s: deque[float] = deque(maxlen=MANY)
-
-
 class RejectMessages:
     """Collects refusals."""
 
     def __init__(self) -> None:
-        self._reasons: dict[RejectReason, _RejectCount] = {}
+        self._pending: Counter[RejectReason] = Counter()
+        self._times_s: dict[RejectReason, deque[float]] = {}
+        self._records, self._texts = Rarely(RECORD_PERIOD_S), Rarely(TEXT_PERIOD_S)
 
     def messages_for(self, reason: RejectReason, now_s: float) -> list[Command]:
         """A measurement was refused; what is to be told of it now."""
-        entry = self._reasons.setdefault(reason, _RejectCount())
-        entry.pending += 1
-        entry.times_s.append(now_s)
+        self._pending[reason] += 1
+        times_s = self._times_s.setdefault(reason, deque(maxlen=MANY))
+        times_s.append(now_s)
         commands: list[Command] = []
-        if entry.recorded_s is None or now_s - entry.recorded_s >= RECORD_PERIOD_S:
-            fields = {"reason": reason.value, "count": entry.pending}
+        if self._records.is_due(reason, now_s):
+            fields = {"reason": reason.value, "count": self._pending.pop(reason)}
             commands.append(Record("refused", fields))
-            entry.recorded_s, entry.pending = now_s, 0
-        if self._is_worth_a_text(reason, entry, now_s):
+        are_many = len(times_s) == MANY and now_s - times_s[0] <= MANY_WITHIN_S
+        if are_many and reason not in HARMLESS and self._texts.is_due(reason, now_s):
             text = f"measurements rejected: {reason.value}; check the radio"
             commands.append(Announce(Severity.WARNING, text))
-            entry.texted_s = now_s
         return commands
-
-    def _is_worth_a_text(self, reason: RejectReason, entry: _RejectCount, now_s: float) -> bool:
-        if reason in HARMLESS or len(entry.times_s) < MANY:
-            return False
-        if now_s - entry.times_s[0] > MANY_WITHIN_S:
-            return False
-        return entry.texted_s is None or now_s - entry.texted_s >= TEXT_PERIOD_S

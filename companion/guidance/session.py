@@ -40,7 +40,6 @@ class EmitterStatus:
     emitter_id: int
     estimate: TargetEstimate | None
     is_current: bool
-    """Whether it is looked for now."""
     is_reported: bool
 
 
@@ -66,22 +65,10 @@ class GuidanceStatus:
     setpoint_enu_m: PositionEnu | None
     guard: tuple[str, ...]
     """Why the setpoint is not where the planner wanted it."""
-    is_target_outside: bool
-    """Whether the target is believed to be where the vehicle may not go."""
     health: TrackerHealth
     """How far the estimate can be trusted."""
-    objection: str | None
-    """Why the estimate must not be flown on, in words."""
-    range_age_s: float | None
-    """How old the newest range is that agrees with the estimate; None: there was none yet."""
-    bearing_age_s: float | None
-    """The same of bearings."""
     accepted: int
     refused: Mapping[str, int]
-    reasons: Mapping[str, int]
-    """How often each reason kept it from flying the plan at full speed, or at all."""
-    internal_errors: Mapping[str, int]
-    """Errors of the companion's own parts, which were contained."""
     battery_pct: float | None
     """0 to 100; None: unknown."""
 
@@ -89,7 +76,6 @@ class GuidanceStatus:
 def snapshot(now_s: float, context: SessionContext) -> GuidanceStatus:
     """The status that the parts of a session add up to."""
     vehicle, steering, tracker = context.vehicle, context.steering, context.tracker
-    objection = tracker.objection(now_s)
     return GuidanceStatus(
         time_s=now_s,
         phase=context.phase,
@@ -105,16 +91,10 @@ def snapshot(now_s: float, context: SessionContext) -> GuidanceStatus:
         waypoint=context.flight_plan.waypoint,
         setpoint_enu_m=steering.setpoint_enu_m,
         guard=tuple(reason.value for reason in steering.reasons),
-        is_target_outside=context.flight_plan.is_target_outside,
         health=tracker.health,
-        objection=None if objection is None else objection.value,
-        range_age_s=tracker.integrity.contact.range_age_s(now_s),
-        bearing_age_s=tracker.integrity.contact.bearing_age_s(now_s),
         accepted=context.emitters.accepted,
         refused={reason.value: count for reason, count in context.emitters.rejected.items()},
-        internal_errors=dict(context.containment.errors),
         battery_pct=vehicle.battery_pct,
-        reasons={reason.value: count for reason, count in context.reasons.items()},
     )
 
 

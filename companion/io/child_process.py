@@ -59,11 +59,7 @@ class ChildProcess:
         self._process: subprocess.Popen[str] | None = None
 
     def start(self) -> None:
-        """Start it, or start it again.
-
-        Raises:
-            CompanionError: It cannot be started.
-        """
+        """Start it, or start it again; a `CompanionError` if that cannot be."""
         # what an earlier mission left there was said by another one
         self._file = self._log.open("a" if self._has_begun else "w", encoding="utf-8")
         self._has_begun = True

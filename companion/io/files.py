@@ -43,11 +43,7 @@ def plain(value: object) -> object:
 
 
 def read_file(path: Path) -> bytes:
-    """What is in a file.
-
-    Raises:
-        ConfigError: It cannot be read.
-    """
+    """What is in a file; a `ConfigError` if it cannot be read."""
     try:
         return path.read_bytes()
     except OSError as error:
@@ -75,7 +71,6 @@ def write_bytes_atomic(path: Path, content: bytes, mode: int = 0o666) -> None:
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
 
     def opener(name: str, flags: int) -> int:
-        """Open with the wanted mode from the start."""
         return os.open(name, flags, mode)
 
     try:

@@ -34,14 +34,7 @@ from companion.mav.endpoint import Chunk, Endpoint
 
 
 class Clock:
-    """Monotonic seconds since construction, times `speed`.
-
-    Args:
-        speed: Seconds of this clock per wall second.
-
-    Raises:
-        ValueError: The speed is not a positive finite number.
-    """
+    """Monotonic seconds since construction, times `speed`, which is positive and finite."""
 
     def __init__(self, speed: float = 1.0) -> None:
         if not (math.isfinite(speed) and speed > 0.0):

@@ -24,7 +24,6 @@ class WriterHealth:
     """How a writer, or several together, are doing."""
 
     queued: int
-    """Items that wait."""
     dropped: int
     """Items lost so far, to a full queue or a failed write."""
     bytes_kept: int
@@ -32,7 +31,6 @@ class WriterHealth:
     silent_s: float
     """How long the disk has not answered; 0 while nothing is being written."""
     is_alive: bool
-    """Whether there still is somebody to write."""
 
 
 class WriterThread(Generic[T]):
@@ -45,9 +43,7 @@ class WriterThread(Generic[T]):
     def __init__(self, name: str, max_queued: int, gather_s: float = 0.0) -> None:
         self.bytes_kept = 0
         self.overflowed = 0
-        """Lost to a full queue."""
         self.failed = 0
-        """Lost to a failed write."""
         self._gather_s = gather_s
         self._queue: queue.Queue[T | None] = queue.Queue(max_queued)
         self._is_closed = False

@@ -16,7 +16,6 @@ from dataclasses import asdict
 
 from companion.domain import RangingMeasurement
 from companion.guidance import events
-from companion.guidance.commands import Announce
 from companion.guidance.messages import health_fields
 from companion.guidance.session import GuidanceSession
 from companion.link.autopilot_queries import AutopilotQueries
@@ -49,7 +48,7 @@ from companion.link.ranging_sources import (
 )
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message
-from companion.mav.endpoint import Address, Chunk
+from companion.mav.endpoint import Chunk
 from companion.mav.framing import sender_of
 
 __all__ = ["COMPONENT_ID", "CompanionEndpoint", "Journal"]
@@ -86,8 +85,8 @@ class CompanionEndpoint:
         links = list(zip((link.role for link in params.links), self._intakes, strict=True))
         (vehicle,) = (intake for role, intake in links if role is LinkRole.VEHICLE)
         self._alarms = LinkAlarms(self.binding, self._intakes)
-        self._shield = FloodShield(vehicle, self.binding)
-        self._outlet = Outlet(
+        self.shield = FloodShield(vehicle, self.binding)
+        self.outlet = Outlet(
             [(role, intake.codec) for role, intake in links], self.binding, journal
         )
         self._queries = AutopilotQueries(self.binding, session.fencing)
@@ -96,14 +95,14 @@ class CompanionEndpoint:
             session,
             params.vehicle,
             self.binding,
-            self._outlet,
+            self.outlet,
             self._queries,
             self._health,
             journal,
         )
         self._parameters = ParameterServer(tunables, self.executor)
         self._commands = CommandHandler(self.executor, self._parameters)
-        self._presence = Presence(session, self._outlet, has_icon=params.link.gcs_icon)
+        self._presence = Presence(session, self.outlet, has_icon=params.link.gcs_icon)
         clock = self.executor.inbound.clock
         self._vehicle_ranging = MavlinkRanging(SourceContext(vehicle.codec, clock))
         self._sources: dict[int, RangingSource] = {
@@ -139,7 +138,7 @@ class CompanionEndpoint:
         """The control tick; a late one is not made up for."""
         if self._recorder is not None:
             self._recorder.tick(now_s)
-        self._shield.tick(now_s)
+        self.shield.tick(now_s)
         for intake in self._intakes:
             intake.budget.renew()
         self._announce_texts(now_s)
@@ -167,11 +166,7 @@ class CompanionEndpoint:
 
     def take_output(self) -> list[Chunk]:
         """What is to be sent, in order; taken once."""
-        return self._outlet.take()
-
-    def sole_peer(self, now_s: float) -> Address | None:
-        """Whom alone to hear on the vehicle link, in a flood; None: everybody."""
-        return self._shield.sole_peer(now_s)
+        return self.outlet.take()
 
     def request_stop(self, now_s: float) -> None:
         """Hand the vehicle back, then finish."""
@@ -197,10 +192,6 @@ class CompanionEndpoint:
             self._recorder.recall(memory, age_s, now_s)
         self.executor.handle(events.MemoryRecalled(now_s, memory, age_s), now_s)
 
-    def announce(self, text: Announce, now_s: float) -> None:
-        """Tell the operator something about the process."""
-        self._outlet.announce(text, now_s)
-
     @property
     def is_finished(self) -> bool:
         """Whether the vehicle was handed back."""
@@ -219,15 +210,6 @@ class CompanionEndpoint:
         """Datagrams, frames and messages that were over a budget, on all links."""
         return sum(intake.budget.dropped_unread for intake in self._intakes)
 
-    @property
-    def setpoints_sent(self) -> int:
-        """Setpoints sent so far."""
-        return self._outlet.setpoints_sent
-
-    def setpoint_rate_hz(self, now_s: float) -> float:
-        """Setpoints sent per second over the last two seconds."""
-        return self._outlet.setpoint_rate_hz(now_s)
-
     # On the way in
 
     def _receive_raw(self, data: bytes, chunk: Chunk, now_s: float) -> None:
@@ -242,8 +224,8 @@ class CompanionEndpoint:
     def _receive_frame(self, frame: bytes, chunk: Chunk, now_s: float) -> None:
         if self._recorder is not None:
             self._recorder.frame(frame, chunk.link, chunk.peer, now_s)
-        if sender_of(frame) == self._outlet.own_ids:
-            if self.authenticity.is_proved(frame) and self._outlet.record_own_ids(frame, now_s):
+        if sender_of(frame) == self.outlet.own_ids:
+            if self.authenticity.is_proved(frame) and self.outlet.record_own_ids(frame, now_s):
                 self.executor.handle(events.IdConflictHeard(now_s), now_s)
             return
         match self._params.links[chunk.link].role:
@@ -292,7 +274,7 @@ class CompanionEndpoint:
         """Tell the operator about keys, unknown peers and streams."""
         signing, links = self.authenticity.tick(now_s), self._alarms.tick(now_s)
         for text in (*signing, *links, *self._queries.new_texts(now_s)):
-            self._outlet.announce(text, now_s)
+            self.outlet.announce(text, now_s)
 
     def _ask_autopilot(self, now_s: float) -> None:
         given_up = self._queries.fence.check_silence(now_s)
@@ -300,7 +282,7 @@ class CompanionEndpoint:
             self.executor.handle(given_up, now_s)
         is_mode_wanted = self.session.vehicle.wants_mode(now_s)
         for question in self._queries.due(now_s, is_mode_wanted=is_mode_wanted):
-            self._outlet.send(question, now_s, is_droppable=True)
+            self.outlet.send(question, now_s, is_droppable=True)
 
     def _link_record(self, now_s: float) -> dict[str, object]:
         """Counters of all links, and what became of the measurements."""
@@ -316,9 +298,9 @@ class CompanionEndpoint:
             "undecodable": sum(intake.codec.undecodable for intake in self._intakes),
             "strangers": self.binding.unknown_senders,
             "moves": self.binding.moves,
-            "echoes": self._outlet.own_frames.echoes,
-            "setpoints": self._outlet.setpoints_sent,
-            "setpoint_rate_hz": self._outlet.setpoint_rate_hz(now_s),
+            "echoes": self.outlet.own_frames.echoes,
+            "setpoints": self.outlet.setpoints_sent,
+            "setpoint_rate_hz": self.outlet.setpoint_rate_hz(now_s),
             "accepted": emitters.accepted,
             "refused": {reason.value: count for reason, count in emitters.rejected.items()},
             "restarts": emitters.restarts,

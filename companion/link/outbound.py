@@ -128,11 +128,7 @@ def heartbeat() -> Message:
 
 
 def local_setpoint(setpoint: PositionSetpoint, now_s: float, target: Ids) -> Message:
-    """SET_POSITION_TARGET_LOCAL_NED in frame LOCAL_NED, position with or without yaw.
-
-    Raises:
-        LocalProtocolError: A coordinate is not finite.
-    """
+    """SET_POSITION_TARGET_LOCAL_NED in frame LOCAL_NED, position with or without yaw."""
     mask, rest = _checked_fields(setpoint)
     return mavlink.MAVLink_set_position_target_local_ned_message(
         time_boot_ms(now_s),
@@ -150,9 +146,6 @@ def global_setpoint(
     """SET_POSITION_TARGET_GLOBAL_INT in frame GLOBAL_INT (5, AMSL).
 
     Not frame 6: PX4 1.15 misplaces relative altitudes by twice the distance of origin and home.
-
-    Raises:
-        LocalProtocolError: A coordinate is not finite.
     """
     mask, rest = _checked_fields(setpoint)
     latitude_deg, longitude_deg, altitude_m = origin.geodetic_from_enu(setpoint.position_enu_m)

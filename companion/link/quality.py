@@ -52,7 +52,6 @@ class SequenceMonitor:
         """Numbers that were passed over and have not come since."""
         self.duplicates = 0
         self.late = 0
-        """Frames that were overtaken."""
         self._newest: int | None = None
         self._heard_s = 0.0
         self._seen = 0
@@ -251,19 +250,29 @@ ALARM_TEXTS_PER_S = 0.1
 """Texts of one kind."""
 
 
+class CounterNews:
+    """What came to a counter since it was told last."""
+
+    def __init__(self) -> None:
+        self._told = 0
+        self._may_tell = RateLimit(ALARM_TEXTS_PER_S)
+
+    def take(self, count: int, now_s: float) -> int:
+        """How much is to be told now, of a counter that is at `count`."""
+        if count <= self._told or not self._may_tell.acquire(now_s):
+            return 0
+        more, self._told = count - self._told, count
+        return more
+
+
 class LinkAlarms:
     """Looks at the counters once per control tick."""
 
     def __init__(self, binding: AutopilotBinding, intakes: Sequence[Intake]) -> None:
         self._binding = binding
         self._intakes = intakes
-        self._unknown_senders = 0
-        self._moves = 0
         self._others = 0
-        self._dropped = 0
-        self._may_tell_senders = RateLimit(ALARM_TEXTS_PER_S)
-        self._may_tell_moves = RateLimit(ALARM_TEXTS_PER_S)
-        self._may_tell_floods = RateLimit(ALARM_TEXTS_PER_S)
+        self._moves, self._senders, self._floods = CounterNews(), CounterNews(), CounterNews()
 
     def tick(self, now_s: float) -> list[Announce]:
         """What is news."""
@@ -275,20 +284,11 @@ class LinkAlarms:
                 "(vehicle.system_id chooses)"
             )
         self._others = len(binding.others)
-        if binding.moves > self._moves and self._may_tell_moves.acquire(now_s):
-            self._moves = binding.moves
-            texts.append(f"the autopilot is heard from another address now: {_place(binding)}")
-        if binding.unknown_senders > self._unknown_senders and self._may_tell_senders.acquire(
-            now_s
-        ):
-            count = binding.unknown_senders - self._unknown_senders
-            self._unknown_senders = binding.unknown_senders
+        if self._moves.take(binding.moves, now_s):
+            place = "the line" if binding.peer is None else f"{binding.peer[0]}:{binding.peer[1]}"
+            texts.append(f"the autopilot is heard from another address now: {place}")
+        if count := self._senders.take(binding.unknown_senders, now_s):
             texts.append(f"{count} frames with the autopilot's ids from elsewhere were ignored")
-        if dropped > self._dropped and self._may_tell_floods.acquire(now_s):
-            count, self._dropped = dropped - self._dropped, dropped
+        if count := self._floods.take(dropped, now_s):
             texts.append(f"flood: {count} datagrams or frames were dropped unread")
         return [Announce(Severity.WARNING, text) for text in texts]
-
-
-def _place(binding: AutopilotBinding) -> str:
-    return "the line" if binding.peer is None else f"{binding.peer[0]}:{binding.peer[1]}"

@@ -61,11 +61,7 @@ def _layout_of(number: int) -> _Layout | None:
 
 
 def pack_plain(message: Message, sequence: int, system_id: int, component_id: int) -> bytes | None:
-    """The unsigned MAVLink 2 frame of a plain message; None if it is not plain.
-
-    Raises:
-        struct.error: A field does not fit its type on the wire.
-    """
+    """The unsigned MAVLink 2 frame of a plain message whose fields fit; None if it is not plain."""
     number = message.get_msgId()  # not `id`, which is a field of some
     layout = _layout_of(number)
     if layout is None or type(message) is not layout.message_class:
@@ -138,7 +134,6 @@ class MavCodec:
         """May be replaced, when a key is set up or taken away."""
         self.splitter = FrameSplitter(CRC_EXTRA_BY_ID)
         self.counters = self.splitter.counters
-        """What arrived so far."""
         self.undecodable = 0
         """Frames with a good CRC whose payload pymavlink refused."""
         self.unproved = 0
@@ -156,7 +151,7 @@ class MavCodec:
     ) -> bytes:
         """The frame of `message`, with the link's next sequence number, signed if signing is on.
 
-        `component_id` is that of another component of ours; MAVLink 1 is for peers without MAVLink
+        A `component_id` sends as another component of ours; MAVLink 1 is for peers without MAVLink
         2.
 
         Raises:

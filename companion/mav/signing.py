@@ -86,11 +86,7 @@ class SignatureVerdict(Enum):
 
 @dataclass(frozen=True, slots=True)
 class SigningKey:
-    """The shared secret; neither its repr nor its str shows it.
-
-    Raises:
-        ConfigError: It has not 32 bytes, or all of them are zero, which means "no key".
-    """
+    """The shared secret of 32 bytes, not all zero; neither its repr nor its str shows it."""
 
     secret: bytes = field(repr=False)
 
@@ -156,7 +152,6 @@ class Signing:
         self.streams: dict[Stream, int] = dict(streams or {})
         """The last timestamp of each; to be stored with `timestamp`."""
         self.verdicts: dict[SignatureVerdict, int] = dict.fromkeys(SignatureVerdict, 0)
-        """How many frames got which verdict."""
 
     @property
     def _present(self) -> int:
@@ -206,12 +201,9 @@ class Signing:
         return SignatureVerdict.TIMESTAMP_OVERFLOW if timestamp > MAX_HEARD else None
 
     def sign(self, frame: bytes, link_id: int, crc_extra: int) -> bytes:
-        """An unsigned MAVLink 2 frame signed, with a timestamp newer than every one before.
+        """An unsigned MAVLink 2 frame of ours, signed with a timestamp newer than every one before.
 
         Different links get different ids, 0 to 255.
-
-        Raises:
-            LocalProtocolError: It is MAVLink 1, or signed already.
         """
         if frame[0] != MAGIC_V2 or is_signed(frame):
             raise LocalProtocolError("only an unsigned MAVLink 2 frame can be signed")

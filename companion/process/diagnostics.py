@@ -167,7 +167,7 @@ class ProcessDiagnostics:
             self._announce(Severity.WARNING, text, now_s)
 
     def _announce(self, severity: Severity, text: str, now_s: float) -> None:
-        self._endpoint.announce(Announce(severity, text), now_s)
+        self._endpoint.outlet.announce(Announce(severity, text), now_s)
 
 
 LINK_CHECK_PERIOD_S = 1.0

@@ -175,7 +175,7 @@ class RestartKeeper:
         difference = self._difference(checkpoint.key)
         if difference is not None:
             text = f"restarted, with {difference}: starting anew, without engaging by itself"
-            self._endpoint.announce(Announce(Severity.WARNING, text), now_s)
+            self._endpoint.outlet.announce(Announce(Severity.WARNING, text), now_s)
             return
         age = self._age_s + now_s - self._began_s
         self._endpoint.recall(checkpoint.memory, age, now_s)

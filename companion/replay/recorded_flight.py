@@ -61,9 +61,7 @@ class Course:
     estimates: list[Json] = field(default_factory=list)
     """Lines of the event log."""
     setpoints: list[bytes] = field(default_factory=list)
-    """Frames, in order."""
     localised_s: float | None = None
-    """When a target was reported first."""
 
 
 class CourseJournal:
@@ -149,11 +147,7 @@ class FlightRecording:
 
 
 def open_recording(path: Path) -> FlightRecording:
-    """A recorded flight: its folder, any file in it, or an MCAP file alone.
-
-    Raises:
-        ConfigError: It cannot be read.
-    """
+    """A recorded flight: its folder, any file in it, or an MCAP file; or a `ConfigError`."""
     if path.suffix.lower() == ".mcap":
         return _of_mcap(read_mcap_flight(path))
     flight = open_flight(path)

@@ -60,7 +60,6 @@ class TargetResult:
     estimate: TargetEstimate | None = None
     truth_enu_m: tuple[float, float] | None = None
     observability: Observability | None = None
-    """What the track made observable."""
 
     @property
     def state(self) -> str:
@@ -96,11 +95,7 @@ class TargetResult:
 def replay_walk(
     path: Path, params: TrackerParams, progress: Progress | None = None
 ) -> list[TargetResult]:
-    """Run one tracker per target over a recorded walk, telling the progress in rows now and then.
-
-    Raises:
-        ConfigError: The file cannot be read, or a row is wrong; the message names the line.
-    """
+    """Run one tracker per target over a recorded walk, telling the progress now and then."""
     targets: dict[str, _Replayed] = {}
     for number, row in enumerate(read_walk(path)):
         target = targets.get(row.target_id)
@@ -134,11 +129,7 @@ def _result(target_id: str, target: _Replayed) -> TargetResult:
 
 
 def read_walk(path: Path) -> Iterator[WalkRow]:
-    """The rows of a recorded walk.
-
-    Raises:
-        ConfigError: The file cannot be read, or a row is wrong; the message names the line.
-    """
+    """The rows of a recorded walk; a `ConfigError` names the line that is wrong."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file)

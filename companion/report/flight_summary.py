@@ -37,7 +37,6 @@ class EstimatePoint(
     r95_m: float
     state: str = ""
     sensor_enu_m: tuple[float, ...] | None = None
-    """Where the vehicle measured."""
     range_offset_m: float | None = None
     range_innovation_m: float | None = None
     nis: float | None = None

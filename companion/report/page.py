@@ -69,7 +69,6 @@ class FlightPage:
     name: str
     verdict: str
     is_passed: bool
-    """Whether the verdict is a good one."""
     about: str = ""
     """A sentence below the heading; empty: none."""
     facts: Sequence[tuple[str, str]]
@@ -238,12 +237,7 @@ def _nis_chart(over_time: TimeCharts, points: list[Point]) -> Chart | None:
 
 
 def write_report(flight: Path, output: Path | None = None) -> Path:
-    """Write the report of a flight (its folder, or a file in it), there if nowhere else; its path.
-
-    Raises:
-        ConfigError: The flight cannot be read.
-        CompanionError: The report cannot be written.
-    """
+    """Write the report of a flight (its folder, or a file in it), by default there; its path."""
     found = open_flight(flight)
     older = found.directory / "events.old.jsonl"  # put aside when the log reached half its cap
     lines = [*(event_lines(older) if older.exists() else ()), *event_lines(found.path(EVENTS))]

@@ -119,11 +119,7 @@ def _has_changed(before: TargetEstimate, now: TargetEstimate) -> bool:
 
 
 class CotView(FlightView):
-    """Sends the events of one flight to a host or multicast group.
-
-    Raises:
-        LinkError: There is no such host.
-    """
+    """Sends the events of one flight to a host or multicast group, which must be known."""
 
     def __init__(self, address: Address, unix_s: Callable[[], float] = time.time) -> None:
         self._unix_s = unix_s

@@ -71,7 +71,7 @@ def picture_of(endpoint: CompanionEndpoint, now_s: float) -> Json:
         "accepted": status.accepted,
         "refused": dict(status.refused),
         "bad_frames": endpoint.bad_frames,
-        "setpoint_rate_hz": endpoint.setpoint_rate_hz(now_s),
+        "setpoint_rate_hz": endpoint.outlet.setpoint_rate_hz(now_s),
         "ages_s": ages_s(endpoint, now_s),
     }
 
@@ -167,7 +167,7 @@ def flight_snapshot(
     """The present moment of a flight."""
     return FlightSnapshot(
         status=endpoint.session.status(now_s),
-        setpoint_rate_hz=endpoint.setpoint_rate_hz(now_s),
+        setpoint_rate_hz=endpoint.outlet.setpoint_rate_hz(now_s),
         bad_frames=endpoint.bad_frames,
         stop_radius_m=endpoint.session.params.stop_radius_m,
         ages_s=ages_s(endpoint, now_s),

@@ -96,11 +96,7 @@ HINTS = {
 
 
 class WebProcess:
-    """Serves the page from a child process; the scene does not change during the flight.
-
-    Raises:
-        CompanionError: The port is taken, or the extra `web` is not installed.
-    """
+    """Serves the page from a child process; the scene does not change during the flight."""
 
     def __init__(self, settings: WebSettings, scene: Mapping[str, object]) -> None:
         _check_installed()
@@ -193,11 +189,7 @@ class WebProcess:
 
 
 def listening_socket(settings: WebSettings) -> socket.socket:
-    """The socket that the page is served on.
-
-    Raises:
-        CompanionError: The address is not ours, or the port is taken.
-    """
+    """The socket that the page is served on; a `CompanionError` if it cannot be opened."""
     try:
         found = socket.getaddrinfo(settings.host, settings.port, type=socket.SOCK_STREAM)
         family, kind, protocol, _, address = found[0]

@@ -196,7 +196,6 @@ def _confirmation(
         with ui.row():
 
             def do() -> None:
-                """Close the question and do what was asked for."""
                 dialog.close()
                 confirmed()
 
@@ -251,7 +250,6 @@ def build_app(
 
     @ui.page("/", title="Companion")
     def page(request: Request, token: str | None = None) -> PlainTextResponse | None:
-        """The live map, for those who may look."""
         client = "" if request.client is None else request.client.host
         if not access.may_view(client, token):
             return PlainTextResponse(REFUSED, 403)
@@ -275,7 +273,6 @@ def _add_tiles(app: FastAPI, access: Access, folder: Path) -> None:
 
     @app.get("/tiles/{zoom}/{x}/{y}.png")
     def one(request: Request, zoom: int, x: int, y: int, token: str | None = None) -> Response:
-        """A map tile, for those who may look."""
         client = "" if request.client is None else request.client.host
         if not access.may_view(client, token):
             return PlainTextResponse(REFUSED, 403)

@@ -140,10 +140,7 @@ def web_settings(
 ) -> WebSettings:
     """The settings that the options add up to; without a host only this computer is served.
 
-    Beyond loopback a token is made up if none is given.
-
-    Raises:
-        ConfigError: An option is wrong.
+    Beyond loopback a token is made up if none is given. A wrong option is a `ConfigError`.
     """
     host, _, port_text = address.rpartition(":")
     host = host.strip("[]") or LOOPBACK

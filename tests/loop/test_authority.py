@@ -100,7 +100,8 @@ def inject(loop: Loop, *faults: VehicleFault | LinkBlackout) -> None:
 
 
 def reasons(loop: Loop) -> dict[str, int]:
-    return dict(loop.companion.session.status(loop.now_s).reasons)
+    counts = loop.companion.session.context.reasons
+    return {reason.value: count for reason, count in counts.items()}
 
 
 # The pilot

@@ -37,7 +37,6 @@ class Authority:
     def __init__(self) -> None:
         self.phase = Phase.WAITING
         self.since_s = 0.0
-        """When the phase began."""
         self.has_let_go = False
         """Since the report the vehicle was seen out of offboard: it is not ours any more."""
         self._must_leave_offboard = False
@@ -47,7 +46,6 @@ class Authority:
         self._away_s = math.inf
         """... and for how long, when offboard came back."""
         self._given_s = -math.inf
-        """When control was given last."""
         self._newest: HeartbeatReceived | None = None
         self._id_conflict_s = -math.inf
 

@@ -44,7 +44,6 @@ class FencePolicy(Enum):
     REQUIRE = "require"
     """It must be ours, and there must be one."""
     USE = "use"
-    """It is ours."""
 
 
 @dataclass(frozen=True, slots=True)

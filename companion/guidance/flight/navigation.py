@@ -47,9 +47,8 @@ class FlightPlan:
         self._altitude_m = altitude_m
         self._planned_s: float | None = None
         self._is_searching: bool | None = None
-        self.is_target_outside = False
-        """Whether the target is believed to be where the vehicle may not go."""
         self._where_target_is = ""
+        """Why the vehicle may not be there, if it may not."""
         self._told_outside_s = -math.inf
 
     @property
@@ -59,7 +58,6 @@ class FlightPlan:
 
     def forget(self) -> None:
         """The next plan starts from nothing."""
-        self.is_target_outside = False
         self._where_target_is = ""
         self.waypoint = None
         self._planned_s = None
@@ -146,7 +144,6 @@ class FlightPlan:
             return []
         where = _forbidden_place(fence, estimate.position_enu_m)
         is_new, self._where_target_is = where != self._where_target_is, where
-        self.is_target_outside = bool(where)
         if not (where and is_new) or now_s - self._told_outside_s < TOLD_AGAIN_S:
             return []
         self._told_outside_s = now_s

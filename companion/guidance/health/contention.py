@@ -202,9 +202,7 @@ class StickWatch(Watch):
         self._latest: events.SticksReported | None = None
         self._rest: tuple[float, ...] | None = None
         self._moved_s: float | None = None
-        """Since when they are moved."""
         self._seen_moved_s: float | None = None
-        """When they were moved last."""
 
     def begin(self, now_s: float) -> None:
         """Control begins: the sticks rest where they are."""

@@ -42,7 +42,6 @@ class InputWatch(Watch):
         self._lost: Finding | None = None
         """What of link, mode and position is missing, or was within the last second."""
         self._lost_s = 0.0
-        """When it was last missing."""
         self._back_s: float | None = None
         self._agreed = 0
         self._is_dropout = True

@@ -69,7 +69,6 @@ class EmitterQueue:
         self._tracker_params = trackers
         self._strengths: dict[int, float] = {}
         self.reported: set[int] = set()
-        """Emitters that are done."""
         self._turned_away: list[int] = []
         """Emitters that were current and got lost, the longest ago first."""
         self._place: Point = (0.0, 0.0)

@@ -38,7 +38,6 @@ class LinkCounters:
     send_errors: int = 0
     """Chunks that the system refused (ENOBUFS, EAGAIN, ECONNREFUSED, network down)."""
     last_error: str = ""
-    """Why the last one was refused."""
     receive_errors: int = 0
     dropped: int = 0
     """Chunks not sent because nobody was connected or too much was waiting."""

@@ -222,11 +222,7 @@ class FlightLink:
 
 
 def parse_flight_link(text: str, role: LinkRole) -> FlightLink:
-    """A link as an option gives it: an address, with `SOURCE+` before that of another radio.
-
-    Raises:
-        ConfigError: It is no address, or nobody knows the source.
-    """
+    """A link as an option gives it: an address, with `SOURCE+` before that of another radio."""
     source, separator, address = text.strip().partition("+")
     if role is not LinkRole.RANGING or not separator or not source.isidentifier():
         source, address = MAVLINK, text

@@ -318,7 +318,6 @@ async def resolve(name: str, host: str, port: int) -> Address:
             answer.set_result(address)
 
     def look_up() -> None:
-        """Ask the resolver, which may take long."""
         try:
             address = socket.gethostbyname(host)
         except (OSError, UnicodeError):

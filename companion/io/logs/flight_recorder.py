@@ -120,7 +120,6 @@ class FlightJournal:
         self._mcap = mcap
         also = None if mcap is None else mcap.input
         self.inputs = InputLog(directory / INPUTS, inputs_bytes, also)
-        """The endpoint's inputs go here; see `CompanionEndpoint`."""
         self._results = BackgroundReplacer("write result.json")
         self._handoff = HandoffFiles()
 

@@ -64,11 +64,7 @@ class TlogRecord:
 
 
 def read_tlog(path: Path) -> Iterator[TlogRecord]:
-    """The frames of a tlog, in order; a torn last record (a power cut) ends them.
-
-    Raises:
-        ConfigError: The file cannot be read, or is no tlog.
-    """
+    """The frames of a tlog, in order; a torn last record (a power cut) ends them."""
     data, offset = read_file(path), 0
     while offset + _STAMP.size + 2 <= len(data):
         (unix_us,) = _STAMP.unpack_from(data, offset)
@@ -126,12 +122,7 @@ class Input:
 
 
 class InputLog(BackgroundFile):
-    """The inputs, written from a background thread.
-
-    Args:
-        max_bytes: Its cap; None: none.
-        also: Takes every record and its time, too (the MCAP file).
-    """
+    """The inputs, written from a background thread, and told to `also` (the MCAP file)."""
 
     def __init__(
         self, path: Path, max_bytes: int | None = None, also: AlsoKeeps | None = None
@@ -219,11 +210,7 @@ def parse_inputs(data: bytes, name: str) -> Iterator[Input]:
 
 
 def decode_recall(value: Input) -> tuple[SessionMemory, float]:
-    """What a RECALL says: what was known, and how old that was in seconds.
-
-    Raises:
-        ConfigError: It cannot be read.
-    """
+    """What a RECALL says: what was known, and how old that was in seconds."""
     try:
         return decode_memory(value.data[_AGE.size :]), float(_AGE.unpack_from(value.data)[0])
     except (CheckpointError, struct.error) as error:
@@ -245,11 +232,7 @@ class EventLog(BackgroundFile):
 
 
 def event_lines(path: Path) -> list[dict[str, object]]:
-    """The event log; a torn last line (a power cut) is left out.
-
-    Raises:
-        ConfigError: It cannot be read, or a line in its midst is no JSON.
-    """
+    """The event log, without a torn last line (a power cut); `ConfigError` for other damage."""
     try:
         lines = read_file(path).decode("utf-8").splitlines()
     except UnicodeDecodeError as error:

@@ -30,26 +30,23 @@ from companion.io.writer_thread import CLOSE_TIMEOUT_S, WriterThread
 
 FRAME_CHANNEL, INPUT_CHANNEL = "/mavlink", "/companion/inputs"
 
-_NUMBER = {"type": "number"}
-_TEXT = {"type": "string"}
-_TIME = {
-    "type": "object",
-    "title": "time",
-    "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}},
-}
+_NUMBER, _WHOLE, _TEXT = {"type": "number"}, {"type": "integer"}, {"type": "string"}
+RESIDUALS = ("nis", "range_innovation", "range_weight", "bearing_innovation", "bearing_weight")
 
 
 def _object(**properties: object) -> dict[str, object]:
     return {"type": "object", "properties": properties}
 
 
+def _numbers(*names: str) -> dict[str, object]:
+    return _object(**dict.fromkeys(names, _NUMBER))
+
+
+_TIME = {**_object(sec=_WHOLE, nsec=_WHOLE), "title": "time"}
 _POSE = _object(
     timestamp=_TIME,
     frame_id=_TEXT,
-    pose=_object(
-        position=_object(x=_NUMBER, y=_NUMBER, z=_NUMBER),
-        orientation=_object(x=_NUMBER, y=_NUMBER, z=_NUMBER, w=_NUMBER),
-    ),
+    pose=_object(position=_numbers("x", "y", "z"), orientation=_numbers("x", "y", "z", "w")),
 )
 _FIX = _object(
     timestamp=_TIME,
@@ -58,24 +55,9 @@ _FIX = _object(
     longitude=_NUMBER,
     altitude=_NUMBER,
     position_covariance={"type": "array", "items": _NUMBER},
-    position_covariance_type={"type": "integer"},
+    position_covariance_type=_WHOLE,
 )
-_LOG = _object(
-    timestamp=_TIME,
-    level={"type": "integer"},
-    message=_TEXT,
-    name=_TEXT,
-    file=_TEXT,
-    line={"type": "integer"},
-)
-_RESIDUAL = _object(
-    nis=_NUMBER,
-    range_innovation=_NUMBER,
-    range_weight=_NUMBER,
-    bearing_innovation=_NUMBER,
-    bearing_weight=_NUMBER,
-)
-_EVENT = _object(t_s=_NUMBER, kind=_TEXT)
+_LOG = _object(timestamp=_TIME, level=_WHOLE, message=_TEXT, name=_TEXT, file=_TEXT, line=_WHOLE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +69,6 @@ class McapChannel:
     schema: Mapping[str, object] | None = None
     """None: the messages are bytes without a schema."""
     message_encoding: str = "json"
-    schema_encoding: str = "jsonschema"
 
 
 CHANNELS = (
@@ -95,9 +76,9 @@ CHANNELS = (
     McapChannel("/estimate/ellipse", "foxglove.GeoJSON", _object(geojson=_TEXT)),
     McapChannel("/estimate/pose", "foxglove.PoseInFrame", _POSE),
     McapChannel("/vehicle/pose", "foxglove.PoseInFrame", _POSE),
-    McapChannel("/residual", "companion.Residual", _RESIDUAL),
+    McapChannel("/residual", "companion.Residual", _numbers(*RESIDUALS)),
     McapChannel("/log", "foxglove.Log", _LOG),
-    McapChannel("/events", "companion.Event", _EVENT),
+    McapChannel("/events", "companion.Event", _object(t_s=_NUMBER, kind=_TEXT)),
     McapChannel(FRAME_CHANNEL, message_encoding="mavlink"),
     McapChannel(INPUT_CHANNEL, message_encoding="companion-inputs"),
 )
@@ -208,8 +189,7 @@ class McapLog(WriterThread[Message]):
     # Messages
 
     def _put_estimate(self, fields: Mapping[str, object], now_s: float) -> None:
-        names = ("nis", "range_innovation", "range_weight", "bearing_innovation", "bearing_weight")
-        residual = {name: fields[name] for name in names if name in fields}
+        residual = {name: fields[name] for name in RESIDUALS if name in fields}
         if residual:
             self._put_json("/residual", residual, now_s)
         stamp = self._stamp(now_s)
@@ -261,23 +241,16 @@ def _open(path: Path, flight_json: str) -> tuple[Callable[[Message], None], Call
     writer.add_metadata("flight", {"flight.json": flight_json})
     numbers = {}
     for channel in CHANNELS:
-        schema = json.dumps(channel.schema).encode()
-        number = (
-            writer.register_schema(channel.schema_name, channel.schema_encoding, schema)
-            if (channel.schema)
-            else 0
-        )
-        numbers[channel.topic] = writer.register_channel(
-            channel.topic, channel.message_encoding, number
-        )
+        schema, topic, number = json.dumps(channel.schema).encode(), channel.topic, 0
+        if channel.schema is not None:
+            number = writer.register_schema(channel.schema_name, "jsonschema", schema)
+        numbers[topic] = writer.register_channel(topic, channel.message_encoding, number)
 
     def write(message: Message) -> None:
-        """Add a message to the topic it belongs to."""
         topic, data, stamp_ns = message
         writer.add_message(numbers[topic], stamp_ns, data, stamp_ns)
 
     def finish() -> None:
-        """Write the index and close."""
         writer.finish()  # type: ignore[no-untyped-call]
         file.close()
 
@@ -346,11 +319,7 @@ class McapFlight:
 
 
 def read_mcap_flight(path: Path) -> McapFlight:
-    """The flight in an MCAP file.
-
-    Raises:
-        ConfigError: It cannot be read, or is none of ours.
-    """
+    """The flight in an MCAP file; a `ConfigError` if it cannot be read, or is none of ours."""
     try:
         from mcap.exceptions import McapError
         from mcap.reader import make_reader

@@ -20,6 +20,7 @@ import zlib
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import msgspec
 
@@ -32,6 +33,7 @@ VERSION = 1
 MAX_BYTES = 256 * 1024
 _HEADER = struct.Struct("<4sHHI")
 _CRC = struct.Struct("<I")
+T = TypeVar("T")
 
 
 class CheckpointError(Exception):
@@ -81,11 +83,7 @@ def encode_checkpoint(checkpoint: Checkpoint) -> bytes:
 
 
 def decode_checkpoint(data: bytes) -> Checkpoint:
-    """The checkpoint in some bytes.
-
-    Raises:
-        CheckpointError: There is none; nothing of it may be used.
-    """
+    """The checkpoint in some bytes; after a `CheckpointError` nothing of it may be used."""
     if len(data) < _HEADER.size + _CRC.size or len(data) > MAX_BYTES:
         raise CheckpointError(f"{len(data)} bytes")
     magic, version, _, length = _HEADER.unpack_from(data)
@@ -95,12 +93,7 @@ def decode_checkpoint(data: bytes) -> Checkpoint:
         raise CheckpointError("damaged")
     if version != VERSION:
         raise CheckpointError(f"of version {version}; this is version {VERSION}")
-    try:
-        checkpoint = msgspec.msgpack.decode(
-            data[_HEADER.size : -_CRC.size], type=Checkpoint, strict=True
-        )
-    except (msgspec.MsgspecError, RecursionError, ValueError, OverflowError) as error:
-        raise CheckpointError(f"of another version ({' '.join(str(error).split())})") from None
+    checkpoint = _decode(data[_HEADER.size : -_CRC.size], Checkpoint)
     problem = _problem(checkpoint)
     if problem is not None:
         raise CheckpointError(f"impossible: {problem}")
@@ -113,13 +106,13 @@ def encode_memory(memory: SessionMemory) -> bytes:
 
 
 def decode_memory(data: bytes) -> SessionMemory:
-    """The memory that `encode_memory` made bytes of, the same to the last bit.
+    """The memory that `encode_memory` made bytes of, to the last bit; or a `CheckpointError`."""
+    return _decode(data, SessionMemory)
 
-    Raises:
-        CheckpointError: It is none.
-    """
+
+def _decode(payload: bytes, kind: type[T]) -> T:
     try:
-        return msgspec.msgpack.decode(data, type=SessionMemory, strict=True)
+        return msgspec.msgpack.decode(payload, type=kind, strict=True)
     except (msgspec.MsgspecError, RecursionError, ValueError, OverflowError) as error:
         raise CheckpointError(f"of another version ({' '.join(str(error).split())})") from None
 

@@ -77,11 +77,7 @@ def load_signing_key(path: Path) -> SigningKey:
 
 
 def store_signing_key(path: Path, key: SigningKey) -> None:
-    """Store a key as a whole, for its owner's eyes only.
-
-    Raises:
-        CompanionError: It cannot be written.
-    """
+    """Store a key as a whole, for its owner's eyes only."""
     write_text_atomic(path, f"{key.secret.hex()}\n", mode=0o600)
 
 
@@ -160,11 +156,7 @@ class SigningStore:
 
 
 class SigningKeeper:
-    """Stores the state of signing: at once, then each second in the background, and at the end.
-
-    Raises:
-        CompanionError: It cannot be written.
-    """
+    """Stores the state of signing: at once, then each second in the background, and at the end."""
 
     def __init__(self, signing: Signing, store: SigningStore) -> None:
         self.signing = signing
@@ -180,11 +172,7 @@ class SigningKeeper:
             self._replacer.replace(*self._store.next_content(self.signing, is_end=False))
 
     def close(self) -> None:
-        """Store the last state.
-
-        Raises:
-            CompanionError: It cannot be written; the margin after a crash covers that.
-        """
+        """Store the last state; the margin after a crash covers a disk that refuses it."""
         self._replacer.close()
         self._store_now(is_end=True)
 
@@ -196,12 +184,7 @@ class SigningKeeper:
 def open_signing_keeper(
     key_file: Path, key: SigningKey, rules: SigningRules = AS_THE_GUIDE
 ) -> SigningKeeper:
-    """Signing that goes on from the last run, whose memory is beside the key, and is stored again.
-
-    Raises:
-        ConfigError: The memory cannot be read.
-        CompanionError: It cannot be written.
-    """
+    """Signing that goes on from the last run, by a memory beside the key, and is stored again."""
     store = SigningStore(key_file, key)
     return SigningKeeper(store.signing(key, rules), store)
 

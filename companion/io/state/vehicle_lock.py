@@ -125,7 +125,6 @@ def _number_of(host: str) -> str:
     found = [host]
 
     def look_up() -> None:
-        """Ask the resolver, which may take long."""
         with suppress(OSError, UnicodeError):
             found.append(socket.gethostbyname(host))
 

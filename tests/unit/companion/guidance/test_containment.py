@@ -73,7 +73,7 @@ def test_one_error_is_held_on_for_a_second_and_told(monkeypatch: pytest.MonkeyPa
     assert str(record["where"]).startswith("test_containment.py:")
     flight.fly(1.2)
     assert flight.is_in(Phase.NORMAL)
-    assert flight.session.status(flight.now_s).internal_errors == {"estimator": 1}
+    assert flight.session.context.containment.errors == {"estimator": 1}
 
 
 @pytest.mark.slow
@@ -84,7 +84,7 @@ def test_errors_far_apart_are_no_reason_to_hand_back(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(tracker, "fuse", now_and_then(tracker.fuse, failures))
     flight.fly(40.0)
     assert flight.asked_modes() == []
-    assert flight.session.status(flight.now_s).internal_errors["estimator"] >= 6
+    assert flight.session.context.containment.errors["estimator"] >= 6
 
 
 def test_an_error_of_the_guard_is_not_contained(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -90,14 +90,14 @@ def test_standby_setpoints_have_the_rate_the_view_shows() -> None:
     for _ in range(80):
         wire.wait(0.05)
         wire.say(wire.position())
-    assert wire.endpoint.setpoint_rate_hz(wire.now_s) == pytest.approx(20.0, abs=0.5)
-    assert wire.endpoint.setpoints_sent == len(wire.of(LocalTarget))
+    assert wire.endpoint.outlet.setpoint_rate_hz(wire.now_s) == pytest.approx(20.0, abs=0.5)
+    assert wire.endpoint.outlet.setpoints_sent == len(wire.of(LocalTarget))
 
 
 def fly_over_a_lossy_line(wire: Wire, loss: float, duration_s: float) -> int:
     """Positions at 50 Hz, of which a share is lost; how many setpoints were sent."""
     wire.say(heartbeat(is_armed=True, status=4))
-    before, lost = wire.endpoint.setpoints_sent, 0.0
+    before, lost = wire.endpoint.outlet.setpoints_sent, 0.0
     for _ in range(round(duration_s / 0.02)):
         wire.wait(0.02)
         lost += loss
@@ -106,7 +106,7 @@ def fly_over_a_lossy_line(wire: Wire, loss: float, duration_s: float) -> int:
             wire.autopilot.encode(wire.position())
         else:
             wire.say(wire.position())
-    return wire.endpoint.setpoints_sent - before
+    return wire.endpoint.outlet.setpoints_sent - before
 
 
 def test_setpoints_come_more_often_where_frames_get_lost_and_slow_down_after_calm() -> None:

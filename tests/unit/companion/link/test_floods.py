@@ -66,7 +66,7 @@ def test_a_flood_of_forged_frames_changes_nothing_and_costs_little(
     frames = [forger.encode(lie) for _ in range(50)]
     share = flood(wire, frames, sources(peer_count), 2.0)
     assert wire.endpoint.session.phase is Phase.HOLD
-    assert wire.endpoint.setpoint_rate_hz(wire.now_s) == pytest.approx(20.0, abs=1.0)
+    assert wire.endpoint.outlet.setpoint_rate_hz(wire.now_s) == pytest.approx(20.0, abs=1.0)
     assert wire.endpoint.binding.peer == PEER
     assert share < 0.9  # of one processor, also a slow and busy one
     assert wire.journal.frames < 400
@@ -78,7 +78,7 @@ def test_with_a_key_even_a_flood_from_the_autopilots_own_address_does_not_silenc
     frames = [codec(OTHER_KEY).encode(heartbeat()) for _ in range(50)]
     flood(wire, frames, [PEER], 2.0)
     assert wire.endpoint.session.phase is Phase.HOLD
-    assert wire.endpoint.setpoint_rate_hz(wire.now_s) == pytest.approx(20.0, abs=1.0)
+    assert wire.endpoint.outlet.setpoint_rate_hz(wire.now_s) == pytest.approx(20.0, abs=1.0)
 
 
 CONSUMED: list[Message] = [

@@ -25,16 +25,16 @@ def test_without_a_flood_everybody_is_heard() -> None:
     wire = Wire().ready()
     wire.say(heartbeat(), peer=STRANGER)
     wire.wait(0.1)
-    assert wire.endpoint.sole_peer(wire.now_s) is None
+    assert wire.endpoint.shield.sole_peer(wire.now_s) is None
 
 
 def test_in_a_flood_only_the_autopilot_is_heard_for_a_while() -> None:
     wire = flooded(Wire().ready())
-    assert wire.endpoint.sole_peer(wire.now_s) == PEER
+    assert wire.endpoint.shield.sole_peer(wire.now_s) == PEER
     for _ in range(round(SHIELD_UP_S / 0.1)):
         wire.say(wire.position())
         wire.wait(0.1)
-    assert wire.endpoint.sole_peer(wire.now_s) is None
+    assert wire.endpoint.shield.sole_peer(wire.now_s) is None
 
 
 @pytest.mark.parametrize(("is_keyed", "silence_s"), [(False, 3.0), (True, 0.5)])
@@ -43,8 +43,8 @@ def test_an_autopilot_that_falls_silent_may_come_back_from_elsewhere(
 ) -> None:
     wire = flooded((keyed_wire() if is_keyed else Wire()).ready())
     heard_s = wire.endpoint.binding.heard_s or 0.0
-    assert wire.endpoint.sole_peer(heard_s + 0.49 * silence_s) == PEER
-    assert wire.endpoint.sole_peer(heard_s + 0.51 * silence_s) is None
+    assert wire.endpoint.shield.sole_peer(heard_s + 0.49 * silence_s) == PEER
+    assert wire.endpoint.shield.sole_peer(heard_s + 0.51 * silence_s) is None
 
 
 def test_before_an_autopilot_is_bound_everybody_is_heard() -> None:
@@ -53,4 +53,4 @@ def test_before_an_autopilot_is_bound_everybody_is_heard() -> None:
     for _ in range(1000):
         wire.bytes(data, peer=STRANGER)
     wire.wait(0.1)
-    assert wire.endpoint.sole_peer(wire.now_s) is None
+    assert wire.endpoint.shield.sole_peer(wire.now_s) is None

@@ -13,6 +13,7 @@ from companion.domain import Autopilot, FlightMode, LandedState
 from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import SendSetpoint
 from companion.guidance.control import TICK_S
+from companion.guidance.health.findings import Reason
 from companion.guidance.session_params import SessionParams
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 
@@ -192,7 +193,7 @@ def test_reasons_are_counted() -> None:
         flight.has_ranging = True
         seconds_until(flight, Phase.NORMAL)
     flight.show(FlightMode.POSITION)
-    reasons = flight.session.status(flight.now_s).reasons
-    assert reasons["no ranging"] == 2
-    assert reasons["ranging ages"] == 2
+    reasons = flight.session.context.reasons
+    assert reasons[Reason.NO_RANGING] == 2
+    assert reasons[Reason.RANGING_AGES] == 2
     assert [r["reason"] for r in flight.records("finding")].count("no ranging") == 2
