@@ -43,7 +43,6 @@ class _Parser(argparse.ArgumentParser):
     """Raises what argparse would print, so that every complaint is one line."""
 
     def error(self, message: str) -> NoReturn:
-        """Refuse the arguments."""
         raise ConfigError(f"{message} (companion --help shows how)")
 
 

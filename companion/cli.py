@@ -133,7 +133,6 @@ def _flight_config(arguments: argparse.Namespace) -> CompanionConfig:
 def _views(
     arguments: argparse.Namespace, config: CompanionConfig, settings: WebSettings | None
 ) -> list[FlightView]:
-    """Who watches the flight."""
     views: list[FlightView] = []
     if arguments.cot is not None:
         views.append(CotView(cot_address(arguments.cot)))

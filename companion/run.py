@@ -42,8 +42,8 @@ from companion.link.endpoint import CompanionEndpoint
 from companion.link.interface import Journal, LinkRole, LinkSpec
 from companion.mav.signing import ONE_LINK_EACH
 from companion.process.diagnostics import LinkWatch, ProcessDiagnostics, ProcessParts
-from companion.process.persistence import ParameterKeeper, RestartKeeper, digests_of
-from companion.process.watchdog import Supervisor, Watchdog
+from companion.process.persistence import ParameterKeeper, RestartKeeper
+from companion.process.watchdog import STOPPING, Supervisor, Watchdog
 from companion.warm_up import warm_up
 
 log = logging.getLogger("companion.run")
@@ -262,9 +262,9 @@ class _Flight:
         self.endpoint = self._build_endpoint(tunables, specs)
         self._restart = None
         if self._store is not None:
-            max_age_s, digests = config.process.resume_max_age_s, digests_of(config)
+            max_age_s = config.process.resume_max_age_s
             self._restart = RestartKeeper(
-                self.endpoint, self._store, digests, clock, max_age_s, is_fresh=options.is_fresh
+                self.endpoint, self._store, config, clock, max_age_s, is_fresh=options.is_fresh
             )
         transports = [link.transport for link in links]
         self._shell = Shell(self.endpoint, transports, clock, self._after_wakeup)
@@ -289,7 +289,6 @@ class _Flight:
         )
 
     def _gather_tasks(self) -> PeriodicTasks:
-        """What is done at the end of each wake-up, in this order."""
         parts = ProcessParts(self._journal, self._shell.timing, self._shell.links, self._store)
         watchdog = Watchdog(self._supervisor, self.endpoint, parts)
         diagnostics = ProcessDiagnostics(self.endpoint, parts, self._clock.speed)
@@ -318,7 +317,7 @@ class _Flight:
             self._journal.discard()
             raise
         finally:
-            self._supervisor.stopping()
+            self._supervisor.say(STOPPING)
             if self._restart is not None:
                 self._restart.close(CLOSE_S)
             self._parameters.close(CLOSE_S)

@@ -290,7 +290,7 @@ def measure_memory(minutes: float, count: int, web_port: int) -> list[Memory]:
                 samples: list[Memory] = []
                 while flight.now_s < 60.0 * minutes:
                     fly_to(flight.now_s + SAMPLE_S)
-                    mb = (resident_mb(os.getpid()), resident_mb(view.process_id))
+                    mb = (resident_mb(os.getpid()), resident_mb(view.process.process_id))
                     samples.append((flight.now_s / 60.0, *mb))
                 return samples
         finally:

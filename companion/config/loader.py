@@ -147,8 +147,6 @@ def parse_yaml(text: str, kind: type[T], name: str, renew: Renew | None = None) 
 
 @dataclass(frozen=True, slots=True)
 class _Problem:
-    """What is wrong with a value."""
-
     path: str
     """Of the value, or of the mapping that misses one."""
     text: str

@@ -76,7 +76,6 @@ class LimitsConfig(Params, frozen=True):
     """Charge that is left at home."""
 
     def __post_init__(self) -> None:
-        """Refuse limits that contradict each other."""
         if self.fence_file is not None and self.fence_enu_m != DEFAULT_FENCE:
             raise ValueError("fence_file: fence_enu_m is given, too; one of them is enough")
         if self.autopilot_fence == "use" and self.fence_file is not None:
@@ -205,7 +204,6 @@ class PlannerConfig(Params, frozen=True):
     sector: SectorParams = SectorParams()
 
     def __post_init__(self) -> None:
-        """Refuse a search before a search."""
         if self.search is not None and self.kind in get_args(PatternKind):
             raise ValueError(f"search must be null where kind is {self.kind}: it searches itself")
 

@@ -39,12 +39,10 @@ class SimulatorProcess(ChildProcess):
         super().__init__("sim-link", arguments, report.with_suffix(".log"))
 
     def __enter__(self) -> SimulatorProcess:
-        """Start it."""
         self.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Stop it, at the latest by force."""
         self.stop()
 
     def stop(self, timeout_s: float = STOP_TIMEOUT_S) -> None:

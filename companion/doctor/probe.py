@@ -22,6 +22,7 @@ from companion.link import outbound
 from companion.link.autopilot_queries import STREAM_INTERVAL_S, StreamFreshness, StreamRequester
 from companion.link.clock_sync import ClockSync
 from companion.link.fence_download import FenceDownload
+from companion.link.inbound import origin_of
 from companion.link.intake import Authenticity, AutopilotBinding
 from companion.link.outlet import COMPONENT_ID
 from companion.link.quality import SequenceMonitor
@@ -46,8 +47,6 @@ NAMES = {number: mavlink.mavlink_map[number].msgname for number in STREAM_INTERV
 
 @dataclass(slots=True)
 class _Question:
-    """A parameter that was asked for."""
-
     name: str
     value: float | None = None
     tries: int = 0
@@ -55,7 +54,6 @@ class _Question:
 
     @property
     def is_open(self) -> bool:
-        """Whether to ask for it once more."""
         return self.value is None and self.tries < PARAMETER_TRIES
 
 
@@ -182,7 +180,7 @@ class DoctorProbe:
             has_rc=self._has_rc(),
             has_position="LOCAL_POSITION_NED" in newest,
             has_home="HOME_POSITION" in newest,
-            origin=_origin(newest.get("GPS_GLOBAL_ORIGIN")),
+            origin=self._origin(),
             gps_fix=fix.fix_type if isinstance(fix, mavlink.MAVLink_gps_raw_int_message) else None,
             battery_pct=self._battery_pct(),
             round_trip_s=self._clock.round_trip_s,
@@ -199,6 +197,12 @@ class DoctorProbe:
         return tuple(
             StreamRate(name, hertz, self._counts[name], seconds) for name, hertz in asked.items()
         )
+
+    def _origin(self) -> LocalOrigin | None:
+        message = self._newest.get("GPS_GLOBAL_ORIGIN")
+        if not isinstance(message, mavlink.MAVLink_gps_global_origin_message):
+            return None
+        return origin_of(message)
 
     def _has_rc(self) -> bool | None:
         status = self._newest.get("SYS_STATUS")
@@ -271,13 +275,3 @@ class DoctorProbe:
     def _send(self, message: Message) -> None:
         data = self._codec.encode(message)
         self._output.append(Chunk(0, data, self._binding.peer))
-
-
-def _origin(message: Message | None) -> LocalOrigin | None:
-    """Of a GPS_GLOBAL_ORIGIN; None: 0/0 is what senders write who do not know."""
-    if not isinstance(message, mavlink.MAVLink_gps_global_origin_message):
-        return None
-    place = (message.latitude / 1e7, message.longitude / 1e7)
-    if place == (0.0, 0.0) or abs(place[0]) > 90.0 or abs(place[1]) > 180.0:
-        return None
-    return LocalOrigin(*place, message.altitude / 1000.0)

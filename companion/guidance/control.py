@@ -207,7 +207,6 @@ class ControlTick:
         return self._is_silent or self._context.vehicle.is_position_fresh(now_s)
 
     def _tell_reasons(self, reasons: tuple[GuardReason, ...], now_s: float) -> None:
-        """Why the setpoint is not where the planner wants it."""
         for text in self._guard_messages.texts(reasons, now_s):
             self._context.warn(text)
         names = self._guard_messages.record(reasons, now_s)

@@ -53,7 +53,6 @@ class SessionParams(Params, frozen=True):
     """At this charge the vehicle is handed back at once by asking for the return."""
 
     def __post_init__(self) -> None:
-        """Refuse a low that is lower than critical."""
         if self.battery_low_pct < self.battery_critical_pct:
             raise ValueError("battery_low_pct must not be below battery_critical_pct")
 

@@ -115,7 +115,6 @@ class Timebase:
         return StampReading(min(now_s, remote_s + offset_s), is_reboot)
 
     def _is_new_clock(self, remote_s: float, now_s: float) -> bool:
-        """Whether a stamp that went back confirms that the sender restarted."""
         if self._new_clock is None or not self._new_clock.continues_with(remote_s, now_s):
             self._new_clock = _NewClock(remote_s, now_s, now_s - remote_s)
             return False

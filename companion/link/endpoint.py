@@ -271,7 +271,6 @@ class CompanionEndpoint:
     # At the control tick
 
     def _announce_texts(self, now_s: float) -> None:
-        """Tell the operator about keys, unknown peers and streams."""
         signing, links = self.authenticity.tick(now_s), self._alarms.tick(now_s)
         for text in (*signing, *links, *self._queries.new_texts(now_s)):
             self.outlet.announce(text, now_s)
@@ -285,7 +284,6 @@ class CompanionEndpoint:
             self.outlet.send(question, now_s, is_droppable=True)
 
     def _link_record(self, now_s: float) -> dict[str, object]:
-        """Counters of all links, and what became of the measurements."""
         emitters = self.session.context.emitters
         return {
             "links": [

@@ -91,19 +91,13 @@ class SessionExecutor:
         if fence is not None:
             self.handle(fence, now_s)
         match message:
-            case mavlink.MAVLink_command_ack_message():
-                self._receive_ack(message, now_s, order)
+            case mavlink.MAVLink_command_ack_message() if is_for(message, self.outlet.own_ids):
+                answer = self._requests.receive_ack(message, now_s)
+                if answer is not None:
+                    self.handle(replace(answer, order=order), now_s)
             case mavlink.MAVLink_statustext_message() if self._text_limit.acquire(now_s):
                 fields = {"text": _printable(message.text), "dropped": self._text_limit.refused}
                 self.journal.record("autopilot_text", fields, now_s)
-
-    def _receive_ack(
-        self, ack: mavlink.MAVLink_command_ack_message, now_s: float, order: int
-    ) -> None:
-        if is_for(ack, self.outlet.own_ids):
-            answer = self._requests.receive_ack(ack, now_s)
-            if answer is not None:
-                self.handle(replace(answer, order=order), now_s)
 
     # What the session wants
 
@@ -145,6 +139,5 @@ class SessionExecutor:
 
 
 def _printable(text: bytes | str) -> str:
-    """A peer's text without control characters."""
     raw = text.decode("utf-8", errors="replace") if isinstance(text, bytes) else text
     return "".join(c if c.isprintable() else "?" for c in raw)

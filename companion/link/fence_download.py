@@ -52,8 +52,6 @@ Answer = mavlink.MAVLink_mission_count_message | Item | mavlink.MAVLink_mission_
 
 @dataclass(slots=True)
 class _Reading:
-    """A transfer in flight."""
-
     count: int | None = None
     items: list[Item] = field(default_factory=list)
     tries: int = 0
@@ -148,7 +146,6 @@ class FenceDownload:
 
 
 def _fence_event(items: Sequence[Item], count: int, now_s: float) -> AutopilotFenceRead:
-    """What the items say."""
     try:
         if count > MAX_ITEMS:
             raise ValueError(f"it has {count} items, more than {MAX_ITEMS}")
@@ -186,7 +183,6 @@ def fence_of_items(items: Sequence[Item]) -> GeoFence | None:
 
 
 def _vertices(items: Sequence[Item], index: int, path: str) -> Sequence[Item]:
-    """The vertices of the polygon that begins at an item."""
     first = items[index]
     if not 3.0 <= first.param1 <= MAX_ITEMS:
         raise ValueError(f"{path}: a polygon of {first.param1:g} vertices")

@@ -171,7 +171,7 @@ class ParameterServer:
         if not math.isfinite(value):
             return OUT_OF_RANGE, "must be a finite number"
         before = self._book.value_at(index)
-        if value == _on_the_wire(before, spec.kind):
+        if value == (before if spec.kind.is_integer else nearest_real32(before)):
             return None
         objection = self._executor.session.objection_to_change(spec.when)
         if objection is not None:
@@ -212,11 +212,6 @@ class ParameterServer:
         what = "".join(c if c.isprintable() else "?" for c in name) or f"number {index}"
         text = f"parameter {what}: {reason}"
         self._outlet.announce(Announce(Severity.WARNING, text), now_s)
-
-
-def _on_the_wire(value: float, kind: ParamType) -> float:
-    """A value as a ground station reads it."""
-    return value if kind.is_integer else nearest_real32(value)
 
 
 COMMANDS_PER_S = 20

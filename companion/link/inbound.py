@@ -29,11 +29,7 @@ from companion.guidance.events import (
 from companion.guidance.flight.vehicle import ORIGIN_STEP_M
 from companion.link.clock_sync import ClockSync, VehicleClock
 from companion.mav import dialect
-from companion.mav.dialect import (
-    MAVLink_ekf_status_report_message,
-    Message,
-    mavlink,
-)
+from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, mavlink
 from companion.mav.flight_modes import autopilot_of, mode_of
 
 BAD_RATIO = 1.0
@@ -241,7 +237,6 @@ class VehicleInbound:
         return [self._restart(now_s), event] if reading.is_reboot else [event]
 
     def _restart(self, now_s: float) -> AutopilotRestarted:
-        """Forget what was before."""
         self._newest.clear()
         self._frame = self._frame_begun = None
         self._has_battery_status = False
@@ -274,12 +269,9 @@ class VehicleInbound:
     def _take_origin(
         self, message: mavlink.MAVLink_gps_global_origin_message, now_s: float, number: int
     ) -> list[Event]:
-        is_somewhere = _is_on_earth(message.latitude, message.longitude)
-        if not is_somewhere or abs(message.altitude) > MAX_ALTITUDE_MM:
+        origin = origin_of(message)
+        if origin is None:
             return []
-        origin = LocalOrigin(
-            message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1000.0
-        )
         self._note_frame(origin, number, now_s)
         self._origin = origin
         return [OriginSet(now_s, self._origin), *self._home_events(now_s)]
@@ -310,6 +302,14 @@ class VehicleInbound:
             return []
         is_near = all(abs(v) <= MAX_HOME_DISTANCE_M for v in local)
         return [HomeSet(now_s, local)] if is_near else []
+
+
+def origin_of(message: mavlink.MAVLink_gps_global_origin_message) -> LocalOrigin | None:
+    """The origin of the local frame; None of a sender who does not know it."""
+    is_somewhere = _is_on_earth(message.latitude, message.longitude)
+    if not is_somewhere or abs(message.altitude) > MAX_ALTITUDE_MM:
+        return None
+    return LocalOrigin(message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1000.0)
 
 
 def _is_on_earth(latitude_e7: int, longitude_e7: int) -> bool:

@@ -77,7 +77,6 @@ class LinkParams(Params, frozen=True):
     """Whether ground stations on `--gcs` links get the estimate as an ADSB_VEHICLE, an icon."""
 
     def __post_init__(self) -> None:
-        """Refuse a rate that goes down where it should go up."""
         if self.lossy_rate_hz < self.rate_hz:
             raise ValueError("lossy_rate_hz must not be below rate_hz")
 

@@ -17,7 +17,6 @@ import hashlib
 import logging
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
@@ -68,26 +67,6 @@ class SessionClock(Protocol):
         """The present."""
 
 
-@dataclass(frozen=True, slots=True)
-class MissionDigests:
-    """A configuration in two short texts: what a memory of its mission depends on."""
-
-    limits: str
-    mission: str
-
-
-def digests_of(config: CompanionConfig) -> MissionDigests:
-    """The digests of a configuration; where logs go, for example, is in neither."""
-    mission = (
-        config.mission,
-        config.emitter_id,
-        config.emitters,
-        config.estimation,
-        config.planner,
-    )
-    return MissionDigests(_digest(config.limits), _digest(mission))
-
-
 class RestartKeeper:
     """Keeps the memory of one flight, and recalls that of the one before, unless it is too old.
 
@@ -98,7 +77,7 @@ class RestartKeeper:
         self,
         endpoint: CompanionEndpoint,
         store: CheckpointStorage,
-        digests: MissionDigests,
+        config: CompanionConfig,
         clock: SessionClock,
         max_age_s: float,
         *,
@@ -107,7 +86,9 @@ class RestartKeeper:
     ) -> None:
         self._endpoint = endpoint
         self._store = store
-        self._digests = digests
+        mission = (config.mission, config.emitter_id, config.emitters)
+        self._limits = _digest(config.limits)
+        self._mission = _digest((*mission, config.estimation, config.planner))
         self._clock = clock
         self._moment = moment
         self._pending: Checkpoint | None = None
@@ -190,12 +171,11 @@ class RestartKeeper:
         return "another mission or estimator" if then.mission != now.mission else None
 
     def _key(self) -> MissionKey:
-        binding, digests = self._endpoint.binding, self._digests
-        fence = digests.limits
+        binding, fence = self._endpoint.binding, self._limits
         site = self._endpoint.session.fencing.site
         if site is not None:
             fence = _digest((fence, site))
-        return MissionKey(binding.system_id or 1, binding.autopilot, fence, digests.mission)
+        return MissionKey(binding.system_id or 1, binding.autopilot, fence, self._mission)
 
     def _save(self) -> None:
         memory = self._endpoint.session.memory

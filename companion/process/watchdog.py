@@ -23,6 +23,7 @@ from companion.process.diagnostics import ProcessParts
 
 MICROSECONDS = 1e6
 MAX_STATUS = 200
+READY, ALIVE, STOPPING = "READY=1", "WATCHDOG=1", "STOPPING=1"
 
 
 class Supervisor:
@@ -44,21 +45,9 @@ class Supervisor:
         """Whether anybody wants to know."""
         return self._socket is not None
 
-    def ready(self) -> None:
-        """The links are open and the control tick runs."""
-        self._say("READY=1")
-
-    def alive(self) -> None:
-        """Every part answered since the last time."""
-        self._say("WATCHDOG=1")
-
     def status(self, text: str) -> None:
         """What we are doing, for `systemctl status`."""
-        self._say(f"STATUS={' '.join(text.split())[:MAX_STATUS]}")
-
-    def stopping(self) -> None:
-        """We end."""
-        self._say("STOPPING=1")
+        self.say(f"STATUS={' '.join(text.split())[:MAX_STATUS]}")
 
     def close(self) -> None:
         """Say nothing any more."""
@@ -66,7 +55,8 @@ class Supervisor:
             self._socket.close()
             self._socket = None
 
-    def _say(self, words: str) -> None:
+    def say(self, words: str) -> None:
+        """Notify it, if it is there to read."""
         if self._socket is None or self._address is None:
             return
         try:
@@ -118,13 +108,13 @@ class Watchdog:
             return
         if not self._is_ready:
             self._is_ready = True
-            self._supervisor.ready()
+            self._supervisor.say(READY)
         missing = self.missing()
         if wall_s >= self._next_feed_s and missing is None:
             timeout_s = self._supervisor.watchdog_s or STATUS_PERIOD_S
             self._next_feed_s = wall_s + timeout_s / FEEDS_PER_TIMEOUT
             self._ticks = self._timing.fired
-            self._supervisor.alive()
+            self._supervisor.say(ALIVE)
         if wall_s >= self._next_status_s:
             self._next_status_s = wall_s + STATUS_PERIOD_S
             self._report_status(now_s, missing)

@@ -111,7 +111,6 @@ def _difference_text(before: Json | None, after: Json | None) -> str:
 
 
 def _figures(course: Course) -> dict[str, str]:
-    """What stands in a column of the table."""
     last = course.estimates[-1] if course.estimates else {}
     east_m, north_m = position_of(last) or (None, None)
     reported = "never" if course.localised_s is None else f"{course.localised_s:.1f}"

@@ -41,7 +41,6 @@ class _LineWriter(WriterThread[str]):
         super().__init__("console", MAX_QUEUED)
 
     def write_batch(self, batch: list[str]) -> None:
-        """Write some lines."""
         for line in batch:
             with suppress(OSError, ValueError):  # nobody reads: then nobody misses it
                 self._write(f"{line}\n")

@@ -63,7 +63,7 @@ def screen(moment: FlightSnapshot, title: str) -> Panel:
 
 
 def _rows(moment: FlightSnapshot) -> list[tuple[str, Text]]:
-    status = moment.status
+    status, to_go_s = moment.status, moment.time_to_go_s
     link = Text("lost", "bold red") if status.is_link_lost else Text("good", "green")
     rates = f", {moment.bad_frames} bad frames, {moment.setpoint_rate_hz:.0f} setpoints/s"
     link.append(rates, "default")
@@ -80,7 +80,7 @@ def _rows(moment: FlightSnapshot) -> list[tuple[str, Text]]:
         ("flown", Text(f"{status.distance_m:.0f} m")),
         ("distance", Text(_distance(status))),
         *_estimate_rows(status, moment.stop_radius_m),
-        ("to go", Text(_time_to_go(moment.time_to_go_s))),
+        ("to go", Text("-" if to_go_s is None else f"about {to_go_s:.0f} s")),
         *_emitter_rows(status.emitters),
         ("reflected", Text(_reflected(status.health))),
         ("ranging", Text(f"{status.accepted} used, {rejected} rejected")),
@@ -88,10 +88,6 @@ def _rows(moment: FlightSnapshot) -> list[tuple[str, Text]]:
         ("link", link),
         ("guard", Text(guard or "-")),
     ]
-
-
-def _time_to_go(time_to_go_s: float | None) -> str:
-    return "-" if time_to_go_s is None else f"about {time_to_go_s:.0f} s"
 
 
 def _ages(moment: FlightSnapshot) -> Text:

@@ -25,6 +25,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
+from importlib.util import find_spec
 
 from companion.config.schema import CompanionConfig
 from companion.errors import CompanionError
@@ -99,7 +100,8 @@ class WebProcess:
     """Serves the page from a child process; the scene does not change during the flight."""
 
     def __init__(self, settings: WebSettings, scene: Mapping[str, object]) -> None:
-        _check_installed()
+        if find_spec("nicegui") is None:
+            raise CompanionError("--web needs the extra web: pip install 'companion-guidance[web]'")
         listener = listening_socket(settings)
         first = {
             "fd": listener.fileno(),
@@ -221,13 +223,6 @@ def announced_url(settings: WebSettings) -> str:
         return settings.url
 
 
-def _check_installed() -> None:
-    from importlib.util import find_spec
-
-    if find_spec("nicegui") is None:
-        raise CompanionError("--web needs the extra web: pip install 'companion-guidance[web]'")
-
-
 def _line(value: Mapping[str, object]) -> bytes:
     return json.dumps(plain(value), allow_nan=False, separators=(",", ":")).encode() + b"\n"
 
@@ -252,32 +247,27 @@ class WebView(Collector):
         super().__init__()
         self._settings = settings
         self._time_to_go = TimeToGo()
-        self._process = WebProcess(settings, {**scene_of(config), "truth": truth_enu_m})
+        self.process = WebProcess(settings, {**scene_of(config), "truth": truth_enu_m})
 
     @property
     def url(self) -> str:
         """Where the page is, for people."""
         return announced_url(self._settings)
 
-    @property
-    def process_id(self) -> int:
-        """Of the process that serves the page."""
-        return self._process.process_id
-
     def update(self, endpoint: CompanionEndpoint, now_s: float) -> None:
         """Called at every wake-up of the flight; costs nothing unless a picture is due."""
         has_room = endpoint.next_timer_s() - now_s >= ROOM_S
         make = partial(self._picture, endpoint, now_s)
-        for command in self._process.update(now_s, make, may_send=has_room):
+        for command in self.process.update(now_s, make, may_send=has_room):
             endpoint.ask(command, now_s)
 
     def show(self, endpoint: CompanionEndpoint, now_s: float, clock_s: float) -> None:
         """Show a moment that is over, whatever buttons are pressed."""
-        self._process.update(clock_s, lambda: self._picture(endpoint, now_s))
+        self.process.update(clock_s, lambda: self._picture(endpoint, now_s))
 
     def close(self) -> None:
         """End the page."""
-        self._process.close()
+        self.process.close()
 
     def _picture(self, endpoint: CompanionEndpoint, now_s: float) -> Json:
         return {

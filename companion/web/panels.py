@@ -30,7 +30,6 @@ Json = Mapping[str, Any]
 
 
 def _panel(title: str = "") -> ui.element:
-    """A framed part of the page."""
     panel = ui.element("section").classes("panel")
     if title:
         with panel, ui.element("h2"):
@@ -316,7 +315,6 @@ def _options(title: str, axis: str) -> dict[str, Any]:
 
 
 def _level(value: float, name: str) -> dict[str, Any]:
-    """A line across a chart, with a name."""
     return {
         "silent": True,
         "symbol": "none",

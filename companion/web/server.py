@@ -55,7 +55,8 @@ class PictureFeed:
     def take(self, picture: dict[str, Any]) -> None:
         """Take in a picture."""
         if picture.get("t_s", 0.0) < self.picture.get("t_s", 0.0):
-            self._forget()  # the companion was started anew
+            self.curve, self.track = [], []  # the companion was started anew
+            self.track_version += 1
         if picture.get("origin") != self._origin:
             self._origin = picture.get("origin")
             self.track, self.track_version = [], self.track_version + 1
@@ -65,10 +66,6 @@ class PictureFeed:
             self.curve = self.curve[::2]
         self.picture = picture
         self.version += 1
-
-    def _forget(self) -> None:
-        self.curve, self.track = [], []
-        self.track_version += 1
 
     def _extend_track(self, place: object) -> None:
         if not isinstance(place, list) or len(place) < 2:

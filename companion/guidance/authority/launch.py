@@ -15,12 +15,7 @@ from enum import Enum
 
 from companion.domain import Autopilot, FlightMode
 from companion.guidance.commands import Arm, Command, SetMode, TakeOff
-from companion.guidance.events import (
-    HeartbeatReceived,
-    Outcome,
-    RequestAnswered,
-    RequestKind,
-)
+from companion.guidance.events import HeartbeatReceived, Outcome, RequestAnswered, RequestKind
 from companion.guidance.flight.vehicle import mode_name
 
 READY_TIMEOUT_S = 120.0

@@ -153,7 +153,6 @@ class Fencing:
         return self.plan.site is not None or has_one or self.anchor is not None
 
     def _settle(self) -> None:
-        """Decide anew."""
         self.refusal = self.note = None
         fence: Fence | None = None
         if not self.missing:

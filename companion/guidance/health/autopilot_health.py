@@ -132,7 +132,6 @@ class _Trouble:
         self._good_s: float | None = None
 
     def note(self, is_bad: bool, now_s: float) -> None:
-        """It was told to be so."""
         if self._is_over(now_s):
             self.clear()
         if is_bad:
@@ -149,7 +148,6 @@ class _Trouble:
         return (now_s if self._good_s is None else self._bad_s) - self._since_s
 
     def clear(self) -> None:
-        """Forget it."""
         self._since_s = self._good_s = None
 
     def _is_over(self, now_s: float) -> bool:

@@ -204,7 +204,6 @@ class EmitterQueue:
 
     @property
     def _is_full(self) -> bool:
-        """Whether no other emitter gets a filter."""
         return bool(self.params.listed) or len(self._trackers) >= self.params.most
 
     def _reason_against_new_emitter(

@@ -71,7 +71,6 @@ class Pty:
     path: str
 
     def __str__(self) -> str:
-        """The canonical spelling."""
         return f"pty:{self.path}"
 
 
@@ -83,7 +82,6 @@ class SerialPort:
     baud: int = DEFAULT_BAUD
 
     def __str__(self) -> str:
-        """The canonical spelling."""
         return f"serial:{self.device}:{self.baud}"
 
 

@@ -190,7 +190,6 @@ def open_signing_keeper(
 
 
 def _read(path: Path) -> bytes | None:
-    """What is in a slot; None if there is no file."""
     try:
         with path.open("rb") as file:
             return file.read(MAX_FILE_BYTES)
@@ -201,7 +200,6 @@ def _read(path: Path) -> bytes | None:
 
 
 def _decode_slot(content: bytes) -> _Slot | None:
-    """The slot in a file's content, or None if it is not whole."""
     body, _, checksum = content.rpartition(b" ")
     if checksum != f"{zlib.crc32(body):08x}\n".encode():
         return None

@@ -23,7 +23,7 @@ from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address, Chunk
 from companion.mav.flight_modes import set_mode_params
 from companion.mav.signing import LinkSigning
-from companion.process.persistence import RestartKeeper, digests_of
+from companion.process.persistence import RestartKeeper
 from sim_link.lab.lockstep.flight import Flight
 from sim_link.lab.lockstep.observer import Lane, Observer
 
@@ -184,7 +184,7 @@ class Checkpointing(Observer):
         self._keeper = RestartKeeper(
             flight.companion,
             self.store,
-            digests_of(flight.config),
+            flight.config,
             FlightClock(flight),
             self._max_age_s,
             moment=lambda: Moment(flight.now_s, "lockstep", flight.now_s),

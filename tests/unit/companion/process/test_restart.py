@@ -16,7 +16,7 @@ from companion.guidance.events import AutopilotFenceRead
 from companion.guidance.session_params import SessionParams
 from companion.io.state.checkpoints import Moment
 from companion.link.endpoint import CompanionEndpoint
-from companion.process.persistence import RestartKeeper, digests_of
+from companion.process.persistence import RestartKeeper
 from sim_link.lab.lockstep.flight_harness import MemoryStore
 from tests.unit.companion.process.rig import WatchedNotes, an_endpoint, hear_autopilot
 
@@ -51,7 +51,7 @@ class Process:
         return RestartKeeper(
             self.endpoint,
             self.store,
-            digests_of(config),
+            config,
             self.clock,
             600.0,
             is_fresh=is_fresh,
