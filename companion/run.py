@@ -31,7 +31,7 @@ from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import Announce, Severity
 from companion.io.files import MCAP, delete_old_flights, new_flight_directory
 from companion.io.links.transports import FlightLink, Transport, make_link
-from companion.io.logs.flight_recorder import BlackBox, FlightJournal, MissingJournal
+from companion.io.logs.flight_recorder import BlackBox, FlightJournal
 from companion.io.logs.mcap_file import McapLog
 from companion.io.shell import Clock, Shell
 from companion.io.state.checkpoints import CheckpointStore
@@ -123,7 +123,7 @@ def _open_black_box(open_it: Callable[[], FlightJournal], *, is_restart: bool) -
         if not is_restart:
             raise
         log.error("%s; resuming a flight, so going on without any log", error)
-        return MissingJournal()
+        return BlackBox()
 
 
 def prepare(config: CompanionConfig) -> None:

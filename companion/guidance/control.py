@@ -45,17 +45,13 @@ class StopRule:
         self, estimate: TargetEstimate | None, now_s: float, radius_m: float, confirm_s: float
     ) -> bool:
         """Whether the target is found; without an estimate the run is broken."""
-        if estimate is None or not _is_enough(estimate, radius_m):
+        is_one_place = estimate is not None and estimate.state is EstimateState.LOCALISED
+        if estimate is None or not is_one_place or estimate.r95_m > radius_m:
             self._since_s = None
             return False
         if self._since_s is None:
             self._since_s = now_s
         return now_s - self._since_s >= confirm_s
-
-
-def _is_enough(estimate: TargetEstimate, radius_m: float) -> bool:
-    is_one_place = estimate.state is EstimateState.LOCALISED
-    return is_one_place and estimate.r95_m <= radius_m
 
 
 SAME_LEG_M = 1.0

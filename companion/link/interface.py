@@ -41,15 +41,6 @@ class LinkSpec:
 VEHICLE_ONLY = (LinkSpec(LinkRole.VEHICLE),)
 
 
-def link_specs(ranging: int = 0, gcs: int = 0) -> tuple[LinkSpec, ...]:
-    """The vehicle's link, then so many that bring ranging by MAVLink, then ground stations'."""
-    return (
-        *VEHICLE_ONLY,
-        *[LinkSpec(LinkRole.RANGING)] * ranging,
-        *[LinkSpec(LinkRole.GCS)] * gcs,
-    )
-
-
 class VehicleParams(Params, frozen=True):
     """Which autopilot, and how it is commanded."""
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import struct
 from typing import Protocol
 
-from companion.mav.dialect import Message, mavlink
+from companion.mav.dialect import mavlink
 from companion.mav.framing import CRC_LENGTH, HEADER_LENGTH, SIGNATURE_LENGTH, message_id
 from companion.mav.signing import is_signed
 
@@ -33,12 +33,6 @@ class TargetedTimesync(mavlink.MAVLink_timesync_message):
         if not force_mavlink1:
             payload += bytes((self.target_system, self.target_component))
         return bytes(self._pack(mav, self.crc_extra, payload, force_mavlink1=force_mavlink1))
-
-
-def targets_of(message: Message) -> tuple[int, int]:
-    """Target system and component of a received TIMESYNC; (0, 0) if it names none."""
-    payload = payload_of(bytes(message.get_msgbuf())).ljust(TARGETS_AT + 2, b"\0")
-    return payload[TARGETS_AT], payload[TARGETS_AT + 1]
 
 
 def payload_of(frame: bytes) -> bytes:

@@ -138,7 +138,8 @@ class EmitterQueue:
             return self.current.fuse(measurement, sensor_enu_m, now_s)
         tracker = self._trackers.get(measurement.emitter_id)
         if tracker is None:
-            reason = self._reason_against_new_emitter(measurement, now_s)
+            reason = reject_reason_of(measurement, now_s, self._tracker_params.acceptance)
+            reason = RejectReason.OTHER_EMITTER if self._is_full else reason
             if reason is not None:
                 return self.current.reject(reason)
             tracker = self._begin(measurement.emitter_id)
@@ -205,14 +206,6 @@ class EmitterQueue:
     @property
     def _is_full(self) -> bool:
         return bool(self.params.listed) or len(self._trackers) >= self.params.most
-
-    def _reason_against_new_emitter(
-        self, measurement: RangingMeasurement, now_s: float
-    ) -> RejectReason | None:
-        """Why an emitter that is heard for the first time gets no filter."""
-        if self._is_full:
-            return RejectReason.OTHER_EMITTER
-        return reject_reason_of(measurement, now_s, self._tracker_params.acceptance)
 
     def _begin(self, emitter_id: int) -> TargetTracker:
         """A filter for another emitter; the first one takes over what was counted before it."""

@@ -239,7 +239,8 @@ class ReopeningLink(StreamLink):
         self._start()
 
     def _start(self) -> None:
-        self._task = asyncio.get_running_loop().create_task(self._keep_trying())
+        if not self._is_closed:
+            self._task = asyncio.get_running_loop().create_task(self._keep_trying())
 
     async def _keep_trying(self) -> None:
         pause_s = BACKOFF_MIN_S
@@ -259,12 +260,7 @@ class ReopeningLink(StreamLink):
         super()._forget(reason)
         if not self._is_closed:
             self.counters.reconnects += 1
-            loop = asyncio.get_running_loop()
-            loop.call_later(BACKOFF_MIN_S, self._restart)
-
-    def _restart(self) -> None:
-        if not self._is_closed:
-            self._start()
+            asyncio.get_running_loop().call_later(BACKOFF_MIN_S, self._start)
 
     def close(self) -> None:
         """Close, and stop trying."""

@@ -8,7 +8,6 @@ import shutil
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Protocol
 
 from companion.guidance.commands import ReportResult, Severity
 from companion.handoff import HandoffFiles
@@ -17,7 +16,7 @@ from companion.io.files import EVENTS, INPUTS, RESULT, TLOG, plain
 from companion.io.logs.log_files import EventLog, InputLog, TlogWriter
 from companion.io.logs.mcap_file import McapLog
 from companion.io.writer_thread import CLOSE_TIMEOUT_S, WriterHealth
-from companion.link.interface import InputRecorder, Journal
+from companion.link.interface import InputRecorder
 
 log = logging.getLogger("companion.flight")
 
@@ -32,34 +31,17 @@ INPUTS_SHARE = 0.45
 """Of a flight's cap; the tlog takes the rest, which is as much."""
 
 
-class BlackBox(Journal, Protocol):
-    """A journal that a process owns."""
+class BlackBox:
+    """A journal that a process owns.
 
-    @property
-    def inputs(self) -> InputRecorder | None:
-        """The endpoint's inputs go here."""
+    This one stands in where no log can be written: everything is counted as lost, texts are shown.
+    """
 
-    @property
-    def health(self) -> WriterHealth:
-        """How it is doing, without waiting for any writer."""
-
-    def discard(self) -> None:
-        """Close it and leave nothing, because the flight never began."""
-
-    def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> None:
-        """Write what is queued, for so long at most in all, and close."""
-
-
-class MissingJournal:
-    """Stands in where no log can be written: everything is counted as lost, texts are shown."""
+    inputs: InputRecorder | None = None
+    """The endpoint's inputs go here; nothing can be run again from nothing."""
 
     def __init__(self) -> None:
         self._dropped = 0
-
-    @property
-    def inputs(self) -> InputRecorder | None:
-        """Nothing can be run again from nothing."""
-        return None
 
     def frame(self, data: bytes, now_s: float) -> None:
         """Lose a raw frame."""
@@ -81,18 +63,17 @@ class MissingJournal:
 
     @property
     def health(self) -> WriterHealth:
-        """It loses everything, reliably."""
+        """How it is doing, without waiting for any writer."""
         return WriterHealth(0, self._dropped, 0, 0.0, is_alive=True)
 
     def discard(self) -> None:
-        """There is nothing to leave."""
+        """Close it and leave nothing, because the flight never began."""
 
     def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> None:
-        """There is nothing to write."""
-        del timeout_s
+        """Write what is queued, for so long at most in all, and close; losses are reported."""
 
 
-class FlightJournal:
+class FlightJournal(BlackBox):
     """Writes everything the endpoint reports into one flight directory, and never waits for it.
 
     Wall clock time (`started_unix_s` at `now_s` = 0) is used for logs and nothing else. Of more
@@ -119,7 +100,7 @@ class FlightJournal:
         self._events = EventLog(directory / EVENTS, events_bytes)
         self._mcap = mcap
         also = None if mcap is None else mcap.input
-        self.inputs = InputLog(directory / INPUTS, inputs_bytes, also)
+        self.inputs: InputLog = InputLog(directory / INPUTS, inputs_bytes, also)
         self._results = BackgroundReplacer("write result.json")
         self._handoff = HandoffFiles()
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from companion.mav.addressing import TargetedTimesync, targets_of
+from companion.mav.addressing import TargetedTimesync, targets_of_frame
 from companion.mav.dialect import Message, mavlink
 from sim_link.autopilot.protocols.addressing import Addressing, Partner
 
@@ -41,7 +41,7 @@ class Clocks:
         """
         if not isinstance(message, mavlink.MAVLink_timesync_message) or message.tc1 != 0:
             return None
-        system_id, component_id = targets_of(message)
+        system_id, component_id = targets_of_frame(bytes(message.get_msgbuf()))
         own = self.addressing
         if system_id not in (0, own.system_id) or component_id not in (0, own.component_id):
             return None

@@ -26,7 +26,7 @@ from companion.flight_setup import build_endpoint
 from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import ReportResult, Severity
 from companion.link.endpoint import CompanionEndpoint
-from companion.link.interface import Journal, LinkSpec, link_specs
+from companion.link.interface import VEHICLE_ONLY, Journal, LinkRole, LinkSpec
 from companion.mav.endpoint import Address, Chunk
 from sim_link.autopilot import radio_payload
 from sim_link.autopilot.endpoint import SimEndpoint
@@ -108,6 +108,7 @@ class WatchedJournal:
 
 
 VEHICLE_PEER: Address = ("127.0.0.1", 14580)
+RADIO_LINK = LinkSpec(LinkRole.RANGING)
 COMPANION_PEER: Address = ("127.0.0.1", 14550)
 RADIO_PEER: Address = ("127.0.0.1", 15000)
 COMPONENT_BYTE = 6
@@ -342,7 +343,7 @@ class Flight:
 
     def start_companion(self) -> None:
         """Start the process, or a new one in place of one that ended."""
-        links = link_specs(ranging=0 if self._radio is None else 1)
+        links = VEHICLE_ONLY if self._radio is None else (*VEHICLE_ONLY, RADIO_LINK)
         self.companion = self._makers.companion(self.config, self.journal, links)
         self.is_companion_up = True
         for observer in self.observers:

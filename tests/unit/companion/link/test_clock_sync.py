@@ -8,7 +8,7 @@ from collections.abc import Callable
 import pytest
 
 from companion.link.clock_sync import BEST_OF, MAX_OPEN, PERIOD_S, ClockSync, Lateness
-from companion.mav.addressing import TargetedTimesync, targets_of
+from companion.mav.addressing import TargetedTimesync, targets_of_frame
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 
@@ -65,7 +65,7 @@ def test_the_question_names_the_autopilot_and_our_time() -> None:
     decoded = received(question)
     assert isinstance(decoded, mavlink.MAVLink_timesync_message)
     assert (decoded.tc1, decoded.ts1) == (0, 2_500_000_000)
-    assert targets_of(decoded) == (7, 1)
+    assert targets_of_frame(bytes(decoded.get_msgbuf())) == (7, 1)
 
 
 def test_the_offset_is_known_within_a_second() -> None:

@@ -18,12 +18,12 @@ from companion.flight_setup import (
 )
 from companion.io.links.transports import SerialPort, check_exposure, parse_flight_link
 from companion.link.clock_sync import ClockSync, VehicleClock
-from companion.link.interface import VEHICLE_ONLY, LinkRole, LinkSpec, link_specs
+from companion.link.interface import VEHICLE_ONLY, LinkRole, LinkSpec
 from companion.link.ranging_sources import SOURCES, MavlinkRanging, SourceContext
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message
 from companion.mav.endpoint import Chunk
-from tests.unit.companion.link.wire import HOLD, Wire, heartbeat, local_position, origin
+from tests.unit.companion.link.wire import HOLD, Wire, heartbeat, link_specs, local_position, origin
 
 NAN = math.nan
 

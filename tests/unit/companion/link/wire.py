@@ -9,7 +9,7 @@ from companion.config.schema import CompanionConfig
 from companion.flight_setup import build_endpoint
 from companion.guidance.commands import ReportResult, Severity
 from companion.guidance.events import AutopilotFenceRead
-from companion.link.interface import link_specs
+from companion.link.interface import VEHICLE_ONLY, LinkRole, LinkSpec
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address, Chunk
@@ -21,6 +21,12 @@ STRANGER: Address = ("10.0.0.9", 666)
 PX4, ARDUPILOT, NOBODY = 12, 3, 8
 OFFBOARD, HOLD = 6 << 16, 4 << 16 | 3 << 24
 E7 = 10_000_000
+
+
+def link_specs(ranging: int = 0, gcs: int = 0) -> tuple[LinkSpec, ...]:
+    """The vehicle's link, then so many that bring ranging by MAVLink, then ground stations'."""
+    stations = [LinkSpec(LinkRole.GCS)] * gcs
+    return (*VEHICLE_ONLY, *[LinkSpec(LinkRole.RANGING)] * ranging, *stations)
 
 
 class Journal:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from companion.config.schema import CompanionConfig
 from companion.flight_setup import build_endpoint
 from companion.io.links.link import Link
+from companion.io.logs.flight_recorder import BlackBox
 from companion.io.writer_thread import WriterHealth
 from companion.link.endpoint import CompanionEndpoint
 from companion.mav.codec import MavCodec
@@ -15,14 +16,10 @@ from sim_link.lab.lockstep.flight import MemoryJournal
 PEER = ("127.0.0.1", 14580)
 
 
-class WatchedNotes(MemoryJournal):
+class WatchedNotes(MemoryJournal, BlackBox):
     """Notes whose disk does what the test says."""
 
-    inputs = None
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.health = WriterHealth(0, 0, 0, 0.0, is_alive=True)
+    health = WriterHealth(0, 0, 0, 0.0, is_alive=True)
 
     def discard(self) -> None:
         """There is no directory."""

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from companion.mav.addressing import TargetedTimesync, targets_of
+from companion.mav.addressing import TargetedTimesync, targets_of_frame
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from sim_link.autopilot.protocols.addressing import Addressing
@@ -35,13 +35,13 @@ def test_our_stamp_is_never_zero_which_would_make_it_a_request() -> None:
 def test_the_answer_names_the_asker() -> None:
     answer = PX4.timesync(received(timesync()), STATION, 2.5)
     assert answer is not None
-    assert targets_of(said(answer)) == (255, 190)
+    assert targets_of_frame(bytes(said(answer).get_msgbuf())) == (255, 190)
 
 
 def test_ardupilot_answers_without_targets() -> None:
     answer = ARDUPILOT.timesync(received(timesync()), STATION, 2.5)
     assert answer is not None
-    assert targets_of(said(answer)) == (0, 0)
+    assert targets_of_frame(bytes(said(answer).get_msgbuf())) == (0, 0)
 
 
 def test_an_answer_is_never_answered() -> None:
@@ -53,7 +53,7 @@ def test_an_answer_is_never_answered() -> None:
 )
 def test_a_request_to_another_is_not_answered(targets: tuple[int, int], is_answered: bool) -> None:
     request = received(TargetedTimesync(0, 77, *targets))
-    assert targets_of(request) == targets
+    assert targets_of_frame(bytes(request.get_msgbuf())) == targets
     assert (PX4.timesync(request, STATION, 2.5) is not None) is is_answered
 
 
@@ -61,7 +61,7 @@ def test_mavlink_1_leaves_the_targets_out() -> None:
     frame = MavCodec(1, 1).encode(TargetedTimesync(9, 77, 255, 190), is_mavlink1=True)
     assert frame[1] == 16
     (message,) = MavCodec(255, 190).decode(frame)
-    assert targets_of(message) == (0, 0)
+    assert targets_of_frame(bytes(message.get_msgbuf())) == (0, 0)
 
 
 def test_our_own_request_can_be_told_from_an_answer() -> None:
