@@ -7,7 +7,7 @@ import os
 import queue
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import msgspec
@@ -77,9 +77,6 @@ class _LinePrinter:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the simulator until it is stopped, or a subcommand.
 
-    Args:
-        argv: Arguments without the program's name; None takes the process's.
-
     Returns:
         0 after a stop, 1 after an interrupt before the start, 2 for bad input or a port that
         is taken; of a subcommand, its own.
@@ -108,106 +105,54 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    _add_scene(parser)
-    _add_links(parser)
-    _add_files(parser)
+    for add_options in (_add_scene, _add_links, _add_files):
+        add_options(parser.add_argument)
     parser.add_argument("--quiet", action="store_true", help="do not print mode changes")
     parser.add_argument("--version", action="version", version=f"sim-link {__version__}")
     return parser.parse_args(argv)
 
 
-def _add_scene(parser: argparse.ArgumentParser) -> None:
+def _add_scene(add: Callable[..., object]) -> None:
     """What is flown, and how fast time passes."""
-    add = parser.add_argument
-    add(
-        "--scenario",
-        metavar="FILE",
-        type=Path,
-        help="scenario YAML, for example configs/scenarios/canonical.yaml "
-        "(default: the canonical scenario, built in)",
-    )
-    add(
-        "--autopilot",
-        choices=("px4", "ardupilot"),
-        help="which autopilot to be (default: the scenario's, px4)",
-    )
+    scenario = "scenario YAML, for example configs/scenarios/canonical.yaml (default: the "
+    scenario += "canonical scenario, built in)"
+    add("--scenario", metavar="FILE", type=Path, help=scenario)
+    autopilot = "which autopilot to be (default: the scenario's, px4)"
+    add("--autopilot", choices=("px4", "ardupilot"), help=autopilot)
     add("--seed", metavar="N", type=int, default=0, help="seed of all randomness (default 0)")
-    add(
-        "--speed",
-        metavar="X",
-        type=float,
-        default=1.0,
-        help="simulated seconds per real second (default 1)",
-    )
-    add(
-        "--ready-after",
-        metavar="S",
-        type=float,
-        help="seconds after boot until it can be armed (default: the scenario's, 2; the real PX4 "
-        "takes 34, ArduPilot 41)",
-    )
-    add(
-        "--vehicles",
-        metavar="N",
-        type=int,
-        help="fly N of them: system ids and ports count up, 14550 is for all (default 1)",
-    )
+    speed = "simulated seconds per real second (default 1)"
+    add("--speed", metavar="X", type=float, default=1.0, help=speed)
+    ready = "seconds after boot until it can be armed (default: the scenario's, 2; the real PX4 "
+    ready += "takes 34, ArduPilot 41)"
+    add("--ready-after", metavar="S", type=float, help=ready)
+    vehicles = "fly N of them: system ids and ports count up, 14550 is for all (default 1)"
+    add("--vehicles", metavar="N", type=int, help=vehicles)
 
 
-def _add_links(parser: argparse.ArgumentParser) -> None:
+def _add_links(add: Callable[..., object]) -> None:
     """Who can hear it."""
-    add = parser.add_argument
-    add(
-        "--send-to",
-        metavar="HOST:PORT",
-        action="append",
-        help="send unasked to this UDP address; repeatable "
-        f"(default {' and '.join(DEFAULT_SEND_TO)})",
-    )
-    add(
-        "--listen",
-        metavar="HOST:PORT",
-        default=DEFAULT_LISTEN,
-        help=f"bind this UDP address (default {DEFAULT_LISTEN})",
-    )
-    add(
-        "--link",
-        metavar="URL",
-        action="append",
-        default=[],
-        help="one more link, with streams of its own: udpin:HOST:PORT, tcpin:HOST:PORT (several "
-        "clients), serial:/dev/...:BAUD or pty:PATH; repeatable",
-    )
+    send_to = "send unasked to this UDP address; repeatable (default "
+    send_to += f"{' and '.join(DEFAULT_SEND_TO)})"
+    add("--send-to", metavar="HOST:PORT", action="append", help=send_to)
+    listen = f"bind this UDP address (default {DEFAULT_LISTEN})"
+    add("--listen", metavar="HOST:PORT", default=DEFAULT_LISTEN, help=listen)
+    link = "one more link, with streams of its own: udpin:HOST:PORT, tcpin:HOST:PORT (several "
+    link += "clients), serial:/dev/...:BAUD or pty:PATH; repeatable"
+    add("--link", metavar="URL", action="append", default=[], help=link)
 
 
-def _add_files(parser: argparse.ArgumentParser) -> None:
+def _add_files(add: Callable[..., object]) -> None:
     """What is kept, and when it ends."""
-    add = parser.add_argument
-    add(
-        "--parameters",
-        metavar="FILE",
-        type=Path,
-        help="load the autopilot's parameters from FILE, and store there what a client changes; "
-        "a FILE that does not exist yet is made then",
-    )
-    add(
-        "--signing-key",
-        metavar="FILE",
-        type=Path,
-        help="sign, and believe only what is signed with this key; SETUP_SIGNING replaces it",
-    )
-    add(
-        "--report",
-        metavar="FILE",
-        type=Path,
-        help="write the truth as JSON at the start, and the flight with it at the end",
-    )
-    add(
-        "--stop-on-eof",
-        action="store_true",
-        help="stop when standard input ends: a parent that dies leaves no simulator behind; "
-        "incidents of a scenario, as JSON lines there, happen at once to the first vehicle",
-    )
+    parameters = "load the autopilot's parameters from FILE, and store there what a client "
+    parameters += "changes; a FILE that does not exist yet is made then"
+    add("--parameters", metavar="FILE", type=Path, help=parameters)
+    key = "sign, and believe only what is signed with this key; SETUP_SIGNING replaces it"
+    add("--signing-key", metavar="FILE", type=Path, help=key)
+    report = "write the truth as JSON at the start, and the flight with it at the end"
+    add("--report", metavar="FILE", type=Path, help=report)
+    eof = "stop when standard input ends: a parent that dies leaves no simulator behind; "
+    eof += "incidents of a scenario, as JSON lines there, happen at once to the first vehicle"
+    add("--stop-on-eof", action="store_true", help=eof)
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -271,19 +216,18 @@ def _fleet_options(arguments: argparse.Namespace) -> FleetOptions:
 def _scenario(arguments: argparse.Namespace) -> Scenario:
     """The scenario of the command line, which has the last word."""
     scenario = load_scenario(arguments.scenario) if arguments.scenario else Scenario()
-    if arguments.vehicles is not None:
-        if not 1 <= arguments.vehicles <= MAX_VEHICLES:
-            raise ConfigError(f"--vehicles {arguments.vehicles}: give 1 to {MAX_VEHICLES}")
-        scenario = msgspec.structs.replace(scenario, vehicles=arguments.vehicles)
-    if arguments.autopilot is not None:
-        autopilot = msgspec.structs.replace(scenario.autopilot, flavour=arguments.autopilot)
-        scenario = msgspec.structs.replace(scenario, autopilot=autopilot)
-    if arguments.ready_after is not None:
-        if not 0.0 <= arguments.ready_after <= MAX_BOOT_S:
-            raise ConfigError(f"--ready-after {arguments.ready_after:g}: give 0 to {MAX_BOOT_S:g}")
-        autopilot = msgspec.structs.replace(scenario.autopilot, ready_after_s=arguments.ready_after)
-        scenario = msgspec.structs.replace(scenario, autopilot=autopilot)
-    return scenario
+    vehicles, ready_after_s = arguments.vehicles, arguments.ready_after
+    if vehicles is not None and not 1 <= vehicles <= MAX_VEHICLES:
+        raise ConfigError(f"--vehicles {vehicles}: give 1 to {MAX_VEHICLES}")
+    if ready_after_s is not None and not 0.0 <= ready_after_s <= MAX_BOOT_S:
+        raise ConfigError(f"--ready-after {ready_after_s:g}: give 0 to {MAX_BOOT_S:g}")
+    given = {"flavour": arguments.autopilot, "ready_after_s": ready_after_s}
+    chosen = {name: value for name, value in given.items() if value is not None}
+    return msgspec.structs.replace(
+        scenario,
+        autopilot=msgspec.structs.replace(scenario.autopilot, **chosen),
+        vehicles=scenario.vehicles if vehicles is None else vehicles,
+    )
 
 
 def _read_input(shell: Shell, orders: queue.SimpleQueue[bytes]) -> None:
@@ -330,13 +274,11 @@ def _start_line(options: FleetOptions) -> str:
 
 def _notes(options: FleetOptions) -> list[str]:
     """What a user may have meant otherwise."""
-    notes = []
-    if options.parameters is not None and not options.parameters.exists():
-        notes.append(
-            f"sim-link: {options.parameters} is not there yet; changes will be stored there"
-        )
-    if options.signing_key is not None and has_signing_ended(options.signing_key):
-        notes.append(f"sim-link: signing is off, a client ended it ({options.signing_key})")
+    notes, parameters, key = [], options.parameters, options.signing_key
+    if parameters is not None and not parameters.exists():
+        notes.append(f"sim-link: {parameters} is not there yet; changes will be stored there")
+    if key is not None and has_signing_ended(key):
+        notes.append(f"sim-link: signing is off, a client ended it ({key})")
     return notes
 
 

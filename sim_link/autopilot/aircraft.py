@@ -38,11 +38,7 @@ IDLE_CURRENT_CA = 50
 
 
 class Battery:
-    """Charge, voltage and current.
-
-    Args:
-        params: Endurance, and charge at the start.
-    """
+    """Charge, voltage and current."""
 
     def __init__(self, params: BatteryParams) -> None:
         self._params = params
@@ -206,9 +202,8 @@ class Aircraft:
         self.sticks = StickInput(scenario.rc)
         self.pilot = Pilot(scenario.vehicle, self.home_enu_m)
         self.mission = MissionRun(self._locate, first_mission_item)
-        fence = scenario.fence
-        area = Area(fence.corners_enu_m, fence.is_inclusion)
-        self.fence = Fence([area] if fence.corners_enu_m else [])
+        corners = scenario.fence.corners_enu_m
+        self.fence = Fence([Area(corners, scenario.fence.is_inclusion)] if corners else [])
         self.is_armed = False
         self.time_s = 0.0
         self.flight_time_s = 0.0
@@ -296,12 +291,9 @@ class Aircraft:
         up_m = self.up_from(altitude_m, frame)
         if up_m is None:
             return None
-        east, north, _ = self.estimator.world_from_geodetic(
-            latitude_e7 / 1e7,
-            longitude_e7 / 1e7,
-            self.estimator.world_origin.altitude_m + up_m,
-        )
-        return (east, north, up_m)
+        amsl_m = self.estimator.world_origin.altitude_m + up_m
+        place = (latitude_e7 / 1e7, longitude_e7 / 1e7, amsl_m)
+        return (*self.estimator.world_from_geodetic(*place)[:2], up_m)
 
     # Plans
 

@@ -28,7 +28,8 @@ from sim_link.autopilot.scenario import RcParams
 LocalTarget = mavlink.MAVLink_set_position_target_local_ned_message
 GlobalTarget = mavlink.MAVLink_set_position_target_global_int_message
 AttitudeTarget = mavlink.MAVLink_set_attitude_target_message
-TargetMessage = LocalTarget | GlobalTarget | AttitudeTarget
+PositionTarget = LocalTarget | GlobalTarget
+TargetMessage = PositionTarget | AttitudeTarget
 
 FIELD_BITS = (
     *(dialect.X_IGNORE, dialect.Y_IGNORE, dialect.Z_IGNORE),
@@ -81,15 +82,24 @@ class SetpointMonitor:
         return self.arrived_s is not None and now_s - self.arrived_s < timeout_s
 
 
-def has_finite_fields(
-    message: LocalTarget | GlobalTarget, position: tuple[float, float, float]
-) -> bool:
+def has_finite_fields(message: PositionTarget, position: tuple[float, float, float]) -> bool:
     """Whether every field that is not masked is a finite number."""
     velocity = (message.vx, message.vy, message.vz)
     acceleration = (message.afx, message.afy, message.afz)
     values = (*position, *velocity, *acceleration, message.yaw, message.yaw_rate)
     fields = zip(FIELD_BITS, values, strict=True)
     return all(message.type_mask & bit or math.isfinite(value) for bit, value in fields)
+
+
+def enu_of(x: float, y: float, z: float, heading_rad: float | None) -> tuple[float, float, float]:
+    """A vector of a message, east, north and up.
+
+    Args:
+        heading_rad: It is forward, right and down of this; None: north, east and down.
+    """
+    if heading_rad is None or not (math.isfinite(x) and math.isfinite(y)):
+        return (float(y), float(x), -float(z))
+    return (*turned(x, y, heading_rad), -float(z))
 
 
 def is_on_earth(latitude_e7: int, longitude_e7: int) -> bool:
@@ -124,17 +134,8 @@ class Sticks:
     """Clockwise positive."""
 
     @property
-    def are_moved(self) -> bool:
-        """Whether somebody wants to take over."""
-        return self._deflection > MOVED
-
-    @property
-    def are_let_go(self) -> bool:
-        """Whether nobody flies."""
-        return self._deflection <= DEAD_ZONE
-
-    @property
-    def _deflection(self) -> float:
+    def deflection(self) -> float:
+        """Of the stick that is moved most."""
         return max(abs(self.forward), abs(self.right), abs(self.up), abs(self.yaw))
 
 
@@ -184,27 +185,25 @@ class StickInput:
         """Whether a station's joystick still reports."""
         return self._joystick_s is not None and now_s - self._joystick_s < JOYSTICK_TIMEOUT_S
 
-    def has_transmitter(self, now_s: float) -> bool:
-        """Whether the transmitter is heard."""
-        is_there = self._params.is_present or now_s < self._moved_until_s
-        return is_there and now_s >= self._lost_until_s
-
     def read(self, now_s: float) -> Sticks | None:
         """The deflections, or None if nobody holds any sticks."""
         if self.is_joystick_alive(now_s):
             return self._joystick
-        if not self.has_transmitter(now_s):
+        is_moved = now_s < self._moved_until_s
+        if now_s < self._lost_until_s or not (self._params.is_present or is_moved):
             return None
-        return self._moved if now_s < self._moved_until_s else CENTRED
+        return self._moved if is_moved else CENTRED
 
 
 Axes = tuple[float | None, float | None, float | None]
 """East, north and up; None where nothing is asked."""
 NOTHING: Axes = (None, None, None)
-POSITION_BITS = (dialect.Y_IGNORE, dialect.X_IGNORE, dialect.Z_IGNORE)
-VELOCITY_BITS = (dialect.VY_IGNORE, dialect.VX_IGNORE, dialect.VZ_IGNORE)
-ACCELERATION_BITS = (dialect.AY_IGNORE, dialect.AX_IGNORE, dialect.AZ_IGNORE)
-"""Of east, north and up."""
+AXIS_BITS = (
+    *(dialect.Y_IGNORE, dialect.X_IGNORE, dialect.Z_IGNORE),
+    *(dialect.VY_IGNORE, dialect.VX_IGNORE, dialect.VZ_IGNORE),
+    *(dialect.AY_IGNORE, dialect.AX_IGNORE, dialect.AZ_IGNORE),
+)
+"""Of place, velocity and acceleration, each east, north and up."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,15 +223,10 @@ class Echo:
     @property
     def type_mask(self) -> int:
         """POSITION_TARGET_TYPEMASK."""
-        mask = 0 if self.yaw_ned_rad is not None else dialect.YAW_IGNORE
-        mask |= 0 if self.yaw_rate_ned_radps is not None else dialect.YAW_RATE_IGNORE
-        for axes, bits in (
-            (self.place_enu_m, POSITION_BITS),
-            (self.velocity_enu_mps, VELOCITY_BITS),
-            (self.acceleration_enu_mps2, ACCELERATION_BITS),
-        ):
-            mask |= sum(bit for axis, bit in zip(axes, bits, strict=True) if axis is None)
-        return mask
+        axes = (*self.place_enu_m, *self.velocity_enu_mps, *self.acceleration_enu_mps2)
+        mask = sum(bit for axis, bit in zip(axes, AXIS_BITS, strict=True) if axis is None)
+        mask |= 0 if self.yaw_ned_rad is not None else dialect.YAW_IGNORE
+        return mask | (0 if self.yaw_rate_ned_radps is not None else dialect.YAW_RATE_IGNORE)
 
     @property
     def whole_place(self) -> PositionEnu | None:

@@ -40,7 +40,6 @@ from sim_link.autopilot.vehicle import (
 from sim_link.world.environment import Emitter
 from sim_link.world.point_mass import PointMass
 
-AUTOPILOT_COMPONENT_ID = mavlink.MAV_COMP_ID_AUTOPILOT1
 MAX_CATCH_UP_S = 0.5
 STEP_TOLERANCE = 1e-6
 """Share of a step by which a timer may be early through rounding."""
@@ -75,7 +74,7 @@ class SimEndpoint:
         self.is_finished = False
         """Whether a stop was requested."""
         self._output: list[Chunk] = []
-        components = (AUTOPILOT_COMPONENT_ID, radio_payload.COMPONENT_ID)
+        components = (mavlink.MAV_COMP_ID_AUTOPILOT1, radio_payload.COMPONENT_ID)
         self.links = LinkLayer(scenario.system_id, components, links, security)
         self.recorder = FlightRecorder()
         self._began_s = started_s
@@ -112,8 +111,8 @@ class SimEndpoint:
             return
         arrivals, forwarded = self.links.receive(chunk)
         self._output += forwarded
-        for arrival in arrivals:
-            self._handle(arrival.message, arrival.channel, now_s)
+        for message, origin in arrivals:
+            self._handle(message, origin, now_s)
             if self._services.wants_reboot:
                 self._reboot(now_s, 0.0)
 
@@ -124,13 +123,11 @@ class SimEndpoint:
         elif now_s >= self._started_s:
             apply_to_vehicle(incident, self.vehicle, now_s - self._started_s)
             if isinstance(incident, WindChange) and incident.duration_s < math.inf:
-                self._schedule.add(self._scenario_wind(now_s + incident.duration_s))
-
-    def _scenario_wind(self, time_s: float) -> WindChange:
-        wind = self._scenario.wind
-        return WindChange(
-            start_s=time_s - self._began_s, east_mps=wind.east_mps, north_mps=wind.north_mps
-        )
+                end_s, wind = now_s + incident.duration_s - self._began_s, self._scenario.wind
+                east_mps, north_mps = wind.east_mps, wind.north_mps
+                self._schedule.add(
+                    WindChange(start_s=end_s, east_mps=east_mps, north_mps=north_mps)
+                )
 
     def _reboot(self, now_s: float, down_s: float) -> None:
         """Restart where it is, motors off, deaf and silent for `down_s` seconds."""
@@ -151,17 +148,15 @@ class SimEndpoint:
         if self.links.signing is not None:
             self.links.signing.advance(now_s + self._unix_minus_local_s)
         while self._next_step <= self._last_step(now_s):
-            self._apply_scheduled(self.next_timer_s())
+            step_s = self.next_timer_s()
+            for incident in self._schedule.take_due(step_s - self._began_s):
+                self.apply_incident(incident, step_s)
             if self._next_step <= self._last_step(now_s):  # no reboot
                 self._step(self._next_step * STEP_S)
                 self._next_step += 1
 
     def _last_step(self, now_s: float) -> int:
         return math.floor((now_s - self._started_s) / STEP_S + STEP_TOLERANCE)
-
-    def _apply_scheduled(self, now_s: float) -> None:
-        for incident in self._schedule.take_due(now_s - self._began_s):
-            self.apply_incident(incident, now_s)
 
     def next_timer_s(self) -> float:
         """The time of the next physics step."""
@@ -197,10 +192,10 @@ class SimEndpoint:
         self._send_all(answers)
         refused = radio_payload.reject_command(message, self._scenario.system_id)
         if refused is not None:
-            self._output += self.links.send(Outgoing(refused, channel), radio_payload.COMPONENT_ID)
+            self._send_all([Outgoing(refused, channel)], radio_payload.COMPONENT_ID)
 
     def _step(self, boot_s: float) -> None:
-        self.vehicle.step(boot_s)
+        self.vehicle.flavour.step(boot_s)
         self.recorder.take(self.vehicle)
         self._send_all(self._services.step(boot_s))
         built: dict[int, Message | None] = {}
@@ -209,10 +204,10 @@ class SimEndpoint:
                 built[number] = self._telemetry.build(number)
             message = built[number]
             if message is not None:
-                self._output += self.links.send(Outgoing(message, channel))
-        for message in self._payload.messages(self.vehicle.body, boot_s):
-            self._output += self.links.send(Outgoing(message), radio_payload.COMPONENT_ID)
+                self._send_all([Outgoing(message, channel)])
+        heard = self._payload.messages(self.vehicle.body, boot_s)
+        self._send_all([Outgoing(each) for each in heard], radio_payload.COMPONENT_ID)
 
-    def _send_all(self, outgoing: list[Outgoing]) -> None:
+    def _send_all(self, outgoing: list[Outgoing], component_id: int | None = None) -> None:
         for item in outgoing:
-            self._output += self.links.send(item)
+            self._output += self.links.send(item, component_id)

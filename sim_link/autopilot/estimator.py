@@ -35,16 +35,11 @@ class Estimator:
 
     Args:
         origin: Zero of the world's frame, and of the local frame at boot.
-        gps: What follows when there is no fix.
         noise_m: Standard deviation per axis of the reported position.
     """
 
     def __init__(
-        self,
-        origin: LocalOrigin,
-        gps: GpsParams,
-        noise_m: float,
-        rng: np.random.Generator,
+        self, origin: LocalOrigin, gps: GpsParams, noise_m: float, rng: np.random.Generator
     ) -> None:
         self.world_origin = origin
         self.origin = origin
@@ -63,8 +58,7 @@ class Estimator:
         self._drift: PositionEnu = (0.0, 0.0, 0.0)
         self._heading_rad = 0.0
         self._lost_s: float | None = None
-        self._lost_until_s = -math.inf
-        self._has_lost_fix = False
+        self._lost_until_s: float | None = None
         self._poor_ratio = 0.0
         self._poor_until_s = -math.inf
         self._now_s = 0.0
@@ -88,7 +82,6 @@ class Estimator:
 
     def lose_fix(self, until_s: float) -> None:
         """No satellite is seen for some time."""
-        self._has_lost_fix = True
         self._lost_until_s = until_s
 
     def spoil(self, ratio: float, until_s: float) -> None:
@@ -104,16 +97,16 @@ class Estimator:
     def step(self, now_s: float, true_enu_m: PositionEnu, dt_s: float) -> None:
         """Report a position at `now_s` seconds since boot."""
         self._now_s = now_s
-        if self._has_lost_fix:
-            self._watch_fix(now_s, dt_s)
+        if self._lost_until_s is not None:
+            self._watch_fix(now_s, dt_s, self._lost_until_s)
         (e, n, u), (be, bn, bu) = true_enu_m, self.bias_enu_m
         if self._noise_m > 0.0:
             de, dn, du = (self._noise_m * self._rng.standard_normal(3)).tolist()
             be, bn, bu = be + de, bn + dn, bu + du
         self.reported_enu_m = (e + be, n + bn, u + bu)
 
-    def _watch_fix(self, now_s: float, dt_s: float) -> None:
-        self.has_fix = now_s >= self._lost_until_s
+    def _watch_fix(self, now_s: float, dt_s: float, lost_until_s: float) -> None:
+        self.has_fix = now_s >= lost_until_s
         if self.has_fix:
             self._lost_s = None
             self.is_position_valid = True
@@ -126,11 +119,8 @@ class Estimator:
         self.is_position_valid = now_s - self._lost_s < self._gps.valid_without_fix_s
         step_m = self._gps.drift_mps * dt_s
         e, n, _ = self._drift
-        self._drift = (
-            e + step_m * math.cos(self._heading_rad),
-            n + step_m * math.sin(self._heading_rad),
-            0.0,
-        )
+        cos, sin = math.cos(self._heading_rad), math.sin(self._heading_rad)
+        self._drift = (e + step_m * cos, n + step_m * sin, 0.0)
 
     def set_origin(self, origin: LocalOrigin) -> None:
         """Move the zero of the local frame; the vehicle stays where it is."""
@@ -201,9 +191,8 @@ class GeodeticReports:
         if number != self._cube.number:
             self._cube = self._cube_of(number)
         cube = self._cube
-        de = east - cube.centre_enu_m[0]
-        dn = north - cube.centre_enu_m[1]
-        du = up - cube.centre_enu_m[2]
+        centre = cube.centre_enu_m
+        de, dn, du = east - centre[0], north - centre[1], up - centre[2]
         (lat, lon, alt), (lat_e, lon_e, alt_e) = cube.place, cube.by_east
         (lat_n, lon_n, alt_n), (lat_u, lon_u, alt_u) = cube.by_north, cube.by_up
         return (

@@ -119,12 +119,11 @@ class MissionRun:
 
     def leg(self, place: PositionEnu, is_on_ground: bool, now_s: float) -> MissionLeg | None:
         """What to fly at `now_s`, or None at the end; moves on where an item is done."""
+        if self.state is not MissionState.ACTIVE:
+            return None
         for _ in range(MAX_STEPS):
-            if self.state is not MissionState.ACTIVE:
-                return None
             if self.current >= len(self.items):
-                self._complete()
-                return None
+                break
             leg = self._leg_of(self.items[self.current], place, is_on_ground, now_s)
             if leg is not None:
                 return leg
@@ -185,7 +184,8 @@ class MissionRun:
 
     def _place_of(self, item: PlanItem, place: PositionEnu) -> PositionEnu:
         if self._goal is None:
-            self._goal = place if _is_here(item) else self._locate(item)
+            is_here = (item.x, item.y) == (0, 0) or NO_VALUE in (item.x, item.y)
+            self._goal = place if is_here else self._locate(item)
         return self._goal
 
     def _take_off(self, item: PlanItem, place: PositionEnu, now_s: float) -> MissionLeg | None:
@@ -205,19 +205,12 @@ class MissionRun:
         return MissionLeg(LegKind.LAND, (east, north, place[2]))
 
     def _fly(
-        self,
-        item: PlanItem,
-        goal: PositionEnu,
-        place: PositionEnu,
-        hold_s: float,
-        now_s: float,
+        self, item: PlanItem, goal: PositionEnu, place: PositionEnu, hold_s: float, now_s: float
     ) -> MissionLeg | None:
         is_place = item.command == mavlink.MAV_CMD_NAV_WAYPOINT
         radius_m = item.params[1] if is_place and item.params[1] > 0.0 else ACCEPTANCE_M
-        is_there = (
-            math.dist(goal[:2], place[:2]) <= radius_m
-            and abs(goal[2] - place[2]) <= ACCEPTANCE_UP_M
-        )
+        is_level = abs(goal[2] - place[2]) <= ACCEPTANCE_UP_M
+        is_there = is_level and math.dist(goal[:2], place[:2]) <= radius_m
         if is_there and self._arrived_s is None:
             self._arrived_s = now_s
         if self._arrived_s is not None and now_s - self._arrived_s >= hold_s:
@@ -228,8 +221,3 @@ class MissionRun:
         if wanted is None and math.dist(goal[:2], place[:2]) > ACCEPTANCE_M:
             wanted = math.atan2(goal[0] - place[0], goal[1] - place[1])
         return MissionLeg(LegKind.FLY, goal, self._speed_mps, wanted)
-
-
-def _is_here(item: PlanItem) -> bool:
-    """Whether an item means where the vehicle is."""
-    return (item.x, item.y) == (0, 0) or NO_VALUE in (item.x, item.y)

@@ -56,7 +56,7 @@ def _centidegrees(angle_rad: float) -> int:
 
 def local_position_ned(vehicle: SimVehicle) -> Fields | None:
     """About the EKF origin; None without an estimate."""
-    if not vehicle.has_position:
+    if not vehicle.flavour.has_position(vehicle.time_s):
         return None
     place = ned_from_enu(vehicle.estimator.local_enu_m)
     return (boot_ms(vehicle), *place, *ned_from_enu(vehicle.body.velocity_enu_mps))
@@ -74,7 +74,7 @@ def _roll_and_pitch(vehicle: SimVehicle) -> tuple[float, float]:
 
 def attitude(vehicle: SimVehicle) -> Fields:
     """Roll and pitch of the acceleration, no rates."""
-    return (boot_ms(vehicle), *_roll_and_pitch(vehicle), vehicle.heading_ned_rad, *STILL)
+    return (boot_ms(vehicle), *_roll_and_pitch(vehicle), vehicle.aircraft.heading_ned_rad, *STILL)
 
 
 def _quaternion(vehicle: SimVehicle) -> tuple[float, float, float, float]:
@@ -82,7 +82,10 @@ def _quaternion(vehicle: SimVehicle) -> tuple[float, float, float, float]:
     roll, pitch = _roll_and_pitch(vehicle)
     cr, sr = math.cos(roll / 2.0), math.sin(roll / 2.0)
     cp, sp = math.cos(pitch / 2.0), math.sin(pitch / 2.0)
-    cy, sy = math.cos(vehicle.heading_ned_rad / 2.0), math.sin(vehicle.heading_ned_rad / 2.0)
+    cy, sy = (
+        math.cos(vehicle.aircraft.heading_ned_rad / 2.0),
+        math.sin(vehicle.aircraft.heading_ned_rad / 2.0),
+    )
     return (
         cr * cp * cy + sr * sp * sy,
         sr * cp * cy - cr * sp * sy,
@@ -98,10 +101,13 @@ def attitude_quaternion(vehicle: SimVehicle) -> Fields:
 
 def odometry(vehicle: SimVehicle) -> Fields | None:
     """Position in LOCAL_NED, velocity in BODY_FRD; None without an estimate."""
-    if not vehicle.has_position:
+    if not vehicle.flavour.has_position(vehicle.time_s):
         return None
     v_east, v_north, v_up = vehicle.body.velocity_enu_mps
-    cos_yaw, sin_yaw = math.cos(vehicle.heading_ned_rad), math.sin(vehicle.heading_ned_rad)
+    cos_yaw, sin_yaw = (
+        math.cos(vehicle.aircraft.heading_ned_rad),
+        math.sin(vehicle.aircraft.heading_ned_rad),
+    )
     return (
         *(boot_us(vehicle), mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_BODY_FRD),
         *ned_from_enu(vehicle.estimator.local_enu_m),
@@ -114,12 +120,12 @@ def odometry(vehicle: SimVehicle) -> Fields | None:
 
 def global_position_int(vehicle: SimVehicle) -> Fields | None:
     """None without an estimate."""
-    if not vehicle.has_position:
+    if not vehicle.flavour.has_position(vehicle.time_s):
         return None
     lat, lon, alt = to_e7(vehicle.geodetic)
     above_home = to_int32(alt - 1e3 * vehicle.aircraft.home_altitude_m)
     velocity = [to_int16(1e2 * axis) for axis in ned_from_enu(vehicle.body.velocity_enu_mps)]
-    heading = _centidegrees(vehicle.heading_ned_rad)
+    heading = _centidegrees(vehicle.aircraft.heading_ned_rad)
     return (boot_ms(vehicle), lat, lon, alt, above_home, *velocity, heading)
 
 
@@ -149,7 +155,7 @@ def vfr_hud(vehicle: SimVehicle) -> Fields:
     v_east, v_north, v_up = vehicle.body.velocity_enu_mps
     speed = math.hypot(v_east, v_north)
     throttle = 0 if not vehicle.is_armed else (10 if vehicle.body.is_on_ground else 50)
-    heading_deg = round(math.degrees(vehicle.heading_ned_rad)) % 360
+    heading_deg = round(math.degrees(vehicle.aircraft.heading_ned_rad)) % 360
     amsl_m = vehicle.estimator.world_origin.altitude_m + vehicle.estimator.reported_enu_m[2]
     return (speed, speed, heading_deg, throttle, amsl_m, v_up)
 
@@ -245,7 +251,7 @@ def _specific_force_mps2(vehicle: SimVehicle) -> float:
 
 def _field_gauss(vehicle: SimVehicle) -> tuple[float, float, float]:
     """The magnetic field forward, right and down."""
-    heading, north = vehicle.heading_ned_rad, FIELD_NORTH_GAUSS
+    heading, north = vehicle.aircraft.heading_ned_rad, FIELD_NORTH_GAUSS
     return (north * math.cos(heading), -north * math.sin(heading), FIELD_DOWN_GAUSS)
 
 

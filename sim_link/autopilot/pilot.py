@@ -13,7 +13,7 @@ from enum import Enum
 from companion.domain import PositionEnu
 from companion.geometry.coordinates import wrap_pi
 from companion.geometry.polygons import Point
-from sim_link.autopilot.control_inputs import Setpoint, Sticks, turned
+from sim_link.autopilot.control_inputs import DEAD_ZONE, Setpoint, Sticks, turned
 from sim_link.autopilot.mission_executor import LegKind, MissionLeg
 from sim_link.world.point_mass import (
     PointMass,
@@ -103,8 +103,8 @@ class Pilot:
         self._loitered_s = 0.0
         self._velocity = body.velocity_enu_mps
         self.hold_yaw_ned_rad = self.hold_speed_mps = None
-        if task is Task.RETURN:
-            self._begin_return(body)
+        if task is Task.RETURN and not (body.is_on_ground or self._is_over_home(body)):
+            self._cruise_up_m = max(body.position_enu_m[2], self.return_up_m)
         if task is Task.CIRCLE:
             ahead = turned(self.circle_radius_m, 0.0, body.yaw_ned_rad)
             self._circle_centre = (self.hold_enu_m[0] + ahead[0], self.hold_enu_m[1] + ahead[1])
@@ -122,8 +122,7 @@ class Pilot:
         self, setpoint: Setpoint, leg: MissionLeg | None, sticks: Sticks | None, body: PointMass
     ) -> PositionEnu:
         """The velocity that the task wants now, local east-north-up."""
-        self._leg = leg
-        self.goal_enu_m = None
+        self._leg, self.goal_enu_m = leg, None
         self.wanted_enu_mps = self._command(setpoint, leg, sticks, body)
         return self.wanted_enu_mps
 
@@ -221,10 +220,6 @@ class Pilot:
         self._circle_yaw_ned_rad = wrap_pi(angle + math.pi)
         return (back[0] + along[0], back[1] + along[1], back[2])
 
-    def _begin_return(self, body: PointMass) -> None:
-        if not body.is_on_ground and not self._is_over_home(body):
-            self._cruise_up_m = max(body.position_enu_m[2], self.return_up_m)
-
     def _return(self, body: PointMass) -> PositionEnu:
         if self._cruise_up_m is None:
             if self.final_up_m is not None:
@@ -249,41 +244,30 @@ class Pilot:
 
     def _fly_by_sticks(self, sticks: Sticks, body: PointMass) -> PositionEnu:
         """Velocities by deflection; let go, it stays where it comes to rest."""
-        vehicle = self._vehicle
-        if sticks.are_let_go:
+        vehicle, speed_mps = self._vehicle, self._vehicle.max_speed_mps
+        if sticks.deflection <= DEAD_ZONE:
             return self._come_to_rest(body)
         self._is_staying = False
-        east, north = turned(
-            sticks.forward * vehicle.max_speed_mps,
-            sticks.right * vehicle.max_speed_mps,
-            body.yaw_ned_rad,
-        )
+        forward_mps, right_mps = sticks.forward * speed_mps, sticks.right * speed_mps
+        east, north = turned(forward_mps, right_mps, body.yaw_ned_rad)
         limit_mps = vehicle.max_climb_mps if sticks.up > 0.0 else vehicle.max_descent_mps
         return (east, north, sticks.up * limit_mps)
 
     def _follow(self, setpoint: Setpoint, body: PointMass) -> PositionEnu:
-        gives_nothing = (
-            setpoint.position_en_m is None
-            and setpoint.velocity_en_mps is None
-            and setpoint.up_m is None
-            and setpoint.climb_mps is None
-        )
+        place, velocity = setpoint.position_en_m, setpoint.velocity_en_mps
+        gives_nothing = (place, setpoint.up_m, velocity, setpoint.climb_mps) == (None,) * 4
         if gives_nothing and setpoint.acceleration_enu_mps2 is not None:
             return self._accelerate(setpoint.acceleration_enu_mps2)
         self._velocity = body.velocity_enu_mps
         if gives_nothing:
             return self._come_to_rest(body)
         self._is_staying = False
-        own_east, own_north, own_up = body.position_enu_m
-        east, north = setpoint.position_en_m or (own_east, own_north)
-        up = own_up if setpoint.up_m is None else setpoint.up_m
+        east, north = place or body.position_enu_m[:2]
+        up = body.position_enu_m[2] if setpoint.up_m is None else setpoint.up_m
         to_goal = self._towards((east, north, up), body)
-        forward_east, forward_north = setpoint.velocity_en_mps or (0.0, 0.0)
-        return (
-            to_goal[0] + forward_east,
-            to_goal[1] + forward_north,
-            to_goal[2] + (setpoint.climb_mps or 0.0),
-        )
+        forward_east, forward_north = velocity or (0.0, 0.0)
+        climb_mps = to_goal[2] + (setpoint.climb_mps or 0.0)
+        return (to_goal[0] + forward_east, to_goal[1] + forward_north, climb_mps)
 
     def _accelerate(self, acceleration_enu_mps2: PositionEnu) -> PositionEnu:
         """A velocity that grows by what is asked, up to the vehicle's limits."""

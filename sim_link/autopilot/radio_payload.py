@@ -61,10 +61,8 @@ class RadioPayload:
         return messages
 
     def _hears(self, emitter: Emitter, body: PointMass) -> bool:
-        return (
-            body.height_m >= self._params.min_altitude_m
-            and emitter.slant_range_m(body.position_enu_m) <= self._params.max_range_m
-        )
+        is_near = emitter.slant_range_m(body.position_enu_m) <= self._params.max_range_m
+        return is_near and body.height_m >= self._params.min_altitude_m
 
 
 def reject_command(message: Message, system_id: int) -> Message | None:
@@ -76,23 +74,12 @@ def reject_command(message: Message, system_id: int) -> Message | None:
         return None
     if (message.target_system, message.target_component) != (system_id, COMPONENT_ID):
         return None
-    return mavlink.MAVLink_command_ack_message(
-        message.command,
-        mavlink.MAV_RESULT_UNSUPPORTED,
-        0,
-        0,
-        message.get_srcSystem(),
-        message.get_srcComponent(),
-    )
+    asker = (message.get_srcSystem(), message.get_srcComponent())
+    refusal = (message.command, mavlink.MAV_RESULT_UNSUPPORTED, 0, 0)
+    return mavlink.MAVLink_command_ack_message(*refusal, *asker)
 
 
 def payload_heartbeat() -> Message:
     """The HEARTBEAT of a radio payload."""
-    return mavlink.MAVLink_heartbeat_message(
-        mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
-        mavlink.MAV_AUTOPILOT_INVALID,
-        0,
-        0,
-        mavlink.MAV_STATE_ACTIVE,
-        MAVLINK_VERSION,
-    )
+    kind = (mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID)
+    return mavlink.MAVLink_heartbeat_message(*kind, 0, 0, mavlink.MAV_STATE_ACTIVE, MAVLINK_VERSION)

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from companion.domain import NonNegative, Params, Positive
-from companion.geometry.polygons import area_m2, is_simple
+from companion.geometry.polygons import check_polygon
 from sim_link.autopilot.incidents import Incident
 from sim_link.world.environment import (
     ChannelParams,
@@ -31,6 +31,7 @@ FlightAltitude = Annotated[float, msgspec.Meta(gt=0.0, le=1000.0)]
 LossAction = Literal["hold", "position", "return", "land", "disarm"]
 FlavourName = Literal["px4", "ardupilot"]
 
+LEAST_FENCE_M2 = 1.0
 VehicleCount = Annotated[int, msgspec.Meta(ge=1, le=250)]
 
 
@@ -103,14 +104,8 @@ class FenceParams(Params, frozen=True):
 
     def __post_init__(self) -> None:
         """Refuse a polygon that encloses nothing or crosses itself."""
-        if not self.corners_enu_m:
-            return
-        if len(self.corners_enu_m) < 3:
-            raise ValueError("a fence needs at least 3 corners")
-        if not is_simple(self.corners_enu_m):
-            raise ValueError("two edges of the fence touch or cross each other")
-        if area_m2(self.corners_enu_m) < 1.0:
-            raise ValueError("the fence encloses no area")
+        if self.corners_enu_m:
+            check_polygon("fence", self.corners_enu_m, LEAST_FENCE_M2)
 
 
 class PayloadParams(Params, frozen=True):

@@ -23,6 +23,7 @@ from sim_link.autopilot.control_inputs import (
     GlobalTarget,
     LocalTarget,
     Sticks,
+    TargetMessage,
     is_on_earth,
     sticks_from,
 )
@@ -72,13 +73,11 @@ FTP_FILE_NOT_FOUND = 10
 
 def reject_unsupported_service(message: Message, partner: Partner) -> list[Outgoing]:
     """What is answered to a request of files or logs that is for us; any other gets no answer."""
-    match message:
-        case mavlink.MAVLink_file_transfer_protocol_message():
-            answer = _no_such_file(bytes(message.payload), partner)
-        case mavlink.MAVLink_log_request_list_message():
-            answer = mavlink.MAVLink_log_entry_message(0, 0, 0, 0, 0)
-        case _:
-            return []
+    answer: Message | None = None
+    if isinstance(message, mavlink.MAVLink_file_transfer_protocol_message):
+        answer = _no_such_file(bytes(message.payload), partner)
+    if isinstance(message, mavlink.MAVLink_log_request_list_message):
+        answer = mavlink.MAVLink_log_entry_message(0, 0, 0, 0, 0)
     return [] if answer is None else [Outgoing(answer, partner.channel)]
 
 
@@ -152,9 +151,7 @@ class Services:
         self._texts = StatusTexts()
         self.addressing = Addressing(vehicle.system_id)
         self._clocks = Clocks(
-            self.addressing,
-            names_targets=firmware.names_timesync_target,
-            answers_ping=firmware.answers_ping,
+            self.addressing, firmware.names_timesync_target, firmware.answers_ping
         )
         self._parameters = Parameters(flavour.parameters, firmware.parameters, self._texts)
         has_home_item = firmware.first_mission_item == 1
@@ -180,25 +177,21 @@ class Services:
 
     def _handlers_by_type(self) -> dict[type[Message], Handler]:
         """What takes each message; what it returns is answered on the sender's channel."""
-        flavour, clocks, requests = self._vehicle.flavour, self._clocks, self.requests
+        flavour, clocks = self._vehicle.flavour, self._clocks
+
+        def take_setpoint(message: TargetMessage, _partner: Partner, now_s: float) -> None:
+            """A setpoint is for the flavour."""
+            flavour.take_setpoint(message, now_s)
+
         return {
-            **dict.fromkeys(
-                (LocalTarget, GlobalTarget, AttitudeTarget),
-                lambda message, _, now_s: flavour.take_setpoint(message, now_s),
-            ),
+            **dict.fromkeys((LocalTarget, GlobalTarget, AttitudeTarget), take_setpoint),
             mavlink.MAVLink_heartbeat_message: self._take_heartbeat,
             mavlink.MAVLink_timesync_message: clocks.timesync,
             mavlink.MAVLink_ping_message: lambda message, partner, _: clocks.ping(message, partner),
-            mavlink.MAVLink_manual_control_message: (
-                lambda message, _, now_s: self._take_manual_control(message, now_s)
-            ),
-            mavlink.MAVLink_rc_channels_override_message: (
-                lambda message, _, now_s: self._take_rc_override(message, now_s)
-            ),
-            mavlink.MAVLink_set_gps_global_origin_message: (
-                lambda message, *_: self._take_origin(message)
-            ),
-            mavlink.MAVLink_request_data_stream_message: requests.set_data_stream,
+            mavlink.MAVLink_manual_control_message: self._take_manual_control,
+            mavlink.MAVLink_rc_channels_override_message: self._take_rc_override,
+            mavlink.MAVLink_set_gps_global_origin_message: self._take_origin,
+            mavlink.MAVLink_request_data_stream_message: self.requests.set_data_stream,
         }
 
     def handle(self, message: Message, channel: Channel, now_s: float) -> list[Outgoing]:
@@ -228,10 +221,8 @@ class Services:
     def announcements(self) -> list[Outgoing]:
         """Texts, and what is told when it changes."""
         vehicle, aircraft = self._vehicle, self._vehicle.aircraft
-        messages: list[Message] = []
-        for severity, text in aircraft.texts:
-            messages += self._texts.messages(severity, text)
-        aircraft.texts.clear()
+        texts, aircraft.texts = aircraft.texts, []
+        messages = [each for text in texts for each in self._texts.messages(*text)]
         changed = self._announcer.changed(mission_progress(vehicle))
         reached, aircraft.mission.reached = aircraft.mission.reached, []
         messages += [mavlink.MAVLink_mission_item_reached_message(seq) for seq in reached]
@@ -243,7 +234,7 @@ class Services:
     def _changed_places(self) -> list[Message]:
         """Home and origin when they move, and ArduPilot's HEARTBEAT on a change of mode."""
         vehicle, aircraft = self._vehicle, self._vehicle.aircraft
-        if not vehicle.has_home:
+        if not vehicle.flavour.has_home(vehicle.time_s):
             return []
         seen = (aircraft.origin_changes, aircraft.home_changes, vehicle.flavour.changes)
         if seen == self._seen:
@@ -311,9 +302,8 @@ class Services:
 
     def _home_item(self) -> PlanItem:
         lat, lon, alt = self._vehicle.home_e7
-        params = (0.0, 0.0, 0.0, 0.0)
-        command, frame = mavlink.MAV_CMD_NAV_WAYPOINT, mavlink.MAV_FRAME_GLOBAL
-        return PlanItem(command, frame, params, lat, lon, alt / 1e3)
+        what = (mavlink.MAV_CMD_NAV_WAYPOINT, mavlink.MAV_FRAME_GLOBAL, (0.0, 0.0, 0.0, 0.0))
+        return PlanItem(*what, lat, lon, alt / 1e3)
 
     def _fly_to(self, item: PlanItem) -> PlanResult:
         """A "guided" mission item: ArduPilot flies there in GUIDED."""
@@ -335,24 +325,27 @@ class Services:
             self._vehicle.aircraft.stations_s[partner.system_id] = now_s
 
     def _take_manual_control(
-        self, message: mavlink.MAVLink_manual_control_message, now_s: float
+        self, message: mavlink.MAVLink_manual_control_message, _partner: Partner, now_s: float
     ) -> None:
         if message.target == self._vehicle.system_id:
             self._vehicle.sticks.take_joystick(sticks_from(message), now_s)
 
     def _take_rc_override(
-        self, message: mavlink.MAVLink_rc_channels_override_message, now_s: float
+        self, message: mavlink.MAVLink_rc_channels_override_message, _partner: Partner, now_s: float
     ) -> None:
         raw = (message.chan1_raw, message.chan2_raw, message.chan3_raw, message.chan4_raw)
-        if self._firmware.obeys_rc_override and any(800 <= value <= 2200 for value in raw):
-            roll, pitch, throttle, yaw = (
-                max(-1.0, min(1.0, (value - NEUTRAL_US) / RANGE_US))
-                if 800 <= value <= 2200
-                else 0.0
-                for value in raw
-            )
-            self._vehicle.sticks.take_joystick(Sticks(-pitch, roll, throttle, yaw), now_s)
+        given = [value if 800 <= value <= 2200 else None for value in raw]
+        if not self._firmware.obeys_rc_override or given == [None] * 4:
+            return
+        roll, pitch, throttle, yaw = (
+            0.0 if value is None else max(-1.0, min(1.0, (value - NEUTRAL_US) / RANGE_US))
+            for value in given
+        )
+        self._vehicle.sticks.take_joystick(Sticks(-pitch, roll, throttle, yaw), now_s)
 
-    def _take_origin(self, message: mavlink.MAVLink_set_gps_global_origin_message) -> None:
-        if self._firmware.takes_origin and is_on_earth(message.latitude, message.longitude):
-            self._vehicle.aircraft.set_origin(message.latitude, message.longitude, message.altitude)
+    def _take_origin(
+        self, message: mavlink.MAVLink_set_gps_global_origin_message, *_: object
+    ) -> None:
+        place = (message.latitude, message.longitude)
+        if self._firmware.takes_origin and is_on_earth(*place):
+            self._vehicle.aircraft.set_origin(*place, message.altitude)

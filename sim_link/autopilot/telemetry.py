@@ -106,7 +106,7 @@ def battery_status(vehicle: SimVehicle) -> Fields:
 
 def home_position(vehicle: SimVehicle) -> Fields | None:
     """With its place about the EKF origin."""
-    if not vehicle.has_home:
+    if not vehicle.flavour.has_home(vehicle.time_s):
         return None
     local = ned_from_enu(vehicle.estimator.local_from_world(vehicle.home_enu_m))
     orientation = list(vehicle.flavour.firmware.home_orientation)
@@ -115,7 +115,7 @@ def home_position(vehicle: SimVehicle) -> Fields | None:
 
 def gps_global_origin(vehicle: SimVehicle) -> Fields | None:
     """The zero of LOCAL_POSITION_NED, to the last digit as it was set."""
-    if not vehicle.has_home:
+    if not vehicle.flavour.has_home(vehicle.time_s):
         return None
     origin = vehicle.origin
     place = to_e7((origin.latitude_deg, origin.longitude_deg, origin.altitude_m))

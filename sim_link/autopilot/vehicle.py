@@ -50,7 +50,7 @@ class SimVehicle:
     """One multicopter with its autopilot.
 
     Args:
-        noise_rng: Generator of the reported position's noise.
+        noise_rng: Generator of the reported position's noise, of drift and gusts.
         body: What restarts where it is; None: a new one, at the scenario's start.
 
     Raises:
@@ -74,14 +74,6 @@ class SimVehicle:
         self.setpoints = self.flavour.setpoints
         """The streamed ones."""
         self._reports = GeodeticReports(self.aircraft.estimator.world_origin)
-        self._geodetic_at_s = -1.0
-        self._geodetic = (0.0, 0.0, 0.0)
-        self._home_seen = 0
-        self._home_e7 = (0, 0, 0)
-
-    def step(self, now_s: float) -> None:
-        """Advance by one physics step, which ends at `now_s` seconds since boot."""
-        self.flavour.step(now_s)
 
     @property
     def time_s(self) -> float:
@@ -94,11 +86,6 @@ class SimVehicle:
         return self.aircraft.is_armed
 
     @property
-    def heading_ned_rad(self) -> float:
-        """Where its nose points as it believes, clockwise from north."""
-        return self.aircraft.heading_ned_rad
-
-    @property
     def origin(self) -> LocalOrigin:
         """The EKF origin: zero of the local frame."""
         return self.aircraft.estimator.origin
@@ -109,31 +96,15 @@ class SimVehicle:
         return self.aircraft.home_enu_m
 
     @property
-    def has_home(self) -> bool:
-        """Whether origin and home are known yet."""
-        return self.flavour.has_home(self.time_s)
-
-    @property
-    def has_position(self) -> bool:
-        """Whether the position is told."""
-        return self.flavour.has_position(self.time_s)
-
-    @property
     def geodetic(self) -> tuple[float, float, float]:
-        """Reported latitude and longitude in degrees and altitude in metres, once per step."""
-        if self._geodetic_at_s != self.time_s:
-            self._geodetic = self._reports.geodetic_from_enu(self.estimator.reported_enu_m)
-            self._geodetic_at_s = self.time_s
-        return self._geodetic
+        """Reported latitude and longitude in degrees and altitude in metres."""
+        return self._reports.geodetic_from_enu(self.estimator.reported_enu_m)
 
     @property
     def home_e7(self) -> tuple[int, int, int]:
         """Home in 1e-7 degrees and millimetres."""
-        if self._home_seen != self.aircraft.home_changes:
-            self._home_seen = self.aircraft.home_changes
-            lat, lon, alt = self.estimator.world_origin.geodetic_from_enu(self.home_enu_m)
-            self._home_e7 = (round(lat * 1e7), round(lon * 1e7), round(alt * 1e3))
-        return self._home_e7
+        lat, lon, alt = self.estimator.world_origin.geodetic_from_enu(self.home_enu_m)
+        return (round(lat * 1e7), round(lon * 1e7), round(alt * 1e3))
 
 
 class IncidentSchedule:

@@ -11,8 +11,6 @@ from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.incidents import renew_incidents
 from sim_link.autopilot.scenario import Scenario
 
-__all__ = ["Scenario", "load_scenario"]
-
 
 def load_scenario(path: Path) -> Scenario:
     """The scenario of a YAML file; keys it does not give keep their canonical value.
@@ -76,11 +74,7 @@ def end_report(endpoint: SimEndpoint, seed: int, speed: float) -> dict[str, obje
 
 def _emitter(endpoint: SimEndpoint, scenario: Scenario) -> dict[str, object]:
     position_enu_m = (*scenario.emitter.position_enu_m, scenario.emitter.height_m)
-    lat, lon, alt = endpoint.vehicle.origin.geodetic_from_enu(position_enu_m)
-    return {
-        "id": scenario.emitter.emitter_id,
-        "enu_m": list(position_enu_m),
-        "latitude_deg": lat,
-        "longitude_deg": lon,
-        "altitude_m": alt,
-    }
+    names = ("latitude_deg", "longitude_deg", "altitude_m")
+    place = endpoint.vehicle.origin.geodetic_from_enu(position_enu_m)
+    emitter = {"id": scenario.emitter.emitter_id, "enu_m": list(position_enu_m)}
+    return emitter | dict(zip(names, place, strict=True))

@@ -8,7 +8,7 @@ links stand side by side and their steps are taken in turn.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -115,18 +115,15 @@ def make_vehicles(options: FleetOptions) -> list[SimEndpoint]:
     endpoints = []
     for number in range(scenario.vehicles):
         path = numbered_path(options.parameters, number)
-        security = LinkSecurity(_signing(options.signing_key), lines, loopback, time.time())
-        own = msgspec.structs.replace(scenario, system_id=scenario.system_id + number)
-        endpoints.append(
-            SimEndpoint(
-                own,
-                options.seed + number,
-                links=1 + len(options.links),
-                parameters=stored_parameters(path),
-                parameters_name=str(path),
-                security=security,
-            )
+        endpoint = SimEndpoint(
+            msgspec.structs.replace(scenario, system_id=scenario.system_id + number),
+            options.seed + number,
+            links=1 + len(options.links),
+            parameters=stored_parameters(path),
+            parameters_name=str(path),
+            security=LinkSecurity(_signing(options.signing_key), lines, loopback, time.time()),
         )
+        endpoints.append(endpoint)
     return endpoints
 
 
@@ -196,6 +193,9 @@ def stored_parameters(path: Path | None) -> str:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
 
 
+Report = Callable[[SimEndpoint, int, float], dict[str, object]]
+
+
 class FleetFiles:
     """Reports, parameters and the key, written as they change."""
 
@@ -211,11 +211,16 @@ class FleetFiles:
         Raises:
             ConfigError: They cannot be written.
         """
+        self._write_reports(start_report)
+
+    def _write_reports(
+        self, report: Callable[[SimEndpoint, int, float], dict[str, object]]
+    ) -> None:
         for number, endpoint in enumerate(self._endpoints):
             path = numbered_path(self._options.report, number)
             if path is not None:
-                report = start_report(endpoint, self._options.seed + number, self._options.speed)
-                write_json_atomic(path, report)
+                seed = self._options.seed + number
+                write_json_atomic(path, report(endpoint, seed, self._options.speed))
 
     def keep(self, now_s: float) -> None:
         """Store a new key at once, and parameters that changed at most once a second."""
@@ -246,8 +251,4 @@ class FleetFiles:
         """Write the reports of the end, and parameters that changed last."""
         self._next_save_s = 0.0
         self.keep(0.0)
-        for number, endpoint in enumerate(self._endpoints):
-            path = numbered_path(self._options.report, number)
-            if path is not None:
-                seed = self._options.seed + number
-                write_json_atomic(path, end_report(endpoint, seed, self._options.speed))
+        self._write_reports(end_report)

@@ -29,7 +29,7 @@ import msgspec
 import numpy as np
 
 from companion.domain import NonNegative, Params, PositionEnu, Positive
-from companion.geometry.polygons import area_m2, is_simple
+from companion.geometry.polygons import polygon_problem
 from companion.kernel import kernel
 from sim_link.world import line_of_sight
 from sim_link.world.line_of_sight import Surroundings, detour, is_blocked_in_space
@@ -107,14 +107,9 @@ class ObstacleParams(Params, frozen=True):
 
     def __post_init__(self) -> None:
         """Refuse a polygon that encloses nothing or crosses itself."""
-        if len(self.corners_enu_m) < 3:
-            raise ValueError(f"`{self.name}` needs at least 3 corners")
-        if not all(math.isfinite(value) for corner in self.corners_enu_m for value in corner):
-            raise ValueError(f"a corner of `{self.name}` is not a finite number")
-        if not is_simple(self.corners_enu_m):
-            raise ValueError(f"two edges of `{self.name}` touch or cross each other")
-        if area_m2(self.corners_enu_m) < LEAST_OBSTACLE_M2:
-            raise ValueError(f"`{self.name}` encloses no area")
+        problem = polygon_problem(self.corners_enu_m, LEAST_OBSTACLE_M2)
+        if problem is not None:
+            raise ValueError(f"`{self.name}` {problem}")
 
 
 class ShadowParams(Params, frozen=True):

@@ -50,7 +50,7 @@ def test_px4_tells_the_place_and_the_velocity_that_follows_from_it(px4: GroundSt
     assert (told.x, told.y, told.z) == (30.0, 10.0, -12.0)
     assert told.vx > 3.0
     assert told.vz < -0.5
-    assert told.yaw == pytest.approx(px4.sim.vehicle.heading_ned_rad)
+    assert told.yaw == pytest.approx(px4.sim.vehicle.aircraft.heading_ned_rad)
 
 
 def test_px4_tells_a_velocity_with_no_place_and_nan_for_it(px4: GroundStation) -> None:

@@ -299,21 +299,17 @@ class Flavour(ABC):
 
     def settle(self, now_s: float, why: str = "") -> None:
         """Tell the pilot of a changed task and note what changed; called after every change."""
-        seen = (self.mode, self.aircraft.is_armed, self.task)
+        mode, is_armed, task = seen = (self.mode, self.is_armed, self.task)
         if seen == self._seen:
             return
-        old, self._seen = self._seen, seen
-        mode, is_armed, task = seen
-        if old is None:
-            self.aircraft.pilot.enter(task, self.aircraft.body)
-            return
-        old_mode, was_armed, old_task = old
+        old_mode, was_armed, old_task = self._seen or seen
+        is_first, self._seen = self._seen is None, seen
         if is_armed != was_armed:
             self._armed_changed(is_armed, now_s)
         if old_task is Task.FLY_MISSION is not task:
             self._leave_mission()
         self.aircraft.pilot.enter(task, self.aircraft.body)
-        if task is Task.FLY_MISSION and is_armed:
+        if task is Task.FLY_MISSION and is_armed and not is_first:
             self.aircraft.mission.start()
         if (mode, is_armed) == (old_mode, was_armed):
             return

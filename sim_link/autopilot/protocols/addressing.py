@@ -6,8 +6,9 @@ field marks the last one, so a text that fills its last chunk is followed by an 
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address
@@ -16,6 +17,24 @@ from companion.mav.endpoint import Address
 def flags_of(prefix: str, names: str) -> int:
     """The bits of a MAVLink enum by their names, with blanks between."""
     return sum(int(getattr(mavlink, f"{prefix}_{name}")) for name in names.split())
+
+
+K = TypeVar("K")
+V = TypeVar("V")
+
+
+class Newest(OrderedDict[K, V]):
+    """The entries that were set last; of more than `most` the oldest gives way."""
+
+    def __init__(self, most: int) -> None:
+        super().__init__()
+        self._most = most
+
+    def __setitem__(self, key: K, value: V) -> None:
+        super().__setitem__(key, value)
+        self.move_to_end(key)
+        if len(self) > self._most:
+            self.popitem(last=False)
 
 
 class Channel(NamedTuple):

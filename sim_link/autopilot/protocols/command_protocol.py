@@ -12,12 +12,11 @@ Source: MAVLink developer guide, "Command Protocol" and "Redundancy and Deduplic
 from __future__ import annotations
 
 import math
-from collections import OrderedDict
 from dataclasses import dataclass
 from enum import IntEnum
 
 from companion.mav.dialect import MAVLink_command_cancel_message, Message, mavlink
-from sim_link.autopilot.protocols.addressing import Outgoing, Partner
+from sim_link.autopilot.protocols.addressing import Newest, Outgoing, Partner
 
 DEGREE = 1e7
 NO_VALUE = 2**31 - 1
@@ -145,16 +144,12 @@ class _Running:
 
 
 class Commands:
-    """Takes commands from all partners and answers them.
-
-    Args:
-        forms: Of the autopilot that is played.
-    """
+    """Takes commands from all partners and answers them."""
 
     def __init__(self, forms: CommandForms) -> None:
         self._forms = forms
         self._running: dict[int, _Running] = {}
-        self._answered: OrderedDict[Partner, _Answered] = OrderedDict()
+        self._answered: Newest[Partner, _Answered] = Newest(MAX_REMEMBERED)
 
     def receive(
         self, message: Message, partner: Partner, now_s: float
@@ -179,12 +174,7 @@ class Commands:
         return None, [_ack(command, result, progress)]
 
     def answer(
-        self,
-        command: Command,
-        result: int,
-        now_s: float,
-        *,
-        progress: int = UNKNOWN_PROGRESS,
+        self, command: Command, result: int, now_s: float, *, progress: int = UNKNOWN_PROGRESS
     ) -> Outgoing:
         """The ACK of a command.
 
@@ -224,11 +214,9 @@ class Commands:
         is_repeated = self._is_repeated(command, now_s)
         if command.number in self._running:
             own = self._running[command.number].command.partner == command.partner
-            return (
-                CommandResult.IN_PROGRESS
-                if is_repeated and own
-                else CommandResult.TEMPORARILY_REJECTED
-            )
+            if is_repeated and own:
+                return CommandResult.IN_PROGRESS
+            return CommandResult.TEMPORARILY_REJECTED
         return CommandResult.ACCEPTED if is_repeated else None
 
     def _is_repeated(self, command: Command, now_s: float) -> bool:
@@ -242,12 +230,9 @@ class Commands:
         )
 
     def _remember(self, command: Command, now_s: float) -> None:
-        if command.number in ASKS_FOR_A_MESSAGE:
-            return
-        self._answered[command.partner] = _Answered(_key(command), command.confirmation, now_s)
-        self._answered.move_to_end(command.partner)
-        if len(self._answered) > MAX_REMEMBERED:
-            self._answered.popitem(last=False)
+        if command.number not in ASKS_FOR_A_MESSAGE:
+            answered = _Answered(_key(command), command.confirmation, now_s)
+            self._answered[command.partner] = answered
 
 
 def _key(command: Command) -> tuple[int, int | None, bytes]:
@@ -256,12 +241,8 @@ def _key(command: Command) -> tuple[int, int | None, bytes]:
 
 
 def _ack(command: Command, result: int, progress: int) -> Outgoing:
+    partner, shown = command.partner, progress if result == CommandResult.IN_PROGRESS else 0
     message = mavlink.MAVLink_command_ack_message(
-        command.number,
-        result,
-        progress if result == CommandResult.IN_PROGRESS else 0,
-        0,
-        command.partner.system_id,
-        command.partner.component_id,
+        command.number, result, shown, 0, partner.system_id, partner.component_id
     )
-    return Outgoing(message, command.partner.channel)
+    return Outgoing(message, partner.channel)

@@ -22,9 +22,7 @@ Signing".
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Collection
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from companion.mav.addressing import boot_ms_of, targets_of_frame
@@ -33,7 +31,7 @@ from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address, Chunk
 from companion.mav.framing import MAGIC_V2, FrameSplitter, sender_of
 from companion.mav.signing import LinkSigning, Signing, SigningSetup, is_secret, setup_from
-from sim_link.autopilot.protocols.addressing import Channel, Outgoing
+from sim_link.autopilot.protocols.addressing import Channel, Newest, Outgoing
 
 MAX_STREAMS = 64
 
@@ -47,7 +45,7 @@ class FrameReceivers:
 
     def __init__(self) -> None:
         self._datagrams = FrameSplitter(CRC_EXTRA_BY_ID, keeps_unknown=True)
-        self._streams: OrderedDict[Channel, FrameSplitter] = OrderedDict()
+        self._streams: Newest[Channel, FrameSplitter] = Newest(MAX_STREAMS)
 
     def split(self, chunk: Chunk) -> tuple[list[bytes], list[bytes]]:
         """The frames completed by a chunk.
@@ -65,13 +63,8 @@ class FrameReceivers:
 
     def _stream(self, chunk: Chunk) -> FrameSplitter:
         channel = Channel(chunk.link, chunk.peer)
-        splitter = self._streams.get(channel)
-        if splitter is None:
-            splitter = FrameSplitter(CRC_EXTRA_BY_ID, keeps_unknown=True)
-            self._streams[channel] = splitter
-        self._streams.move_to_end(channel)
-        if len(self._streams) > MAX_STREAMS:
-            self._streams.popitem(last=False)
+        splitter = self._streams.get(channel) or FrameSplitter(CRC_EXTRA_BY_ID, keeps_unknown=True)
+        self._streams[channel] = splitter
         return splitter
 
 
@@ -85,32 +78,28 @@ class WireVersion:
 
     def __init__(self, *, is_signed: bool = False) -> None:
         self._is_settled = is_signed
-        self._is_mavlink1 = False
+        self.is_mavlink1 = False
+        """Whether frames are to be sent in MAVLink 1."""
 
     def split_off(self) -> WireVersion:
         """The version of a peer that leaves the shared link; what was heard so far was its own."""
         other = WireVersion()
-        other._is_settled, other._is_mavlink1 = self._is_settled, self._is_mavlink1
-        if self._is_mavlink1:
-            self._is_mavlink1 = False
-        elif not other._is_mavlink1:
+        other._is_settled, other.is_mavlink1 = self._is_settled, self.is_mavlink1
+        if self.is_mavlink1:
+            self.is_mavlink1 = False
+        elif not other.is_mavlink1:
             other._is_settled = False
         return other
-
-    @property
-    def is_mavlink1(self) -> bool:
-        """Whether frames are to be sent in MAVLink 1."""
-        return self._is_mavlink1
 
     def observe(self, frame: bytes) -> None:
         """Take note of a received frame."""
         if not self._is_settled:
             self._is_settled = frame[0] == MAGIC_V2
-            self._is_mavlink1 = not self._is_settled
+            self.is_mavlink1 = not self._is_settled
 
     def can_carry(self, message: Message) -> bool:
         """Whether a message has a form in the link's version."""
-        return not self._is_mavlink1 or message.get_msgId() <= MAX_MAVLINK1_ID
+        return not self.is_mavlink1 or message.get_msgId() <= MAX_MAVLINK1_ID
 
 
 MAX_COMPONENTS = 256
@@ -136,8 +125,8 @@ class Router:
         self._system_id = system_id
         self._own_components = own_components
         self._links = range(links)
-        self._routes: OrderedDict[Component, OrderedDict[Channel, None]] = OrderedDict()
-        self._boot_ms: OrderedDict[Component, int] = OrderedDict()
+        self._routes: Newest[Component, Newest[Channel, None]] = Newest(MAX_COMPONENTS)
+        self._boot_ms: Newest[Component, int] = Newest(MAX_COMPONENTS)
 
     def route(self, frame: bytes, channel: Channel) -> list[Chunk]:
         """The chunks by which a received frame is passed on.
@@ -176,23 +165,18 @@ class Router:
         return chunks
 
     def _channels_of(self, system_id: int, component_id: int) -> list[Channel]:
-        found = {
-            channel: None
+        found = [
+            channel
             for (system, component), channels in self._routes.items()
             if system == system_id and component_id in (0, component)
             for channel in channels
-        }
-        return list(found)
+        ]
+        return list(dict.fromkeys(found))
 
     def _learn(self, source: Component, channel: Channel) -> None:
-        channels = self._routes.setdefault(source, OrderedDict())
+        channels = self._routes.get(source) or Newest(MAX_CHANNELS)
         channels[channel] = None
-        channels.move_to_end(channel)
-        if len(channels) > MAX_CHANNELS:
-            channels.popitem(last=False)
-        self._routes.move_to_end(source)
-        if len(self._routes) > MAX_COMPONENTS:
-            self._routes.popitem(last=False)
+        self._routes[source] = channels
 
     def _notice_reboot(self, source: Component, frame: bytes) -> None:
         boot_ms = boot_ms_of(frame)
@@ -200,23 +184,12 @@ class Router:
             return
         before_ms = self._boot_ms.get(source)
         self._boot_ms[source] = boot_ms
-        self._boot_ms.move_to_end(source)
-        if len(self._boot_ms) > MAX_COMPONENTS:
-            self._boot_ms.popitem(last=False)
         if before_ms is None:
             return
         back_ms = before_ms - boot_ms
         if REBOOT_BACKWARD_MS < back_ms < WRAP_MS - MAX_WRAP_GAP_MS:
             for known in [each for each in self._routes if each[0] == source[0]]:
                 del self._routes[known]
-
-
-@dataclass(frozen=True, slots=True)
-class Arrival:
-    """A message that may be believed, and where it came from."""
-
-    message: Message
-    channel: Channel
 
 
 class LinkSecurity(NamedTuple):
@@ -269,15 +242,16 @@ class LinkLayer:
         self._setup: SigningSetup | None = None
         self._use_key()
 
-    def receive(self, chunk: Chunk) -> tuple[list[Arrival], list[Chunk]]:
+    def receive(self, chunk: Chunk) -> tuple[list[tuple[Message, Channel]], list[Chunk]]:
         """Take in bytes.
 
         Returns:
-            Messages to obey, whether for us or not, and frames to pass on.
+            Messages that may be believed, whether for us or not, each with where it came from; and
+            frames to pass on.
         """
         channel = Channel(chunk.link, chunk.peer)
         frames, unknown = self._receivers.split(chunk)
-        arrivals: list[Arrival] = []
+        arrivals: list[tuple[Message, Channel]] = []
         forwarded = [each for frame in unknown for each in self.router.route(frame, channel)]
         for frame in frames:
             if sender_of(frame)[0] == 0:
@@ -291,7 +265,7 @@ class LinkLayer:
             if isinstance(message, mavlink.MAVLink_setup_signing_message):
                 self._set_up(message, chunk.link)
             else:
-                arrivals.append(Arrival(message, channel))
+                arrivals.append((message, channel))
         return arrivals, forwarded
 
     def send(self, outgoing: Outgoing, component_id: int | None = None) -> list[Chunk]:
@@ -361,12 +335,8 @@ class LinkLayer:
         self._receivers.forget(channel)
 
     def _set_up(self, message: Message, link: int) -> None:
-        setup = setup_from(
-            message,
-            self._system_id,
-            self._component_ids[0],
-            is_trusted_link=link in self._may_set_up,
-        )
+        own = (self._system_id, self._component_ids[0])
+        setup = setup_from(message, *own, is_trusted_link=link in self._may_set_up)
         if setup is None:
             return
         self._setup = setup

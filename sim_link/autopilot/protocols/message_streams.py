@@ -66,11 +66,7 @@ class _Stream:
 
 
 class StreamTable:
-    """The streams of one channel.
-
-    Args:
-        rules: Of the autopilot that is played.
-    """
+    """The streams of one channel."""
 
     def __init__(self, rules: StreamRules, started_s: float = 0.0) -> None:
         self._rules = rules
@@ -197,11 +193,7 @@ class RequestRules:
 
 
 class MessageRequests:
-    """Keeps the streams of every channel and obeys what is asked about messages.
-
-    Args:
-        streams: Of the autopilot that is played.
-    """
+    """Keeps the streams of every channel and obeys what is asked about messages."""
 
     def __init__(
         self, streams: StreamRules, rules: RequestRules, build: Build, texts: StatusTexts
@@ -259,12 +251,9 @@ class MessageRequests:
     def set_data_stream(self, message: Message, partner: Partner, now_s: float) -> None:
         """Obey a REQUEST_DATA_STREAM that is for us; it has no answer."""
         if isinstance(message, mavlink.MAVLink_request_data_stream_message):
-            self._table(partner.channel, now_s).set_group(
-                message.req_stream_id,
-                message.req_message_rate,
-                is_on=message.start_stop == 1,
-                now_s=now_s,
-            )
+            table, is_on = self._table(partner.channel, now_s), message.start_stop == 1
+            group, rate_hz = message.req_stream_id, message.req_message_rate
+            table.set_group(group, rate_hz, is_on=is_on, now_s=now_s)
 
     def _table(self, channel: Channel, now_s: float) -> StreamTable:
         self.open(channel, now_s)
@@ -303,9 +292,7 @@ class MessageRequests:
             return CommandResult.ACCEPTED, []
         if table.can_change(number):
             return CommandResult.DENIED, []  # the stream is fine, the interval makes no sense
-        return self._rules.no_stream, self._explain(number, command.partner)
-
-    def _explain(self, number: int, partner: Partner) -> list[Outgoing]:
         if not self._rules.has_texts:
-            return []
-        return self._texts.warn(partner, f"no stream of message {number} can be set")
+            return self._rules.no_stream, []
+        text = f"no stream of message {number} can be set"
+        return self._rules.no_stream, self._texts.warn(command.partner, text)

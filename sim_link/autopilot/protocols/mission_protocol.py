@@ -19,12 +19,11 @@ Source: MAVLink developer guide, "Mission Protocol"; PX4 1.15 and ArduCopter 4.5
 from __future__ import annotations
 
 import math
-from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import replace
 
 from companion.mav.dialect import Message, mavlink
-from sim_link.autopilot.protocols.addressing import Outgoing, Partner, StatusTexts
+from sim_link.autopilot.protocols.addressing import Newest, Outgoing, Partner, StatusTexts
 from sim_link.autopilot.protocols.plan_items import (
     ALL_TYPES,
     ItemMessage,
@@ -40,7 +39,6 @@ from sim_link.autopilot.protocols.plan_items import (
 from sim_link.autopilot.protocols.plan_rules import (
     MAX_TRANSFERS,
     Download,
-    Finished,
     PlanRules,
     Upload,
     plan_problem,
@@ -54,19 +52,15 @@ STORED_FRAMES = {
 
 
 class PlanUploads:
-    """The uploads of all partners, each by itself.
-
-    Args:
-        rules: Of the autopilot that is played.
-        texts: Numbers the texts that say why a plan was refused.
-    """
+    """The uploads of all partners, each by itself."""
 
     def __init__(self, store: PlanStore, rules: PlanRules, texts: StatusTexts) -> None:
         self._store = store
         self._rules = rules
         self._texts = texts
         self._uploads: dict[Partner, Upload] = {}
-        self._finished: OrderedDict[Partner, Finished] = OrderedDict()
+        self._finished: Newest[Partner, tuple[PlanType, int]] = Newest(MAX_TRANSFERS)
+        """The plan and last item of their last uploads, whose ACKs may have been lost."""
 
     def is_running(self, partner: Partner) -> bool:
         """Whether a partner is uploading."""
@@ -168,10 +162,7 @@ class PlanUploads:
                 return self._fail(upload, partner, problem, f"as a whole: {_why(problem)}")
         del self._uploads[partner]
         self._store.replace(upload.plan_type, upload.items, upload.current)
-        self._finished[partner] = Finished(upload.plan_type, upload.count)
-        self._finished.move_to_end(partner)
-        if len(self._finished) > MAX_TRANSFERS:
-            self._finished.popitem(last=False)
+        self._finished[partner] = (upload.plan_type, upload.count - 1)
         return [ack(partner, PlanResult.ACCEPTED, upload.plan_type)]
 
     def _fail(
@@ -183,12 +174,8 @@ class PlanUploads:
 
     def _answer_to_stray(self, message: ItemMessage, partner: Partner) -> Outgoing:
         """An item that nobody asked for: our ACK was lost, or it is a mistake."""
-        last = self._finished.get(partner)
-        is_repeated = (
-            last is not None
-            and partner not in self._uploads
-            and (last.plan_type, last.count - 1) == (message.mission_type, message.seq)
-        )
+        last = (message.mission_type, message.seq)
+        is_repeated = partner not in self._uploads and self._finished.get(partner) == last
         result = PlanResult.ACCEPTED if is_repeated else PlanResult.ERROR
         return ack(partner, result, message.mission_type)
 
@@ -208,9 +195,7 @@ class PlanUploads:
     def _as_stored(self, item: PlanItem) -> PlanItem:
         if not self._rules.stores_less:
             return item
-        first, second, third, fourth = (
-            0.0 if math.isnan(param) else param for param in item.params
-        )
+        first, second, third, fourth = (0.0 if math.isnan(each) else each for each in item.params)
         frame = STORED_FRAMES.get(item.frame, item.frame)
         return replace(item, params=(first, second, third, fourth), frame=frame)
 
@@ -220,11 +205,7 @@ def _why(result: PlanResult) -> str:
 
 
 class PlanDownloads:
-    """The downloads of all partners, each by itself.
-
-    Args:
-        rules: Of the autopilot that is played.
-    """
+    """The downloads of all partners, each by itself."""
 
     def __init__(self, store: PlanStore, rules: PlanRules) -> None:
         self._store = store
@@ -282,7 +263,13 @@ class PlanDownloads:
 GUIDED_ITEM = 2
 """MISSION_ITEM.current of an item that ArduPilot flies to at once, in GUIDED."""
 
-ItemRequest = mavlink.MAVLink_mission_request_int_message | mavlink.MAVLink_mission_request_message
+OfOnePlan = (
+    mavlink.MAVLink_mission_count_message
+    | mavlink.MAVLink_mission_request_list_message
+    | mavlink.MAVLink_mission_request_int_message
+    | mavlink.MAVLink_mission_request_message
+)
+"""What begins a transfer or asks for an item: never of all plans at once."""
 FlyTo = Callable[[PlanItem], PlanResult]
 
 
@@ -290,9 +277,6 @@ class Plans:
     """Serves one vehicle's plans to all partners; takes only messages that are for it.
 
     Args:
-        store: What is kept; the vehicle reads it and takes its events.
-        rules: Of the autopilot that is played.
-        texts: Numbers the texts that say why something was refused.
         fly_to: Takes an item that ArduPilot is to fly to at once; answers with the ACK's result.
     """
 
@@ -308,22 +292,18 @@ class Plans:
 
     def handle(self, message: Message, partner: Partner, now_s: float) -> list[Outgoing]:
         """Answer a mission message; any other gets no answer."""
+        if isinstance(message, OfOnePlan):
+            plan_type = plan_type_of(message.mission_type)
+            if plan_type is None:
+                return [ack(partner, PlanResult.UNSUPPORTED, message.mission_type)]
+            return self._transfer(message, plan_type, partner, now_s)
+        if isinstance(message, ItemMessage):
+            return self._take_item(message, partner, now_s)
         match message:
-            case mavlink.MAVLink_mission_count_message():
-                return self._count(message, partner, now_s)
-            case (
-                mavlink.MAVLink_mission_item_int_message() | mavlink.MAVLink_mission_item_message()
-            ):
-                return self._take_item(message, partner, now_s)
-            case mavlink.MAVLink_mission_request_list_message():
-                return self._list(message.mission_type, partner, now_s)
-            case (
-                mavlink.MAVLink_mission_request_int_message()
-                | mavlink.MAVLink_mission_request_message()
-            ):
-                return self._give(message, partner, now_s)
             case mavlink.MAVLink_mission_ack_message():
-                self._hear_ack(message, partner)
+                self._downloads.end(partner)
+                if message.type == PlanResult.CANCELLED and self._rules.can_be_cancelled:
+                    self._uploads.drop(partner)
             case mavlink.MAVLink_mission_clear_all_message():
                 return [self._clear(message.mission_type, partner)]
             case mavlink.MAVLink_mission_set_current_message():
@@ -340,35 +320,21 @@ class Plans:
         self._downloads.handle_timer(now_s)
         return self._uploads.handle_timer(now_s)
 
-    def _count(
-        self, message: mavlink.MAVLink_mission_count_message, partner: Partner, now_s: float
+    def _transfer(
+        self, message: OfOnePlan, plan_type: PlanType, partner: Partner, now_s: float
     ) -> list[Outgoing]:
-        plan_type = plan_type_of(message.mission_type)
-        if plan_type is None:
-            return [ack(partner, PlanResult.UNSUPPORTED, message.mission_type)]
-        if self._downloads.is_running(partner):
-            return [ack(partner, PlanResult.ERROR, plan_type)]
-        return self._uploads.begin(plan_type, message.count, partner, now_s)
-
-    def _list(self, mission_type: int, partner: Partner, now_s: float) -> list[Outgoing]:
-        plan_type = plan_type_of(mission_type)
-        if plan_type is None:
-            return [ack(partner, PlanResult.UNSUPPORTED, mission_type)]
-        is_changing = not self._rules.is_atomic and self._uploads.is_anyone_uploading(plan_type)
-        if is_changing or self._uploads.is_running(partner):
-            return [ack(partner, PlanResult.DENIED, plan_type)]
-        return self._downloads.begin(plan_type, partner, now_s)
-
-    def _give(self, message: ItemRequest, partner: Partner, now_s: float) -> list[Outgoing]:
-        plan_type = plan_type_of(message.mission_type)
-        if plan_type is None:
-            return [ack(partner, PlanResult.UNSUPPORTED, message.mission_type)]
-        return self._downloads.give(plan_type, message.seq, partner, now_s)
-
-    def _hear_ack(self, message: mavlink.MAVLink_mission_ack_message, partner: Partner) -> None:
-        self._downloads.end(partner)
-        if message.type == PlanResult.CANCELLED and self._rules.can_be_cancelled:
-            self._uploads.drop(partner)
+        uploads, downloads = self._uploads, self._downloads
+        match message:
+            case mavlink.MAVLink_mission_count_message():
+                if downloads.is_running(partner):
+                    return [ack(partner, PlanResult.ERROR, plan_type)]
+                return uploads.begin(plan_type, message.count, partner, now_s)
+            case mavlink.MAVLink_mission_request_list_message():
+                is_changing = not self._rules.is_atomic and uploads.is_anyone_uploading(plan_type)
+                if is_changing or uploads.is_running(partner):
+                    return [ack(partner, PlanResult.DENIED, plan_type)]
+                return downloads.begin(plan_type, partner, now_s)
+        return downloads.give(plan_type, message.seq, partner, now_s)
 
     def _clear(self, mission_type: int, partner: Partner) -> Outgoing:
         plan_type = plan_type_of(mission_type)

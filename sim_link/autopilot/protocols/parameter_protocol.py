@@ -61,12 +61,7 @@ class _Listing:
 
 
 class Parameters:
-    """Serves one vehicle's parameters to all channels.
-
-    Args:
-        rules: Of the autopilot that is played.
-        texts: Numbers the texts that say why something was refused.
-    """
+    """Serves one vehicle's parameters to all channels."""
 
     def __init__(self, store: ParameterStore, rules: ParameterRules, texts: StatusTexts) -> None:
         self.store = store
@@ -100,17 +95,6 @@ class Parameters:
             if listing.sent >= self._list_length:
                 del self._listings[channel]
         return outgoing
-
-    def change(self, name: str, value: float) -> list[Outgoing]:
-        """Change a value for the vehicle's own reasons, and tell everyone.
-
-        Raises:
-            LocalProtocolError: There is no such parameter, or the value may not be.
-        """
-        self.store.set(name, value)
-        index = self.store.index_of(name)
-        assert index is not None
-        return [Outgoing(self._value(index, is_named=True))]
 
     @property
     def _list_length(self) -> int:
@@ -166,7 +150,8 @@ class Parameters:
             return self._refused(partner, index, OUT_OF_RANGE, problem)
         if spec.is_read_only:
             return self._refused(partner, index, READ_ONLY, "is read-only")
-        return self.change(name, value)
+        self.store.set(name, value)
+        return [Outgoing(self._value(index, is_named=True))]
 
     def _refused(self, partner: Partner, index: int, error: int, problem: str) -> list[Outgoing]:
         name = self.store.specs[index].name
@@ -187,11 +172,8 @@ class Parameters:
 
     @staticmethod
     def _error(partner: Partner, name: str, index: int, error: int) -> Outgoing:
+        encoded = name.encode("ascii", errors="replace")
         message = mavlink.MAVLink_param_error_message(
-            partner.system_id,
-            partner.component_id,
-            name.encode("ascii", errors="replace"),
-            index,
-            error,
+            partner.system_id, partner.component_id, encoded, index, error
         )
         return Outgoing(message, partner.channel)

@@ -212,14 +212,6 @@ class Upload:
         return len(self.items)
 
 
-@dataclass(frozen=True, slots=True)
-class Finished:
-    """The last upload of a partner, whose ACK may have been lost."""
-
-    plan_type: PlanType
-    count: int
-
-
 @dataclass(slots=True)
 class Download:
     """A plan on its way out, as it was when it was asked for."""

@@ -127,11 +127,11 @@ class _MissionFlight:
         flight, seen = self._flight, self.record.situation.vehicle
         vehicle, now_s = flight.sim.vehicle, flight.now_s
         self._reader.age(now_s)
-        seen.mode, seen.is_armed = vehicle.flavour.mode.value, vehicle.is_armed
-        seen.is_failsafe = vehicle.flavour.is_failsafe
-        seen.landed = vehicle.flavour.landed_state.name.lower()
+        flavour = vehicle.flavour
+        seen.mode, seen.is_armed = flavour.mode.value, vehicle.is_armed
+        seen.is_failsafe, seen.landed = flavour.is_failsafe, flavour.landed_state.name.lower()
         seen.is_ready = vehicle.is_armed or (
-            vehicle.has_home and vehicle.flavour.arming_refusal(vehicle.time_s) is None
+            flavour.has_home(vehicle.time_s) and flavour.arming_refusal(vehicle.time_s) is None
         )
         east_m, north_m, up_m = place = vehicle.body.position_enu_m
         velocity = vehicle.body.velocity_enu_mps

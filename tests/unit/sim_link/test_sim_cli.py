@@ -91,7 +91,7 @@ def test_a_bad_fence_names_its_key(tmp_path: Path, capsys: pytest.CaptureFixture
     path.write_text("fence: {corners_enu_m: [[0, 0], [9, 9], [9, 0], [0, 9]]}\n", encoding="utf-8")
     assert main(["--scenario", str(path)]) == 2
     error = capsys.readouterr().err
-    assert "$.fence: two edges of the fence touch or cross each other" in error
+    assert "$.fence: a fence has two edges that touch or cross each other" in error
     assert error.count("\n") == 1
 
 

@@ -147,7 +147,7 @@ class ArduPilotFlavour(Flavour):
             self.aircraft.say(WARNING, f"Mode change to {mode.name} failed: {why}")
             return FAILED
         if mode is not self.copter_mode:
-            self.guided.enter()
+            self.guided.stop()
             self.copter_mode = mode
             self.commanded_mps.clear()
             self.leg = None
@@ -186,7 +186,7 @@ class ArduPilotFlavour(Flavour):
             self.send_rejection("Arm", now_s)
             return FAILED
         self.aircraft.is_armed = True
-        self.guided.enter()
+        self.guided.stop()
         self.aircraft.say(INFO, "Arming motors")
         return ACCEPTED
 
@@ -198,7 +198,7 @@ class ArduPilotFlavour(Flavour):
             return FAILED
         self.aircraft.is_armed = False
         self._failsafes.clear()
-        self.guided.enter()
+        self.guided.stop()
         self.aircraft.say(INFO, "Disarming motors")
         return ACCEPTED
 

@@ -20,7 +20,6 @@ from enum import Enum
 
 from companion.domain import PositionEnu
 from companion.geometry.coordinates import enu_from_ned, wrap_pi
-from companion.geometry.polygons import Point
 from companion.mav import dialect
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.aircraft import Aircraft
@@ -30,7 +29,9 @@ from sim_link.autopilot.control_inputs import (
     Echo,
     GlobalTarget,
     LocalTarget,
+    PositionTarget,
     Setpoint,
+    enu_of,
     is_on_earth,
     turned,
 )
@@ -43,12 +44,7 @@ BODY_NED = mavlink.MAV_FRAME_BODY_NED
 BODY_OFFSET_NED = mavlink.MAV_FRAME_BODY_OFFSET_NED
 LOCAL_FRAMES = (LOCAL_NED, LOCAL_OFFSET_NED, BODY_NED, BODY_OFFSET_NED)
 BODY_FRAMES = (BODY_NED, BODY_OFFSET_NED)
-TERRAIN_FRAMES = (
-    mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT,
-    mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT,
-)
-
-
+TERRAIN_FRAMES = (mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT, mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT)
 NO_SETPOINT = Setpoint()
 
 
@@ -72,16 +68,19 @@ class Target:
     """What to tell the operators about a refusal."""
 
 
+def _refused(why: str) -> Target:
+    return Target(TargetKind.STOP, text=f"Guided: {why}, stopping")
+
+
 def target_from_local(message: LocalTarget, aircraft: Aircraft) -> Target:
     """What SET_POSITION_TARGET_LOCAL_NED asks for."""
     frame = message.coordinate_frame
     if frame not in LOCAL_FRAMES:
-        return Target(TargetKind.STOP, text=f"Guided: frame {frame} not supported, stopping")
-    has_position = not message.type_mask & dialect.POSITION_IGNORE
+        return _refused(f"frame {frame} not supported")
     place: PositionEnu | None = None
-    if has_position:
-        if not _are_finite(message.x, message.y, message.z):
-            return Target(TargetKind.STOP, text="Guided: position is not finite, stopping")
+    if not message.type_mask & dialect.POSITION_IGNORE:
+        if not all(map(math.isfinite, (message.x, message.y, message.z))):
+            return _refused("position is not finite")
         place = _local_place(message, aircraft)
     return _target(message, place, aircraft.heading_ned_rad if frame in BODY_FRAMES else None)
 
@@ -103,19 +102,20 @@ def target_from_global(message: GlobalTarget, aircraft: Aircraft) -> Target:
     if message.type_mask & dialect.POSITION_IGNORE:
         return _target(message, None, None)
     if frame in TERRAIN_FRAMES:
-        return Target(TargetKind.STOP, text="Guided: no terrain data, stopping")
+        return _refused("no terrain data")
     if frame not in GLOBAL_FRAMES:
-        return Target(TargetKind.STOP, text=f"Guided: frame {frame} not supported, stopping")
-    is_place = is_on_earth(message.lat_int, message.lon_int)
-    if not is_place or (message.lat_int == 0 and message.lon_int == 0):
-        return Target(TargetKind.STOP, text="Guided: latitude or longitude invalid, stopping")
+        return _refused(f"frame {frame} not supported")
+    if (message.lat_int, message.lon_int) == (0, 0) or not is_on_earth(
+        message.lat_int, message.lon_int
+    ):
+        return _refused("latitude or longitude invalid")
     if not math.isfinite(message.alt):
-        return Target(TargetKind.STOP, text="Guided: altitude is not finite, stopping")
+        return _refused("altitude is not finite")
     place = aircraft.place_from(message.lat_int, message.lon_int, message.alt, frame)
     return _target(message, place, None)
 
 
-def target_from(message: LocalTarget | GlobalTarget, aircraft: Aircraft) -> Target:
+def target_from(message: PositionTarget, aircraft: Aircraft) -> Target:
     """What a position target asks for."""
     if isinstance(message, LocalTarget):
         return target_from_local(message, aircraft)
@@ -123,7 +123,7 @@ def target_from(message: LocalTarget | GlobalTarget, aircraft: Aircraft) -> Targ
 
 
 def _target(
-    message: LocalTarget | GlobalTarget, place: PositionEnu | None, body_yaw_rad: float | None
+    message: PositionTarget, place: PositionEnu | None, body_yaw_rad: float | None
 ) -> Target:
     """The target of a message whose position is understood.
 
@@ -134,51 +134,29 @@ def _target(
     mask = message.type_mask
     has_velocity = not mask & dialect.VELOCITY_IGNORE
     has_acceleration = not mask & dialect.ACCELERATION_IGNORE and not mask & dialect.FORCE_SET
-    velocity = (message.vx, message.vy, message.vz)
-    acceleration = (message.afx, message.afy, message.afz)
+    yaw = None if mask & dialect.YAW_IGNORE else float(message.yaw)
+    yaw_rate = None if mask & dialect.YAW_RATE_IGNORE else float(message.yaw_rate)
+    given = [yaw or 0.0, yaw_rate or 0.0]
+    given += (message.vx, message.vy, message.vz) if has_velocity else ()
+    given += (message.afx, message.afy, message.afz) if has_acceleration else ()
     is_understood = has_velocity or (place is not None) is not has_acceleration
-    is_finite = (not has_velocity or _are_finite(*velocity)) and (
-        not has_acceleration or _are_finite(*acceleration)
-    )
-    yaw, yaw_rate, is_yaw_finite = _yaw(message, body_yaw_rad)
-    if not (is_understood and is_finite and is_yaw_finite):
+    if not is_understood or not all(map(math.isfinite, given)):
         return Target(TargetKind.STOP)
+    if yaw is not None:
+        yaw = wrap_pi(yaw if body_yaw_rad is None else yaw + body_yaw_rad)
+    east, north, climb_mps = enu_of(message.vx, message.vy, message.vz, body_yaw_rad)
+    acceleration = enu_of(message.afx, message.afy, message.afz, body_yaw_rad)
     setpoint = Setpoint(
         position_en_m=None if place is None else place[:2],
         up_m=None if place is None else place[2],
-        velocity_en_mps=_en(velocity, body_yaw_rad) if has_velocity else None,
-        climb_mps=-message.vz if has_velocity else None,
-        acceleration_enu_mps2=(
-            (*_en(acceleration, body_yaw_rad), -message.afz) if has_acceleration else None
-        ),
+        velocity_en_mps=(east, north) if has_velocity else None,
+        climb_mps=climb_mps if has_velocity else None,
+        acceleration_enu_mps2=acceleration if has_acceleration else None,
         yaw_ned_rad=yaw,
         yaw_rate_ned_radps=yaw_rate,
     )
     times_out = has_velocity or has_acceleration or yaw_rate is not None
     return Target(TargetKind.MOTION if times_out else TargetKind.POSITION, setpoint)
-
-
-def _yaw(
-    message: LocalTarget | GlobalTarget, body_yaw_rad: float | None
-) -> tuple[float | None, float | None, bool]:
-    """Heading, yaw rate, and whether both are finite where they are given."""
-    mask = message.type_mask
-    yaw = None if mask & dialect.YAW_IGNORE else float(message.yaw)
-    yaw_rate = None if mask & dialect.YAW_RATE_IGNORE else float(message.yaw_rate)
-    if not all(math.isfinite(value) for value in (yaw or 0.0, yaw_rate or 0.0)):
-        return (None, None, False)
-    if yaw is not None:
-        yaw = wrap_pi(yaw if body_yaw_rad is None else yaw + body_yaw_rad)
-    return (yaw, yaw_rate, True)
-
-
-def _en(vector: tuple[float, float, float], body_yaw_rad: float | None) -> Point:
-    x, y, _ = vector
-    return (y, x) if body_yaw_rad is None else turned(x, y, body_yaw_rad)
-
-
-def _are_finite(*values: float) -> bool:
-    return all(math.isfinite(value) for value in values)
 
 
 STILL: PositionEnu = (0.0, 0.0, 0.0)
@@ -230,12 +208,8 @@ class Guided:
         velocity = (*setpoint.velocity_en_mps, setpoint.climb_mps or 0.0)
         return Echo(place, velocity, setpoint.acceleration_enu_mps2 or STILL)
 
-    def enter(self) -> None:
-        """The mode begins: stay until something is asked."""
-        self.stop()
-
     def stop(self) -> None:
-        """Stay in place."""
+        """Stay in place until something is asked, as when the mode begins."""
         self.state = GuidedState.IDLE
         self.setpoint = Setpoint()
         self._kind = TargetKind.STOP

@@ -43,7 +43,7 @@ from companion.domain import FlightMode, PositionEnu
 from companion.mav.dialect import mavlink
 from companion.mav.flight_modes import CUSTOM_MODE_ENABLED, px4_custom_mode
 from sim_link.autopilot.aircraft import Aircraft
-from sim_link.autopilot.control_inputs import NOTHING, Axes, Echo, Setpoint, TargetMessage
+from sim_link.autopilot.control_inputs import MOVED, NOTHING, Axes, Echo, Setpoint, TargetMessage
 from sim_link.autopilot.flavours.base import (
     ACCEPTED,
     DENIED,
@@ -301,7 +301,7 @@ class Px4Flavour(Flavour):
         if not self.is_armed:
             return
         sticks = self.aircraft.sticks.read(now_s)
-        if sticks is not None and sticks.are_moved and self._sticks_override():
+        if sticks is not None and sticks.deflection > MOVED and self._sticks_override():
             self.choose(FlightMode.POSITION, now_s)
             self.settle(now_s, "sticks moved")
         fresh = self._failsafes.watch(

@@ -18,7 +18,6 @@ import math
 
 from companion.domain import PositionEnu
 from companion.geometry.coordinates import enu_from_ned, wrap_pi
-from companion.geometry.polygons import Point
 from companion.mav import dialect
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.aircraft import Aircraft
@@ -26,11 +25,12 @@ from sim_link.autopilot.control_inputs import (
     AttitudeTarget,
     GlobalTarget,
     LocalTarget,
+    PositionTarget,
     Setpoint,
     TargetMessage,
+    enu_of,
     has_finite_fields,
     is_on_earth,
-    turned,
 )
 from sim_link.world.point_mass import GRAVITY_MPS2
 
@@ -85,7 +85,7 @@ def setpoint_from_global(message: GlobalTarget, aircraft: Aircraft) -> Setpoint 
     return _assemble(message, place, None)
 
 
-def _is_valid(message: LocalTarget | GlobalTarget, position: tuple[float, float, float]) -> bool:
+def _is_valid(message: PositionTarget, position: tuple[float, float, float]) -> bool:
     mask = message.type_mask
     if mask & dialect.FORCE_SET or mask & MOTION_IGNORE == MOTION_IGNORE:
         return False
@@ -93,7 +93,7 @@ def _is_valid(message: LocalTarget | GlobalTarget, position: tuple[float, float,
 
 
 def _assemble(
-    message: LocalTarget | GlobalTarget, enu_m: PositionEnu | None, body_yaw_rad: float | None
+    message: PositionTarget, enu_m: PositionEnu | None, body_yaw_rad: float | None
 ) -> Setpoint:
     """The setpoint of a valid message.
 
@@ -110,29 +110,22 @@ def _assemble(
     if yaw is not None and body_yaw_rad is not None:
         yaw = wrap_pi(yaw + body_yaw_rad)
     yaw_rate = None if mask & dialect.YAW_RATE_IGNORE else float(message.yaw_rate)
-    has_motion = (has_en or has_velocity_en) and (has_up or has_climb)
     acceleration = None
     if not mask & dialect.ACCELERATION_IGNORE:
-        acceleration = (*_en(message.afx, message.afy, body_yaw_rad), -float(message.afz))
-    if not has_motion:
+        acceleration = enu_of(message.afx, message.afy, message.afz, body_yaw_rad)
+    if not ((has_en or has_velocity_en) and (has_up or has_climb)):
         return Setpoint(
             acceleration_enu_mps2=acceleration, yaw_ned_rad=yaw, yaw_rate_ned_radps=yaw_rate
         )
+    east, north, climb_mps = enu_of(message.vx, message.vy, message.vz, body_yaw_rad)
     return Setpoint(
         position_en_m=enu_m[:2] if enu_m is not None and has_en else None,
         up_m=enu_m[2] if enu_m is not None and has_up else None,
-        velocity_en_mps=_en(message.vx, message.vy, body_yaw_rad) if has_velocity_en else None,
-        climb_mps=-message.vz if has_climb else None,
+        velocity_en_mps=(east, north) if has_velocity_en else None,
+        climb_mps=climb_mps if has_climb else None,
         yaw_ned_rad=yaw,
         yaw_rate_ned_radps=yaw_rate,
     )
-
-
-def _en(x: float, y: float, body_yaw_rad: float | None) -> Point:
-    """East and north of a vector that is north and east, or forward and right."""
-    if body_yaw_rad is None or not (math.isfinite(x) and math.isfinite(y)):
-        return (float(y), float(x))
-    return turned(x, y, body_yaw_rad)
 
 
 CANNOT_BE_LEFT_OUT = (

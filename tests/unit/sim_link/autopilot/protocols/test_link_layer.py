@@ -37,7 +37,7 @@ def station(key: SigningKey | None = None, *, link_id: int = 9) -> MavCodec:
 def heard(vehicle: LinkLayer, frame: bytes, link: int = UDP) -> list[str]:
     """The types of the messages that reach the vehicle."""
     arrivals, _ = vehicle.receive(Chunk(link, frame, STATION if link == UDP else None))
-    return [arrival.message.get_type() for arrival in arrivals]
+    return [message.get_type() for message, _ in arrivals]
 
 
 def setup(secret: bytes = SECRET, target: tuple[int, int] = (1, 1)) -> Message:
@@ -49,8 +49,8 @@ def setup(secret: bytes = SECRET, target: tuple[int, int] = (1, 1)) -> Message:
 
 def test_a_message_arrives_with_its_channel_and_is_passed_on() -> None:
     frame = station().encode(heartbeat())
-    (arrival,), forwarded = layer().receive(Chunk(UDP, frame, STATION))
-    assert arrival.channel == Channel(UDP, STATION)
+    ((_, channel),), forwarded = layer().receive(Chunk(UDP, frame, STATION))
+    assert channel == Channel(UDP, STATION)
     assert {(chunk.link, chunk.except_peers) for chunk in forwarded} == {
         (UDP, frozenset({STATION})),
         (TCP, frozenset()),
