@@ -35,8 +35,17 @@ from companion.estimation.filters.robust_update import robust_update
 from companion.estimation.filters.target_filter import FilterState
 from companion.estimation.window.map_kernels import COLUMNS, DAMPING_START, map_minimum, map_step
 from companion.kernel import Matrix, Vector, kernel
-from sim_link.lab.evaluation.case import CHANNEL, TRUTH, Case, drawn, measured, stream, truth_of
-from sim_link.lab.evaluation.systems import System, belief_of, recursive_filter_of, track_of
+from sim_link.lab.evaluation.case import (
+    CHANNEL,
+    TRUTH,
+    Case,
+    drawn,
+    measured,
+    stream,
+    track_of,
+    truth_of,
+)
+from sim_link.lab.evaluation.systems import System, belief_of, recursive_filter_of
 from sim_link.lab.evaluation.walk import Belief, first_fix, updated
 
 WINDOW = 200

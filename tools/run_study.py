@@ -15,9 +15,7 @@ from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_json_atomic, write_text_atomic
 from sim_link.lab.evaluation.reporting.study_report import write_report
 from sim_link.lab.evaluation.reporting.study_tables import (
-    check_folder,
     csv_text,
-    make_folder,
     rows_of,
     studies_of,
 )
@@ -28,9 +26,10 @@ from sim_link.lab.evaluation.study_run import (
     Work,
     carried_out,
     checks_of,
+    cost_of,
     planned,
-    prepared,
     results_of,
+    warm_up,
     work_of,
 )
 from sim_link.lab.pool import WorkerLostError, open_pool
@@ -84,13 +83,13 @@ def run(studies: list[PlannedStudy], arguments: argparse.Namespace, out: Path) -
     with open_pool(arguments.backend, arguments.jobs) as pool:
         make_folder(out)
         store = Store(out / FOLDER_NAME)
-        kept = store.found(work.tasks)
-        say(f"{len(work.tasks)} blocks of runs, {len(kept)} of them done before")
-        left = work.without(kept)
-        if left.tasks:
+        kept = store.found(work)
+        say(f"{len(work)} blocks of runs, {len(kept)} of them done before")
+        left = {key: task for key, task in work.items() if key not in kept}
+        if left:
             say("getting the compiled kernels ready")
-            prepared(left, pool)
-            with shown(left.cost, sys.stderr) as on_done:
+            warm_up(left, pool)
+            with shown(sum(map(cost_of, left.values())), sys.stderr) as on_done:
                 carried_out(left, pool, store, on_done)
         return written(studies, work, store, arguments.seed, out)
 
@@ -109,6 +108,36 @@ def written(studies: list[PlannedStudy], work: Work, store: Store, seed: int, ou
     for name in failed:
         print(f"run_study: the check {name} failed, see {out / 'checks.json'}", file=sys.stderr)
     return 1 if failed else 0
+
+
+def check_folder(path: Path) -> None:
+    """Make sure that a folder can be written into, or be made; nothing is made yet.
+
+    Raises:
+        ConfigError: It cannot.
+    """
+    place = path
+    while not place.exists() and place != place.parent:
+        place = place.parent
+    if not place.is_dir():
+        raise ConfigError(f"--out {path}: {place} is a file; choose a folder")
+    if not os.access(place, os.W_OK | os.X_OK):
+        raise ConfigError(f"--out {path}: {place} cannot be written; check its permissions")
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder with all above it, if it is not there.
+
+    Raises:
+        ConfigError: It cannot be made, or not be written into.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        probe = path / f".probe.{os.getpid()}"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise ConfigError(f"--out {path}: cannot be written ({error.strerror})") from None
 
 
 def say(text: str) -> None:

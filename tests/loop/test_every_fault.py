@@ -12,7 +12,6 @@ from companion.config.schema import CompanionConfig
 from companion.guidance.session_params import SessionParams
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, RcParams, Scenario
 from sim_link.lab.campaign.flights import Monitored, Trial, monitored_flight
-from sim_link.lab.campaign.random_missions import Missions
 from sim_link.lab.campaign.runner import run_one
 from sim_link.lab.faults.fault_models import KINDS, Fault, Schedule, fault_from
 from sim_link.lab.faults.injector import Injector
@@ -101,4 +100,4 @@ def test_an_injector_that_does_nothing_would_be_noticed(
 
 @pytest.mark.parametrize("seed", MISSIONS)
 def test_random_missions_with_several_faults_break_none(seed: int) -> None:
-    assert run_one(Trial(Missions.name, seed)).findings == ()
+    assert run_one(Trial("missions", seed)).findings == ()

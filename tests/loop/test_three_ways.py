@@ -38,7 +38,7 @@ from companion.planning.crossing_kernels import LATCH_SIZE
 from companion.planning.planner import Plan, Planner, PlanRequest
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import Scenario
-from sim_link.lab.evaluation.campaign import TrialResult, flown_trial, run_trial, start_of
+from sim_link.lab.evaluation.campaign import TrialResult, flown_trial, run_trial
 from sim_link.lab.evaluation.case import (
     TRUTH,
     Case,
@@ -189,10 +189,7 @@ def flight(planner: PlannerName, estimation: TrackerParams, seed: int) -> Flight
 
 def by_objects(case: Case, system: System, seed: int) -> TrialResult:
     """The study's run over estimator and planner classes."""
-    run = run_seeds(seed, 1)[0]
-    rng = stream(run, TRUTH)
-    truth = truth_of(case, rng)
-    return flown_trial(case, system, channel_draws(case, run), truth, start_of(case, rng))
+    return flown_trial(case, system, run_seeds(seed, 1)[0])
 
 
 def decisions(
@@ -270,7 +267,7 @@ def test_every_decision_of_a_flight_is_the_planner_objects(
 def test_every_decision_of_a_flight_is_the_studys(planner: PlannerName) -> None:
     """By its pilot and by its kernel, each with a memory of its own, from the same estimates."""
     system = System("asymmetric_huber", planner)
-    pilot, latch = pilot_of(CASE, system), np.zeros(LATCH_SIZE)
+    steer, latch = pilot_of(CASE, system), np.zeros(LATCH_SIZE)
     belief, steering = belief_of(CASE, system), steering_of(CASE, system)
     moves = 0
     for step, (request, in_flight) in enumerate(decisions(planner, FILTER_ALONE)):
@@ -278,7 +275,7 @@ def test_every_decision_of_a_flight_is_the_studys(planner: PlannerName) -> None:
         covariance = request.joint_covariance
         assert estimate is not None
         assert covariance is not None
-        by_pilot = pilot.next_place(step, at, estimate, covariance)
+        by_pilot = steer(step, at, estimate, covariance)
         mean = np.array([*estimate.position_enu_m, 0.0, 0.0])
         sensor, pick = np.array([*at, 0.0]), 0.5
         *by_kernel, latch = next_place(sensor, mean, covariance, pick, latch, belief, steering)

@@ -10,14 +10,22 @@ import pytest
 from scipy.stats import exponnorm, norm
 
 from companion.kernel import Matrix, Vector
-from sim_link.lab.evaluation.case import CHANNEL, TRUTH, Case, drawn, measured, stream, truth_of
+from sim_link.lab.evaluation.case import (
+    CHANNEL,
+    TRUTH,
+    Case,
+    drawn,
+    measured,
+    stream,
+    track_of,
+    truth_of,
+)
 from sim_link.lab.evaluation.metrics import (
     ChannelInformation,
     channel_information,
     modified_normal,
     position_bounds_m2,
 )
-from sim_link.lab.evaluation.systems import track_of
 from sim_link.world.environment import ChannelParams
 
 PAPER = ChannelParams()

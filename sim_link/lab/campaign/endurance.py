@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import gc
 import os
-import shutil
 import sys
 import tempfile
 import time
@@ -32,20 +31,9 @@ from companion.mav.endpoint import Chunk
 from companion.mav.framing import frame_crc
 from companion.mav.signing import Signing, timestamp_at
 from sim_link.autopilot.scenario import AutopilotParams, BatteryParams, FlavourName, Scenario
-from sim_link.lab.campaign.flights import (
-    ENDLESS,
-    KEY,
-    STARTED_UNIX_S,
-    FramesPart,
-    Monitored,
-    Part,
-    Trial,
-    TrialOutcome,
-    flavour_of,
-    monitored_flight,
-    rules_of,
-)
-from sim_link.lab.faults.fault_models import LinkBursts, LinkJitter, LinkLoss, Schedule
+from sim_link.lab.campaign import flights
+from sim_link.lab.campaign.flights import STARTED_UNIX_S, Part, Trial, TrialOutcome
+from sim_link.lab.faults import fault_models as faults
 from sim_link.lab.faults.faulty_link import FaultyLink
 from sim_link.lab.lockstep.flight import VEHICLE_PEER, Flight
 from sim_link.lab.monitor.monitor import Monitor
@@ -108,10 +96,8 @@ class FrameMaker:
         payload = self._payload(int(kind.unpacker.size)).rstrip(b"\0") or b"\0"
         self._sequence = (self._sequence + 1) % 256
         number = int(kind.id)
-        head = bytes((0xFD, len(payload), 0, 0, self._sequence, 1, 1)) + number.to_bytes(
-            3, "little"
-        )
-        frame = head + payload
+        frame = bytes((0xFD, len(payload), 0, 0, self._sequence, 1, 1))
+        frame += number.to_bytes(3, "little") + payload
         frame += frame_crc(frame, CRC_EXTRA_BY_ID[number]).to_bytes(2, "little")
         if self._signing is None:
             return frame
@@ -134,74 +120,64 @@ class FrameMaker:
         return bytes(payload)
 
 
-class Fuzzing(FramesPart):
-    """The part of the campaign that sends random frames."""
+def fuzz(trial: Trial) -> TrialOutcome:
+    """Feed a companion that begins anew every so often, so that it is in every phase.
 
-    name = "fuzz"
-    title = "random frames with valid checksum and signature"
-    cost_s = 5.0
-    frames_per_trial = FRAMES_PER_TRIAL
+    What the process has loaded is put aside from garbage collection, as the companion's own
+    process does before it flies.
+    """
+    gc.collect()
+    gc.freeze()
+    try:
+        return _fuzz(trial)
+    finally:
+        gc.unfreeze()
 
-    def run(self, trial: Trial) -> TrialOutcome:
-        """Feed a companion that begins anew every so often, so that it is in every phase.
 
-        What the process has loaded is put aside from garbage collection, as the companion's own
-        process does before it flies.
-        """
-        gc.collect()
-        gc.freeze()
-        try:
-            return self._run(trial)
-        finally:
-            gc.unfreeze()
-
-    def _run(self, trial: Trial) -> TrialOutcome:
-        rng = np.random.default_rng((trial.seed, 0xF022))
-        is_signed = bool(trial.seed % 2)
-        signing = Signing(KEY, timestamp_at(STARTED_UNIX_S)) if is_signed else None
-        maker = FrameMaker(rng, signing)
-        slowest_s, sent, reached, findings = 0.0, 0, 0, list[str]()
-        settled_mb: float | None = None
-        while sent < trial.size * FRAMES_PER_TRIAL:
-            around = _fuzzed_flight(trial.seed + sent, is_signed=is_signed)
-            around.flight.run(float(rng.uniform(0.0, 20.0)))
-            for _ in range(round(trial.size * FRAMES_PER_TRIAL / 4 / PER_TICK)):
-                if signing is not None:
-                    signing.advance(STARTED_UNIX_S + around.flight.now_s)
-                for _ in range(PER_TICK):
-                    frame = maker.next()
-                    began_s = time.thread_time()
-                    around.flight.companion.receive(
-                        Chunk(0, frame, VEHICLE_PEER), around.flight.now_s
-                    )
-                    slowest_s = max(slowest_s, time.thread_time() - began_s)
-                    sent += 1
-                around.flight.run(0.05)
-            findings += [str(v) for v in around.monitor.violations if v.invariant in JUDGED]
-            reached += 1
-            if reached == 2:
-                settled_mb = resident_mb()
-        grown_mb = resident_mb() - (settled_mb or 0.0)
-        if slowest_s > SLOWEST_FRAME_S:
-            findings.append(f"a frame took {slowest_s:.3f} s")
-        if grown_mb > MOST_GROWTH_MB:
-            findings.append(f"memory grew by {grown_mb:.1f} MB")
-        return TrialOutcome(
-            trial,
-            tuple(findings),
-            sums={"fuzz_frames": float(sent)},
-            most={"fuzz_slowest_frame_s": slowest_s, "fuzz_growth_mb": max(0.0, grown_mb)},
+def _fuzz(trial: Trial) -> TrialOutcome:
+    rng = np.random.default_rng((trial.seed, 0xF022))
+    is_signed = bool(trial.seed % 2)
+    signing = Signing(flights.KEY, timestamp_at(STARTED_UNIX_S)) if is_signed else None
+    maker = FrameMaker(rng, signing)
+    slowest_s, sent, reached, findings = 0.0, 0, 0, list[str]()
+    settled_mb = 0.0
+    while sent < trial.size * FRAMES_PER_TRIAL:
+        flavour: FlavourName = "px4" if (trial.seed + sent) % 4 < 2 else "ardupilot"
+        scenario = Scenario(autopilot=AutopilotParams(flavour=flavour))
+        around = flights.monitored_flight(
+            flights.ENDLESS, scenario, trial.seed + sent, is_signed=is_signed
         )
+        flight = around.flight
+        flight.run(float(rng.uniform(0.0, 20.0)))
+        for _ in range(round(trial.size * FRAMES_PER_TRIAL / 4 / PER_TICK)):
+            if signing is not None:
+                signing.advance(STARTED_UNIX_S + flight.now_s)
+            for _ in range(PER_TICK):
+                chunk = Chunk(0, maker.next(), VEHICLE_PEER)
+                began_s = time.thread_time()
+                flight.companion.receive(chunk, flight.now_s)
+                slowest_s = max(slowest_s, time.thread_time() - began_s)
+                sent += 1
+            flight.run(0.05)
+        findings += [str(v) for v in around.monitor.violations if v.invariant in JUDGED]
+        reached += 1
+        if reached == 2:
+            settled_mb = resident_mb()
+    grown_mb = resident_mb() - settled_mb
+    if slowest_s > SLOWEST_FRAME_S:
+        findings.append(f"a frame took {slowest_s:.3f} s")
+    if grown_mb > MOST_GROWTH_MB:
+        findings.append(f"memory grew by {grown_mb:.1f} MB")
+    return TrialOutcome(
+        trial,
+        tuple(findings),
+        sums={"fuzz_frames": float(sent)},
+        most={"fuzz_slowest_frame_s": slowest_s, "fuzz_growth_mb": max(0.0, grown_mb)},
+    )
 
 
 JUDGED = ("I6", "I8", "I9", "I11")
 """Invariants that hold whatever a vehicle says; the others need one that tells the truth."""
-
-
-def _fuzzed_flight(seed: int, *, is_signed: bool) -> Monitored:
-    flavour: FlavourName = "px4" if seed % 4 < 2 else "ardupilot"
-    scenario = Scenario(autopilot=AutopilotParams(flavour=flavour))
-    return monitored_flight(ENDLESS, scenario, seed, is_signed=is_signed)
 
 
 def resident_mb() -> float:
@@ -222,26 +198,6 @@ LOG_SLACK = 1.1
 """The file that is being written, and the names of the others."""
 
 
-class Soak(Part):
-    """The part of the campaign that flies for a day."""
-
-    name = "soak"
-    title = "24 simulated hours: memory, descriptors and log stay bounded"
-    cost_s = 90.0
-
-    def trials(self, amount: float, seed: int) -> Sequence[Trial]:
-        """One flight of so many hours."""
-        return self.numbered_trials(1, seed, amount) if amount else []
-
-    def run(self, trial: Trial) -> TrialOutcome:
-        """Fly and measure."""
-        directory = Path(tempfile.mkdtemp(prefix="soak-"))
-        try:
-            return _fly_soak(trial, directory)
-        finally:
-            shutil.rmtree(directory, ignore_errors=True)
-
-
 @dataclass(slots=True)
 class Usage:
     """What a process took of the machine, sample by sample."""
@@ -260,8 +216,7 @@ class Usage:
     @property
     def slope_mb_per_h(self) -> float:
         """How memory grew once it had settled."""
-        settled_h = min(SETTLED_H, 0.5 * self.hours[-1])
-        return slope_after(self.hours, self.memory_mb, settled_h)
+        return slope_after(self.hours, self.memory_mb, min(SETTLED_H, 0.5 * self.hours[-1]))
 
     def findings(self) -> list[str]:
         """What grew; memory is judged where there are enough hours to tell."""
@@ -275,20 +230,22 @@ class Usage:
         return findings
 
 
-def _fly_soak(trial: Trial, directory: Path) -> TrialOutcome:
-    flight, monitor, journal = _soak_flight(trial.seed, directory)
-    usage = Usage()
-    while flight.now_s < trial.size * HOUR_S:
-        flight.run(min(SAMPLE_S, trial.size * HOUR_S - flight.now_s))
-        usage.sample(flight.now_s)
-        if trial.size > TOLD_FROM_H and len(usage.hours) % round(HOUR_S / SAMPLE_S) == 0:
-            hours, memory_mb = usage.hours[-1], usage.memory_mb[-1]
-            told = f"  soak: {hours:.0f} of {trial.size:g} h, {memory_mb:.1f} MB\n"
-            sys.stderr.write(told)
-            sys.stderr.flush()
-    files = (path for path in directory.rglob("*") if path.is_file())
-    usage.log_bytes = sum(path.stat().st_size for path in files)
-    journal.close()
+def soak(trial: Trial) -> TrialOutcome:
+    """Fly for so many hours and measure."""
+    with tempfile.TemporaryDirectory(prefix="soak-", ignore_cleanup_errors=True) as folder:
+        directory = Path(folder)
+        flight, monitor, journal = _soak_flight(trial.seed, directory)
+        usage = Usage()
+        while flight.now_s < trial.size * HOUR_S:
+            flight.run(min(SAMPLE_S, trial.size * HOUR_S - flight.now_s))
+            usage.sample(flight.now_s)
+            if trial.size > TOLD_FROM_H and len(usage.hours) % round(HOUR_S / SAMPLE_S) == 0:
+                hours, memory_mb = usage.hours[-1], usage.memory_mb[-1]
+                sys.stderr.write(f"  soak: {hours:.0f} of {trial.size:g} h, {memory_mb:.1f} MB\n")
+                sys.stderr.flush()
+        files = (path for path in directory.rglob("*") if path.is_file())
+        usage.log_bytes = sum(path.stat().st_size for path in files)
+        journal.close()
     return TrialOutcome(
         trial,
         (*map(str, monitor.violations), *usage.findings()),
@@ -312,22 +269,38 @@ def slope_after(hours: Sequence[float], values: Sequence[float], since_h: float)
 def _soak_flight(seed: int, directory: Path) -> tuple[Flight, Monitor, FlightJournal]:
     """An endless search over a mediocre link."""
     scenario = Scenario(
-        autopilot=AutopilotParams(flavour=flavour_of(seed)),
+        autopilot=AutopilotParams(flavour=flights.flavour_of(seed)),
         battery=BatteryParams(endurance_s=1e7),
     )
     config = CompanionConfig(mission=SessionParams(engage="auto", stop_confirm_s=1e9))
-    faults = (
-        LinkLoss(share=0.05),
-        LinkJitter(jitter_s=0.05),
-        LinkBursts(mean_good_s=60.0, mean_bad_s=0.2),
+    bad = (
+        faults.LinkLoss(share=0.05),
+        faults.LinkJitter(jitter_s=0.05),
+        faults.LinkBursts(mean_good_s=60.0, mean_bad_s=0.2),
     )
-    link = FaultyLink(Schedule(faults=faults), seed)
+    link = FaultyLink(faults.Schedule(faults=bad), seed)
     journal = FlightJournal(directory, 1.795e9, LOG_CAP_BYTES)
     flight = Flight(config, scenario, seed, journal, wire=link)
     monitor = Monitor(
-        rules_of(config),
+        flights.rules_of(config),
         flight.sim.vehicle,
         estimate=lambda: flight.companion.session.estimate,
     )
     flight.observers.append(monitor)
     return flight, monitor, journal
+
+
+FUZZING = Part(
+    "fuzz",
+    "random frames with valid checksum and signature",
+    run=fuzz,
+    cost_s=5.0,
+    split=flights.frames_each(FRAMES_PER_TRIAL),
+)
+SOAK = Part(
+    "soak",
+    "24 simulated hours: memory, descriptors and log stay bounded",
+    run=soak,
+    cost_s=90.0,
+    split=lambda hours: (1 if hours else 0, hours),
+)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TypeVar
@@ -20,9 +19,8 @@ from companion.link.interface import Journal, LinkSpec
 from companion.mav.signing import ONE_LINK_EACH, LinkSigning, Signing, SigningKey, timestamp_at
 from sim_link.autopilot import incidents
 from sim_link.autopilot.endpoint import SimEndpoint
-from sim_link.autopilot.incidents import FaultRecord
 from sim_link.autopilot.protocols.link_layer import LinkSecurity
-from sim_link.autopilot.scenario import FlavourName, Scenario
+from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.lab.faults import fault_models as faults
 from sim_link.lab.faults.fault_models import Direction, Fault, RangingField, Schedule
 from sim_link.lab.faults.faulty_link import FaultyLink
@@ -73,40 +71,43 @@ class TrialOutcome:
     """What happened, for whoever replays the trial."""
 
 
-class Part(ABC):
+def one_each(amount: float) -> tuple[int, float]:
+    """So many trials of size 1."""
+    return round(amount), 1.0
+
+
+def frames_each(frames: int) -> Callable[[float], tuple[int, float]]:
+    """Trials of about so many frames each, all of one size."""
+
+    def split(amount: float) -> tuple[int, float]:
+        count = -(-round(amount) // frames)
+        return count, amount / count / frames
+
+    return split
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
     """One part of a campaign."""
 
-    name = ""
-    title = ""
-    cost_s = 1.0
+    name: str
+    title: str
+    run: Callable[[Trial], TrialOutcome]
+    cost_s: float = 1.0
     """About how long a trial of size 1 takes one core; for progress and fair shares."""
+    base_cost_s: float = 0.0
+    """What every trial takes beside that, whatever its size."""
+    split: Callable[[float], tuple[int, float]] = one_each
+    """So much of the part as a number of trials and the size of each."""
 
-    def trials(self, amount: float, seed: int) -> Sequence[Trial]:
-        """The trials of so much of it; here, so many."""
-        return self.numbered_trials(round(amount), seed)
-
-    def numbered_trials(self, count: int, seed: int, size: float = 1.0) -> list[Trial]:
-        """So many, each with a seed of its own."""
+    def trials(self, amount: float, seed: int) -> list[Trial]:
+        """The trials of so much of it, each with a seed of its own."""
+        count, size = self.split(amount)
         return [Trial(self.name, seed * 1_000_000 + index, size) for index in range(count)]
 
     def cost(self, trial: Trial) -> float:
         """About how many seconds of one core it takes."""
-        return self.cost_s * trial.size
-
-    @abstractmethod
-    def run(self, trial: Trial) -> TrialOutcome:
-        """Run one of them."""
-
-
-class FramesPart(Part):
-    """A part that is counted in frames, many to a trial."""
-
-    frames_per_trial = 1
-
-    def trials(self, amount: float, seed: int) -> Sequence[Trial]:
-        """So many frames."""
-        count = -(-round(amount) // self.frames_per_trial)
-        return self.numbered_trials(count, seed, amount / count / self.frames_per_trial)
+        return self.base_cost_s + self.cost_s * trial.size
 
 
 KEY = SigningKey(bytes(range(100, 132)))
@@ -136,12 +137,8 @@ class SignedPair:
     def simulator(self, scenario: Scenario, seed: int, now_s: float) -> SimEndpoint:
         """A vehicle that goes on from its newest timestamp."""
         self._vehicle = Signing(KEY, self._vehicle.timestamp)
-        return SimEndpoint(
-            scenario,
-            seed,
-            now_s,
-            security=LinkSecurity(self._vehicle, started_unix_s=STARTED_UNIX_S + now_s),
-        )
+        security = LinkSecurity(self._vehicle, started_unix_s=STARTED_UNIX_S + now_s)
+        return SimEndpoint(scenario, seed, now_s, security=security)
 
 
 LIMITS = (
@@ -189,17 +186,11 @@ class Monitored:
     """A flight and everybody around it."""
 
     flight: Flight
-    link: FaultyLink
     operator: Operator
     injector: Injector
     monitor: Monitor
     notes: MemoryJournal
     checkpointing: Checkpointing
-
-    def inject(self, *faults: FaultRecord) -> None:
-        """Have faults happen, their times counted from now."""
-        for fault in faults:
-            self.injector.add(fault)
 
     @property
     def findings(self) -> list[str]:
@@ -231,14 +222,8 @@ def monitored_flight(
     key = KEY if is_signed else None
     notes, link = MemoryJournal(), FaultyLink(Schedule(), seed, key=key)
     genuine = build_endpoint if pair is None else pair.companion
-    flight = Flight(
-        config,
-        scenario,
-        seed,
-        notes,
-        wire=link,
-        makers=Makers(make_companion or genuine, SimEndpoint if pair is None else pair.simulator),
-    )
+    makers = Makers(make_companion or genuine, SimEndpoint if pair is None else pair.simulator)
+    flight = Flight(config, scenario, seed, notes, wire=link, makers=makers)
     operator = Operator(flight, pair.station if pair else None, STARTED_UNIX_S)
     monitor = Monitor(
         rules_of(config),
@@ -249,11 +234,20 @@ def monitored_flight(
         dropped=lambda: flight.companion.dropped_unread,
     )
     flight.observers.append(monitor)
-    injector = Injector(
-        flight, link, operator, is_spoofing=is_signed if is_spoofing is None else is_spoofing
-    )
-    checkpointing = Checkpointing(flight)
-    return Monitored(flight, link, operator, injector, monitor, notes, checkpointing)
+    is_near = is_signed if is_spoofing is None else is_spoofing
+    injector = Injector(flight, link, operator, is_spoofing=is_near)
+    return Monitored(flight, operator, injector, monitor, notes, Checkpointing(flight))
+
+
+def launched_flight(seed: int, salt: int) -> tuple[Monitored, Dice]:
+    """A flight that the companion launches by itself, with either autopilot, and the dice for it.
+
+    Args:
+        salt: Of the dice: another one for each part.
+    """
+    dice = Dice(np.random.default_rng((seed, salt)))
+    scenario = Scenario(autopilot=AutopilotParams(flavour=dice.flavour()))
+    return monitored_flight(ENDLESS, scenario, seed), dice
 
 
 T = TypeVar("T")

@@ -9,9 +9,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
-
-import numpy as np
+from collections.abc import Mapping
 
 from companion.config.schema import CompanionConfig
 from companion.domain import PositionEnu
@@ -19,17 +17,8 @@ from companion.guidance.session_params import SessionParams
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.incidents import FaultRecord
 from sim_link.autopilot.scenario import AutopilotParams, BatteryParams, PayloadParams, Scenario
-from sim_link.lab.campaign.flights import (
-    ENDLESS,
-    Dice,
-    FramesPart,
-    Monitored,
-    Part,
-    Trial,
-    TrialOutcome,
-    flavour_of,
-    monitored_flight,
-)
+from sim_link.lab.campaign import flights
+from sim_link.lab.campaign.flights import Monitored, Part, Trial, TrialOutcome
 from sim_link.lab.faults import fault_models as faults
 from sim_link.lab.lockstep.observer import Frame, Observer
 
@@ -78,50 +67,44 @@ def pauses_of(gaps: Gaps, share: float) -> list[str]:
     return [f"gap of {gaps.worst_s:.3f} s at {share:.0%} loss"]
 
 
-class GapHours(Part):
-    """The part of the campaign that flies for hours."""
+def gap_pieces(amount_h: float) -> tuple[int, float]:
+    """So many hours at each loss, in quarters of an hour."""
+    pieces = max(1, math.ceil(amount_h / PIECE_H))
+    return len(LOSSES) * pieces, amount_h / pieces
 
-    name = "gaps"
-    title = "hours over a link that loses 10, 30 and 50 %"
-    cost_s = 30.0 / PIECE_H
 
-    def trials(self, amount: float, seed: int) -> Sequence[Trial]:
-        """So many hours at each loss, in quarters of an hour."""
-        pieces = max(1, math.ceil(amount / PIECE_H))
-        return self.numbered_trials(len(LOSSES) * pieces, seed, amount / pieces)
-
-    def run(self, trial: Trial) -> TrialOutcome:
-        """Fly for a while."""
-        share = LOSSES[trial.seed % len(LOSSES)]
-        around, gaps = hold_over(trial.seed, share, trial.size * HOUR_S)
-        name = f"{share:.0%}".replace("%", "_pct")
-        findings = pauses_of(gaps, share)
-        if not math.isfinite(around.monitor.fence.closest_m):
-            findings.append("the companion never was in control")
-        return TrialOutcome(
-            trial,
-            tuple(findings),
-            sums={
-                f"hours_{name}": trial.size,
-                f"false_losses_{name}": float(gaps.false_losses),
-                f"gaps_over_500_ms_{name}": float(gaps.over_half_s),
-            },
-            most={f"max_gap_s_{name}": gaps.worst_s, "max_gap_s": gaps.worst_s},
-        )
+def hold_for_hours(trial: Trial) -> TrialOutcome:
+    """Hold for a while over a link that loses frames."""
+    share = LOSSES[trial.seed % len(LOSSES)]
+    around, gaps = hold_over(trial.seed, share, trial.size * HOUR_S)
+    name = f"{share:.0%}".replace("%", "_pct")
+    findings = pauses_of(gaps, share)
+    if not math.isfinite(around.monitor.fence.closest_m):
+        findings.append("the companion never was in control")
+    return TrialOutcome(
+        trial,
+        tuple(findings),
+        sums={
+            f"hours_{name}": trial.size,
+            f"false_losses_{name}": float(gaps.false_losses),
+            f"gaps_over_500_ms_{name}": float(gaps.over_half_s),
+        },
+        most={f"max_gap_s_{name}": gaps.worst_s, "max_gap_s": gaps.worst_s},
+    )
 
 
 def hold_over(seed: int, share: float, duration_s: float) -> tuple[Monitored, Gaps]:
     """A flight that holds over a link that loses so much, in both directions."""
     scenario = Scenario(
-        autopilot=AutopilotParams(flavour=flavour_of(seed)),
+        autopilot=AutopilotParams(flavour=flights.flavour_of(seed)),
         battery=BatteryParams(endurance_s=1e6),
         payload=PayloadParams(max_range_m=0.001),
     )
     config = CompanionConfig(mission=SessionParams(engage="auto"))
-    around, gaps = monitored_flight(config, scenario, seed), Gaps()
+    around, gaps = flights.monitored_flight(config, scenario, seed), Gaps()
     around.flight.observers.append(gaps)
     around.flight.run(SETTLING_S)
-    around.inject(faults.LinkLoss(share=share))
+    around.injector.add(faults.LinkLoss(share=share))
     around.flight.run(SETTLING_S)
     gaps.is_counting = True
     around.flight.run(duration_s)
@@ -172,37 +155,28 @@ class ReactionWatch(Observer):
             self.lost_s = now_s
 
 
-class Reactions(Part):
-    """The part of the campaign that cuts at random instants."""
-
-    name = "reaction"
-    title = "hold within 0.5 s of a stale position, link lost at 1.0 s"
-    cost_s = 0.5
-
-    def run(self, trial: Trial) -> TrialOutcome:
-        """Cut, and measure."""
-        dice = Dice(np.random.default_rng((trial.seed, 0x2EAC)))
-        scenario = Scenario(autopilot=AutopilotParams(flavour=dice.flavour()))
-        around = monitored_flight(ENDLESS, scenario, trial.seed)
-        flight, watch = around.flight, ReactionWatch()
-        flight.observers.append(watch)
-        flight.run(REACTION_ENGAGED_S + dice.number(0.0, 10.0))
-        is_mute = dice.happens(0.5)
-        cut = faults.StreamMute if is_mute else faults.LinkBlackout
-        around.inject(cut(duration_s=BLIND_S))
-        watch.lost_s = None
-        flight.run(BLIND_S - TICK_S)
-        hold_s = max(0.0, watch.moved_s - watch.position_s)
-        findings = around.findings
-        most = {"hold_after_stale_s": hold_s}
-        if hold_s > STALE_S + TICK_S:
-            findings.append(f"moved {hold_s:.3f} s after the last position")
-        if not is_mute:
-            lost_s = flight.now_s if watch.lost_s is None else watch.lost_s
-            silent_s = most["link_lost_s"] = lost_s - watch.heard_s
-            if not LOST_S <= silent_s <= LOST_S + 2.0 * TICK_S:
-                findings.append(f"link declared lost {silent_s:.3f} s after silence began")
-        return TrialOutcome(trial, tuple(findings), sums={"cuts": 1.0}, most=most)
+def react(trial: Trial) -> TrialOutcome:
+    """Cut, and measure."""
+    around, dice = flights.launched_flight(trial.seed, 0x2EAC)
+    flight, watch = around.flight, ReactionWatch()
+    flight.observers.append(watch)
+    flight.run(REACTION_ENGAGED_S + dice.number(0.0, 10.0))
+    is_mute = dice.happens(0.5)
+    cut = faults.StreamMute if is_mute else faults.LinkBlackout
+    around.injector.add(cut(duration_s=BLIND_S))
+    watch.lost_s = None
+    flight.run(BLIND_S - TICK_S)
+    hold_s = max(0.0, watch.moved_s - watch.position_s)
+    findings = around.findings
+    most = {"hold_after_stale_s": hold_s}
+    if hold_s > STALE_S + TICK_S:
+        findings.append(f"moved {hold_s:.3f} s after the last position")
+    if not is_mute:
+        lost_s = flight.now_s if watch.lost_s is None else watch.lost_s
+        silent_s = most["link_lost_s"] = lost_s - watch.heard_s
+        if not LOST_S <= silent_s <= LOST_S + 2.0 * TICK_S:
+            findings.append(f"link declared lost {silent_s:.3f} s after silence began")
+    return TrialOutcome(trial, tuple(findings), sums={"cuts": 1.0}, most=most)
 
 
 RATE_HZ = 20_000.0
@@ -241,45 +215,57 @@ class Output(Observer):
         self.slowest_s = max(self.slowest_s, time.thread_time() - self._began_s)
 
 
-class Floods(FramesPart):
-    """The part of the campaign that forges, replays and leaves signatures out."""
+ATTACKS = (faults.ForgedFrames, faults.ReplayedFrames, faults.UnsignedFrames)
 
-    name = "forged"
-    title = "forged, replayed and unsigned frames at 20,000 a second beside genuine traffic"
-    frames_per_trial = FRAMES_PER_TRIAL
-    KINDS = (faults.ForgedFrames, faults.ReplayedFrames, faults.UnsignedFrames)
 
-    def cost(self, trial: Trial) -> float:
-        """Seconds of one core."""
-        return 1.5 + 3.0 * trial.size
-
-    def run(self, trial: Trial) -> TrialOutcome:
-        """Fly twice, once in peace; what is sent must be the same, byte for byte."""
-        duration_s = trial.size * FRAMES_PER_TRIAL / RATE_HZ
-        kind = self.KINDS[trial.seed % len(self.KINDS)]
-        fault = kind(rate_hz=RATE_HZ, duration_s=duration_s)
-        attacked, output = _fly(trial.seed, fault, duration_s)
-        _, peace = _fly(trial.seed, None, duration_s)
-        findings = attacked.findings
-        if output.acts != peace.acts:
-            findings.append("the companion sent something else under attack")
-        if output.slowest_s > SLOWEST_FRAME_S:
-            findings.append(f"a frame took {output.slowest_s:.3f} s")
-        return TrialOutcome(
-            trial,
-            tuple(findings),
-            sums={"attack_frames": float(output.attacks)},
-            most={"attack_slowest_frame_s": output.slowest_s},
-        )
+def flood(trial: Trial) -> TrialOutcome:
+    """Fly twice, once in peace; what is sent must be the same, byte for byte."""
+    duration_s = trial.size * FRAMES_PER_TRIAL / RATE_HZ
+    fault = ATTACKS[trial.seed % len(ATTACKS)](rate_hz=RATE_HZ, duration_s=duration_s)
+    attacked, output = _fly(trial.seed, fault, duration_s)
+    _, peace = _fly(trial.seed, None, duration_s)
+    findings = attacked.findings
+    if output.acts != peace.acts:
+        findings.append("the companion sent something else under attack")
+    if output.slowest_s > SLOWEST_FRAME_S:
+        findings.append(f"a frame took {output.slowest_s:.3f} s")
+    return TrialOutcome(
+        trial,
+        tuple(findings),
+        sums={"attack_frames": float(output.attacks)},
+        most={"attack_slowest_frame_s": output.slowest_s},
+    )
 
 
 def _fly(seed: int, fault: FaultRecord | None, duration_s: float) -> tuple[Monitored, Output]:
-    scenario = Scenario(autopilot=AutopilotParams(flavour=flavour_of(seed)))
-    around = monitored_flight(ENDLESS, scenario, seed, is_signed=True, is_spoofing=False)
+    scenario = Scenario(autopilot=AutopilotParams(flavour=flights.flavour_of(seed)))
+    around = flights.monitored_flight(
+        flights.ENDLESS, scenario, seed, is_signed=True, is_spoofing=False
+    )
     output = Output()
     around.flight.observers.append(output)
     around.flight.run(FLOOD_ENGAGED_S)
     if fault is not None:
-        around.inject(fault)
+        around.injector.add(fault)
     around.flight.run(duration_s + 1.0)
     return around, output
+
+
+GAPS = Part(
+    "gaps",
+    "hours over a link that loses 10, 30 and 50 %",
+    run=hold_for_hours,
+    cost_s=30.0 / PIECE_H,
+    split=gap_pieces,
+)
+REACTIONS = Part(
+    "reaction", "hold within 0.5 s of a stale position, link lost at 1.0 s", run=react, cost_s=0.5
+)
+FLOODS = Part(
+    "forged",
+    "forged, replayed and unsigned frames at 20,000 a second beside genuine traffic",
+    run=flood,
+    cost_s=3.0,
+    base_cost_s=1.5,
+    split=flights.frames_each(FRAMES_PER_TRIAL),
+)

@@ -22,22 +22,15 @@ from companion.domain import FlightMode
 from companion.errors import CompanionError
 from companion.io.child_process import HOST, ChildProcess, free_udp_ports
 from companion.mav.dialect import mavlink
-from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
-from sim_link.lab.campaign.flights import (
-    ENDLESS,
-    Dice,
-    Monitored,
-    Part,
-    Trial,
-    TrialOutcome,
-    monitored_flight,
-)
+from sim_link.lab.campaign.flights import Dice, Part, Trial, TrialOutcome, launched_flight
 from sim_link.lab.event_tail import EventTail
 from sim_link.lab.lockstep.flight_harness import MemoryStore
 from sim_link.lab.lockstep.observer import Frame, Observer
 
 KILL_EARLIEST_S, KILL_LATEST_S = 1.0, 45.0
 KILL_AFTER_S = 12.0
+LAUNCHED = 0x1C7
+"""Salt of the dice, for kills and stops the same."""
 AIRBORNE_M = 0.5
 TAKES_CONTROL = (mavlink.MAV_CMD_COMPONENT_ARM_DISARM, mavlink.MAV_CMD_NAV_TAKEOFF)
 HOLD_S, EXIT_S = 1.0, 2.0
@@ -47,74 +40,51 @@ CUTS_PER_TRIAL = 40
 
 
 class Taking(Observer):
-    """What a companion does to take a vehicle by itself."""
+    """Counts what a companion asks for to take a vehicle by itself."""
 
     def __init__(self) -> None:
         self.taken = 0
-        self.setpoints = 0
 
     def sent(self, frame: Frame) -> None:
-        """Count requests and setpoints."""
+        """Count requests."""
         message = frame.message
-        if isinstance(message, mavlink.MAVLink_set_position_target_local_ned_message):
-            self.setpoints += 1
-        if not isinstance(message, mavlink.MAVLink_command_long_message):
-            return
-        if message.command in TAKES_CONTROL:
-            self.taken += 1
+        if isinstance(message, mavlink.MAVLink_command_long_message):
+            self.taken += message.command in TAKES_CONTROL
 
 
-def flight_of(seed: int) -> tuple[Monitored, Dice]:
-    """A flight with checkpoints, either autopilot, launched by the companion."""
-    dice = Dice(np.random.default_rng((seed, 0x1C7)))
-    scenario = Scenario(autopilot=AutopilotParams(flavour=dice.flavour()))
-    return monitored_flight(ENDLESS, scenario, seed), dice
+def kill(trial: Trial) -> TrialOutcome:
+    """Kill, damage, start again, and watch who engages."""
+    around, dice = launched_flight(trial.seed, LAUNCHED)
+    flight, store = around.flight, around.checkpointing.store
+    flight.run(dice.number(KILL_EARLIEST_S, KILL_LATEST_S))
+    flight.kill_companion()
+    was_airborne = flight.sim.vehicle.body.height_m > AIRBORNE_M
+    damaged = damages(store, trial.seed)
+    starts = _starts(store, damaged)
+    flight.run(dice.number(0.1, 10.0))
+    is_flying = was_airborne and flight.sim.vehicle.is_armed
+    taking = Taking()
+    flight.observers.append(taking)
+    flight.start_companion()
+    flight.run(KILL_AFTER_S)
+    findings = around.findings
+    if is_flying and taking.taken:
+        findings.append(f"took the vehicle by itself after a restart ({taking.taken} requests)")
+    sums = {"kills": 1.0, "damaged_checkpoints": float(len(damaged))}
+    return TrialOutcome(trial, tuple(findings + starts), sums, story=around.story)
 
 
-class Kills(Part):
-    """The part of the campaign that kills, damages and starts again."""
-
-    name = "kill"
-    title = "SIGKILL at random instants, checkpoints cut or flipped at every byte"
-
-    def run(self, trial: Trial) -> TrialOutcome:
-        """Kill, damage, start again, and watch who engages."""
-        around, dice = flight_of(trial.seed)
-        flight = around.flight
-        flight.run(dice.number(KILL_EARLIEST_S, KILL_LATEST_S))
-        flight.kill_companion()
-        was_airborne = flight.sim.vehicle.body.height_m > AIRBORNE_M
-        damaged = damages(around.checkpointing.store, trial.seed)
-        starts = self._starts(around.checkpointing.store, damaged)
-        flight.run(dice.number(0.1, 10.0))
-        is_flying = was_airborne and flight.sim.vehicle.is_armed
-        taking = Taking()
-        flight.observers.append(taking)
-        flight.start_companion()
-        flight.run(KILL_AFTER_S)
-        findings = around.findings
-        if is_flying and taking.taken:
-            findings.append(f"took the vehicle by itself after a restart ({taking.taken} requests)")
-        return TrialOutcome(
-            trial,
-            tuple(findings + starts),
-            sums={"kills": 1.0, "damaged_checkpoints": float(len(damaged))},
-            story=around.story,
-        )
-
-    def _starts(self, store: MemoryStore, damaged: list[dict[int, bytes]]) -> list[str]:
-        """What goes wrong when a store is read that was damaged; nothing may."""
-        findings = []
-        whole = dict(store.slots)
-        for slots in damaged:
-            store.slots = slots
-            found = store.load()
-            if found.checkpoint is not None and len(slots) == 1:
-                findings.append("a damaged checkpoint was believed")
-            if slots and not found.has_files:
-                findings.append("a damaged checkpoint was taken for no checkpoint at all")
-        store.slots = damaged[-1] if damaged else whole
-        return findings
+def _starts(store: MemoryStore, damaged: list[dict[int, bytes]]) -> list[str]:
+    """What goes wrong when a store is read that was damaged; nothing may."""
+    findings = []
+    for slots in damaged:
+        store.slots = slots
+        found = store.load()
+        if found.checkpoint is not None and len(slots) == 1:
+            findings.append("a damaged checkpoint was believed")
+        if slots and not found.has_files:
+            findings.append("a damaged checkpoint was taken for no checkpoint at all")
+    return findings
 
 
 def damages(store: MemoryStore, seed: int) -> list[dict[int, bytes]]:
@@ -138,43 +108,36 @@ def damages(store: MemoryStore, seed: int) -> list[dict[int, bytes]]:
     return damaged
 
 
-class Stops(Part):
-    """The part of the campaign that tells the process to stop."""
-
-    name = "stop"
-    title = "SIGTERM at random instants: hold confirmed in 1 s, gone in 2 s"
-    cost_s = 0.8
-
-    def run(self, trial: Trial) -> TrialOutcome:
-        """Stop, and watch the mode and the process."""
-        around, dice = flight_of(trial.seed)
-        flight = around.flight
-        flight.run(dice.number(KILL_EARLIEST_S, KILL_LATEST_S))
-        was_ours = flight.mode is FlightMode.OFFBOARD and flight.sim.vehicle.is_armed
-        stopped_s = flight.now_s
-        flight.stop_companion()
-        hold_s = gone_s = None
-        while flight.now_s - stopped_s < EXIT_S + 1.0 and (hold_s is None or gone_s is None):
-            if hold_s is None and flight.mode is not FlightMode.OFFBOARD:
-                hold_s = flight.now_s - stopped_s
-            if gone_s is None and not flight.is_companion_up:
-                gone_s = flight.now_s - stopped_s
-            flight.step()
-        findings = around.findings
-        if was_ours and (hold_s is None or hold_s > HOLD_S):
-            findings.append(f"hold not confirmed within {HOLD_S:g} s of a stop")
-        if gone_s is None or gone_s > EXIT_S:
-            findings.append(f"not gone within {EXIT_S:g} s of a stop")
-        return TrialOutcome(
-            trial,
-            tuple(findings),
-            sums={"stops": 1.0, "stops_in_control": float(was_ours)},
-            most={
-                "stop_hold_s": hold_s or 0.0 if was_ours else 0.0,
-                "stop_exit_s": gone_s if gone_s is not None else EXIT_S + 1.0,
-            },
-            story=around.story,
-        )
+def stop(trial: Trial) -> TrialOutcome:
+    """Stop, and watch the mode and the process."""
+    around, dice = launched_flight(trial.seed, LAUNCHED)
+    flight = around.flight
+    flight.run(dice.number(KILL_EARLIEST_S, KILL_LATEST_S))
+    was_ours = flight.mode is FlightMode.OFFBOARD and flight.sim.vehicle.is_armed
+    stopped_s = flight.now_s
+    flight.stop_companion()
+    hold_s = gone_s = None
+    while flight.now_s - stopped_s < EXIT_S + 1.0 and (hold_s is None or gone_s is None):
+        if hold_s is None and flight.mode is not FlightMode.OFFBOARD:
+            hold_s = flight.now_s - stopped_s
+        if gone_s is None and not flight.is_companion_up:
+            gone_s = flight.now_s - stopped_s
+        flight.step()
+    findings = around.findings
+    if was_ours and (hold_s is None or hold_s > HOLD_S):
+        findings.append(f"hold not confirmed within {HOLD_S:g} s of a stop")
+    if gone_s is None or gone_s > EXIT_S:
+        findings.append(f"not gone within {EXIT_S:g} s of a stop")
+    return TrialOutcome(
+        trial,
+        tuple(findings),
+        sums={"stops": 1.0, "stops_in_control": float(was_ours)},
+        most={
+            "stop_hold_s": hold_s or 0.0 if was_ours else 0.0,
+            "stop_exit_s": gone_s if gone_s is not None else EXIT_S + 1.0,
+        },
+        story=around.story,
+    )
 
 
 SPEED = 3.0
@@ -188,34 +151,22 @@ START_S = 60.0
 """Real time that a process may take to start on a busy machine."""
 
 
-class Signals(Part):
-    """The part of the campaign that signals real processes."""
-
-    name = "signal"
-    title = "real processes: SIGTERM and SIGKILL at random instants, and started again"
-    cost_s = 12.0
-
-    def run(self, trial: Trial) -> TrialOutcome:
-        """Fly, signal, and read what was left; a size below 1 signals earlier, of both by turns."""
-        dice = Dice(np.random.default_rng((trial.seed, 0x516)))
-        flavour = dice.one(FLAVOURS)
-        instant_s = dice.number(
-            SIGNAL_EARLIEST_S,
-            SIGNAL_EARLIEST_S + trial.size * (SIGNAL_LATEST_S - SIGNAL_EARLIEST_S),
-        )
-        with tempfile.TemporaryDirectory(prefix="signal-") as folder:
-            flight = _ProcessFlight(Path(folder), flavour)
-            try:
-                companion = flight.start_companion()
-                time.sleep(instant_s / SPEED)
-                if trial.seed % 2:
-                    return _stop(trial, flight, companion)
-                return _kill(trial, flight, companion, dice.number(*DOWN_S))
-            finally:
-                flight.close()
-
-
-FLAVOURS: tuple[FlavourName, ...] = ("px4", "ardupilot")
+def signal_process(trial: Trial) -> TrialOutcome:
+    """Fly, signal, and read what was left; a size below 1 signals earlier, of both by turns."""
+    dice = Dice(np.random.default_rng((trial.seed, 0x516)))
+    flavour = dice.one(("px4", "ardupilot"))
+    span_s = trial.size * (SIGNAL_LATEST_S - SIGNAL_EARLIEST_S)
+    instant_s = dice.number(SIGNAL_EARLIEST_S, SIGNAL_EARLIEST_S + span_s)
+    with tempfile.TemporaryDirectory(prefix="signal-") as folder:
+        flight = _ProcessFlight(Path(folder), flavour)
+        try:
+            companion = flight.start_companion()
+            time.sleep(instant_s / SPEED)
+            if trial.seed % 2:
+                return _stop(trial, flight, companion)
+            return _kill(trial, flight, companion, dice.number(*DOWN_S))
+        finally:
+            flight.close()
 
 
 class _ProcessFlight:
@@ -231,7 +182,7 @@ class _ProcessFlight:
             "process": {"state_directory": str(folder / "state")},
         }
         self._config.write_text(yaml.safe_dump(values))
-        self._tail = EventTail(folder / "flights")
+        self.events = EventTail(folder / "flights")
         self._companions: list[ChildProcess] = []
         arguments = ["sim_link", "--stop-on-eof", "--quiet", "--autopilot", flavour]
         arguments += ["--speed", f"{SPEED:g}", "--report", str(folder / "truth.json")]
@@ -255,15 +206,11 @@ class _ProcessFlight:
         child = self._start(f"companion{len(self._companions)}", arguments)
         self._companions.append(child)
         deadline_s = time.monotonic() + START_S
-        while not self._tail.look_for_flight():
+        while not self.events.look_for_flight():
             if not child.is_alive or time.monotonic() > deadline_s:
                 raise CompanionError(f"the companion did not start: {child.last_words}")
             time.sleep(0.01)
         return child
-
-    def take_events(self) -> list[dict[str, Any]]:
-        """What the newest companion wrote; the last line of one that was killed may be torn."""
-        return self._tail.take()
 
     def land(self) -> list[str]:
         """End the simulator; the modes that the vehicle was in."""
@@ -278,16 +225,17 @@ class _ProcessFlight:
             child.stop()
 
 
-def _end(child: ChildProcess) -> tuple[int | None, float]:
-    """SIGTERM; the exit code, and how many seconds the process took to end."""
+def _end(child: ChildProcess) -> tuple[int | None, float, list[str]]:
+    """SIGTERM; the exit code, how many seconds the process took to end, and if that is too long."""
     began_s = time.monotonic()
-    return child.end(EXIT_S + 2.0), time.monotonic() - began_s
+    code = child.end(EXIT_S + 2.0)
+    took_s = time.monotonic() - began_s
+    return code, took_s, [] if took_s <= EXIT_S else [f"gone {took_s:.2f} s after SIGTERM"]
 
 
 def _stop(trial: Trial, flight: _ProcessFlight, companion: ChildProcess) -> TrialOutcome:
-    code, took_s = _end(companion)
-    events, modes = flight.take_events(), flight.land()
-    findings = [] if took_s <= EXIT_S else [f"gone {took_s:.2f} s after SIGTERM"]
+    code, took_s, findings = _end(companion)
+    events, modes = flight.events.take(), flight.land()
     if code != 0:
         findings.append(f"exit code {code} after SIGTERM")
     asked_s = _asked_s(events)
@@ -313,17 +261,16 @@ def _kill(
 ) -> TrialOutcome:
     companion.signal(signal.SIGKILL)
     companion.stop()
-    before = flight.take_events()
+    before = flight.events.take()
     had_begun = _time_of(before, "phase", new="launching") is not None
     time.sleep(down_s)
     began_s = time.monotonic()
     companion = flight.start_companion()
     started_s = time.monotonic() - began_s
     time.sleep(SIGNAL_AFTER_S / SPEED)
-    _, took_s = _end(companion)
-    after = flight.take_events()
+    _, took_s, findings = _end(companion)
+    after = flight.events.take()
     asked = [event for event in after if event["kind"] == "answer"]
-    findings = [] if took_s <= EXIT_S else [f"gone {took_s:.2f} s after SIGTERM"]
     if had_begun and asked:
         findings.append(f"took the vehicle by itself after a kill ({len(asked)} requests)")
     return TrialOutcome(
@@ -354,3 +301,17 @@ def _asked_s(events: Sequence[dict[str, Any]]) -> float | None:
 
 def _story(events: Sequence[dict[str, Any]]) -> tuple[str, ...]:
     return tuple(f"{e['t_s']:8.2f} s  {e['text']}" for e in events if e["kind"] == "text")
+
+
+KILLS = Part(
+    "kill", "SIGKILL at random instants, checkpoints cut or flipped at every byte", run=kill
+)
+STOPS = Part(
+    "stop", "SIGTERM at random instants: hold confirmed in 1 s, gone in 2 s", run=stop, cost_s=0.8
+)
+SIGNALS = Part(
+    "signal",
+    "real processes: SIGTERM and SIGKILL at random instants, and started again",
+    run=signal_process,
+    cost_s=12.0,
+)

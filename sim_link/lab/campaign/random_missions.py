@@ -8,43 +8,29 @@ frame that shows it.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import msgspec
 import numpy as np
 
-from companion.config.schema import (
-    CompanionConfig,
-    CrossingKind,
-    LimitsConfig,
-    PatternKind,
-    PlannerConfig,
-)
+from companion.config import schema
 from companion.domain import FlightMode
 from companion.guidance.session_params import SessionParams
 from companion.link.interface import VehicleParams as CompanionVehicle
 from sim_link.autopilot.incidents import PilotMode
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.lab.campaign.flights import (
-    ENDLESS,
     MODES,
     Dice,
     Monitored,
     Part,
     Trial,
     TrialOutcome,
+    launched_flight,
     monitored_flight,
     random_fault,
 )
-from sim_link.lab.faults.fault_models import (
-    Fault,
-    LinkDelay,
-    LinkJitter,
-    LinkLoss,
-    Schedule,
-    fields_of,
-)
+from sim_link.lab.faults.fault_models import LinkDelay, LinkJitter, LinkLoss, Schedule, fields_of
 from sim_link.world.environment import EmitterParams
 from sim_link.world.point_mass import VehicleParams, WindParams
 
@@ -68,30 +54,17 @@ def box(west: float, south: float, east: float, north: float) -> Corners:
     return ((west, south), (east, south), (east, north), (west, north))
 
 
+NOTCH: Corners = ((-20, -20), (100, -20), (100, 30), (45, 30), (45, 100), (-20, 100))
+WEDGE: Corners = ((-25, -25), (120, -10), (40, 50), (-10, 120))
+MASTS = (box(38, 20, 46, 34), ((60, 60), (75, 62), (66, 78)), box(20, 70, 24, 74))
+
+
 PLACES = (
     Place("field", box(-40, -40, 110, 110), (), (10, 10), (-45, -45, 115, 115)),
     Place("close", box(-15, -15, 60, 60), (), (10, 10), (-10, -10, 70, 70)),
-    Place(
-        "notch",
-        ((-20, -20), (100, -20), (100, 30), (45, 30), (45, 100), (-20, 100)),
-        (),
-        (10, 10),
-        (-15, -15, 95, 95),
-    ),
-    Place(
-        "masts",
-        box(-30, -30, 110, 110),
-        (box(38, 20, 46, 34), ((60, 60), (75, 62), (66, 78)), box(20, 70, 24, 74)),
-        (10, 10),
-        (0, 0, 100, 100),
-    ),
-    Place(
-        "wedge",
-        ((-25, -25), (120, -10), (40, 50), (-10, 120)),
-        (),
-        (5, 5),
-        (-20, -20, 110, 110),
-    ),
+    Place("notch", NOTCH, (), (10, 10), (-15, -15, 95, 95)),
+    Place("masts", box(-30, -30, 110, 110), MASTS, (10, 10), (0, 0, 100, 100)),
+    Place("wedge", WEDGE, (), (5, 5), (-20, -20, 110, 110)),
     Place("strip", box(-20, -20, 140, 25), (), (0, 0), (10, -25, 150, 30)),
 )
 
@@ -101,8 +74,7 @@ def emitter_of(place: Place, rng: np.random.Generator) -> tuple[float, float]:
     west, south, east, north = place.emitter_box_m
     while True:
         e, n = float(rng.uniform(west, east)), float(rng.uniform(south, north))
-        away = ((e - place.start_enu_m[0]) ** 2 + (n - place.start_enu_m[1]) ** 2) ** 0.5
-        if away > 8.0:
+        if math.dist((e, n), place.start_enu_m) > 8.0:
             return e, n
 
 
@@ -111,7 +83,7 @@ LATENCY_S = 0.5
 """Of both directions together."""
 WIND_MPS = 12.0
 SPEEDS_MPS = (3.0, 5.0, 8.0, 10.0)
-PLANNERS: tuple[CrossingKind | PatternKind, ...] = (
+PLANNERS: tuple[schema.CrossingKind | schema.PatternKind, ...] = (
     "latched_crossing",
     "latched_crossing",
     "reactive_crossing",
@@ -133,7 +105,7 @@ class MissionCase:
 
     seed: int
     place: Place
-    config: CompanionConfig
+    config: schema.CompanionConfig
     scenario: Scenario
     schedule: Schedule
     is_signed: bool
@@ -163,23 +135,16 @@ def mission_case(seed: int) -> MissionCase:
     is_operated = dice.happens(OPERATED_SHARE)
     config = _config(dice, place, is_operated=is_operated)
     is_signed = dice.happens(SIGNED_SHARE)
-    faults: list[Fault] = [random_fault(rng) for _ in range(1 + int(rng.integers(MOST_FAULTS)))]
+    faults = [random_fault(rng) for _ in range(1 + int(rng.integers(MOST_FAULTS)))]
     latency_s = dice.number(0.0, LATENCY_S)
     share = dice.number(0.0, 1.0)
-    delays: list[Fault] = [
+    delays = (
         LinkDelay(delay_s=latency_s * share, direction="to_companion"),
         LinkDelay(delay_s=latency_s * (1.0 - share), direction="to_vehicle"),
-    ]
-    return MissionCase(
-        seed=seed,
-        place=place,
-        config=config,
-        scenario=scenario,
-        schedule=Schedule(faults=tuple(delays + faults)),
-        is_signed=is_signed,
-        is_operated=is_operated,
-        regrant_s=dice.number(15.0, 40.0) if dice.happens(0.5) else None,
     )
+    schedule = Schedule(faults=(*delays, *faults))
+    regrant_s = dice.number(15.0, 40.0) if dice.happens(0.5) else None
+    return MissionCase(seed, place, config, scenario, schedule, is_signed, is_operated, regrant_s)
 
 
 def _scenario(
@@ -200,8 +165,8 @@ def _scenario(
     )
 
 
-def _config(dice: Dice, place: Place, *, is_operated: bool) -> CompanionConfig:
-    limits = LimitsConfig(
+def _config(dice: Dice, place: Place, *, is_operated: bool) -> schema.CompanionConfig:
+    limits = schema.LimitsConfig(
         fence_enu_m=place.fence_enu_m,
         keep_out_enu_m=place.keep_out_enu_m,
         speed_mps=dice.one(SPEEDS_MPS),
@@ -210,51 +175,39 @@ def _config(dice: Dice, place: Place, *, is_operated: bool) -> CompanionConfig:
     mission = SessionParams(
         engage="operator" if is_operated else "auto", altitude_m=ALTITUDE_M, stop_confirm_s=3.0
     )
-    kind = dice.one(PLANNERS)
-    config = CompanionConfig(
-        mission=mission,
-        limits=limits,
-        planner=PlannerConfig(kind=kind),
-        vehicle=CompanionVehicle(setpoint=dice.one(("local_ned", "global_int"))),
-    )
-    if kind not in ("lawnmower", "expanding_square", "sector") and dice.happens(0.3):
-        planner = msgspec.structs.replace(config.planner, search="expanding_square")
-        config = msgspec.structs.replace(config, planner=planner)
-    return config
+    planner = schema.PlannerConfig(kind=dice.one(PLANNERS))
+    vehicle = CompanionVehicle(setpoint=dice.one(("local_ned", "global_int")))
+    is_pattern = planner.kind in ("lawnmower", "expanding_square", "sector")
+    if not is_pattern and dice.happens(0.3):
+        planner = msgspec.structs.replace(planner, search="expanding_square")
+    return schema.CompanionConfig(mission=mission, limits=limits, planner=planner, vehicle=vehicle)
 
 
 SAID = 400
 """Characters of the story's texts."""
 
 
-class Missions(Part):
-    """The part of the campaign that flies missions."""
-
-    name = "missions"
-    title = "random missions with 1 to 4 faults"
-    cost_s = 0.8
-
-    def run(self, trial: Trial) -> TrialOutcome:
-        """Fly one."""
-        case = mission_case(trial.seed)
-        around = fly(case)
-        monitor = around.monitor
-        closest_m = monitor.fence.closest_m
-        lines = [str(case), *(f"fault {fields_of(fault)}" for fault in case.schedule.faults)]
-        return TrialOutcome(
-            trial,
-            tuple(around.findings),
-            sums={
-                "missions": 1.0,
-                "fence_breaches": float(monitor.fence.breaches),
-                "mission_hours": around.flight.now_s / 3600.0,
-                "localised": float(bool(around.notes.results)),
-                "engaged": float(math.isfinite(closest_m)),
-            },
-            most={"send_gap_s": monitor.stream.worst_gap_s},
-            least={"closest_approach_m": closest_m} if math.isfinite(closest_m) else {},
-            story=(*lines, *(line[:SAID] for line in around.story)),
-        )
+def fly_mission(trial: Trial) -> TrialOutcome:
+    """Fly one mission."""
+    case = mission_case(trial.seed)
+    around = fly(case)
+    monitor = around.monitor
+    closest_m = monitor.fence.closest_m
+    lines = [str(case), *(f"fault {fields_of(fault)}" for fault in case.schedule.faults)]
+    return TrialOutcome(
+        trial,
+        tuple(around.findings),
+        sums={
+            "missions": 1.0,
+            "fence_breaches": float(monitor.fence.breaches),
+            "mission_hours": around.flight.now_s / 3600.0,
+            "localised": float(bool(around.notes.results)),
+            "engaged": float(math.isfinite(closest_m)),
+        },
+        most={"send_gap_s": monitor.stream.worst_gap_s},
+        least={"closest_approach_m": closest_m} if math.isfinite(closest_m) else {},
+        story=(*lines, *(line[:SAID] for line in around.story)),
+    )
 
 
 def fly(case: MissionCase) -> Monitored:
@@ -305,45 +258,32 @@ AGAIN = 10
 GIVE_BACK_S = 3.0
 
 
-class Overrides(Part):
-    """The part of the campaign that takes over."""
-
-    name = "override"
-    title = "pilot take-overs at random instants, 0, 10 and 30 % loss"
-    cost_s = 1.5
-
-    def trials(self, amount: float, seed: int) -> Sequence[Trial]:
-        """So many take-overs, ten in a flight."""
-        return self.numbered_trials(-(-round(amount) // AGAIN), seed)
-
-    def run(self, trial: Trial) -> TrialOutcome:
-        """Ten take-overs in one flight."""
-        dice = Dice(np.random.default_rng((trial.seed, 0x0E7)))
-        scenario = Scenario(autopilot=AutopilotParams(flavour=dice.flavour()))
-        around = monitored_flight(ENDLESS, scenario, trial.seed)
-        flight = around.flight
-        share = dice.one(LOSSES)
-        if share:
-            around.inject(LinkLoss(share=share))
-        if dice.happens(0.3):
-            around.inject(LinkJitter(jitter_s=0.15))
-        flight.run(BEFORE_S)
-        taken = 0
-        for _ in range(AGAIN):
-            if not _give_back(around):
-                continue
-            flight.run(dice.number(0.0, OVER_S / AGAIN * 2.0))
-            around.inject(PilotMode(mode=dice.one(MODES)))
-            flight.run(AFTER_S)
-            taken += 1
-        authority = around.monitor.authority
-        return TrialOutcome(
-            trial,
-            tuple(around.findings),
-            sums={"overrides": float(taken), "override_late_frames": float(authority.late)},
-            most={"override_worst_late_s": authority.worst_late_s},
-            story=around.story,
-        )
+def take_over(trial: Trial) -> TrialOutcome:
+    """Ten take-overs in one flight."""
+    around, dice = launched_flight(trial.seed, 0x0E7)
+    flight = around.flight
+    share = dice.one(LOSSES)
+    if share:
+        around.injector.add(LinkLoss(share=share))
+    if dice.happens(0.3):
+        around.injector.add(LinkJitter(jitter_s=0.15))
+    flight.run(BEFORE_S)
+    taken = 0
+    for _ in range(AGAIN):
+        if not _give_back(around):
+            continue
+        flight.run(dice.number(0.0, OVER_S / AGAIN * 2.0))
+        around.injector.add(PilotMode(mode=dice.one(MODES)))
+        flight.run(AFTER_S)
+        taken += 1
+    authority = around.monitor.authority
+    return TrialOutcome(
+        trial,
+        tuple(around.findings),
+        sums={"overrides": float(taken), "override_late_frames": float(authority.late)},
+        most={"override_worst_late_s": authority.worst_late_s},
+        story=around.story,
+    )
 
 
 def _give_back(around: Monitored) -> bool:
@@ -357,3 +297,13 @@ def _give_back(around: Monitored) -> bool:
         around.operator.choose(FlightMode.OFFBOARD)
         flight.run(0.5)
     return flight.mode is FlightMode.OFFBOARD
+
+
+MISSIONS = Part("missions", "random missions with 1 to 4 faults", run=fly_mission, cost_s=0.8)
+OVERRIDES = Part(
+    "override",
+    "pilot take-overs at random instants, 0, 10 and 30 % loss",
+    run=take_over,
+    cost_s=1.5,
+    split=lambda takeovers: (-(-round(takeovers) // AGAIN), 1.0),
+)

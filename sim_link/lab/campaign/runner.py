@@ -9,29 +9,21 @@ from contextlib import closing
 from dataclasses import dataclass, field, replace
 
 from companion.errors import ConfigError
-from sim_link.lab.campaign.endurance import Fuzzing, Soak
+from sim_link.lab.campaign import endurance, link_trials, process_trials, random_missions
 from sim_link.lab.campaign.flights import Part, Trial, TrialFinding, TrialOutcome
-from sim_link.lab.campaign.link_trials import (
-    MOST_FALSE_LOSSES_PER_10_H,
-    Floods,
-    GapHours,
-    Reactions,
-)
-from sim_link.lab.campaign.process_trials import Kills, Signals, Stops
-from sim_link.lab.campaign.random_missions import Missions, Overrides
 from sim_link.lab.pool import LOCAL, WorkerLostError, open_pool
 
-ALL: tuple[Part, ...] = (
-    Missions(),
-    Overrides(),
-    GapHours(),
-    Kills(),
-    Stops(),
-    Signals(),
-    Floods(),
-    Fuzzing(),
-    Reactions(),
-    Soak(),
+ALL = (
+    random_missions.MISSIONS,
+    random_missions.OVERRIDES,
+    link_trials.GAPS,
+    process_trials.KILLS,
+    process_trials.STOPS,
+    process_trials.SIGNALS,
+    link_trials.FLOODS,
+    endurance.FUZZING,
+    link_trials.REACTIONS,
+    endurance.SOAK,
 )
 PARTS: Mapping[str, Part] = {part.name: part for part in ALL}
 
@@ -67,13 +59,12 @@ def trials_of(size: str, seed: int, only: Sequence[str] = ()) -> list[Trial]:
     """
     check_parts(only)
     trials = [
-        (PARTS[name].cost(trial), trial)
+        trial
         for name, amount in AMOUNTS[size].items()
         if not only or name in only
         for trial in PARTS[name].trials(amount, seed)
     ]
-    trials.sort(key=lambda pair: -pair[0])
-    return [trial for _, trial in trials]
+    return sorted(trials, key=lambda trial: -PARTS[trial.part].cost(trial))
 
 
 def check_parts(names: Sequence[str]) -> None:
@@ -126,17 +117,14 @@ class CampaignTally:
         self.findings += [TrialFinding(name, what) for what in outcome.findings]
         for key, value in outcome.sums.items():
             self.sums[key] = self.sums.get(key, 0.0) + value
-        for key, value in outcome.most.items():
-            self._reach(self.most, -1.0, key, value, name)
-        for key, value in outcome.least.items():
-            self._reach(self.least, 1.0, key, value, name)
-
-    def _reach(
-        self, figures: dict[str, float], sign: float, key: str, value: float, name: str
-    ) -> None:
-        rank = (sign * value, name)
-        if key not in figures or rank < (sign * figures[key], self.reached_in[key]):
-            figures[key], self.reached_in[key] = value, name
+        for figures, sign, reached in (
+            (self.most, -1.0, outcome.most),
+            (self.least, 1.0, outcome.least),
+        ):
+            for key, value in reached.items():
+                rank = (sign * value, name)
+                if key not in figures or rank < (sign * figures[key], self.reached_in[key]):
+                    figures[key], self.reached_in[key] = value, name
 
     def figures(self) -> Mapping[str, float]:
         """All figures, and the number of findings as `violations`."""
@@ -234,7 +222,7 @@ def judge(tally: CampaignTally) -> None:
     sums = tally.sums
     hours = sums.get(f"hours_{JUDGED_LOSS}", 0.0)
     lost = sums.get(f"false_losses_{JUDGED_LOSS}", 0.0)
-    allowed = MOST_FALSE_LOSSES_PER_10_H * max(hours, ENOUGH_HOURS) / 10.0
+    allowed = link_trials.MOST_FALSE_LOSSES_PER_10_H * max(hours, ENOUGH_HOURS) / 10.0
     if lost and lost >= allowed:
         what = f"{lost:.0f} links falsely declared lost in {hours:.1f} h at 30 % loss"
         tally.findings.append(TrialFinding("gaps", what))

@@ -1,9 +1,8 @@
 """A case of a study: the scene, the fixed track, and the randomness drawn ahead.
 
-One cell of a study: the scene, the true channel, what the filter believes, and the flight.
-
-The defaults are the paper's canonical scenario ("Simulation Setup"), and the choices below where
-the paper leaves something open:
+One cell of a study is the scene, the true channel, what the filter believes, and the flight. The
+defaults are the paper's canonical scenario ("Simulation Setup"), and the choices below where the
+paper leaves something open:
 
     bearing noise            sigma_theta = 2 deg
     NLOS                     one draw per step decides for range and bearing together
@@ -17,14 +16,11 @@ the paper leaves something open:
     eps_stop                 0
     plane                    sensor and target at one height, the sensor's place known exactly
 
-Tracks that do not depend on the estimate, and steps towards a waypoint.
-
-The channel's randomness drawn ahead, so that every system of a run suffers the same.
-
 A run has three streams of its own, for the truth (offsets, first estimate), the channel and the
-planner. What the channel draws does not depend on the case: with the same seed, a run with more
-NLOS or less noise has the same obstructed paths and a few more, the same bends and the same noise
-on another scale. The numbers are those of `sim_link.world.radio_channel` for the same stream.
+planner, so that every system of a run suffers the same. What the channel draws does not depend on
+the case: with the same seed, a run with more NLOS or less noise has the same obstructed paths and
+a few more, the same bends and the same noise on another scale. The numbers are those of
+`sim_link.world.radio_channel` for the same stream.
 """
 
 from __future__ import annotations
@@ -128,9 +124,6 @@ def canonical_case(
     """The canonical scenario with what the paper's tables vary; the filter knows the noise.
 
     Args:
-        range_sigma_m: Thermal noise of ranges, of the channel and in the filter.
-        p_nlos: Share of measurements on an obstructed path.
-        mean_bias_m: Mean NLOS bias of a range.
         range_k: Threshold of ranges, in sigma. Paper: k_rtt.
     """
     channel = ChannelParams(
@@ -162,10 +155,9 @@ def stepped(
 def lane_corners(
     area_m: tuple[float, float], spacing_m: float, first_north_m: float | None = None
 ) -> list[Point]:
-    """Corners of east-west lanes over an area from the origin.
+    """Corners of east-west lanes over an area from the origin, `area_m` wide and deep.
 
     Args:
-        area_m: Width and depth of the area.
         first_north_m: Of the first lane; None: half a spacing inside.
     """
     width_m, depth_m = area_m
@@ -179,47 +171,28 @@ def lane_corners(
     return corners
 
 
-def lawnmower_track(
-    area_m: tuple[float, float],
-    start_enu_m: Point,
-    spacing_m: float,
-    step_m: float,
-    steps: int,
-    first_north_m: float | None = None,
-) -> Matrix:
-    """Places on the lanes at even steps along them, (steps, 2).
+def track_of(case: Case) -> Matrix:
+    """The lawnmower's places at even steps, (steps, 2); every system starts at the first one.
 
     The way from the start to the first lane is part of the track; at the end of the last lane it
     turns around and goes back lane by lane.
-
-    Args:
-        area_m: Width and depth of the area.
-        first_north_m: Of the first lane; None: half a spacing inside.
     """
-    sweep = lane_corners(area_m, spacing_m, first_north_m)
-    corners = [start_enu_m, *sweep]
-    length_m = step_m * (steps - 1)
+    sweep = lane_corners(case.area_m, case.lane_spacing_m, case.first_lane_north_m)
+    corners = [case.start_enu_m, *sweep]
+    length_m = case.step_m * (case.steps - 1)
     turns = 0
-    while _length_m(corners) < length_m:
+    while sum(math.dist(a, b) for a, b in itertools.pairwise(corners)) < length_m:
         turns += 1
         corners += (sweep[::-1] if turns % 2 else sweep)[1:]
-    return along(np.array(corners), step_m, steps)
+    return along(np.array(corners), case.step_m, case.steps)
 
 
 def along(corners: Matrix, step_m: float, steps: int) -> Matrix:
-    """Places at even steps along a polyline, (steps, 2), its last corner from its end on.
-
-    Args:
-        corners: (k, 2).
-    """
+    """Places at even steps along a polyline (k, 2), (steps, 2), its last corner from its end on."""
     legs_m = np.hypot(*np.diff(corners, axis=0).T)
     corner_at_m = np.concatenate([[0.0], np.cumsum(legs_m)])
     at_m = step_m * np.arange(steps)
     return np.column_stack([np.interp(at_m, corner_at_m, axis) for axis in corners.T])
-
-
-def _length_m(corners: list[Point]) -> float:
-    return sum(math.dist(a, b) for a, b in itertools.pairwise(corners))
 
 
 OBSTRUCTED, EXCESS, BEND, RANGE_NOISE, BEARING_NOISE, BENT = range(6)
@@ -292,10 +265,7 @@ def channel_draws(case: Case, seed: RunSeed) -> Matrix:
 
 @kernel
 def measured(draw: Vector, east_m: float, north_m: float, truth: RunTruth) -> tuple[float, float]:
-    """Range and bearing through the true channel, metres and radians in [-pi, pi).
-
-    Args:
-        draw: (6,).
+    """Range and bearing through the true channel by a draw (6,), metres and radians in [-pi, pi).
 
     Paper: eq. (1).
     """
@@ -311,8 +281,6 @@ def measured_in(
     """The same among obstacles, and what the next shadowed measurement must remember.
 
     Args:
-        draw: (6,).
-        scene: The obstacles, and what a path suffers that they block.
         memory: Of the measurement before; `NO_MEMORY` at first.
     """
     if scene.surroundings.edges.shape[0] == 0:
@@ -367,3 +335,16 @@ def truth_of(case: Case, rng: np.random.Generator) -> RunTruth:
         channel.range_sigma_m,
         math.radians(channel.bearing_sigma_deg),
     )
+
+
+def start_of(case: Case, rng: np.random.Generator) -> Vector:
+    """Place of the first estimate, (2,), drawn over the area; NaN: from the first measurement."""
+    drawn_enu_m = rng.random(2) * np.array(case.area_m)
+    return drawn_enu_m if case.first_estimate == "uniform" else np.full(2, math.nan)
+
+
+def run_inputs(case: Case, seed: RunSeed) -> tuple[Matrix, RunTruth, Vector]:
+    """What the channel of a run draws, what is true in it, and where its first estimate is."""
+    rng = stream(seed, TRUTH)
+    truth = truth_of(case, rng)
+    return channel_draws(case, seed), truth, start_of(case, rng)

@@ -1,17 +1,15 @@
-"""filterpy's extended Kalman filter as the baseline, and the check of our EKF against it.
+"""filterpy's extended Kalman filter as the standard baseline, and the check of our EKF against it.
 
-filterpy's extended Kalman filter behind the companion's protocol: the standard baseline.
+Behind the companion's protocol prediction and update are filterpy's own (Joseph form, all rows at
+once). The measurement model and its variances are the companion's, per call, so that the two
+filters believe the same; what filterpy has no word for, bounds and a bearing offset within half a
+turn, is applied to its result.
 
-Prediction and update are filterpy's own (Joseph form, all rows at once). The measurement model and
-its variances are the companion's, per call, so that the two filters believe the same; what filterpy
-has no word for, bounds and a bearing offset within half a turn, is applied to its result.
-
-Whether the EKF of the tables is filterpy's: both on the same measurements from the same places.
-
-The compiled EKF flies. On its way, filterpy's filter takes in each measurement from the state that
-the EKF was in, and the two results are compared. It is given the state each time, because an EKF
-that has lost its target, and hovers where it believes it, multiplies a difference of rounding by
-ten every 40 steps: two copies of filterpy's filter on two machines would part as well.
+The check: the compiled EKF of the tables flies. On its way, filterpy's filter takes in each
+measurement from the state that the EKF was in, and the two results are compared. It is given the
+state each time, because an EKF that has lost its target, and hovers where it believes it,
+multiplies a difference of rounding by ten every 40 steps: two copies of filterpy's filter on two
+machines would part as well.
 """
 
 from __future__ import annotations
@@ -25,56 +23,30 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
 from companion.domain import PositionEnu, RangingMeasurement
-from companion.estimation.filters.robust_update import (
-    is_positive_definite,
-    lateness_variance,
-    settled,
-    wrapped,
-)
-from companion.estimation.filters.target_filter import (
-    NO_INFLATION,
-    FilterParams,
-    FilterState,
-    Inflation,
-    ModalityReport,
-    UpdateReport,
-)
-from companion.estimation.measurement_model import (
-    BEARING,
-    EAST,
-    MODALITIES,
-    NORTH,
-    jacobian,
-    predicted,
-    variances,
-)
+from companion.estimation import measurement_model
+from companion.estimation.filters import robust_update, target_filter
+from companion.estimation.filters.target_filter import FilterState, ModalityReport
+from companion.estimation.measurement_model import BEARING, MODALITIES
 from companion.kernel import Matrix, Vector, kernel
-from sim_link.lab.evaluation.campaign import run_trial, start_of
+from sim_link.lab.evaluation.campaign import RunSeries, run_trial
 from sim_link.lab.evaluation.case import (
-    TRUTH,
     Case,
-    RunSeed,
     RunTruth,
     Scene,
-    channel_draws,
     measured_in,
+    run_inputs,
     run_seeds,
     scene_of,
-    stream,
-    truth_of,
 )
-from sim_link.lab.evaluation.systems import System, belief_of
+from sim_link.lab.evaluation.systems import belief_of
 from sim_link.lab.evaluation.walk import RANGE_OFFSET, TARGET_EAST, Belief, first_fix, updated
 from sim_link.world.environment import NO_MEMORY
-
-Rows = list[int]
-"""Which modalities were measured, in their order."""
 
 
 class FilterpyEkf:
     """The EKF of a library; thresholds in the params do not count."""
 
-    def __init__(self, params: FilterParams) -> None:
+    def __init__(self, params: target_filter.FilterParams) -> None:
         self.params = params
         self._model = params.model
         self._bounds = params.bounds
@@ -84,7 +56,8 @@ class FilterpyEkf:
         ekf = self._filter(state, MODALITIES)
         q2_m2 = self.params.process_noise_m_per_sqrt_s**2 * max(time_s - state.time_s, 0.0)
         ekf.Q = np.zeros_like(ekf.P)
-        for index in (EAST, NORTH, self._model.height_index):
+        moving = (measurement_model.EAST, measurement_model.NORTH, self._model.height_index)
+        for index in moving:
             if index >= 0:
                 ekf.Q[index, index] = q2_m2
         ekf.predict()
@@ -95,8 +68,8 @@ class FilterpyEkf:
         state: FilterState,
         measurement: RangingMeasurement,
         sensor_enu_m: PositionEnu,
-        inflation: Inflation = NO_INFLATION,
-    ) -> UpdateReport:
+        inflation: target_filter.Inflation = target_filter.NO_INFLATION,
+    ) -> target_filter.UpdateReport:
         """The state after a measurement; see `TargetFilter.update`."""
         sensor = np.array(sensor_enu_m)
         z, sigma = self.params.seen(measurement)
@@ -108,18 +81,18 @@ class FilterpyEkf:
         if rows:
             ekf.update(
                 z[rows],
-                HJacobian=lambda x: jacobian(x, sensor, self._model)[rows],
-                Hx=lambda x: predicted(x, sensor, self._model)[rows],
+                HJacobian=lambda x: measurement_model.jacobian(x, sensor, self._model)[rows],
+                Hx=lambda x: measurement_model.predicted(x, sensor, self._model)[rows],
                 R=np.diag(effective[rows]),
                 residual=_residual_of(rows),
             )
         covariance = 0.5 * (ekf.P + ekf.P.T)
-        mean = settled(ekf.x, covariance, self._bounds)
-        is_sane = bool(is_positive_definite(mean, covariance))
+        mean = robust_update.settled(ekf.x, covariance, self._bounds)
+        is_sane = bool(robust_update.is_positive_definite(mean, covariance))
         after = FilterState.of(state.time_s, mean, covariance) if is_sane else state
         ranged, borne, elevated = _reports(ekf, rows, noise, effective)
         nis = float(ekf.y @ ekf.SI @ ekf.y) if rows else 0.0
-        return UpdateReport(after, ranged, borne, elevated, nis, is_sane)
+        return target_filter.UpdateReport(after, ranged, borne, elevated, nis, is_sane)
 
     def _filter(self, state: FilterState, rows: int) -> Any:
         """The library's filter at a state, for so many rows."""
@@ -133,28 +106,29 @@ class FilterpyEkf:
         self, state: FilterState, sensor: Vector, sigma: Vector, late_s: float
     ) -> Vector:
         """Of all three rows, (3,), as the companion's filters have them without inflation."""
-        noise: Vector = variances(state.covariance, state.mean, sensor, sigma, self._model)
+        mean, model = state.mean, self._model
+        noise: Vector = measurement_model.variances(state.covariance, mean, sensor, sigma, model)
         late_m2 = self.params.process_noise_m_per_sqrt_s**2 * late_s
-        for row, partials in enumerate(jacobian(state.mean, sensor, self._model)):
-            noise[row] += lateness_variance(partials, late_m2, self._model)
+        for row, partials in enumerate(measurement_model.jacobian(mean, sensor, model)):
+            noise[row] += robust_update.lateness_variance(partials, late_m2, model)
         return noise
 
 
-def _residual_of(rows: Rows) -> Callable[[Vector, Vector], Vector]:
-    """Measured minus predicted, the bearing's wrapped."""
-
+def _residual_of(rows: list[int]) -> Callable[[Vector, Vector], Vector]:
     def residual(z: Vector, expected: Vector) -> Vector:
         """The innovation, its bearing wrapped."""
         y = z - expected
         if BEARING in rows:
             index = rows.index(BEARING)
-            y[index] = wrapped(float(y[index]))
+            y[index] = robust_update.wrapped(float(y[index]))
         return y
 
     return residual
 
 
-def _reports(ekf: Any, rows: Rows, noise: Vector, effective: Vector) -> list[ModalityReport | None]:
+def _reports(
+    ekf: Any, rows: list[int], noise: Vector, effective: Vector
+) -> list[ModalityReport | None]:
     """What each modality did, beside what those before it explained.
 
     Args:
@@ -183,13 +157,8 @@ LARGEST_DIFFERENCE_M = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
-class EkfCheck:
+class EkfCheck(RunSeries):
     """The first runs of an EKF cell, for filterpy to repeat."""
-
-    case: Case
-    system: System
-    seed: int
-    runs: int
 
 
 class Replay(NamedTuple):
@@ -238,22 +207,23 @@ def replayed(
     return Replay(z, means, covariances)
 
 
-def largest_difference_m(check: EkfCheck) -> float:
-    """The largest difference of a coordinate or range offset after any step of the runs, metres."""
-    seeds = run_seeds(check.seed, check.runs)
-    return max(_difference_m(check.case, check.system, seed) for seed in seeds)
+def largest_difference_m(check: RunSeries) -> float:
+    """The largest difference of a coordinate or range offset after any step of the runs, metres.
 
-
-def _difference_m(case: Case, system: System, seed: RunSeed) -> float:
-    """Between the two filters, or between the one that was compared and the one that flew."""
-    ours = run_trial(case, system, seed)
-    rng = stream(seed, TRUTH)
-    truth, start, track = truth_of(case, rng), start_of(case, rng), ours.track_enu_m
-    draws, scene, belief = channel_draws(case, seed), scene_of(case), belief_of(case, system)
-    replay = replayed(draws, np.ascontiguousarray(track), start, truth, scene, belief)
+    Between the two filters, or between the one that was compared and the one that flew.
+    """
+    case, scene, belief = check.case, scene_of(check.case), belief_of(check.case, check.system)
     columns = slice(TARGET_EAST, RANGE_OFFSET + 1)
-    of_replay = _largest(replay.means[1:, :3] - ours.record[:, columns])
-    return max(of_replay, _largest(replay.means[1:, :3] - _theirs(case, track, replay)))
+    found: list[float] = []
+    for seed in run_seeds(check.seed, check.runs):
+        ours = run_trial(case, check.system, seed)
+        draws, truth, start = run_inputs(case, seed)
+        track = np.ascontiguousarray(ours.track_enu_m)
+        replay = replayed(draws, track, start, truth, scene, belief)
+        for others in (ours.record[:, columns], _theirs(case, track, replay)):
+            gaps = replay.means[1:, :3] - others
+            found.append(float(np.max(np.abs(gaps))) if np.isfinite(gaps).all() else math.inf)
+    return max(found)
 
 
 def _theirs(case: Case, track_enu_m: Matrix, replay: Replay) -> Matrix:
@@ -268,7 +238,3 @@ def _theirs(case: Case, track_enu_m: Matrix, replay: Replay) -> Matrix:
         before = FilterState.of(0.0, replay.means[step], replay.covariances[step])
         after[step] = ekf.update(before, seen, (east_m, north_m, 0.0)).state.mean[:3]
     return after
-
-
-def _largest(gaps: Matrix) -> float:
-    return float(np.max(np.abs(gaps))) if np.isfinite(gaps).all() else math.inf

@@ -1,12 +1,8 @@
-"""Studies as data, and what comes out of them.
-
-Studies as data: which systems fly which cases, and what the paper prints about them.
+"""Studies as data: which systems fly which cases, what the paper prints of them, what comes out.
 
 A study is one or more sweeps of the canonical case; a sweep's values are set at dotted fields of
-the case, or each is a variant with overrides of its own. A cell is one system in one case. A study
-may also be a collection of others.
-
-What comes out of a study: a tally for every cell, and the rows of its tables.
+the case, or each is a variant with overrides of its own. A cell is one system in one case; it comes
+to a tally, and that to rows of tables. A study may also be a collection of others.
 """
 
 from __future__ import annotations
@@ -151,15 +147,19 @@ def systems_of(systems: Systems, where: str) -> list[System]:
         ConfigError: There are none, one is twice in it, or there is no such filter or planner.
     """
     if isinstance(systems, SystemGrid):
-        pairs = itertools.product(systems.filters, systems.planners)
-        found = [System(name, planner) for name, planner in pairs]
+        found = list(
+            itertools.starmap(System, itertools.product(systems.filters, systems.planners))
+        )
     else:
-        found = [_system_named(name, f"{where}.systems[{i}]") for i, name in enumerate(systems)]
+        found = []
+        for i, name in enumerate(systems):
+            try:
+                found.append(system_named(name))
+            except ConfigError as error:
+                raise ConfigError(f"{where}.systems[{i}]: {error}") from None
     if not found:
         raise ConfigError(f"{where}.systems: at least one system is needed")
-    twice = next((one for one in found if found.count(one) > 1), None)
-    if twice is not None:
-        raise ConfigError(f"{where}.systems: {twice.label} is given twice")
+    _refuse_twice([system.label for system in found], f"{where}.systems")
     return found
 
 
@@ -172,22 +172,21 @@ def cases_of(sweep: Sweep, where: str) -> list[tuple[str, Case]]:
     if bool(sweep.variants) == bool(sweep.values) or bool(sweep.values) != bool(sweep.varies):
         raise ConfigError(f"{where}: give `varies` and `values`, or `variants`")
     base = overridden(msgspec.to_builtins(Case()), sweep.case, f"{where}.case")
-    if sweep.variants:
-        labelled = [
-            (name, overridden(base, changes, f"{where}.variants.{name}"))
-            for name, changes in sweep.variants.items()
-        ]
-    else:
-        labelled = [
-            (value_text(value), _varied(base, sweep, value, where)) for value in sweep.values
-        ]
-    names = [name for name, _ in labelled]
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice is not None:
-        raise ConfigError(f"{where}.values: {twice} is given twice")
+    labelled = [
+        (name, overridden(base, changes, f"{where}.variants.{name}"))
+        for name, changes in sweep.variants.items()
+    ]
+    labelled += [(value_text(value), _varied(base, sweep, value, where)) for value in sweep.values]
+    _refuse_twice([name for name, _ in labelled], f"{where}.values")
     return [
         (name, _case(fields, f"{where}, {sweep.parameter} {name}")) for name, fields in labelled
     ]
+
+
+def _refuse_twice(names: Sequence[str], where: str) -> None:
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise ConfigError(f"{where}: {twice} is given twice")
 
 
 def overridden(base: Mapping[str, Any], changes: Mapping[str, Any], where: str) -> dict[str, Any]:
@@ -248,13 +247,6 @@ def _case(fields: Mapping[str, Any], where: str) -> Case:
     return case
 
 
-def _system_named(name: str, where: str) -> System:
-    try:
-        return system_named(name)
-    except ConfigError as error:
-        raise ConfigError(f"{where}: {error}") from None
-
-
 def _check_paper(sweep: Sweep, systems: Sequence[System], where: str) -> None:
     labels = [name for system in systems for name in names_of(system)]
     for label, metrics in sweep.paper.items():
@@ -273,16 +265,15 @@ def _check_length(
 
 
 @dataclass(frozen=True, slots=True)
-class CellResult:
-    """One system in one case, and what its runs came to."""
+class CellResult(Cell):
+    """A cell, and what its runs came to."""
 
-    table: str
-    parameter: str
-    value: str
-    """As tables have it, for example 0.5."""
-    case: Case
-    system: System
     tally: RunTally
+
+    @classmethod
+    def of(cls, cell: Cell, tally: RunTally) -> CellResult:
+        """A cell with its tally."""
+        return cls(*(getattr(cell, name) for name in Cell.__slots__), tally=tally)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,23 +1,19 @@
 """Carries out studies: warm-up of the kernels, blocks of runs, and the store that keeps them.
 
-Compiles the kernels before any work is given out, as far as possible at once.
+Each block of runs is done once, the longest first, and kept in a folder as soon as it is done: a
+run that was killed goes on where it was. The key of a block names all that it follows from, sources
+included: whatever has changed since gets another key, and blocks of other studies may lie in the
+same folder.
 
 Every process that runs blocks needs the same kernels; compiled once, they find them in the cache.
 The big loop waits for what it calls, so its callees come first, in two processes, and then the
 loop in one and the tracker's kernels in another.
-
-Finished blocks of runs, kept in a folder: a run that was killed goes on where it was.
-
-The key of a block names all that it follows from, sources included: whatever has changed since
-gets another key, and blocks of other studies may lie in the same folder.
-
-Carries out studies: each block of runs once, the longest first, kept as soon as it is done.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Container, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,99 +24,80 @@ from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_bytes_atomic
 from companion.kernel import IS_COMPILED
 from companion.planning.crossing_kernels import LATCH_SIZE
+from sim_link.lab.evaluation import case as cases
+from sim_link.lab.evaluation import filterpy_ekf, walk
 from sim_link.lab.evaluation.campaign import (
-    Block,
     RunSeries,
     RunTally,
     joined_in_order,
     tally_of,
     unpacked,
 )
-from sim_link.lab.evaluation.case import (
-    TRUTH,
-    Case,
-    channel_draws,
-    measured_in,
-    scene_of,
-    stream,
-    truth_of,
-)
-from sim_link.lab.evaluation.filterpy_ekf import (
-    CHECKED_RUNS,
-    LARGEST_DIFFERENCE_M,
-    EkfCheck,
-    largest_difference_m,
-)
+from sim_link.lab.evaluation.case import Case
+from sim_link.lab.evaluation.filterpy_ekf import EkfCheck
 from sim_link.lab.evaluation.study import Cell, CellResult, Study, StudyResult, cells_of
-from sim_link.lab.evaluation.systems import (
-    FilterName,
-    System,
-    belief_of,
-    steering_of,
-    track_of,
-)
-from sim_link.lab.evaluation.walk import first_fix, history_of, next_place, solved, updated
+from sim_link.lab.evaluation.systems import FilterName, System, belief_of, steering_of
 from sim_link.lab.pool import Pool, sources_digest
 from sim_link.world.environment import NO_MEMORY
 
 STEPS = 12
 """Enough of a run to call everything once."""
 
-Stage = Sequence[tuple[str, Case, System]]
-"""What may be done at once: the name of a part, and what it is called with."""
+Warmer = Callable[[Case, System], None]
 
 
-def warm_up(flown: Sequence[tuple[Case, System]], pool: Pool) -> None:
-    """Call every kernel once that runs of some systems need.
+def warm_up(work: Work, pool: Pool) -> None:
+    """Call every kernel once that some work needs, so that processes find them compiled.
+
+    The first time after a change of the sources this takes the better part of a minute.
 
     Args:
         pool: Whose processes share a cache with those that will do the work.
     """
-    if not IS_COMPILED or not flown:
+    if not IS_COMPILED:
         return
     kinds: dict[tuple[bool, bool], tuple[Case, System]] = {}
-    for case, system in flown:
-        short = msgspec.structs.replace(case, steps=STEPS)
-        kinds.setdefault((system.is_compiled, bool(case.obstacles)), (short, system))
+    for task in work.values():
+        short = msgspec.structs.replace(task.case, steps=STEPS)
+        kind = (task.system.is_compiled, bool(task.case.obstacles))
+        kinds.setdefault(kind, (short, task.system))
     walked = [pair for (is_compiled, _), pair in kinds.items() if is_compiled]
-    stages: list[Stage] = []
-    if walked:
-        stages.append([("filters", *walked[0]), ("window", *walked[0])])
-    stages.append([("run", *pair) for pair in kinds.values()])
-    for stage in stages:
-        for _ in pool.results(_called, stage):
+    callees = [(part, *walked[0]) for part in (_warm_filters, _warm_window) if walked]
+    for stage in (callees, [(_warm_run, *pair) for pair in kinds.values()]):
+        for _ in pool.results(_call, stage):
             pass
 
 
-def _called(part: tuple[str, Case, System]) -> None:
-    name, case, system = part
-    PARTS[name](case, system)
+def _call(part: tuple[Warmer, Case, System]) -> None:
+    warm, case, system = part
+    warm(case, system)
 
 
-def _filters(case: Case, system: System) -> None:
+def _warm_filters(case: Case, system: System) -> None:
     """The updates, by the closed form and by splitting."""
     belief = belief_of(case, system)
-    mean, covariance = first_fix(0.0, 0.0, 20.0, 0.0, belief)
+    mean, covariance = walk.first_fix(0.0, 0.0, 20.0, 0.0, belief)
     for iterations in (0, 1):
-        updated(mean, covariance, np.zeros(3), _views(1)[0], belief._replace(iterations=iterations))
+        split = belief._replace(iterations=iterations)
+        walk.updated(mean, covariance, np.zeros(3), _views(1)[0], split)
 
 
-def _window(case: Case, system: System) -> None:
+def _warm_window(case: Case, system: System) -> None:
     """The window, the planners and the channel."""
     belief, steering = belief_of(case, system), steering_of(case, system)
-    mean, covariance = first_fix(0.0, 0.0, 20.0, 0.0, belief)
-    rows = history_of(STEPS, belief)
-    rows[:, :2], rows[:, 2], rows[:, 3:6] = track_of(case), 0.0, _views(STEPS)
-    solved(rows, mean, 1, belief)
+    mean, covariance = walk.first_fix(0.0, 0.0, 20.0, 0.0, belief)
+    rows = walk.history_of(STEPS, belief)
+    rows[:, :2], rows[:, 2], rows[:, 3:6] = cases.track_of(case), 0.0, _views(STEPS)
+    walk.solved(rows, mean, 1, belief)
     sensor, latch = np.zeros(3), np.zeros(LATCH_SIZE)
-    next_place(sensor, mean, covariance, 0.0, latch, belief, steering)
-    truth, draws = truth_of(case, stream(0, TRUTH)), channel_draws(case, 0)
-    measured_in(draws[0], 0.0, 0.0, truth, scene_of(case), NO_MEMORY)
+    walk.next_place(sensor, mean, covariance, 0.0, latch, belief, steering)
+    draws, truth, _ = cases.run_inputs(case, 0)
+    cases.measured_in(draws[0], 0.0, 0.0, truth, cases.scene_of(case), NO_MEMORY)
 
 
-def _run(case: Case, system: System) -> None:
+def _warm_run(case: Case, system: System) -> None:
     """A whole block of one short run, with all that is told of it."""
-    tally_of(RunSeries(case, system, 0, 1).blocks()[0])
+    tally_of(RunSeries(case, system, 0, 1))
 
 
 def _views(count: int) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
@@ -128,13 +105,6 @@ def _views(count: int) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
     views = np.full((count, 3), np.nan)
     views[:, 0], views[:, 1] = 20.0, np.linspace(0.0, 1.0, count)
     return views
-
-
-PARTS: dict[str, Callable[[Case, System], None]] = {
-    "filters": _filters,
-    "window": _window,
-    "run": _run,
-}
 
 
 FOLDER_NAME = "blocks"
@@ -181,9 +151,8 @@ class Store:
         write_bytes_atomic(self._folder / key, result)
 
 
-Task = Block | EkfCheck
-"""What is done in one go and kept."""
-OnDone = Callable[[float], None]
+Work = Mapping[str, RunSeries]
+"""What studies come to, by key, each once: blocks of runs and checks of the EKF."""
 
 COST_MS: dict[FilterName, float] = {"admm": 2.5, "map": 24.0, "tracker": 150.0, "filterpy": 100.0}
 """Roughly, of a run of 500 steps; what is not named takes USUAL_COST_MS."""
@@ -199,25 +168,9 @@ class PlannedStudy:
     runs: int
     cells: tuple[Cell, ...]
 
-    def campaign(self, cell: Cell, seed: int) -> RunSeries:
+    def blocks(self, cell: Cell, seed: int) -> list[RunSeries]:
         """The runs of one of its cells."""
-        return RunSeries(cell.case, cell.system, seed, self.runs)
-
-
-@dataclass(frozen=True, slots=True)
-class Work:
-    """What studies come to: tasks by key, each once."""
-
-    tasks: dict[str, Task]
-
-    @property
-    def cost(self) -> float:
-        """Of all of it, roughly, milliseconds."""
-        return sum(cost_of(task) for task in self.tasks.values())
-
-    def without(self, kept: Container[str]) -> Work:
-        """What is left when tasks of some keys are done."""
-        return Work({key: task for key, task in self.tasks.items() if key not in kept})
+        return RunSeries(cell.case, cell.system, seed, self.runs).blocks()
 
 
 def planned(studies: Sequence[Study], runs: int | None) -> list[PlannedStudy]:
@@ -232,19 +185,20 @@ def planned(studies: Sequence[Study], runs: int | None) -> list[PlannedStudy]:
     return [PlannedStudy(s, runs or s.runs, tuple(cells_of(s))) for s in studies]
 
 
-def work_of(studies: Iterable[PlannedStudy], seed: int) -> Work:
+def work_of(studies: Iterable[PlannedStudy], seed: int) -> dict[str, RunSeries]:
     """All that studies need; what several of them need is in it once."""
-    tasks: dict[str, Task] = {}
+    work: dict[str, RunSeries] = {}
     for study in studies:
         for cell in study.cells:
-            found: list[Task] = [*study.campaign(cell, seed).blocks()]
+            found = study.blocks(cell, seed)
             if cell.system.filter == "ekf":
-                found.append(EkfCheck(cell.case, cell.system, seed, min(CHECKED_RUNS, study.runs)))
-            tasks.update((task_key(task), task) for task in found)
-    return Work(tasks)
+                runs = min(filterpy_ekf.CHECKED_RUNS, study.runs)
+                found.append(EkfCheck(cell.case, cell.system, seed, runs))
+            work.update((task_key(task), task) for task in found)
+    return work
 
 
-def carried_out(work: Work, pool: Pool, store: Store, on_done: OnDone) -> None:
+def carried_out(work: Work, pool: Pool, store: Store, on_done: Callable[[float], None]) -> None:
     """Do all of it, and keep it.
 
     Args:
@@ -253,18 +207,17 @@ def carried_out(work: Work, pool: Pool, store: Store, on_done: OnDone) -> None:
     Raises:
         CompanionError: The pool or the store gave out; what was done is kept.
     """
-    pending = sorted(work.tasks.items(), key=lambda item: -cost_of(item[1]))
-    for position, result in pool.results(performed, [task for _, task in pending]):
+    pending = sorted(work.items(), key=lambda item: -cost_of(item[1]))
+    for position, result in pool.results(_perform, [task for _, task in pending]):
         key, task = pending[position]
         store.keep(key, result)
         on_done(cost_of(task))
 
 
-def performed(task: Task) -> bytes:
-    """The result of a task, as it is kept."""
-    if isinstance(task, Block):
-        return tally_of(task).packed()
-    return msgspec.json.encode(largest_difference_m(task))
+def _perform(task: RunSeries) -> bytes:
+    if isinstance(task, EkfCheck):
+        return msgspec.json.encode(filterpy_ekf.largest_difference_m(task))
+    return tally_of(task).packed()
 
 
 def results_of(studies: Iterable[PlannedStudy], seed: int, store: Store) -> list[StudyResult]:
@@ -278,19 +231,18 @@ def results_of(studies: Iterable[PlannedStudy], seed: int, store: Store) -> list
     for study in studies:
         cells: list[CellResult] = []
         for cell in study.cells:
-            keys = tuple(task_key(block) for block in study.campaign(cell, seed).blocks())
+            keys = tuple(task_key(block) for block in study.blocks(cell, seed))
             if keys not in tallies:
                 found = store.found(keys)
                 tallies[keys] = joined_in_order(unpacked(found[key]) for key in keys)
-            named = (cell.table, cell.parameter, cell.value)
-            cells.append(CellResult(*named, cell.case, cell.system, tallies[keys]))
+            cells.append(CellResult.of(cell, tallies[keys]))
         results.append(StudyResult(study.study, study.runs, seed, tuple(cells)))
     return results
 
 
 def checks_of(work: Work, store: Store) -> dict[str, dict[str, object]]:
     """What the built-in check of the EKF came to, for checks.json; empty without an EKF."""
-    checks = {key: task for key, task in work.tasks.items() if isinstance(task, EkfCheck)}
+    checks = {key: task for key, task in work.items() if isinstance(task, EkfCheck)}
     if not checks:
         return {}
     gaps = {key: _difference(text) for key, text in store.found(checks).items()}
@@ -303,43 +255,25 @@ def checks_of(work: Work, store: Store) -> dict[str, dict[str, object]]:
             "cells": len(checks),
             "runs_of_each": max(check.runs for check in checks.values()),
             "largest_difference_m": gaps[worst],
-            "limit_m": LARGEST_DIFFERENCE_M,
-            "is_met": gaps[worst] <= LARGEST_DIFFERENCE_M,
+            "limit_m": filterpy_ekf.LARGEST_DIFFERENCE_M,
+            "is_met": gaps[worst] <= filterpy_ekf.LARGEST_DIFFERENCE_M,
             "worst_system": checks[worst].system.label,
             "worst_case": msgspec.to_builtins(checks[worst].case),
         }
     }
 
 
-def prepared(work: Work, pool: Pool) -> None:
-    """Compile every kernel, so that processes find them ready.
-
-    The first time after a change of the sources this takes the better part of a minute.
-    """
-    warm_up([_flown(task) for task in work.tasks.values()], pool)
-
-
-def task_key(task: Task) -> str:
+def task_key(task: RunSeries) -> str:
     """What a task is kept under."""
-    case, system = _flown(task)
-    if isinstance(task, Block):
-        runs: tuple[object, ...] = ("tally", task.campaign.seed, task.first, task.runs)
-    else:
-        runs = ("ekf check", task.seed, task.runs)
-    return key_of(case, system, *runs, sources_digest())
+    kind = "ekf check" if isinstance(task, EkfCheck) else "tally"
+    parts = (kind, task.seed, task.first, task.runs, sources_digest())
+    return key_of(task.case, task.system, *parts)
 
 
-def cost_of(task: Task) -> float:
+def cost_of(task: RunSeries) -> float:
     """What a task takes, roughly, milliseconds."""
-    case, system = _flown(task)
-    name = system.filter if isinstance(task, Block) else "filterpy"
-    return COST_MS.get(name, USUAL_COST_MS) * task.runs * case.steps / USUAL_STEPS
-
-
-def _flown(task: Task) -> tuple[Case, System]:
-    if isinstance(task, Block):
-        return task.campaign.case, task.campaign.system
-    return task.case, task.system
+    name = "filterpy" if isinstance(task, EkfCheck) else task.system.filter
+    return COST_MS.get(name, USUAL_COST_MS) * task.runs * task.case.steps / USUAL_STEPS
 
 
 def _difference(text: bytes) -> float:

@@ -1,8 +1,11 @@
-"""A run of a recursive filter as one compiled loop, with the paper's FIM planner as printed.
+"""A run of a recursive filter as one compiled loop: measure, update, record, fly on.
 
-The paper's FIM planner to the letter: what one expected measurement says of the position.
+The loop calls the very kernels that the filter and planner classes are made of; `systems` has the
+same loop over those classes, for what is not a kernel. Two things are of the studies alone.
 
-    s* = argmax over s of lambda_min( H_p(s)^T R^-1 H_p(s) )
+The paper's FIM planner to the letter: what one expected measurement says of the position,
+
+    s* = argmax over s of lambda_min( H_p(s)^T R^-1 H_p(s) ).
 
 H_p is the position's part of the partials, R the thermal variances. There is no prior information
 in it, and the offsets are taken for known. The partials of range and bearing are orthogonal, so the
@@ -13,24 +16,17 @@ eigenvalues are theirs,
 and nearer to the estimate than sigma_r / sigma_theta (43 m in the canonical scenario) the criterion
 is flat: every candidate is as good as every other. One of the best is picked at random, as rounding
 does in an eigenvalue routine. The planner that flies, `companion.planning.fim`, asks for what the
-measurement adds to the information in the filter instead.
+measurement adds to the information in the filter instead. Paper: eq. (FIM planning objective).
+Deviation: the paper leaves candidates and ties open; the candidates are those of that planner.
 
-Paper: eq. (FIM planning objective). Deviation: the paper leaves candidates and ties open; the
-candidates are those of `companion.planning.fim`.
-
-The paper's objective over a whole run, solved now and then: what corrects a recursive filter. The
-filter linearises every measurement once, where it stood at the time, and may be carried away for
-good by what it took in while it was wrong. Whenever the history has grown by a share, the objective
-over all of it is minimised from the filter's mean and from one fresh start, which turns around the
-path from solution to solution. The lower minimum becomes the filter's mean, with the curvature
-there as its information. The minimum is that of the companion's window (paper, eq. 9), which is
-never full here, without what makes the tracker's covariance honest (sandwich, rivals, older
-evidence): the studies' system `map`, beside the system `tracker`, which is the companion's own.
-
-A run of a recursive filter as one compiled loop: measure, update, record, fly on.
-
-The loop calls the very kernels that the filter and planner classes are made of; `systems` has the
-same loop over those classes, for what is not a kernel.
+The paper's objective over a whole run, solved now and then (system `map`). A filter linearises
+every measurement once, where it stood at the time, and may be carried away for good by what it took
+in while it was wrong. Whenever the history has grown by a share, the objective over all of it is
+minimised from the filter's mean and from one fresh start, which turns around the path from solution
+to solution. The lower minimum becomes the filter's mean, with the curvature there as its
+information. The minimum is that of the companion's window (paper, eq. 9), which is never full here,
+without what makes the tracker's covariance honest (sandwich, rivals, older evidence): the system
+`tracker` is the companion's own.
 """
 
 from __future__ import annotations
@@ -43,7 +39,6 @@ from numpy.typing import NDArray
 
 from companion.estimation.filters.kalman import admm_update
 from companion.estimation.filters.robust_update import robust_update
-from companion.estimation.measurement_model import RANGE_OFFSET as RANGE_OFFSET_STATE
 from companion.estimation.measurement_model import RangingModel
 from companion.estimation.window import map_kernels
 from companion.estimation.window.map_kernels import map_minimum, normal_equations, row_sigmas
@@ -83,11 +78,10 @@ def printed_criteria(
 
 @kernel
 def printed_candidate(criteria: Vector, pick: float) -> int:
-    """Index of one of the best candidates: a row of the ring, or `STAY`.
+    """One of the best candidates, by a pick in [0, 1): a row of the ring, or `STAY`.
 
     Args:
         criteria: (k + 1,) see `printed_criteria`.
-        pick: In [0, 1): which of them.
     """
     is_best = criteria >= criteria.max() * (1.0 - FLAT_SHARE)
     left = int(pick * is_best.sum())
@@ -137,7 +131,7 @@ class Belief(NamedTuple):
     is_window_solved: bool
     """Whether the objective over the run corrects the filter."""
     information: Matrix
-    """(4, 4) of the offsets' priors in that objective."""
+    """(4, 4) of the offsets' priors in that objective; the position's is flat (paper, IV-A)."""
     pull: Vector
     """(4,)"""
 
@@ -215,13 +209,6 @@ BETTER_COST = 1e-6
 """A fresh start's minimum wins if it is lower by this: rounding must not decide."""
 
 
-def prior_of(mean: Vector, sigmas: Vector) -> tuple[Matrix, Vector]:
-    """Information and pull of the priors of the offsets; the position's is flat (paper, IV-A)."""
-    weights = 1.0 / sigmas**2
-    weights[:RANGE_OFFSET_STATE] = 0.0
-    return np.diag(weights), weights * mean
-
-
 @kernel
 def next_solution(count: int) -> int:
     """The number of measurements at which the history is solved again."""
@@ -239,12 +226,7 @@ def history_of(steps: int, belief: Belief) -> Matrix:
 
 @kernel
 def fresh_start(rows: Matrix, turn: int, prior_mean: Vector) -> Vector:
-    """A state off the middle of the path, as far as the ranges say, in the next direction.
-
-    Args:
-        rows: (k, 10).
-        prior_mean: (4,).
-    """
+    """A state (4,) off the middle of the path (k, 10), as far as the ranges say, in a direction."""
     direction_rad = GOLDEN_ANGLE_RAD * turn
     distance_m = max(float(np.median(rows[:, map_kernels.VALUES])), LEAST_RANGE_M)
     start = prior_mean.copy()
@@ -262,60 +244,16 @@ def solved(rows: Matrix, mean: Vector, turn: int, belief: Belief) -> tuple[Vecto
         mean: (4,) of the filter.
         turn: Number of the solution: where the fresh start lies.
     """
-    thresholds, information, pull = belief.thresholds, belief.information, belief.pull
+    limits, bounds, model = belief.thresholds, belief.bounds, belief.model
+    information, pull = belief.information, belief.pull
     start = fresh_start(rows, turn, belief.prior_mean)
-    best, cost = map_minimum(rows, mean, thresholds, belief.bounds, information, pull, belief.model)
-    other, other_cost = map_minimum(
-        rows, start, thresholds, belief.bounds, information, pull, belief.model
-    )
+    best, cost = map_minimum(rows, mean, limits, bounds, information, pull, model)
+    other, other_cost = map_minimum(rows, start, limits, bounds, information, pull, model)
     if other_cost < cost - BETTER_COST:
         best = other
-    sigmas = row_sigmas(rows, best, belief.model)
-    curvature, _, _ = normal_equations(
-        rows, best, sigmas, thresholds, information, pull, belief.model
-    )
+    sigmas = row_sigmas(rows, best, model)
+    curvature, _, _ = normal_equations(rows, best, sigmas, limits, information, pull, model)
     return best, np.ascontiguousarray(np.linalg.inv(curvature))
-
-
-@kernel
-def informed_place(
-    east_m: float,
-    north_m: float,
-    mean: Vector,
-    covariance: Matrix,
-    belief: Belief,
-    steering: WalkSteering,
-) -> tuple[float, float]:
-    """Where the FIM planner flies next: the end of the best candidate, or nowhere."""
-    index = best_candidate(
-        covariance,
-        mean[0] - east_m,
-        mean[1] - north_m,
-        0.0,
-        steering.ring_m,
-        steering.may_fly,
-        belief.sigma[0] * belief.sigma[0],
-        belief.sigma[1] * belief.sigma[1],
-        True,
-    )
-    if index == STAY:
-        return east_m, north_m
-    return east_m + steering.ring_m[index, 0], north_m + steering.ring_m[index, 1]
-
-
-@kernel
-def printed_place(
-    sensor_enu_m: Vector, mean: Vector, pick: float, belief: Belief, steering: WalkSteering
-) -> tuple[float, float]:
-    """Where the FIM planner as printed flies next: the end of a best candidate, or nowhere."""
-    east_m, north_m = sensor_enu_m[0], sensor_enu_m[1]
-    criteria = printed_criteria(
-        mean[0] - east_m, mean[1] - north_m, steering.ring_m, belief.sigma[0], belief.sigma[1]
-    )
-    index = printed_candidate(criteria, pick)
-    if index == STAY:
-        return east_m, north_m
-    return east_m + steering.ring_m[index, 0], north_m + steering.ring_m[index, 1]
 
 
 @kernel
@@ -328,8 +266,12 @@ def next_place(
     belief: Belief,
     steering: WalkSteering,
 ) -> tuple[float, float, Vector]:
-    """Where a planner that follows the estimate flies next, and its latch."""
+    """Where a planner that follows the estimate flies next, and its latch.
+
+    Both FIM planners fly to the end of the best candidate, or nowhere.
+    """
     east_m, north_m = sensor_enu_m[0], sensor_enu_m[1]
+    de_m, dn_m = mean[0] - east_m, mean[1] - north_m
     if steering.planner == REACTIVE:
         east_m, north_m = reactive_step(
             east_m,
@@ -348,11 +290,18 @@ def next_place(
         latch = latched_step(latch, east_m, north_m, mean[0], mean[1], over_m, True, steering.latch)
         east_m, north_m = stepped(east_m, north_m, latch[0], latch[1], steering.step_m)
         return east_m, north_m, latch
+    ring_m, sigma = steering.ring_m, belief.sigma
     if steering.planner == PRINTED_FIM:
-        east_m, north_m = printed_place(sensor_enu_m, mean, pick, belief, steering)
+        criteria = printed_criteria(de_m, dn_m, ring_m, sigma[0], sigma[1])
+        index = printed_candidate(criteria, pick)
     else:
-        east_m, north_m = informed_place(east_m, north_m, mean, covariance, belief, steering)
-    return east_m, north_m, latch
+        variances = (sigma[0] * sigma[0], sigma[1] * sigma[1])
+        index = best_candidate(
+            covariance, de_m, dn_m, 0.0, ring_m, steering.may_fly, variances[0], variances[1], True
+        )
+    if index == STAY:
+        return east_m, north_m, latch
+    return east_m + ring_m[index, 0], north_m + ring_m[index, 1], latch
 
 
 @kernel

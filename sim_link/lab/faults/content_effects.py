@@ -90,15 +90,11 @@ ABSURD_FLOATS = (math.nan, math.inf, -math.inf, 1e30)
 class ContentEffect(FaultEffect[F]):
     """A fault in frames with certain message ids; of the radio, where nothing else is said."""
 
-    def apply(self, deliveries: list[Delivery], now_s: float) -> list[Delivery]:  # noqa: ARG002
-        """Change what it is about, and let the rest pass."""
-        arriving: list[Delivery] = []
-        for due_s, data in deliveries:
-            self.watch(data)
-            is_long = len(data) > HEADER_LENGTH[MAGIC_V2]
-            is_meant = is_long and self._is_about(message_id(data))
-            arriving += self._alter(data, due_s) if is_meant else [(due_s, data)]
-        return arriving
+    def _pass(self, data: bytes, due_s: float) -> list[Delivery]:
+        self.watch(data)
+        is_long = len(data) > HEADER_LENGTH[MAGIC_V2]
+        is_meant = is_long and self._is_about(message_id(data))
+        return self._alter(data, due_s) if is_meant else [(due_s, data)]
 
     def _is_about(self, number: int) -> bool:
         return number == RadioRanging.id
@@ -111,9 +107,7 @@ class ContentEffect(FaultEffect[F]):
         """Set the fields that are wrong."""
 
 
-class Mute(ContentEffect[faults.StreamMute]):
-    """It does not come."""
-
+class _Mute(ContentEffect[faults.StreamMute]):
     def _is_about(self, number: int) -> bool:
         return bool(number == getattr(mavlink, f"MAVLINK_MSG_ID_{self._fault.message}", -1))
 
@@ -121,9 +115,7 @@ class Mute(ContentEffect[faults.StreamMute]):
         return []
 
 
-class Nonsense(ContentEffect[faults.TelemetryNonsense]):
-    """A field of some reports is a sentinel or absurd."""
-
+class _Nonsense(ContentEffect[faults.TelemetryNonsense]):
     def _is_about(self, number: int) -> bool:
         return number in REPORTS
 
@@ -143,9 +135,7 @@ class Nonsense(ContentEffect[faults.TelemetryNonsense]):
         setattr(message, name, choices[int(self._rng.integers(len(choices)))])
 
 
-class Dropout(ContentEffect[faults.RangingDropout]):
-    """Range, bearing or the whole answer is missing."""
-
+class _Dropout(ContentEffect[faults.RangingDropout]):
     def _alter(self, data: bytes, due_s: float) -> list[Delivery]:
         return [] if self._fault.missing == "both" else super()._alter(data, due_s)
 
@@ -153,9 +143,7 @@ class Dropout(ContentEffect[faults.RangingDropout]):
         setattr(message, self._fault.missing, math.nan)
 
 
-class Freeze(ContentEffect[faults.RangingFreeze]):
-    """The last answer before the fault again and again, with fresh stamps."""
-
+class _Freeze(ContentEffect[faults.RangingFreeze]):
     FIELDS = ("range", "range_std", "bearing", "bearing_std", "elevation", "elevation_std")
     _kept: dict[str, float] | None = None
 
@@ -166,18 +154,14 @@ class Freeze(ContentEffect[faults.RangingFreeze]):
             setattr(message, name, value)
 
 
-class WrongUnit(ContentEffect[faults.RangingWrongUnit]):
-    """Range or bearing times a factor."""
-
+class _WrongUnit(ContentEffect[faults.RangingWrongUnit]):
     def _change(self, message: Any) -> None:
         for name in ("range", "bearing"):
             if self._fault.of in (name, "both"):
                 setattr(message, name, getattr(message, name) * self._fault.factor)
 
 
-class Outliers(ContentEffect[faults.RangingOutliers]):
-    """Some answers grossly wrong: range too long or too short, a bearing from anywhere."""
-
+class _Outliers(ContentEffect[faults.RangingOutliers]):
     SHORTEST_M = 0.1
     """A range stays one, however much is taken away."""
     _left = 0
@@ -196,9 +180,7 @@ class Outliers(ContentEffect[faults.RangingOutliers]):
             message.bearing = float(self._rng.uniform(-math.pi, math.pi))
 
 
-class NotNumbers(ContentEffect[faults.RangingNan]):
-    """Some answers are none."""
-
+class _NotNumbers(ContentEffect[faults.RangingNan]):
     def _change(self, message: Any) -> None:
         if self._happens(self._fault.share):
             message.range = NOT_A_RANGE[int(self._rng.integers(len(NOT_A_RANGE)))]
@@ -206,23 +188,17 @@ class NotNumbers(ContentEffect[faults.RangingNan]):
             message.bearing = NOT_A_BEARING[int(self._rng.integers(len(NOT_A_BEARING)))]
 
 
-class Stale(ContentEffect[faults.RangingStale]):
-    """Answers come later than they were made."""
-
+class _Stale(ContentEffect[faults.RangingStale]):
     def _alter(self, data: bytes, due_s: float) -> list[Delivery]:
         return [(due_s + self._fault.age_s, data)]
 
 
-class OutOfOrder(ContentEffect[faults.RangingOutOfOrder]):
-    """Each answer comes late by its own time."""
-
+class _OutOfOrder(ContentEffect[faults.RangingOutOfOrder]):
     def _alter(self, data: bytes, due_s: float) -> list[Delivery]:
         return [(due_s + float(self._rng.uniform(0.0, self._fault.window_s)), data)]
 
 
-class SecondEmitter(ContentEffect[faults.RangingSecondEmitter]):
-    """Every answer is followed by one of an emitter somewhere else."""
-
+class _SecondEmitter(ContentEffect[faults.RangingSecondEmitter]):
     RANGE_SIGMA_M = 0.5
     BEARING_SIGMA_RAD = 0.03
     _vehicle_ned_m: tuple[float, float, float] | None = None
@@ -253,15 +229,15 @@ class SecondEmitter(ContentEffect[faults.RangingSecondEmitter]):
 
 
 CONTENT_EFFECTS: dict[type[FaultRecord], type[FaultEffect[Any]]] = {
-    faults.StreamMute: Mute,
-    faults.TelemetryNonsense: Nonsense,
-    faults.RangingDropout: Dropout,
-    faults.RangingFreeze: Freeze,
-    faults.RangingWrongUnit: WrongUnit,
-    faults.RangingOutliers: Outliers,
-    faults.RangingNan: NotNumbers,
-    faults.RangingStale: Stale,
-    faults.RangingOutOfOrder: OutOfOrder,
-    faults.RangingSecondEmitter: SecondEmitter,
+    faults.StreamMute: _Mute,
+    faults.TelemetryNonsense: _Nonsense,
+    faults.RangingDropout: _Dropout,
+    faults.RangingFreeze: _Freeze,
+    faults.RangingWrongUnit: _WrongUnit,
+    faults.RangingOutliers: _Outliers,
+    faults.RangingNan: _NotNumbers,
+    faults.RangingStale: _Stale,
+    faults.RangingOutOfOrder: _OutOfOrder,
+    faults.RangingSecondEmitter: _SecondEmitter,
 }
 """By fault."""

@@ -87,18 +87,16 @@ class FaultyLink:
             rng = np.random.default_rng((self._seed, self._count))
             effect = content(fault, rng, end_s, self._key)
             for lane in CONTENT_LANES:
-                self._put(lane, _Acting(start_s, end_s, -1, effect))
+                self._acting[lane].append(_Acting(start_s, end_s, -1, effect))
         if isinstance(fault, LinkFault):
             rank = LINK_ORDER.index(type(fault))
             for lane in LINK_LANES[fault.direction]:
                 number = LINK_LANES["both"].index(lane)
                 rng = np.random.default_rng((self._seed, self._count, number))
                 effect = LINK_EFFECTS[type(fault)](fault, rng, end_s)
-                self._put(lane, _Acting(start_s, end_s, rank, effect))
-
-    def _put(self, lane: Lane, acting: _Acting) -> None:
-        self._acting[lane].append(acting)
-        self._acting[lane].sort(key=lambda each: each.rank)
+                self._acting[lane].append(_Acting(start_s, end_s, rank, effect))
+        for acting in self._acting.values():
+            acting.sort(key=lambda each: each.rank)
 
     def carry(self, data: bytes, lane: Lane, now_s: float) -> list[Delivery]:
         """What arrives of a datagram that is sent at `now_s`."""
@@ -159,9 +157,10 @@ class Attacker:
             case mavlink.MAVLink_local_position_ned_message():
                 message.x += float(self._rng.normal(0.0, 50.0))
                 message.y += float(self._rng.normal(0.0, 50.0))
-            case mavlink.MAVLink_home_position_message():
-                message.latitude += 10_000
-            case mavlink.MAVLink_gps_global_origin_message():
+            case (
+                mavlink.MAVLink_home_position_message()
+                | mavlink.MAVLink_gps_global_origin_message()
+            ):
                 message.latitude += 10_000
 
     def _forge(self, model: bytes) -> bytes:

@@ -7,7 +7,6 @@ send from an address of their own, or, on a signed link, from the vehicle's.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -17,17 +16,7 @@ from companion.mav.codec import MavCodec
 from companion.mav.dialect import POSITION_ONLY, mavlink
 from companion.mav.endpoint import Address, Chunk
 from sim_link.autopilot.incidents import FaultRecord, IncidentRecord, PilotMode, VehicleFault
-from sim_link.lab.faults.fault_models import (
-    CompanionKilled,
-    CompanionStalled,
-    CompanionTerminated,
-    Disarm,
-    ModeFlap,
-    ProcessFault,
-    Schedule,
-    SecondSender,
-    SecurityFault,
-)
+from sim_link.lab.faults import fault_models as faults
 from sim_link.lab.faults.faulty_link import Attacker, FaultyLink
 from sim_link.lab.lockstep.flight import VEHICLE_PEER, Flight
 from sim_link.lab.lockstep.flight_harness import Operator
@@ -58,7 +47,7 @@ class Injector(Observer):
         self._other = MavCodec(254, mavlink.MAV_COMP_ID_ONBOARD_COMPUTER)
         flight.observers.append(self)
 
-    def inject(self, schedule: Schedule) -> None:
+    def inject(self, schedule: faults.Schedule) -> None:
         """Let the schedule begin now; faults that are not on the link yet are put there too."""
         for fault in schedule.faults:
             self.add(fault)
@@ -71,9 +60,9 @@ class Injector(Observer):
         match fault:
             case VehicleFault():
                 self._flight.at(start_s, partial(self._happen, fault))
-            case ProcessFault():
+            case faults.ProcessFault():
                 self._flight.at(start_s, partial(self._hit, fault))
-            case SecurityFault():
+            case faults.SecurityFault():
                 self._flight.at(start_s, partial(self._attack, fault, began_s + fault.end_s, 0.0))
 
     def vehicle_sent(self, frame: Frame) -> None:
@@ -85,20 +74,16 @@ class Injector(Observer):
     def _happen(self, fault: VehicleFault) -> None:
         flight = self._flight
         match fault:
-            case Disarm():
+            case faults.Disarm():
                 self._operator.disarm()
-            case ModeFlap():
+            case faults.ModeFlap():
                 self._flap(fault, flight.now_s + fault.duration_s, is_ours=True)
-            case SecondSender():
-                self._repeat(
-                    1.0 / fault.rate_hz,
-                    flight.now_s + fault.duration_s,
-                    partial(self._send_other, fault),
-                )
+            case faults.SecondSender():
+                self._send_other(fault, flight.now_s + fault.duration_s)
             case IncidentRecord():
                 flight.apply_incident(fault)
 
-    def _flap(self, fault: ModeFlap, end_s: float, *, is_ours: bool) -> None:
+    def _flap(self, fault: faults.ModeFlap, end_s: float, *, is_ours: bool) -> None:
         now_s = self._flight.now_s
         mode = fault.mode if is_ours else FlightMode.OFFBOARD
         self._flight.apply_incident(PilotMode(mode=mode))
@@ -106,7 +91,7 @@ class Injector(Observer):
             next_s = now_s + 0.5 * fault.period_s
             self._flight.at(next_s, partial(self._flap, fault, end_s, is_ours=not is_ours))
 
-    def _send_other(self, fault: SecondSender) -> None:
+    def _send_other(self, fault: faults.SecondSender, end_s: float) -> None:
         flight = self._flight
         message = mavlink.MAVLink_set_position_target_local_ned_message(
             round(1e3 * flight.now_s),
@@ -118,18 +103,21 @@ class Injector(Observer):
             *[0.0] * 8,
         )
         flight.sim.receive(Chunk(0, self._other.encode(message), SENDER_PEER), flight.now_s)
+        next_s = flight.now_s + 1.0 / fault.rate_hz
+        if next_s < end_s:
+            flight.at(next_s, partial(self._send_other, fault, end_s))
 
     # The process
 
-    def _hit(self, fault: ProcessFault) -> None:
+    def _hit(self, fault: faults.ProcessFault) -> None:
         flight = self._flight
         match fault:
-            case CompanionKilled():
+            case faults.CompanionKilled():
                 flight.kill_companion()
                 flight.at(flight.now_s + fault.down_s, self._start_again)
-            case CompanionStalled():
+            case faults.CompanionStalled():
                 flight.suspend_companion(fault.duration_s)
-            case CompanionTerminated():
+            case faults.CompanionTerminated():
                 flight.stop_companion()
 
     def _start_again(self) -> None:
@@ -138,7 +126,7 @@ class Injector(Observer):
 
     # The attacker
 
-    def _attack(self, fault: SecurityFault, end_s: float, owed: float) -> None:
+    def _attack(self, fault: faults.SecurityFault, end_s: float, owed: float) -> None:
         flight = self._flight
         owed += fault.rate_hz * ATTACK_PERIOD_S
         for _ in range(int(owed)):
@@ -148,9 +136,3 @@ class Injector(Observer):
         next_s = flight.now_s + ATTACK_PERIOD_S
         if next_s < end_s:
             flight.at(next_s, partial(self._attack, fault, end_s, owed - int(owed)))
-
-    def _repeat(self, period_s: float, end_s: float, action: Callable[[], None]) -> None:
-        action()
-        next_s = self._flight.now_s + period_s
-        if next_s < end_s:
-            self._flight.at(next_s, partial(self._repeat, period_s, end_s, action))

@@ -6,7 +6,6 @@ Every effect owns its generator, so that adding one fault never changes what ano
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -21,8 +20,8 @@ NO_MAGIC = bytes(set(range(256)) - {0xFD, 0xFE})
 """Bytes that begin no frame."""
 
 
-class FaultEffect(ABC, Generic[F]):
-    """One fault, in one direction where it has one.
+class FaultEffect(Generic[F]):
+    """One fault, in one direction where it has one; its record says what it does.
 
     Args:
         end_s: When it is over, on the caller's clock.
@@ -41,9 +40,14 @@ class FaultEffect(ABC, Generic[F]):
         self._end_s = end_s
         self._key = key
 
-    @abstractmethod
-    def apply(self, deliveries: list[Delivery], now_s: float) -> list[Delivery]:
+    def apply(self, deliveries: list[Delivery], now_s: float) -> list[Delivery]:  # noqa: ARG002
         """What becomes of what would arrive of one datagram that is sent at `now_s`."""
+        return [each for due_s, data in deliveries for each in self._pass(data, due_s)]
+
+    def _pass(self, data: bytes, due_s: float) -> list[Delivery]:
+        """What becomes of one of them; by default nothing arrives."""
+        del data, due_s
+        return []
 
     def watch(self, data: bytes) -> None:
         """A datagram passes while the fault does not act yet, or not any more."""
@@ -52,25 +56,16 @@ class FaultEffect(ABC, Generic[F]):
         return float(self._rng.random()) < share
 
 
-class Loss(FaultEffect[faults.LinkLoss]):
-    """Independent loss."""
-
-    def apply(self, deliveries: list[Delivery], now_s: float) -> list[Delivery]:  # noqa: ARG002
-        """Lose some."""
-        return [each for each in deliveries if not self._happens(self._fault.share)]
+class _Loss(FaultEffect[faults.LinkLoss]):
+    def _pass(self, data: bytes, due_s: float) -> list[Delivery]:
+        return [] if self._happens(self._fault.share) else [(due_s, data)]
 
 
-class Blackout(FaultEffect[faults.LinkBlackout]):
-    """Nothing arrives."""
-
-    def apply(self, deliveries: list[Delivery], now_s: float) -> list[Delivery]:  # noqa: ARG002
-        """Lose all."""
-        return []
+class _Blackout(FaultEffect[faults.LinkBlackout]):
+    pass
 
 
-class Bursts(FaultEffect[faults.LinkBursts]):
-    """A two-state Markov process in continuous time."""
-
+class _Bursts(FaultEffect[faults.LinkBursts]):
     _is_bad = False
     _until_s: float | None = None
 
@@ -87,48 +82,33 @@ class Bursts(FaultEffect[faults.LinkBursts]):
         return [each for each in deliveries if not self._happens(share)]
 
 
-class Delay(FaultEffect[faults.LinkDelay]):
-    """A constant delay."""
-
-    def apply(self, deliveries: list[Delivery], now_s: float) -> list[Delivery]:  # noqa: ARG002
-        """Make it late."""
-        return [(due_s + self._fault.delay_s, data) for due_s, data in deliveries]
+class _Delay(FaultEffect[faults.LinkDelay]):
+    def _pass(self, data: bytes, due_s: float) -> list[Delivery]:
+        return [(due_s + self._fault.delay_s, data)]
 
 
-class Jitter(FaultEffect[faults.LinkJitter]):
-    """A random delay, so that frames overtake each other."""
-
-    def apply(self, deliveries: list[Delivery], now_s: float) -> list[Delivery]:  # noqa: ARG002
-        """Make some late."""
-        return [(due_s + self._late_s(), data) for due_s, data in deliveries]
-
-    def _late_s(self) -> float:
+class _Jitter(FaultEffect[faults.LinkJitter]):
+    def _pass(self, data: bytes, due_s: float) -> list[Delivery]:
         hit, late = self._rng.random(2).tolist()
-        return float(late) * self._fault.jitter_s if hit < self._fault.share else 0.0
+        late_s = float(late) * self._fault.jitter_s if hit < self._fault.share else 0.0
+        return [(due_s + late_s, data)]
 
 
-class Duplicates(FaultEffect[faults.LinkDuplicates]):
-    """Copies of some frames, a little later."""
+class _Duplicates(FaultEffect[faults.LinkDuplicates]):
+    def apply(self, deliveries: list[Delivery], now_s: float) -> list[Delivery]:
+        """All of them, and then the copies."""
+        return deliveries + super().apply(deliveries, now_s)
 
-    def apply(self, deliveries: list[Delivery], now_s: float) -> list[Delivery]:  # noqa: ARG002
-        """Copy some."""
-        copies: list[Delivery] = []
-        for due_s, data in deliveries:
-            if self._happens(self._fault.share):
-                late = self._rng.uniform(0.0, self._fault.spread_s, self._fault.copies)
-                copies += [(due_s + each, data) for each in late.tolist()]
-        return deliveries + copies
+    def _pass(self, data: bytes, due_s: float) -> list[Delivery]:
+        if not self._happens(self._fault.share):
+            return []
+        late = self._rng.uniform(0.0, self._fault.spread_s, self._fault.copies)
+        return [(due_s + each, data) for each in late.tolist()]
 
 
-class Damage(FaultEffect[faults.LinkBitFlips | faults.LinkTruncation | faults.LinkGarbage]):
-    """A share of the datagrams comes damaged."""
-
-    def apply(self, deliveries: list[Delivery], now_s: float) -> list[Delivery]:  # noqa: ARG002
-        """Damage some."""
-        return [
-            (due_s, self._damage(data) if self._happens(self._fault.share) else data)
-            for due_s, data in deliveries
-        ]
+class _Damage(FaultEffect[faults.LinkBitFlips | faults.LinkTruncation | faults.LinkGarbage]):
+    def _pass(self, data: bytes, due_s: float) -> list[Delivery]:
+        return [(due_s, self._damage(data) if self._happens(self._fault.share) else data)]
 
     def _damage(self, data: bytes) -> bytes:
         match self._fault:
@@ -145,13 +125,11 @@ class Damage(FaultEffect[faults.LinkBitFlips | faults.LinkTruncation | faults.Li
                 return bytes(NO_MAGIC[each] for each in junk) + data
 
 
-class RateCap(FaultEffect[faults.LinkRateCap]):
-    """A serial line's rate: what is sent waits for what went before."""
-
+class _RateCap(FaultEffect[faults.LinkRateCap]):
     _free_s = 0.0
 
     def apply(self, deliveries: list[Delivery], now_s: float) -> list[Delivery]:
-        """Queue it, or lose it where the queue is full."""
+        """Each waits for what was sent before, and is lost where the queue is full."""
         bytes_per_s = self._fault.bits_per_s / 8.0
         through: list[Delivery] = []
         for due_s, data in deliveries:
@@ -163,25 +141,22 @@ class RateCap(FaultEffect[faults.LinkRateCap]):
         return through
 
 
-class Hold(FaultEffect[faults.LinkHold]):
-    """Everything waits for the end of the fault."""
-
-    def apply(self, deliveries: list[Delivery], now_s: float) -> list[Delivery]:  # noqa: ARG002
-        """Keep it until then."""
-        return [(max(due_s, self._end_s), data) for due_s, data in deliveries]
+class _Hold(FaultEffect[faults.LinkHold]):
+    def _pass(self, data: bytes, due_s: float) -> list[Delivery]:
+        return [(max(due_s, self._end_s), data)]
 
 
 LINK_EFFECTS: dict[type[FaultRecord], type[FaultEffect[Any]]] = {
-    faults.LinkBlackout: Blackout,
-    faults.LinkLoss: Loss,
-    faults.LinkBursts: Bursts,
-    faults.LinkBitFlips: Damage,
-    faults.LinkTruncation: Damage,
-    faults.LinkGarbage: Damage,
-    faults.LinkDuplicates: Duplicates,
-    faults.LinkDelay: Delay,
-    faults.LinkJitter: Jitter,
-    faults.LinkRateCap: RateCap,
-    faults.LinkHold: Hold,
+    faults.LinkBlackout: _Blackout,
+    faults.LinkLoss: _Loss,
+    faults.LinkBursts: _Bursts,
+    faults.LinkBitFlips: _Damage,
+    faults.LinkTruncation: _Damage,
+    faults.LinkGarbage: _Damage,
+    faults.LinkDuplicates: _Duplicates,
+    faults.LinkDelay: _Delay,
+    faults.LinkJitter: _Jitter,
+    faults.LinkRateCap: _RateCap,
+    faults.LinkHold: _Hold,
 }
 """By fault, in the order in which they act on one datagram."""

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import heapq
+import math
 import selectors
 import signal
 import socket
@@ -29,14 +30,7 @@ from companion.config.loader import load_yaml
 from companion.errors import ConfigError, LinkError
 from companion.mav.endpoint import Address
 from sim_link.autopilot.incidents import FaultRecord
-from sim_link.lab.faults.fault_models import (
-    ContentFault,
-    Fault,
-    LinkFault,
-    Schedule,
-    SecurityFault,
-    fault_from,
-)
+from sim_link.lab.faults import fault_models as faults
 from sim_link.lab.faults.faulty_link import Attacker, FaultyLink
 from sim_link.lab.lockstep.observer import Lane
 
@@ -74,7 +68,7 @@ class FaultProxy:
     """
 
     def __init__(
-        self, vehicle_side: Address, companion: Address, schedule: Schedule, seed: int
+        self, vehicle_side: Address, companion: Address, schedule: faults.Schedule, seed: int
     ) -> None:
         self.counters = Counters()
         self._companion = companion
@@ -87,7 +81,7 @@ class FaultProxy:
         self._selector.register(self._companion_side, selectors.EVENT_READ, Lane.TO_VEHICLE)
         self._began_s = time.monotonic()
         self._link = FaultyLink(schedule, seed)
-        self._attacks = [f for f in schedule.faults if isinstance(f, SecurityFault)]
+        self._attacks = [f for f in schedule.faults if isinstance(f, faults.SecurityFault)]
         self._attacker = Attacker(np.random.default_rng((seed, 0xA77)))
         self._attacked_s = 0.0
         self._owed = 0.0
@@ -97,12 +91,14 @@ class FaultProxy:
     @property
     def vehicle_side(self) -> Address:
         """Where the vehicle has to send."""
-        return _name(self._vehicle_side)
+        host, port = self._vehicle_side.getsockname()
+        return str(host), int(port)
 
     @property
     def companion_side(self) -> Address:
         """Whom the companion hears."""
-        return _name(self._companion_side)
+        host, port = self._companion_side.getsockname()
+        return str(host), int(port)
 
     def add(self, fault: FaultRecord) -> None:
         """One more fault, its times counted from now."""
@@ -203,11 +199,6 @@ def _bound(address: Address) -> socket.socket:
     return bound
 
 
-def _name(bound: socket.socket) -> Address:
-    host, port = bound.getsockname()[:2]
-    return str(host), int(port)
-
-
 DESCRIPTION = """
 Carry MAVLink between a vehicle and a companion over UDP, with faults: the vehicle sends to
 --listen as if that were the companion, and the companion hears the proxy as if it were the vehicle.
@@ -219,7 +210,6 @@ examples:
   sim-link proxy --fault '{kind: link_loss, share: 0.3}'
   sim-link proxy --faults FILE.yaml           faults: [{kind: link_blackout, start_s: 20}]
 """
-TICK_S = 0.2
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -240,55 +230,39 @@ def run(arguments: argparse.Namespace) -> int:
         LinkError: The address is taken.
     """
     schedule = _schedule(arguments.fault, arguments.faults)
-    listen, companion = address_of(arguments.listen), address_of(arguments.companion)
+    listen, companion = _address(arguments.listen), _address(arguments.companion)
     if arguments.seed < 0 or (arguments.for_s is not None and arguments.for_s <= 0.0):
         raise ConfigError("--seed must not be negative, --for must be above 0")
     with FaultProxy(listen, companion, schedule, arguments.seed) as proxy:
         host, port = proxy.vehicle_side
         print(f"proxy: vehicle to {host}:{port}, companion {arguments.companion}", flush=True)
-        with suppress(KeyboardInterrupt):
-            _carry(proxy, arguments.for_s)
+        before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+        try:
+            proxy.run(arguments.for_s or math.inf)
+        except KeyboardInterrupt:
+            pass
+        finally:
+            signal.signal(signal.SIGTERM, before)
         print(f"proxy: {proxy.counters}", flush=True)
     return 0
 
 
-def _carry(proxy: FaultProxy, for_s: float | None) -> None:
-    before = signal.signal(signal.SIGTERM, _interrupt)
-    try:
-        if for_s is not None:
-            proxy.run(for_s)
-            return
-        while True:
-            proxy.run(TICK_S)
-    finally:
-        signal.signal(signal.SIGTERM, before)
-
-
-def _interrupt(*_: object) -> None:
-    raise KeyboardInterrupt
-
-
-def _schedule(texts: list[str], path: Path | None) -> Schedule:
-    faults: list[Fault] = [] if path is None else list(load_yaml(path, Schedule).faults)
+def _schedule(texts: list[str], path: Path | None) -> faults.Schedule:
+    found = [] if path is None else list(load_yaml(path, faults.Schedule).faults)
     for text in texts:
         try:
-            faults.append(fault_from(yaml.safe_load(text)))
+            found.append(faults.fault_from(yaml.safe_load(text)))
         except (yaml.YAMLError, msgspec.ValidationError) as error:
             problem = " ".join(str(error).split())
             raise ConfigError(f"--fault {text!r}: {problem}") from None
-    for fault in faults:
-        if not isinstance(fault, LinkFault | ContentFault | SecurityFault):
+    for fault in found:
+        if not isinstance(fault, faults.LinkFault | faults.ContentFault | faults.SecurityFault):
             kind = fault.__struct_config__.tag
             raise ConfigError(f"{kind} happens to a vehicle or a process, not to a link")
-    return Schedule(faults=tuple(faults))
+    return faults.Schedule(faults=tuple(found))
 
 
-def address_of(text: str) -> Address:
-    """Host and port.
-
-    Raises:
-        ConfigError: It is no HOST:PORT.
-    """
+def _address(text: str) -> Address:
     host, _, port = text.rpartition(":")
     if not host or not port.isdecimal() or int(port) > 65_535:
         raise ConfigError(f"{text!r} is no HOST:PORT")

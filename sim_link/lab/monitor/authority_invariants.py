@@ -8,14 +8,13 @@ from collections.abc import Mapping
 from companion.domain import FlightMode
 from companion.mav.dialect import Message, mavlink
 from sim_link.lab.lockstep.observer import Frame
-from sim_link.lab.monitor.independent_checks import is_moved_inwards
 from sim_link.lab.monitor.scene import (
-    AUTOPILOT_COMPONENT,
     PX4_OFFBOARD_MAIN,
     TICK_S,
     Invariant,
     ObservedScene,
     SentSetpoint,
+    is_armed,
     is_offboard,
 )
 
@@ -90,18 +89,19 @@ class OnlyWithAuthority(Invariant):
                 self._lost_s, self._may_engage = None, True
                 self._granted_s = self.scene.now_s
             return
-        is_autopilot = frame.sender == (self.scene.system_id, AUTOPILOT_COMPONENT)
-        if is_autopilot and isinstance(message, mavlink.MAVLink_heartbeat_message):
+        if not isinstance(message, mavlink.MAVLink_heartbeat_message):
+            return
+        if self.scene.is_of_autopilot(frame):
             self._follow(message, self.scene.sent_at(frame))
 
     def _follow(
         self, heartbeat: mavlink.MAVLink_heartbeat_message, sent_at: tuple[float, int]
     ) -> None:
         now_s = self.scene.now_s
-        is_armed = bool(heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
-        if is_armed and self._is_launching and heartbeat.system_status == FAILSAFE:
+        is_live = is_armed(heartbeat)
+        if is_live and self._is_launching and heartbeat.system_status == FAILSAFE:
             self._lose()
-        if is_armed and is_offboard(heartbeat):
+        if is_live and is_offboard(heartbeat):
             if sent_at[0] >= self._granted_s:
                 self._granted_s = -math.inf  # taken up
             is_given = sent_at[0] >= self._given_s >= 0.0
@@ -113,7 +113,7 @@ class OnlyWithAuthority(Invariant):
             return
         if sent_at <= self._ours_sent_at:
             return
-        if not is_armed:  # the flight is over, and the next one is a new one
+        if not is_live:  # the flight is over, and the next one is a new one
             self._was_ours, self._lost_s, self._may_engage = False, None, True
         elif now_s - self._granted_s < GRANT_S:  # of a mode that was lost before the grant
             self._was_ours = False
@@ -126,14 +126,12 @@ class OnlyWithAuthority(Invariant):
             return
         if self._was_ours or self.scene.is_lied_to:
             return
-        told, rules = self.scene.told.position_enu_m, self.scene.rules
         place = setpoint.place_enu_m[:2]
         seen = [seen_enu_m[:2] for seen_enu_m, _ in self.scene.seen_at]
         away = min((math.dist(place, there) for there in seen), default=math.inf)
-        if away <= HERE_M + rules.clearance_m:
+        if away <= HERE_M + self.scene.rules.clearance_m:
             return
-        fence, keep_outs = rules.fence_enu_m, rules.keep_out_enu_m
-        if told is None or not is_moved_inwards(fence, keep_outs, told[:2], place):
+        if not self.scene.is_moved_inwards(place):
             self.report("a setpoint that moves before control was given", away_m=away)
 
     def sent(self, frame: Frame) -> None:

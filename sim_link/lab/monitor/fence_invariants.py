@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from companion.domain import FlightMode, PositionEnu
 from companion.mav.dialect import POSITION_AND_YAW, POSITION_ONLY, mavlink
 from sim_link.lab.lockstep.observer import Frame
-from sim_link.lab.monitor.independent_checks import INWARDS_M, Point, depth_m, is_way_clear
+from sim_link.lab.monitor.independent_checks import INWARDS_M, Point, is_way_clear
 from sim_link.lab.monitor.scene import Invariant, ObservedScene, SentSetpoint, TrueScene
 from sim_link.world.point_mass import PointMass, approach_velocity
 
@@ -69,7 +69,7 @@ class OwnJumps:
         east, north, up = self._seemed
         height_m = up - scene.vehicle.home_enu_m[2]
         is_in_band = rules.altitude_min_m <= height_m <= rules.altitude_max_m
-        return is_in_band and depth_m(rules.fence_enu_m, rules.keep_out_enu_m, (east, north)) >= 0.0
+        return is_in_band and rules.depth_m((east, north)) >= 0.0
 
 
 SETPOINTS = frozenset(
@@ -119,10 +119,10 @@ class SetpointsInside(Invariant):
     def _judge_borders(self, setpoint: SentSetpoint) -> None:
         rules, told = self.scene.rules, self.scene.told
         place = setpoint.place_enu_m[:2]
-        depth = self._depth(place)
+        depth = self.scene.rules.depth_m(place)
         least = rules.clearance_m - setpoint.rounding_m
         vehicle = None if self.scene.is_lied_to else told.position_enu_m
-        own_depth = math.inf if vehicle is None else self._depth(vehicle[:2])
+        own_depth = math.inf if vehicle is None else self.scene.rules.depth_m(vehicle[:2])
         anchor = self._anchor
         is_still = anchor is not None and math.dist(place, anchor) <= setpoint.rounding_m
         self._anchor = anchor if is_still else place
@@ -146,9 +146,6 @@ class SetpointsInside(Invariant):
             self.report("setpoint below the altitude band", height_m=height)
         if height > rules.altitude_max_m + HEIGHT_ROUNDING_M + error_m:
             self.report("setpoint above the altitude band", height_m=height)
-
-    def _depth(self, place: Point) -> float:
-        return depth_m(self.scene.rules.fence_enu_m, self.scene.rules.keep_out_enu_m, place)
 
 
 class InsideFence(SetpointsInside):
@@ -251,12 +248,14 @@ class InsideFence(SetpointsInside):
         place = body.position_enu_m[:2]
         if body.is_on_ground or is_flown_by_others or has_faded:
             is_up = not body.is_on_ground
-            self._is_out = is_up and self._depth(place) + scene.bias_m < 0.0  # by somebody else
+            self._is_out = (
+                is_up and self.scene.rules.depth_m(place) + scene.bias_m < 0.0
+            )  # by somebody else
             return
         at, known = self._known
         if known - math.dist(place, at) > max(0.0, self.closest_m):
             return  # it cannot have come nearer than it was
-        depth = self._depth(place) + scene.bias_m
+        depth = self.scene.rules.depth_m(place) + scene.bias_m
         self._known = (place, depth)
         if self._is_out and depth < 0.0:
             return
@@ -307,13 +306,16 @@ class SafeToFreeze(PlacesOnly):
         east, north, up = setpoint.place_enu_m
         goal = (east - bias[0], north - bias[1], up - bias[2])
         body, rules = scene.vehicle.body, scene.rules
-        own = self._depth(body.position_enu_m[:2]) + scene.bias_m
+        own = self.scene.rules.depth_m(body.position_enu_m[:2]) + scene.bias_m
         if 0.0 <= own < rules.clearance_m:
-            if self._depth(goal[:2]) + scene.bias_m < -setpoint.rounding_m:
+            if self.scene.rules.depth_m(goal[:2]) + scene.bias_m < -setpoint.rounding_m:
                 self.report("a setpoint that freezes leads out of the fence", depth_m=own)
             return
         if own < 0.0:  # on its way back: the place itself must not lie farther out
-            depth, moved_m = self._depth(goal[:2]), math.hypot(*body.velocity_enu_mps[:2])
+            depth, moved_m = (
+                self.scene.rules.depth_m(goal[:2]),
+                math.hypot(*body.velocity_enu_mps[:2]),
+            )
             least_m = own - rules.clearance_m - moved_m * rules.latency_s
             if depth + scene.bias_m < least_m:
                 self.report("a setpoint that freezes leads farther out", depth_m=depth)
@@ -327,9 +329,6 @@ class SafeToFreeze(PlacesOnly):
                 return  # no farther than stopping at once does
         self.report("a setpoint that freezes leads out of the fence", depth_m=least)
 
-    def _depth(self, place: Point) -> float:
-        return depth_m(self.scene.rules.fence_enu_m, self.scene.rules.keep_out_enu_m, place)
-
     def _least_depth(self, goal: PositionEnu) -> float:
         rules, truth = self.scene.rules, self._truth.vehicle.body
         params = self._truth.vehicle.scenario.vehicle
@@ -339,7 +338,7 @@ class SafeToFreeze(PlacesOnly):
         for _ in range(round(FREEZE_FOR_S / FREEZE_STEP_S)):
             place = body.position_enu_m
             if known - math.dist(at, place[:2]) < max(0.0, min(least, SAFE_M)):
-                known, at = depth_m(rules.fence_enu_m, rules.keep_out_enu_m, place[:2]), place[:2]
+                known, at = rules.depth_m(place[:2]), place[:2]
                 least = min(least, known)
             is_there = math.dist(place, goal) < ARRIVED_M
             if is_there and math.hypot(*body.velocity_enu_mps) < AT_REST_MPS:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from companion.domain import TargetEstimate
 from companion.mav.dialect import MAVLink_target_estimate_message, Message, mavlink
 from sim_link.lab.lockstep.observer import Frame
-from sim_link.lab.monitor.independent_checks import Point, is_moved_inwards
+from sim_link.lab.monitor.independent_checks import Point
 from sim_link.lab.monitor.scene import FRAME_STEP_M, TICK_S, Invariant, ObservedScene, SentSetpoint
 
 STREAM_BREAK_S = 0.35
@@ -57,7 +57,9 @@ class WithinEnvelope(Invariant):
         self._origin_enu_m = origin_enu_m
         if last is None or is_new or not self.scene.told.is_ours:
             self._velocity = None
-            self._judge_begin(setpoint)
+            if not self._is_here(setpoint):
+                away = math.inf if told is None else math.dist(setpoint.place_enu_m[:2], told[:2])
+                self.report("the first setpoint is not where the vehicle is", away_m=away)
             return
         dt_s = setpoint.time_s - last.time_s
         moved = math.dist(setpoint.place_enu_m[:2], last.place_enu_m[:2])
@@ -112,7 +114,7 @@ class WithinEnvelope(Invariant):
         is_slower = math.hypot(*velocity) <= math.hypot(*last_velocity)
         if change <= most or is_slower:
             return
-        if may_be_moved_along and self._is_moved_inwards(setpoint):
+        if may_be_moved_along and self.scene.is_moved_inwards(setpoint.place_enu_m[:2]):
             return
         if is_anew:  # at rest
             self._velocity = (0.0, 0.0)
@@ -121,12 +123,6 @@ class WithinEnvelope(Invariant):
             self._velocity = None
         else:
             self.report("setpoint accelerates too fast", change_mps=change, dt_s=dt_s)
-
-    def _judge_begin(self, setpoint: SentSetpoint) -> None:
-        if not self._is_here(setpoint):
-            told = self.scene.told.position_enu_m
-            away = math.inf if told is None else math.dist(setpoint.place_enu_m[:2], told[:2])
-            self.report("the first setpoint is not where the vehicle is", away_m=away)
 
     def _is_here(self, setpoint: SentSetpoint) -> bool:
         """Where the vehicle is, or, for one at a border, what is allowed next to that."""
@@ -139,17 +135,10 @@ class WithinEnvelope(Invariant):
             near_m = HERE_M + rules.clearance_m + speed_mps * (age_s + rules.latency_s)
             if math.dist(place, seen_enu_m[:2]) <= near_m:
                 return True
-        return self._is_moved_inwards(setpoint)
+        return self.scene.is_moved_inwards(setpoint.place_enu_m[:2])
 
     def _is_at(self, vehicle: Point | None, setpoint: SentSetpoint) -> bool:
         return vehicle is not None and math.dist(setpoint.place_enu_m[:2], vehicle) <= STILL_M
-
-    def _is_moved_inwards(self, setpoint: SentSetpoint) -> bool:
-        told, rules = self.scene.told.position_enu_m, self.scene.rules
-        if told is None:
-            return False
-        place = setpoint.place_enu_m[:2]
-        return is_moved_inwards(rules.fence_enu_m, rules.keep_out_enu_m, told[:2], place)
 
 
 class FreshState(Invariant):

@@ -19,6 +19,8 @@ from companion.geometry.coordinates import LocalOrigin
 from companion.mav.dialect import Message, mavlink
 from sim_link.autopilot.vehicle import SimVehicle
 from sim_link.lab.lockstep.observer import Frame
+from sim_link.lab.monitor import independent_checks
+from sim_link.lab.monitor.independent_checks import Point
 
 Corners = tuple[tuple[float, float], ...]
 
@@ -64,6 +66,10 @@ class Rules(Params, frozen=True):
         """What every setpoint keeps from a border: three standard deviations."""
         return 3.0 * self.navigation_sigma_m
 
+    def depth_m(self, place: Point) -> float:
+        """How far inside the fence and outside of all keep-outs a place is; negative: it is not."""
+        return independent_checks.depth_m(self.fence_enu_m, self.keep_out_enu_m, place)
+
 
 @dataclass(frozen=True, slots=True)
 class InvariantViolation:
@@ -104,6 +110,11 @@ DEGREES_ROUNDING_M = 9e-3
 with is rounded, too."""
 MOST_OF_A_KIND = 20
 """Violations of one kind that are kept; more are counted."""
+
+
+def is_armed(heartbeat: mavlink.MAVLink_heartbeat_message) -> bool:
+    """Whether the vehicle says that its motors may turn."""
+    return bool(heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
 
 
 def is_offboard(heartbeat: mavlink.MAVLink_heartbeat_message) -> bool:
@@ -215,9 +226,13 @@ class ObservedScene:
         """When, and as its how many-th, the vehicle sent a frame; now, if that is unknown."""
         return self._sent_s.get(frame.data, (frame.time_s, self._sent_count))
 
+    def is_of_autopilot(self, frame: Frame) -> bool:
+        """Whether it is in the name of the vehicle's autopilot."""
+        return frame.sender == (self.system_id, AUTOPILOT_COMPONENT)
+
     def tell(self, frame: Frame) -> None:
         """This reached the companion, which had to believe it."""
-        if frame.sender != (self.system_id, AUTOPILOT_COMPONENT):
+        if not self.is_of_autopilot(frame):
             return
         told = self.told
         told.heard_s = frame.time_s
@@ -230,7 +245,7 @@ class ObservedScene:
                 sent_at = self.sent_at(frame)
                 if sent_at >= told.mode_sent_at:
                     told.mode_sent_at = sent_at
-                    told.is_armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+                    told.is_armed = is_armed(message)
                     told.is_ours = told.is_armed and is_offboard(message)
             case mavlink.MAVLink_local_position_ned_message():
                 self._tell_position(message, frame.time_s, self.sent_at(frame))
@@ -285,6 +300,13 @@ class ObservedScene:
         if before is not None and before[1] >= oldest_s:
             places.append(before)
         return tuple(places)
+
+    def is_moved_inwards(self, place: Point) -> bool:
+        """Whether a place may be where a vehicle at a border, or beyond it, is to stay."""
+        told, rules = self.told.position_enu_m, self.rules
+        return told is not None and independent_checks.is_moved_inwards(
+            rules.fence_enu_m, rules.keep_out_enu_m, told[:2], place
+        )
 
     def world_from_local(self, enu_m: PositionEnu) -> PositionEnu:
         """By the origin that the companion was told last."""

@@ -35,6 +35,7 @@ from sim_link.lab.monitor.scene import (
     ObservedScene,
     Rules,
     SentSetpoint,
+    is_armed,
     is_offboard,
 )
 
@@ -130,14 +131,14 @@ class HeardScene(ObservedScene):
                 if self.system_id is None:
                     self.system_id = frame.sender[0]
                     self.is_px4 = message.autopilot == mavlink.MAV_AUTOPILOT_PX4
-                self._is_armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+                self._is_armed = is_armed(message)
             case mavlink.MAVLink_extended_sys_state_message():
                 self._is_in_air = message.landed_state != mavlink.MAV_LANDED_STATE_ON_GROUND
         self.is_flying = self._is_armed or self._is_in_air
 
     def tell(self, frame: Frame) -> None:
         """This reached the companion, which had to believe it."""
-        if frame.sender == (self.system_id, AUTOPILOT_COMPONENT):
+        if self.is_of_autopilot(frame):
             message = frame.message
             match message:
                 case mavlink.MAVLink_gps_global_origin_message() if self.world_origin is None:
@@ -205,7 +206,7 @@ class WireMonitor(FrameMonitor):
         message = frame.message
         if not isinstance(message, mavlink.MAVLink_heartbeat_message):
             return
-        if frame.sender != (self.scene.system_id, AUTOPILOT_COMPONENT):
+        if not self.scene.is_of_autopilot(frame):
             return
         now, before = is_offboard(message), self._is_offboard
         self._is_offboard = now

@@ -1,8 +1,4 @@
-"""The figures of a study by name, and those of places.
-
-Figures of places: what is flown, what is believed, and what stands in the way.
-
-The figures of a study, by the names that a study asks for them.
+"""The figures of a study, by the names that it asks for them.
 
     losses        loss functions and their influence
     rmse          RMSE after every step, one figure for each value of the study
@@ -19,6 +15,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import matplotlib.patheffects as effects
 import numpy as np
@@ -26,20 +23,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from sim_link.lab.evaluation.case import Case
-from sim_link.lab.evaluation.reporting import plots
-from sim_link.lab.evaluation.reporting.figure_data import (
-    FlownTrack,
-    GradientWatch,
-    cells_at,
-    flights_of,
-    numbers,
-    offset_curves,
-    rmse_curves,
-    sensitivities,
-    shadow_quads,
-    values_of,
-    watched,
-)
+from sim_link.lab.evaluation.reporting import figure_data, plots
+from sim_link.lab.evaluation.reporting.figure_data import Flight, GradientWatch
 from sim_link.lab.evaluation.reporting.plots import (
     INK,
     MUTED,
@@ -50,8 +35,6 @@ from sim_link.lab.evaluation.reporting.plots import (
     TRUTH,
     Drawing,
     finished,
-    look,
-    new_figure,
 )
 from sim_link.lab.evaluation.reporting.tables import parameter_name, value_name
 from sim_link.lab.evaluation.study import ResultRow, StudyResult
@@ -65,12 +48,12 @@ NEAR_STEPS = 60
 """The last steps, which are what is drawn there."""
 
 
-def tracks(flights: Sequence[FlownTrack], case: Case) -> Figure:
+def tracks(flights: Sequence[Flight], case: Case) -> Figure:
     """Tracks with the estimates along them, one panel for each system."""
     columns = min(len(flights), 3 if len(flights) > 4 else 2)
     rows = -(-len(flights) // columns)
     side_in = 3.6 if columns < 3 else 3.0
-    figure = new_figure(side_in * columns, (side_in + 0.15) * rows)
+    figure = plots.new_figure(side_in * columns, (side_in + 0.15) * rows)
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for axes, flight in zip(grid.flat, flights, strict=False):
         _draw_map(axes, flight, case)
@@ -85,57 +68,41 @@ def tracks(flights: Sequence[FlownTrack], case: Case) -> Figure:
     return figure
 
 
-def draw_obstacles(axes: Axes, case: Case) -> None:
-    """The obstacles, and where they block the path to the target."""
-    for obstacle in case.obstacles:
-        for quad in shadow_quads(obstacle.corners_enu_m, case.target_enu_m):
-            axes.fill(*zip(*quad, strict=True), facecolor=SHADE, linewidth=0, zorder=0.2)
-    for obstacle in case.obstacles:
-        corners = zip(*obstacle.corners_enu_m, strict=True)
-        axes.fill(*corners, facecolor=SOLID, edgecolor=MUTED, linewidth=0.6, zorder=0.4)
-
-
-def _draw_map(axes: Axes, flight: FlownTrack, case: Case) -> None:
+def _draw_map(axes: Axes, flight: Flight, case: Case) -> None:
+    system, trial = flight
     width_m, depth_m = case.area_m
     axes.grid(visible=False)
     _draw_flight(axes, flight, case, slice(None))
     axes.set(xlim=(-MARGIN_M, width_m + MARGIN_M), ylim=(-MARGIN_M, depth_m + MARGIN_M))
     axes.set_aspect("equal")
-    axes.set_title(f"{flight.system.label}\n", fontsize=9.0)
-    axes.text(
-        0.0,
-        1.025,
-        f"ends {_short(flight.final_error_m)} off",
-        transform=axes.transAxes,
-        color=MUTED,
-        fontsize=8.0,
-    )
-    if flight.system.planner != "passive":
+    axes.set_title(f"{system.label}\n", fontsize=9.0)
+    off_m = float(trial.errors_m[-1])
+    off = f"ends {100.0 * off_m:.1f} cm off" if off_m < 0.1 else f"ends {off_m:.2f} m off"
+    axes.text(0.0, 1.025, off, transform=axes.transAxes, color=MUTED, fontsize=8.0)
+    if system.planner != "passive":
         _draw_near(axes, flight, case)
 
 
-def _draw_flight(axes: Axes, flight: FlownTrack, case: Case, part: slice) -> None:
-    colour = PLANNER_COLOURS[flight.system.planner]
-    draw_obstacles(axes, case)
-    estimates, track = flight.estimates_enu_m[part].T, flight.track_enu_m[part].T
+def _draw_flight(axes: Axes, flight: Flight, case: Case, part: slice) -> None:
+    """A flight, what blocks the radio, and where it blocks the path to the target."""
+    system, trial = flight
+    colour = PLANNER_COLOURS[system.planner]
+    for obstacle in case.obstacles:
+        for quad in figure_data.shadow_quads(obstacle.corners_enu_m, case.target_enu_m):
+            axes.fill(*zip(*quad, strict=True), facecolor=SHADE, linewidth=0, zorder=0.2)
+    for obstacle in case.obstacles:
+        corners = zip(*obstacle.corners_enu_m, strict=True)
+        axes.fill(*corners, facecolor=SOLID, edgecolor=MUTED, linewidth=0.6, zorder=0.4)
+    estimates, track = trial.estimates_enu_m[part].T, trial.track_enu_m[part].T
     axes.plot(*estimates, color=TRUTH, lw=0.7, alpha=0.75, label="estimate", zorder=2)
     axes.plot(*track, color=colour, lw=1.0, label="vehicle", zorder=3)
     axes.plot(*case.start_enu_m, "o", color=colour, mec=PAGE, ms=6, label="start", zorder=4, lw=0)
+    cross: dict[str, Any] = {"color": INK, "ms": 7, "mew": 1.6, "label": "target", "lw": 0}
     halo = [effects.withStroke(linewidth=3.0, foreground=PAGE)]
-    axes.plot(
-        *case.target_enu_m,
-        "x",
-        color=INK,
-        ms=7,
-        mew=1.6,
-        label="target",
-        zorder=5,
-        lw=0,
-        path_effects=halo,
-    )
+    axes.plot(*case.target_enu_m, "x", **cross, zorder=5, path_effects=halo)
 
 
-def _draw_near(axes: Axes, flight: FlownTrack, case: Case) -> None:
+def _draw_near(axes: Axes, flight: Flight, case: Case) -> None:
     """The end of a flight about the target, enlarged, in the corner where least is flown."""
     east, north = case.target_enu_m
     near = axes.inset_axes((0.985 - NEAR_SHARE, 0.015, NEAR_SHARE, NEAR_SHARE))
@@ -146,19 +113,8 @@ def _draw_near(axes: Axes, flight: FlownTrack, case: Case) -> None:
     near.set(xticks=[], yticks=[], aspect="equal")
     for spine in near.spines.values():
         spine.set(visible=True, color=MUTED, linewidth=0.7)
-    near.text(
-        0.5,
-        1.03,
-        f"{2 * NEAR_M:g} m",
-        transform=near.transAxes,
-        ha="center",
-        color=MUTED,
-        fontsize=7,
-    )
-
-
-def _short(metres: float) -> str:
-    return f"{100.0 * metres:.1f} cm" if metres < 0.1 else f"{metres:.2f} m"
+    size = f"{2 * NEAR_M:g} m"
+    near.text(0.5, 1.03, size, transform=near.transAxes, ha="center", color=MUTED, fontsize=7)
 
 
 PAPER_OFFSET_M = 5.5
@@ -172,12 +128,9 @@ Maker = Callable[[StudyResult, Sequence[ResultRow]], list[Drawing]]
 
 def drawings_of(result: StudyResult, rows: Sequence[ResultRow]) -> list[Drawing]:
     """Every figure that a study asks for, in its order; names unknown here are left out."""
-    found: list[Drawing] = []
-    with look():
-        for name in result.study.figures:
-            if name in FIGURES:
-                found += FIGURES[name](result, rows)
-    return found
+    with plots.look():
+        names = [name for name in result.study.figures if name in FIGURES]
+        return [drawing for name in names for drawing in FIGURES[name](result, rows)]
 
 
 def _losses(result: StudyResult, rows: Sequence[ResultRow]) -> list[Drawing]:
@@ -194,24 +147,22 @@ def _losses(result: StudyResult, rows: Sequence[ResultRow]) -> list[Drawing]:
 
 def _rmse(result: StudyResult, rows: Sequence[ResultRow]) -> list[Drawing]:
     found: list[Drawing] = []
-    for parameter, value in values_of(result):
-        cells = cells_at(result, parameter, value)
-        lines = rmse_curves(cells)
+    for parameter, value in figure_data.values_of(result):
+        cells = figure_data.cells_at(result, parameter, value)
+        lines = figure_data.rmse_curves(cells)
         if not lines:
             continue
         table = next(iter(cells.values())).table
         key = (table, parameter, value, "final_rmse_m")
-        shown = {line.system for line in lines}
+        shown = {line.system.label: line.system for line in lines}
         printed = {
-            system: numbers(row.paper)
+            shown[row.system]: figure_data.numbers(row.paper)
             for row in rows
-            for system in shown
             if (row.table, row.parameter, row.value, row.metric) == key
-            and row.system == system.label
+            and row.system in shown
             and row.paper
         }
-        where = _where(result, parameter, value)
-        title = f"Error after every step{where}"
+        title = f"Error after every step{_where(result, parameter, value)}"
         diamonds = " Diamonds: final values that the paper prints." if printed else ""
         caption = (
             f"RMSE of {result.runs} runs on log axes. Dotted: what no estimator can beat on the "
@@ -225,38 +176,29 @@ def _rmse(result: StudyResult, rows: Sequence[ResultRow]) -> list[Drawing]:
 def _offsets(result: StudyResult, rows: Sequence[ResultRow]) -> list[Drawing]:
     del rows
     parameter, value = _middle(result)
-    cells = cells_at(result, parameter, value)
-    lines = offset_curves(cells, bearing=False)
+    cells = figure_data.cells_at(result, parameter, value)
+    lines = figure_data.offset_curves(cells, bearing=False)
     if not lines:
         return []
     channel = cells[lines[0].system].case.channel
     where = _where(result, parameter, value)
-    ranges = plots.offsets(
-        lines,
-        f"Range offset{where}",
-        "m",
-        {
-            f"radio alone {channel.range_offset_m:g} m": channel.range_offset_m,
-            f"paper, about {PAPER_OFFSET_M:g} m": PAPER_OFFSET_M,
-        },
-    )
-    bearings = plots.offsets(
-        offset_curves(cells, bearing=True),
-        f"Bearing offset{where}",
-        "deg",
-        {f"true {channel.bearing_offset_deg:g} deg": channel.bearing_offset_deg},
-    )
+    range_marks = {
+        f"radio alone {channel.range_offset_m:g} m": channel.range_offset_m,
+        f"paper, about {PAPER_OFFSET_M:g} m": PAPER_OFFSET_M,
+    }
+    bearing_marks = {f"true {channel.bearing_offset_deg:g} deg": channel.bearing_offset_deg}
+    bearings = figure_data.offset_curves(cells, bearing=True)
     table = result.study.table
     return [
         finished(
-            ranges,
+            plots.offsets(lines, f"Range offset{where}", "m", range_marks),
             f"{table}_range_offset",
             "Range offset after every step",
             "Mean of the estimates. Nine of ten ranges are too long, so what a robust filter takes "
             "for the offset is the radio's plus the NLOS bias that is always there.",
         ),
         finished(
-            bearings,
+            plots.offsets(bearings, f"Bearing offset{where}", "deg", bearing_marks),
             f"{table}_bearing_offset",
             "Bearing offset after every step",
             "Mean of the estimates. Reflections bend to either side, so all converge to the truth.",
@@ -267,9 +209,8 @@ def _offsets(result: StudyResult, rows: Sequence[ResultRow]) -> list[Drawing]:
 def _tracks(result: StudyResult, rows: Sequence[ResultRow]) -> list[Drawing]:
     del rows
     parameter, value = _middle(result)
-    cells = cells_at(result, parameter, value)
-    case = next(iter(cells.values())).case
-    figure = tracks(flights_of(case, result.seed), case)
+    case = _case_at(result, parameter, value)
+    figure = tracks(figure_data.flights_of(case, result.seed), case)
     shadow = " Grey: the obstacle and its shadow." if case.obstacles else ""
     caption = (
         f"The first run of seed {result.seed}, {case.steps} steps, the same noise for all."
@@ -282,9 +223,8 @@ def _tracks(result: StudyResult, rows: Sequence[ResultRow]) -> list[Drawing]:
 
 def _gradients(result: StudyResult, rows: Sequence[ResultRow]) -> list[Drawing]:
     del rows
-    parameter, value = _middle(result)
-    case = next(iter(cells_at(result, parameter, value).values())).case
-    watches = watched(case, result.seed)
+    case = _case_at(result, *_middle(result))
+    watches = figure_data.watched(case, result.seed)
     flat_m = case.belief.range_sigma_m / math.radians(case.belief.bearing_sigma_deg)
     caption = (
         "How far the best of FIM's candidates is ahead of the worst, as a share of the best: "
@@ -309,16 +249,16 @@ def _in_shadow(watch: GradientWatch) -> str:
 
 def _sensitivity(result: StudyResult, rows: Sequence[ResultRow]) -> list[Drawing]:
     found: list[Drawing] = []
-    for parameter in dict.fromkeys(parameter for parameter, _ in values_of(result)):
-        lines = sensitivities(result, rows, parameter)
+    tables = {cell.parameter: cell.table for cell in reversed(result.cells)}
+    for parameter in dict.fromkeys(cell.parameter for cell in result.cells):
+        lines = figure_data.sensitivities(result, rows, parameter)
         if not lines or np.isnan(lines[0].values).any() or len(lines[0].values) < 2:
             continue
         name = parameter_name(parameter)
-        table = next(cell.table for cell in result.cells if cell.parameter == parameter)
         found.append(
             finished(
                 plots.sensitivity(lines, name),
-                _file(table, "sensitivity", parameter),
+                _file(tables[parameter], "sensitivity", parameter),
                 f"Sensitivity: {name.partition(',')[0]}",
                 "Final RMSE measured (with its 95 % interval), as the paper prints it, and the "
                 "least that any estimator could reach on the same tracks.",
@@ -340,13 +280,18 @@ FIGURES: dict[str, Maker] = {
 
 def _middle(result: StudyResult) -> tuple[str, str]:
     """The case in the middle of a study: the canonical one of the paper's sweeps."""
-    values = values_of(result)
+    values = figure_data.values_of(result)
     return values[(len(values) - 1) // 2]
+
+
+def _case_at(result: StudyResult, parameter: str, value: str) -> Case:
+    return next(iter(figure_data.cells_at(result, parameter, value).values())).case
 
 
 def _where(result: StudyResult, parameter: str, value: str) -> str:
     """Which of several cases a figure shows."""
-    return f", {value_name(parameter, value)}" if len(values_of(result)) > 1 else ""
+    is_one_of_many = len(figure_data.values_of(result)) > 1
+    return f", {value_name(parameter, value)}" if is_one_of_many else ""
 
 
 def _file(*parts: str) -> str:

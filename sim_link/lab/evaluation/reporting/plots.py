@@ -1,15 +1,12 @@
 """The look of figures, and figures of lines.
 
-One look for every figure: colours, lines, lettering, and files that are the same bytes.
-
-A planner has its colour and a filter its line, everywhere. The colours are those of M. Okabe and
-K. Ito, "Color Universal Design" (2008), the light ones darkened until they hold on white paper; no
-two planners are told apart by colour alone, because lines carry their names at their ends.
+One look for every figure: colours, lines, lettering, and files that are the same bytes. A planner
+has its colour and a filter its line, everywhere. The colours are those of M. Okabe and K. Ito,
+"Color Universal Design" (2008), the light ones darkened until they hold on white paper; no two
+planners are told apart by colour alone, because lines carry their names at their ends.
 
 On the page a figure is inline SVG whose colours are variables of the page, so that it follows a
 dark or a light theme; as a file it stands on white.
-
-Figures of lines: losses, errors and offsets after every step, and sensitivity to a parameter.
 """
 
 from __future__ import annotations
@@ -35,7 +32,7 @@ from companion.estimation.filters.robust_update import (
     asymmetric_huber_loss,
 )
 from sim_link.lab.evaluation.metrics import SETTLED_M
-from sim_link.lab.evaluation.reporting.figure_data import Curve, GradientWatch, Sensitivity
+from sim_link.lab.evaluation.reporting.figure_data import BEST, Curve, GradientWatch, Sensitivity
 from sim_link.lab.evaluation.reporting.tables import typeset
 from sim_link.lab.evaluation.systems import FilterName, PlannerName, System
 
@@ -146,7 +143,13 @@ def finished(figure: Figure, name: str, title: str, caption: str, *, wide: bool 
     """The figure as files, without dates and with names that follow from its own."""
     figure.draw_without_rendering()
     figure.set_layout_engine("none")  # laid out once for both files
-    return Drawing(name, title, caption, _svg(figure, name), _png(figure), wide)
+    svg, png = StringIO(), BytesIO()
+    canvas: Any = FigureCanvasSVG(figure)
+    with mpl.rc_context({"svg.hashsalt": name}):
+        canvas.print_svg(svg, metadata={"Date": None, "Creator": None})
+    canvas = FigureCanvasAgg(figure)
+    canvas.print_png(png, metadata={"Software": None})
+    return Drawing(name, title, caption, svg.getvalue(), png.getvalue(), wide)
 
 
 def inline(drawing: Drawing) -> str:
@@ -163,12 +166,7 @@ def inline(drawing: Drawing) -> str:
     return text.replace("<svg ", '<svg role="img" ', 1).strip()
 
 
-def label_ends(
-    figure: Figure,
-    axes: Axes,
-    labels: Sequence[tuple[float, str, str]],
-    least_gap_pt: float = LABEL_GAP_PT,
-) -> None:
+def label_ends(figure: Figure, axes: Axes, labels: Sequence[tuple[float, str, str]]) -> None:
     """Write names at the right ends of lines, moved apart where they would collide.
 
     Args:
@@ -181,7 +179,8 @@ def label_ends(
         (float(shares.transform(axes.transData.transform((1.0, y)))[1]), text, colour)
         for y, text, colour in labels
     )
-    places = spread([place for place, _, _ in ordered], least_gap_pt / height_pt)
+    places = spread([place for place, _, _ in ordered], LABEL_GAP_PT / height_pt)
+    line = {"arrowstyle": "-", "lw": 0.5, "shrinkA": 1.0, "shrinkB": 0.0, "relpos": (0.0, 0.5)}
     for (wanted, text, colour), place in zip(ordered, places, strict=True):
         axes.annotate(
             text,
@@ -193,14 +192,7 @@ def label_ends(
             va="center",
             fontsize=8.0,
             annotation_clip=False,
-            arrowprops={
-                "arrowstyle": "-",
-                "color": colour,
-                "lw": 0.5,
-                "shrinkA": 1.0,
-                "shrinkB": 0.0,
-                "relpos": (0.0, 0.5),
-            },
+            arrowprops={**line, "color": colour},
         )
 
 
@@ -224,28 +216,11 @@ def spread(wanted: Sequence[float], gap: float) -> list[float]:
     ]
 
 
-def _svg(figure: Figure, name: str) -> str:
-    text = StringIO()
-    canvas: Any = FigureCanvasSVG(figure)
-    with mpl.rc_context({"svg.hashsalt": name}):
-        canvas.print_svg(text, metadata={"Date": None, "Creator": None})
-    return text.getvalue()
-
-
-def _png(figure: Figure) -> bytes:
-    data = BytesIO()
-    canvas: Any = FigureCanvasAgg(figure)
-    canvas.print_png(data, metadata={"Software": None})
-    return data.getvalue()
-
-
 CURVES_IN = (5.2, 3.5)
 """Small enough to be read on a phone."""
 STEP_TICKS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000)
 METRE_TICKS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
 BOUND = typeset("Cramer-Rao")
-OURS = System("map", "latched")
-
 LOSSES: tuple[tuple[float, float, str, tuple[float, ...]], ...] = (
     (1.5, math.inf, LATCHED, ()),
     (math.inf, math.inf, MUTED, (5.0, 1.6)),
@@ -284,33 +259,16 @@ def losses() -> Figure:
 
 
 def rmse(curves: Sequence[Curve], title: str, printed: dict[System, float]) -> Figure:
-    """RMSE after every step on log axes, with the bounds.
-
-    Args:
-        curves: RMSE and bounds, metres.
-    """
-    figure = new_figure(*CURVES_IN)
-    axes = figure.subplots()
-    steps = len(curves[0].values)
-    for curve in curves:
-        draw_curve(axes, curve)
+    """RMSE and bounds, metres, after every step on log axes."""
+    figure, axes, steps = _figure_of(curves, title, "RMSE of the position, m")
     lows = [float(np.nanmin(c.values[c.values > 0.0])) for c in curves if np.any(c.values > 0.0)]
-    axes.set(xscale="log", yscale="log", xlim=(1, steps), ylim=(0.7 * min(lows), 60.0))
-    axes.axhline(SETTLED_M, color=MUTED, linewidth=0.8)
-    axes.annotate(
-        f"threshold {SETTLED_M} m", (1.12, 1.08 * SETTLED_M), color=MUTED, fontsize=7.5, va="bottom"
-    )
+    axes.set(yscale="log", ylim=(0.7 * min(lows), 60.0))
+    _mark(axes, f"threshold {SETTLED_M} m", SETTLED_M, 1.08 * SETTLED_M)
     for system, value in printed.items():
         colour = PLANNER_COLOURS[system.planner]
         axes.plot([steps], [value], "D", color=colour, mfc="none", ms=5, clip_on=False, zorder=5)
-    step_axis(axes, steps)
-    metre_axis(axes)
-    axes.set(xlabel="step", ylabel="RMSE of the position, m")
-    axes.set_title(title)
-    figure.draw_without_rendering()
-    label_ends(
-        figure, axes, [end_label(curve) for curve in curves if not has_double(curve, curves)]
-    )
+    _metre_axis(axes)
+    _label_curves(figure, axes, [curve for curve in curves if not _has_double(curve, curves)])
     return figure
 
 
@@ -320,24 +278,53 @@ def offsets(curves: Sequence[Curve], title: str, unit: str, marks: dict[str, flo
     Args:
         marks: Values worth a line, with their names.
     """
+    figure, axes, _ = _figure_of(curves, title, f"mean estimate, {unit}")
+    everything = [*np.concatenate([curve.values for curve in curves]), *marks.values()]
+    low, high = np.nanmin(everything), np.nanmax(everything)
+    margin = 0.08 * (high - low)
+    axes.set_ylim(low - margin, high + margin)
+    for name, value in marks.items():
+        _mark(axes, typeset(name), value, value)
+    _label_curves(figure, axes, curves)
+    return figure
+
+
+def _figure_of(curves: Sequence[Curve], title: str, ylabel: str) -> tuple[Figure, Axes, int]:
+    """Lines over steps on a log axis, in the colour of their planner and dashes of their filter."""
     figure = new_figure(*CURVES_IN)
     axes = figure.subplots()
     steps = len(curves[0].values)
     for curve in curves:
-        draw_curve(axes, curve)
-    everything = [*np.concatenate([curve.values for curve in curves]), *marks.values()]
-    low, high = np.nanmin(everything), np.nanmax(everything)
-    margin = 0.08 * (high - low)
-    axes.set(xscale="log", xlim=(1, steps), ylim=(low - margin, high + margin))
-    for name, value in marks.items():
-        axes.axhline(value, color=MUTED, linewidth=0.8)
-        axes.annotate(typeset(name), (1.12, value), color=MUTED, fontsize=7.5, va="bottom")
-    step_axis(axes, steps)
-    axes.set(xlabel="step", ylabel=f"mean estimate, {unit}")
+        system = curve.system
+        axes.plot(
+            np.arange(1, len(curve.values) + 1),
+            curve.values,
+            color=PLANNER_COLOURS[system.planner],
+            dashes=DOTS if curve.is_bound else FILTER_DASHES.get(system.filter, ()),
+            linewidth=1.1 if curve.is_bound else 2.3 if system == BEST else 1.3,
+            zorder=3 if system == BEST else 2,
+        )
+    axes.set(xscale="log", xlim=(1, steps), xlabel="step", ylabel=ylabel)
     axes.set_title(title)
+    axes.xaxis.set_major_locator(FixedLocator([tick for tick in STEP_TICKS if tick <= steps]))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    return figure, axes, steps
+
+
+def _mark(axes: Axes, name: str, at: float, text_at: float) -> None:
+    axes.axhline(at, color=MUTED, linewidth=0.8)
+    axes.annotate(name, (1.12, text_at), color=MUTED, fontsize=7.5, va="bottom")
+
+
+def _label_curves(figure: Figure, axes: Axes, curves: Sequence[Curve]) -> None:
     figure.draw_without_rendering()
-    label_ends(figure, axes, [end_label(curve) for curve in curves])
-    return figure
+    labels = []
+    for curve in curves:
+        planner, label = curve.system.planner, curve.system.label
+        name = f"{BOUND} ({planner})" if curve.is_bound else label
+        labels.append((float(curve.values[-1]), name, PLANNER_COLOURS[planner]))
+    label_ends(figure, axes, labels)
 
 
 def sensitivity(found: Sequence[Sensitivity], xlabel: str) -> Figure:
@@ -346,11 +333,10 @@ def sensitivity(found: Sequence[Sensitivity], xlabel: str) -> Figure:
     rows = math.ceil(len(found) / columns)
     figure = new_figure(2.5 * columns + 0.4, 2.15 * rows + 0.35)
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    for index, (axes, one) in enumerate(zip(grid.flat, found, strict=False)):
+    for axes, one in zip(grid.flat, found, strict=False):
         _draw_sensitivity(axes, one)
-        if index == 0:
-            handles, names = axes.get_legend_handles_labels()
-            figure.legend(handles, names, loc="outside upper right", ncols=3)
+    handles, names = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside upper right", ncols=3)
     for axes in grid.flat[len(found) :]:
         axes.set_visible(False)
     for axes in grid[:, 0]:
@@ -362,39 +348,13 @@ def sensitivity(found: Sequence[Sensitivity], xlabel: str) -> Figure:
     return figure
 
 
-def draw_curve(axes: Axes, curve: Curve) -> None:
-    """A line over steps in the colour of its planner and the dashes of its filter."""
-    system = curve.system
-    axes.plot(
-        np.arange(1, len(curve.values) + 1),
-        curve.values,
-        color=PLANNER_COLOURS[system.planner],
-        dashes=DOTS if curve.is_bound else FILTER_DASHES.get(system.filter, ()),
-        linewidth=1.1 if curve.is_bound else 2.3 if system == OURS else 1.3,
-        zorder=3 if system == OURS else 2,
-    )
-
-
-def end_label(curve: Curve) -> tuple[float, str, str]:
-    """Where a line ends, its name and its colour."""
-    name = f"{BOUND} ({curve.system.planner})" if curve.is_bound else curve.system.label
-    return float(curve.values[-1]), name, PLANNER_COLOURS[curve.system.planner]
-
-
-def has_double(curve: Curve, curves: Sequence[Curve]) -> bool:
+def _has_double(curve: Curve, curves: Sequence[Curve]) -> bool:
     """Whether the name of a bound is already at another line of the same planner."""
     bounds = [c for c in curves if c.is_bound and c.system.planner == curve.system.planner]
     return curve.is_bound and bounds[0] is not curve
 
 
-def step_axis(axes: Axes, steps: int) -> None:
-    """Ticks at round steps."""
-    axes.xaxis.set_major_locator(FixedLocator([tick for tick in STEP_TICKS if tick <= steps]))
-    axes.xaxis.set_minor_locator(NullLocator())
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-
-
-def metre_axis(axes: Axes) -> None:
+def _metre_axis(axes: Axes) -> None:
     """Ticks at 1 and 3 of every decade, as plain numbers."""
     axes.yaxis.set_major_locator(FixedLocator(METRE_TICKS))
     axes.yaxis.set_minor_locator(NullLocator())
@@ -410,7 +370,7 @@ def _draw_sensitivity(axes: Axes, one: Sensitivity) -> None:
     axes.set_yscale("log")
     axes.set_title(one.system.label, fontsize=8.5)
     axes.set_xticks(one.values, [f"{value:g}" for value in one.values])
-    metre_axis(axes)
+    _metre_axis(axes)
 
 
 def gradients(watches: Sequence[GradientWatch]) -> Figure:

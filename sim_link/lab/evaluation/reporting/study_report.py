@@ -1,13 +1,9 @@
-"""`report.html` of a study: the page, and what it says of the scenario.
-
-What the page says of the scenario: every open point of the paper, and how it is fixed here.
-
-Values are read from the canonical case, so that the page cannot tell another story than the code.
-
-`report.html`: one page with verdicts, tables and figures, complete in itself.
+"""`report.html` of a study: one page with verdicts, tables and figures, complete in itself.
 
 The page needs no network and no scripts; it follows the reader's light or dark theme and prints.
-`page` is a pure function of what it is given; `write_report` asks for commit and versions.
+What it says of the scenario, every open point of the paper and how it is fixed here, is read from
+the canonical case, so that the page cannot tell another story than the code. `page` is a pure
+function of what it is given; `write_report` asks for commit and versions.
 """
 
 from __future__ import annotations
@@ -17,7 +13,6 @@ import platform
 import subprocess
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -38,98 +33,81 @@ from sim_link.lab.evaluation.reporting.tables import (
     typeset,
 )
 from sim_link.lab.evaluation.study import ResultRow, StudyResult
+from sim_link.lab.pool import version_of
 
-OpenPoint = tuple[str, str, str]
-"""The point, our choice, and why."""
-
-
-def open_points(case: Case) -> list[OpenPoint]:
-    """Every point that the paper leaves open."""
-    return [*_about_noise_and_filter(case), *_about_flight(case), *_about_tables()]
-
-
-def _about_noise_and_filter(case: Case) -> list[OpenPoint]:
-    channel, belief = case.channel, case.belief
-    position_sigma_m, *offset_sigmas = belief.prior[1][[0, 2]].tolist()
-    return [
-        (
-            "Bearing noise",
-            f"{channel.bearing_sigma_deg:g} deg",
-            "not given; with it the passive rows land near the paper's",
-        ),
-        (
-            "NLOS draw",
-            "one for range and bearing together"
-            if case.nlos_draws == "joint"
-            else "one each for range and bearing",
-            "one path carries both",
-        ),
-        (
-            "Exp(8.0)",
-            f"mean {channel.range_bias_mean_m:g} m",
-            "the tables call it the mean bias",
-        ),
-        ("Horizon", f"{case.steps} steps", 'the table\'s ">500"'),
-        (
-            "First estimate",
-            "first range and bearing, inverted; "
-            f"prior sigma {position_sigma_m:g} m of the position, {offset_sigmas[0]:g} m and "
-            f"{belief.bearing_offset_sigma_deg:g} deg of the offsets",
-            "the same for every filter",
-        ),
-        (
-            "Thresholds",
-            f"k = {belief.range_k_long:g} for ranges, {belief.bearing_k:g} for bearings",
-            "the paper's sweep is centred there",
-        ),
-    ]
-
-
-def _about_flight(case: Case) -> list[OpenPoint]:
-    width_m, depth_m = case.area_m
-    first_m = case.first_lane_north_m
-    first_m = 0.5 * case.lane_spacing_m if first_m is None else first_m
-    return [
-        (
-            "Lawnmower",
-            f"{case.lane_spacing_m:g} m lanes over {width_m:g} x {depth_m:g} m, "
-            f"the first at {first_m:g} m",
-            "a lane through the target would measure an accident",
-        ),
-        (
-            "FIM candidates",
-            f"{case.fim_headings} headings at the step length ({case.step_m:g} m), and staying",
-            '"candidate moves around the UAV"',
-        ),
-        (
-            "Stopping distance of reactive crossing",
-            f"{case.stop_distance_m:g} m",
-            "stopping near the estimate ends learning",
-        ),
-    ]
+OPEN_POINTS = (
+    (
+        "Bearing noise",
+        "{channel.bearing_sigma_deg:g} deg",
+        "not given; with it the passive rows land near the paper's",
+    ),
+    ("NLOS draw", "{nlos_draw} for range and bearing{together}", "one path carries both"),
+    ("Exp(8.0)", "mean {channel.range_bias_mean_m:g} m", "the tables call it the mean bias"),
+    ("Horizon", "{case.steps} steps", 'the table\'s ">500"'),
+    (
+        "First estimate",
+        "first range and bearing, inverted; prior sigma {position_sigma_m:g} m of the position, "
+        "{offset_sigma_m:g} m and {belief.bearing_offset_sigma_deg:g} deg of the offsets",
+        "the same for every filter",
+    ),
+    (
+        "Thresholds",
+        "k = {belief.range_k_long:g} for ranges, {belief.bearing_k:g} for bearings",
+        "the paper's sweep is centred there",
+    ),
+    (
+        "Lawnmower",
+        "{case.lane_spacing_m:g} m lanes over {case.area_m[0]:g} x {case.area_m[1]:g} m, "
+        "the first at {first_lane_m:g} m",
+        "a lane through the target would measure an accident",
+    ),
+    (
+        "FIM candidates",
+        "{case.fim_headings} headings at the step length ({case.step_m:g} m), and staying",
+        '"candidate moves around the UAV"',
+    ),
+    (
+        "Stopping distance of reactive crossing",
+        "{case.stop_distance_m:g} m",
+        "stopping near the estimate ends learning",
+    ),
+    (
+        "Steps to 2.5 m",
+        "one more than the last step with an RMSE of at least 2.5 m",
+        '"settle below"',
+    ),
+    (
+        "Structured obstacle",
+        "30 to 45 m east, 30 to 60 m north; behind it always NLOS, mean "
+        "{shadow.extra_bias_mean_m:g} m, bend {shadow.bearing_bias_sigma_deg:g} deg; "
+        "elsewhere p = 0.1",
+        "the paper gives no numbers",
+    ),
+    (
+        "Sensitivity tables",
+        "p at mean 8 m; mean at p = 0.7; step and k at p = 0.9",
+        "read off the cells that repeat",
+    ),
+)
+"""Every point that the paper leaves open, our choice in a case, and why."""
 
 
-def _about_tables() -> list[OpenPoint]:
-    shadow = STUDY_SHADOW
-    return [
-        (
-            "Steps to 2.5 m",
-            "one more than the last step with an RMSE of at least 2.5 m",
-            '"settle below"',
-        ),
-        (
-            "Structured obstacle",
-            "30 to 45 m east, 30 to 60 m north; behind it always NLOS, mean "
-            f"{shadow.extra_bias_mean_m:g} m, bend {shadow.bearing_bias_sigma_deg:g} deg; "
-            "elsewhere p = 0.1",
-            "the paper gives no numbers",
-        ),
-        (
-            "Sensitivity tables",
-            "p at mean 8 m; mean at p = 0.7; step and k at p = 0.9",
-            "read off the cells that repeat",
-        ),
-    ]
+def open_points(case: Case) -> list[tuple[str, str, str]]:
+    """The open points, as they are fixed in a case."""
+    position_sigma_m, offset_sigma_m = case.belief.prior[1][[0, 2]].tolist()
+    first_m, is_joint = case.first_lane_north_m, case.nlos_draws == "joint"
+    values = {
+        "case": case,
+        "channel": case.channel,
+        "belief": case.belief,
+        "shadow": STUDY_SHADOW,
+        "nlos_draw": "one" if is_joint else "one each",
+        "together": " together" if is_joint else "",
+        "position_sigma_m": position_sigma_m,
+        "offset_sigma_m": offset_sigma_m,
+        "first_lane_m": 0.5 * case.lane_spacing_m if first_m is None else first_m,
+    }
+    return [(point, choice.format(**values), reason) for point, choice, reason in OPEN_POINTS]
 
 
 FIGURES = "figures"
@@ -296,7 +274,9 @@ def factor_text(factor: float) -> str:
 def provenance() -> Provenance:
     """Of the code that runs now."""
     versions = [("Python", platform.python_version())]
-    versions += [(name, _version(name)) for name in SHOWN_VERSIONS]
+    for name in SHOWN_VERSIONS:
+        number = version_of(name)
+        versions.append((name, "not installed" if number == "none" else number))
     versions.append(("kernels", "compiled" if IS_COMPILED else "plain Python"))
     return Provenance(_commit(ROOT), tuple(versions))
 
@@ -317,10 +297,3 @@ def _git(root: Path, *arguments: str) -> str:
     except (OSError, subprocess.TimeoutExpired):
         return ""
     return done.stdout.strip() if done.returncode == 0 else ""
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "not installed"

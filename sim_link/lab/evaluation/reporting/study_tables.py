@@ -1,6 +1,6 @@
-"""The rows of results.csv, and the files of studies and their tables.
+"""The rows of results.csv, and the files of studies that they come from.
 
-The rows of results.csv: definitions of the metrics, and numbers as they are written.
+Definitions of the metrics, and numbers as they are written:
 
     final_rmse_m         after the last step; bound: the Cramer-Rao RMSE bound of the same tracks
     steps_to_2.5m        one more than the last step with an RMSE of at least 2.5 m; bound: that of
@@ -19,8 +19,6 @@ The rows of results.csv: definitions of the metrics, and numbers as they are wri
 
 Intervals are 95 % bootstrap percentiles; resamples are the same for all systems, so that those of
 a ratio are paired.
-
-Studies in YAML files, and the tables that come out of them.
 """
 
 from __future__ import annotations
@@ -31,7 +29,7 @@ import math
 import os
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import astuple, dataclass, fields
+from dataclasses import astuple, fields
 from functools import lru_cache
 from pathlib import Path
 from typing import get_args
@@ -41,28 +39,10 @@ import numpy as np
 from companion.config.loader import load_yaml
 from companion.errors import ConfigError
 from companion.kernel import Matrix, Vector
+from sim_link.lab.evaluation import metrics
+from sim_link.lab.evaluation import study as studies
 from sim_link.lab.evaluation.campaign import RunTally
-from sim_link.lab.evaluation.metrics import (
-    COVERAGE_BAND,
-    SETTLED_STEP,
-    diverged_count,
-    nees_band,
-    steps_to_settle,
-)
-from sim_link.lab.evaluation.study import (
-    Cell,
-    FigureName,
-    Metric,
-    PaperValue,
-    ResultRow,
-    Study,
-    StudyResult,
-    Sweep,
-    SystemGrid,
-    cells_of,
-    hint,
-    names_of,
-)
+from sim_link.lab.evaluation.study import Cell, CellResult, Metric, ResultRow, Study, StudyResult
 from sim_link.lab.evaluation.systems import FilterName, PlannerName
 
 RESAMPLES = 2000
@@ -74,26 +54,19 @@ Numbers = tuple[str, str, str, str]
 """Metric, ours, its interval and its bound, as written."""
 
 
-@dataclass(frozen=True, slots=True)
-class Seen:
-    """What a metric may look at."""
-
-    result: StudyResult
-    cell: Cell
-    tally: RunTally
+Measure = Callable[[StudyResult, CellResult], list[Numbers]]
 
 
 def rows_of(result: StudyResult) -> list[ResultRow]:
     """The rows of a study, in the order of its tables; costs are not among them."""
-    rows: list[ResultRow] = []
-    cells = cells_of(result.study)
-    for cell, done in zip(cells, result.cells, strict=True):
-        for metric in metrics_of(result, cell):
-            if metric == "cost_ms_per_step":
-                continue
-            for name, *numbers in MEASURED[metric](Seen(result, cell, done.tally)):
-                rows += rows_about(cell, name, *numbers)
-    return rows
+    return [
+        row
+        for cell in result.cells
+        for metric in metrics_of(result, cell)
+        if metric != "cost_ms_per_step"
+        for name, *numbers in MEASURED[metric](result, cell)
+        for row in rows_about(cell, name, *numbers)
+    ]
 
 
 def metrics_of(result: StudyResult, cell: Cell) -> Sequence[Metric]:
@@ -106,19 +79,14 @@ def rows_about(
 ) -> list[ResultRow]:
     """The row about a cell, and another where the paper prints it under a second name."""
     rows: list[ResultRow] = []
-    for name in names_of(cell.system):
-        paper = paper_text(cell, name, metric)
+    for name in studies.names_of(cell.system):
+        numbers = {str(key): of for key, of in cell.sweep.paper.get(name, {}).items()}
+        printed = numbers[metric][cell.index] if metric in numbers else None
+        paper = "" if printed is None else str(printed)
         if name == cell.system.label or paper:
             place = (cell.table, cell.parameter, cell.value, name)
             rows.append(ResultRow(*place, metric, paper, ours, ours_ci95, bound))
     return rows
-
-
-def paper_text(cell: Cell, name: str, metric: str) -> str:
-    """What the paper prints of a cell, or nothing."""
-    numbers = {str(key): of for key, of in cell.sweep.paper.get(name, {}).items()}
-    printed: PaperValue = numbers[metric][cell.index] if metric in numbers else None
-    return "" if printed is None else str(printed)
 
 
 def number(value: float) -> str:
@@ -140,17 +108,20 @@ def rmse_interval_m(errors_m: Vector) -> tuple[float, float] | None:
     """The interval of the RMSE of (runs,) errors; None where one of them is not finite."""
     if not np.isfinite(errors_m).all():
         return None
-    means = np.einsum("ij,j->i", resamples(errors_m.size), np.square(errors_m))
-    return _ends(np.sqrt(means / errors_m.size))
+    return _ends(np.sqrt(_resampled(errors_m) / errors_m.size))
 
 
 def ratio_interval(errors_m: Vector, others_m: Vector) -> tuple[float, float] | None:
     """The interval of a ratio of RMSE, (runs,) errors of the same draws; None as above."""
     if not (np.isfinite(errors_m).all() and np.isfinite(others_m).all()):
         return None
-    picked = resamples(errors_m.size)
-    ours, theirs = (np.einsum("ij,j->i", picked, np.square(e)) for e in (errors_m, others_m))
-    return _ends(np.sqrt(ours / theirs))
+    return _ends(np.sqrt(_resampled(errors_m) / _resampled(others_m)))
+
+
+def _resampled(errors_m: Vector) -> Vector:
+    """Sums of squares in each resample, (RESAMPLES,)."""
+    sums: Vector = np.einsum("ij,j->i", resamples(errors_m.size), np.square(errors_m))
+    return sums
 
 
 @lru_cache(maxsize=1)
@@ -166,46 +137,46 @@ def _ends(values: Vector) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _final_rmse(seen: Seen) -> list[Numbers]:
-    tally = seen.tally
+def _final_rmse(_: StudyResult, cell: CellResult) -> list[Numbers]:
+    tally = cell.tally
     ends = interval(rmse_interval_m(tally.final_errors_m))
     return [("final_rmse_m", number(tally.rmse_m[-1]), ends, bound_text(tally.rmse_bound_m[-1]))]
 
 
-def _steps(seen: Seen) -> list[Numbers]:
-    ours, bound = seen.tally.rmse_m, seen.tally.rmse_bound_m
+def _steps(_: StudyResult, cell: CellResult) -> list[Numbers]:
+    ours, bound = cell.tally.rmse_m, cell.tally.rmse_bound_m
     return [("steps_to_2.5m", _steps_text(ours), "", _steps_text(bound))]
 
 
 def _steps_text(rmse_by_step_m: Vector) -> str:
     if np.isnan(rmse_by_step_m).all():
         return ""
-    steps = steps_to_settle(rmse_by_step_m)
+    steps = metrics.steps_to_settle(rmse_by_step_m)
     return f">{rmse_by_step_m.size}" if steps is None else str(steps)
 
 
-def _after_steps(seen: Seen) -> list[Numbers]:
-    steps = seen.cell.sweep.after_steps[seen.cell.index]
-    tally, index = seen.tally, min(steps, seen.tally.rmse_m.size) - 1
-    rmse_m, bound_m = tally.rmse_m[index], tally.rmse_bound_m[index]
-    return [(f"rmse_after_{steps}_steps_m", number(rmse_m), "", bound_text(bound_m))]
+def _after_steps(_: StudyResult, cell: CellResult) -> list[Numbers]:
+    steps = cell.sweep.after_steps[cell.index]
+    rmse_m, bound_m = cell.tally.rmse_m, cell.tally.rmse_bound_m
+    at = min(steps, rmse_m.size) - 1
+    return [(f"rmse_after_{steps}_steps_m", number(rmse_m[at]), "", bound_text(bound_m[at]))]
 
 
-def _worst(seen: Seen) -> list[Numbers]:
-    return [("worst_final_m", number(np.max(seen.tally.final_errors_m)), "", "")]
+def _worst(_: StudyResult, cell: CellResult) -> list[Numbers]:
+    return [("worst_final_m", number(np.max(cell.tally.final_errors_m)), "", "")]
 
 
-def _diverged(seen: Seen) -> list[Numbers]:
-    return [("diverged_runs", str(diverged_count(seen.tally.final_errors_m)), "", "")]
+def _diverged(_: StudyResult, cell: CellResult) -> list[Numbers]:
+    return [("diverged_runs", str(metrics.diverged_count(cell.tally.final_errors_m)), "", "")]
 
 
-def _range_offset(seen: Seen) -> list[Numbers]:
-    mean_m = seen.tally.range_offset_m[-1] / seen.tally.runs
+def _range_offset(_: StudyResult, cell: CellResult) -> list[Numbers]:
+    mean_m = cell.tally.range_offset_m[-1] / cell.tally.runs
     return [("range_offset_m", number(mean_m), "", "")]
 
 
-def _bound_ratio(seen: Seen) -> list[Numbers]:
-    tally = seen.tally
+def _bound_ratio(_: StudyResult, cell: CellResult) -> list[Numbers]:
+    tally = cell.tally
     bound_m = float(tally.rmse_bound_m[-1])
     ends = rmse_interval_m(tally.final_errors_m)
     if not 0.0 < bound_m < math.inf:
@@ -214,12 +185,12 @@ def _bound_ratio(seen: Seen) -> list[Numbers]:
     return [("bound_ratio", number(tally.rmse_m[-1] / bound_m), interval(scaled), "1")]
 
 
-def _rmse_ratio(seen: Seen) -> list[Numbers]:
-    other = _reference(seen.result, seen.cell)
+def _rmse_ratio(result: StudyResult, cell: CellResult) -> list[Numbers]:
+    other = _reference(result, cell)
     if other is None:
         return []
-    ratio = float(seen.tally.rmse_m[-1] / other.rmse_m[-1])
-    ends = ratio_interval(seen.tally.final_errors_m, other.final_errors_m)
+    ratio = float(cell.tally.rmse_m[-1] / other.rmse_m[-1])
+    ends = ratio_interval(cell.tally.final_errors_m, other.final_errors_m)
     return [("rmse_ratio", number(ratio), interval(ends), "")]
 
 
@@ -234,8 +205,8 @@ def _reference(result: StudyResult, cell: Cell) -> RunTally | None:
     return None
 
 
-def _nees(seen: Seen) -> list[Numbers]:
-    means, band = seen.tally.mean_nees, interval(nees_band(seen.tally.runs))
+def _nees(_: StudyResult, cell: CellResult) -> list[Numbers]:
+    means, band = cell.tally.mean_nees, interval(metrics.nees_band(cell.tally.runs))
     over_steps = float(np.mean(_settled(means)))
     return [
         ("nees_final", number(means[-1]), "", band),
@@ -245,16 +216,16 @@ def _nees(seen: Seen) -> list[Numbers]:
 
 def _settled(by_step: Vector) -> Vector:
     """Over the steps that count; of a short run the last one."""
-    return by_step[min(SETTLED_STEP, by_step.size - 1) :]
+    return by_step[min(metrics.SETTLED_STEP, by_step.size - 1) :]
 
 
-def _coverage(seen: Seen) -> list[Numbers]:
-    shares, band = _settled(seen.tally.coverage), interval(COVERAGE_BAND)
+def _coverage(_: StudyResult, cell: CellResult) -> list[Numbers]:
+    shares, band = _settled(cell.tally.coverage), interval(metrics.COVERAGE_BAND)
     found = {"min": shares.min(), "mean": shares.mean(), "max": shares.max()}
     return [(f"coverage_{name}", number(float(share)), "", band) for name, share in found.items()]
 
 
-MEASURED: dict[Metric, Callable[[Seen], list[Numbers]]] = {
+MEASURED: dict[Metric, Measure] = {
     "final_rmse_m": _final_rmse,
     "steps_to_2.5m": _steps,
     "rmse_after_steps_m": _after_steps,
@@ -280,7 +251,7 @@ _KNOWN: dict[str, tuple[str, ...]] = {
     "planners": get_args(PlannerName),
     "metrics": get_args(Metric),
     "paper": get_args(Metric),
-    "figures": get_args(FigureName),
+    "figures": get_args(studies.FigureName),
 }
 
 
@@ -308,7 +279,7 @@ def study_path(name: str, folder: Path) -> Path:
     path = folder / f"{name}{SUFFIX}"
     if not path.is_file():
         known = sorted(path.stem for path in folder.glob(f"*{SUFFIX}"))
-        raise ConfigError(f"study {name}: there is none of this name; {hint(name, known)}")
+        raise ConfigError(f"study {name}: there is none of this name; {studies.hint(name, known)}")
     return path
 
 
@@ -325,7 +296,7 @@ def load_study(path: Path) -> Study:
     if bool(study.studies) == bool(study.sweeps):
         raise ConfigError(f"{path}: $: give `sweeps`, or `studies` of a collection")
     try:
-        cells_of(study)
+        studies.cells_of(study)
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
     return study
@@ -338,36 +309,6 @@ def csv_text(rows: Sequence[ResultRow]) -> str:
     writer.writerow([field.name for field in fields(ResultRow)])
     writer.writerows(astuple(row) for row in rows)
     return text.getvalue()
-
-
-def check_folder(path: Path) -> None:
-    """Make sure that a folder can be written into, or be made; nothing is made yet.
-
-    Raises:
-        ConfigError: It cannot.
-    """
-    place = path
-    while not place.exists() and place != place.parent:
-        place = place.parent
-    if not place.is_dir():
-        raise ConfigError(f"--out {path}: {place} is a file; choose a folder")
-    if not os.access(place, os.W_OK | os.X_OK):
-        raise ConfigError(f"--out {path}: {place} cannot be written; check its permissions")
-
-
-def make_folder(path: Path) -> None:
-    """Make a folder with all above it, if it is not there.
-
-    Raises:
-        ConfigError: It cannot be made, or not be written into.
-    """
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-        probe = path / f".probe.{os.getpid()}"
-        probe.touch()
-        probe.unlink()
-    except OSError as error:
-        raise ConfigError(f"--out {path}: cannot be written ({error.strerror})") from None
 
 
 def _collected(path: Path, folder: Path, above: tuple[Path, ...]) -> list[Study]:
@@ -390,9 +331,13 @@ def _with_hint(problem: str) -> str:
     """With what a misspelt key or name may have been meant to be."""
     key, name = _UNKNOWN_KEY.search(problem), _UNKNOWN_NAME.search(problem)
     if key:
-        names = [field for kind in (Study, Sweep, SystemGrid) for field in kind.__struct_fields__]
-        return f"{problem[: key.end()]}{hint(key['key'], names)}"
+        names = [
+            field
+            for kind in (Study, studies.Sweep, studies.SystemGrid)
+            for field in kind.__struct_fields__
+        ]
+        return f"{problem[: key.end()]}{studies.hint(key['key'], names)}"
     if name:
-        near = hint(name["name"], _KNOWN[name["list"]])
+        near = studies.hint(name["name"], _KNOWN[name["list"]])
         return f"{problem[: name.start('problem')]}there is no `{name['name']}`; {near}"
     return problem

@@ -1,16 +1,14 @@
 """Tables of the page, names for people, and how far each assumption moves the result.
 
-Names for people: of parameters, metrics and values, and how they are set.
-
-Tables of the page: paper, ours and bound side by side, and who is ahead.
-
-How far each assumption moves the result: one row for each, one bar for each system.
+A table has paper, ours and bound side by side, and who is ahead. The tornado has one row for each
+assumption and one bar for each system.
 """
 
 from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -193,12 +191,9 @@ def short(text: str) -> str:
 
 def count_verdicts(tables: Iterable[TableView]) -> dict[str, int]:
     """How many cells are ahead, level and behind."""
-    found = {"ahead": 0, "level": 0, "behind": 0}
-    for table in tables:
-        for cell in (c for group in table.groups for row in group.rows for c in row.cells):
-            if cell.verdict in found:
-                found[cell.verdict] += 1
-    return found
+    rows = (row for table in tables for group in table.groups for row in group.rows)
+    found = Counter(cell.verdict for row in rows for cell in row.cells)
+    return {verdict: found[verdict] for verdict in ("ahead", "level", "behind")}
 
 
 def _table(table: str, parameter: str, metric: str, own: dict[Key, ResultRow]) -> TableView:
@@ -232,20 +227,13 @@ def _cell(own: dict[Key, ResultRow], value: str, system: str, metric: str) -> Ta
         low, _, high = row.ours_ci95.partition("..")
         notes.append(f"{short(low)} to {short(high)}")
     if metric == "final_rmse_m":
-        notes += _beside(own, value, system)
+        worst = own.get((value, system, "worst_final_m"))
+        diverged = own.get((value, system, "diverged_runs"))
+        notes += [f"worst {short(worst.ours)}"] if worst else []
+        notes += [f"{diverged.ours} diverged"] if diverged and diverged.ours != "0" else []
     low, dots, high = row.bound.partition("..")
     bound = f"{short(low)} to {short(high)}" if dots else short(row.bound)
     return TableCell(row.paper, short(row.ours), bound, verdict_of(row), tuple(notes))
-
-
-def _beside(own: dict[Key, ResultRow], value: str, system: str) -> list[str]:
-    """The worst run and how many diverged."""
-    worst = own.get((value, system, "worst_final_m"))
-    diverged = own.get((value, system, "diverged_runs"))
-    found = [f"worst {short(worst.ours)}"] if worst else []
-    if diverged and diverged.ours != "0":
-        found.append(f"{diverged.ours} diverged")
-    return found
 
 
 def _planner(system: str) -> str:
@@ -257,21 +245,13 @@ def _number(text: str) -> float:
     return math.inf if text.startswith(">") else numbers(text)
 
 
-def rows_of(
-    rows: Sequence[ResultRow], metric: str, table: str | None = None, system: str | None = None
-) -> list[ResultRow]:
-    """The rows of a metric, perhaps of one table or one system."""
-    return [
-        row
-        for row in rows
-        if row.metric == metric and table in (None, row.table) and system in (None, row.system)
-    ]
-
-
 TABLE = "assumptions"
 LEAST_SPAN = 2.0
 MOST_SPAN = 10.0
 """Factors at the ends of the bars' axis; beyond it a bar is cut."""
+
+
+Factors = list[tuple[str, float]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -283,16 +263,6 @@ class Swing:
     left_percent: float
     """Where the bar begins, of the width of the axis."""
     width_percent: float
-
-    @property
-    def low(self) -> float:
-        """Least factor."""
-        return min(factor for _, factor in self.factors)
-
-    @property
-    def high(self) -> float:
-        """Largest factor."""
-        return max(factor for _, factor in self.factors)
 
     @property
     def is_cut(self) -> bool:
@@ -329,61 +299,41 @@ def tornado_of(results: Iterable[StudyResult]) -> Tornado | None:
     cells = [cell for result in results for cell in result.cells if cell.table == TABLE]
     if not cells:
         return None
-    systems = tuple(dict.fromkeys(cell.system for cell in cells))
-    by_parameter = {
-        parameter: [cell for cell in cells if cell.parameter == parameter]
-        for parameter in dict.fromkeys(cell.parameter for cell in cells)
-    }
-    factors = {
-        (parameter, system): _factors(own, system)
-        for parameter, own in by_parameter.items()
-        for system in systems
-    }
-    reach = max((abs(math.log(f)) for found in factors.values() for _, f in found), default=0.0)
-    span = min(max(math.exp(reach), LEAST_SPAN), MOST_SPAN)
-    rows = [
-        _assumption(parameter, own, [factors[parameter, system] for system in systems], span)
-        for parameter, own in by_parameter.items()
-    ]
-    rows.sort(key=_reach, reverse=True)
-    return Tornado(tuple(system.label for system in systems), tuple(rows), span)
+    systems = list(dict.fromkeys(cell.system for cell in cells))
+    by_reach: list[tuple[float, list[CellResult], list[Factors]]] = []
+    for parameter in dict.fromkeys(cell.parameter for cell in cells):
+        own = [cell for cell in cells if cell.parameter == parameter]
+        factors = [_factors(own, system) for system in systems]
+        reach = max((abs(math.log(f)) for found in factors for _, f in found), default=0.0)
+        by_reach.append((reach, own, factors))
+    by_reach.sort(key=lambda row: -row[0])
+    span = min(max(math.exp(by_reach[0][0]), LEAST_SPAN), MOST_SPAN)
+    rows = tuple(_assumption(own, factors, span) for _, own, factors in by_reach)
+    return Tornado(tuple(system.label for system in systems), rows, span)
 
 
-def _factors(cells: Sequence[CellResult], system: System) -> list[tuple[str, float]]:
+def _factors(cells: Sequence[CellResult], system: System) -> Factors:
     """Values and factors of one system, our choice left out."""
-    own = [cell for cell in cells if cell.system == system]
-    if not own or not float(own[0].tally.rmse_m[-1]) > 0.0:
+    finals = [(c.value, float(c.tally.rmse_m[-1])) for c in cells if c.system == system]
+    if not finals or not finals[0][1] > 0.0:
         return []
-    chosen_m = float(own[0].tally.rmse_m[-1])
-    found = [(cell.value, float(cell.tally.rmse_m[-1]) / chosen_m) for cell in own[1:]]
+    found = [(value, final_m / finals[0][1]) for value, final_m in finals[1:]]
     return [(value, factor) for value, factor in found if 0.0 < factor < math.inf]
 
 
-def _assumption(
-    parameter: str,
-    cells: Sequence[CellResult],
-    factors: Sequence[Sequence[tuple[str, float]]],
-    span: float,
-) -> Assumption:
+def _assumption(cells: Sequence[CellResult], factors: Sequence[Factors], span: float) -> Assumption:
     values = list(dict.fromkeys(cell.value for cell in cells))
     swings = tuple(_swing(found, span) if found else None for found in factors)
-    return Assumption(parameter.replace("_", " "), values[0], tuple(values[1:]), swings)
+    return Assumption(cells[0].parameter.replace("_", " "), values[0], tuple(values[1:]), swings)
 
 
-def _swing(factors: Sequence[tuple[str, float]], span: float) -> Swing:
+def _swing(factors: Factors, span: float) -> Swing:
     """The bar from the least to the largest factor; our choice, 1, is always in it."""
-    low = min(1.0, *(factor for _, factor in factors))
-    high = max(1.0, *(factor for _, factor in factors))
-    left, right = _share(low, span), _share(high, span)
+    ends = [1.0, *(factor for _, factor in factors)]
+    left, right = _share(min(ends), span), _share(max(ends), span)
     return Swing(tuple(factors), 100.0 * left, 100.0 * (right - left))
 
 
 def _share(factor: float, span: float) -> float:
     """Where a factor is on the axis, logarithmic, from 0 to 1."""
     return min(max(0.5 + 0.5 * math.log(factor) / math.log(span), 0.0), 1.0)
-
-
-def _reach(row: Assumption) -> float:
-    return max(
-        (abs(math.log(f)) for swing in row.swings if swing for _, f in swing.factors), default=0.0
-    )

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import multiprocessing
 import time
-from collections.abc import Sequence
 
 import pytest
 
 from companion.errors import ConfigError
 from sim_link.lab.campaign import runner
-from sim_link.lab.campaign import runner as parts
-from sim_link.lab.campaign.flights import Part, Trial, TrialOutcome
+from sim_link.lab.campaign.flights import Part, Trial, TrialOutcome, frames_each
 from sim_link.lab.campaign.runner import (
     AMOUNTS,
     PARTS,
@@ -26,36 +24,39 @@ from sim_link.lab.campaign.runner import (
 )
 
 
-class Dice(Part):
-    """A part whose trial n fails for every fifth n, and breaks at 7."""
+def roll(trial: Trial) -> TrialOutcome:
+    """Trial n fails for every fifth n, and breaks at 7."""
+    if trial.seed == 7:
+        raise ZeroDivisionError("seven")
+    if trial.seed == 99:
+        raise KeyboardInterrupt
+    findings = ("a fifth",) if trial.seed % 5 == 0 else ()
+    n = float(trial.seed)
+    return TrialOutcome(trial, findings, {"sum": n}, {"most": n}, {"least": n})
 
-    name = "dice"
-    title = "numbers"
 
-    def trials(self, amount: float, seed: int) -> Sequence[Trial]:
-        return [Trial(self.name, seed + i) for i in range(round(amount))]
-
-    def run(self, trial: Trial) -> TrialOutcome:
-        if trial.seed == 7:
-            raise ZeroDivisionError("seven")
-        if trial.seed == 99:
-            raise KeyboardInterrupt
-        findings = ("a fifth",) if trial.seed % 5 == 0 else ()
-        n = float(trial.seed)
-        return TrialOutcome(trial, findings, {"sum": n}, {"most": n}, {"least": n})
+def dice(count: int) -> list[Trial]:
+    """Trials 1 to `count`."""
+    return [Trial("dice", seed) for seed in range(1, count + 1)]
 
 
 @pytest.fixture(autouse=True)
-def dice(monkeypatch: pytest.MonkeyPatch) -> Dice:
-    part = Dice()
-    known = {**PARTS, part.name: part}
-    monkeypatch.setattr(runner, "PARTS", known)
-    monkeypatch.setattr(parts, "PARTS", known)
-    return part
+def _dice_are_a_part(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(runner, "PARTS", {**PARTS, "dice": Part("dice", "numbers", run=roll)})
 
 
-def test_figures_are_added_up_and_findings_name_their_trial(dice: Dice) -> None:
-    tally = run_all(dice.trials(6, 1), jobs=1)
+def test_a_part_is_counted_in_trials_with_seeds_of_their_own() -> None:
+    frames = Part("dice", "numbers", run=roll, cost_s=2.0, base_cost_s=1.0, split=frames_each(100))
+    assert Part("dice", "numbers", run=roll).trials(2.0, 3) == [
+        Trial("dice", 3_000_000),
+        Trial("dice", 3_000_001),
+    ]
+    assert [trial.size for trial in frames.trials(150, 1)] == [0.75, 0.75]
+    assert frames.cost(Trial("dice", 1, 0.75)) == 2.5
+
+
+def test_figures_are_added_up_and_findings_name_their_trial() -> None:
+    tally = run_all(dice(6), jobs=1)
     assert tally.trials == 6
     assert (tally.sums["sum"], tally.most["most"], tally.least["least"]) == (21.0, 6.0, 1.0)
     assert [(each.trial, each.what) for each in tally.findings] == [("dice:5", "a fifth")]
@@ -87,8 +88,8 @@ def test_an_exception_is_a_finding_with_its_place() -> None:
     assert any("test_runner" in line for line in outcome.story)
 
 
-def test_an_interruption_keeps_what_was_found(dice: Dice) -> None:
-    trials = [*dice.trials(5, 1), Trial("dice", 99), Trial("dice", 100)]
+def test_an_interruption_keeps_what_was_found() -> None:
+    trials = [*dice(5), Trial("dice", 99), Trial("dice", 100)]
     with pytest.raises(KeyboardInterrupt) as caught:
         run_all(trials, jobs=1)
     (tally,) = caught.value.args

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from sim_link.lab.evaluation.campaign import (
-    Block,
     RunSeries,
     RunTally,
     joined_in_order,
@@ -33,7 +32,7 @@ def test_blocks_are_the_runs_in_order() -> None:
 
 
 def test_a_tally_says_what_its_trials_say() -> None:
-    tally = tally_of(Block(CAMPAIGN, 4, 6))
+    tally = tally_of(RunSeries(SHORT, CAMPAIGN.system, seed=2, runs=6, first=4))
     trials = run_block(SHORT, CAMPAIGN.system, run_seeds(2, 6, first=4))
     errors = np.array([trial.errors_m for trial in trials])
     np.testing.assert_allclose(tally.rmse_m, rmse_m(errors))

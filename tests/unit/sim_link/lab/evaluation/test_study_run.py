@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 
 from companion.errors import CompanionError
-from sim_link.lab.evaluation.campaign import Block, RunSeries
+from sim_link.lab.evaluation.campaign import RunSeries
 from sim_link.lab.evaluation.filterpy_ekf import EkfCheck
 from sim_link.lab.evaluation.study import Study
 from sim_link.lab.evaluation.study_run import (
     FOLDER_NAME,
     PlannedStudy,
     Store,
-    Task,
     carried_out,
     checks_of,
     cost_of,
@@ -50,7 +49,7 @@ class _Recorder(Pool):
 
     def __init__(self, gives_up_after: int | None = None) -> None:
         super().__init__()
-        self.asked: list[Task] = []
+        self.asked: list[RunSeries] = []
         self._left = gives_up_after
 
     def results(
@@ -77,19 +76,19 @@ def test_runs_are_the_studys_unless_somebody_says_otherwise() -> None:
 def test_what_two_studies_share_is_done_once() -> None:
     one = planned([_study("huber/passive", "huber/fim")], RUNS)
     both = planned([_study("huber/passive", "huber/fim"), _study("huber/fim", table="u")], RUNS)
-    assert work_of(both, SEED).tasks.keys() == work_of(one, SEED).tasks.keys()
-    assert work_of(one, SEED + 1).tasks.keys().isdisjoint(work_of(one, SEED).tasks)
+    assert work_of(both, SEED).keys() == work_of(one, SEED).keys()
+    assert work_of(one, SEED + 1).keys().isdisjoint(work_of(one, SEED))
 
 
 def test_more_runs_keep_what_is_done() -> None:
     studies = [_study("huber/passive")]
     fewer, more = (work_of(planned(studies, runs), SEED) for runs in (100, 150))
-    assert set(fewer.tasks) < set(more.tasks)
-    assert len(more.without(fewer.tasks).tasks) == 2
+    assert set(fewer) < set(more)
+    assert len(set(more) - set(fewer)) == 2
 
 
 def test_every_ekf_cell_is_checked_against_filterpy() -> None:
-    tasks = work_of(_planned("ekf/passive", "huber/passive"), SEED).tasks.values()
+    tasks = work_of(_planned("ekf/passive", "huber/passive"), SEED).values()
     assert sum(isinstance(task, EkfCheck) for task in tasks) == 2
 
 
@@ -119,9 +118,11 @@ def test_what_was_kept_is_not_done_again(tmp_path: Path) -> None:
         carried_out(work, first, store, _done)
     with pytest.raises(KeyError):
         results_of(studies, SEED, store)
-    carried_out(work.without(store.found(work.tasks)), second, store, _done)
+    kept = store.found(work)
+    left = {key: task for key, task in work.items() if key not in kept}
+    carried_out(left, second, store, _done)
     results_of(studies, SEED, store)
-    assert len(first.asked) == len(work.tasks) == 4
+    assert len(first.asked) == len(work) == 4
     assert second.asked == first.asked[3:]
 
 
@@ -132,8 +133,8 @@ def test_the_longest_come_first_and_progress_adds_up(tmp_path: Path) -> None:
     carried_out(work, recorder, store, done.append)
     costs = [cost_of(task) for task in recorder.asked]
     assert costs == sorted(costs, reverse=True)
-    assert sum(done) == pytest.approx(work.cost)
-    assert isinstance(recorder.asked[-1], Block)
+    assert sum(done) == pytest.approx(sum(map(cost_of, work.values())))
+    assert not isinstance(recorder.asked[-1], EkfCheck)
 
 
 def test_the_check_is_met_and_says_how_well(tmp_path: Path) -> None:

@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from sim_link.lab.evaluation.case import Case, along, lane_corners, lawnmower_track, stepped
-from sim_link.lab.evaluation.systems import track_of
+from sim_link.lab.evaluation.case import Case, along, lane_corners, stepped, track_of
 
 
 def test_a_step_goes_towards_the_waypoint() -> None:
@@ -53,7 +52,7 @@ def test_the_canonical_lawnmower() -> None:
 
 
 def test_after_the_last_lane_it_turns_around() -> None:
-    track = lawnmower_track((20.0, 10.0), (0.0, 2.5), 5.0, 5.0, 22)
+    track = track_of(Case(area_m=(20.0, 10.0), start_enu_m=(0.0, 2.5), steps=22))
     np.testing.assert_allclose(track[9], (0.0, 7.5))  # 20 m, 5 m, 20 m
     np.testing.assert_allclose(track[18], (0.0, 2.5))
     np.testing.assert_allclose(track[18:22, 0], [0.0, 5.0, 10.0, 15.0])

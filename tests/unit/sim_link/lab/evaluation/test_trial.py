@@ -13,14 +13,13 @@ from sim_link.lab.evaluation.campaign import (
     flown_trial,
     run_block,
     run_trial,
-    start_of,
 )
 from sim_link.lab.evaluation.case import (
     TRUTH,
     Case,
     FirstEstimate,
-    channel_draws,
     run_seeds,
+    start_of,
     stream,
     truth_of,
 )
@@ -34,10 +33,7 @@ BLOCK = ObstacleParams(corners_enu_m=((30.0, 30.0), (45.0, 30.0), (45.0, 60.0), 
 
 def _flown(case: Case, system: System) -> TrialResult:
     """The same run over the classes that fly, without the compiled walk."""
-    rng = stream(SEED, TRUTH)
-    truth = truth_of(case, rng)
-    start = start_of(case, rng)
-    return flown_trial(case, system, channel_draws(case, SEED), truth, start)
+    return flown_trial(case, system, SEED)
 
 
 FLYING = [planner for planner in get_args(PlannerName) if planner != "fim_printed"]

@@ -6,7 +6,14 @@ import numpy as np
 
 from sim_link.lab.evaluation.campaign import RunTally
 from sim_link.lab.evaluation.case import Case, canonical_case
-from sim_link.lab.evaluation.study import CellResult, FigureName, ResultRow, Study, StudyResult
+from sim_link.lab.evaluation.study import (
+    CellResult,
+    FigureName,
+    ResultRow,
+    Study,
+    StudyResult,
+    Sweep,
+)
 from sim_link.lab.evaluation.systems import System, system_named
 
 STEPS = 40
@@ -41,7 +48,8 @@ def cell(
     case: Case | None = None,
 ) -> CellResult:
     chosen = canonical_case() if case is None else case
-    return CellResult(table, parameter, value, chosen, system_named(name), done)
+    system = system_named(name)
+    return CellResult(Sweep(parameter), 0, table, parameter, value, chosen, system, done)
 
 
 def study(

@@ -76,9 +76,8 @@ def test_consistency_counts_only_noise_as_believed() -> None:
     case = canonical_case(p_nlos=0.0)
     honest = cell("tracker/latched", tally(0.1), table="consistency", case=case)
     proud = msgspec.structs.replace(canonical_case(p_nlos=0.9))
-    other = CellResult(
-        "consistency", "noise", "NLOS", proud, honest.system, tally(0.1, worst_m=9.0)
-    )
+    lost = tally(0.1, worst_m=9.0)
+    other = cell("tracker/latched", lost, "consistency", "NLOS", "noise", case=proud)
     assert claim("Consistency", honest, other).measured.endswith("over 1 cells")
 
 

@@ -46,7 +46,7 @@ def _result(tallies: dict[str, RunTally], metrics: list[str], **sweep: Any) -> S
     }
     study = msgspec.convert(fields, Study)
     cells = [
-        CellResult(cell.table, cell.parameter, cell.value, cell.case, cell.system, tally)
+        CellResult.of(cell, tally)
         for cell, tally in zip(cells_of(study), tallies.values(), strict=True)
     ]
     return StudyResult(study, RUNS, 1, tuple(cells))
