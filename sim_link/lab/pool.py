@@ -67,11 +67,7 @@ LIBRARIES = ("numpy", "scipy", "numba", "filterpy")
 
 
 class WorkerLostError(CompanionError):
-    """Whoever worked on some items is gone.
-
-    Args:
-        positions: Of the items that were given out and did not come back.
-    """
+    """Whoever worked on some items is gone; their positions are those that did not come back."""
 
     def __init__(self, text: str, positions: Sequence[int]) -> None:
         super().__init__(text)
@@ -79,12 +75,7 @@ class WorkerLostError(CompanionError):
 
 
 class Pool:
-    """Gives out work.
-
-    Args:
-        workers: None: this process alone.
-        width: Items that are given out at a time.
-    """
+    """Gives out work to workers, some items at a time; without any, this process does it."""
 
     def __init__(self, workers: Processes | Cluster | None = None, width: int = 1) -> None:
         self._workers = workers
@@ -95,9 +86,7 @@ class Pool:
     ) -> Generator[tuple[int, Result], None, None]:
         """What `work` makes of each item, with its position, as it comes.
 
-        Raises:
-            WorkerLostError: Who should do it is gone.
-            KeyboardInterrupt: After all that was done by then.
+        A WorkerLostError or KeyboardInterrupt comes after all that was done by then.
         """
         if self._workers is None:
             yield from ((position, work(item)) for position, item in enumerate(items))
@@ -149,12 +138,8 @@ def open_pool(backend: str = LOCAL, jobs: int = 1) -> Iterator[Pool]:
     """A pool, and its end.
 
     Args:
-        backend: local, or dask://HOST:PORT.
+        backend: local, or dask://HOST:PORT; a ConfigError where nobody fit answers there.
         jobs: Processes of this machine; 1: this one.
-
-    Raises:
-        ConfigError: There is no such backend, nobody answers there, or its workers would come to
-            other results.
     """
     if backend != LOCAL:
         with _connected(backend) as cluster:
@@ -298,11 +283,7 @@ def _client(host: str, port: int) -> Any:
 
 
 def check_scheduler(host: str, port: int) -> None:
-    """Make sure that something speaks dask there: with other servers its client waits for ever.
-
-    Raises:
-        OSError: Nothing listens there, or something else.
-    """
+    """An OSError unless something there speaks dask: with others its client waits for ever."""
     with socket.create_connection((host, port), CONNECT_S) as connected:
         greeting = connected.recv(FRAME_COUNT.size, socket.MSG_WAITALL)
     if len(greeting) < FRAME_COUNT.size or FRAME_COUNT.unpack(greeting)[0] > MOST_FRAMES:
@@ -333,11 +314,7 @@ def _work_if_same(digest: str, work: Callable[[Item], Result], item: Item) -> Re
 
 
 def check_sources(digest: str) -> None:
-    """Make sure that this process would come to the results of another.
-
-    Raises:
-        ConfigError: Its sources or libraries are others.
-    """
+    """A ConfigError unless this process would come to the results of another."""
     if digest != sources_digest():
         raise ConfigError(
             "a worker has other sources or library versions than this machine, or compiles where "

@@ -75,12 +75,7 @@ SPECIAL = (np.nan, np.inf, -np.inf, 0.0, -0.0, 1e30, -1.0, 1.0, 1e-42)
 
 
 class FrameMaker:
-    """Makes frames of the autopilot.
-
-    Args:
-        rng: Where all of it comes from.
-        signing: Signs them; None: unsigned.
-    """
+    """Makes frames of the autopilot out of random numbers, signed or not."""
 
     def __init__(self, rng: np.random.Generator, signing: Signing | None) -> None:
         self._rng = rng

@@ -240,11 +240,7 @@ def monitored_flight(
 
 
 def launched_flight(seed: int, salt: int) -> tuple[Monitored, Dice]:
-    """A flight that the companion launches by itself, with either autopilot, and the dice for it.
-
-    Args:
-        salt: Of the dice: another one for each part.
-    """
+    """A flight that the companion launches by itself, with either autopilot, and salted dice."""
     dice = Dice(np.random.default_rng((seed, salt)))
     scenario = Scenario(autopilot=AutopilotParams(flavour=dice.flavour()))
     return monitored_flight(ENDLESS, scenario, seed), dice

@@ -196,11 +196,7 @@ class _ProcessFlight:
         return child
 
     def start_companion(self) -> ChildProcess:
-        """Start one; back when its flight has begun.
-
-        Raises:
-            CompanionError: It does not start.
-        """
+        """Start one; back when its flight has begun, or with a CompanionError when it does not."""
         arguments = ["sim_link.lab.supervised_companion", "--config", str(self._config)]
         arguments += ["--connect", f"udp:{HOST}:{self._port}", "--speed", f"{SPEED:g}"]
         child = self._start(f"companion{len(self._companions)}", arguments)

@@ -49,14 +49,7 @@ AMOUNTS: Mapping[str, Mapping[str, float]] = {
 
 
 def trials_of(size: str, seed: int, only: Sequence[str] = ()) -> list[Trial]:
-    """The trials of a campaign, the longest first, so that no process ends long after the others.
-
-    Args:
-        only: Names of parts; none: all.
-
-    Raises:
-        ConfigError: No such part.
-    """
+    """The trials of a campaign, perhaps of some parts; the longest first, to end at one time."""
     check_parts(only)
     trials = [
         trial
@@ -68,22 +61,14 @@ def trials_of(size: str, seed: int, only: Sequence[str] = ()) -> list[Trial]:
 
 
 def check_parts(names: Sequence[str]) -> None:
-    """Refuse a part that does not exist.
-
-    Raises:
-        ConfigError: The text names those that do.
-    """
+    """Refuse a part that does not exist; the ConfigError names those that do."""
     for name in names:
         if name not in PARTS:
             raise ConfigError(f"there is no part {name!r}; there are {', '.join(PARTS)}")
 
 
 def trial_named(text: str) -> Trial:
-    """The trial of `PART:SEED[:SIZE]`; a number alone is a mission's seed.
-
-    Raises:
-        ConfigError: It names none.
-    """
+    """The trial of `PART:SEED[:SIZE]`, a number alone being a mission's seed; or a ConfigError."""
     words = text.split(":")
     if len(words) == 1:
         words = ["missions", *words]
@@ -158,9 +143,7 @@ def run_all(
     A trial whose process may have ended by force is a finding, and those after it are not run.
 
     Args:
-        trials: In the order of their start.
         jobs: Processes; 1 runs them in this one.
-        on_done: Told of every trial that is done.
         backend: See `open_pool`.
 
     Raises:
@@ -229,12 +212,7 @@ def judge(tally: CampaignTally) -> None:
 
 
 def report(tally: CampaignTally, facts: Mapping[str, object], command: str) -> dict[str, object]:
-    """The campaign as one JSON object.
-
-    Args:
-        facts: What was run: its size, seed and duration.
-        command: How a trial is replayed, to be completed by its name.
-    """
+    """The campaign as one JSON object: facts of what was run, figures, and commands to replay."""
     figures = {
         name: int(value) if value == int(value) and abs(value) < 1e15 else round(value, 6)
         for name, value in sorted(tally.figures().items())

@@ -63,16 +63,17 @@ class TrialResult:
     @property
     def nees(self) -> Vector:
         """(steps,) of the position."""
-        return metrics.nees(self._misses_enu_m, self._covariances_m2)
+        return metrics.nees(self._misses_enu_m, self.covariances_m2)
 
     @property
     def r95_m(self) -> Vector:
         """(steps,) radius about the estimate that is said to hold the target with 95 %."""
         stated_m = self.stated_r95_m
-        return metrics.r95_m(self._covariances_m2) if stated_m is None else stated_m
+        return metrics.r95_m(self.covariances_m2) if stated_m is None else stated_m
 
     @property
-    def _covariances_m2(self) -> Matrix:
+    def covariances_m2(self) -> Matrix:
+        """(steps, 3) the entries east-east, east-north, north-north."""
         return self.record[:, walk.VARIANCE_EAST : walk.VARIANCE_NORTH + 1]
 
     @property
@@ -248,7 +249,7 @@ class RunTally:
         """With the runs that follow these."""
         sums = (own + others for own, others in zip(self._sums, later._sums, strict=True))
         final_errors_m = np.concatenate([self.final_errors_m, later.final_errors_m])
-        return RunTally(self.runs + later.runs, *sums, final_errors_m=final_errors_m)
+        return RunTally(self.runs + later.runs, *[*sums, final_errors_m])
 
     def packed(self) -> bytes:
         """All of it in bytes, as `unpacked` reads them."""
@@ -260,7 +261,7 @@ def unpacked(packed: bytes) -> RunTally:
     """The tally in bytes of `RunTally.packed`."""
     numbers = np.frombuffer(packed, dtype="<f8").astype(np.float64)
     runs, end = int(numbers[0]), 2 + 6 * int(numbers[1])
-    return RunTally(runs, *np.split(numbers[2:end], 6), final_errors_m=numbers[end:])
+    return RunTally(runs, *[*np.split(numbers[2:end], 6), numbers[end:]])
 
 
 def joined_in_order(tallies: Iterable[RunTally]) -> RunTally:

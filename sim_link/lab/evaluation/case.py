@@ -123,8 +123,7 @@ def canonical_case(
 ) -> Case:
     """The canonical scenario with what the paper's tables vary; the filter knows the noise.
 
-    Args:
-        range_k: Threshold of ranges, in sigma. Paper: k_rtt.
+    Paper: `range_k` is k_rtt, the threshold of ranges in sigma.
     """
     channel = ChannelParams(
         range_sigma_m=range_sigma_m, p_nlos=p_nlos, range_bias_mean_m=mean_bias_m
@@ -157,8 +156,7 @@ def lane_corners(
 ) -> list[Point]:
     """Corners of east-west lanes over an area from the origin, `area_m` wide and deep.
 
-    Args:
-        first_north_m: Of the first lane; None: half a spacing inside.
+    The first lane is half a spacing inside where nothing else is said.
     """
     width_m, depth_m = area_m
     if first_north_m is None:
@@ -280,8 +278,7 @@ def measured_in(
 ) -> tuple[float, float, ShadowMemory]:
     """The same among obstacles, and what the next shadowed measurement must remember.
 
-    Args:
-        memory: Of the measurement before; `NO_MEMORY` at first.
+    The memory is that of the measurement before, `NO_MEMORY` at first.
     """
     if scene.surroundings.edges.shape[0] == 0:
         range_m, bearing_rad = measured(draw, east_m, north_m, truth)

@@ -129,12 +129,7 @@ def _residual_of(rows: list[int]) -> Callable[[Vector, Vector], Vector]:
 def _reports(
     ekf: Any, rows: list[int], noise: Vector, effective: Vector
 ) -> list[ModalityReport | None]:
-    """What each modality did, beside what those before it explained.
-
-    Args:
-        noise: (3,) variances.
-        effective: (3,) the same with the inflation.
-    """
+    """What each modality did, beside what those before it explained, by variances (3,)."""
     reports: list[ModalityReport | None] = [None] * MODALITIES
     conditional = np.diag(np.linalg.cholesky(ekf.S)) ** 2 if rows else np.zeros(0)
     for index, row in enumerate(rows):
@@ -181,12 +176,9 @@ def replayed(
     scene: Scene,
     b: Belief,
 ) -> Replay:
-    """A run of a recursive filter along a given track.
+    """A run of a recursive filter along a track (steps, 2), by the channel's draws (steps, 6).
 
-    Args:
-        draws: (steps, 6) of the channel.
-        track_enu_m: (steps, 2).
-        start_enu_m: (2,) place of the first estimate; NaN: from the first measurement.
+    The start (2,) is the place of the first estimate; NaN: from the first measurement.
     """
     steps, memory, sensor = draws.shape[0], NO_MEMORY, np.zeros(3)
     z, means = np.full((steps, 3), np.nan), np.empty((steps + 1, 4))

@@ -89,9 +89,7 @@ def bootstrap_rmse_m(
 def nees(errors_enu_m: Matrix, covariances_m2: Matrix) -> Vector:
     """Normalised estimation errors squared e^T P^-1 e of the position, (...,).
 
-    Args:
-        errors_enu_m: (..., 2).
-        covariances_m2: (..., 3) the entries east-east, east-north, north-north.
+    Errors are (..., 2), covariances (..., 3): the entries east-east, east-north, north-north.
     """
     e, n = errors_enu_m[..., 0], errors_enu_m[..., 1]
     ee, en, nn = (covariances_m2[..., index] for index in range(3))
@@ -111,10 +109,8 @@ def nees_band(runs: int, dimensions: int = POSITION_DIMENSIONS) -> tuple[float, 
 def r95_m(covariances_m2: Matrix) -> Vector:
     """Radius of the circle about the mean that holds 95 % of a 2-D Gaussian, (...,), metres.
 
-    Args:
-        covariances_m2: (..., 3) the entries east-east, east-north, north-north.
-
-    By interpolation in `companion.estimation.consistency.r95_of_covariance_m`, within 1e-5.
+    Covariances are (..., 3) as for `nees`. By interpolation in
+    `companion.estimation.target_estimate.r95_of_covariance_m`, within 1e-5.
     """
     ee, en, nn = (covariances_m2[..., index] for index in range(3))
     half_trace, half_gap = 0.5 * (ee + nn), np.hypot(0.5 * (ee - nn), en)
@@ -240,11 +236,7 @@ def normal(x: Vector, sigma: float) -> tuple[Vector, Vector]:
 
 
 def modified_normal(x: Vector, sigma: float, mean: float) -> tuple[Vector, Vector]:
-    """Density of a centred normal plus an exponential, and its derivative.
-
-    Args:
-        mean: Of the exponential; 0: there is none.
-    """
+    """Density of a centred normal plus an exponential of a mean, and its derivative."""
     if mean < NO_BIAS_SIGMAS * sigma:
         return normal(x, sigma)
     ratio = sigma / mean

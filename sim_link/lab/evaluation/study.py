@@ -121,8 +121,7 @@ def cells_of(study: Study) -> list[Cell]:
     """The cells of a study in the order of its tables.
 
     Raises:
-        ConfigError: A sweep does not describe cases and systems; the message begins with the
-            place in the study.
+        ConfigError: A sweep is wrong; the message begins with the place in the study.
     """
     cells: list[Cell] = []
     for number, sweep in enumerate(study.sweeps):
@@ -141,11 +140,7 @@ def cells_of(study: Study) -> list[Cell]:
 
 
 def systems_of(systems: Systems, where: str) -> list[System]:
-    """The systems of a grid or of a list of names.
-
-    Raises:
-        ConfigError: There are none, one is twice in it, or there is no such filter or planner.
-    """
+    """The systems of a grid or list of names; a ConfigError for none, twice one or unknown ones."""
     if isinstance(systems, SystemGrid):
         found = list(
             itertools.starmap(System, itertools.product(systems.filters, systems.planners))
@@ -164,11 +159,7 @@ def systems_of(systems: Systems, where: str) -> list[System]:
 
 
 def cases_of(sweep: Sweep, where: str) -> list[tuple[str, Case]]:
-    """The values of a sweep, as tables have them, with their cases.
-
-    Raises:
-        ConfigError: An override is no field of a case, or its value is out of bounds.
-    """
+    """The values of a sweep, as tables have them, with cases; a ConfigError if it is wrong."""
     if bool(sweep.variants) == bool(sweep.values) or bool(sweep.values) != bool(sweep.varies):
         raise ConfigError(f"{where}: give `varies` and `values`, or `variants`")
     base = overridden(msgspec.to_builtins(Case()), sweep.case, f"{where}.case")
@@ -190,11 +181,7 @@ def _refuse_twice(names: Sequence[str], where: str) -> None:
 
 
 def overridden(base: Mapping[str, Any], changes: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Nested fields with some of them changed.
-
-    Raises:
-        ConfigError: A key that is no field.
-    """
+    """Nested fields with some of them changed; a ConfigError for a key that is no field."""
     result = dict(base)
     for key, value in changes.items():
         if key not in base:
@@ -273,7 +260,7 @@ class CellResult(Cell):
     @classmethod
     def of(cls, cell: Cell, tally: RunTally) -> CellResult:
         """A cell with its tally."""
-        return cls(*(getattr(cell, name) for name in Cell.__slots__), tally=tally)
+        return cls(*[*(getattr(cell, name) for name in Cell.__slots__), tally])
 
 
 @dataclass(frozen=True, slots=True)
@@ -287,12 +274,7 @@ class StudyResult:
     cells: tuple[CellResult, ...]
 
     def find(self, value: str, label: str, parameter: str | None = None) -> CellResult | None:
-        """The first cell of that value and system.
-
-        Args:
-            label: Of the system, as tables have it.
-            parameter: Of the sweep; None: of any.
-        """
+        """The first cell of that value and system label, perhaps of one parameter only."""
         for cell in self.cells:
             is_here = cell.value == value and cell.system.label == label
             if is_here and parameter in (None, cell.parameter):

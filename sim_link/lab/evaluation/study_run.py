@@ -47,12 +47,9 @@ Warmer = Callable[[Case, System], None]
 
 
 def warm_up(work: Work, pool: Pool) -> None:
-    """Call every kernel once that some work needs, so that processes find them compiled.
+    """Call every kernel once that some work needs, so that the pool's processes find them compiled.
 
     The first time after a change of the sources this takes the better part of a minute.
-
-    Args:
-        pool: Whose processes share a cache with those that will do the work.
     """
     if not IS_COMPILED:
         return
@@ -116,11 +113,7 @@ def key_of(*parts: object) -> str:
 
 
 class Store:
-    """Results by key, a file for each.
-
-    Raises:
-        ConfigError: The folder cannot be made.
-    """
+    """Results by key, a file for each; a ConfigError where the folder cannot be made."""
 
     def __init__(self, folder: Path) -> None:
         try:
@@ -131,11 +124,7 @@ class Store:
         self._folder = folder
 
     def found(self, keys: Iterable[str]) -> dict[str, bytes]:
-        """Those of the keys that have a result, with it.
-
-        Raises:
-            CompanionError: A file cannot be read.
-        """
+        """Those of the keys that have a result, with it; a CompanionError if unreadable."""
         paths = {key: self._folder / key for key in keys}
         try:
             return {key: path.read_bytes() for key, path in paths.items() if path.exists()}
@@ -143,11 +132,7 @@ class Store:
             raise CompanionError(f"{error.filename}: {error.strerror}") from error
 
     def keep(self, key: str, result: bytes) -> None:
-        """Add a result; after this it survives the process.
-
-        Raises:
-            CompanionError: The file cannot be written.
-        """
+        """Add a result, which then survives the process; a CompanionError where that fails."""
         write_bytes_atomic(self._folder / key, result)
 
 
@@ -174,14 +159,7 @@ class PlannedStudy:
 
 
 def planned(studies: Sequence[Study], runs: int | None) -> list[PlannedStudy]:
-    """Studies with their cells.
-
-    Args:
-        runs: Of every cell; None: as many as each study says.
-
-    Raises:
-        ConfigError: See `cells_of`.
-    """
+    """Studies with their cells, of so many runs each; None: as many as each study says."""
     return [PlannedStudy(s, runs or s.runs, tuple(cells_of(s))) for s in studies]
 
 
@@ -199,10 +177,7 @@ def work_of(studies: Iterable[PlannedStudy], seed: int) -> dict[str, RunSeries]:
 
 
 def carried_out(work: Work, pool: Pool, store: Store, on_done: Callable[[float], None]) -> None:
-    """Do all of it, and keep it.
-
-    Args:
-        on_done: Told the cost of every task that is done.
+    """Do all of it, and keep it; the cost of every task that is done is told.
 
     Raises:
         CompanionError: The pool or the store gave out; what was done is kept.
@@ -221,11 +196,7 @@ def _perform(task: RunSeries) -> bytes:
 
 
 def results_of(studies: Iterable[PlannedStudy], seed: int, store: Store) -> list[StudyResult]:
-    """What studies came to, from what is kept.
-
-    Raises:
-        KeyError: Not all of it was carried out.
-    """
+    """What studies came to, from what is kept; a KeyError where not all of it was carried out."""
     tallies: dict[tuple[str, ...], RunTally] = {}
     results: list[StudyResult] = []
     for study in studies:

@@ -49,11 +49,7 @@ Steer = Callable[[int, Point, TargetEstimate, Matrix], Point]
 def fuse_by_filter(
     target_filter: TargetFilter, params: FilterParams, start_enu_m: Point | None = None
 ) -> Fuse:
-    """A recursive filter from its first fix on.
-
-    Args:
-        start_enu_m: Place of the first estimate; None: from the first measurement.
-    """
+    """A recursive filter from its first fix on: a start, or else the first measurement."""
     state: FilterState | None = None
     if start_enu_m is not None:
         mean, sigmas = params.prior
@@ -125,11 +121,7 @@ def steer_by_planner(planner: Planner[Any], step_m: float) -> Steer:
 def flown(
     draws: Matrix, start_enu_m: Point, truth: RunTruth, scene: Scene, fuse: Fuse, steer: Steer
 ) -> tuple[Matrix, Vector]:
-    """The record of a run, (steps, 9) as `walk` has it, and its R95, (steps,), metres.
-
-    Args:
-        draws: (steps, 6) of the channel.
-    """
+    """The record of a run, (steps, 9) as in `walk`, and its R95, (steps,), by draws (steps, 6)."""
     steps = len(draws)
     record, radii = np.empty((steps, walk.COLUMNS)), np.empty(steps)
     place, memory = start_enu_m, NO_MEMORY
@@ -196,11 +188,7 @@ class System:
 
 
 def system_named(name: str) -> System:
-    """The system of a name like "asymmetric_huber/latched".
-
-    Raises:
-        ConfigError: There is no such filter or planner.
-    """
+    """The system of a name like "asymmetric_huber/latched"; a ConfigError where there is none."""
     filter_name, _, planner = name.partition("/")
     for value, kind in ((filter_name, FilterName), (planner, PlannerName)):
         if value not in get_args(kind):
@@ -250,11 +238,7 @@ def steering_of(case: Case, system: System) -> WalkSteering:
 
 
 def recursive_filter_of(case: Case, system: System) -> TargetFilter:
-    """The companion's filter of that name; that of the window is the one-sided filter.
-
-    Raises:
-        ValueError: It is none of them.
-    """
+    """The companion's filter of that name, or a ValueError; the window's is the one-sided one."""
     for kind in KINDS:
         if kind == ("asymmetric_huber" if system.filter == "map" else system.filter):
             return filter_of(kind, case.belief)
@@ -264,8 +248,7 @@ def recursive_filter_of(case: Case, system: System) -> TargetFilter:
 def estimator_of(case: Case, system: System, start_enu_m: Vector) -> Fuse:
     """A fresh estimator of the system; the tracker makes its own start.
 
-    Args:
-        start_enu_m: (2,) place of the first estimate; NaN: from the first measurement.
+    The start (2,) is the place of the first estimate; NaN: from the first measurement.
 
     Raises:
         ValueError: The system's filter has no class of its own: `map`, which is `tracker` there.
@@ -287,11 +270,7 @@ def estimator_of(case: Case, system: System, start_enu_m: Vector) -> Fuse:
 
 
 def pilot_of(case: Case, system: System) -> Steer:
-    """A fresh pilot with the system's planner.
-
-    Raises:
-        ValueError: The planner has no class: `fim_printed`, which only the studies fly.
-    """
+    """A fresh pilot with the planner; a ValueError for `fim_printed`, which is no class."""
     planner: Planner[Any]
     match system.planner:
         case "passive":

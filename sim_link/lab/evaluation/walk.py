@@ -59,9 +59,7 @@ def printed_criteria(
 ) -> Vector:
     """Smaller eigenvalue of the information at every candidate, (k + 1,), 1/m^2; last: staying.
 
-    Args:
-        de_m: From the vehicle to the estimate, east.
-        ring_m: (k, 2) steps of the candidates.
+    The estimate is de_m, dn_m from the vehicle; the ring (k, 2) is the candidates' steps.
     """
     moves = ring_m.shape[0]
     criteria = np.empty(moves + 1)
@@ -78,11 +76,7 @@ def printed_criteria(
 
 @kernel
 def printed_candidate(criteria: Vector, pick: float) -> int:
-    """One of the best candidates, by a pick in [0, 1): a row of the ring, or `STAY`.
-
-    Args:
-        criteria: (k + 1,) see `printed_criteria`.
-    """
+    """One of the best of criteria (k + 1,), by a pick in [0, 1): a row of the ring, or `STAY`."""
     is_best = criteria >= criteria.max() * (1.0 - FLAT_SHARE)
     left = int(pick * is_best.sum())
     for index in range(criteria.size):
@@ -239,10 +233,7 @@ def fresh_start(rows: Matrix, turn: int, prior_mean: Vector) -> Vector:
 def solved(rows: Matrix, mean: Vector, turn: int, belief: Belief) -> tuple[Vector, Matrix]:
     """The lower of two minima, (4,), and its covariance, (4, 4).
 
-    Args:
-        rows: (k, 10) the history so far.
-        mean: (4,) of the filter.
-        turn: Number of the solution: where the fresh start lies.
+    The history so far is (k, 10), the filter's mean (4,); the turn says where the fresh start lies.
     """
     limits, bounds, model = belief.thresholds, belief.bounds, belief.model
     information, pull = belief.information, belief.pull

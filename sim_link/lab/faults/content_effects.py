@@ -34,8 +34,7 @@ _READER = MavCodec(9, 9)
 def rewrite_frame(frame: bytes, change: Callable[[Any], None], key: SigningKey | None) -> bytes:
     """The frame after a change of its fields; as it was if nobody may or can read it.
 
-    Args:
-        key: Signs the frame anew where it was signed; without it such a frame stays as it is.
+    The key signs it anew where it was signed; without it such a frame stays as it is.
     """
     if is_signed(frame) and key is None:
         return frame

@@ -302,11 +302,7 @@ class Schedule(Params, frozen=True):
 
 
 def fault_from(fields: dict[str, object]) -> Fault:
-    """The fault that a mapping names by its `kind`.
-
-    Raises:
-        msgspec.ValidationError: No such kind, or fields that it does not have or may not be.
-    """
+    """The fault that a mapping names by its `kind`, or a msgspec.ValidationError."""
     fault: Fault = msgspec.convert(fields, Fault)
     return fault
 

@@ -57,11 +57,8 @@ class _Acting:
 class FaultyLink:
     """A wire with faults; an `observer.Wire`.
 
-    Args:
-        schedule: What goes wrong when; what is no fault of link or content is left to others.
-        seed: Of all that is random here.
-        began_s: The caller's time at which the schedule begins.
-        key: With which changed frames are signed anew, where frames are signed.
+    Faults that are of neither link nor content are left to others. All that is random follows from
+    the seed. With a key, changed frames are signed anew where they are signed.
     """
 
     def __init__(

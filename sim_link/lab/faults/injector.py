@@ -29,11 +29,9 @@ ATTACK_PERIOD_S = 0.02
 
 
 class Injector(Observer):
-    """Applies a schedule to a flight.
+    """Applies a schedule to a flight, as one of its observers.
 
-    Args:
-        flight: The flight; the injector becomes one of its observers.
-        is_spoofing: Attackers send from the vehicle's own address.
+    Attackers that are spoofing send from the vehicle's own address.
     """
 
     def __init__(

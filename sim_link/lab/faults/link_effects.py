@@ -21,11 +21,9 @@ NO_MAGIC = bytes(set(range(256)) - {0xFD, 0xFE})
 
 
 class FaultEffect(Generic[F]):
-    """One fault, in one direction where it has one; its record says what it does.
+    """One fault, in one direction where it has one, until its end on the caller's clock.
 
-    Args:
-        end_s: When it is over, on the caller's clock.
-        key: Signs changed frames anew; None where nothing is signed.
+    Its record says what it does. A key signs changed frames anew; None where nothing is signed.
     """
 
     def __init__(

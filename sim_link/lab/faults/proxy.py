@@ -59,12 +59,7 @@ class Counters:
 class FaultProxy:
     """Two sockets and the faults between them; a context manager that closes them.
 
-    Args:
-        vehicle_side: Where the vehicle sends; port 0 takes any.
-        schedule: What goes wrong, from the start on.
-
-    Raises:
-        LinkError: The address is taken, or not ours.
+    The schedule begins at the start. A LinkError: an address is taken, or not ours.
     """
 
     def __init__(
@@ -223,12 +218,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Carry datagrams until asked to stop.
-
-    Raises:
-        ConfigError: A bad address or fault.
-        LinkError: The address is taken.
-    """
+    """Carry datagrams until asked to stop; a ConfigError or LinkError for what is bad input."""
     schedule = _schedule(arguments.fault, arguments.faults)
     listen, companion = _address(arguments.listen), _address(arguments.companion)
     if arguments.seed < 0 or (arguments.for_s is not None and arguments.for_s <= 0.0):

@@ -73,11 +73,7 @@ class MemoryJournal:
 
 
 class WatchedJournal:
-    """Passes everything on, and tells observers of it.
-
-    Args:
-        observers: Who is told; may change meanwhile.
-    """
+    """Passes everything on, and tells observers of it."""
 
     def __init__(self, journal: Journal, observers: Sequence[Observer]) -> None:
         self._journal = journal
@@ -142,12 +138,7 @@ class Makers:
 
 
 class Flight:
-    """One flight.
-
-    Args:
-        seed: Of the vehicle, its radio and the world.
-        wire: What lies between the two; None: a perfect one.
-    """
+    """One flight; the seed is that of the vehicle, its radio and the world."""
 
     def __init__(
         self,
@@ -193,11 +184,7 @@ class Flight:
         self.now_s = until_s
 
     def run_until(self, condition: Callable[[], bool], limit_s: float) -> float:
-        """Let time pass until a condition holds; how long it took.
-
-        Raises:
-            TimeoutError: It did not hold within `limit_s` seconds.
-        """
+        """Let time pass until a condition holds, or raise a TimeoutError; how long it took."""
         started_s = self.now_s
         while not condition():
             if self.now_s - started_s >= limit_s:

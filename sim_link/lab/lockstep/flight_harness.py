@@ -36,9 +36,7 @@ BOOT_S = 3.0
 class Operator:
     """A ground station with a link of its own to the vehicle, which no fault touches.
 
-    Args:
-        signing: Signs what the station sends, where the vehicle wants that.
-        started_unix_s: Unix time at the start of the flight, for signatures.
+    It signs, from a Unix time at the start of the flight on, where the vehicle wants that.
     """
 
     def __init__(
@@ -68,11 +66,9 @@ class Operator:
         self.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0, 21_196.0)
 
     def choose(self, mode: FlightMode, *, is_told_at_once: bool = False) -> None:
-        """Switch the mode.
+        """Switch the mode; the companion may be told at once.
 
-        Args:
-            is_told_at_once: Whether the companion is told now: ArduPilot does so anyhow, PX4 tells
-                a new mode with its next HEARTBEAT only, unless it is asked.
+        ArduPilot does so anyhow, PX4 tells a new mode with its next HEARTBEAT, unless it is asked.
         """
         flight = self._flight
         is_armed = flight.sim.vehicle.flavour.is_armed
@@ -96,11 +92,7 @@ class Operator:
         self._flight.post(self._encoded(message), Lane.TO_COMPANION)
 
     def take_off(self, height_m: float = 10.0) -> None:
-        """Arm and take off; the vehicle holds at the end.
-
-        Raises:
-            TimeoutError: It does not get there.
-        """
+        """Arm and take off, until the vehicle holds at the end; a TimeoutError if it does not."""
         flight = self._flight
         flight.run(BOOT_S)
         self.arm()
@@ -166,10 +158,7 @@ class FlightClock:
 class Checkpointing(Observer):
     """An observer that gives a flight's companion what a process has beside it.
 
-    Args:
-        flight: Its companion is the first to be kept; each that is started later takes up what
-            the one before left.
-        max_age_s: A memory older than this means nothing.
+    Each companion that is started takes up what the one before left, unless that is too old.
     """
 
     def __init__(self, flight: Flight, max_age_s: float = MAX_AGE_S) -> None:

@@ -280,11 +280,7 @@ class PlacesOnly(Invariant):
 
 
 class SafeToFreeze(PlacesOnly):
-    """Freezing any setpoint for 60 s is safe.
-
-    Args:
-        is_dragged: Whether somebody else moved the vehicle: then stopping it is all one can do.
-    """
+    """Freezing any setpoint for 60 s is safe, or stopping where somebody else moved it."""
 
     def __init__(self, scene: TrueScene, is_dragged: Callable[[], bool] = lambda: False) -> None:
         super().__init__(scene)

@@ -169,8 +169,7 @@ SILENCE_S = 3.0
 class SenderTrust:
     """Follows one of several senders: the vehicle itself, somebody with its ids, or another one.
 
-    Args:
-        wanted_system_id: The only one that is followed; None: any.
+    Of a wanted system id, if there is one, nobody else is followed.
     """
 
     def __init__(self, wanted_system_id: int | None = None) -> None:

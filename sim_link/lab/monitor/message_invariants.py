@@ -253,11 +253,7 @@ class KnownFrames(Invariant):
 
 
 class Bounded(Invariant):
-    """What is sent, written and kept stays within bounds.
-
-    Args:
-        sizes: Lengths of the companion's queues by name, each with its bound; None: not known.
-    """
+    """What is sent, written and kept in queues stays within bounds."""
 
     name = "I11"
     title = "frames, log lines and queues stay within bounds"

@@ -125,8 +125,7 @@ def no_estimate() -> None:
 class FrameMonitor(Observer):
     """Shows a flight to invariants, as far as frames, journal and the companion's process tell it.
 
-    Args:
-        key: Of the link, where it is signed.
+    The key is that of the link, where it is signed.
     """
 
     def __init__(

@@ -175,11 +175,7 @@ class HeardScene(ObservedScene):
 
 
 class WireMonitor(FrameMonitor):
-    """Watches one flight by what passed the recorder.
-
-    Args:
-        slack_s: By how much a frame may be late because machines are busy, in seconds of flight.
-    """
+    """Watches one flight by what passed the recorder, where a frame may be late by some slack."""
 
     def __init__(self, rules: Rules, slack_s: float) -> None:
         self.scene = scene = HeardScene(widen_rules(rules, slack_s))

@@ -169,9 +169,7 @@ def inline(drawing: Drawing) -> str:
 def label_ends(figure: Figure, axes: Axes, labels: Sequence[tuple[float, str, str]]) -> None:
     """Write names at the right ends of lines, moved apart where they would collide.
 
-    Args:
-        axes: With its limits and scales set.
-        labels: Where in data (y), what, and in which colour.
+    The axes have their limits and scales; a label is where in data (y), what, and in which colour.
     """
     height_pt = axes.get_position().height * figure.get_figheight() * 72.0
     shares = axes.transAxes.inverted()
@@ -273,11 +271,7 @@ def rmse(curves: Sequence[Curve], title: str, printed: dict[System, float]) -> F
 
 
 def offsets(curves: Sequence[Curve], title: str, unit: str, marks: dict[str, float]) -> Figure:
-    """Mean estimate of an offset after every step.
-
-    Args:
-        marks: Values worth a line, with their names.
-    """
+    """Mean estimate of an offset after every step; marks are named values worth a line."""
     figure, axes, _ = _figure_of(curves, title, f"mean estimate, {unit}")
     everything = [*np.concatenate([curve.values for curve in curves]), *marks.values()]
     low, high = np.nanmin(everything), np.nanmax(everything)

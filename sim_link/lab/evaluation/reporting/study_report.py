@@ -155,14 +155,7 @@ def write_report(
     costs: Sequence[ResultRow],
     checks: Mapping[str, object],
 ) -> None:
-    """Write the figures, PNG and SVG, and `report.html`.
-
-    Args:
-        results: Of all studies, in the order of the page.
-
-    Raises:
-        CompanionError: A file cannot be written.
-    """
+    """Write the figures, PNG and SVG, and `report.html`; a CompanionError where that fails."""
     sections = sections_of(results, rows)
     folder = out / FIGURES
     try:

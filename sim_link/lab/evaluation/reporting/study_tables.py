@@ -258,22 +258,14 @@ _KNOWN: dict[str, tuple[str, ...]] = {
 def studies_of(name: str, folder: Path) -> list[Study]:
     """The studies of a name or file: itself, or those that it collects, each checked.
 
-    Args:
-        name: Of a study in the folder, or the path of a YAML file.
-        folder: Of the studies that come with the project.
-
     Raises:
-        ConfigError: There is no such study, or it is wrong; one line says where.
+        ConfigError: There is no such study in the folder, or it is wrong; one line says where.
     """
     return _collected(study_path(name, folder), folder, ())
 
 
 def study_path(name: str, folder: Path) -> Path:
-    """The file of a study.
-
-    Raises:
-        ConfigError: There is none.
-    """
+    """The file of a study; a ConfigError where there is none."""
     if name.endswith((SUFFIX, ".yml")) or os.sep in name:
         return Path(name)
     path = folder / f"{name}{SUFFIX}"
@@ -284,11 +276,7 @@ def study_path(name: str, folder: Path) -> Path:
 
 
 def load_study(path: Path) -> Study:
-    """The study in a file, all of its cells checked.
-
-    Raises:
-        ConfigError: The file cannot be read or does not hold a study; one line says where.
-    """
+    """The study in a file, all of its cells checked; a ConfigError says what is wrong."""
     try:
         study = load_yaml(path, Study)
     except ConfigError as error:
