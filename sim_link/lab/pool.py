@@ -53,9 +53,7 @@ AHEAD = 2
 GRACE_S = 10.0
 """How long an interrupted process may clean up before it is killed."""
 CONNECT_S = 3.0
-"""A scheduler that has not answered by then is not there."""
 FIRST_WORKER_S = 5.0
-"""How long a scheduler may be without any worker."""
 FRAME_COUNT, MOST_FRAMES = struct.Struct("<Q"), 1000
 """A scheduler greets whoever connects with the number of its handshake's frames, which are few."""
 THREADS_OF = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")

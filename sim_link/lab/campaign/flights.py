@@ -56,19 +56,18 @@ class TrialFinding:
 
 @dataclass(frozen=True, slots=True)
 class TrialOutcome:
-    """What a trial found and measured."""
+    """What a trial found and measured, and its story for whoever replays it.
+
+    Over all trials sums are added; of the others the greatest and the least count.
+    """
 
     trial: Trial
     findings: tuple[str, ...] = ()
     """What must not happen; empty: the trial passed."""
     sums: Mapping[str, float] = field(default_factory=dict)
-    """Figures that are added over all trials."""
     most: Mapping[str, float] = field(default_factory=dict)
-    """Figures of which the greatest counts."""
     least: Mapping[str, float] = field(default_factory=dict)
-    """Figures of which the least counts."""
     story: tuple[str, ...] = ()
-    """What happened, for whoever replays the trial."""
 
 
 def one_each(amount: float) -> tuple[int, float]:

@@ -80,7 +80,6 @@ def emitter_of(place: Place, rng: np.random.Generator) -> tuple[float, float]:
 
 MOST_FAULTS = 4
 LATENCY_S = 0.5
-"""Of both directions together."""
 WIND_MPS = 12.0
 SPEEDS_MPS = (3.0, 5.0, 8.0, 10.0)
 PLANNERS: tuple[schema.CrossingKind | schema.PatternKind, ...] = (
@@ -184,7 +183,6 @@ def _config(dice: Dice, place: Place, *, is_operated: bool) -> schema.CompanionC
 
 
 SAID = 400
-"""Characters of the story's texts."""
 
 
 def fly_mission(trial: Trial) -> TrialOutcome:

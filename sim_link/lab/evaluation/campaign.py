@@ -202,23 +202,20 @@ class RunSeries:
 
 @dataclass(frozen=True, slots=True)
 class RunTally:
-    """What is kept of runs: sums over them after every step, and how each of them ended."""
+    """What is kept of runs: how each of them ended, and sums over them after every step.
+
+    Sums, (steps,) each, are of squared errors, of the Cramer-Rao bounds on them, of NEES, of runs
+    whose R95 circle contained the target, and of the estimated offsets.
+    """
 
     runs: int
     squared_m2: Vector
-    """(steps,) sum of squared errors."""
     bound_m2: Vector
-    """(steps,) sum of the Cramer-Rao bounds on them."""
     nees: Vector
-    """(steps,) sum."""
     inside: Vector
-    """(steps,) runs whose R95 circle contained the target."""
     range_offset_m: Vector
-    """(steps,) sum of the estimates."""
     bearing_offset_rad: Vector
-    """(steps,) sum of the estimates."""
     final_errors_m: Vector
-    """(runs,)"""
 
     @property
     def rmse_m(self) -> Vector:

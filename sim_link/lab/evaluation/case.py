@@ -199,7 +199,6 @@ uniform that decides about the bearing, which is the first one again unless the 
 COLUMNS = 6
 
 TRUTH, CHANNEL, PLANNER, BEARING_CHANNEL = range(4)
-"""Streams of a run."""
 
 RunSeed = int | np.random.SeedSequence
 """What all randomness of one run follows from."""

@@ -157,14 +157,14 @@ class EkfCheck(RunSeries):
 
 
 class Replay(NamedTuple):
-    """What a run's filter saw and believed, one row for each step."""
+    """What a filter saw, (steps, 3), and believed before the first measurement and after each.
+
+    Means are (steps + 1, 4), covariances (steps + 1, 4, 4).
+    """
 
     z: Matrix
-    """(steps, 3)"""
     means: Matrix
-    """(steps + 1, 4) before the first measurement and after each."""
     covariances: Matrix
-    """(steps + 1, 4, 4) the same."""
 
 
 @kernel

@@ -48,7 +48,6 @@ Value = float | int | str | bool | None
 PaperValue = float | int | str | None
 """A number as the paper prints it, ">500", or nothing where it prints none."""
 Overrides = dict[str, Any]
-"""Nested fields of a case, with their values."""
 Count = Annotated[int, msgspec.Meta(ge=1)]
 
 
@@ -64,12 +63,11 @@ Systems = SystemGrid | tuple[str, ...]
 
 
 class Sweep(Params, frozen=True):
-    """Rows of a table: one parameter, and what it takes on."""
+    """Rows of a table: one parameter, and what it takes on; what is None is as the study has it."""
 
     parameter: str
     """As the table calls it."""
     table: str | None = None
-    """None: the study's."""
     varies: tuple[str, ...] = ()
     """Dotted fields of the case that a value is set at."""
     values: tuple[Value, ...] = ()
@@ -78,9 +76,7 @@ class Sweep(Params, frozen=True):
     case: Overrides = msgspec.field(default_factory=dict)
     """Overrides of the canonical case for all values."""
     systems: Systems | None = None
-    """None: the study's."""
     metrics: tuple[Metric, ...] | None = None
-    """None: the study's."""
     after_steps: tuple[Count, ...] = ()
     """For `rmse_after_steps_m`: one number of steps for each value."""
     paper: dict[str, dict[Metric, tuple[PaperValue, ...]]] = msgspec.field(default_factory=dict)
@@ -269,7 +265,6 @@ class StudyResult:
 
     study: Study
     runs: int
-    """Of every cell."""
     seed: int
     cells: tuple[CellResult, ...]
 
@@ -292,7 +287,6 @@ class ResultRow:
     system: str
     metric: str
     paper: str
-    """What the paper prints."""
     ours: str
     ours_ci95: str
     """The 95 % interval, for example 0.012..0.019."""

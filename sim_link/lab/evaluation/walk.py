@@ -103,35 +103,32 @@ COLUMNS = 9
 
 
 class Belief(NamedTuple):
-    """What a recursive filter believes, as the kernels take it."""
+    """What a recursive filter believes, as the kernels take it.
+
+    Thresholds are (3, 2), bounds (2, n), priors (n,), the pull is (4,).
+    """
 
     sigma: Vector
     """(3,) noise of range, bearing and elevation."""
     thresholds: Matrix
-    """(3, 2)"""
     bounds: Matrix
-    """(2, n)"""
     prior_mean: Vector
-    """(n,)"""
     prior_sigmas: Vector
-    """(n,)"""
     inflation: Vector
     """(3,) factors on the variances; ones, as the paper's filters have it."""
     model: RangingModel
     iterations: int
     """Of the splitting; 0: the closed form."""
     penalty: float
-    """Of the splitting."""
     is_window_solved: bool
     """Whether the objective over the run corrects the filter."""
     information: Matrix
     """(4, 4) of the offsets' priors in that objective; the position's is flat (paper, IV-A)."""
     pull: Vector
-    """(4,)"""
 
 
 class WalkSteering(NamedTuple):
-    """A planner with its parameters, as the kernels take it."""
+    """A planner with its parameters, as the kernels take it; the ring (k, 2) is of FIM."""
 
     planner: int
     step_m: float
@@ -139,9 +136,7 @@ class WalkSteering(NamedTuple):
     stop_distance_m: float
     latch: LatchRule
     ring_m: Matrix
-    """(k, 2) candidates of FIM."""
     may_fly: NDArray[np.bool_]
-    """(k,)"""
 
 
 @kernel

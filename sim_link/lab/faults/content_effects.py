@@ -239,4 +239,3 @@ CONTENT_EFFECTS: dict[type[FaultRecord], type[FaultEffect[Any]]] = {
     faults.RangingOutOfOrder: _OutOfOrder,
     faults.RangingSecondEmitter: _SecondEmitter,
 }
-"""By fault."""

@@ -59,7 +59,6 @@ class LinkJitter(LinkFault, frozen=True, tag="link_jitter"):
     """Some frames are late by a random time, so that others overtake them."""
 
     jitter_s: Positive = 0.2
-    """Up to this much."""
     share: Share = 1.0
 
 
@@ -115,7 +114,6 @@ class StreamMute(ContentFault, frozen=True, tag="stream_mute"):
     """One message of the vehicle does not arrive."""
 
     message: str = "LOCAL_POSITION_NED"
-    """Its MAVLink name."""
 
 
 class TelemetryNonsense(ContentFault, frozen=True, tag="telemetry_nonsense"):
@@ -154,7 +152,6 @@ class RangingOutliers(RangingFault, frozen=True, tag="ranging_outliers"):
     """Mean of what is added to the range; negative: ranges are too short, as no reflection is."""
     is_bearing_hit: bool = True
     burst: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 1
-    """So many in a row."""
 
 
 class RangingStale(RangingFault, frozen=True, tag="ranging_stale"):

@@ -45,14 +45,12 @@ MOST_ATTACKS_AT_ONCE = 1000
 
 @dataclass(slots=True)
 class Counters:
-    """What passed so far."""
+    """What passed so far, and what did not: lost to a fault, or refused by the system."""
 
     to_companion: int = 0
     to_vehicle: int = 0
     lost: int = 0
-    """Datagrams of which nothing arrived."""
     refused: int = 0
-    """Datagrams that the system refused to send."""
     attacks: int = 0
 
 

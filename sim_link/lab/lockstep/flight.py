@@ -35,7 +35,6 @@ from sim_link.autopilot.scenario import Scenario
 from sim_link.lab.lockstep.observer import (
     Frame,
     Lane,
-    Observer,
     Observers,
     PerfectWire,
     Wire,
@@ -75,7 +74,7 @@ class MemoryJournal:
 class WatchedJournal:
     """Passes everything on, and tells observers of it."""
 
-    def __init__(self, journal: Journal, observers: Sequence[Observer]) -> None:
+    def __init__(self, journal: Journal, observers: Observers) -> None:
         self._journal = journal
         self._observers = observers
 
@@ -99,8 +98,7 @@ class WatchedJournal:
         self._tell("result", {"r95_m": report.estimate.r95_m}, now_s)
 
     def _tell(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
-        for observer in self._observers:
-            observer.noted(kind, fields, now_s)
+        self._observers.tell("noted", kind, fields, now_s)
 
 
 VEHICLE_PEER: Address = ("127.0.0.1", 14580)
@@ -196,18 +194,16 @@ class Flight:
         """Let the next thing happen, and everything that is due with it."""
         self.now_s = max(self.now_s, self._next_s())
         now_s = self.now_s
-        self._do_due()
+        self.settle()
         if self.sim.next_timer_s() <= now_s:
             self.sim.handle_timer(now_s)
-            for stepped in self.observers.of("stepped"):
-                stepped(self.sim.vehicle, now_s)
+            self.observers.tell("stepped", self.sim.vehicle, now_s)
             self._measure()
         if self.is_companion_up and self._companion_due_s() <= now_s:
             self._wake_companion()
             self.companion.handle_timer(now_s)
-            for ticked in self.observers.of("ticked"):
-                ticked(now_s)
-        self._do_due()
+            self.observers.tell("ticked", now_s)
+        self.settle()
 
     def at(self, time_s: float, action: Callable[[], None]) -> None:
         """Have something done at a time, or now if that is over."""
@@ -227,9 +223,6 @@ class Flight:
 
     def settle(self) -> None:
         """Carry what was sent outside of a step, and deliver what is due of it."""
-        self._do_due()
-
-    def _do_due(self) -> None:
         self._collect()
         while self._queue and self._queue[0][0] <= self.now_s:
             heapq.heappop(self._queue)[2]()
@@ -272,9 +265,11 @@ class Flight:
     def _give(self, chunk: Chunk, is_genuine: bool, is_intact: bool) -> None:
         lane = Lane.TO_COMPANION if chunk.link == 0 else Lane.RANGING
         hearing, reading = self.observers.of("heard"), self.observers.of("read")
-        frames = self._frames(chunk.data, lane) if hearing or reading else ()
+        frames = [
+            Frame(self.now_s, each, lane, is_genuine, is_intact)
+            for each in (frames_in(chunk.data) if hearing or reading else ())
+        ]
         for frame in frames:
-            frame.is_genuine, frame.is_intact = is_genuine, is_intact
             for heard in hearing:
                 heard(frame)
         self.companion.receive(chunk, self.now_s)
@@ -309,12 +304,10 @@ class Flight:
         """Tell who looks at it of the frames in a datagram."""
         tellers = self.observers.of(what)
         if tellers:
-            for frame in self._frames(data, lane):
+            for each in frames_in(data):
+                frame = Frame(self.now_s, each, lane)
                 for tell in tellers:
                     tell(frame)
-
-    def _frames(self, data: bytes, lane: Lane) -> list[Frame]:
-        return [Frame(self.now_s, each, lane) for each in frames_in(data)]
 
     def _measure(self) -> None:
         if self._radio is None or self.now_s < self._radio_due_s - 1e-9:
@@ -322,8 +315,7 @@ class Flight:
         self._radio_due_s = self.now_s + self._radio.period_s
         data = self._radio.send(self.sim, self.now_s)
         if data is not None and self.is_ranging_up:
-            for vehicle_sent in self.observers.of("vehicle_sent"):
-                vehicle_sent(Frame(self.now_s, data, Lane.RANGING))
+            self.observers.tell("vehicle_sent", Frame(self.now_s, data, Lane.RANGING))
             self.post(data, Lane.RANGING)
 
     # The companion as a process
@@ -333,8 +325,7 @@ class Flight:
         links = VEHICLE_ONLY if self._radio is None else (*VEHICLE_ONLY, RADIO_LINK)
         self.companion = self._makers.companion(self.config, self.journal, links)
         self.is_companion_up = True
-        for observer in self.observers:
-            observer.companion_started(self.now_s)
+        self.observers.tell("companion_started", self.now_s)
 
     def kill_companion(self) -> None:
         """End the process without a word (SIGKILL, power)."""
@@ -352,24 +343,21 @@ class Flight:
     def suspend_companion(self, duration_s: float) -> None:
         """Give the process no time (SIGSTOP, starvation)."""
         self._suspended_until_s = max(self._suspended_until_s, self.now_s + duration_s)
-        for observer in self.observers:
-            observer.companion_suspended(self.now_s, self._suspended_until_s)
+        self.observers.tell("companion_suspended", self.now_s, self._suspended_until_s)
 
     def _end_companion(self) -> None:
         self.is_companion_up = False
         self._suspended_until_s = 0.0
         self._socket.clear()
         self._socket_bytes = 0
-        for observer in self.observers:
-            observer.companion_ended(self.now_s)
+        self.observers.tell("companion_ended", self.now_s)
 
     # The vehicle
 
     def reboot(self) -> None:
         """Another vehicle in its place: at home, on the ground, its clock at zero."""
         self.sim = self._makers.simulator(self.scenario, self.seed, self.now_s)
-        for observer in self.observers:
-            observer.vehicle_rebooted(self.now_s)
+        self.observers.tell("vehicle_rebooted", self.now_s)
 
     def apply_incident(self, incident: IncidentRecord) -> None:
         """Let something happen to the vehicle."""
@@ -377,13 +365,11 @@ class Flight:
         if isinstance(incident, PilotMode):
             self.tell_chosen(incident.mode)
         if isinstance(incident, VehicleReboot):
-            for observer in self.observers:
-                observer.vehicle_rebooted(self.now_s)
+            self.observers.tell("vehicle_rebooted", self.now_s)
 
     def tell_chosen(self, mode: FlightMode) -> None:
         """Tell the observers that a person switched the mode."""
-        for observer in self.observers:
-            observer.mode_chosen(mode, self.now_s)
+        self.observers.tell("mode_chosen", mode, self.now_s)
 
     @property
     def autopilot(self) -> Autopilot:

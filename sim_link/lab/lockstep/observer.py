@@ -26,7 +26,6 @@ from companion.mav.framing import (
 from sim_link.autopilot.vehicle import SimVehicle
 
 Delivery = tuple[float, bytes]
-"""When a datagram arrives, and its bytes."""
 
 
 class Lane(Enum):
@@ -53,7 +52,6 @@ class PerfectWire:
 
 
 SHORTEST = 8
-"""Bytes of the shortest frame."""
 _READER = MavCodec(9, 9)
 _UNREAD = object()
 
@@ -169,6 +167,11 @@ class Observers(list[Observer]):
             looking = overriding(self, Observer, what)
             tellers = self._tellers[what] = [getattr(each, what) for each in looking]
         return tellers
+
+    def tell(self, what: str, *values: object) -> None:
+        """Call those methods."""
+        for teller in self.of(what):
+            teller(*values)
 
 
 def frames_in(data: bytes) -> list[bytes]:

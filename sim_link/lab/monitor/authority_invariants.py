@@ -14,7 +14,6 @@ from sim_link.lab.monitor.scene import (
     Invariant,
     ObservedScene,
     SentSetpoint,
-    is_armed,
     is_offboard,
 )
 
@@ -98,7 +97,7 @@ class OnlyWithAuthority(Invariant):
         self, heartbeat: mavlink.MAVLink_heartbeat_message, sent_at: tuple[float, int]
     ) -> None:
         now_s = self.scene.now_s
-        is_live = is_armed(heartbeat)
+        is_live = bool(heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
         if is_live and self._is_launching and heartbeat.system_status == FAILSAFE:
             self._lose()
         if is_live and is_offboard(heartbeat):

@@ -308,7 +308,6 @@ NEGATIVE = 1e-9
 """Share of the larger eigenvalue by which rounding makes the smaller one negative."""
 
 Estimate = Callable[[], TargetEstimate | None]
-"""The companion's estimate of the target, as it shows it."""
 Snapshot = Callable[[], object]
 """Something that compares equal as long as nothing changed that the companion acts by."""
 

@@ -193,7 +193,7 @@ class FrameMonitor(Observer):
         """The companion process began anew."""
         scene = self._shared
         scene.now_s, scene.tick_s = now_s, None
-        scene.is_companion_up, scene.is_restarted = True, True
+        scene.is_companion_up = True
         self._whose.restart()
         scene.told = ObservedState(began_s=now_s, origin_enu_m=scene.told.origin_enu_m)
         self._show("started")

@@ -36,7 +36,6 @@ class Rules(Params, frozen=True):
     """The vehicle that the companion was told to follow; None: the first that it hears."""
     keep_out_enu_m: tuple[Corners, ...] = ()
     altitude_min_m: Positive = 5.0
-    """Above home."""
     altitude_max_m: Positive = 60.0
     speed_mps: Positive = 5.0
     climb_mps: Positive = 2.0
@@ -59,7 +58,6 @@ class Rules(Params, frozen=True):
     sent_bytes_per_s: Positive = 15_000.0
     records_per_s: Positive = 60.0
     position_sigma_most_m: Positive = 2000.0
-    """Bound of the estimate's standard deviation."""
 
     @property
     def clearance_m(self) -> float:
@@ -112,11 +110,6 @@ MOST_OF_A_KIND = 20
 """Violations of one kind that are kept; more are counted."""
 
 
-def is_armed(heartbeat: mavlink.MAVLink_heartbeat_message) -> bool:
-    """Whether the vehicle says that its motors may turn."""
-    return bool(heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
-
-
 def is_offboard(heartbeat: mavlink.MAVLink_heartbeat_message) -> bool:
     """Whether the mode obeys setpoints: PX4 main mode 6, ArduPilot mode 4."""
     if heartbeat.autopilot == mavlink.MAV_AUTOPILOT_PX4:
@@ -129,21 +122,16 @@ class ObservedState:
     """What reached the companion since its process began."""
 
     began_s: float = 0.0
-    heard_s: float | None = None
-    """Any frame of the autopilot."""
     heartbeat_s: float | None = None
     is_ours: bool = False
     """The newest mode is ours and the vehicle is armed."""
     is_armed: bool = False
     mode_sent_at: tuple[float, int] = (-1.0, 0)
-    """When the newest report of the mode was sent."""
     position_enu_m: PositionEnu | None = None
     """In the world's frame, by the origin that was told."""
     velocity_enu_mps: PositionEnu = (0.0, 0.0, 0.0)
     position_s: float | None = None
-    """When the newest position arrived."""
     position_sent_s: float = -math.inf
-    """When the vehicle sent it."""
     position_boot_ms: int = -1
     before_restart: tuple[PositionEnu, float] | None = None
     """The last place before the vehicle's stamps went back, and when it arrived."""
@@ -160,7 +148,6 @@ class SentSetpoint:
 
     time_s: float
     place_enu_m: PositionEnu
-    """In the world's frame, as far as the companion can know."""
     message: Message
 
     @property
@@ -172,26 +159,22 @@ class SentSetpoint:
 
 @dataclass(slots=True)
 class ObservedScene:
-    """Shared by all invariants of one flight; subclasses know more or less of the vehicle."""
+    """Shared by all invariants of one flight; subclasses know more or less of the vehicle.
+
+    What is None is not known yet; heights and places are in the world's frame.
+    """
 
     rules: Rules
     system_id: int | None = None
-    """Of the vehicle; None: not known yet."""
     is_px4: bool = True
-    """Whether modes are PX4's; ArduPilot's otherwise."""
     world_origin: LocalOrigin | None = None
-    """Zero of the world's frame; None: not known yet."""
     home_up_m: float | None = None
-    """Height of home in the world's frame; None: not known yet."""
     height_error_m: float = 0.0
     """How wrong the autopilot may be about its height."""
     is_flying: bool = False
-    """Whether the vehicle is armed or in the air."""
     now_s: float = 0.0
     told: ObservedState = field(default_factory=ObservedState)
     is_companion_up: bool = True
-    is_restarted: bool = False
-    """The companion process is not the first one."""
     tick_s: float | None = None
     """When the companion's control tick last ran."""
     suspended_until_s: float = -1.0
@@ -235,7 +218,6 @@ class ObservedScene:
         if not self.is_of_autopilot(frame):
             return
         told = self.told
-        told.heard_s = frame.time_s
         if frame.number not in OBSERVED_MESSAGES:
             return
         message = frame.message
@@ -245,7 +227,7 @@ class ObservedScene:
                 sent_at = self.sent_at(frame)
                 if sent_at >= told.mode_sent_at:
                     told.mode_sent_at = sent_at
-                    told.is_armed = is_armed(message)
+                    told.is_armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
                     told.is_ours = told.is_armed and is_offboard(message)
             case mavlink.MAVLink_local_position_ned_message():
                 self._tell_position(message, frame.time_s, self.sent_at(frame))

@@ -35,7 +35,6 @@ from sim_link.lab.monitor.scene import (
     ObservedScene,
     Rules,
     SentSetpoint,
-    is_armed,
     is_offboard,
 )
 
@@ -131,7 +130,7 @@ class HeardScene(ObservedScene):
                 if self.system_id is None:
                     self.system_id = frame.sender[0]
                     self.is_px4 = message.autopilot == mavlink.MAV_AUTOPILOT_PX4
-                self._is_armed = is_armed(message)
+                self._is_armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
             case mavlink.MAVLink_extended_sys_state_message():
                 self._is_in_air = message.landed_state != mavlink.MAV_LANDED_STATE_ON_GROUND
         self.is_flying = self._is_armed or self._is_in_air

@@ -59,7 +59,6 @@ class Curve:
 
 
 Flight = tuple[System, TrialResult]
-"""One run of a system, as it is drawn."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,7 +189,6 @@ class GradientWatch:
     is_shadowed: Matrix
     """1 where the path to the target is blocked."""
     distance_m: Matrix
-    """From the vehicle to the target."""
 
     @property
     def steps_in_shadow(self) -> Vector:

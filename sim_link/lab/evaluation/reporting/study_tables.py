@@ -51,7 +51,6 @@ DIGITS = 5
 REFERENCE_FILTER = "asymmetric_huber"
 
 Numbers = tuple[str, str, str, str]
-"""Metric, ours, its interval and its bound, as written."""
 
 
 Measure = Callable[[StudyResult, CellResult], list[Numbers]]

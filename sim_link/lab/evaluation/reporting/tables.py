@@ -41,7 +41,6 @@ METRICS = {
     "decision_ms": "Of this the decision, ms",
     "filterpy_update_ms": "filterpy's update on the same measurements, ms",
 }
-"""Titles of tables."""
 TYPESET = (
     (r"(?<=\d) to (?=[\d-])", "\u2009\N{EN DASH}\u2009"),
     (r" - ", " \N{EN DASH} "),
