@@ -10,7 +10,7 @@ import json
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, cast, get_args
+from typing import TYPE_CHECKING, TypeVar, cast, get_args
 
 import pytest
 
@@ -25,6 +25,7 @@ MARKER, VEHICLE = "mission", "sim_vehicle"
 START_S = 150.0
 """Real time that a process may take to start; the first one of all compiles."""
 FLIGHT = pytest.StashKey["MissionResult"]()
+T = TypeVar("T")
 StartCompanion = Callable[..., "ChildProcess"]
 
 
@@ -96,17 +97,21 @@ def fly_marked(
     Args:
         flavour: Of several autopilots that the script lists.
     """
-    from companion.errors import CompanionError
     from sim_link.lab.mission.in_memory import fly_in_memory
 
-    problem = ""
-    try:
-        mission, seed, path = _wanted(marker, folder, flavour)
-    except (CompanionError, TypeError, ValueError) as error:
-        problem = str(error)
-    if problem:  # outside of `except`, so that pytest shows the one line only
-        pytest.fail(problem, pytrace=False)
+    mission, seed, path = _or_fail(lambda: _wanted(marker, folder, flavour))
     return fly_in_memory(mission, seed, str(path))
+
+
+def _or_fail(find: Callable[[], T]) -> T:
+    """What is found; what is wrong with it fails the test with one line."""
+    from companion.errors import CompanionError
+
+    try:
+        return find()
+    except (CompanionError, TypeError, ValueError) as error:
+        problem = str(error).rpartition(".<locals>.")[2]
+    pytest.fail(problem, pytrace=False)  # outside of `except`, or pytest shows more than the line
 
 
 def _listed(marker: pytest.Mark, folder: Path) -> tuple[FlavourName, ...]:
@@ -129,7 +134,6 @@ def _arguments_of(marker: pytest.Mark) -> tuple[str, object, object]:
     def mission(
         script: str, seed: object = 0, autopilot: object = None
     ) -> tuple[str, object, object]:
-        """The marker's parameters."""
         return script, seed, autopilot
 
     mission.__qualname__ = MARKER  # what Python calls it where arguments are missing
@@ -210,17 +214,10 @@ def _vehicle_options(marker: pytest.Mark, folder: Path) -> list[str]:
         autopilot: object = None,
         speed: object = None,
     ) -> dict[str, object]:
-        """The arguments of the marker."""
         path = None if scenario is None else folder / str(scenario)
         return {"scenario": path, "seed": seed, "autopilot": autopilot, "speed": speed}
 
-    problem = ""
-    try:
-        options = sim_vehicle(*marker.args, **marker.kwargs)
-    except TypeError as error:
-        problem = str(error).rpartition(".<locals>.")[2]
-    if problem:  # outside of `except`, so that pytest shows the one line only
-        pytest.fail(problem, pytrace=False)
+    options = _or_fail(lambda: sim_vehicle(*marker.args, **marker.kwargs))
     given = [(name, value) for name, value in options.items() if value is not None]
     return [text for name, value in given for text in (f"--{name}", str(value))]
 
@@ -236,13 +233,11 @@ def companion_process(tmp_path: Path) -> Iterator[StartCompanion]:
     started: list[ChildProcess] = []
 
     def start(*arguments: str) -> ChildProcess:
-        """Start one more companion with these arguments."""
         if not any(text.startswith("--config") for text in arguments):
             arguments = ("--config", str(_default_config(tmp_path)), *arguments)
         log = tmp_path / f"companion{len(started) or ''}.log"
-        child = ChildProcess(
-            "companion", ["-m", "sim_link.lab.supervised_companion", *arguments], log
-        )
+        module = "sim_link.lab.supervised_companion"
+        child = ChildProcess("companion", ["-m", module, *arguments], log)
         child.start()
         started.append(child)
         return child

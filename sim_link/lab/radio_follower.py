@@ -15,7 +15,7 @@ import math
 import os
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -58,15 +58,13 @@ class GeodeticEmitter:
     def local(self, origin: LocalOrigin) -> Emitter:
         """The same in the local frame."""
         altitude_m = origin.altitude_m if self.altitude_m is None else self.altitude_m
-        east, north, up = origin.enu_from_geodetic(
-            self.latitude_deg, self.longitude_deg, altitude_m
-        )
+        place = (self.latitude_deg, self.longitude_deg, altitude_m)
+        east, north, up = origin.enu_from_geodetic(*place)
         height_m = 0.0 if self.altitude_m is None else up
-        return Emitter(
-            EmitterParams(
-                emitter_id=self.emitter_id, position_enu_m=(east, north), height_m=height_m
-            )
+        params = EmitterParams(
+            emitter_id=self.emitter_id, position_enu_m=(east, north), height_m=height_m
         )
+        return Emitter(params)
 
 
 class RadioFollower:
@@ -91,9 +89,8 @@ class RadioFollower:
         self._params = params
         self._channel = RadioChannel(channel, rng, environment)
         self._wanted = tuple(emitters)
-        self._emitters = tuple(each for each in emitters if isinstance(each, Emitter))
-        for emitter in self._emitters:
-            self._channel.prepare(emitter)
+        self._emitters: tuple[Emitter, ...] = ()
+        self._place_emitters([each for each in emitters if isinstance(each, Emitter)])
         self._link = SEND if has_own_link else FOLLOW
         self._codec = MavCodec(1, COMPONENT_ID)
         self._reader = MavCodec(0, 0)
@@ -152,11 +149,13 @@ class RadioFollower:
                 origin = LocalOrigin(
                     message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1000.0
                 )
-                self._place_emitters(origin)
+                wanted = self._wanted
+                self._place_emitters(
+                    [e if isinstance(e, Emitter) else e.local(origin) for e in wanted]
+                )
 
-    def _place_emitters(self, origin: LocalOrigin) -> None:
-        wanted = self._wanted
-        self._emitters = tuple(e if isinstance(e, Emitter) else e.local(origin) for e in wanted)
+    def _place_emitters(self, emitters: Sequence[Emitter]) -> None:
+        self._emitters = tuple(emitters)
         for emitter in self._emitters:
             self._channel.prepare(emitter)
 
@@ -194,16 +193,11 @@ class RadioFollower:
             self._ask(mavlink.MAV_CMD_REQUEST_MESSAGE, number, 0.0)
 
     def _ask(self, command: int, param1: float, param2: float) -> None:
-        message = mavlink.MAVLink_command_long_message(
-            self._system_id or 1,
-            mavlink.MAV_COMP_ID_AUTOPILOT1,
-            command,
-            0,
-            param1,
-            param2,
-            *[0.0] * 5,
+        target = (self._system_id or 1, mavlink.MAV_COMP_ID_AUTOPILOT1)
+        rest = [0.0] * 5
+        self._send(
+            mavlink.MAVLink_command_long_message(*target, command, 0, param1, param2, *rest), FOLLOW
         )
-        self._send(message, FOLLOW)
 
     def _send(self, message: Message, link: int) -> None:
         peer = self._peer if link == FOLLOW else None
@@ -242,10 +236,9 @@ example, beside PX4 SITL, for a companion started with --ranging udp:127.0.0.1:1
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `radio`."""
-    parser.add_argument(
-        "--follow", metavar="URL", required=True, help="the link on which the vehicle is heard"
-    )
-    parser.add_argument(
+    add = parser.add_argument
+    add("--follow", metavar="URL", required=True, help="the link on which the vehicle is heard")
+    add(
         "--emitter",
         metavar="LAT,LON[,AMSL]",
         action="append",
@@ -253,23 +246,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="where an emitter is, in degrees and metres; repeatable, ids count from 1 "
         "(default: the scenario's, about the vehicle's local origin)",
     )
-    parser.add_argument(
-        "--send-to", metavar="HOST:PORT", help="where measurements go (default: back to the link)"
-    )
-    parser.add_argument(
-        "--scenario", metavar="FILE", type=Path, help="channel, payload, obstacles and emitters"
-    )
-    parser.add_argument("--rate", metavar="HZ", type=float, help="measurements per second")
-    parser.add_argument("--seed", metavar="N", type=int, default=0, help="of all randomness")
-    parser.add_argument("--speed", metavar="X", type=float, default=1.0, help="of the simulator")
-    parser.add_argument("--stop-on-eof", action="store_true", help="stop when standard input ends")
+    add("--send-to", metavar="HOST:PORT", help="where measurements go (default: back to the link)")
+    add("--scenario", metavar="FILE", type=Path, help="channel, payload, obstacles and emitters")
+    add("--rate", metavar="HZ", type=float, help="measurements per second")
+    add("--seed", metavar="N", type=int, default=0, help="of all randomness")
+    add("--speed", metavar="X", type=float, default=1.0, help="of the simulator")
+    add("--stop-on-eof", action="store_true", help="stop when standard input ends")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Follow the vehicle until stopped.
-
-    Returns:
-        0 after a stop.
+    """Follow the vehicle until stopped, which is exit code 0.
 
     Raises:
         ConfigError: An argument is wrong.
@@ -277,8 +263,7 @@ def run(arguments: argparse.Namespace) -> int:
     """
     follower, links, clock = _follower(arguments), _links(arguments), _clock(arguments.speed)
     print(f"sim-link: radio on {arguments.follow}", flush=True)
-    hints = _RadioHints(follower, arguments.follow)
-    shell = Shell(follower, links, clock, hints.check)
+    shell = Shell(follower, links, clock, _hints(follower, arguments.follow))
     if arguments.stop_on_eof:
         threading.Thread(target=_stop_at_eof, args=(shell,), daemon=True).start()
     shell.run_blocking()
@@ -316,13 +301,8 @@ def parse_emitter(text: str, number: int) -> GeodeticEmitter:
         values = [float(part) for part in text.split(",")]
     except ValueError:
         values = []
-    is_place = (
-        len(values) in (2, 3)
-        and all(math.isfinite(value) for value in values)
-        and abs(values[0]) <= 89.0
-        and abs(values[1]) <= 180.0
-    )
-    if not is_place:
+    is_place = len(values) in (2, 3) and all(map(math.isfinite, values))
+    if not is_place or abs(values[0]) > 89.0 or abs(values[1]) > 180.0:
         raise ConfigError(f"--emitter {text}: give LAT,LON or LAT,LON,AMSL, for example 47.4,8.55")
     altitude_m = values[2] if len(values) == 3 else None
     return GeodeticEmitter(number, values[0], values[1], altitude_m)
@@ -352,21 +332,19 @@ def _stop_at_eof(shell: Shell) -> None:
     shell.request_stop()
 
 
-class _RadioHints:
+def _hints(follower: RadioFollower, link: str) -> Callable[[float], None]:
     """Says that a vehicle is heard, or that none is, once each."""
+    said = ""
 
-    def __init__(self, follower: RadioFollower, link: str) -> None:
-        self._follower = follower
-        self._link = link
-        self._said = ""
-
-    def check(self, now_s: float) -> None:
-        """Say what is new."""
-        text = self._said
-        if self._follower.is_following:
-            text = f"following the vehicle on {self._link}"
+    def check(now_s: float) -> None:
+        nonlocal said
+        text = said
+        if follower.is_following:
+            text = f"following the vehicle on {link}"
         elif now_s > SILENCE_S:
-            text = f"no autopilot heard on {self._link} yet"
-        if text != self._said:
-            self._said = text
+            text = f"no autopilot heard on {link} yet"
+        if text != said:
+            said = text
             print(f"sim-link: {text}", flush=True)
+
+    return check

@@ -302,7 +302,8 @@ def _run(arguments: argparse.Namespace) -> int:
         raise ConfigError("--url is missing, for example --url udpin:127.0.0.1:14550")
     if arguments.json is not None and not arguments.json.parent.is_dir():
         raise ConfigError(f"--json {arguments.json}: there is no folder {arguments.json.parent}")
-    key = _signing_key(arguments.signing_key)
+    path = arguments.signing_key
+    key = None if path is None else load_signing_key(path).secret
     with open_link(arguments.url) as link:
         outcomes = _try_all(rules, arguments, link, key)
     if arguments.json is not None:
@@ -335,7 +336,3 @@ def _allowed(arguments: argparse.Namespace) -> Effect:
     if arguments.allow_flight:
         return Effect.FLIES
     return Effect.CHANGES if arguments.allow_changes else Effect.ASKS
-
-
-def _signing_key(path: Path | None) -> bytes | None:
-    return None if path is None else load_signing_key(path).secret

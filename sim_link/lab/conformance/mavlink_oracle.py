@@ -332,10 +332,7 @@ class GlobalSetpoint:
 def moved_e7(latitude_e7: int, longitude_e7: int, north_m: float, east_m: float) -> tuple[int, int]:
     """A place some metres away; flat earth."""
     east_scale = METRES_PER_E7 * math.cos(math.radians(latitude_e7 / 1e7))
-    return (
-        latitude_e7 + round(north_m / METRES_PER_E7),
-        longitude_e7 + round(east_m / east_scale),
-    )
+    return (latitude_e7 + round(north_m / METRES_PER_E7), longitude_e7 + round(east_m / east_scale))
 
 
 def distance_m(start_e7: tuple[int, int], end_e7: tuple[int, int]) -> float:

@@ -10,15 +10,9 @@ from collections.abc import Callable, Sequence
 
 from companion.mav.dialect import Message, mavlink
 from sim_link.lab.conformance import mavlink_oracle as mav
-from sim_link.lab.conformance.mavlink_oracle import FrameSpec
-from sim_link.lab.conformance.rules import Flavour, NotApplicable, Role, Violation, require
-from sim_link.lab.conformance.station import (
-    MAVLINK_VERSION,
-    ProbeLink,
-    Station,
-    brief,
-    source_of,
-)
+from sim_link.lab.conformance.mavlink_oracle import ZERO, FrameSpec
+from sim_link.lab.conformance.rules import Flavour, Role, Violation, assume, require
+from sim_link.lab.conformance.station import MAVLINK_VERSION, ProbeLink, Station, brief, source_of
 
 VEHICLE = (1, 1)
 PLACE = (473_977_420, 85_455_940, 488_000)
@@ -78,16 +72,19 @@ class CompanionProbe(Station):
     def come_back(self) -> None:
         """Begin, or begin again, to send."""
         self.go_silent()
-        for build, period_s in (
-            (self._heartbeat, 1.0),
-            (self._local_position, 0.05),
-            (self._attitude, 0.1),
-            (self._global_position, 0.5),
-            (self._landed_state, 0.5),
-            (self._sys_status, 1.0),
-            (self._home, 1.0),
-            (self._origin, 1.0),
-        ):
+        upright = [1.0, 0.0, 0.0, 0.0]
+        status = mav.SysStatus(SENSORS, SENSORS, SENSORS, 100, 16_000, 500, 90, 0, 0, 0, 0, 0, 0)
+        stream: tuple[tuple[float, Callable[[], Message]], ...] = (
+            (1.0, self._heartbeat),
+            (0.05, lambda: mav.LocalPosition(self._boot_ms, 10.0, 10.0, self.down_m, *ZERO)),
+            (0.1, lambda: mav.Attitude(self._boot_ms, 0.0, 0.0, 0.3, *ZERO)),
+            (0.5, self._global_position),
+            (0.5, self._landed_state),
+            (1.0, lambda: status),
+            (1.0, lambda: mav.HomePosition(*PLACE, *ZERO, upright, *ZERO, 1_000 * self._boot_ms)),
+            (1.0, lambda: mav.Origin(*PLACE, 1_000 * self._boot_ms)),
+        )
+        for period_s, build in stream:
             self._stops.append(self.repeat(build, period_s))
 
     def go_silent(self) -> None:
@@ -115,14 +112,13 @@ class CompanionProbe(Station):
             for entry in self.inbox
             if isinstance(entry.message, mav.Heartbeat) and entry.message.autopilot == none
         ]
-        if not sources:
-            raise NotApplicable("no companion heard")
+        assume(bool(sources), "no companion heard")
         return sources[-1]
 
     def attach(self) -> None:
         """Wait for the companion, if there is one, and until it knows the vehicle."""
-        if not self.run_until(lambda: bool(self.heard(mav.Heartbeat)), FIRST_WORD_S):
-            raise NotApplicable(f"no companion heard within {FIRST_WORD_S:g} s")
+        is_heard = self.run_until(lambda: bool(self.heard(mav.Heartbeat)), FIRST_WORD_S)
+        assume(is_heard, f"no companion heard within {FIRST_WORD_S:g} s")
         self.run(SETTLE_S)
 
     def come_to_rest(self, base_e7: tuple[int, int] | None = None) -> tuple[int, int] | None:
@@ -149,16 +145,13 @@ class CompanionProbe(Station):
     def await_setpoints(self, within_s: float = 15.0) -> None:
         """Wait until setpoints come; `NotApplicable`: the companion streams none unasked."""
         mark = self.mark
-        if not self.run_until(lambda: bool(self.setpoints(mark)), within_s):
-            raise NotApplicable(f"no setpoints within {within_s:g} s")
+        are_heard = self.run_until(lambda: bool(self.setpoints(mark)), within_s)
+        assume(are_heard, f"no setpoints within {within_s:g} s")
 
     def give_control(self) -> None:
-        """The operator gives the vehicle to the companion.
+        """The operator gives the vehicle to the companion; `NotApplicable`: it streams nothing.
 
         PX4 wants the stream to run before; ArduPilot does not, so a companion may begin with it.
-
-        Raises:
-            NotApplicable: It streams nothing.
         """
         if self.flavour is Flavour.PX4:
             self.await_setpoints()
@@ -211,12 +204,6 @@ class CompanionProbe(Station):
             MAVLINK_VERSION,
         )
 
-    def _local_position(self) -> Message:
-        return mav.LocalPosition(self._boot_ms, 10.0, 10.0, self.down_m, 0.0, 0.0, 0.0)
-
-    def _attitude(self) -> Message:
-        return mav.Attitude(self._boot_ms, 0.0, 0.0, 0.3, 0.0, 0.0, 0.0)
-
     def _global_position(self) -> Message:
         latitude, longitude, altitude = PLACE
         above = round(-1e3 * self.down_m)
@@ -228,14 +215,3 @@ class CompanionProbe(Station):
         flying, ground = mavlink.MAV_LANDED_STATE_IN_AIR, mavlink.MAV_LANDED_STATE_ON_GROUND
         landed = flying if self.down_m < -0.5 else ground
         return mav.SysState(0, landed)
-
-    def _sys_status(self) -> Message:
-        return mav.SysStatus(SENSORS, SENSORS, SENSORS, 100, 16_000, 500, 90, 0, 0, 0, 0, 0, 0)
-
-    def _home(self) -> Message:
-        return mav.HomePosition(
-            *PLACE, 0.0, 0.0, 0.0, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0, 1_000 * self._boot_ms
-        )
-
-    def _origin(self) -> Message:
-        return mav.Origin(*PLACE, 1_000 * self._boot_ms)

@@ -99,10 +99,7 @@ class RuleBook:
     """The class whose methods the rules are."""
 
     def __init__(
-        self,
-        group: str,
-        effect: Effect = Effect.ASKS,
-        flavours: frozenset[Flavour] = BOTH,
+        self, group: str, effect: Effect = Effect.ASKS, flavours: frozenset[Flavour] = BOTH
     ) -> None:
         self.rules: list[Rule] = []
         self._group, self._effect, self._flavours = group, effect, flavours
@@ -204,10 +201,7 @@ def try_rule(rule: Rule, probe: Any) -> RuleOutcome:
 
 
 def run_rules(
-    rules: Iterable[Rule],
-    flavour: Flavour,
-    allowed: Effect,
-    make_probe: Callable[[type[Any]], Any],
+    rules: Iterable[Rule], flavour: Flavour, allowed: Effect, make_probe: Callable[[type[Any]], Any]
 ) -> Iterator[RuleOutcome]:
     """Try rules one after another.
 

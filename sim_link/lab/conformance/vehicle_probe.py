@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from companion.mav.dialect import Message, mavlink
 from sim_link.lab.conformance import mavlink_oracle as mav
 from sim_link.lab.conformance.mavlink_oracle import Triple, distance_m
-from sim_link.lab.conformance.rules import Flavour, NotApplicable, Role, Violation, require
+from sim_link.lab.conformance.rules import Flavour, NotApplicable, Role, Violation, assume, require
 from sim_link.lab.conformance.station import M, ProbeLink, Station, heartbeat, source_of
 
 FIRST_HEARTBEAT_S = 10.0
@@ -88,10 +88,7 @@ class VehicleProbe(Station):
         return known[-1] if known else self.request(kind)
 
     def another(
-        self,
-        system_id: int = 254,
-        component_id: int = 190,
-        kind: int | None = mavlink.MAV_TYPE_GCS,
+        self, system_id: int = 254, component_id: int = 190, kind: int | None = mavlink.MAV_TYPE_GCS
     ) -> Station:
         """A second station on a connection of its own, already heard by the vehicle.
 
@@ -153,11 +150,7 @@ class VehicleProbe(Station):
         return self.expect(kind, self.is_own, within_s=within_s, mark=self.asked)
 
     def require_sent(
-        self,
-        kind: type[M],
-        number: int,
-        *params: float,
-        where: Callable[[M], bool] | None = None,
+        self, kind: type[M], number: int, *params: float, where: Callable[[M], bool] | None = None
     ) -> M:
         """Send COMMAND_LONG, which must be accepted and send a message."""
         self.require_result(mav.ACCEPTED, number, *params)
@@ -195,10 +188,7 @@ class VehicleProbe(Station):
         require(self.is_alive(), "nothing is answered any more")
 
     def require_no_answer(
-        self,
-        messages: Sequence[Message],
-        kind: type[M],
-        where: Callable[[M], bool] | None = None,
+        self, messages: Sequence[Message], kind: type[M], where: Callable[[M], bool] | None = None
     ) -> None:
         """Send messages that nothing of a kind may follow, though the vehicle hears us."""
         mark = self.mark
@@ -252,8 +242,7 @@ class VehicleProbe(Station):
 
     def require_disarmed(self) -> None:
         """For a rule that is tried on the ground; `NotApplicable`: it is armed."""
-        if self.is_armed():
-            raise NotApplicable("the vehicle is armed")
+        assume(not self.is_armed(), "the vehicle is armed")
 
     def place(self) -> Triple:
         """North, east and down of the newest LOCAL_POSITION_NED, after a step of time."""

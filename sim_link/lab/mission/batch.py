@@ -50,8 +50,12 @@ class FlightTask:
     def flight_name(self) -> str:
         """What its folder is called while it is flown, when nobody knows yet who answers."""
         flavour = self.mission.autopilot.flavour if self.connect is None else "vehicle"
-        how = how_flown(self.speed, self.connect)
-        return flight_name(self.mission.name, flavour, how, self.seed)
+        return flight_name(self.mission.name, flavour, self.how, self.seed)
+
+    @property
+    def how(self) -> str:
+        """See `how_flown`."""
+        return how_flown(self.speed, self.connect)
 
 
 Done = Callable[[int, MissionResult], None]
@@ -95,25 +99,19 @@ class MissionBatch:
             ConfigError: A script is wrong; nothing was started.
             LinkError: The vehicle's link cannot be opened.
         """
-        loaded = [(path, mission) for path in self.files for mission in self._load(path)]
-        for path, mission in loaded:
-            check_flyable(mission, str(path))
+        loaded = [(str(path), mission) for path in self.files for mission in self._load(path)]
+        for file, mission in loaded:
+            check_flyable(mission, file)
             if self.speed is not None:
-                check_faults(mission, str(path), is_our_vehicle=self.connect is None)
+                check_faults(mission, file, is_our_vehicle=self.connect is None)
         if self.speed is not None:
             check_installed()
         if self.connect is not None:
             asyncio.run(_check_link(self.connect))
+        reports = None if self.reports is None else str(self.reports)
         tasks = [
-            FlightTask(
-                mission=mission,
-                file=str(path),
-                seed=seed,
-                reports=None if self.reports is None else str(self.reports),
-                speed=self.speed,
-                connect=self.connect,
-            )
-            for path, mission in loaded
+            FlightTask(mission, file, seed, reports, self.speed, self.connect)
+            for file, mission in loaded
             for seed in self.seeds
         ]
         if self.reports is not None:
@@ -180,8 +178,7 @@ def check_flyable(mission: Mission, name: str) -> None:
 def warm_up(tasks: Sequence[FlightTask]) -> None:
     """Compile what the flights need, once and before any process needs it at the same time."""
     done: list[CompanionConfig] = []
-    for task in tasks:
-        config = flown_config(task.mission)
+    for config in (flown_config(task.mission) for task in tasks):
         if config not in done:
             done.append(config)
             prepare(config)
@@ -242,8 +239,7 @@ def fly_task(task: FlightTask, progress: Progress | None = None) -> MissionResul
 
 def unflown(task: FlightTask, error: str) -> MissionResult:
     """What is told of a flight that did not come to an end, and why."""
-    how = how_flown(task.speed, task.connect)
-    return MissionResult(task.mission, task.file, task.seed, how, error=error)
+    return MissionResult(task.mission, task.file, task.seed, task.how, error=error)
 
 
 def _fly(task: FlightTask, progress: Progress | None) -> MissionResult:

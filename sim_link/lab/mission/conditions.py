@@ -15,10 +15,10 @@ from __future__ import annotations
 
 import ast
 import difflib
-import math
 import operator
+import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Annotated, Any, get_args, get_type_hints
@@ -154,6 +154,7 @@ ARITHMETIC: dict[type[ast.operator], Callable[[float, float], float]] = {
     ast.Mult: operator.mul,
 }
 TRUTHS = {"true": True, "false": False}
+SPEAKERS = {"said": "companion_texts", "autopilot_said": "autopilot_texts"}
 MAX_LENGTH = 1000
 
 
@@ -218,7 +219,6 @@ def _lifted(function: Callable[..., Value], *parts: _Part) -> Getter:
     getters = tuple(part.get for part in parts)
 
     def get(situation: FlightSituation) -> Value:
-        """The value now; None: not known."""
         values: list[Any] = [getter(situation) for getter in getters]
         return None if None in values else function(*values)
 
@@ -227,12 +227,7 @@ def _lifted(function: Callable[..., Value], *parts: _Part) -> Getter:
 
 def _truth_of(node: ast.expr) -> _Part:
     """A part that is true or false; `ConditionError`: it is something else."""
-    part = _part(node)
-    if part.word is not None:
-        raise _unknown(part)
-    if part.kind is not Kind.TRUTH:
-        raise _problem(node, f"is {part.kind.value}; compare it with something")
-    return part
+    return _part_of_kind(node, Kind.TRUTH, "compare it with something")
 
 
 def _part(node: ast.expr) -> _Part:
@@ -261,7 +256,6 @@ def _logic(node: ast.BoolOp) -> _Part:
     decisive = isinstance(node.op, ast.Or)
 
     def get(situation: FlightSituation) -> Value:
-        """The value now; None: not known."""
         is_unknown = False
         for getter in getters:
             value = getter(situation)
@@ -275,14 +269,12 @@ def _logic(node: ast.BoolOp) -> _Part:
 
 def _comparison(node: ast.Compare) -> _Part:
     parts = [_part(each) for each in (node.left, *node.comparators)]
-    getters = []
-    for left, op, right in zip(parts, node.ops, parts[1:], strict=False):
-        getters.append(_one_comparison(left, op, right, node))
+    triples = zip(parts, node.ops, parts[1:], strict=False)
+    getters = [_one_comparison(left, op, right, node) for left, op, right in triples]
     if len(getters) == 1:
         return _Part(Kind.TRUTH, getters[0], node)
 
     def get(situation: FlightSituation) -> Value:
-        """The value now; None: not known."""
         values = [getter(situation) for getter in getters]
         if False in values:
             return False
@@ -323,11 +315,15 @@ def _arithmetic(node: ast.BinOp) -> _Part:
 
 
 def _number_of(node: ast.expr) -> _Part:
+    return _part_of_kind(node, Kind.NUMBER, "a number is needed here")
+
+
+def _part_of_kind(node: ast.expr, kind: Kind, advice: str) -> _Part:
     part = _part(node)
     if part.word is not None:
         raise _unknown(part)
-    if part.kind is not Kind.NUMBER:
-        raise _problem(node, f"is {part.kind.value}; a number is needed here")
+    if part.kind is not kind:
+        raise _problem(node, f"is {part.kind.value}; {advice}")
     return part
 
 
@@ -336,21 +332,13 @@ def _constant(node: ast.Constant) -> _Part:
     if isinstance(value, bool):
         return _Part(Kind.TRUTH, lambda _: value, node)
     if isinstance(value, int | float):
-        number = _finite(value)
-        if number is None:
+        if not abs(value) <= sys.float_info.max:
             raise ConditionError("a number in it is too large")
+        number = float(value)
         return _Part(Kind.NUMBER, lambda _: number, node)
     if isinstance(value, str):
         return _Part(Kind.WORD, lambda _: value, node, word=value)
     raise _problem(node, "is no number, word, true or false")
-
-
-def _finite(value: int | float) -> float | None:
-    try:
-        number = float(value)
-    except OverflowError:
-        return None
-    return number if math.isfinite(number) else None
 
 
 def _named(node: ast.Name | ast.Attribute) -> _Part:
@@ -363,30 +351,31 @@ def _named(node: ast.Name | ast.Attribute) -> _Part:
             truth = TRUTHS[name]
             return _Part(Kind.TRUTH, lambda _: truth, node)
         return _Part(Kind.WORD, lambda _: name, node, word=name)
-    close = difflib.get_close_matches(name, FIELDS, n=1, cutoff=0.5)
-    hint = f"did you mean {close[0]}?" if close else f"known are {', '.join(FIELDS)}"
-    raise _problem(node, f"is not known; {hint}")
+    hint = did_you_mean(name, FIELDS, 0.5) or f"; known are {', '.join(FIELDS)}"
+    raise _problem(node, f"is not known{hint}")
 
 
 def _call(node: ast.Call) -> _Part:
     name = node.func.id if isinstance(node.func, ast.Name) else ""
-    if node.keywords or len(node.args) != 1 or name not in ("abs", "said", "autopilot_said"):
+    if node.keywords or len(node.args) != 1 or name not in ("abs", *SPEAKERS):
         raise _problem(node, "is no function here: abs(), said() and autopilot_said() are")
     if name == "abs":
         return _Part(Kind.NUMBER, _lifted(abs, _number_of(node.args[0])), node)
     argument = node.args[0]
     if not (isinstance(argument, ast.Constant) and isinstance(argument.value, str)):
         raise _problem(node, f'needs a text in quotes: {name}("LOCALISED")')
-    part = argument.value
-    if name == "said":
-        return _Part(Kind.TRUTH, lambda s: any(part in t for t in s.companion_texts), node)
-    return _Part(Kind.TRUTH, lambda s: any(part in t for t in s.autopilot_texts), node)
+    part, texts_of = argument.value, operator.attrgetter(SPEAKERS[name])
+    return _Part(Kind.TRUTH, lambda s: any(part in text for text in texts_of(s)), node)
 
 
 def _unknown(part: _Part) -> ConditionError:
-    close = difflib.get_close_matches(str(part.word), FIELDS, n=1, cutoff=0.4)
-    hint = f"; did you mean {close[0]}?" if close else ""
-    return _problem(part.node, f"is not known here{hint}")
+    return _problem(part.node, f"is not known here{did_you_mean(str(part.word), FIELDS, 0.4)}")
+
+
+def did_you_mean(name: str, known: Iterable[str], cutoff: float = 0.6) -> str:
+    """A hint at the most similar of the known names; empty where none is."""
+    close = difflib.get_close_matches(name, list(known), n=1, cutoff=cutoff)
+    return f"; did you mean {close[0]}?" if close else ""
 
 
 def _problem(node: ast.expr, text: str) -> ConditionError:

@@ -159,10 +159,7 @@ class EventReader:
     """
 
     def __init__(
-        self,
-        record: FlightRecord,
-        emitters: Mapping[int, Point],
-        first_emitter: int,
+        self, record: FlightRecord, emitters: Mapping[int, Point], first_emitter: int
     ) -> None:
         self._record = record
         self._situation = record.situation

@@ -33,13 +33,7 @@ from sim_link.lab.faults.faulty_link import FaultyLink
 from sim_link.lab.mission.flight_readers import EventReader, TelemetryReader, WireWatch
 from sim_link.lab.mission.in_memory import Progress
 from sim_link.lab.mission.mavsdk_operator import MavsdkOperator
-from sim_link.lab.mission.processes import (
-    COMPANION,
-    RADIO,
-    VEHICLE,
-    Hub,
-    ProcessHarness,
-)
+from sim_link.lab.mission.processes import COMPANION, RADIO, VEHICLE, Hub, ProcessHarness
 from sim_link.lab.mission.results import (
     FlightRecord,
     MissionResult,

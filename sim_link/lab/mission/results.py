@@ -13,6 +13,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 from companion.domain import PositionEnu
 from companion.geometry.polygons import Point
@@ -190,36 +191,30 @@ def _judge_steps(record: FlightRecord) -> ExpectationVerdict:
 
 
 def _judge(expectation: Expectation, mission: Mission, record: FlightRecord) -> ExpectationVerdict:
-    if isinstance(expectation.always, str):
-        return ExpectationVerdict(expectation.name, *_always(expectation, record))
-    value = getattr(expectation, expectation.kind)
-    return ExpectationVerdict(expectation.name, *JUDGES[expectation.kind](value, mission, record))
+    kind = expectation.kind
+    value = getattr(expectation, kind)
+    if kind == "always":
+        judged = _always(value, record.breaches.get(expectation.name))
+    else:
+        judged = JUDGES[kind](value, mission, record)
+    return ExpectationVerdict(expectation.name, *judged)
 
 
 Judged = tuple[bool, str]
 """Whether an expectation is met, and what was found."""
 
 
-def _final_error(bound: EmitterBound, mission: Mission, record: FlightRecord) -> Judged:
-    point, truth = _final(bound, mission, record)
-    if point is None:
-        return False, "there is no estimate"
-    return _judge_bound(math.dist(point.place_enu_m, truth), bound, "m")
-
-
-def _error_over_r95(bound: EmitterBound, mission: Mission, record: FlightRecord) -> Judged:
-    point, truth = _final(bound, mission, record)
-    if point is None:
-        return False, "there is no estimate"
-    ratio = math.dist(point.place_enu_m, truth) / point.r95_m
-    return _judge_bound(ratio, bound, f"times the R95 of {point.r95_m:.2f} m")
-
-
-def _final(
-    bound: EmitterBound, mission: Mission, record: FlightRecord
-) -> tuple[EstimatePoint | None, Point]:
+def _final_error(
+    bound: EmitterBound, mission: Mission, record: FlightRecord, *, is_in_r95: bool = False
+) -> Judged:
     emitter = _emitter_of(bound, mission)
-    return record.last_estimate(emitter), true_places(mission)[emitter]
+    point = record.last_estimate(emitter)
+    if point is None:
+        return False, "there is no estimate"
+    error_m = math.dist(point.place_enu_m, true_places(mission)[emitter])
+    if not is_in_r95:
+        return _judge_bound(error_m, bound, "m")
+    return _judge_bound(error_m / point.r95_m, bound, f"times the R95 of {point.r95_m:.2f} m")
 
 
 def _emitter_of(bound: EmitterBound, mission: Mission) -> int:
@@ -278,11 +273,10 @@ def _holds(condition: str, _mission: Mission, record: FlightRecord) -> Judged:
     return is_met, f"at the end {condition} {'holds' if is_met else 'does not hold'}"
 
 
-def _always(expectation: Expectation, record: FlightRecord) -> Judged:
-    broken_s = record.breaches.get(expectation.name)
+def _always(condition: str, broken_s: float | None) -> Judged:
     if broken_s is None:
-        return True, f"{expectation.always} was never false"
-    return False, f"{expectation.always} was false at {broken_s:.1f} s"
+        return True, f"{condition} was never false"
+    return False, f"{condition} was false at {broken_s:.1f} s"
 
 
 def _judge_bound(value: float, bound: Bound, unit: str) -> Judged:
@@ -291,7 +285,7 @@ def _judge_bound(value: float, bound: Bound, unit: str) -> Judged:
 
 JUDGES: dict[str, Callable[..., Judged]] = {
     "final_error_m": _final_error,
-    "error_over_r95": _error_over_r95,
+    "error_over_r95": partial(_final_error, is_in_r95=True),
     "reported_s": _reported,
     "time_s": lambda bound, _, record: _judge_bound(record.ended_s, bound, "s"),
     "distance_m": lambda bound, _, record: _judge_bound(record.distance_m, bound, "m"),
@@ -322,12 +316,7 @@ def flight_name(mission: str, flavour: str, how: str, seed: int) -> str:
 
 
 def how_flown(speed: float | None, connect: str | None) -> str:
-    """`lockstep`, `speed 4`, or the link to a vehicle that is not ours.
-
-    Args:
-        speed: Times real time, with real processes; None: lockstep.
-        connect: The vehicle's link; None: it is a simulated one.
-    """
+    """`lockstep` (no speed), `speed 4`, or the link to a vehicle that is not ours."""
     if connect is not None:
         return connect
     return "lockstep" if speed is None else f"speed {speed:g}"

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -18,7 +17,7 @@ from companion.config.schema import CompanionConfig, inconsistency, load_config
 from companion.errors import ConfigError
 from sim_link.autopilot.incidents import renew_incidents
 from sim_link.lab.faults.fault_models import KINDS
-from sim_link.lab.mission.conditions import ConditionError, parse_condition
+from sim_link.lab.mission.conditions import ConditionError, did_you_mean, parse_condition
 from sim_link.lab.mission.script import (
     STEP_KINDS,
     EmitterBound,
@@ -86,12 +85,11 @@ def flown_config(mission: Mission) -> CompanionConfig:
         return config
     planner = config.planner
     pattern = getattr(planner, search.pattern)
-    if search.spacing_m is not None:
-        pattern = msgspec.structs.replace(pattern, spacing_m=search.spacing_m)
-    if search.area_enu_m is not None:
-        pattern = msgspec.structs.replace(pattern, area_enu_m=search.area_enu_m)
-    changed = {"search": search.pattern, search.pattern: pattern}
-    return msgspec.structs.replace(config, planner=msgspec.structs.replace(planner, **changed))
+    for key in ("spacing_m", "area_enu_m"):
+        if getattr(search, key) is not None:
+            pattern = msgspec.structs.replace(pattern, **{key: getattr(search, key)})
+    planner = msgspec.structs.replace(planner, search=search.pattern, **{search.pattern: pattern})
+    return msgspec.structs.replace(config, planner=planner)
 
 
 def line_of(text: str, path: str) -> int | None:
@@ -159,9 +157,8 @@ def _with_hint(path: str, problem: str) -> str:
 
 
 def _unknown(what: str, name: str, known: Iterable[str]) -> str:
-    close = difflib.get_close_matches(name, known, n=1)
-    hint = f"did you mean {close[0]}?" if close else f"known are {', '.join(known)}"
-    return f"there is no {what} `{name}`; {hint}"
+    hint = did_you_mean(name, known) or f"; known are {', '.join(known)}"
+    return f"there is no {what} `{name}`{hint}"
 
 
 def _with_companion_file(mission: Mission, text: str, name: str, folder: Path) -> Mission:
@@ -187,11 +184,7 @@ def _problems(mission: Mission) -> Iterator[Problem]:
             yield f"$.emitters[{number}].emitter_id", f"{emitter_id} is given twice"
     for emitter_id in mission.config.emitters.listed:
         if emitter_id not in ids:
-            known = ", ".join(str(each) for each in ids)
-            yield (
-                "$.companion.emitters.listed",
-                f"there is no emitter {emitter_id}, only {known}",
-            )
+            yield "$.companion.emitters.listed", _no_emitter(emitter_id, ids)
     yield from _step_problems(mission)
     yield from _expectation_problems(mission, ids)
     contradiction = inconsistency(flown_config(mission))
@@ -245,12 +238,14 @@ def _one_expectation(
     if isinstance(value, str):
         yield from _condition_problems(path, value)
     if isinstance(value, TextSeen) and value.message not in (None, *numbers_by_name()):
-        close = difflib.get_close_matches(str(value.message), numbers_by_name(), n=1)
-        hint = f"; did you mean {close[0]}?" if close else ""
+        hint = did_you_mean(str(value.message), numbers_by_name())
         yield f"{path}.message", f"there is no message {value.message}{hint}"
     if isinstance(value, EmitterBound) and value.emitter not in (None, *emitter_ids):
-        known = ", ".join(str(each) for each in emitter_ids)
-        yield f"{path}.emitter", f"there is no emitter {value.emitter}, only {known}"
+        yield f"{path}.emitter", _no_emitter(value.emitter, emitter_ids)
+
+
+def _no_emitter(emitter_id: int | None, known: list[int]) -> str:
+    return f"there is no emitter {emitter_id}, only {', '.join(map(str, known))}"
 
 
 def _condition_problems(path: str, text: str) -> Iterator[Problem]:

@@ -8,15 +8,7 @@ import struct
 from sim_link.lab.conformance import mavlink_oracle as mav
 from sim_link.lab.conformance.mavlink_oracle import INT32, NAN, REAL32
 from sim_link.lab.conformance.protocol_clients import ANSWER_S, ParameterClient
-from sim_link.lab.conformance.rules import (
-    ARDUPILOT,
-    CHANGES,
-    FLIES,
-    PX4,
-    RuleBook,
-    assume,
-    require,
-)
+from sim_link.lab.conformance.rules import ARDUPILOT, CHANGES, FLIES, PX4, RuleBook, assume, require
 
 SERVICE = "MAVLink guide, Parameter Protocol"
 STRICT = f"{SERVICE} (stricter than the real one)"
@@ -149,9 +141,7 @@ class ParameterRules(ParameterClient):
         require(self.await_value(chosen.name).raw == chosen.raw, f"{chosen.name} changed")
 
     @book.rule(
-        f"{SERVICE} (C-cast encoding); {mav.OBSERVED_ARDUPILOT}",
-        effect=CHANGES,
-        flavours=ARDUPILOT,
+        f"{SERVICE} (C-cast encoding); {mav.OBSERVED_ARDUPILOT}", effect=CHANGES, flavours=ARDUPILOT
     )
     def integers_are_cast_to_float(self) -> None:
         """An integer travels as the float of the same value."""
