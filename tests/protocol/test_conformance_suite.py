@@ -260,3 +260,9 @@ def test_every_rule_says_what_it_asks_and_where_that_is_written() -> None:
         assert len(rule.source) > 5, rule.rule_id
         assert rule.flavours, rule.rule_id
     assert len(BY_ID) == len(all_rules())
+
+
+def test_no_rule_hides_a_step_of_its_probe() -> None:
+    for rule in all_rules():
+        name = rule.rule_id.partition(".")[2]
+        assert not any(hasattr(base, name) for base in rule.book.prober.__bases__), rule.rule_id

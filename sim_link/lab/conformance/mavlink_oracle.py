@@ -157,12 +157,7 @@ def build_raw(message_id: int, payload: bytes, crc_extra: int, spec: FrameSpec) 
 
 
 def sign(frame: bytes, key: bytes, link_id: int, timestamp: int) -> bytes:
-    """A frame built with `incompat` 1, completed by its signature.
-
-    Args:
-        key: 32 bytes.
-        timestamp: In units of 10 microseconds since 2015.
-    """
+    """A frame built with `incompat` 1, completed by its signature; timestamps are as in signing."""
     tail = bytes((link_id,)) + timestamp.to_bytes(6, "little")
     return frame + tail + hashlib.sha256(key + frame + tail).digest()[:6]
 

@@ -41,11 +41,7 @@ class ProbeLink(Protocol):
         """Send bytes as one piece."""
 
     def poll(self, until_s: float) -> list[bytes]:
-        """Let time pass until something arrives, at the latest until `until_s`.
-
-        Returns:
-            What arrived, in order; empty when `until_s` is reached.
-        """
+        """What arrives first, in order; empty when nothing does until `until_s`."""
 
     def another(self) -> ProbeLink | None:
         """A second client of the same peer; None where the link has room for one only."""
@@ -97,11 +93,7 @@ class Signer:
 
 
 class Station:
-    """One component on a link.
-
-    Args:
-        kind: MAV_TYPE of the heartbeat that it sends each second; None sends none.
-    """
+    """One component on a link; of a kind (MAV_TYPE) it sends a heartbeat each second."""
 
     def __init__(
         self,

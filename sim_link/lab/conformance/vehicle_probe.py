@@ -32,11 +32,7 @@ PADDING = 7
 
 
 class VehicleProbe(Station):
-    """Asks one vehicle, as a ground station would, and tries it in short flights.
-
-    Args:
-        signing_key: The key that the vehicle was given; None: it has none.
-    """
+    """Asks one vehicle, as a ground station would, and tries it in short flights."""
 
     role = Role.VEHICLE
 

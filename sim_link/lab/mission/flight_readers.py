@@ -274,11 +274,7 @@ MACHINE_S = 0.25
 
 
 class WireWatch:
-    """Records what passes the hub.
-
-    Args:
-        speed: Seconds of the flight per second.
-    """
+    """Records what passes the hub at a speed, in seconds of the flight per second."""
 
     def __init__(self, speed: float) -> None:
         self.recording = Recording()

@@ -59,11 +59,7 @@ def fly_in_memory(
     progress: Progress | None = None,
     make_companion: MakeCompanion = build_endpoint,
 ) -> MissionResult:
-    """Fly a mission once.
-
-    Args:
-        make_companion: Starts the companion, which may be one that is to fail.
-    """
+    """Fly a mission once, perhaps with a companion that is to fail."""
     started, started_cpu = time.perf_counter(), time.process_time()
     flight = _MissionFlight(mission, seed, make_companion)
     flight.fly(progress)

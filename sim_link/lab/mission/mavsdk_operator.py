@@ -56,7 +56,6 @@ class MavsdkOperator:
         """Told by whoever watches the vehicle."""
 
     async def __aenter__(self) -> MavsdkOperator:
-        """Begin to listen."""
         from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
         from mavsdk.logging import log_subscribe
 
@@ -69,7 +68,6 @@ class MavsdkOperator:
         return self
 
     async def __aexit__(self, *_: object) -> None:
-        """Let go of everything."""
         tasks = [task for task in (self._watch, self._task) if task is not None]
         for task in tasks:
             task.cancel()

@@ -37,11 +37,7 @@ REFRESH_S = 0.1
 
 
 class PlainProgress:
-    """A line when a step begins, where there is no terminal, and one for every flight.
-
-    Args:
-        is_detailed: Whether steps are told, too; there is one flight at a time then.
-    """
+    """A line for every flight and, where it is detailed, one when a step of the only one begins."""
 
     def __init__(self, total: int, output: TextIO, *, is_detailed: bool) -> None:
         self._total = total
@@ -52,7 +48,6 @@ class PlainProgress:
         self._is_heard = True
 
     def __enter__(self) -> PlainProgress:
-        """Begin."""
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -102,12 +97,10 @@ class LiveProgress(PlainProgress):
         self._due_s = 0.0
 
     def __enter__(self) -> LiveProgress:
-        """Begin to draw."""
         self._live.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Leave the terminal as it was."""
         self._live.stop()
 
     def moved(self, runner: StepRunner, situation: FlightSituation) -> None:

@@ -128,7 +128,7 @@ class _UdpFlight:
         self._operator = MavsdkOperator(self._ports.operator, folder / "mavsdk.log")
         self._watched = WireWatch(speed)
         self._harness = ProcessHarness(
-            mission, self._wire, self._vehicle, self._companion, self._watched.recording
+            self._wire, self._vehicle, self._companion, self._watched.recording
         )
         self._runner = StepRunner(mission, self.record, self._operator, self._harness.inject)
         self._hub = Hub(

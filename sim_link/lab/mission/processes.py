@@ -145,24 +145,21 @@ class ProcessHarness:
     """Injects faults into a flight of real processes.
 
     Args:
-        mission: The script, which knows the weather before a fault.
         vehicle: The simulator; None: the vehicle is not ours.
         watcher: Told when the companion's process stops and goes on.
     """
 
     def __init__(
         self,
-        mission: Mission,
         wire: FaultyLink,
         vehicle: ChildProcess | None,
         companion: ChildProcess,
-        watcher: Observer | None = None,
+        watcher: Observer,
     ) -> None:
-        self._mission = mission
         self._wire = wire
         self._vehicle = vehicle
         self._companion = companion
-        self._watcher = Observer() if watcher is None else watcher
+        self._watcher = watcher
         self._now_s = 0.0
         self._due: list[tuple[float, int, Callable[[], None]]] = []
         self._count = 0
@@ -176,13 +173,13 @@ class ProcessHarness:
         start_s = now_s + fault.start_s
         match fault:
             case CompanionKilled(down_s=down_s):
-                self._at(start_s, self._kill)
+                self._at(start_s, partial(self._end, signal.SIGKILL))
                 self._at(start_s + down_s, self._restart)
             case CompanionStalled(duration_s=duration_s):
                 self._at(start_s, partial(self._suspend, duration_s))
                 self._at(start_s + duration_s, partial(self._companion.signal, signal.SIGCONT))
             case CompanionTerminated():
-                self._at(start_s, self._terminate)
+                self._at(start_s, partial(self._end, signal.SIGTERM))
             case IncidentRecord():
                 self._at(start_s, partial(self._tell, fault))
 
@@ -200,21 +197,16 @@ class ProcessHarness:
         self._watcher.companion_suspended(self._now_s, self._now_s + duration_s)
         self._companion.signal(signal.SIGSTOP)
 
-    def _kill(self) -> None:
+    def _end(self, how: signal.Signals) -> None:
         self.is_companion_down = True
         self._watcher.companion_ended(self._now_s)
-        self._companion.signal(signal.SIGKILL)
+        self._companion.signal(how)
 
     def _restart(self) -> None:
         self._companion.stop()
         self._companion.start()
         self._watcher.companion_started(self._now_s)
         self.is_companion_down, self.has_restarted_companion = False, True
-
-    def _terminate(self) -> None:
-        self.is_companion_down = True
-        self._watcher.companion_ended(self._now_s)
-        self._companion.signal(signal.SIGTERM)
 
     def _tell(self, incident: IncidentRecord) -> None:
         if self._vehicle is not None:
@@ -225,14 +217,7 @@ class ProcessHarness:
 
 
 def check_faults(mission: Mission, name: str, *, is_our_vehicle: bool) -> None:
-    """Make sure, before anything starts, that every fault of a script can be injected.
-
-    Args:
-        is_our_vehicle: Whether the vehicle is simulated by us.
-
-    Raises:
-        ConfigError: One cannot.
-    """
+    """Make sure, before anything starts, that every fault of a script can be injected."""
     for number, (_, step) in enumerate(mission.named_steps):
         problem = None
         if isinstance(step, SecurityFault):

@@ -48,7 +48,6 @@ class Bound(Params, frozen=True):
         return is_low and (self.at_least is None or value >= self.at_least)
 
     def __str__(self) -> str:
-        """In words."""
         low = "" if self.at_least is None else f"at least {self.at_least:g}"
         high = "" if self.at_most is None else f"at most {self.at_most:g}"
         return " and ".join(part for part in (low, high) if part)
@@ -82,7 +81,6 @@ class TextSeen(Params, frozen=True):
     """Who sent it; null: anybody."""
 
     def __post_init__(self) -> None:
-        """Refuse none and both."""
         if (self.text is None) == (self.message is None):
             raise ValueError("give either text or message")
         if not (self.text or self.message):
@@ -104,7 +102,6 @@ class Violations(Params, frozen=True):
     """Those that count."""
 
     def __post_init__(self) -> None:
-        """Refuse invariants that do not exist."""
         for name in self.invariants:
             if name not in INVARIANTS:
                 raise ValueError(f"there is no invariant {name}: I1 to I12 are")
@@ -137,7 +134,6 @@ class Expectation(Params, frozen=True, kw_only=True):
     """A condition that is never false, from the first step to the last."""
 
     def __post_init__(self) -> None:
-        """Refuse none and several."""
         _one_given(self, "an expectation")
 
     @property
@@ -279,7 +275,6 @@ class StepRecord(Params, frozen=True, rename={"return_": "return"}):
     land: LandStep | UnsetType | None = UNSET
 
     def __post_init__(self) -> None:
-        """Refuse none and several."""
         _one_given(self, "a step")
 
 

@@ -114,12 +114,7 @@ def line_of(text: str, path: str) -> int | None:
 
 
 def error_at(text: str, name: str, path: str, problem: str) -> ConfigError:
-    """The error at a path of a script, with its line.
-
-    Args:
-        name: What to call it, usually its file.
-        path: Like `$.steps[3].limit_s`.
-    """
+    """The error at a path like `$.steps[3].limit_s` of a script (its file), with its line."""
     line = line_of(text, path)
     where = name if line is None else f"{name}:{line}"
     return ConfigError(f"{where}: {path}: {problem}")

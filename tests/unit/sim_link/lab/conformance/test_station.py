@@ -34,3 +34,28 @@ def test_frames_of_a_byte_stream_are_told_apart_however_it_is_cut() -> None:
     station.run(0.1)
     assert station.frames_since(0) == frames
     assert len(station.inbox) == 3
+
+
+class Echo(Stream):
+    """Sends back what it hears."""
+
+    def __init__(self) -> None:
+        super().__init__([])
+
+    def send(self, data: bytes) -> None:
+        self._pieces.append(data)
+
+
+def test_answers_are_looked_for_behind_what_was_sent_last_whatever_is_repeated() -> None:
+    station = Station(Echo(), kind=mavlink.MAV_TYPE_GCS)
+    station.run(0.5)
+    station.send(mavlink.MAVLink_timesync_message(0, 1))
+    station.run(3.0)
+    heard = [entry.message.get_type() for entry in station.inbox[station.asked :]]
+    assert heard == ["TIMESYNC", "HEARTBEAT", "HEARTBEAT", "HEARTBEAT"]
+
+
+def test_what_comes_while_one_listens() -> None:
+    station = Station(Echo(), kind=mavlink.MAV_TYPE_GCS)
+    station.run(0.5)
+    assert len(station.listen(2.0)) == 2
