@@ -214,10 +214,10 @@ def _replay(arguments: argparse.Namespace) -> int:
 
     def report(replay: FlightReplay) -> None:
         """Print how exact it was, and write the figures if asked to."""
-        print(replay.comparison.table())
+        print(replay.table())
         print(replay.verdict, flush=True)
         if arguments.json is not None:
-            value = {**replay.comparison.as_json(), "exact": replay.is_exact}
+            value = {**replay.as_json(), "exact": replay.is_exact}
             write_json_atomic(arguments.json, value)
 
     if arguments.replay_web is not None:

@@ -255,7 +255,7 @@ class SessionContext:
         """Go on with other parameters."""
         self.params = tuning.params
         self.fencing.use_limits(tuning.limits)
-        self.steering.use_altitude(tuning.params.altitude_m)
+        self.steering.altitude_m = tuning.params.altitude_m
         self.flight_plan.use(tuning.planner, tuning.params.altitude_m)
 
     def forget_target(self) -> None:

@@ -121,7 +121,7 @@ class Reporting:
         known = [(tracker, estimate) for tracker, estimate in believed if estimate is not None]
         for tracker, estimate in known:
             self._report(tracker, estimate, ENDED_EARLY)
-        emitters.note_reported(t.emitter_id for t, _ in known if t.emitter_id is not None)
+        emitters.reported.update(t.emitter_id for t, _ in known if t.emitter_id is not None)
         if not known:
             self._context.announce(Severity.NOTICE, f"{ENDED_EARLY} no emitter found")
 

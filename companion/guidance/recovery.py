@@ -101,7 +101,7 @@ class Recollection:
         for report in reports:
             context.report(report)
         ids = [report.emitter_id for report in reports if report.emitter_id is not None]
-        context.emitters.note_reported(ids)
+        context.emitters.reported.update(ids)
         one, r95_m = context.emitters.is_single, reports[-1].estimate.r95_m
         who = "the target was" if one else f"emitters {', '.join(map(str, ids))} were"
         context.announce(Severity.NOTICE, f"{who} reported already, R95 {r95_m:.1f} m")

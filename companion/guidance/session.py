@@ -27,7 +27,7 @@ from companion.guidance.control import ControlTick
 from companion.guidance.flight.fencing import FencePlan, Fencing
 from companion.guidance.health.watches import Watches
 from companion.guidance.recovery import Recollection, memory_of
-from companion.guidance.session_params import SessionParams, When, objection_to_change
+from companion.guidance.session_params import SessionParams, When
 from companion.guidance.tracking.emitters import EmitterQueue
 from companion.guidance.tracking.measurements import EmitterScheduler, Measuring
 from companion.planning.planner import Planner
@@ -255,7 +255,12 @@ class GuidanceSession:
 
     def objection_to_change(self, when: When) -> str | None:
         """Why a parameter may not be changed now, in words, or None."""
-        return objection_to_change(when, self.phase, is_armed=self.vehicle.is_armed)
+        if when is When.NEVER:
+            return "is read-only"
+        if when is When.DISARMED and self.vehicle.is_armed:
+            return "can be changed while disarmed only"
+        is_passing = self.phase in (Phase.LAUNCHING, Phase.HANDBACK)
+        return f"cannot be changed during {self.phase.value}" if is_passing else None
 
     def emitters(self, now_s: float) -> tuple[EmitterStatus, ...]:
         """What is known of every emitter; a part of `status` that costs little."""

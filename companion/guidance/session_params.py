@@ -16,7 +16,6 @@ import msgspec
 
 from companion.domain import FlightMode, NonNegative, Params, Positive
 from companion.guard.gate import GuardLimits
-from companion.guidance.authority.state_machine import Phase
 from companion.planning.planner import Planner
 
 StickReaction = Literal["yield", "hold", "ignore"]
@@ -82,14 +81,3 @@ class Tuning:
     """With the fence that the session began with."""
     planner: Planner[Any]
     """Of the same kind as before: it goes on with what the one before remembered."""
-
-
-def objection_to_change(when: When, phase: Phase, *, is_armed: bool) -> str | None:
-    """Why a parameter may not be changed now, in words, or None."""
-    if when is When.NEVER:
-        return "is read-only"
-    if when is When.DISARMED and is_armed:
-        return "can be changed while disarmed only"
-    if phase in (Phase.LAUNCHING, Phase.HANDBACK):
-        return f"cannot be changed during {phase.value}"
-    return None

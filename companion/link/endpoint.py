@@ -170,27 +170,13 @@ class CompanionEndpoint:
 
     def request_stop(self, now_s: float) -> None:
         """Hand the vehicle back, then finish."""
-        if self._recorder is not None:
-            self._recorder.stop(now_s)
-        self.executor.handle(events.StopRequested(now_s), now_s)
+        self.tell(events.StopRequested(now_s))
 
-    def ask(self, command: events.OperatorCommand, now_s: float) -> None:
-        """Take in what the operator asks for beside the mode switch."""
+    def tell(self, event: events.Event) -> None:
+        """Take in what the process or the operator says, beside the mode switch."""
         if self._recorder is not None:
-            self._recorder.operator_command(command, now_s)
-        self.executor.handle(events.OperatorAsked(now_s, command), now_s)
-
-    def found_earlier_run(self, now_s: float) -> None:
-        """An earlier process of ours did not end in order."""
-        if self._recorder is not None:
-            self._recorder.earlier_run(now_s)
-        self.executor.handle(events.EarlierRunFound(now_s), now_s)
-
-    def recall(self, memory: events.SessionMemory, age_s: float, now_s: float) -> None:
-        """Take up what that process knew `age_s` ago."""
-        if self._recorder is not None:
-            self._recorder.recall(memory, age_s, now_s)
-        self.executor.handle(events.MemoryRecalled(now_s, memory, age_s), now_s)
+            self._recorder.event(event)
+        self.executor.handle(event, event.time_s)
 
     @property
     def is_finished(self) -> bool:

@@ -11,7 +11,7 @@ import msgspec
 
 from companion.domain import Params
 from companion.guidance.commands import ReportResult, Severity
-from companion.guidance.events import OperatorCommand, SessionMemory
+from companion.guidance.events import Event
 from companion.mav.endpoint import Address
 
 MAVLINK = "mavlink"
@@ -109,14 +109,5 @@ class InputRecorder(Protocol):
     def tick(self, now_s: float) -> None:
         """The timer fired."""
 
-    def stop(self, now_s: float) -> None:
-        """The process was asked to end."""
-
-    def operator_command(self, command: OperatorCommand, now_s: float) -> None:
-        """The operator asked for something."""
-
-    def earlier_run(self, now_s: float) -> None:
-        """An earlier process did not end in order."""
-
-    def recall(self, memory: SessionMemory, age_s: float, now_s: float) -> None:
-        """What that process knew is taken up."""
+    def event(self, event: Event) -> None:
+        """What the process or the operator says; all other events come of frames and ticks."""

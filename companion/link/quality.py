@@ -129,8 +129,6 @@ CALM_SHARE = 0.5
 """Calm is a loss below this share of what counts as lossy."""
 CALM_S = 5.0
 """The line must be calm for this long before the rate goes down again."""
-
-
 STALL_S = 0.5
 """A tick later than this finds a vehicle that may be anywhere, in any mode."""
 

@@ -25,6 +25,7 @@ import msgspec
 from companion.config.schema import CompanionConfig
 from companion.config.tunables import Tunables
 from companion.guidance.commands import Announce, Severity
+from companion.guidance.events import EarlierRunFound, MemoryRecalled
 from companion.io.background_files import BackgroundReplacer
 from companion.io.state.checkpoints import (
     Checkpoint,
@@ -142,7 +143,7 @@ class RestartKeeper:
         self.is_restart = found.has_files
         if not found.has_files:
             return
-        self._endpoint.found_earlier_run(self._clock.now_s())
+        self._endpoint.tell(EarlierRunFound(self._clock.now_s()))
         if checkpoint is None:
             log.warning("checkpoint: none is whole: starting anew, without engaging by itself")
         elif age is None:
@@ -159,7 +160,7 @@ class RestartKeeper:
             self._endpoint.outlet.announce(Announce(Severity.WARNING, text), now_s)
             return
         age = self._age_s + now_s - self._began_s
-        self._endpoint.recall(checkpoint.memory, age, now_s)
+        self._endpoint.tell(MemoryRecalled(now_s, checkpoint.memory, age))
 
     def _difference(self, then: MissionKey) -> str | None:
         """What is not as it was, in words."""

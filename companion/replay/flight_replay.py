@@ -23,13 +23,18 @@ from companion.run import FlightView
 from companion.web.live_map import WebView
 from companion.web.settings import WebSettings
 
+Say = Callable[[str], None]
+
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
-    """What a replay says about a recording."""
+class FlightReplay:
+    """What a flight's replay says about its recording, and how exact it can be."""
 
     recorded: Course
     replayed: Course
+    is_exact: bool
+    """Whether the inputs were recorded; otherwise ticks were guessed from the tlog."""
+    is_same_configuration: bool
 
     @property
     def is_identical(self) -> bool:
@@ -48,6 +53,25 @@ class Comparison:
             if sent != again:
                 return f"setpoint {number}"
         return None
+
+    @property
+    def verdict(self) -> str:
+        """One line: the same, or not, and why that may be."""
+        first = self.first_difference
+        if first is None:
+            recorded = self.recorded
+            counts = f"{len(recorded.estimates)} estimates and {len(recorded.setpoints)} setpoints"
+            return f"IDENTICAL: {counts}, bit for bit"
+        if not self.is_same_configuration:
+            return f"another configuration, first different: {first}"
+        if not self.is_exact:
+            return f"close, not exact (no {INPUTS}, so ticks are guessed), first different: {first}"
+        return f"DIFFERENT with the flight's own configuration: {first}"
+
+    @property
+    def is_failed(self) -> bool:
+        """Whether it should have been identical, and is not."""
+        return self.is_exact and self.is_same_configuration and not self.is_identical
 
     def table(self) -> str:
         """Both courses in lines of text."""
@@ -142,42 +166,6 @@ def _summary(course: Course) -> Json:
     }
 
 
-Say = Callable[[str], None]
-
-
-@dataclass(frozen=True, slots=True)
-class FlightReplay:
-    """A flight's replay, and how exact it can be."""
-
-    comparison: Comparison
-    is_exact: bool
-    """Whether the inputs were recorded; otherwise ticks were guessed from the tlog."""
-    is_same_configuration: bool
-
-    @property
-    def verdict(self) -> str:
-        """One line: the same, or not, and why that may be."""
-        comparison = self.comparison
-        counts = (
-            f"{len(comparison.recorded.estimates)} estimates and "
-            f"{len(comparison.recorded.setpoints)} setpoints"
-        )
-        if comparison.is_identical:
-            return f"IDENTICAL: {counts}, bit for bit"
-        first = comparison.first_difference
-        if not self.is_same_configuration:
-            return f"another configuration, first different: {first}"
-        if not self.is_exact:
-            return f"close, not exact (no {INPUTS}, so ticks are guessed), first different: {first}"
-        return f"DIFFERENT with the flight's own configuration: {first}"
-
-    @property
-    def is_failed(self) -> bool:
-        """Whether it should have been identical, and is not."""
-        is_expected = self.is_exact and self.is_same_configuration
-        return is_expected and not self.comparison.is_identical
-
-
 def replay_flight(
     path: Path,
     config: CompanionConfig | None,
@@ -200,7 +188,8 @@ def replay_flight(
         say(f"the flight used {how} kernels, this replay does not: last digits may differ")
     course = rerun(recording.inputs, used, facts, on_input, views)
     return FlightReplay(
-        comparison=Comparison(recording.course, course),
+        recording.course,
+        course,
         is_exact=recording.is_exact,
         is_same_configuration=used == facts.config,
     )

@@ -23,14 +23,13 @@ from companion.flight_setup import (
     open_flight,
 )
 from companion.guidance.commands import ReportResult, Severity
-from companion.guidance.events import OperatorCommand
 from companion.io.files import EVENTS, INPUTS, TLOG, plain
 from companion.io.logs.log_files import (
     Input,
     InputKind,
     TlogRecord,
-    decode_recall,
     event_lines,
+    event_of,
     parse_inputs,
     read_inputs,
     read_tlog,
@@ -116,14 +115,8 @@ def rerun(
                 endpoint.receive(chunk, value.time_s)
             case InputKind.TICK:
                 endpoint.handle_timer(value.time_s)
-            case InputKind.STOP:
-                endpoint.request_stop(value.time_s)
-            case InputKind.OPERATOR_COMMAND:
-                endpoint.ask(OperatorCommand(value.data.decode()), value.time_s)
-            case InputKind.EARLIER_RUN:
-                endpoint.found_earlier_run(value.time_s)
-            case InputKind.RECALL:
-                endpoint.recall(*decode_recall(value), value.time_s)
+            case _:
+                endpoint.tell(event_of(value))
         sent = [chunk.data for chunk in endpoint.take_output()]
         journal.course.setpoints += [data for data in sent if message_id(data) in SETPOINT_IDS]
         if on_input is not None:

@@ -30,7 +30,7 @@ from importlib.util import find_spec
 from companion.config.schema import CompanionConfig
 from companion.errors import CompanionError
 from companion.guidance.commands import Severity
-from companion.guidance.events import OperatorCommand
+from companion.guidance.events import OperatorAsked, OperatorCommand
 from companion.io.files import plain
 from companion.link.endpoint import CompanionEndpoint
 from companion.run import FlightView
@@ -259,7 +259,7 @@ class WebView(Collector):
         has_room = endpoint.next_timer_s() - now_s >= ROOM_S
         make = partial(self._picture, endpoint, now_s)
         for command in self.process.update(now_s, make, may_send=has_room):
-            endpoint.ask(command, now_s)
+            endpoint.tell(OperatorAsked(now_s, command))
 
     def show(self, endpoint: CompanionEndpoint, now_s: float, clock_s: float) -> None:
         """Show a moment that is over, whatever buttons are pressed."""

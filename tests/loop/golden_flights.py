@@ -24,7 +24,7 @@ from companion.config.schema import CompanionConfig, LimitsConfig, PlannerConfig
 from companion.domain import FlightMode
 from companion.estimation.tracker import TrackerParams
 from companion.flight_setup import FlightFacts, build_endpoint, open_flight, write_facts
-from companion.guidance.events import OperatorCommand
+from companion.guidance.events import OperatorAsked, OperatorCommand
 from companion.guidance.session_params import SessionParams
 from companion.guidance.tracking.emitters import QueueParams
 from companion.io.files import INPUTS
@@ -209,7 +209,7 @@ def fly(plan: Plan, directory: Path) -> Golden:
 
 
 def ask(command: OperatorCommand, flight: Flight) -> None:
-    flight.companion.ask(command, flight.now_s)
+    flight.companion.tell(OperatorAsked(flight.now_s, command))
 
 
 def set_parameter(name: bytes, value: float, flight: Flight) -> None:

@@ -79,9 +79,9 @@ def copy(recorded: Path, tmp_path: Path) -> Path:
 
 def test_the_same_configuration_gives_the_same_bits(recorded: Path) -> None:
     replay = replay_flight(recorded / TLOG, None, REMARKS.append)
-    assert len(replay.comparison.recorded.estimates) > 50
-    assert len(replay.comparison.recorded.setpoints) > 500
-    assert replay.comparison.first_difference is None
+    assert len(replay.recorded.estimates) > 50
+    assert len(replay.recorded.setpoints) > 500
+    assert replay.first_difference is None
     assert replay.verdict.startswith("IDENTICAL")
     assert not replay.is_failed
 
@@ -92,9 +92,9 @@ def test_a_flight_with_several_emitters_replays_to_the_bit(tmp_path: Path) -> No
     second = EmitterParams(emitter_id=2, position_enu_m=(80.0, 30.0))
     record(tmp_path, config, Scenario(emitters=(second,)))
     replay = replay_flight(tmp_path, None, REMARKS.append)
-    assert {e["emitter_id"] for e in replay.comparison.recorded.estimates} == {1, 2}
-    assert replay.comparison.first_difference is None
-    both = (replay.comparison.recorded.localised_s, replay.comparison.replayed.localised_s)
+    assert {e["emitter_id"] for e in replay.recorded.estimates} == {1, 2}
+    assert replay.first_difference is None
+    both = (replay.recorded.localised_s, replay.replayed.localised_s)
     assert both[0] == pytest.approx(both[1], abs=1e-3)  # of the first one
     handed_over = (tmp_path / "handoff.txt").read_text().splitlines()
     assert [line.split(":")[0] for line in handed_over] == ["emitter 1", "emitter 2"]
@@ -105,8 +105,8 @@ def test_another_estimator_is_compared_side_by_side(recorded: Path) -> None:
     replay = replay_flight(recorded, config, REMARKS.append)
     assert replay.verdict.startswith("another configuration")
     assert not replay.is_failed
-    assert "estimates apart" in replay.comparison.table()
-    assert replay.comparison.as_json()["identical"] is False
+    assert "estimates apart" in replay.table()
+    assert replay.as_json()["identical"] is False
 
 
 def test_one_changed_digit_of_the_log_is_found(copy: Path) -> None:
@@ -125,7 +125,7 @@ def test_without_the_recorded_inputs_a_replay_is_close_and_says_so(copy: Path) -
     replay = replay_flight(copy, None, REMARKS.append)
     assert not replay.is_exact
     assert not replay.is_failed
-    apart = replay.comparison.as_json()["apart_end_m"]
+    apart = replay.as_json()["apart_end_m"]
     assert apart is None or float(str(apart)) < 0.5
 
 
@@ -200,7 +200,7 @@ def test_a_flight_that_took_up_the_memory_of_a_killed_process_is_the_same(tmp_pa
         journal.close(timeout_s=30.0)
     second = replay_flight(tmp_path / "1", None, REMARKS.append)
     assert second.verdict.startswith("IDENTICAL")
-    assert second.comparison.recorded.estimates
+    assert second.recorded.estimates
     lines = event_lines(tmp_path / "1" / EVENTS)
     assert [line for line in lines if line["kind"] == "resumed"]
 
@@ -215,5 +215,5 @@ def test_an_mcap_file_alone_is_replayed(tmp_path: Path) -> None:
     (tmp_path / MCAP).rename(alone)
     replay = replay_flight(alone, None, REMARKS.append)
     assert replay.verdict.startswith("IDENTICAL")
-    assert len(replay.comparison.recorded.estimates) > 50
-    assert len(replay.comparison.recorded.setpoints) > 500
+    assert len(replay.recorded.estimates) > 50
+    assert len(replay.recorded.setpoints) > 500

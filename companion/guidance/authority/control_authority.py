@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from companion.domain import Autopilot, FlightMode, TargetEstimate
+from companion.domain import Autopilot, FlightMode
 from companion.guidance.authority.launch import Launch
 from companion.guidance.authority.state_machine import (
     IN_CONTROL,
@@ -165,20 +165,6 @@ def _may_return_by_itself(heartbeat: HeartbeatReceived) -> bool:
 
 FOLLOW_UP_S = 5.0
 """How long the autopilot may take to enter the mode that follows the report."""
-
-
-def is_search_due(
-    estimate: TargetEstimate | None,
-    ranging_heard_s: float | None,
-    search_after_s: float | None,
-    now_s: float,
-) -> bool:
-    """Whether the planner searches now, and needs neither contact nor an estimate."""
-    if search_after_s is None:
-        return False
-    if estimate is None or ranging_heard_s is None or search_after_s == 0.0:
-        return True
-    return now_s - ranging_heard_s > search_after_s
 
 
 def is_silence_due(

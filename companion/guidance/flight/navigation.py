@@ -14,7 +14,6 @@ from companion.domain import PositionEnu, PositionSetpoint, TargetEstimate, Wayp
 from companion.geometry.polygons import Point, depth_m
 from companion.guard.fence import Fence
 from companion.guard.gate import Guard, Guarded, GuardReason, Motion
-from companion.guidance.authority.control_authority import is_search_due
 from companion.guidance.commands import Announce, Command, Severity
 from companion.guidance.flight.vehicle import VehicleView
 from companion.guidance.messages import waypoint_record
@@ -23,8 +22,6 @@ from companion.planning.planner import Planner, PlanRequest
 
 PLAN_PERIOD_S = 0.2
 """A plan is renewed at least this often, with or without a measurement: the vehicle moves."""
-
-
 TOLD_AGAIN_S = 20.0
 """How long after a text about the target's place there is no other one."""
 
@@ -51,11 +48,6 @@ class FlightPlan:
         """Why the vehicle may not be there, if it may not."""
         self._told_outside_s = -math.inf
 
-    @property
-    def search_after_s(self) -> float | None:
-        """See `Planner`."""
-        return self._planner.search_after_s
-
     def forget(self) -> None:
         """The next plan starts from nothing."""
         self._where_target_is = ""
@@ -68,6 +60,15 @@ class FlightPlan:
         """Go on with another planner of the same kind, from what the one before remembered."""
         self._planner = planner
         self._altitude_m = altitude_m
+
+    def is_search_due(self, estimate: TargetEstimate | None, now_s: float) -> bool:
+        """Whether the planner searches now, and needs neither contact nor an estimate."""
+        after_s, heard_s = self._planner.search_after_s, self._emitters.current.last_accepted_s
+        if after_s is None:
+            return False
+        if estimate is None or heard_s is None or after_s == 0.0:
+            return True
+        return now_s - heard_s > after_s
 
     def is_due(self, now_s: float) -> bool:
         """Whether the plan is too old."""
@@ -120,11 +121,11 @@ class FlightPlan:
 
     def _search_messages(self, now_s: float, estimate: TargetEstimate | None) -> list[Command]:
         """A text when a search begins, ends, or begins again."""
-        after_s, heard_s = self.search_after_s, self._emitters.current.last_accepted_s
+        after_s, heard_s = self._planner.search_after_s, self._emitters.current.last_accepted_s
         if after_s is None or after_s == 0.0:
             return []
         was_searching = self._is_searching
-        self._is_searching = is_search_due(estimate, heard_s, after_s, now_s)
+        self._is_searching = self.is_search_due(estimate, now_s)
         if self._is_searching is was_searching:
             return []
         if not self._is_searching:
@@ -168,7 +169,8 @@ class Steering:
 
     def __init__(self, guard: Guard, altitude_m: float) -> None:
         self._guard = guard
-        self._altitude_m = altitude_m
+        self.altitude_m = altitude_m
+        """Of the search, above home."""
         self._last: Guarded | None = None
 
     @property
@@ -184,10 +186,6 @@ class Steering:
     def forget_setpoint(self) -> None:
         """The next setpoint starts where the vehicle is."""
         self._last = None
-
-    def use_altitude(self, altitude_m: float) -> None:
-        """Another search altitude above home from now on."""
-        self._altitude_m = altitude_m
 
     def stay_with(self, motion: Motion) -> PositionSetpoint:
         """Hold at the vehicle's present place, following it while someone else flies it."""
@@ -221,7 +219,7 @@ class Steering:
         floor_m = home_up_m + self._guard.limits.envelope.altitude_min_m
         if motion.position_enu_m[2] < floor_m - CLIMB_FIRST_M:
             east, north = last.position_enu_m[:2]
-        goal = (east, north, home_up_m + self._altitude_m + waypoint.altitude_offset_m)
+        goal = (east, north, home_up_m + self.altitude_m + waypoint.altitude_offset_m)
         return self._keep(self._guard.towards(goal, last, motion, dt_s, speed_cap_mps))
 
     def _keep(self, guarded: Guarded) -> PositionSetpoint:

@@ -15,7 +15,6 @@ import math
 from companion.domain import BatteryLevel, FlightMode, TargetEstimate
 from companion.estimation.screening.measurement_screen import Objection
 from companion.guidance import events
-from companion.guidance.authority.control_authority import is_search_due
 from companion.guidance.authority.state_machine import IN_CONTROL, Phase
 from companion.guidance.commands import Severity
 from companion.guidance.context import SessionContext
@@ -107,10 +106,7 @@ class InputWatch(Watch):
         return COAST_SHARE * max(0.0, 1.0 - self.coasting_sigma_m(estimate, age_s) / limit_m)
 
     def _is_searching(self, now_s: float) -> bool:
-        context = self._context
-        search_after_s = context.flight_plan.search_after_s
-        heard_s = context.tracker.last_accepted_s
-        return is_search_due(context.estimate, heard_s, search_after_s, now_s)
+        return self._context.flight_plan.is_search_due(self._context.estimate, now_s)
 
     def _missing(self, now_s: float) -> Finding | None:
         vehicle = self._context.vehicle

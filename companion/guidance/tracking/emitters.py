@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable
 from typing import Annotated, Literal
 
 import msgspec
@@ -161,10 +160,6 @@ class EmitterQueue:
         if open_ones:
             self.current = self._trackers[min(open_ones, key=self._rank)]
 
-    def reject(self, reason: RejectReason) -> FusionReport:
-        """Count a measurement that could not even be offered."""
-        return self.current.reject(reason)
-
     def restart(self) -> None:
         """Forget where everything is, because the frame may have moved."""
         for tracker in self.trackers:
@@ -180,10 +175,6 @@ class EmitterQueue:
             return False
         self.current = self._trackers[following[0]]
         return True
-
-    def note_reported(self, emitter_ids: Iterable[int]) -> None:
-        """These are done."""
-        self.reported.update(emitter_ids)
 
     def resume(self, belief: Belief, age_s: float, now_s: float) -> str | None:
         """Begin again from what was believed of one emitter, which is current then.

@@ -54,13 +54,13 @@ class RangingListener:
         """
         identity = identity_of(measurement)
         if any(identity_of(waiting) == identity for waiting in self._waiting):
-            return [self._emitters.reject(RejectReason.DUPLICATE)]
+            return [self._emitters.current.reject(RejectReason.DUPLICATE)]
         self._waiting.append(measurement)
         if len(self._waiting) <= MAX_WAITING:
             return []
         oldest = min(range(len(self._waiting)), key=lambda i: self._waiting[i].measured_at_s)
         del self._waiting[oldest]
-        return [self._emitters.reject(RejectReason.TOO_MANY)]
+        return [self._emitters.current.reject(RejectReason.TOO_MANY)]
 
     def fuse_due(self, now_s: float) -> list[FusionReport]:
         """Fuse every measurement whose place is known, or will not become known any more."""
@@ -76,7 +76,7 @@ class RangingListener:
 
     def _fuse(self, measurement: RangingMeasurement, now_s: float) -> FusionReport:
         if not self._track.is_trusted_at(measurement.measured_at_s):
-            return self._emitters.reject(RejectReason.OWN_JUMP)
+            return self._emitters.current.reject(RejectReason.OWN_JUMP)
         sensor_enu_m = self._track.position_at(measurement.measured_at_s)
         body_rad = measurement.bearing_body_rad
         if body_rad is not None and measurement.bearing_enu_rad is None:

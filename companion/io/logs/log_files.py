@@ -20,7 +20,7 @@ from enum import IntEnum
 from pathlib import Path
 
 from companion.errors import ConfigError
-from companion.guidance.events import OperatorCommand, SessionMemory
+from companion.guidance import events
 from companion.io.background_files import BackgroundFile
 from companion.io.files import plain, read_file
 from companion.io.state.checkpoints import CheckpointError, decode_memory, encode_memory
@@ -84,8 +84,6 @@ MAGIC_WITHIN = 64
 """The first bytes of a file, which name its format in every version."""
 _HEADER = struct.Struct("<IdBBBI")
 """Number of the record, time_s, kind, link, length of the sender's address, length of the data."""
-
-
 _AGE = struct.Struct("<d")
 
 
@@ -146,22 +144,17 @@ class InputLog(BackgroundFile):
         """Keep a tick."""
         self._keep(Input(InputKind.TICK, now_s))
 
-    def stop(self, now_s: float) -> None:
-        """Keep a stop."""
-        self._keep(Input(InputKind.STOP, now_s))
-
-    def operator_command(self, command: OperatorCommand, now_s: float) -> None:
-        """Keep what the operator asked for."""
-        self._keep(Input(InputKind.OPERATOR_COMMAND, now_s, data=command.value.encode()))
-
-    def earlier_run(self, now_s: float) -> None:
-        """Keep that there was an earlier process."""
-        self._keep(Input(InputKind.EARLIER_RUN, now_s))
-
-    def recall(self, memory: SessionMemory, age_s: float, now_s: float) -> None:
-        """Keep what it knew."""
-        data = _AGE.pack(age_s) + encode_memory(memory)
-        self._keep(Input(InputKind.RECALL, now_s, data=data))
+    def event(self, event: events.Event) -> None:
+        """Keep what the process or the operator says; see `event_of`."""
+        kind, data = InputKind.STOP, b""
+        match event:
+            case events.OperatorAsked():
+                kind, data = InputKind.OPERATOR_COMMAND, event.command.value.encode()
+            case events.EarlierRunFound():
+                kind = InputKind.EARLIER_RUN
+            case events.MemoryRecalled():
+                kind, data = InputKind.RECALL, _AGE.pack(event.age_s) + encode_memory(event.memory)
+        self._keep(Input(kind, event.time_s, data=data))
 
     def _keep(self, value: Input) -> None:
         peer = b"" if value.peer is None else f"{value.peer[0]} {value.peer[1]}".encode()[:255]
@@ -209,12 +202,21 @@ def parse_inputs(data: bytes, name: str) -> Iterator[Input]:
         raise ConfigError(f"{name}: has no inputs")
 
 
-def decode_recall(value: Input) -> tuple[SessionMemory, float]:
-    """What a RECALL says: what was known, and how old that was in seconds."""
-    try:
-        return decode_memory(value.data[_AGE.size :]), float(_AGE.unpack_from(value.data)[0])
-    except (CheckpointError, struct.error) as error:
-        raise ConfigError(f"the memory that was taken up at {value.time_s} s: {error}") from error
+def event_of(value: Input) -> events.Event:
+    """What `InputLog.event` kept; a `ConfigError` for a memory that cannot be read."""
+    now_s, data = value.time_s, value.data
+    match value.kind:
+        case InputKind.OPERATOR_COMMAND:
+            return events.OperatorAsked(now_s, events.OperatorCommand(data.decode()))
+        case InputKind.EARLIER_RUN:
+            return events.EarlierRunFound(now_s)
+        case InputKind.RECALL:
+            try:
+                memory, (age_s,) = decode_memory(data[_AGE.size :]), _AGE.unpack_from(data)
+            except (CheckpointError, struct.error) as error:
+                raise ConfigError(f"the memory that was taken up at {now_s} s: {error}") from error
+            return events.MemoryRecalled(now_s, memory, age_s)
+    return events.StopRequested(now_s)
 
 
 def _peer(text: bytes) -> Address | None:

@@ -83,7 +83,6 @@ CHANNELS = (
     McapChannel(INPUT_CHANNEL, message_encoding="companion-inputs"),
 )
 
-
 log = logging.getLogger("companion.io")
 
 MAX_QUEUED = 10_000

@@ -117,7 +117,7 @@ def test_every_part_of_the_session_takes_a_change() -> None:
     session = wire.endpoint.session
     assert session.params.altitude_m == 30.0
     assert session.params.stop_radius_m == 2.0
-    assert session.steering._altitude_m == session.flight_plan._altitude_m == 30.0
+    assert session.steering.altitude_m == session.flight_plan._altitude_m == 30.0
     planner = session.flight_plan._planner
     assert isinstance(planner, LatchedCrossing)
     assert planner.params.overshoot_min_m == 4.0

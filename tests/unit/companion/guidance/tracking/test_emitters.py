@@ -156,7 +156,7 @@ def test_in_flight_one_that_was_never_heard_gives_way() -> None:
 
 def test_what_was_counted_before_the_first_emitter_is_not_lost() -> None:
     heard = Heard("nearest")
-    heard.queue.reject(RejectReason.TOO_MANY)
+    heard.queue.current.reject(RejectReason.TOO_MANY)
     heard.hear(1, 2, times=3)
     heard.hear(1)
     heard.queue.trackers[1].reject(RejectReason.STALE)
@@ -170,7 +170,7 @@ def test_a_moved_frame_is_forgotten_by_all() -> None:
     heard.hear(1, 2, times=10)
     heard.queue.restart()
     assert all(tracker.estimate(9.0) is None for tracker in heard.queue.trackers)
-    assert heard.queue.reject(RejectReason.STALE).reject_reason is RejectReason.STALE
+    assert heard.queue.current.reject(RejectReason.STALE).reject_reason is RejectReason.STALE
 
 
 @pytest.mark.parametrize(

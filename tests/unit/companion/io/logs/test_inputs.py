@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from companion.errors import ConfigError
+from companion.guidance.events import StopRequested
 from companion.io.logs.log_files import Input, InputKind, InputLog, read_inputs
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
@@ -19,7 +20,7 @@ def written(path: Path, times_s: list[float]) -> list[Input]:
     for time_s in times_s:
         log.frame(FRAME, 1, PEER, time_s)
         log.tick(time_s)
-    log.stop(times_s[-1])
+    log.event(StopRequested(times_s[-1]))
     log.close(10.0)
     return list(read_inputs(path))
 
