@@ -11,7 +11,7 @@ import asyncio
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -184,10 +184,8 @@ class WireLink:
             return
         patience_s = until_s - self.now_s
         if patience_s > 0.0:
-            try:
+            with suppress(TimeoutError):
                 await asyncio.wait_for(self._wake.wait(), patience_s)
-            except TimeoutError:
-                return
 
     def _receive(self, chunks: list[Chunk]) -> None:
         for chunk in chunks:
@@ -210,8 +208,7 @@ def open_link(url: str) -> Iterator[WireLink]:
         LinkError: It cannot be opened.
     """
     spec = parse_transport(url)
-    loop = asyncio.new_event_loop()
-    try:
+    with closing(asyncio.new_event_loop()) as loop:
         link = WireLink(spec, loop)
         try:
             link.open()
@@ -219,8 +216,6 @@ def open_link(url: str) -> Iterator[WireLink]:
         finally:
             link.close()
             loop.run_until_complete(asyncio.sleep(0))
-    finally:
-        loop.close()
 
 
 EXIT_FAILED = 1

@@ -54,8 +54,7 @@ class ParameterClient(VehicleProbe):
         """The parameter of a heard PARAM_VALUE."""
         m = entry.message
         assert isinstance(m, mav.ParamValue)
-        start = 10 if entry.frame[0] == 0xFD else 6
-        raw = entry.frame[start : start + entry.frame[1]].ljust(25, b"\0")[:4]
+        raw = entry.payload.ljust(4, b"\0")[:4]
         code = "<i" if self.is_px4 and m.param_type == mav.INT32 else "<f"
         value = float(struct.unpack(code, raw)[0])
         return Parameter(m.param_id, m.param_type, raw, m.param_index, m.param_count, value)

@@ -6,13 +6,14 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from sim_link.lab.conformance.mavlink_oracle import (
+    HEADER_LENGTH,
     SIGNED,
     FrameSpec,
     build_frame,
@@ -70,6 +71,12 @@ class Heard:
         """The bytes on the wire."""
         return bytes(self.message.get_msgbuf())
 
+    @property
+    def payload(self) -> bytes:
+        """What of them is the message's payload."""
+        start = HEADER_LENGTH[self.frame[0]]
+        return self.frame[start : start + self.frame[1]]
+
 
 @dataclass(slots=True)
 class _Task:
@@ -106,7 +113,7 @@ class Station:
         self.system_id = system_id
         self.component_id = component_id
         self.inbox: list[Heard] = []
-        self.datagrams: list[tuple[float, bytes]] = []
+        self.datagrams: list[bytes] = []
         """What arrived, as it arrived: on a byte stream in pieces of any length."""
         self.reader = MavCodec(system_id, component_id)
         self.signer: Signer | None = None
@@ -200,6 +207,15 @@ class Station:
 
     # In
 
+    def require_no_answer(
+        self, messages: Sequence[Message], kind: type[M], where: Callable[[M], bool] | None = None
+    ) -> None:
+        """Send messages that nothing of a kind may follow."""
+        mark = self.mark
+        for message in messages:
+            self.send(message)
+        self.expect_none(kind, where, mark=mark, what="answered")
+
     @property
     def mark(self) -> int:
         """The place in the inbox after which messages are new."""
@@ -276,7 +292,7 @@ class Station:
 
     def frames_since(self, mark: int) -> list[bytes]:
         """The frames in what arrived after so many pieces."""
-        return cut(b"".join(data for _, data in self.datagrams[mark:]))
+        return cut(b"".join(self.datagrams[mark:]))
 
     def _advance(self, until_s: float) -> None:
         due_s = min([until_s, *(task.due_s for task in self._tasks)])
@@ -295,7 +311,7 @@ class Station:
         self._is_taking = True
         while self._pending:
             data = self._pending.popleft()
-            self.datagrams.append((self.now_s, data))
+            self.datagrams.append(data)
             for message in self.reader.decode(data, is_datagram=self.link.is_datagram):
                 self.inbox.append(Heard(self.now_s, message))
                 self.on_message(message)

@@ -187,10 +187,7 @@ class VehicleProbe(Station):
         self, messages: Sequence[Message], kind: type[M], where: Callable[[M], bool] | None = None
     ) -> None:
         """Send messages that nothing of a kind may follow, though the vehicle hears us."""
-        mark = self.mark
-        for message in messages:
-            self.send(message)
-        self.expect_none(kind, where, mark=mark, what="answered")
+        super().require_no_answer(messages, kind, where)
         self.require_hearing()
 
     # State

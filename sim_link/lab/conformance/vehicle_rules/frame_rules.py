@@ -103,9 +103,8 @@ class FrameRules(FrameProbe):
         """A sent MAVLink 2 payload ends in no zero byte, except a single one."""
         self.run(LISTEN_S)
         for entry in self.inbox:
-            frame = entry.frame
-            if frame[0] == MAGIC_V2 and entry.source == self.target:
-                payload, name = frame[10 : 10 + frame[1]], entry.message.get_type()
+            if entry.frame[0] == MAGIC_V2 and entry.source == self.target:
+                payload, name = entry.payload, entry.message.get_type()
                 is_cut = len(payload) == 1 or (len(payload) > 1 and payload[-1] != 0)
                 require(is_cut, f"{name} carries {len(payload)} bytes, the last one zero")
 

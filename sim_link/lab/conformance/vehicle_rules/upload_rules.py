@@ -5,10 +5,11 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import replace
+from typing import Any
 
 from companion.mav.dialect import mavlink
 from sim_link.lab.conformance import mavlink_oracle as mav
-from sim_link.lab.conformance.protocol_clients import REQUESTS, MissionItem, PlanClient, waypoint
+from sim_link.lab.conformance.protocol_clients import REQUESTS, MissionItem, PlanClient
 from sim_link.lab.conformance.rules import ARDUPILOT, CHANGES, FLIES, PX4, RuleBook, require
 
 SERVICE = "MAVLink guide, Mission Protocol"
@@ -156,8 +157,9 @@ class PlanResultRules(PlanClient):
 
     book = RuleBook("plan_results", CHANGES)
 
-    def _require_refused(self, item: MissionItem, *results: int) -> None:
-        """A mission with one wrong item must be refused with one of the results."""
+    def _require_refused(self, changes: dict[str, Any], *results: int) -> None:
+        """A mission with one changed waypoint over home must be refused with one of the results."""
+        item = replace(self.waypoint_home(), **changes)
         result = self.upload(self.with_home([item]))
         require(result in results, f"ACK {result}")
 
@@ -165,31 +167,28 @@ class PlanResultRules(PlanClient):
     def unknown_frame_is_refused(self) -> None:
         """A waypoint in a frame that is not known is refused as UNSUPPORTED_FRAME."""
         self.get_ready()
-        item = replace(self.waypoint_home(), frame=20)
-        self._require_refused(item, mav.PLAN_UNSUPPORTED_FRAME)
+        self._require_refused({"frame": 20}, mav.PLAN_UNSUPPORTED_FRAME)
 
     @book.rule(MISSION_RESULT)
     def unknown_mission_command_is_refused(self) -> None:
         """An item with a command that is not known is refused as UNSUPPORTED."""
         self.get_ready()
-        item = replace(self.waypoint_home(), command=31_999)
-        self._require_refused(item, mav.PLAN_UNSUPPORTED)
+        self._require_refused({"command": 31_999}, mav.PLAN_UNSUPPORTED)
 
     @book.rule(f"{MISSION_RESULT}; {mav.OBSERVED_ARDUPILOT}")
     def impossible_latitude_is_refused(self) -> None:
         """A waypoint at 100 degrees north is refused as INVALID_PARAM5_X."""
         self.get_ready()
-        item = waypoint(1_000_000_000, 85_000_000, 10.0)
-        self._require_refused(item, mav.PLAN_INVALID_X, mav.PLAN_INVALID)
+        self._require_refused(
+            {"x": 1_000_000_000, "y": 85_000_000}, mav.PLAN_INVALID_X, mav.PLAN_INVALID
+        )
 
     @book.rule(f"{MISSION_RESULT}; {mav.OBSERVED_ARDUPILOT}")
     def impossible_altitude_is_refused(self) -> None:
         """A waypoint at a NaN or endless altitude is refused as INVALID_PARAM7."""
         self.get_ready()
-        here = self.waypoint_home()
         for height_m in (mav.NAN, math.inf):
-            item = replace(here, z=height_m)
-            self._require_refused(item, mav.PLAN_INVALID_Z, mav.PLAN_INVALID)
+            self._require_refused({"z": height_m}, mav.PLAN_INVALID_Z, mav.PLAN_INVALID)
 
     @book.rule(f"{SERVICE}, MAV_MISSION_NO_SPACE")
     def endless_mission_is_refused(self) -> None:
