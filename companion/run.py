@@ -88,11 +88,7 @@ def open_signing(config: CompanionConfig) -> SigningKeeper | None:
 def open_journal(
     config: CompanionConfig, links: Sequence[LinkSpec], parameters: Mapping[str, float]
 ) -> FlightJournal:
-    """The black box of a new flight, and what a ground station changed before it.
-
-    Raises:
-        CompanionError: The flight directory cannot be made.
-    """
+    """The black box of a new flight, and what a ground station changed before it."""
     started_unix_s = time.time()
     root = Path(config.log.directory)
     directory = new_flight_directory(root, started_unix_s)

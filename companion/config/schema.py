@@ -88,10 +88,9 @@ class LimitsConfig(Params, frozen=True):
         return self.fence_file is None and self.autopilot_fence != "use"
 
     def guard_limits(self) -> GuardLimits:
-        """The same limits as the guard takes them, without a fence that is not local.
+        """The same as the guard takes them, without a fence that is not local.
 
-        Raises:
-            ValueError: They contradict each other; the text begins with the name of one.
+        A `ValueError`, where they contradict each other, begins with the name of one.
         """
         fence = self._fence(self.fence_enu_m if self.is_fence_local else _roomy(self))
         envelope = Envelope(

@@ -133,11 +133,7 @@ def run_demo(
     make_views: MakeViews,
     at_end: Callable[[Path], None] | None = None,
 ) -> bool:
-    """Fly it, print how it went, write what was asked for; whether the target was found.
-
-    Raises:
-        CompanionError: Bad input, or the simulator is not installed or does not start.
-    """
+    """Fly it, print how it went, write what was asked for; whether the target was found."""
     if importlib.util.find_spec("sim_link") is None:
         raise CompanionError("the demo needs the simulator: pip install companion-sim-link")
     _check_outputs(options)

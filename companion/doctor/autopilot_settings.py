@@ -29,16 +29,9 @@ SAME = "upload the same fence to the autopilot, or set limits.autopilot_fence; d
 LONGEST_GAP_S = 0.5
 """What lost packets alone may cost between two setpoints, at 50 % loss."""
 PATIENT_S = 3.0
-OFFBOARD_LOSS = {
-    0: "Position mode",
-    1: "Altitude mode",
-    2: "Manual mode",
-    3: "Return",
-    4: "Land",
-    5: "Hold",
-    6: "Terminate",
-    7: "Disarm",
-}
+_MODES = ("Position mode", "Altitude mode", "Manual mode", "Return", "Land", "Hold")
+OFFBOARD_LOSS = dict(enumerate((*_MODES, "Terminate", "Disarm")))
+"""COM_OBL_RC_ACT."""
 NEEDS_PILOT, FATAL = (0, 1, 2), (6, 7)
 RC_OVERRIDE_OFFBOARD = 2
 """Bit of COM_RC_OVERRIDE."""

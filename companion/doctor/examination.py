@@ -118,10 +118,7 @@ A_RECENT_TIME_S = 1.735e9
 
 def examine(facts: Facts, config: CompanionConfig) -> list[CheckResult]:
     """Every finding, in the order of a checklist."""
-    return [
-        *_check_host(facts.host, config),
-        *_check_link(facts.link, config),
-    ]
+    return [*_check_host(facts.host, config), *_check_link(facts.link, config)]
 
 
 def exit_code(findings: list[CheckResult]) -> int:
@@ -315,11 +312,7 @@ def _check_readiness(facts: AutopilotFacts) -> Iterator[CheckResult]:
 
 
 def run_doctor(config: CompanionConfig, link: Transport, duration_s: float) -> list[CheckResult]:
-    """Look at everything that a flight with `config` needs.
-
-    Raises:
-        LinkError: The link cannot be opened, or a companion flies on it.
-    """
+    """Look at all that a flight with `config` needs; a `LinkError` if a companion flies."""
     state = state_directory(config.process.state_directory, os.environ)
     key_file = config.link.signing_key_file
     host = look_at_host(Path(config.log.directory), state, key_file)

@@ -27,7 +27,6 @@ from companion.guidance.health.autopilot_health import LEG_S, BatteryWatch
 from companion.guidance.health.findings import Verdict
 from companion.guidance.health.watches import Watches
 from companion.guidance.messages import FenceMessages, GuardMessages, result_of
-from companion.guidance.session_params import FOLLOW_UP_MODE
 from companion.guidance.tracking.measurements import EmitterScheduler
 
 
@@ -87,7 +86,7 @@ class Reporting:
                 self._stop_rule.begin_anew()
                 self._scheduler.follow(now_s)
             else:
-                self._finish(FOLLOW_UP_MODE[params.on_localised], now_s)
+                self._finish(FlightMode(params.on_localised), now_s)
         elif self._is_battery_end(now_s):
             self._battery.note_mission_end()
             self._report_rest(now_s)

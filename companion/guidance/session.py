@@ -73,46 +73,6 @@ class GuidanceStatus:
     """0 to 100; None: unknown."""
 
 
-def snapshot(now_s: float, context: SessionContext) -> GuidanceStatus:
-    """The status that the parts of a session add up to."""
-    vehicle, steering, tracker = context.vehicle, context.steering, context.tracker
-    return GuidanceStatus(
-        time_s=now_s,
-        phase=context.phase,
-        detail=_detail(context),
-        mode=vehicle.mode,
-        is_armed=vehicle.is_armed,
-        is_link_lost=vehicle.is_link_lost(now_s),
-        vehicle_enu_m=vehicle.position_enu_m,
-        height_m=vehicle.height_m,
-        distance_m=vehicle.distance_m,
-        estimate=context.estimate,
-        emitters=emitter_statuses(context, now_s),
-        waypoint=context.flight_plan.waypoint,
-        setpoint_enu_m=steering.setpoint_enu_m,
-        guard=tuple(reason.value for reason in steering.reasons),
-        health=tracker.health,
-        accepted=context.emitters.accepted,
-        refused={reason.value: count for reason, count in context.emitters.rejected.items()},
-        battery_pct=vehicle.battery_pct,
-    )
-
-
-def emitter_statuses(context: SessionContext, now_s: float) -> tuple[EmitterStatus, ...]:
-    """What is known of every emitter that was heard or listed."""
-    current = context.tracker
-    return tuple(
-        EmitterStatus(
-            tracker.emitter_id,
-            context.estimate if tracker is current else tracker.estimate(now_s),
-            is_current=tracker is current,
-            is_reported=tracker.emitter_id in context.reports,
-        )
-        for tracker in context.emitters.trackers
-        if tracker.emitter_id is not None
-    )
-
-
 def _detail(context: SessionContext) -> str:
     """Why it waits or holds, how far the launch is, or what it flies at."""
     phase, launch = context.phase, context.launch
@@ -263,9 +223,39 @@ class GuidanceSession:
         return f"cannot be changed during {self.phase.value}" if is_passing else None
 
     def emitters(self, now_s: float) -> tuple[EmitterStatus, ...]:
-        """What is known of every emitter; a part of `status` that costs little."""
-        return emitter_statuses(self.context, now_s)
+        """What is known of every emitter that was heard or listed; costs little."""
+        context, current = self.context, self.context.tracker
+        return tuple(
+            EmitterStatus(
+                tracker.emitter_id,
+                context.estimate if tracker is current else tracker.estimate(now_s),
+                is_current=tracker is current,
+                is_reported=tracker.emitter_id in context.reports,
+            )
+            for tracker in context.emitters.trackers
+            if tracker.emitter_id is not None
+        )
 
     def status(self, now_s: float) -> GuidanceStatus:
         """A snapshot for views and logs."""
-        return snapshot(now_s, self.context)
+        context, vehicle, steering = self.context, self.vehicle, self.steering
+        return GuidanceStatus(
+            time_s=now_s,
+            phase=context.phase,
+            detail=_detail(context),
+            mode=vehicle.mode,
+            is_armed=vehicle.is_armed,
+            is_link_lost=vehicle.is_link_lost(now_s),
+            vehicle_enu_m=vehicle.position_enu_m,
+            height_m=vehicle.height_m,
+            distance_m=vehicle.distance_m,
+            estimate=context.estimate,
+            emitters=self.emitters(now_s),
+            waypoint=context.flight_plan.waypoint,
+            setpoint_enu_m=steering.setpoint_enu_m,
+            guard=tuple(reason.value for reason in steering.reasons),
+            health=context.tracker.health,
+            accepted=context.emitters.accepted,
+            refused={reason.value: count for reason, count in context.emitters.rejected.items()},
+            battery_pct=vehicle.battery_pct,
+        )

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from companion.domain import FlightMode, NonNegative, Params, Positive
+from companion.domain import NonNegative, Params, Positive
 from companion.guard.gate import GuardLimits
 from companion.planning.planner import Planner
 
@@ -34,7 +34,7 @@ class SessionParams(Params, frozen=True):
     stop_confirm_s: Positive = 10.0
     """... for this long."""
     on_localised: Literal["hold", "return", "land"] = "hold"
-    """Mode the autopilot is asked for after the report."""
+    """Mode the autopilot is asked for after the report, a value of `FlightMode`."""
     ranging_timeout_s: Annotated[float, msgspec.Meta(ge=0.5)] = 5.0
     """Without a usable measurement for this long: hold."""
     degraded_after_s: Positive = 2.0
@@ -54,14 +54,6 @@ class SessionParams(Params, frozen=True):
     def __post_init__(self) -> None:
         if self.battery_low_pct < self.battery_critical_pct:
             raise ValueError("battery_low_pct must not be below battery_critical_pct")
-
-
-FOLLOW_UP_MODE = {
-    "hold": FlightMode.HOLD,
-    "return": FlightMode.RETURN,
-    "land": FlightMode.LAND,
-}
-"""`SessionParams.on_localised` as a mode."""
 
 
 class When(Enum):

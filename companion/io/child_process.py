@@ -44,11 +44,7 @@ class ChildProcess:
     """
 
     def __init__(
-        self,
-        name: str,
-        arguments: Sequence[str],
-        log: Path,
-        env: Mapping[str, str] | None = None,
+        self, name: str, arguments: Sequence[str], log: Path, env: Mapping[str, str] | None = None
     ) -> None:
         self.name = name
         self._arguments = [sys.executable, *arguments]

@@ -90,11 +90,7 @@ def write_bytes_atomic(path: Path, content: bytes, mode: int = 0o666) -> None:
 
 
 def check_writable(path: Path) -> None:
-    """Make sure, before long work, that a file can be written at its end.
-
-    Raises:
-        CompanionError: Its folder is missing or closed to us, or it is a folder itself.
-    """
+    """Make sure, before long work, that a file can be written after it, or say why not."""
     if path.is_dir() or not path.name:
         raise CompanionError(f"{path}: is a folder; give the name of a file")
     if not path.parent.is_dir():
@@ -106,10 +102,7 @@ def check_writable(path: Path) -> None:
 def new_flight_directory(root: Path, unix_s: float) -> Path:
     """A new directory under `root`, named by the time, for example `2026-11-21T02-50-00Z`.
 
-    A second flight in the same second gets `-2`.
-
-    Raises:
-        CompanionError: It cannot be made.
+    A second flight in the same second gets `-2`. A `CompanionError` if it cannot be made.
     """
     name = datetime.fromtimestamp(unix_s, UTC).strftime("%Y-%m-%dT%H-%M-%SZ")
     suffix = 1

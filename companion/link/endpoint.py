@@ -92,13 +92,7 @@ class CompanionEndpoint:
         self._queries = AutopilotQueries(self.binding, session.fencing)
         self._health = LinkHealth(params.link)
         self.executor = SessionExecutor(
-            session,
-            params.vehicle,
-            self.binding,
-            self.outlet,
-            self._queries,
-            self._health,
-            journal,
+            session, params.vehicle, self.binding, self.outlet, self._queries, self._health, journal
         )
         self._parameters = ParameterServer(tunables, self.executor)
         self._commands = CommandHandler(self.executor, self._parameters)
@@ -129,10 +123,12 @@ class CompanionEndpoint:
         self.authenticity.advance(now_s)
         intake = self._intakes[chunk.link]
         for data in intake.take(chunk):
-            if intake.is_raw:
-                self._receive_raw(data, chunk, now_s)
-            else:
+            if not intake.is_raw:
                 self._receive_frame(data, chunk, now_s)
+                continue
+            if self._recorder is not None:
+                self._recorder.raw(data, chunk.link, chunk.peer, now_s)
+            self._receive_ranging(self._sources[chunk.link].receive(data, now_s), now_s)
 
     def handle_timer(self, now_s: float) -> None:
         """The control tick; a late one is not made up for."""
@@ -141,7 +137,9 @@ class CompanionEndpoint:
         self.shield.tick(now_s)
         for intake in self._intakes:
             intake.budget.renew()
-        self._announce_texts(now_s)
+        signing, links = self.authenticity.tick(now_s), self._alarms.tick(now_s)
+        for text in (*signing, *links, *self._queries.new_texts(now_s)):
+            self.outlet.announce(text, now_s)
         stalled_s = self._health.tick(now_s)
         if stalled_s is not None:
             self._queries.ask_mode()
@@ -198,11 +196,6 @@ class CompanionEndpoint:
 
     # On the way in
 
-    def _receive_raw(self, data: bytes, chunk: Chunk, now_s: float) -> None:
-        if self._recorder is not None:
-            self._recorder.raw(data, chunk.link, chunk.peer, now_s)
-        self._receive_ranging(self._sources[chunk.link].receive(data, now_s), now_s)
-
     def _receive_ranging(self, measurements: list[RangingMeasurement], now_s: float) -> None:
         for measurement in measurements:
             self.executor.handle(events.RangingReceived(now_s, measurement), now_s)
@@ -255,11 +248,6 @@ class CompanionEndpoint:
             self._commands.receive(message, now_s, may_grant=may_grant)
 
     # At the control tick
-
-    def _announce_texts(self, now_s: float) -> None:
-        signing, links = self.authenticity.tick(now_s), self._alarms.tick(now_s)
-        for text in (*signing, *links, *self._queries.new_texts(now_s)):
-            self.outlet.announce(text, now_s)
 
     def _ask_autopilot(self, now_s: float) -> None:
         given_up = self._queries.fence.check_silence(now_s)

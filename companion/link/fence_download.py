@@ -155,11 +155,7 @@ def _fence_event(items: Sequence[Item], count: int, now_s: float) -> AutopilotFe
 
 
 def fence_of_items(items: Sequence[Item]) -> GeoFence | None:
-    """The fence that items make; None if there is nothing in them to keep to.
-
-    Raises:
-        ValueError: They make none; the text begins with the number of the item, from 1.
-    """
+    """The fence that items make, if any; a `ValueError` begins with the number of the item."""
     areas: list[NamedArea] = []
     index = 0
     while index < len(items):

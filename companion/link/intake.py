@@ -126,7 +126,9 @@ class AutopilotBinding:
         if autopilot is None or system_id == 0:
             return
         if self.is_bound:
-            self._note_other(system_id)
+            is_new = system_id not in (self.system_id, *self.others)
+            if is_new and self.wanted_system_id is None and len(self.others) < MOST_OTHERS:
+                self.others.append(system_id)
             return
         if self.wanted_system_id not in (None, system_id):
             return
@@ -134,12 +136,6 @@ class AutopilotBinding:
         self.component_id = heartbeat.get_srcComponent()
         self.autopilot = autopilot
         self.peer = peer
-
-    def _note_other(self, system_id: int) -> None:
-        if self.wanted_system_id is not None or len(self.others) >= MOST_OTHERS:
-            return
-        if system_id != self.system_id and system_id not in self.others:
-            self.others.append(system_id)
 
 
 MAX_SOURCES = 64

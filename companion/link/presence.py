@@ -39,12 +39,6 @@ ICON_FLAGS = (
     | mavlink.ADSB_FLAGS_VALID_ALTITUDE
     | mavlink.ADSB_FLAGS_VALID_CALLSIGN
 )
-STATES = {
-    EstimateState.SEARCHING: TargetState.SEARCHING,
-    EstimateState.AMBIGUOUS: TargetState.AMBIGUOUS,
-    EstimateState.LOCALISED: TargetState.LOCALISED,
-    EstimateState.DIVERGED: TargetState.DIVERGED,
-}
 
 
 class Presence:
@@ -115,7 +109,7 @@ def estimate_message(
         -estimate.bearing_offset_rad,
         estimate.measurements,
         emitter_id,
-        STATES[estimate.state],
+        TargetState[estimate.state.name],
     )
 
 

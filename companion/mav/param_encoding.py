@@ -110,11 +110,7 @@ class RawParamValue(mavlink.MAVLink_param_value_message):
     def pack(self, mav: mavlink.MAVLink, force_mavlink1: bool = False) -> bytes:
         """The frame's bytes."""
         rest = self.unpacker.pack(
-            0.0,
-            self.param_count,
-            self.param_index,
-            self.param_id.encode("ascii"),
-            self.param_type,
+            0.0, self.param_count, self.param_index, self.param_id.encode("ascii"), self.param_type
         )
         payload = self.raw + rest[VALUE_LENGTH:]
         return bytes(self._pack(mav, self.crc_extra, payload, force_mavlink1=force_mavlink1))

@@ -176,9 +176,6 @@ def replay_flight(
     """Run a recorded flight (its folder, a file in it, or an MCAP file) again; see `rerun`.
 
     `config` is another configuration; None: the flight's own.
-
-    Raises:
-        ConfigError: The flight cannot be read.
     """
     recording = open_recording(path)
     facts = recording.facts
@@ -256,10 +253,6 @@ def replay_on_map(
     """Run a recorded flight again on the live map, and stay there until Ctrl-C.
 
     There are no buttons, whatever the settings say. `done` gets the result as soon as it is there.
-
-    Raises:
-        ConfigError: The flight cannot be read.
-        CompanionError: The page cannot be served.
     """
     used = open_recording(path).facts.config if config is None else config
     view = WebView(settings, used)

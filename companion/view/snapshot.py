@@ -34,11 +34,7 @@ def scene_of(config: CompanionConfig) -> Json:
     mission = config.mission
     return {
         "stop_radius_m": mission.stop_radius_m,
-        "old_after_s": {
-            "autopilot": 1.0,
-            "position": 0.5,
-            "ranging": mission.ranging_timeout_s,
-        },
+        "old_after_s": {"autopilot": 1.0, "position": 0.5, "ranging": mission.ranging_timeout_s},
     }
 
 

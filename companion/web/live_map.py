@@ -103,15 +103,7 @@ class WebProcess:
         if find_spec("nicegui") is None:
             raise CompanionError("--web needs the extra web: pip install 'companion-guidance[web]'")
         listener = listening_socket(settings)
-        first = {
-            "fd": listener.fileno(),
-            "host": settings.host,
-            "token": settings.token,
-            "is_control_on": settings.is_control_on,
-            "is_view_open": settings.is_view_open,
-            "tiles": None if settings.tiles is None else str(settings.tiles.resolve()),
-            "scene": scene,
-        }
+        first = {"fd": listener.fileno(), "settings": settings, "scene": scene}
         self._child = subprocess.Popen(
             [sys.executable, "-m", "companion.web"],
             stdin=subprocess.PIPE,
@@ -232,11 +224,7 @@ ROOM_S = 0.012
 
 
 class WebView(Collector):
-    """The live map of one flight, with the emitter's true place if somebody knows it.
-
-    Raises:
-        CompanionError: The port is taken, or the extra `web` is not installed.
-    """
+    """The live map of one flight, with the emitter's true place if somebody knows it."""
 
     def __init__(
         self,

@@ -31,7 +31,7 @@ from nicegui import ui
 from nicegui.element import Element
 
 from companion.web.panels import AgeBars, Charts, EmitterList, Numbers, PhaseBar, TextList
-from companion.web.settings import Access, tile, zooms_of
+from companion.web.settings import Access, WebSettings, tile, zooms_of
 
 TRACK_POINTS = 1000
 TRACK_STEP_M = 0.5
@@ -251,12 +251,7 @@ def build_app(
         if not access.may_view(client, token):
             return PlainTextResponse(REFUSED, 403)
         may_press = access.may_control(client, token)
-        Page(
-            hub,
-            tile_zooms=zooms,
-            press=press if may_press else None,
-            wall_s=time.monotonic,
-        )
+        Page(hub, tile_zooms=zooms, press=press if may_press else None, wall_s=time.monotonic)
         return None
 
     if tiles is not None:
@@ -286,9 +281,9 @@ async def serve() -> None:
         return
     first: Mapping[str, Any] = json.loads(line)
     hub = PictureFeed(first["scene"])
-    access = Access(first["host"], first["token"], first["is_control_on"], first["is_view_open"])
-    tiles = None if first["tiles"] is None else Path(first["tiles"])
-    app = build_app(hub, access, tiles, _press)
+    settings = WebSettings(**first["settings"])
+    tiles = None if settings.tiles is None else Path(settings.tiles)
+    app = build_app(hub, settings, tiles, _press)
     listener = socket.socket(fileno=first["fd"])
     server = uvicorn.Server(
         uvicorn.Config(

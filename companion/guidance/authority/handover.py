@@ -20,7 +20,6 @@ from companion.guidance.context import SessionContext
 from companion.guidance.flight.fencing import Fencing
 from companion.guidance.flight.vehicle import ORIGIN_STEP_M, VehicleView
 from companion.guidance.health.findings import Finding, Reason, Verdict
-from companion.guidance.session_params import FOLLOW_UP_MODE
 
 MISSING_PATIENCE_S = 10.0
 """What is missing for less than this is simply not there yet."""
@@ -375,7 +374,7 @@ class Handover:
     def _stop(self, now_s: float) -> None:
         """The process is asked to end: hand the vehicle back if it is in our hands."""
         context = self._context
-        follow_up = FOLLOW_UP_MODE[context.params.on_localised]
+        follow_up = FlightMode(context.params.on_localised)
         mode = hand_back_mode(context.authority, context.vehicle, context.launch, follow_up)
         if not context.stop(now_s):
             return

@@ -112,12 +112,7 @@ IN_CONTROL = FLYING | {Phase.HOLD}
 HAS_VEHICLE = IN_CONTROL | {Phase.FINISHED, Phase.HANDBACK}
 """Phases in which the vehicle is in our hands, or was a moment ago."""
 
-STREAMING = IN_CONTROL | {
-    Phase.STANDBY,
-    Phase.LAUNCHING,
-    Phase.FINISHED,
-    Phase.HANDBACK,
-}
+STREAMING = IN_CONTROL | {Phase.STANDBY, Phase.LAUNCHING, Phase.FINISHED, Phase.HANDBACK}
 """Phases in which setpoints may be sent at all."""
 
 OUT_OF_CONTROL = frozenset({Phase.WAITING, Phase.YIELD, Phase.STOPPED})

@@ -30,11 +30,7 @@ class FlightPlan:
     """The planner with its memory, and the waypoint that it wants now."""
 
     def __init__(
-        self,
-        planner: Planner[Any],
-        guard: Guard,
-        emitters: EmitterQueue,
-        altitude_m: float,
+        self, planner: Planner[Any], guard: Guard, emitters: EmitterQueue, altitude_m: float
     ) -> None:
         self.waypoint: Waypoint | None = None
         self._planner = planner

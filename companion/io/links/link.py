@@ -55,11 +55,7 @@ class Link(ABC):
 
     @abstractmethod
     async def open(self) -> None:
-        """Start listening or connecting.
-
-        Raises:
-            LinkError: It can never work as configured (port taken, no such host).
-        """
+        """Start listening or connecting; a `LinkError` if it can never work as configured."""
 
     @property
     def is_open(self) -> bool:

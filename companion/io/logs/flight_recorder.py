@@ -20,12 +20,7 @@ from companion.link.interface import InputRecorder
 
 log = logging.getLogger("companion.flight")
 
-LEVELS = {
-    Severity.ERROR: logging.ERROR,
-    Severity.WARNING: logging.WARNING,
-    Severity.NOTICE: logging.INFO,
-    Severity.INFO: logging.INFO,
-}
+LEVELS = {Severity.ERROR: logging.ERROR, Severity.WARNING: logging.WARNING}
 EVENTS_SHARE = 0.1
 INPUTS_SHARE = 0.45
 """Of a flight's cap; the tlog takes the rest, which is as much."""
@@ -78,9 +73,6 @@ class FlightJournal(BlackBox):
 
     Wall clock time (`started_unix_s` at `now_s` = 0) is used for logs and nothing else. Of more
     than `max_bytes` the newest is kept. `mcap` gets everything as well, and is closed with it.
-
-    Raises:
-        CompanionError: A file cannot be opened.
     """
 
     def __init__(
@@ -185,4 +177,4 @@ class FlightJournal(BlackBox):
 
 
 def _show(severity: Severity, text: str, now_s: float) -> None:
-    log.log(LEVELS[severity], "%7.1f s  %s", now_s, text)
+    log.log(LEVELS.get(severity, logging.INFO), "%7.1f s  %s", now_s, text)

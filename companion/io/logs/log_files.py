@@ -169,10 +169,9 @@ class InputLog(BackgroundFile):
 
 
 def read_inputs(path: Path) -> Iterator[Input]:
-    """The inputs of a flight, in order; a torn last record (a power cut) ends them.
+    """The inputs of a flight, in order, but for a torn last record (a power cut).
 
-    Raises:
-        ConfigError: The file cannot be read, is none of ours, or lacks records; one line says so.
+    A `ConfigError` says what else is wrong: no file of ours, or records that are missing.
     """
     return parse_inputs(read_file(path), str(path))
 

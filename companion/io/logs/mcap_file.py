@@ -110,11 +110,7 @@ class McapLog(WriterThread[Message]):
     """
 
     def __init__(
-        self,
-        path: Path,
-        started_unix_s: float,
-        flight_json: str,
-        max_bytes: int | None = None,
+        self, path: Path, started_unix_s: float, flight_json: str, max_bytes: int | None = None
     ) -> None:
         self.path = path
         self._started_ns = 1000 * round(started_unix_s * 1e6)

@@ -109,8 +109,7 @@ class _Slot(msgspec.Struct, frozen=True):
 class SigningStore:
     """The two slots of one key, `NAME.time-0` and `NAME.time-1` beside its file.
 
-    Raises:
-        ConfigError: The slots are there and none of them can be read.
+    A `ConfigError` if they are there and none of them can be read.
     """
 
     def __init__(self, key_file: Path, key: SigningKey) -> None:
