@@ -21,6 +21,8 @@ OBSERVED_PX4 = "PX4 1.15, observed in SITL"
 OBSERVED_ARDUPILOT = "ArduCopter 4.5, observed in SITL"
 OBSERVED_BOTH = f"{OBSERVED_PX4}; {OBSERVED_ARDUPILOT}"
 
+# Messages and numbers of the dialect, by the names that rules call them
+
 Ack = mavlink.MAVLink_command_ack_message
 Attitude = mavlink.MAVLink_attitude_message
 Battery = mavlink.MAVLink_battery_status_message
@@ -70,6 +72,8 @@ RALLY = mavlink.MAV_MISSION_TYPE_RALLY
 ALL = mavlink.MAV_MISSION_TYPE_ALL
 INT32, REAL32 = mavlink.MAV_PARAM_TYPE_INT32, mavlink.MAV_PARAM_TYPE_REAL32
 NAN = math.nan
+
+# Results: MAV_RESULT, then MAV_MISSION_RESULT
 
 ACCEPTED, TEMPORARILY_REJECTED, DENIED, UNSUPPORTED, FAILED = 0, 1, 2, 3, 4
 IN_PROGRESS, CANCELLED = 5, 6
