@@ -1,4 +1,4 @@
-"""`python -m sim_link.conformance`."""
+"""`python -m sim_link.lab.conformance`."""
 
 from __future__ import annotations
 

@@ -71,8 +71,6 @@ def fly_in_memory(
 
 
 class _MissionFlight:
-    """One flight with everybody around it."""
-
     def __init__(self, mission: Mission, seed: int, make_companion: MakeCompanion) -> None:
         self.record = FlightRecord(autopilot=mission.autopilot.flavour, scope=LOCKSTEP)
         emitters = true_places(mission)
@@ -184,8 +182,6 @@ class _Watcher(Observer):
 
 
 class _Operator:
-    """The operator of a flight in memory."""
-
     def __init__(self, flight: Flight, station: Station) -> None:
         self._flight = flight
         self._station = station

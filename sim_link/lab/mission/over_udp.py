@@ -106,8 +106,6 @@ def fly_over_udp(
 
 
 class _UdpFlight:
-    """One flight with its processes."""
-
     def __init__(
         self, mission: Mission, seed: int, folder: Path, speed: float, connect: str | None
     ) -> None:

@@ -212,8 +212,6 @@ class StepRule:
 
 @dataclass(slots=True)
 class _RunningStep:
-    """A step that is being flown."""
-
     number: int
     name: str
     step: Step
