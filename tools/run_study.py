@@ -6,26 +6,33 @@ Exit code 1: stopped, a backend gave out, or a built-in check failed. 2: bad inp
 from __future__ import annotations
 
 import argparse
+import csv
+import io
 import os
 import signal
 import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import astuple, fields
 from pathlib import Path
+
+import msgspec
 
 from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_json_atomic, write_text_atomic
+from sim_link.lab.evaluation.campaign import RunSeries
+from sim_link.lab.evaluation.filterpy_ekf import LARGEST_DIFFERENCE_M, EkfCheck
 from sim_link.lab.evaluation.reporting.study_report import write_report
 from sim_link.lab.evaluation.reporting.study_tables import (
-    csv_text,
     rows_of,
     studies_of,
 )
+from sim_link.lab.evaluation.study import ResultRow
 from sim_link.lab.evaluation.study_run import (
     FOLDER_NAME,
     PlannedStudy,
     Store,
     Work,
     carried_out,
-    checks_of,
     cost_of,
     planned,
     results_of,
@@ -108,6 +115,43 @@ def written(studies: list[PlannedStudy], work: Work, store: Store, seed: int, ou
     for name in failed:
         print(f"run_study: the check {name} failed, see {out / 'checks.json'}", file=sys.stderr)
     return 1 if failed else 0
+
+
+def csv_text(rows: Sequence[ResultRow]) -> str:
+    """Rows as a CSV file has them, with their header."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([field.name for field in fields(ResultRow)])
+    writer.writerows(astuple(row) for row in rows)
+    return text.getvalue()
+
+
+def checks_of(work: Mapping[str, RunSeries], store: Store) -> dict[str, dict[str, object]]:
+    """What the built-in check of the EKF came to, for checks.json; empty without an EKF."""
+    checks = {key: task for key, task in work.items() if isinstance(task, EkfCheck)}
+    if not checks:
+        return {}
+    gaps = {key: _difference(text) for key, text in store.found(checks).items()}
+    worst = max(gaps, key=lambda key: gaps[key])
+    return {
+        "ekf_is_filterpys": {
+            "what": "largest difference between the EKF of the tables and filterpy's filter after "
+            "an update from the same state, with the same measurement from the same place, of a "
+            "coordinate or the range offset, metres",
+            "cells": len(checks),
+            "runs_of_each": max(check.runs for check in checks.values()),
+            "largest_difference_m": gaps[worst],
+            "limit_m": LARGEST_DIFFERENCE_M,
+            "is_met": gaps[worst] <= LARGEST_DIFFERENCE_M,
+            "worst_system": checks[worst].system.label,
+            "worst_case": msgspec.to_builtins(checks[worst].case),
+        }
+    }
+
+
+def _difference(text: bytes) -> float:
+    gap = msgspec.json.decode(text)
+    return float("inf") if gap is None else float(gap)  # JSON has no infinity
 
 
 def check_folder(path: Path) -> None:

@@ -19,6 +19,7 @@ extremes to mean something it takes some 2000 runs.
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -36,11 +37,11 @@ from sim_link.lab.evaluation.case import Case, Offsets, canonical_case
 from sim_link.lab.evaluation.metrics import (
     COVERAGE_BAND,
     SETTLED_STEP,
-    bootstrap_rmse_m,
     diverged_count,
     nees_band,
     steps_to_settle,
 )
+from sim_link.lab.evaluation.reporting.study_tables import rmse_interval_m
 from sim_link.lab.evaluation.systems import FilterName, PlannerName, System
 from sim_link.lab.pool import open_pool
 from tools.console import OneLineParser, non_negative, positive
@@ -51,7 +52,6 @@ PARTS: tuple[Part, ...] = ("lawnmower", "bound", "honesty")
 MAX_LAWNMOWER_RMSE_M = 0.35
 OFFSET_BAND_M = (4.5, 6.5)
 MAX_BOUND_RATIO = 1.3
-BOOTSTRAP_SEED = 0
 RANGE_SIGMAS_M = (0.5, 1.5, 2.5)
 HONESTY_CASES: tuple[tuple[float, Offsets], ...] = ((0.0, "fixed"), (0.0, "prior"), (0.9, "fixed"))
 """Share of NLOS, and whose offsets."""
@@ -175,7 +175,7 @@ def lawnmower_plan(runs: int, seed: int) -> Plan:
 def rmse_figure(campaign: RunSeries, tally: RunTally) -> Figure:
     """Final RMSE of a system, with what is worth knowing of it."""
     errors_m = tally.final_errors_m
-    low_m, high_m = bootstrap_rmse_m(errors_m, np.random.default_rng(BOOTSTRAP_SEED))
+    low_m, high_m = rmse_interval_m(errors_m) or (math.nan, math.nan)
     steps = steps_to_settle(tally.rmse_m)
     note = (
         f"95 % interval {low_m:.3f} to {high_m:.3f}, worst {errors_m.max():.2f} m, "

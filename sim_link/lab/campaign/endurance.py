@@ -26,7 +26,7 @@ from companion.config.schema import CompanionConfig
 from companion.guidance.session_params import SessionParams
 from companion.io.logs.flight_recorder import FlightJournal
 from companion.mav.codec import CRC_EXTRA_BY_ID
-from companion.mav.dialect import Message, mavlink
+from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk
 from companion.mav.framing import frame_crc
 from companion.mav.signing import Signing, timestamp_at
@@ -43,33 +43,15 @@ PER_TICK = 10
 SLOWEST_FRAME_S = 0.05
 MOST_GROWTH_MB = 24.0
 SIGNED_LINK = 9
-HEARD: tuple[type[Message], ...] = (
-    mavlink.MAVLink_heartbeat_message,
-    mavlink.MAVLink_local_position_ned_message,
-    mavlink.MAVLink_global_position_int_message,
-    mavlink.MAVLink_attitude_message,
-    mavlink.MAVLink_sys_status_message,
-    mavlink.MAVLink_battery_status_message,
-    mavlink.MAVLink_extended_sys_state_message,
-    mavlink.MAVLink_home_position_message,
-    mavlink.MAVLink_gps_global_origin_message,
-    mavlink.MAVLink_gps_raw_int_message,
-    mavlink.MAVLink_estimator_status_message,
-    mavlink.MAVLink_command_ack_message,
-    mavlink.MAVLink_command_long_message,
-    mavlink.MAVLink_command_int_message,
-    mavlink.MAVLink_statustext_message,
-    mavlink.MAVLink_timesync_message,
-    mavlink.MAVLink_param_value_message,
-    mavlink.MAVLink_mission_count_message,
-    mavlink.MAVLink_mission_item_int_message,
-    mavlink.MAVLink_position_target_local_ned_message,
-    mavlink.MAVLink_position_target_global_int_message,
-    mavlink.MAVLink_rc_channels_message,
-    mavlink.MAVLink_landing_target_message,
-    mavlink.MAVLink_ranging_beacon_message,
-    mavlink.mavlink_map[45010],
+_BY_NAME = {kind.msgname: kind for kind in mavlink.mavlink_map.values()}
+_ACTED_ON = (
+    "HEARTBEAT LOCAL_POSITION_NED GLOBAL_POSITION_INT ATTITUDE SYS_STATUS BATTERY_STATUS "
+    "EXTENDED_SYS_STATE HOME_POSITION GPS_GLOBAL_ORIGIN GPS_RAW_INT ESTIMATOR_STATUS "
+    "COMMAND_ACK COMMAND_LONG COMMAND_INT STATUSTEXT TIMESYNC PARAM_VALUE MISSION_COUNT "
+    "MISSION_ITEM_INT POSITION_TARGET_LOCAL_NED POSITION_TARGET_GLOBAL_INT RC_CHANNELS "
+    "LANDING_TARGET RANGING_BEACON RADIO_RANGING"
 )
+HEARD = tuple(_BY_NAME[name] for name in _ACTED_ON.split())
 """What a companion acts on; some frames are of any message of the dialect."""
 SPECIAL = (np.nan, np.inf, -np.inf, 0.0, -0.0, 1e30, -1.0, 1.0, 1e-42)
 

@@ -1,11 +1,6 @@
 """Errors, convergence and honesty of many runs, and the Cramer-Rao bound beside them.
 
-What is said of many runs: errors, convergence, and whether estimates are honest.
-
-Errors are (runs, steps) unless said otherwise.
-
-What no estimator can beat: Fisher information of the true channel, and the bound on a track.
-
+What no estimator can beat is the bound on a track, from the Fisher information of the true channel.
 A measurement is y = (h_r(x) + delta_r, h_b(x) + delta_b) + e. One draw decides for range and
 bearing together whether the path is obstructed, so the two errors are not independent, and their
 joint density is the mixture
@@ -35,7 +30,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaincinv, log_ndtr
 
 from companion.estimation.target_estimate import MIN_AXIS_RATIO, r95_of_covariance_m
@@ -54,11 +48,6 @@ POSITION_DIMENSIONS = 2
 R95_TABLE_SIZE = 513
 
 
-def rmse_m(errors_m: Matrix) -> Vector:
-    """Root mean square over runs after every step, (steps,)."""
-    return np.asarray(np.sqrt(np.mean(np.square(errors_m), axis=0)))
-
-
 def steps_to_settle(rmse_by_step_m: Vector, threshold_m: float = SETTLED_M) -> int | None:
     """One more than the last step (from 1) with an RMSE not below the threshold.
 
@@ -73,17 +62,6 @@ def steps_to_settle(rmse_by_step_m: Vector, threshold_m: float = SETTLED_M) -> i
 def diverged_count(final_errors_m: Vector, threshold_m: float = DIVERGED_M) -> int:
     """Runs that ended farther off, or nowhere."""
     return int(np.sum(~(final_errors_m <= threshold_m)))
-
-
-def bootstrap_rmse_m(
-    final_errors_m: Vector, rng: np.random.Generator, resamples: int = 2000
-) -> tuple[float, float]:
-    """The 95 % bootstrap percentile interval of the RMSE of (runs,) errors."""
-    runs = len(final_errors_m)
-    squares = np.square(final_errors_m)
-    picked = rng.multinomial(runs, np.full(runs, 1.0 / runs), size=resamples)
-    low, high = np.quantile(np.sqrt(picked @ squares / runs), (0.025, 0.975))
-    return float(low), float(high)
 
 
 def nees(errors_enu_m: Matrix, covariances_m2: Matrix) -> Vector:
@@ -120,12 +98,6 @@ def r95_m(covariances_m2: Matrix) -> Vector:
     return np.asarray(np.interp(sharpness, *_r95_table()) * np.sqrt(high))
 
 
-def coverage(errors_m: Matrix, radii_m: Matrix) -> Vector:
-    """Share of runs whose circle contains the target after every step, (steps,)."""
-    is_inside: NDArray[np.bool_] = errors_m <= radii_m
-    return np.asarray(np.mean(is_inside, axis=0))
-
-
 @lru_cache(maxsize=1)
 def _r95_table() -> tuple[Vector, Vector]:
     """Ratios of the axes, and R95 in units of the longer one."""
@@ -156,15 +128,12 @@ class ChannelInformation:
 def channel_information(
     channel: ChannelParams, points_per_sigma: int = 12, *, is_joint: bool = True
 ) -> ChannelInformation:
-    """The information J of a channel, by quadrature over both errors.
+    """The information J of a channel with thermal noise, or a ValueError, by quadrature.
 
     Args:
         points_per_sigma: Nodes of the trapezoidal rule per thermal standard deviation.
         is_joint: Whether one draw decides for range and bearing; otherwise each has its own, the
             errors are independent, and neither tells whether the other is long or bent.
-
-    Raises:
-        ValueError: A channel without thermal noise: information without limit.
     """
     if channel.range_sigma_m <= 0.0 or channel.bearing_sigma_deg <= 0.0:
         raise ValueError("a channel without thermal noise has no bound")
@@ -185,13 +154,10 @@ def _information(
 ) -> ChannelInformation:
     """The trapezoidal rule converges faster than any power here: all is smooth and dies out."""
     wide = math.hypot(bearing_sigma, bend)
-    da, db = range_sigma / fineness, bearing_sigma / fineness
-    farthest = TAIL_SIGMAS * range_sigma + TAIL_MEANS * mean_bias
-    a = np.arange(-TAIL_SIGMAS * range_sigma, farthest + da, da)
+    db = bearing_sigma / fineness
+    da, (clear_a, clear_da), (blocked_a, blocked_da) = _ranges(range_sigma, mean_bias, fineness)
     b = np.arange(0.0, TAIL_SIGMAS * wide + db, db)
     weights = np.where(b == 0.0, da * db, 2.0 * da * db)  # even in b: half of the plane will do
-    clear_a, clear_da = normal(a, range_sigma)
-    blocked_a, blocked_da = modified_normal(a, range_sigma, mean_bias)
     clear_b, clear_db = normal(b, bearing_sigma)
     blocked_b, blocked_db = normal(b, wide)
     by_range = by_bearing = 0.0
@@ -212,21 +178,31 @@ def _separate_information(
 ) -> ChannelInformation:
     """Each of the two mixtures by itself."""
     wide = math.hypot(bearing_sigma, bend)
-    da, db = range_sigma / fineness, bearing_sigma / fineness
-    farthest = TAIL_SIGMAS * range_sigma + TAIL_MEANS * mean_bias
-    a = np.arange(-TAIL_SIGMAS * range_sigma, farthest + da, da)
+    db = bearing_sigma / fineness
     b = np.arange(-TAIL_SIGMAS * wide, TAIL_SIGMAS * wide + db, db)
-    clear_and_blocked = (
-        (normal(a, range_sigma), modified_normal(a, range_sigma, mean_bias), da),
-        (normal(b, bearing_sigma), normal(b, wide), db),
-    )
+    da, clear_a, blocked_a = _ranges(range_sigma, mean_bias, fineness)
     found = []
-    for (clear, clear_slope), (blocked, blocked_slope), width in clear_and_blocked:
+    for (clear, clear_slope), (blocked, blocked_slope), width in (
+        (clear_a, blocked_a, da),
+        (normal(b, bearing_sigma), normal(b, wide), db),
+    ):
         density = (1.0 - p) * clear + p * blocked
         slope = (1.0 - p) * clear_slope + p * blocked_slope
         inverse = np.divide(1.0, density, out=np.zeros_like(density), where=density > 1e-290)
         found.append(width * float(np.sum(slope * slope * inverse)))
     return ChannelInformation(*found)
+
+
+Density = tuple[Vector, Vector]
+"""And its derivative."""
+
+
+def _ranges(sigma: float, mean_bias: float, fineness: int) -> tuple[float, Density, Density]:
+    """Step of the nodes of range errors, and there the densities on clear and blocked paths."""
+    da = sigma / fineness
+    farthest = TAIL_SIGMAS * sigma + TAIL_MEANS * mean_bias
+    a = np.arange(-TAIL_SIGMAS * sigma, farthest + da, da)
+    return da, normal(a, sigma), modified_normal(a, sigma, mean_bias)
 
 
 def normal(x: Vector, sigma: float) -> tuple[Vector, Vector]:

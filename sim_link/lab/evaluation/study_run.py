@@ -211,29 +211,6 @@ def results_of(studies: Iterable[PlannedStudy], seed: int, store: Store) -> list
     return results
 
 
-def checks_of(work: Work, store: Store) -> dict[str, dict[str, object]]:
-    """What the built-in check of the EKF came to, for checks.json; empty without an EKF."""
-    checks = {key: task for key, task in work.items() if isinstance(task, EkfCheck)}
-    if not checks:
-        return {}
-    gaps = {key: _difference(text) for key, text in store.found(checks).items()}
-    worst = max(gaps, key=lambda key: gaps[key])
-    return {
-        "ekf_is_filterpys": {
-            "what": "largest difference between the EKF of the tables and filterpy's filter after "
-            "an update from the same state, with the same measurement from the same place, of a "
-            "coordinate or the range offset, metres",
-            "cells": len(checks),
-            "runs_of_each": max(check.runs for check in checks.values()),
-            "largest_difference_m": gaps[worst],
-            "limit_m": filterpy_ekf.LARGEST_DIFFERENCE_M,
-            "is_met": gaps[worst] <= filterpy_ekf.LARGEST_DIFFERENCE_M,
-            "worst_system": checks[worst].system.label,
-            "worst_case": msgspec.to_builtins(checks[worst].case),
-        }
-    }
-
-
 def task_key(task: RunSeries) -> str:
     """What a task is kept under."""
     kind = "ekf check" if isinstance(task, EkfCheck) else "tally"
@@ -245,8 +222,3 @@ def cost_of(task: RunSeries) -> float:
     """What a task takes, roughly, milliseconds."""
     name = "filterpy" if isinstance(task, EkfCheck) else task.system.filter
     return COST_MS.get(name, USUAL_COST_MS) * task.runs * task.case.steps / USUAL_STEPS
-
-
-def _difference(text: bytes) -> float:
-    gap = msgspec.json.decode(text)
-    return float("inf") if gap is None else float(gap)  # JSON has no infinity

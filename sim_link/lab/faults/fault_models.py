@@ -122,28 +122,24 @@ class TelemetryNonsense(ContentFault, frozen=True, tag="telemetry_nonsense"):
     share: Share = 0.3
 
 
-class RangingFault(ContentFault, frozen=True):
-    """Something with the radio's measurements."""
-
-
-class RangingDropout(RangingFault, frozen=True, tag="ranging_dropout"):
+class RangingDropout(ContentFault, frozen=True, tag="ranging_dropout"):
     """Range, bearing or both are missing."""
 
     missing: RangingField = "both"
 
 
-class RangingFreeze(RangingFault, frozen=True, tag="ranging_freeze"):
+class RangingFreeze(ContentFault, frozen=True, tag="ranging_freeze"):
     """The radio repeats its last measurement with fresh stamps."""
 
 
-class RangingWrongUnit(RangingFault, frozen=True, tag="ranging_wrong_unit"):
+class RangingWrongUnit(ContentFault, frozen=True, tag="ranging_wrong_unit"):
     """Range or bearing comes in another unit."""
 
     of: RangingField = "range"
     factor: Positive = 100.0
 
 
-class RangingOutliers(RangingFault, frozen=True, tag="ranging_outliers"):
+class RangingOutliers(ContentFault, frozen=True, tag="ranging_outliers"):
     """Some measurements are grossly wrong: too long or too short, and a bearing from anywhere."""
 
     share: Share = 0.3
@@ -154,19 +150,19 @@ class RangingOutliers(RangingFault, frozen=True, tag="ranging_outliers"):
     burst: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 1
 
 
-class RangingStale(RangingFault, frozen=True, tag="ranging_stale"):
+class RangingStale(ContentFault, frozen=True, tag="ranging_stale"):
     """Measurements arrive late, with the stamp of when they were made."""
 
     age_s: Positive = 0.7
 
 
-class RangingOutOfOrder(RangingFault, frozen=True, tag="ranging_out_of_order"):
+class RangingOutOfOrder(ContentFault, frozen=True, tag="ranging_out_of_order"):
     """Measurements overtake each other."""
 
     window_s: Positive = 0.8
 
 
-class RangingSecondEmitter(RangingFault, frozen=True, tag="ranging_second_emitter"):
+class RangingSecondEmitter(ContentFault, frozen=True, tag="ranging_second_emitter"):
     """Another emitter answers too; with the same id, it poses as ours."""
 
     east_m: Length = 0.0
@@ -175,7 +171,7 @@ class RangingSecondEmitter(RangingFault, frozen=True, tag="ranging_second_emitte
     """None: it uses ours."""
 
 
-class RangingNan(RangingFault, frozen=True, tag="ranging_nan"):
+class RangingNan(ContentFault, frozen=True, tag="ranging_nan"):
     """Some measurements are no numbers, infinite, negative or absurd."""
 
     share: Share = 0.5
@@ -306,13 +302,6 @@ def fault_from(fields: dict[str, object]) -> Fault:
 
 def fields_of(fault: FaultRecord) -> dict[str, object]:
     """The mapping that names a fault, without what is as by default."""
-    fields = {
-        name: value
-        for name, value in msgspec.to_builtins(fault).items()
-        if name == "kind" or value != _default_of(type(fault), name)
-    }
-    return dict(fields)
-
-
-def _default_of(kind: type[FaultRecord], name: str) -> object:
-    return msgspec.to_builtins(getattr(kind(), name))
+    usual = msgspec.to_builtins(type(fault)())
+    fields: dict[str, object] = msgspec.to_builtins(fault)
+    return {name: value for name, value in fields.items() if name == "kind" or value != usual[name]}

@@ -47,9 +47,9 @@ class Operator:
         self._started_unix_s = started_unix_s
         self._station = MavCodec(255, mavlink.MAV_COMP_ID_MISSIONPLANNER, signing)
 
-    def tell(self, message: Message) -> None:
+    def tell(self, message: Message, peer: Address | None = STATION_PEER) -> None:
         """Send to the vehicle."""
-        self._send(message, STATION_PEER)
+        self._flight.sim.receive(Chunk(0, self._encoded(message), peer), self._flight.now_s)
 
     def command(self, number: int, *params: float) -> None:
         """Command the vehicle; parameters that are left out are NaN."""
@@ -80,7 +80,7 @@ class Operator:
         number, wanted = mavlink.MAV_CMD_REQUEST_MESSAGE, float(mavlink.MAVLINK_MSG_ID_HEARTBEAT)
         system = flight.scenario.system_id
         ask = mavlink.MAVLink_command_long_message(system, 1, number, 0, wanted, *[0.0] * 6)
-        self._send(ask, None)
+        self.tell(ask, None)
         flight.settle()
 
     def grant(self) -> None:
@@ -99,9 +99,6 @@ class Operator:
         ground_m = flight.scenario.origin.altitude_m
         self.command(mavlink.MAV_CMD_NAV_TAKEOFF, *[math.nan] * 6, ground_m + height_m)
         flight.run_until(lambda: flight.mode is FlightMode.HOLD, 60.0)
-
-    def _send(self, message: Message, peer: Address | None) -> None:
-        self._flight.sim.receive(Chunk(0, self._encoded(message), peer), self._flight.now_s)
 
     def _encoded(self, message: Message) -> bytes:
         if self._signing is not None:

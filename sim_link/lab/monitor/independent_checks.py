@@ -28,12 +28,8 @@ INWARDS_M = 2.0 * BORDER_M
 """A place in a corner, or in the notch of one, may be moved by more than the margin."""
 
 
-def is_inside(corners: Corners, point: Point) -> bool:
-    """Whether a point is inside a polygon, by its winding number; so is its border."""
-    return border_distance_m(corners, point) == 0.0 or _is_wound_around(corners, point)
-
-
 def _is_wound_around(corners: Corners, point: Point) -> bool:
+    """Whether the border's winding number about a point is not zero."""
     winding = 0
     north = point[1]
     a = corners[-1]
@@ -84,12 +80,10 @@ def is_moved_inwards(
 def is_way_clear(fence: Corners, keep_outs: Sequence[Corners], start: Point, end: Point) -> bool:
     """Whether the straight way between two points inside crosses no border."""
     return not any(
-        _cross(start, end, a, b) for corners in (fence, *keep_outs) for a, b in _edges(corners)
+        _cross(start, end, corners[i - 1], corners[i])
+        for corners in (fence, *keep_outs)
+        for i in range(len(corners))
     )
-
-
-def _edges(corners: Corners) -> list[tuple[Point, Point]]:
-    return [(corners[i - 1], corners[i]) for i in range(len(corners))]
 
 
 def _side(a: Point, b: Point, p: Point) -> float:

@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 
 from companion.domain import TargetEstimate
-from companion.mav.dialect import MAVLink_target_estimate_message, Message, mavlink
+from companion.mav.dialect import Message, mavlink
 from sim_link.lab.lockstep.observer import Frame
 from sim_link.lab.monitor.independent_checks import Point
 from sim_link.lab.monitor.scene import FRAME_STEP_M, TICK_S, Invariant, ObservedScene, SentSetpoint
@@ -167,27 +167,13 @@ class FreshState(Invariant):
             self.report("a setpoint moved on a stale position", age_s=age_s, moved_m=moved)
 
 
-ALLOWED: frozenset[type[Message]] = frozenset(
-    {
-        mavlink.MAVLink_heartbeat_message,
-        mavlink.MAVLink_set_position_target_local_ned_message,
-        mavlink.MAVLink_set_position_target_global_int_message,
-        mavlink.MAVLink_command_long_message,
-        mavlink.MAVLink_command_ack_message,
-        mavlink.MAVLink_statustext_message,
-        mavlink.MAVLink_timesync_message,
-        mavlink.MAVLink_param_request_read_message,
-        mavlink.MAVLink_request_data_stream_message,
-        mavlink.MAVLink_mission_request_list_message,
-        mavlink.MAVLink_mission_request_int_message,
-        mavlink.MAVLink_mission_ack_message,
-        mavlink.MAVLink_named_value_float_message,
-        mavlink.MAVLink_param_value_message,
-        mavlink.MAVLink_param_error_message,
-        mavlink.MAVLink_autopilot_version_message,
-        MAVLink_target_estimate_message,
-    }
+_MAY_BE_SENT = (
+    "HEARTBEAT SET_POSITION_TARGET_LOCAL_NED SET_POSITION_TARGET_GLOBAL_INT COMMAND_LONG "
+    "COMMAND_ACK STATUSTEXT TIMESYNC PARAM_REQUEST_READ REQUEST_DATA_STREAM MISSION_REQUEST_LIST "
+    "MISSION_REQUEST_INT MISSION_ACK NAMED_VALUE_FLOAT PARAM_VALUE PARAM_ERROR AUTOPILOT_VERSION "
+    "TARGET_ESTIMATE"
 )
+ALLOWED = frozenset(_MAY_BE_SENT.split())
 """Messages that a companion may send to a vehicle, and through it to others."""
 COMMANDS = frozenset(
     {
@@ -200,9 +186,9 @@ COMMANDS = frozenset(
 )
 FORCE = 21196.0
 """Parameter 2 of an arming command that overrides every check."""
-FRAME_OF: dict[type[Message], tuple[int, ...]] = {
-    mavlink.MAVLink_set_position_target_local_ned_message: (mavlink.MAV_FRAME_LOCAL_NED,),
-    mavlink.MAVLink_set_position_target_global_int_message: (mavlink.MAV_FRAME_GLOBAL_INT,),
+FRAME_OF = {
+    "SET_POSITION_TARGET_LOCAL_NED": mavlink.MAV_FRAME_LOCAL_NED,
+    "SET_POSITION_TARGET_GLOBAL_INT": mavlink.MAV_FRAME_GLOBAL_INT,
 }
 FARTHEST_M = 1e6
 WINDOW_S = 1.0
@@ -221,18 +207,17 @@ class KnownFrames(Invariant):
         if message is None:
             self.report("a frame that cannot be read", number=float(frame.number))
             return
-        if type(message) not in ALLOWED:
+        if message.get_type() not in ALLOWED:
             self.report("a message that a companion may not send", number=float(frame.number))
             return
-        frames = FRAME_OF.get(type(message))
-        if frames is not None:
-            self._judge_setpoint(message, frames)
+        if message.get_type() in FRAME_OF:
+            self._judge_setpoint(message)
         if isinstance(message, mavlink.MAVLink_command_long_message):
             self._judge_command(message)
 
-    def _judge_setpoint(self, message: Message, frames: tuple[int, ...]) -> None:
+    def _judge_setpoint(self, message: Message) -> None:
         used = getattr(message, "coordinate_frame", -1)
-        if used not in frames:
+        if used != FRAME_OF[message.get_type()]:
             self.report("a setpoint in a frame that is not allowed", frame=float(used))
         for name, kind in zip(message.fieldnames, message.fieldtypes, strict=True):
             value = getattr(message, name)
@@ -276,12 +261,12 @@ class Bounded(Invariant):
         rules = self.scene.rules
         if len(self._sent) > rules.sent_frames_per_s * WINDOW_S:
             self.report("too many frames in a second", frames=float(len(self._sent)))
-            self._sent.clear()
-            self._sent_bytes = 0
         elif self._sent_bytes > rules.sent_bytes_per_s * WINDOW_S:
             self.report("too many bytes in a second", sent_bytes=float(self._sent_bytes))
-            self._sent.clear()
-            self._sent_bytes = 0
+        else:
+            return
+        self._sent.clear()
+        self._sent_bytes = 0
 
     def noted(self, kind: str, fields: Mapping[str, object]) -> None:  # noqa: ARG002
         """Count lines of the journal."""
@@ -295,9 +280,7 @@ class Bounded(Invariant):
 
     def ticked(self) -> None:
         """Look at the queues."""
-        if self._sizes is None:
-            return
-        for name, (size, bound) in self._sizes().items():
+        for name, (size, bound) in self._sizes().items() if self._sizes is not None else ():
             if size > bound:
                 self.report(f"the queue of {name} grows", size=float(size), bound=float(bound))
 

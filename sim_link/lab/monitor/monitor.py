@@ -118,10 +118,6 @@ WIRE = Scope(
 """Real processes: the frames of both directions as they pass the hub, and the companion's log."""
 
 
-def no_estimate() -> None:
-    """Where nobody shows the companion's estimate."""
-
-
 class FrameMonitor(Observer):
     """Shows a flight to invariants, as far as frames, journal and the companion's process tell it.
 
@@ -235,7 +231,7 @@ class Monitor(FrameMonitor):
         rules: Rules,
         vehicle: SimVehicle,
         *,
-        estimate: Estimate = no_estimate,
+        estimate: Estimate = lambda: None,
         snapshot: Snapshot | None = None,
         key: SigningKey | None = None,
         sizes: Callable[[], Mapping[str, tuple[int, int]]] | None = None,

@@ -118,7 +118,7 @@ class HeardScene(ObservedScene):
     _is_armed: bool = False
     _is_in_air: bool = False
     _home: mavlink.MAVLink_home_position_message | None = None
-    _stamps_from_s: float | None = None
+    stamps_from_s: float | None = None
     """Recorder's time minus that of the setpoints' stamps."""
 
     def remember(self, frame: Frame) -> None:
@@ -146,7 +146,10 @@ class HeardScene(ObservedScene):
                     )
                 case mavlink.MAVLink_home_position_message():
                     self._home = message
-            self._look_for_home()
+            home, world = self._home, self.world_origin
+            if home is not None and world is not None:
+                place = (home.latitude / 1e7, home.longitude / 1e7, home.altitude / 1e3)
+                self.home_up_m = world.enu_from_geodetic(*place)[2]
         super(HeardScene, self).tell(frame)
 
     def setpoint_of(self, frame: Frame) -> SentSetpoint | None:
@@ -155,22 +158,10 @@ class HeardScene(ObservedScene):
         if setpoint is None:
             return None
         stamp_s = getattr(setpoint.message, "time_boot_ms", 0) / 1e3
-        if self._stamps_from_s is None:
-            self._stamps_from_s = setpoint.time_s - stamp_s
-        setpoint.time_s = self._stamps_from_s + stamp_s
+        if self.stamps_from_s is None:
+            self.stamps_from_s = setpoint.time_s - stamp_s
+        setpoint.time_s = self.stamps_from_s + stamp_s
         return setpoint
-
-    def forget_stamps(self) -> None:
-        """Another process stamps by another clock."""
-        self._stamps_from_s = None
-
-    def _look_for_home(self) -> None:
-        home, world = self._home, self.world_origin
-        if home is not None and world is not None:
-            place = world.enu_from_geodetic(
-                home.latitude / 1e7, home.longitude / 1e7, home.altitude / 1e3
-            )
-            self.home_up_m = place[2]
 
 
 class WireMonitor(FrameMonitor):
@@ -224,7 +215,7 @@ class WireMonitor(FrameMonitor):
 
     def companion_started(self, now_s: float) -> None:
         """The companion process began anew."""
-        self.scene.forget_stamps()
+        self.scene.stamps_from_s = None  # another process stamps by another clock
         super().companion_started(now_s)
 
 

@@ -5,30 +5,29 @@ A claim whose cells were not flown is left out; one that could be measured only 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
-from sim_link.lab.evaluation.metrics import (
-    COVERAGE_BAND,
-    DIVERGED_M,
-    SETTLED_STEP,
-    diverged_count,
-    nees_band,
-    steps_to_settle,
+from sim_link.lab.evaluation import metrics
+from sim_link.lab.evaluation.metrics import COVERAGE_BAND, SETTLED_STEP, steps_to_settle
+from sim_link.lab.evaluation.reporting.figure_data import (
+    BEST,
+    FIM,
+    FIM_PRINTED,
+    PASSIVE,
+    REACTIVE,
+    numbers,
 )
-from sim_link.lab.evaluation.reporting.figure_data import numbers
 from sim_link.lab.evaluation.study import CellResult, ResultRow, StudyResult
 from sim_link.lab.evaluation.systems import PLANNER_LABELS, System
 
-BEST = System("map", "latched")
-ONE_SIDED, SYMMETRIC = System("asymmetric_huber", "passive"), System("huber", "passive")
-REACTIVE, FIM = System("asymmetric_huber", "reactive"), System("asymmetric_huber", "fim")
+SYMMETRIC = System("huber", "passive")
 REGIMES = "grand_summary"
 SENSITIVITY = ("p_nlos", "mu_nlos", "step_size", "k_rtt")
 FIXED_TRACKS = ("p_nlos", "mu_nlos", "k_rtt")
-FIM_PRINTED = System("asymmetric_huber", "fim_printed")
 OBSTACLE, ROBUSTNESS, CONSISTENCY = "obstacle", "robustness", "consistency"
 
 MAX_REGIME_RMSE_M, MAX_REGIME_WORST_M = 0.03, 0.15
@@ -58,6 +57,10 @@ class Claim:
     is_met: bool
 
 
+class NotFlownError(Exception):
+    """What a claim is about was not flown."""
+
+
 class Findings:
     """Everything measured in a run, by table and system."""
 
@@ -75,9 +78,13 @@ class Findings:
             if row.metric == "final_rmse_m" and row.paper
         }
 
-    def of(self, system: System, *tables: str) -> list[CellResult]:
+    def find(self, system: System, *tables: str) -> list[CellResult]:
         """A system's cells in tables, in their order."""
         return [cell for cell in self.cells if cell.system == system and cell.table in tables]
+
+    def of(self, system: System, *tables: str) -> list[CellResult]:
+        """The same, or a NotFlownError where there are none."""
+        return _flown(self.find(system, *tables))
 
     def peer(self, cell: CellResult, system: System) -> CellResult | None:
         """Another system in the same place of the same table."""
@@ -92,25 +99,34 @@ class Findings:
         return self._paper.get((cell.table, cell.parameter, cell.value, cell.system.label))
 
 
-Judge = Callable[[Findings], Claim | None]
+Judge = Callable[[Findings], Claim]
 
 
 def claims_of(findings: Findings) -> list[Claim]:
     """The claims that this run can judge."""
-    judged = (judge(findings) for judge in JUDGES)
-    return [claim for claim in judged if claim is not None]
+    claims: list[Claim] = []
+    for judge in JUDGES:
+        with suppress(NotFlownError):
+            claims.append(judge(findings))
+    return claims
 
 
-def _one_sided(findings: Findings) -> Claim | None:
+def _flown(cells: list[CellResult]) -> list[CellResult]:
+    if not cells:
+        raise NotFlownError
+    return cells
+
+
+def _one_sided(findings: Findings) -> Claim:
     by_paper: list[float] = []
     by_huber: list[float] = []
-    for cell in findings.of(ONE_SIDED, *FIXED_TRACKS):
+    for cell in findings.of(PASSIVE, *FIXED_TRACKS):
         paper_m, huber = findings.paper_m(cell), findings.peer(cell, SYMMETRIC)
         if paper_m is not None and huber is not None:
             by_paper.append(final_m(cell) / paper_m)
             by_huber.append(final_m(cell) / final_m(huber))
     if not by_paper:
-        return None
+        raise NotFlownError
     return Claim(
         "One-sided filter on the lawnmower, every cell of the p, mu and k tables",
         "0.217 to 0.473 m",
@@ -121,25 +137,20 @@ def _one_sided(findings: Findings) -> Claim | None:
     )
 
 
-def _reactive(findings: Findings) -> Claim | None:
-    cells = findings.of(REACTIVE, REGIMES)
-    papers = [findings.paper_m(cell) for cell in cells]
-    pairs = [(final_m(c), p) for c, p in zip(cells, papers, strict=True) if p is not None]
-    if not pairs:
-        return None
+def _reactive(findings: Findings) -> Claim:
+    cells = _flown([c for c in findings.of(REACTIVE, REGIMES) if findings.paper_m(c) is not None])
+    finals, papers = [final_m(c) for c in cells], [findings.paper_m(c) or 0.0 for c in cells]
     return Claim(
         "Reactive crossing as printed, range noise low / medium / high",
-        _list([paper for _, paper in pairs], "g") + " m",
+        _list(papers, "g") + " m",
         "<= the paper's cell",
-        _list([ours for ours, _ in pairs]) + " m",
-        all(ours <= paper for ours, paper in pairs),
+        _list(finals) + " m",
+        all(ours <= paper for ours, paper in zip(finals, papers, strict=True)),
     )
 
 
-def _regimes(findings: Findings) -> Claim | None:
+def _regimes(findings: Findings) -> Claim:
     cells = findings.of(BEST, REGIMES)
-    if not cells:
-        return None
     finals, worst = [final_m(c) for c in cells], max(worst_m(c) for c in cells)
     return Claim(
         f"Our best O(1) planner ({BEST.label}) in the noise regimes, final RMSE",
@@ -150,27 +161,25 @@ def _regimes(findings: Findings) -> Claim | None:
     )
 
 
-def _settling(findings: Findings) -> Claim | None:
-    cells = [cell for cell in findings.of(BEST, REGIMES) if cell.value in MAX_STEPS]
-    if not cells:
-        return None
+def _settling(findings: Findings) -> Claim:
+    cells = _flown([cell for cell in findings.of(BEST, REGIMES) if cell.value in MAX_STEPS])
     steps = [steps_to_settle(cell.tally.rmse_m) for cell in cells]
     limits = [MAX_STEPS[cell.value] for cell in cells]
     bound_m = float(cells[0].tally.rmse_bound_m[min(PAPER_STEPS, cells[0].case.steps) - 1])
+    # Offsets unknown, a straight track says very little: then a bound is only large.
+    told = f"{bound_m:.1f} m" if bound_m < FAR_M else f"over {FAR_M:g} m"
     return Claim(
         f"The same, steps to 2.5 m, range noise {' / '.join(cell.value for cell in cells)} m",
         "5 / 20 / 24",
         "<= " + " / ".join(str(limit) for limit in limits),
         " / ".join("never" if s is None else str(s) for s in steps)
-        + f"; the bound after {PAPER_STEPS} steps at {cells[0].value} m is {_told_m(bound_m)}",
+        + f"; the bound after {PAPER_STEPS} steps at {cells[0].value} m is {told}",
         all(s is not None and s <= limit for s, limit in zip(steps, limits, strict=True)),
     )
 
 
-def _anywhere(findings: Findings) -> Claim | None:
+def _anywhere(findings: Findings) -> Claim:
     cells = findings.of(BEST, *SENSITIVITY, OBSTACLE)
-    if not cells:
-        return None
     farthest, worst = max(cells, key=final_m), max(worst_m(cell) for cell in cells)
     tables = ", ".join(dict.fromkeys(cell.table for cell in cells))
     return Claim(
@@ -183,47 +192,43 @@ def _anywhere(findings: Findings) -> Claim | None:
     )
 
 
-def _robustness(findings: Findings) -> Claim | None:
+def _robustness(findings: Findings) -> Claim:
     cells = findings.of(BEST, ROBUSTNESS)
-    if not cells:
-        return None
-    lost = sum(diverged_count(cell.tally.final_errors_m) for cell in cells)
+    lost = sum(metrics.diverged_count(cell.tally.final_errors_m) for cell in cells)
     runs = " + ".join(f"{cell.tally.runs:,}" for cell in cells)
     return Claim(
         "The same, many runs in each regime",
         "-",
-        f"no run ends more than {DIVERGED_M:g} m off",
+        f"no run ends more than {metrics.DIVERGED_M:g} m off",
         f"{lost} of {runs} runs, worst {max(worst_m(cell) for cell in cells):.3f} m",
         lost == 0,
     )
 
 
-def _bound(findings: Findings) -> Claim | None:
+def _bound(findings: Findings) -> Claim:
     ratios: dict[str, float] = {}
     for planner, label in PLANNER_LABELS.items():
-        cells = findings.of(System("map", planner), REGIMES)
+        cells = findings.find(System("map", planner), REGIMES)
         if cells:
             ratios[label] = max(final_m(c) / float(c.tally.rmse_bound_m[-1]) for c in cells)
-    asked = [ratios[label] for label in INFORMED if label in ratios]
+    asked = {label: ratio for label, ratio in ratios.items() if label in INFORMED}
     if not asked:
-        return None
-    others = [f"{label} {ratio:.2f}" for label, ratio in ratios.items() if label not in INFORMED]
+        raise NotFlownError
+    others = [f"{label} {ratio:.2f}" for label, ratio in ratios.items() if label not in asked]
     return Claim(
         "Our best estimator (MAP) by the Cramer-Rao bound of its own tracks, worst regime",
         "-",
         f"<= {MAX_BOUND_RATIO} on crossing and FIM tracks",
-        ", ".join(f"{label} {ratio:.2f}" for label, ratio in ratios.items() if label in INFORMED)
+        ", ".join(f"{label} {ratio:.2f}" for label, ratio in asked.items())
         + (f" (elsewhere: {', '.join(others)})" if others else ""),
-        max(asked) <= MAX_BOUND_RATIO,
+        max(asked.values()) <= MAX_BOUND_RATIO,
     )
 
 
-def _nees(findings: Findings) -> Claim | None:
-    cells = [cell for cell in _honest_cells(findings) if len(cell.tally.mean_nees) > SETTLED_STEP]
-    if not cells:
-        return None
+def _nees(findings: Findings) -> Claim:
+    cells = _honest_cells(findings)
     finals = [float(cell.tally.mean_nees[-1]) for cell in cells]
-    low, high = nees_band(min(cell.tally.runs for cell in cells))
+    low, high = metrics.nees_band(min(cell.tally.runs for cell in cells))
     return Claim(
         f"Consistency ({cells[0].system.label.partition(' ')[0]}): mean NEES of the position, "
         "well-specified noise",
@@ -234,10 +239,8 @@ def _nees(findings: Findings) -> Claim | None:
     )
 
 
-def _coverage(findings: Findings) -> Claim | None:
-    cells = [cell for cell in _honest_cells(findings) if len(cell.tally.coverage) > SETTLED_STEP]
-    if not cells:
-        return None
+def _coverage(findings: Findings) -> Claim:
+    cells = _honest_cells(findings)
     shares = np.array([share for c in cells for share in c.tally.coverage[SETTLED_STEP:]])
     low, high = COVERAGE_BAND
     return Claim(
@@ -249,31 +252,26 @@ def _coverage(findings: Findings) -> Claim | None:
     )
 
 
-def _reversal(findings: Findings) -> Claim | None:
+def _reversal(findings: Findings) -> Claim:
     """The printed planner is asked if it was flown: ours of that name is another one."""
-    fim = _first(findings, FIM_PRINTED) or _first(findings, FIM)
-    reactive = _first(findings, REACTIVE)
-    if fim is None or reactive is None:
-        return None
+    reactive, ours = findings.of(REACTIVE, OBSTACLE)[0], findings.find(FIM, OBSTACLE)[:1]
+    fim = _flown([*findings.find(FIM_PRINTED, OBSTACLE)[:1], *ours])[0]
     is_later, is_worse = _steps(fim) > _steps(reactive), final_m(fim) > final_m(reactive)
-    told = [cell for cell in (fim, _first(findings, FIM), reactive) if cell is not None]
     return Claim(
         "Behind the obstacle FIM fails and reactive crossing does not",
         "a reversal",
         f"{fim.system.label} later and worse than {reactive.system.label}",
-        "; ".join(dict.fromkeys(_ending(cell) for cell in told))
+        "; ".join(dict.fromkeys(_ending(cell) for cell in (fim, *ours, reactive)))
         + f": {'later' if is_later else 'not later'}, "
         f"{'and worse' if is_worse else 'but not worse'}",
         is_later and is_worse,
     )
 
 
-def _obstacle(findings: Findings) -> Claim | None:
-    best = _first(findings, BEST)
-    rivals = [_first(findings, system) for system in (FIM, FIM_PRINTED, REACTIVE)]
-    others = [cell for cell in rivals if cell is not None]
-    if best is None or rivals[0] is None or rivals[-1] is None:
-        return None
+def _obstacle(findings: Findings) -> Claim:
+    best = findings.of(BEST, OBSTACLE)[0]
+    others = [findings.of(FIM, OBSTACLE)[0], findings.of(REACTIVE, OBSTACLE)[0]]
+    others += findings.find(FIM_PRINTED, OBSTACLE)[:1]
     is_met = all(
         final_m(best) < final_m(other) and _steps(best) < _steps(other) for other in others
     )
@@ -286,36 +284,31 @@ def _obstacle(findings: Findings) -> Claim | None:
     )
 
 
-def _first(findings: Findings, system: System) -> CellResult | None:
-    """A system's cell behind the obstacle."""
-    return next(iter(findings.of(system, OBSTACLE)), None)
-
-
 def _ending(cell: CellResult) -> str:
     steps = steps_to_settle(cell.tally.rmse_m)
     settled = "never settles" if steps is None else f"{steps} steps"
     return f"{cell.system.label} {settled}, {final_m(cell):.4f} m"
 
 
-def _costs(findings: Findings) -> Claim | None:
+def _costs(findings: Findings) -> Claim:
     measured: dict[str, float] = {}
-    for system in MAX_COST_MS:
-        costs = [
-            numbers(row.ours)
-            for row in findings.costs
-            if row.system == system and row.metric == "cost_ms_per_step" and row.ours
-        ]
-        if costs:
-            measured[system] = max(costs)
+    for row in findings.costs:
+        if row.system in MAX_COST_MS and row.metric == "cost_ms_per_step" and row.ours:
+            cost_ms = numbers(row.ours)
+            measured[row.system] = max(measured.get(row.system, cost_ms), cost_ms)
     if not measured:
-        return None
+        raise NotFlownError
+    costs = {system: measured[system] for system in MAX_COST_MS if system in measured}
+    ratio = ""
+    if len(costs) == len(MAX_COST_MS):
+        reactive, fim = costs.values()
+        ratio = f", a ratio of {fim / reactive:.1f} (paper: {PAPER_COST_RATIO})"
     return Claim(
         "Cost of a step, filter and reactive planner / filter and FIM",
         "0.012 / 0.28 ms",
-        "<= " + " / ".join(f"{MAX_COST_MS[system]:g}" for system in measured) + " ms compiled",
-        " / ".join(f"{value:.4f}" for value in measured.values())
-        + f" ms on this machine{_cost_ratio(measured)}",
-        all(value <= MAX_COST_MS[system] for system, value in measured.items()),
+        "<= " + " / ".join(f"{MAX_COST_MS[system]:g}" for system in costs) + " ms compiled",
+        " / ".join(f"{value:.4f}" for value in costs.values()) + f" ms on this machine{ratio}",
+        all(value <= MAX_COST_MS[system] for system, value in costs.items()),
     )
 
 
@@ -346,32 +339,22 @@ def worst_m(cell: CellResult) -> float:
 
 
 def _honest_cells(findings: Findings) -> list[CellResult]:
-    """The companion's own tracker, in noise that is as it believes."""
-    return [
-        cell
-        for cell in findings.cells
-        if cell.table == CONSISTENCY
-        and cell.system.filter == "tracker"
-        and cell.case.channel.p_nlos == 0.0
-    ]
+    """The companion's own tracker, in noise as it believes, in runs that are long enough."""
+    return _flown(
+        [
+            cell
+            for cell in findings.cells
+            if cell.table == CONSISTENCY
+            and cell.system.filter == "tracker"
+            and cell.case.channel.p_nlos == 0.0
+            and len(cell.tally.mean_nees) > SETTLED_STEP
+        ]
+    )
 
 
 def _steps(cell: CellResult) -> float:
     steps = steps_to_settle(cell.tally.rmse_m)
     return float("inf") if steps is None else float(steps)
-
-
-def _cost_ratio(measured: Mapping[str, float]) -> str:
-    """FIM's cost by reactive crossing's, where both were measured."""
-    if len(measured) < len(MAX_COST_MS):
-        return ""
-    reactive, fim = measured.values()
-    return f", a ratio of {fim / reactive:.1f} (paper: {PAPER_COST_RATIO})"
-
-
-def _told_m(bound_m: float) -> str:
-    """A bound, as far as it means anything: offsets unknown, a straight track says very little."""
-    return f"{bound_m:.1f} m" if bound_m < FAR_M else f"over {FAR_M:g} m"
 
 
 def _list(values: Sequence[float], form: str = ".3f") -> str:

@@ -23,13 +23,10 @@ a ratio are paired.
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import os
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import astuple, fields
 from functools import lru_cache
 from pathlib import Path
 from typing import get_args
@@ -287,15 +284,6 @@ def load_study(path: Path) -> Study:
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
     return study
-
-
-def csv_text(rows: Sequence[ResultRow]) -> str:
-    """Rows as a CSV file has them, with their header."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([field.name for field in fields(ResultRow)])
-    writer.writerows(astuple(row) for row in rows)
-    return text.getvalue()
 
 
 def _collected(path: Path, folder: Path, above: tuple[Path, ...]) -> list[Study]:

@@ -5,19 +5,12 @@ import pytest
 
 from companion.estimation.target_estimate import r95_of_covariance_m
 from sim_link.lab.evaluation.metrics import (
-    bootstrap_rmse_m,
-    coverage,
     diverged_count,
     nees,
     nees_band,
     r95_m,
-    rmse_m,
     steps_to_settle,
 )
-
-
-def test_rmse_is_over_runs() -> None:
-    np.testing.assert_allclose(rmse_m(np.array([[3.0, 1.0], [4.0, 1.0]])), [np.sqrt(12.5), 1.0])
 
 
 @pytest.mark.parametrize(
@@ -36,21 +29,6 @@ def test_settled_is_after_the_last_step_above(rmse: list[float], steps: int | No
 
 def test_a_run_that_ends_nowhere_has_diverged() -> None:
     assert diverged_count(np.array([0.1, 1.0, 1.1, np.nan, np.inf])) == 3
-
-
-@pytest.mark.slow
-def test_the_bootstrap_interval_is_that_of_a_normal_sample() -> None:
-    errors = np.abs(np.random.default_rng(1).normal(size=4000))
-    low, high = bootstrap_rmse_m(errors, np.random.default_rng(2))
-    # The RMSE of n normal errors of sigma 1 has a standard error of 1 / sqrt(2 n).
-    half = 1.96 / np.sqrt(2.0 * 4000)
-    assert (low, high) == pytest.approx((rmse_m(errors) - half, rmse_m(errors) + half), abs=4e-3)
-
-
-def test_the_bootstrap_is_repeatable() -> None:
-    errors = np.arange(1.0, 20.0)
-    one, other = (bootstrap_rmse_m(errors, np.random.default_rng(3)) for _ in range(2))
-    assert one == other
 
 
 def test_nees_is_the_mahalanobis_distance() -> None:
@@ -84,8 +62,3 @@ def test_the_radius_is_the_companions() -> None:
 
 def test_the_radius_of_no_uncertainty_is_zero() -> None:
     assert r95_m(np.zeros(3)) == 0.0
-
-
-def test_coverage_counts_runs() -> None:
-    errors = np.array([[1.0, 3.0], [2.0, 3.0]])
-    np.testing.assert_allclose(coverage(errors, np.array([[1.5, 3.0], [1.5, 4.0]])), [0.5, 1.0])

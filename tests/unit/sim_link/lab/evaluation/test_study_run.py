@@ -17,13 +17,13 @@ from sim_link.lab.evaluation.study_run import (
     PlannedStudy,
     Store,
     carried_out,
-    checks_of,
     cost_of,
     planned,
     results_of,
     work_of,
 )
 from sim_link.lab.pool import Pool
+from tools.run_study import checks_of
 from tools.verify_estimation import tallies_of
 
 SWEEP = {

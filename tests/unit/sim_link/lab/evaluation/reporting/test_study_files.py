@@ -6,13 +6,12 @@ import pytest
 
 from companion.errors import ConfigError
 from sim_link.lab.evaluation.reporting.study_tables import (
-    csv_text,
     load_study,
     studies_of,
     study_path,
 )
 from sim_link.lab.evaluation.study import ResultRow
-from tools.run_study import check_folder, make_folder
+from tools.run_study import check_folder, csv_text, make_folder
 
 FOLDER = Path(__file__).parents[6] / "configs" / "studies"
 NAMES = sorted(path.stem for path in FOLDER.glob("*.yaml"))
