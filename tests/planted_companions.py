@@ -24,7 +24,7 @@ from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Chunk
 from companion.mav.flight_modes import set_mode_params
 from companion.mav.framing import message_id
-from sim_link.lab.faults.content_effects import rewrite_frame
+from sim_link.lab.faults.fault_effects import rewrite_frame
 from sim_link.lab.lockstep.flight import MakeCompanion
 
 SETPOINT = mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED

@@ -28,16 +28,9 @@ from companion.estimation.filters import robust_update, target_filter
 from companion.estimation.filters.target_filter import FilterState, ModalityReport
 from companion.estimation.measurement_model import BEARING, MODALITIES
 from companion.kernel import Matrix, Vector, kernel
+from sim_link.lab.evaluation import case as cases
 from sim_link.lab.evaluation.campaign import RunSeries, run_trial
-from sim_link.lab.evaluation.case import (
-    Case,
-    RunTruth,
-    Scene,
-    measured_in,
-    run_inputs,
-    run_seeds,
-    scene_of,
-)
+from sim_link.lab.evaluation.case import Case, RunTruth, Scene
 from sim_link.lab.evaluation.systems import belief_of
 from sim_link.lab.evaluation.walk import RANGE_OFFSET, TARGET_EAST, Belief, first_fix, updated
 from sim_link.world.environment import NO_MEMORY
@@ -187,7 +180,7 @@ def replayed(
     means[0, :2] = start_enu_m
     for step in range(steps):
         sensor[:2] = track_enu_m[step]
-        z[step, 0], z[step, 1], memory = measured_in(
+        z[step, 0], z[step, 1], memory = cases.measured_in(
             draws[step], sensor[0], sensor[1], truth, scene, memory
         )
         if math.isnan(means[step, 0]):
@@ -204,12 +197,13 @@ def largest_difference_m(check: RunSeries) -> float:
 
     Between the two filters, or between the one that was compared and the one that flew.
     """
-    case, scene, belief = check.case, scene_of(check.case), belief_of(check.case, check.system)
+    case, scene = check.case, cases.scene_of(check.case)
+    belief = belief_of(case, check.system)
     columns = slice(TARGET_EAST, RANGE_OFFSET + 1)
     found: list[float] = []
-    for seed in run_seeds(check.seed, check.runs):
+    for seed in cases.run_seeds(check.seed, check.runs):
         ours = run_trial(case, check.system, seed)
-        draws, truth, start = run_inputs(case, seed)
+        draws, truth, start = cases.run_inputs(case, seed)
         track = np.ascontiguousarray(ours.track_enu_m)
         replay = replayed(draws, track, start, truth, scene, belief)
         for others in (ours.record[:, columns], _theirs(case, track, replay)):

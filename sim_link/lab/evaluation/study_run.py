@@ -24,15 +24,9 @@ from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_bytes_atomic
 from companion.kernel import IS_COMPILED
 from companion.planning.crossing_kernels import LATCH_SIZE
+from sim_link.lab.evaluation import campaign, filterpy_ekf, walk
 from sim_link.lab.evaluation import case as cases
-from sim_link.lab.evaluation import filterpy_ekf, walk
-from sim_link.lab.evaluation.campaign import (
-    RunSeries,
-    RunTally,
-    joined_in_order,
-    tally_of,
-    unpacked,
-)
+from sim_link.lab.evaluation.campaign import RunSeries
 from sim_link.lab.evaluation.case import Case
 from sim_link.lab.evaluation.filterpy_ekf import EkfCheck
 from sim_link.lab.evaluation.study import Cell, CellResult, Study, StudyResult, cells_of
@@ -94,7 +88,7 @@ def _warm_window(case: Case, system: System) -> None:
 
 def _warm_run(case: Case, system: System) -> None:
     """A whole block of one short run, with all that is told of it."""
-    tally_of(RunSeries(case, system, 0, 1))
+    campaign.tally_of(RunSeries(case, system, 0, 1))
 
 
 def _views(count: int) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
@@ -192,12 +186,12 @@ def carried_out(work: Work, pool: Pool, store: Store, on_done: Callable[[float],
 def _perform(task: RunSeries) -> bytes:
     if isinstance(task, EkfCheck):
         return msgspec.json.encode(filterpy_ekf.largest_difference_m(task))
-    return tally_of(task).packed()
+    return campaign.tally_of(task).packed()
 
 
 def results_of(studies: Iterable[PlannedStudy], seed: int, store: Store) -> list[StudyResult]:
     """What studies came to, from what is kept; a KeyError where not all of it was carried out."""
-    tallies: dict[tuple[str, ...], RunTally] = {}
+    tallies: dict[tuple[str, ...], campaign.RunTally] = {}
     results: list[StudyResult] = []
     for study in studies:
         cells: list[CellResult] = []
@@ -205,7 +199,9 @@ def results_of(studies: Iterable[PlannedStudy], seed: int, store: Store) -> list
             keys = tuple(task_key(block) for block in study.blocks(cell, seed))
             if keys not in tallies:
                 found = store.found(keys)
-                tallies[keys] = joined_in_order(unpacked(found[key]) for key in keys)
+                tallies[keys] = campaign.joined_in_order(
+                    campaign.unpacked(found[key]) for key in keys
+                )
             cells.append(CellResult.of(cell, tallies[keys]))
         results.append(StudyResult(study.study, study.runs, seed, tuple(cells)))
     return results

@@ -24,17 +24,8 @@ from companion.mav.dialect import mavlink
 from companion.mav.framing import frame_crc, message_id, without_signature
 from companion.mav.signing import MAX_HEARD, Signing, SigningKey
 from sim_link.autopilot.incidents import FaultRecord
-from sim_link.lab.faults.content_effects import CONTENT_EFFECTS, rewrite_frame
-from sim_link.lab.faults.fault_models import (
-    ForeignFrames,
-    ForgedFrames,
-    LinkFault,
-    ReplayedFrames,
-    Schedule,
-    SecurityFault,
-    UnsignedFrames,
-)
-from sim_link.lab.faults.link_effects import LINK_EFFECTS, FaultEffect
+from sim_link.lab.faults import fault_effects
+from sim_link.lab.faults import fault_models as faults
 from sim_link.lab.lockstep.observer import Delivery, Lane
 
 LINK_LANES = {
@@ -43,7 +34,7 @@ LINK_LANES = {
     "to_vehicle": (Lane.TO_VEHICLE,),
 }
 CONTENT_LANES = (Lane.TO_COMPANION, Lane.RANGING)
-LINK_ORDER = list(LINK_EFFECTS)
+LINK_ORDER = list(fault_effects.LINK_EFFECTS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +42,7 @@ class _Acting:
     start_s: float
     end_s: float
     rank: int
-    effect: FaultEffect[Any]
+    effect: fault_effects.FaultEffect[Any]
 
 
 class FaultyLink:
@@ -63,7 +54,7 @@ class FaultyLink:
 
     def __init__(
         self,
-        schedule: Schedule,
+        schedule: faults.Schedule,
         seed: int,
         began_s: float = 0.0,
         key: SigningKey | None = None,
@@ -79,18 +70,18 @@ class FaultyLink:
         """One more fault, its times counted from `began_s`."""
         self._count += 1
         start_s, end_s = began_s + fault.start_s, began_s + fault.end_s
-        content = CONTENT_EFFECTS.get(type(fault))
+        content = fault_effects.CONTENT_EFFECTS.get(type(fault))
         if content is not None:
             rng = np.random.default_rng((self._seed, self._count))
             effect = content(fault, rng, end_s, self._key)
             for lane in CONTENT_LANES:
                 self._acting[lane].append(_Acting(start_s, end_s, -1, effect))
-        if isinstance(fault, LinkFault):
+        if isinstance(fault, faults.LinkFault):
             rank = LINK_ORDER.index(type(fault))
             for lane in LINK_LANES[fault.direction]:
                 number = LINK_LANES["both"].index(lane)
                 rng = np.random.default_rng((self._seed, self._count, number))
-                effect = LINK_EFFECTS[type(fault)](fault, rng, end_s)
+                effect = fault_effects.LINK_EFFECTS[type(fault)](fault, rng, end_s)
                 self._acting[lane].append(_Acting(start_s, end_s, rank, effect))
         for acting in self._acting.values():
             acting.sort(key=lambda each: each.rank)
@@ -119,32 +110,36 @@ class Attacker:
     def __init__(self, rng: np.random.Generator) -> None:
         self._rng = rng
         self._heard: deque[bytes] = deque(maxlen=MEMORY)
-        self._signing = Signing(WRONG_KEY)
 
     def overhear(self, frame: bytes) -> None:
         """Remember what the vehicle sent."""
         self._heard.append(frame)
 
-    def next(self, fault: SecurityFault) -> bytes | None:
+    def next(self, fault: faults.SecurityFault) -> bytes | None:
         """The next frame of an attack, or None while nothing was heard yet."""
         if not self._heard:
             return None
         model = self._heard[int(self._rng.integers(len(self._heard)))]
         match fault:
-            case ReplayedFrames():
+            case faults.ReplayedFrames():
                 return model
-            case UnsignedFrames():
+            case faults.UnsignedFrames():
                 return self._lie(model)
-            case ForeignFrames():
-                return self._from_elsewhere(model)
-            case ForgedFrames():
-                return self._forge(model)
+            case faults.ForeignFrames():
+                bare = without_signature(model, CRC_EXTRA_BY_ID.get(message_id(model)))
+                head = bare[:SYSTEM_BYTE] + bytes((FOREIGN_SYSTEM,)) + bare[SYSTEM_BYTE + 1 : -2]
+                crc = frame_crc(head, CRC_EXTRA_BY_ID[message_id(bare)])
+                return head + crc.to_bytes(2, "little")
+            case faults.ForgedFrames():  # with a timestamp from the past to the end of time
+                lie = self._lie(model)
+                signing = Signing(WRONG_KEY, int(self._rng.integers(0, MAX_HEARD)))
+                return signing.sign(lie, 0, CRC_EXTRA_BY_ID[message_id(lie)])
         return None
 
     def _lie(self, model: bytes) -> bytes:
         """The same kind of frame, unsigned, with other content."""
         bare = without_signature(model, CRC_EXTRA_BY_ID.get(message_id(model)))
-        return rewrite_frame(bare, self._change, None)
+        return fault_effects.rewrite_frame(bare, self._change, None)
 
     def _change(self, message: Any) -> None:
         match message:
@@ -159,14 +154,3 @@ class Attacker:
                 | mavlink.MAVLink_gps_global_origin_message()
             ):
                 message.latitude += 10_000
-
-    def _forge(self, model: bytes) -> bytes:
-        """Signed with a wrong key, with a timestamp from the past to the end of time."""
-        lie = self._lie(model)
-        self._signing = Signing(WRONG_KEY, int(self._rng.integers(0, MAX_HEARD)))
-        return self._signing.sign(lie, 0, CRC_EXTRA_BY_ID[message_id(lie)])
-
-    def _from_elsewhere(self, model: bytes) -> bytes:
-        bare = without_signature(model, CRC_EXTRA_BY_ID.get(message_id(model)))
-        head = bare[:SYSTEM_BYTE] + bytes((FOREIGN_SYSTEM,)) + bare[SYSTEM_BYTE + 1 : -2]
-        return head + frame_crc(head, CRC_EXTRA_BY_ID[message_id(bare)]).to_bytes(2, "little")

@@ -10,14 +10,7 @@ from __future__ import annotations
 import math
 
 from companion.domain import FlightMode
-from companion.io.state.checkpoints import (
-    Checkpoint,
-    CheckpointError,
-    Moment,
-    StoredCheckpoints,
-    decode_checkpoint,
-    encode_checkpoint,
-)
+from companion.io.state import checkpoints
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address, Chunk
@@ -115,20 +108,20 @@ class MemoryStore:
     def __init__(self) -> None:
         self.slots: dict[int, bytes] = {}
 
-    def load(self) -> StoredCheckpoints:
+    def load(self) -> checkpoints.StoredCheckpoints:
         """What is there."""
         whole, problems = [], []
         for number, data in self.slots.items():
             try:
-                whole.append(decode_checkpoint(data))
-            except CheckpointError as error:
+                whole.append(checkpoints.decode_checkpoint(data))
+            except checkpoints.CheckpointError as error:
                 problems.append(f"slot {number}: {error}")
         newest = max(whole, key=lambda checkpoint: checkpoint.sequence, default=None)
-        return StoredCheckpoints(bool(self.slots), newest, tuple(problems))
+        return checkpoints.StoredCheckpoints(bool(self.slots), newest, tuple(problems))
 
-    def save(self, checkpoint: Checkpoint) -> None:
+    def save(self, checkpoint: checkpoints.Checkpoint) -> None:
         """Keep a checkpoint in place of the older one."""
-        self.slots[checkpoint.sequence % 2] = encode_checkpoint(checkpoint)
+        self.slots[checkpoint.sequence % 2] = checkpoints.encode_checkpoint(checkpoint)
 
     def discard(self) -> None:
         """Forget both."""
@@ -173,7 +166,7 @@ class Checkpointing(Observer):
             flight.config,
             FlightClock(flight),
             self._max_age_s,
-            moment=lambda: Moment(flight.now_s, "lockstep", flight.now_s),
+            moment=lambda: checkpoints.Moment(flight.now_s, "lockstep", flight.now_s),
         )
 
     def companion_started(self, now_s: float) -> None:

@@ -12,17 +12,9 @@ from enum import Enum
 from typing import Protocol, TypeVar
 
 from companion.domain import FlightMode
+from companion.mav import framing
 from companion.mav.codec import CRC_EXTRA_BY_ID, MavCodec
 from companion.mav.dialect import Message
-from companion.mav.framing import (
-    CRC_LENGTH,
-    HEADER_LENGTH,
-    INCOMPAT_SIGNED,
-    MAGIC_V2,
-    SIGNATURE_LENGTH,
-    FrameSplitter,
-    message_id,
-)
 from sim_link.autopilot.vehicle import SimVehicle
 
 Delivery = tuple[float, bytes]
@@ -72,12 +64,12 @@ class Frame:
     @property
     def number(self) -> int:
         """The message id, read from the header."""
-        return message_id(self.data)
+        return framing.message_id(self.data)
 
     @property
     def sender(self) -> tuple[int, int]:
         """System and component id, read from the header."""
-        start = 5 if self.data[0] == MAGIC_V2 else 3
+        start = 5 if self.data[0] == framing.MAGIC_V2 else 3
         return self.data[start], self.data[start + 1]
 
     @property
@@ -178,14 +170,14 @@ def frames_in(data: bytes) -> list[bytes]:
     """The frames of a datagram: by the lengths in their headers, or, among junk, by their CRC."""
     frames = []
     start = 0
-    while start + SHORTEST <= len(data) and data[start] in HEADER_LENGTH:
-        length = HEADER_LENGTH[data[start]] + data[start + 1] + CRC_LENGTH
-        if data[start] == MAGIC_V2 and data[start + 2] & INCOMPAT_SIGNED:
-            length += SIGNATURE_LENGTH
+    while start + SHORTEST <= len(data) and data[start] in framing.HEADER_LENGTH:
+        length = framing.HEADER_LENGTH[data[start]] + data[start + 1] + framing.CRC_LENGTH
+        if data[start] == framing.MAGIC_V2 and data[start + 2] & framing.INCOMPAT_SIGNED:
+            length += framing.SIGNATURE_LENGTH
         if start + length > len(data):
             break
         frames.append(data[start : start + length])
         start += length
     if start == len(data):
         return frames
-    return FrameSplitter(CRC_EXTRA_BY_ID).split(data, is_datagram=True)
+    return framing.FrameSplitter(CRC_EXTRA_BY_ID).split(data, is_datagram=True)

@@ -6,9 +6,10 @@ import math
 from collections.abc import Mapping
 
 from companion.domain import FlightMode
-from companion.mav.dialect import Message, mavlink
+from companion.mav.dialect import mavlink
 from sim_link.lab.lockstep.observer import Frame
 from sim_link.lab.monitor.scene import (
+    ARDUPILOT_GUIDED,
     PX4_OFFBOARD_MAIN,
     TICK_S,
     Invariant,
@@ -144,14 +145,11 @@ class OnlyWithAuthority(Invariant):
             ):
                 if self._is_late("a request after the mode was lost"):
                     return
+                ours = PX4_OFFBOARD_MAIN if self.scene.is_px4 else ARDUPILOT_GUIDED
                 is_hand_back = message.command == mavlink.MAV_CMD_DO_SET_MODE
-                is_hand_back = is_hand_back and not self._asks_offboard(message)
+                is_hand_back = is_hand_back and message.param2 != ours
                 if not self._may_engage and not is_hand_back:
                     self.report("took a flying vehicle by itself", command=message.command)
-
-    def _asks_offboard(self, message: Message) -> bool:
-        main, number = float(PX4_OFFBOARD_MAIN), 4.0
-        return bool(getattr(message, "param2", 0.0) == (main if self.scene.is_px4 else number))
 
     def _is_late(self, what: str) -> bool:
         if self._lost_s is None:

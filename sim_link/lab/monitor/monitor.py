@@ -17,29 +17,8 @@ from companion.domain import FlightMode
 from companion.mav.signing import SigningKey
 from sim_link.autopilot.vehicle import SimVehicle
 from sim_link.lab.lockstep.observer import Frame, Observer, overriding
-from sim_link.lab.monitor.authority_invariants import (
-    KeepsStreaming,
-    OnlyWithAuthority,
-    SilentWithoutTick,
-)
-from sim_link.lab.monitor.fence_invariants import (
-    InsideFence,
-    PlacesOnly,
-    SafeToFreeze,
-    SetpointsInside,
-)
+from sim_link.lab.monitor import authority_invariants, fence_invariants, message_invariants
 from sim_link.lab.monitor.independent_checks import Proof, SenderTrust
-from sim_link.lab.monitor.message_invariants import (
-    Bounded,
-    Estimate,
-    FreshState,
-    HonestCovariance,
-    KnownFrames,
-    OnlyProvedFrames,
-    Repeatable,
-    Snapshot,
-    WithinEnvelope,
-)
 from sim_link.lab.monitor.scene import (
     AUTOPILOT_COMPONENT,
     Invariant,
@@ -53,18 +32,18 @@ from sim_link.lab.monitor.scene import (
 TITLES = {
     kind.name: kind.title
     for kind in (
-        SetpointsInside,
-        WithinEnvelope,
-        OnlyWithAuthority,
-        PlacesOnly,
-        FreshState,
-        KnownFrames,
-        KeepsStreaming,
-        SilentWithoutTick,
-        HonestCovariance,
-        OnlyProvedFrames,
-        Bounded,
-        Repeatable,
+        fence_invariants.SetpointsInside,
+        message_invariants.WithinEnvelope,
+        authority_invariants.OnlyWithAuthority,
+        fence_invariants.PlacesOnly,
+        message_invariants.FreshState,
+        message_invariants.KnownFrames,
+        authority_invariants.KeepsStreaming,
+        authority_invariants.SilentWithoutTick,
+        message_invariants.HonestCovariance,
+        message_invariants.OnlyProvedFrames,
+        message_invariants.Bounded,
+        message_invariants.Repeatable,
     )
 }
 """Every invariant by its name."""
@@ -231,33 +210,34 @@ class Monitor(FrameMonitor):
         rules: Rules,
         vehicle: SimVehicle,
         *,
-        estimate: Estimate = lambda: None,
-        snapshot: Snapshot | None = None,
+        estimate: message_invariants.Estimate = lambda: None,
+        snapshot: message_invariants.Snapshot | None = None,
         key: SigningKey | None = None,
         sizes: Callable[[], Mapping[str, tuple[int, int]]] | None = None,
         dropped: Callable[[], int] = lambda: 0,
     ) -> None:
         self.scene = scene = TrueScene(rules, vehicle=vehicle)
-        self.fence = InsideFence(scene)
-        self.authority = OnlyWithAuthority(scene)
-        self.stream = KeepsStreaming(scene)
-        self.repeat = Repeatable(scene)
+        self.fence = fence_invariants.InsideFence(scene)
+        self.authority = authority_invariants.OnlyWithAuthority(scene)
+        self.stream = authority_invariants.KeepsStreaming(scene)
+        self.repeat = message_invariants.Repeatable(scene)
         self._dropped, self._dropped_before = dropped, 0
-        self._proved = None if snapshot is None else OnlyProvedFrames(scene, snapshot)
+        self._proved: message_invariants.OnlyProvedFrames | None = None
         invariants: list[Invariant] = [
             self.fence,
-            WithinEnvelope(scene),
+            message_invariants.WithinEnvelope(scene),
             self.authority,
-            SafeToFreeze(scene, lambda: self.fence.is_dragged),
-            FreshState(scene),
-            KnownFrames(scene),
+            fence_invariants.SafeToFreeze(scene, lambda: self.fence.is_dragged),
+            message_invariants.FreshState(scene),
+            message_invariants.KnownFrames(scene),
             self.stream,
-            SilentWithoutTick(scene),
-            HonestCovariance(scene, estimate),
-            Bounded(scene, sizes),
+            authority_invariants.SilentWithoutTick(scene),
+            message_invariants.HonestCovariance(scene, estimate),
+            message_invariants.Bounded(scene, sizes),
             self.repeat,
         ]
-        if self._proved is not None:
+        if snapshot is not None:
+            self._proved = message_invariants.OnlyProvedFrames(scene, snapshot)
             invariants.append(self._proved)
         super().__init__(scene, invariants, key)
 

@@ -18,17 +18,9 @@ import msgspec
 
 from companion.domain import EstimateState, FlightMode, TargetEstimate
 from companion.geometry.coordinates import LocalOrigin
-from companion.mav.dialect import Message, mavlink
+from companion.mav.dialect import mavlink
 from sim_link.lab.lockstep.observer import Frame, Observer
-from sim_link.lab.monitor.authority_invariants import KeepsStreaming, OnlyWithAuthority
-from sim_link.lab.monitor.fence_invariants import PlacesOnly, SetpointsInside
-from sim_link.lab.monitor.message_invariants import (
-    Bounded,
-    FreshState,
-    HonestCovariance,
-    KnownFrames,
-    WithinEnvelope,
-)
+from sim_link.lab.monitor import authority_invariants, fence_invariants, message_invariants
 from sim_link.lab.monitor.monitor import FrameMonitor
 from sim_link.lab.monitor.scene import (
     AUTOPILOT_COMPONENT,
@@ -126,7 +118,10 @@ class HeardScene(ObservedScene):
         super(HeardScene, self).remember(frame)  # slots make another class of this one
         message = frame.message
         match message:
-            case mavlink.MAVLink_heartbeat_message() if _is_autopilots(message, frame):
+            case mavlink.MAVLink_heartbeat_message():
+                is_invalid = message.autopilot == mavlink.MAV_AUTOPILOT_INVALID
+                if frame.sender[1] != AUTOPILOT_COMPONENT or is_invalid:
+                    return  # a payload's or a station's
                 if self.system_id is None:
                     self.system_id = frame.sender[0]
                     self.is_px4 = message.autopilot == mavlink.MAV_AUTOPILOT_PX4
@@ -171,18 +166,18 @@ class WireMonitor(FrameMonitor):
         self.scene = scene = HeardScene(widen_rules(rules, slack_s))
         self._estimate: TargetEstimate | None = None
         self._is_offboard: bool | None = None
-        self._stream = KeepsStreaming(scene)
-        self._covariance = HonestCovariance(scene, lambda: self._estimate)
+        self._stream = authority_invariants.KeepsStreaming(scene)
+        self._covariance = message_invariants.HonestCovariance(scene, lambda: self._estimate)
         invariants = [
-            SetpointsInside(scene),
-            WithinEnvelope(scene),
-            OnlyWithAuthority(scene),
-            PlacesOnly(scene),
-            FreshState(scene),
-            KnownFrames(scene),
+            fence_invariants.SetpointsInside(scene),
+            message_invariants.WithinEnvelope(scene),
+            authority_invariants.OnlyWithAuthority(scene),
+            fence_invariants.PlacesOnly(scene),
+            message_invariants.FreshState(scene),
+            message_invariants.KnownFrames(scene),
             self._stream,
             self._covariance,
-            Bounded(scene),
+            message_invariants.Bounded(scene),
         ]
         super().__init__(scene, invariants)
 
@@ -219,21 +214,15 @@ class WireMonitor(FrameMonitor):
         super().companion_started(now_s)
 
 
-def _is_autopilots(message: Message, frame: Frame) -> bool:
-    """Whether a HEARTBEAT is an autopilot's, and no payload's or station's."""
-    is_invalid = getattr(message, "autopilot", None) == mavlink.MAV_AUTOPILOT_INVALID
-    return frame.sender[1] == AUTOPILOT_COMPONENT and not is_invalid
-
-
 def _estimate_from(fields: Mapping[str, Any], now_s: float) -> TargetEstimate:
     """As far as its covariance is judged; a log has null for what is no number."""
-    (a, b), (c, d) = fields["covariance_m2"]
-    east_m, north_m = fields["position_enu_m"]
+    a, b, c, d = (_number(each) for row in fields["covariance_m2"] for each in row)
+    east_m, north_m = map(_number, fields["position_enu_m"])
     return TargetEstimate(
         time_s=now_s,
         state=EstimateState(fields["state"]),
-        position_enu_m=(_number(east_m), _number(north_m)),
-        covariance_m2=((_number(a), _number(b)), (_number(c), _number(d))),
+        position_enu_m=(east_m, north_m),
+        covariance_m2=((a, b), (c, d)),
         r95_m=_number(fields["r95_m"]),
         range_offset_m=0.0,
         bearing_offset_rad=0.0,

@@ -25,17 +25,7 @@ from matplotlib.figure import Figure
 from sim_link.lab.evaluation.case import Case
 from sim_link.lab.evaluation.reporting import figure_data, plots
 from sim_link.lab.evaluation.reporting.figure_data import Flight, GradientWatch
-from sim_link.lab.evaluation.reporting.plots import (
-    INK,
-    MUTED,
-    PAGE,
-    PLANNER_COLOURS,
-    SHADE,
-    SOLID,
-    TRUTH,
-    Drawing,
-    finished,
-)
+from sim_link.lab.evaluation.reporting.plots import Drawing, finished
 from sim_link.lab.evaluation.reporting.tables import parameter_name, value_name
 from sim_link.lab.evaluation.study import ResultRow, StudyResult
 
@@ -78,7 +68,7 @@ def _draw_map(axes: Axes, flight: Flight, case: Case) -> None:
     axes.set_title(f"{system.label}\n", fontsize=9.0)
     off_m = float(trial.errors_m[-1])
     off = f"ends {100.0 * off_m:.1f} cm off" if off_m < 0.1 else f"ends {off_m:.2f} m off"
-    axes.text(0.0, 1.025, off, transform=axes.transAxes, color=MUTED, fontsize=8.0)
+    axes.text(0.0, 1.025, off, transform=axes.transAxes, color=plots.MUTED, fontsize=8.0)
     if system.planner != "passive":
         _draw_near(axes, flight, case)
 
@@ -86,19 +76,21 @@ def _draw_map(axes: Axes, flight: Flight, case: Case) -> None:
 def _draw_flight(axes: Axes, flight: Flight, case: Case, part: slice) -> None:
     """A flight, what blocks the radio, and where it blocks the path to the target."""
     system, trial = flight
-    colour = PLANNER_COLOURS[system.planner]
+    colour = plots.PLANNER_COLOURS[system.planner]
     for obstacle in case.obstacles:
         for quad in figure_data.shadow_quads(obstacle.corners_enu_m, case.target_enu_m):
-            axes.fill(*zip(*quad, strict=True), facecolor=SHADE, linewidth=0, zorder=0.2)
+            axes.fill(*zip(*quad, strict=True), facecolor=plots.SHADE, linewidth=0, zorder=0.2)
     for obstacle in case.obstacles:
         corners = zip(*obstacle.corners_enu_m, strict=True)
-        axes.fill(*corners, facecolor=SOLID, edgecolor=MUTED, linewidth=0.6, zorder=0.4)
+        axes.fill(*corners, facecolor=plots.SOLID, edgecolor=plots.MUTED, linewidth=0.6, zorder=0.4)
     estimates, track = trial.estimates_enu_m[part].T, trial.track_enu_m[part].T
-    axes.plot(*estimates, color=TRUTH, lw=0.7, alpha=0.75, label="estimate", zorder=2)
+    axes.plot(*estimates, color=plots.TRUTH, lw=0.7, alpha=0.75, label="estimate", zorder=2)
     axes.plot(*track, color=colour, lw=1.0, label="vehicle", zorder=3)
-    axes.plot(*case.start_enu_m, "o", color=colour, mec=PAGE, ms=6, label="start", zorder=4, lw=0)
-    cross: dict[str, Any] = {"color": INK, "ms": 7, "mew": 1.6, "label": "target", "lw": 0}
-    halo = [effects.withStroke(linewidth=3.0, foreground=PAGE)]
+    axes.plot(
+        *case.start_enu_m, "o", color=colour, mec=plots.PAGE, ms=6, label="start", zorder=4, lw=0
+    )
+    cross: dict[str, Any] = {"color": plots.INK, "ms": 7, "mew": 1.6, "label": "target", "lw": 0}
+    halo = [effects.withStroke(linewidth=3.0, foreground=plots.PAGE)]
     axes.plot(*case.target_enu_m, "x", **cross, zorder=5, path_effects=halo)
 
 
@@ -106,15 +98,15 @@ def _draw_near(axes: Axes, flight: Flight, case: Case) -> None:
     """The end of a flight about the target, enlarged, in the corner where least is flown."""
     east, north = case.target_enu_m
     near = axes.inset_axes((0.985 - NEAR_SHARE, 0.015, NEAR_SHARE, NEAR_SHARE))
-    near.set_facecolor(PAGE)
+    near.set_facecolor(plots.PAGE)
     near.grid(visible=False)
     _draw_flight(near, flight, case, slice(-NEAR_STEPS, None))
     near.set(xlim=(east - NEAR_M, east + NEAR_M), ylim=(north - NEAR_M, north + NEAR_M))
     near.set(xticks=[], yticks=[], aspect="equal")
     for spine in near.spines.values():
-        spine.set(visible=True, color=MUTED, linewidth=0.7)
+        spine.set(visible=True, color=plots.MUTED, linewidth=0.7)
     size = f"{2 * NEAR_M:g} m"
-    near.text(0.5, 1.03, size, transform=near.transAxes, ha="center", color=MUTED, fontsize=7)
+    near.text(0.5, 1.03, size, transform=near.transAxes, ha="center", color=plots.MUTED, fontsize=7)
 
 
 PAPER_OFFSET_M = 5.5

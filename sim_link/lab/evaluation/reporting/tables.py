@@ -202,7 +202,8 @@ def _table(table: str, parameter: str, metric: str, own: dict[Key, ResultRow]) -
     planners: dict[str, list[TableRow]] = {}
     for system in systems:
         cells = tuple(_cell(own, value, system, metric) for value in values)
-        planners.setdefault(_planner(system), []).append(TableRow(system, cells))
+        planner = system.rpartition("(")[2].rstrip(")") if system.endswith(")") else ""
+        planners.setdefault(planner, []).append(TableRow(system, cells))
     rows = [own[key] for key in keys]
     return TableView(
         table=table,
@@ -233,11 +234,6 @@ def _cell(own: dict[Key, ResultRow], value: str, system: str, metric: str) -> Ta
     low, dots, high = row.bound.partition("..")
     bound = f"{short(low)} to {short(high)}" if dots else short(row.bound)
     return TableCell(row.paper, short(row.ours), bound, verdict_of(row), tuple(notes))
-
-
-def _planner(system: str) -> str:
-    """The planner in a system's label."""
-    return system.rpartition("(")[2].rstrip(")") if system.endswith(")") else ""
 
 
 def _number(text: str) -> float:
