@@ -268,14 +268,6 @@ class StudyResult:
     seed: int
     cells: tuple[CellResult, ...]
 
-    def find(self, value: str, label: str, parameter: str | None = None) -> CellResult | None:
-        """The first cell of that value and system label, perhaps of one parameter only."""
-        for cell in self.cells:
-            is_here = cell.value == value and cell.system.label == label
-            if is_here and parameter in (None, cell.parameter):
-                return cell
-        return None
-
 
 @dataclass(frozen=True, slots=True)
 class ResultRow:

@@ -52,19 +52,13 @@ class FaultyLink:
     the seed. With a key, changed frames are signed anew where they are signed.
     """
 
-    def __init__(
-        self,
-        schedule: faults.Schedule,
-        seed: int,
-        began_s: float = 0.0,
-        key: SigningKey | None = None,
-    ) -> None:
+    def __init__(self, schedule: faults.Schedule, seed: int, key: SigningKey | None = None) -> None:
         self._seed = seed
         self._key = key
         self._count = 0
         self._acting: dict[Lane, list[_Acting]] = {lane: [] for lane in Lane}
         for fault in schedule.faults:
-            self.add(fault, began_s)
+            self.add(fault, 0.0)
 
     def add(self, fault: FaultRecord, began_s: float) -> None:
         """One more fault, its times counted from `began_s`."""

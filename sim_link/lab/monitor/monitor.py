@@ -170,7 +170,7 @@ class FrameMonitor(Observer):
         scene.now_s, scene.tick_s = now_s, None
         scene.is_companion_up = True
         self._whose.restart()
-        scene.told = ObservedState(began_s=now_s, origin_enu_m=scene.told.origin_enu_m)
+        scene.told = ObservedState(origin_enu_m=scene.told.origin_enu_m)
         self._show("started")
 
     def companion_suspended(self, now_s: float, until_s: float) -> None:  # noqa: ARG002

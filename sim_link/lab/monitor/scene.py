@@ -121,7 +121,6 @@ def is_offboard(heartbeat: mavlink.MAVLink_heartbeat_message) -> bool:
 class ObservedState:
     """What reached the companion since its process began."""
 
-    began_s: float = 0.0
     heartbeat_s: float | None = None
     is_ours: bool = False
     """The newest mode is ours and the vehicle is armed."""

@@ -47,7 +47,8 @@ BOOTSTRAP_SEED = 0
 DIGITS = 5
 REFERENCE_FILTER = "asymmetric_huber"
 
-Numbers = tuple[str, str, str, str]
+Numbers = tuple[str, ...]
+"""Metric, ours and perhaps its interval and its bound, as written."""
 
 
 Measure = Callable[[StudyResult, CellResult], list[Numbers]]
@@ -158,17 +159,8 @@ def _after_steps(_: StudyResult, cell: CellResult) -> list[Numbers]:
     return [(f"rmse_after_{steps}_steps_m", number(rmse_m[at]), "", bound_text(bound_m[at]))]
 
 
-def _worst(_: StudyResult, cell: CellResult) -> list[Numbers]:
-    return [("worst_final_m", number(np.max(cell.tally.final_errors_m)), "", "")]
-
-
-def _diverged(_: StudyResult, cell: CellResult) -> list[Numbers]:
-    return [("diverged_runs", str(metrics.diverged_count(cell.tally.final_errors_m)), "", "")]
-
-
-def _range_offset(_: StudyResult, cell: CellResult) -> list[Numbers]:
-    mean_m = cell.tally.range_offset_m[-1] / cell.tally.runs
-    return [("range_offset_m", number(mean_m), "", "")]
+def _single(name: str, told: Callable[[RunTally], str]) -> Measure:
+    return lambda _, cell: [(name, told(cell.tally))]
 
 
 def _bound_ratio(_: StudyResult, cell: CellResult) -> list[Numbers]:
@@ -187,7 +179,7 @@ def _rmse_ratio(result: StudyResult, cell: CellResult) -> list[Numbers]:
         return []
     ratio = float(cell.tally.rmse_m[-1] / other.rmse_m[-1])
     ends = ratio_interval(cell.tally.final_errors_m, other.final_errors_m)
-    return [("rmse_ratio", number(ratio), interval(ends), "")]
+    return [("rmse_ratio", number(ratio), interval(ends))]
 
 
 def _reference(result: StudyResult, cell: Cell) -> RunTally | None:
@@ -204,10 +196,7 @@ def _reference(result: StudyResult, cell: Cell) -> RunTally | None:
 def _nees(_: StudyResult, cell: CellResult) -> list[Numbers]:
     means, band = cell.tally.mean_nees, interval(metrics.nees_band(cell.tally.runs))
     over_steps = float(np.mean(_settled(means)))
-    return [
-        ("nees_final", number(means[-1]), "", band),
-        ("nees_mean", number(over_steps), "", ""),
-    ]
+    return [("nees_final", number(means[-1]), "", band), ("nees_mean", number(over_steps))]
 
 
 def _settled(by_step: Vector) -> Vector:
@@ -225,9 +214,11 @@ MEASURED: dict[Metric, Measure] = {
     "final_rmse_m": _final_rmse,
     "steps_to_2.5m": _steps,
     "rmse_after_steps_m": _after_steps,
-    "worst_final_m": _worst,
-    "diverged_runs": _diverged,
-    "range_offset_m": _range_offset,
+    "worst_final_m": _single("worst_final_m", lambda t: number(np.max(t.final_errors_m))),
+    "diverged_runs": _single(
+        "diverged_runs", lambda t: str(metrics.diverged_count(t.final_errors_m))
+    ),
+    "range_offset_m": _single("range_offset_m", lambda t: number(t.range_offset_m[-1] / t.runs)),
     "bound_ratio": _bound_ratio,
     "rmse_ratio": _rmse_ratio,
     "nees": _nees,

@@ -104,9 +104,10 @@ def test_results_are_those_of_the_campaigns(tmp_path: Path) -> None:
     ):
         np.testing.assert_array_equal(cell.tally.final_errors_m, tally.final_errors_m)
         np.testing.assert_array_equal(cell.tally.rmse_m, tally.rmse_m)
-    assert result.find("0.9", "Proposed (Latched)") is result.cells[1]
-    assert result.find("0.9", "Proposed (Latched)", "step_m") is None
-    assert result.find("0.5", "Proposed (Latched)") is None
+    assert [(cell.value, cell.system.label) for cell in result.cells] == [
+        ("0.1", "Proposed (Latched)"),
+        ("0.9", "Proposed (Latched)"),
+    ]
 
 
 def test_what_was_kept_is_not_done_again(tmp_path: Path) -> None:
