@@ -111,18 +111,15 @@ def _plan_place(value: object, path: str) -> LatLon:
 
 
 def _number(value: object, path: str) -> float:
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not is_number or not math.isfinite(number := _float(value)):
+    number = math.nan
+    try:
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            number = float(value)
+    except OverflowError:  # JSON has integers of any length
+        number = math.inf
+    if not math.isfinite(number):
         raise ValueError(f"{path}: is not a finite number")
     return number
-
-
-def _float(value: object) -> float:
-    assert isinstance(value, int | float)
-    try:
-        return float(value)
-    except OverflowError:  # JSON has integers of any length
-        return math.inf
 
 
 KEEP_OUT_NAMES = ("keep-out", "keep out", "keepout", "exclusion", "no-fly", "no fly")

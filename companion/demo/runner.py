@@ -303,9 +303,7 @@ def _draw(
     error_m = math.dist(estimate.position_enu_m, truth)
     flight = PlottedFlight(
         track_enu_m=[(point[1], point[2]) for point in report["track"]],
-        estimates_enu_m=[(e, n) for _, e, n, _ in watch.estimates],
-        r95=[(t, r95_m) for t, _, _, r95_m in watch.estimates],
-        errors=[(t, math.dist((e, n), truth)) for t, e, n, _ in watch.estimates],
+        estimates=watch.estimates,
         crossings_enu_m=watch.crossings_enu_m,
         fence_enu_m=config.limits.fence_enu_m,
         obstacles=[

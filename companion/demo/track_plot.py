@@ -42,11 +42,8 @@ class PlottedFlight:
 
     track_enu_m: Sequence[tuple[float, float]]
     """True positions of the vehicle."""
-    estimates_enu_m: Sequence[tuple[float, float]]
-    r95: Sequence[tuple[float, float]]
-    """(time_s, r95_m)"""
-    errors: Sequence[tuple[float, float]]
-    """(time_s, error_m) against the truth."""
+    estimates: Sequence[tuple[float, float, float, float]]
+    """(time_s, east_m, north_m, r95_m)"""
     crossings_enu_m: Sequence[tuple[float, float]]
     fence_enu_m: Sequence[tuple[float, float]]
     obstacles: Sequence[Obstacle]
@@ -73,7 +70,7 @@ def draw(path: Path, flight: PlottedFlight) -> None:
 def _draw_map(axes: Axes, flight: PlottedFlight) -> None:
     fence = np.array([*flight.fence_enu_m, flight.fence_enu_m[0]])
     track = np.array(flight.track_enu_m)
-    estimates = np.array(flight.estimates_enu_m)
+    estimates = np.array(flight.estimates)[:, 1:3]
     for obstacle in flight.obstacles:
         _draw_obstacle(axes, obstacle)
     axes.plot(fence[:, 0], fence[:, 1], color="0.6", linestyle="--", linewidth=1, label="fence")
@@ -130,9 +127,10 @@ def _ellipse(estimate: TargetEstimate) -> np.ndarray:
 
 
 def _draw_error(axes: Axes, flight: PlottedFlight) -> None:
-    errors, r95 = np.array(flight.errors), np.array(flight.r95)
-    axes.semilogy(r95[:, 0], r95[:, 1], color=ESTIMATE, linewidth=1.2, label="R95 (claimed)")
-    axes.semilogy(errors[:, 0], errors[:, 1], color=VEHICLE, linewidth=1.2, label="error (true)")
+    time_s, east, north, r95 = np.array(flight.estimates).T
+    errors = np.hypot(east - flight.truth_enu_m[0], north - flight.truth_enu_m[1])
+    axes.semilogy(time_s, r95, color=ESTIMATE, linewidth=1.2, label="R95 (claimed)")
+    axes.semilogy(time_s, errors, color=VEHICLE, linewidth=1.2, label="error (true)")
     axes.set_xlabel("time, s")
     axes.set_ylabel("m")
     axes.set_title("Claimed radius and true error")

@@ -92,12 +92,11 @@ class StreamFreshness:
 
     def stale(self, now_s: float) -> tuple[str, ...]:
         """What is flown on and did not come for too long, by name; what never came is not told."""
-        names = []
-        for message_id, (name, patience_s) in PATIENCE_S.items():
-            age_s = self.age_s(message_id, now_s)
-            if age_s is not None and age_s > patience_s:
-                names.append(name)
-        return tuple(names)
+        return tuple(
+            name
+            for message_id, (name, patience_s) in PATIENCE_S.items()
+            if (self.age_s(message_id, now_s) or 0.0) > patience_s
+        )
 
     def restart(self) -> None:
         """Begin anew, because the autopilot did."""
@@ -192,18 +191,13 @@ class StreamRequester:
 
     def __init__(self, freshness: StreamFreshness) -> None:
         self._freshness = freshness
-        self._wants = [
-            _Want(number, interval_s) for number, interval_s in STREAM_INTERVAL_S.items()
-        ]
-        self._wants += [_Want(number, None) for number in ONE_SHOT]
         self._heartbeat_asked_s = -math.inf
-        self._next_look_s = -math.inf
+        self.restart()
 
     def restart(self) -> None:
         """Ask for everything again, because the autopilot forgot."""
-        for want in self._wants:
-            want.asked_s = None
-            want.retry_s = FIRST_RETRY_S
+        self._wants = [_Want(number, every_s) for number, every_s in STREAM_INTERVAL_S.items()]
+        self._wants += [_Want(number, None) for number in ONE_SHOT]
         self._next_look_s = -math.inf
 
     def due(

@@ -242,6 +242,13 @@ class ClockSync:
         self.slow = 0
         """Answers that took too long to say anything."""
         self.resets = 0
+        self.restart()
+        self._prompt_s = -math.inf
+        """When a question was answered promptly last, and when late."""
+        self._slow_s = -math.inf
+
+    def restart(self) -> None:
+        """Begin anew, because the autopilot did."""
         self._open: deque[int] = deque(maxlen=MAX_OPEN)
         self._next_s = 0.0
         self._round_trips_s: deque[float] = deque(maxlen=BEST_OF)
@@ -249,14 +256,10 @@ class ClockSync:
         """The best of the last exchanges; None before the first."""
         self.offset_s: float | None = None
         """Our time minus the autopilot's, seconds; None as long as it is not known."""
-        self._used = 0
-        self._deviations = 0
+        self._used = self._deviations = 0
         self._newest: tuple[float, int] | None = None
         """When the latest question that was answered was sent, and the autopilot's time then."""
         self._went_back = False
-        self._prompt_s = -math.inf
-        """When a question was answered promptly last, and when late."""
-        self._slow_s = -math.inf
 
     def due(self, now_s: float, system_id: int, component_id: int) -> Message | None:
         """The question to send now, if any."""
@@ -299,16 +302,6 @@ class ClockSync:
         """Whether the clock went back since this was asked last."""
         went_back, self._went_back = self._went_back, False
         return went_back
-
-    def restart(self) -> None:
-        """Begin anew, because the autopilot did."""
-        self._newest, self._went_back = None, False
-        self._open.clear()
-        self._round_trips_s.clear()
-        self.round_trip_s = None
-        self.offset_s = None
-        self._used = self._deviations = 0
-        self._next_s = 0.0
 
     def record(self) -> dict[str, object]:
         """The figures for the event log."""

@@ -68,14 +68,11 @@ class FenceDownload:
     """Asks for the fence, piece by piece."""
 
     def __init__(self) -> None:
-        self._reading: _Reading | None = None
-        self._owes_ack = False
-        self._rest_until_s = -math.inf
-        self._rest_s = REST_S
+        self.restart()
 
     def restart(self) -> None:
         """The autopilot restarted, and with it the transfer."""
-        self._reading = None
+        self._reading: _Reading | None = None
         self._owes_ack = False
         self._rest_until_s = -math.inf
         self._rest_s = REST_S

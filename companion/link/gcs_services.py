@@ -240,12 +240,9 @@ class CommandHandler:
             return
         result = mavlink.MAV_RESULT_UNSUPPORTED
         if message.command == mavlink.MAV_CMD_NAV_GUIDED_ENABLE:
+            has_fence = self._executor.session.fencing.refusal is None
             result = mavlink.MAV_RESULT_DENIED
-            if (
-                may_grant
-                and message.param1 == 1.0
-                and self._executor.session.fencing.refusal is None
-            ):
+            if may_grant and message.param1 == 1.0 and has_fence:
                 result = mavlink.MAV_RESULT_ACCEPTED
                 self._executor.handle(ControlGranted(now_s), now_s)
         is_version_wanted = _wants_version(message)

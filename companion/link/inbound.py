@@ -114,6 +114,11 @@ class VehicleInbound:
 
     def __init__(self, sync: ClockSync | None = None) -> None:
         self.clock = VehicleClock(sync or ClockSync())
+        self.overtaken = 0
+        """Messages that came after a newer one of their kind."""
+        self._restart(0.0)
+
+    def _restart(self, now_s: float) -> AutopilotRestarted:
         self._origin: LocalOrigin | None = None
         self._home: mavlink.MAVLink_home_position_message | None = None
         self._is_prearm_good = True
@@ -125,8 +130,7 @@ class VehicleInbound:
         """... and where in that order, and when, that was told."""
         self._has_battery_status = False
         """Which tells the charge better than SYS_STATUS does."""
-        self.overtaken = 0
-        """Messages that came after a newer one of their kind."""
+        return AutopilotRestarted(now_s)
 
     def events(self, message: Message, now_s: float, number: int = 0) -> list[Event]:
         """What a message of the autopilot says; nothing, if a newer one of its kind came before.
@@ -235,15 +239,6 @@ class VehicleInbound:
         if self.clock.is_wild:
             return []
         return [self._restart(now_s), event] if reading.is_reboot else [event]
-
-    def _restart(self, now_s: float) -> AutopilotRestarted:
-        self._newest.clear()
-        self._frame = self._frame_begun = None
-        self._has_battery_status = False
-        self._origin = None
-        self._home = None
-        self._is_prearm_good = True
-        return AutopilotRestarted(now_s)
 
     def _heartbeat(
         self, message: mavlink.MAVLink_heartbeat_message, now_s: float, order: int | None

@@ -170,16 +170,13 @@ class FloodBudget:
     def __init__(self) -> None:
         self.dropped = [0, 0, 0]
         """Refusals so far, by what was used up: chunks, frames, messages."""
-        self._known = [0, 0, 0]
-        self._unknown = [0, 0, 0]
-        self._by_source: dict[Address | None, list[int]] = {}
-        self._heartbeats = 0
+        self.renew()
 
     def renew(self) -> None:
         """A control tick has passed."""
         self._known = [0, 0, 0]
         self._unknown = [0, 0, 0]
-        self._by_source.clear()
+        self._by_source: dict[Address | None, list[int]] = {}
         self._heartbeats = 0
 
     @property
@@ -333,7 +330,9 @@ class Authenticity:
         self._told = dict(self._signing.verdicts)
         self._next_report_s = now_s + REPORT_PERIOD_S
         severity = Severity.ERROR if ALARMS & news.keys() else Severity.WARNING
-        return [Announce(severity, f"signing: refused {_in_words(news)}")]
+        hints = {verdict: f" ({hint})" for verdict, hint in HINTS.items()}
+        words = (f"{count} x {v.value}{hints.get(v, '')}" for v, count in news.items())
+        return [Announce(severity, f"signing: refused {', '.join(words)}")]
 
     def record(self) -> dict[str, object]:
         """The figures for the event log: how many frames got which verdict."""
@@ -341,11 +340,3 @@ class Authenticity:
             return {}
         verdicts = self._signing.verdicts
         return {"signing": {v.value: count for v, count in verdicts.items() if count}}
-
-
-def _in_words(news: Mapping[SignatureVerdict, int]) -> str:
-    parts = []
-    for verdict, count in news.items():
-        hint = f" ({HINTS[verdict]})" if verdict in HINTS else ""
-        parts.append(f"{count} x {verdict.value}{hint}")
-    return ", ".join(parts)

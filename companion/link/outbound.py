@@ -215,10 +215,9 @@ def command_ack(command: int, result: int, to: Message) -> Message:
 def status_text(severity: int, text: str, text_id: int) -> list[Message]:
     """STATUSTEXT, in chunks where it does not fit into one, joined by a non-zero `text_id`."""
     chunks = _chunks(text)
-    if len(chunks) == 1:
-        return [mavlink.MAVLink_statustext_message(severity, chunks[0], 0, 0)]
+    join_id = 0 if len(chunks) == 1 else text_id
     return [
-        mavlink.MAVLink_statustext_message(severity, chunk, text_id, number)
+        mavlink.MAVLink_statustext_message(severity, chunk, join_id, number)
         for number, chunk in enumerate(chunks)
     ]
 

@@ -32,24 +32,20 @@ class FlightPlan:
     def __init__(
         self, planner: Planner[Any], guard: Guard, emitters: EmitterQueue, altitude_m: float
     ) -> None:
-        self.waypoint: Waypoint | None = None
         self._planner = planner
-        self._memory = planner.initial_memory()
         self._guard = guard
         self._emitters = emitters
         self._altitude_m = altitude_m
-        self._planned_s: float | None = None
-        self._is_searching: bool | None = None
-        self._where_target_is = ""
-        """Why the vehicle may not be there, if it may not."""
         self._told_outside_s = -math.inf
+        self.forget()
 
     def forget(self) -> None:
         """The next plan starts from nothing."""
         self._where_target_is = ""
-        self.waypoint = None
-        self._planned_s = None
-        self._is_searching = None
+        """Why the vehicle may not be there, if it may not."""
+        self.waypoint: Waypoint | None = None
+        self._planned_s: float | None = None
+        self._is_searching: bool | None = None
         self._memory = self._planner.initial_memory()
 
     def use(self, planner: Planner[Any], altitude_m: float) -> None:

@@ -64,21 +64,23 @@ class EchoWatch(Watch):
     def __init__(self) -> None:
         self._way: deque[tuple[float, float, PositionEnu]] = deque()
         """From, until, and where."""
+        self.end()
+
+    def end(self) -> None:
+        """Control ends."""
         self._control_s: float | None = None
+        self._forget_echoes()
+
+    def _forget_echoes(self) -> None:
         self._echo_s: float | None = None
+        self._disputed_s: float | None = None
         self._lag_s = 0.0
         self._foreign_s: list[tuple[float, float]] = []
         """When a foreign one came, and until when it is remembered."""
-        self._disputed_s: float | None = None
 
     def begin(self, now_s: float) -> None:
         """Control begins: what was echoed before says nothing."""
         self._control_s = now_s
-        self._forget_echoes()
-
-    def end(self) -> None:
-        """Control ends."""
-        self._control_s = None
         self._forget_echoes()
 
     def frame_moved(self, now_s: float) -> None:
@@ -149,11 +151,6 @@ class EchoWatch(Watch):
         span_s = self._foreign_s[-1][0] - self._foreign_s[0][0]
         silent_s = now_s - self._foreign_s[-1][0]
         return span_s >= FOREIGN_SPAN_S and silent_s <= max(NEAR_S, span_s)
-
-    def _forget_echoes(self) -> None:
-        self._echo_s = self._disputed_s = None
-        self._lag_s = 0.0
-        self._foreign_s.clear()
 
     def _last_on_way_s(self, place_enu_m: PositionEnu | None) -> tuple[float | None, float]:
         """When our way was last at a place, None if it never was; and how far it stayed away."""

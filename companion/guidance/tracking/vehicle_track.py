@@ -25,6 +25,10 @@ class VehicleTrack:
     """The last few seconds of the vehicle's motion."""
 
     def __init__(self) -> None:
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget everything, because the autopilot restarted or moved its frame."""
         self._states: deque[VehicleState] = deque()
         self._yaws: deque[tuple[float, float]] = deque()
         self._distrusted_s = (math.inf, -math.inf)
@@ -38,12 +42,6 @@ class VehicleTrack:
     def latest_yaw(self) -> tuple[float, float] | None:
         """Time and value of the newest heading."""
         return self._yaws[-1] if self._yaws else None
-
-    def clear(self) -> None:
-        """Forget everything, because the autopilot restarted or moved its frame."""
-        self._states.clear()
-        self._yaws.clear()
-        self._distrusted_s = (math.inf, -math.inf)
 
     def shift(self, jump_enu_m: PositionEnu) -> None:
         """Move the past along with a position that jumped."""

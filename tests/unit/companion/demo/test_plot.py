@@ -26,9 +26,7 @@ BLOCK = Obstacle("block", ((30.0, 30.0), (45.0, 30.0), (45.0, 60.0)), 30.0)
 def flight(*obstacles: Obstacle) -> PlottedFlight:
     return PlottedFlight(
         track_enu_m=[(10.0, 10.0), (50.0, 40.0)],
-        estimates_enu_m=[(40.0, 40.0), (50.0, 50.0)],
-        r95=[(1.0, 20.0), (40.0, 0.3)],
-        errors=[(1.0, 14.0), (40.0, 0.1)],
+        estimates=[(1.0, 40.0, 40.0, 20.0), (40.0, 49.9, 50.0, 0.3)],
         crossings_enu_m=[(52.0, 52.0)],
         fence_enu_m=[(-10.0, -10.0), (110.0, -10.0), (110.0, 110.0), (-10.0, 110.0)],
         obstacles=obstacles,
