@@ -267,7 +267,7 @@ class StopRequested(Event):
 
 @dataclass(frozen=True, slots=True)
 class EarlierRunFound(Event):
-    """An earlier process of ours did not end in order; see `guidance.memory`."""
+    """An earlier process of ours did not end in order; see `guidance.recovery`."""
 
 
 @dataclass(frozen=True, slots=True)

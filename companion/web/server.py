@@ -213,7 +213,7 @@ Send = Callable[[Any], Awaitable[None]]
 
 
 class HostCheck:
-    """Refuses requests that foreign pages may have caused; see `companion.web.access`."""
+    """Refuses requests that foreign pages may have caused; see `companion.web.settings`."""
 
     def __init__(self, app: Any, access: Access) -> None:
         self._app = app

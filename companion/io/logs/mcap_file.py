@@ -152,7 +152,7 @@ class McapLog(WriterThread[Message]):
         """The result is an event, too; the flight log records it."""
 
     def input(self, record: bytes, now_s: float) -> None:
-        """Keep an input, in the form of `companion.io.inputs`."""
+        """Keep an input, in the form of `InputLog`."""
         self._put(INPUT_CHANNEL, record, now_s)
 
     def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> bool:
