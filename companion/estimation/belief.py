@@ -90,12 +90,7 @@ def belief_of(
 def hypotheses_of(
     belief: Belief, age_s: float, now_s: float, params: FilterParams
 ) -> tuple[Hypothesis, ...]:
-    """The hypotheses of a belief that nobody renewed for a while.
-
-    Args:
-        age_s: How long ago it was held.
-        now_s: The present, on the tracker's clock.
-    """
+    """The hypotheses of a belief that nobody renewed for a while."""
     walk = max(params.process_noise_m_per_sqrt_s, DRIFT_M_PER_SQRT_S)
     hypotheses = []
     for place in belief.places:

@@ -55,11 +55,7 @@ class Gate:
 
     @classmethod
     def of(cls, report: UpdateReport, inflation: Inflation) -> Gate:
-        """The gate's judgement of an update.
-
-        Args:
-            inflation: Variance inflation of range, bearing and elevation in force at the update.
-        """
+        """The gate's judgement of an update."""
         ranged = _in_sigmas(report.range, inflation[0])
         borne = _in_sigmas(report.bearing, inflation[1])
         is_short, is_off = ranged < -GATE_SIGMAS, abs(borne) > GATE_SIGMAS

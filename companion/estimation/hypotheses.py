@@ -68,11 +68,7 @@ def first_hypotheses(
     filter_params: FilterParams,
     params: HypothesisParams,
 ) -> tuple[Hypothesis, ...]:
-    """Where the target may be after its first measurement.
-
-    Args:
-        measurement: With range, bearing in ENU, or both.
-    """
+    """Where the target may be after its first measurement."""
     if measurement.range_m is not None and measurement.bearing_enu_rad is not None:
         return _fix(measurement, sensor_enu_m, filter_params)
     if measurement.range_m is not None:
@@ -220,11 +216,7 @@ def state_step(params: FilterParams, shift_enu_m: PositionEnu, turn_rad: float) 
 
 
 def shift_hypothesis(hypothesis: Hypothesis, step: Vector) -> Hypothesis:
-    """The hypothesis after a jump.
-
-    Args:
-        step: (n,), see `state_step`.
-    """
+    """The hypothesis after a jump."""
     state = hypothesis.state
     mean = state.mean + step
     mean[BEARING_OFFSET] = wrap_pi(float(mean[BEARING_OFFSET]))
@@ -238,13 +230,7 @@ def shift_hypothesis(hypothesis: Hypothesis, step: Vector) -> Hypothesis:
 def shift_rows(
     rows: Matrix, shift_enu_m: PositionEnu, step: Vector, params: FilterParams
 ) -> Matrix:
-    """Measurements as they would have been made after a jump, (n, 10).
-
-    Args:
-        rows: (n, 10), see `map_kernels`.
-        shift_enu_m: By how much the vehicle's reported position jumped.
-        step: (n,), see `state_step`.
-    """
+    """Measurements as they would have been made after a jump, (n, 10)."""
     east_m, north_m, up_m = shift_enu_m
     after = np.array(rows)
     after[:, 0] += east_m

@@ -314,7 +314,7 @@ class TargetTracker:
 
     def baseline_m(self, sensor_up_m: float) -> float:
         """How far to the side of the target a view from this height must be to say much."""
-        if self._optimizer.has_bearings or not self.hypotheses:
+        if self._optimizer.window.has_bearings or not self.hypotheses:
             return 0.0
         mean = self.hypotheses[0].state.mean
         return abs(sensor_up_m - target_height_m(mean, self._filter.params.model))

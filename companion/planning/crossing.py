@@ -44,7 +44,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.domain import NonNegative, Params, Positive, TargetEstimate, Waypoint, WaypointReason
+from companion.domain import NonNegative, Params, Positive, Waypoint, WaypointReason
 from companion.geometry.polygons import Point
 from companion.kernel import Vector, kernel
 from companion.planning.crossing_kernels import (
@@ -110,13 +110,7 @@ class LatchedCrossingParams(Params, frozen=True):
 
     def rule(self) -> LatchRule:
         """The same parameters as the kernels take them."""
-        return LatchRule(
-            self.overshoot_sigmas,
-            self.overshoot_min_m,
-            self.overshoot_max_m,
-            self.arrival_radius_m,
-            self.reaim_distance_m,
-        )
+        return LatchRule(*(getattr(self, name) for name in LatchRule._fields))
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,7 +180,8 @@ class LatchedCrossing:
         if request.estimate is None:
             return Plan(hold_position(request, "no estimate yet"), None)
         vehicle, target = request.vehicle_enu_m, request.estimate.position_enu_m
-        over_m = self._overshoot_m(request, request.estimate)
+        (a, b), (_, c) = request.estimate.covariance_m2
+        over_m = overshoot_m(a, b, c, request.baseline_m, self._rule)
         array = np.zeros(LATCH_SIZE) if memory is None else memory.array()
         behind_m = over_m if memory is None else max(over_m, memory.pushed_m)
         is_at_height = self._is_at_height(request, memory)
@@ -208,10 +203,6 @@ class LatchedCrossing:
             return True
         wanted_m = altitude_offset_m(float(memory.crossings), swing_m)
         return abs(offset_m - wanted_m) <= HEIGHT_SHARE * swing_m
-
-    def _overshoot_m(self, request: PlanRequest, estimate: TargetEstimate) -> float:
-        (a, b), (_, c) = estimate.covariance_m2
-        return overshoot_m(a, b, c, request.baseline_m, self._rule)
 
     def _best_point(
         self, request: PlanRequest, target: Point, heading: Point, over_m: float

@@ -152,12 +152,7 @@ def candidate_ring_m(step_m: float, headings: int = HEADINGS) -> Matrix:
 
 
 class FimPlanner:
-    """The information-theoretic benchmark; it needs no memory.
-
-    Args:
-        range_sigma_m: Thermal noise of the expected range.
-        bearing_sigma_rad: Thermal noise of the expected bearing.
-    """
+    """The information-theoretic benchmark; it needs no memory."""
 
     search_after_s: float | None = None
 

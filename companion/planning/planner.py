@@ -118,9 +118,7 @@ def kept_inside(point: Point, anchor: Point, request: PlanRequest) -> Point:
     the nearest one.
 
     Args:
-        point: Where the planner wants to go.
         anchor: A point it may fall back towards, usually the estimate or the vehicle.
-        request: With the fence and the keep-outs.
     """
     finder = way_finder(request)
     if finder is None or finder.space.allows(point):
@@ -174,12 +172,7 @@ def is_reachable(point: Point, request: PlanRequest) -> bool:
 
 
 def route_to(request: PlanRequest, wanted: Waypoint) -> Waypoint:
-    """A waypoint whose straight leg is clear, on the way to the wanted one.
-
-    Args:
-        request: With the fence, the keep-outs and where the leg begins.
-        wanted: Anywhere; its detail goes on to the waypoints on the way.
-    """
+    """A waypoint whose straight leg is clear, on the way to the wanted one."""
     finder = way_finder(request)
     if finder is None:
         return wanted

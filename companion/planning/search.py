@@ -28,7 +28,7 @@ import msgspec
 
 from companion.domain import EstimateState, Params, Positive, Waypoint, WaypointReason
 from companion.geometry.obstacles import FreeSpace
-from companion.geometry.polygons import Point, Polygon, area_m2, is_simple, nearest_on_segment
+from companion.geometry.polygons import Point, Polygon, nearest_on_segment, polygon_problem
 from companion.planning.planner import (
     Plan,
     Planner,
@@ -137,11 +137,7 @@ class SearchPlanner:
         return Plan(hold_position(request, f"{self.pattern.name}: no way to any leg"), memory)
 
     def interrupted(self, memory: SearchMemory | None) -> SearchMemory | None:
-        """The memory after something else was flown: the rest of the leg, from where it was left.
-
-        Args:
-            memory: As it was when the search was left.
-        """
+        """The memory after something else was flown: the leg goes on from where it was left."""
         if memory is None or not memory.is_on_leg:
             return memory
         return replace(memory, is_on_leg=False, is_left=True)
@@ -191,6 +187,7 @@ def _begin(memory: SearchMemory) -> Point:
     return (e0 + share * (e1 - e0), n0 + share * (n1 - n0))
 
 
+LEAST_AREA_M2 = 1.0
 MOST_LEGS = 2000
 """More cannot be flown, and planning them would cost the flight its ticks."""
 HeadingDeg = Annotated[float, msgspec.Meta(ge=0.0, le=360.0)]
@@ -212,10 +209,9 @@ class LawnmowerParams(SearchParams, frozen=True):
         area = self.area_enu_m
         if area is None:
             return
-        if len(area) < 3 or not all(math.isfinite(v) for corner in area for v in corner):
-            raise ValueError("area_enu_m needs at least 3 corners, all finite")
-        if not is_simple(area) or area_m2(area) < 1.0:
-            raise ValueError("area_enu_m must enclose an area, without edges that touch or cross")
+        problem = polygon_problem(area, LEAST_AREA_M2)
+        if problem is not None:
+            raise ValueError(f"area_enu_m {problem}")
         if math.dist(*_extent(area)) > MOST_LEGS * self.spacing_m:
             raise ValueError(f"area_enu_m would take more than {MOST_LEGS} lanes at this spacing_m")
 

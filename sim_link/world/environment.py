@@ -253,11 +253,7 @@ def shadow_of(params: ShadowParams) -> Shadow:
 
 
 class Environment:
-    """The obstacles of a scene.
-
-    Args:
-        shadow: What a path suffers that they block.
-    """
+    """The obstacles of a scene."""
 
     def __init__(
         self, obstacles: Sequence[ObstacleParams] = (), shadow: ShadowParams | None = None

@@ -60,12 +60,7 @@ class WindParams(Params, frozen=True):
 
 
 class PointMass:
-    """The vehicle's true motion.
-
-    Args:
-        wind: The wind, felt in the air only.
-        position_enu_m: Where it stands at the start.
-    """
+    """The vehicle's true motion."""
 
     def __init__(
         self,

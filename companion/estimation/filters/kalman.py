@@ -141,9 +141,6 @@ class HuberEkf(RecursiveFilter):
     """The symmetric baseline: the long threshold of ranges holds on the short side, too.
 
     Paper: eq. (8) for every modality, the "relaxed" model that ignores that b >= 0.
-
-    Args:
-        params: Noise, thresholds, priors and bounds; `range_k_short` does not count.
     """
 
     def __init__(self, params: FilterParams) -> None:
@@ -154,9 +151,8 @@ class Ekf(RecursiveFilter):
     """The baseline that believes its measurements; thresholds in the params do not count."""
 
     def __init__(self, params: FilterParams) -> None:
-        super().__init__(
-            msgspec.structs.replace(params, range_k_long=None, range_k_short=None, bearing_k=None)
-        )
+        no_thresholds = {"range_k_long": None, "range_k_short": None, "bearing_k": None}
+        super().__init__(msgspec.structs.replace(params, **no_thresholds))
 
 
 class AdmmParams(Params, frozen=True):
@@ -268,11 +264,7 @@ def admm_update(
 
 
 class AdmmEkf(RecursiveFilter):
-    """The iterative baseline.
-
-    Args:
-        params: Noise, thresholds, priors and bounds, as for the AsymmetricHuberEKF.
-    """
+    """The iterative baseline."""
 
     def __init__(self, params: FilterParams, admm: AdmmParams | None = None) -> None:
         self.admm = admm or AdmmParams()

@@ -86,12 +86,7 @@ class Motion:
 
 
 class MotionWatch:
-    """Keeps the measurements of the last seconds, and asks them now and then.
-
-    Args:
-        filter_params: Whether the target is believed to lie still at all.
-        localised_r95_m: A place much vaguer than this is not worth asking for.
-    """
+    """Keeps the measurements of the last seconds, and asks them now and then."""
 
     def __init__(self, filter_params: FilterParams, localised_r95_m: float) -> None:
         self._is_wanted = filter_params.process_noise_m_per_sqrt_s == 0.0

@@ -170,11 +170,7 @@ class Contradiction:
         return max(counts) >= CONTRADICTION_COUNT
 
     def after(self, report: UpdateReport, inflation: Inflation, gate: Gate = OPEN) -> Contradiction:
-        """The counts after one more update.
-
-        Args:
-            report: Of the update with all that was measured.
-        """
+        """The counts after one more update."""
         bearings, side, ranges = self.bearings, self.side, self.ranges
         rejected_ranges, rejected_bearings = self.rejected_ranges, self.rejected_bearings
         if report.bearing is not None:
@@ -315,9 +311,6 @@ class TrackIntegrity:
 
         Once next to nothing agrees, that itself inflates what the run shows, until everything would
         agree again with an estimate that nothing speaks for.
-
-        Args:
-            shown: Inflation of range, bearing and elevation that the run shows now.
         """
         if self._inflation_at_loss is None:
             return shown
@@ -335,12 +328,7 @@ class TrackIntegrity:
         gate: Gate,
         judging: Inflation,
     ) -> bool:
-        """Note how a measurement agrees; whether the estimate should be given up.
-
-        Args:
-            report: What all of it would do.
-            judging: The inflation that it is judged by.
-        """
+        """Note how a measurement agrees; whether the estimate should be given up."""
         self.contact = self.contact.after(measurement, gate)
         self.agreement.add(measurement.measured_at_s, agrees=gate.agrees)
         self._contradiction = self._contradiction.after(report, judging, gate)

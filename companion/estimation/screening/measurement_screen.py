@@ -275,11 +275,7 @@ DUPLICATE_MEMORY = 256
 
 
 class MeasurementScreen:
-    """Watches the raw values of one emitter, and lets through what may be fused.
-
-    Args:
-        params: What is believed of the radio.
-    """
+    """Watches the raw values of one emitter, and lets through what may be fused."""
 
     def __init__(self, params: FilterParams, acceptance: AcceptanceParams) -> None:
         self.rejected: Counter[RejectReason] = Counter()

@@ -126,11 +126,7 @@ class _Moments:
 
 
 class UnitCheck:
-    """Watches the ranges of one emitter.
-
-    Args:
-        params: Prior and bounds of the offset, and the target's height.
-    """
+    """Watches the ranges of one emitter."""
 
     def __init__(self, params: FilterParams, max_range_m: float) -> None:
         self._params = params

@@ -132,11 +132,7 @@ class MeasurementWindow:
         self._sequence = 0
 
     def change(self, changed: Callable[[Matrix], Matrix]) -> None:
-        """Put other rows in the place of those held.
-
-        Args:
-            changed: The new rows, (n, 10), of the old ones.
-        """
+        """Put other rows in the place of those held."""
         self._rows[: self._count] = changed(self.rows)
 
     def believe(self, range_sigma_m: float, bearing_sigma_rad: float) -> None:
@@ -221,17 +217,13 @@ CONTRADICTED_DISTANCE2 = 16.0
 
 
 class WindowOptimizer:
-    """The window of one target, and when and how it is solved.
-
-    Args:
-        filter_params: Noise, thresholds, priors and bounds, as the filter has them.
-        params: Size and rhythm of the window.
-    """
+    """The window of one target, and when and how it is solved."""
 
     def __init__(self, filter_params: FilterParams, params: WindowParams) -> None:
         self._filter_params = filter_params
         self._params = params
-        self._window = MeasurementWindow(params.size)
+        self.window = MeasurementWindow(params.size)
+        """The measurements held."""
         self.map = WindowMap(filter_params)
         """What solves the window."""
         self._older = OlderEvidence.none(self.map.size)
@@ -246,7 +238,7 @@ class WindowOptimizer:
     def clear(self) -> None:
         """Forget everything measured."""
         self.latest.clear()
-        self._window.clear()
+        self.window.clear()
         self.noise = None
         self._older = OlderEvidence.none(self.map.size)
         self._due_at = MIN_MEASUREMENTS
@@ -259,16 +251,14 @@ class WindowOptimizer:
         """Move all evidence along with the vehicle's navigation, which jumped."""
         self.latest.clear()
         self._older = self._older.moved(step)
-        self._window.change(
-            lambda rows: shift_rows(rows, shift_enu_m, step, self._filter_params),
-        )
+        self.window.change(lambda rows: shift_rows(rows, shift_enu_m, step, self._filter_params))
 
     def begin_with_latest(self) -> None:
         """Forget what led to an estimate that was given up, all but the latest measurements."""
         self._older = OlderEvidence.none(self.map.size)
-        self._window.clear()
+        self.window.clear()
         for row in self.latest:
-            self._window.add(row, row[0][:2])
+            self.window.add(row, row[0][:2])
         self.noise = None
         self._due_at = self._fresh_at = 0
 
@@ -276,19 +266,9 @@ class WindowOptimizer:
         """Believe in other noise and thresholds, for what was measured already, too."""
         self._filter_params = filter_params
         self.map = WindowMap(filter_params)
-        self._window.believe(
+        self.window.believe(
             filter_params.range_sigma_m, math.radians(filter_params.bearing_sigma_deg)
         )
-
-    @property
-    def window_rows(self) -> Matrix:
-        """The measurements held, (n, 10), see `map_kernels`."""
-        return self._window.rows
-
-    @property
-    def has_bearings(self) -> bool:
-        """Whether any measurement held is a bearing."""
-        return self._window.has_bearings
 
     def add(self, row: Row, hypotheses: Sequence[Hypothesis], *, is_white: bool) -> None:
         """Take in a measurement; what must leave the window becomes older evidence.
@@ -300,14 +280,10 @@ class WindowOptimizer:
         if hypotheses:
             mean = hypotheses[0].state.mean
             place = (float(mean[0]), float(mean[1]))
-        dropped = self._window.add(row, place)
+        dropped = self.window.add(row, place)
         if len(dropped) and len(hypotheses) == 1 and is_white:
-            self._older = self._older.joined(
-                dropped,
-                hypotheses[0].state.mean,
-                self._filter_params.thresholds,
-                self._filter_params.model,
-            )
+            mean, params = hypotheses[0].state.mean, self._filter_params
+            self._older = self._older.joined(dropped, mean, params.thresholds, params.model)
 
     def is_due(self, accepted: int) -> bool:
         """Whether the window should be solved after this many measurements."""
@@ -332,12 +308,12 @@ class WindowOptimizer:
         """
         grown = max(1, int(EARLY_SHARE * accepted))
         self._due_at = accepted + min(self._params.every, grown)
-        if len(self._window) < MIN_MEASUREMENTS or not hypotheses:
+        if len(self.window) < MIN_MEASUREMENTS or not hypotheses:
             return hypotheses
         if fresh_starts is None:
             fresh_starts = self._fresh_starts(len(hypotheses), accepted)
         self.map.expect(inflation)
-        rows, starts = self._window.rows, self._starts(hypotheses, fresh_starts)
+        rows, starts = self.window.rows, self._starts(hypotheses, fresh_starts)
         optima = self.map.optima(rows, starts, self._older, is_white=is_white)
         if optima and not self._older.is_empty and self._is_contradicted(optima[0]):
             self._older = OlderEvidence.none(self.map.size)
@@ -355,9 +331,9 @@ class WindowOptimizer:
 
     def observability(self, mean: Vector) -> Observability | None:
         """What the window can tell about a target at `mean`; None before the first measurement."""
-        if not len(self._window):
+        if not len(self.window):
             return None
-        rows = self._window.rows
+        rows = self.window.rows
         return observability_of(rows, self.map.scores(rows, mean))
 
     def _fresh_starts(self, hypotheses: int, accepted: int) -> int:
@@ -370,7 +346,7 @@ class WindowOptimizer:
 
     def _starts(self, hypotheses: Sequence[Hypothesis], fresh: int) -> list[Vector]:
         """The hypotheses, the best one's mirror image, and places around the path."""
-        rows, directions = self._window.rows, self._params.starts
+        rows, directions = self.window.rows, self._params.starts
         starts = [h.state.mean for h in hypotheses[:MAX_STARTS_KEPT]]
         if fresh:
             starts.append(mirrored(starts[0], rows[:, :2]))
@@ -388,7 +364,7 @@ class WindowOptimizer:
 
         Where most measurements look wrong, it is rather the optimum, and nothing is left out.
         """
-        rows = self.map.without_gross(self._window.rows, optima[0])
+        rows = self.map.without_gross(self.window.rows, optima[0])
         if rows is None:
             return optima
         starts = [*starts, *(optimum.mean for optimum in optima)]
@@ -399,9 +375,9 @@ class WindowOptimizer:
 
         A window that is far from full, as after a restart, does not know how wrong it is itself.
         """
-        if len(self._window) < CONTRADICTING_SHARE * self._params.size:
+        if len(self.window) < CONTRADICTING_SHARE * self._params.size:
             return False
-        alone = self.map.optima(self._window.rows, [best.mean])
+        alone = self.map.optima(self.window.rows, [best.mean])
         if not alone:
             return False
         difference = alone[0].mean[:2] - best.mean[:2]

@@ -215,44 +215,28 @@ class Optimum:
 
 
 class WindowMap:
-    """Solves the window.
-
-    Args:
-        filter_params: Noise, thresholds, priors and bounds, as the filter has them.
-    """
+    """Solves the window."""
 
     def __init__(self, filter_params: FilterParams) -> None:
         self._p = filter_params
         self._model = filter_params.model
         self._thresholds = filter_params.thresholds
-        self._bounds = filter_params.bounds
+        self.bounds = filter_params.bounds
+        """Lower and upper bounds of the state, (2, k)."""
         self._thermal = tuple(thermal_moment(*pair) for pair in self._thresholds.tolist())
         mean, sigmas = filter_params.prior
         weights = (1.0 / sigmas) ** 2
         weights[:RANGE_OFFSET] = 0.0  # the position's prior is flat (paper, section IV-A)
         centre = np.array(mean)
         centre[RANGE_OFFSET : BEARING_OFFSET + 1] = 0.0
-        self._information = np.diag(weights)
-        self._pull = weights * centre
+        self.prior: tuple[Matrix, Vector] = (np.diag(weights), weights * centre)
+        """Information (k, k) of the state's Gaussian prior, and its pull, (k,)."""
+        self.size = len(weights)
+        """Components of the state."""
 
     def expect(self, inflation: Inflation) -> None:
         """Hold the own position's error against bearings that are so much worse than thermal."""
         self._model = self._model._replace(bearing_inflation=inflation[BEARING])
-
-    @property
-    def bounds(self) -> Matrix:
-        """Lower and upper bounds of the state, (2, k)."""
-        return self._bounds
-
-    @property
-    def prior(self) -> tuple[Matrix, Vector]:
-        """Information (k, k) of the state's Gaussian prior, and its pull, (k,)."""
-        return self._information, self._pull
-
-    @property
-    def size(self) -> int:
-        """Components of the state."""
-        return len(self._pull)
 
     def optima(
         self,
@@ -293,7 +277,7 @@ class WindowMap:
                     rows,
                     np.array(start, dtype=np.float64),
                     self._thresholds,
-                    self._bounds,
+                    self.bounds,
                     information,
                     pull,
                     self._model,
@@ -378,8 +362,8 @@ class WindowMap:
 
     def _prior(self, older: OlderEvidence | None) -> tuple[Matrix, Vector]:
         if older is None:
-            return self._information, self._pull
-        return self._information + older.information, self._pull + older.pull
+            return self.prior
+        return self.prior[0] + older.information, self.prior[1] + older.pull
 
     def _optimum(
         self,
@@ -421,7 +405,7 @@ class WindowMap:
     ) -> tuple[Matrix, Matrix, Matrix]:
         """Covariance, curvature and variability of an optimum, each (k, k)."""
         A = curvature(scores) + self._prior(older)[0]
-        fixed = self._information + (0.0 if older is None else older.variability)
+        fixed = self.prior[0] + (0.0 if older is None else older.variability)
         A_inverse = np.asarray(np.linalg.inv(A))
         repetition = scores.repetition
         variabilities = [pooled_variability(scores, A_inverse, repetition) + fixed]

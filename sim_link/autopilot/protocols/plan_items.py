@@ -87,9 +87,6 @@ ItemMessage = mavlink.MAVLink_mission_item_int_message | mavlink.MAVLink_mission
 def item_from(message: ItemMessage) -> PlanItem | PlanResult:
     """The item that a message carries, not yet checked.
 
-    Args:
-        message: MISSION_ITEM_INT, or the older MISSION_ITEM, whose coordinates are floats.
-
     Returns:
         The item, or why its coordinates cannot be integers.
     """
@@ -125,11 +122,7 @@ def item_message(
     *,
     is_current: bool = False,
 ) -> Message:
-    """MISSION_ITEM_INT.
-
-    Args:
-        is_current: Whether the vehicle is at it, or would begin with it.
-    """
+    """MISSION_ITEM_INT."""
     return mavlink.MAVLink_mission_item_int_message(
         *target,
         seq,
@@ -219,11 +212,7 @@ class PlanStore:
         return True
 
     def replace(self, plan_type: PlanType, items: Sequence[PlanItem], current: int = 0) -> None:
-        """Replace a plan as a whole.
-
-        Args:
-            items: None for a plan that is cleared.
-        """
+        """Replace a plan as a whole."""
         self._plans[plan_type] = tuple(items)
         if plan_type is PlanType.MISSION:
             self._current = current

@@ -74,11 +74,7 @@ CRITICAL = mavlink.MAV_SEVERITY_CRITICAL
 
 
 class Px4Flavour(Flavour):
-    """PX4 1.15, multicopter.
-
-    Args:
-        parameters: PX4's.
-    """
+    """PX4 1.15, multicopter."""
 
     firmware = FIRMWARE
     handlers = HANDLERS

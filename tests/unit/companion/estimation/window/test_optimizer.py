@@ -235,7 +235,7 @@ def test_what_was_expanded_about_a_wrong_place_is_forgotten() -> None:
     rows = walk(np.random.default_rng(6), 400)
     wrong = (_hypothesis(70.0, 60.0),)
     misled, distrusted = (_fed(rows, wrong, size=128) for _ in range(2))
-    kept = distrusted.window_rows.tolist()
+    kept = distrusted.window.rows.tolist()
     distrusted.latest = deque(
         ((row[0], row[1], row[2]), np.array(row[3:6]), np.array(row[6:9])) for row in kept
     )
@@ -267,7 +267,7 @@ def test_a_window_that_names_no_place_by_itself_contradicts_nothing() -> None:
     is_borne = (np.arange(1500) > 0) & (np.arange(1500) < 20)
     rows[:, 4] = np.where(is_borne, rows[:, 4] - TURN_RAD, np.nan)
     optimizer = _fed(rows, at, p, size=32)
-    assert not optimizer.has_bearings
+    assert not optimizer.window.has_bearings
     (only,) = _optimized(optimizer, at)
     assert only.place_enu_m == pytest.approx(TARGET, abs=2.5)
     assert only.least_covariance_m2 is None  # a place was found
@@ -280,10 +280,10 @@ def test_a_window_that_names_no_place_by_itself_contradicts_nothing() -> None:
 def test_what_was_measured_can_be_forgotten() -> None:
     optimizer = _fed(walk(np.random.default_rng(1)))
     _optimized(optimizer)
-    assert optimizer.has_bearings
+    assert optimizer.window.has_bearings
     assert optimizer.observability(START) is not None
     optimizer.clear()
-    assert not optimizer.has_bearings
+    assert not optimizer.window.has_bearings
     assert optimizer.noise is None
     assert optimizer.observability(START) is None
     assert optimizer.is_due(MIN_MEASUREMENTS)

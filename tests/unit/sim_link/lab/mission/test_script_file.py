@@ -81,7 +81,7 @@ def test_the_search_of_a_script_is_the_companions_search() -> None:
         ("  - arm:", "  - arms:", "m.yaml:14: $.steps[1].arms: there is no step `arms`; did you m"),
         ("spacing_m: 15", "spacing_m: 0.5", "m.yaml:20: $.steps[5].search.spacing_m: Expected"),
         ("spacing_m: 15", "area_enu_m: [[0, 0], [1, 1]]", "m.yaml:20: $.steps[5].search: area"),
-        ("spacing_m: 15", f"area_enu_m: {BOW_TIE}", "$.steps[5].search: area_enu_m must enclose"),
+        ("spacing_m: 15", f"area_enu_m: {BOW_TIE}", "$.steps[5].search: area_enu_m has two edges"),
         ("spacing_m: 15", f"spacing_m: 1, area_enu_m: {VAST}", "more than 2000 lanes"),
         ("lawnmower, spacing_m: 15", "expanding_square, spacing_m: 500", "radius_m must not be le"),
         (
