@@ -81,17 +81,21 @@ def _ground_range_m(range_m: float, sensor_enu_m: PositionEnu, target_height_m: 
     return math.sqrt(max(range_m**2 - rise_m**2, 1.0))
 
 
-def _state(
-    measurement: RangingMeasurement,
-    east_north_m: tuple[float, float],
+def _at(
+    direction_rad: float,
+    distance_m: float,
     position_covariance: Matrix,
+    measurement: RangingMeasurement,
+    sensor_enu_m: PositionEnu,
     params: FilterParams,
-) -> FilterState:
+) -> Hypothesis:
+    """A target so far from the sensor along the ground; the rest of its state is the prior's."""
     mean, sigmas = params.prior
-    mean[:2] = east_north_m
+    mean[0] = sensor_enu_m[0] + distance_m * math.cos(direction_rad)
+    mean[1] = sensor_enu_m[1] + distance_m * math.sin(direction_rad)
     P = np.diag(sigmas**2)
     P[:2, :2] = position_covariance
-    return FilterState.of(measurement.measured_at_s, mean, P)
+    return Hypothesis(0.0, FilterState.of(measurement.measured_at_s, mean, P))
 
 
 def _polar_covariance(direction_rad: float, radial_sigma_m: float, across_sigma_m: float) -> Matrix:
@@ -107,16 +111,13 @@ def _fix(
     assert measurement.range_m is not None
     assert measurement.bearing_enu_rad is not None
     ground_m = _ground_range_m(measurement.range_m, sensor_enu_m, params.target_height_m)
-    place = _away(sensor_enu_m, measurement.bearing_enu_rad, ground_m)
     covariance = np.eye(2) * params.position_sigma_m**2
-    return (Hypothesis(0.0, _state(measurement, place, covariance, params)),)
+    seen = (measurement, sensor_enu_m, params)
+    return (_at(measurement.bearing_enu_rad, ground_m, covariance, *seen),)
 
 
 def _ring(
-    range_m: float,
-    measurement: RangingMeasurement,
-    sensor_enu_m: PositionEnu,
-    params: FilterParams,
+    range_m: float, measurement: RangingMeasurement, sensor_enu_m: PositionEnu, params: FilterParams
 ) -> tuple[Hypothesis, ...]:
     ground_m = _ground_range_m(range_m, sensor_enu_m, params.target_height_m)
     radial_m = math.hypot(params.range_offset_sigma_m, params.range_sigma_m, 0.25 * ground_m)
@@ -124,9 +125,9 @@ def _ring(
     hypotheses = []
     for index in range(RING_SIZE):
         direction_rad = 2.0 * math.pi * index / RING_SIZE
-        place = _away(sensor_enu_m, direction_rad, ground_m)
         covariance = _polar_covariance(direction_rad, radial_m, across_m)
-        hypotheses.append(Hypothesis(0.0, _state(measurement, place, covariance, params)))
+        seen = (measurement, sensor_enu_m, params)
+        hypotheses.append(_at(direction_rad, ground_m, covariance, *seen))
     return tuple(hypotheses)
 
 
@@ -136,26 +137,18 @@ def _ray(
     filter_params: FilterParams,
     params: HypothesisParams,
 ) -> tuple[Hypothesis, ...]:
-    assert measurement.bearing_enu_rad is not None
+    bearing_rad = measurement.bearing_enu_rad
+    assert bearing_rad is not None
     hypotheses = []
     for index in range(RAY_SIZE):
         ground_m = params.nearest_m * RAY_GROWTH**index
         across_m = ground_m * math.radians(
             math.hypot(filter_params.bearing_offset_sigma_deg, 2 * filter_params.bearing_sigma_deg)
         )
-        place = _away(sensor_enu_m, measurement.bearing_enu_rad, ground_m)
-        covariance = _polar_covariance(measurement.bearing_enu_rad, 0.35 * ground_m, across_m)
-        hypotheses.append(Hypothesis(0.0, _state(measurement, place, covariance, filter_params)))
+        covariance = _polar_covariance(bearing_rad, 0.35 * ground_m, across_m)
+        seen = (measurement, sensor_enu_m, filter_params)
+        hypotheses.append(_at(bearing_rad, ground_m, covariance, *seen))
     return tuple(hypotheses)
-
-
-def _away(
-    sensor_enu_m: PositionEnu, direction_rad: float, distance_m: float
-) -> tuple[float, float]:
-    return (
-        sensor_enu_m[0] + distance_m * math.cos(direction_rad),
-        sensor_enu_m[1] + distance_m * math.sin(direction_rad),
-    )
 
 
 def probabilities(hypotheses: Iterable[Hypothesis]) -> Vector:

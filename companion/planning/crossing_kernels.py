@@ -199,16 +199,7 @@ def latched_step(
     heading = next_direction(latch, verdict, east_m, north_m, target_east_m, target_north_m)
     point = (target_east_m + over_m * heading[0], target_north_m + over_m * heading[1])
     return new_latch(
-        latch,
-        verdict,
-        point,
-        heading,
-        east_m,
-        north_m,
-        target_east_m,
-        target_north_m,
-        over_m,
-        rule,
+        latch, verdict, point, heading, east_m, north_m, target_east_m, target_north_m, over_m, rule
     )
 
 

@@ -155,10 +155,7 @@ def pushed_beyond(point: Point, heading: Point, request: PlanRequest) -> Point:
     finder = way_finder(request)
     if finder is None or finder.space.allows(point):
         return point
-    end = (
-        point[0] + FARTHEST_BEYOND_M * heading[0],
-        point[1] + FARTHEST_BEYOND_M * heading[1],
-    )
+    end = (point[0] + FARTHEST_BEYOND_M * heading[0], point[1] + FARTHEST_BEYOND_M * heading[1])
     return next((first for first, _ in finder.space.pieces(point, end)), point)
 
 

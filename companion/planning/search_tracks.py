@@ -200,10 +200,7 @@ def _moved(place: Point, heading_rad: float, by_m: float) -> Point:
 
 
 def _placed(along: Point, aside: Point, along_m: float, aside_m: float) -> Point:
-    return (
-        along_m * along[0] + aside_m * aside[0],
-        along_m * along[1] + aside_m * aside[1],
-    )
+    return (along_m * along[0] + aside_m * aside[0], along_m * along[1] + aside_m * aside[1])
 
 
 def _dot(a: Point, b: Point) -> float:

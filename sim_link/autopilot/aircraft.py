@@ -210,15 +210,11 @@ class Aircraft:
         self.distance_m = 0.0
         self.has_flown = False
         """Since it was armed."""
-        self.grounded_s = 0.0
-        """Since when it has been standing."""
         self.stations_s: dict[int, float] = {}
         """When each ground station's HEARTBEAT last came, by system id."""
         self.texts: list[tuple[int, str]] = []
         """MAV_SEVERITY and text, to be sent as STATUSTEXT."""
         self._gust_rng = noise_rng if scenario.wind.gust_sigma_mps > 0.0 else None
-
-    # For flavours
 
     @property
     def heading_ned_rad(self) -> float:
@@ -260,11 +256,6 @@ class Aircraft:
         self.is_home_given = is_given
         self.home_changes += 1
 
-    def set_home_here(self) -> None:
-        """Home is where it is armed, unless a station set it."""
-        if not self.is_home_given and self.body.position_enu_m != self.home_enu_m:
-            self.set_home(self.body.position_enu_m, is_given=False)
-
     def set_origin(self, latitude_e7: int, longitude_e7: int, altitude_mm: int) -> None:
         """Move the zero of the local frame."""
         origin = LocalOrigin(latitude_e7 / 1e7, longitude_e7 / 1e7, altitude_mm / 1e3)
@@ -294,8 +285,6 @@ class Aircraft:
         amsl_m = self.estimator.world_origin.altitude_m + up_m
         place = (latitude_e7 / 1e7, longitude_e7 / 1e7, amsl_m)
         return (*self.estimator.world_from_geodetic(*place)[:2], up_m)
-
-    # Plans
 
     def load_fence(self, items: Sequence[PlanItem]) -> None:
         """Take over an uploaded fence, which was checked before it was stored."""

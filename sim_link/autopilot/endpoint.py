@@ -30,7 +30,7 @@ from sim_link.autopilot.protocols.addressing import Channel, Outgoing
 from sim_link.autopilot.protocols.link_layer import NO_SECURITY, LinkLayer, LinkSecurity
 from sim_link.autopilot.scenario import Scenario
 from sim_link.autopilot.services import Services
-from sim_link.autopilot.telemetry import Telemetry
+from sim_link.autopilot.telemetry import build_message
 from sim_link.autopilot.vehicle import (
     FlightRecorder,
     IncidentSchedule,
@@ -91,7 +91,6 @@ class SimEndpoint:
         self._next_step = 0
         self.vehicle = SimVehicle(scenario, np.random.default_rng(noise_seed), body)
         self.vehicle.flavour.parameters.load_text(parameters, name)
-        self._telemetry = Telemetry(self.vehicle)
         self._services = Services(self.vehicle, self._link_count)
         self.links.keep_apart(self._services.requests.channels)
         self._payload = radio_payload.RadioPayload(
@@ -201,7 +200,7 @@ class SimEndpoint:
         built: dict[int, Message | None] = {}
         for channel, number in self._services.requests.take_due(boot_s):
             if number not in built:
-                built[number] = self._telemetry.build(number)
+                built[number] = build_message(self.vehicle, number)
             message = built[number]
             if message is not None:
                 self._send_all([Outgoing(message, channel)])

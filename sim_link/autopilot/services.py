@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from companion.mav.dialect import MAVLink_command_cancel_message, Message, mavlink
@@ -27,12 +28,7 @@ from sim_link.autopilot.control_inputs import (
     is_on_earth,
     sticks_from,
 )
-from sim_link.autopilot.flavours.base import (
-    ACCEPTED,
-    DENIED,
-    TEMPORARILY_REJECTED,
-    UNSUPPORTED,
-)
+from sim_link.autopilot.flavours.base import ACCEPTED, DENIED, TEMPORARILY_REJECTED, UNSUPPORTED
 from sim_link.autopilot.protocols.addressing import (
     Addressing,
     Channel,
@@ -61,7 +57,7 @@ from sim_link.autopilot.protocols.plan_items import (
     PlanStore,
     PlanType,
 )
-from sim_link.autopilot.telemetry import Telemetry, mission_progress
+from sim_link.autopilot.telemetry import build_message, mission_progress
 from sim_link.autopilot.vehicle import SimVehicle
 
 FTP_HEADER_LENGTH, FTP_PAYLOAD_LENGTH = 12, 251
@@ -92,9 +88,7 @@ def _no_such_file(request: bytes, partner: Partner) -> Message | None:
     head = sequence.to_bytes(2, "little")
     head += bytes((request[2], FTP_ACK if is_done else FTP_NAK, len(error), opcode))
     payload = (head.ljust(FTP_HEADER_LENGTH, b"\0") + error).ljust(FTP_PAYLOAD_LENGTH, b"\0")
-    return mavlink.MAVLink_file_transfer_protocol_message(
-        0, partner.system_id, partner.component_id, list(payload)
-    )
+    return mavlink.MAVLink_file_transfer_protocol_message(0, *partner.ids, list(payload))
 
 
 CALIBRATION_COMMAND = mavlink.MAV_CMD_PREFLIGHT_CALIBRATION
@@ -160,9 +154,9 @@ class Services:
         self._plans = Plans(self._store, firmware.plans, self._texts, fly_to)
         self._commands = Commands(firmware.commands)
         self._calibration = Calibration(self._commands)
-        self._telemetry = Telemetry(vehicle)
+        self._build = partial(build_message, vehicle)
         self.requests = MessageRequests(
-            firmware.streams, firmware.requests, self._telemetry.build, self._texts
+            firmware.streams, firmware.requests, self._build, self._texts
         )
         """Keeps the streams."""
         for link in range(links):
@@ -228,7 +222,7 @@ class Services:
         messages += [mavlink.MAVLink_mission_item_reached_message(seq) for seq in reached]
         if changed is not None:
             messages.append(changed)
-            self._store.advance(aircraft.mission.current)
+            self._store.current = aircraft.mission.current
         return [Outgoing(message) for message in messages + self._changed_places()]
 
     def _changed_places(self) -> list[Message]:
@@ -247,10 +241,8 @@ class Services:
             numbers.append(mavlink.MAVLINK_MSG_ID_HOME_POSITION)
         if seen[2] != old[2] and self._firmware.tells_mode_at_once:
             numbers.append(mavlink.MAVLINK_MSG_ID_HEARTBEAT)
-        messages = [self._telemetry.build(number) for number in numbers]
+        messages = [self._build(number) for number in numbers]
         return [message for message in messages if message is not None]
-
-    # Commands
 
     def _take_command(self, message: Message, partner: Partner, now_s: float) -> list[Outgoing]:
         command, outgoing = self._commands.receive(message, partner, now_s)
@@ -288,8 +280,6 @@ class Services:
         self.wants_reboot = True
         return ACCEPTED
 
-    # Plans
-
     def _take_plan_events(self) -> None:
         for event in self._store.take_events():
             match event:
@@ -315,8 +305,6 @@ class Services:
         )
         result = self._vehicle.flavour.command(command, self._vehicle.time_s)
         return PlanResult.ACCEPTED if result == ACCEPTED else PlanResult.ERROR
-
-    # The rest
 
     def _take_heartbeat(
         self, message: mavlink.MAVLink_heartbeat_message, partner: Partner, now_s: float

@@ -190,17 +190,10 @@ BUILDERS = {int(message.id): (message, build) for message, build in _CLASSES.ite
 """What can be told; a firmware's rates say which of these it has."""
 
 
-class Telemetry:
-    """Builds messages of one vehicle."""
-
-    def __init__(self, vehicle: SimVehicle) -> None:
-        self._vehicle = vehicle
-
-    def build(self, number: int) -> Message | None:
-        """The message with id `number`, or None if it is unknown or has nothing to say now."""
-        known = self._vehicle.flavour.firmware.streams.default_rates_hz
-        if number not in BUILDERS or number not in known:
-            return None
-        message, build = BUILDERS[number]
-        fields = build(self._vehicle)
-        return None if fields is None else message(*fields)
+def build_message(vehicle: SimVehicle, number: int) -> Message | None:
+    """The message with id `number`, or None if it is unknown or has nothing to say now."""
+    if number not in BUILDERS or number not in vehicle.flavour.firmware.streams.default_rates_hz:
+        return None
+    message, build = BUILDERS[number]
+    fields = build(vehicle)
+    return None if fields is None else message(*fields)

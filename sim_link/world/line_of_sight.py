@@ -123,13 +123,7 @@ def holding(e: float, n: float, up: float, edges: Matrix) -> Flags:
 
 @kernel
 def is_blocked_in_space(
-    target_e: float,
-    target_n: float,
-    target_up: float,
-    e: float,
-    n: float,
-    up: float,
-    edges: Matrix,
+    target_e: float, target_n: float, target_up: float, e: float, n: float, up: float, edges: Matrix
 ) -> bool:
     """Whether an obstacle stands between target and sensor; the same from either end."""
     if target_e > e or (target_e == e and target_n > n):

@@ -322,11 +322,7 @@ class TrackIntegrity:
         self.contact = self.contact.after(measurement, OPEN)
 
     def note(
-        self,
-        measurement: RangingMeasurement,
-        report: UpdateReport,
-        gate: Gate,
-        judging: Inflation,
+        self, measurement: RangingMeasurement, report: UpdateReport, gate: Gate, judging: Inflation
     ) -> bool:
         """Note how a measurement agrees; whether the estimate should be given up."""
         self.contact = self.contact.after(measurement, gate)

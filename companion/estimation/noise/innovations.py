@@ -323,10 +323,7 @@ class NoiseLearner:
         if report.bearing is not None and has_bearing:
             bearings = bearings.after(report.bearing.innovation)
         return replace(
-            self,
-            ranges=ranges,
-            bearings=bearings,
-            count=self.count + (has_range or has_bearing),
+            self, ranges=ranges, bearings=bearings, count=self.count + (has_range or has_bearing)
         )
 
     @property

@@ -99,11 +99,7 @@ class OlderEvidence:
         return replace(self, pull=self.pull + self.information @ step)
 
     def joined(
-        self,
-        rows: Matrix,
-        mean: Vector,
-        thresholds: Matrix,
-        model: RangingModel,
+        self, rows: Matrix, mean: Vector, thresholds: Matrix, model: RangingModel
     ) -> OlderEvidence:
         """With the measurements `rows`, expanded about `mean`.
 
@@ -120,9 +116,7 @@ class OlderEvidence:
         A = H.T @ ((u == psi).reshape(-1, 1) * H)
         B = H.T @ ((influence**2)[:, None] * H)
         return OlderEvidence(
-            self.information + A,
-            self.pull + A @ mean + H.T @ influence,
-            self.variability + B,
+            self.information + A, self.pull + A @ mean + H.T @ influence, self.variability + B
         )
 
 
@@ -366,12 +360,7 @@ class WindowMap:
         return self.prior[0] + older.information, self.prior[1] + older.pull
 
     def _optimum(
-        self,
-        rows: Matrix,
-        mean: Vector,
-        cost: float,
-        older: OlderEvidence | None,
-        is_white: bool,
+        self, rows: Matrix, mean: Vector, cost: float, older: OlderEvidence | None, is_white: bool
     ) -> Optimum | None:
         """The optimum with its covariance, or None where the measurements name no place.
 

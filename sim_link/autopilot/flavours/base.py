@@ -305,7 +305,7 @@ class Flavour(ABC):
         old_mode, was_armed, old_task = self._seen or seen
         is_first, self._seen = self._seen is None, seen
         if is_armed != was_armed:
-            self._armed_changed(is_armed, now_s)
+            self._armed_changed(is_armed)
         if old_task is Task.FLY_MISSION is not task:
             self._leave_mission()
         self.aircraft.pilot.enter(task, self.aircraft.body)
@@ -334,12 +334,12 @@ class Flavour(ABC):
         """Something happened."""
         self.occurrences.append(Occurrence(now_s, self.mode, self.aircraft.is_armed, text))
 
-    def _armed_changed(self, is_armed: bool, now_s: float) -> None:
-        self.aircraft.has_flown = False
-        self.aircraft.grounded_s = now_s
-        self._landed_s = None
-        if is_armed:
-            self.aircraft.set_home_here()
+    def _armed_changed(self, is_armed: bool) -> None:
+        """Home is where it is armed, unless a station set it."""
+        aircraft, here = self.aircraft, self.aircraft.body.position_enu_m
+        aircraft.has_flown, self._landed_s = False, None
+        if is_armed and not aircraft.is_home_given and here != aircraft.home_enu_m:
+            aircraft.set_home(here, is_given=False)
 
     def _leave_mission(self) -> None:
         """A mission that is left goes on where it was; one that is done stays done."""

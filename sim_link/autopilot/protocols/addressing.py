@@ -53,6 +53,11 @@ class Partner:
     system_id: int
     component_id: int
 
+    @property
+    def ids(self) -> tuple[int, int]:
+        """System and component."""
+        return (self.system_id, self.component_id)
+
 
 class Outgoing(NamedTuple):
     """A message to send."""

@@ -34,11 +34,7 @@ class Clocks:
     answers_ping: bool = True
 
     def timesync(self, message: Message, partner: Partner, boot_s: float) -> Message | None:
-        """The answer to a TIMESYNC; None for an answer to ours, or a request to another.
-
-        Args:
-            boot_s: Our clock, seconds since boot.
-        """
+        """The answer to a TIMESYNC; None for an answer to ours, or a request to another."""
         if not isinstance(message, mavlink.MAVLink_timesync_message) or message.tc1 != 0:
             return None
         system_id, component_id = targets_of_frame(bytes(message.get_msgbuf()))
@@ -48,7 +44,7 @@ class Clocks:
         own_ns = max(1, round(NS_PER_S * boot_s))
         if not self.names_targets:
             return mavlink.MAVLink_timesync_message(own_ns, message.ts1)
-        return TargetedTimesync(own_ns, message.ts1, partner.system_id, partner.component_id)
+        return TargetedTimesync(own_ns, message.ts1, *partner.ids)
 
     def ping(self, message: Message, partner: Partner) -> Message | None:
         """The answer to a PING request; None for a PING with a target, which is an answer."""
@@ -56,9 +52,7 @@ class Clocks:
             return None
         if message.target_system != 0 or message.target_component != 0:
             return None
-        return mavlink.MAVLink_ping_message(
-            message.time_usec, message.seq, partner.system_id, partner.component_id
-        )
+        return mavlink.MAVLink_ping_message(message.time_usec, message.seq, *partner.ids)
 
 
 class ClockRequests:
@@ -84,8 +78,7 @@ class ClockRequests:
             messages.append(mavlink.MAVLink_timesync_message(0, max(1, round(NS_PER_S * boot_s))))
         if self._ping_period_s is not None and boot_s + TOLERANCE_S >= self._ping_due_s:
             self._ping_due_s = boot_s + self._ping_period_s
-            messages.append(
-                mavlink.MAVLink_ping_message(round(US_PER_S * boot_s), self._pings, 0, 0)
-            )
+            ping = mavlink.MAVLink_ping_message(round(US_PER_S * boot_s), self._pings, 0, 0)
+            messages.append(ping)
             self._pings = (self._pings + 1) & UINT32
         return messages

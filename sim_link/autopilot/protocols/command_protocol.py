@@ -242,7 +242,5 @@ def _key(command: Command) -> tuple[int, int | None, bytes]:
 
 def _ack(command: Command, result: int, progress: int) -> Outgoing:
     partner, shown = command.partner, progress if result == CommandResult.IN_PROGRESS else 0
-    message = mavlink.MAVLink_command_ack_message(
-        command.number, result, shown, 0, partner.system_id, partner.component_id
-    )
+    message = mavlink.MAVLink_command_ack_message(command.number, result, shown, 0, *partner.ids)
     return Outgoing(message, partner.channel)

@@ -14,7 +14,6 @@ forms, REQUEST_DATA_STREAM, MESSAGE_INTERVAL; PX4 1.15 and ArduCopter 4.5 as obs
 
 from __future__ import annotations
 
-import heapq
 import math
 from collections import OrderedDict
 from collections.abc import Callable, Collection, Mapping
@@ -30,8 +29,6 @@ DUE_TOLERANCE_S = 1e-6
 """A clock of whole steps may be early by rounding."""
 MAX_INTERVAL_US = 3600e6
 OFF, DEFAULT = -1.0, 0.0
-MAX_STALE = 4
-"""Entries per stream that the queue may hold; a client that changes rates for ever adds some."""
 
 
 def message_ids(names: str) -> tuple[int, ...]:
@@ -57,12 +54,9 @@ class StreamRules:
 class _Stream:
     interval_s: float
     started_s: float
+    due_s: float
+    """When the next message is due."""
     sent: int = 0
-
-    @property
-    def due_s(self) -> float:
-        """When the next message is due."""
-        return self.started_s + self.sent * self.interval_s
 
 
 class StreamTable:
@@ -71,24 +65,18 @@ class StreamTable:
     def __init__(self, rules: StreamRules, started_s: float = 0.0) -> None:
         self._rules = rules
         self._streams: dict[int, _Stream] = {}
-        self._queue: list[tuple[float, int]] = []
         for number in rules.default_rates_hz:
             self._start(number, self._default_interval_s(number), started_s)
 
     def take_due(self, now_s: float) -> list[int]:
         """Ids of the messages due at `now_s`, each once, whatever was missed before."""
-        due: list[int] = []
-        latest_s = now_s + DUE_TOLERANCE_S
-        while self._queue and self._queue[0][0] <= latest_s:
-            due_s, number = heapq.heappop(self._queue)
-            stream = self._streams.get(number)
-            if stream is None or stream.due_s != due_s:
-                continue  # changed since it was queued
-            missed = math.floor((latest_s - due_s) / stream.interval_s)
-            stream.sent += 1 + missed
-            heapq.heappush(self._queue, (stream.due_s, number))
-            due.append(number)
-        return due
+        latest_s, streams = now_s + DUE_TOLERANCE_S, self._streams
+        due = [(each.due_s, number) for number, each in streams.items() if each.due_s <= latest_s]
+        for due_s, number in sorted(due):
+            stream = streams[number]
+            stream.sent += 1 + math.floor((latest_s - due_s) / stream.interval_s)
+            stream.due_s = stream.started_s + stream.sent * stream.interval_s
+        return [number for _, number in sorted(due)]
 
     def knows(self, number: int) -> bool:
         """Whether the autopilot has such a message."""
@@ -152,12 +140,7 @@ class StreamTable:
         running = self._streams.get(number)
         if running is not None and running.interval_s == interval_s:
             return  # asked again for what it gets: its rhythm goes on
-        self._streams[number] = _Stream(interval_s, now_s)
-        if len(self._queue) > MAX_STALE * len(self._rules.default_rates_hz):
-            self._queue = [(each.due_s, key) for key, each in self._streams.items()]
-            heapq.heapify(self._queue)
-        else:
-            heapq.heappush(self._queue, (now_s, number))
+        self._streams[number] = _Stream(interval_s, now_s, now_s)
 
 
 MAX_MESSAGE_ID = 2**24 - 1

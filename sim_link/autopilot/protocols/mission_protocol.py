@@ -137,10 +137,9 @@ class PlanUploads:
         return None
 
     def _checked(self, message: ItemMessage, plan_type: PlanType) -> PlanItem | PlanResult:
-        if self._store.is_home(plan_type, message.seq):
-            home = self._store.home_item()
-            if home is not None:
-                return home
+        home = self._store.home_at(plan_type, message.seq)
+        if home is not None:
+            return home
         item = item_from(message)
         if isinstance(item, PlanResult):
             return item
@@ -186,7 +185,7 @@ class PlanUploads:
             if self._rules.asks_in_old_form
             else mavlink.MAVLink_mission_request_int_message
         )
-        request = make(partner.system_id, partner.component_id, upload.expected, upload.plan_type)
+        request = make(*partner.ids, upload.expected, upload.plan_type)
         return Outgoing(request, partner.channel)
 
     def _changes_at_once(self, plan_type: PlanType) -> bool:
@@ -223,9 +222,7 @@ class PlanDownloads:
         items = self._store.items(plan_type)
         if self._rules.waits_for_ack:
             self._downloads[partner] = Download(plan_type, items, now_s)
-        count = mavlink.MAVLink_mission_count_message(
-            partner.system_id, partner.component_id, len(items), plan_type
-        )
+        count = mavlink.MAVLink_mission_count_message(*partner.ids, len(items), plan_type)
         return [Outgoing(count, partner.channel)]
 
     def give(self, plan_type: PlanType, seq: int, partner: Partner, now_s: float) -> list[Outgoing]:
@@ -239,12 +236,11 @@ class PlanDownloads:
             items = download.items
         if seq >= len(items):
             return [ack(partner, PlanResult.INVALID_SEQUENCE, plan_type)]
-        home = self._store.home_item() if self._store.is_home(plan_type, seq) else None
         message = item_message(
-            home or items[seq],
+            self._store.home_at(plan_type, seq) or items[seq],
             seq,
             plan_type,
-            (partner.system_id, partner.component_id),
+            partner.ids,
             is_current=plan_type is PlanType.MISSION and seq == self._store.current,
         )
         return [Outgoing(message, partner.channel)]

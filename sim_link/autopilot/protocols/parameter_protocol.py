@@ -173,7 +173,5 @@ class Parameters:
     @staticmethod
     def _error(partner: Partner, name: str, index: int, error: int) -> Outgoing:
         encoded = name.encode("ascii", errors="replace")
-        message = mavlink.MAVLink_param_error_message(
-            partner.system_id, partner.component_id, encoded, index, error
-        )
+        message = mavlink.MAVLink_param_error_message(*partner.ids, encoded, index, error)
         return Outgoing(message, partner.channel)

@@ -22,10 +22,7 @@ INT32_MIN, INT32_MAX = -(2**31), 2**31 - 1
 NO_VALUE = INT32_MAX
 """Stands for NaN in an integer coordinate."""
 AMSL_FRAMES = (mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT)
-RELATIVE_FRAMES = (
-    mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT,
-    mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
-)
+RELATIVE_FRAMES = (mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)
 GLOBAL_FRAMES = AMSL_FRAMES + RELATIVE_FRAMES
 FRAME_MISSION = mavlink.MAV_FRAME_MISSION
 
@@ -115,26 +112,13 @@ def _scaled(value: float, scale: float) -> int | None:
 
 
 def item_message(
-    item: PlanItem,
-    seq: int,
-    plan_type: PlanType,
-    target: tuple[int, int],
-    *,
-    is_current: bool = False,
+    item: PlanItem, seq: int, plan_type: PlanType, target: tuple[int, int], *, is_current: bool
 ) -> Message:
     """MISSION_ITEM_INT."""
+    flags = (int(is_current), int(item.continues))
+    what = (*target, seq, item.frame, item.command, *flags)
     return mavlink.MAVLink_mission_item_int_message(
-        *target,
-        seq,
-        item.frame,
-        item.command,
-        int(is_current),
-        int(item.continues),
-        *item.params,
-        item.x,
-        item.y,
-        item.z,
-        plan_type,
+        *what, *item.params, item.x, item.y, item.z, plan_type
     )
 
 
@@ -145,9 +129,7 @@ def plan_type_of(mission_type: int) -> PlanType | None:
 
 def ack(partner: Partner, result: PlanResult, mission_type: int) -> Outgoing:
     """MISSION_ACK to a partner."""
-    message = mavlink.MAVLink_mission_ack_message(
-        partner.system_id, partner.component_id, result, mission_type
-    )
+    message = mavlink.MAVLink_mission_ack_message(*partner.ids, result, mission_type)
     return Outgoing(message, partner.channel)
 
 
@@ -179,35 +161,24 @@ class PlanStore:
     def __init__(self, home: Callable[[], PlanItem] | None = None) -> None:
         self._home = home
         self._plans: dict[PlanType, tuple[PlanItem, ...]] = dict.fromkeys(PlanType, ())
-        self._current = 0
+        self.current = 0
+        """The mission item that is flown to, or would be first."""
         self._events: list[PlanEvent] = []
 
     def items(self, plan_type: PlanType) -> tuple[PlanItem, ...]:
         """The items of a plan, in order."""
         return self._plans[plan_type]
 
-    def is_home(self, plan_type: PlanType, seq: int) -> bool:
-        """Whether an item is the vehicle's home and not the client's to choose."""
-        return self._home is not None and plan_type is PlanType.MISSION and seq == 0
-
-    def home_item(self) -> PlanItem | None:
-        """Item 0 as it is now, where it is home."""
-        return None if self._home is None else self._home()
-
-    @property
-    def current(self) -> int:
-        """The mission item that is flown to, or would be first."""
-        return self._current
-
-    def advance(self, seq: int) -> None:
-        """The vehicle itself went on to another item."""
-        self._current = seq
+    def home_at(self, plan_type: PlanType, seq: int) -> PlanItem | None:
+        """The vehicle's home where an item is that, and not the client's to choose."""
+        is_home = plan_type is PlanType.MISSION and seq == 0
+        return self._home() if self._home is not None and is_home else None
 
     def choose(self, seq: int) -> bool:
         """Go on from an item because somebody asked; False if there is no such item."""
         if not 0 <= seq < len(self._plans[PlanType.MISSION]):
             return False
-        self._current = seq
+        self.current = seq
         self._events.append(CurrentChosen(seq))
         return True
 
@@ -215,7 +186,7 @@ class PlanStore:
         """Replace a plan as a whole."""
         self._plans[plan_type] = tuple(items)
         if plan_type is PlanType.MISSION:
-            self._current = current
+            self.current = current
         self._events.append(PlanChanged(plan_type))
 
     def patch(self, plan_type: PlanType, seq: int, item: PlanItem) -> None:

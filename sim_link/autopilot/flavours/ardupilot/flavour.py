@@ -66,8 +66,6 @@ class ArduPilotFlavour(Flavour):
         """By SPEED_TYPE, until the mode changes."""
         self._failsafes = CopterFailsafes(aircraft, parameters)
 
-    # State
-
     @property
     def mode(self) -> FlightMode:
         """The mode that is flown."""
@@ -138,8 +136,6 @@ class ArduPilotFlavour(Flavour):
         is_enabled = is_present and bool(self.parameters["FENCE_ENABLE"])
         return FenceState(is_present, is_enabled, self.fence_margin_m(place) < 0.0)
 
-    # Commands
-
     def choose(self, mode: CopterMode, now_s: float) -> int:
         """Change the mode; a MAV_RESULT, and the reason as a text if refused."""
         why = self._mode_refusal(mode, now_s)
@@ -202,8 +198,6 @@ class ArduPilotFlavour(Flavour):
         self.aircraft.say(INFO, "Disarming motors")
         return ACCEPTED
 
-    # Setpoints
-
     def take_setpoint(self, message: TargetMessage, now_s: float) -> None:
         """Obeyed in GUIDED only, and never outside the fence: without a text, as the real one.
 
@@ -234,8 +228,6 @@ class ArduPilotFlavour(Flavour):
     def flown_setpoint(self) -> Setpoint:
         """GUIDED's target; `_watch` lets it age."""
         return self.guided.setpoint
-
-    # What happens by itself
 
     def disarm_delay_s(self) -> float | None:
         """A second after LAND and RTL, DISARM_DELAY otherwise; never while it takes off."""
@@ -319,8 +311,6 @@ class ArduPilotFlavour(Flavour):
             wanted = setpoint.acceleration_enu_mps2 or wanted
         ahead = (place[0] + wanted[0], place[1] + wanted[1], place[2] + wanted[2])
         return self.fence_margin_m(ahead) < self.fence_margin_m(place)
-
-    # HEARTBEAT
 
     def heartbeat_state(self, now_s: float) -> HeartbeatState:  # noqa: ARG002  the base gives the time
         """What HEARTBEAT shows: on the ground STANDBY, also when armed."""

@@ -90,8 +90,6 @@ class Px4Flavour(Flavour):
         self._failsafes = Px4Failsafes(aircraft, parameters)
         self._limits_revision = -1
 
-    # State
-
     @property
     def mode(self) -> FlightMode:
         """The mode that is flown."""
@@ -163,8 +161,6 @@ class Px4Flavour(Flavour):
         is_enabled = is_present and value["GF_ACTION"] > 0
         return FenceState(is_present, is_enabled, self.fence_margin_m(place) < 0.0)
 
-    # Commands
-
     def _choice_refusal(self, mode: FlightMode, now_s: float) -> str | None:
         """Why an armed vehicle would not be switched to a mode now, or None."""
         if mode is FlightMode.OFFBOARD and not self._is_stream_alive(now_s):
@@ -230,8 +226,6 @@ class Px4Flavour(Flavour):
         self._failsafes.clear()
         return ACCEPTED
 
-    # Setpoints
-
     def take_setpoint(self, message: TargetMessage, now_s: float) -> None:
         """Kept if it is valid, whatever the mode."""
         self.setpoints.take(setpoint_from(message, self.aircraft), now_s)
@@ -259,8 +253,6 @@ class Px4Flavour(Flavour):
             yaw_rate,
             nothing=math.nan,
         )
-
-    # What happens by itself
 
     def disarm_delay_s(self) -> float | None:
         """After a landing; OFFBOARD never ends by itself, as on PX4."""
@@ -335,8 +327,6 @@ class Px4Flavour(Flavour):
         if self.intention is FlightMode.OFFBOARD:
             return bool(bits & OVERRIDE_OFFBOARD)
         return self.mode not in STICK_MODES and bool(bits & OVERRIDE_AUTO)
-
-    # HEARTBEAT
 
     def heartbeat_state(self, now_s: float) -> HeartbeatState:
         """What HEARTBEAT shows: disarmed, OFFBOARD without a stream has no flag but the first."""

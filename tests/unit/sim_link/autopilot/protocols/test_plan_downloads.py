@@ -106,7 +106,7 @@ def test_any_item_may_be_asked_for_again_and_in_any_order() -> None:
 
 def test_the_item_that_is_next_is_marked() -> None:
     client = px4(3)
-    client.store.advance(1)
+    client.store.current = 1
     assert [item.current for item in client.download()] == [0, 1, 0]
 
 
