@@ -250,13 +250,9 @@ def admm_update(
         remaining = y[row] - np.dot(H[row], explained)
         K, new_P, S = joseph_row(new_P, H[row], effective)
         explained = explained + K * remaining
-        report[row, 0] = y[row]
-        report[row, 1] = S
-        report[row, 2] = math.sqrt(R[row])
-        report[row, 3] = whitened_y[row]
-        report[row, 4] = weight
-        report[row, 5] = (S - effective) / R[row]
-        report[row, 6] = remaining * remaining / S
+        prior_share, nis = (S - effective) / R[row], remaining * remaining / S
+        noise_sigma = math.sqrt(R[row])
+        report[row] = np.array((y[row], S, noise_sigma, whitened_y[row], weight, prior_share, nis))
     new_mean = settled(mean + d, new_P, bounds)
     if is_positive_definite(new_mean, new_P):
         return new_mean, new_P, report, True

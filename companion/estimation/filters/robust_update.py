@@ -268,14 +268,10 @@ def robust_update(
         u = float(y[row]) / noise_sigma
         weight = asymmetric_huber_weight(u, thresholds[row, 0], thresholds[row, 1])
         remaining = y[row] - np.dot(H[row], new_mean - mean)
-        K, updated, S = joseph_row(new_P, H[row], inflation[row] * variance / weight)
-        report[row, 0] = y[row]
-        report[row, 1] = S
-        report[row, 2] = noise_sigma
-        report[row, 3] = u
-        report[row, 4] = weight
-        report[row, 5] = (S - inflation[row] * variance / weight) / variance
-        report[row, 6] = remaining * remaining / S
+        effective = inflation[row] * variance / weight
+        K, updated, S = joseph_row(new_P, H[row], effective)
+        prior_share, nis = (S - effective) / variance, remaining * remaining / S
+        report[row] = np.array((y[row], S, noise_sigma, u, weight, prior_share, nis))
         new_mean, new_P = new_mean + K * remaining, updated
     new_mean = settled(new_mean, new_P, bounds)
     if is_positive_definite(new_mean, new_P):
