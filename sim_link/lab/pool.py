@@ -84,7 +84,7 @@ class Pool:
     ) -> Generator[tuple[int, Result], None, None]:
         """What `work` makes of each item, with its position, as it comes.
 
-        A WorkerLostError or KeyboardInterrupt comes after all that was done by then.
+        A WorkerLostError, or a KeyboardInterrupt after all that was done by then, ends it.
         """
         if self._workers is None:
             yield from ((position, work(item)) for position, item in enumerate(items))
@@ -96,9 +96,9 @@ class Pool:
             raise WorkerLostError(self._workers.lost_text, sorted(running.values())) from error
         except KeyboardInterrupt:
             self._stop(self._workers, running)
-            yield from (
-                (running.pop(each), each.result()) for each in list(running) if _is_done(each)
-            )
+            for future in list(running):
+                if future.done() and not future.cancelled() and future.exception() is None:
+                    yield running.pop(future), future.result()
             raise
         finally:
             self._stop(self._workers, running)
@@ -127,17 +127,11 @@ class Pool:
             workers.interrupt()
 
 
-def _is_done(future: Future[Any]) -> bool:
-    return future.done() and not future.cancelled() and future.exception() is None
-
-
 @contextmanager
 def open_pool(backend: str = LOCAL, jobs: int = 1) -> Iterator[Pool]:
-    """A pool, and its end.
+    """A pool and its end: this process, more of this machine, or workers at dask://HOST:PORT.
 
-    Args:
-        backend: local, or dask://HOST:PORT; a ConfigError where nobody fit answers there.
-        jobs: Processes of this machine; 1: this one.
+    A ConfigError says that nobody fit answers at the backend.
     """
     if backend != LOCAL:
         with _connected(backend) as cluster:

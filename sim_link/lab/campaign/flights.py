@@ -211,11 +211,9 @@ def monitored_flight(
     is_spoofing: bool | None = None,
     make_companion: MakeCompanion | None = None,
 ) -> Monitored:
-    """A flight that has not begun yet.
+    """A flight that has not begun yet, with the genuine companion or another one.
 
-    Args:
-        is_spoofing: Whether attackers use the vehicle's address; None: where the link is signed.
-        make_companion: Starts the companion, in place of the genuine one.
+    Attackers that are spoofing use the vehicle's address; None: where the link is signed.
     """
     pair = SignedPair() if is_signed else None
     key = KEY if is_signed else None

@@ -138,16 +138,10 @@ def run_all(
     on_done: Callable[[TrialOutcome], None] | None = None,
     backend: str = LOCAL,
 ) -> CampaignTally:
-    """Run trials and add them up in their order; an interruption keeps what was found.
+    """Run trials in so many processes, or on a backend, and add them up in their order.
 
-    A trial whose process may have ended by force is a finding, and those after it are not run.
-
-    Args:
-        jobs: Processes; 1 runs them in this one.
-        backend: See `open_pool`.
-
-    Raises:
-        KeyboardInterrupt: With the tally so far as its argument.
+    A trial whose process may have ended by force is a finding, and those after it are not run. After
+    an interruption a KeyboardInterrupt has the tally so far as its argument.
     """
     outcomes: dict[int, TrialOutcome] = {}
     lost: list[TrialFinding] = []

@@ -119,12 +119,9 @@ def canonical_case(
     range_sigma_m: float = 1.5,
     p_nlos: float = 0.9,
     mean_bias_m: float = 8.0,
-    range_k: float = 1.5,
+    range_k: float = 1.5,  # k_rtt
 ) -> Case:
-    """The canonical scenario with what the paper's tables vary; the filter knows the noise.
-
-    Paper: `range_k` is k_rtt, the threshold of ranges in sigma.
-    """
+    """The canonical scenario with what the paper's tables vary; the filter knows the noise."""
     channel = ChannelParams(
         range_sigma_m=range_sigma_m, p_nlos=p_nlos, range_bias_mean_m=mean_bias_m
     )
@@ -154,10 +151,7 @@ def stepped(
 def lane_corners(
     area_m: tuple[float, float], spacing_m: float, first_north_m: float | None = None
 ) -> list[Point]:
-    """Corners of east-west lanes over an area from the origin, `area_m` wide and deep.
-
-    The first lane is half a spacing inside where nothing else is said.
-    """
+    """Corners of east-west lanes over an area from the origin, the first half a spacing inside."""
     width_m, depth_m = area_m
     if first_north_m is None:
         first_north_m = 0.5 * spacing_m
@@ -275,10 +269,7 @@ def measured(draw: Vector, east_m: float, north_m: float, truth: RunTruth) -> tu
 def measured_in(
     draw: Vector, east_m: float, north_m: float, truth: RunTruth, scene: Scene, memory: ShadowMemory
 ) -> tuple[float, float, ShadowMemory]:
-    """The same among obstacles, and what the next shadowed measurement must remember.
-
-    The memory is that of the measurement before, `NO_MEMORY` at first.
-    """
+    """The same among obstacles, and what the next one must remember; at first `NO_MEMORY`."""
     if scene.surroundings.edges.shape[0] == 0:
         range_m, bearing_rad = measured(draw, east_m, north_m, truth)
         return range_m, bearing_rad, memory

@@ -40,7 +40,7 @@ Metric = Literal[
     "coverage",
     "cost_ms_per_step",
 ]
-"""What is said of a cell; `results` has the definitions."""
+"""What is said of a cell; `reporting.study_tables` has the definitions."""
 FigureName = Literal["losses", "rmse", "offsets", "tracks", "gradients", "sensitivity"]
 """Figures of the report, see `reporting.figures`."""
 Value = float | int | str | bool | None

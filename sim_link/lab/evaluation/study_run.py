@@ -37,8 +37,6 @@ from sim_link.world.environment import NO_MEMORY
 STEPS = 12
 """Enough of a run to call everything once."""
 
-Warmer = Callable[[Case, System], None]
-
 
 def warm_up(work: Work, pool: Pool) -> None:
     """Call every kernel once that some work needs, so that the pool's processes find them compiled.
@@ -59,7 +57,7 @@ def warm_up(work: Work, pool: Pool) -> None:
             pass
 
 
-def _call(part: tuple[Warmer, Case, System]) -> None:
+def _call(part: tuple[Callable[[Case, System], None], Case, System]) -> None:
     warm, case, system = part
     warm(case, system)
 

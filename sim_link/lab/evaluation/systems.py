@@ -38,7 +38,6 @@ STEP_S = 1.0
 """Between two measurements; the target lies still, so that only their order counts."""
 EMITTER_ID = 1
 
-
 Fuse = Callable[[RangingMeasurement, PositionEnu], tuple[TargetEstimate, Matrix]]
 """Takes in a measurement from a place; where the target is believed to be then, and the (4, 4)
 covariance of [east, north, range offset, bearing offset]."""

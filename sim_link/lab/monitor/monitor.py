@@ -195,14 +195,10 @@ class FrameMonitor(Observer):
 
 
 class Monitor(FrameMonitor):
-    """Watches one flight of which the truth is known.
+    """Watches one flight of which the truth is known; I10 needs snapshots of the companion's state.
 
-    Args:
-        estimate: The companion's estimate of the target.
-        snapshot: The companion's state, for I10; None: I10 is not judged.
-        key: Of the link, where it is signed.
-        sizes: The companion's queues, for I11.
-        dropped: How many frames the companion has dropped unread so far.
+    The key is that of the link, where it is signed. `sizes` are of the companion's queues, `dropped`
+    is how many frames it has dropped unread so far.
     """
 
     def __init__(

@@ -95,7 +95,7 @@ OBSERVED_MESSAGES = frozenset(
         mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
     }
 )
-"""Messages that `Told` keeps something of."""
+"""Messages that `ObservedState` keeps something of."""
 REMEMBERED = 6000
 """Frames of the vehicle whose time of sending is known."""
 PX4_OFFBOARD_MAIN, ARDUPILOT_GUIDED = 6, 4

@@ -24,22 +24,18 @@ from sim_link.lab.monitor import authority_invariants, fence_invariants, message
 from sim_link.lab.monitor.monitor import FrameMonitor
 from sim_link.lab.monitor.scene import (
     AUTOPILOT_COMPONENT,
+    OBSERVED_MESSAGES,
     ObservedScene,
     Rules,
     SentSetpoint,
     is_offboard,
 )
 
-TELLING = frozenset(
-    {
-        mavlink.MAVLINK_MSG_ID_HEARTBEAT,
-        mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
-        mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
-        mavlink.MAVLINK_MSG_ID_HOME_POSITION,
-        mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
-        mavlink.MAVLINK_MSG_ID_COMMAND_LONG,
-    }
-)
+TELLING = OBSERVED_MESSAGES | {
+    mavlink.MAVLINK_MSG_ID_HOME_POSITION,
+    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
+    mavlink.MAVLINK_MSG_ID_COMMAND_LONG,
+}
 """Messages to the companion that an invariant looks at; a real vehicle sends hundreds of others."""
 
 

@@ -36,7 +36,7 @@ MAX_STEPS = {"0.5": 20, "1.5": 13, "2.5": 13}
 MAX_ANYWHERE_RMSE_M, MAX_ANYWHERE_WORST_M = 0.05, 0.5
 MAX_BOUND_RATIO = 1.3
 FAR_M = 100.0
-"""Beyond the area a bound is only large."""
+"""Beyond the area a bound is only large: offsets unknown, a straight track says very little."""
 INFORMED = (PLANNER_LABELS["latched"], PLANNER_LABELS["fim"])
 """Planners whose tracks leave no doubt about the place: there the bound can be reached."""
 MAX_COST_MS = {"Proposed (Reactive)": 0.003, "Proposed (FIM)": 0.015}
@@ -166,7 +166,6 @@ def _settling(findings: Findings) -> Claim:
     steps = [steps_to_settle(cell.tally.rmse_m) for cell in cells]
     limits = [MAX_STEPS[cell.value] for cell in cells]
     bound_m = float(cells[0].tally.rmse_bound_m[min(PAPER_STEPS, cells[0].case.steps) - 1])
-    # Offsets unknown, a straight track says very little: then a bound is only large.
     told = f"{bound_m:.1f} m" if bound_m < FAR_M else f"over {FAR_M:g} m"
     return Claim(
         f"The same, steps to 2.5 m, range noise {' / '.join(cell.value for cell in cells)} m",

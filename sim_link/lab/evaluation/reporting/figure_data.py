@@ -190,11 +190,6 @@ class GradientWatch:
     """1 where the path to the target is blocked."""
     distance_m: Matrix
 
-    @property
-    def steps_in_shadow(self) -> Vector:
-        """(runs,) how many measurements were made there."""
-        return np.asarray(self.is_shadowed.sum(axis=1))
-
 
 def watched(
     case: Case, seed: int, runs: int = WATCHED_RUNS, steps: int = WATCHED_STEPS

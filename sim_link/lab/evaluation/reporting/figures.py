@@ -235,7 +235,7 @@ def _in_shadow(watch: GradientWatch) -> str:
     early = slice(0, EARLY_STEPS)
     own = 100.0 * float(np.median(watch.gradient[:, early]))
     printed = 100.0 * float(np.median(watch.printed_gradient[:, early]))
-    steps = float(np.median(watch.steps_in_shadow))
+    steps = float(np.median(watch.is_shadowed.sum(axis=1)))
     return f"{watch.system.label} {own:.0f} % ({printed:.0f} %), {steps:g} steps"
 
 
