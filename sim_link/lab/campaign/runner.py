@@ -140,8 +140,8 @@ def run_all(
 ) -> CampaignTally:
     """Run trials in so many processes, or on a backend, and add them up in their order.
 
-    A trial whose process may have ended by force is a finding, and those after it are not run. After
-    an interruption a KeyboardInterrupt has the tally so far as its argument.
+    A trial whose process may have ended by force is a finding, and those after it are not run.
+    After an interruption a KeyboardInterrupt has the tally so far as its argument.
     """
     outcomes: dict[int, TrialOutcome] = {}
     lost: list[TrialFinding] = []

@@ -197,7 +197,7 @@ class FrameMonitor(Observer):
 class Monitor(FrameMonitor):
     """Watches one flight of which the truth is known; I10 needs snapshots of the companion's state.
 
-    The key is that of the link, where it is signed. `sizes` are of the companion's queues, `dropped`
+    The key is the link's, where it is signed. `sizes` are of the companion's queues, `dropped`
     is how many frames it has dropped unread so far.
     """
 
