@@ -47,11 +47,7 @@ FLAVOURS: dict[FlavourName, tuple[type[Flavour], Callable[[Scenario], ParameterS
 
 
 class SimVehicle:
-    """One multicopter with its autopilot.
-
-    Args:
-        noise_rng: Generator of the reported position's noise, of drift and gusts.
-        body: What restarts where it is; None: a new one, at the scenario's start.
+    """One multicopter with its autopilot; arguments as of `Aircraft`.
 
     Raises:
         ConfigError: The scenario sets a parameter that does not exist, or to what may not be.
@@ -127,12 +123,7 @@ class IncidentSchedule:
 
 
 def apply_to_vehicle(incident: IncidentRecord, vehicle: SimVehicle, now_s: float) -> None:
-    """Let an incident happen to a vehicle now; a reboot is its endpoint's business.
-
-    Args:
-        incident: What; its `start_s` means nothing here.
-        now_s: Seconds since the vehicle's boot.
-    """
+    """Let an incident happen to a vehicle now; a reboot is its endpoint's business."""
     aircraft, estimator = vehicle.aircraft, vehicle.aircraft.estimator
     match incident:
         case PilotMode():

@@ -5,7 +5,9 @@ it watches its time-outs and failsafes, settles what changed (the pilot is told 
 occurrence is noted), flies, and looks at the ground. Commands and setpoints arrive between steps
 and settle at once, so that an answer and the state agree.
 
-It has what both autopilots share in reading a command, too.
+It has what both autopilots share in reading a command, too, and `Firmware`: what a firmware is and
+how it speaks. What it does beyond that is in tables as well: its commands (`flight_modes`), its
+failsafes and its parameters (`parameters.csv`).
 """
 
 from __future__ import annotations
@@ -253,14 +255,12 @@ class Flavour(ABC):
 
     # What all have in common
 
-    def has_home(self, now_s: float) -> bool:
+    def has_home(self, _now_s: float) -> bool:
         """Whether origin and home are known."""
-        del now_s
         return True
 
-    def has_position(self, now_s: float) -> bool:
+    def has_position(self, _now_s: float) -> bool:
         """Whether the position is told."""
-        del now_s
         return self.aircraft.estimator.is_position_valid
 
     @property

@@ -101,11 +101,9 @@ class StatusTexts:
         self._last_id = 0
 
     def messages(self, severity: int, text: str) -> list[Message]:
-        """STATUSTEXTs for one text.
+        """STATUSTEXTs for a text of any length, beyond 255 chunks cut.
 
-        Args:
-            text: Any length; what is not ASCII becomes `?`, which every client shows, and a
-                text beyond 255 chunks is cut.
+        What is not ASCII becomes `?`, which every client shows.
         """
         encoded = text.encode("ascii", errors="replace").replace(b"\0", b"?")
         if len(encoded) <= CHUNK_LENGTH:

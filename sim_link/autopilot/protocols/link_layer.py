@@ -48,11 +48,7 @@ class FrameReceivers:
         self._streams: Newest[Channel, FrameSplitter] = Newest(MAX_STREAMS)
 
     def split(self, chunk: Chunk) -> tuple[list[bytes], list[bytes]]:
-        """The frames completed by a chunk.
-
-        Returns:
-            Those of known messages, and those that can only be passed on.
-        """
+        """The frames completed by a chunk: known ones, and those that can only be passed on."""
         splitter = self._datagrams if chunk.is_datagram else self._stream(chunk)
         frames = splitter.split(chunk.data, is_datagram=chunk.is_datagram)
         return frames, splitter.take_unknown()
@@ -129,11 +125,7 @@ class Router:
         self._boot_ms: Newest[Component, int] = Newest(MAX_COMPONENTS)
 
     def route(self, frame: bytes, channel: Channel) -> list[Chunk]:
-        """The chunks by which a received frame is passed on.
-
-        Args:
-            frame: Whole, of a known message or not.
-        """
+        """The chunks by which a received frame, of a known message or not, is passed on."""
         source = sender_of(frame)
         if source[0] == 0 or is_secret(frame):
             return []
@@ -269,11 +261,9 @@ class LinkLayer:
         return arrivals, forwarded
 
     def send(self, outgoing: Outgoing, component_id: int | None = None) -> list[Chunk]:
-        """The chunks of a message, for one link or all.
+        """The chunks of a component's message (None: the autopilot's), for one link or all.
 
-        Args:
-            outgoing: What is to be sent where; to a peer that shares a link means to the link.
-            component_id: Whose it is; None for the autopilot's.
+        To a peer that shares a link means to the link.
         """
         to = self._receivers_of(outgoing)
         component = self._component_ids[0] if component_id is None else component_id

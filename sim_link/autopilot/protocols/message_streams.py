@@ -97,8 +97,7 @@ class StreamTable:
         """Change a stream.
 
         Args:
-            interval_us: Microseconds; -1 stops the stream, 0 restores its default.
-            now_s: When; the next message is due at once.
+            interval_us: -1 stops the stream, 0 restores its default; the next one is due at once.
 
         Returns:
             Whether there is such a stream, it may be changed, and the interval makes sense.

@@ -71,11 +71,7 @@ class CopterFailsafes:
         self._bad_estimate_s = 0.0
 
     def watch(self, mode: CopterMode, margin_m: float, now_s: float) -> Iterator[FailsafeEvent]:
-        """What begins and ends in this physics step of an armed vehicle.
-
-        Args:
-            margin_m: Distance from a breach of the fence, negative in one.
-        """
+        """What begins and ends in this physics step of an armed vehicle."""
         heard_s = self._aircraft.stations_s.get(int(self._parameters["SYSID_MYGCS"]))
         is_silent = heard_s is not None and now_s - heard_s > self._parameters["FS_GCS_TIMEOUT"]
         station, sticks = self._reaction("FS_GCS_ENABLE"), self._reaction("FS_THR_ENABLE")

@@ -31,9 +31,6 @@ def ardupilot_parameters(scenario: Scenario) -> ParameterStore:
 
     The voltages of the battery failsafe are those of the simulated four-cell pack at 15 and 7 %;
     what is done about it is ArduPilot's default: a text.
-
-    Raises:
-        ConfigError: The scenario names a parameter that does not exist, or a value that may not be.
     """
     initial: dict[str, float] = {
         "SYSID_THISMAV": scenario.system_id,

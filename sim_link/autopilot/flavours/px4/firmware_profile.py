@@ -43,9 +43,6 @@ def px4_parameters(scenario: Scenario) -> ParameterStore:
     """PX4's parameters as a scenario has them.
 
     Without a scenario's say the battery failsafe returns and lands (COM_LOW_BAT_ACT).
-
-    Raises:
-        ConfigError: The scenario names a parameter that does not exist, or a value that may not be.
     """
     autopilot = scenario.autopilot
     initial: dict[str, float] = {

@@ -204,15 +204,6 @@ class Px4Flavour(Flavour):
         self.aircraft.is_armed = True
         return ACCEPTED
 
-    def arm_for_mission(self, now_s: float) -> int:
-        """MISSION_START arms by itself, through Hold."""
-        self.intention = FlightMode.HOLD
-        result = self.arm(now_s)
-        if result == ACCEPTED:
-            self.settle(now_s, "commanded")
-            self.intention = FlightMode.MISSION
-        return result
-
     def disarm(self, *, is_forced: bool) -> int:
         """A request to disarm; a MAV_RESULT, and the reason as a text if refused."""
         if self.is_armed:

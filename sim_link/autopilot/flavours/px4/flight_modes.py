@@ -152,8 +152,12 @@ def _start_mission(flavour: Px4Flavour, command: Command, now_s: float) -> int:
     if first:
         mission.set_current(first)
     result = flavour.choose(FlightMode.MISSION, now_s)
-    if result == ACCEPTED and not flavour.aircraft.is_armed:
-        result = flavour.arm_for_mission(now_s)
+    if result == ACCEPTED and not flavour.is_armed:
+        flavour.intention = FlightMode.HOLD  # it arms by itself, through Hold
+        result = flavour.arm(now_s)
+        if result == ACCEPTED:
+            flavour.settle(now_s, "commanded")
+            flavour.intention = FlightMode.MISSION
     return result
 
 
