@@ -75,11 +75,9 @@ class _LinePrinter:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the simulator until it is stopped, or a subcommand.
+    """Run the simulator until it is stopped, or a subcommand; the exit code.
 
-    Returns:
-        0 after a stop, 1 after an interrupt before the start, 2 for bad input or a port that
-        is taken; of a subcommand, its own.
+    0 after a stop, 1 after an interrupt before the start, 2 for bad input or a port that is taken.
     """
     given = sys.argv[1:] if argv is None else list(argv)
     try:

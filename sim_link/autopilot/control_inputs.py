@@ -92,11 +92,7 @@ def has_finite_fields(message: PositionTarget, position: tuple[float, float, flo
 
 
 def enu_of(x: float, y: float, z: float, heading_rad: float | None) -> tuple[float, float, float]:
-    """A vector of a message, east, north and up.
-
-    Args:
-        heading_rad: It is forward, right and down of this; None: north, east and down.
-    """
+    """A vector east, north and up, from forward, right, down of a heading; None: of north."""
     if heading_rad is None or not (math.isfinite(x) and math.isfinite(y)):
         return (float(y), float(x), -float(z))
     return (*turned(x, y, heading_rad), -float(z))

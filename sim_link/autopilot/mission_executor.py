@@ -53,11 +53,7 @@ class MissionLeg:
 
 
 class MissionRun:
-    """Progress through one mission.
-
-    Args:
-        first: Index of the first item that is flown: 1 where item 0 is home (ArduPilot).
-    """
+    """Progress through one mission from its `first` item: 1 where item 0 is home (ArduPilot)."""
 
     def __init__(self, locate: Locate, first: int) -> None:
         self.items: tuple[PlanItem, ...] = ()

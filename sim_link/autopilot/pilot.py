@@ -153,11 +153,7 @@ class Pilot:
     def yaw_ned_rad(
         self, setpoint: Setpoint, sticks: Sticks | None, heading_rad: float
     ) -> float | None:
-        """The heading that the task wants now, clockwise from north; None keeps the present.
-
-        Args:
-            heading_rad: The present one, as the estimator has it.
-        """
+        """The heading that the task wants, clockwise from north; None keeps the present one."""
         match self.task:
             case Task.FOLLOW:
                 if setpoint.yaw_ned_rad is None and setpoint.yaw_rate_ned_radps is not None:

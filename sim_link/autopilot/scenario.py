@@ -45,10 +45,7 @@ class OriginParams(Params, frozen=True):
 
 
 class AutopilotParams(Params, frozen=True):
-    """Which autopilot is simulated and how it is configured.
-
-    What has a parameter of the autopilot's own is that parameter's default; clients may set it.
-    """
+    """Which autopilot is simulated; clients may set what is a default of its own parameters."""
 
     flavour: FlavourName = "px4"
     ready_after_s: NonNegative = 2.0

@@ -13,11 +13,7 @@ from sim_link.autopilot.scenario import Scenario
 
 
 def load_scenario(path: Path) -> Scenario:
-    """The scenario of a YAML file; keys it does not give keep their canonical value.
-
-    Raises:
-        ConfigError: The file cannot be read, or a key, type or value in it is wrong.
-    """
+    """The scenario of a YAML file, canonical where it says nothing; `ConfigError`: it is wrong."""
     return load_yaml(path, Scenario, renew_incidents)
 
 
@@ -25,11 +21,7 @@ REPORT_VERSION = 1
 
 
 def start_report(endpoint: SimEndpoint, seed: int, speed: float) -> dict[str, object]:
-    """What is known at the start: `state` "running" and the truth.
-
-    Lengths are metres, `enu_m` positions are about `origin`, offsets are metres and degrees
-    counter-clockwise.
-    """
+    """State and truth at the start: metres, degrees counter-clockwise, positions about `origin`."""
     vehicle, scenario = endpoint.vehicle, endpoint.vehicle.scenario
     return {
         "version": REPORT_VERSION,

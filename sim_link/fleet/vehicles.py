@@ -27,11 +27,7 @@ from sim_link.fleet.scenario_io import end_report, start_report
 
 
 class Fleet:
-    """Endpoints that share nothing but the loop; implements `companion.mav.endpoint.Endpoint`.
-
-    Args:
-        links_each: How many links every one of them has; vehicle n has those from n times this on.
-    """
+    """Endpoints that share nothing but the loop, as one; each has `links_each` links in a row."""
 
     def __init__(self, endpoints: Sequence[SimEndpoint], links_each: int) -> None:
         self.endpoints = tuple(endpoints)
@@ -101,11 +97,7 @@ class FleetOptions:
 
 
 def make_vehicles(options: FleetOptions) -> list[SimEndpoint]:
-    """One endpoint per vehicle.
-
-    Raises:
-        ConfigError: A parameter or its file is bad, a key cannot be read, or an id is too high.
-    """
+    """One endpoint per vehicle; `ConfigError`: a parameter, its file, a key or an id is bad."""
     scenario = options.scenario
     last = scenario.system_id + scenario.vehicles - 1
     if last > MAX_SYSTEM_ID:
@@ -140,11 +132,7 @@ def has_signing_ended(path: Path) -> bool:
 
 
 def link_specs(options: FleetOptions, number: int) -> list[Transport]:
-    """The links of vehicle `number`.
-
-    Raises:
-        ConfigError: A port would be too high, or a line is to serve several vehicles.
-    """
+    """The links of a vehicle; `ConfigError`: a port is too high, or a line is to serve several."""
     host, port = options.listen
     remotes = tuple(
         address if address[1] == STATION_PORT else (address[0], _port(address[1] + number))
@@ -175,11 +163,7 @@ def numbered_path(path: Path | None, number: int) -> Path | None:
 
 
 def stored_parameters(path: Path | None) -> str:
-    """The text of a parameter file; empty if there is none yet, or none is wanted.
-
-    Raises:
-        ConfigError: It cannot be read, or not be written later.
-    """
+    """The text of a parameter file, empty without one; `ConfigError`: not to be read or written."""
     if path is None:
         return ""
     check_writable(path)
@@ -206,11 +190,7 @@ class FleetFiles:
         self._next_save_s = 0.0
 
     def begin(self) -> None:
-        """Write the reports of the start.
-
-        Raises:
-            ConfigError: They cannot be written.
-        """
+        """Write the reports of the start; `ConfigError`: they cannot be written."""
         self._write_reports(start_report)
 
     def _write_reports(

@@ -10,11 +10,7 @@ LOGS = "*/events.jsonl"
 
 
 class EventTail:
-    """Reads the companion's event log while it is being written.
-
-    Args:
-        root: Where the companion makes the folder of its flight.
-    """
+    """Reads the companion's event log, in the folder of a flight below `root`, as it is written."""
 
     def __init__(self, root: Path) -> None:
         self._root = root

@@ -82,10 +82,7 @@ class Pool:
     def results(
         self, work: Callable[[Item], Result], items: Sequence[Item]
     ) -> Generator[tuple[int, Result], None, None]:
-        """What `work` makes of each item, with its position, as it comes.
-
-        A WorkerLostError, or a KeyboardInterrupt after all that was done by then, ends it.
-        """
+        """Results with their positions as they come; WorkerLostError or an interrupt ends them."""
         if self._workers is None:
             yield from ((position, work(item)) for position, item in enumerate(items))
             return
@@ -129,10 +126,7 @@ class Pool:
 
 @contextmanager
 def open_pool(backend: str = LOCAL, jobs: int = 1) -> Iterator[Pool]:
-    """A pool and its end: this process, more of this machine, or workers at dask://HOST:PORT.
-
-    A ConfigError says that nobody fit answers at the backend.
-    """
+    """This process, more of this machine, or dask://HOST:PORT (`ConfigError`: nobody answers)."""
     if backend != LOCAL:
         with _connected(backend) as cluster:
             yield Pool(cluster, AHEAD * cluster.size)
@@ -219,10 +213,7 @@ def _work_unless_interrupted(work: Callable[[Item], Result], item: Item) -> Resu
 
 
 class Cluster:
-    """The workers of a dask scheduler that somebody else has started.
-
-    A worker that is lost loses nothing: the scheduler gives its items to another.
-    """
+    """The workers of a dask scheduler started elsewhere; what a lost one had, another gets."""
 
     def __init__(self, client: Any, address: str) -> None:
         from distributed import KilledWorker

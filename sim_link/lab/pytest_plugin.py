@@ -55,10 +55,7 @@ def _mission_autopilot(request: pytest.FixtureRequest) -> FlavourName | None:
 def mission_result(
     request: pytest.FixtureRequest, _mission_autopilot: FlavourName | None
 ) -> MissionResult:
-    """The flight of the test's `@pytest.mark.mission("script.yaml")`, met or not.
-
-    The script is looked for beside the test.
-    """
+    """The flight of the test's `@pytest.mark.mission("script.yaml")` beside it, met or not."""
     markers = list(request.node.iter_markers_with_node(MARKER))
     if not markers:
         pytest.fail('mission_result needs @pytest.mark.mission("script.yaml")', pytrace=False)
@@ -92,11 +89,7 @@ def pytest_runtest_call(item: pytest.Item) -> None:
 def fly_marked(
     marker: pytest.Mark, folder: Path, flavour: FlavourName | None = None
 ) -> MissionResult:
-    """The flight that a marker asks for; a marker or script that is wrong fails the test.
-
-    Args:
-        flavour: Of several autopilots that the script lists.
-    """
+    """The flight that a marker asks for, of one of its autopilots; a wrong one fails the test."""
     from sim_link.lab.mission.in_memory import fly_in_memory
 
     mission, seed, path = _or_fail(lambda: _wanted(marker, folder, flavour))
@@ -224,10 +217,7 @@ def _vehicle_options(marker: pytest.Mark, folder: Path) -> list[str]:
 
 @pytest.fixture
 def companion_process(tmp_path: Path) -> Iterator[StartCompanion]:
-    """Starts `companion` with arguments of one's own; its output is in companion.log.
-
-    Without a `--config` of one's own its flights and its memory are kept below `tmp_path`.
-    """
+    """Starts `companion` with arguments; by default all its files are kept below `tmp_path`."""
     from companion.io.child_process import ChildProcess
 
     started: list[ChildProcess] = []

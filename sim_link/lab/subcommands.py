@@ -13,14 +13,7 @@ from sim_link.lab.mission import mission_cli
 
 
 def run_subcommand(argv: Sequence[str]) -> int:
-    """Run it.
-
-    Returns:
-        The exit code.
-
-    Raises:
-        CompanionError: Bad input, or something could not be done.
-    """
+    """Run it; the exit code. `CompanionError`: bad input, or something could not be done."""
     arguments = _parser().parse_args(argv)
     code: int = arguments.run(arguments)
     return code

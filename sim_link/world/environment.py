@@ -167,11 +167,7 @@ def open_obstruction(
 ) -> tuple[float, float]:
     """Range excess, metres, and bearing bias, radians, outside of all shadows.
 
-    Args:
-        uniform: In [0, 1).
-        exponential: Of mean 1.
-
-    Paper: b of eq. (1).
+    The uniform draw is in [0, 1), the exponential of mean 1. Paper: b of eq. (1).
     """
     if uniform < open_path.p_nlos:
         return open_path.bias_mean_m * exponential, open_path.bend_sigma_rad * normal
@@ -182,11 +178,7 @@ def open_obstruction(
 def remembered(
     drawn: Drawn, place: PositionEnu, correlation_m: float, memory: ShadowMemory
 ) -> ShadowMemory:
-    """The correlated part at the place of the next shadowed measurement.
-
-    Args:
-        correlation_m: Of both extra and bend; 0: none.
-    """
+    """The correlated part, over so many metres (0: none), at the next shadowed measurement."""
     (uniform, exponential, normal), (e, n, up) = drawn, place
     kept = 0.0
     if correlation_m > 0.0 and not math.isnan(memory.east_m):
@@ -213,17 +205,10 @@ def obstruction(
     surroundings: Surroundings,
     memory: ShadowMemory,
 ) -> tuple[float, float, ShadowMemory]:
-    """What stands in the way adds to one measurement.
+    """Range excess, metres, never negative; bearing bias, radians; what to remember.
 
-    Args:
-        place: Of the sensor; its height is 0 in the plane.
-        open_path: What a path suffers outside of all shadows.
-        memory: Of the measurement before; `NO_MEMORY` at first.
-
-    Returns:
-        Range excess, metres, never negative; bearing bias, radians; what to remember.
-
-    Paper: b of eq. (1).
+    The place is the sensor's (height 0 in the plane); the memory of the measurement before is
+    `NO_MEMORY` at first. Paper: b of eq. (1).
     """
     e, n, up = place
     around = surroundings

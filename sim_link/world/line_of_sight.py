@@ -156,13 +156,8 @@ def ways_to(
 ) -> Vector:
     """Lengths of the shortest ways from every corner to a target, (c,), metres; infinite: none.
 
-    Dijkstra's algorithm over the legs between corners that no wall cuts, each tested only if it
-    would shorten a way.
-
-    Args:
-        corners: (c, 2).
-        edges: (k, 6).
-        lets_out: (k,) walls of the obstacles that the target is inside of.
+    Dijkstra's algorithm over the legs between corners (c, 2) that no wall (k, 6) cuts, each tested
+    only if it would shorten a way. `lets_out` (k,) are walls about the target.
     """
     count = len(corners)
     ways, open_ways = np.full(count, np.inf), np.full(count, np.inf)
@@ -188,13 +183,9 @@ def ways_to(
 def way_around(
     e: float, n: float, surroundings: Surroundings, lets_out: Flags
 ) -> tuple[float, int]:
-    """Length of the shortest way in the plane, metres, and its first corner.
+    """Length of the shortest way in the plane, metres (infinite: none); its first corner, or -1.
 
-    Args:
-        lets_out: (k,) walls of the obstacles that either end is inside of.
-
-    Returns:
-        With the corner -1 if the way is straight, and the length infinite if there is none.
+    `lets_out` (k,) are walls of the obstacles that either end is inside of.
     """
     target_e, target_n, corners = surroundings.east_m, surroundings.north_m, surroundings.corners
     edges = surroundings.edges
@@ -214,13 +205,7 @@ def way_around(
 
 @kernel
 def taut_m(at_m: Vector, tops_m: Vector, start_up: float, length_m: float, end_up: float) -> float:
-    """Length of a taut string over roofs, metres.
-
-    Args:
-        at_m: (k,) how far from the start they are, on the ground.
-        tops_m: (k,) their heights, finite.
-        length_m: How far its end is, on the ground.
-    """
+    """Length of a taut string over roofs (k,) at ground distances and heights, metres."""
     if length_m == 0.0:
         return abs(end_up - start_up)
     string_m, here_m, up = 0.0, 0.0, start_up
@@ -238,11 +223,7 @@ def taut_m(at_m: Vector, tops_m: Vector, start_up: float, length_m: float, end_u
 
 @kernel
 def way_over(e: float, n: float, up: float, surroundings: Surroundings, lets_out: Flags) -> float:
-    """Length of the shortest way straight over the roofs, metres; infinite: too high.
-
-    Args:
-        lets_out: (k,) walls of the obstacles that either end is inside of.
-    """
+    """Length of the shortest way straight over the roofs, metres; infinite: too high."""
     target_e, target_n, edges = surroundings.east_m, surroundings.north_m, surroundings.edges
     length_m = math.hypot(target_e - e, target_n - n)
     at_m, tops_m = np.empty(len(edges)), np.empty(len(edges))
@@ -262,9 +243,8 @@ def way_over(e: float, n: float, up: float, surroundings: Surroundings, lets_out
 def detour(e: float, n: float, up: float, surroundings: Surroundings) -> tuple[float, float]:
     """How much longer than straight a blocked signal goes, and how far its bearing is pulled.
 
-    Returns:
-        Metres, never negative, and radians counter-clockwise in [-pi, pi]: from the direction of
-        the emitter to that of the way's first corner, zero for a way over the roofs.
+    Metres, never negative, and radians counter-clockwise in [-pi, pi], from the direction of the
+    emitter to that of the way's first corner; zero for a way over the roofs.
     """
     de, dn = surroundings.east_m - e, surroundings.north_m - n
     climb_m = surroundings.up_m - up
@@ -306,12 +286,7 @@ def turning_corners(polygon: Polygon) -> Iterator[Point]:
 def surroundings_of(
     target_enu_m: tuple[float, float, float], edges: Matrix, corners: Matrix
 ) -> Surroundings:
-    """An emitter among obstacles, the ways from every corner to it found.
-
-    Args:
-        edges: (k, 6) the walls.
-        corners: (c, 2) places that a way may turn at.
-    """
+    """An emitter among walls (k, 6) and corners (c, 2), the ways from every corner to it found."""
     east, north, up = target_enu_m
     lets_out = holding(east, north, up, edges)
     ways = ways_to(east, north, corners, edges, lets_out)

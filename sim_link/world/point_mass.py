@@ -126,12 +126,7 @@ class PointMass:
     def step(
         self, command_enu_mps: PositionEnu | None, yaw_ned_rad: float | None, dt_s: float
     ) -> None:
-        """Move for `dt_s` seconds.
-
-        Args:
-            command_enu_mps: The wanted velocity; None stops the motors.
-            yaw_ned_rad: The wanted heading; None keeps the present one.
-        """
+        """Move for `dt_s` by a velocity (None stops the motors) and a heading (None keeps it)."""
         if self.is_on_ground and (command_enu_mps is None or command_enu_mps[2] <= 0.0):
             self._rest()
             return

@@ -67,12 +67,7 @@ def _character_of(params: ChannelParams) -> _Character:
 
 
 class RadioChannel:
-    """Measures an emitter through the true channel.
-
-    Args:
-        params: Offsets, obstruction and noise of emitters that have no channel of their own.
-        environment: The obstacles; None: there are none.
-    """
+    """Measures an emitter through the true channel: its own, or else that of `params`."""
 
     def __init__(
         self,

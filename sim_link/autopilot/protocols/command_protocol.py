@@ -154,11 +154,9 @@ class Commands:
     def receive(
         self, message: Message, partner: Partner, now_s: float
     ) -> tuple[Command | Cancel | None, list[Outgoing]]:
-        """Take a message that is for us.
+        """What the vehicle is to do, and what was answered already.
 
-        Returns:
-            What the vehicle is to do, to be answered by `answer` (a `Cancel` by `finish`, or
-            not at all); and what was answered already.
+        A `Command` is answered by `answer`, a `Cancel` by `finish` or not at all.
         """
         if isinstance(message, MAVLink_command_cancel_message):
             return (Cancel(message.command) if message.command in self._running else None), []
@@ -176,12 +174,7 @@ class Commands:
     def answer(
         self, command: Command, result: int, now_s: float, *, progress: int = UNKNOWN_PROGRESS
     ) -> Outgoing:
-        """The ACK of a command.
-
-        Args:
-            result: MAV_RESULT; IN_PROGRESS leaves the command open.
-            progress: Percent of a command in progress; 255 for unknown.
-        """
+        """The ACK of a command; the result IN_PROGRESS leaves it open, at so many percent."""
         if result == CommandResult.IN_PROGRESS:
             if command.number in self._running or len(self._running) < MAX_RUNNING:
                 self._running[command.number] = _Running(command, progress)

@@ -111,11 +111,7 @@ Component = tuple[int, int]
 
 
 class Router:
-    """Knows who was heard where.
-
-    Args:
-        own_components: Components of the vehicle itself; what is for them stays here.
-    """
+    """Knows who was heard where; what is for the vehicle's own components stays here."""
 
     def __init__(self, system_id: int, own_components: tuple[int, ...], links: int = 1) -> None:
         self._system_id = system_id
@@ -201,11 +197,7 @@ NO_SECURITY = LinkSecurity()
 
 
 class LinkLayer:
-    """All links of one vehicle.
-
-    Args:
-        component_ids: Of its components, the autopilot first.
-    """
+    """All links of one vehicle; of its components the autopilot is the first."""
 
     def __init__(
         self,
@@ -235,12 +227,7 @@ class LinkLayer:
         self._use_key()
 
     def receive(self, chunk: Chunk) -> tuple[list[tuple[Message, Channel]], list[Chunk]]:
-        """Take in bytes.
-
-        Returns:
-            Messages that may be believed, whether for us or not, each with where it came from; and
-            frames to pass on.
-        """
+        """Messages that may be believed, each with where it came from; and frames to pass on."""
         channel = Channel(chunk.link, chunk.peer)
         frames, unknown = self._receivers.split(chunk)
         arrivals: list[tuple[Message, Channel]] = []
@@ -261,10 +248,7 @@ class LinkLayer:
         return arrivals, forwarded
 
     def send(self, outgoing: Outgoing, component_id: int | None = None) -> list[Chunk]:
-        """The chunks of a component's message (None: the autopilot's), for one link or all.
-
-        To a peer that shares a link means to the link.
-        """
+        """The chunks of a component's message (None: the autopilot's), for one link or all."""
         to = self._receivers_of(outgoing)
         component = self._component_ids[0] if component_id is None else component_id
         return [

@@ -94,13 +94,9 @@ class StreamTable:
         return -1 if stream is None else round(US_PER_S * stream.interval_s)
 
     def set_interval_us(self, number: int, interval_us: float, now_s: float) -> bool:
-        """Change a stream.
+        """Change a stream, which is then due at once; whether there is one and the interval may be.
 
-        Args:
-            interval_us: -1 stops the stream, 0 restores its default; the next one is due at once.
-
-        Returns:
-            Whether there is such a stream, it may be changed, and the interval makes sense.
+        -1 stops it, 0 restores its default.
         """
         if not self.can_change(number):
             return False
@@ -115,12 +111,7 @@ class StreamTable:
         return True
 
     def set_group(self, group: int, rate_hz: int, *, is_on: bool, now_s: float) -> None:
-        """Obey a REQUEST_DATA_STREAM.
-
-        Args:
-            group: MAV_DATA_STREAM; 0 for all groups.
-            rate_hz: Messages per second of each kind; 0 stops them too.
-        """
+        """Obey a REQUEST_DATA_STREAM; group 0 is all groups, a rate of 0 stops them too."""
         groups = self._rules.groups
         chosen = groups if group == mavlink.MAV_DATA_STREAM_ALL else {group} & groups.keys()
         interval_us = US_PER_S / rate_hz if is_on and rate_hz > 0 else OFF
@@ -215,11 +206,7 @@ class MessageRequests:
     def handle_command(
         self, command: Command, now_s: float
     ) -> tuple[CommandResult, list[Outgoing]] | None:
-        """Do what a command about messages asks.
-
-        Returns:
-            Its result and what to send before the ACK; None if it is about something else.
-        """
+        """Its result, and what to send before the ACK; None: it is not about messages."""
         match command.number:
             case mavlink.MAV_CMD_REQUEST_MESSAGE:
                 return self._request(command, now_s)

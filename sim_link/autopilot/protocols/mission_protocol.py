@@ -270,11 +270,7 @@ FlyTo = Callable[[PlanItem], PlanResult]
 
 
 class Plans:
-    """Serves one vehicle's plans to all partners; takes only messages that are for it.
-
-    Args:
-        fly_to: Takes an item that ArduPilot is to fly to at once; answers with the ACK's result.
-    """
+    """Serves a vehicle's plans to all partners; `fly_to` obeys an item at once (ArduPilot)."""
 
     def __init__(
         self, store: PlanStore, rules: PlanRules, texts: StatusTexts, fly_to: FlyTo | None = None

@@ -79,14 +79,10 @@ def read_specs(package: str) -> tuple[ParamSpec, ...]:
 
 
 class ParameterStore:
-    """The values of a fixed set of parameters.
+    """The values of parameters, given in the order of their indices.
 
-    Args:
-        specs: In the order of their indices.
-        initial: Values that replace defaults, for example a vehicle's own system id.
-
-    Raises:
-        ConfigError: A default or an initial value is impossible, or a name occurs twice.
+    `initial` replaces defaults, for example by a vehicle's system id. `ConfigError`: a value is
+    impossible, or a name occurs twice.
     """
 
     def __init__(self, specs: Iterable[ParamSpec], initial: Mapping[str, float] = {}) -> None:
@@ -119,11 +115,7 @@ class ParameterStore:
         return self._index.get(name)
 
     def set(self, name: str, value: float) -> None:
-        """Change a value, read-only or not.
-
-        Raises:
-            LocalProtocolError: There is no such parameter, or the value may not be.
-        """
+        """Change a value, read-only or not; `LocalProtocolError`: no such parameter, or value."""
         index = self._index.get(name)
         if index is None:
             raise LocalProtocolError(f"parameter {name}: there is no such parameter")
@@ -158,13 +150,9 @@ class ParameterStore:
         return "\n".join(lines) + "\n"
 
     def load_text(self, text: str, where: str) -> None:
-        """Take over all values of a text, or none.
+        """Take over all values of a text, or none; `ConfigError` names the file and a wrong line.
 
-        Args:
-            text: Lines `NAME VALUE`, a comma or any blanks between; `#` begins a comment.
-
-        Raises:
-            ConfigError: A line is no parameter of ours; the message names the file and the line.
+        Lines are `NAME VALUE`, a comma or any blanks between; `#` begins a comment.
         """
         values: dict[int, float] = {}
         for number, line in enumerate(text.splitlines(), 1):

@@ -82,11 +82,7 @@ ItemMessage = mavlink.MAVLink_mission_item_int_message | mavlink.MAVLink_mission
 
 
 def item_from(message: ItemMessage) -> PlanItem | PlanResult:
-    """The item that a message carries, not yet checked.
-
-    Returns:
-        The item, or why its coordinates cannot be integers.
-    """
+    """The item that a message carries, not yet checked; or why its place cannot be integers."""
     params = (message.param1, message.param2, message.param3, message.param4)
     if isinstance(message, mavlink.MAVLink_mission_item_int_message):
         x, y = message.x, message.y
@@ -153,9 +149,7 @@ PlanEvent = PlanChanged | CurrentChosen
 class PlanStore:
     """What a vehicle has been given to fly and to keep to.
 
-    Args:
-        home: Item 0 of a mission as ArduPilot shows it, whatever was uploaded there; None for
-            an autopilot whose missions begin with item 0.
+    `home` is item 0 as ArduPilot shows it, whatever was uploaded there; None: there is none.
     """
 
     def __init__(self, home: Callable[[], PlanItem] | None = None) -> None:

@@ -211,10 +211,7 @@ def monitored_flight(
     is_spoofing: bool | None = None,
     make_companion: MakeCompanion | None = None,
 ) -> Monitored:
-    """A flight that has not begun yet, with the genuine companion or another one.
-
-    Attackers that are spoofing use the vehicle's address; None: where the link is signed.
-    """
+    """A flight that has not begun; attackers are spoofing by default where the link is signed."""
     pair = SignedPair() if is_signed else None
     key = KEY if is_signed else None
     notes, link = MemoryJournal(), FaultyLink(Schedule(), seed, key=key)

@@ -198,15 +198,7 @@ class WireLink:
 
 @contextmanager
 def open_link(url: str) -> Iterator[WireLink]:
-    """The link of a URL, closed at the end.
-
-    Args:
-        url: `udp:`, `udpin:`, `udpout:`, `tcp:`, `tcpin:` with `HOST:PORT`, or a serial device.
-
-    Raises:
-        ConfigError: It is no link address.
-        LinkError: It cannot be opened.
-    """
+    """The link of a URL, closed at the end; `ConfigError`, `LinkError`: it cannot be opened."""
     spec = parse_transport(url)
     with closing(asyncio.new_event_loop()) as loop:
         link = WireLink(spec, loop)

@@ -117,13 +117,9 @@ class RuleBook:
         ardupilot: str = "",
         says: str = "",
     ) -> Callable[[Probe], Probe]:
-        """Make the decorated method a rule, named as it is and stated by its docstring.
+        """Make the decorated method a rule, named as it is and stated by its docstring or `says`.
 
-        Args:
-            source: The page, file or measurement that says so.
-            px4: How PX4 deviates, if it does.
-            ardupilot: How ArduPilot deviates, if it does.
-            says: Its statement, where that is too long for a docstring.
+        `source` is the page, file or measurement that says so; `px4`, `ardupilot` are deviations.
         """
         told = {Flavour.PX4: px4, Flavour.ARDUPILOT: ardupilot}
 
@@ -203,13 +199,7 @@ def try_rule(rule: Rule, probe: Any) -> RuleOutcome:
 def run_rules(
     rules: Iterable[Rule], flavour: Flavour, allowed: Effect, make_probe: Callable[[type[Any]], Any]
 ) -> Iterator[RuleOutcome]:
-    """Try rules one after another.
-
-    Args:
-        flavour: Of the vehicle, under test or shown.
-        allowed: The most that may be done to it.
-        make_probe: An attached probe of the class that a rule is of.
-    """
+    """Try the rules that bind a flavour, each with an attached probe, as far as is allowed."""
     base: tuple[int, int] | None = None
     order = list(Effect)
     for rule in rules:

@@ -25,10 +25,7 @@ from sim_link.lab.conformance.rules import Violation
 
 
 class ProbeLink(Protocol):
-    """One client's connection to the peer under test.
-
-    Its time is the peer's own, in seconds: invented in memory, the wall clock on a real link.
-    """
+    """One client's connection to the peer under test; its time is the peer's own, in seconds."""
 
     @property
     def now_s(self) -> float:

@@ -86,11 +86,7 @@ class VehicleProbe(Station):
     def another(
         self, system_id: int = 254, component_id: int = 190, kind: int | None = mavlink.MAV_TYPE_GCS
     ) -> Station:
-        """A second station on a connection of its own, already heard by the vehicle.
-
-        Raises:
-            NotApplicable: The link has room for one client only.
-        """
+        """A second station, already heard; `NotApplicable`: the link has room for one client."""
         link = self.link.another()
         if link is None:
             raise NotApplicable("this link has room for one client only")
@@ -113,12 +109,7 @@ class VehicleProbe(Station):
         params: tuple[float, float, float, float] = (mav.NAN, mav.NAN, mav.NAN, mav.NAN),
         place: tuple[int, int, float] = (0, 0, mav.NAN),
     ) -> int:
-        """Send COMMAND_INT; the final MAV_RESULT.
-
-        Args:
-            params: Parameters 1 to 4.
-            place: x and y, 1e-7 degrees in a global frame, and z.
-        """
+        """Send COMMAND_INT; the final MAV_RESULT. A global place is in 1e-7 degrees."""
         x, y, z = place
         message = mav.CommandInt(*self.target, frame, number, 0, 0, *params, x, y, z)
         return self.result_of(message, number)
@@ -153,11 +144,7 @@ class VehicleProbe(Station):
         return self.expect(kind, where, mark=self.asked)
 
     def set_interval(self, kind: type[Message] | int, interval_s: float) -> int:
-        """SET_MESSAGE_INTERVAL of a message or an id; its MAV_RESULT.
-
-        Args:
-            interval_s: -1 stops the stream and 0 restores its default.
-        """
+        """SET_MESSAGE_INTERVAL (-1 stops, 0: the default) of a message or an id; its MAV_RESULT."""
         number = kind if isinstance(kind, int) else kind.id
         microseconds = interval_s * 1e6 if interval_s > 0.0 else interval_s
         return self.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, float(number), microseconds)
@@ -328,14 +315,10 @@ class VehicleProbe(Station):
         )
 
     def come_to_rest(self, base_e7: tuple[int, int] | None = None) -> tuple[int, int]:
-        """Land if it flies and wait until it is disarmed; for whoever tries the next rule.
+        """Land if it flies and wait until it is disarmed, for whoever tries the next rule.
 
-        Args:
-            base_e7: Where flights began, 1e-7 degrees: it goes back there from afar, or the next
-                flights would lead ever farther away. None: here.
-
-        Returns:
-            The base.
+        The result is where flights began (1e-7 degrees; None: here): it goes back there from afar,
+        or the next flights would lead ever farther away.
         """
         self.signer = None
         here = self._where()

@@ -256,10 +256,7 @@ def channel_draws(case: Case, seed: RunSeed) -> Matrix:
 
 @kernel
 def measured(draw: Vector, east_m: float, north_m: float, truth: RunTruth) -> tuple[float, float]:
-    """Range and bearing through the true channel by a draw (6,), metres and radians in [-pi, pi).
-
-    Paper: eq. (1).
-    """
+    """Range and bearing, in [-pi, pi), by a draw (6,) of the true channel. Paper: eq. (1)."""
     excess_m = truth.mean_bias_m * draw[EXCESS] if draw[OBSTRUCTED] < truth.p_nlos else 0.0
     bend_rad = truth.bend_sigma_rad * draw[BEND] if draw[BENT] < truth.p_nlos else 0.0
     return received(draw, east_m, north_m, truth, excess_m, bend_rad)

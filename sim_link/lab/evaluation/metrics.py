@@ -130,10 +130,8 @@ def channel_information(
 ) -> ChannelInformation:
     """The information J of a channel with thermal noise, or a ValueError, by quadrature.
 
-    Args:
-        points_per_sigma: Nodes of the trapezoidal rule per thermal standard deviation.
-        is_joint: Whether one draw decides for range and bearing; otherwise each has its own, the
-            errors are independent, and neither tells whether the other is long or bent.
+    The trapezoidal rule has so many nodes per thermal standard deviation. If not joint, each error
+    has a draw of its own, and neither tells whether the other is long or bent.
     """
     if channel.range_sigma_m <= 0.0 or channel.bearing_sigma_deg <= 0.0:
         raise ValueError("a channel without thermal noise has no bound")
@@ -228,19 +226,12 @@ def position_bounds_m2(
     bearing_per_rad2: Vector,
     prior: Vector,
 ) -> Vector:
-    """Least trace of the position's covariance after every place of a track, (steps,), m^2.
+    """Least trace of the position's covariance after every place of a track (steps, 2), m^2.
 
     Infinite where it cannot be known. The information is summed up entry by entry: position,
     position with each offset, offset; the offsets do not mix, so that the position's marginal
-    information is found without a matrix inverse.
-
-    Args:
-        track_enu_m: (steps, 2) where measurements are made.
-        target_enu_m: (2,).
-        range_per_m2: (steps,) information of each range.
-        bearing_per_rad2: (steps,) of each bearing.
-        prior: (2,) information about the offsets before the first, 1/m^2 and 1/rad^2; zeros where
-            they are unknown constants.
+    information is found without a matrix inverse. Of each measurement it is (steps,), of the
+    offsets before the first (2,), 1/m^2 and 1/rad^2: zeros where they are unknown constants.
     """
     steps = track_enu_m.shape[0]
     bounds = np.full(steps, np.inf)

@@ -114,11 +114,7 @@ class Cell:
 
 
 def cells_of(study: Study) -> list[Cell]:
-    """The cells of a study in the order of its tables.
-
-    Raises:
-        ConfigError: A sweep is wrong; the message begins with the place in the study.
-    """
+    """The cells of a study in the order of its tables; `ConfigError` says which sweep is wrong."""
     cells: list[Cell] = []
     for number, sweep in enumerate(study.sweeps):
         where = f"$.sweeps[{number}]"

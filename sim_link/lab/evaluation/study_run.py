@@ -169,11 +169,7 @@ def work_of(studies: Iterable[PlannedStudy], seed: int) -> dict[str, RunSeries]:
 
 
 def carried_out(work: Work, pool: Pool, store: Store, on_done: Callable[[float], None]) -> None:
-    """Do all of it, and keep it; the cost of every task that is done is told.
-
-    Raises:
-        CompanionError: The pool or the store gave out; what was done is kept.
-    """
+    """Do all of it, keep it, and tell the cost of every task that is done."""
     pending = sorted(work.items(), key=lambda item: -cost_of(item[1]))
     for position, result in pool.results(_perform, [task for _, task in pending]):
         key, task = pending[position]

@@ -247,10 +247,8 @@ def recursive_filter_of(case: Case, system: System) -> TargetFilter:
 def estimator_of(case: Case, system: System, start_enu_m: Vector) -> Fuse:
     """A fresh estimator of the system; the tracker makes its own start.
 
-    The start (2,) is the place of the first estimate; NaN: from the first measurement.
-
-    Raises:
-        ValueError: The system's filter has no class of its own: `map`, which is `tracker` there.
+    The start (2,) is the place of the first estimate; NaN: from the first measurement. `map` has no
+    class of its own (ValueError): it is `tracker` here.
     """
     if system.filter == "map":
         raise ValueError("the window alone is no class: fly the tracker, which has one")

@@ -311,14 +311,11 @@ def walked(
     belief: Belief,
     steering: WalkSteering,
 ) -> Matrix:
-    """The record of a run, (steps, 9).
+    """The record of a run, (steps, 9), by draws (steps, 6) of the channel.
 
-    Args:
-        draws: (steps, 6) of the channel.
-        picks: (steps,) uniform draws of the planner, for one that must choose among equals.
-        track: (steps, 2) the places to measure from; of planners that follow the estimate only
-            the first counts.
-        start: (2,) place of the first estimate; NaN: from the first measurement.
+    The picks (steps,) are uniform, for a planner that must choose among equals. Of the track
+    (steps, 2) planners that follow the estimate take the first place alone. The start (2,) is the
+    place of the first estimate; NaN: from the first measurement.
     """
     steps = draws.shape[0]
     record = np.empty((steps, COLUMNS))

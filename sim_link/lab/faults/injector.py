@@ -29,10 +29,7 @@ ATTACK_PERIOD_S = 0.02
 
 
 class Injector(Observer):
-    """Applies a schedule to a flight, as one of its observers.
-
-    Attackers that are spoofing send from the vehicle's own address.
-    """
+    """Applies a schedule to a flight; attackers that are spoofing have the vehicle's address."""
 
     def __init__(
         self, flight: Flight, link: FaultyLink, operator: Operator, *, is_spoofing: bool = False

@@ -55,10 +55,7 @@ class Counters:
 
 
 class FaultProxy:
-    """Two sockets and the faults between them; a context manager that closes them.
-
-    The schedule begins at the start. A LinkError: an address is taken, or not ours.
-    """
+    """Two sockets with faults between them from the start on; `LinkError`: no such address."""
 
     def __init__(
         self, vehicle_side: Address, companion: Address, schedule: faults.Schedule, seed: int

@@ -146,11 +146,7 @@ class Observers(list[Observer]):
         self._tellers: dict[str, list[Callable[..., None]]] = {}
 
     def of(self, what: str) -> list[Callable[..., None]]:
-        """The methods to call when something happens, in the order of the observers.
-
-        Args:
-            what: The name of a method of `Observer`.
-        """
+        """The observers' methods of a name in `Observer`, in the order of the observers."""
         if self._told != self:
             self._told = list(self)
             self._tellers.clear()

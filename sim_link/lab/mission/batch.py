@@ -63,14 +63,7 @@ Done = Callable[[int, MissionResult], None]
 
 
 def check_reports(folder: Path) -> None:
-    """Make sure, before any flight, that reports can be written.
-
-    Args:
-        folder: Where to; made if it is not there.
-
-    Raises:
-        CompanionError: Nothing can be written there.
-    """
+    """Make the folder, and check that reports can be written there; else a `CompanionError`."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=folder):  # only trying tells, root may do anything
@@ -93,12 +86,7 @@ class MissionBatch:
     connect: str | None = None
 
     def tasks(self) -> list[FlightTask]:
-        """Every flight, checked as far as that can be done without flying.
-
-        Raises:
-            ConfigError: A script is wrong; nothing was started.
-            LinkError: The vehicle's link cannot be opened.
-        """
+        """Every flight, checked as far as can be without flying; CompanionError: one is wrong."""
         loaded = [(str(path), mission) for path in self.files for mission in self._load(path)]
         for file, mission in loaded:
             check_flyable(mission, file)
@@ -191,17 +179,11 @@ def fly_all(
     progress: Progress | None = None,
     backend: str = LOCAL,
 ) -> None:
-    """Fly them.
+    """Fly them, so many at once (1: in this process) or on a backend of `open_pool`.
 
-    Args:
-        jobs: How many at once; 1: in this process.
-        done: Told the position of a task and its result, as they come.
-        progress: Told of every slice where flights are flown in this process.
-        backend: See `open_pool`.
-
-    Raises:
-        ConfigError: The backend is not there.
-        KeyboardInterrupt: Of those that were not over by then nothing is told.
+    `done` is told the position of a task and its result, as they come; `progress` every slice where
+    they are flown in this process. `ConfigError`: the backend is not there. After a
+    KeyboardInterrupt nothing is told of what was not over by then.
     """
     jobs = min(jobs, len(tasks))
     is_here = jobs <= 1 and backend == LOCAL

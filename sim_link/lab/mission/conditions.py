@@ -192,12 +192,7 @@ class _Part:
 
 
 def parse_condition(text: str) -> Condition:
-    """The condition that a text says.
-
-    Raises:
-        ConditionError: It cannot be understood, asks about what does not exist, or compares what
-            cannot be compared.
-    """
+    """The condition that a text says; `ConditionError`: it makes no sense."""
     if len(text) > MAX_LENGTH:
         raise ConditionError(f"longer than {MAX_LENGTH} characters")
     try:

@@ -152,10 +152,8 @@ CONTROL_PHASES = frozenset(phase.value for phase in IN_CONTROL)
 class EventReader:
     """Turns events of the companion into the record of the flight and the present situation.
 
-    It is a companion's `Journal`, so that a companion in memory writes straight into it.
-
-    Args:
-        first_emitter: Whose estimate an event is that names no emitter.
+    It is a companion's `Journal`, so that a companion in memory writes straight into it. An event
+    that names no emitter is of the first one.
     """
 
     def __init__(
@@ -313,11 +311,7 @@ class WireWatch:
         self._events.append((companion_s, kind, fields))
 
     def date_events(self, offset_s: float | None) -> None:
-        """The log of a process is complete.
-
-        Args:
-            offset_s: The mission's time minus the companion's; None: nothing was read.
-        """
+        """The log of a process is complete; offset: the mission's time minus the companion's."""
         if offset_s is not None:
             for time_s, kind, fields in self._events:
                 self.recording.noted(kind, fields, time_s + offset_s)

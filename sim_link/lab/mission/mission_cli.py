@@ -273,12 +273,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Fly what the arguments say; the exit code.
-
-    Raises:
-        ConfigError: A script or an argument is wrong; nothing was started.
-        CompanionError: A file cannot be written or a link not be opened; nothing was started.
-    """
+    """Fly what the arguments say; the exit code. Errors are raised before anything is started."""
     campaign = _campaign(arguments)
     if campaign.reports is not None:
         check_reports(campaign.reports)

@@ -77,17 +77,11 @@ def fly_over_udp(
     keep: Path | None = None,
     progress: Progress | None = None,
 ) -> MissionResult:
-    """Fly a mission once.
+    """Fly a mission once, at `speed` seconds per second.
 
-    Args:
-        seed: Of a simulated vehicle, its radio and its faults.
-        speed: Seconds of the flight per second.
-        connect: The vehicle's link; None: a simulated one is started.
-        keep: A folder for `.tlog`, event log and output of the processes; None: nothing is kept.
-        progress: Told after every look, and while processes start.
-
-    Raises:
-        CompanionError: A process does not start, or a link cannot be opened.
+    The seed is of a simulated vehicle, which is started unless a link to `connect` to is given, its
+    radio and its faults. `keep` is a folder for `.tlog`, event log and output of the processes.
+    `progress` is told after every look. `CompanionError`: a process or link does not start.
     """
     with tempfile.TemporaryDirectory(prefix="mission-") as temporary:
         folder = Path(temporary) if keep is None else keep

@@ -43,15 +43,10 @@ PERIOD_S = 0.1
 
 
 class Hub:
-    """Implements `companion.mav.endpoint.Endpoint`.
+    """An `Endpoint` between vehicle, companion and, if there is one, a radio beside the vehicle.
 
-    Args:
-        wire: What lies between vehicle and companion.
-        watch: Told of every frame with the link it came from and the time.
-        tick: Called every 0.1 s with the time; the mission.
-        stop: Called when an end is asked for; the mission then calls `finish`.
-        has_radio: Whether there is a radio beside the vehicle.
-        delivered: Told of every frame that goes to the companion, and when.
+    `watch` is told of every frame with its link and the time, `delivered` of what goes to the
+    companion; `tick` is called every 0.1 s; after `stop` the mission calls `finish`.
     """
 
     def __init__(
@@ -142,12 +137,7 @@ class Hub:
 
 
 class ProcessHarness:
-    """Injects faults into a flight of real processes.
-
-    Args:
-        vehicle: The simulator; None: the vehicle is not ours.
-        watcher: Told when the companion's process stops and goes on.
-    """
+    """Injects faults into processes, of which the vehicle may be absent; tells the watcher."""
 
     def __init__(
         self,

@@ -308,11 +308,7 @@ class Mission(Scenario, frozen=True, kw_only=True):
 
     @property
     def config(self) -> CompanionConfig:
-        """The companion's configuration as the script gives it.
-
-        Raises:
-            TypeError: It is a file that was not read yet.
-        """
+        """The companion's configuration as the script gives it; TypeError: a file not read yet."""
         if isinstance(self.companion, str):
             raise TypeError(f"{self.companion} was not read; use load_mission")
         return self.companion

@@ -44,24 +44,12 @@ Problem = tuple[str, str]
 
 
 def load_mission(path: Path) -> Mission:
-    """The mission of a YAML file, checked as a whole.
-
-    Raises:
-        ConfigError: The file cannot be read, or something in it is wrong; one line says where.
-    """
+    """The mission of a YAML file, checked as a whole; `ConfigError`: one line says where."""
     return parse_mission(read_text(path), str(path), path.parent)
 
 
 def parse_mission(text: str, name: str, folder: Path = Path()) -> Mission:
-    """The mission in YAML text.
-
-    Args:
-        name: What to call it in errors, usually the file's path.
-        folder: Where the files are that it names.
-
-    Raises:
-        ConfigError: Something in it is wrong; one line says where.
-    """
+    """The mission in YAML text; files that it names are in the folder, errors call it by name."""
     try:
         mission = parse_yaml(text, Mission, name, renew_incidents)
     except ConfigError as error:

@@ -70,12 +70,9 @@ ROUNDING_S = 1e-9
 
 
 class StepRunner:
-    """Flies one mission.
+    """Flies one mission by an operator; `inject` begins a fault `start_s` from now.
 
-    Args:
-        record: Its situation is kept up to date by whoever runs this.
-        operator: Does what the script asks of the operator.
-        inject: Has a fault of the script begin `fault.start_s` from now.
+    The situation of the record is kept up to date by whoever runs this.
     """
 
     def __init__(

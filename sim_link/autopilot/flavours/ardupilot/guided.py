@@ -125,12 +125,7 @@ def target_from(message: PositionTarget, aircraft: Aircraft) -> Target:
 def _target(
     message: PositionTarget, place: PositionEnu | None, body_yaw_rad: float | None
 ) -> Target:
-    """The target of a message whose position is understood.
-
-    Args:
-        place: Its position in the world's frame, None if it gives none.
-        body_yaw_rad: The heading that its vectors and yaw are about; None: north.
-    """
+    """The target at a place (None: none given), its vectors about a heading (None: north)."""
     mask = message.type_mask
     has_velocity = not mask & dialect.VELOCITY_IGNORE
     has_acceleration = not mask & dialect.ACCELERATION_IGNORE and not mask & dialect.FORCE_SET

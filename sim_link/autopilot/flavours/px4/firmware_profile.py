@@ -40,10 +40,7 @@ def speed_limits(parameters: ParameterStore) -> SpeedLimits:
 
 
 def px4_parameters(scenario: Scenario) -> ParameterStore:
-    """PX4's parameters as a scenario has them.
-
-    Without a scenario's say the battery failsafe returns and lands (COM_LOW_BAT_ACT).
-    """
+    """PX4's parameters as a scenario has them; by default a low battery returns and lands."""
     autopilot = scenario.autopilot
     initial: dict[str, float] = {
         "COM_DISARM_LAND": autopilot.disarm_after_landing_s,

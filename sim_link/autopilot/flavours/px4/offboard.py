@@ -95,12 +95,7 @@ def _is_valid(message: PositionTarget, position: tuple[float, float, float]) -> 
 def _assemble(
     message: PositionTarget, enu_m: PositionEnu | None, body_yaw_rad: float | None
 ) -> Setpoint:
-    """The setpoint of a valid message.
-
-    Args:
-        enu_m: Its position in the world's frame, None if it gives none.
-        body_yaw_rad: The heading that its vectors are about; None: they are north and east.
-    """
+    """The setpoint at a place (None: it gives none), its vectors about a heading (None: north)."""
     mask = message.type_mask
     has_en = enu_m is not None and not mask & HORIZONTAL_POSITION_IGNORE
     has_up = enu_m is not None and not mask & dialect.Z_IGNORE

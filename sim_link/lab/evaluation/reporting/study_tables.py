@@ -243,11 +243,7 @@ _KNOWN: dict[str, tuple[str, ...]] = {
 
 
 def studies_of(name: str, folder: Path) -> list[Study]:
-    """The studies of a name or file: itself, or those that it collects, each checked.
-
-    Raises:
-        ConfigError: There is no such study in the folder, or it is wrong; one line says where.
-    """
+    """The studies of a name or file, itself or those it collects; `ConfigError`: one is wrong."""
     return _collected(study_path(name, folder), folder, ())
 
 

@@ -287,10 +287,7 @@ class Tornado:
 
 
 def tornado_of(results: Iterable[StudyResult]) -> Tornado | None:
-    """The tornado of the assumptions study; None if it is not among the results.
-
-    The first value of each sweep is our choice.
-    """
+    """The tornado of the assumptions study, if it is there; its first values are our choice."""
     cells = [cell for result in results for cell in result.cells if cell.table == TABLE]
     if not cells:
         return None
