@@ -20,7 +20,7 @@ from companion.mav.endpoint import Address, Endpoint
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.incidents import Incident
 from sim_link.autopilot.scenario import Scenario
-from sim_link.fleet.console import ComplaintParser, is_interrupt
+from sim_link.fleet.console import ComplaintParser, LinePrinter, is_interrupt
 from sim_link.fleet.scenario_io import load_scenario
 from sim_link.fleet.vehicles import (
     Fleet,
@@ -55,23 +55,6 @@ more:
   sim-link mission run FILE...   fly mission scripts and tell pass or fail
   sim-link radio --follow URL    a radio payload for a vehicle that has none
   sim-link proxy --fault MAPPING  a bad link between a vehicle and a companion"""
-
-
-class _LinePrinter:
-    """Lines on standard output, until nobody reads them any more."""
-
-    def __init__(self) -> None:
-        self._is_heard = True
-
-    def say(self, line: str) -> None:
-        """Print a line, as long as somebody reads."""
-        if not self._is_heard:
-            return
-        try:
-            print(line, flush=True)
-        except BrokenPipeError:
-            self._is_heard = False
-            sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115  stays open
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -157,7 +140,7 @@ def _run(arguments: argparse.Namespace) -> int:
     options = _fleet_options(arguments)
     endpoints = make_vehicles(options)
     specs = [link_specs(options, number) for number in range(len(endpoints))]
-    voice, files = _LinePrinter(), FleetFiles(options, endpoints)
+    voice, files = LinePrinter(sys.stdout), FleetFiles(options, endpoints)
     files.begin()
 
     orders: queue.SimpleQueue[bytes] = queue.SimpleQueue()

@@ -193,9 +193,7 @@ class FleetFiles:
         """Write the reports of the start; `ConfigError`: they cannot be written."""
         self._write_reports(start_report)
 
-    def _write_reports(
-        self, report: Callable[[SimEndpoint, int, float], dict[str, object]]
-    ) -> None:
+    def _write_reports(self, report: Report) -> None:
         for number, endpoint in enumerate(self._endpoints):
             path = numbered_path(self._options.report, number)
             if path is not None:

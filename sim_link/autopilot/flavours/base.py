@@ -182,8 +182,6 @@ class Flavour(ABC):
         self._seen: tuple[FlightMode, bool, Task] | None = None
         self._landed_s: float | None = None
 
-    # What a flavour decides
-
     @property
     @abstractmethod
     def mode(self) -> FlightMode:
@@ -252,8 +250,6 @@ class Flavour(ABC):
     @abstractmethod
     def _after_flying(self, now_s: float) -> None:
         """What ends by itself: a takeoff, a mission."""
-
-    # What all have in common
 
     def has_home(self, _now_s: float) -> bool:
         """Whether origin and home are known."""

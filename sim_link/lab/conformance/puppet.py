@@ -67,8 +67,6 @@ class CompanionProbe(Station):
         self._stops: list[Callable[[], None]] = []
         self.come_back()
 
-    # What the companion sees
-
     def come_back(self) -> None:
         """Begin, or begin again, to send."""
         self.go_silent()
@@ -100,8 +98,6 @@ class CompanionProbe(Station):
     def send_as(self, message: Message, system_id: int, component_id: int) -> None:
         """Send a message as someone else."""
         self.send(message, FrameSpec(system_id, component_id))
-
-    # The companion
 
     @property
     def companion(self) -> tuple[int, int]:
@@ -170,8 +166,6 @@ class CompanionProbe(Station):
         if len(acks) > 1:
             raise Violation(f"{len(acks)} acknowledgements")
         return int(acks[0].result) if acks else None
-
-    # Messages
 
     def _answer(self, message: Message) -> None:
         if not isinstance(message, (*COMMANDS, mav.PlanRequest)):

@@ -138,8 +138,6 @@ class Station:
             self._stop_heartbeat()
             self._stop_heartbeat = None
 
-    # Time
-
     @property
     def now_s(self) -> float:
         """The time of the link."""
@@ -171,8 +169,6 @@ class Station:
 
         return stop
 
-    # Out
-
     def send(self, message: Message, spec: FrameSpec | None = None) -> None:
         """Send a message as this station, or as `spec` says."""
         self.send_raw(self._frame_of(message, spec or self.spec()))
@@ -201,8 +197,6 @@ class Station:
         """Send a message whose payload is given as bytes."""
         cut = payload.rstrip(b"\0") or payload[:1]
         self.send_raw(build_raw(int(kind.id), cut, int(kind.crc_extra), self.spec()))
-
-    # In
 
     def require_no_answer(
         self, messages: Sequence[Message], kind: type[M], where: Callable[[M], bool] | None = None

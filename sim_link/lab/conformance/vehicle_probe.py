@@ -42,8 +42,6 @@ class VehicleProbe(Station):
         self.flavour = Flavour.PX4
         self.target = (1, mavlink.MAV_COMP_ID_AUTOPILOT1)
 
-    # Who it is
-
     def attach(self) -> None:
         """Wait for the vehicle and learn its ids and flavour; `NotApplicable`: none is heard."""
         try:
@@ -94,8 +92,6 @@ class VehicleProbe(Station):
         if kind is not None:
             other.send(heartbeat(kind))
         return other
-
-    # Commands
 
     def command(self, number: int, *params: float, confirmation: int = 0) -> int:
         """Send COMMAND_LONG, unused parameters NaN as MAVSDK does; the final MAV_RESULT."""
@@ -177,8 +173,6 @@ class VehicleProbe(Station):
         super().require_no_answer(messages, kind, where)
         self.require_hearing()
 
-    # State
-
     def heartbeat(
         self,
         where: Callable[[mav.Heartbeat], bool] | None = None,
@@ -255,8 +249,6 @@ class VehicleProbe(Station):
     def origin(self) -> mav.Origin:
         """The zero of the local frame, asked for."""
         return self.request(mav.Origin)
-
-    # Flights
 
     def get_ready(self) -> None:
         """Wait until it can be armed, in the mode that flights begin in."""

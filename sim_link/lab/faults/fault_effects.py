@@ -19,6 +19,7 @@ from companion.mav.dialect import MAVLink_radio_ranging_message as RadioRanging
 from companion.mav.dialect import mavlink
 from companion.mav.signing import HASH_LENGTH, SigningKey, is_signed
 from sim_link.autopilot.incidents import FaultRecord
+from sim_link.autopilot.protocols.message_streams import message_ids
 from sim_link.lab.faults import fault_models as faults
 from sim_link.lab.lockstep.observer import Delivery
 
@@ -201,18 +202,9 @@ def _sign_like(packed: bytes, model: bytes, key: SigningKey) -> bytes:
 
 NOT_A_RANGE = (math.nan, math.inf, -math.inf, 0.0, -12.5, 1e-42, 1e30)
 NOT_A_BEARING = (math.nan, math.inf, -math.inf, 400.0, -1e9)
-REPORTS = frozenset(
-    {
-        mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
-        mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
-        mavlink.MAVLINK_MSG_ID_ATTITUDE,
-        mavlink.MAVLINK_MSG_ID_SYS_STATUS,
-        mavlink.MAVLINK_MSG_ID_BATTERY_STATUS,
-        mavlink.MAVLINK_MSG_ID_HOME_POSITION,
-        mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
-        mavlink.MAVLINK_MSG_ID_GPS_RAW_INT,
-        mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS,
-    }
+REPORTS = message_ids(
+    "LOCAL_POSITION_NED GLOBAL_POSITION_INT ATTITUDE SYS_STATUS BATTERY_STATUS HOME_POSITION "
+    "GPS_GLOBAL_ORIGIN GPS_RAW_INT ESTIMATOR_STATUS"
 )
 CLOCK_FIELDS = frozenset({"time_boot_ms", "time_usec"})
 INTEGER_LIMITS = {

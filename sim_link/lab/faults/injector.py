@@ -64,8 +64,6 @@ class Injector(Observer):
         """The attacker hears everything."""
         self._attacker.overhear(frame.data)
 
-    # The vehicle
-
     def _happen(self, fault: VehicleFault) -> None:
         flight = self._flight
         match fault:
@@ -102,8 +100,6 @@ class Injector(Observer):
         if next_s < end_s:
             flight.at(next_s, partial(self._send_other, fault, end_s))
 
-    # The process
-
     def _hit(self, fault: faults.ProcessFault) -> None:
         flight = self._flight
         match fault:
@@ -118,8 +114,6 @@ class Injector(Observer):
     def _start_again(self) -> None:
         if not self._flight.is_companion_up:
             self._flight.start_companion()
-
-    # The attacker
 
     def _attack(self, fault: faults.SecurityFault, end_s: float, owed: float) -> None:
         flight = self._flight

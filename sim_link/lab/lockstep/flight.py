@@ -172,8 +172,6 @@ class Flight:
         self.sim = makers.simulator(scenario, seed, 0.0)
         self.start_companion()
 
-    # Time
-
     def run(self, duration_s: float) -> None:
         """Let time pass."""
         until_s = self.now_s + duration_s
@@ -227,8 +225,6 @@ class Flight:
         while self._queue and self._queue[0][0] <= self.now_s:
             heapq.heappop(self._queue)[2]()
             self._collect()
-
-    # The wire
 
     def post(self, data: bytes, lane: Lane) -> None:
         """Put a datagram on the wire."""
@@ -318,8 +314,6 @@ class Flight:
             self.observers.tell("vehicle_sent", Frame(self.now_s, data, Lane.RANGING))
             self.post(data, Lane.RANGING)
 
-    # The companion as a process
-
     def start_companion(self) -> None:
         """Start the process, or a new one in place of one that ended."""
         links = VEHICLE_ONLY if self._radio is None else (*VEHICLE_ONLY, RADIO_LINK)
@@ -351,8 +345,6 @@ class Flight:
         self._socket.clear()
         self._socket_bytes = 0
         self.observers.tell("companion_ended", self.now_s)
-
-    # The vehicle
 
     def reboot(self) -> None:
         """Another vehicle in its place: at home, on the ground, its clock at zero."""

@@ -165,8 +165,6 @@ class EventReader:
         self._first_emitter = first_emitter
         self._ranging_heard_s: float | None = None
 
-    # What a companion in memory calls
-
     def frame(self, data: bytes, now_s: float) -> None:
         """Frames are watched on the wire."""
 
@@ -189,8 +187,6 @@ class EventReader:
             "r95_m": estimate.r95_m,
         }
         self.take("result", fields, now_s)
-
-    # What both lead to
 
     def take(self, kind: str, fields: Mapping[str, Any], time_s: float) -> None:
         """Take in an event at a time since the mission began."""

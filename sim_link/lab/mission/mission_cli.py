@@ -7,7 +7,6 @@ flight that did not come to an end, or has no report, has a case with an error.
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 import time
 from collections.abc import Sequence
@@ -18,7 +17,7 @@ from xml.etree import ElementTree
 from companion.errors import ConfigError
 from companion.io.files import check_writable, write_text_atomic
 from companion.kernel import IS_COMPILED
-from sim_link.fleet.console import is_interrupt
+from sim_link.fleet.console import LinePrinter, is_interrupt
 from sim_link.lab.mission.batch import (
     FlightTask,
     MissionBatch,
@@ -36,16 +35,13 @@ from sim_link.lab.pool import LOCAL
 REFRESH_S = 0.1
 
 
-class PlainProgress:
+class PlainProgress(LinePrinter):
     """A line for every flight and, where it is detailed, one when a step of the only one begins."""
 
     def __init__(self, total: int, output: TextIO, *, is_detailed: bool) -> None:
-        self._total = total
-        self._output = output
-        self._is_detailed = is_detailed
-        self._done = 0
-        self._step = 0
-        self._is_heard = True
+        super().__init__(output)
+        self._total, self._is_detailed = total, is_detailed
+        self._done = self._step = 0
 
     def __enter__(self) -> PlainProgress:
         return self
@@ -70,18 +66,6 @@ class PlainProgress:
             self.say(f"     {verdict.name}: {verdict.found}")
         for line in filter(None, (result.error, result.doubt)):
             self.say(f"     {line}")
-
-    def say(self, line: str) -> None:
-        """Print a line, as long as somebody reads."""
-        if not self._is_heard:
-            return
-        try:
-            self._output.write(f"{line}\n")
-            self._output.flush()
-        except BrokenPipeError:
-            self._is_heard = False
-            if self._output is sys.stdout:  # what it still holds is not to be tried at the exit
-                sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115  stays open
 
 
 class LiveProgress(PlainProgress):

@@ -14,8 +14,8 @@ import shutil
 import signal
 import tempfile
 import time
+from collections import namedtuple
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
@@ -53,18 +53,8 @@ HAND_BACK_S = 3.0
 """Real time that the companion may take to hand the vehicle back."""
 HOME_S = 5.0
 """Real time for asking a vehicle of others to come home after a mission that failed."""
-
-
-@dataclass(frozen=True, slots=True)
-class Ports:
-    """UDP ports of this machine for one flight."""
-
-    vehicle: int
-    """Where the hub hears a simulated vehicle."""
-    simulator: int
-    companion: int
-    operator: int
-    radio: int
+Ports = namedtuple("Ports", "vehicle simulator companion operator radio")
+"""UDP ports of this machine for one flight; the hub hears a simulated vehicle on the first."""
 
 
 def fly_over_udp(
@@ -149,8 +139,10 @@ class _UdpFlight:
         words = "the companion"  # its flight's folder: it compiles before its clock starts
         await self._await_start(self._companion, self._tail.look_for_flight, words)
         child = self._vehicle
-        if child is None:
-            child = self._radio = self._radio_child()
+        if child is None:  # a vehicle of others has no radio
+            follow = f"udpin:{HOST}:{self._ports.radio}"
+            child = self._sim_link_child("radio", "radio.log", "radio", "--follow", follow)
+            self._radio = child
         child.start()
         await self._await_start(child, lambda: bool(child.first_words), child.name)
         async with self._operator:
@@ -182,8 +174,6 @@ class _UdpFlight:
         links = [vehicle, UdpConnect(HOST, ports.companion), UdpConnect(HOST, ports.operator)]
         return links if self._connect is None else [*links, UdpConnect(HOST, ports.radio)]
 
-    # Processes
-
     def _companion_child(self) -> ChildProcess:
         config = flown_config(self._mission)
         log = msgspec.structs.replace(config.log, directory=str(self._flights))
@@ -197,19 +187,9 @@ class _UdpFlight:
         return ChildProcess("companion", arguments, self._folder / "companion.log")
 
     def _vehicle_child(self) -> ChildProcess:
-        ports = self._ports
-        addresses = [
-            "--listen",
-            f"{HOST}:{ports.simulator}",
-            "--send-to",
-            f"{HOST}:{ports.vehicle}",
-        ]
+        addresses = ["--listen", f"{HOST}:{self._ports.simulator}"]
+        addresses += ["--send-to", f"{HOST}:{self._ports.vehicle}"]
         return self._sim_link_child("sim-link", "vehicle.log", *addresses)
-
-    def _radio_child(self) -> ChildProcess:
-        """The radio beside a vehicle that has none."""
-        follow = f"udpin:{HOST}:{self._ports.radio}"
-        return self._sim_link_child("radio", "radio.log", "radio", "--follow", follow)
 
     def _sim_link_child(self, name: str, log: str, *arguments: str) -> ChildProcess:
         path = self._folder / "scenario.yaml"
@@ -229,8 +209,6 @@ class _UdpFlight:
                 words = child.last_words.removeprefix("companion: ")
                 raise CompanionError(f"{name} did not start: {words}")
             await asyncio.sleep(0.02)
-
-    # What the hub calls
 
     def _watch(self, link: int, frame: bytes, now_s: float) -> None:
         self._tlog.write(frame, self._started_unix_s + now_s)

@@ -71,7 +71,7 @@ class Hub:
         self._count = 0
         self._due_s = 0.0
         self._output: list[Chunk] = []
-        self._is_finished = False
+        self.is_finished = False
 
     def receive(self, chunk: Chunk, now_s: float) -> None:
         """Route what arrived, frame by frame."""
@@ -128,12 +128,7 @@ class Hub:
 
     def finish(self) -> None:
         """End at once."""
-        self._is_finished = True
-
-    @property
-    def is_finished(self) -> bool:
-        """Whether the mission is over."""
-        return self._is_finished
+        self.is_finished = True
 
 
 class ProcessHarness:

@@ -89,9 +89,8 @@ class OnlyWithAuthority(Invariant):
                 self._lost_s, self._may_engage = None, True
                 self._granted_s = self.scene.now_s
             return
-        if not isinstance(message, mavlink.MAVLink_heartbeat_message):
-            return
-        if self.scene.is_of_autopilot(frame):
+        is_autopilot = self.scene.is_of_autopilot(frame)
+        if isinstance(message, mavlink.MAVLink_heartbeat_message) and is_autopilot:
             self._follow(message, self.scene.sent_at(frame))
 
     def _follow(

@@ -11,7 +11,8 @@ import math
 from collections.abc import Callable, Mapping
 
 from companion.domain import FlightMode, PositionEnu
-from companion.mav.dialect import POSITION_AND_YAW, POSITION_ONLY, mavlink
+from companion.mav.dialect import POSITION_AND_YAW, POSITION_ONLY
+from sim_link.autopilot.protocols.message_streams import message_ids
 from sim_link.lab.lockstep.observer import Frame
 from sim_link.lab.monitor.independent_checks import INWARDS_M, Point, is_way_clear
 from sim_link.lab.monitor.scene import Invariant, ObservedScene, SentSetpoint, TrueScene
@@ -72,12 +73,7 @@ class OwnJumps:
         return is_in_band and rules.depth_m((east, north)) >= 0.0
 
 
-SETPOINTS = frozenset(
-    {
-        mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED,
-        mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT,
-    }
-)
+SETPOINTS = frozenset(message_ids("SET_POSITION_TARGET_LOCAL_NED SET_POSITION_TARGET_GLOBAL_INT"))
 HEIGHT_ROUNDING_M = 0.05
 """Home and height are told in millimetres and by a noisy estimate."""
 CONTROL_FADES_S = 5.0
@@ -119,7 +115,7 @@ class SetpointsInside(Invariant):
     def _judge_borders(self, setpoint: SentSetpoint) -> None:
         rules, told = self.scene.rules, self.scene.told
         place = setpoint.place_enu_m[:2]
-        depth = self.scene.rules.depth_m(place)
+        depth = rules.depth_m(place)
         least = rules.clearance_m - setpoint.rounding_m
         vehicle = None if self.scene.is_lied_to else told.position_enu_m
         own_depth = math.inf if vehicle is None else self.scene.rules.depth_m(vehicle[:2])
@@ -247,10 +243,8 @@ class InsideFence(SetpointsInside):
         has_faded = scene.now_s - self._in_control_s > CONTROL_FADES_S
         place = body.position_enu_m[:2]
         if body.is_on_ground or is_flown_by_others or has_faded:
-            is_up = not body.is_on_ground
-            self._is_out = (
-                is_up and self.scene.rules.depth_m(place) + scene.bias_m < 0.0
-            )  # by somebody else
+            # somebody else may have taken it out
+            self._is_out = not body.is_on_ground and scene.rules.depth_m(place) + scene.bias_m < 0.0
             return
         at, known = self._known
         if known - math.dist(place, at) > max(0.0, self.closest_m):
@@ -308,10 +302,7 @@ class SafeToFreeze(PlacesOnly):
                 self.report("a setpoint that freezes leads out of the fence", depth_m=own)
             return
         if own < 0.0:  # on its way back: the place itself must not lie farther out
-            depth, moved_m = (
-                self.scene.rules.depth_m(goal[:2]),
-                math.hypot(*body.velocity_enu_mps[:2]),
-            )
+            depth, moved_m = rules.depth_m(goal[:2]), math.hypot(*body.velocity_enu_mps[:2])
             least_m = own - rules.clearance_m - moved_m * rules.latency_s
             if depth + scene.bias_m < least_m:
                 self.report("a setpoint that freezes leads farther out", depth_m=depth)

@@ -126,8 +126,6 @@ class FrameMonitor(Observer):
         """What did not hold, in the order of time; at most twenty of a kind."""
         return self._shared.violations
 
-    # Observer
-
     def sent(self, frame: Frame) -> None:
         """The companion sent this."""
         self._shared.now_s = frame.time_s
@@ -236,8 +234,6 @@ class Monitor(FrameMonitor):
             self._proved = message_invariants.OnlyProvedFrames(scene, snapshot)
             invariants.append(self._proved)
         super().__init__(scene, invariants, key)
-
-    # Observer
 
     def heard(self, frame: Frame) -> None:
         """This reaches the companion."""

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from companion.domain import FlightMode, NonNegative, Params, PositionEnu, Positive
 from companion.geometry.coordinates import LocalOrigin
 from companion.mav.dialect import Message, mavlink
+from sim_link.autopilot.protocols.message_streams import message_ids
 from sim_link.autopilot.vehicle import SimVehicle
 from sim_link.lab.lockstep.observer import Frame
 from sim_link.lab.monitor import independent_checks
@@ -88,13 +89,7 @@ class InvariantViolation:
 
 
 AUTOPILOT_COMPONENT = 1
-OBSERVED_MESSAGES = frozenset(
-    {
-        mavlink.MAVLINK_MSG_ID_HEARTBEAT,
-        mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
-        mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
-    }
-)
+OBSERVED_MESSAGES = frozenset(message_ids("HEARTBEAT LOCAL_POSITION_NED GPS_GLOBAL_ORIGIN"))
 """Messages that `ObservedState` keeps something of."""
 REMEMBERED = 6000
 """Frames of the vehicle whose time of sending is known."""
@@ -194,8 +189,6 @@ class ObservedScene:
         if self.counts[kind] <= MOST_OF_A_KIND:
             self.violations.append(InvariantViolation(self.now_s, invariant, what, numbers or {}))
 
-    # What the vehicle sent and what reached the companion
-
     def remember(self, frame: Frame) -> None:
         """The vehicle sent this."""
         self._sent_s.pop(frame.data, None)
@@ -214,12 +207,9 @@ class ObservedScene:
 
     def tell(self, frame: Frame) -> None:
         """This reached the companion, which had to believe it."""
-        if not self.is_of_autopilot(frame):
+        if not self.is_of_autopilot(frame) or frame.number not in OBSERVED_MESSAGES:
             return
-        told = self.told
-        if frame.number not in OBSERVED_MESSAGES:
-            return
-        message = frame.message
+        told, message = self.told, frame.message
         match message:
             case mavlink.MAVLink_heartbeat_message():
                 told.heartbeat_s = frame.time_s

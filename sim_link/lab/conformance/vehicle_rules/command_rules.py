@@ -103,8 +103,6 @@ class CommandRules(VehicleProbe):
         self.get_ready()
         self.require_sent(mav.HomePosition, mavlink.MAV_CMD_GET_HOME_POSITION)
 
-    # Message intervals
-
     def _interval_us(self, number: int, first: float) -> int:
         """MESSAGE_INTERVAL.interval_us of ATTITUDE, asked by a command."""
         self.require_result(mav.ACCEPTED, number, first, ATTITUDE_ID)
@@ -163,8 +161,6 @@ class CommandRules(VehicleProbe):
         require(result == mav.FAILED, f"result {result}")
         self.heartbeat()
 
-    # Frames and modes
-
     @book.rule(f"{SERVICE} (UNSUPPORTED_MAV_FRAME; never guess another frame)", effect=CHANGES)
     def unsupported_frame_is_told(self) -> None:
         """A place in a frame that a command does not take is UNSUPPORTED_MAV_FRAME."""
@@ -217,8 +213,6 @@ class CommandRules(VehicleProbe):
         require(self.heartbeat().custom_mode == before, "the mode changed")
         self.require_hearing()
 
-    # Long-running commands
-
     def _calibrate(self) -> mav.Ack:
         """Ask for a calibration, which takes its time; the first answer."""
         params = (1, 0, 0, 0, 0, 0, 0)
@@ -227,8 +221,11 @@ class CommandRules(VehicleProbe):
 
     def _await_end(self, within_s: float = 2.0) -> int:
         """The result with which a calibration ends."""
-        final = self.expect(mav.Ack, _ends_calibration, mark=self.asked, within_s=within_s)
-        return int(final.result)
+
+        def is_end(ack: mav.Ack) -> bool:
+            return bool(ack.command == CALIBRATION and ack.result != mav.IN_PROGRESS)
+
+        return int(self.expect(mav.Ack, is_end, mark=self.asked, within_s=within_s).result)
 
     def _cancel(self) -> None:
         """COMMAND_CANCEL (80) of a calibration, which the dialect does not have yet."""
@@ -346,7 +343,3 @@ class ArmingRules(VehicleProbe):
         self.run(5.0)
         require(self.is_armed(), "disarmed after 5 s already")
         self.await_disarmed(9.0)
-
-
-def _ends_calibration(ack: mav.Ack) -> bool:
-    return bool(ack.command == CALIBRATION and ack.result != mav.IN_PROGRESS)
