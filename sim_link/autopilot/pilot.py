@@ -83,7 +83,6 @@ class Pilot:
         self.hold_yaw_ned_rad: float | None = None
         self.hold_speed_mps: float | None = None
         self.hold_enu_m = home_enu_m
-        """Where it stays."""
         self._cruise_up_m: float | None = None
         self._loitered_s = 0.0
         self._velocity: PositionEnu = (0.0, 0.0, 0.0)

@@ -55,7 +55,6 @@ class _Stream:
     interval_s: float
     started_s: float
     due_s: float
-    """When the next message is due."""
     sent: int = 0
 
 

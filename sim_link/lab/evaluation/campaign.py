@@ -151,15 +151,10 @@ def _track_information(
 def shaded_places(track_enu_m: Matrix, surroundings: Surroundings) -> Vector:
     """1 where an obstacle blocks the path to the target, otherwise 0, (steps,)."""
     is_shaded = np.zeros(track_enu_m.shape[0])
+    east, north, up = surroundings.east_m, surroundings.north_m, surroundings.up_m
     for step in range(track_enu_m.shape[0]):
         if is_blocked_in_space(
-            surroundings.east_m,
-            surroundings.north_m,
-            surroundings.up_m,
-            track_enu_m[step, 0],
-            track_enu_m[step, 1],
-            0.0,
-            surroundings.edges,
+            east, north, up, track_enu_m[step, 0], track_enu_m[step, 1], 0.0, surroundings.edges
         ):
             is_shaded[step] = 1.0
     return is_shaded

@@ -158,13 +158,8 @@ PLANNER_LABELS: dict[PlannerName, str] = {
     "fim": "FIM",
     "fim_printed": "FIM as printed",
 }
-PLANNERS = dict(
-    zip(
-        PLANNER_LABELS,
-        (walk.FIXED, walk.REACTIVE, walk.LATCHED, walk.FIM, walk.PRINTED_FIM),
-        strict=True,
-    )
-)
+_NUMBERS = (walk.FIXED, walk.REACTIVE, walk.LATCHED, walk.FIM, walk.PRINTED_FIM)
+PLANNERS = dict(zip(PLANNER_LABELS, _NUMBERS, strict=True))
 """As the compiled walk numbers them."""
 
 

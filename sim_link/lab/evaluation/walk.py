@@ -156,34 +156,17 @@ def updated(
     mean: Vector, covariance: Matrix, sensor_enu_m: Vector, z: Vector, belief: Belief
 ) -> tuple[Vector, Matrix]:
     """Mean and covariance after a measurement; those given where it would spoil them."""
-    if belief.iterations > 0:
+    sigma, factors, limits = belief.sigma, belief.inflation, belief.thresholds
+    bounds, model, splits, penalty = belief.bounds, belief.model, belief.iterations, belief.penalty
+    at = sensor_enu_m
+    if splits > 0:
         mean, covariance, _, _ = admm_update(
-            mean,
-            covariance,
-            sensor_enu_m,
-            z,
-            belief.sigma,
-            0.0,
-            belief.inflation,
-            belief.thresholds,
-            belief.bounds,
-            belief.model,
-            belief.iterations,
-            belief.penalty,
+            mean, covariance, at, z, sigma, 0.0, factors, limits, bounds, model, splits, penalty
         )
-        return mean, covariance
-    mean, covariance, _, _ = robust_update(
-        mean,
-        covariance,
-        sensor_enu_m,
-        z,
-        belief.sigma,
-        0.0,
-        belief.inflation,
-        belief.thresholds,
-        belief.bounds,
-        belief.model,
-    )
+    else:
+        mean, covariance, _, _ = robust_update(
+            mean, covariance, at, z, sigma, 0.0, factors, limits, bounds, model
+        )
     return mean, covariance
 
 
@@ -259,14 +242,9 @@ def next_place(
     east_m, north_m = sensor_enu_m[0], sensor_enu_m[1]
     de_m, dn_m = mean[0] - east_m, mean[1] - north_m
     if steering.planner == REACTIVE:
+        crossing_m, stop_m = steering.crossing_distance_m, steering.stop_distance_m
         east_m, north_m = reactive_step(
-            east_m,
-            north_m,
-            mean[0],
-            mean[1],
-            steering.step_m,
-            steering.crossing_distance_m,
-            steering.stop_distance_m,
+            east_m, north_m, mean[0], mean[1], steering.step_m, crossing_m, stop_m
         )
         return east_m, north_m, latch
     if steering.planner == LATCHED:

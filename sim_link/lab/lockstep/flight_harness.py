@@ -70,19 +70,18 @@ class Operator:
         flight.tell_chosen(mode)
         if not is_told_at_once:
             return
-        number, wanted = mavlink.MAV_CMD_REQUEST_MESSAGE, float(mavlink.MAVLINK_MSG_ID_HEARTBEAT)
-        system = flight.scenario.system_id
-        ask = mavlink.MAVLink_command_long_message(system, 1, number, 0, wanted, *[0.0] * 6)
-        self.tell(ask, None)
+        wanted = float(mavlink.MAVLINK_MSG_ID_HEARTBEAT)
+        self.tell(self._ask_of(1, mavlink.MAV_CMD_REQUEST_MESSAGE, wanted), None)
         flight.settle()
 
     def grant(self) -> None:
         """Give control back to the companion, through the autopilot, which forwards it."""
-        number, system = mavlink.MAV_CMD_NAV_GUIDED_ENABLE, self._flight.scenario.system_id
-        message = mavlink.MAVLink_command_long_message(
-            system, COMPANION_COMPONENT, number, 0, 1.0, *[0.0] * 6
-        )
+        message = self._ask_of(COMPANION_COMPONENT, mavlink.MAV_CMD_NAV_GUIDED_ENABLE, 1.0)
         self._flight.post(self._encoded(message), Lane.TO_COMPANION)
+
+    def _ask_of(self, component: int, number: int, first: float) -> Message:
+        system, rest = self._flight.scenario.system_id, [0.0] * 6
+        return mavlink.MAVLink_command_long_message(system, component, number, 0, first, *rest)
 
     def take_off(self, height_m: float = 10.0) -> None:
         """Arm and take off, until the vehicle holds at the end; a TimeoutError if it does not."""

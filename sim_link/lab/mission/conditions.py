@@ -42,7 +42,6 @@ class FieldInfo:
     kind: Kind
     what: str
     words: tuple[str, ...] = ()
-    """What a word may be."""
 
 
 def _word(what: str, words: type[Enum]) -> FieldInfo:

@@ -191,22 +191,19 @@ class _Operator:
         """Do it at once."""
         match action:
             case ArmAction():
-                self._arm()
+                if self._is_ardupilot:
+                    self._station.choose(FlightMode.OFFBOARD)
+                self._station.arm()
             case TakeOffAction():
                 self._take_off(action.height_m)
             case SwitchMode():
-                self._station.choose(action.mode, is_told_at_once=False)
+                self._station.choose(action.mode)
             case Grant():
                 self._station.grant()
 
     def take_refusal(self) -> str | None:
         """Refusals are seen in the autopilot's texts."""
         return None
-
-    def _arm(self) -> None:
-        if self._is_ardupilot:
-            self._station.choose(FlightMode.OFFBOARD, is_told_at_once=False)
-        self._station.arm()
 
     def _take_off(self, height_m: float) -> None:
         above_m = 0.0 if self._is_ardupilot else self._flight.sim.vehicle.aircraft.home_altitude_m

@@ -136,14 +136,12 @@ class MavsdkOperator:
                 await self._action.return_to_launch()
             case SwitchMode(mode=FlightMode.LAND):
                 await self._action.land()
-            case SwitchMode():
-                await self._switch(action.mode)
-
-    async def _switch(self, mode: FlightMode) -> None:
-        if self.autopilot is Autopilot.OTHER:
-            raise CompanionError("only modes of PX4 and ArduPilot are known")
-        params = set_mode_params(mode, self.autopilot, is_armed=self.is_armed)
-        await self._command(mavlink.MAV_COMP_ID_AUTOPILOT1, mavlink.MAV_CMD_DO_SET_MODE, params)
+            case SwitchMode() if self.autopilot is Autopilot.OTHER:
+                raise CompanionError("only modes of PX4 and ArduPilot are known")
+            case SwitchMode(mode=mode):
+                params = set_mode_params(mode, self.autopilot, is_armed=self.is_armed)
+                number = mavlink.MAV_CMD_DO_SET_MODE
+                await self._command(mavlink.MAV_COMP_ID_AUTOPILOT1, number, params)
 
     async def _command(self, component: int, number: int, params: tuple[float, ...]) -> None:
         """Send a COMMAND_LONG and wait for its answer; `CompanionError`: it was refused."""

@@ -122,7 +122,6 @@ class _UdpFlight:
             delivered=self._watched.delivered,
         )
         self._end_wall_s: float | None = None
-        """When the end began."""
         self._is_companion_told = False
         self._clock = Clock(speed)
         self._started_unix_s = time.time()

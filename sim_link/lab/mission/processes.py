@@ -37,7 +37,6 @@ from sim_link.lab.mission.script import Mission
 from sim_link.lab.mission.script_file import error_at
 
 VEHICLE, COMPANION, OPERATOR, RADIO = range(4)
-"""The hub's links."""
 PERIOD_S = 0.1
 """Between two looks at the mission."""
 

@@ -334,7 +334,6 @@ class MissionResult:
     file: str
     seed: int
     how: str
-    """See `how_flown`."""
     record: FlightRecord = field(default_factory=FlightRecord)
     verdicts: tuple[ExpectationVerdict, ...] = ()
     """Empty: it did not come to an end."""

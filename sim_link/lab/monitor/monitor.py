@@ -46,7 +46,6 @@ TITLES = {
         message_invariants.Repeatable,
     )
 }
-"""Every invariant by its name."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -76,7 +76,6 @@ class InvariantViolation:
 
     time_s: float
     invariant: str
-    """I1 to I12."""
     what: str
     """One phrase, the same for the same kind of violation."""
     numbers: Mapping[str, float] = field(default_factory=dict)

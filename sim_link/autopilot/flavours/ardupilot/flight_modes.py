@@ -78,7 +78,6 @@ _TABLE = (
     CopterMode(21, "SMART_RTL", FlightMode.RETURN, Task.RETURN, is_armable=False),
 )
 MODES: dict[int, CopterMode] = {mode.number: mode for mode in _TABLE}
-"""Every mode that is flown here."""
 STABILIZE, ALT_HOLD, AUTO, GUIDED, LOITER = (MODES[number] for number in (0, 2, 3, 4, 5))
 RTL, LAND, BRAKE, SMART_RTL = (MODES[number] for number in (6, 9, 17, 21))
 NOT_FLOWN = {18: "THROW", 19: "AVOID_ADSB", 20: "GUIDED_NOGPS"}

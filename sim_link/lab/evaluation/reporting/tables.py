@@ -54,7 +54,6 @@ TYPESET = (
     (r"Cramer-Rao", "Cram\u00e9r\N{EN DASH}Rao"),
     (r"(?<=\d) (?=(m|ms|deg|cm|%|steps?|runs?)\b|%)", "\N{NO-BREAK SPACE}"),
 )
-"""What is typed, and how it is set."""
 
 
 def typeset(text: str) -> str:
