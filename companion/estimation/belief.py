@@ -56,11 +56,7 @@ class Belief:
     """Best first; empty before the first measurement."""
 
     def problem(self, size: int) -> str | None:
-        """Why nothing can begin from it, in words, or None.
-
-        Args:
-            size: Components of the state, as the tracker has it.
-        """
+        """Why nothing can begin from it in a tracker with a state of `size` components, or None."""
         if not 0 < len(self.places) <= MAX_PLACES:
             return f"{len(self.places)} places"
         if self.measurements < 0 or not 0 <= (self.emitter_id or 0) <= 0xFFFF:

@@ -126,13 +126,9 @@ def update_hypotheses(
     told: Inflation,
     shown: Inflation,
 ) -> BankUpdate:
-    """All hypotheses after a measurement.
+    """All hypotheses after a measurement, its bearing in ENU, at the place of the antenna then.
 
-    Args:
-        measurement: With its bearing, if any, in ENU.
-        sensor_enu_m: Where the antenna was at its time.
-        told: Inflation that the filter is told.
-        shown: That the run has shown, which the gate goes by.
+    The filter is `told` an inflation; what the run has `shown` is what the gate goes by.
     """
     before, survivors, reports = [], [], []
     thresholds = target_filter.params.thresholds.tolist()
@@ -158,11 +154,7 @@ def update_hypotheses(
 def log_likelihood(
     report: UpdateReport, thresholds: Sequence[Sequence[float]], inflation: Sequence[float]
 ) -> float:
-    """Robust log-likelihood of all innovations of an update, tempered by the inflation.
-
-    Args:
-        thresholds: Long and short one of range, bearing and elevation.
-    """
+    """Robust log-likelihood of all innovations of an update, tempered by the inflation."""
     total = 0.0
     for row, (k_long, k_short), c in zip(report.modalities, thresholds, inflation, strict=True):
         if row is None:

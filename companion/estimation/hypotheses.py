@@ -194,11 +194,9 @@ JUMP_SIGMA_RAD = math.radians(2.0)
 
 
 def state_step(params: FilterParams, shift_enu_m: PositionEnu, turn_rad: float) -> Vector:
-    """By how much each component of a state moves, (n,).
+    """By how much each component of a state moves, (n,), when the reported position jumps.
 
-    Args:
-        shift_enu_m: By how much the vehicle's reported position jumped.
-        turn_rad: By how much bearings turned, counter-clockwise.
+    Bearings turn by `turn_rad`, counter-clockwise.
     """
     step = np.zeros(len(params.prior[0]))
     step[EAST], step[NORTH], step[BEARING_OFFSET] = *shift_enu_m[:2], turn_rad

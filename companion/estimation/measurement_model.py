@@ -73,12 +73,7 @@ def range_factor(mean: Vector, model: RangingModel) -> float:
 
 @kernel
 def predicted(mean: Vector, sensor_enu_m: Vector, model: RangingModel) -> Vector:
-    """Range, bearing and elevation expected, (3,); metres and radians, not wrapped.
-
-    Args:
-        mean: (n,) state.
-        sensor_enu_m: (3,).
-    """
+    """Range, bearing and elevation expected, (3,), of a state; metres, radians, not wrapped."""
     de = float(mean[0]) - float(sensor_enu_m[0])
     dn = float(mean[1]) - float(sensor_enu_m[1])
     du = target_height_m(mean, model) - float(sensor_enu_m[2])
@@ -129,16 +124,11 @@ def variances(
 ) -> Vector:
     """Variances of range, bearing and elevation about the model, (3,), m^2 and rad^2.
 
-    Radio noise, the vehicle's own position (for angles by the angle it spans from the target), and
-    the spread of the model's second-order part: (tr P / 2r)^2 for the range, (tr P / r^2)^2 with r
-    along the ground for the bearing. Without these an EKF believes a linearisation that is
-    meaningless near the target, and diverges. The elevation's cone above the target is as sharp.
-
-    Args:
-        P: (n, n) covariance of the state.
-        mean: (n,) state.
-        sensor_enu_m: (3,).
-        sigma: (3,) noise of the radio.
+    Radio noise `sigma` (3,), the vehicle's own position (for angles by the angle it spans from the
+    target), and the spread of the model's second-order part: (tr P / 2r)^2 for the range,
+    (tr P / r^2)^2 with r along the ground for the bearing. Without these an EKF believes a
+    linearisation that is meaningless near the target, and diverges. The elevation's cone above the
+    target is as sharp.
     """
     de = float(mean[0]) - float(sensor_enu_m[0])
     dn = float(mean[1]) - float(sensor_enu_m[1])

@@ -44,12 +44,10 @@ def estimate_of(
     *,
     is_diverged: bool,
 ) -> TargetEstimate:
-    """What the hypotheses add up to.
+    """What the hypotheses add up to: at least one, best first.
 
-    Args:
-        hypotheses: At least one, best first.
-        localised_r95_m: The state is `localised` while R95 is at most this.
-        is_diverged: Whether the filter was started anew a short while ago.
+    The state is `localised` while R95 is at most `localised_r95_m`; `is_diverged` says whether the
+    filter was started anew a short while ago.
     """
     weights, best = probabilities(hypotheses), hypotheses[0]
     covariances = [position_covariance_m2(h, model.own_sigma_m) for h in hypotheses]
@@ -112,9 +110,6 @@ def _state(weights: Vector, r95_m: float, localised_r95_m: float) -> EstimateSta
 def r95_of_covariance_m(covariance_m2: Matrix) -> float:
     """Radius of the circle about the mean that holds 95 % of a 2-D Gaussian, metres.
 
-    Args:
-        covariance_m2: (2, 2).
-
     The probability outside radius R is the mean over directions of exp(-R^2 q / 2) / (q sqrt(det))
     with q the inverse variance in that direction. Its logarithm is convex in R^2 / 2, so Newton's
     method from below climbs to the root without a step too far.
@@ -140,13 +135,10 @@ def r95_of_covariance_m(covariance_m2: Matrix) -> float:
 def r95_of_mixture_m(
     centre_m: Vector, components: Sequence[tuple[float, Vector, Matrix]], rings: int = 24
 ) -> float:
-    """Radius about `centre_m` that holds 95 % of a mixture of 2-D Gaussians, metres.
+    """Radius about `centre_m` (2,) that holds 95 % of a mixture of 2-D Gaussians, metres.
 
-    Args:
-        centre_m: (2,).
-        components: (probability, mean (2,), covariance (2, 2)), probabilities summing to 1.
-        rings: Resolution; each component is `2 * rings**2` points of equal probability, laid out
-            along a spiral so that no two share a radius.
+    Components are (probability, mean (2,), covariance (2, 2)), probabilities summing to 1; each
+    counts as `2 * rings**2` equally probable points along a spiral, so that no two share a radius.
     """
     order = np.arange(2 * rings**2)
     radii = np.sqrt(-2.0 * np.log1p(-(order + 0.5) / order.size))

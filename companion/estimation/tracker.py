@@ -94,11 +94,7 @@ class FusionReport:
 
 
 class TargetTracker:
-    """Tracks one emitter.
-
-    Args:
-        emitter_id: The emitter to follow; None: the first one heard.
-    """
+    """Tracks one emitter: `emitter_id`, or the first one heard."""
 
     def __init__(self, params: TrackerParams, emitter_id: int | None = None) -> None:
         self.params = params
@@ -125,12 +121,7 @@ class TargetTracker:
     def fuse(
         self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu | None, now_s: float
     ) -> FusionReport:
-        """Take in one measurement.
-
-        Args:
-            measurement: Its bearing, if any, in ENU.
-            sensor_enu_m: Where the antenna was at the time of the measurement; None: unknown.
-        """
+        """Take in one measurement, its bearing in ENU; None: nobody knows where the antenna was."""
         if self.emitter_id not in (None, measurement.emitter_id):
             return self.reject(RejectReason.OTHER_EMITTER)
         reason = self._screen.admit(measurement, sensor_enu_m, now_s)
@@ -223,9 +214,8 @@ class TargetTracker:
     def optimize(self, fresh_starts: int | None = None) -> None:
         """Check the hypotheses against the window, and let its optima correct them.
 
-        Args:
-            fresh_starts: How many starts besides the hypotheses; None: as many as the evidence
-                calls for. From every direction: `params.window.starts`.
+        From every direction it starts with `params.window.starts` besides the hypotheses; None:
+        with as many as the evidence calls for.
         """
         self.hypotheses = self._optimizer.optimize(
             self.hypotheses,
@@ -256,10 +246,8 @@ class TargetTracker:
     def move(self, shift_enu_m: PositionEnu, turn_rad: float) -> None:
         """The vehicle's navigation jumped: what is known moves along, see `hypotheses`.
 
-        Args:
-            shift_enu_m: By how much its reported position jumped.
-            turn_rad: By how much bearings turn that are measured from its heading,
-                counter-clockwise; of a radio that knows north itself they do not.
+        Bearings that are measured from the heading turn counter-clockwise; those of a radio that
+        knows north itself do not.
         """
         turn_rad = turn_rad if self._screen.has_body_bearings else 0.0
         step = state_step(self._filter.params, shift_enu_m, turn_rad)
@@ -274,11 +262,7 @@ class TargetTracker:
         return belief_of(self.hypotheses, self.emitter_id, self.accepted)
 
     def resume(self, belief: Belief, age_s: float, now_s: float) -> str | None:
-        """Begin again from what was believed `age_s` ago, with doubt; see `belief`.
-
-        Returns:
-            Why not, in words; the tracker is as before then.
-        """
+        """Begin again from what was believed `age_s` ago, with doubt; or why not, and as before."""
         params = self._filter.params
         problem = belief.problem(len(params.prior[0]))
         if problem is not None:

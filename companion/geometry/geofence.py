@@ -179,11 +179,7 @@ def difference(
     """What two fences differ in by more than a tolerance, in words, or None.
 
     Borders are compared both ways, at every corner and every 5 m between (of long ones, at about
-    400 places).
-
-    Args:
-        tolerance_m: How far apart borders may be.
-        more_keep_out_enu_m: Keep-outs of ours that the autopilot need not have.
+    400 places). `more_keep_out_enu_m` are keep-outs of ours that the autopilot need not have.
     """
     apart_m, place = _apart(own.polygon_enu_m, other.polygon_enu_m)
     if apart_m > tolerance_m:

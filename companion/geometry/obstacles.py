@@ -41,12 +41,7 @@ Segment = tuple[Point, Point]
 
 
 class FreeSpace:
-    """Where a vehicle may be.
-
-    Args:
-        fence_enu_m: Corners of the fence; None: no fence.
-        margin_m: Distance to keep from every border, on its allowed side.
-    """
+    """Where a vehicle may be: inside a fence, if any, `margin_m` away from every border."""
 
     def __init__(
         self,
@@ -217,11 +212,7 @@ def moved_left(start: Point, end: Point, by_m: float) -> Segment:
 def share_in_capsule(
     start: Point, end: Point, edge: Segment, radius_m: float
 ) -> tuple[float, float] | None:
-    """The part of a leg that is closer to an edge than a radius, as shares of the leg's line.
-
-    Args:
-        radius_m: Of the capsule about the edge.
-    """
+    """The part of a leg that is closer to an edge than a radius, as shares of the leg's line."""
     (ae, an), (be, bn) = edge
     length = math.hypot(be - ae, bn - an)
     ue, un = (be - ae) / length, (bn - an) / length

@@ -189,11 +189,7 @@ class Ellipse:
     """Direction of the major axis, counter-clockwise from east, in (-pi/2, pi/2]."""
 
     def corners_enu_m(self, count: int = 48) -> tuple[Point, ...]:
-        """Points along the ellipse, counter-clockwise, the first one not repeated.
-
-        Args:
-            count: How many; at least 3.
-        """
+        """Points along the ellipse, 3 at least, counter-clockwise, the first one not repeated."""
         along, across = math.cos(self.major_enu_rad), math.sin(self.major_enu_rad)
         corners = []
         for index in range(max(3, count)):
@@ -207,10 +203,9 @@ class Ellipse:
 
 
 def ellipse_95(centre_enu_m: Point, covariance_m2: Covariance) -> Ellipse:
-    """The ellipse that holds 95 % of a plane normal distribution.
+    """The ellipse that holds 95 % of a plane normal distribution, east first.
 
-    Args:
-        covariance_m2: Symmetric, east first; rounding that makes an axis negative counts as zero.
+    Rounding that makes an axis negative counts as zero.
     """
     (east, cross), (_, north) = covariance_m2
     middle, half = 0.5 * (east + north), 0.5 * (east - north)

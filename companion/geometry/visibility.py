@@ -83,11 +83,9 @@ class WayFinder:
 
 
 def _corner_nodes(border: tuple[Point, ...], radius_m: float) -> Iterator[Point]:
-    """Nodes about the corners that stick out into free space.
+    """Nodes about the corners of a border that stick out into free space, on its left.
 
-    Args:
-        border: A polygon with free space to the left of its edges.
-        radius_m: Of the arcs that the nodes' legs must not cut.
+    Legs between them do not cut the arcs of `radius_m`.
     """
     for index, corner in enumerate(border):
         before, after = border[index - 1], border[(index + 1) % len(border)]

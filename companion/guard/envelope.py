@@ -1,17 +1,16 @@
 """The flight envelope: how a setpoint may move, how far a vehicle still goes, how far from home.
 
-Standard library only.
-
 Motion. Everything is by elapsed time, and a tick that comes late moves no farther than a slow one.
 
-Stopping. A vehicle that is told to stop flies on for the latency of the link, then
-brakes, and is not exactly where it believes to be: v t + v^2 / 2a + 3 sigma. The first two are in
-the direction it moves in; the last is a distance to keep to all sides.
+Stopping. A vehicle that is told to stop flies on for the latency of the link, then brakes, and is
+not exactly where it believes to be: v t + v^2 / 2a + 3 sigma. The first two are in the direction it
+moves in; the last is a distance to keep to all sides.
 
-Reserve. The way home costs charge in proportion to its length, and the reserve is not
-to be touched, so what is left beyond the reserve is a distance. Who is farther than that is not
-pulled back (that is for the pilot, or for the autopilot's own failsafe) but goes no farther. A
-battery that nobody knows is not a full one: its distance is nothing.
+Reserve. The way home costs charge in proportion to its length, so what is left beyond the reserve
+is a distance. Who is farther than that is not pulled back (that is for the pilot, or for the
+autopilot's own failsafe) but goes no farther. A battery that nobody knows has no such distance.
+
+Standard library only.
 """
 
 from __future__ import annotations
@@ -100,11 +99,7 @@ class Stopping:
         return ahead(place, velocity_mps, time_s)
 
     def speed_mps(self, room_m: float, wait_s: float) -> float:
-        """The greatest speed from which `room_m` is enough: v wait + v^2 / 2a = room.
-
-        Args:
-            wait_s: How long the speed is kept before braking.
-        """
+        """The greatest speed, kept `wait_s`, with v wait + v^2 / 2a = `room_m`."""
         waiting_mps = self.deceleration_mps2 * wait_s
         squared = waiting_mps * waiting_mps + 2.0 * self.deceleration_mps2 * room_m
         return math.sqrt(squared) - waiting_mps

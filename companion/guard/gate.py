@@ -190,11 +190,7 @@ class Guard:
         dt_s: float,
         speed_cap_mps: float = math.inf,
     ) -> Guarded:
-        """The next setpoint on the way to a goal.
-
-        Args:
-            goal_enu_m: Where the planner wants to be, at its altitude.
-            speed_cap_mps: No faster than this, where that is less than the limits.
+        """The next setpoint on the way to a goal, no faster than `speed_cap_mps` and the limits.
 
         Raises:
             ValueError: Neither the setpoint before nor the vehicle is a place.

@@ -1,40 +1,30 @@
 """Crossing planners: latched crossing, and reactive crossing exactly as printed.
 
-Latched crossing flies over the estimate to a point on its far side, and only then turns.
+Latched crossing flies over the estimate to a point on its far side, and only then turns. Bilateral
+information needs views from both sides, so the far point must really be flown to: it is *latched*
+until it is reached, until the estimate lies behind by as much as is still needed, or until the
+estimate has moved by more than the latch can mean. Its distance beyond the estimate (the overshoot)
+is clip(3 sqrt(lambda_max(P)), 2 m, 20 m): wide while little is known, tight at the end, where a
+short base line makes bearings strong. Without bearings it is not shorter than the base line that
+ranges need. Each new crossing turns by the golden angle, so that any number of crossings covers all
+directions evenly, without planning and at O(1) cost.
 
-Theory of operation. Bilateral information needs views from both sides of the target, so the far
-point must really be flown to: it is *latched* until it is reached, until the estimate lies behind
-by as much as is still needed, or until the estimate has moved by more than the latch can mean. Its
-distance beyond the estimate (the overshoot) follows the uncertainty,
-clip(3 sqrt(lambda_max(P)), 2 m, 20 m): wide while little is known, tight at the end, where a short
-base line makes bearings strong. Without bearings it is not shorter than the base line that ranges
-need. Each new crossing turns by the golden angle, so that any number of
-crossings covers all directions evenly, without planning and at O(1) cost.
+In three dimensions what is crossed is the vertical plane through vehicle and estimate: the golden
+angle changes the azimuth of the view. Its elevation, seen at the same distances from one height,
+repeats itself; with an altitude swing the crossings are flown above and below the search altitude
+by turns. A crossing then ends at its height, which takes longer: level is the default.
 
-In three dimensions what is crossed is the vertical plane through vehicle and estimate (the plane of
-agent, estimate and gravity): the golden angle leads from one side of it to the other and so changes
-the azimuth of the view. Its elevation, seen at the same distances from one height, repeats itself;
-with an altitude swing the crossings are flown above and below the search altitude by turns, so that
-views differ within the plane as well. A crossing then ends at its height, which takes longer than
-its few metres along the ground: level is the default.
-
-Paper: section V-A and Appendix C, with the crossing distance made real (Algorithm 1 as printed
-does not depend on it); section "Limitations and Scope" for the separation plane in 3-D.
-
-Reactive crossing is the printed algorithm.
-
-With s the vehicle, x the estimate, step eta and crossing distance l:
+Reactive crossing, for comparison, with s the vehicle, x the estimate, step eta and distance l:
 
     |x - s| < eps_stop:  stay
     d = (x - s) / |x - s|;  c = x + l d;  v = (c - s) / |c - s|;  next = s + eta v
 
-Note that c lies on the line from s through x, so v = d for every l > 0: the printed crossing
-distance has no effect, each step simply flies at the estimate, and crossing only happens by
-overshooting by less than one step. `LatchedCrossing` keeps the promise; `ReactiveCrossing` is kept
-for comparison.
+c lies on the line from s through x, so v = d for every l > 0: the printed crossing distance has no
+effect, and crossing only happens by overshooting by less than one step.
 
-Paper, reactive crossing: Algorithm 1. Deviation: the next point and the leg to it are kept in free
-space.
+Paper: section V-A and Appendix C, with the crossing distance made real; "Limitations and Scope" for
+the separation plane in 3-D; Algorithm 1 for reactive crossing. Deviation from that: the next point
+and the leg to it are kept in free space.
 """
 
 from __future__ import annotations

@@ -1,12 +1,9 @@
 """The arithmetic of crossing planners, as kernels: directions, and the latch as one small array.
 
-Directions in the plane are unit vectors as two numbers.
-
-A latch is what `LatchedCrossing` remembers of the crossing being flown, a float64 array of
-`LATCH_SIZE` numbers; all zeros: none yet. `latched_step` is the whole planner where no fence limits
-it; with a fence the class chooses among directions, by the same kernels.
-
-Paper: section V-A and Appendix C; see `crossing` for what is made of them.
+Directions in the plane are unit vectors as two numbers. A latch is what `LatchedCrossing` remembers
+of the crossing being flown, a float64 array of `LATCH_SIZE` numbers; all zeros: none yet.
+`latched_step` is the whole planner where no fence limits it; with a fence the class chooses among
+directions, by the same kernels. Source: see `crossing`.
 """
 
 from __future__ import annotations
@@ -81,8 +78,7 @@ def overshoot_m(
 ) -> float:
     """How far beyond the estimate a crossing goes: the worst direction's sigmas, within limits.
 
-    Args:
-        baseline_m: See `PlanRequest`; never shorter than this, within the upper limit.
+    Never shorter than the base line of `PlanRequest`, within the upper limit.
     """
     half_trace = 0.5 * (variance_east_m2 + variance_north_m2)
     half_gap = 0.5 * (variance_east_m2 - variance_north_m2)
@@ -187,9 +183,7 @@ def latched_step(
 ) -> Vector:
     """The latch to fly next, where no fence limits it: the same one, or a new array.
 
-    Args:
-        latch: (LATCH_SIZE,) the one flown so far; zeros: none.
-        is_at_height: Whether the vehicle is at the height of the crossing; true in the plane.
+    In the plane a vehicle always `is_at_height` of the crossing.
     """
     verdict = latch_verdict(
         latch, east_m, north_m, target_east_m, target_north_m, over_m, is_at_height, rule

@@ -68,13 +68,9 @@ def worst_variance_m2(
 ) -> float:
     """Largest eigenvalue of the position covariance after one expected measurement.
 
-    Its inverse is the smallest eigenvalue of the marginal information.
-
-    Args:
-        P: (4, 4) covariance of [east, north, range offset, bearing offset].
-        de_m: From the place of the measurement to the estimate, east.
-        bearing_variance_rad2: Thermal noise; infinite: bearings are not measured.
-        near_target_terms: Whether to add the second-order terms.
+    Its inverse is the smallest eigenvalue of the marginal information. P is (4, 4), of [east,
+    north, range offset, bearing offset]; `de_m` and `dn_m` lead from the measurement's place to the
+    estimate. A bearing variance is thermal noise; infinite: bearings are not measured.
     """
     ground2 = max(de_m * de_m + dn_m * dn_m, MIN_DISTANCE_M * MIN_DISTANCE_M)
     slant2 = ground2 + du_m * du_m
@@ -116,14 +112,9 @@ def best_candidate(
     bearing_variance_rad2: float,
     near_target_terms: bool,
 ) -> int:
-    """Index of the E-optimal candidate: a row of the ring, or `STAY`, which wins a tie.
+    """Index of the E-optimal candidate: a row of `ring_m` (k, 2), or `STAY`, which wins a tie.
 
-    Args:
-        P: (4, 4) covariance of [east, north, range offset, bearing offset].
-        de_m: From the vehicle to the estimate, east.
-        ring_m: (k, 2) steps of the candidates.
-        may_fly: (k,) whether a candidate may be flown to.
-        range_variance_m2: See `worst_variance_m2`.
+    `may_fly` (k,) is whether a candidate may be flown to; the rest is as in `worst_variance_m2`.
     """
     best = STAY
     least = worst_variance_m2(

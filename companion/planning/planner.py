@@ -114,11 +114,8 @@ def way_finder(request: PlanRequest) -> WayFinder | None:
 def kept_inside(point: Point, anchor: Point, request: PlanRequest) -> Point:
     """`point`, or the allowed point that stands for it.
 
-    Beyond the fence that is the farthest one on the way to it from `anchor`; in a keep-out it is
-    the nearest one.
-
-    Args:
-        anchor: A point it may fall back towards, usually the estimate or the vehicle.
+    Beyond the fence that is the farthest one on the way to it from `anchor`, usually the estimate
+    or the vehicle; in a keep-out it is the nearest one.
     """
     finder = way_finder(request)
     if finder is None or finder.space.allows(point):

@@ -1,21 +1,17 @@
 """Search patterns, flown leg by leg with interruptions, and handed over to crossing on contact.
 
-Theory of operation. A pattern lays out a track, legs in their order; this flies it. The memory
-holds the track, the leg and how far along it the vehicle has come, so that after an interruption
-(a contact that came to nothing, a detour, a stronger wind) the search goes on at the very place
-where it was left, and nothing is skipped. A leg that there is no way to is passed over.
+Theory of operation. A pattern lays out a track, legs in their order (`search_tracks`); this flies
+it. The memory holds the track, the leg and how far along it the vehicle has come, so that after an
+interruption (a contact that came to nothing, a detour, a stronger wind) the search goes on where it
+was left, and nothing is skipped. A leg that there is no way to is passed over.
 
 At the end of the track the search starts over with turned legs, as the IAMSAR manual has it for a
-second search of the same area: what the first one missed by its direction, the next may hear.
+second search of the same area: what the first one missed by its direction, the next may hear. Lanes
+turn by 90 degrees, the square by 45, the sectors by 30.
 
-The patterns are lawnmower, expanding square and sector search. What they look like is in
-`search_tracks`; here are their parameters, where they lie, and how a second sweep is turned: lanes
-by 90 degrees, the square by 45, the sectors by 30.
-
-Search, then cross. Contact is a usable measurement that is not older than `lost_after_s`, with an
-estimate that does not contradict its measurements. It hands over to the crossing planner at once;
-without it the search goes on at the place where it was left, because what was heard there may be
-heard again.
+Contact is a usable measurement that is not older than `lost_after_s`, with an estimate that does
+not contradict its measurements. It hands over to the crossing planner at once; without it the
+search goes on, because what was heard there may be heard again.
 """
 
 from __future__ import annotations
@@ -99,13 +95,7 @@ class Pattern(Protocol):
         """As the operator knows it."""
 
     def track(self, request: PlanRequest, datum_enu_m: Point, sweep: int) -> Track:
-        """The legs of a sweep; none where there is nothing to search.
-
-        Args:
-            request: With the fence, the keep-outs and the vehicle.
-            datum_enu_m: Where the vehicle was when the search began.
-            sweep: 0 for the first time over the area.
-        """
+        """The legs of a sweep (0: the first time over the area); none: nothing to search."""
 
 
 class SearchPlanner:
@@ -343,9 +333,8 @@ class SearchThenCrossMemory(Generic[Crossing]):
 class SearchThenCross(Generic[Crossing]):
     """Two planners and the rule that hands over between them.
 
-    Args:
-        search: Flies while there is no contact.
-        lost_after_s: Without a usable measurement for this long, contact is lost.
+    `search` flies while there is no contact; without a usable measurement for `lost_after_s` it is
+    lost.
     """
 
     def __init__(

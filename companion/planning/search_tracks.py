@@ -68,14 +68,10 @@ def parallel_track(
     spaces: Sequence[FreeSpace],
     entry_enu_m: Point,
 ) -> Track:
-    """Lanes over an area.
+    """Lanes over an area, a simple polygon whose border has already lost `inset_m` to a margin.
 
-    Args:
-        area_enu_m: A simple polygon, convex or not.
-        inset_m: What its border has already lost to a margin.
-        spacing_m: Lanes are no farther apart than this.
-        heading_rad: Of the lanes, clockwise from north.
-        entry_enu_m: The track begins at the end of a lane that is nearest to this.
+    They are no farther apart than a spacing, and the track begins at the end of a lane that is
+    nearest to the entry.
     """
     along = _unit(heading_rad)
     aside = (-along[1], along[0])
@@ -100,12 +96,9 @@ def expanding_square(
     heading_rad: float,
     spaces: Sequence[FreeSpace],
 ) -> Track:
-    """A square spiral.
+    """A square spiral, with a spacing between neighbouring legs that is the length of the first.
 
-    Args:
-        spacing_m: Between neighbouring legs, and the length of the first.
-        radius_m: Half the width of the square that it closes in the end, rounded down to spacings.
-        heading_rad: Of the first leg, clockwise from north.
+    `radius_m` is half the width of the square that it closes, rounded down to spacings.
     """
     legs, place = [], datum_enu_m
     rings = math.floor(radius_m / spacing_m + 1e-9)
@@ -121,12 +114,7 @@ def expanding_square(
 def sector_search(
     datum_enu_m: Point, radius_m: float, heading_rad: float, spaces: Sequence[FreeSpace]
 ) -> Track:
-    """Three triangles about the datum, nine legs of the same length.
-
-    Args:
-        datum_enu_m: Centre of the circle that is searched.
-        heading_rad: Of the first leg, clockwise from north.
-    """
+    """Three triangles, nine legs of the same length, about the datum, the centre of the search."""
     legs, place, course_rad = [], datum_enu_m, heading_rad
     for _ in range(3):
         for turn in range(3):

@@ -4,25 +4,23 @@ They share prediction, and the update with one weight per modality; thresholds t
 Huber-EKF is symmetric: it takes a long range for as wrong as a short one. The EKF gives every
 measurement the weight one.
 
-ADMM-EKF: the non-negative bias handled by splitting instead of by a closed form.
-
-One measurement asks for the minimum over the change d of the state of
+The ADMM-EKF handles the non-negative bias by splitting instead of by a closed form. One measurement
+asks for the minimum over the change d of the state, with whitened residuals v, of
 
     1/2 d^T P^-1 d + sum_m rho_m(v_m)      subject to   v_m = (y_m - H_m d) / sqrt(R_m)
 
-where rho is the paper's loss (its inner minimum over b >= 0 is the soft threshold). The state and
-the whitened residuals v are split by the constraint; with a scaled dual w and a penalty kappa,
-the alternating direction method of multipliers repeats
+where rho is the paper's loss (its inner minimum over b >= 0 is the soft threshold). With a scaled
+dual w and a penalty kappa, the alternating direction method of multipliers repeats (~: whitened)
 
     d <- argmin 1/2 d^T P^-1 d + kappa/2 |y~ - H~ d - v + w|^2      a Kalman update, R / kappa
     v <- argmin rho(v) + kappa/2 |y~ - H~ d - v + w|^2              the proximal map of rho
     w <- w + y~ - H~ d - v
 
-(~ is whitened). The covariance is that of the weights psi(v) / v at the end, in Joseph form.
-With few iterations the answer depends on the penalty: that is what the closed form does without.
+The covariance is that of the weights psi(v) / v at the end, in Joseph form. With few iterations the
+answer depends on the penalty: that is what the closed form does without.
 
 Source: S. Boyd et al., Distributed Optimization and Statistical Learning via ADMM (2011), ch. 3
-and 6, for the method. Paper: the baseline "ADMM-EKF"; it does not print its splitting.
+and 6. Paper: the baseline "ADMM-EKF"; it does not print its splitting.
 """
 
 from __future__ import annotations
@@ -63,9 +61,8 @@ KernelResult = tuple[Vector, Matrix, Matrix, bool]
 class RecursiveFilter:
     """An extended Kalman filter whose rows are weighed by the params' thresholds.
 
-    Args:
-        kernel: The update, with the arguments and results of `robust_update`.
-        options: What it takes besides.
+    The `kernel` has the arguments and results of `robust_update`; `options` is what it takes
+    besides.
     """
 
     def __init__(
@@ -186,12 +183,8 @@ def split(
 ) -> tuple[Vector, Vector]:
     """The change of the state (n,) and the split residuals v (3,) after some iterations.
 
-    Args:
-        P: (n, n).
-        H: (3, n), whitened; zero rows where nothing was measured.
-        y: (3,), whitened; zero where nothing was measured.
-        thresholds: (3, 2).
-        inflation: (3,) factors on the variances: the loss counts that much less.
+    H (3, n) and y (3,) are whitened, and zero where nothing was measured; `inflation` (3,) are
+    factors on the variances: the loss counts that much less. `thresholds` are (3, 2), P is (n, n).
     """
     PHt = np.dot(P, H.T.copy())
     spread = np.dot(H, PHt)

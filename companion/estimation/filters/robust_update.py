@@ -82,15 +82,9 @@ def joseph_row(P: Matrix, H: Vector, R: float) -> tuple[Vector, Matrix, float]:
 
         S = H P H^T + R,   K = P H^T / S,   P <- (I - K H) P (I - K H)^T + K R K^T
 
-    The product is multiplied out factor by factor, each a rank-one change of the one before: the
-    same numbers as with full matrices, and as robust, without a matrix product.
-
-    Args:
-        P: (n, n), symmetric positive definite.
-        H: (n,) row of partials.
-
-    Returns:
-        K (n,), the new P (n, n), exactly symmetric, and S.
+    with H (n,) and P (n, n) symmetric positive definite; the result is K (n,), the new P, exactly
+    symmetric, and S. The product is multiplied out factor by factor, each a rank-one change of the
+    one before: the same numbers as with full matrices, and as robust, without a matrix product.
     """
     PH = np.dot(P, H)
     S = float(np.dot(H, PH)) + R
@@ -133,17 +127,11 @@ if IS_COMPILED:
 
 @kernel
 def within_bounds(mean: Vector, P: Matrix, lower: Vector, upper: Vector) -> Vector:
-    """The most probable mean with every component between its bounds (estimate projection).
+    """The most probable mean (n,) with every component between its bounds (estimate projection).
 
-    Components without bounds follow along P. A component that another's projection pushed over
-    its bound is projected in turn, which only comes near the most probable mean; the last word has
-    a clip, so that bounds hold exactly.
-
-    Args:
-        mean: (n,).
-        P: (n, n).
-        lower: (n,), -inf where there is none.
-        upper: (n,), inf where there is none.
+    Components without bounds (infinite ones) follow along P. A component that another's projection
+    pushed over its bound is projected in turn, which only comes near the most probable mean; the
+    last word has a clip, so that bounds hold exactly.
     """
     is_inside = True
     for index in range(mean.size):

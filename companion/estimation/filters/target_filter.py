@@ -111,10 +111,9 @@ class TargetFilter(Protocol):
         """The state after a measurement taken at `sensor_enu_m`.
 
         Args:
-            state: The state at the measurement's time, or later: then the measurement is late, and
-                the random walk since then counts as noise of it.
+            state: At the measurement's time, or later: then the measurement is late, and the random
+                walk since then counts as noise of it.
             measurement: With range, bearing in ENU, elevation, or several of them.
-            sensor_enu_m: Where the antenna was at that time.
             inflation: Factors on the variance of range, bearing and elevation.
         """
 

@@ -131,11 +131,7 @@ class MotionWatch:
         return bool(self._rows) and not now_s < self._due_s <= now_s + EVERY_S
 
     def look(self, window_map: WindowMap, mean: Vector, r95_m: float, now_s: float) -> None:
-        """Look whether the target walks, where it matters: not of one that may be anywhere.
-
-        Args:
-            mean: (k,) what is believed of a target that lies still.
-        """
+        """Look whether the target walks, where it matters: not of one that may be anywhere."""
         self._due_s = now_s + EVERY_S
         if self.suspected is None and r95_m > self._near_m:
             return
@@ -187,9 +183,7 @@ class MotionWatch:
 def motion_of(window_map: WindowMap, rows: Matrix, mean: Vector) -> Motion | None:
     """How a target walks that is believed to lie at `mean`, (k,); None: nothing says that it does.
 
-    Args:
-        rows: (n, 10), see `map_kernels`, the time in place of the sequence number.
-        mean: (k,) where to start from.
+    The rows are those of `map_kernels`, with the time in place of the sequence number.
     """
     try:
         with np.errstate(all="ignore"):

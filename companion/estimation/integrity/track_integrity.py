@@ -44,12 +44,7 @@ class Contact:
     """Measurements that agreed since the last gap, or since the first one."""
 
     def after(self, measurement: RangingMeasurement, gate: Gate) -> Contact:
-        """With one more measurement; a late one makes nothing younger or older.
-
-        Args:
-            measurement: All that was measured, its bearing in ENU.
-            gate: What of it agrees with the estimate.
-        """
+        """With a measurement, its bearing in ENU; a late one makes nothing younger or older."""
         at_s, newest_s = measurement.measured_at_s, self.newest_s
         range_s, bearing_s = self.range_s, self.bearing_s
         has_range = measurement.range_m is not None and gate.agrees_in_range
@@ -232,9 +227,7 @@ class NisWindow:
     def add(self, report: UpdateReport, inflation: Inflation, time_s: float) -> bool:
         """Take in an update; whether the NIS has been above its band for too long.
 
-        Args:
-            inflation: Variance inflation of range, bearing and elevation that the run has shown,
-                whether or not the filter was told.
+        The `inflation` is what the run has shown, whether or not the filter was told.
         """
         squares = _normalised_squares(report, inflation)
         if not squares:
@@ -337,11 +330,7 @@ class TrackIntegrity:
         return is_conclusive or is_out_of_band
 
     def give_up(self, time_s: float, accepted: int) -> None:
-        """The estimate is started anew; what was counted against the old one is void.
-
-        Args:
-            accepted: Measurements accepted before this one.
-        """
+        """The estimate is started anew; what was counted against the old one is void."""
         self.restarts += 1
         self._recent_restarts.add(time_s)
         self._recovered_at = accepted + 1 + CONTRADICTION_COUNT

@@ -2,23 +2,21 @@
 
 Theory of operation. A robust filter adds w / R of information per measurement, as if its noise
 were the thermal one wherever the weight is 1. Under NLOS that is too much: the residuals of an
-M-estimator with influence psi carry only
+M-estimator with influence psi carry only E[psi']^2 / E[psi^2] / R (Huber's sandwich), and
+consecutive residuals of a recorded walk repeat each other, which divides by (1 + rho) / (1 - rho)
+for a lag-1 correlation rho of psi. The ratio of the two is the variance inflation
 
-    E[psi']^2 / E[psi^2] / R        (Huber's sandwich)
+    c = E[w] E[psi^2] / E[psi']^2 (1 + rho) / (1 - rho)
 
-and consecutive residuals of a recorded walk repeat each other, which divides by
-(1 + rho) / (1 - rho) for a lag-1 correlation rho of psi. The ratio of the two is the variance
-inflation c = E[w] E[psi^2] / E[psi']^2 (1 + rho) / (1 - rho), measured on the innovations of the
-run itself and applied to R in gain and covariance alike. With well-specified white noise c = 1.
+measured on the run's own innovations and applied to R in gain and covariance alike. With
+well-specified white noise c = 1. A consistent filter's NIS, y^T S^-1 y, is chi-square distributed
+with as many degrees of freedom as y has components; its mean lies in a band about that number.
 
-A consistent filter's NIS, y^T S^-1 y, is chi-square distributed with as many degrees of freedom as
-y has components; its mean over a window lies in a band about that number.
-
-The learner retunes the filter to one emitter's noise. The innovations that are noise, and not the
+The learner retunes the filter to one emitter's noise: innovations that are noise, and not the
 state's own uncertainty, go through the on-line EM of `adaptation`; now and then the filter gets the
-sigma and the thresholds that it has found. What the radio reports of its own sigma no longer counts
-then. Paper: section IV-C, "Path to Adaptive Estimation", per emitter.
+sigma and the thresholds that it has found. The radio's own report of sigma no longer counts then.
 
+Paper: section IV-C, "Path to Adaptive Estimation", per emitter.
 Sources: P. J. Huber, Robust Statistics (1981), chapter 6, for the sandwich; Y. Bar-Shalom, X. R.
 Li, T. Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), section 5.4;
 E. B. Wilson and M. M. Hilferty, PNAS 17 (1931), for the quantile.
@@ -141,13 +139,10 @@ class NoiseMonitor:
 
 
 def mean_band(dof: float, count: float) -> tuple[float, float]:
-    """Where the mean of `count` chi-square values lies with 95 % probability.
+    """Where the mean of `count` chi-square values of `dof` degrees of freedom lies with 95 %.
 
     By the cube-root normal approximation: within 5 % for 5 degrees of freedom in all, 1 % for 20.
-
-    Args:
-        dof: Degrees of freedom of each.
-        count: How many; may be a sum of weights.
+    A sum of weights may stand for the count.
     """
     total = dof * count
     spread = math.sqrt(2.0 / (9.0 * total))
@@ -250,11 +245,7 @@ class InnovationNoise:
         return 1.0 - self.monitors[0].bilateral_share
 
     def inflation(self, found: Inflation | None) -> Inflation:
-        """Variance inflation of range, bearing and elevation.
-
-        Args:
-            found: What the window's best optimum found for single measurements; None: not solved.
-        """
+        """Variance inflation of each modality; `found` is the window's own, where it was solved."""
         if found is None:
             ranges, bearings, elevations = (monitor.inflation for monitor in self.monitors)
         else:

@@ -58,14 +58,10 @@ def range_expectations(
 ) -> tuple[float, float, float, float, float]:
     """What one residual says about its bias and noise, given the parameters (the E-step).
 
-    Args:
-        mean_bias_m: Mean 1/lambda of a reflection's bias.
-        nlos_share: Probability p of a reflection, in (0, 1).
-        offset_m: Location mu of the thermal noise.
-
-    Returns:
-        Probability of a reflection, expected bias (m), expected noise residual - bias (m), its
-        expected square (m^2), and the residual's log density (1/m).
+    The bias of a reflection, of probability `nlos_share` in (0, 1), has the mean 1/lambda;
+    `offset_m` is the location mu of the thermal noise. The result is the probability of a
+    reflection, expected bias (m), expected noise residual - bias (m), its expected square (m^2),
+    and log density (1/m).
     """
     u, k = (residual_m - offset_m) / sigma_m, sigma_m / mean_bias_m
     z = u - k
@@ -121,15 +117,11 @@ def mean_map_bias(threshold: float, k: float, nlos_share: float) -> float:
 def one_sided_huber_variance(knot: float, k: float, nlos_share: float) -> tuple[float, float]:
     """Variance of the one-sided Huber location of the range mixture, and its threshold, in sigma.
 
-    Args:
-        knot: Where the residuals' influence is cut off. The location settles at the mean of
-            min(u, knot), which is what the filter's range offset takes up.
-
-    Returns:
-        Number of measurements times the variance, and the threshold knot - location.
-
-    The moments of (knot - u)+ follow from those of u and of (u - knot)+; for a reflection the
-    second moment of the latter is the normal's plus 2 / k times its first.
+    Residuals' influence is cut off at `knot`. The location settles at the mean of min(u, knot),
+    which is what the filter's range offset takes up. The result is the number of measurements times
+    the variance, and the threshold knot - location. The moments of (knot - u)+ follow from those of
+    u and of (u - knot)+; for a reflection the second moment of the latter is the normal's plus 2 /
+    k times its first.
     """
     t, p = knot, nlos_share
     over = mean_map_bias(t, k, p)
@@ -156,12 +148,8 @@ def least_variance_k_long(k: float, nlos_share: float) -> float:
 def huber_variance(k: float, wide_ratio: float, wide_share: float) -> float:
     """Variance of Huber's location estimate times the number of measurements, E psi^2 / E[psi']^2.
 
-    Args:
-        k: Threshold on both sides, in narrow sigma.
-        wide_ratio: Wide over narrow sigma of a mixture of two zero-mean normals.
-
-    Returns:
-        In squares of the narrow sigma: 1 is what least squares has without the wide normal.
+    In squares of the narrow sigma: 1 is what least squares has without the wide normal of the
+    mixture, which is `wide_ratio` as wide. The threshold k is on both sides, in narrow sigma.
     """
     slope, square = 0.0, 0.0
     for part in range(2):

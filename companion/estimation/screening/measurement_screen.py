@@ -316,11 +316,7 @@ class MeasurementScreen:
     def admit(
         self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu | None, now_s: float
     ) -> RejectReason | None:
-        """Why a measurement is rejected by itself; None: it is valid, and remembered.
-
-        Args:
-            sensor_enu_m: Where the antenna was at the time of the measurement; None: unknown.
-        """
+        """Why a measurement is rejected by itself; None: it is valid, and remembered."""
         reason = self._invalidity(measurement, sensor_enu_m, now_s)
         if reason is RejectReason.RANGE_ABSURD:
             self._absurd_ranges.add(now_s, is_absurd=True)
@@ -350,11 +346,7 @@ class MeasurementScreen:
     def judge(
         self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu, now_s: float
     ) -> Judgement:
-        """What of a valid measurement may be used.
-
-        Args:
-            measurement: Its bearing, if any, in ENU, and in the body frame if it came in that.
-        """
+        """What of a valid measurement may be used; a bearing of the body frame is in ENU too."""
         was_plausible = self.objection is None
         range_reason = self._range_reason(measurement, sensor_enu_m, now_s)
         bearing_reason = self._bearing_reason(measurement, sensor_enu_m, now_s)

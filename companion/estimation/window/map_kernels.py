@@ -142,11 +142,7 @@ def normaliser(rows: Matrix, sigmas: Matrix, model: RangingModel) -> float:
     """What makes costs of different places comparable: the bearings' standard deviations differ.
 
     A density that is as wide as the own position's error makes it, is as much lower; with noise
-    that is inflated by c, -c log p = loss + c log sigma.
-
-    Args:
-        rows: (n, 10).
-        sigmas: (3, n) at the place.
+    that is inflated by c, -c log p = loss + c log sigma. `sigmas` are (3, n) at the place.
     """
     wider = np.log(sigmas[1] / rows[:, 7])
     return float(model.bearing_inflation * np.sum(np.where(np.isnan(rows[:, 4]), 0.0, wider)))
@@ -230,15 +226,10 @@ def map_minimum(
     pull: Vector,
     model: RangingModel,
 ) -> tuple[Vector, float]:
-    """The minimum that a start leads to, (k,), and its cost.
+    """The minimum that `start` (k,) leads to, (k,), and its cost.
 
-    Args:
-        rows: (n, 10).
-        start: (k,).
-        thresholds: (3, 2) long and short threshold of each modality.
-        bounds: (2, k).
-        information: (k, k) of the Gaussian prior, L.
-        pull: (k,) of the Gaussian prior, e = L times its mean.
+    The Gaussian prior has the `information` L (k, k) and the `pull` e (k,), L times its mean.
+    `thresholds` (3, 2) are long and short of each modality, `bounds` (2, k).
     """
     mean = np.minimum(np.maximum(start, bounds[0]), bounds[1])
     damping = DAMPING_START

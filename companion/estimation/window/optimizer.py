@@ -141,13 +141,9 @@ class MeasurementWindow:
         self.rows[:, SIGMAS + BEARING] = bearing_sigma_rad
 
     def add(self, row: Row, target_enu_m: Point) -> Matrix:
-        """Take in a measurement; a full window is thinned first.
+        """Take in a measurement; the ones that had to go, (m, 10), mostly none.
 
-        Args:
-            target_enu_m: Where the target is believed to be, which decides what is alike.
-
-        Returns:
-            The measurements that had to go, (m, 10), mostly none.
+        A full window is thinned first; where the target is believed to be decides what is alike.
         """
         dropped = self._rows[:0]
         if self._count == len(self._rows):
@@ -166,9 +162,6 @@ def kept_by_thinning(rows: Matrix, target: int, centre: Point) -> NDArray[np.boo
     """Which of the rows stay, (n,): at most `target`, taken away where views are most alike.
 
     Alike are views of the centre from the same sector and about the same distance.
-
-    Args:
-        rows: (n, 10), see `map_kernels`.
     """
     east, north = rows[:, 0] - centre[0], rows[:, 1] - centre[1]
     sector = np.floor((np.arctan2(north, east) / (2.0 * math.pi) + 0.5) * SECTORS) % SECTORS
@@ -298,13 +291,10 @@ class WindowOptimizer:
         is_white: bool,
         fresh_starts: int | None,
     ) -> tuple[Hypothesis, ...]:
-        """The hypotheses after the window was solved.
+        """The hypotheses after the window was solved, with the inflation that the run has shown.
 
-        Args:
-            inflation: Of the variances of range, bearing and elevation, that the run has shown.
-            is_white: Whether innovations know nothing of each other.
-            fresh_starts: How many starts besides the hypotheses; None: as many as the evidence
-                calls for.
+        `is_white`: innovations know nothing of each other. Of `fresh_starts` besides the hypotheses
+        there are, if None, as many as the evidence calls for.
         """
         grown = max(1, int(EARLY_SHARE * accepted))
         self._due_at = accepted + min(self._params.every, grown)

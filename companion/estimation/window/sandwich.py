@@ -12,17 +12,14 @@ Where residuals repeat each other, as recorded ranges do, B counts that in two w
 (1 + rho) / (1 - rho) of a first-order process, and as the long-run variance (Bartlett weights),
 whose small-sample bias is made up for by the fixed-bandwidth critical value.
 
-Source: P. J. Huber, Robust Statistics (1981), chapter 6; N. M. Kiefer and T. J. Vogelsang,
-Econometric Theory 21 (2005), for the critical value.
+Observability. The expected robust curvature matrix is C = sum rho''(r) H H^T / sigma^2, where rho''
+is 1 on the quadratic part of the loss and 0 on the saturated ones. Only non-saturated measurements
+from diverse directions make it positive definite; the paper calls that bilateral information. A
+track along a line sees a target and its mirror image alike where only ranges are measured.
 
-Observability. The expected robust curvature matrix (ERCM) is C = sum rho''(r) H H^T / sigma^2 over
-the measurements, where rho'' is 1 on the quadratic part of the loss and 0 on the saturated ones.
-Only non-saturated measurements from diverse directions make it positive definite; the paper calls
-that bilateral information, and its absence statistical-geometric degeneracy.
-
-A track along a line sees a target and its mirror image alike where only ranges are measured.
-
-Paper: section IV-D, Lemma B.1, Propositions B.1 and B.2.
+Paper: section IV-D, Lemma B.1, Propositions B.1 and B.2. Source: P. J. Huber, Robust Statistics
+(1981), chapter 6; for the critical value N. M. Kiefer and T. J. Vogelsang, Econometric Theory 21
+(2005).
 """
 
 from __future__ import annotations
@@ -193,10 +190,8 @@ def curvature(scores: Scores) -> Matrix:
 def pooled_variability(scores: Scores, A_inverse: Matrix, repetition: Vector) -> Matrix:
     """B with pooled second moments, (k, k).
 
-    Args:
-        A_inverse: (k, k).
-        repetition: (3,) what each modality's residuals count more for repeating each other;
-            ones: they know nothing of each other.
+    `repetition` (3,) is what each modality's residuals count more for repeating each other; ones:
+    they know nothing of each other.
     """
     k = scores.H.shape[1]
     B = np.zeros((k, k))
@@ -282,14 +277,10 @@ def observability_of(rows: Matrix, scores: Scores) -> Observability:
 
 
 def track_line(places: Matrix) -> tuple[Vector, Vector, float]:
-    """The line that fits a track best.
+    """The line that fits a track (n, 2) best: a point on it and its unit direction.
 
-    Args:
-        places: (n, 2) east and north, metres.
-
-    Returns:
-        A point on it (2,), its unit direction (2,), and the spread across over the spread along
-        (0 for a line, 1 for a track as wide as long, 0 for a single place).
+    The third value is the spread across over the spread along: 0 for a line or a single place, 1
+    for a track that is as wide as long.
     """
     centre = places.mean(axis=0)
     values, vectors = np.linalg.eigh(np.cov((places - centre).T) if len(places) > 1 else np.eye(2))
@@ -299,12 +290,7 @@ def track_line(places: Matrix) -> tuple[Vector, Vector, float]:
 
 
 def mirrored(mean: Vector, places: Matrix) -> Vector:
-    """The state with its position reflected about the line of the track.
-
-    Args:
-        mean: (k,).
-        places: (n, 2) east and north of the track.
-    """
+    """The state (k,) with its position reflected about the line of the track of `places` (n, 2)."""
     centre, direction, _ = track_line(places)
     away = mean[:2] - centre
     image = np.array(mean)

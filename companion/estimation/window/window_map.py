@@ -11,23 +11,21 @@ by damped, re-weighted Gauss-Newton from the filter's own hypotheses and from fr
 turn around the path from call to call: the cost of a call is bounded by N, and every optimum is
 found in the end. Each optimum carries a sandwich covariance.
 
-Paper: eq. (9). Deviation: when the window is full, it is thinned where the vehicle lingered longest
-instead of dropping the oldest, because old measurements often hold the only view from the other
-side, and a thousand from one place say little more than a hundred.
+A bearing from far away or a range from nearly one place leaves a valley that is steep at the
+optimum and flat beyond it, where the curvature promises too much. So the cost is read along the
+most uncertain direction, out to where the 95 % circle ends. Where it rises by less than half of
+what the curvature promises, the deviation is stretched to where it does.
 
-Where the objective is flatter than its curvature says, there is uncertainty beyond the linearised
-one. A bearing from far away or a range from nearly one place leaves a valley that is steep at the
-optimum and flat beyond it. The covariance is that of the curvature at the optimum; so the cost is
-read along the most uncertain direction, out to where the 95 % circle ends. Where it rises by less
-than half of what the curvature promises, the deviation is stretched to where it does.
-
-What leaves the window is expanded to second order about the estimate of that time,
+What leaves the window is expanded to second order about the estimate of that time, and summed up:
 
     rho(u(x)) ~ const - psi H^T (x - x0) + 1/2 (x - x0)^T psi' H H^T (x - x0)
 
-and only the sums are kept (`OlderEvidence`). That is for residuals that know nothing of each other.
-Where they repeat each other, a measurement that was left out says little that its neighbours in the
-window do not.
+That is for residuals that know nothing of each other. Where they repeat each other, a measurement
+that was left out says little that its neighbours in the window do not.
+
+Paper: eq. (9). Deviation: when the window is full, it is thinned where the vehicle lingered longest
+instead of dropping the oldest, because old measurements often hold the only view from the other
+side, and a thousand from one place say little more than a hundred.
 """
 
 from __future__ import annotations
@@ -101,13 +99,7 @@ class OlderEvidence:
     def joined(
         self, rows: Matrix, mean: Vector, thresholds: Matrix, model: RangingModel
     ) -> OlderEvidence:
-        """With the measurements `rows`, expanded about `mean`.
-
-        Args:
-            rows: (m, 10), see `map_kernels`.
-            mean: (k,).
-            thresholds: (3, 2).
-        """
+        """With the measurements `rows` (m, 10), expanded about `mean` (k,)."""
         sigmas = row_sigmas(rows, mean, model)
         u = row_residuals(rows, mean, sigmas, model)
         psi = clipped(u, thresholds)
@@ -132,13 +124,7 @@ Row = tuple[PositionEnu, Vector, Vector]
 
 
 def stretch_covariance(covariance: Matrix, A: Matrix, mean: Vector, cost: Cost) -> Matrix:
-    """The covariance, wider along its longest axis where the cost is flatter than its curvature.
-
-    Args:
-        covariance: (k, k).
-        A: (k, k) curvature of the cost at the optimum.
-        mean: (k,) the optimum.
-    """
+    """The covariance, wider along its longest axis where the cost is flatter than its curvature."""
     values, vectors = np.linalg.eigh(covariance[:2, :2])
     sigma_m = math.sqrt(max(float(values[1]), 0.0))
     if sigma_m == 0.0:
@@ -240,13 +226,10 @@ class WindowMap:
         *,
         is_white: bool = False,
     ) -> list[Optimum]:
-        """The distinct minima reached from `starts`, best first.
+        """The distinct minima reached from states (k,), best first.
 
-        Args:
-            rows: (n, 10), see `map_kernels`.
-            starts: States (k,) to start from.
-            older: What no longer fits into the rows.
-            is_white: Whether residuals know nothing of each other.
+        `older` is what no longer fits into the rows. `is_white`: residuals know nothing of each
+        other.
         """
         found: list[tuple[float, Vector]] = []
         for start in starts:
@@ -284,13 +267,10 @@ class WindowMap:
         return mean, float(cost) + normaliser(rows, sigmas, self._model)
 
     def scores(self, rows: Matrix, mean: Vector, spread_m2: float = 0.0) -> Scores:
-        """The problem linearised at `mean`: what curvature and covariance are made of.
+        """The problem linearised at `mean` (k,): what curvature and covariance are made of.
 
-        Args:
-            rows: (n, 10), see `map_kernels`.
-            mean: (k,).
-            spread_m2: Trace of the position's covariance: nearer to the target than that is wide a
-                bearing is no linear function of it, and says as much less.
+        `spread_m2` is the trace of the position's covariance: nearer to the target than that is
+        wide a bearing is no linear function of it, and says as much less.
         """
         with np.errstate(all="ignore"):
             sigmas = row_sigmas(rows, mean, self._model)
@@ -308,11 +288,7 @@ class WindowMap:
     def without_gross(self, rows: Matrix, optimum: Optimum) -> Matrix | None:
         """The rows without ranges that are too short, and bearings too far off, for any noise.
 
-        Args:
-            rows: (n, 10), see `map_kernels`.
-
-        Returns:
-            (n, 10), NaN where something was taken out; None: nothing was, or more than a half.
+        They are NaN where something was taken out; None: nothing was, or more than a half.
         """
         u = self.scores(rows, optimum.mean).u
         bearing_noise = min(optimum.noise[BEARING], MAX_BEARING_NOISE)
@@ -327,12 +303,7 @@ class WindowMap:
         return kept
 
     def start_around(self, rows: Matrix, direction_rad: float, spread: int) -> Vector:
-        """A fresh start: off the middle of the path, as far as the ranges say.
-
-        Args:
-            rows: (n, 10).
-            spread: Which distance to take where there are no ranges to tell.
-        """
+        """A fresh start: off the middle of the path, as far as the ranges say, or by `spread`."""
         east, north, up = rows[:, 0].mean(), rows[:, 1].mean(), rows[:, 2].mean()
         ranges = rows[:, VALUES + RANGE]
         ranges = ranges[~np.isnan(ranges)]

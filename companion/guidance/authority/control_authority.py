@@ -87,12 +87,11 @@ class Authority:
     def observe(self, heartbeat: HeartbeatReceived) -> None:
         """Set or clear the latch from what the autopilot shows.
 
-        A vehicle found flying in offboard, or in a failsafe, may be someone else's, or may have
-        been left by a companion that died: streaming would take over without anyone having asked
-        (PX4 re-enters offboard by itself when setpoints return). It does so, too, when ours reach
-        it that a link had kept, however long after we fell silent: offboard that a failsafe ended
-        is nobody's gift, but an ArduPilot's, which never goes back to GUIDED by itself. A failsafe
-        may be told a HEARTBEAT later than its mode.
+        A vehicle found flying in offboard, or in a failsafe, may be someone else's or left by a
+        companion that died: streaming would take over unasked (PX4 re-enters offboard by itself
+        when setpoints return, also ours that a link had kept). So offboard that a failsafe ended is
+        nobody's gift, but an ArduPilot's, which never goes back to GUIDED by itself. A failsafe may
+        be told a HEARTBEAT later than its mode.
         """
         is_offboard = heartbeat.mode is FlightMode.OFFBOARD
         was_offboard = self._newest is not None and self._newest.mode is FlightMode.OFFBOARD
