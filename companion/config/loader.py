@@ -118,10 +118,8 @@ def read_text(path: Path, max_bytes: int = MAX_BYTES) -> str:
 def parse_yaml(text: str, kind: type[T], name: str, renew: Renew | None = None) -> T:
     """The record of type `kind` in YAML text called `name`; empty text is all defaults.
 
-    `renew` gives keys of an earlier version their present names, in place.
-
-    Raises:
-        ConfigError: The text does not hold a `kind`; a line for every problem says where.
+    `renew` gives keys of an earlier version their present names, in place. A `ConfigError` has a
+    line for every problem and says where.
     """
     raw = _parse(text, name)
     if raw is None:

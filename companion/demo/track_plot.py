@@ -72,32 +72,21 @@ def _draw_map(axes: Axes, flight: PlottedFlight) -> None:
     track = np.array(flight.track_enu_m)
     estimates = np.array(flight.estimates)[:, 1:3]
     for obstacle in flight.obstacles:
-        _draw_obstacle(axes, obstacle)
+        corners = np.array(obstacle.corners_enu_m)
+        axes.fill(corners[:, 0], corners[:, 1], facecolor=OBSTACLE, edgecolor="0.5", zorder=0.5)
+        middle = deepest_point(obstacle.corners_enu_m)
+        axes.annotate(obstacle.label, middle, ha="center", va="center", fontsize=7, clip_on=True)
     axes.plot(fence[:, 0], fence[:, 1], color="0.6", linestyle="--", linewidth=1, label="fence")
     axes.plot(track[:, 0], track[:, 1], color=VEHICLE, linewidth=1.6, label="vehicle (true)")
     axes.plot(track[0, 0], track[0, 1], "o", color=VEHICLE, markersize=6, label="start")
-    axes.plot(
-        estimates[:, 0],
-        estimates[:, 1],
-        color=ESTIMATE,
-        linewidth=0.8,
-        alpha=0.7,
-        label="estimate over time",
-    )
+    axes.plot(*estimates.T, color=ESTIMATE, linewidth=0.8, alpha=0.7, label="estimate over time")
     if flight.crossings_enu_m:
-        crossings = np.array(flight.crossings_enu_m)
-        axes.plot(
-            crossings[:, 0],
-            crossings[:, 1],
-            "D",
-            color=CROSSING,
-            markersize=5,
-            markeredgecolor="0.3",
-            markeredgewidth=0.5,
-            label="crossing points",
-        )
-    ellipse = _ellipse(flight.final)
-    axes.fill(ellipse[0], ellipse[1], color=ESTIMATE, alpha=0.25, label="95 % ellipse")
+        places = np.array(flight.crossings_enu_m)
+        (dots,) = axes.plot(*places.T, "D", color=CROSSING, markersize=5, label="crossing points")
+        dots.set(markeredgecolor="0.3", markeredgewidth=0.5)
+    ellipse = ellipse_95(flight.final.position_enu_m, flight.final.covariance_m2)
+    east, north = np.array(ellipse.corners_enu_m(120)).T
+    axes.fill(east, north, color=ESTIMATE, alpha=0.25, label="95 % ellipse")
     axes.plot(*flight.final.position_enu_m, "+", color=ESTIMATE, markersize=11, label="estimate")
     axes.plot(*flight.truth_enu_m, "x", color=TRUTH, markersize=9, label="emitter (true)")
     axes.set_aspect("equal")
@@ -106,24 +95,12 @@ def _draw_map(axes: Axes, flight: PlottedFlight) -> None:
     axes.grid(alpha=0.25)
 
 
-def _draw_obstacle(axes: Axes, obstacle: Obstacle) -> None:
-    corners = np.array(obstacle.corners_enu_m)
-    axes.fill(corners[:, 0], corners[:, 1], facecolor=OBSTACLE, edgecolor="0.5", zorder=0.5)
-    middle = deepest_point(obstacle.corners_enu_m)
-    axes.annotate(obstacle.label, middle, ha="center", va="center", fontsize=7, clip_on=True)
-
-
 def _zoom(axes: Axes, flight: PlottedFlight) -> None:
     half_m = max(4.0 * flight.final.r95_m, 3.5)
     east, north = flight.truth_enu_m
     axes.set_xlim(east - 1.6 * half_m, east + 1.6 * half_m)
     axes.set_ylim(north - half_m, north + half_m)
     axes.set_title(f"Around the emitter, R95 {flight.final.r95_m:.2f} m")
-
-
-def _ellipse(estimate: TargetEstimate) -> np.ndarray:
-    ellipse = ellipse_95(estimate.position_enu_m, estimate.covariance_m2)
-    return np.array(ellipse.corners_enu_m(120)).T
 
 
 def _draw_error(axes: Axes, flight: PlottedFlight) -> None:

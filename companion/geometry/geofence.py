@@ -84,11 +84,7 @@ class GeoFence:
     exclusions: tuple[GeoArea, ...] = ()
 
     def local(self, origin: LocalOrigin) -> LocalFence:
-        """In the local frame of an origin.
-
-        Raises:
-            ValueError: It is too far from there.
-        """
+        """In the local frame of an origin; a `ValueError` if it is too far from there."""
         polygon = _local_area(self.inclusion, origin, is_inside=True)
         keep_outs = tuple(_local_area(area, origin, is_inside=False) for area in self.exclusions)
         reach_m = max(math.hypot(*corner) for corner in polygon)
@@ -139,11 +135,7 @@ def area_problem(area: GeoArea) -> str | None:
 
 
 def fence_of(areas: Sequence[NamedArea]) -> GeoFence:
-    """The fence that areas make together.
-
-    Raises:
-        ValueError: They make none; the text begins with the place of the one that is wrong.
-    """
+    """The fence that areas make together; a `ValueError` begins with the place of a wrong one."""
     for named in areas:
         for index, (latitude_deg, longitude_deg) in enumerate(named.area.corners_deg):
             problem = place_problem(latitude_deg, longitude_deg)

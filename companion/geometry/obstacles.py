@@ -182,11 +182,7 @@ class Arc:
 
 
 def check_corners(polygons: Iterable[Polygon]) -> None:
-    """Refuse polygons that are too much to look at in every tick.
-
-    Raises:
-        ValueError: They have more than `MAX_CORNERS` in all.
-    """
+    """Refuse, by a `ValueError`, polygons that are too much to look at in every tick."""
     count = sum(map(len, polygons))
     if count > MAX_CORNERS:
         raise ValueError(

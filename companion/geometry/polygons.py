@@ -138,11 +138,7 @@ def polygon_problem(polygon: Polygon, least_m2: float) -> str | None:
 
 
 def check_polygon(name: str, polygon: Polygon, least_m2: float) -> None:
-    """Refuse a polygon that does not enclose at least an area; the text calls it `name`.
-
-    Raises:
-        ValueError: It has a `polygon_problem`.
-    """
+    """Refuse, by a `ValueError`, a polygon with a `polygon_problem`; the text calls it `name`."""
     problem = polygon_problem(polygon, least_m2)
     if problem is not None:
         raise ValueError(f"a {name} {problem}")

@@ -8,7 +8,7 @@ moves in; the last is a distance to keep to all sides.
 
 Reserve. The way home costs charge in proportion to its length, so what is left beyond the reserve
 is a distance. Who is farther than that is not pulled back (that is for the pilot, or for the
-autopilot's own failsafe) but goes no farther. A battery that nobody knows has no such distance.
+autopilot's own failsafe) but goes no farther. The distance of an unknown battery is zero.
 
 Standard library only.
 """
@@ -26,16 +26,10 @@ MAX_TICK_S = 0.2
 
 @dataclass(frozen=True, slots=True)
 class Envelope:
-    """Limits of motion and height.
-
-    Raises:
-        ValueError: Limits that contradict each other; the text begins with the name of one.
-    """
+    """Limits of motion, and of height above home; a `ValueError` begins with the wrong one's name."""
 
     altitude_min_m: float
-    """Above home."""
     altitude_max_m: float
-    """Above home."""
     speed_mps: float
     climb_mps: float
     acceleration_mps2: float
@@ -66,9 +60,8 @@ SIGMAS = 3.0
 class Stopping:
     """What a vehicle needs to stop.
 
-    Raises:
-        ValueError: A latency or sigma that is negative, a deceleration that is not positive, or
-            one that is not finite; the text begins with the name of the limit.
+    A `ValueError` begins with the name of the limit: a latency or sigma that is negative, a
+    deceleration that is not positive, or one that is not finite.
     """
 
     latency_s: float
@@ -118,9 +111,8 @@ FULL_PCT = 100.0
 class Reserve:
     """What it takes to come back.
 
-    Raises:
-        ValueError: A reserve that is no share of a battery, or a cost that is not positive; the
-            text begins with the name of the limit.
+    A `ValueError` begins with the name of the limit: a reserve that is no share of a battery, or a
+    cost that is not positive.
     """
 
     reserve_pct: float

@@ -17,9 +17,8 @@ LEAST_KEEP_OUT_M2 = 1e-3
 class Fence:
     """A simple polygon in local east and north, keep-outs in it, and a margin to their borders.
 
-    Raises:
-        ValueError: Fewer than 3 corners, crossing edges, no area, more corners in all than are
-            looked at in time, a negative margin, or nothing left by it.
+    A `ValueError` says what is wrong: fewer than 3 corners, crossing edges, no area, more corners
+    in all than are looked at in time, a negative margin, or nothing left by it.
     """
 
     polygon_enu_m: Corners

@@ -57,11 +57,7 @@ class GuardReason(Enum):
 
 @dataclass(frozen=True, slots=True)
 class GuardLimits:
-    """What no setpoint may exceed.
-
-    Raises:
-        ValueError: They contradict each other; the text begins with the name of one.
-    """
+    """What no setpoint may exceed; a `ValueError` begins with the name of one that contradicts."""
 
     fence: Fence | None
     """None: not known yet, so that nothing moves."""
@@ -153,8 +149,7 @@ class Guard:
     def here(self, motion: Motion) -> Guarded:
         """The setpoint "stay where you are", in the band; one from outside is then walked in.
 
-        Raises:
-            ValueError: Vehicle or home is nowhere, so that no setpoint is known to be safe.
+        A `ValueError` if vehicle or home is nowhere, so that no setpoint is known to be safe.
         """
         if not _are_finite(motion.position_enu_m, motion.home_enu_m):
             raise ValueError("the place of the vehicle or of home is not a number")
@@ -167,8 +162,7 @@ class Guard:
     def stand(self, place_enu_m: Position) -> Guarded:
         """The setpoint "do not move", even outside: for while nobody knows where that is.
 
-        Raises:
-            ValueError: The place is nowhere.
+        A `ValueError` if the place is nowhere.
         """
         if not _are_finite(place_enu_m):
             raise ValueError("the place to stand at is not a number")
@@ -192,8 +186,7 @@ class Guard:
     ) -> Guarded:
         """The next setpoint on the way to a goal, no faster than `speed_cap_mps` and the limits.
 
-        Raises:
-            ValueError: Neither the setpoint before nor the vehicle is a place.
+        A `ValueError` if neither the setpoint before nor the vehicle is a place.
         """
         if not _are_finite(previous.position_enu_m, previous.velocity_enu_mps):
             return Guarded(self.here(motion).position_enu_m, (GuardReason.NOT_FINITE,))

@@ -1,13 +1,12 @@
 """How a session takes up again what an earlier process of ours knew.
 
 Theory of operation. A session can say at any time what a later one would need: its phase, what it
-reported, what it believes of the target, where the local frame was, and where the one was that its
-fence is about. A later one is told first that there was an earlier one at all; from then on it
-never launches by itself. Then it takes up what was remembered in two steps. The phase at once: who
-had yielded stays silent until control is granted, and who had reported does not search again. The
-belief only when the autopilot's origin shows that local coordinates still mean the same places,
-because a belief in another frame is wrong without looking wrong. Nothing of this gives control: the
-operator does, as always, and what is streamed before that is "stay here".
+reported, what it believes of the target, where the local frame and that of its fence were. Told
+that there was an earlier session, a later one never launches by itself. Then it takes up what was
+remembered in two steps. The phase at once: who had yielded stays silent until control is granted,
+and who had reported does not search again. The belief only when the autopilot's origin shows that
+local coordinates still mean the same places, because a belief in another frame is wrong without
+looking wrong. Nothing of this gives control: the operator does, as always.
 """
 
 from __future__ import annotations

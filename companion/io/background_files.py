@@ -36,10 +36,8 @@ _FLAGS = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC
 class BackgroundFile(WriterThread[bytes]):
     """An append-only file with a writer thread; an existing one is continued.
 
-    `max_bytes` is the cap of the file and its older part together; None: there is none.
-
-    Raises:
-        CompanionError: It cannot be opened.
+    `max_bytes` is the cap of the file and its older part together; None: there is none. A
+    `CompanionError` if it cannot be opened.
     """
 
     def __init__(self, path: Path, max_bytes: int | None = None) -> None:

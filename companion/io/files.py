@@ -63,10 +63,8 @@ def write_text_atomic(path: Path, text: str, mode: int = 0o666) -> None:
 def write_bytes_atomic(path: Path, content: bytes, mode: int = 0o666) -> None:
     """Replace a file as a whole: a reader, or a power cut, sees the old one or the new one.
 
-    `mode` says who may read and write it, less the umask.
-
-    Raises:
-        CompanionError: It cannot be written; an old file is still there then.
+    `mode` says who may read and write it, less the umask. A `CompanionError` if it cannot be
+    written; an old file is still there then.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
 

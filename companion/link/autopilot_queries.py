@@ -79,7 +79,8 @@ class StreamFreshness:
         stream = self._streams.get(number)
         if stream is None:
             stream = self._streams[number] = Stream()
-        return stream.take(_stamp_of(message), now_s)
+        stamp = getattr(message, "time_boot_ms", None) or getattr(message, "time_usec", None)
+        return stream.take(int(stamp) if stamp else None, now_s)  # 0 stands for unknown
 
     def stream(self, message_id: int) -> Stream:
         """What is known of a kind of message."""
@@ -101,12 +102,6 @@ class StreamFreshness:
     def restart(self) -> None:
         """Begin anew, because the autopilot did."""
         self._streams.clear()
-
-
-def _stamp_of(message: Message) -> int | None:
-    """The time in a message, in whatever unit; None without one."""
-    stamp = getattr(message, "time_boot_ms", None) or getattr(message, "time_usec", None)
-    return int(stamp) if stamp else None  # 0 stands for unknown
 
 
 ECHO_S = 0.07

@@ -253,7 +253,8 @@ class CompanionEndpoint:
         given_up = self._queries.fence.check_silence(now_s)
         if given_up is not None:
             self.executor.handle(given_up, now_s)
-        is_mode_wanted = self.session.vehicle.wants_mode(now_s)
+        vehicle = self.session.vehicle
+        is_mode_wanted = vehicle.mode_watch.is_in_doubt and not vehicle.is_link_lost(now_s)
         for question in self._queries.due(now_s, is_mode_wanted=is_mode_wanted):
             self.outlet.send(question, now_s, is_droppable=True)
 

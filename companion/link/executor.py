@@ -96,7 +96,10 @@ class SessionExecutor:
                 if answer is not None:
                     self.handle(replace(answer, order=order), now_s)
             case mavlink.MAVLink_statustext_message() if self._text_limit.acquire(now_s):
-                fields = {"text": _printable(message.text), "dropped": self._text_limit.refused}
+                raw = message.text
+                words = raw.decode("utf-8", errors="replace") if isinstance(raw, bytes) else raw
+                shown = "".join(c if c.isprintable() else "?" for c in words)
+                fields = {"text": shown, "dropped": self._text_limit.refused}
                 self.journal.record("autopilot_text", fields, now_s)
 
     # What the session wants
@@ -136,8 +139,3 @@ class SessionExecutor:
         else:
             return  # without an origin there is no global position to send
         self.outlet.send_setpoint(message, now_s)
-
-
-def _printable(text: bytes | str) -> str:
-    raw = text.decode("utf-8", errors="replace") if isinstance(text, bytes) else text
-    return "".join(c if c.isprintable() else "?" for c in raw)

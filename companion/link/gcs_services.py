@@ -87,8 +87,7 @@ class TunableBook(Protocol):
     def change(self, index: int, value: float) -> Tuning:
         """Change a value; what the session is to work with.
 
-        Raises:
-            ConfigError: It may not be; the text says why, and nothing changed.
+        A `ConfigError` says why it may not be; nothing changed then.
         """
 
 
@@ -250,7 +249,8 @@ class CommandHandler:
             result = mavlink.MAV_RESULT_ACCEPTED
         elif message.command == mavlink.MAV_CMD_REQUEST_MESSAGE:
             result = mavlink.MAV_RESULT_DENIED
-        ack = outbound.command_ack(message.command, result, message)
+        sender = message.get_srcSystem(), message.get_srcComponent()
+        ack = mavlink.MAVLink_command_ack_message(message.command, result, 0, 0, *sender)
         self._outlet.broadcast(ack, now_s)
         if is_version_wanted:
             version = outbound.autopilot_version(CAPABILITY[self._parameters.encoding])

@@ -205,13 +205,6 @@ def autopilot_version(param_capability: int) -> Message:
     )
 
 
-def command_ack(command: int, result: int, to: Message) -> Message:
-    """COMMAND_ACK to the sender of a command."""
-    return mavlink.MAVLink_command_ack_message(
-        command, result, 0, 0, to.get_srcSystem(), to.get_srcComponent()
-    )
-
-
 def status_text(severity: int, text: str, text_id: int) -> list[Message]:
     """STATUSTEXT, in chunks where it does not fit into one, joined by a non-zero `text_id`."""
     chunks = _chunks(text)

@@ -4,10 +4,7 @@ Once a second each emitter with an estimate gives a TARGET_ESTIMATE, and the one
 three NAMED_VALUE_FLOATs in local metres, which Mission Planner and MAVProxy show and plot: degrees
 would step by half a metre as floats. On links of their own, and only if that is wanted, ground
 stations get an ADSB_VEHICLE as well, which they draw on their map. It never goes to the autopilot:
-one that avoids traffic would dodge the emitter.
-
-The session tells most changes of its phase with a reason. A change that came without any text is
-told here, so that every one is.
+one that avoids traffic would dodge the emitter. A change of phase without any text is told here.
 
 Source: MAVLink common, NAMED_VALUE_FLOAT and ADSB_VEHICLE; `companion/mav/radio_ranging.xml`.
 """

@@ -68,17 +68,8 @@ def pack_plain(message: Message, sequence: int, system_id: int, component_id: in
         return None  # a class of somebody's own may pack itself differently
     payload = layout.fields.pack(*layout.values_of(message))
     payload = payload.rstrip(b"\0") or payload[:1]
-    header = _HEADER.pack(
-        MAGIC_V2,
-        len(payload),
-        0,
-        0,
-        sequence,
-        system_id,
-        component_id,
-        number & 0xFFFF,
-        number >> 16,
-    )
+    identity = (sequence, system_id, component_id)
+    header = _HEADER.pack(MAGIC_V2, len(payload), 0, 0, *identity, number & 0xFFFF, number >> 16)
     crc = crc16.mcrf4xx(header[1:] + payload + layout.crc_extra)
     return header + payload + _CRC.pack(crc)
 
@@ -152,11 +143,8 @@ class MavCodec:
         """The frame of `message`, with the link's next sequence number, signed if signing is on.
 
         A `component_id` sends as another component of ours; MAVLink 1 is for peers without MAVLink
-        2.
-
-        Raises:
-            LocalProtocolError: A field does not fit its type on the wire, or the frame has no
-                form in MAVLink 1 (a message id over 255, or a signature).
+        2. A `LocalProtocolError` if a field does not fit its type on the wire, or the frame has no
+        form in MAVLink 1 (a message id over 255, or a signature).
         """
         if is_mavlink1 and (message.get_msgId() > MAX_MAVLINK1_ID or self.signing is not None):
             raise LocalProtocolError(f"{message.get_type()} cannot be sent in MAVLink 1")

@@ -153,11 +153,6 @@ class Signing:
         """The last timestamp of each; to be stored with `timestamp`."""
         self.verdicts: dict[SignatureVerdict, int] = dict.fromkeys(SignatureVerdict, 0)
 
-    @property
-    def _present(self) -> int:
-        """What a new stream may not be far behind: our clock, where peers must agree with it."""
-        return self.timestamp if self._rules.max_ahead is None else self.clock
-
     def advance(self, unix_s: float) -> None:
         """Follow the clock; a clock that is behind, or goes back, changes nothing."""
         self.clock = max(self.clock, timestamp_at(unix_s))
@@ -189,10 +184,11 @@ class Signing:
 
     def _staleness(self, stream: Stream, timestamp: int) -> SignatureVerdict | None:
         last = self.streams.get(stream)
+        present = self.timestamp if self._rules.max_ahead is None else self.clock
         if last is not None:
             if timestamp <= last:
                 return SignatureVerdict.REPLAYED
-        elif timestamp + MAX_BEHIND < self._present:
+        elif timestamp + MAX_BEHIND < present:
             return SignatureVerdict.TOO_OLD
         elif len(self.streams) >= MAX_STREAMS:
             return SignatureVerdict.TOO_MANY_STREAMS

@@ -105,18 +105,14 @@ class LatchedCrossingParams(Params, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class Latch:
-    """The crossing being flown."""
+    """The crossing being flown; `crossing_kernels` says what its numbers mean."""
 
     point_enu_m: Point
     estimate_enu_m: Point
-    """The estimate when the crossing was chosen."""
     direction: Point
-    """Unit vector from the estimate to the crossing point."""
     start_enu_m: Point
-    """Where the vehicle was when the crossing was chosen."""
     overshoot_m: float
     crossings: int
-    """Crossings flown to their end so far."""
 
     @classmethod
     def of(cls, array: Vector) -> Latch:

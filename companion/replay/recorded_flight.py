@@ -34,7 +34,7 @@ from companion.io.logs.log_files import (
     read_inputs,
     read_tlog,
 )
-from companion.io.logs.mcap_file import McapFlight, read_mcap_flight
+from companion.io.logs.mcap_file import read_mcap_flight
 from companion.link.endpoint import CompanionEndpoint
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk
@@ -142,7 +142,13 @@ class FlightRecording:
 def open_recording(path: Path) -> FlightRecording:
     """A recorded flight: its folder, any file in it, or an MCAP file; or a `ConfigError`."""
     if path.suffix.lower() == ".mcap":
-        return _of_mcap(read_mcap_flight(path))
+        found = read_mcap_flight(path)
+        try:
+            facts = facts_of_json(found.flight_json)
+        except ConfigError as error:
+            raise ConfigError(f"{found.path}: {error}") from error
+        parsed = list(parse_inputs(found.inputs, str(found.path)))
+        return FlightRecording(facts, parsed, True, course_of(found.events, found.frames))
     flight = open_flight(path)
     lines = event_lines(flight.path(EVENTS))
     records = list(read_tlog(flight.path(TLOG)))
@@ -154,15 +160,6 @@ def open_recording(path: Path) -> FlightRecording:
     if not inputs:
         raise ConfigError(f"{flight.path(TLOG)}: has no frames")
     return FlightRecording(flight.facts, inputs, False, course)
-
-
-def _of_mcap(found: McapFlight) -> FlightRecording:
-    try:
-        facts = facts_of_json(found.flight_json)
-    except ConfigError as error:
-        raise ConfigError(f"{found.path}: {error}") from error
-    inputs = list(parse_inputs(found.inputs, str(found.path)))
-    return FlightRecording(facts, inputs, True, course_of(found.events, found.frames))
 
 
 def course_of(lines: Iterable[Json], frames: Iterable[bytes]) -> Course:

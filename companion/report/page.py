@@ -97,16 +97,10 @@ def render_page(
     page: FlightPage, template: str, package: str = "companion.report", **more: object
 ) -> str:
     """The page as text; `more` is what the template's own blocks need, by name."""
-    return (
-        page_environment(package)
-        .get_template(template)
-        .render(
-            page=page,
-            charts=[chart for chart in page.charts if chart is not None],
-            events=page.events[:MAX_EVENTS],
-            **more,
-        )
-    )
+    charts = [chart for chart in page.charts if chart is not None]
+    events = page.events[:MAX_EVENTS]
+    found = page_environment(package).get_template(template)
+    return found.render(page=page, charts=charts, events=events, **more)
 
 
 def report_page(summary: FlightSummary, facts: FlightFacts, name: str) -> str:

@@ -38,15 +38,12 @@ class Axis:
             first, last = math.floor(math.log10(self.low)), math.ceil(math.log10(self.high))
             decades = [10.0**power for power in range(first, last + 1)]
             return [value for value in decades if self.low <= value <= self.high]
-        step = _round_step((self.high - self.low) / 5.0)
+        rough = (self.high - self.low) / 5.0
+        power = 10.0 ** math.floor(math.log10(rough))
+        step = next(m * power for m in (1.0, 2.0, 5.0, 10.0) if m * power >= rough * 0.999)
         first_tick = math.ceil(self.low / step) * step
         count = math.floor((self.high - first_tick) / step) + 1
         return [first_tick + number * step for number in range(count)]
-
-
-def _round_step(rough: float) -> float:
-    power = 10.0 ** math.floor(math.log10(rough))
-    return next(m * power for m in (1.0, 2.0, 5.0, 10.0) if m * power >= rough * 0.999)
 
 
 class SvgPlot:

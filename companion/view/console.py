@@ -17,7 +17,6 @@ from contextlib import suppress
 from typing import TextIO
 
 from companion.guidance.authority.state_machine import HAS_VEHICLE, Phase
-from companion.guidance.session import GuidanceStatus
 from companion.io.writer_thread import WriterThread
 from companion.link.endpoint import CompanionEndpoint
 from companion.run import FlightView
@@ -90,14 +89,6 @@ REPORTED_PHASES = HAS_VEHICLE | {Phase.LAUNCHING}
 """On the ground whatever happens has a text of its own, and a log must not grow for nothing."""
 
 
-def plain_line(status: GuidanceStatus) -> str:
-    """A flight in one line."""
-    line = f"{status.time_s:7.1f} s  {status.phase.value}, flown {status.distance_m:.0f} m"
-    if status.estimate is not None:
-        line += f", {status.estimate.state.value} R95 {status.estimate.r95_m:.1f} m"
-    return line
-
-
 class PlainView(FlightView):
     """Logs the lines of one flight, whose texts are log lines already."""
 
@@ -109,4 +100,8 @@ class PlainView(FlightView):
         if now_s < self._next_s or endpoint.session.phase not in REPORTED_PHASES:
             return
         self._next_s = now_s + PERIOD_S
-        log.info("%s", plain_line(endpoint.session.status(now_s)))
+        status = endpoint.session.status(now_s)
+        line = f"{status.time_s:7.1f} s  {status.phase.value}, flown {status.distance_m:.0f} m"
+        if status.estimate is not None:
+            line += f", {status.estimate.state.value} R95 {status.estimate.r95_m:.1f} m"
+        log.info("%s", line)

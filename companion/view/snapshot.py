@@ -153,7 +153,6 @@ class FlightSnapshot:
     bad_frames: int
     stop_radius_m: float
     ages_s: Mapping[str, float | None]
-    """How long ago each input was last heard; None: never."""
     time_to_go_s: float | None = None
 
 

@@ -113,6 +113,7 @@ class WebProcess:
         listener.close()
         assert self._child.stdin is not None
         assert self._child.stdout is not None
+        self.process_id = self._child.pid
         self._down, self._up = self._child.stdin.fileno(), self._child.stdout.fileno()
         os.set_blocking(self._down, False)
         os.set_blocking(self._up, False)
@@ -122,11 +123,6 @@ class WebProcess:
         self._is_over = False
         self.dropped = 0
         """Pictures that the child was too slow for."""
-
-    @property
-    def process_id(self) -> int:
-        """Of the child."""
-        return self._child.pid
 
     def update(
         self, now_s: float, picture: Callable[[], Mapping[str, object]], *, may_send: bool = True

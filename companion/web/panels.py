@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from nicegui import ui
@@ -168,19 +168,17 @@ class AgeBars:
             label.set_text("not heard" if age_s is None else f"{age_s:.1f} of {limit_s:g} s")
 
 
-class EmitterList:
-    """Every emitter heard, and how far it is located."""
+class _ChangingLines:
+    """Lines of a panel, drawn anew only when they change; hidden while there are none."""
 
-    def __init__(self) -> None:
-        self._panel = _panel("Emitters")
-        with self._panel:
-            self._lines = ui.column().classes("gap-0").props("id=emitters")
-        self._panel.set_visibility(False)
-        self._shown: list[str] = []
+    def __init__(self, panel: ui.element, classes: str, name: str) -> None:
+        self._panel = panel
+        with panel:
+            self._lines = ui.column().classes(classes).props(f"id={name}")
+        panel.set_visibility(False)
+        self._shown: list[Any] = []
 
-    def show(self, picture: Json) -> None:
-        """Show a moment."""
-        lines = [_emitter_line(emitter) for emitter in picture.get("emitters", [])]
+    def _show(self, lines: list[Any], draw: Callable[[Any], object]) -> None:
         if lines == self._shown:
             return
         self._shown = lines
@@ -188,40 +186,44 @@ class EmitterList:
         self._lines.clear()
         with self._lines:
             for line in lines:
-                ui.label(line).classes("numbers")
+                draw(line)
 
 
-def _emitter_line(emitter: Json) -> str:
-    r95_m = emitter.get("r95_m")
-    known = "" if r95_m is None else f", R95 {r95_m:.1f} m"
-    return f"{emitter['name']}: {emitter['state']}{known}"
-
-
-class TextList:
-    """What was said to the operator, newest first."""
+class EmitterList(_ChangingLines):
+    """Every emitter heard, and how far it is located."""
 
     def __init__(self) -> None:
-        self._panel = _panel("Messages").classes("grows")
-        with self._panel:
-            self._lines = ui.column().classes("gap-0 texts text-sm numbers").props("id=texts")
-        self._panel.set_visibility(False)
-        self._shown: list[Any] = []
+        super().__init__(_panel("Emitters"), "gap-0", "emitters")
 
     def show(self, picture: Json) -> None:
         """Show a moment."""
-        texts = list(picture.get("texts", []))[-TEXTS_SHOWN:]
-        if texts == self._shown:
-            return
-        self._shown = texts
-        self._panel.set_visibility(bool(texts))
-        self._lines.clear()
-        with self._lines:
-            for time_s, severity, text in reversed(texts):
-                with ui.element("div").classes("row"):
-                    ui.label(f"{time_s:.1f} s")
-                    label = ui.label(text)
-                    if severity in SEVERITIES:
-                        label.style(f"color: var(--{severity})")
+        lines = []
+        for emitter in picture.get("emitters", []):
+            r95_m = emitter.get("r95_m")
+            known = "" if r95_m is None else f", R95 {r95_m:.1f} m"
+            lines.append(f"{emitter['name']}: {emitter['state']}{known}")
+        self._show(lines, lambda line: ui.label(line).classes("numbers"))
+
+
+class TextList(_ChangingLines):
+    """What was said to the operator, newest first."""
+
+    def __init__(self) -> None:
+        panel = _panel("Messages").classes("grows")
+        super().__init__(panel, "gap-0 texts text-sm numbers", "texts")
+
+    def show(self, picture: Json) -> None:
+        """Show a moment."""
+        self._show(list(picture.get("texts", []))[: -TEXTS_SHOWN - 1 : -1], self._draw)
+
+    @staticmethod
+    def _draw(line: tuple[float, str, str]) -> None:
+        time_s, severity, text = line
+        with ui.element("div").classes("row"):
+            ui.label(f"{time_s:.1f} s")
+            label = ui.label(text)
+            if severity in SEVERITIES:
+                label.style(f"color: var(--{severity})")
 
 
 CURVES = (
@@ -278,6 +280,8 @@ def _options(title: str, axis: str) -> dict[str, Any]:
     labels = {"fontSize": 10, "color": GREY, "hideOverlap": True}
     line = {"lineStyle": {"color": GREY}}
     faint = {"show": True, "lineStyle": {"color": GREY, "opacity": 0.25}}
+    lines = {"axisLine": line, "splitLine": faint}
+    curve = {"type": "line", "showSymbol": False, "color": LINE, "lineStyle": {"width": 1.5}}
     return {
         "title": {"text": title, "textStyle": {"fontSize": 12, "color": GREY}, "top": 0, "left": 0},
         "grid": {"left": 38, "right": 14, "top": 22, "bottom": 32},
@@ -290,40 +294,20 @@ def _options(title: str, axis: str) -> dict[str, Any]:
             "nameLocation": "middle",
             "nameGap": 18,
             "nameTextStyle": {"fontSize": 10, "color": GREY},
-            "axisLine": line,
             "axisLabel": {**labels, "showMinLabel": False, "showMaxLabel": False},
-            "splitLine": faint,
+            **lines,
         },
-        "yAxis": {
-            "type": axis,
-            "scale": True,
-            "splitNumber": 3,
-            "axisLine": line,
-            "axisLabel": labels,
-            "splitLine": faint,
-        },
-        "series": [
-            {
-                "type": "line",
-                "showSymbol": False,
-                "color": LINE,
-                "lineStyle": {"width": 1.5},
-                "data": [],
-            }
-        ],
+        "yAxis": {"type": axis, "scale": True, "splitNumber": 3, "axisLabel": labels, **lines},
+        "series": [{**curve, "data": []}],
     }
 
 
 def _level(value: float, name: str) -> dict[str, Any]:
+    colour = {"color": "#c2570c"}
     return {
         "silent": True,
         "symbol": "none",
-        "lineStyle": {"color": "#c2570c"},
-        "label": {
-            "formatter": name,
-            "position": "insideEndTop",
-            "fontSize": 10,
-            "color": "#c2570c",
-        },
+        "lineStyle": colour,
+        "label": {"formatter": name, "position": "insideEndTop", "fontSize": 10, **colour},
         "data": [{"yAxis": value}],
     }

@@ -228,20 +228,16 @@ def robust_update(
     """One measurement of up to three rows, each with the weight of its own innovation.
 
     Args:
-        mean: (n,).
-        P: (n, n).
-        sensor_enu_m: (3,).
-        z: (3,) range, bearing, elevation; NaN where not measured.
-        sigma: (3,) noise of the radio.
+        z: (3,) range, bearing, elevation; NaN where not measured. `sigma`: (3,) noise of the radio.
         late_m2: Variance per axis that the target gained since the measurement was taken.
         inflation: (3,) factors on the variances.
         thresholds: (3, 2) long and short threshold of each modality, in sigma; inf: none.
         bounds: (2, n) lower and upper bounds of the state.
 
     Returns:
-        Mean, covariance, report (3, 7) with the fields of `ModalityReport` in their order, the
-        row's share of the NIS, and NaN rows where nothing was measured, and whether the covariance
-        is positive definite; where it is not, mean and covariance are those given.
+        Mean (n,), covariance (n, n), report (3, 7) with the fields of `ModalityReport` in their
+        order, the row's share of the NIS, and NaN rows where nothing was measured, and whether the
+        covariance is positive definite; where it is not, mean and covariance are those given.
     """
     H = jacobian(mean, sensor_enu_m, model)
     y = innovations(z, mean, sensor_enu_m, model)

@@ -4,19 +4,15 @@ Theory of operation. A walk makes residuals larger, and the noise that the run h
 with them, so that every test of their size stays in its band. But it also gives them an order. The
 measurements of the last seconds are fitted twice: by a target that lies still, and by one that
 walks evenly, whose partials by the velocity are those by the place times the age. The velocity v
-is judged by the sandwich covariance of the second fit, in which whatever the walk explains is no
-noise any more:
+is judged by the sandwich covariance C of the second fit, in which whatever the walk explains is no
+noise any more: v^T C^-1 v is chi-square with 2 degrees of freedom, if the target lies still. The
+more careful of the white and the correlated covariance counts, because a reflection that comes and
+goes with the place is correlated; and the fall of the cost must say the same, because a fit that
+ended in another valley does not lower it.
 
-    v^T C^-1 v  ~  chi-square with 2 degrees of freedom, if the target lies still.
-
-The more careful of the white and the correlated covariance counts, because a reflection that comes
-and goes with the place is correlated; and the fall of the cost must say the same, because a fit
-that ended in another valley does not lower it.
-
-The estimate stays as it is, and the operator is told. A reflection that changes with the place of
-the vehicle, behind a building for example, looks the same from one side: no threshold parts the two
-(flights behind the block of `obstacle.yaml` reach 188, walks of 0.3 m/s 120 to 140), and a target
-that lies still must be reported.
+The estimate stays as it is, and the operator is told: a reflection that changes with the vehicle's
+place, behind a building for example, looks the same from one side, and no threshold parts the two
+(flights behind the block of `obstacle.yaml` reach 188, walks of 0.3 m/s 120 to 140).
 
 Source: P. J. Huber, Robust Statistics (1981), chapter 6, for the sandwich; the statistic is Wald's.
 """

@@ -161,7 +161,6 @@ class AdaptiveRangeNoise:
     params: AdaptationParams
     prior: RangeNoise
     noise: RangeNoise
-    """The present estimate."""
     learnt: RangeSums = RangeSums()
     """What the measurements said, without the prior."""
 
@@ -195,7 +194,6 @@ class AdaptiveBearingNoise:
     params: AdaptationParams
     prior: BearingNoise
     noise: BearingNoise
-    """The present estimate."""
     count: float = 0.0
     wide: float = 0.0
     """Expected number of bearings of the wide normal."""

@@ -1,9 +1,8 @@
 """Do ranges come in metres? Own motion tells, wherever the target is.
 
-Theory of operation. A range in the wrong unit is a plausible number: 60 m become 0.6. It gives
-itself away when the vehicle moves, because ranges must change as the distance to *some* place does.
-So the ranges of the last seconds are explained twice: in metres, and in each larger unit that is
-confused with metres,
+Theory of operation. A range in the wrong unit is a plausible number: 60 m become 0.6. But ranges
+must change as the distance to *some* place does when the vehicle moves. So the ranges of the last
+seconds are explained twice: in metres, and in each larger unit that is confused with metres,
 
     z_i = factor (|p - s_i| + offset) + e_i
 
@@ -11,10 +10,9 @@ with the place p anywhere within the radio's reach. What counts is how little is
 (n / 2) log var(e) in the radio's own numbers, and the offset beside its prior; long ranges are
 reflections, so that an offset may be long for nothing. The number of measurements is that of
 independent ones. No noise is assumed: a unit that explains ranges to a centimetre while metres
-leave a metre is the right one, whatever the radio is configured as. And no estimate is involved,
-which might have been made from the same wrong numbers. A factor is believed when it is a thousand
-times as probable, and until metres are more probable again. Hovering tells neither, unless ranges
-are shorter than the vehicle is high.
+leave a metre is the right one. And no estimate is involved, which might have been made from the
+same wrong numbers. A factor is believed when it is a thousand times as probable, and until metres
+are more probable again. Hovering tells neither, unless ranges are shorter than the vehicle is high.
 
 In a smaller unit the ranges, noise included, become absurdly long or scatter by hundreds of metres,
 which no reflection does. Nothing is flown on such ranges, whatever their unit may be.
@@ -130,7 +128,11 @@ class UnitCheck:
 
     def __init__(self, params: FilterParams, max_range_m: float) -> None:
         self._params = params
-        self._around_m = _rings_m(max_range_m)
+        angles = 2.0 * math.pi * np.arange(DIRECTIONS) / DIRECTIONS
+        around = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        rings = np.geomspace(NEAREST_M, max_range_m, RINGS)[:, None, None] * around
+        self._around_m: Matrix = rings.reshape(-1, 2)
+        """Where places are looked for around the vehicle, (places, 2), relative to it."""
         self._samples: deque[tuple[float, float, PositionEnu]] = deque(maxlen=MAX_COUNT)
         self._since = 0
         self._rejected_s = 0.0
@@ -183,17 +185,14 @@ class UnitCheck:
             _clipped(raw_m, middle_m), np.array([place for _, _, place in self._samples])
         )
         if not self.is_rejected:
-            self._suspect(window, middle_m, now_s)
+            factor, log_ratio = self._likeliest(window, FACTORS, REJECT_LOG_RATIO)
+            if log_ratio >= REJECT_LOG_RATIO:
+                self.factor = factor
+            self.is_wild = _is_wild(window)
+            self._rejected_s, self._rejected_m = now_s, middle_m
         elif self._samples[0][0] > self._rejected_s:
             self._reconsider(window, middle_m)
         self.is_rejected = self.factor is not None or self.is_wild
-
-    def _suspect(self, window: _Window, middle_m: float, now_s: float) -> None:
-        factor, log_ratio = self._likeliest(window, FACTORS, REJECT_LOG_RATIO)
-        if log_ratio >= REJECT_LOG_RATIO:
-            self.factor = factor
-        self.is_wild = _is_wild(window)
-        self._rejected_s, self._rejected_m = now_s, middle_m
 
     def _reconsider(self, window: _Window, middle_m: float) -> None:
         """Use ranges again by evidence: metres are likelier, or the numbers of another size."""
@@ -254,12 +253,11 @@ class UnitCheck:
     def _costs(self, tried: _Moments, factor: float, count: float) -> Vector:
         """Minus the log-likelihood of a factor at each of the places."""
         residual2 = tried.residual2(factor) / tried.count
-        cost = 0.5 * count * np.log(residual2 + LEAST_NOISE_M**2)
+        cost: Vector = 0.5 * count * np.log(residual2 + LEAST_NOISE_M**2)
         cost += self._offset_cost(tried.range_m / factor - tried.distance_m)
         if factor != 1.0:
             cost[np.sqrt(residual2) / factor > MOST_NOISE_M] = math.inf
-        costs: Vector = cost
-        return costs
+        return cost
 
     def _offset_cost(self, offset_m: Vector) -> Vector:
         """Minus the log-prior of range offsets, reflections included."""
@@ -271,15 +269,6 @@ class UnitCheck:
         above = np.maximum(offset_m - high_m - FREE_EXCESS_M, 0.0) / p.range_offset_sigma_m
         cost: Vector = 0.5 * (below**2 + above**2)
         return cost
-
-
-def _rings_m(max_range_m: float) -> Matrix:
-    """Where places are looked for around the vehicle, (places, 2), relative to it."""
-    angles = 2.0 * math.pi * np.arange(DIRECTIONS) / DIRECTIONS
-    around = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    rings = np.geomspace(NEAREST_M, max_range_m, RINGS)[:, None, None] * around
-    flat: Matrix = rings.reshape(-1, 2)
-    return flat
 
 
 def _is_wild(window: _Window) -> bool:

@@ -216,9 +216,7 @@ class WindowOptimizer:
         self._filter_params = filter_params
         self._params = params
         self.window = MeasurementWindow(params.size)
-        """The measurements held."""
         self.map = WindowMap(filter_params)
-        """What solves the window."""
         self._older = OlderEvidence.none(self.map.size)
         self.latest: deque[Row] = deque(maxlen=CONTRADICTION_COUNT)
         """The measurements of late, those included that were no part of the window."""
@@ -314,10 +312,13 @@ class WindowOptimizer:
         if not optima:
             return tuple(replace(h, least_covariance_m2=VAGUE_COVARIANCE_M2) for h in hypotheses)
         self.noise = optima[0].noise
-        return tuple(
-            _hypothesis_at(optimum, log_weight, hypotheses[0].state.time_s, is_white)
-            for log_weight, optimum in weigh_optima(optima)
-        )
+        following = []
+        for log_weight, optimum in weigh_optima(optima):
+            state = FilterState.of(hypotheses[0].state.time_s, optimum.mean, optimum.covariance)
+            # where residuals repeat each other, so does the filter until the next solution
+            least = None if is_white else np.array(optimum.covariance[:2, :2])
+            following.append(Hypothesis(log_weight, state, least))
+        return tuple(following)
 
     def observability(self, mean: Vector) -> Observability | None:
         """What the window can tell about a target at `mean`; None before the first measurement."""
@@ -373,15 +374,3 @@ class WindowOptimizer:
         difference = alone[0].mean[:2] - best.mean[:2]
         spread = alone[0].covariance[:2, :2]
         return float(difference @ np.linalg.solve(spread, difference)) > CONTRADICTED_DISTANCE2
-
-
-def _hypothesis_at(
-    optimum: Optimum, log_weight: float, time_s: float, is_white: bool
-) -> Hypothesis:
-    """The hypothesis that an optimum becomes.
-
-    Where residuals repeat each other, the filter only repeats itself until the next solution.
-    """
-    state = FilterState.of(time_s, optimum.mean, optimum.covariance)
-    least = None if is_white else np.array(optimum.covariance[:2, :2])
-    return Hypothesis(log_weight, state, least)

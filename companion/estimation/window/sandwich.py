@@ -215,11 +215,7 @@ def correlated_variability(scores: Scores) -> Matrix:
 
 
 def covariance_of(A: Matrix, B: Matrix) -> Matrix:
-    """A^-1 B A^-1, symmetric positive definite.
-
-    Raises:
-        numpy.linalg.LinAlgError: The measurements name no place.
-    """
+    """A^-1 B A^-1, symmetric positive definite; a `LinAlgError` where no place is named by it."""
     A_inverse = np.linalg.inv(A)
     covariance = A_inverse @ (B + DEFINITE_SHARE * A) @ A_inverse
     covariance = 0.5 * (covariance + covariance.T)

@@ -32,6 +32,8 @@ BLIND_S = 10.0
 CLIMBED_SHARE = 0.9
 TOP_M = 1.0
 """So far below its altitude PX4's takeoff may end (NAV_MC_ALT_RAD, 0.8 m, and noise)."""
+PX4_MODES = frozenset({FlightMode.HOLD, FlightMode.TAKEOFF, FlightMode.READY})
+"""What an armed PX4 shows if nobody interferes; ArduPilot's hold is somebody's choice."""
 LIFTED_M, LIFT_S = 1.0, 8.0
 """So high it is within so long, if a take-off that was refused when repeated has begun."""
 
@@ -179,7 +181,11 @@ class Launch:
             if self.stage is Stage.TAKE_OFF:
                 self._takeoff = event
             self._enter(following, event.time_s)
-        elif self._may_have_taken_off(event):
+        elif (
+            self.stage is Stage.TAKE_OFF
+            and event.outcome is Outcome.REJECTED
+            and (event.is_repeated or self._unanswered > 0)
+        ):  # an earlier answer may be lost, and what is refused has begun
             self._refused = what
             self._enter(Stage.CLIMB, event.time_s)
         elif self._may_ask_again(event):
@@ -187,11 +193,6 @@ class Launch:
             self._retry_s = event.time_s + ARM_RETRY_S
         else:
             self.failure = what
-
-    def _may_have_taken_off(self, event: RequestAnswered) -> bool:
-        """Whether the answer to an earlier sending may be lost, and what is refused has begun."""
-        is_refused = self.stage is Stage.TAKE_OFF and event.outcome is Outcome.REJECTED
-        return is_refused and (event.is_repeated or self._unanswered > 0)
 
     def _may_ask_again(self, event: RequestAnswered) -> bool:
         """Not ready yet is no reason to give up, and neither is a link that lost an answer."""
@@ -216,8 +217,8 @@ class Launch:
             self.failure = f"the vehicle is being flown already, in {name}"
         if self.failure is not None:
             return []
-        self._modes = _modes_on_the_way(heartbeat.autopilot)
         self._needs_prestream = heartbeat.autopilot is not Autopilot.ARDUPILOT
+        self._modes = PX4_MODES if self._needs_prestream else frozenset({FlightMode.OFFBOARD})
         if heartbeat.is_ready and view.has_origin:
             self._enter(Stage.MODE if self._launch_mode(heartbeat) else Stage.ARM, view.now_s)
         elif view.now_s - self._since_s > READY_TIMEOUT_S:
@@ -275,13 +276,3 @@ def _is_after(
     if earlier.order is None or heartbeat.order is None:
         return isinstance(earlier, HeartbeatReceived)
     return heartbeat.order > earlier.order
-
-
-def _modes_on_the_way(autopilot: Autopilot) -> frozenset[FlightMode]:
-    """Modes that an armed vehicle shows if nobody interferes.
-
-    ArduPilot is launched in GUIDED from the start, so its hold mode is somebody's choice.
-    """
-    if autopilot is Autopilot.ARDUPILOT:
-        return frozenset({FlightMode.OFFBOARD})
-    return frozenset({FlightMode.HOLD, FlightMode.TAKEOFF, FlightMode.READY})

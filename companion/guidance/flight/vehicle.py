@@ -280,9 +280,7 @@ class VehicleView:
 
         ArduPilot ignores them on the ground, and one during its take-off would end the climb.
         """
-        if self.heartbeat is None or self.heartbeat.autopilot is not Autopilot.ARDUPILOT:
-            return True
-        return self.landed is LandedState.IN_AIR
+        return self.autopilot is not Autopilot.ARDUPILOT or self.landed is LandedState.IN_AIR
 
     @property
     def wants_prestream(self) -> bool:
@@ -311,10 +309,6 @@ class VehicleView:
     def is_mode_known(self, now_s: float) -> bool:
         """Whether the mode last shown still says who flies."""
         return self.mode_watch.is_known(now_s)
-
-    def wants_mode(self, now_s: float) -> bool:
-        """Whether to ask for a HEARTBEAT now instead of waiting for the next one."""
-        return self.mode_watch.is_in_doubt and not self.is_link_lost(now_s)
 
     def is_usable(self, now_s: float) -> bool:
         """Whether it can be guided at all: heard, positioned, with a home."""

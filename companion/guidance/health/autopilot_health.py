@@ -8,12 +8,10 @@ only once in a flight: who takes it again after that knows, and it then stays wh
 
 An autopilot that doubts its position flies our setpoints to the wrong place, and the ranging is
 placed wrongly too. So the vehicle stays where it is as soon as that is known, and is handed back
-when it lasts: the autopilot knows better than we what it can still do. A failsafe that is raised in
-flight while the mode stays ours has a cause that we do not see: it is held on, unless a low battery
-explains it.
+when it lasts. A failsafe that is raised in flight while the mode stays ours has a cause that we do
+not see: it is held on, unless a low battery explains it.
 
-Source: PX4 user guide, "ECL/EKF", innovation test ratios; ArduPilot `ekf_check.cpp`, FS_EKF_THRESH
-0.8.
+Source: PX4 user guide, "ECL/EKF"; ArduPilot `ekf_check.cpp`, FS_EKF_THRESH 0.8.
 """
 
 from __future__ import annotations
@@ -46,7 +44,12 @@ class BatteryWatch(Watch):
         """Take in what concerns the battery."""
         match event:
             case events.BatteryReported():
-                self._note_report(event)
+                self.charge_pct = event.charge_pct
+                level = max(self._level_of(event.charge_pct), event.level)
+                self._agreed = self._agreed + 1 if level is self._candidate else 1
+                self._candidate = level
+                if self._agreed >= CONFIRMED_BY:
+                    self.level = level
             case events.Retuned(tuning=tuning):
                 self.aim(tuning.params.battery_low_pct, tuning.params.battery_critical_pct)
             case events.AutopilotRestarted():
@@ -64,14 +67,6 @@ class BatteryWatch(Watch):
         """Other charges from the next reports on; two of them must agree again."""
         self._low_pct, self._critical_pct = low_pct, critical_pct
         self._agreed = 0
-
-    def _note_report(self, event: events.BatteryReported) -> None:
-        self.charge_pct = event.charge_pct
-        level = max(self._level_of(event.charge_pct), event.level)
-        self._agreed = self._agreed + 1 if level is self._candidate else 1
-        self._candidate = level
-        if self._agreed >= CONFIRMED_BY:
-            self.level = level
 
     @property
     def ends_mission(self) -> bool:

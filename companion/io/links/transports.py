@@ -113,13 +113,10 @@ _EXAMPLES = {
 
 
 def parse_transport(text: str) -> Transport:
-    """The transport that an address in `text` means.
+    """The transport that an address in `text` means; a `ConfigError` shows a right one.
 
     That is `udp:`, `udpin:`, `udpout:`, `tcp:`, `tcpout:` or `tcpin:` with `HOST:PORT`,
     `serial:DEVICE[:BAUD]`, `pty:PATH` or a bare `/dev/...`; `kind://` is read as `kind:`.
-
-    Raises:
-        ConfigError: It is none of these; the message shows a right one.
     """
     stripped = text.strip()
     if stripped.startswith("/dev/"):
@@ -244,13 +241,10 @@ def is_exposed(transport: Transport) -> bool:
 def check_exposure(
     links: Sequence[FlightLink], *, has_key: bool, unsigned_ranging: bool = False
 ) -> None:
-    """Refuse to listen beyond this machine without proof of who speaks.
+    """Refuse, by a `ConfigError`, to listen beyond this machine without proof of who speaks.
 
     MAVLink without signing obeys whoever sends to the port (CVE-2026-1579 is PX4's name for it).
     Only ranging links may be `unsigned_ranging`.
-
-    Raises:
-        ConfigError: One of the links is open to all.
     """
     for link in links:
         may_be_unsigned = unsigned_ranging and link.spec.role is not LinkRole.VEHICLE

@@ -126,7 +126,9 @@ class UdpLink(Link):
 
     def _start(self) -> None:
         """Open the socket; an `OSError` if it cannot be attached to its address."""
-        opened = _new_socket()
+        opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        opened.setblocking(False)
+        opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)  # as far as allowed
         try:
             self._attach(opened)
         except OSError:
@@ -287,13 +289,6 @@ class UdpConnectLink(UdpLink):
     def send(self, chunk: Chunk) -> None:
         """Send to the remote, whatever peer the chunk names: there is only one."""
         self._send_to(chunk.data, None)
-
-
-def _new_socket() -> socket.socket:
-    new = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    new.setblocking(False)
-    new.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)  # as far as allowed
-    return new
 
 
 async def resolve(name: str, host: str, port: int) -> Address:

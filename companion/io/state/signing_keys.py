@@ -43,9 +43,8 @@ MAX_KEY_FILE_BYTES = 4096
 def load_signing_key(path: Path) -> SigningKey:
     """The key in a file of 64 hexadecimal digits that only its owner may read.
 
-    Raises:
-        ConfigError: The file is missing, open to others (mode beyond 0600), or holds no key; the
-            message never quotes the content.
+    A `ConfigError`, which never quotes the content, if the file is missing, open to others (mode
+    beyond 0600), or holds no key.
     """
     try:
         with path.open("rb") as file:

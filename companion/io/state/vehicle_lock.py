@@ -55,10 +55,8 @@ class VehicleLock:
     """Held from construction to `release`, or to the end of the process.
 
     `link` is the vehicle link's address in its canonical spelling, and `place` what it means, see
-    `place_of`; without a system id it is for whichever vehicle is heard first.
-
-    Raises:
-        LinkError: Another companion has the vehicle.
+    `place_of`; without a system id it is for whichever vehicle is heard first. A `LinkError` if
+    another companion has the vehicle.
     """
 
     def __init__(
@@ -96,8 +94,10 @@ class VehicleLock:
         try:
             fcntl.flock(descriptor, kind | fcntl.LOCK_NB)
         except BlockingIOError:
+            number = os.pread(descriptor, 32, 0).decode("ascii", errors="replace").strip()
+            holder = f"process {number}" if number.isdigit() else "of another process"
             raise LinkError(
-                f"{link}: another companion ({_holder(descriptor)}) has this vehicle; stop it, or "
+                f"{link}: another companion ({holder}) has this vehicle; stop it, or "
                 "choose another link or vehicle.system_id"
             ) from None
         with suppress(OSError):  # only for the message of whoever comes next
@@ -138,8 +138,3 @@ def lock_name(link: str) -> str:
     """A file name for a link: readable, and different for different links."""
     readable = re.sub(r"[^A-Za-z0-9.]+", "-", link).strip("-")[:60]
     return f"{readable}-{hashlib.sha256(link.encode()).hexdigest()[:8]}"
-
-
-def _holder(descriptor: int) -> str:
-    text = os.pread(descriptor, 32, 0).decode("ascii", errors="replace").strip()
-    return f"process {text}" if text.isdigit() else "of another process"
