@@ -26,7 +26,7 @@ MAX_TICK_S = 0.2
 
 @dataclass(frozen=True, slots=True)
 class Envelope:
-    """Limits of motion, and of height above home; a `ValueError` begins with the wrong one's name."""
+    """Limits of motion, and of height above home; a `ValueError` names the wrong one first."""
 
     altitude_min_m: float
     altitude_max_m: float
