@@ -126,7 +126,7 @@ def update_hypotheses(
     told: Inflation,
     shown: Inflation,
 ) -> BankUpdate:
-    """All hypotheses after a measurement, its bearing in ENU, at the place of the antenna then.
+    """All hypotheses after a measurement, its bearing in ENU, made at `sensor_enu_m`.
 
     The filter is `told` an inflation; what the run has `shown` is what the gate goes by.
     """

@@ -121,7 +121,7 @@ class TargetTracker:
     def fuse(
         self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu | None, now_s: float
     ) -> FusionReport:
-        """Take in one measurement, its bearing in ENU; None: nobody knows where the antenna was."""
+        """Take in one measurement, its bearing in ENU, from the antenna's place (None: unknown)."""
         if self.emitter_id not in (None, measurement.emitter_id):
             return self.reject(RejectReason.OTHER_EMITTER)
         reason = self._screen.admit(measurement, sensor_enu_m, now_s)
@@ -214,8 +214,8 @@ class TargetTracker:
     def optimize(self, fresh_starts: int | None = None) -> None:
         """Check the hypotheses against the window, and let its optima correct them.
 
-        From every direction it starts with `params.window.starts` besides the hypotheses; None:
-        with as many as the evidence calls for.
+        `fresh_starts` is how many starts there are besides them: `params.window.starts` are from
+        every direction, and None are as many as the evidence calls for.
         """
         self.hypotheses = self._optimizer.optimize(
             self.hypotheses,
@@ -262,7 +262,7 @@ class TargetTracker:
         return belief_of(self.hypotheses, self.emitter_id, self.accepted)
 
     def resume(self, belief: Belief, age_s: float, now_s: float) -> str | None:
-        """Begin again from what was believed `age_s` ago, with doubt; or why not, and as before."""
+        """Begin again, with doubt, from what was believed; or say why not, and change nothing."""
         params = self._filter.params
         problem = belief.problem(len(params.prior[0]))
         if problem is not None:

@@ -228,7 +228,8 @@ def robust_update(
     """One measurement of up to three rows, each with the weight of its own innovation.
 
     Args:
-        z: (3,) range, bearing, elevation; NaN where not measured. `sigma`: (3,) noise of the radio.
+        z: (3,) range, bearing, elevation; NaN where not measured.
+        sigma: (3,) noise of the radio.
         late_m2: Variance per axis that the target gained since the measurement was taken.
         inflation: (3,) factors on the variances.
         thresholds: (3, 2) long and short threshold of each modality, in sigma; inf: none.

@@ -119,9 +119,10 @@ def one_sided_huber_variance(knot: float, k: float, nlos_share: float) -> tuple[
 
     Residuals' influence is cut off at `knot`. The location settles at the mean of min(u, knot),
     which is what the filter's range offset takes up. The result is the number of measurements times
-    the variance, and the threshold knot - location. The moments of (knot - u)+ follow from those of
-    u and of (u - knot)+; for a reflection the second moment of the latter is the normal's plus 2 /
-    k times its first.
+    the variance, and the threshold knot - location.
+
+    The moments of (knot - u)+ follow from those of u and of (u - knot)+; for a reflection the
+    second moment of the latter is the normal's plus 2 / k times its first.
     """
     t, p = knot, nlos_share
     over = mean_map_bias(t, k, p)

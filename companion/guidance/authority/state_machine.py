@@ -24,11 +24,14 @@ operator gave it that mode; everything else is either getting there or staying o
                Then YIELD, and STOPPED if that was wanted.
     STOPPED    the process may end.
 
-Got: only by MODE_GIVEN, when all that `Handover` asks for holds; in auto, `Launch` leads up to it.
+Got: only by MODE_GIVEN, when a HEARTBEAT shows offboard and armed, `Authority` holds that the
+operator gave it, the mode is known to be of the present (`ModeWatch`), the fence is ready and
+nobody else sends under our ids; `Handover` asks all of these. In auto, `Launch` leads up to it.
 Kept: at every tick `ControlTick` asks the `Watches` for the worst that is wrong: SLOW (DEGRADED),
 HOLD, HAND_BACK or GIVE_WAY; nothing wrong is NORMAL.
-Lost: by what the autopilot shows, by a verdict, by a stop, or by the report. Every way but a
-disarming latches: `Authority` says what counts as given after that.
+Lost: by what the autopilot shows (MODE_LOST, LANDED, DISARMED, RESTARTED: `Handover`), by a verdict
+(GIVE_UP, GIVE_WAY), by a stop, or by the report. Every way but a disarming latches: `Authority`
+says what counts as given after that.
 
 Three rules stand above the table: a lost mode is never asked for again; what was asked and not
 answered is withdrawn when control ends; and a setpoint leaves only in STREAMING phases, from the
