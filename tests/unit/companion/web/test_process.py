@@ -15,8 +15,8 @@ from companion.web.live_map import WebProcess, announced_url, listening_socket
 from companion.web.settings import web_settings
 
 WHOLE = (
-    '{"fd": FD, "host": "127.0.0.1", "token": null, "is_control_on": false, '
-    '"is_view_open": false, "tiles": null, "scene": {}}\n'
+    '{"fd": FD, "scene": {}, "settings": {"host": "127.0.0.1", "token": null, '
+    '"is_control_on": false, "is_view_open": false, "tiles": null}}\n'
 )
 """What the page's process is told first."""
 
