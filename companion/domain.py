@@ -17,6 +17,7 @@ from typing import Annotated
 
 import msgspec
 
+from companion.geometry.coordinates import Projection
 from companion.geometry.polygons import Point as Point
 
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
@@ -146,6 +147,14 @@ class Autopilot(Enum):
     PX4 = "PX4"
     ARDUPILOT = "ArduPilot"
     OTHER = "unknown autopilot"
+
+    @property
+    def projection(self) -> Projection:
+        """How its local frame lies on the Earth; observed on PX4 1.15.2 and ArduCopter 4.5.7."""
+        return PROJECTIONS.get(self, Projection.ELLIPSOID)
+
+
+PROJECTIONS = {Autopilot.PX4: Projection.SPHERE, Autopilot.ARDUPILOT: Projection.FLAT}
 
 
 class FlightMode(Enum):

@@ -7,7 +7,8 @@ wire. Converters read target-from-source.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from enum import Enum
 
 import pymap3d
 
@@ -42,19 +43,51 @@ def bearing_ned_from_enu(bearing_enu_rad: float) -> float:
     return wrap_pi(math.pi / 2.0 - bearing_enu_rad)
 
 
+class Projection(Enum):
+    """How an autopilot lays its flat local frame on the Earth: each has a way of its own."""
+
+    ELLIPSOID = "tangential plane of the WGS84 ellipsoid"
+    """Of nobody we know; what is right as long as nothing else is known."""
+    SPHERE = "azimuthal equidistant on a sphere"
+    """PX4: `lib/geo`, MapProjection. 0.3 % from the ellipsoid: 0.36 m at 124 m."""
+    FLAT = "degrees scaled by the middle latitude"
+    """ArduPilot: `AP_Common/Location`, offset and get_distance_NE."""
+
+
 @dataclass(frozen=True, slots=True)
 class LocalOrigin:
-    """Where local east, north and up are zero: the autopilot's EKF origin (not its home)."""
+    """Where local east, north and up are zero: the autopilot's EKF origin (not its home).
+
+    It turns places as the autopilot does, by its projection, and height is height: a local frame of
+    an autopilot does not curve down with the Earth.
+    """
 
     latitude_deg: float
     longitude_deg: float
     altitude_m: float
     """Above mean sea level, as MAVLink reports it."""
+    projection: Projection = Projection.ELLIPSOID
+    offset_enu_m: Triple = (0.0, 0.0, 0.0)
+    scale_en: tuple[float, float] = (1.0, 1.0)
+    """What its own pairs of local and global positions show beyond that: local is scale times
+    projected, plus the offset."""
+
+    def zero_of(self, other: LocalOrigin) -> Triple:
+        """Where another origin was told to be, about where this one was: fits move no frame."""
+        plain = replace(self, offset_enu_m=(0.0, 0.0, 0.0), scale_en=(1.0, 1.0))
+        return plain.enu_from_geodetic(other.latitude_deg, other.longitude_deg, other.altitude_m)
 
     def geodetic_from_enu(self, enu_m: Triple) -> Triple:
         """Latitude and longitude in degrees and altitude in metres of a local point."""
+        (east, north, up), (de, dn, du) = enu_m, self.offset_enu_m
+        place = ((east - de) / self.scale_en[0], (north - dn) / self.scale_en[1], up - du)
+        match self.projection:
+            case Projection.SPHERE:
+                return _sphere_geodetic(self, place)
+            case Projection.FLAT:
+                return _flat_geodetic(self, place)
         lat, lon, alt = pymap3d.enu2geodetic(
-            *enu_m, self.latitude_deg, self.longitude_deg, self.altitude_m
+            *place, self.latitude_deg, self.longitude_deg, self.altitude_m
         )
         return (float(lat), float(lon), float(alt))
 
@@ -62,12 +95,79 @@ class LocalOrigin:
         self, latitude_deg: float, longitude_deg: float, altitude_m: float
     ) -> Triple:
         """Local east, north and up in metres of a geodetic point."""
-        east, north, up = pymap3d.geodetic2enu(
-            latitude_deg,
-            longitude_deg,
-            altitude_m,
-            self.latitude_deg,
-            self.longitude_deg,
-            self.altitude_m,
-        )
-        return (float(east), float(north), float(up))
+        place = (latitude_deg, longitude_deg, altitude_m)
+        match self.projection:
+            case Projection.SPHERE:
+                east, north, up = _sphere_enu(self, place)
+            case Projection.FLAT:
+                east, north, up = _flat_enu(self, place)
+            case _:
+                east, north, up = map(
+                    float,
+                    pymap3d.geodetic2enu(
+                        *place, self.latitude_deg, self.longitude_deg, self.altitude_m
+                    ),
+                )
+        de, dn, du = self.offset_enu_m
+        return (self.scale_en[0] * east + de, self.scale_en[1] * north + dn, up + du)
+
+
+SPHERE_M = 6_371_000.0
+"""PX4: CONSTANTS_RADIUS_OF_EARTH."""
+METRES_PER_DEGREE = 0.011131884502145034 * 1e7
+"""ArduPilot: LOCATION_SCALING_FACTOR, of 1e-7 degrees."""
+LEAST_COSINE = 0.01
+
+
+def _sphere_enu(origin: LocalOrigin, place: Triple) -> Triple:
+    lat0, lat = math.radians(origin.latitude_deg), math.radians(place[0])
+    east_rad = math.radians(place[1] - origin.longitude_deg)
+    cosine = math.sin(lat0) * math.sin(lat) + math.cos(lat0) * math.cos(lat) * math.cos(east_rad)
+    # Near the origin the arc cosine is blunt; the haversine is the same angle and sharp.
+    half = math.sin((lat - lat0) / 2.0) ** 2
+    half += math.cos(lat0) * math.cos(lat) * math.sin(east_rad / 2.0) ** 2
+    angle = 2.0 * math.asin(min(1.0, math.sqrt(half))) if half < 0.5 else math.acos(cosine)
+    stretch = SPHERE_M * (angle / math.sin(angle) if angle > 0.0 else 1.0)
+    north = math.cos(lat0) * math.sin(lat) - math.sin(lat0) * math.cos(lat) * math.cos(east_rad)
+    east = math.cos(lat) * math.sin(east_rad)
+    return (stretch * east, stretch * north, place[2] - origin.altitude_m)
+
+
+def _sphere_geodetic(origin: LocalOrigin, place: Triple) -> Triple:
+    east, north, up = place
+    x, y = north / SPHERE_M, east / SPHERE_M
+    angle = math.hypot(x, y)
+    altitude_m = origin.altitude_m + up
+    if angle == 0.0:
+        return (origin.latitude_deg, origin.longitude_deg, altitude_m)
+    lat0 = math.radians(origin.latitude_deg)
+    sine, cosine = math.sin(angle), math.cos(angle)
+    lat = math.asin(cosine * math.sin(lat0) + x * sine * math.cos(lat0) / angle)
+    east_rad = math.atan2(y * sine, angle * math.cos(lat0) * cosine - x * math.sin(lat0) * sine)
+    return (math.degrees(lat), _wrapped_deg(origin, math.degrees(east_rad)), altitude_m)
+
+
+def _flat_enu(origin: LocalOrigin, place: Triple) -> Triple:
+    east_deg = math.remainder(place[1] - origin.longitude_deg, 360.0)
+    north = (place[0] - origin.latitude_deg) * METRES_PER_DEGREE
+    east = east_deg * METRES_PER_DEGREE * _cosine((place[0] + origin.latitude_deg) / 2.0)
+    return (east, north, place[2] - origin.altitude_m)
+
+
+def _flat_geodetic(origin: LocalOrigin, place: Triple) -> Triple:
+    east, north, up = place
+    north_deg = north / METRES_PER_DEGREE
+    east_deg = east / METRES_PER_DEGREE / _cosine(origin.latitude_deg + north_deg / 2.0)
+    latitude_deg = origin.latitude_deg + north_deg
+    return (latitude_deg, _wrapped_deg(origin, east_deg), origin.altitude_m + up)
+
+
+def _cosine(latitude_deg: float) -> float:
+    return max(LEAST_COSINE, math.cos(math.radians(latitude_deg)))
+
+
+def _wrapped_deg(origin: LocalOrigin, east_deg: float) -> float:
+    """Longitude so far east of the origin; as the origin's own where nothing wraps."""
+    longitude_deg = origin.longitude_deg + east_deg
+    is_inside = -180.0 <= longitude_deg <= 180.0
+    return longitude_deg if is_inside else math.remainder(longitude_deg, 360.0)

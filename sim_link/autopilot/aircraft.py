@@ -29,7 +29,7 @@ from sim_link.autopilot.protocols.plan_items import (
     RELATIVE_FRAMES,
     PlanItem,
 )
-from sim_link.autopilot.scenario import BatteryParams, Scenario
+from sim_link.autopilot.scenario import PROJECTION_OF, BatteryParams, Scenario
 from sim_link.world.point_mass import PointMass
 
 FULL_CELL_MV, EMPTY_CELL_MV, CELLS = 4200, 3500, 4
@@ -186,7 +186,8 @@ class Aircraft:
     ) -> None:
         self.scenario = scenario
         place = scenario.origin
-        origin = LocalOrigin(place.latitude_deg, place.longitude_deg, place.altitude_m)
+        projection = PROJECTION_OF[scenario.autopilot.flavour]
+        origin = LocalOrigin(place.latitude_deg, place.longitude_deg, place.altitude_m, projection)
         start: PositionEnu = (*scenario.start_enu_m, 0.0)
         self.body = PointMass(scenario.vehicle, scenario.wind, start) if body is None else body
         self.home_enu_m: PositionEnu = (*self.body.position_enu_m[:2], 0.0)
@@ -258,8 +259,8 @@ class Aircraft:
 
     def set_origin(self, latitude_e7: int, longitude_e7: int, altitude_mm: int) -> None:
         """Move the zero of the local frame."""
-        origin = LocalOrigin(latitude_e7 / 1e7, longitude_e7 / 1e7, altitude_mm / 1e3)
-        self.estimator.set_origin(origin)
+        place = (latitude_e7 / 1e7, longitude_e7 / 1e7, altitude_mm / 1e3)
+        self.estimator.set_origin(LocalOrigin(*place, self.estimator.world_origin.projection))
         self.origin_changes += 1
 
     def shift_origin(self, offset_enu_m: PositionEnu) -> None:

@@ -7,17 +7,11 @@ asks for, and what wanders off while there is no fix. White noise is in the repo
 autopilot flies by what it believes, so a target goes into the world's frame through
 `world_from_local` or `world_from_geodetic`, which take the bias off; a place that it merely holds
 stays where it is, because a real estimator tells its controllers of a reset.
-
-`GeodeticReports` is for a vehicle that reports its place fifty times a second. The exact conversion
-takes longer than everything else in such a report. Inside a cube of 64 m it is linear to better
-than a millimetre, so the exact place of the cube's centre and the slopes there are kept, and made
-anew when the vehicle leaves the cube. The result depends on the place only, not on the way there.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -133,7 +127,7 @@ class Estimator:
         """Move the zero of the local frame by so much."""
         (e, n, u), (de, dn, du) = self._origin_enu_m, offset_enu_m
         place = self.world_origin.geodetic_from_enu((e + de, n + dn, u + du))
-        self.set_origin(LocalOrigin(*place))
+        self.set_origin(LocalOrigin(*place, self.world_origin.projection))
 
     def local_from_world(self, enu_m: PositionEnu) -> PositionEnu:
         """About the EKF origin, from the world's frame; the bias is left out."""
@@ -157,65 +151,3 @@ class Estimator:
         place = self.world_origin.enu_from_geodetic(latitude_deg, longitude_deg, altitude_m)
         (e, n, u), (be, bn, bu) = place, self.bias_enu_m
         return (e - be, n - bn, u - bu)
-
-
-CUBE_M = 64.0
-SLOPE_M = 16.0
-"""Distance from the centre over which the slopes are taken."""
-
-Place = tuple[float, float, float]
-"""Latitude and longitude, degrees, and altitude, metres."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Cube:
-    number: tuple[int, int, int]
-    centre_enu_m: PositionEnu
-    place: Place
-    by_east: Place
-    by_north: Place
-    by_up: Place
-
-
-class GeodeticReports:
-    """Converts places that follow each other."""
-
-    def __init__(self, origin: LocalOrigin) -> None:
-        self._origin = origin
-        self._cube = self._cube_of((0, 0, 0))
-
-    def geodetic_from_enu(self, enu_m: PositionEnu) -> Place:
-        """The place of a local point, to a millimetre."""
-        east, north, up = enu_m
-        number = (int(east // CUBE_M), int(north // CUBE_M), int(up // CUBE_M))
-        if number != self._cube.number:
-            self._cube = self._cube_of(number)
-        cube = self._cube
-        centre = cube.centre_enu_m
-        de, dn, du = east - centre[0], north - centre[1], up - centre[2]
-        (lat, lon, alt), (lat_e, lon_e, alt_e) = cube.place, cube.by_east
-        (lat_n, lon_n, alt_n), (lat_u, lon_u, alt_u) = cube.by_north, cube.by_up
-        return (
-            lat + de * lat_e + dn * lat_n + du * lat_u,
-            lon + de * lon_e + dn * lon_n + du * lon_u,
-            alt + de * alt_e + dn * alt_n + du * alt_u,
-        )
-
-    def _cube_of(self, number: tuple[int, int, int]) -> _Cube:
-        east, north, up = ((n + 0.5) * CUBE_M for n in number)
-        return _Cube(
-            number,
-            (east, north, up),
-            self._origin.geodetic_from_enu((east, north, up)),
-            self._slope((east - SLOPE_M, north, up), (east + SLOPE_M, north, up)),
-            self._slope((east, north - SLOPE_M, up), (east, north + SLOPE_M, up)),
-            self._slope((east, north, up - SLOPE_M), (east, north, up + SLOPE_M)),
-        )
-
-    def _slope(self, start_enu_m: PositionEnu, end_enu_m: PositionEnu) -> Place:
-        starts = self._origin.geodetic_from_enu(start_enu_m)
-        ends = self._origin.geodetic_from_enu(end_enu_m)
-        lat, lon, alt = (
-            (end - start) / (2.0 * SLOPE_M) for start, end in zip(starts, ends, strict=True)
-        )
-        return (lat, lon, alt)

@@ -9,7 +9,8 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from companion.domain import NonNegative, Params, Positive
+from companion.domain import Autopilot, NonNegative, Params, Positive
+from companion.geometry.coordinates import Projection
 from companion.geometry.polygons import check_polygon
 from sim_link.autopilot.incidents import Incident
 from sim_link.world.environment import (
@@ -30,6 +31,10 @@ SeaLevelAltitude = Annotated[float, msgspec.Meta(ge=-500.0, le=9000.0)]
 FlightAltitude = Annotated[float, msgspec.Meta(gt=0.0, le=1000.0)]
 LossAction = Literal["hold", "position", "return", "land", "disarm"]
 FlavourName = Literal["px4", "ardupilot"]
+PROJECTION_OF: dict[FlavourName, Projection] = {
+    "px4": Autopilot.PX4.projection,
+    "ardupilot": Autopilot.ARDUPILOT.projection,
+}
 
 LEAST_FENCE_M2 = 1.0
 VehicleCount = Annotated[int, msgspec.Meta(ge=1, le=250)]

@@ -24,7 +24,7 @@ import numpy as np
 
 from companion.domain import PositionEnu
 from companion.errors import ConfigError
-from companion.geometry.coordinates import LocalOrigin, enu_from_ned
+from companion.geometry.coordinates import LocalOrigin, Projection, enu_from_ned
 from companion.io.links.transports import Transport, parse_transport
 from companion.io.shell import Clock, Shell
 from companion.mav.codec import MavCodec
@@ -95,6 +95,7 @@ class RadioFollower:
         self._codec = MavCodec(1, COMPONENT_ID)
         self._reader = MavCodec(0, 0)
         self._peer: Address | None = None
+        self._projection = Projection.ELLIPSOID
         self._system_id: int | None = None
         self._ground_up_m = 0.0
         self._position_heard_s = -math.inf
@@ -131,7 +132,9 @@ class RadioFollower:
             return False
         match message:
             case mavlink.MAVLink_heartbeat_message() if self._system_id is None:
-                if autopilot_of(message) is not None:
+                autopilot = autopilot_of(message)
+                if autopilot is not None:
+                    self._projection = autopilot.projection
                     self._system_id = self._codec.system_id = message.get_srcSystem()
         return message.get_srcSystem() == self._system_id
 
@@ -147,7 +150,10 @@ class RadioFollower:
                     self._ground_up_m = -message.z
             case mavlink.MAVLink_gps_global_origin_message() if self.needs_origin:
                 origin = LocalOrigin(
-                    message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1000.0
+                    message.latitude / 1e7,
+                    message.longitude / 1e7,
+                    message.altitude / 1000.0,
+                    self._projection,
                 )
                 wanted = self._wanted
                 self._place_emitters(

@@ -192,8 +192,7 @@ class Fencing:
         is_local = plan.limits.fence is not None or bool(plan.keep_out_enu_m)
         if origin is None or anchor is None or origin == anchor or not is_local:
             return (0.0, 0.0)
-        place = (anchor.latitude_deg, anchor.longitude_deg, anchor.altitude_m)
-        east_m, north_m, _ = origin.enu_from_geodetic(*place)
+        east_m, north_m, _ = origin.zero_of(anchor)
         away_m = math.hypot(east_m, north_m)
         if away_m > FARTHEST_STEP_M:
             raise ValueError(

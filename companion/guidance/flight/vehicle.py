@@ -213,8 +213,7 @@ class VehicleView:
         """How far an origin is from the one that local positions began with; 0 if none is known."""
         if self.frame is None:
             return 0.0
-        place = (origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
-        return math.hypot(*self.frame.enu_from_geodetic(*place))
+        return math.hypot(*self.frame.zero_of(origin))
 
     def move_frame(self, origin: LocalOrigin) -> None:
         """Drop every local position but home, which is turned into the frame of a new origin.

@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from companion.errors import CompanionError, ConfigError
-from companion.geometry.coordinates import LocalOrigin
+from companion.geometry.coordinates import LocalOrigin, Projection
 from companion.geometry.polygons import ellipse_95
 from companion.guidance.commands import ReportResult, Severity
 from companion.io.files import plain
@@ -255,7 +255,11 @@ def _open(path: Path, flight_json: str) -> tuple[Callable[[Message], None], Call
 def _origin(fields: Mapping[str, object]) -> LocalOrigin | None:
     values = [fields.get(name) for name in ("latitude_deg", "longitude_deg", "altitude_m")]
     numbers = [value for value in values if isinstance(value, float)]
-    return LocalOrigin(*numbers) if len(numbers) == len(values) else None
+    if len(numbers) != len(values):
+        return None
+    latitude_deg, longitude_deg, altitude_m = numbers
+    projection = Projection(fields.get("projection", Projection.ELLIPSOID))
+    return LocalOrigin(latitude_deg, longitude_deg, altitude_m, projection)
 
 
 def _pose(stamp: Json, place: tuple[float, ...]) -> Json:

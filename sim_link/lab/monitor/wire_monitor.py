@@ -17,7 +17,7 @@ from typing import Any
 import msgspec
 
 from companion.domain import EstimateState, FlightMode, TargetEstimate
-from companion.geometry.coordinates import LocalOrigin
+from companion.geometry.coordinates import LocalOrigin, Projection
 from companion.mav.dialect import mavlink
 from sim_link.lab.lockstep.observer import Frame, Observer
 from sim_link.lab.monitor import authority_invariants, fence_invariants, message_invariants
@@ -133,7 +133,10 @@ class HeardScene(ObservedScene):
             match message:
                 case mavlink.MAVLink_gps_global_origin_message() if self.world_origin is None:
                     self.world_origin = LocalOrigin(
-                        message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3
+                        message.latitude / 1e7,
+                        message.longitude / 1e7,
+                        message.altitude / 1e3,
+                        Projection.SPHERE if self.is_px4 else Projection.FLAT,
                     )
                 case mavlink.MAVLink_home_position_message():
                     self._home = message
