@@ -62,11 +62,12 @@ def argument_parser() -> argparse.ArgumentParser:
     _add_links(parser)
     _add_flight(parser)
     _add_web(parser.add_argument_group("live map (extra web)"))
-    commands = parser.add_subparsers(dest="command", metavar="{demo,replay,report,doctor}")
+    commands = parser.add_subparsers(dest="command", metavar="{demo,replay,report,doctor,warm-up}")
     _add_demo(commands)
     _add_replay(commands)
     _add_report(commands)
     _add_doctor(commands)
+    _add_warm_up(commands)
     return parser
 
 
@@ -149,6 +150,16 @@ def _add_doctor(commands: Commands) -> None:
     _switch(doctor, "--insecure", "as in flight", dest="is_insecure")
     _option(doctor, "--seconds", "S", "to count streams (default 5)", type=_seconds, default=5.0)
     _switch(doctor, "--json", "print the results as JSON")
+
+
+def _add_warm_up(commands: Commands) -> None:
+    warm_up = commands.add_parser(
+        "warm-up",
+        help="compile what a flight needs ahead of it, where numba is installed",
+        description="Compile the kernels that a flight with this configuration needs, and keep "
+        "them: half a minute once, so that the flight itself begins within a second.",
+    )
+    _file(warm_up, "--config", "companion configuration")
 
 
 def _add_replay(commands: Commands) -> None:

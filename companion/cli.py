@@ -8,6 +8,7 @@ import json
 import logging
 import os
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -17,10 +18,11 @@ from companion.errors import CompanionError, ConfigError
 from companion.io.files import check_writable, write_json_atomic
 from companion.io.links.transports import FlightLink, check_exposure, parse_flight_link
 from companion.io.shell import Clock
+from companion.kernel import IS_COMPILED, count_compiled
 from companion.link.interface import LinkRole
 from companion.replay.flight_replay import FlightReplay, Pace, replay_flight, replay_on_map
 from companion.replay.walk_replay import replay_walk, table
-from companion.run import FlightOptions, FlightView, fly
+from companion.run import FlightOptions, FlightView, fly, prepare
 from companion.view.console import ConsoleHandler, PlainView
 from companion.view.cot import CotView, cot_address
 from companion.web.live_map import WebView
@@ -63,6 +65,8 @@ def _run(argv: Sequence[str] | None) -> int:
             return _report(arguments)
         case "doctor":
             return _doctor(arguments)
+        case "warm-up":
+            return _warm_up(arguments)
     return _fly(arguments)
 
 
@@ -177,6 +181,17 @@ def _links(arguments: argparse.Namespace) -> list[FlightLink]:
             raise ConfigError(f"{option} {text}: this link is given twice; one of them is enough")
         links[str(link.transport)] = link
     return list(links.values())
+
+
+def _warm_up(arguments: argparse.Namespace) -> int:
+    config = load_config(arguments.config)
+    if not IS_COMPILED:
+        print("numba is not installed, or switched off: kernels run as plain Python")
+        return 0
+    began_s = time.monotonic()
+    prepare(config)
+    print(f"{count_compiled()} kernels are ready, after {time.monotonic() - began_s:.1f} s")
+    return 0
 
 
 def _report(arguments: argparse.Namespace) -> int:

@@ -70,11 +70,27 @@ IS_COMPILED: bool = numba is not None and not numba.config.DISABLE_JIT
 """Whether kernels are compiled; then the first call of each takes up to seconds."""
 
 
+_KERNELS: list[Any] = []
+
+
 def kernel(function: F) -> F:
     """Compile `function` if numba is there; `function.py_func` is the plain one only then."""
     if numba is None:
         return function
-    return cast(F, numba.njit(cache=True)(function))
+    compiled = numba.njit(cache=True)(function)
+    _KERNELS.append(compiled)
+    return cast(F, compiled)
+
+
+def count_compiled() -> int:
+    """How many kernels were compiled, or loaded, in this process."""
+    return sum(bool(getattr(each, "signatures", ())) for each in _KERNELS)
+
+
+def has_compiled_cache() -> bool:
+    """Whether kernels of these sources were compiled before, so that loading takes a second."""
+    folder = os.environ.get("NUMBA_CACHE_DIR") or (numba.config.CACHE_DIR if numba else "")
+    return bool(folder) and next(Path(folder).rglob("*.nbi"), None) is not None
 
 
 Vector = NDArray[np.float64]

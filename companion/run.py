@@ -10,10 +10,12 @@ from __future__ import annotations
 import gc
 import logging
 import os
+import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 
 from companion.config.schema import CompanionConfig
@@ -28,7 +30,8 @@ from companion.flight_setup import (
     write_facts,
 )
 from companion.guidance.authority.state_machine import Phase
-from companion.guidance.commands import Announce, Severity
+from companion.guidance.commands import Severity
+from companion.guidance.events import ProcessNoted
 from companion.io.files import MCAP, delete_old_flights, new_flight_directory
 from companion.io.links.transports import FlightLink, Transport, make_link
 from companion.io.logs.flight_recorder import BlackBox, FlightJournal
@@ -37,7 +40,7 @@ from companion.io.shell import Clock, Shell
 from companion.io.state.checkpoints import CheckpointStore
 from companion.io.state.signing_keys import SigningKeeper, load_signing_key, open_signing_keeper
 from companion.io.state.vehicle_lock import VehicleLock, lock_name, place_of, state_directory
-from companion.kernel import IS_COMPILED
+from companion.kernel import IS_COMPILED, count_compiled
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.interface import Journal, LinkRole, LinkSpec
 from companion.mav.signing import ONE_LINK_EACH
@@ -68,7 +71,7 @@ class PeriodicTasks:
                 del self._tasks[name]
                 log.exception("%s: failed", name)
                 text = f"internal error: {name} ended; flying on"
-                self._endpoint.outlet.announce(Announce(Severity.ERROR, text), now_s)
+                self._endpoint.tell(ProcessNoted(now_s, Severity.ERROR, text))
 
 
 CLOSE_S = 0.25
@@ -86,10 +89,16 @@ def open_signing(config: CompanionConfig) -> SigningKeeper | None:
 
 
 def open_journal(
-    config: CompanionConfig, links: Sequence[LinkSpec], parameters: Mapping[str, float]
+    config: CompanionConfig,
+    links: Sequence[LinkSpec],
+    parameters: Mapping[str, float],
+    started_unix_s: float,
 ) -> FlightJournal:
-    """The black box of a new flight, and what a ground station changed before it."""
-    started_unix_s = time.time()
+    """The black box of a new flight, and what a ground station changed before it.
+
+    All its times are `started_unix_s` plus the flight's own: it is what the wall clock showed when
+    that was zero, whatever has passed since.
+    """
     root = Path(config.log.directory)
     directory = new_flight_directory(root, started_unix_s)
     if config.log.keep_flights is not None:
@@ -124,14 +133,34 @@ def _open_black_box(open_it: Callable[[], FlightJournal], *, is_restart: bool) -
 
 def prepare(config: CompanionConfig) -> None:
     """Compile what a flight needs, before its clock starts; nothing to do without numba."""
-    if IS_COMPILED:
-        _announce_compiling()
-    warm_up(config.estimation, build_planner(config))
+    if not IS_COMPILED:
+        return
+    with _told_progress():
+        warm_up(config.estimation, build_planner(config))
 
 
-@cache
-def _announce_compiling() -> None:
-    log.info("compiling kernels, before any link is opened: half a minute the first time")
+PROGRESS_S = 3.0
+
+
+@contextmanager
+def _told_progress() -> Iterator[None]:
+    """Say every few seconds how far compiling is; nothing where it was done before."""
+    is_over = threading.Event()
+
+    def tell() -> None:
+        seconds = 0.0
+        while not is_over.wait(PROGRESS_S):
+            seconds += PROGRESS_S
+            text = "compiling kernels, before any link is opened: %d done after %.0f s"
+            log.info(text, count_compiled(), seconds)
+
+    teller = threading.Thread(target=tell, name="compiling", daemon=True)
+    teller.start()
+    try:
+        yield
+    finally:
+        is_over.set()
+        teller.join()
 
 
 def link_name(link: Transport) -> str:
@@ -252,7 +281,7 @@ class _Flight:
         found = None if self._store is None or options.is_fresh else self._store.load()
         specs = [link.spec for link in links]
         self._journal = _open_black_box(
-            lambda: open_journal(config, specs, tunables.changed),
+            lambda: open_journal(config, specs, tunables.changed, time.time() - clock.now_s()),
             is_restart=found is not None and found.has_files,
         )
         self.endpoint = self._build_endpoint(tunables, specs)

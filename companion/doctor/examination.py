@@ -36,6 +36,7 @@ from companion.io.links.transports import Transport
 from companion.io.shell import Clock, Shell
 from companion.io.state.signing_keys import load_signing_key
 from companion.io.state.vehicle_lock import VehicleLock, state_directory
+from companion.kernel import has_compiled_cache
 from companion.link.intake import Authenticity
 from companion.run import link_name, open_signing
 
@@ -50,6 +51,7 @@ def look_at_host(logs: Path, state: Path, key_file: str | None) -> HostFacts:
         python=(sys.version_info.major, sys.version_info.minor, sys.version_info.micro),
         numpy=_version("numpy") or "?",
         numba=_version("numba"),
+        are_kernels_kept=has_compiled_cache(),
         logs=look_at_place(logs),
         state=look_at_place(state),
         key_problem=None if key_file is None else _key_problem(Path(key_file)),
@@ -133,6 +135,9 @@ def _check_host(host: HostFacts, config: CompanionConfig) -> Iterator[CheckResul
     version = ".".join(str(part) for part in host.python)
     compiled = f"numba {host.numba}" if host.numba else "no numba: kernels run as plain Python"
     yield ok("python", f"{version}, numpy {host.numpy}, {compiled}")
+    if host.numba and not host.are_kernels_kept:
+        text = "not compiled yet: the first flight waits for half a minute"
+        yield warn("kernels", text, "run companion warm-up, with the flight's --config")
     yield _check_logs(host.logs, config)
     yield _check_state(host.state)
     yield _check_key(host)

@@ -99,6 +99,8 @@ class HostFacts:
     numpy: str
     numba: str | None
     """Its version; None: not installed."""
+    are_kernels_kept: bool
+    """Whether they were compiled before, so that a flight need not wait for it."""
     logs: PlaceFacts
     state: PlaceFacts
     key_problem: str | None

@@ -20,7 +20,7 @@ from companion.guidance.events import AutopilotFenceRead
 from companion.guidance.flight.vehicle import mode_name
 from companion.link import outbound
 from companion.link.autopilot_queries import STREAM_INTERVAL_S, StreamFreshness, StreamRequester
-from companion.link.clock_sync import ClockSync
+from companion.link.conversion.clock_sync import ClockSync
 from companion.link.fence_download import FenceDownload
 from companion.link.inbound import origin_of
 from companion.link.intake import Authenticity, AutopilotBinding
@@ -184,7 +184,7 @@ class DoctorProbe:
             gps_fix=fix.fix_type if isinstance(fix, mavlink.MAVLink_gps_raw_int_message) else None,
             battery_pct=self._battery_pct(),
             round_trip_s=self._clock.round_trip_s,
-            clock_offset_s=self._clock.offset_s,
+            clock_offset_s=self._clock.offset_at_s(self._now_s),
             loss=self._sequence.loss(self._now_s),
             fence=self._fence,
         )
@@ -202,7 +202,7 @@ class DoctorProbe:
         message = self._newest.get("GPS_GLOBAL_ORIGIN")
         if not isinstance(message, mavlink.MAVLink_gps_global_origin_message):
             return None
-        return origin_of(message)
+        return origin_of(message, self._binding.autopilot)
 
     def _has_rc(self) -> bool | None:
         status = self._newest.get("SYS_STATUS")

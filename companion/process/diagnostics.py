@@ -17,7 +17,8 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from companion.guidance.commands import Announce, Severity
+from companion.guidance.commands import Severity
+from companion.guidance.events import ProcessNoted
 from companion.io.background_files import BackgroundReplacer
 from companion.io.links.byte_streams import StreamLink
 from companion.io.links.link import Link
@@ -167,7 +168,7 @@ class ProcessDiagnostics:
             self._announce(Severity.WARNING, text, now_s)
 
     def _announce(self, severity: Severity, text: str, now_s: float) -> None:
-        self._endpoint.outlet.announce(Announce(severity, text), now_s)
+        self._endpoint.tell(ProcessNoted(now_s, severity, text))
 
 
 LINK_CHECK_PERIOD_S = 1.0

@@ -24,8 +24,8 @@ import msgspec
 
 from companion.config.schema import CompanionConfig
 from companion.config.tunables import Tunables
-from companion.guidance.commands import Announce, Severity
-from companion.guidance.events import EarlierRunFound, MemoryRecalled
+from companion.guidance.commands import Severity
+from companion.guidance.events import EarlierRunFound, MemoryRecalled, ProcessNoted
 from companion.io.background_files import BackgroundReplacer
 from companion.io.state.checkpoints import (
     Checkpoint,
@@ -157,7 +157,7 @@ class RestartKeeper:
         difference = self._difference(checkpoint.key)
         if difference is not None:
             text = f"restarted, with {difference}: starting anew, without engaging by itself"
-            self._endpoint.outlet.announce(Announce(Severity.WARNING, text), now_s)
+            self._endpoint.tell(ProcessNoted(now_s, Severity.WARNING, text))
             return
         age = self._age_s + now_s - self._began_s
         self._endpoint.tell(MemoryRecalled(now_s, checkpoint.memory, age))

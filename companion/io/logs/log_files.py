@@ -21,6 +21,7 @@ from pathlib import Path
 
 from companion.errors import ConfigError
 from companion.guidance import events
+from companion.guidance.commands import Severity
 from companion.io.background_files import BackgroundFile
 from companion.io.files import plain, read_file
 from companion.io.state.checkpoints import CheckpointError, decode_memory, encode_memory
@@ -101,6 +102,8 @@ class InputKind(IntEnum):
     """An earlier process did not end in order."""
     RECALL = 6
     """Its data are the age, float64 seconds, and what that process knew, in MessagePack."""
+    NOTE = 7
+    """Its data are the severity by name, a space, and what the process said to the operator."""
 
 
 AlsoKeeps = Callable[[bytes, float], None]
@@ -150,6 +153,8 @@ class InputLog(BackgroundFile):
         match event:
             case events.OperatorAsked():
                 kind, data = InputKind.OPERATOR_COMMAND, event.command.value.encode()
+            case events.ProcessNoted():
+                kind, data = InputKind.NOTE, f"{event.severity.name} {event.text}".encode()
             case events.EarlierRunFound():
                 kind = InputKind.EARLIER_RUN
             case events.MemoryRecalled():
@@ -207,6 +212,12 @@ def event_of(value: Input) -> events.Event:
     match value.kind:
         case InputKind.OPERATOR_COMMAND:
             return events.OperatorAsked(now_s, events.OperatorCommand(data.decode()))
+        case InputKind.NOTE:
+            name, _, text = data.decode(errors="replace").partition(" ")
+            severity = Severity.__members__.get(name)
+            if severity is None:
+                raise ConfigError(f"a note at {now_s} s has no severity: {name!r}")
+            return events.ProcessNoted(now_s, severity, text)
         case InputKind.EARLIER_RUN:
             return events.EarlierRunFound(now_s)
         case InputKind.RECALL:

@@ -58,6 +58,7 @@ HOST = HostFacts(
     has_key=True,
     unix_s=1.8e9,
     is_clock_synchronised=True,
+    are_kernels_kept=True,
 )
 PX4 = AutopilotFacts(
     autopilot=Autopilot.PX4,

@@ -51,6 +51,7 @@ HOST_CASES = [
     ("signing key", host_with(key_problem="k: open to others (mode 0644)"), Level.FAIL),
     ("clock", host_with(unix_s=3600.0, has_key=False), Level.WARN),
     ("clock", host_with(unix_s=3600.0), Level.FAIL),
+    ("kernels", host_with(numba="0.63.0", are_kernels_kept=False), Level.WARN),
     ("clock", host_with(is_clock_synchronised=False), Level.WARN),
     ("clock", host_with(is_clock_synchronised=None), Level.OK),
 ]
