@@ -56,6 +56,8 @@ class StopRule:
 SAME_LEG_M = 1.0
 """A waypoint that moves by less is the same one, seen better."""
 REACHED_M = 3.0
+FINAL_AGAIN_S = 5.0
+"""Longer than a request with all its repetitions takes."""
 ENDED_EARLY = "SEARCH ENDED, battery low:"
 
 
@@ -71,9 +73,12 @@ class Reporting:
         self._stop_rule = StopRule()
         self._leg: tuple[float, PositionEnu | None] | None = None
         """When the battery was found low, and the waypoint flown at then."""
+        self._final: tuple[FlightMode, float] | None = None
+        """The mode after the last report, and when it was asked for; None: it needs no asking."""
 
     def tick(self, now_s: float) -> None:
         """Report if it is due."""
+        self._ask_again(now_s)
         context, params = self._context, self._context.params
         heard_s = context.tracker.last_accepted_s
         is_fresh = heard_s is not None and now_s - heard_s <= params.ranging_timeout_s
@@ -135,7 +140,24 @@ class Reporting:
 
     def _finish(self, mode: FlightMode, now_s: float) -> None:
         self._context.enter(Trigger.LOCALISED, now_s)
+        self._final = (mode, now_s)
         self._context.ask_mode(mode)
+
+    def _ask_again(self, now_s: float) -> None:
+        """Ask for the mode after the report until it, or somebody else's, is shown.
+
+        An answer may be lost, and a stall of the computer withdraws what was asked before it.
+        """
+        context, vehicle = self._context, self._context.vehicle
+        if self._final is None:
+            return
+        mode, asked_s = self._final
+        is_left = vehicle.is_mode_known(now_s) and not vehicle.is_ours
+        if context.phase is not Phase.FINISHED or is_left:
+            self._final = None
+        elif now_s - asked_s >= FINAL_AGAIN_S and vehicle.mode_watch.may_be_asked(now_s):
+            self._final = (mode, now_s)
+            context.ask_mode(mode)
 
 
 TICK_S = 0.05
