@@ -16,6 +16,7 @@ and payload are two components with a sequence number each, as if each had its o
 from __future__ import annotations
 
 import math
+from collections import deque
 
 import numpy as np
 
@@ -24,7 +25,12 @@ from companion.mav.endpoint import Chunk
 from companion.mav.framing import MAGIC_V1
 from sim_link.autopilot import radio_payload
 from sim_link.autopilot.aircraft import Occurrence
-from sim_link.autopilot.incidents import IncidentRecord, VehicleReboot, WindChange
+from sim_link.autopilot.incidents import (
+    AutopilotStall,
+    IncidentRecord,
+    VehicleReboot,
+    WindChange,
+)
 from sim_link.autopilot.pilot import STEP_S
 from sim_link.autopilot.protocols.addressing import Channel, Outgoing
 from sim_link.autopilot.protocols.link_layer import NO_SECURITY, LinkLayer, LinkSecurity
@@ -41,6 +47,8 @@ from sim_link.world.environment import Emitter
 from sim_link.world.point_mass import PointMass
 
 MAX_CATCH_UP_S = 0.5
+MOST_UNREAD = 2000
+"""Chunks that the socket of a stalled autopilot keeps, about; the oldest are lost."""
 STEP_TOLERANCE = 1e-6
 """Share of a step by which a timer may be early through rounding."""
 
@@ -79,6 +87,8 @@ class SimEndpoint:
         self.recorder = FlightRecorder()
         self._began_s = started_s
         self._schedule = IncidentSchedule(scenario.incidents)
+        self._stalled_until_s = -math.inf
+        self._unread: deque[Chunk] = deque(maxlen=MOST_UNREAD)
         self._boot(started_s, parameters, parameters_name)
 
     def _boot(
@@ -105,6 +115,9 @@ class SimEndpoint:
         """Take in bytes; whatever is no MAVLink, or not for us, is ignored."""
         if now_s < self._started_s:
             return
+        if now_s < self._stalled_until_s:
+            self._unread.append(chunk)
+            return
         if not chunk.data and not chunk.is_datagram:
             self._forget(Channel(chunk.link, chunk.peer))
             return
@@ -119,6 +132,9 @@ class SimEndpoint:
         """Let something happen to the vehicle now, whatever its `start_s` says."""
         if isinstance(incident, VehicleReboot):
             self._reboot(now_s, incident.down_s)
+        elif isinstance(incident, AutopilotStall):
+            self._stalled_until_s = now_s + incident.duration_s
+            self._started_s += incident.duration_s
         elif now_s >= self._started_s:
             apply_to_vehicle(incident, self.vehicle, now_s - self._started_s)
             if isinstance(incident, WindChange) and incident.duration_s < math.inf:
@@ -141,6 +157,12 @@ class SimEndpoint:
 
     def handle_timer(self, now_s: float) -> None:
         """Step the physics up to `now_s` and queue the telemetry that is due."""
+        if now_s < self._stalled_until_s:
+            return
+        unread = list(self._unread)
+        self._unread.clear()
+        for chunk in unread:
+            self.receive(chunk, now_s)
         last_step = self._last_step(now_s)
         if last_step - self._next_step > MAX_CATCH_UP_S / STEP_S:
             self._next_step = last_step
@@ -204,7 +226,7 @@ class SimEndpoint:
             message = built[number]
             if message is not None:
                 self._send_all([Outgoing(message, channel)])
-        heard = self._payload.messages(self.vehicle.body, boot_s)
+        heard = self._payload.messages(self.vehicle.body, boot_s, self.vehicle.stamp_s)
         self._send_all([Outgoing(each) for each in heard], radio_payload.COMPONENT_ID)
 
     def _send_all(self, outgoing: list[Outgoing], component_id: int | None = None) -> None:

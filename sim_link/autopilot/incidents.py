@@ -18,6 +18,9 @@ from sim_link.world.environment import Coordinate
 from sim_link.world.point_mass import Share, WindSpeed
 
 Deflection = Annotated[float, msgspec.Meta(ge=-1.0, le=1.0)]
+ClockPace = Annotated[float, msgspec.Meta(ge=0.5, le=2.0)]
+ClockStep = Annotated[float, msgspec.Meta(ge=-3600.0, le=3600.0)]
+StallLength = Annotated[float, msgspec.Meta(gt=0.0, le=600.0)]
 Angle = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
 
 
@@ -121,6 +124,29 @@ class VehicleReboot(IncidentRecord, frozen=True, tag="vehicle_reboot"):
     down_s: NonNegative = 1.0
 
 
+class ClockRate(IncidentRecord, frozen=True, tag="clock_rate"):
+    """Its clock runs slow or fast, as on a computer that does not keep up; then as fast as time."""
+
+    rate: ClockPace = 0.988
+    """Seconds of its clock a second; PX4's own simulator was 1.2 % slow."""
+
+
+class ClockSlip(IncidentRecord, frozen=True, tag="clock_slip"):
+    """Its clock jumps, and goes on from there; event."""
+
+    step_s: ClockStep = -0.7
+    """Ahead is positive."""
+
+
+class AutopilotStall(IncidentRecord, frozen=True, tag="autopilot_stall"):
+    """Its computer stands still, as by SIGSTOP: nothing is said or flown, and its clock waits.
+
+    What comes meanwhile is read afterwards.
+    """
+
+    duration_s: StallLength = 1.2
+
+
 Incident = (
     PilotMode
     | Failsafe
@@ -133,6 +159,9 @@ Incident = (
     | BatteryCharge
     | WindChange
     | VehicleReboot
+    | ClockRate
+    | ClockSlip
+    | AutopilotStall
 )
 """Any of them."""
 

@@ -26,13 +26,13 @@ UNKNOWN_COVARIANCE = [math.nan] + [0.0] * 20
 
 
 def boot_ms(vehicle: SimVehicle) -> int:
-    """Milliseconds since boot, which start again at zero after 49.7 days."""
-    return round(1e3 * vehicle.time_s) & UINT32_MAX
+    """Milliseconds since boot by its own clock, which start again at zero after 49.7 days."""
+    return round(1e3 * vehicle.stamp_s) & UINT32_MAX
 
 
 def boot_us(vehicle: SimVehicle) -> int:
-    """Microseconds since boot."""
-    return round(1e6 * vehicle.time_s)
+    """Microseconds since boot by its own clock."""
+    return round(1e6 * vehicle.stamp_s)
 
 
 def to_int16(value: float) -> int:

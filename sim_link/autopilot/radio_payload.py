@@ -44,8 +44,12 @@ class RadioPayload:
         self._measurement_due_s = 0.0
         self._heartbeat_due_s = 0.0
 
-    def messages(self, body: PointMass, now_s: float) -> list[Message]:
-        """What to send at `now_s` seconds since boot, from the vehicle's true position."""
+    def messages(self, body: PointMass, now_s: float, stamp_s: float) -> list[Message]:
+        """What to send at `now_s` seconds since boot, from the vehicle's true position.
+
+        Args:
+            stamp_s: What the autopilot's clock shows, by which it stamps.
+        """
         messages: list[Message] = []
         if now_s + DUE_TOLERANCE_S >= self._heartbeat_due_s:
             self._heartbeat_due_s = max(self._heartbeat_due_s, now_s - HEARTBEAT_PERIOD_S)
@@ -57,7 +61,7 @@ class RadioPayload:
             for emitter in self._emitters:
                 if self._hears(emitter, body):
                     measurement = self._channel.measure(emitter, body.position_enu_m, now_s)
-                    messages.append(message_from_ranging(measurement, round(1e6 * now_s)))
+                    messages.append(message_from_ranging(measurement, round(1e6 * stamp_s)))
         return messages
 
     def _hears(self, emitter: Emitter, body: PointMass) -> bool:

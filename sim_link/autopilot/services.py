@@ -180,7 +180,9 @@ class Services:
         return {
             **dict.fromkeys((LocalTarget, GlobalTarget, AttitudeTarget), take_setpoint),
             mavlink.MAVLink_heartbeat_message: self._take_heartbeat,
-            mavlink.MAVLink_timesync_message: clocks.timesync,
+            mavlink.MAVLink_timesync_message: lambda message, partner, now_s: clocks.timesync(
+                message, partner, self._vehicle.clock.read_s(now_s)
+            ),
             mavlink.MAVLink_ping_message: lambda message, partner, _: clocks.ping(message, partner),
             mavlink.MAVLink_manual_control_message: self._take_manual_control,
             mavlink.MAVLink_rc_channels_override_message: self._take_rc_override,
@@ -209,7 +211,8 @@ class Services:
         """What is due by itself at a physics step."""
         outgoing = self._parameters.handle_timer(now_s) + self._plans.handle_timer(now_s)
         outgoing += self._calibration.step(now_s)
-        outgoing += [Outgoing(each) for each in self._clock_requests.take_due(now_s)]
+        shown_s = self._vehicle.clock.read_s(now_s)
+        outgoing += [Outgoing(each) for each in self._clock_requests.take_due(now_s, shown_s)]
         return outgoing + self.announcements()
 
     def announcements(self) -> list[Outgoing]:

@@ -16,7 +16,7 @@ from companion.domain import FlightMode, PositionEnu
 from companion.geometry.coordinates import LocalOrigin
 from sim_link.autopilot.aircraft import Aircraft, Occurrence
 from sim_link.autopilot.control_inputs import Sticks
-from sim_link.autopilot.estimator import GeodeticReports
+from sim_link.autopilot.estimator import Estimator
 from sim_link.autopilot.flavours.ardupilot.firmware_profile import ardupilot_parameters
 from sim_link.autopilot.flavours.ardupilot.flavour import ArduPilotFlavour
 from sim_link.autopilot.flavours.base import Flavour
@@ -24,6 +24,8 @@ from sim_link.autopilot.flavours.px4.firmware_profile import px4_parameters
 from sim_link.autopilot.flavours.px4.flavour import Px4Flavour
 from sim_link.autopilot.incidents import (
     BatteryCharge,
+    ClockRate,
+    ClockSlip,
     EkfJump,
     EkfPoor,
     GpsLoss,
@@ -36,6 +38,7 @@ from sim_link.autopilot.incidents import (
     WindChange,
 )
 from sim_link.autopilot.pilot import STEP_S
+from sim_link.autopilot.protocols.clock_protocols import StampClock
 from sim_link.autopilot.protocols.parameter_store import ParameterStore
 from sim_link.autopilot.scenario import FlavourName, Scenario
 from sim_link.world.point_mass import PointMass
@@ -69,12 +72,17 @@ class SimVehicle:
         self.sticks = self.aircraft.sticks
         self.setpoints = self.flavour.setpoints
         """The streamed ones."""
-        self._reports = GeodeticReports(self.aircraft.estimator.world_origin)
+        self.clock = StampClock()
 
     @property
     def time_s(self) -> float:
         """Seconds since boot."""
         return self.aircraft.time_s
+
+    @property
+    def stamp_s(self) -> float:
+        """The same by its own clock."""
+        return self.clock.read_s(self.aircraft.time_s)
 
     @property
     def is_armed(self) -> bool:
@@ -94,7 +102,7 @@ class SimVehicle:
     @property
     def geodetic(self) -> tuple[float, float, float]:
         """Reported latitude and longitude in degrees and altitude in metres."""
-        return self._reports.geodetic_from_enu(self.estimator.reported_enu_m)
+        return self.estimator.world_origin.geodetic_from_enu(self.estimator.reported_enu_m)
 
     @property
     def home_e7(self) -> tuple[int, int, int]:
@@ -123,8 +131,8 @@ class IncidentSchedule:
 
 
 def apply_to_vehicle(incident: IncidentRecord, vehicle: SimVehicle, now_s: float) -> None:
-    """Let an incident happen to a vehicle now; a reboot is its endpoint's business."""
-    aircraft, estimator = vehicle.aircraft, vehicle.aircraft.estimator
+    """Let an incident happen to a vehicle now; reboot and stall are its endpoint's business."""
+    aircraft = vehicle.aircraft
     match incident:
         case PilotMode():
             vehicle.flavour.pilot_chooses(incident.mode, now_s)
@@ -133,13 +141,12 @@ def apply_to_vehicle(incident: IncidentRecord, vehicle: SimVehicle, now_s: float
             aircraft.sticks.move(sticks, now_s + incident.duration_s)
         case RcLoss():
             aircraft.sticks.lose(now_s + incident.duration_s)
-        case GpsLoss():
-            estimator.lose_fix(now_s + incident.duration_s)
-        case EkfPoor():
-            estimator.spoil(incident.ratio, now_s + incident.duration_s)
-        case EkfJump():
-            offset = (incident.east_m, incident.north_m, incident.up_m)
-            estimator.jump(offset, math.radians(incident.yaw_deg))
+        case GpsLoss() | EkfPoor() | EkfJump():
+            _apply_to_estimator(incident, aircraft.estimator, now_s)
+        case ClockRate():
+            vehicle.clock.run(incident.rate, now_s, now_s + incident.duration_s)
+        case ClockSlip():
+            vehicle.clock.slip(incident.step_s, now_s)
         case OriginShift():
             aircraft.shift_origin((incident.east_m, incident.north_m, incident.up_m))
         case BatteryCharge():
@@ -150,6 +157,19 @@ def apply_to_vehicle(incident: IncidentRecord, vehicle: SimVehicle, now_s: float
             )
             aircraft.body.set_wind(wind)
     vehicle.flavour.note(now_s, f"incident: {incident.__struct_config__.tag}")
+
+
+def _apply_to_estimator(
+    incident: GpsLoss | EkfPoor | EkfJump, estimator: Estimator, now_s: float
+) -> None:
+    match incident:
+        case GpsLoss():
+            estimator.lose_fix(now_s + incident.duration_s)
+        case EkfPoor():
+            estimator.spoil(incident.ratio, now_s + incident.duration_s)
+        case EkfJump():
+            offset = (incident.east_m, incident.north_m, incident.up_m)
+            estimator.jump(offset, math.radians(incident.yaw_deg))
 
 
 TRACK_PERIOD_S = 0.5

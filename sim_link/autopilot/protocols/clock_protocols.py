@@ -20,6 +20,43 @@ TOLERANCE_S = 1e-6
 """A clock of whole steps may be early by rounding."""
 
 
+class StampClock:
+    """What the vehicle's own clock shows: it stamps all messages, and answers TIMESYNC.
+
+    Physics and streams go by true time; only what is told of time goes by this.
+    """
+
+    def __init__(self) -> None:
+        self._rates: list[tuple[float, float]] = []
+        """From when on, and how fast: what is to come, latest first."""
+        self._since_s = self._shown_s = 0.0
+        self._rate = 1.0
+
+    def read_s(self, now_s: float) -> float:
+        """What it shows, seconds; never less than 0.
+
+        Args:
+            now_s: True seconds since boot.
+        """
+        while self._rates and self._rates[-1][0] <= now_s:
+            from_s, rate = self._rates.pop()
+            self._set(from_s, rate)
+        return max(0.0, self._shown_s + self._rate * (now_s - self._since_s))
+
+    def slip(self, step_s: float, now_s: float) -> None:
+        """Jump, ahead if positive."""
+        self._set(now_s, self._rate, step_s)
+
+    def run(self, rate: float, now_s: float, until_s: float) -> None:
+        """Show so many seconds a second; then one."""
+        self._set(now_s, rate)
+        self._rates = [(until_s, 1.0)]
+
+    def _set(self, now_s: float, rate: float, step_s: float = 0.0) -> None:
+        self._shown_s += self._rate * (now_s - self._since_s) + step_s
+        self._since_s, self._rate = now_s, rate
+
+
 @dataclass(frozen=True, slots=True)
 class Clocks:
     """Answers for one vehicle.
@@ -70,15 +107,15 @@ class ClockRequests:
         self._ping_due_s = math.inf if ping_period_s is None else ping_period_s
         self._pings = 0
 
-    def take_due(self, boot_s: float) -> list[Message]:
-        """What is asked at a physics step."""
+    def take_due(self, boot_s: float, shown_s: float) -> list[Message]:
+        """What is asked at a physics step, at what its own clock shows."""
         messages: list[Message] = []
         if boot_s + TOLERANCE_S >= self._timesync_due_s:
             self._timesync_due_s = boot_s + self._timesync_period_s
-            messages.append(mavlink.MAVLink_timesync_message(0, max(1, round(NS_PER_S * boot_s))))
+            messages.append(mavlink.MAVLink_timesync_message(0, max(1, round(NS_PER_S * shown_s))))
         if self._ping_period_s is not None and boot_s + TOLERANCE_S >= self._ping_due_s:
             self._ping_due_s = boot_s + self._ping_period_s
-            ping = mavlink.MAVLink_ping_message(round(US_PER_S * boot_s), self._pings, 0, 0)
+            ping = mavlink.MAVLink_ping_message(round(US_PER_S * shown_s), self._pings, 0, 0)
             messages.append(ping)
             self._pings = (self._pings + 1) & UINT32
         return messages

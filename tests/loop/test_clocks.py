@@ -1,0 +1,79 @@
+"""Flights with an autopilot whose clock is slow, fast, slips or stands still."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+
+from sim_link.autopilot.incidents import AutopilotStall, ClockRate, ClockSlip, Incident
+from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
+from tests.loop.loop_helpers import AUTO, Loop, outside
+
+pytestmark = pytest.mark.slow
+
+FLAVOURS: tuple[FlavourName, ...] = ("px4", "ardupilot")
+FLIGHT_S, FENCE_M = 180.0, 150.0
+LONGEST_PAUSE_S = 6.0
+
+
+def flight(flavour: FlavourName, *incidents: Incident, seed: int = 1) -> Loop:
+    """The canonical search, until something is reported."""
+    scenario = Scenario(autopilot=AutopilotParams(flavour=flavour), incidents=incidents)
+    loop = Loop(AUTO, scenario, seed)
+    loop.run_until(lambda: bool(loop.notes.results), FLIGHT_S)
+    return loop
+
+
+def holds_s(loop: Loop) -> list[float]:
+    """How long each hold on a stale position lasted, by what the operator is told."""
+    begun_s, lengths_s = None, []
+    for time_s, text in loop.notes.texts:
+        if text == "hold: own position is stale":
+            begun_s = time_s
+        elif begun_s is not None and text.startswith(("flying the plan", "localised")):
+            lengths_s.append(time_s - begun_s)
+            begun_s = None
+    return lengths_s if begun_s is None else [*lengths_s, loop.now_s - begun_s]
+
+
+def check(loop: Loop) -> None:
+    """Reported, well, inside, without a long hold, and nobody thought that it restarted."""
+    assert len(loop.notes.results) == 1, loop.notes.texts
+    assert loop.error_m <= 1.5
+    assert max(holds_s(loop), default=0.0) <= LONGEST_PAUSE_S, loop.notes.texts
+    assert not loop.said("autopilot restarted")
+    assert not loop.said("giving way")
+    assert outside(loop.true_positions, FENCE_M) == []
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+@pytest.mark.parametrize("rate", [0.95, 0.988, 1.05])
+def test_a_slow_or_fast_clock_costs_nothing(flavour: FlavourName, rate: float) -> None:
+    loop = flight(flavour, ClockRate(rate=rate))
+    check(loop)
+    assert holds_s(loop) == []
+    assert not loop.said("slipped")
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+@pytest.mark.parametrize("step_s", [-2.0, -0.7, 1.0, 5.0])
+def test_a_slip_costs_seconds_not_the_search(flavour: FlavourName, step_s: float) -> None:
+    loop = flight(flavour, ClockSlip(start_s=18.0, step_s=step_s))
+    check(loop)
+    assert loop.said("autopilot's clock slipped")
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+@pytest.mark.parametrize("still_s", [0.3, 1.2])
+def test_an_autopilot_that_stood_still_is_guided_on(flavour: FlavourName, still_s: float) -> None:
+    check(flight(flavour, AutopilotStall(start_s=18.0, duration_s=still_s)))
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+def test_slow_clocks_slip_too(flavour: FlavourName) -> None:
+    rng = random.Random(4)
+    for seed, rate in enumerate((0.95, 0.988, 1.05)):
+        times_s = [rng.uniform(12.0, 30.0) for _ in range(2)]
+        slips = [ClockSlip(start_s=t, step_s=rng.choice((-2.0, -0.7, 1.0, 5.0))) for t in times_s]
+        check(flight(flavour, ClockRate(rate=rate), *slips, seed=seed))
