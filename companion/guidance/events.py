@@ -22,7 +22,7 @@ from companion.estimation.belief import Belief
 from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.geofence import GeoFence
 from companion.guidance.authority.state_machine import Phase
-from companion.guidance.commands import ReportResult
+from companion.guidance.commands import ReportResult, Severity
 from companion.guidance.session_params import Tuning
 
 
@@ -110,6 +110,8 @@ class OriginSet(Event):
     """Where the local frame has its zero."""
 
     origin: LocalOrigin
+    off_m: float = 0.0
+    """How far the autopilot's global position is from the local one without what was fitted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,7 +205,12 @@ class RequestAnswered(OrderedEvent):
 
 @dataclass(frozen=True, slots=True)
 class AutopilotRestarted(Event):
-    """The autopilot's clock went back."""
+    """The autopilot's clock began anew."""
+
+
+@dataclass(frozen=True, slots=True)
+class AutopilotClockSlipped(Event):
+    """The autopilot's clock went back or ahead, or stood still; the autopilot did not restart."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -263,6 +270,14 @@ class ControlStalled(Event):
 @dataclass(frozen=True, slots=True)
 class StopRequested(Event):
     """The process is asked to end."""
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessNoted(Event):
+    """The process has something to say to the operator: about its log, its timing, its restart."""
+
+    severity: Severity
+    text: str
 
 
 @dataclass(frozen=True, slots=True)

@@ -153,8 +153,13 @@ class GuidanceSession:
         match event:
             case events.VehicleMoved():
                 self._measuring.fuse_due(event.time_s)
+            case events.AutopilotClockSlipped():
+                self.vehicle.track.clear()
+                self.context.warn("autopilot's clock slipped: its stamps are read anew")
             case events.Retuned():
                 self.context.retune(event.tuning)
+            case events.ProcessNoted():
+                self.context.announce(event.severity, event.text)
             case events.EarlierRunFound():
                 self.context.forbid_launch()
             case events.MemoryRecalled():

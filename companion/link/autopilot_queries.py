@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from companion.domain import Autopilot
 from companion.guidance.commands import Announce, Severity
 from companion.guidance.flight.fencing import Fencing
-from companion.link.clock_sync import ClockSync
+from companion.link.conversion.clock_sync import ClockSync
 from companion.link.fence_download import FenceDownload
 from companion.link.intake import AutopilotBinding, RateLimit
 from companion.link.outbound import Ids, VehicleCommand

@@ -9,9 +9,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-from companion.domain import BatteryLevel, FlightMode, LandedState, VehicleState
+from companion.domain import Autopilot, BatteryLevel, FlightMode, LandedState, VehicleState
 from companion.geometry.coordinates import LocalOrigin, enu_from_ned
 from companion.guidance.events import (
+    AutopilotClockSlipped,
     AutopilotRestarted,
     BatteryReported,
     EstimatorRated,
@@ -27,7 +28,9 @@ from companion.guidance.events import (
     YawMeasured,
 )
 from companion.guidance.flight.vehicle import ORIGIN_STEP_M
-from companion.link.clock_sync import ClockSync, VehicleClock
+from companion.link.conversion.clock_sync import ClockSync
+from companion.link.conversion.geodesy_fit import GeodesyFit
+from companion.link.conversion.sender_clock import ClockStep, VehicleClock
 from companion.mav import dialect
 from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, mavlink
 from companion.mav.flight_modes import autopilot_of, mode_of
@@ -116,10 +119,12 @@ class VehicleInbound:
         self.clock = VehicleClock(sync or ClockSync())
         self.overtaken = 0
         """Messages that came after a newer one of their kind."""
+        self._autopilot = Autopilot.OTHER
         self._restart(0.0)
 
     def _restart(self, now_s: float) -> AutopilotRestarted:
         self._origin: LocalOrigin | None = None
+        self._geodesy: GeodesyFit | None = None
         self._home: mavlink.MAVLink_home_position_message | None = None
         self._is_prearm_good = True
         self._newest: dict[int, int] = {}
@@ -155,6 +160,8 @@ class VehicleInbound:
                 present = message.onboard_control_sensors_present & PREARM_BIT
                 health = message.onboard_control_sensors_health & PREARM_BIT
                 self._is_prearm_good = not present or bool(health)
+            case mavlink.MAVLink_global_position_int_message():
+                return self._compare_positions(message, now_s)
             case mavlink.MAVLink_gps_global_origin_message():
                 return self._take_origin(message, now_s, number)
             case mavlink.MAVLink_home_position_message():
@@ -225,6 +232,7 @@ class VehicleInbound:
     ) -> list[Event]:
         """A position or an attitude at its own time; a stamp can also show a restart."""
         event: Event
+        fitted: list[Event] = []
         if isinstance(message, mavlink.MAVLink_attitude_message):
             if not abs(message.yaw) <= MAX_YAW_RAD:
                 return []
@@ -236,9 +244,14 @@ class VehicleInbound:
             velocity_enu_mps = enu_from_ned((message.vx, message.vy, message.vz))
             state = VehicleState(reading.time_s, place_enu_m, velocity_enu_mps)
             event = VehicleMoved(now_s, state, order=number)
+            fitted = self._compare_positions(message, now_s)
         if self.clock.is_wild:
-            return []
-        return [self._restart(now_s), event] if reading.is_reboot else [event]
+            return fitted
+        if reading.step is ClockStep.RESTART:
+            return [self._restart(now_s), event]
+        if reading.step is ClockStep.SLIP:
+            return [AutopilotClockSlipped(now_s), event, *fitted]
+        return [event, *fitted]
 
     def _heartbeat(
         self, message: mavlink.MAVLink_heartbeat_message, now_s: float, order: int | None
@@ -246,6 +259,7 @@ class VehicleInbound:
         autopilot = autopilot_of(message)
         if autopilot is None:
             return []
+        self._autopilot = autopilot
         status = message.system_status
         is_armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
         is_up = status in UP_STATES
@@ -264,18 +278,43 @@ class VehicleInbound:
     def _take_origin(
         self, message: mavlink.MAVLink_gps_global_origin_message, now_s: float, number: int
     ) -> list[Event]:
-        origin = origin_of(message)
+        origin = origin_of(message, self._autopilot)
         if origin is None:
             return []
         self._note_frame(origin, number, now_s)
-        self._origin = origin
-        return [OriginSet(now_s, self._origin), *self._home_events(now_s)]
+        if self._geodesy is None or self._geodesy.told != origin:
+            self._geodesy = GeodesyFit(origin)
+        return self._origin_events(self._geodesy, now_s)
+
+    def _origin_events(self, geodesy: GeodesyFit, now_s: float) -> list[Event]:
+        self._origin = geodesy.origin
+        is_fitted = self._origin != geodesy.told
+        off_m = geodesy.off_m if is_fitted else 0.0
+        return [OriginSet(now_s, self._origin, off_m), *self._home_events(now_s)]
+
+    def _compare_positions(
+        self,
+        message: mavlink.MAVLink_local_position_ned_message
+        | mavlink.MAVLink_global_position_int_message,
+        now_s: float,
+    ) -> list[Event]:
+        """Whether local and global positions belong together; another origin if not."""
+        geodesy, stamp_s = self._geodesy, message.time_boot_ms / 1000.0
+        if geodesy is None:
+            return []
+        if isinstance(message, mavlink.MAVLink_local_position_ned_message):
+            is_new = geodesy.note_local(stamp_s, enu_from_ned((message.x, message.y, message.z)))
+        elif _is_on_earth(message.lat, message.lon):
+            place = (message.lat / 1e7, message.lon / 1e7, message.alt / 1000.0)
+            is_new = geodesy.note_global(stamp_s, place)
+        else:
+            return []
+        return self._origin_events(geodesy, now_s) if is_new else []
 
     def _note_frame(self, origin: LocalOrigin, number: int, now_s: float) -> None:
         """Remember when the frame moved; an origin that creeps takes nothing with it."""
         frame = self._frame or origin
-        place = (origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
-        if math.hypot(*frame.enu_from_geodetic(*place)) > ORIGIN_STEP_M:
+        if math.hypot(*frame.zero_of(origin)) > ORIGIN_STEP_M:
             frame, self._frame_begun = origin, (number, now_s)
         self._frame = frame
 
@@ -299,12 +338,15 @@ class VehicleInbound:
         return [HomeSet(now_s, local)] if is_near else []
 
 
-def origin_of(message: mavlink.MAVLink_gps_global_origin_message) -> LocalOrigin | None:
-    """The origin of the local frame; None of a sender who does not know it."""
+def origin_of(
+    message: mavlink.MAVLink_gps_global_origin_message, autopilot: Autopilot
+) -> LocalOrigin | None:
+    """The origin of an autopilot's local frame; None of a sender who does not know it."""
     is_somewhere = _is_on_earth(message.latitude, message.longitude)
     if not is_somewhere or abs(message.altitude) > MAX_ALTITUDE_MM:
         return None
-    return LocalOrigin(message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1000.0)
+    place = (message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1000.0)
+    return LocalOrigin(*place, autopilot.projection)
 
 
 def _is_on_earth(latitude_e7: int, longitude_e7: int) -> bool:

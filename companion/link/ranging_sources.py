@@ -18,7 +18,7 @@ from typing import Protocol
 
 from companion.domain import RangingMeasurement
 from companion.geometry.coordinates import bearing_enu_from_ned
-from companion.link.clock_sync import CLOCK_TOLERANCE_S, SenderClock, VehicleClock
+from companion.link.conversion.sender_clock import CLOCK_TOLERANCE_S, SenderClock, VehicleClock
 from companion.link.interface import MAVLINK
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message, Message, RangingFlag, mavlink
@@ -70,6 +70,9 @@ class MavlinkRanging:
         self._codec = context.codec
         self._vehicle_clock = context.vehicle_clock
         self._clocks: dict[tuple[int, int], SenderClock] = {}
+        self._on_vehicle_clock: set[tuple[int, int]] = set()
+        """Senders whose last stamp was of the autopilot's clock."""
+        self._slips = context.vehicle_clock.slips
 
     def receive(self, data: bytes, now_s: float) -> list[RangingMeasurement]:
         """The measurement in a proved frame, if it is a ranging message."""
@@ -78,24 +81,40 @@ class MavlinkRanging:
 
     def measure(self, message: RangingMessage, now_s: float) -> list[RangingMeasurement]:
         """The same for a message that was decoded already."""
+        self._follow_slips()
         sender = (message.get_srcSystem(), message.get_srcComponent())
         clock = self._clocks.get(sender)
         if clock is None:
             if len(self._clocks) >= MAX_SENDERS:
-                self._clocks.pop(next(iter(self._clocks)))
+                self._forget(next(iter(self._clocks)))
             clock = self._clocks[sender] = SenderClock()
         if message.time_usec == 0:  # a sender without a clock: nothing to date or compare by
             measurement = ranging_from_message(message, now_s)
             return [] if measurement is None else [replace(measurement, stamp_us=None)]
         stamp_s = message.time_usec / 1e6
         measured_at_s = clock.read(stamp_s, now_s).time_s
-        own_offset_s, vehicle_offset_s = clock.timebase.offset_s, self._vehicle_clock.offset_s
+        own_offset_s = clock.timebase.offset_at_s(measured_at_s)
+        vehicle_offset_s = self._vehicle_clock.offset_at_s(measured_at_s)
+        self._on_vehicle_clock.discard(sender)
         if own_offset_s is not None and vehicle_offset_s is not None:
             later_s = own_offset_s - vehicle_offset_s
-            if -CLOCK_TOLERANCE_S <= later_s <= MAX_LINK_DELAY_S:  # the same clock
+            if -CLOCK_TOLERANCE_S <= later_s <= MAX_LINK_DELAY_S:
+                self._on_vehicle_clock.add(sender)
                 measured_at_s = min(now_s, stamp_s + vehicle_offset_s)
         measurement = ranging_from_message(message, measured_at_s)
         return [] if measurement is None else [measurement]
+
+    def _follow_slips(self) -> None:
+        """Begin anew with whoever stamps by the autopilot's clock, once that slipped."""
+        if self._slips == self._vehicle_clock.slips:
+            return
+        self._slips = self._vehicle_clock.slips
+        for sender in tuple(self._on_vehicle_clock):
+            self._forget(sender)
+
+    def _forget(self, sender: tuple[int, int]) -> None:
+        del self._clocks[sender]
+        self._on_vehicle_clock.discard(sender)
 
 
 def ranging_from_message(message: Message, measured_at_s: float) -> RangingMeasurement | None:

@@ -187,9 +187,13 @@ class Handover:
         is_down = event.landed is LandedState.ON_GROUND and self._has_flown
         if not is_down and event.landed is not LandedState.LANDING:
             return
+        left = context.phase
         if context.enter(Trigger.LANDED, event.time_s):
             text = "on the ground" if is_down else "autopilot is landing"
-            context.warn(f"control lost: {text}; give the mode again to resume")
+            if left in (Phase.FINISHED, Phase.HANDBACK):  # by what we asked for
+                context.announce(Severity.NOTICE, f"as asked: {text}")
+            else:
+                context.warn(f"control lost: {text}; give the mode again to resume")
 
     def _foreign(self, event: events.HeartbeatReceived) -> None:
         context, left = self._context, self._context.phase
@@ -272,8 +276,16 @@ class Handover:
             self._move_frame(event, step_m)
         if event.origin != context.vehicle.origin:
             context.record("origin", **asdict(event.origin))
+            self._tell_fit(event)
         context.vehicle.handle(event)
         return has_moved
+
+    def _tell_fit(self, event: events.OriginSet) -> None:
+        before = self._context.vehicle.origin
+        is_first = before is None or before.offset_enu_m == (0.0, 0.0, 0.0)
+        if event.off_m and is_first:
+            text = f"global position {event.off_m:.1f} m from the local one: places are fitted"
+            self._context.warn(text)
 
     def _move_frame(self, event: events.OriginSet, step_m: float) -> None:
         context = self._context

@@ -11,7 +11,8 @@ send arrives.
   on meanwhile, we give way: two streams would tear the vehicle to and fro. Ours follows each of its
   setpoints within a tick, so of a slow source only one in many is ever echoed. What is far beside
   our way is therefore remembered for half a minute; what is just beside it may be the autopilot's
-  rounding, and is soon forgotten.
+  rounding, and is soon forgotten. While we pause, as on a clock that slipped, the autopilot echoes
+  where it stays by itself: that is nobody's setpoint.
 - An echo that is on the way, but where it was seconds ago, means that nothing of ours arrives any
   more, and so may no echo at all where there was one.
 
@@ -42,7 +43,9 @@ TOLERANCE_M = 1.5
 MEMORY_S = 30.0
 """A position target of ArduPilot is echoed for ever; one of ours that is older is not known."""
 GRACE_S = 2.0
-"""After control began the echo may still tell of what was flown before."""
+"""After control began, or a pause, the echo may still tell of what was flown before."""
+PAUSE_S = 0.5
+"""Who sends nothing for longer is not echoed: the autopilot follows a place of its own then."""
 MAX_LAG_S = 2.0
 """How old the newest setpoint may be that is known to have arrived."""
 FOREIGN_ECHOES = 3
@@ -64,6 +67,8 @@ class EchoWatch(Watch):
     def __init__(self) -> None:
         self._way: deque[tuple[float, float, PositionEnu]] = deque()
         """From, until, and where."""
+        self._sent_s = self._resumed_s = -math.inf
+        """When we sent last, and when we began to after a pause."""
         self.end()
 
     def end(self) -> None:
@@ -91,6 +96,10 @@ class EchoWatch(Watch):
 
     def note_setpoint(self, place_enu_m: PositionEnu, now_s: float) -> None:
         """We sent a setpoint."""
+        if now_s - self._sent_s > PAUSE_S:
+            self._resumed_s = now_s
+            self._forget_echoes()
+        self._sent_s = now_s
         if self._way and self._way[-1][2] == place_enu_m:
             from_s, _, _ = self._way.pop()
             self._way.append((from_s, now_s, place_enu_m))
@@ -109,9 +118,13 @@ class EchoWatch(Watch):
 
     def _note_echo(self, event: events.SetpointEchoed) -> None:
         now_s = event.time_s
-        if self._control_s is None or now_s - self._control_s < GRACE_S or not self._way:
+        if self._control_s is None or not self._way:
+            return
+        if now_s - max(self._control_s, self._resumed_s) < GRACE_S:
             return
         self._echo_s = now_s
+        if now_s - self._sent_s > PAUSE_S:
+            return
         on_way_s, off_m = self._last_on_way_s(event.position_enu_m)
         if on_way_s is None:
             share = min(1.0, max(0.0, (off_m - TOLERANCE_M) / (FAR_M - TOLERANCE_M)))

@@ -49,9 +49,8 @@ PATIENCE_S = 5.0
 """Jumps that go on for longer than this are handed back."""
 
 
-def _unexplained_m(before: VehicleState, after: VehicleState) -> PositionEnu | None:
+def _unexplained_m(before: VehicleState, after: VehicleState, dt_s: float) -> PositionEnu | None:
     """What the velocities of two reports leave of the way between them; None: too far apart."""
-    dt_s = after.time_s - before.time_s
     if not 0.0 < dt_s <= MAX_GAP_S:
         return None
     half_s = 0.5 * dt_s
@@ -65,16 +64,18 @@ def _unexplained_m(before: VehicleState, after: VehicleState) -> PositionEnu | N
 
 
 def position_jump_m(
-    before: VehicleState, after: VehicleState, noise_m: float = 0.0
+    before: VehicleState, after: VehicleState, noise_m: float = 0.0, dt_s: float | None = None
 ) -> PositionEnu | None:
     """How far a report lies from where the vehicle can have flown, ENU metres; None: no jump.
 
-    `noise_m` is what velocities usually leave unexplained, per axis, one sigma.
+    Args:
+        noise_m: What the velocities usually leave unexplained, per axis, one sigma.
+        dt_s: Time between them; None: by their stamps.
     """
-    jump = _unexplained_m(before, after)
+    dt_s = after.time_s - before.time_s if dt_s is None else dt_s
+    jump = _unexplained_m(before, after, dt_s)
     if jump is None:
         return None
-    dt_s = after.time_s - before.time_s
     least_m = max(LEAST_STEP_M, NOISE_SIGMAS * noise_m)
     most_m = least_m + 0.25 * MAX_ACCELERATION_MPS2 * dt_s * dt_s
     return jump if math.hypot(*jump) > most_m else None
@@ -94,7 +95,7 @@ class PositionNoise:
 
     def add(self, before: VehicleState, after: VehicleState) -> None:
         """Learn from two reports without a jump between them."""
-        rest = _unexplained_m(before, after)
+        rest = _unexplained_m(before, after, after.time_s - before.time_s)
         if rest is None:
             return
         self._count += 1
@@ -137,6 +138,8 @@ class JumpWatch(Watch):
         self._last_s = -math.inf
         self._jumped_m: PositionEnu | None = None
         """All that the position jumped by since it was steady; None: nobody doubts it."""
+        self._arrived_s = -math.inf
+        """When the newest position came."""
 
     @property
     def is_in_doubt(self) -> bool:
@@ -173,9 +176,13 @@ class JumpWatch(Watch):
 
     def take_position(self, event: VehicleMoved) -> None:
         """Compare a reported position with those before, and let the vehicle take it in."""
+        track = self._context.vehicle.track
+        before = track.latest
         if is_plausible(event.state):
             self._compare_position(event)
         self._context.vehicle.handle(event)
+        if track.latest is not before:
+            self._arrived_s = event.time_s
 
     def take_heading(self, event: YawMeasured) -> None:
         """Compare a reported heading with the one before, and let the vehicle take it in."""
@@ -187,10 +194,16 @@ class JumpWatch(Watch):
         track = self._context.vehicle.track
         if track.latest is None:
             return
-        jump_m = position_jump_m(track.latest, event.state, self._noise.sigma_m)
+        noise_m = self._noise.sigma_m
+        jump_m = position_jump_m(track.latest, event.state, noise_m)
         if jump_m is None:
             self._noise.add(track.latest, event.state)
             return
+        passed_s = event.time_s - self._arrived_s
+        if 0.0 < passed_s <= MAX_GAP_S and (
+            position_jump_m(track.latest, event.state, noise_m, passed_s) is None
+        ):
+            return  # flown while they were on their way, stamped by a clock that slipped
         before_s = track.latest.time_s
         self._context.vehicle.shift(jump_m)
         self._move_targets(jump_m, 0.0)

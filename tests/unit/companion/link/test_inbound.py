@@ -16,7 +16,7 @@ from companion.guidance.events import (
     VehicleMoved,
     YawMeasured,
 )
-from companion.link.clock_sync import ClockSync
+from companion.link.conversion.clock_sync import ClockSync
 from companion.link.inbound import VehicleInbound
 from companion.mav.dialect import Message, mavlink
 from tests.unit.companion.link.wire import (
@@ -222,7 +222,7 @@ def test_without_an_exchange_the_shortest_delay_is_taken_for_none() -> None:
 def test_with_an_exchange_of_times_the_delay_of_the_line_is_known() -> None:
     inbound = VehicleInbound(synchronised(0.2, 0.2))
     assert age_at_arrival(inbound, 0.2) == pytest.approx(0.2)
-    assert inbound.clock.offset_s == pytest.approx(-100.0)
+    assert inbound.clock.offset_at_s(0.0) == pytest.approx(-100.0)
 
 
 @pytest.mark.parametrize("way_s", [0.2, 0.5, 0.8])

@@ -17,7 +17,8 @@ from companion.flight_setup import (
     facts_of_links,
 )
 from companion.io.links.transports import SerialPort, check_exposure, parse_flight_link
-from companion.link.clock_sync import ClockSync, VehicleClock
+from companion.link.conversion.clock_sync import ClockSync
+from companion.link.conversion.sender_clock import VehicleClock
 from companion.link.interface import VEHICLE_ONLY, LinkRole, LinkSpec
 from companion.link.ranging_sources import SOURCES, MavlinkRanging, SourceContext
 from companion.mav.codec import MavCodec

@@ -30,6 +30,7 @@ class Line:
         """How much of a tick its setpoint stands before ours replaces it."""
         self.is_uplink_up = self.is_echo_up = True
         self.is_moving = True
+        self.is_sending = True
         self.findings: list[tuple[float, Finding]] = []
         self._loss, self._latency_s = loss, latency_s
         self._rng = np.random.default_rng(seed)
@@ -52,6 +53,8 @@ class Line:
                 self.findings.append((self.now_s, finding))
             if self.is_moving:
                 self._path_m += SPEED_MPS * TICK_S
+            if not self.is_sending:
+                continue
             place = self._place()
             self.watch.note_setpoint(place, self.now_s)
             if self.is_uplink_up and self._rng.random() >= self._loss:
@@ -233,3 +236,27 @@ def test_a_frame_that_moved_begins_anew() -> None:
         line.now_s += 0.05
     line.watch.tick(line.now_s)
     assert line.watch.finding(line.now_s) is None
+
+
+def test_what_the_autopilot_follows_while_we_pause_is_no_second_source() -> None:
+    """ArduPilot in GUIDED without setpoints echoes the place where it stopped."""
+    line = Line()
+    line.run(10.0)
+    line.is_sending = False
+    line.run(0.6)
+    line._target = FOREIGN
+    line.run(3.0)
+    line.is_sending = True
+    line.run(10.0)
+    assert line.findings == []
+
+
+def test_a_second_source_that_began_during_a_pause_is_found() -> None:
+    line = Line()
+    line.run(10.0)
+    line.is_sending = False
+    line.intruder_hz = 10.0
+    line.run(3.0)
+    line.is_sending = True
+    line.run(6.0)
+    assert line.findings[-1][1].verdict is Verdict.GIVE_WAY

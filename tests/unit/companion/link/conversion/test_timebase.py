@@ -6,13 +6,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.link.clock_sync import REBOOT_CONFIRM_S, WRAP_S, Timebase
+from companion.link.conversion.sender_clock import CONFIRM_S, WRAP_S, ClockStep, Timebase
 
 
 def test_the_first_stamp_is_read_as_its_arrival() -> None:
     reading = Timebase().read(500.0, 10.0)
     assert reading.time_s == 10.0
-    assert not reading.is_reboot
+    assert reading.step is ClockStep.NONE
 
 
 def test_the_smallest_delay_seen_defines_the_offset() -> None:
@@ -35,7 +35,7 @@ def restart(timebase: Timebase, boot_s: float, now_s: float) -> float:
     """Stamps of a new clock at 20 Hz; how long it took until the restart was told."""
     for step in range(20):
         passed_s = 0.05 * step
-        if timebase.read(boot_s + passed_s, now_s + passed_s).is_reboot:
+        if timebase.read(boot_s + passed_s, now_s + passed_s).step is ClockStep.RESTART:
             return passed_s
     raise AssertionError("no restart was told")
 
@@ -43,9 +43,9 @@ def restart(timebase: Timebase, boot_s: float, now_s: float) -> float:
 def test_a_reboot_is_told_once_it_goes_on_and_starts_a_new_offset() -> None:
     timebase = Timebase()
     timebase.read(1000.0, 10.0)
-    assert restart(timebase, 0.5, 20.0) == pytest.approx(REBOOT_CONFIRM_S, abs=0.051)
+    assert restart(timebase, 0.5, 20.0) == pytest.approx(CONFIRM_S, abs=0.051)
     following = timebase.read(2.5, 22.0)
-    assert not following.is_reboot
+    assert following.step is ClockStep.NONE
     assert following.time_s == pytest.approx(22.0)
 
 
@@ -61,8 +61,8 @@ def test_frames_that_come_late_by_another_way_are_no_reboot(late_s: float) -> No
     timebase = Timebase()
     for step in range(4000):
         now_s = 200.0 + 0.05 * step
-        assert not timebase.read(now_s, now_s).is_reboot
-        assert not timebase.read(now_s - late_s, now_s).is_reboot
+        assert timebase.read(now_s, now_s).step is ClockStep.NONE
+        assert timebase.read(now_s - late_s, now_s).step is ClockStep.NONE
 
 
 def test_a_burst_of_late_frames_is_no_reboot() -> None:
@@ -70,22 +70,22 @@ def test_a_burst_of_late_frames_is_no_reboot() -> None:
     timebase.read(100.0, 10.0)
     timebase.read(105.0, 15.0)
     readings = [timebase.read(101.0 + 0.05 * n, 15.0 + 0.001 * n) for n in range(60)]
-    assert not any(reading.is_reboot for reading in readings)
+    assert all(reading.step is ClockStep.NONE for reading in readings)
 
 
 def test_two_stamps_are_not_enough_for_a_reboot_however_long_they_last() -> None:
     timebase = Timebase()
     timebase.read(100.0, 10.0)
-    assert not timebase.read(1.0, 11.0).is_reboot
-    assert not timebase.read(11.0, 21.0).is_reboot
-    assert timebase.read(11.1, 21.1).is_reboot
+    assert timebase.read(1.0, 11.0).step is ClockStep.NONE
+    assert timebase.read(11.0, 21.0).step is ClockStep.NONE
+    assert timebase.read(11.1, 21.1).step is ClockStep.RESTART
 
 
 def test_stamps_that_go_back_without_any_order_are_no_reboot() -> None:
     timebase, rng = Timebase(), random.Random(3)
     timebase.read(1e6, 10.0)
     for step in range(200):
-        assert not timebase.read(rng.uniform(0.0, 1e5), 11.0 + 0.05 * step).is_reboot
+        assert timebase.read(rng.uniform(0.0, 1e5), 11.0 + 0.05 * step).step is ClockStep.NONE
 
 
 def test_the_offset_after_a_reboot_is_the_best_of_the_first_stamps() -> None:
@@ -93,7 +93,7 @@ def test_the_offset_after_a_reboot_is_the_best_of_the_first_stamps() -> None:
     timebase.read(1000.0, 10.0)
     for stamp_s, now_s in ((0.0, 20.4), (0.2, 20.2), (0.4, 20.75)):
         reading = timebase.read(stamp_s, now_s)
-    assert reading.is_reboot
+    assert reading.step is ClockStep.RESTART
     assert reading.time_s == pytest.approx(20.4)
 
 
@@ -102,16 +102,16 @@ def test_a_late_frame_is_no_reboot() -> None:
     timebase.read(100.0, 10.0)
     timebase.read(101.0, 11.0)
     late = timebase.read(100.2, 11.05)
-    assert not late.is_reboot
+    assert late.step is ClockStep.NONE
     assert late.time_s == pytest.approx(10.2, abs=1e-3)
-    assert not timebase.read(101.1, 11.1).is_reboot
+    assert timebase.read(101.1, 11.1).step is ClockStep.NONE
 
 
 def test_the_wrap_of_time_boot_ms_is_no_reboot() -> None:
     timebase = Timebase()
     timebase.read(WRAP_S - 0.5, 10.0)
     reading = timebase.read(0.5, 11.0)
-    assert not reading.is_reboot
+    assert reading.step is ClockStep.NONE
     assert reading.time_s == pytest.approx(11.0, abs=1e-3)
     assert timebase.read(10.5, 21.0).time_s == pytest.approx(21.0, abs=1e-2)
 
@@ -121,7 +121,7 @@ def test_a_late_frame_from_before_the_wrap_is_still_from_before() -> None:
     timebase.read(WRAP_S - 0.5, 10.0)
     timebase.read(0.5, 11.0)
     late = timebase.read(WRAP_S - 0.1, 11.1)
-    assert not late.is_reboot
+    assert late.step is ClockStep.NONE
     assert late.time_s == pytest.approx(10.4, abs=1e-2)
     assert timebase.read(1.5, 12.0).time_s == pytest.approx(12.0, abs=1e-2)
 
@@ -141,7 +141,7 @@ def test_reordering_about_the_wrap_is_neither_a_reboot_nor_time_lost() -> None:
     arrivals = sorted((0.05 * n + rng.uniform(0.0, 0.3), stamp_s) for n, stamp_s in sent)
     for now_s, stamp_s in arrivals:
         reading = timebase.read(stamp_s % WRAP_S, now_s)
-        assert not reading.is_reboot
+        assert reading.step is ClockStep.NONE
         assert now_s - 0.32 <= reading.time_s <= now_s
 
 

@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from companion.link.clock_sync import MAX_GAIN_S, SenderClock
+from companion.link.conversion.sender_clock import MAX_GAIN_S, ClockStep, SenderClock
 
 
 def run(speed: float, seconds: float, delay_s: float = 0.0) -> tuple[SenderClock, float]:
@@ -72,6 +72,6 @@ def test_stamps_that_are_late_for_good_are_a_new_clock_after_a_while(confirm_s: 
     restarted_s = [
         now_s
         for now_s in (30.0 + 0.05 * step for step in range(2000))
-        if clock.read(now_s - 12.0, now_s, late_confirm_s=confirm_s).is_reboot
+        if clock.read(now_s - 12.0, now_s, late_confirm_s=confirm_s).step is ClockStep.RESTART
     ]
     assert restarted_s == pytest.approx([30.0 + confirm_s], abs=0.051)

@@ -1,0 +1,135 @@
+"""Whether the autopilot's local and global positions belong together, and what lies between them.
+
+Theory of operation. LOCAL_POSITION_NED and GLOBAL_POSITION_INT are of one estimate, so the place of
+the one, turned by the origin and the autopilot's projection, is the place of the other to two
+centimetres. Where it is not (another firmware, another origin than is told), a place that is
+reported or flown to would be off by as much. So pairs of one moment are compared all the time, and
+what they show beyond the projection, an offset and a scale of each axis, is fitted by least squares
+with a prior of nothing. It is used once it is more than pairs can be off by chance.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+from companion.domain import PositionEnu
+from companion.geometry.coordinates import LocalOrigin
+
+PAIR_SIGMA_M = 0.05
+"""1e-7 degrees are a centimetre, and so is a millisecond at 10 m/s."""
+PRIOR_OFFSET_M, PRIOR_SCALE = 10.0, 0.01
+FEWEST_PAIRS = 20
+"""Ten seconds of them."""
+LEAST_OFF_M = 0.1
+"""Nearer than this they belong together."""
+RENEW_OFF_M = 0.05
+"""A fit that would move the present place by more than this is renewed."""
+FARTHEST_OFF_M = 200.0
+"""Farther apart they are not of one frame, and nothing can be fitted."""
+MAX_GAP_S = 0.3
+MAX_COORDINATE_M = 1e5
+
+
+@dataclass(slots=True)
+class _Line:
+    """`local = projected + offset + stretch * projected` by recursive least squares."""
+
+    offset_m: float = 0.0
+    stretch: float = 0.0
+    _variance: list[float] = field(default_factory=lambda: [PRIOR_OFFSET_M**2, 0.0, PRIOR_SCALE**2])
+
+    def add(self, projected_m: float, local_m: float) -> None:
+        """Take in a pair."""
+        pp, ps, ss = self._variance
+        to_offset, to_stretch = pp + ps * projected_m, ps + ss * projected_m
+        total = to_offset + to_stretch * projected_m + PAIR_SIGMA_M**2
+        rest_m = local_m - projected_m - self.at_m(projected_m)
+        self.offset_m += to_offset / total * rest_m
+        self.stretch += to_stretch / total * rest_m
+        self._variance = [
+            pp - to_offset * to_offset / total,
+            ps - to_offset * to_stretch / total,
+            ss - to_stretch * to_stretch / total,
+        ]
+
+    def at_m(self, projected_m: float) -> float:
+        """What lies between the two at a place."""
+        return self.offset_m + self.stretch * projected_m
+
+
+class GeodesyFit:
+    """Compares the positions of one autopilot about one origin.
+
+    Args:
+        told: The origin as the autopilot tells it.
+    """
+
+    def __init__(self, told: LocalOrigin) -> None:
+        self.told = told
+        self.off_m = 0.0
+        """How far the newest place is off without the fit."""
+        self._lines = (_Line(), _Line(), _Line())
+        self._used: tuple[float, ...] | None = None
+        """Offsets and stretches that are used; None: pairs belong together."""
+        self._pairs = 0
+        self._before: tuple[float, PositionEnu] | None = None
+        self._latest: tuple[float, PositionEnu] | None = None
+        self._waiting: tuple[float, tuple[float, float, float]] | None = None
+
+    def note_local(self, stamp_s: float, enu_m: PositionEnu) -> bool:
+        """A local position by the autopilot's own stamp; whether the fit changed."""
+        self._before, self._latest = self._latest, (stamp_s, enu_m)
+        return self._compare()
+
+    def note_global(self, stamp_s: float, place: tuple[float, float, float]) -> bool:
+        """Latitude and longitude in degrees, altitude in metres; whether the fit changed."""
+        self._waiting = (stamp_s, place)
+        return self._compare()
+
+    @property
+    def origin(self) -> LocalOrigin:
+        """The origin with what is used of the fit."""
+        if self._used is None:
+            return self.told
+        east, north, up, east_stretch, north_stretch = self._used
+        scale = (1.0 + east_stretch, 1.0 + north_stretch)
+        return replace(self.told, offset_enu_m=(east, north, up), scale_en=scale)
+
+    def _compare(self) -> bool:
+        """Compare a global position once there are local ones before and after it."""
+        if self._waiting is None or self._before is None or self._latest is None:
+            return False
+        (stamp_s, place), (from_s, start) = self._waiting, self._before
+        until_s, end = self._latest
+        if stamp_s > until_s:
+            return False
+        self._waiting = None
+        if not from_s <= stamp_s or not 0.0 < until_s - from_s <= MAX_GAP_S:
+            return False
+        share = (stamp_s - from_s) / (until_s - from_s)
+        east, north, up = (a + share * (b - a) for a, b in zip(start, end, strict=True))
+        return self._take(self.told.enu_from_geodetic(*place), (east, north, up))
+
+    def _take(self, projected: PositionEnu, local: PositionEnu) -> bool:
+        self.off_m = math.dist(projected, local)
+        if not self.off_m <= FARTHEST_OFF_M or math.hypot(*local) > MAX_COORDINATE_M:
+            return False
+        for line, projected_m, local_m in zip(self._lines, projected, local, strict=True):
+            line.add(projected_m, local_m)
+        self._pairs += 1
+        if self._pairs < FEWEST_PAIRS:
+            return False
+        offsets = [line.at_m(at_m) for line, at_m in zip(self._lines, projected, strict=True)]
+        used = self._used or (0.0,) * 5
+        now_used = (
+            used[0] + used[3] * projected[0],
+            used[1] + used[4] * projected[1],
+            used[2],
+        )
+        least_m = LEAST_OFF_M if self._used is None else RENEW_OFF_M
+        if math.dist(offsets, now_used) <= least_m:
+            return False
+        east, north, _ = self._lines
+        self._used = (east.offset_m, north.offset_m, offsets[2], east.stretch, north.stretch)
+        return True

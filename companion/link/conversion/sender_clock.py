@@ -1,0 +1,434 @@
+"""A sender's clock on the companion's time axis, by the arrival of its stamps.
+
+Theory of operation. A remote stamp (`time_boot_ms`, `time_usec`) becomes local seconds by the
+smallest difference arrival - stamp seen so far: delay only ever adds to it, so the smallest is the
+nearest to the truth. The minimum is forgotten slowly, so that a drifting clock is followed. A clock
+that runs slow by per cents is known by its minima of eight seconds, if they lie on a straight
+line; a link that becomes slower once does not look like that.
+
+A stamp that went back is one of four: the counter wrapped, the frame is late, the clock slipped, or
+the sender restarted. A wrap is a step by almost exactly 2**32 ms. The last two show themselves by
+going on: stamps of the new clock come for a while, as fast as time passes, and none of the old one
+in between. Until then they are read as what they would be otherwise, late. A restarted sender has
+not been up for longer than it was not heard; whoever shows more has a clock that slipped.
+
+The autopilot's clock is known better, by the exchange of times (`clock_sync`). What that shows of a
+slip or of its rate is believed, and its stamps are read anew.
+
+Source: Moon, Skelly, Towsley, "Estimation and Removal of Clock Skew from Network Delay
+Measurements" (1999), for the rate as the slope under one-sided delays.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections import deque
+from dataclasses import dataclass
+from enum import Enum
+
+from companion.link.conversion.clock_sync import (
+    DRIFT_ALLOWANCE,
+    MAX_RATE,
+    NO_RATE,
+    REBOOT_BACKWARD_S,
+    ClockSync,
+    Lateness,
+    Rate,
+)
+
+CONFIRM_S = 0.3
+CONFIRM_STAMPS = 3
+"""A new clock must be heard for so long, and so often, before it is believed."""
+BACKWARD_S = 0.1
+"""A stamp less older than the newest one than this is only reordered."""
+CONFIRM_JITTER_S = 1.0
+"""How unevenly its stamps may come meanwhile."""
+WRAP_S = 2**32 / 1000.0
+"""`time_boot_ms` starts again at zero after 49.7 days; that is not a reboot."""
+MAX_WRAP_GAP_S = 60.0
+"""Silence, or lateness, over which a wrap is still recognised."""
+MAX_LATE_S = 5.0
+"""Few links deliver later than this for long; what looks like it is a clock that started anew."""
+LATE_CONFIRM_S = 1.0
+"""A burst of delayed frames is shorter than this."""
+RUN_WINDOW_S = 2.0
+MAX_GAIN_S = 1.0
+"""A clock that gains more than this on ours within the window is no clock.
+
+Every gain also looks like a link that has become faster than ever before, so it must be more than
+a delay; a clock at twice the speed is found out after a second.
+"""
+
+
+class ClockStep(Enum):
+    """What a clock did before a stamp."""
+
+    NONE = "it went on"
+    SLIP = "it slipped, or stood still"
+    RESTART = "its sender restarted"
+
+
+@dataclass(frozen=True, slots=True)
+class StampReading:
+    """One converted stamp."""
+
+    time_s: float
+    """On the companion's clock, never in the future."""
+    step: ClockStep = ClockStep.NONE
+
+
+BUCKET_S = 1.0
+BUCKETS = 8
+FEWEST_BUCKETS = 4
+STRAIGHT_S = 0.010
+"""How far the minima of a clock with a steady rate may lie beside their line."""
+SIGNIFICANT = 4.0
+"""A rate smaller than so many times its uncertainty is none."""
+
+
+class ArrivalRate:
+    """How fast a clock runs, from the least delays of the last seconds."""
+
+    def __init__(self) -> None:
+        self.rate = NO_RATE
+        self._minima: deque[tuple[float, float]] = deque(maxlen=BUCKETS)
+        self._until_s = 0.0
+
+    def take(self, offset_s: float, now_s: float) -> float | None:
+        """Take in arrival minus stamp of one message that arrived now.
+
+        Returns:
+            The least offset now, by a rate that was not known before; None: nothing is new.
+        """
+        least_s = None
+        if not self._minima or now_s >= self._until_s:
+            before = self.rate.growth
+            self._fit()
+            if self.rate.growth - before > self.rate.slack:
+                least_s = min(o + self.rate.growth * (now_s - t) for t, o in self._minima)
+            self._minima.append((now_s, offset_s))
+            self._until_s = now_s + BUCKET_S
+        elif offset_s < self._minima[-1][1]:
+            self._minima[-1] = (now_s, offset_s)
+        return least_s
+
+    def _fit(self) -> None:
+        if len(self._minima) < FEWEST_BUCKETS:
+            return
+        times_s, offsets_s = zip(*self._minima, strict=True)
+        line = statistics.linear_regression(times_s, offsets_s)
+        beside_s = max(
+            abs(offset_s - line.intercept - line.slope * time_s)
+            for time_s, offset_s in self._minima
+        )
+        if beside_s > STRAIGHT_S or abs(line.slope) > MAX_RATE:
+            return
+        uncertainty = DRIFT_ALLOWANCE + 2.0 * beside_s / (times_s[-1] - times_s[0])
+        is_significant = abs(line.slope) > SIGNIFICANT * uncertainty
+        self.rate = Rate(line.slope, uncertainty) if is_significant else NO_RATE
+
+
+@dataclass(slots=True)
+class _NewClock:
+    """Stamps that went back, and may be those of another clock."""
+
+    remote_s: float
+    local_s: float
+    offset_s: float
+    stamps: int = 1
+
+    def continues_with(self, remote_s: float, now_s: float) -> bool:
+        """Whether a stamp is of the same clock as the first one."""
+        passed_s = now_s - self.local_s
+        return abs((remote_s - self.remote_s) - passed_s) <= CONFIRM_JITTER_S
+
+    def take(self, remote_s: float, now_s: float) -> bool:
+        """Take in one more; whether this is enough to believe in it."""
+        self.stamps += 1
+        self.offset_s = min(self.offset_s, now_s - remote_s)
+        return self.stamps >= CONFIRM_STAMPS and now_s - self.local_s >= CONFIRM_S
+
+
+class Timebase:
+    """Converts the stamps of one sender's clock.
+
+    Args:
+        rate: If it is known better than by arrival.
+        offset_s: Local minus remote time, with the shortest delay; None: by the first stamp.
+        now_s: When that is so.
+    """
+
+    def __init__(
+        self, rate: Rate | None = None, offset_s: float | None = None, now_s: float = 0.0
+    ) -> None:
+        self.known_rate = rate
+        """Better than by arrival; None: nobody knows."""
+        self._offset_s = offset_s
+        self._arrivals = ArrivalRate()
+        self._new_clock: _NewClock | None = None
+        self._newest_remote_s = 0.0 if offset_s is None else now_s - offset_s
+        self._updated_s = now_s
+        self._wraps = 0
+
+    @property
+    def rate(self) -> Rate:
+        """How fast the offset grows."""
+        return self._arrivals.rate if self.known_rate is None else self.known_rate
+
+    def offset_at_s(self, time_s: float) -> float | None:
+        """Local minus remote time at a local time, with the shortest delay seen in it."""
+        if self._offset_s is None:
+            return None
+        return self._offset_s + self.rate.growth * (time_s - self._updated_s)
+
+    def read(self, remote_s: float, now_s: float) -> StampReading:
+        """Local time of a remote stamp that arrived at `now_s`, both in seconds."""
+        raw_s, remote_s = remote_s, self._unwrapped(remote_s)
+        before_s = self.offset_at_s(now_s)
+        if before_s is None:
+            return self._start(remote_s, now_s, now_s - remote_s)
+        if remote_s < self._newest_remote_s - BACKWARD_S:
+            if self._is_new_clock(raw_s, now_s) and self._new_clock is not None:
+                is_young = raw_s <= now_s - self._updated_s + MAX_LATE_S
+                is_far = self._newest_remote_s - remote_s > REBOOT_BACKWARD_S
+                step = ClockStep.RESTART if is_young and is_far else ClockStep.SLIP
+                self._wraps = 0
+                return self._start(raw_s, now_s, self._new_clock.offset_s, step)
+            return StampReading(min(now_s, remote_s + before_s))
+        self._new_clock = None
+        least_s = self._arrivals.take(now_s - remote_s, now_s)
+        risen_s = before_s + self.rate.slack * max(0.0, now_s - self._updated_s)
+        if least_s is not None and self.known_rate is None:
+            risen_s = max(risen_s, least_s)
+        self._offset_s = min(risen_s, now_s - remote_s)
+        self._newest_remote_s = max(self._newest_remote_s, remote_s)
+        self._updated_s = now_s
+        late_s = max(0.0, now_s - remote_s - self._offset_s)
+        return StampReading(min(now_s, remote_s + self._offset_s - self.rate.growth * late_s))
+
+    def _start(
+        self, remote_s: float, now_s: float, offset_s: float, step: ClockStep = ClockStep.NONE
+    ) -> StampReading:
+        self._offset_s = offset_s
+        self._newest_remote_s = remote_s
+        self._updated_s = now_s
+        self._new_clock = None
+        return StampReading(min(now_s, remote_s + offset_s), step)
+
+    def _is_new_clock(self, remote_s: float, now_s: float) -> bool:
+        """Whether a stamp that went back confirms that there is a new clock."""
+        if self._new_clock is None or not self._new_clock.continues_with(remote_s, now_s):
+            self._new_clock = _NewClock(remote_s, now_s, now_s - remote_s)
+            return False
+        return self._new_clock.take(remote_s, now_s)
+
+    def _unwrapped(self, remote_s: float) -> float:
+        """The stamp without the wraps of its counter; one from before the last wrap may be late.
+
+        Only a step back by almost exactly one wrap is one: a sender that falls from Unix time to
+        its time since boot goes back much further, and has restarted.
+        """
+        remote_s += self._wraps * WRAP_S
+        if self._offset_s is None:
+            return remote_s
+        behind_s = self._newest_remote_s - remote_s
+        if WRAP_S - MAX_WRAP_GAP_S < behind_s <= WRAP_S + REBOOT_BACKWARD_S:
+            self._wraps += 1
+            return remote_s + WRAP_S
+        if self._wraps and -WRAP_S <= behind_s < -WRAP_S + MAX_WRAP_GAP_S:
+            return remote_s - WRAP_S
+        return remote_s
+
+
+class SenderClock:
+    """Converts one sender's stamps to local time.
+
+    `Timebase` knows a restart by a stamp that goes back. After a silence longer than the sender's
+    former uptime the stamps of the new clock are ahead of the old ones, and every reading would
+    be late, for good: that is a restart too, unless the link itself is as late.
+
+    Args:
+        rate: If it is known better than by arrival.
+        offset_s: Local minus remote time, with the shortest delay; None: by the first stamp.
+        now_s: When that is so.
+    """
+
+    def __init__(
+        self, rate: Rate | None = None, offset_s: float | None = None, now_s: float = 0.0
+    ) -> None:
+        self.timebase = Timebase(rate, offset_s, now_s)
+        """Begun anew by a clock that did so without a stamp that goes back."""
+        self._late_since_s: float | None = None
+        self._prompt_s: float | None = None
+        """When a stamp came last that was not late."""
+        self._gains: deque[tuple[float, float]] = deque()
+        """When the clock gained on ours, and how much."""
+
+    @property
+    def is_wild(self) -> bool:
+        """Whether it runs so fast that its stamps say nothing about the present."""
+        return sum(gain_s for _, gain_s in self._gains) > MAX_GAIN_S
+
+    def calm(self) -> None:
+        """What it gained was a slip."""
+        self._gains.clear()
+
+    def read(
+        self, remote_s: float, now_s: float, *, late_confirm_s: float = LATE_CONFIRM_S
+    ) -> StampReading:
+        """Local time of a remote stamp that arrived at `now_s`, both in seconds.
+
+        Args:
+            late_confirm_s: How long stamps must be late before they are those of a new clock.
+        """
+        before_s = self.timebase.offset_at_s(now_s)
+        reading = self.timebase.read(remote_s, now_s)
+        if reading.step is ClockStep.NONE:
+            self._note_gain(before_s, now_s)
+        else:
+            self._gains.clear()
+        if now_s - reading.time_s <= MAX_LATE_S:
+            self._late_since_s, self._prompt_s = None, now_s
+            return reading
+        if self._late_since_s is None:
+            self._late_since_s = now_s
+        if now_s - self._late_since_s < late_confirm_s:
+            return reading
+        silence_s = now_s - (self._late_since_s if self._prompt_s is None else self._prompt_s)
+        self._late_since_s = None
+        self.timebase = Timebase(self.timebase.known_rate)
+        self._gains.clear()
+        is_young = remote_s <= silence_s + MAX_LATE_S
+        step = ClockStep.RESTART if is_young else ClockStep.SLIP
+        return StampReading(self.timebase.read(remote_s, now_s).time_s, step)
+
+    def _note_gain(self, before_s: float | None, now_s: float) -> None:
+        after_s = self.timebase.offset_at_s(now_s)
+        if before_s is not None and after_s is not None and after_s < before_s:
+            self._gains.append((now_s, before_s - after_s))
+        while self._gains and self._gains[0][0] <= now_s - RUN_WINDOW_S:
+            self._gains.popleft()
+
+
+CLOCK_TOLERANCE_S = 0.03
+ONE_SLIP_S = 5.0
+"""Stamps and exchange show the same slip within this time."""
+LATE_CONFIRM_S_OF = {Lateness.NONE: LATE_CONFIRM_S, Lateness.UNKNOWN: 10.0, Lateness.SLOW: 60.0}
+"""How long stamps that are late are a slow link's before they are a restarted autopilot's."""
+
+
+class VehicleClock:
+    """The autopilot's clock: by the arrival of its stamps and, better, by the exchange of times.
+
+    Args:
+        sync: The exchange; may be of another clock.
+    """
+
+    def __init__(self, sync: ClockSync) -> None:
+        self.sync = sync
+        self.slips = 0
+        """How often it slipped; whoever shares this clock begins anew then."""
+        self._stamps = SenderClock()
+        self._is_same_clock = False
+        """Whether the exchange was once of the clock that stamps."""
+        self._delay_s = 0.0
+        """The shortest way of a stamp, when both agreed last."""
+        self._apart_since_s: float | None = None
+        self._resets = sync.resets
+        self._slipped_s = -math.inf
+        """When a slip was told last."""
+
+    def offset_at_s(self, now_s: float) -> float | None:
+        """Local time minus the autopilot's at a local time; None before its first stamp.
+
+        By arrival it is too large by the shortest delay. The exchange of times knows that delay,
+        and is believed if one way takes no longer than both: otherwise it is of another clock.
+        """
+        delay_s = self._way_s(now_s)
+        by_arrival_s = self._stamps.timebase.offset_at_s(now_s)
+        if delay_s is None or by_arrival_s is None or not self._is_way(delay_s):
+            return by_arrival_s
+        return by_arrival_s - delay_s
+
+    @property
+    def is_wild(self) -> bool:
+        """Whether it runs so fast that its stamps say nothing about the present."""
+        return self._stamps.is_wild
+
+    def read(self, remote_s: float, now_s: float) -> StampReading:
+        """Local time of one of its stamps that arrived at `now_s`, both in seconds."""
+        has_slipped = self._follow_exchange(now_s)
+        late_confirm_s = LATE_CONFIRM_S_OF[self.sync.lateness(now_s)]
+        reading = self._stamps.read(remote_s, now_s, late_confirm_s=late_confirm_s)
+        if reading.step is not ClockStep.NONE:
+            self.slips += 1
+            self._slipped_s = now_s
+            return reading
+        best_s = self.offset_at_s(reading.time_s)
+        by_arrival_s = self._stamps.timebase.offset_at_s(reading.time_s)
+        time_s = reading.time_s
+        if best_s is not None and by_arrival_s is not None:
+            time_s += best_s - by_arrival_s
+        return StampReading(time_s, ClockStep.SLIP if has_slipped else ClockStep.NONE)
+
+    def restart(self) -> None:
+        """Forget its stamps, because the exchange of times showed that it restarted."""
+        self._stamps = SenderClock()
+        self._is_same_clock = False
+        self._apart_since_s = None
+        self.slips += 1
+
+    def _way_s(self, now_s: float) -> float | None:
+        """How long a stamp is on its way at least, by both ways to know the offset."""
+        by_arrival_s = self._stamps.timebase.offset_at_s(now_s)
+        by_exchange_s = self.sync.offset_at_s(now_s)
+        return (
+            None if by_arrival_s is None or by_exchange_s is None else by_arrival_s - by_exchange_s
+        )
+
+    def _is_way(self, delay_s: float) -> bool:
+        round_trip_s = self.sync.round_trip_s
+        return round_trip_s is not None and 0.0 <= delay_s <= round_trip_s + CLOCK_TOLERANCE_S
+
+    def _follow_exchange(self, now_s: float) -> bool:
+        """Begin anew where exchanges show that the clock slipped; whether they do.
+
+        An exchange is wrong by at most half of its round trip. What is apart by more than that and
+        a way, while five exchanges agree with each other, are stamps of another time than before.
+        """
+        delay_s, round_trip_s = self._way_s(now_s), self.sync.round_trip_s
+        if delay_s is None or round_trip_s is None or not self.sync.is_known(now_s):
+            self._stamps.timebase.known_rate = self._apart_since_s = None
+            return False
+        if self._is_way(delay_s):
+            self._is_same_clock, self._delay_s, self._apart_since_s = True, delay_s, None
+        self._stamps.timebase.known_rate = self.sync.rate if self._is_same_clock else None
+        half_s = round_trip_s / 2.0 + CLOCK_TOLERANCE_S
+        if not self._is_same_clock or -half_s <= delay_s <= round_trip_s + half_s:
+            self._apart_since_s = None
+            return self._note_gain(now_s)
+        if self._apart_since_s is None:
+            self._apart_since_s = now_s
+        if not self.sync.agrees_since(self._apart_since_s):
+            return False
+        offset_s = self.sync.offset_at_s(now_s)
+        if offset_s is None:
+            return False
+        self._stamps = SenderClock(self.sync.rate, offset_s + self._delay_s, now_s)
+        self._apart_since_s = None
+        self._resets = self.sync.resets
+        self._slipped_s = now_s
+        self.slips += 1
+        return True
+
+    def _note_gain(self, now_s: float) -> bool:
+        """Whether the exchange shows a slip ahead, which the stamps had followed at once."""
+        if self._resets == self.sync.resets:
+            return False
+        self._resets = self.sync.resets
+        if not self._is_same_clock or now_s - self._slipped_s <= ONE_SLIP_S:
+            return False
+        self._stamps.calm()
+        self._slipped_s = now_s
+        return True

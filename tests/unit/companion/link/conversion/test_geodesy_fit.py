@@ -1,0 +1,82 @@
+"""Pairs of local and global positions: those that belong together, and those that do not."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+
+from companion.domain import PositionEnu
+from companion.geometry.coordinates import LocalOrigin, Projection
+from companion.link.conversion.geodesy_fit import FEWEST_PAIRS, LEAST_OFF_M, GeodesyFit
+
+TOLD = LocalOrigin(47.397742, 8.545594, 488.0, Projection.SPHERE)
+GLOBAL_PERIOD_S = 0.5
+Path = Callable[[float], PositionEnu]
+
+
+def circle(time_s: float) -> PositionEnu:
+    """120 m about the origin at 8 m/s."""
+    angle = time_s * 8.0 / 120.0
+    return (120.0 * math.cos(angle), 120.0 * math.sin(angle), 20.0)
+
+
+def still(time_s: float) -> PositionEnu:
+    del time_s
+    return (100.0, -60.0, 20.0)
+
+
+def flown(fit: GeodesyFit, true: LocalOrigin, path: Path = circle, seconds: float = 60.0) -> int:
+    """How often the fit changed while an autopilot told positions as it does about an origin."""
+    changes, next_s = 0, 0.1
+    for step in range(round(seconds / 0.05)):
+        now_s = 0.05 * step
+        while next_s <= now_s:
+            lat, lon, alt_m = true.geodetic_from_enu(path(next_s))
+            place = (round(lat * 1e7) / 1e7, round(lon * 1e7) / 1e7, round(alt_m, 3))
+            changes += fit.note_global(round(next_s, 3), place)
+            next_s += GLOBAL_PERIOD_S + 0.013
+        changes += fit.note_local(now_s, path(now_s))
+    return changes
+
+
+def off_m(fit: GeodesyFit, true: LocalOrigin, place: PositionEnu) -> float:
+    return math.dist(fit.origin.enu_from_geodetic(*true.geodetic_from_enu(place)), place)
+
+
+@pytest.mark.parametrize("projection", Projection)
+def test_an_autopilot_of_the_known_projection_needs_no_fit(projection: Projection) -> None:
+    told = replace(TOLD, projection=projection)
+    fit = GeodesyFit(told)
+    assert flown(fit, told, seconds=600.0) == 0
+    assert fit.off_m < 0.03
+    assert fit.origin == told
+
+
+@pytest.mark.parametrize("projection", [Projection.ELLIPSOID, Projection.FLAT])
+def test_another_projection_is_fitted_where_it_is_flown(projection: Projection) -> None:
+    true, fit = replace(TOLD, projection=projection), GeodesyFit(TOLD)
+    assert off_m(fit, true, (120.0, 30.0, 0.0)) > LEAST_OFF_M
+    assert flown(fit, true) >= 1
+    for place in ((120.0, 30.0, 0.0), (-60.0, 90.0, 0.0), (0.0, 0.0, 20.0)):
+        assert off_m(fit, true, place) < 0.06
+
+
+def test_an_origin_that_is_not_the_told_one_is_found() -> None:
+    true = LocalOrigin(TOLD.latitude_deg + 3e-5, TOLD.longitude_deg, 491.0, Projection.SPHERE)
+    fit = GeodesyFit(TOLD)
+    flown(fit, true, still, seconds=20.0)
+    assert fit.off_m == pytest.approx(math.hypot(3.34, 3.0), abs=0.02)
+    assert off_m(fit, true, still(0.0)) < 0.05
+    assert off_m(fit, true, (300.0, 300.0, 40.0)) < 0.3
+
+
+def test_a_few_pairs_prove_nothing_and_two_frames_cannot_be_fitted() -> None:
+    true = LocalOrigin(TOLD.latitude_deg + 3e-5, TOLD.longitude_deg, 488.0, Projection.SPHERE)
+    few = GeodesyFit(TOLD)
+    assert flown(few, true, seconds=0.5 * (FEWEST_PAIRS - 2)) == 0
+    elsewhere, fit = replace(TOLD, latitude_deg=48.0), GeodesyFit(TOLD)
+    assert flown(fit, elsewhere) == 0
+    assert fit.origin == TOLD

@@ -1,0 +1,191 @@
+"""The autopilot's clock as it really runs: slow, fast, slipping, standing still, restarted."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import pytest
+
+from companion.link.conversion.clock_sync import NO_RATE, ClockSync
+from companion.link.conversion.sender_clock import ClockStep, SenderClock, VehicleClock
+from companion.mav.addressing import TargetedTimesync
+from companion.mav.dialect import Message, mavlink
+
+UP_S = 100.0
+"""How long the autopilot was up when it was first heard."""
+TICK_S = 0.05
+DELAY_S = 0.004
+GOOD_S = 0.03
+"""A reading that errs by less is good: a quarter of a metre at the fastest flight."""
+
+
+@dataclass
+class Reading:
+    """One stamp, as it was read."""
+
+    now_s: float
+    error_s: float
+    """Read minus true time of sending."""
+    step: ClockStep
+
+
+class Autopilot:
+    """Stamps 20 times a second and answers TIMESYNC, by a clock that a test may bend."""
+
+    def __init__(self, *, rate: float = 1.0, answers: bool = True, jitter_s: float = 0.0) -> None:
+        self.sync = ClockSync()
+        self.clock = VehicleClock(self.sync)
+        self.remote_s = UP_S
+        self.rate = rate
+        self.answers = answers
+        self.now_s = 0.0
+        self._rng = random.Random(7)
+        self._jitter_s = jitter_s
+        self._answers: list[tuple[float, Message]] = []
+
+    def run(self, seconds: float) -> list[Reading]:
+        """Let time pass on both clocks."""
+        return list(self._steps(self.now_s + seconds))
+
+    def stand_still(self, seconds: float) -> None:
+        """The process is held up: nothing is sent, and its clock does not go on."""
+        self.now_s += seconds
+
+    def _steps(self, until_s: float) -> Iterator[Reading]:
+        while self.now_s < until_s:
+            self.now_s += TICK_S
+            self.remote_s += self.rate * TICK_S
+            arrival_s = self.now_s + DELAY_S + self._rng.uniform(0.0, self._jitter_s)
+            for due_s, answer in [a for a in self._answers if a[0] <= arrival_s]:
+                self._answers.remove((due_s, answer))
+                self.sync.receive(answer, due_s)
+            self._ask()
+            stamp_s = int(1000.0 * self.remote_s) / 1000.0
+            reading = self.clock.read(stamp_s, arrival_s)
+            yield Reading(self.now_s, reading.time_s - self.now_s, reading.step)
+
+    def _ask(self) -> None:
+        question = self.sync.due(self.now_s, 1, 1)
+        if self.answers and isinstance(question, TargetedTimesync):
+            way_s = DELAY_S + self._rng.uniform(0.0, self._jitter_s)
+            tc1 = round(1e9 * (self.remote_s + self.rate * DELAY_S))
+            answer = mavlink.MAVLink_timesync_message(tc1, question.ts1)
+            self._answers.append((self.now_s + DELAY_S + way_s, answer))
+
+
+def worst_s(readings: list[Reading]) -> float:
+    return max(abs(reading.error_s) for reading in readings)
+
+
+def steps(readings: list[Reading]) -> list[ClockStep]:
+    return [reading.step for reading in readings if reading.step is not ClockStep.NONE]
+
+
+@pytest.mark.parametrize("rate", [0.95, 0.988, 0.9999, 1.0, 1.05])
+@pytest.mark.parametrize("jitter_s", [0.0, 0.02])
+def test_a_clock_of_any_steady_rate_is_read_well_from_the_second_second_on(
+    rate: float, jitter_s: float
+) -> None:
+    autopilot = Autopilot(rate=rate, jitter_s=jitter_s)
+    autopilot.run(2.0)
+    readings = autopilot.run(120.0)
+    assert worst_s(readings) < GOOD_S
+    assert steps(readings) == []
+
+
+@pytest.mark.parametrize("rate", [0.95, 0.988, 1.05])
+def test_without_an_exchange_the_rate_is_known_by_arrival(rate: float) -> None:
+    autopilot = Autopilot(rate=rate, answers=False)
+    autopilot.run(10.0)
+    readings = autopilot.run(60.0)
+    assert worst_s(readings) < GOOD_S
+    assert steps(readings) == []
+
+
+def test_a_rate_that_changes_is_followed() -> None:
+    """The computer of a simulated autopilot gets busy, and free again."""
+    autopilot = Autopilot()
+    autopilot.run(20.0)
+    for rate in (0.988, 1.0, 0.97, 1.03):
+        autopilot.rate = rate
+        assert worst_s(autopilot.run(15.0)) < 2.0 * GOOD_S
+
+
+@pytest.mark.parametrize("slip_s", [-30.0, -5.0, -2.0, -0.7, -0.3, 0.3, 1.0, 5.0, 30.0])
+@pytest.mark.parametrize("rate", [1.0, 0.95])
+def test_after_a_slip_all_is_well_within_two_seconds_and_nobody_restarted(
+    slip_s: float, rate: float
+) -> None:
+    autopilot = Autopilot(rate=rate)
+    autopilot.run(20.0)
+    autopilot.remote_s += slip_s
+    during = autopilot.run(2.0)
+    after = autopilot.run(30.0)
+    assert worst_s(after) < GOOD_S
+    assert not autopilot.clock.is_wild
+    assert set(steps(during + after)) == {ClockStep.SLIP}
+
+
+@pytest.mark.parametrize("still_s", [0.2, 0.7, 1.2, 3.0, 12.0])
+def test_a_clock_that_stood_still_is_one_that_slipped(still_s: float) -> None:
+    autopilot = Autopilot()
+    autopilot.run(20.0)
+    autopilot.stand_still(still_s)
+    during = autopilot.run(2.5)
+    assert worst_s(autopilot.run(30.0)) < GOOD_S
+    assert set(steps(during)) == {ClockStep.SLIP}
+
+
+def test_slips_at_any_time_are_followed_one_after_the_other() -> None:
+    autopilot, rng = Autopilot(jitter_s=0.01), random.Random(3)
+    autopilot.run(5.0)
+    for _ in range(40):
+        autopilot.remote_s += rng.choice([-2.0, -0.7, 1.0, 5.0])
+        autopilot.run(rng.uniform(3.0, 6.0))
+        assert worst_s(autopilot.run(1.0)) < GOOD_S
+
+
+def test_a_restart_is_still_a_restart() -> None:
+    autopilot = Autopilot()
+    autopilot.run(20.0)
+    autopilot.stand_still(3.0)
+    autopilot.remote_s = 0.5
+    seen = steps(autopilot.run(3.0))
+    assert seen[0] is ClockStep.RESTART or autopilot.sync.take_restart()
+    assert ClockStep.SLIP not in seen
+
+
+@pytest.mark.parametrize("late_s", [0.2, 0.5, 3.0])
+def test_a_link_that_becomes_late_for_good_is_no_clock_that_slipped(late_s: float) -> None:
+    """Whoever reads late stamps as fresh would fly on positions of the past."""
+    autopilot = Autopilot()
+    autopilot.run(20.0)
+    clock = autopilot.clock
+    autopilot.answers = False  # they are late, too, and say nothing
+    for step in range(400):
+        autopilot.now_s += TICK_S
+        autopilot.remote_s += TICK_S
+        reading = clock.read(autopilot.remote_s, autopilot.now_s + late_s)
+        assert reading.step is ClockStep.NONE
+        error_s = reading.time_s - autopilot.now_s
+        assert abs(error_s) < GOOD_S, step
+
+
+def late_by_steps(step: int) -> float:
+    return 0.2 if step > 300 else 0.0
+
+
+def late_by_bursts(step: int) -> float:
+    return max(0.0, 1.0 - 0.05 * (step % 100)) if step > 100 else 0.0
+
+
+@pytest.mark.parametrize("late", [late_by_steps, late_by_bursts])
+def test_a_radio_whose_link_gets_slower_keeps_its_rate(late: Callable[[int], float]) -> None:
+    clock = SenderClock()
+    for step in range(1200):
+        now_s = TICK_S * step
+        reading = clock.read(UP_S + now_s, now_s + late(step))
+        assert abs(reading.time_s - now_s) < GOOD_S
+    assert clock.timebase.rate == NO_RATE
