@@ -81,7 +81,8 @@ class MavlinkRanging:
 
     def measure(self, message: RangingMessage, now_s: float) -> list[RangingMeasurement]:
         """The same for a message that was decoded already."""
-        self._follow_slips()
+        if self._slips != self._vehicle_clock.slips:
+            self._follow_slip()
         sender = (message.get_srcSystem(), message.get_srcComponent())
         clock = self._clocks.get(sender)
         if clock is None:
@@ -104,10 +105,8 @@ class MavlinkRanging:
         measurement = ranging_from_message(message, measured_at_s)
         return [] if measurement is None else [measurement]
 
-    def _follow_slips(self) -> None:
+    def _follow_slip(self) -> None:
         """Begin anew with whoever stamps by the autopilot's clock, once that slipped."""
-        if self._slips == self._vehicle_clock.slips:
-            return
         self._slips = self._vehicle_clock.slips
         for sender in tuple(self._on_vehicle_clock):
             self._forget(sender)

@@ -164,17 +164,14 @@ class Timebase:
     ) -> None:
         self.known_rate = rate
         """Better than by arrival; None: nobody knows."""
+        self.rate = rate or NO_RATE
+        """How fast the offset grows, as the last stamp was read."""
         self._offset_s = offset_s
         self._arrivals = ArrivalRate()
         self._new_clock: _NewClock | None = None
         self._newest_remote_s = 0.0 if offset_s is None else now_s - offset_s
         self._updated_s = now_s
         self._wraps = 0
-
-    @property
-    def rate(self) -> Rate:
-        """How fast the offset grows."""
-        return self._arrivals.rate if self.known_rate is None else self.known_rate
 
     def offset_at_s(self, time_s: float) -> float | None:
         """Local minus remote time at a local time, with the shortest delay seen in it."""
@@ -185,6 +182,7 @@ class Timebase:
     def read(self, remote_s: float, now_s: float) -> StampReading:
         """Local time of a remote stamp that arrived at `now_s`, both in seconds."""
         raw_s, remote_s = remote_s, self._unwrapped(remote_s)
+        self.rate = self.known_rate or self._arrivals.rate
         before_s = self.offset_at_s(now_s)
         if before_s is None:
             return self._start(remote_s, now_s, now_s - remote_s)
@@ -345,11 +343,11 @@ class VehicleClock:
         By arrival it is too large by the shortest delay. The exchange of times knows that delay,
         and is believed if one way takes no longer than both: otherwise it is of another clock.
         """
-        delay_s = self._way_s(now_s)
         by_arrival_s = self._stamps.timebase.offset_at_s(now_s)
-        if delay_s is None or by_arrival_s is None or not self._is_way(delay_s):
+        by_exchange_s = self.sync.offset_at_s(now_s)
+        if by_arrival_s is None or by_exchange_s is None:
             return by_arrival_s
-        return by_arrival_s - delay_s
+        return by_exchange_s if self._is_way(by_arrival_s - by_exchange_s) else by_arrival_s
 
     @property
     def is_wild(self) -> bool:
@@ -379,14 +377,6 @@ class VehicleClock:
         self._apart_since_s = None
         self.slips += 1
 
-    def _way_s(self, now_s: float) -> float | None:
-        """How long a stamp is on its way at least, by both ways to know the offset."""
-        by_arrival_s = self._stamps.timebase.offset_at_s(now_s)
-        by_exchange_s = self.sync.offset_at_s(now_s)
-        return (
-            None if by_arrival_s is None or by_exchange_s is None else by_arrival_s - by_exchange_s
-        )
-
     def _is_way(self, delay_s: float) -> bool:
         round_trip_s = self.sync.round_trip_s
         return round_trip_s is not None and 0.0 <= delay_s <= round_trip_s + CLOCK_TOLERANCE_S
@@ -397,10 +387,13 @@ class VehicleClock:
         An exchange is wrong by at most half of its round trip. What is apart by more than that and
         a way, while five exchanges agree with each other, are stamps of another time than before.
         """
-        delay_s, round_trip_s = self._way_s(now_s), self.sync.round_trip_s
-        if delay_s is None or round_trip_s is None or not self.sync.is_known(now_s):
+        by_arrival_s = self._stamps.timebase.offset_at_s(now_s)
+        offset_s, round_trip_s = self.sync.offset_at_s(now_s), self.sync.round_trip_s
+        is_known = self.sync.is_known(now_s)
+        if by_arrival_s is None or offset_s is None or round_trip_s is None or not is_known:
             self._stamps.timebase.known_rate = self._apart_since_s = None
             return False
+        delay_s = by_arrival_s - offset_s
         if self._is_way(delay_s):
             self._is_same_clock, self._delay_s, self._apart_since_s = True, delay_s, None
         self._stamps.timebase.known_rate = self.sync.rate if self._is_same_clock else None
@@ -411,9 +404,6 @@ class VehicleClock:
         if self._apart_since_s is None:
             self._apart_since_s = now_s
         if not self.sync.agrees_since(self._apart_since_s):
-            return False
-        offset_s = self.sync.offset_at_s(now_s)
-        if offset_s is None:
             return False
         self._stamps = SenderClock(self.sync.rate, offset_s + self._delay_s, now_s)
         self._apart_since_s = None
