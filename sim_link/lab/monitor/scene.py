@@ -248,8 +248,9 @@ class ObservedScene:
         if not all(abs(value) < 1e5 for value in values):
             return
         has_rebooted = message.time_boot_ms < told.position_boot_ms - 5000
-        if message.time_boot_ms < told.position_boot_ms and not has_rebooted:
-            return
+        is_older = message.time_boot_ms < told.position_boot_ms and not has_rebooted
+        if is_older and not (self._sent_s and sent_at[0] > told.position_sent_s):
+            return  # overtaken; one that was truly sent later is of a clock that slipped
         if has_rebooted and told.position_enu_m is not None and told.position_s is not None:
             told.before_restart = (told.position_enu_m, told.position_s)
         told.position_boot_ms = message.time_boot_ms
