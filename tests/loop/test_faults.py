@@ -28,6 +28,7 @@ def in_control(faults: LinkFaults | None = None, config: CompanionConfig = AUTO)
     return loop
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "faults",
     [

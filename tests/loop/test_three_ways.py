@@ -200,6 +200,7 @@ def decisions(
     return [(request, plan) for request, plan in asked if request.estimate is not None]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("planner", ["passive", *KINDS])
 def test_objects_fly_where_kernels_do(planner: PlannerName, seed: int) -> None:

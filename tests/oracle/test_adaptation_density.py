@@ -233,6 +233,7 @@ def _mixture_density(u: Vector, k: float, share: float) -> Vector:
     return np.asarray(density / (np.sum(density) * (u[1] - u[0])))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("k", "share"), MIXTURES)
 @pytest.mark.parametrize("knot", [-1.0, 0.0, 0.4, 2.0, 5.0])
 def test_the_one_sided_variance_is_its_integral(knot: float, k: float, share: float) -> None:

@@ -176,6 +176,7 @@ def _measurement(time_s: float, z: Vector, rows: list[int]) -> RangingMeasuremen
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [Ekf, AsymmetricHuberEkf])
 @pytest.mark.parametrize("process_noise", [0.0, 0.3])
 def test_without_thresholds_the_filter_is_filterpys(

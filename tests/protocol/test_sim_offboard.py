@@ -273,6 +273,7 @@ INVALID = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", INVALID)
 def test_an_invalid_setpoint_is_no_proof_of_life_and_moves_nothing(
     station: GroundStation, name: str

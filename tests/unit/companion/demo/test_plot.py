@@ -36,6 +36,7 @@ def flight(*obstacles: Obstacle) -> PlottedFlight:
     )
 
 
+@pytest.mark.slow
 def test_obstacles_are_drawn_with_name_and_height(tmp_path: Path) -> None:
     draw(tmp_path / "plain.svg", flight())
     draw(tmp_path / "block.svg", flight(BLOCK))

@@ -79,6 +79,7 @@ def test_the_fit_recovers_what_was_drawn_within_its_standard_errors(
     assert np.all(np.abs(errors) < 3.5 * _standard_errors(truth, residuals_m))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mean_bias_m", MEAN_BIASES_M)
 @pytest.mark.parametrize("sigma_m", SIGMAS_M)
 def test_nothing_but_reflections_is_recognised(sigma_m: float, mean_bias_m: float) -> None:
@@ -116,6 +117,7 @@ def test_the_offset_is_seen_through_the_reflections() -> None:
 BOUNDED = AdaptationParams(range_sigma_max_m=1.0, mean_bias_max_m=4.0, estimate_offset=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("params", [NO_PRIOR, DEFAULTS, BOUNDED], ids=["free", "prior", "bounds"])
 @pytest.mark.parametrize("share", [0.0, 0.4, 1.0])
 @pytest.mark.parametrize("seed", [1, 2, 3])

@@ -292,6 +292,7 @@ def test_the_session_launches_ardupilot_and_engages_after_the_climb() -> None:
     assert flight.is_in(Phase.HOLD, Phase.NORMAL)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("autopilot", [Autopilot.PX4, Autopilot.ARDUPILOT])
 @pytest.mark.parametrize(
     "mode", [FlightMode.POSITION, FlightMode.RETURN, FlightMode.LAND, FlightMode.STABILIZED]
