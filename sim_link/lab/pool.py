@@ -36,7 +36,7 @@ from functools import lru_cache
 from itertools import islice
 from multiprocessing import resource_tracker
 from pathlib import Path
-from time import monotonic
+from time import monotonic, sleep
 from types import FrameType
 from typing import Any, TypeVar, cast
 
@@ -168,7 +168,8 @@ class Processes(ProcessPoolExecutor):
         for worker in workers:
             worker.join(max(give_up_s - monotonic(), 0.0))
             worker.kill()
-            worker.join()
+        while any(worker.is_alive() for worker in workers):
+            sleep(0.01)  # the executor's own thread may be the one that hears of the end
 
 
 @dataclass(slots=True)
