@@ -266,7 +266,12 @@ class SenderClock:
     @property
     def is_wild(self) -> bool:
         """Whether it runs so fast that its stamps say nothing about the present."""
-        return sum(gain_s for _, gain_s in self._gains) > MAX_GAIN_S
+        return self.gained_s > MAX_GAIN_S
+
+    @property
+    def gained_s(self) -> float:
+        """How much it gained on ours lately."""
+        return sum(gain_s for _, gain_s in self._gains)
 
     def calm(self) -> None:
         """What it gained was a slip."""
@@ -417,8 +422,8 @@ class VehicleClock:
         if self._resets == self.sync.resets:
             return False
         self._resets = self.sync.resets
-        if not self._is_same_clock or now_s - self._slipped_s <= ONE_SLIP_S:
-            return False
+        if self._stamps.gained_s <= BACKWARD_S or now_s - self._slipped_s <= ONE_SLIP_S:
+            return False  # a link that is late one way only shifts the exchange, not the stamps
         self._stamps.calm()
         self._slipped_s = now_s
         return True

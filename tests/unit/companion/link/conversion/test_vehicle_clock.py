@@ -173,6 +173,35 @@ def test_a_link_that_becomes_late_for_good_is_no_clock_that_slipped(late_s: floa
         assert abs(error_s) < GOOD_S, step
 
 
+@pytest.mark.parametrize(("up_s", "down_s"), [(0.0, 0.5), (0.0, 2.0), (1.0, 0.0), (0.3, 0.3)])
+def test_a_link_that_is_late_one_way_shows_no_slip_and_no_younger_stamps(
+    up_s: float, down_s: float
+) -> None:
+    """An exchange over it is off by half of the difference, for good."""
+    autopilot = Autopilot()
+    autopilot.run(20.0)
+    waiting: list[tuple[float, float, Message | None]] = []
+    for _ in range(1200):
+        autopilot.now_s += TICK_S
+        autopilot.remote_s += TICK_S
+        now_s, way_s = autopilot.now_s, down_s + DELAY_S
+        waiting.append((now_s + way_s, now_s, None))
+        question = autopilot.sync.due(now_s, 1, 1)
+        if isinstance(question, TargetedTimesync):
+            tc1 = round(1e9 * (autopilot.remote_s + up_s + DELAY_S))
+            answer = mavlink.MAVLink_timesync_message(tc1, question.ts1)
+            waiting.append((now_s + up_s + DELAY_S + way_s, now_s, answer))
+        for arrival in sorted((w for w in waiting if w[0] <= now_s), key=lambda w: w[0]):
+            waiting.remove(arrival)
+            arrived_s, sent_s, message = arrival
+            if message is not None:
+                autopilot.sync.receive(message, arrived_s)
+                continue
+            reading = autopilot.clock.read(sent_s + UP_S, arrived_s)
+            assert reading.step is ClockStep.NONE
+            assert reading.time_s - sent_s < GOOD_S
+
+
 def late_by_steps(step: int) -> float:
     return 0.2 if step > 300 else 0.0
 
