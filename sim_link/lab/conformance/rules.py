@@ -17,12 +17,16 @@ The rule's id is `frames.bad_crc_is_dropped`, its statement the first line of th
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import Enum
 from fnmatch import fnmatchcase
+from functools import cache
+from importlib.resources import files
 from typing import Any
+
+import msgspec
 
 
 class Role(Enum):
@@ -66,6 +70,21 @@ class NotApplicable(Exception):  # noqa: N818
     """The peer gives no occasion to try the rule; the text says why."""
 
 
+class AutopilotNotes(msgspec.Struct, frozen=True):
+    """What one real autopilot does, by rule; a flavour in `autopilot_notes.yaml`."""
+
+    version: str
+    deviates: dict[str, str]
+    asks: dict[str, str]
+
+
+@cache
+def autopilot_notes() -> dict[Flavour, AutopilotNotes]:
+    """The notes of each flavour."""
+    text = files("sim_link.lab.conformance").joinpath("autopilot_notes.yaml").read_bytes()
+    return msgspec.yaml.decode(text, type=dict[Flavour, AutopilotNotes])
+
+
 Probe = Callable[[Any], None]
 """A method of a `VehicleProbe` or a `CompanionProbe`, by the rule's role."""
 
@@ -81,8 +100,6 @@ class Rule:
     book: RuleBook
     effect: Effect
     flavours: frozenset[Flavour]
-    deviations: Mapping[Flavour, str]
-    """Where a real autopilot does something else, and what is asked of this flavour instead."""
     probe: Probe = field(repr=False)
 
     @property
@@ -90,6 +107,12 @@ class Rule:
         """Whom it binds."""
         role: Role = self.book.prober.role
         return role
+
+    def deviation(self, flavour: Flavour) -> str:
+        """What the real autopilot does against the rule, with its version; empty: keeps it."""
+        notes = autopilot_notes()[flavour]
+        text = notes.deviates.get(self.rule_id)
+        return f"{flavour.value} {notes.version}: {text}" if text else ""
 
 
 class RuleBook:
@@ -113,15 +136,12 @@ class RuleBook:
         *,
         effect: Effect | None = None,
         flavours: frozenset[Flavour] | None = None,
-        px4: str = "",
-        ardupilot: str = "",
         says: str = "",
     ) -> Callable[[Probe], Probe]:
         """Make the decorated method a rule, named as it is and stated by its docstring or `says`.
 
-        `source` is the page, file or measurement that says so; `px4`, `ardupilot` are deviations.
+        `source` is the page, file or measurement that says so.
         """
-        told = {Flavour.PX4: px4, Flavour.ARDUPILOT: ardupilot}
 
         def register(probe: Probe) -> Probe:
             rule = Rule(
@@ -131,7 +151,6 @@ class RuleBook:
                 book=self,
                 effect=effect or self._effect,
                 flavours=flavours or self._flavours,
-                deviations={flavour: text for flavour, text in told.items() if text},
                 probe=probe,
             )
             self.rules.append(rule)
@@ -156,6 +175,8 @@ class RuleVerdict(Enum):
     """How a rule went."""
 
     PASS = "PASS"
+    NOTED = "NOTED"
+    """It failed as the real autopilot is known to."""
     FAIL = "FAIL"
     SKIP = "SKIP"
 
@@ -190,7 +211,9 @@ def try_rule(rule: Rule, probe: Any) -> RuleOutcome:
     try:
         rule.probe(probe)
     except Violation as violation:
-        verdict, detail = RuleVerdict.FAIL, str(violation)
+        note = rule.deviation(probe.flavour)
+        verdict = RuleVerdict.NOTED if note else RuleVerdict.FAIL
+        detail = f"{violation} ({note})" if note else str(violation)
     except NotApplicable as reason:
         verdict, detail = RuleVerdict.SKIP, str(reason)
     return RuleOutcome(rule, verdict, detail, probe.now_s - started_s)
@@ -224,11 +247,16 @@ def line(outcome: RuleOutcome) -> str:
     return f"{text}\n      {outcome.detail}" if outcome.detail else text
 
 
+FURTHER = {RuleVerdict.NOTED: "deviate as noted", RuleVerdict.SKIP: "skipped"}
+
+
 def summary(outcomes: Sequence[RuleOutcome]) -> str:
     """The closing line."""
     counts = Counter(outcome.verdict for outcome in outcomes)
     text = f"{counts[RuleVerdict.PASS]} passed, {counts[RuleVerdict.FAIL]} failed"
-    return f"{text}, {counts[RuleVerdict.SKIP]} skipped" if counts[RuleVerdict.SKIP] else text
+    for verdict, words in FURTHER.items():
+        text += f", {counts[verdict]} {words}" if counts[verdict] else ""
+    return text
 
 
 def listing(rules: Iterable[Rule]) -> list[str]:
@@ -239,7 +267,10 @@ def listing(rules: Iterable[Rule]) -> list[str]:
         lines.append(f"{rule.rule_id}  ({flavours}; {rule.effect.value})")
         lines.append(f"    {rule.statement}")
         lines.append(f"    source: {rule.source}")
-        lines += [f"    {flavour.value}: {text}" for flavour, text in rule.deviations.items()]
+        for flavour, notes in autopilot_notes().items():
+            asked = notes.asks.get(rule.rule_id)
+            lines += [f"    {flavour.value}: {asked}"] if asked else []
+            lines += [f"    deviates: {each}" for each in (rule.deviation(flavour),) if each]
     return lines
 
 

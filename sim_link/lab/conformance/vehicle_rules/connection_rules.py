@@ -135,11 +135,7 @@ class HeartbeatRules(VehicleProbe):
         self.require_result(mav.ACCEPTED, mav.ARM, 0.0, mav.FORCE_DISARM)
         require(not self.is_armed(), "SAFETY_ARMED after disarming")
 
-    @book.rule(
-        "MAVLink common, MAV_STATE",
-        effect=FLIES,
-        ardupilot="ArduCopter stays STANDBY while armed on the ground, ACTIVE in the air",
-    )
+    @book.rule("MAVLink common, MAV_STATE", effect=FLIES)
     def armed_and_flying_is_active(self) -> None:
         """In the air system_status is ACTIVE."""
         self.arm()
@@ -182,16 +178,12 @@ class RoutingRules(ParameterClient):
         self.ask(request_version(system, component), mav.Version)
         self.expect(mav.Ack, lambda m: asks_for_message(m) and m.result == 0, mark=self.asked)
 
-    @book.rule(ROUTING, px4="PX4 1.15 answers FAILED; here it is asked to be silent")
+    @book.rule(ROUTING)
     def command_for_another_system_is_ignored(self) -> None:
         """A command for another system is neither obeyed nor acknowledged."""
         self._require_ignored(self._unknown_system, self.target[1])
 
-    @book.rule(
-        ROUTING,
-        px4="PX4 1.15 answers FAILED; here it is asked to be silent",
-        ardupilot="ArduCopter 4.5 obeys it; here it is asked to be silent",
-    )
+    @book.rule(ROUTING)
     def command_for_another_component_is_ignored(self) -> None:
         """A command for another component of the same system is neither obeyed nor acknowledged."""
         self._require_ignored(self.target[0], 77)
@@ -206,7 +198,7 @@ class RoutingRules(ParameterClient):
         """A command for the right system and component 0 is obeyed."""
         self._require_obeyed(self.target[0], 0)
 
-    @book.rule(ROUTING, px4="PX4 1.15 answers FAILED to system 0 with its own component")
+    @book.rule(ROUTING)
     def system_zero_is_obeyed(self) -> None:
         """A command for system 0 and the right component is obeyed."""
         self._require_obeyed(0, self.target[1])

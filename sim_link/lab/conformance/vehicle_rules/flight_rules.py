@@ -29,11 +29,7 @@ class FlightRules(VehicleProbe):
         state = self.latest(mav.SysState).landed_state
         require(state == wanted, f"landed_state {state}{when}")
 
-    @book.rule(
-        "MAVLink common, MAV_CMD_NAV_TAKEOFF",
-        px4="parameter 7 is above sea level",
-        ardupilot="parameter 7 is above home; GUIDED first",
-    )
+    @book.rule("MAVLink common, MAV_CMD_NAV_TAKEOFF")
     def takeoff_climbs_to_its_altitude(self) -> None:
         """NAV_TAKEOFF climbs to the altitude it names and stays there."""
         self.take_off(12.0)
@@ -74,7 +70,7 @@ class FlightRules(VehicleProbe):
         self.command(mav.ARM, 1.0, 0.0)
         self.require_result(mav.FAILED, TAKE_OFF, *params)
 
-    @book.rule(f"{SERVICE} (commands are idempotent)", ardupilot="FAILED in the air")
+    @book.rule(f"{SERVICE} (commands are idempotent)")
     def takeoff_in_the_air_is_answered(self) -> None:
         """NAV_TAKEOFF in the air is ACCEPTED and does not bring the vehicle down."""
         self.take_off()
@@ -105,9 +101,7 @@ class FlightRules(VehicleProbe):
         self.run(0.5)
         self._require_landed_state(mavlink.MAV_LANDED_STATE_ON_GROUND, "")
 
-    @book.rule(
-        "MAVLink common, MAV_CMD_NAV_RETURN_TO_LAUNCH", ardupilot="climbs to RTL_ALT (15 m) first"
-    )
+    @book.rule("MAVLink common, MAV_CMD_NAV_RETURN_TO_LAUNCH")
     def return_comes_home_and_lands(self) -> None:
         """NAV_RETURN_TO_LAUNCH lands at home and disarms."""
         self.take_off(5.0)

@@ -26,7 +26,7 @@ class MissionRules(PlanClient):
         """A mission that was uploaded comes back item by item."""
         self.require_stored(self.prepare())
 
-    @book.rule(SERVICE, ardupilot="frames 5 and 6 come back as 0 and 3, NaN yaw as 0")
+    @book.rule(SERVICE)
     def every_field_survives(self) -> None:
         """Frame, parameters (a NaN yaw, too) and autocontinue survive a round trip."""
         self.get_ready()
@@ -70,11 +70,7 @@ class MissionRules(PlanClient):
         off = max(abs(first.x - home.latitude), abs(first.y - home.longitude))
         require(off < 100, f"item 0 is at {first.x}, {first.y}")
 
-    @book.rule(
-        f"{SERVICE}; {mav.OBSERVED_PX4}; {mav.OBSERVED_ARDUPILOT}",
-        px4="MISSION_REQUEST_INT",
-        ardupilot="MISSION_REQUEST",
-    )
+    @book.rule(f"{SERVICE}; {mav.OBSERVED_PX4}; {mav.OBSERVED_ARDUPILOT}")
     def items_are_requested_in_order(self) -> None:
         """Items are requested one by one from 0, with the flavour's message, then acknowledged."""
         self.get_ready()
@@ -174,11 +170,7 @@ class MissionRules(PlanClient):
         self.finish_download()
         self.run(0.5)
 
-    @book.rule(
-        f"{SERVICE} (partial lists are not standard)",
-        ardupilot="ArduCopter takes a partial write; here it is asked to refuse it as the guide "
-        "does",
-    )
+    @book.rule(f"{SERVICE} (partial lists are not standard)")
     def partial_lists_are_unsupported(self) -> None:
         """MISSION_WRITE_PARTIAL_LIST and MISSION_REQUEST_PARTIAL_LIST are answered UNSUPPORTED."""
         for kind in (

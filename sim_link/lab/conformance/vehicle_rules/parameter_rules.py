@@ -13,9 +13,6 @@ from sim_link.lab.conformance.rules import ARDUPILOT, CHANGES, FLIES, PX4, RuleB
 SERVICE = "MAVLink guide, Parameter Protocol"
 STRICT = f"{SERVICE} (stricter than the real one)"
 ERRORS = "MAVLink common, PARAM_ERROR; MAVSDK 4.1 reports it"
-STRICTER = "PX4 1.15 is silent; clients wait for PARAM_ERROR"
-SILENT = "may be silent, as ArduCopter 4.5 is"
-STORES_NAN = "PX4 1.15 stores a NaN"
 NEEDED_ON_PX4 = (
     "MIS_TAKEOFF_ALT",
     "RTL_RETURN_ALT",
@@ -58,11 +55,7 @@ class ParameterRules(ParameterClient):
             good = 1 <= len(found.name) <= 16 and found.name.replace("_", "A").isalnum()
             require(good, f"`{found.name}`")
 
-    @book.rule(
-        f"{SERVICE}; {mav.OBSERVED_BOTH}",
-        px4="INT32 and REAL32 only",
-        ardupilot="INT8, INT16, INT32 and REAL32",
-    )
+    @book.rule(f"{SERVICE}; {mav.OBSERVED_BOTH}")
     def types_are_the_flavours(self) -> None:
         """Only the types occur that the flavour has."""
         allowed = {INT32, REAL32} if self.is_px4 else {2, 4, INT32, REAL32}
@@ -155,20 +148,20 @@ class ParameterRules(ParameterClient):
         require(told or not self.is_px4, f"{what}: no PARAM_ERROR")
         self.read(self.float_name)
 
-    @book.rule(ERRORS, px4=STRICTER, ardupilot=SILENT)
+    @book.rule(ERRORS)
     def unknown_name_is_an_error(self) -> None:
         """Reading a name that there is not is answered by PARAM_ERROR."""
         self.request_read(NOBODYS)
         self._require_unknown("read by name")
 
-    @book.rule(ERRORS, px4=STRICTER, ardupilot=SILENT)
+    @book.rule(ERRORS)
     def unknown_index_is_an_error(self) -> None:
         """Reading an index that there is not is answered by PARAM_ERROR."""
         for index in (30_000, 32_767):
             self.request_read("", index)
             self._require_unknown(f"index {index}")
 
-    @book.rule(SERVICE, effect=CHANGES, px4=STRICTER, ardupilot=SILENT)
+    @book.rule(SERVICE, effect=CHANGES)
     def set_never_creates_a_parameter(self) -> None:
         """Setting a name that there is not creates nothing and is answered by PARAM_ERROR."""
         count = self.read(self.float_name).count
@@ -184,7 +177,7 @@ class ParameterRules(ParameterClient):
             self.run(wait_s)
             require(self.read(name).raw == before.raw, f"{name}: {value} was stored")
 
-    @book.rule(STRICT, effect=CHANGES, px4=STORES_NAN, ardupilot="silent, value kept")
+    @book.rule(STRICT, effect=CHANGES)
     def nan_is_refused(self) -> None:
         """NaN and infinity are not stored."""
         self._require_kept(self.float_name, 0.3, NAN, math.inf, -math.inf)
@@ -192,8 +185,6 @@ class ParameterRules(ParameterClient):
     @book.rule(
         STRICT,
         effect=CHANGES,
-        px4=STORES_NAN,
-        ardupilot="silent, as ArduCopter 4.5 is, or the old value",
         says="PARAM_SET with a value that is not stored is answered by PARAM_VALUE with the old "
         "value.",
     )
@@ -208,7 +199,7 @@ class ParameterRules(ParameterClient):
         require(all(each.raw == before.raw for each in told), "another value is told")
         require(self.read(before.name).raw == before.raw, "it was stored")
 
-    @book.rule(f"{SERVICE} (a text)", px4=STRICTER, ardupilot=SILENT)
+    @book.rule(f"{SERVICE} (a text)")
     def unknown_name_is_told_in_words(self) -> None:
         """Reading or setting a name that there is not is answered by a STATUSTEXT, too."""
         for message in (
@@ -226,7 +217,7 @@ class ParameterRules(ParameterClient):
         """A value of another type is not stored."""
         self._require_kept(self.integer_name, 0.5, 1.5)
 
-    @book.rule(STRICT, effect=CHANGES, flavours=PX4, px4="PX4 1.15 stores what is out of range")
+    @book.rule(STRICT, effect=CHANGES, flavours=PX4)
     def value_out_of_range_is_refused(self) -> None:
         """A value outside the parameter's range is not stored."""
         self._require_kept("COM_OF_LOSS_T", 0.5, -5.0)

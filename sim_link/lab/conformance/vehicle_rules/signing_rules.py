@@ -24,7 +24,7 @@ class ClockRules(VehicleProbe):
     def _synchronise(self, stamp: int) -> mav.Timesync:
         return self.ask(mav.Timesync(0, stamp), mav.Timesync, lambda m: m.ts1 == stamp)
 
-    @book.rule(PING, ardupilot="never answers")
+    @book.rule(PING)
     def ping_request_is_answered(self) -> None:
         """A PING to 0/0 is answered to its sender with the same time and sequence."""
         request = mav.Ping(123_456_789, 4_711, 0, 0)
@@ -42,7 +42,7 @@ class ClockRules(VehicleProbe):
         pings = [mav.Ping(1, 4_712, *target) for target in (self.target, (77, 1), (0, 1))]
         self.require_no_answer(pings, mav.Ping, lambda m: m.seq == 4_712)
 
-    @book.rule(TIME, ardupilot="answers without a target (v1 form)")
+    @book.rule(TIME)
     def timesync_request_is_answered(self) -> None:
         """TIMESYNC with tc1 = 0 comes back with ts1 mirrored and the vehicle's own time."""
         began = self._synchronise(987_654_321).tc1

@@ -271,7 +271,6 @@ class TelemetryRules(VehicleProbe):
 
     @book.rule(
         f"{COMMON}, AUTOPILOT_VERSION, MAV_PROTOCOL_CAPABILITY",
-        ardupilot="ArduCopter 4.5 sets neither encoding bit",
         says="AUTOPILOT_VERSION tells missions, COMMAND_INT, both setpoints, fences and one "
         "encoding.",
     )
@@ -294,9 +293,7 @@ class TelemetryRules(VehicleProbe):
             require(0 < abs(place.latitude) <= 900_000_000, brief(place))
 
     @book.rule(
-        f"{COMMON}, SET_GPS_GLOBAL_ORIGIN; MAVSDK waits for exactly these numbers",
-        effect=CHANGES,
-        ardupilot="ArduCopter keeps its first origin",
+        f"{COMMON}, SET_GPS_GLOBAL_ORIGIN; MAVSDK waits for exactly these numbers", effect=CHANGES
     )
     def origin_can_be_set(self) -> None:
         """SET_GPS_GLOBAL_ORIGIN is answered by GPS_GLOBAL_ORIGIN with exactly its numbers."""

@@ -71,11 +71,7 @@ class UploadRules(PlanClient):
         self.await_request(1)
         self.run(10.0)
 
-    @book.rule(
-        f"{SERVICE} (timeouts); {mav.OBSERVED_PX4}; {mav.OBSERVED_ARDUPILOT}",
-        px4="every 250 ms, gives up after about 5 s",
-        ardupilot="every second, gives up after 8 s with ACK 15 and a text",
-    )
+    @book.rule(f"{SERVICE} (timeouts); {mav.OBSERVED_PX4}; {mav.OBSERVED_ARDUPILOT}")
     def unanswered_request_is_repeated_then_given_up(self) -> None:
         """A request without an answer is repeated, and given up in the end."""
         self.get_ready()
@@ -93,11 +89,7 @@ class UploadRules(PlanClient):
             results = [ack.type for ack in self.heard(mav.PlanAck, self.asked)]
             require(results[-1:] == [mav.PLAN_CANCELLED], "no ACK 15 at the end")
 
-    @book.rule(
-        SERVICE,
-        px4="dropped, the expected item is requested again",
-        ardupilot="ACK INVALID_SEQUENCE",
-    )
+    @book.rule(SERVICE)
     def item_out_of_order_is_not_taken(self) -> None:
         """An item with another number than requested is not taken for it."""
         self.get_ready()
@@ -249,12 +241,7 @@ class FenceRules(PlanClient):
         self.get_ready()
         require(self.upload([self.waypoint_home()], mav.FENCE) != 0, "accepted")
 
-    @book.rule(
-        f"{SERVICE}, Geofence",
-        effect=FLIES,
-        px4="GF_ACTION",
-        ardupilot="stays inside, destinations outside are refused",
-    )
+    @book.rule(f"{SERVICE}, Geofence", effect=FLIES)
     def fence_is_kept(self) -> None:
         """A vehicle sent out of its fence does not go on outwards."""
         self.take_off()

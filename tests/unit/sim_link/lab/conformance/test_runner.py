@@ -7,8 +7,10 @@ from typing import ClassVar
 
 import pytest
 
+from sim_link.lab.conformance.cli import all_rules
 from sim_link.lab.conformance.rules import (
     ARDUPILOT,
+    AutopilotNotes,
     Effect,
     Flavour,
     Role,
@@ -18,6 +20,7 @@ from sim_link.lab.conformance.rules import (
     RuleVerdict,
     Violation,
     assume,
+    autopilot_notes,
     line,
     listing,
     record,
@@ -31,6 +34,7 @@ from sim_link.lab.conformance.rules import (
 @dataclass
 class FakeProbe:
     role: ClassVar[Role] = Role.VEHICLE
+    flavour: Flavour = Flavour.PX4
     now_s: float = 0.0
     rested: int = 0
 
@@ -47,7 +51,7 @@ class Samples(FakeProbe):
         """It holds."""
         self.now_s += 2.0
 
-    @book.rule("a page", px4="does not")
+    @book.rule("a page")
     def is_broken(self) -> None:
         """It does not hold."""
         require(self.now_s < 0.0, "seen otherwise")
@@ -68,6 +72,28 @@ book = Samples.book
 
 def run(flavour: Flavour, allowed: Effect, probe: FakeProbe | None = None) -> list[RuleOutcome]:
     return list(run_rules(book.rules, flavour, allowed, lambda prober: probe or prober()))
+
+
+def note_of_broken(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A PX4 that is known to break a rule."""
+    notes = {"samples.is_broken": "does not"}
+    told = AutopilotNotes("7.0", notes, {"samples.holds": "another number"})
+    known = {Flavour.PX4: told, Flavour.ARDUPILOT: AutopilotNotes("8.0", {}, {})}
+    monkeypatch.setattr("sim_link.lab.conformance.rules.autopilot_notes", lambda: known)
+
+
+def test_a_known_deviation_is_told_apart_from_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
+    note_of_broken(monkeypatch)
+    outcomes = run(Flavour.PX4, Effect.ASKS)
+    assert [o.verdict.value for o in outcomes] == ["PASS", "NOTED", "SKIP"]
+    assert outcomes[1].detail == "seen otherwise (px4 7.0: does not)"
+    assert summary(outcomes) == "1 passed, 0 failed, 1 deviate as noted, 1 skipped"
+
+
+def test_every_note_is_about_a_rule() -> None:
+    known = {rule.rule_id for rule in all_rules()}
+    for notes in autopilot_notes().values():
+        assert set(notes.deviates) | set(notes.asks) <= known
 
 
 def test_a_rule_is_named_after_its_book_and_probe() -> None:
@@ -136,10 +162,12 @@ def test_lines_and_summary() -> None:
     assert summary(run(Flavour.PX4, Effect.ASKS)) == "1 passed, 1 failed, 1 skipped"
 
 
-def test_listing_tells_deviations() -> None:
+def test_listing_tells_deviations(monkeypatch: pytest.MonkeyPatch) -> None:
+    note_of_broken(monkeypatch)
     text = "\n".join(listing(book.rules))
     assert "samples.changes  (ardupilot; changes)" in text
-    assert "px4: does not" in text
+    assert "    deviates: px4 7.0: does not" in text
+    assert "    px4: another number" in text
 
 
 def test_record() -> None:
